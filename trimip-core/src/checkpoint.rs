@@ -1,0 +1,68 @@
+//! Everything training needs to go on with the same bits: parameters, moments, occupancy, counters. Random numbers are
+//! hashes of (seed, step, index), so the step is all the random state there is.
+
+use crate::{Config, Error, Result, events::Totals, model::expect_format, tensors::TensorFile};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Value of the metadata `format` of a checkpoint file.
+const FORMAT: &str = "trimip-checkpoint-1";
+
+/// State beside the tensors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TrainState {
+    /// Counters of the run.
+    pub totals: Totals,
+    /// Rays of the next step (dynamic batch).
+    pub rays_per_step: u32,
+    /// Marched samples per ray of the last step, which sizes the next step's spans.
+    pub marched_per_ray: f32,
+}
+
+/// A training run, frozen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// The configuration of the run.
+    pub config: Config,
+    /// Counters and batch state.
+    pub state: TrainState,
+    /// Parameters by name, `<name>.m` and `<name>.v` moments, `occupancy` bits and `occupancy.density`.
+    pub file: TensorFile,
+}
+
+impl Checkpoint {
+    /// Writes the checkpoint, atomically; returns its size in bytes.
+    pub fn write(&self, path: &Path) -> Result<u64> {
+        let mut file = TensorFile { tensors: Default::default(), metadata: self.file.metadata.clone() };
+        file.metadata.insert("format".into(), FORMAT.into());
+        file.metadata.insert("config".into(), self.config.to_toml());
+        file.metadata.insert("state".into(), serde_json::to_string(&self.state).map_err(Error::run)?);
+        file.tensors.clone_from(&self.file.tensors);
+        file.write(path)
+    }
+
+    /// Reads a checkpoint and checks that it is one.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let file = TensorFile::read(path)?;
+        expect_format(&name, &file, FORMAT)?;
+        let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
+        let state = serde_json::from_str(file.text(&name, "state")?).map_err(|error| {
+            Error::input(&name, format!("its state: {error}"), "use a checkpoint of this version")
+        })?;
+        Ok(Self { config, state, file })
+    }
+
+    /// Refuses a checkpoint that was made with other settings than `config`.
+    pub fn expect_config(&self, place: &str, config: &Config) -> Result<()> {
+        let differences = config.differences(&self.config);
+        if differences.is_empty() {
+            return Ok(());
+        }
+        Err(Error::input(
+            place,
+            format!("checkpoint of another configuration ({})", differences.join(", ")),
+            "use the same settings to resume, or another --out folder to start afresh",
+        ))
+    }
+}

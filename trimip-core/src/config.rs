@@ -1,0 +1,358 @@
+//! The typed configuration. Defaults and their meaning stand in `defaults.toml`; layers and origins in [`Settings`];
+//! here are the types and the ranges in which a run makes sense.
+
+use crate::{Error, Result, Settings};
+use serde::{Deserialize, Serialize};
+
+/// Declares a section of the configuration: plain public fields, unknown keys refused.
+macro_rules! section {
+    ($(#[$meta:meta])* $name:ident { $($field:ident: $kind:ty),* $(,)? }) => {
+        $(#[$meta])*
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        #[allow(missing_docs)] // one description per setting: the comment in defaults.toml
+        pub struct $name { $(pub $field: $kind),* }
+    };
+}
+
+/// Declares a named choice, written in lower case.
+macro_rules! choice {
+    ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident),* $(,)? }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "lowercase")]
+        pub enum $name { $($(#[$doc])* $variant),* }
+    };
+}
+
+choice!(
+    /// Layout of a scene folder.
+    Format {
+        /// Found out from the files in the folder.
+        Auto,
+        /// `transforms_{split}.json` or `transforms.json`.
+        Blender,
+        /// The public multi-scale set's `metadata.json`.
+        Multiscale,
+        /// The procedural scene, rendered on the spot.
+        Builtin,
+    }
+);
+choice!(
+    /// How RGBA is averaged to coarser scales.
+    Convention {
+        /// Straight RGBA means truncated to 8 bits, as the public multi-scale set is made.
+        Public,
+        /// Means of premultiplied RGBA: right at silhouettes.
+        Premultiplied,
+    }
+);
+choice!(
+    /// Base radius in the mip level's formula (METHOD: Eq. 5).
+    LevelFormula {
+        /// texel/√π, the radius of a disc with the texel's area.
+        Paper,
+        /// texel/2.
+        Code,
+    }
+);
+choice!(
+    /// Rays over which the loss is averaged.
+    LossRays {
+        /// Rays with at least one kept sample.
+        Live,
+        /// Every ray of the batch.
+        All,
+    }
+);
+
+section!(
+    /// Where the photographs are and how they are prepared.
+    DataConfig {
+        root: String, format: Format, train: Vec<String>, test: String, scales: u32, convention: Convention,
+        background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
+    }
+);
+section!(
+    /// The box that bounds the scene.
+    SceneConfig { aabb_min: [f32; 3], aabb_max: [f32; 3] }
+);
+section!(
+    /// The tri-mip encoding.
+    EncoderConfig {
+        plane_size: u32, channels: u32, levels: u32, mipmap: bool, level: LevelFormula, init_range: f32,
+    }
+);
+section!(
+    /// The two small networks.
+    FieldConfig { hidden: u32, density_layers: u32, color_layers: u32 }
+);
+section!(
+    /// Marching and compositing.
+    RendererConfig { steps_per_diagonal: u32, min_transmittance: f32 }
+);
+section!(
+    /// The occupancy grid.
+    OccupancyConfig { resolution: u32, every: u32, warmup: u32, fraction: f32, decay: f32, threshold: f32 }
+);
+section!(
+    /// The photometric loss.
+    LossConfig { beta: f32, rays: LossRays }
+);
+section!(
+    /// AdamW and its schedule.
+    OptimizerConfig {
+        learning_rate: f64, plane_scale: f64, beta1: f64, beta2: f64, epsilon: f64, weight_decay: f64,
+        decay_factor: f64, milestones: Vec<f64>,
+    }
+);
+section!(
+    /// Length of the run and size of a step.
+    TrainConfig { steps: u64, seconds: f64, samples_per_step: u32, checkpoint_seconds: f64, log_seconds: f64 }
+);
+section!(
+    /// When and on what the model is evaluated.
+    EvalConfig { points: u32, stride: u32, r#final: FinalEval, images: u32, min_psnr: f64 }
+);
+
+/// The final evaluation: a stride over the test views, or a flag.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum FinalEval {
+    /// `true`: every `eval.stride`-th view; `false`: none.
+    Flag(bool),
+    /// Every n-th view; 0: none.
+    Stride(u32),
+}
+
+impl EvalConfig {
+    /// Stride of the final evaluation over the test views, `None` when there is none.
+    pub fn final_stride(&self) -> Option<usize> {
+        match self.r#final {
+            FinalEval::Flag(true) => Some(self.stride as usize),
+            FinalEval::Flag(false) | FinalEval::Stride(0) => None,
+            FinalEval::Stride(stride) => Some(stride as usize),
+        }
+    }
+}
+
+section!(
+    /// Everything a run is told.
+    Config {
+        backend: String, seed: u64, threads: u32, data: DataConfig, scene: SceneConfig, encoder: EncoderConfig,
+        field: FieldConfig, renderer: RendererConfig, occupancy: OccupancyConfig, loss: LossConfig,
+        optimizer: OptimizerConfig, train: TrainConfig, eval: EvalConfig,
+    }
+);
+
+impl Default for Config {
+    /// The values of `defaults.toml`.
+    fn default() -> Self {
+        Self::from_settings(&Settings::defaults())
+            .unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"))
+    }
+}
+
+impl Config {
+    /// The typed configuration of layered settings, every range checked.
+    pub fn from_settings(settings: &Settings) -> Result<Self> {
+        let config: Self = settings.table().try_into().map_err(|error: toml::de::Error| {
+            // The error names the key in its last line; its value's origin is the place to mend.
+            let text = error.to_string();
+            let place = settings
+                .iter()
+                .map(|(path, ..)| path)
+                .find(|path| text.contains(&format!("`{path}`")))
+                .map_or("configuration".to_string(), |path| settings.place(path));
+            Error::input(place, error.message(), "choose one of the values named in defaults.toml")
+        })?;
+        config.validate(|path| settings.place(path))?;
+        Ok(config)
+    }
+
+    /// Parses one effective configuration as written in a run folder; `name` stands in errors.
+    pub fn from_toml(name: &str, text: &str) -> Result<Self> {
+        let mut settings = Settings::defaults();
+        settings.apply_file(name, text)?;
+        Self::from_settings(&settings)
+    }
+
+    /// The whole configuration as TOML text.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).unwrap_or_else(|error| unreachable!("plain data: {error}"))
+    }
+
+    /// Checks every range; `place` turns a dotted path into the place where its value was set.
+    fn validate(&self, place: impl Fn(&str) -> String) -> Result<()> {
+        let check = |ok: bool, path: &str, expected: &str| {
+            if ok {
+                Ok(())
+            } else {
+                Err(Error::input(place(path), "out of range", format!("expected {expected}")))
+            }
+        };
+        let positive = |x: f64| x.is_finite() && x > 0.0;
+        check((1..=8).contains(&self.data.scales), "data.scales", "1 to 8")?;
+        check(!self.data.train.is_empty(), "data.train", "at least one split")?;
+        check(
+            self.data.background.iter().all(|c| (0.0..=1.0).contains(c)),
+            "data.background",
+            "three values from 0 to 1",
+        )?;
+        check((8..=4096).contains(&self.data.builtin_size), "data.builtin_size", "8 to 4096")?;
+        check((1..=10_000).contains(&self.data.builtin_train), "data.builtin_train", "1 to 10000")?;
+        check((1..=10_000).contains(&self.data.builtin_test), "data.builtin_test", "1 to 10000")?;
+        check((1..=64).contains(&self.data.builtin_supersampling), "data.builtin_supersampling", "1 to 64")?;
+        let sides = (0..3).map(|axis| self.scene.aabb_max[axis] - self.scene.aabb_min[axis]);
+        check(
+            sides.into_iter().all(|side| side.is_finite() && side > 0.0),
+            "scene.aabb_max",
+            "a corner above aabb_min on every axis, all finite",
+        )?;
+        let encoder = &self.encoder;
+        check(
+            (4..=4096).contains(&encoder.plane_size) && encoder.plane_size.is_power_of_two(),
+            "encoder.plane_size",
+            "a power of two from 4 to 4096",
+        )?;
+        check(encoder.channels == 16, "encoder.channels", "16 (the only width built so far)")?;
+        check(
+            encoder.levels >= 1 && encoder.plane_size >> (encoder.levels - 1).min(31) >= 1,
+            "encoder.levels",
+            "1 to log2(plane_size) + 1",
+        )?;
+        check(
+            encoder.init_range.is_finite() && encoder.init_range >= 0.0,
+            "encoder.init_range",
+            "0 or more",
+        )?;
+        let field = &self.field;
+        check(
+            (16..=512).contains(&field.hidden) && field.hidden.is_multiple_of(16),
+            "field.hidden",
+            "a multiple of 16 from 16 to 512",
+        )?;
+        check((1..=8).contains(&field.density_layers), "field.density_layers", "1 to 8")?;
+        check((1..=8).contains(&field.color_layers), "field.color_layers", "1 to 8")?;
+        let renderer = &self.renderer;
+        check(
+            (16..=65_536).contains(&renderer.steps_per_diagonal),
+            "renderer.steps_per_diagonal",
+            "16 to 65536",
+        )?;
+        check(
+            (0.0..1.0).contains(&renderer.min_transmittance),
+            "renderer.min_transmittance",
+            "0 to below 1",
+        )?;
+        let occupancy = &self.occupancy;
+        check(
+            (4..=1024).contains(&occupancy.resolution) && occupancy.resolution.is_multiple_of(4),
+            "occupancy.resolution",
+            "a multiple of 4 from 4 to 1024",
+        )?;
+        check(occupancy.every >= 1, "occupancy.every", "1 or more")?;
+        check((0.0..=1.0).contains(&occupancy.fraction), "occupancy.fraction", "0 to 1")?;
+        check((0.0..=1.0).contains(&occupancy.decay), "occupancy.decay", "0 to 1")?;
+        check(occupancy.threshold >= 0.0, "occupancy.threshold", "0 or more")?;
+        check(positive(self.loss.beta.into()), "loss.beta", "a number above 0")?;
+        let optimizer = &self.optimizer;
+        check(positive(optimizer.learning_rate), "optimizer.learning_rate", "a number above 0")?;
+        check(positive(optimizer.plane_scale), "optimizer.plane_scale", "a number above 0")?;
+        check((0.0..1.0).contains(&optimizer.beta1), "optimizer.beta1", "0 to below 1")?;
+        check((0.0..1.0).contains(&optimizer.beta2), "optimizer.beta2", "0 to below 1")?;
+        check(positive(optimizer.epsilon), "optimizer.epsilon", "a number above 0")?;
+        check(
+            optimizer.weight_decay.is_finite() && optimizer.weight_decay >= 0.0,
+            "optimizer.weight_decay",
+            "0 or more",
+        )?;
+        check(positive(optimizer.decay_factor), "optimizer.decay_factor", "a number above 0")?;
+        check(
+            optimizer.milestones.iter().all(|m| (0.0..=1.0).contains(m)) && optimizer.milestones.is_sorted(),
+            "optimizer.milestones",
+            "rising fractions from 0 to 1",
+        )?;
+        let train = &self.train;
+        check(train.seconds.is_finite() && train.seconds >= 0.0, "train.seconds", "0 or more")?;
+        check(train.steps >= 1, "train.steps", "1 or more")?;
+        check(
+            (256..=4_194_304).contains(&train.samples_per_step),
+            "train.samples_per_step",
+            "256 to 4194304",
+        )?;
+        check(train.checkpoint_seconds >= 0.0, "train.checkpoint_seconds", "0 or more")?;
+        check(positive(train.log_seconds), "train.log_seconds", "a number above 0")?;
+        check(self.eval.stride >= 1, "eval.stride", "1 or more")?;
+        check(self.eval.min_psnr.is_finite(), "eval.min_psnr", "a number")?;
+        Ok(())
+    }
+
+    /// Dotted paths of settings whose change makes another model of the same run: all but the device, the threads,
+    /// what is logged and what is evaluated. Used to refuse a checkpoint of another configuration.
+    pub fn differences(&self, other: &Self) -> Vec<String> {
+        let (ours, theirs) = (self.settings(), other.settings());
+        ours.iter()
+            .zip(theirs.iter())
+            .filter(|((path, ours), (_, theirs))| ours != theirs && !free_to_change(path))
+            .map(|((path, ours), (_, theirs))| format!("{path} is {ours}, was {theirs}"))
+            .collect()
+    }
+
+    /// Dotted path and value of every setting.
+    fn settings(&self) -> Vec<(String, toml::Value)> {
+        let mut settings = Settings::defaults();
+        settings
+            .apply_file("config", &self.to_toml())
+            .unwrap_or_else(|error| unreachable!("our own text: {error}"));
+        settings.iter().map(|(path, value, _)| (path.to_string(), value.clone())).collect()
+    }
+}
+
+fn free_to_change(path: &str) -> bool {
+    path == "backend"
+        || path == "threads"
+        || path == "data.root"
+        || path.starts_with("eval.")
+        || path == "train.checkpoint_seconds"
+        || path == "train.log_seconds"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_whole_and_survive_a_round_trip() {
+        let config = Config::default();
+        assert_eq!(Config::from_toml("text", &config.to_toml()).unwrap(), config);
+    }
+
+    #[test]
+    fn ranges_and_choices_are_refused_with_their_place() {
+        for (assignment, expected) in [
+            ("encoder.plane_size=500", "a power of two"),
+            ("encoder.level=\"papers\"", "expected"),
+            ("train.samples_per_step=0", "256 to"),
+            ("scene.aabb_min=[2.0, 0.0, 0.0]", "a corner above"),
+            ("scene.aabb_min=[0.0, 0.0]", ""),
+            ("optimizer.learning_rate=nan", "a number above 0"),
+        ] {
+            let mut settings = Settings::defaults();
+            settings.apply_assignment(assignment).unwrap();
+            let error = Config::from_settings(&settings).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.message.contains(expected), "{assignment}: {error}");
+        }
+    }
+
+    #[test]
+    fn only_what_changes_the_model_counts_as_a_difference() {
+        let (ours, mut other) = (Config::default(), Config::default());
+        other.eval.stride = 3;
+        other.threads = 1;
+        assert!(ours.differences(&other).is_empty());
+        other.seed = 1;
+        assert_eq!(ours.differences(&other), ["seed is 42, was 1"]);
+    }
+}

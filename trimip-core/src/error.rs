@@ -1,0 +1,61 @@
+//! The one error of the workspace, sorted by who must act: the user (input), the program's run, or the device.
+//! A message is one line: what was found, where, and what to do.
+
+/// Who must act on an [`Error`]; decides the exit code of the binary.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ErrorKind {
+    /// The user's files, settings or arguments are wrong (exit code 2).
+    Input,
+    /// The run itself failed, or missed a stated quality floor (exit code 1).
+    Run,
+    /// The device is missing, too small or lost (exit code 3).
+    Device,
+}
+
+/// An error with the party that can mend it and one line of text.
+#[derive(Clone, Debug, thiserror::Error)]
+#[error("{message}")]
+pub struct Error {
+    /// Who must act.
+    pub kind: ErrorKind,
+    /// What, where, what to do.
+    pub message: String,
+}
+
+/// Result of anything in the workspace that can fail.
+pub type Result<T> = std::result::Result<T, Error>;
+
+impl Error {
+    /// The user's input is wrong: `place` (file, line, frame, key) has `what`; `advice` says what to do.
+    pub fn input(
+        place: impl std::fmt::Display,
+        what: impl std::fmt::Display,
+        advice: impl std::fmt::Display,
+    ) -> Self {
+        Self { kind: ErrorKind::Input, message: one_line(format!("{place}: {what}; {advice}")) }
+    }
+
+    /// The run failed though its input was right.
+    pub fn run(message: impl std::fmt::Display) -> Self {
+        Self { kind: ErrorKind::Run, message: one_line(message.to_string()) }
+    }
+
+    /// The device failed.
+    pub fn device(message: impl std::fmt::Display) -> Self {
+        Self { kind: ErrorKind::Device, message: one_line(message.to_string()) }
+    }
+
+    /// 1 the run failed, 2 the input is wrong, 3 the device failed.
+    pub fn exit_code(&self) -> u8 {
+        match self.kind {
+            ErrorKind::Run => 1,
+            ErrorKind::Input => 2,
+            ErrorKind::Device => 3,
+        }
+    }
+}
+
+/// Messages of other libraries may span lines; ours never do.
+fn one_line(text: String) -> String {
+    text.split('\n').map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,121 @@
+//! Evaluation: test frames rendered at every scale and compared with their photographs.
+
+use crate::{
+    Frame, Frames, Result, Session,
+    events::ScaleQuality,
+    metrics::{psnr, ssim},
+};
+
+/// One rendered test view and its measures.
+pub struct ViewResult<'a> {
+    /// Index of the frame in the test split.
+    pub index: usize,
+    /// Name of the photograph.
+    pub name: &'a str,
+    /// Reduction of the view: 1, 2, 4, 8.
+    pub scale: u32,
+    /// What was rendered.
+    pub rendered: &'a Frame,
+    /// The photograph on the same background.
+    pub target: &'a [[f32; 3]],
+    /// dB.
+    pub psnr: f64,
+    /// Structural similarity.
+    pub ssim: f64,
+}
+
+/// Measures of one view, kept after its pixels are gone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ViewQuality {
+    /// Index of the frame in the test split.
+    pub index: usize,
+    /// Reduction of the view: 1, 2, 4, 8.
+    pub scale: u32,
+    /// dB.
+    pub psnr: f64,
+    /// Structural similarity.
+    pub ssim: f64,
+}
+
+/// Renders every `stride`-th frame at every scale; `on_view` sees each result and returns false to stop early.
+pub fn evaluate(
+    session: &mut dyn Session,
+    frames: &dyn Frames,
+    stride: usize,
+    background: [f32; 3],
+    mut on_view: impl FnMut(&ViewResult<'_>) -> Result<bool>,
+) -> Result<Vec<ViewQuality>> {
+    let mut qualities = Vec::new();
+    for index in (0..frames.len()).step_by(stride.max(1)) {
+        let set = frames.load(index)?;
+        for scale in &set.scales {
+            for view in scale.views.clone() {
+                let target = set.composited(view, background);
+                let rendered = session.render(&set.views[view].camera)?;
+                let rgb = rendered.rgb();
+                let quality = ViewQuality {
+                    index,
+                    scale: scale.factor,
+                    psnr: psnr(&rgb, &target),
+                    ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
+                };
+                let result = ViewResult {
+                    index,
+                    name: &set.views[view].name,
+                    scale: scale.factor,
+                    rendered: &rendered,
+                    target: &target,
+                    psnr: quality.psnr,
+                    ssim: quality.ssim,
+                };
+                qualities.push(quality);
+                if !on_view(&result)? {
+                    return Ok(qualities);
+                }
+            }
+        }
+    }
+    Ok(qualities)
+}
+
+/// Means per scale, fine to coarse, over the frames whose index is a multiple of `stride`.
+pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> {
+    let mut scales: Vec<u32> = qualities.iter().map(|quality| quality.scale).collect();
+    scales.sort_unstable();
+    scales.dedup();
+    scales
+        .into_iter()
+        .map(|scale| {
+            let views: Vec<_> = qualities
+                .iter()
+                .filter(|q| q.scale == scale && q.index.is_multiple_of(stride.max(1)))
+                .collect();
+            let mean = |f: &dyn Fn(&ViewQuality) -> f64| {
+                views.iter().map(|q| f(q)).sum::<f64>() / views.len() as f64
+            };
+            ScaleQuality { scale, images: views.len(), psnr: mean(&|q| q.psnr), ssim: mean(&|q| q.ssim) }
+        })
+        .collect()
+}
+
+/// Mean PSNR and SSIM of the scales.
+pub fn mean_quality(scales: &[ScaleQuality]) -> (f64, f64) {
+    let mean =
+        |f: &dyn Fn(&ScaleQuality) -> f64| scales.iter().map(f).sum::<f64>() / scales.len().max(1) as f64;
+    (mean(&|scale| scale.psnr), mean(&|scale| scale.ssim))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_headline_is_the_mean_of_the_scales_not_of_the_views() {
+        let view = |index, scale, psnr| ViewQuality { index, scale, psnr, ssim: 0.5 };
+        let qualities = [view(0, 1, 20.0), view(1, 1, 30.0), view(2, 1, 40.0), view(0, 2, 10.0)];
+        let scales = per_scale(&qualities, 1);
+        assert_eq!((scales[0].psnr, scales[0].images, scales[1].psnr), (30.0, 3, 10.0));
+        assert_eq!(mean_quality(&scales).0, 20.0);
+        assert_eq!(per_scale(&qualities, 2)[0].images, 2);
+    }
+}

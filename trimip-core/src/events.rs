@@ -1,0 +1,132 @@
+//! The one stream of what happens in a run. Progress bars, logs, CSV and reports all read it; nothing else tells them.
+
+use serde::{Deserialize, Serialize};
+
+/// PSNR and SSIM of one scale, means over its images.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScaleQuality {
+    /// Reduction of the images: 1, 2, 4, 8.
+    pub scale: u32,
+    /// Number of images.
+    pub images: usize,
+    /// Mean over the images of −10·log10(mean squared error), dB, on [0, 1] values that were not rounded.
+    pub psnr: f64,
+    /// Mean over the images of the structural similarity.
+    pub ssim: f64,
+}
+
+/// Counters of a run; they go on over a resume.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Totals {
+    /// Optimiser steps done.
+    pub step: u64,
+    /// Seconds of training, evaluation and pictures excluded.
+    pub seconds: f64,
+    /// Kept samples, summed over steps.
+    pub samples: u64,
+    /// Samples marched and asked for density, summed over steps.
+    pub marched: u64,
+    /// Rays, summed over steps.
+    pub rays: u64,
+    /// Steps whose batch kept no sample.
+    pub empty_batches: u64,
+    /// Non-finite values met in losses or gradients.
+    pub non_finite: u64,
+}
+
+/// Something that happened. Serialised with a `kind` field, one JSON object a line in `metrics.jsonl`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Event {
+    /// What is going to be done.
+    Plan {
+        /// One line each.
+        lines: Vec<String>,
+        /// Predicted peak memory.
+        memory_bytes: u64,
+    },
+    /// Training goes on from a checkpoint.
+    Resumed {
+        /// Where it stands.
+        totals: Totals,
+    },
+    /// Steps done since the last such event.
+    Step {
+        /// Where the run stands.
+        totals: Totals,
+        /// Fraction of the run done, 0 to 1.
+        progress: f64,
+        /// Mean loss of the latest step.
+        loss: f64,
+        /// PSNR of the latest step's own pixels, dB (of all scales together).
+        batch_psnr: f64,
+        /// Learning rate of the networks.
+        learning_rate: f64,
+        /// Kept samples per second since the last event.
+        samples_per_second: f64,
+        /// Rays per second since the last event.
+        rays_per_second: f64,
+        /// Share of occupied cells.
+        occupied: f64,
+        /// Seconds of training left, estimated.
+        seconds_left: f64,
+    },
+    /// The model was evaluated.
+    Evaluation {
+        /// Where the run stands.
+        totals: Totals,
+        /// Every n-th test view was used.
+        stride: usize,
+        /// True for the evaluation that ends the run.
+        last: bool,
+        /// Per scale, fine to coarse.
+        scales: Vec<ScaleQuality>,
+        /// Mean of the scales' PSNR.
+        psnr: f64,
+        /// Mean of the scales' SSIM.
+        ssim: f64,
+        /// Seconds the evaluation took.
+        seconds: f64,
+    },
+    /// Progress within an evaluation.
+    EvaluationProgress {
+        /// Views done.
+        done: usize,
+        /// Views in all.
+        total: usize,
+    },
+    /// A checkpoint was written.
+    Checkpoint {
+        /// Step it holds.
+        step: u64,
+        /// Its size.
+        bytes: u64,
+    },
+    /// Something the user should know that does not stop the run.
+    Warning {
+        /// One line.
+        message: String,
+    },
+    /// The run was asked to stop and did.
+    Stopped {
+        /// Where it stands.
+        totals: Totals,
+    },
+    /// Training is over.
+    Finished {
+        /// Where it ended.
+        totals: Totals,
+    },
+}
+
+/// Receives every event in order.
+pub trait EventSink {
+    /// Takes one event.
+    fn emit(&mut self, event: &Event);
+}
+
+impl<F: FnMut(&Event)> EventSink for F {
+    fn emit(&mut self, event: &Event) {
+        self(event);
+    }
+}

@@ -1,0 +1,55 @@
+//! A finished model: the parameters by name, the occupancy grid, and the configuration they belong to. Self-contained:
+//! its file is all that rendering needs.
+
+use crate::{Config, Error, Result, tensors::TensorFile};
+use std::path::Path;
+
+/// Value of the metadata `format` of a model file.
+const FORMAT: &str = "trimip-model-1";
+
+/// Named tensors (see [`crate::params::Layout`]), the occupancy bits as tensor `occupancy` and the configuration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// The configuration the model was trained with.
+    pub config: Config,
+    /// Tensors and metadata as they stand in the file.
+    pub file: TensorFile,
+}
+
+impl Model {
+    /// Puts tensors and configuration together.
+    pub fn new(config: Config, mut file: TensorFile) -> Self {
+        file.metadata.insert("format".into(), FORMAT.into());
+        file.metadata.insert("config".into(), config.to_toml());
+        file.metadata
+            .insert("aabb".into(), format!("{:?} {:?}", config.scene.aabb_min, config.scene.aabb_max));
+        Self { config, file }
+    }
+
+    /// Writes the model, atomically; returns its size in bytes.
+    pub fn write(&self, path: &Path) -> Result<u64> {
+        self.file.write(path)
+    }
+
+    /// Reads a model and checks that it is one.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let file = TensorFile::read(path)?;
+        expect_format(&name, &file, FORMAT)?;
+        let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
+        Ok(Self { config, file })
+    }
+}
+
+/// Refuses a file of another kind or version.
+pub(crate) fn expect_format(name: &str, file: &TensorFile, expected: &str) -> Result<()> {
+    let found = file.text(name, "format")?;
+    if found == expected {
+        return Ok(());
+    }
+    Err(Error::input(
+        name,
+        format!("its format is `{found}`"),
+        format!("expected a file of format `{expected}`"),
+    ))
+}

@@ -1,0 +1,45 @@
+//! The one door between static backends and a program that picks one by name.
+
+use crate::{Camera, Frame, Result, checkpoint::Checkpoint, events::Totals, model::Model};
+
+/// What one training step did; on a device that runs ahead, what the latest finished one did.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StepReport {
+    /// Counters of the run after the step.
+    pub totals: Totals,
+    /// Mean loss.
+    pub loss: f64,
+    /// PSNR of the step's own pixels, dB.
+    pub batch_psnr: f64,
+    /// Learning rate of the networks.
+    pub learning_rate: f64,
+    /// Share of occupied cells.
+    pub occupied: f64,
+}
+
+/// A model in training, or a finished one to render, on some backend.
+pub trait Session: Send {
+    /// Name of the backend.
+    fn backend(&self) -> &str;
+
+    /// One optimiser step; `progress` in [0, 1] drives the schedules. `totals.seconds` is the caller's to keep.
+    ///
+    /// # Errors
+    /// When a loss or gradient is no longer finite, or the device fails; the parameters are then those before the step.
+    fn step(&mut self, progress: f64) -> Result<StepReport>;
+
+    /// Renders one view on the configured background.
+    fn render(&mut self, camera: &Camera) -> Result<Frame>;
+
+    /// Everything `render` needs.
+    fn model(&mut self) -> Result<Model>;
+
+    /// Everything training needs to go on with the same bits.
+    fn checkpoint(&mut self) -> Result<Checkpoint>;
+
+    /// Goes on from a checkpoint.
+    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()>;
+
+    /// Bytes the backend holds now.
+    fn memory_bytes(&self) -> u64;
+}

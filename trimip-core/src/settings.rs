@@ -1,0 +1,270 @@
+//! Layers of settings: defaults, then a configuration file, then `--set a.b=c`. Each effective value remembers where it
+//! came from; a key that the defaults do not list is refused with its file, line and column.
+
+use crate::{Error, Result};
+use std::collections::BTreeMap;
+use toml::de::{DeTable, DeValue};
+use toml::{Spanned, Table, Value};
+
+/// The documented table of every setting and its default (`defaults.toml`).
+pub const DEFAULTS: &str = include_str!("defaults.toml");
+
+/// Where an effective value came from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// The table of defaults.
+    Default,
+    /// `file:line:column`.
+    File(String),
+    /// `--set` on the command line.
+    CommandLine,
+}
+
+impl std::fmt::Display for Origin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Default => f.write_str("default"),
+            Self::File(place) => f.write_str(place),
+            Self::CommandLine => f.write_str("--set"),
+        }
+    }
+}
+
+/// Every setting by its dotted path, with its effective value and origin.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    entries: BTreeMap<String, (Value, Origin)>,
+}
+
+impl Settings {
+    /// The defaults alone.
+    pub fn defaults() -> Self {
+        let table: Table =
+            toml::from_str(DEFAULTS).unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"));
+        let mut entries = BTreeMap::new();
+        for (section, value) in table {
+            match value {
+                Value::Table(fields) => entries.extend(
+                    fields
+                        .into_iter()
+                        .map(|(key, value)| (format!("{section}.{key}"), (value, Origin::Default))),
+                ),
+                value => {
+                    entries.insert(section, (value, Origin::Default));
+                }
+            }
+        }
+        Self { entries }
+    }
+
+    /// Lays the text of a configuration file over what is there; `name` stands in errors.
+    pub fn apply_file(&mut self, name: &str, text: &str) -> Result<()> {
+        let table = DeTable::parse(text).map_err(|error| {
+            let place = error.span().map_or(name.to_string(), |span| place(name, text, span.start));
+            Error::input(place, format!("not valid TOML: {}", error.message()), "mend the line")
+        })?;
+        self.apply_table(name, text, "", table.get_ref())
+    }
+
+    fn apply_table(&mut self, name: &str, text: &str, prefix: &str, table: &DeTable<'_>) -> Result<()> {
+        for (key, value) in table {
+            let path = if prefix.is_empty() {
+                key.get_ref().to_string()
+            } else {
+                format!("{prefix}.{}", key.get_ref())
+            };
+            let place = place(name, text, key.span().start);
+            if let DeValue::Table(inner) = value.get_ref()
+                && self.is_section(&path)
+            {
+                self.apply_table(name, text, &path, inner)?;
+            } else {
+                self.put(&path, plain(value), &place, Origin::File(place.clone()))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Lays one `a.b=c` of the command line over what is there. A value that is no TOML is taken as a string.
+    pub fn apply_assignment(&mut self, assignment: &str) -> Result<()> {
+        let place = format!("--set {assignment}");
+        let Some((path, text)) = assignment.split_once('=') else {
+            return Err(Error::input(place, "no '=' found", "write --set section.key=value"));
+        };
+        let value = toml::from_str::<Table>(&format!("value = {text}"))
+            .ok()
+            .and_then(|mut table| table.remove("value"))
+            .unwrap_or_else(|| Value::String(text.to_string()));
+        self.put(path.trim(), value, &place, Origin::CommandLine)
+    }
+
+    fn put(&mut self, path: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
+        let Some(entry) = self.entries.get_mut(path) else {
+            let section = path.rsplit_once('.').map_or("", |(section, _)| section);
+            let mut known: Vec<&str> =
+                self.entries.keys().map(String::as_str).filter(|key| section_of(key) == section).collect();
+            if section.is_empty() || known.is_empty() {
+                known = self.entries.keys().map(|key| key.split('.').next().unwrap_or(key)).collect();
+                known.dedup();
+            }
+            return Err(Error::input(
+                place,
+                format!("unknown setting `{path}`"),
+                format!("expected one of: {}", known.join(", ")),
+            ));
+        };
+        entry.0 = fit(&entry.0, value).map_err(|(found, expected)| {
+            Error::input(place, format!("`{path}` is {found}"), format!("expected {expected}"))
+        })?;
+        entry.1 = origin;
+        Ok(())
+    }
+
+    fn is_section(&self, path: &str) -> bool {
+        self.entries.keys().any(|key| section_of(key) == path)
+    }
+
+    /// Dotted path, effective value and origin of every setting, sorted by path.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &Value, &Origin)> {
+        self.entries.iter().map(|(path, (value, origin))| (path.as_str(), value, origin))
+    }
+
+    /// Where the value at `path` came from, as text for an error.
+    pub fn place(&self, path: &str) -> String {
+        match self.entries.get(path) {
+            Some((value, origin)) => format!("{origin}: {path} = {value}"),
+            None => path.to_string(),
+        }
+    }
+
+    /// The effective settings as one TOML table.
+    pub fn table(&self) -> Table {
+        let mut table = Table::new();
+        for (path, (value, _)) in &self.entries {
+            match path.split_once('.') {
+                None => {
+                    table.insert(path.clone(), value.clone());
+                }
+                Some((section, key)) => {
+                    if let Value::Table(fields) =
+                        table.entry(section).or_insert_with(|| Value::Table(Table::new()))
+                    {
+                        fields.insert(key.to_string(), value.clone());
+                    }
+                }
+            }
+        }
+        table
+    }
+}
+
+fn section_of(path: &str) -> &str {
+    path.split_once('.').map_or("", |(section, _)| section)
+}
+
+/// `name:line:column` of a byte offset.
+fn place(name: &str, text: &str, offset: usize) -> String {
+    let before = &text[..offset.min(text.len())];
+    let line = before.matches('\n').count() + 1;
+    let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
+    format!("{name}:{line}:{column}")
+}
+
+/// A spanned value without its spans.
+fn plain(value: &Spanned<DeValue<'_>>) -> Value {
+    match value.get_ref() {
+        DeValue::String(text) => Value::String(text.to_string()),
+        DeValue::Integer(number) => i64::from_str_radix(number.as_str(), number.radix())
+            .map_or_else(|_| Value::String(number.to_string()), Value::Integer),
+        DeValue::Float(number) => {
+            number.as_str().parse().map_or_else(|_| Value::String(number.to_string()), Value::Float)
+        }
+        DeValue::Boolean(flag) => Value::Boolean(*flag),
+        DeValue::Datetime(date) => Value::Datetime(*date),
+        DeValue::Array(items) => Value::Array(items.iter().map(plain).collect()),
+        DeValue::Table(fields) => Value::Table(
+            fields.iter().map(|(key, value)| (key.get_ref().to_string(), plain(value))).collect(),
+        ),
+    }
+}
+
+/// `value` in the type of the default; an integer serves where a float is expected. `Err` names found and expected.
+fn fit(default: &Value, value: Value) -> std::result::Result<Value, (String, &'static str)> {
+    let found = format!("{value}");
+    match (default, value) {
+        (Value::Float(_), Value::Integer(number)) => Ok(Value::Float(number as f64)),
+        (Value::Array(items), Value::Array(values)) => match items.first() {
+            None => Ok(Value::Array(values)),
+            Some(item) => values
+                .into_iter()
+                .map(|value| fit(item, value))
+                .collect::<std::result::Result<_, _>>()
+                .map(Value::Array),
+        },
+        // `eval.final` takes a stride or a flag.
+        (Value::Integer(_), value @ Value::Boolean(_)) => Ok(value),
+        (default, value) if default.same_type(&value) => Ok(value),
+        (default, _) => Err((
+            found,
+            match default {
+                Value::String(_) => "a string",
+                Value::Integer(_) => "a whole number",
+                Value::Float(_) => "a number",
+                Value::Boolean(_) => "true or false",
+                Value::Array(_) => "a list",
+                Value::Table(_) | Value::Datetime(_) => "a table",
+            },
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_later_layer_wins_and_is_named() {
+        let mut settings = Settings::defaults();
+        settings.apply_file("run.toml", "seed = 7\n[train]\nsteps = 10\n").unwrap();
+        settings.apply_assignment("train.steps=20").unwrap();
+        settings.apply_assignment("data.root=some/folder").unwrap();
+        let table = settings.table();
+        assert_eq!(table["seed"].as_integer(), Some(7));
+        assert_eq!(table["train"]["steps"].as_integer(), Some(20));
+        assert_eq!(table["data"]["root"].as_str(), Some("some/folder"));
+        assert_eq!(settings.place("seed"), "run.toml:1:1: seed = 7");
+        assert_eq!(settings.place("train.steps"), "--set: train.steps = 20");
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_place() {
+        let mut settings = Settings::defaults();
+        let error = settings.apply_file("run.toml", "seed = 1\n[train]\n  stepz = 3\n").unwrap_err();
+        assert!(
+            error.message.starts_with("run.toml:3:3: unknown setting `train.stepz`; expected one of: "),
+            "{error}"
+        );
+        assert!(error.message.contains("train.steps"), "{error}");
+        let error = settings.apply_file("run.toml", "[trian]\nsteps = 3\n").unwrap_err();
+        assert!(
+            error.message.contains("unknown setting `trian`") && error.message.contains("train"),
+            "{error}"
+        );
+        let error = settings.apply_file("run.toml", "[train]\nsteps = \"many\"\n").unwrap_err();
+        assert!(
+            error.message.contains("run.toml:2:1") && error.message.contains("a whole number"),
+            "{error}"
+        );
+        let error = settings.apply_file("run.toml", "[train\n").unwrap_err();
+        assert!(error.message.starts_with("run.toml:1:"), "{error}");
+        assert!(settings.apply_assignment("train.steps").is_err());
+    }
+
+    #[test]
+    fn an_integer_serves_as_a_float() {
+        let mut settings = Settings::defaults();
+        settings.apply_assignment("train.seconds=300").unwrap();
+        settings.apply_assignment("data.background=[0, 0, 0]").unwrap();
+        assert_eq!(settings.table()["train"]["seconds"].as_float(), Some(300.0));
+    }
+}

@@ -1,0 +1,210 @@
+//! Named tensors and their files. The format is safetensors, which every backend and Python read; files are written to
+//! a temporary name and renamed, so a killed run never leaves half a file behind.
+
+use crate::{Error, Result};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use std::collections::{BTreeMap, HashMap};
+use std::io::Write;
+use std::path::Path;
+
+/// Values of a tensor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// 32-bit floats.
+    F32(Vec<f32>),
+    /// Bytes.
+    U8(Vec<u8>),
+}
+
+/// A dense tensor, last axis contiguous.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tensor {
+    /// Extent of each axis.
+    pub shape: Vec<usize>,
+    /// `shape` product values.
+    pub values: Values,
+}
+
+impl Tensor {
+    /// A tensor of floats.
+    pub fn f32(shape: &[usize], values: Vec<f32>) -> Self {
+        debug_assert_eq!(shape.iter().product::<usize>(), values.len());
+        Self { shape: shape.to_vec(), values: Values::F32(values) }
+    }
+
+    /// A tensor of bytes.
+    pub fn u8(shape: &[usize], values: Vec<u8>) -> Self {
+        debug_assert_eq!(shape.iter().product::<usize>(), values.len());
+        Self { shape: shape.to_vec(), values: Values::U8(values) }
+    }
+
+    fn bytes(&self) -> (&[u8], Dtype) {
+        match &self.values {
+            Values::F32(values) => (bytemuck::cast_slice(values), Dtype::F32),
+            Values::U8(values) => (values, Dtype::U8),
+        }
+    }
+}
+
+/// Tensors by name, and text beside them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TensorFile {
+    /// Tensors by name.
+    pub tensors: BTreeMap<String, Tensor>,
+    /// Metadata by key.
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl TensorFile {
+    /// The tensor `name` as floats of the given shape. Errors name the tensor; `file` is its place.
+    pub fn f32(&self, file: &str, name: &str, shape: &[usize]) -> Result<&[f32]> {
+        match self.tensors.get(name) {
+            Some(Tensor { shape: found, values: Values::F32(values) }) if found == shape => Ok(values),
+            found => Err(wrong_tensor(file, name, "f32", shape, found)),
+        }
+    }
+
+    /// The tensor `name` as bytes of the given shape.
+    pub fn u8(&self, file: &str, name: &str, shape: &[usize]) -> Result<&[u8]> {
+        match self.tensors.get(name) {
+            Some(Tensor { shape: found, values: Values::U8(values) }) if found == shape => Ok(values),
+            found => Err(wrong_tensor(file, name, "u8", shape, found)),
+        }
+    }
+
+    /// The metadata under `key`.
+    pub fn text(&self, file: &str, key: &str) -> Result<&str> {
+        self.metadata.get(key).map(String::as_str).ok_or_else(|| {
+            Error::input(file, format!("no metadata `{key}`"), "this is not a file written by trimip-cli")
+        })
+    }
+
+    /// The file's bytes.
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        let views = self
+            .tensors
+            .iter()
+            .map(|(name, tensor)| {
+                let (bytes, dtype) = tensor.bytes();
+                Ok((name, TensorView::new(dtype, tensor.shape.clone(), bytes).map_err(Error::run)?))
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
+        safetensors::serialize(views, Some(metadata)).map_err(Error::run)
+    }
+
+    /// Reads a file's bytes; `file` stands in errors.
+    pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self> {
+        let broken = |error: safetensors::SafeTensorError| {
+            Error::input(
+                file,
+                format!("not a whole safetensors file: {error}"),
+                "use a file that was written to its end",
+            )
+        };
+        let views = SafeTensors::deserialize(bytes).map_err(broken)?;
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
+        let mut tensors = BTreeMap::new();
+        for (name, view) in views.tensors() {
+            let values = match view.dtype() {
+                Dtype::F32 => Values::F32(bytemuck::allocation::pod_collect_to_vec(view.data())),
+                Dtype::U8 => Values::U8(view.data().to_vec()),
+                other => {
+                    return Err(Error::input(
+                        file,
+                        format!("tensor `{name}` is {other:?}"),
+                        "expected f32 or u8",
+                    ));
+                }
+            };
+            tensors.insert(name, Tensor { shape: view.shape().to_vec(), values });
+        }
+        let metadata = header.metadata().clone().unwrap_or_default().into_iter().collect();
+        Ok(Self { tensors, metadata })
+    }
+
+    /// Reads the file at `path`.
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path)
+            .map_err(|error| Error::input(path.display(), error, "name an existing .safetensors file"))?;
+        Self::from_bytes(&path.display().to_string(), &bytes)
+    }
+
+    /// Writes the file at `path`, atomically; returns its size in bytes.
+    pub fn write(&self, path: &Path) -> Result<u64> {
+        let bytes = self.to_bytes()?;
+        write_atomically(path, &bytes)?;
+        Ok(bytes.len() as u64)
+    }
+}
+
+fn wrong_tensor(file: &str, name: &str, kind: &str, shape: &[usize], found: Option<&Tensor>) -> Error {
+    let found =
+        found.map_or("missing".to_string(), |tensor| format!("{:?} {:?}", tensor.bytes().1, tensor.shape));
+    Error::input(
+        file,
+        format!("tensor `{name}` is {found}, expected {kind} {shape:?}"),
+        "use a file of the same configuration",
+    )
+}
+
+/// Writes `bytes` beside `path` and renames: readers see the old file or the whole new one.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    let temporary = path.with_extension("tmp");
+    let write = || {
+        let mut file = std::fs::File::create(&temporary)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        std::fs::rename(&temporary, path)
+    };
+    write().map_err(|error| {
+        Error::input(
+            path.display(),
+            format!("cannot write: {error}"),
+            "choose a folder that can be written with --out",
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample() -> TensorFile {
+        let mut file = TensorFile::default();
+        file.tensors.insert(
+            "a.weight".into(),
+            Tensor::f32(&[2, 3], vec![0.0, -1.5, f32::MIN_POSITIVE, 1e30, 0.1, 7.0]),
+        );
+        file.tensors.insert("bits".into(), Tensor::u8(&[3], vec![1, 0, 255]));
+        file.metadata.insert("format".into(), "test".into());
+        file
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let bytes = sample().to_bytes().unwrap();
+        assert_eq!(TensorFile::from_bytes("x", &bytes).unwrap(), sample());
+    }
+
+    #[test]
+    fn every_truncation_is_an_error_and_none_a_panic() {
+        let bytes = sample().to_bytes().unwrap();
+        for length in 0..bytes.len() {
+            let error = TensorFile::from_bytes("cut.safetensors", &bytes[..length]).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.message.starts_with("cut.safetensors: "));
+        }
+    }
+
+    #[test]
+    fn a_wrong_tensor_is_named_with_both_shapes() {
+        let error = sample().f32("m", "a.weight", &[3, 2]).unwrap_err();
+        assert!(
+            error.message.contains("a.weight")
+                && error.message.contains("[2, 3]")
+                && error.message.contains("[3, 2]")
+        );
+        assert!(sample().f32("m", "none", &[1]).unwrap_err().message.contains("missing"));
+    }
+}
