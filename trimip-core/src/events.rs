@@ -1,6 +1,11 @@
 //! The one stream of what happens in a run. Progress bars, logs, CSV and reports all read it; nothing else tells them.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
+
+/// A float that JSON could not hold: infinite or NaN values are written as `null` and read back as NaN.
+fn float_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
+}
 
 /// PSNR and SSIM of one scale, means over its images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -10,8 +15,10 @@ pub struct ScaleQuality {
     /// Number of images.
     pub images: usize,
     /// Mean over the images of −10·log10(mean squared error), dB, on [0, 1] values that were not rounded.
+    #[serde(deserialize_with = "float_or_null")]
     pub psnr: f64,
     /// Mean over the images of the structural similarity.
+    #[serde(deserialize_with = "float_or_null")]
     pub ssim: f64,
 }
 
@@ -57,18 +64,24 @@ pub enum Event {
         /// Fraction of the run done, 0 to 1.
         progress: f64,
         /// Mean loss of the latest step.
+        #[serde(deserialize_with = "float_or_null")]
         loss: f64,
         /// PSNR of the latest step's own pixels, dB (of all scales together).
+        #[serde(deserialize_with = "float_or_null")]
         batch_psnr: f64,
         /// Learning rate of the networks.
         learning_rate: f64,
         /// Kept samples per second since the last event.
+        #[serde(deserialize_with = "float_or_null")]
         samples_per_second: f64,
         /// Rays per second since the last event.
+        #[serde(deserialize_with = "float_or_null")]
         rays_per_second: f64,
         /// Share of occupied cells.
+        #[serde(deserialize_with = "float_or_null")]
         occupied: f64,
         /// Seconds of training left, estimated.
+        #[serde(deserialize_with = "float_or_null")]
         seconds_left: f64,
     },
     /// The model was evaluated.
@@ -82,8 +95,10 @@ pub enum Event {
         /// Per scale, fine to coarse.
         scales: Vec<ScaleQuality>,
         /// Mean of the scales' PSNR.
+        #[serde(deserialize_with = "float_or_null")]
         psnr: f64,
         /// Mean of the scales' SSIM.
+        #[serde(deserialize_with = "float_or_null")]
         ssim: f64,
         /// Seconds the evaluation took.
         seconds: f64,
@@ -117,6 +132,17 @@ pub enum Event {
         /// Where it ended.
         totals: Totals,
     },
+    /// One process's part of the run is over, whatever its outcome.
+    SessionEnded {
+        /// Backend of this part.
+        backend: String,
+        /// Seconds from the program's start, everything included.
+        wall_seconds: f64,
+        /// Largest resident memory of the process, where the system tells.
+        peak_memory_bytes: Option<u64>,
+        /// Bytes the backend held at the end.
+        backend_bytes: u64,
+    },
 }
 
 /// Receives every event in order.
@@ -128,5 +154,29 @@ pub trait EventSink {
 impl<F: FnMut(&Event)> EventSink for F {
     fn emit(&mut self, event: &Event) {
         self(event);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_event_with_a_value_that_json_cannot_hold_is_read_back() {
+        let scales = vec![ScaleQuality { scale: 1, images: 1, psnr: f64::INFINITY, ssim: 1.0 }];
+        let event = Event::Evaluation {
+            totals: Totals::default(),
+            stride: 1,
+            last: true,
+            scales,
+            psnr: f64::INFINITY,
+            ssim: 1.0,
+            seconds: 0.5,
+        };
+        let text = serde_json::to_string(&event).unwrap();
+        let Event::Evaluation { psnr, scales, ssim, .. } = serde_json::from_str(&text).unwrap() else {
+            panic!("another kind: {text}");
+        };
+        assert!(psnr.is_nan() && scales[0].psnr.is_nan() && ssim == 1.0);
     }
 }

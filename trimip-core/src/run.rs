@@ -52,13 +52,21 @@ impl Run<'_> {
     ///
     /// # Errors
     /// When a step fails: the last good state is stored first.
-    pub fn train(&mut self, mut totals: Totals) -> Result<Outcome> {
+    pub fn train(&mut self, totals: Totals) -> Result<Outcome> {
+        self.train_until(totals, u64::MAX)
+    }
+
+    /// As [`Run::train`], but stops as if it were asked to once step `last_step` is done and the schedule is not.
+    ///
+    /// # Errors
+    /// As [`Run::train`].
+    pub fn train_until(&mut self, mut totals: Totals, last_step: u64) -> Result<Outcome> {
         let mut points = evaluation_points(self.config.eval.points);
         points.retain(|&point| point > self.progress(&totals));
-        let (mut saved, mut logged, mut logged_totals) = (totals.seconds, Instant::now(), totals);
+        let (mut saved, mut logged_totals) = (totals.seconds, totals);
         while self.progress(&totals) < 1.0 {
-            if self.stop.load(Ordering::Relaxed) {
-                self.save()?;
+            if self.stop.load(Ordering::Relaxed) || totals.step >= last_step {
+                self.save(&totals)?;
                 self.events.emit(&Event::Stopped { totals });
                 return Ok(Outcome::Stopped);
             }
@@ -66,7 +74,8 @@ impl Run<'_> {
             let report = match self.session.step(self.progress(&totals)) {
                 Ok(report) => report,
                 Err(error) => {
-                    self.save()?;
+                    // The step's own failure is what the user must see, even where a lost device cannot be read back.
+                    let _ = self.save(&totals);
                     return Err(error);
                 }
             };
@@ -74,11 +83,11 @@ impl Run<'_> {
             let done = self.progress(&totals) >= 1.0;
             if done || totals.seconds - logged_totals.seconds >= self.config.train.log_seconds {
                 self.log(&report, &totals, &logged_totals);
-                (logged, logged_totals) = (Instant::now(), totals);
+                logged_totals = totals;
             }
             let every = self.config.train.checkpoint_seconds;
             if every > 0.0 && totals.seconds - saved >= every && !done {
-                self.save_with(&totals)?;
+                self.save(&totals)?;
                 saved = totals.seconds;
             }
             if points.first().is_some_and(|&point| point <= self.progress(&totals)) && !done {
@@ -88,8 +97,7 @@ impl Run<'_> {
                 }
             }
         }
-        let _ = logged;
-        self.save_with(&totals)?;
+        self.save(&totals)?;
         let model = self.session.model()?;
         self.store.model(&model)?;
         self.events.emit(&Event::Finished { totals });
@@ -123,16 +131,13 @@ impl Run<'_> {
         });
     }
 
-    fn save(&mut self) -> Result<()> {
-        let checkpoint = self.session.checkpoint()?;
+    fn save(&mut self, totals: &Totals) -> Result<()> {
+        let mut checkpoint = self.session.checkpoint()?;
+        checkpoint.state.totals.seconds = totals.seconds;
         let step = checkpoint.state.totals.step;
         let bytes = self.store.checkpoint(&checkpoint)?;
         self.events.emit(&Event::Checkpoint { step, bytes });
         Ok(())
-    }
-
-    fn save_with(&mut self, _totals: &Totals) -> Result<()> {
-        self.save()
     }
 
     /// Returns false when the run was asked to stop meanwhile.
