@@ -39,7 +39,4 @@ pub trait Session: Send {
 
     /// Goes on from a checkpoint.
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()>;
-
-    /// Bytes the backend holds now.
-    fn memory_bytes(&self) -> u64;
 }

@@ -1,1 +1,40 @@
-//! cpu
+//! The stages of Tri-MipRF on the CPU: rayon over spans of rays, SIMD chosen at run time, the same bits for any number
+//! of threads.
+
+mod backend;
+mod buffer;
+mod encoder;
+mod field;
+pub mod gemm;
+mod loss;
+mod mlp;
+mod occupancy;
+mod optimizer;
+mod renderer;
+mod sampler;
+mod scatter;
+pub mod simd;
+
+pub use backend::{CpuBackend, Lane};
+pub use buffer::Buffer;
+pub use encoder::CpuEncoder;
+pub use field::CpuField;
+pub use occupancy::CpuOccupancy;
+pub use renderer::CpuRenderer;
+
+use simd::Simd;
+use trimip_core::model::Model;
+use trimip_core::trainer::Trainer;
+use trimip_core::{Config, Result, Session, ViewSet};
+
+/// A fresh model to be trained on `views`, with the configured number of threads.
+pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
+    let backend = CpuBackend::new(config.threads, Simd::detect())?;
+    Ok(Box::new(Trainer::new(backend, config, views)?))
+}
+
+/// A finished model to render, with `threads` threads (0: all cores).
+pub fn load(model: &Model, threads: u32) -> Result<Box<dyn Session>> {
+    let backend = CpuBackend::new(threads, Simd::detect())?;
+    Ok(Box::new(Trainer::from_model(backend, model)?))
+}

@@ -1,0 +1,85 @@
+//! The axis-aligned box that bounds a scene, and where a ray runs through it.
+
+use crate::{config::SceneConfig, scalar::Real};
+
+/// A box, world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb<R> {
+    /// Lower corner.
+    pub min: [R; 3],
+    /// Upper corner.
+    pub max: [R; 3],
+}
+
+impl<R: Real> Aabb<R> {
+    /// The configured box.
+    pub fn new(scene: &SceneConfig) -> Self {
+        Self {
+            min: scene.aabb_min.map(|x| R::from_f64(x.into())),
+            max: scene.aabb_max.map(|x| R::from_f64(x.into())),
+        }
+    }
+
+    /// Side lengths.
+    #[inline]
+    pub fn extent(&self) -> [R; 3] {
+        std::array::from_fn(|i| self.max[i] - self.min[i])
+    }
+
+    /// Longest side.
+    pub fn longest(&self) -> R {
+        let [x, y, z] = self.extent();
+        x.max(y).max(z)
+    }
+
+    /// Distances at which a ray enters (not before 0) and leaves the box; enter ≥ leave when it misses.
+    ///
+    /// Slabs; a component of the direction that is exactly zero makes no quotient (0·∞): the ray is inside that slab
+    /// for ever or never.
+    #[inline]
+    pub fn intersect(&self, origin: [R; 3], direction: [R; 3]) -> (R, R) {
+        let (mut enter, mut leave) = (R::zero(), R::infinity());
+        for axis in 0..3 {
+            let (below, above) = (self.min[axis] - origin[axis], self.max[axis] - origin[axis]);
+            if direction[axis] == R::zero() {
+                if below > R::zero() || above < R::zero() {
+                    return (R::zero(), R::zero());
+                }
+            } else {
+                let inverse = direction[axis].recip();
+                let (a, b) = (below * inverse, above * inverse);
+                enter = enter.max(a.min(b));
+                leave = leave.min(a.max(b));
+            }
+        }
+        (enter, leave)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CUBE: Aabb<f64> = Aabb { min: [-1.0; 3], max: [1.0; 3] };
+
+    #[test]
+    fn rays_through_beside_and_along_the_box() {
+        assert_eq!(CUBE.intersect([-3.0, 0.0, 0.0], [1.0, 0.0, 0.0]), (2.0, 4.0));
+        assert_eq!(CUBE.intersect([0.0, 0.0, 0.0], [0.0, 0.0, -1.0]), (0.0, 1.0));
+        let misses = |(enter, leave): (f64, f64)| enter >= leave;
+        assert!(misses(CUBE.intersect([-3.0, 1.5, 0.0], [1.0, 0.0, 0.0])));
+        assert!(misses(CUBE.intersect([3.0, 0.0, 0.0], [1.0, 0.0, 0.0])), "behind the ray");
+        let s = 0.5_f64.sqrt();
+        assert!(misses(CUBE.intersect([-3.0, -2.0, 0.0], [-s, s, 0.0])));
+    }
+
+    #[test]
+    fn rays_that_lie_in_a_face_give_no_nan() {
+        for axis in [1.0, -1.0] {
+            let (enter, leave) = CUBE.intersect([axis, axis, -5.0], [0.0, 0.0, 1.0]);
+            assert_eq!((enter, leave), (4.0, 6.0));
+        }
+        let (enter, leave) = CUBE.intersect([1.0, 1.0, 1.0], [-0.0, 0.0, 1.0]);
+        assert!(enter >= leave || leave == 0.0);
+    }
+}

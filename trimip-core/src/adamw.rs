@@ -1,0 +1,99 @@
+//! AdamW for one parameter (Loshchilov and Hutter 2019), and the learning-rate schedule.
+
+use crate::{config::OptimizerConfig, scalar::Real};
+
+/// Constants of one step, the same for all parameters of a group.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rule<R> {
+    /// β1, decay of the first moment.
+    pub beta1: R,
+    /// β2, decay of the second moment.
+    pub beta2: R,
+    /// Added to the root of the second moment.
+    pub epsilon: R,
+    /// Learning rate over 1 − β1^t.
+    pub rate: R,
+    /// 1/sqrt(1 − β2^t).
+    pub root_correction: R,
+    /// 1 − learning rate · weight decay.
+    pub shrink: R,
+}
+
+impl<R: Real> Rule<R> {
+    /// The rule of step `step` (counted from 1) at `learning_rate`.
+    pub fn new(config: &OptimizerConfig, learning_rate: f64, step: u64) -> Self {
+        let power = |beta: f64| 1.0 - beta.powf(step as f64);
+        Self {
+            beta1: R::from_f64(config.beta1),
+            beta2: R::from_f64(config.beta2),
+            epsilon: R::from_f64(config.epsilon),
+            rate: R::from_f64(learning_rate / power(config.beta1)),
+            root_correction: R::from_f64(power(config.beta2).sqrt().recip()),
+            shrink: R::from_f64(1.0 - learning_rate * config.weight_decay),
+        }
+    }
+
+    /// Updates parameter and moments by `gradient`.
+    #[inline(always)]
+    pub fn apply(&self, parameter: &mut R, m: &mut R, v: &mut R, gradient: R) {
+        *m = self.beta1 * *m + (R::one() - self.beta1) * gradient;
+        *v = self.beta2 * *v + (R::one() - self.beta2) * gradient * gradient;
+        *parameter =
+            *parameter * self.shrink - self.rate * *m / (v.sqrt() * self.root_correction + self.epsilon);
+    }
+}
+
+/// Learning rate of the networks at `progress` in [0, 1]: multiplied by the factor at each milestone passed.
+pub fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
+    let passed = config.milestones.iter().filter(|&&milestone| progress >= milestone).count();
+    config.learning_rate * config.decay_factor.powi(passed as i32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Config;
+
+    /// Algorithm 2 of the paper as written, with m̂ and v̂.
+    fn written(theta: f64, gradients: &[f64], c: &OptimizerConfig, rate: f64) -> f64 {
+        let (mut theta, mut m, mut v) = (theta, 0.0, 0.0);
+        for (i, g) in gradients.iter().enumerate() {
+            m = c.beta1 * m + (1.0 - c.beta1) * g;
+            v = c.beta2 * v + (1.0 - c.beta2) * g * g;
+            let m_hat = m / (1.0 - c.beta1.powi(i as i32 + 1));
+            let v_hat = v / (1.0 - c.beta2.powi(i as i32 + 1));
+            theta = theta - rate * m_hat / (v_hat.sqrt() + c.epsilon) - rate * c.weight_decay * theta;
+        }
+        theta
+    }
+
+    #[test]
+    fn the_rule_is_the_written_one() {
+        let mut config = Config::default().optimizer;
+        config.weight_decay = 0.1;
+        let gradients = [0.3, -1.0, 1e-30, 0.0, 2e3, -0.5];
+        let (mut theta, mut m, mut v) = (0.7, 0.0, 0.0);
+        for (i, &g) in gradients.iter().enumerate() {
+            Rule::new(&config, 0.02, i as u64 + 1).apply(&mut theta, &mut m, &mut v, g);
+        }
+        assert!((theta - written(0.7, &gradients, &config, 0.02)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_parameter_that_never_had_a_gradient_only_shrinks() {
+        let config = Config::default().optimizer;
+        let (mut theta, mut m, mut v) = (0.01_f32, 0.0, 0.0);
+        for step in 1..=100 {
+            Rule::new(&config, 0.02, step).apply(&mut theta, &mut m, &mut v, 0.0);
+        }
+        assert!((f64::from(theta) - 0.01 * (1.0 - 0.02 * 1e-5_f64).powi(100)).abs() < 1e-8);
+    }
+
+    #[test]
+    fn the_schedule_falls_at_its_milestones() {
+        let config = Config::default().optimizer;
+        assert_eq!(learning_rate(&config, 0.49), 2e-3);
+        assert_eq!(learning_rate(&config, 0.5), 2e-3 * 0.6);
+        assert!((learning_rate(&config, 1.0) - 2e-3 * 0.6_f64.powi(4)).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,330 @@
+//! The traits a backend implements. A stage takes a whole span of rays from one batch to the next and knows no
+//! neighbour; its first argument is the lane on which the work is issued (scratch of a worker on a CPU, a command
+//! encoder on a GPU). Nothing here returns a value that lives on the device: a GPU records a step and reads nothing back.
+
+use crate::{
+    Camera, Config, Pixel, Result, ViewSet,
+    batch::{Deposit, Radiance, Rays, Samples, StepSums, Workspace},
+};
+use bytemuck::Pod;
+use std::ops::Range;
+
+/// A device: it owns buffers, runs work over spans, and names its implementations of the stages.
+pub trait Backend: Sized + Send + Sync + 'static {
+    /// A flat array on the device.
+    type Buffer<T: Pod + Send + Sync>: Send + Sync;
+    /// Where the work of one span is issued.
+    type Lane: Send;
+    /// Losses and counts of a step as they accumulate on the device.
+    type Sums: Default + Send;
+    /// Tri-mip encoding.
+    type Encoder: Encoder<Self>;
+    /// Density and colour networks.
+    type Field: Field<Self>;
+    /// Marching, pruning, compositing.
+    type Renderer: Renderer<Self>;
+    /// AdamW.
+    type Optimizer: Optimizer<Self>;
+    /// Training rays and camera rays.
+    type Sampler: Sampler<Self>;
+    /// Occupancy grid.
+    type Occupancy: Occupancy<Self>;
+    /// Photometric loss.
+    type Loss: Loss<Self>;
+
+    /// Name in configurations: "cpu", "wgpu".
+    fn name(&self) -> &'static str;
+
+    /// Builds the stages of a configuration; without `views` they render and do not train.
+    fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>>;
+
+    /// A lane of its own.
+    fn lane(&self) -> Self::Lane;
+
+    /// A buffer of `length` zeros.
+    fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Self::Buffer<T>;
+
+    /// Replaces the buffer's values. With [`Backend::read`] the only door to a buffer; both are counted.
+    fn write<T: Pod + Send + Sync>(&self, buffer: &mut Self::Buffer<T>, values: &[T]);
+
+    /// Copies the buffer's values out; waits for the device.
+    fn read<T: Pod + Send + Sync>(&self, buffer: &Self::Buffer<T>) -> Vec<T>;
+
+    /// Bytes that went through the doors so far.
+    fn traffic(&self) -> Traffic;
+
+    /// Runs `work` with the device's workers at hand; whole-array work inside uses them.
+    fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
+
+    /// Runs `work` over spans of about `per_span` of a step's `rays`. Spans that share a deposit follow each other in
+    /// order, and which spans share one depends on `rays`, `per_span` and the number of deposits alone: the sums have
+    /// the same bits for any number of workers. A GPU takes all rays as one span.
+    fn train_spans(
+        &self,
+        field: &Self::Field,
+        rays: u32,
+        per_span: u32,
+        deposits: &mut [Deposit<Self>],
+        work: &(dyn Fn(&mut Workspace<Self>, &mut Deposit<Self>, Range<u32>) + Sync),
+    );
+
+    /// Runs `work` over spans of `0..count` and gathers `result` of each into `out`, in order.
+    fn map_spans<T: Pod + Send + Sync>(
+        &self,
+        field: &Self::Field,
+        count: u32,
+        per_span: u32,
+        out: &mut Self::Buffer<T>,
+        work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
+        result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
+    );
+
+    /// Number of deposits that suits steps of `samples` samples: 1 where a step is one span.
+    fn deposits(&self, samples: u32) -> usize;
+
+    /// The step's sums, joined; `None` while the device has not finished it.
+    fn collect(&self, deposits: &[Deposit<Self>]) -> Option<StepSums>;
+}
+
+/// Bytes between host and device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Traffic {
+    /// Bytes written to the device.
+    pub written: u64,
+    /// Bytes read from it.
+    pub read: u64,
+}
+
+/// The stages of one model.
+pub struct Stages<B: Backend> {
+    /// Spheres to features.
+    pub encoder: B::Encoder,
+    /// Features to density and colour.
+    pub field: B::Field,
+    /// Rays to samples, samples to pixels.
+    pub renderer: B::Renderer,
+    /// Gradients to parameters.
+    pub optimizer: B::Optimizer,
+    /// Where rays come from.
+    pub sampler: B::Sampler,
+    /// Where samples may lie.
+    pub occupancy: B::Occupancy,
+    /// Pixels to loss.
+    pub loss: B::Loss,
+}
+
+/// Spheres to features (tri-mip encoding, METHOD §3).
+pub trait Encoder<B: Backend>: Send + Sync {
+    /// What spans leave behind: feature gradients and where they belong.
+    type Gradient: Send;
+
+    /// An empty gradient.
+    fn gradient(&self) -> Self::Gradient;
+
+    /// Rebuilds what derives from the parameters: the mip levels. Once per change of the parameters.
+    fn refresh(&mut self, parameters: &B::Buffer<f32>);
+
+    /// Encodes every sample: `features` becomes [samples, 48].
+    fn forward(
+        &self,
+        lane: &mut B::Lane,
+        parameters: &B::Buffer<f32>,
+        samples: &Samples<B>,
+        features: &mut B::Buffer<f32>,
+    );
+
+    /// Drops the feature rows that pruning dropped.
+    fn keep(&self, lane: &mut B::Lane, kept: &B::Buffer<u32>, features: &mut B::Buffer<f32>);
+
+    /// Deposits the gradient of the span's features.
+    fn backward(
+        &self,
+        lane: &mut B::Lane,
+        samples: &Samples<B>,
+        feature_gradients: &B::Buffer<f32>,
+        gradient: &mut Self::Gradient,
+    );
+
+    /// Spreads all deposits over the texels and pulls the levels' gradients to the base: overwrites the planes' part of
+    /// `parameter_gradient` and empties the deposits. Once per step.
+    fn flush(&mut self, deposits: &mut [Deposit<B>], parameter_gradient: &mut B::Buffer<f32>);
+}
+
+/// Features to density, then colour (two small networks, METHOD §4). Density apart from colour: occupancy and pruning
+/// never pay for colour.
+pub trait Field<B: Backend>: Send + Sync {
+    /// Activations between forward and backward.
+    type Tape: Send;
+    /// Weight gradients of some spans.
+    type Gradient: Send;
+
+    /// An empty tape.
+    fn tape(&self) -> Self::Tape;
+
+    /// An empty gradient.
+    fn gradient(&self) -> Self::Gradient;
+
+    /// Repacks the weights. Once per change of the parameters.
+    fn refresh(&mut self, parameters: &B::Buffer<f32>);
+
+    /// Density of every sample; leaves geometry features and activations on the tape.
+    fn density(
+        &self,
+        lane: &mut B::Lane,
+        samples: &Samples<B>,
+        features: &B::Buffer<f32>,
+        tape: &mut Self::Tape,
+        radiance: &mut B::Buffer<Radiance>,
+    );
+
+    /// Drops the rows that pruning dropped from tape and radiance.
+    fn keep(
+        &self,
+        lane: &mut B::Lane,
+        kept: &B::Buffer<u32>,
+        tape: &mut Self::Tape,
+        radiance: &mut B::Buffer<Radiance>,
+    );
+
+    /// Colour of every kept sample.
+    fn color(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        tape: &mut Self::Tape,
+        radiance: &mut B::Buffer<Radiance>,
+    );
+
+    /// From gradients of density and colour to gradients of features; adds to the weight gradients.
+    #[allow(clippy::too_many_arguments)]
+    fn backward(
+        &self,
+        lane: &mut B::Lane,
+        samples: &Samples<B>,
+        features: &B::Buffer<f32>,
+        tape: &mut Self::Tape,
+        radiance: &B::Buffer<Radiance>,
+        radiance_gradients: &B::Buffer<Radiance>,
+        feature_gradients: &mut B::Buffer<f32>,
+        gradient: &mut Self::Gradient,
+    );
+
+    /// Adds all deposits in their order: overwrites the networks' part of `parameter_gradient` and empties the deposits.
+    fn flush(&mut self, deposits: &mut [Deposit<B>], parameter_gradient: &mut B::Buffer<f32>);
+}
+
+/// Rays to samples and samples to pixels (METHOD §2 and §5).
+pub trait Renderer<B: Backend>: Send + Sync {
+    /// Places samples where the grid is occupied. `jitter` names the training step that moves each ray's start by a
+    /// random part of a step; `None` leaves it.
+    fn march(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        occupancy: &B::Occupancy,
+        jitter: Option<u64>,
+        samples: &mut Samples<B>,
+    );
+
+    /// Drops samples behind the least transmittance; `kept` lists the rows that stay.
+    fn prune(
+        &self,
+        lane: &mut B::Lane,
+        radiance: &B::Buffer<Radiance>,
+        samples: &mut Samples<B>,
+        kept: &mut B::Buffer<u32>,
+    );
+
+    /// Composites each ray on the background.
+    fn composite(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        radiance: &B::Buffer<Radiance>,
+        pixels: &mut B::Buffer<Pixel>,
+    );
+
+    /// From gradients of pixels to gradients of density and colour.
+    fn backward(
+        &self,
+        lane: &mut B::Lane,
+        samples: &Samples<B>,
+        radiance: &B::Buffer<Radiance>,
+        pixels: &B::Buffer<Pixel>,
+        pixel_gradients: &B::Buffer<[f32; 3]>,
+        radiance_gradients: &mut B::Buffer<Radiance>,
+    );
+}
+
+/// Gradients to parameters (AdamW, METHOD §6).
+pub trait Optimizer<B: Backend>: Send + Sync {
+    /// One step of number `step` (from 1) at the networks' learning rate; gradients are divided by `sums.weight` of the
+    /// deposits first.
+    fn step(
+        &mut self,
+        parameters: &mut B::Buffer<f32>,
+        gradient: &B::Buffer<f32>,
+        deposits: &[Deposit<B>],
+        learning_rate: f64,
+        step: u64,
+    );
+
+    /// First and second moments.
+    fn moments(&self) -> [&B::Buffer<f32>; 2];
+
+    /// The same, to restore a checkpoint.
+    fn moments_mut(&mut self) -> [&mut B::Buffer<f32>; 2];
+
+    /// Gradients met that were not finite; their parameters were left as they were.
+    fn non_finite(&self) -> u64;
+}
+
+/// Where rays come from.
+pub trait Sampler<B: Backend>: Send + Sync {
+    /// Rays `range` of a training step that has `total` rays: each scale gets its share (∝ 1/weight), pixels uniform.
+    fn training_rays(&self, lane: &mut B::Lane, step: u64, total: u32, range: Range<u32>, rays: &mut Rays<B>);
+
+    /// Rays of the pixels `range` of a camera, row by row.
+    fn camera_rays(&self, lane: &mut B::Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);
+}
+
+/// The occupancy grid (METHOD §2).
+pub trait Occupancy<B: Backend>: Send + Sync {
+    /// Chooses the cells that a refresh at `step` asks; returns their number.
+    fn choose(&mut self, step: u64) -> u32;
+
+    /// One random point in each of the chosen cells `range`, with a radius that fits the cell.
+    fn probes(&self, lane: &mut B::Lane, step: u64, range: Range<u32>, samples: &mut Samples<B>);
+
+    /// Takes the densities of all chosen cells and renews the bits.
+    fn absorb(&mut self, radiance: &B::Buffer<Radiance>);
+
+    /// Share of occupied cells.
+    fn occupied(&self) -> f64;
+
+    /// Running maximum of density·step per cell.
+    fn densities(&self) -> Vec<f32>;
+
+    /// One bit per cell, cell order, lowest bit first.
+    fn bits(&self) -> Vec<u8>;
+
+    /// Restores what [`Occupancy::bits`] and (for training) [`Occupancy::densities`] gave.
+    fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>);
+}
+
+/// Pixels to loss (METHOD §6).
+pub trait Loss<B: Backend>: Send + Sync {
+    /// Area-weighted smooth-L1 of each ray, its gradient with respect to the pixel (not yet divided by the sum of the
+    /// weights), and the sums.
+    fn evaluate(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        pixels: &B::Buffer<Pixel>,
+        pixel_gradients: &mut B::Buffer<[f32; 3]>,
+        sums: &mut B::Sums,
+    );
+}

@@ -1,0 +1,193 @@
+//! The batches that flow from stage to stage, each in its device's buffers. Samples are packed: a ray's samples follow
+//! each other, front to back, and a [`Segment`] says where.
+
+use crate::{Backend, Cone, Field, Pixel, backend::Encoder};
+use bytemuck::{Pod, Zeroable};
+
+/// The axis of a pixel's cone.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Ray {
+    /// Apex, world units.
+    pub origin: [f32; 3],
+    /// Sphere radius per unit of distance (Eq. 3).
+    pub slope: f32,
+    /// Unit direction.
+    pub direction: [f32; 3],
+    /// Cosine to the optical axis.
+    pub cosine: f32,
+}
+
+impl From<Cone<f32>> for Ray {
+    fn from(cone: Cone<f32>) -> Self {
+        Self { origin: cone.origin, slope: cone.slope, direction: cone.direction, cosine: cone.cosine }
+    }
+}
+
+/// What a training ray should show.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Target {
+    /// Colour of the photograph's pixel on the background.
+    pub rgb: [f32; 3],
+    /// Area weight of the pixel, 4^level.
+    pub weight: f32,
+}
+
+/// A sphere inscribed in a cone: what the field is asked for.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Sphere {
+    /// Centre, in coordinates of the unit box.
+    pub position: [f32; 3],
+    /// Radius, world units.
+    pub radius: f32,
+}
+
+/// A ray's samples: `start .. start + count`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct Segment {
+    /// First sample.
+    pub start: u32,
+    /// Number of samples.
+    pub count: u32,
+}
+
+/// A sample's place on its ray.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Interval {
+    /// Distance of its middle, in units of the unit direction.
+    pub t: f32,
+    /// Its length δ.
+    pub length: f32,
+}
+
+/// Density and colour of a sample, or a loss's gradient with respect to them.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Radiance {
+    /// RGB in [0, 1].
+    pub rgb: [f32; 3],
+    /// Density per world unit.
+    pub density: f32,
+}
+
+/// Rays of a span.
+pub struct Rays<B: Backend> {
+    /// One per pixel.
+    pub rays: B::Buffer<Ray>,
+    /// One per ray in training; empty otherwise.
+    pub targets: B::Buffer<Target>,
+    /// Index within the step of the span's first ray: what random numbers are drawn by.
+    pub first: u32,
+}
+
+/// Samples of a span.
+pub struct Samples<B: Backend> {
+    /// One per ray.
+    pub segments: B::Buffer<Segment>,
+    /// One per sample: its ray, counted within the span.
+    pub rays: B::Buffer<u32>,
+    /// One per sample.
+    pub intervals: B::Buffer<Interval>,
+    /// One per sample.
+    pub spheres: B::Buffer<Sphere>,
+    /// Samples marched, and of those kept.
+    pub counts: B::Buffer<[u32; 2]>,
+}
+
+/// Everything a span of rays needs from its rays to its gradients; used again by the next span.
+pub struct Workspace<B: Backend> {
+    /// Where the span's work is issued.
+    pub lane: B::Lane,
+    /// Rays.
+    pub rays: Rays<B>,
+    /// Samples along them.
+    pub samples: Samples<B>,
+    /// Encoded samples, [samples, 48].
+    pub features: B::Buffer<f32>,
+    /// Gradient of the same.
+    pub feature_gradients: B::Buffer<f32>,
+    /// What the field keeps between forward and backward.
+    pub tape: <B::Field as Field<B>>::Tape,
+    /// One per sample.
+    pub radiance: B::Buffer<Radiance>,
+    /// Gradient of the same.
+    pub radiance_gradients: B::Buffer<Radiance>,
+    /// Rows that pruning kept.
+    pub kept: B::Buffer<u32>,
+    /// One per ray.
+    pub pixels: B::Buffer<Pixel>,
+    /// Gradient with respect to each pixel's colour.
+    pub pixel_gradients: B::Buffer<[f32; 3]>,
+}
+
+impl<B: Backend> Workspace<B> {
+    /// An empty workspace.
+    pub fn new(backend: &B, field: &B::Field) -> Self {
+        Self {
+            lane: backend.lane(),
+            rays: Rays { rays: backend.zeros(0), targets: backend.zeros(0), first: 0 },
+            samples: Samples {
+                segments: backend.zeros(0),
+                rays: backend.zeros(0),
+                intervals: backend.zeros(0),
+                spheres: backend.zeros(0),
+                counts: backend.zeros(1),
+            },
+            features: backend.zeros(0),
+            feature_gradients: backend.zeros(0),
+            tape: field.tape(),
+            radiance: backend.zeros(0),
+            radiance_gradients: backend.zeros(0),
+            kept: backend.zeros(0),
+            pixels: backend.zeros(0),
+            pixel_gradients: backend.zeros(0),
+        }
+    }
+}
+
+/// What spans leave behind for the end of the step; joined in a fixed order.
+pub struct Deposit<B: Backend> {
+    /// Gradients of the networks.
+    pub field: <B::Field as Field<B>>::Gradient,
+    /// Gradients of features, to be spread over texels.
+    pub encoder: <B::Encoder as Encoder<B>>::Gradient,
+    /// Losses and counts.
+    pub sums: B::Sums,
+}
+
+/// Losses and counts of a step.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StepSums {
+    /// Σ weight · mean over channels of smooth-L1.
+    pub loss: f64,
+    /// Σ weight over the rays that the loss is averaged over.
+    pub weight: f64,
+    /// Σ squared error over channels.
+    pub squared_error: f64,
+    /// Rays.
+    pub rays: u64,
+    /// Samples marched.
+    pub marched: u64,
+    /// Samples kept.
+    pub kept: u64,
+    /// Pixels that are not finite.
+    pub non_finite: u64,
+}
+
+impl StepSums {
+    /// Adds the sums of another span.
+    pub fn add(&mut self, other: &Self) {
+        self.loss += other.loss;
+        self.weight += other.weight;
+        self.squared_error += other.squared_error;
+        self.rays += other.rays;
+        self.marched += other.marched;
+        self.kept += other.kept;
+        self.non_finite += other.non_finite;
+    }
+}

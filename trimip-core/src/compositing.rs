@@ -1,0 +1,161 @@
+//! Volume rendering along one ray (METHOD, compositing), with its gradient. Letters: x = σ·δ optical depth of a sample,
+//! α = 1 − exp(−x), T transmittance before the sample, w = T·α, C = Σ w·c + T_end·background.
+
+use crate::scalar::Real;
+
+/// A composited ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Composite<R> {
+    /// Colour on the background.
+    pub rgb: [R; 3],
+    /// 1 − T_end, in [0, 1].
+    pub opacity: R,
+    /// Σ w·t.
+    pub distance: R,
+}
+
+/// Weight of a sample of optical depth `depth` behind transmittance `transmittance`, and the transmittance after it.
+/// α by `exp_m1`: thin samples keep their relative accuracy.
+#[inline]
+pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
+    let alpha = -(-depth).exp_m1();
+    (transmittance * alpha, transmittance * (-depth).exp())
+}
+
+/// Composites samples of optical depth, colour and distance, front to back.
+#[inline]
+pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, background: [R; 3]) -> Composite<R> {
+    let (mut rgb, mut opacity, mut distance) = ([R::zero(); 3], R::zero(), R::zero());
+    let mut depth_before = R::zero();
+    let mut transmittance = R::one();
+    for (depth, color, t) in samples {
+        let (w, _) = weight(transmittance, depth);
+        for (sum, c) in rgb.iter_mut().zip(color) {
+            *sum += w * c;
+        }
+        opacity += w;
+        distance += w * t;
+        depth_before += depth;
+        transmittance = (-depth_before).exp();
+    }
+    for (sum, c) in rgb.iter_mut().zip(background) {
+        *sum += transmittance * c;
+    }
+    Composite { rgb, opacity: opacity.min(R::one()), distance }
+}
+
+/// Gradient of a loss with respect to each sample, given its gradient `rgb_gradient` with respect to the colour:
+/// calls `out(i, ∂L/∂x_i, ∂L/∂c_i)` front to back, for samples (x_i, c_i) given by index.
+///
+/// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides.
+#[inline]
+pub fn composite_gradient<R: Real>(
+    count: usize,
+    sample: impl Fn(usize) -> (R, [R; 3]),
+    rgb: [R; 3],
+    rgb_gradient: [R; 3],
+    mut out: impl FnMut(usize, R, [R; 3]),
+) {
+    let dot = |a: [R; 3], b: [R; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    // Everything behind the sample, background included: starts as the whole colour.
+    let mut behind = dot(rgb, rgb_gradient);
+    let mut transmittance = R::one();
+    let mut depth_before = R::zero();
+    for i in 0..count {
+        let (depth, color) = sample(i);
+        let shade = dot(color, rgb_gradient);
+        let (w, _) = weight(transmittance, depth);
+        depth_before += depth;
+        transmittance = (-depth_before).exp();
+        behind = behind - w * shade;
+        out(i, transmittance * shade - behind, rgb_gradient.map(|g| g * w));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ray() -> (Vec<(f64, [f64; 3], f64)>, [f64; 3]) {
+        let samples = (0..12)
+            .map(|i| {
+                let x = f64::from(i);
+                ((0.7 * x).sin().powi(2) * 0.4, [0.1 + 0.05 * x, (x * 0.3).cos().abs(), 0.5], 2.0 + 0.1 * x)
+            })
+            .collect();
+        (samples, [0.9, 0.2, 1.0])
+    }
+
+    #[test]
+    fn the_literal_sums_agree() {
+        let (samples, background) = ray();
+        let result = composite(samples.iter().copied(), background);
+        let mut expected = [0.0; 3];
+        let mut weights = 0.0;
+        for i in 0..samples.len() {
+            // T_i = exp(−Σ_{k<i} σ_k·δ_k), α_i = 1 − exp(−σ_i·δ_i)
+            let transmittance = (-samples[..i].iter().map(|s| s.0).sum::<f64>()).exp();
+            let w = transmittance * (1.0 - (-samples[i].0).exp());
+            weights += w;
+            for c in 0..3 {
+                expected[c] += w * samples[i].1[c];
+            }
+        }
+        for c in 0..3 {
+            expected[c] += (1.0 - weights) * background[c];
+            assert!((result.rgb[c] - expected[c]).abs() < 1e-12);
+        }
+        assert!((result.opacity - weights).abs() < 1e-12);
+    }
+
+    #[test]
+    fn gradients_are_finite_differences() {
+        let (samples, background) = ray();
+        let g = [0.3, -1.2, 0.7];
+        let loss = |samples: &[(f64, [f64; 3], f64)]| -> f64 {
+            let c = composite(samples.iter().copied(), background).rgb;
+            (0..3).map(|k| c[k] * g[k]).sum()
+        };
+        let rgb = composite(samples.iter().copied(), background).rgb;
+        let mut seen = 0;
+        composite_gradient(
+            samples.len(),
+            |i| (samples[i].0, samples[i].1),
+            rgb,
+            g,
+            |i, by_depth, by_color| {
+                let h = 1e-6;
+                let numeric = |change: &dyn Fn(&mut (f64, [f64; 3], f64), f64)| {
+                    let (mut up, mut down) = (samples.clone(), samples.clone());
+                    change(&mut up[i], h);
+                    change(&mut down[i], -h);
+                    (loss(&up) - loss(&down)) / (2.0 * h)
+                };
+                assert!((by_depth - numeric(&|s, h| s.0 += h)).abs() < 1e-8, "depth {i}");
+                for c in 0..3 {
+                    assert!((by_color[c] - numeric(&|s, h| s.1[c] += h)).abs() < 1e-8, "color {i}");
+                }
+                seen += 1;
+            },
+        );
+        assert_eq!(seen, samples.len());
+    }
+
+    #[test]
+    fn a_homogeneous_medium_follows_beer_and_lambert_however_it_is_cut() {
+        for count in [1_u32, 7, 1000] {
+            let x = 1.3 / f64::from(count);
+            let result = composite((0..count).map(|_| (x, [1.0, 0.5, 0.0], 1.0)), [0.0; 3]);
+            assert!((result.opacity - (1.0 - (-1.3_f64).exp())).abs() < 1e-12);
+            assert!((result.rgb[1] - 0.5 * result.opacity).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn thin_and_thick_samples_keep_their_accuracy() {
+        let (w, after) = weight(1.0_f32, 1e-12);
+        assert_eq!((w, after), (1e-12, 1.0));
+        let opaque = composite([(1e12_f32, [0.25; 3], 1.0)].into_iter(), [1.0; 3]);
+        assert_eq!((opaque.rgb, opaque.opacity), ([0.25; 3], 1.0));
+    }
+}

@@ -1,0 +1,114 @@
+//! The binary occupancy grid's rules (METHOD, sampling): which cells a refresh asks, how they decay, where the threshold
+//! lies. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
+
+use crate::{
+    config::OccupancyConfig,
+    rng::{Random, Stream, unit},
+};
+
+/// Cell that holds a position of the unit box; positions outside belong to the nearest cell.
+#[inline]
+pub fn cell_of(position: [f32; 3], resolution: u32) -> u32 {
+    let [x, y, z] = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
+    x + resolution * (y + resolution * z)
+}
+
+/// Integer coordinates of a cell.
+#[inline]
+pub fn coordinates(cell: u32, resolution: u32) -> [u32; 3] {
+    [cell % resolution, cell / resolution % resolution, cell / (resolution * resolution)]
+}
+
+/// A random point of a cell, unit box.
+#[inline]
+pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32; 3] {
+    let offset = random.uniform(Stream::Point, step, cell);
+    let corner = coordinates(cell, resolution);
+    std::array::from_fn(|axis| (corner[axis] as f32 + offset[axis]) / resolution as f32)
+}
+
+/// Which cells one refresh asks. Every cell decides by its own hash: a share `fraction` is drawn uniformly, and every
+/// occupied cell with the probability that makes at most the same share of the grid; no cell is asked twice.
+#[derive(Clone, Copy, Debug)]
+pub struct Choice {
+    random: Random,
+    step: u64,
+    fraction: f32,
+    occupied_probability: f32,
+}
+
+impl Choice {
+    /// The choice at `step`, when `occupied` of `cells` cells are occupied. Warm-up steps choose all.
+    pub fn new(config: &OccupancyConfig, seed: u64, step: u64, occupied: usize, cells: usize) -> Self {
+        let fraction = if step < u64::from(config.warmup) { 1.0 } else { config.fraction };
+        let occupied_probability = fraction * cells as f32 / occupied.max(1) as f32;
+        Self { random: Random::new(seed), step, fraction, occupied_probability }
+    }
+
+    /// True when `cell` is asked.
+    #[inline]
+    pub fn includes(&self, cell: u32, occupied: bool) -> bool {
+        if self.fraction >= 1.0 {
+            return true;
+        }
+        let [first, second, ..] = self.random.bits(Stream::Cell, self.step, cell);
+        unit(first) < self.fraction || (occupied && unit(second) < self.occupied_probability)
+    }
+}
+
+/// A cell's running maximum of density·step after it was asked: max(decay·old, new).
+#[inline]
+pub fn decayed(old: f32, new: f32, decay: f32) -> f32 {
+    (decay * old).max(new)
+}
+
+/// Cells above this are occupied: min(mean over the grid, threshold).
+pub fn threshold(mean: f64, config: &OccupancyConfig) -> f32 {
+    (mean as f32).min(config.threshold)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Config;
+
+    #[test]
+    fn a_point_of_a_cell_lies_in_that_cell() {
+        let random = Random::new(3);
+        for resolution in [4, 20, 128] {
+            for cell in (0..resolution * resolution * resolution).step_by(97) {
+                assert_eq!(cell_of(point_in(cell, resolution, &random, 9), resolution), cell);
+            }
+        }
+        assert_eq!(cell_of([-1.0, 2.0, f32::NAN], 4), 12);
+    }
+
+    #[test]
+    fn a_refresh_asks_the_stated_shares() {
+        let config = Config::default().occupancy;
+        let cells = 200_000;
+        let count = |choice: &Choice, occupied: bool| {
+            (0..cells).filter(|&cell| choice.includes(cell, occupied)).count() as f64 / f64::from(cells)
+        };
+        let warm = Choice::new(&config, 1, 16, 0, cells as usize);
+        assert_eq!(count(&warm, false), 1.0);
+        // Half the cells occupied: each occupied one is drawn uniformly (1/4) or from the occupied (1/2).
+        let later = Choice::new(&config, 1, 512, cells as usize / 2, cells as usize);
+        assert!((count(&later, false) - 0.25).abs() < 0.005);
+        assert!((count(&later, true) - (1.0 - 0.75 * 0.5)).abs() < 0.005);
+        // Few occupied cells: all of them are asked.
+        let sparse = Choice::new(&config, 1, 512, 100, cells as usize);
+        assert_eq!(count(&sparse, true), 1.0);
+    }
+
+    #[test]
+    fn an_empty_cell_falls_below_the_threshold_and_a_dense_one_stays() {
+        let config = Config::default().occupancy;
+        let mut occ = 1.0;
+        for _ in 0..200 {
+            occ = decayed(occ, 1e-6, config.decay);
+        }
+        assert!(occ < threshold(1.0, &config));
+        assert_eq!(decayed(0.01, 0.7, config.decay), 0.7);
+    }
+}

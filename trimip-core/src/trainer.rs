@@ -1,0 +1,357 @@
+//! The training step and the rendering of a view, written once over the traits: any backend's model is a [`Session`].
+
+use crate::{
+    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Optimizer, Pixel, Renderer, Result,
+    Session, StepReport, ViewSet,
+    adamw::learning_rate,
+    backend::{Loss, Occupancy, Sampler, Stages},
+    batch::{Deposit, Radiance, StepSums, Workspace},
+    checkpoint::{Checkpoint, TrainState},
+    metrics::psnr_of_error,
+    model::Model,
+    tensors::{Tensor, TensorFile},
+};
+use std::sync::Arc;
+
+/// Marched samples that a span aims at: what its activations leave of a core's L2.
+const SAMPLES_PER_SPAN: f32 = 512.0;
+
+/// Rays of a span at most, so that a view of empty pixels still makes many spans.
+const MAX_RAYS_PER_SPAN: u32 = 256;
+
+/// Occupancy cells of a span.
+const CELLS_PER_SPAN: u32 = 512;
+
+/// A model on a backend.
+pub struct Trainer<B: Backend> {
+    backend: Arc<B>,
+    config: Config,
+    layout: Layout,
+    stages: Stages<B>,
+    parameters: B::Buffer<f32>,
+    gradient: B::Buffer<f32>,
+    deposits: Vec<Deposit<B>>,
+    probes: B::Buffer<Radiance>,
+    frame: B::Buffer<Pixel>,
+    state: TrainState,
+}
+
+impl<B: Backend> Trainer<B> {
+    /// A fresh model, to be trained on `views`.
+    pub fn new(backend: B, config: &Config, views: ViewSet) -> Result<Self> {
+        if views.pixels.is_empty() {
+            return Err(Error::input("training views", "no pixels", "name a data set with training images"));
+        }
+        Self::build(backend, config, Some(views))
+    }
+
+    /// A finished model, to render.
+    pub fn from_model(backend: B, model: &Model) -> Result<Self> {
+        let mut trainer = Self::build(backend, &model.config, None)?;
+        trainer.restore_model("model", &model.file, None)?;
+        Ok(trainer)
+    }
+
+    fn build(backend: B, config: &Config, views: Option<ViewSet>) -> Result<Self> {
+        let layout = Layout::new(config);
+        let training = views.is_some();
+        let stages = backend.stages(config, views)?;
+        let mut parameters = backend.zeros(layout.len());
+        backend.write(&mut parameters, &layout.initial(config));
+        let deposits = if training { backend.deposits(config.train.samples_per_step) } else { 0 };
+        let deposits = (0..deposits)
+            .map(|_| Deposit {
+                field: stages.field.gradient(),
+                encoder: stages.encoder.gradient(),
+                sums: B::Sums::default(),
+            })
+            .collect();
+        let mut trainer = Self {
+            gradient: backend.zeros(if training { layout.len() } else { 0 }),
+            probes: backend.zeros(0),
+            frame: backend.zeros(0),
+            state: TrainState {
+                // The first rays meet a grid that is occupied nearly everywhere.
+                rays_per_step: (config.train.samples_per_step / 128).max(16),
+                marched_per_ray: 128.0,
+                ..TrainState::default()
+            },
+            backend: Arc::new(backend),
+            config: config.clone(),
+            layout,
+            stages,
+            parameters,
+            deposits,
+        };
+        trainer.refresh();
+        Ok(trainer)
+    }
+
+    /// The backend, for its counters.
+    pub fn device(&self) -> &B {
+        &self.backend
+    }
+
+    /// Names and places of the parameters.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// All parameters, flat.
+    pub fn parameters(&self) -> Vec<f32> {
+        self.backend.read(&self.parameters)
+    }
+
+    /// Replaces all parameters.
+    pub fn set_parameters(&mut self, values: &[f32]) {
+        self.backend.write(&mut self.parameters, values);
+        self.refresh();
+    }
+
+    /// Marks every cell of the occupancy grid as occupied.
+    pub fn occupy_all(&mut self) {
+        let cells = (self.config.occupancy.resolution as usize).pow(3);
+        self.stages.occupancy.restore(&vec![0xff; cells.div_ceil(8)], Some(&vec![1.0; cells]));
+    }
+
+    /// Loss and gradient of the current parameters on the rays of step `step`, without moving them; the gradient is
+    /// flat and divided by the sum of the weights.
+    pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> (StepSums, Vec<f32>) {
+        self.state.totals.step = step;
+        let backend = Arc::clone(&self.backend);
+        let sums = backend.install(|| self.gradients(rays)).unwrap_or_default();
+        let gradient =
+            self.backend.read(&self.gradient).iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect();
+        (sums, gradient)
+    }
+
+    fn refresh(&mut self) {
+        let Self { backend, stages, parameters, .. } = self;
+        backend.install(|| {
+            stages.encoder.refresh(parameters);
+            stages.field.refresh(parameters);
+        });
+    }
+
+    fn rays_per_span(&self) -> u32 {
+        ((SAMPLES_PER_SPAN / self.state.marched_per_ray.max(1.0)) as u32).clamp(1, MAX_RAYS_PER_SPAN)
+    }
+
+    /// Forward and backward over `rays` rays; leaves the gradient, not yet divided by the sum of the weights.
+    fn gradients(&mut self, rays: u32) -> Option<StepSums> {
+        let (stages, parameters, step) = (&self.stages, &self.parameters, self.state.totals.step);
+        for deposit in &mut self.deposits {
+            deposit.sums = B::Sums::default();
+        }
+        let per_span = self.rays_per_span();
+        self.backend.train_spans(
+            &stages.field,
+            rays,
+            per_span,
+            &mut self.deposits,
+            &|space, deposit, range| {
+                stages.sampler.training_rays(&mut space.lane, step, rays, range, &mut space.rays);
+                forward(stages, parameters, space, Some(step));
+                let Workspace { lane, rays, samples, features, tape, radiance, pixels, .. } = space;
+                stages.loss.evaluate(
+                    lane,
+                    rays,
+                    samples,
+                    pixels,
+                    &mut space.pixel_gradients,
+                    &mut deposit.sums,
+                );
+                let radiance_gradients = &mut space.radiance_gradients;
+                stages.renderer.backward(
+                    lane,
+                    samples,
+                    radiance,
+                    pixels,
+                    &space.pixel_gradients,
+                    radiance_gradients,
+                );
+                let (feature_gradients, weights) = (&mut space.feature_gradients, &mut deposit.field);
+                stages.field.backward(
+                    lane,
+                    samples,
+                    features,
+                    tape,
+                    radiance,
+                    radiance_gradients,
+                    feature_gradients,
+                    weights,
+                );
+                stages.encoder.backward(lane, samples, feature_gradients, &mut deposit.encoder);
+            },
+        );
+        self.stages.field.flush(&mut self.deposits, &mut self.gradient);
+        self.stages.encoder.flush(&mut self.deposits, &mut self.gradient);
+        self.backend.collect(&self.deposits)
+    }
+
+    /// Asks the occupancy grid's chosen cells for their density.
+    fn refresh_occupancy(&mut self) {
+        let step = self.state.totals.step;
+        let count = self.stages.occupancy.choose(step);
+        let (stages, parameters) = (&self.stages, &self.parameters);
+        self.backend.map_spans(
+            &stages.field,
+            count,
+            CELLS_PER_SPAN,
+            &mut self.probes,
+            &|space, range| {
+                let Workspace { lane, samples, features, tape, radiance, .. } = space;
+                stages.occupancy.probes(lane, step, range, samples);
+                stages.encoder.forward(lane, parameters, samples, features);
+                stages.field.density(lane, samples, features, tape, radiance);
+            },
+            &|space| &space.radiance,
+        );
+        self.stages.occupancy.absorb(&self.probes);
+    }
+
+    /// Scales the next step's rays so that its kept samples stay near the target (dynamic batch).
+    fn adapt_batch(&mut self, sums: &StepSums) {
+        let target = u64::from(self.config.train.samples_per_step);
+        let rays = u64::from(self.state.rays_per_step);
+        let next = rays * target / sums.kept.max(1) + 1;
+        // At most doubled, so that one thin batch does not make the next one enormous.
+        self.state.rays_per_step = next.min(2 * rays).clamp(16, 2 * target) as u32;
+        self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
+    }
+
+    fn train_step(&mut self, progress: f64) -> Result<StepReport> {
+        let step = self.state.totals.step;
+        if step.is_multiple_of(u64::from(self.config.occupancy.every)) {
+            self.refresh_occupancy();
+        }
+        let sums = self.gradients(self.state.rays_per_step).unwrap_or_default();
+        if sums.non_finite > 0 || !sums.loss.is_finite() {
+            return Err(Error::run(format!(
+                "step {step}: {} of {} pixels are not finite (loss {}); the state before this step is kept, lower \
+                 optimizer.learning_rate",
+                sums.non_finite, sums.rays, sums.loss
+            )));
+        }
+        let rate = learning_rate(&self.config.optimizer, progress);
+        if sums.weight > 0.0 {
+            let gradient = &self.gradient;
+            self.stages.optimizer.step(&mut self.parameters, gradient, &self.deposits, rate, step + 1);
+            self.refresh();
+        }
+        let totals = &mut self.state.totals;
+        totals.step += 1;
+        totals.samples += sums.kept;
+        totals.marched += sums.marched;
+        totals.rays += sums.rays;
+        totals.empty_batches += u64::from(sums.kept == 0);
+        totals.non_finite = self.stages.optimizer.non_finite();
+        self.adapt_batch(&sums);
+        Ok(StepReport {
+            totals: self.state.totals,
+            loss: sums.loss / sums.weight.max(f64::MIN_POSITIVE),
+            batch_psnr: psnr_of_error(sums.squared_error / (3 * sums.rays.max(1)) as f64),
+            learning_rate: rate,
+            occupied: self.stages.occupancy.occupied(),
+        })
+    }
+
+    fn render_view(&mut self, camera: &Camera) -> Result<Frame> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let count = width.checked_mul(height).ok_or_else(|| {
+            Error::input("camera", format!("{width} x {height} pixels"), "render at most 2^32 pixels at once")
+        })?;
+        let (stages, parameters) = (&self.stages, &self.parameters);
+        self.backend.map_spans(
+            &stages.field,
+            count,
+            MAX_RAYS_PER_SPAN / 4,
+            &mut self.frame,
+            &|space, range| {
+                stages.sampler.camera_rays(&mut space.lane, camera, range, &mut space.rays);
+                forward(stages, parameters, space, None);
+            },
+            &|space| &space.pixels,
+        );
+        Ok(Frame { width, height, pixels: self.backend.read(&self.frame) })
+    }
+
+    fn restore_model(&mut self, name: &str, file: &TensorFile, densities: Option<&[f32]>) -> Result<()> {
+        let values = self.layout.from_tensors(file, name, "")?;
+        let cells = (self.config.occupancy.resolution as usize).pow(3);
+        let bits = file.u8(name, "occupancy", &[cells.div_ceil(8)])?;
+        self.stages.occupancy.restore(bits, densities);
+        self.set_parameters(&values);
+        Ok(())
+    }
+
+    fn tensors(&self) -> TensorFile {
+        let mut file = TensorFile::default();
+        self.layout.to_tensors(&self.parameters(), "", &mut file);
+        let bits = self.stages.occupancy.bits();
+        file.tensors.insert("occupancy".into(), Tensor::u8(&[bits.len()], bits));
+        file
+    }
+}
+
+/// Rays to pixels: the part that training and rendering share.
+fn forward<B: Backend>(
+    stages: &Stages<B>,
+    parameters: &B::Buffer<f32>,
+    space: &mut Workspace<B>,
+    jitter: Option<u64>,
+) {
+    let Workspace { lane, rays, samples, features, tape, radiance, kept, pixels, .. } = space;
+    stages.renderer.march(lane, rays, &stages.occupancy, jitter, samples);
+    stages.encoder.forward(lane, parameters, samples, features);
+    stages.field.density(lane, samples, features, tape, radiance);
+    stages.renderer.prune(lane, radiance, samples, kept);
+    stages.encoder.keep(lane, kept, features);
+    stages.field.keep(lane, kept, tape, radiance);
+    stages.field.color(lane, rays, samples, tape, radiance);
+    stages.renderer.composite(lane, rays, samples, radiance, pixels);
+}
+
+impl<B: Backend> Session for Trainer<B> {
+    fn backend(&self) -> &str {
+        self.backend.name()
+    }
+
+    fn step(&mut self, progress: f64) -> Result<StepReport> {
+        let backend = Arc::clone(&self.backend);
+        backend.install(|| self.train_step(progress))
+    }
+
+    fn render(&mut self, camera: &Camera) -> Result<Frame> {
+        let backend = Arc::clone(&self.backend);
+        backend.install(|| self.render_view(camera))
+    }
+
+    fn model(&mut self) -> Result<Model> {
+        Ok(Model::new(self.config.clone(), self.tensors()))
+    }
+
+    fn checkpoint(&mut self) -> Result<Checkpoint> {
+        let mut file = self.tensors();
+        for (suffix, moments) in [".m", ".v"].into_iter().zip(self.stages.optimizer.moments()) {
+            self.layout.to_tensors(&self.backend.read(moments), suffix, &mut file);
+        }
+        let densities = self.stages.occupancy.densities();
+        file.tensors.insert("occupancy.density".into(), Tensor::f32(&[densities.len()], densities));
+        Ok(Checkpoint { config: self.config.clone(), state: self.state, file })
+    }
+
+    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+        let name = "checkpoint";
+        let cells = (self.config.occupancy.resolution as usize).pow(3);
+        let densities = checkpoint.file.f32(name, "occupancy.density", &[cells])?;
+        let first = self.layout.from_tensors(&checkpoint.file, name, ".m")?;
+        let second = self.layout.from_tensors(&checkpoint.file, name, ".v")?;
+        self.restore_model(name, &checkpoint.file, Some(densities))?;
+        for (buffer, values) in self.stages.optimizer.moments_mut().into_iter().zip([first, second]) {
+            self.backend.write(buffer, &values);
+        }
+        self.state = checkpoint.state;
+        Ok(())
+    }
+}

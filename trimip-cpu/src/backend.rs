@@ -1,0 +1,183 @@
+//! The CPU as a backend: buffers are plain memory, spans run on rayon workers, deposits are joined in their order.
+
+use crate::buffer::Buffer;
+use crate::encoder::CpuEncoder;
+use crate::field::CpuField;
+use crate::loss::CpuLoss;
+use crate::occupancy::CpuOccupancy;
+use crate::optimizer::CpuOptimizer;
+use crate::renderer::CpuRenderer;
+use crate::sampler::CpuSampler;
+use crate::simd::Simd;
+use bytemuck::Pod;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use trimip_core::backend::{Stages, Traffic};
+use trimip_core::batch::{Deposit, StepSums, Workspace};
+use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
+
+/// Scratch of a worker: the stages need none of their own, their batches are the workspace.
+pub struct Lane;
+
+/// Samples that share a deposit, about; a deposit's weight gradients are joined at the end of a step.
+const SAMPLES_PER_DEPOSIT: u32 = 1024;
+
+/// The CPU with a number of threads and an instruction set.
+pub struct CpuBackend {
+    pool: rayon::ThreadPool,
+    simd: Simd,
+    workspaces: Mutex<Vec<Workspace<Self>>>,
+    written: AtomicU64,
+    read: AtomicU64,
+}
+
+impl CpuBackend {
+    /// `threads` workers (0: one per core) with the given instruction set.
+    pub fn new(threads: u32, simd: Simd) -> Result<Self> {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads as usize)
+            .build()
+            .map_err(|error| Error::device(format!("cannot start {threads} threads: {error}")))?;
+        Ok(Self {
+            pool,
+            simd,
+            workspaces: Mutex::new(Vec::new()),
+            written: AtomicU64::new(0),
+            read: AtomicU64::new(0),
+        })
+    }
+
+    /// Threads at work.
+    pub fn threads(&self) -> usize {
+        self.pool.current_num_threads()
+    }
+
+    /// Runs `work` with a workspace that no other worker has.
+    fn with_workspace(&self, field: &CpuField, work: impl FnOnce(&mut Workspace<Self>)) {
+        let pooled = self.workspaces.lock().ok().and_then(|mut pool| pool.pop());
+        let mut workspace = pooled.unwrap_or_else(|| Workspace::new(self, field));
+        work(&mut workspace);
+        if let Ok(mut pool) = self.workspaces.lock() {
+            pool.push(workspace);
+        }
+    }
+}
+
+impl Backend for CpuBackend {
+    type Buffer<T: Pod + Send + Sync> = Buffer<T>;
+    type Lane = Lane;
+    type Sums = StepSums;
+    type Encoder = CpuEncoder;
+    type Field = CpuField;
+    type Renderer = CpuRenderer;
+    type Optimizer = CpuOptimizer;
+    type Sampler = CpuSampler;
+    type Occupancy = CpuOccupancy;
+    type Loss = CpuLoss;
+
+    fn name(&self) -> &'static str {
+        "cpu"
+    }
+
+    fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {
+        let layout = Layout::new(config);
+        let training = views.is_some();
+        if let Some(scale) = views.iter().flat_map(|v| &v.scales).find(|s| s.pixels.len() > u32::MAX as usize)
+        {
+            return Err(Error::input(
+                "training views",
+                format!("{} pixels at scale 1/{}", scale.pixels.len(), scale.factor),
+                "train on at most 2^32 pixels a scale",
+            ));
+        }
+        Ok(Stages {
+            encoder: CpuEncoder::new(self.simd, config, training),
+            field: CpuField::new(self.simd, config, &layout),
+            renderer: CpuRenderer::new(config),
+            optimizer: CpuOptimizer::new(self.simd, config, &layout, training),
+            sampler: CpuSampler::new(config, views),
+            occupancy: CpuOccupancy::new(config),
+            loss: CpuLoss::new(&config.loss),
+        })
+    }
+
+    fn lane(&self) -> Lane {
+        Lane
+    }
+
+    fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Buffer<T> {
+        Buffer::zeros(length)
+    }
+
+    fn write<T: Pod + Send + Sync>(&self, buffer: &mut Buffer<T>, values: &[T]) {
+        buffer.resize(values.len());
+        buffer.copy_from_slice(values);
+        self.written.fetch_add(size_of_val(values) as u64, Ordering::Relaxed);
+    }
+
+    fn read<T: Pod + Send + Sync>(&self, buffer: &Buffer<T>) -> Vec<T> {
+        self.read.fetch_add(size_of_val(&buffer[..]) as u64, Ordering::Relaxed);
+        buffer.to_vec()
+    }
+
+    fn traffic(&self) -> Traffic {
+        Traffic { written: self.written.load(Ordering::Relaxed), read: self.read.load(Ordering::Relaxed) }
+    }
+
+    fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        self.pool.install(work)
+    }
+
+    fn train_spans(
+        &self,
+        field: &CpuField,
+        rays: u32,
+        per_span: u32,
+        deposits: &mut [Deposit<Self>],
+        work: &(dyn Fn(&mut Workspace<Self>, &mut Deposit<Self>, Range<u32>) + Sync),
+    ) {
+        let count = deposits.len() as u64;
+        let bound = |i: u64| (u64::from(rays) * i / count) as u32;
+        deposits.par_iter_mut().enumerate().with_max_len(1).for_each(|(i, deposit)| {
+            let (from, to) = (bound(i as u64), bound(i as u64 + 1));
+            self.with_workspace(field, |workspace| {
+                for start in (from..to).step_by(per_span as usize) {
+                    work(workspace, deposit, start..(start + per_span).min(to));
+                }
+            });
+        });
+    }
+
+    fn map_spans<T: Pod + Send + Sync>(
+        &self,
+        field: &CpuField,
+        count: u32,
+        per_span: u32,
+        out: &mut Buffer<T>,
+        work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
+        result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
+    ) {
+        out.resize(count as usize);
+        out.par_chunks_mut(per_span as usize).enumerate().with_max_len(8).for_each(|(i, out)| {
+            let start = i as u32 * per_span;
+            self.with_workspace(field, |workspace| {
+                work(workspace, start..start + out.len() as u32);
+                out.copy_from_slice(result(workspace));
+            });
+        });
+    }
+
+    fn deposits(&self, samples: u32) -> usize {
+        (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
+    }
+
+    fn collect(&self, deposits: &[Deposit<Self>]) -> Option<StepSums> {
+        let mut sums = StepSums::default();
+        for deposit in deposits {
+            sums.add(&deposit.sums);
+        }
+        Some(sums)
+    }
+}

@@ -1,0 +1,93 @@
+//! A flat array that starts on a cache line, so that a row of 16 features is one line and one vector register.
+
+use bytemuck::{Pod, Zeroable};
+use std::marker::PhantomData;
+use std::ops::{Deref, DerefMut};
+
+#[repr(C, align(64))]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Line([u8; 64]);
+
+/// Values on the CPU; grows and never shrinks its memory.
+pub struct Buffer<T> {
+    lines: Vec<Line>,
+    length: usize,
+    values: PhantomData<T>,
+}
+
+impl<T: Pod> Buffer<T> {
+    /// `length` zeros.
+    pub fn zeros(length: usize) -> Self {
+        let lines = vec![Line([0; 64]); (length * size_of::<T>()).div_ceil(64)];
+        Self { lines, length, values: PhantomData }
+    }
+
+    /// Changes the length. Old values stay in front; new ones are whatever was there, or zero.
+    pub fn resize(&mut self, length: usize) {
+        let lines = (length * size_of::<T>()).div_ceil(64);
+        if lines > self.lines.len() {
+            self.lines.resize(lines, Line([0; 64]));
+        }
+        self.length = length;
+    }
+
+    /// Appends one value.
+    pub fn push(&mut self, value: T) {
+        let length = self.length;
+        if (length + 1) * size_of::<T>() > self.lines.len() * 64 {
+            self.resize((2 * length).max(64));
+        }
+        self.length = length + 1;
+        self[length] = value;
+    }
+
+    /// Forgets all values, keeps the memory.
+    pub fn clear(&mut self) {
+        self.length = 0;
+    }
+
+    /// Moves row `kept[i]` of `width` values to row i, for rising `kept`; the length becomes that of the rows kept.
+    pub fn keep_rows(&mut self, kept: &[u32], width: usize) {
+        for (to, &from) in kept.iter().enumerate() {
+            let from = from as usize;
+            if from != to {
+                self.copy_within(from * width..(from + 1) * width, to * width);
+            }
+        }
+        self.length = kept.len() * width;
+    }
+}
+
+impl<T: Pod> Deref for Buffer<T> {
+    type Target = [T];
+    #[inline]
+    fn deref(&self) -> &[T] {
+        let bytes: &[u8] = bytemuck::cast_slice(&self.lines);
+        bytemuck::cast_slice(&bytes[..self.length * size_of::<T>()])
+    }
+}
+
+impl<T: Pod> DerefMut for Buffer<T> {
+    #[inline]
+    fn deref_mut(&mut self) -> &mut [T] {
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut self.lines);
+        bytemuck::cast_slice_mut(&mut bytes[..self.length * size_of::<T>()])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_of_any_size_stay_in_place() {
+        let mut buffer = Buffer::<[f32; 3]>::zeros(0);
+        for i in 0..1000 {
+            buffer.push([i as f32; 3]);
+        }
+        assert!((0..1000).all(|i| buffer[i] == [i as f32; 3]));
+        assert_eq!(buffer.as_ptr() as usize % 64, 0);
+        buffer.keep_rows(&[1, 5, 999], 1);
+        assert_eq!(&buffer[..], &[[1.0; 3], [5.0; 3], [999.0; 3]]);
+    }
+}

@@ -1,0 +1,218 @@
+//! Tri-mip encoding on the CPU: a texel's 16 channels are one vector register; a query adds up to 24 of them.
+
+use crate::buffer::Buffer;
+use crate::gemm::padded;
+use crate::scatter::{BANDS, Band, spread};
+use crate::simd::{Kernel, Lanes, Simd};
+use crate::{CpuBackend, Lane};
+use rayon::prelude::*;
+use trimip_core::batch::{Deposit, Samples, Sphere};
+use trimip_core::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
+use trimip_core::{Aabb, Config, Encoder};
+
+/// Planes and their mip levels.
+pub struct CpuEncoder {
+    simd: Simd,
+    pyramid: Pyramid,
+    /// Levels above the base, see [`Pyramid::derived_offset`].
+    derived: Buffer<f32>,
+    /// Gradient of the same.
+    derived_gradient: Buffer<f32>,
+}
+
+/// Feature gradients of some spans, and for each plane and band of rows the samples that touch it.
+pub struct EncoderGradient {
+    /// Where each sample lies.
+    pub spheres: Buffer<Sphere>,
+    /// Its gradient, [samples, 48].
+    pub rows: Buffer<f32>,
+    /// Samples by plane and band, in sample order.
+    pub bands: Vec<Vec<u32>>,
+}
+
+impl CpuEncoder {
+    /// The planes of a configuration; `training` adds room for gradients.
+    pub fn new(simd: Simd, config: &Config, training: bool) -> Self {
+        let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
+        let derived = Buffer::zeros(pyramid.derived_len());
+        let derived_gradient = Buffer::zeros(if training { pyramid.derived_len() } else { 0 });
+        Self { simd, pyramid, derived, derived_gradient }
+    }
+}
+
+impl Encoder<CpuBackend> for CpuEncoder {
+    type Gradient = EncoderGradient;
+
+    fn gradient(&self) -> EncoderGradient {
+        EncoderGradient {
+            spheres: Buffer::zeros(0),
+            rows: Buffer::zeros(0),
+            bands: vec![Vec::new(); 3 * BANDS],
+        }
+    }
+
+    fn refresh(&mut self, parameters: &Buffer<f32>) {
+        for level in 1..self.pyramid.levels {
+            let side = self.pyramid.side(level);
+            let (finer, coarser) = self.derived.split_at_mut(self.pyramid.derived_offset(level, 0));
+            let finer = if level == 1 {
+                &parameters[..self.pyramid.base_len()]
+            } else {
+                &finer[self.pyramid.derived_offset(level - 1, 0)..]
+            };
+            // Three planes of `side` rows: row r of this level lies over rows 2r and 2r + 1 of the finer one.
+            let row = side * CHANNELS;
+            coarser[..3 * side * row].par_chunks_mut(row).enumerate().for_each(|(r, out)| {
+                let fine = &finer[4 * r * row..][..4 * row];
+                self.simd.run(AverageRow { fine, out });
+            });
+        }
+    }
+
+    fn forward(
+        &self,
+        _: &mut Lane,
+        parameters: &Buffer<f32>,
+        samples: &Samples<CpuBackend>,
+        features: &mut Buffer<f32>,
+    ) {
+        features.resize(padded(samples.spheres.len()) * FEATURES);
+        let base = &parameters[..self.pyramid.base_len()];
+        let pyramid = &self.pyramid;
+        self.simd.run(Gather { pyramid, base, derived: &self.derived, spheres: &samples.spheres, features });
+    }
+
+    fn keep(&self, _: &mut Lane, kept: &Buffer<u32>, features: &mut Buffer<f32>) {
+        features.keep_rows(kept, FEATURES);
+        features.resize(padded(kept.len()) * FEATURES);
+    }
+
+    fn backward(
+        &self,
+        _: &mut Lane,
+        samples: &Samples<CpuBackend>,
+        feature_gradients: &Buffer<f32>,
+        gradient: &mut EncoderGradient,
+    ) {
+        let first = gradient.spheres.len();
+        let count = samples.spheres.len();
+        gradient.spheres.resize(first + count);
+        gradient.spheres[first..].copy_from_slice(&samples.spheres);
+        gradient.rows.resize((first + count) * FEATURES);
+        gradient.rows[first * FEATURES..].copy_from_slice(&feature_gradients[..count * FEATURES]);
+        for (i, sphere) in samples.spheres.iter().enumerate() {
+            Band::sort(&self.pyramid, sphere, (first + i) as u32, &mut gradient.bands);
+        }
+    }
+
+    fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {
+        let base = &mut parameter_gradient[..self.pyramid.base_len()];
+        spread(self.simd, &self.pyramid, deposits, base, &mut self.derived_gradient);
+        // Pull from coarse to fine: each texel of a level carries a quarter of its parent's gradient.
+        for level in (1..self.pyramid.levels).rev() {
+            let side = self.pyramid.side(level);
+            let (finer, coarser) = self.derived_gradient.split_at_mut(self.pyramid.derived_offset(level, 0));
+            let finer =
+                if level == 1 { &mut *base } else { &mut finer[self.pyramid.derived_offset(level - 1, 0)..] };
+            let row = side * CHANNELS;
+            finer.par_chunks_mut(4 * row).enumerate().for_each(|(r, fine)| {
+                self.simd.run(PullRow { coarse: &coarser[r * row..][..row], fine });
+            });
+        }
+        for deposit in deposits {
+            deposit.encoder.spheres.clear();
+            deposit.encoder.rows.clear();
+            deposit.encoder.bands.iter_mut().for_each(Vec::clear);
+        }
+    }
+}
+
+/// One row of 2×2 box averages; `fine` holds the two rows below it.
+struct AverageRow<'a> {
+    fine: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl Kernel for AverageRow<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let (lower, upper) = self.fine.split_at(self.fine.len() / 2);
+        let pairs = lower.chunks_exact(2 * CHANNELS).zip(upper.chunks_exact(2 * CHANNELS));
+        for (out, (lower, upper)) in self.out.chunks_exact_mut(CHANNELS).zip(pairs) {
+            for c in 0..CHANNELS {
+                out[c] = 0.25 * ((lower[c] + lower[c + CHANNELS]) + (upper[c] + upper[c + CHANNELS]));
+            }
+        }
+    }
+}
+
+/// Adds a quarter of each coarse texel's gradient to its four children.
+struct PullRow<'a> {
+    coarse: &'a [f32],
+    fine: &'a mut [f32],
+}
+
+impl Kernel for PullRow<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let half = self.fine.len() / 2;
+        for row in self.fine.chunks_exact_mut(half) {
+            for (children, parent) in
+                row.chunks_exact_mut(2 * CHANNELS).zip(self.coarse.chunks_exact(CHANNELS))
+            {
+                for c in 0..CHANNELS {
+                    children[c] += 0.25 * parent[c];
+                    children[c + CHANNELS] += 0.25 * parent[c];
+                }
+            }
+        }
+    }
+}
+
+struct Gather<'a> {
+    pyramid: &'a Pyramid,
+    base: &'a [f32],
+    derived: &'a [f32],
+    spheres: &'a [Sphere],
+    features: &'a mut [f32],
+}
+
+impl Kernel for Gather<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        for (sphere, out) in self.spheres.iter().zip(self.features.chunks_exact_mut(FEATURES)) {
+            let log2_radius = sphere.radius.log2();
+            for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
+                let blend = self.pyramid.blend(plane, log2_radius);
+                let mut sum = L::splat(0.0);
+                for (level, share) in [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
+                {
+                    if share == 0.0 {
+                        continue;
+                    }
+                    let side = self.pyramid.side(level);
+                    let texels = if level == 0 {
+                        &self.base[plane * side * side * CHANNELS..]
+                    } else {
+                        &self.derived[self.pyramid.derived_offset(level, plane)..]
+                    };
+                    let texels = &texels[..side * side * CHANNELS];
+                    let taps = taps(side, sphere.position[a], sphere.position[b]);
+                    for i in 0..2 {
+                        for j in 0..2 {
+                            let texel = (taps.rows[i] * side + taps.columns[j]) * CHANNELS;
+                            // SAFETY: taps clamps rows and columns below `side`, and `texels` holds side² texels.
+                            let value = unsafe { L::load(texels.as_ptr().add(texel)) };
+                            sum = L::splat(share * taps.weights[i][j]).mul_add(value, sum);
+                        }
+                    }
+                }
+                // SAFETY: `out` holds 48 values.
+                unsafe { sum.store(out.as_mut_ptr().add(plane * CHANNELS)) };
+            }
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! The photometric loss on the CPU.
+
+use crate::buffer::Buffer;
+use crate::{CpuBackend, Lane};
+use trimip_core::Pixel;
+use trimip_core::backend::Loss;
+use trimip_core::batch::{Rays, Samples, StepSums};
+use trimip_core::config::{LossConfig, LossRays};
+use trimip_core::loss::smooth_l1;
+
+/// Area-weighted smooth-L1.
+pub struct CpuLoss {
+    config: LossConfig,
+}
+
+impl CpuLoss {
+    /// The configured loss.
+    pub fn new(config: &LossConfig) -> Self {
+        Self { config: config.clone() }
+    }
+}
+
+impl Loss<CpuBackend> for CpuLoss {
+    fn evaluate(
+        &self,
+        _: &mut Lane,
+        rays: &Rays<CpuBackend>,
+        samples: &Samples<CpuBackend>,
+        pixels: &Buffer<Pixel>,
+        pixel_gradients: &mut Buffer<[f32; 3]>,
+        sums: &mut StepSums,
+    ) {
+        pixel_gradients.resize(pixels.len());
+        let [marched, kept] = samples.counts[0];
+        sums.rays += pixels.len() as u64;
+        sums.marched += u64::from(marched);
+        sums.kept += u64::from(kept);
+        let rows = pixels.iter().zip(rays.targets.iter()).zip(samples.segments.iter());
+        for (gradient, ((pixel, target), segment)) in pixel_gradients.iter_mut().zip(rows) {
+            *gradient = [0.0; 3];
+            let difference: [f32; 3] = std::array::from_fn(|c| pixel.rgb[c] - target.rgb[c]);
+            sums.squared_error += difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
+            if !difference.iter().all(|d| d.is_finite()) {
+                sums.non_finite += 1;
+                continue;
+            }
+            if self.config.rays == LossRays::Live && segment.count == 0 {
+                continue;
+            }
+            sums.weight += f64::from(target.weight);
+            for c in 0..3 {
+                let (value, slope) = smooth_l1(difference[c], self.config.beta);
+                sums.loss += f64::from(target.weight * value) / 3.0;
+                gradient[c] = target.weight * slope / 3.0;
+            }
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! The occupancy grid on the CPU: one bit per cell, in blocks of 4×4×4 cells a word, so that empty space is skipped a
+//! block at a time.
+
+use crate::buffer::Buffer;
+use crate::{CpuBackend, Lane};
+use rayon::prelude::*;
+use std::ops::Range;
+use trimip_core::backend::Occupancy;
+use trimip_core::batch::{Radiance, Samples, Sphere};
+use trimip_core::config::OccupancyConfig;
+use trimip_core::occupancy::{Choice, coordinates, decayed, point_in, threshold};
+use trimip_core::rng::Random;
+use trimip_core::{Aabb, Config};
+
+/// Cells along a side of a block.
+pub const BLOCK: u32 = 4;
+
+/// Grid, bits and running densities.
+pub struct CpuOccupancy {
+    config: OccupancyConfig,
+    seed: u64,
+    /// World length of one marching step.
+    step_length: f32,
+    /// Radius of a sphere whose disc has the area of a cell's face, world units.
+    radius: f32,
+    densities: Vec<f32>,
+    /// Blocks x + B·(y + B·z); bit x + 4·(y + 4·z) within.
+    blocks: Vec<u64>,
+    occupied: usize,
+    chosen: Vec<u32>,
+}
+
+impl CpuOccupancy {
+    /// A grid that is occupied everywhere.
+    pub fn new(config: &Config) -> Self {
+        let aabb = Aabb::<f32>::new(&config.scene);
+        let resolution = config.occupancy.resolution;
+        let [x, y, z] = aabb.extent();
+        let cell = (x * y * z).cbrt() / resolution as f32;
+        let cells = (resolution as usize).pow(3);
+        Self {
+            config: config.occupancy.clone(),
+            seed: config.seed,
+            step_length: step_length(config),
+            radius: cell / std::f32::consts::PI.sqrt(),
+            densities: vec![0.0; cells],
+            blocks: vec![u64::MAX; cells / (BLOCK * BLOCK * BLOCK) as usize],
+            occupied: cells,
+            chosen: Vec::new(),
+        }
+    }
+
+    /// Cells along a side.
+    #[inline]
+    pub fn resolution(&self) -> u32 {
+        self.config.resolution
+    }
+
+    /// The 64 bits of a block, by its integer coordinates.
+    #[inline]
+    pub fn block(&self, [x, y, z]: [u32; 3]) -> u64 {
+        let blocks = self.config.resolution / BLOCK;
+        self.blocks[(x + blocks * (y + blocks * z)) as usize]
+    }
+
+    /// Place of a cell's bit: block index and bit.
+    fn place(&self, cell: u32) -> (usize, u32) {
+        let blocks = self.config.resolution / BLOCK;
+        let [x, y, z] = coordinates(cell, self.config.resolution);
+        let block = x / BLOCK + blocks * (y / BLOCK + blocks * (z / BLOCK));
+        (block as usize, bit_of([x, y, z]))
+    }
+
+    fn is_occupied(&self, cell: u32) -> bool {
+        let (block, bit) = self.place(cell);
+        self.blocks[block] >> bit & 1 == 1
+    }
+
+    fn cells(&self) -> u32 {
+        self.densities.len() as u32
+    }
+
+    /// Sets every cell's bit by `occupied(cell)`.
+    fn set_bits(&mut self, occupied: impl Fn(u32) -> bool + Sync) {
+        let (resolution, blocks) = (self.config.resolution, self.config.resolution / BLOCK);
+        self.blocks.par_iter_mut().enumerate().for_each(|(i, word)| {
+            let corner = coordinates(i as u32, blocks).map(|c| c * BLOCK);
+            *word = 0;
+            for bit in 0..64 {
+                let [x, y, z] = [bit % BLOCK, bit / BLOCK % BLOCK, bit / (BLOCK * BLOCK)];
+                let cell = corner[0] + x + resolution * (corner[1] + y + resolution * (corner[2] + z));
+                *word |= u64::from(occupied(cell)) << bit;
+            }
+        });
+        self.occupied = self.blocks.iter().map(|word| word.count_ones() as usize).sum();
+    }
+}
+
+/// Bit of a cell within its block.
+#[inline]
+pub fn bit_of([x, y, z]: [u32; 3]) -> u32 {
+    x % BLOCK + BLOCK * (y % BLOCK + BLOCK * (z % BLOCK))
+}
+
+/// World length of the uniform marching step: longest side · √3 / steps (code).
+pub fn step_length(config: &Config) -> f32 {
+    Aabb::<f32>::new(&config.scene).longest() * 3.0_f32.sqrt() / config.renderer.steps_per_diagonal as f32
+}
+
+impl Occupancy<CpuBackend> for CpuOccupancy {
+    fn choose(&mut self, step: u64) -> u32 {
+        let choice = Choice::new(&self.config, self.seed, step, self.occupied, self.densities.len());
+        let chosen: Vec<u32> = (0..self.cells())
+            .into_par_iter()
+            .filter(|&cell| choice.includes(cell, self.is_occupied(cell)))
+            .collect();
+        self.chosen = chosen;
+        self.chosen.len() as u32
+    }
+
+    fn probes(&self, _: &mut Lane, step: u64, range: Range<u32>, samples: &mut Samples<CpuBackend>) {
+        let random = Random::new(self.seed);
+        let cells = &self.chosen[range.start as usize..range.end as usize];
+        samples.spheres.resize(cells.len());
+        for (sphere, &cell) in samples.spheres.iter_mut().zip(cells) {
+            let position = point_in(cell, self.config.resolution, &random, step);
+            *sphere = Sphere { position, radius: self.radius };
+        }
+    }
+
+    fn absorb(&mut self, radiance: &Buffer<Radiance>) {
+        for (&cell, radiance) in self.chosen.iter().zip(radiance.iter()) {
+            let density = &mut self.densities[cell as usize];
+            *density = decayed(*density, radiance.density * self.step_length, self.config.decay);
+        }
+        let sum: f64 = self.densities.iter().map(|&density| f64::from(density)).sum();
+        let limit = threshold(sum / self.densities.len() as f64, &self.config);
+        let densities = std::mem::take(&mut self.densities);
+        self.set_bits(|cell| densities[cell as usize] > limit);
+        self.densities = densities;
+        // A grid whose cells all equal their mean has none above it: without this it would stay empty for ever.
+        if self.occupied == 0 {
+            self.set_bits(|_| true);
+        }
+    }
+
+    fn occupied(&self) -> f64 {
+        self.occupied as f64 / self.densities.len() as f64
+    }
+
+    fn densities(&self) -> Vec<f32> {
+        self.densities.clone()
+    }
+
+    fn bits(&self) -> Vec<u8> {
+        let mut bits = vec![0; self.densities.len().div_ceil(8)];
+        for cell in 0..self.cells() {
+            bits[cell as usize / 8] |= u8::from(self.is_occupied(cell)) << (cell % 8);
+        }
+        bits
+    }
+
+    fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>) {
+        self.set_bits(|cell| bits[cell as usize / 8] >> (cell % 8) & 1 == 1);
+        if let Some(densities) = densities {
+            self.densities.copy_from_slice(densities);
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Marching, pruning and compositing on the CPU, ray by ray.
+
+use crate::buffer::Buffer;
+use crate::occupancy::{BLOCK, CpuOccupancy, bit_of, step_length};
+use crate::{CpuBackend, Lane};
+use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere};
+use trimip_core::compositing::{composite, composite_gradient};
+use trimip_core::rng::{Random, Stream};
+use trimip_core::{Aabb, Config, Pixel, Renderer};
+
+/// Box, step and background.
+pub struct CpuRenderer {
+    aabb: Aabb<f32>,
+    step_length: f32,
+    /// Optical depth before a sample above which it is dropped: −ln of the least transmittance.
+    max_depth: f32,
+    background: [f32; 3],
+    random: Random,
+}
+
+impl CpuRenderer {
+    /// The renderer of a configuration.
+    pub fn new(config: &Config) -> Self {
+        Self {
+            aabb: Aabb::new(&config.scene),
+            step_length: step_length(config),
+            max_depth: -config.renderer.min_transmittance.ln(),
+            background: config.data.background,
+            random: Random::new(config.seed),
+        }
+    }
+
+    /// Calls `place(t, position)` for the middle of every step of the ray that lies in an occupied cell; `offset` moves
+    /// the first step, in steps. Positions are in coordinates of the unit box.
+    ///
+    /// Empty blocks and cells are skipped to the last step inside them, never beyond, so that the samples are exactly
+    /// those of testing every step.
+    #[inline]
+    fn march_ray(
+        &self,
+        ray: &Ray,
+        occupancy: &CpuOccupancy,
+        offset: f32,
+        mut place: impl FnMut(f32, [f32; 3]),
+    ) {
+        let (enter, leave) = self.aabb.intersect(ray.origin, ray.direction);
+        let first = enter + offset * self.step_length;
+        if !(leave > first) || !leave.is_finite() {
+            return;
+        }
+        let resolution = occupancy.resolution();
+        let inverse_extent = self.aabb.extent().map(f32::recip);
+        // Position in cells along the ray: start + t·slope.
+        let mut index = 0.0_f32;
+        loop {
+            let t = first + (index + 0.5) * self.step_length;
+            if !(t < leave) {
+                return;
+            }
+            let position: [f32; 3] = std::array::from_fn(|i| {
+                (ray.origin[i] + t * ray.direction[i] - self.aabb.min[i]) * inverse_extent[i]
+            });
+            let cell = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
+            let block = occupancy.block(cell.map(|c| c / BLOCK));
+            if block >> bit_of(cell) & 1 == 1 {
+                place(t, position);
+                index += 1.0;
+                continue;
+            }
+            let size = if block == 0 { BLOCK } else { 1 };
+            let mut exit = f32::INFINITY;
+            for axis in 0..3 {
+                let lower = cell[axis] / size * size;
+                let edge = if ray.direction[axis] > 0.0 { lower + size } else { lower };
+                let edge = edge as f32 / (resolution as f32 * inverse_extent[axis]) + self.aabb.min[axis];
+                let distance = (edge - ray.origin[axis]) / ray.direction[axis];
+                // An axis the ray does not move along gives ±∞ or NaN: no exit there.
+                if distance > t && distance < exit {
+                    exit = distance;
+                }
+            }
+            let inside = ((exit - first) / self.step_length - 0.5).floor() - 1.0;
+            index = if inside.is_finite() { inside.max(index + 1.0) } else { index + 1.0 };
+        }
+    }
+}
+
+impl Renderer<CpuBackend> for CpuRenderer {
+    fn march(
+        &self,
+        _: &mut Lane,
+        rays: &Rays<CpuBackend>,
+        occupancy: &CpuOccupancy,
+        jitter: Option<u64>,
+        samples: &mut Samples<CpuBackend>,
+    ) {
+        let inverse_extent = self.aabb.extent().map(f32::recip);
+        debug_assert!(inverse_extent.iter().all(|x| x.is_finite()));
+        samples.segments.resize(rays.rays.len());
+        samples.rays.clear();
+        samples.intervals.clear();
+        samples.spheres.clear();
+        for (i, ray) in rays.rays.iter().enumerate() {
+            let offset = jitter
+                .map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, rays.first + i as u32)[0]);
+            let start = samples.spheres.len() as u32;
+            let Samples { rays: owners, intervals, spheres, .. } = samples;
+            self.march_ray(ray, occupancy, offset, |t, position| {
+                owners.push(i as u32);
+                intervals.push(Interval { t, length: self.step_length });
+                spheres.push(Sphere { position, radius: ray.slope * t });
+            });
+            samples.segments[i] = Segment { start, count: samples.spheres.len() as u32 - start };
+        }
+        let count = samples.spheres.len() as u32;
+        samples.counts.resize(1);
+        samples.counts[0] = [count, count];
+    }
+
+    fn prune(
+        &self,
+        _: &mut Lane,
+        radiance: &Buffer<Radiance>,
+        samples: &mut Samples<CpuBackend>,
+        kept: &mut Buffer<u32>,
+    ) {
+        kept.clear();
+        for segment in samples.segments.iter_mut() {
+            let start = kept.len() as u32;
+            let mut depth = 0.0;
+            for i in segment.start..segment.start + segment.count {
+                if depth > self.max_depth {
+                    break;
+                }
+                kept.push(i);
+                depth += radiance[i as usize].density * samples.intervals[i as usize].length;
+            }
+            *segment = Segment { start, count: kept.len() as u32 - start };
+        }
+        samples.rays.keep_rows(kept, 1);
+        samples.intervals.keep_rows(kept, 1);
+        samples.spheres.keep_rows(kept, 1);
+        samples.counts[0][1] = kept.len() as u32;
+    }
+
+    fn composite(
+        &self,
+        _: &mut Lane,
+        rays: &Rays<CpuBackend>,
+        samples: &Samples<CpuBackend>,
+        radiance: &Buffer<Radiance>,
+        pixels: &mut Buffer<Pixel>,
+    ) {
+        pixels.resize(rays.rays.len());
+        for ((pixel, segment), ray) in pixels.iter_mut().zip(samples.segments.iter()).zip(rays.rays.iter()) {
+            let result = composite(
+                range(segment).map(|i| {
+                    let Interval { t, length } = samples.intervals[i];
+                    (radiance[i].density * length, radiance[i].rgb, t)
+                }),
+                self.background,
+            );
+            *pixel = Pixel { rgb: result.rgb, opacity: result.opacity, depth: result.distance * ray.cosine };
+        }
+    }
+
+    fn backward(
+        &self,
+        _: &mut Lane,
+        samples: &Samples<CpuBackend>,
+        radiance: &Buffer<Radiance>,
+        pixels: &Buffer<Pixel>,
+        pixel_gradients: &Buffer<[f32; 3]>,
+        radiance_gradients: &mut Buffer<Radiance>,
+    ) {
+        radiance_gradients.resize(radiance.len());
+        for ((pixel, segment), &gradient) in
+            pixels.iter().zip(samples.segments.iter()).zip(pixel_gradients.iter())
+        {
+            let first = segment.start as usize;
+            composite_gradient(
+                segment.count as usize,
+                |i| {
+                    let i = first + i;
+                    (radiance[i].density * samples.intervals[i].length, radiance[i].rgb)
+                },
+                pixel.rgb,
+                gradient,
+                |i, by_depth, rgb| {
+                    let i = first + i;
+                    radiance_gradients[i] = Radiance { rgb, density: by_depth * samples.intervals[i].length };
+                },
+            );
+        }
+    }
+}
+
+/// Indices of a segment's samples.
+fn range(segment: &Segment) -> std::ops::Range<usize> {
+    segment.start as usize..(segment.start + segment.count) as usize
+}

@@ -1,0 +1,92 @@
+//! Where rays come from on the CPU: random pixels of the training views, or all pixels of a camera.
+
+use crate::{CpuBackend, Lane};
+use std::ops::Range;
+use trimip_core::backend::Sampler;
+use trimip_core::batch::{Rays, Target};
+use trimip_core::rng::{Random, Stream, below};
+use trimip_core::views::composite_pixel;
+use trimip_core::{Camera, Config, ViewSet};
+
+/// Training views and the share of each scale.
+pub struct CpuSampler {
+    views: Option<ViewSet>,
+    /// Share of a batch's rays per scale, ∝ 1/weight: each scale then has the same part of the loss.
+    shares: Vec<f64>,
+    background: [f32; 3],
+    random: Random,
+}
+
+impl CpuSampler {
+    /// A sampler over `views`; without them it makes camera rays only.
+    pub fn new(config: &Config, views: Option<ViewSet>) -> Self {
+        let weights: Vec<f64> = views
+            .iter()
+            .flat_map(|views| &views.scales)
+            .map(|scale| if scale.pixels.is_empty() { 0.0 } else { 1.0 / f64::from(scale.weight) })
+            .collect();
+        let sum: f64 = weights.iter().sum();
+        Self {
+            views,
+            shares: weights.into_iter().map(|weight| weight / sum).collect(),
+            background: config.data.background,
+            random: Random::new(config.seed),
+        }
+    }
+
+    /// Scale of ray `index` of `total`: coarse scales take their rounded-down share from the end, the finest the rest.
+    fn scale_of(&self, index: u32, total: u32) -> usize {
+        let mut end = total;
+        for (scale, share) in self.shares.iter().enumerate().skip(1).rev() {
+            end -= (f64::from(total) * share) as u32;
+            if index >= end {
+                return scale;
+            }
+        }
+        0
+    }
+}
+
+impl Sampler<CpuBackend> for CpuSampler {
+    fn training_rays(
+        &self,
+        _: &mut Lane,
+        step: u64,
+        total: u32,
+        range: Range<u32>,
+        rays: &mut Rays<CpuBackend>,
+    ) {
+        rays.first = range.start;
+        rays.rays.resize(range.len());
+        rays.targets.resize(range.len());
+        let Some(views) = &self.views else {
+            rays.rays.clear();
+            rays.targets.clear();
+            return;
+        };
+        for (slot, index) in range.enumerate() {
+            let scale = &views.scales[self.scale_of(index, total)];
+            let bits = self.random.bits(Stream::Pixel, step, index);
+            let pixel = scale.pixels.start + below(bits[0], scale.pixels.len() as u32) as usize;
+            let in_scale = &views.views[scale.views.clone()];
+            let view = &in_scale[in_scale.partition_point(|view| view.offset <= pixel) - 1];
+            let within = (pixel - view.offset) as u32;
+            let width = view.camera.intrinsics.width;
+            rays.rays[slot] = view.camera.cone(within % width, within / width).into();
+            rays.targets[slot] = Target {
+                rgb: composite_pixel(views.pixels[pixel], views.alpha, self.background),
+                weight: scale.weight,
+            };
+        }
+    }
+
+    fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<CpuBackend>) {
+        rays.first = range.start;
+        rays.targets.clear();
+        rays.rays.resize(range.len());
+        let width = camera.intrinsics.width;
+        for (ray, index) in rays.rays.iter_mut().zip(range) {
+            *ray = camera.cone(index % width, index / width).into();
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! From feature gradients to texel gradients, with the same bits for any number of threads and without atomics: each
+//! plane is cut into bands of rows, a sample is listed in every band it touches, and one worker adds up a band in sample
+//! order. A row of a level belongs to exactly one band.
+
+use crate::CpuBackend;
+use crate::simd::{Kernel, Lanes, Simd};
+use rayon::prelude::*;
+use trimip_core::batch::{Deposit, Sphere};
+use trimip_core::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
+
+/// Bands of a plane.
+pub const BANDS: usize = 16;
+
+/// The rows of one band of one plane, of all levels.
+pub struct Band<'a> {
+    plane: usize,
+    band: usize,
+    /// First row and texels of each level.
+    levels: Vec<(usize, &'a mut [f32])>,
+}
+
+/// Band that owns a row of a level with `side` rows.
+#[inline(always)]
+fn owner(row: usize, side: usize) -> usize {
+    row * BANDS / side
+}
+
+/// First row of a band.
+fn first_row(band: usize, side: usize) -> usize {
+    (band * side).div_ceil(BANDS)
+}
+
+/// The up to two reads of a sphere on a plane: level and weight.
+#[inline(always)]
+fn reads(pyramid: &Pyramid, plane: usize, log2_radius: f32) -> [(usize, f32); 2] {
+    let blend = pyramid.blend(plane, log2_radius);
+    [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
+}
+
+impl Band<'_> {
+    /// Lists sample `index` in every band it touches.
+    #[inline]
+    pub fn sort(pyramid: &Pyramid, sphere: &Sphere, index: u32, bands: &mut [Vec<u32>]) {
+        let log2_radius = sphere.radius.log2();
+        for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
+            let mut touched = 0_u32;
+            for (level, share) in reads(pyramid, plane, log2_radius) {
+                if share != 0.0 {
+                    let side = pyramid.side(level);
+                    let rows = taps(side, sphere.position[a], sphere.position[b]).rows;
+                    touched |= 1 << owner(rows[0], side) | 1 << owner(rows[1], side);
+                }
+            }
+            while touched != 0 {
+                bands[plane * BANDS + touched.trailing_zeros() as usize].push(index);
+                touched &= touched - 1;
+            }
+        }
+    }
+}
+
+/// Overwrites `base` and `derived` with the sums of all deposits.
+pub fn spread(
+    simd: Simd,
+    pyramid: &Pyramid,
+    deposits: &[Deposit<CpuBackend>],
+    base: &mut [f32],
+    derived: &mut [f32],
+) {
+    let mut bands: Vec<Band<'_>> = (0..3 * BANDS)
+        .map(|i| Band { plane: i / BANDS, band: i % BANDS, levels: Vec::with_capacity(pyramid.levels) })
+        .collect();
+    let mut rest = [base, derived];
+    for level in 0..pyramid.levels {
+        let side = pyramid.side(level);
+        let texels = &mut rest[usize::from(level > 0)];
+        for band in &mut bands {
+            let (from, to) = (first_row(band.band, side), first_row(band.band + 1, side));
+            let (rows, after) = std::mem::take(texels).split_at_mut((to - from) * side * CHANNELS);
+            band.levels.push((from, rows));
+            *texels = after;
+        }
+    }
+    bands.into_par_iter().with_max_len(1).for_each(|band| simd.run(SpreadBand { pyramid, deposits, band }));
+}
+
+struct SpreadBand<'a> {
+    pyramid: &'a Pyramid,
+    deposits: &'a [Deposit<CpuBackend>],
+    band: Band<'a>,
+}
+
+impl Kernel for SpreadBand<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Band { plane, band, mut levels } = self.band;
+        for (_, texels) in &mut levels {
+            texels.fill(0.0);
+        }
+        let [a, b] = PLANE_AXES[plane];
+        for deposit in self.deposits {
+            let deposit = &deposit.encoder;
+            for &index in &deposit.bands[plane * BANDS + band] {
+                let sphere = &deposit.spheres[index as usize];
+                let row = &deposit.rows[index as usize * FEATURES + plane * CHANNELS..][..CHANNELS];
+                // SAFETY: `row` holds 16 values.
+                let gradient = unsafe { L::load(row.as_ptr()) };
+                for (level, share) in reads(self.pyramid, plane, sphere.radius.log2()) {
+                    if share == 0.0 {
+                        continue;
+                    }
+                    let side = self.pyramid.side(level);
+                    let taps = taps(side, sphere.position[a], sphere.position[b]);
+                    let (first, texels) = &mut levels[level];
+                    for i in 0..2 {
+                        if owner(taps.rows[i], side) != band {
+                            continue;
+                        }
+                        for j in 0..2 {
+                            let texel = ((taps.rows[i] - *first) * side + taps.columns[j]) * CHANNELS;
+                            let texel = texels[texel..][..CHANNELS].as_mut_ptr();
+                            // SAFETY: the slice holds 16 values.
+                            unsafe {
+                                let weight = L::splat(share * taps.weights[i][j]);
+                                gradient.mul_add(weight, L::load(texel)).store(texel);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_has_one_owner_and_bands_meet() {
+        for side in [1, 2, 8, 16, 32, 512] {
+            let mut rows = 0;
+            for band in 0..BANDS {
+                for row in first_row(band, side)..first_row(band + 1, side) {
+                    assert_eq!(owner(row, side), band, "row {row} of {side}");
+                    rows += 1;
+                }
+            }
+            assert_eq!(rows, side);
+        }
+    }
+}
