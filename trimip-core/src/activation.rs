@@ -37,7 +37,7 @@ mod tests {
     #[test]
     fn derivatives_are_finite_differences() {
         let h = 1e-6;
-        for logit in [-14.5, -3.0, -0.1, 0.0, 1.0, 7.0, 15.5] {
+        for logit in [-13.5, -3.0, -0.1, 0.0, 1.0, 7.0, 15.5] {
             let numeric = (density(logit + h) - density(logit - h)) / (2.0 * h);
             assert!((density_derivative(logit) / numeric - 1.0_f64).abs() < 1e-7);
             let numeric = (sigmoid(logit + h) - sigmoid(logit - h)) / (2.0 * h);

@@ -20,7 +20,7 @@ mod tests {
 
     #[test]
     fn value_and_slope_are_continuous_and_consistent() {
-        for beta in [0.05, 1.0] {
+        for beta in [0.05_f64, 1.0] {
             for d in [-2.0, -0.3, -0.01, 0.02, 0.7, 1.5] {
                 let h = 1e-7;
                 let numeric = (smooth_l1(d + h, beta).0 - smooth_l1(d - h, beta).0) / (2.0 * h);
