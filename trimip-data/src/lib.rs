@@ -1,1 +1,32 @@
-//! data
+//! Photographs with cameras, ready to train and test on: Blender JSON folders, the public multi-scale set's
+//! `metadata.json`, and a built-in ray-traced scene that needs no files. Poses are camera-to-world, OpenGL axes;
+//! lengths are world units, angles radians, focal lengths pixels.
+//!
+//! ```
+//! use trimip_core::{Config, Frames, config::Format};
+//!
+//! let mut data = Config::default().data;
+//! data.format = Format::Builtin;
+//! (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 4, 2);
+//! let scene = trimip_data::open(&data)?;
+//! assert_eq!(scene.train.views.len(), 4 * 4); // four views at the scales 1, 1/2, 1/4, 1/8
+//! assert_eq!(scene.train.scales[3].weight, 64.0);
+//! assert_eq!(scene.test.load(1)?.views[2].camera.intrinsics.width, 8);
+//! # Ok::<(), trimip_core::Error>(())
+//! ```
+
+mod blender;
+pub mod builtin;
+mod describe;
+mod json;
+mod multiscale;
+mod photograph;
+mod pose;
+pub mod pyramid;
+mod scene;
+mod source;
+mod write;
+
+pub use describe::inspect;
+pub use scene::{Scene, open};
+pub use write::{Summary, write_builtin, write_multiscale};

@@ -1,0 +1,217 @@
+//! The built-in scene: ray-traced views of checkers, stripes, thin rods and glossy objects within [-1.2, 1.2]³, z up, on
+//! a transparent background. Exact intersections, a regular grid of rays per pixel, no random numbers.
+
+mod scene;
+mod shapes;
+
+pub use scene::{radiance, shapes};
+pub use shapes::Shape;
+
+use crate::{
+    blender::Split,
+    source::{Pixels, Source},
+};
+use glam::DVec3;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+use trimip_core::{Camera, Error, Intrinsics, Result, config::DataConfig};
+
+/// Horizontal field of view in radians, that of NeRF-synthetic.
+pub const CAMERA_ANGLE_X: f64 = 0.691_111_207_008_361_8;
+/// Distance of the cameras from the origin, about that of NeRF-synthetic.
+pub const CAMERA_RADIUS: f64 = 4.03;
+/// π·(3 − √5): the turn that spreads points evenly, however many there are.
+const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
+
+/// A camera that looks at the origin from `radius`, `elevation` above the plane z = 0 and turned by `azimuth` from the
+/// x axis towards y (radians); z is up in the image. Elevations of ±π/2 and beyond have no upright view.
+pub fn orbit(intrinsics: Intrinsics, radius: f64, elevation: f64, azimuth: f64) -> Camera {
+    let (up, out) = elevation.sin_cos();
+    let origin = radius * DVec3::new(out * azimuth.cos(), out * azimuth.sin(), up);
+    Camera::look_at(intrinsics, origin, DVec3::ZERO, DVec3::Z)
+}
+
+/// `count` cameras on one turn around the origin, the first on the side of +x.
+pub fn turntable(intrinsics: Intrinsics, radius: f64, elevation: f64, count: usize) -> Vec<Camera> {
+    (0..count).map(|i| orbit(intrinsics, radius, elevation, TAU * i as f64 / count as f64)).collect()
+}
+
+/// Training cameras: a golden-angle spiral, even in area over the upper hemisphere.
+pub fn train_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
+    (0..count)
+        .map(|i| {
+            let height = 0.02 + 0.95 * (i as f64 + 0.5) / count as f64;
+            orbit(intrinsics, CAMERA_RADIUS, height.asin(), GOLDEN_ANGLE * i as f64)
+        })
+        .collect()
+}
+
+/// Test cameras: a ring at 30° with every fourth camera at 12° and every fourth at 55°.
+pub fn test_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
+    (0..count)
+        .map(|i| {
+            let degrees: f64 = match i % 4 {
+                1 => 12.0,
+                3 => 55.0,
+                _ => 30.0,
+            };
+            let azimuth = TAU * (i as f64 + 0.37) / count as f64;
+            orbit(intrinsics, CAMERA_RADIUS, degrees.to_radians(), azimuth)
+        })
+        .collect()
+}
+
+/// Straight 8-bit RGBA of the scene, row by row: the mean over `supersampling`² rays per pixel at the centres of a
+/// regular grid. Colour is the mean over the rays that hit, alpha their share; both are rounded.
+pub fn render(camera: &Camera, supersampling: u32) -> Vec<[u8; 4]> {
+    let k = camera.intrinsics;
+    let n = supersampling.max(1);
+    let mut pixels = vec![[0; 4]; k.width as usize * k.height as usize];
+    pixels.par_chunks_mut(k.width.max(1) as usize).enumerate().for_each(|(y, row)| {
+        for (x, pixel) in row.iter_mut().enumerate() {
+            *pixel = render_pixel(camera, x as f64, y as f64, n);
+        }
+    });
+    pixels
+}
+
+fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32) -> [u8; 4] {
+    let k = &camera.intrinsics;
+    let direction = |x: f64, y: f64| {
+        (camera.rotation * DVec3::new((x - k.cx) / k.fx, -(y - k.cy) / k.fy, -1.0)).normalize()
+    };
+    // Half the pixel's diagonal at unit depth bounds the angle of its rays to the central one.
+    let spread = 0.5 * k.fx.recip().hypot(k.fy.recip());
+    let near = scene::near_line(camera.origin, direction(x + 0.5, y + 0.5), spread);
+    if near == 0 {
+        return [0; 4];
+    }
+    let (mut color, mut hits) = (DVec3::ZERO, 0_u32);
+    let step = f64::from(n).recip();
+    for j in 0..n {
+        for i in 0..n {
+            let ray = direction(x + (f64::from(i) + 0.5) * step, y + (f64::from(j) + 0.5) * step);
+            if let Some(hit) = scene::radiance_of(near, camera.origin, ray) {
+                color += hit;
+                hits += 1;
+            }
+        }
+    }
+    if hits == 0 {
+        return [0; 4];
+    }
+    let byte = |value: f64| (255.0 * value).round() as u8;
+    let [r, g, b] = (color / f64::from(hits)).to_array().map(byte);
+    [r, g, b, byte(f64::from(hits) * step * step)]
+}
+
+/// Frames of a split, to be rendered when their pixels are asked for.
+pub(crate) fn split(config: &DataConfig, split: &str) -> Result<Split> {
+    for (key, value, range) in [
+        ("data.builtin_size", config.builtin_size, 1..=16_384),
+        ("data.builtin_train", config.builtin_train, 1..=100_000),
+        ("data.builtin_test", config.builtin_test, 1..=100_000),
+        ("data.builtin_supersampling", config.builtin_supersampling, 1..=256),
+    ] {
+        if !range.contains(&value) {
+            let expected = format!("expected {} to {}", range.start(), range.end());
+            return Err(Error::input(key, format!("is {value}"), expected));
+        }
+    }
+    let k = Intrinsics::from_angle(config.builtin_size, config.builtin_size, CAMERA_ANGLE_X);
+    let cameras = match split {
+        "train" => train_cameras(k, config.builtin_train as usize),
+        "test" => test_cameras(k, config.builtin_test as usize),
+        _ => {
+            return Err(Error::input(
+                "builtin",
+                format!("has no split \"{split}\", only train, test"),
+                "choose one of them for data.train and data.test",
+            ));
+        }
+    };
+    let pixels = || Pixels::Rendered { supersampling: config.builtin_supersampling };
+    let sources = cameras
+        .into_iter()
+        .enumerate()
+        .map(|(i, camera)| {
+            Source::averaged(format!("r_{i}"), camera, config.scales, "data.builtin_size", pixels())
+        })
+        .collect::<Result<_>>()?;
+    Ok(Split { sources, warnings: Vec::new() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    fn difference(a: &[[u8; 4]], b: &[[u8; 4]]) -> f64 {
+        // On white, where neither colour nor alpha of a clear pixel matters alone.
+        let white = |p: &[u8; 4]| {
+            let a = f64::from(p[3]) / 255.0;
+            [0, 1, 2].map(|c| f64::from(p[c]) / 255.0 * a + 1.0 - a)
+        };
+        let squares = a.iter().zip(b).flat_map(|(a, b)| {
+            let (a, b) = (white(a), white(b));
+            [0, 1, 2].map(|c| (a[c] - b[c]).powi(2))
+        });
+        (squares.sum::<f64>() / (3 * a.len()) as f64).sqrt()
+    }
+
+    #[test]
+    fn more_rays_converge() {
+        let camera = orbit(Intrinsics::from_angle(48, 48, CAMERA_ANGLE_X), CAMERA_RADIUS, 0.5, 0.7);
+        let truth = render(&camera, 64);
+        let errors = [1, 2, 4, 8, 16].map(|n| difference(&render(&camera, n), &truth));
+        assert!(errors.windows(2).all(|pair| pair[1] < 0.7 * pair[0]), "{errors:?}");
+        assert!(errors[3] < 0.01, "{errors:?}");
+    }
+
+    #[test]
+    fn leaving_out_far_shapes_changes_no_pixel() {
+        let camera = orbit(Intrinsics::from_angle(40, 30, CAMERA_ANGLE_X), 2.5, 0.4, 2.0);
+        let k = camera.intrinsics;
+        let pixels = render(&camera, 1);
+        for y in 0..k.height {
+            for x in 0..k.width {
+                let cone = camera.cone::<f64>(x, y);
+                let expected = radiance(cone.origin.into(), cone.direction.into());
+                let found = pixels[(y * k.width + x) as usize];
+                assert_eq!(expected.is_some(), found[3] == 255);
+                if let Some(color) = expected {
+                    for c in 0..3 {
+                        assert!((f64::from(found[c]) - 255.0 * color[c]).abs() < 0.51);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn cameras_see_the_whole_scene_from_above_and_differ() {
+        let k = Intrinsics::from_angle(64, 64, CAMERA_ANGLE_X);
+        let (train, test) = (train_cameras(k, 48), test_cameras(k, 12));
+        for camera in train.iter().chain(&test) {
+            assert!((camera.origin.length() - CAMERA_RADIUS).abs() < 1e-12 && camera.origin.z > 0.0);
+            let pixels = render(camera, 1);
+            let border = (0..64).flat_map(|i| [i, 63 * 64 + i, 64 * i, 64 * i + 63]);
+            assert!(border.into_iter().all(|i| pixels[i][3] == 0));
+            assert!(pixels.iter().filter(|pixel| pixel[3] > 0).count() > 64 * 64 / 8);
+        }
+        for test in &test {
+            let nearest =
+                train.iter().map(|train| train.origin.angle_between(test.origin)).fold(PI, f64::min);
+            assert!(nearest > 1e-3);
+        }
+    }
+
+    #[test]
+    fn one_turn_of_the_table_is_even() {
+        let k = Intrinsics::from_angle(8, 8, 0.7);
+        let cameras = turntable(k, 3.0, 0.3, 5);
+        let steps: Vec<f64> =
+            (0..5).map(|i| cameras[i].origin.distance(cameras[(i + 1) % 5].origin)).collect();
+        assert!(steps.iter().all(|step| (step - steps[0]).abs() < 1e-12));
+    }
+}

@@ -1,0 +1,235 @@
+//! What stands in the built-in scene and how it is lit: patterns finer than a coarse pixel, rods down to a pixel's
+//! width, a glossy ball that mirrors its surroundings. Colours in [0, 1], image values.
+
+use super::Shape;
+use glam::DVec3;
+use std::{f64::consts::TAU, sync::LazyLock};
+
+/// Directions to the lights (not normalised) and their strengths; the first casts shadows.
+const KEY: (DVec3, f64) = (DVec3::new(0.55, -0.4, 0.85), 0.62);
+const FILL: (DVec3, f64) = (DVec3::new(-0.7, 0.35, 0.4), 0.22);
+/// Light from below and what the sky adds to it.
+const AMBIENT: (f64, f64) = (0.22, 0.16);
+
+const GROUND_TOP: f64 = -0.44;
+
+/// Colour over a surface.
+#[derive(Clone, Copy)]
+enum Paint {
+    Plain(DVec3),
+    /// Squares of a side, seen from above; the wall of a drum is striped.
+    Checker(DVec3, DVec3, f64),
+    /// Rings around the z axis, a pair of them per period.
+    Rings(DVec3, DVec3, f64),
+    /// Stripes that wind up around the shape's axis: turns around, period along z.
+    Helix(DVec3, DVec3, f64, f64),
+}
+
+struct Object {
+    shape: Shape,
+    paint: Paint,
+    /// Share of the mirrored surroundings at a right angle to the surface.
+    mirror: f64,
+    /// Strength and exponent of the lights' highlight (Phong).
+    highlight: (f64, f64),
+}
+
+static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
+    let rgb = DVec3::new;
+    let ball = |x, y, radius: f64| Shape::Ellipsoid {
+        center: rgb(x, y, GROUND_TOP + radius),
+        radii: DVec3::splat(radius),
+    };
+    let matt = |shape, paint| Object { shape, paint, mirror: 0.0, highlight: (0.0, 1.0) };
+    let mut objects = vec![
+        matt(
+            Shape::Drum { center: rgb(0.0, 0.0, GROUND_TOP - 0.04), radius: 1.05, half_height: 0.04 },
+            Paint::Checker(rgb(0.92, 0.90, 0.84), rgb(0.16, 0.20, 0.32), 0.075),
+        ),
+        Object {
+            shape: ball(-0.42, -0.42, 0.32),
+            paint: Paint::Rings(rgb(0.86, 0.20, 0.14), rgb(0.97, 0.95, 0.90), 0.08),
+            mirror: 0.0,
+            highlight: (0.25, 30.0),
+        },
+        matt(
+            Shape::Drum { center: rgb(0.52, -0.38, 0.06), radius: 0.17, half_height: 0.5 },
+            Paint::Helix(rgb(0.15, 0.45, 0.75), rgb(0.98, 0.84, 0.25), 3.0, 0.11),
+        ),
+        Object {
+            shape: ball(0.42, 0.44, 0.36),
+            paint: Paint::Plain(rgb(0.10, 0.09, 0.12)),
+            mirror: 0.55,
+            highlight: (0.8, 60.0),
+        },
+        Object {
+            shape: Shape::Ellipsoid {
+                center: rgb(-0.48, 0.42, GROUND_TOP + 0.24),
+                radii: rgb(0.36, 0.22, 0.24),
+            },
+            paint: Paint::Plain(rgb(0.20, 0.58, 0.28)),
+            mirror: 0.08,
+            highlight: (0.35, 18.0),
+        },
+    ];
+    // A sheaf of rods, thinner and thinner: at 128 pixels the thinnest is half a pixel wide.
+    for i in 0..8 {
+        let turn = TAU * f64::from(i) / 8.0;
+        let radius = 0.024 * 0.8_f64.powi(i);
+        objects.push(matt(
+            Shape::Capsule {
+                start: rgb(0.10 * turn.cos(), 0.10 * turn.sin(), GROUND_TOP),
+                end: rgb(0.46 * (turn + 1.1).cos(), 0.46 * (turn + 1.1).sin(), 0.78),
+                radius,
+            },
+            match i % 3 {
+                0 => Paint::Plain(rgb(0.75, 0.72, 0.70)),
+                1 => Paint::Plain(rgb(0.55, 0.25, 0.55)),
+                _ => Paint::Helix(rgb(0.12, 0.12, 0.12), rgb(0.95, 0.75, 0.30), 0.0, 0.1),
+            },
+        ));
+    }
+    objects
+});
+
+/// The solids of the scene.
+pub fn shapes() -> impl Iterator<Item = Shape> {
+    OBJECTS.iter().map(|object| object.shape)
+}
+
+/// Colour that arrives from where a ray enters the scene, `None` where it meets nothing; `origin` must lie outside of
+/// every solid.
+pub fn radiance(origin: DVec3, direction: DVec3) -> Option<[f64; 3]> {
+    radiance_of(u32::MAX, origin, direction.try_normalize()?).map(|color| color.to_array())
+}
+
+/// Bit i is set where object i may be hit within the angle `spread` (its tangent) around a ray.
+pub(super) fn near_line(origin: DVec3, direction: DVec3, spread: f64) -> u32 {
+    OBJECTS
+        .iter()
+        .enumerate()
+        .fold(0, |near, (i, object)| near | u32::from(object.shape.near_line(origin, direction, spread)) << i)
+}
+
+/// [`radiance`] of the objects in `near`; shadows are cast by all.
+pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3) -> Option<DVec3> {
+    let mut first: Option<(f64, &Object)> = None;
+    for (i, object) in OBJECTS.iter().enumerate() {
+        if near >> i & 1 == 1
+            && let Some(t) = object.shape.hit(origin, direction)
+            && first.is_none_or(|(nearest, _)| t < nearest)
+        {
+            first = Some((t, object));
+        }
+    }
+    let (t, object) = first?;
+    Some(object.shade(origin + t * direction, direction))
+}
+
+impl Object {
+    fn shade(&self, point: DVec3, direction: DVec3) -> DVec3 {
+        let normal = self.shape.normal(point);
+        let reflected = direction - 2.0 * direction.dot(normal) * normal;
+        let mut diffuse = AMBIENT.0 + AMBIENT.1 * (0.5 + 0.5 * normal.z);
+        let mut highlight = 0.0;
+        for (index, (toward, strength)) in [KEY, FILL].into_iter().enumerate() {
+            let toward = toward.normalize();
+            let facing = normal.dot(toward);
+            // Off the surface by more than a hit's rounding.
+            if facing <= 0.0 || (index == 0 && is_shadowed(point + 1e-6 * normal, toward)) {
+                continue;
+            }
+            diffuse += strength * facing;
+            highlight += strength * reflected.dot(toward).max(0.0).powf(self.highlight.1);
+        }
+        let mut color = self.color(point, normal) * diffuse;
+        if self.mirror > 0.0 {
+            // Schlick's approximation of Fresnel's reflectance.
+            let share =
+                self.mirror + (1.0 - self.mirror) * (1.0 + direction.dot(normal)).clamp(0.0, 1.0).powi(5);
+            color = color.lerp(surroundings(reflected), share);
+        }
+        (color + self.highlight.0 * highlight).clamp(DVec3::ZERO, DVec3::ONE)
+    }
+
+    fn color(&self, point: DVec3, normal: DVec3) -> DVec3 {
+        let odd = |value: f64| value.floor().rem_euclid(2.0) == 1.0;
+        match self.paint {
+            Paint::Plain(color) => color,
+            Paint::Checker(a, b, side) => {
+                let second = if normal.z.abs() > 0.5 {
+                    odd(point.x / side) != odd(point.y / side)
+                } else {
+                    odd(point.y.atan2(point.x) / TAU * 96.0)
+                };
+                if second { b } else { a }
+            }
+            Paint::Rings(a, b, period) => {
+                if odd(2.0 * point.z / period) {
+                    b
+                } else {
+                    a
+                }
+            }
+            Paint::Helix(a, b, turns, period) => {
+                // On the shape's axis the angle is that of its normal.
+                let angle = normal.y.atan2(normal.x) / TAU;
+                if normal.z.abs() < 0.999 && odd(2.0 * (turns * angle + point.z / period)) { b } else { a }
+            }
+        }
+    }
+}
+
+fn is_shadowed(point: DVec3, toward: DVec3) -> bool {
+    OBJECTS.iter().any(|object| object.shape.hit(point, toward).is_some())
+}
+
+/// What a mirror sees: a sky that brightens upwards, a warm floor, two soft windows.
+fn surroundings(direction: DVec3) -> DVec3 {
+    let sky = DVec3::new(0.45, 0.62, 0.88).lerp(DVec3::new(0.92, 0.95, 1.0), direction.z.max(0.0));
+    let floor = DVec3::new(0.42, 0.36, 0.30);
+    let horizon = (0.5 + 4.0 * direction.z).clamp(0.0, 1.0);
+    let window = |toward: DVec3, sharpness: f64| direction.dot(toward.normalize()).max(0.0).powf(sharpness);
+    floor.lerp(sky, horizon)
+        + DVec3::new(1.0, 0.9, 0.6) * window(DVec3::new(-0.3, -0.9, 0.5), 20.0)
+        + DVec3::new(0.9, 0.3, 0.3) * window(DVec3::new(0.9, 0.5, 0.3), 12.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_scene_lies_well_inside_its_box() {
+        // Rays across the box outside of radius 1.2 meet nothing.
+        for i in 0..400 {
+            let turn = 0.1 * f64::from(i);
+            let side = DVec3::new(turn.cos(), turn.sin(), (0.37 * turn).sin()).normalize();
+            let along = side.any_orthonormal_vector();
+            assert_eq!(radiance(1.2 * side - 3.0 * along, along), None);
+        }
+    }
+
+    #[test]
+    fn the_ball_shines_differently_to_another_eye() {
+        let center = DVec3::new(0.42, 0.44, GROUND_TOP + 0.36);
+        // Two eyes that see the same point of the ball.
+        let point = center + 0.36 * DVec3::new(0.4, 0.6, 0.7).normalize();
+        let seen = |from: DVec3| DVec3::from(radiance(from, point - from).expect("the ball is there"));
+        let (a, b) = (seen(DVec3::new(2.0, 3.0, 2.0)), seen(DVec3::new(1.0, 3.0, 3.0)));
+        assert!((a - b).length() > 0.03, "{a} {b}");
+    }
+
+    #[test]
+    fn colours_are_within_range_and_repeat() {
+        for i in 0..500 {
+            let turn = 0.7 * f64::from(i);
+            let origin = 4.0 * DVec3::new(turn.cos(), turn.sin(), 0.5 + 0.4 * (1.3 * turn).sin()).normalize();
+            let target = DVec3::new((2.1 * turn).sin(), (3.3 * turn).cos(), (0.9 * turn).sin()) * 0.5;
+            let color = radiance(origin, target - origin);
+            assert_eq!(color, radiance(origin, target - origin));
+            assert!(color.is_none_or(|color| color.iter().all(|c| (0.0..=1.0).contains(c))));
+        }
+        assert!(OBJECTS.len() <= 32, "objects are numbered by the bits of a u32");
+    }
+}

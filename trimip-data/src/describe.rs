@@ -1,0 +1,121 @@
+//! Scenes in words: the few lines that travel with a run, and the longer report of `data inspect`.
+
+use crate::{
+    scene::Survey,
+    source::{Source, assemble},
+};
+use trimip_core::{
+    Result, ViewSet,
+    config::{Convention, DataConfig},
+};
+
+/// What stands at the head of a run: layout, views, sizes, scales, convention, memory.
+pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet) -> Vec<String> {
+    let splits: Vec<String> =
+        survey.train_splits.iter().map(|(split, count)| format!("{split} {count}")).collect();
+    let factors: Vec<String> = train
+        .scales
+        .iter()
+        .map(|scale| if scale.factor == 1 { "1".into() } else { format!("1/{}", scale.factor) })
+        .collect();
+    let convention = match config.convention {
+        Convention::Public => "straight RGBA means, truncated (public convention)",
+        Convention::Premultiplied => "premultiplied RGBA means, rounded",
+    };
+    vec![
+        format!(
+            "{}: {}, {} training views ({}), {} test views ({})",
+            survey.name,
+            survey.layout,
+            survey.train.len(),
+            splits.join(", "),
+            survey.test.len(),
+            config.test
+        ),
+        format!("images {}, {}", sizes(&survey.train), alpha(&survey.train)),
+        format!("scales {}: {convention}", factors.join(", ")),
+        format!("{:.1} MB of training pixels in memory", train.bytes() as f64 / 1e6),
+    ]
+}
+
+/// Everything about a scene that can be told without training on it.
+///
+/// # Errors
+/// As [`open`](crate::open).
+pub fn inspect(config: &DataConfig) -> Result<Vec<String>> {
+    let survey = Survey::new(config)?;
+    let train = assemble(&survey.train, config.convention)?;
+    let mut lines = description(&survey, config, &train);
+    for (name, sources) in [("train", &survey.train), ("test", &survey.test)] {
+        let cameras = || sources.iter().filter_map(|source| source.views.first().map(|(_, camera)| camera));
+        let fx = range(cameras().map(|camera| camera.intrinsics.fx));
+        let fy = range(cameras().map(|camera| camera.intrinsics.fy));
+        lines.push(format!("{name}: images {}, {}", sizes(sources), alpha(sources)));
+        lines.push(format!("{name}: focal length {fx} x {fy} pixels"));
+        lines.push(format!(
+            "{name}: cameras {} from the origin, x {}, y {}, z {}",
+            range(cameras().map(|camera| camera.origin.length())),
+            range(cameras().map(|camera| camera.origin.x)),
+            range(cameras().map(|camera| camera.origin.y)),
+            range(cameras().map(|camera| camera.origin.z)),
+        ));
+    }
+    if let Some(scale) = train.scales.first() {
+        let pixels = &train.pixels[scale.pixels.clone()];
+        let share = |test: &dyn Fn(u8) -> bool| {
+            100.0 * pixels.iter().filter(|pixel| test(pixel[3])).count() as f64 / pixels.len().max(1) as f64
+        };
+        lines.push(format!(
+            "train: {:.1} % of the pixels are opaque, {:.1} % partly covered, {:.1} % clear",
+            share(&|alpha| alpha == 255),
+            share(&|alpha| alpha != 0 && alpha != 255),
+            share(&|alpha| alpha == 0),
+        ));
+    }
+    for scale in &train.scales {
+        lines.push(format!(
+            "train: scale 1/{}: {} views, {:.2} million pixels of weight {}",
+            scale.factor,
+            scale.views.len(),
+            scale.pixels.len() as f64 / 1e6,
+            scale.weight
+        ));
+    }
+    lines.extend(survey.warnings.iter().map(|warning| format!("warning: {warning}")));
+    Ok(lines)
+}
+
+/// "800x800", or the range of sizes.
+fn sizes(sources: &[Source]) -> String {
+    let mut sizes: Vec<(u32, u32)> = sources
+        .iter()
+        .filter_map(|source| source.views.first())
+        .map(|(_, camera)| (camera.intrinsics.width, camera.intrinsics.height))
+        .collect();
+    sizes.sort_unstable();
+    sizes.dedup();
+    match sizes.as_slice() {
+        [] => "none".into(),
+        [(width, height)] => format!("{width}x{height}"),
+        [first, .., last] => {
+            format!("of {} sizes from {}x{} to {}x{}", sizes.len(), first.0, first.1, last.0, last.1)
+        }
+    }
+}
+
+fn alpha(sources: &[Source]) -> String {
+    let files = || sources.iter().flat_map(|source| source.files());
+    match (files().filter(|file| file.alpha).count(), files().count()) {
+        (_, 0) => "alpha rendered".into(),
+        (0, _) => "no alpha".into(),
+        (masked, total) if masked == total => "with alpha".into(),
+        (masked, total) => format!("{masked} of {total} with alpha"),
+    }
+}
+
+/// "4.03", or "3.90 to 4.10".
+fn range(values: impl Iterator<Item = f64>) -> String {
+    let (low, high) = values
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+    if high - low <= 5e-4 * high.abs() { format!("{low:.2}") } else { format!("{low:.2} to {high:.2}") }
+}

@@ -1,0 +1,145 @@
+//! JSON documents whose errors name their place: `file:line:column` for syntax, `file: frame 17 (path)` for content.
+
+use serde_json::{Map, Value};
+use std::{fmt::Display, fs, path::Path};
+use trimip_core::{Error, Result};
+
+/// Reads and parses a file.
+pub(crate) fn read(path: &Path) -> Result<Value> {
+    let bytes = fs::read(path).map_err(|error| {
+        Error::input(path.display(), format!("cannot be read: {error}"), "check the path and its permissions")
+    })?;
+    parse(path, &bytes)
+}
+
+fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
+    // Editors of other systems put a byte order mark first, which JSON does not allow.
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    serde_json::from_slice(bytes).map_err(|error| {
+        let (line, column) = (error.line(), error.column());
+        let place = format!("{}:{line}:{column}", path.display());
+        match not_a_number(bytes, line, column) {
+            Some(word) => Error::input(
+                place,
+                format!("{word} is not a finite number"),
+                "export the camera again or remove its frame",
+            ),
+            None => {
+                let text = error.to_string();
+                let what = text.split(" at line ").next().unwrap_or(&text);
+                Error::input(place, format!("invalid JSON: {what}"), "correct the file or export it again")
+            }
+        }
+    })
+}
+
+/// The word at which a parser stopped, if it is one of those that Python writes for numbers that are not finite.
+fn not_a_number(bytes: &[u8], line: usize, column: usize) -> Option<String> {
+    let line = bytes.split(|&byte| byte == b'\n').nth(line.checked_sub(1)?)?;
+    let is_word = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-.".contains(byte);
+    let at = column.saturating_sub(1).min(line.len());
+    let start = line[..at].iter().rposition(|byte| !is_word(byte)).map_or(0, |index| index + 1);
+    let word: Vec<u8> = line[start..].iter().copied().take_while(is_word).take(40).collect();
+    let word = String::from_utf8(word).ok()?;
+    let number = word.parse::<f64>().ok()?;
+    (!number.is_finite()).then_some(word)
+}
+
+/// A JSON object and the place that errors about it name.
+pub(crate) struct Node<'a> {
+    pub(crate) place: String,
+    object: &'a Map<String, Value>,
+}
+
+impl<'a> Node<'a> {
+    pub(crate) fn new(place: impl Display, value: &'a Value) -> Result<Self> {
+        let place = place.to_string();
+        match value {
+            Value::Object(object) => Ok(Self { place, object }),
+            other => Err(Error::input(
+                place,
+                format!("expected an object, found {}", kind(other)),
+                "export the file again",
+            )),
+        }
+    }
+
+    /// The value of a key, `None` where it is absent or null.
+    pub(crate) fn get(&self, key: &str) -> Option<&'a Value> {
+        self.object.get(key).filter(|value| !value.is_null())
+    }
+
+    pub(crate) fn keys(&self) -> impl Iterator<Item = &'a str> {
+        self.object.keys().map(String::as_str)
+    }
+
+    /// The value of a key that must be there.
+    pub(crate) fn required(&self, key: &str) -> Result<&'a Value> {
+        self.get(key).ok_or_else(|| {
+            Error::input(&self.place, format!("has no \"{key}\""), "add the key or export the file again")
+        })
+    }
+
+    /// The array under a key that must be there.
+    pub(crate) fn array(&self, key: &str) -> Result<&'a [Value]> {
+        let value = self.required(key)?;
+        value.as_array().map(Vec::as_slice).ok_or_else(|| self.unexpected(key, "an array", value))
+    }
+
+    /// The number under a key, `None` where it is absent or null.
+    pub(crate) fn number(&self, key: &str) -> Result<Option<f64>> {
+        self.get(key)
+            .map(|value| value.as_f64().ok_or_else(|| self.unexpected(key, "a number", value)))
+            .transpose()
+    }
+
+    /// An error about the value of a key.
+    pub(crate) fn unexpected(&self, key: &str, expected: &str, value: &Value) -> Error {
+        Error::input(
+            &self.place,
+            format!("\"{key}\" is {}", kind(value)),
+            format!("expected {expected}: correct the file or export it again"),
+        )
+    }
+}
+
+/// A value named in a message, short whatever it holds.
+fn kind(value: &Value) -> String {
+    match value {
+        Value::Null => "null".into(),
+        Value::Bool(value) => value.to_string(),
+        Value::Number(number) => number.to_string(),
+        Value::String(text) => format!("the text {:?}", text.chars().take(40).collect::<String>()),
+        Value::Array(values) => format!("an array of {}", values.len()),
+        Value::Object(_) => "an object".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn syntax_errors_name_line_and_column() {
+        let error = parse(Path::new("a.json"), b"{\n \"frames\": [1,, 2]\n}").unwrap_err();
+        assert!(error.message.starts_with("a.json:2:15: invalid JSON: expected value;"), "{error}");
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_named() {
+        for (text, word) in [
+            ("{\n\"a\": [0.0, NaN]}", "NaN"),
+            ("[1, Infinity]", "Infinity"),
+            ("[-Infinity, 2]", "-Infinity"),
+            ("[1, 1e999]", "1e999"),
+        ] {
+            let error = parse(Path::new("a.json"), text.as_bytes()).unwrap_err();
+            assert!(error.message.contains(&format!(": {word} is not a finite number")), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_read_over() {
+        assert_eq!(parse(Path::new("a"), b"\xef\xbb\xbf[]").unwrap(), Value::Array(vec![]));
+    }
+}

@@ -1,0 +1,241 @@
+//! The public multi-scale layout: `metadata.json` with, per split, the arrays file_path, cam2world, width, height,
+//! focal, lossmult (4^level) and, where given, pix2cam. One image file per view; nothing is averaged.
+
+use crate::{
+    blender::Split,
+    json::{self, Node},
+    photograph::Photograph,
+    pose,
+    source::{Pixels, Source, find_image, map_in_order, stem},
+};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use trimip_core::{Camera, Error, Intrinsics, Result};
+
+/// Name of the file that makes a folder a multi-scale set.
+pub(crate) const METADATA: &str = "metadata.json";
+/// pix2cam of the public set is written in f32: what it says is known to about a thousandth of a pixel.
+const PIXEL_TOLERANCE: f64 = 1e-3;
+
+/// The parsed file.
+pub(crate) struct Metadata {
+    root: PathBuf,
+    path: PathBuf,
+    document: Value,
+}
+
+impl Metadata {
+    pub(crate) fn open(root: &Path) -> Result<Self> {
+        let path = root.join(METADATA);
+        if !path.is_file() {
+            return Err(Error::input(
+                root.display(),
+                format!("holds no {METADATA}"),
+                "set data.root to the folder of a multi-scale set, or data.format to \"auto\"",
+            ));
+        }
+        Ok(Self { root: root.into(), document: json::read(&path)?, path })
+    }
+
+    /// Frames of `split` at the first `scales` scales.
+    pub(crate) fn split(&self, split: &str, scales: u32) -> Result<Split> {
+        let file = Node::new(self.path.display(), &self.document)?;
+        let Some(value) = file.get(split) else {
+            let known: Vec<&str> = file.keys().collect();
+            return Err(Error::input(
+                &file.place,
+                format!("has no split \"{split}\", only {}", known.join(", ")),
+                "choose one of them for data.train and data.test",
+            ));
+        };
+        let table = Table::new(Node::new(format!("{}: {split}", self.path.display()), value)?)?;
+        let indices: Vec<usize> = (0..table.paths.len()).collect();
+        let levels = map_in_order(&indices, |_, &index| table.level(index))?;
+        let wanted: Vec<usize> = indices.into_iter().filter(|&index| levels[index] < scales).collect();
+        if wanted.is_empty() {
+            return Err(Error::input(
+                &table.node.place,
+                format!("has no image among its {} at the first {scales} scales", levels.len()),
+                "raise data.scales or export the set again",
+            ));
+        }
+        let entries =
+            map_in_order(&wanted, |_, &index| Ok((levels[index], table.entry(&self.root, index)?)))?;
+        let sources = frames(&table.node.place, entries)?;
+        let found = sources.first().map_or(0, |source| source.views.len());
+        let warnings = (found < scales as usize)
+            .then(|| format!("{} has {found} scales, data.scales asks for {scales}", table.node.place));
+        Ok(Split { sources, warnings: warnings.into_iter().collect() })
+    }
+}
+
+/// One view of one frame.
+struct Entry {
+    name: String,
+    camera: Camera,
+    image: Photograph,
+}
+
+/// The arrays of a split, all of one length.
+struct Table<'a> {
+    node: Node<'a>,
+    paths: &'a [Value],
+}
+
+impl<'a> Table<'a> {
+    fn new(node: Node<'a>) -> Result<Self> {
+        let paths = node.array("file_path")?;
+        let required = ["cam2world", "width", "height", "focal", "lossmult"];
+        let optional = ["pix2cam", "fl_y", "cx", "cy"].into_iter().filter(|key| node.get(key).is_some());
+        for key in required.into_iter().chain(optional) {
+            let length = node.array(key)?.len();
+            if length != paths.len() {
+                return Err(Error::input(
+                    &node.place,
+                    format!("\"{key}\" has {length} entries, \"file_path\" has {}", paths.len()),
+                    "export the set again",
+                ));
+            }
+        }
+        Ok(Self { node, paths })
+    }
+
+    /// The place of an entry, for errors.
+    fn place(&self, index: usize) -> String {
+        format!("{} entry {index} ({})", self.node.place, self.paths[index].as_str().unwrap_or("no path"))
+    }
+
+    /// A positive number of an entry.
+    fn positive(&self, key: &str, index: usize) -> Result<f64> {
+        let value = &self.node.array(key)?[index];
+        value.as_f64().filter(|value| *value > 0.0).ok_or_else(|| {
+            Error::input(
+                self.place(index),
+                format!("\"{key}\" is {}", short(value)),
+                "expected a number above 0: export the set again",
+            )
+        })
+    }
+
+    /// j of lossmult = 4^j.
+    fn level(&self, index: usize) -> Result<u32> {
+        let weight = self.positive("lossmult", index)?;
+        (0..16).find(|&level| weight == f64::from(4_u32.pow(level))).ok_or_else(|| {
+            Error::input(self.place(index), format!("\"lossmult\" is {weight}"), "expected 1, 4, 16, 64, ..")
+        })
+    }
+
+    fn entry(&self, root: &Path, index: usize) -> Result<Entry> {
+        let place = self.place(index);
+        let Some(named) = self.paths[index].as_str() else {
+            let what = format!("\"file_path\" is {}", short(&self.paths[index]));
+            return Err(Error::input(place, what, "expected a text: export the set again"));
+        };
+        let (rotation, origin) = pose::parse(&place, "cam2world", &self.node.array("cam2world")?[index])?;
+        let image = Photograph::open(find_image(root, named, &place)?, place)?;
+        let (width, height) = (self.positive("width", index)?, self.positive("height", index)?);
+        if (width, height) != (f64::from(image.width), f64::from(image.height)) {
+            return Err(Error::input(
+                &image.place,
+                format!(
+                    "image {} is {}x{} pixels, but {width}x{height} are stated",
+                    image.path.display(),
+                    image.width,
+                    image.height
+                ),
+                "export the set again",
+            ));
+        }
+        let intrinsics = self.intrinsics(index, &image)?;
+        Ok(Entry { name: stem(named), camera: Camera { intrinsics, rotation, origin }, image })
+    }
+
+    fn intrinsics(&self, index: usize, image: &Photograph) -> Result<Intrinsics> {
+        let fx = self.positive("focal", index)?;
+        let (width, height) = (image.width, image.height);
+        let mut k =
+            Intrinsics { width, height, fx, fy: fx, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height) };
+        if self.node.get("pix2cam").is_some() {
+            let value = &self.node.array("pix2cam")?[index];
+            let wrong = |what: String| {
+                Error::input(self.place(index), format!("\"pix2cam\" {what}"), "export the set again")
+            };
+            let rows = pose::matrix(value)
+                .filter(|rows| rows.len() == 3 && rows.iter().all(|row| row.len() == 3))
+                .ok_or_else(|| wrong("is not a 3x3 matrix of numbers".into()))?;
+            // [[1/fx, 0, −cx/fx], [0, −1/fy, cy/fy], [0, 0, −1]]
+            let found =
+                [1.0 / rows[0][0], -1.0 / rows[1][1], -rows[0][2] / rows[0][0], -rows[1][2] / rows[1][1]];
+            if !found.iter().all(|value| value.is_finite()) || found[1] <= 0.0 {
+                return Err(wrong("is not the inverse of a pinhole projection".into()));
+            }
+            if (found[0] - fx).abs() > PIXEL_TOLERANCE * fx {
+                return Err(wrong(format!("has the focal length {:.2}, \"focal\" is {fx:.2}", found[0])));
+            }
+            // Its own value counts only where it says more than the rounding of what `focal` and the size say.
+            let differing = |plain: f64, found: f64| {
+                if (found - plain).abs() > PIXEL_TOLERANCE { found } else { plain }
+            };
+            k = Intrinsics {
+                fy: differing(k.fy, found[1]),
+                cx: differing(k.cx, found[2]),
+                cy: differing(k.cy, found[3]),
+                ..k
+            };
+        }
+        // Written beside pix2cam where a camera is not the plain one, because a quotient does not come back exactly.
+        let exact = |key: &str, otherwise: f64| -> Result<f64> {
+            if self.node.get(key).is_none() { Ok(otherwise) } else { self.positive(key, index) }
+        };
+        Ok(Intrinsics { fy: exact("fl_y", k.fy)?, cx: exact("cx", k.cx)?, cy: exact("cy", k.cy)?, ..k })
+    }
+}
+
+/// Groups entries to frames: the k-th entry of every scale belongs to frame k.
+fn frames(place: &str, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
+    let mut levels: Vec<u32> = entries.iter().map(|(level, _)| *level).collect();
+    levels.sort_unstable();
+    levels.dedup();
+    let count = |level: u32| entries.iter().filter(|(at, _)| *at == level).count();
+    let counts: Vec<usize> = levels.iter().map(|&level| count(level)).collect();
+    if counts.iter().any(|count| *count != counts[0]) {
+        return Err(Error::input(
+            place,
+            format!("its scales have {counts:?} images"),
+            "expected every frame at every scale: export the set again",
+        ));
+    }
+    let mut sources: Vec<Source> = Vec::new();
+    let mut next = vec![0; levels.len()];
+    let mut sorted = entries;
+    sorted.sort_by_key(|(level, _)| *level);
+    for (level, Entry { name, camera, image }) in sorted {
+        let frame = &mut next[levels.partition_point(|at| *at < level)];
+        let index = *frame;
+        *frame += 1;
+        let Some(source) = sources.get_mut(index) else {
+            let name = name.strip_suffix(&format!("_d{level}")).unwrap_or(&name).to_string();
+            sources.push(Source { name, views: vec![(level, camera)], pixels: Pixels::Stored(vec![image]) });
+            continue;
+        };
+        let first = source.views[0].1;
+        if (first.rotation, first.origin) != (camera.rotation, camera.origin) {
+            return Err(Error::input(
+                &image.place,
+                format!("has another pose than frame {} of its place in the finest scale", source.name),
+                "list the frames of every scale in the same order",
+            ));
+        }
+        source.views.push((level, camera));
+        if let Pixels::Stored(files) = &mut source.pixels {
+            files.push(image);
+        }
+    }
+    Ok(sources)
+}
+
+/// A value as it stands in the file, cut to the length of a message.
+fn short(value: &Value) -> String {
+    let text = value.to_string();
+    if text.chars().count() <= 40 { text } else { text.chars().take(40).collect::<String>() + ".." }
+}

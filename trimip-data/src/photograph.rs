@@ -1,0 +1,176 @@
+//! Image files: size from the header, pixels as 8-bit RGBA. 16 bits are rounded to the nearest 8, grey is replicated,
+//! palettes are looked up, missing alpha is 1.
+
+use image::{ImageDecoder, ImageReader};
+use std::{
+    fmt::Display,
+    fs::{self, File},
+    io::{BufReader, Cursor},
+    path::{Path, PathBuf},
+};
+use trimip_core::{Error, Result};
+
+/// Largest number of pixels of one image: 1 GiB of RGBA, above any photograph's and below any address space's end.
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// An image file that exists, and what its header says.
+#[derive(Debug)]
+pub(crate) struct Photograph {
+    pub(crate) path: PathBuf,
+    /// Who names the image, for errors: `file: frame 17 (./train/r_17)`.
+    pub(crate) place: String,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// True where the file has an alpha channel.
+    pub(crate) alpha: bool,
+}
+
+impl Photograph {
+    /// Reads the header of `path`.
+    pub(crate) fn open(path: PathBuf, place: String) -> Result<Self> {
+        let decoder = reader(&path)
+            .and_then(ImageReader::into_decoder)
+            .map_err(|error| undecodable(&place, &path, &error))?;
+        let (width, height) = decoder.dimensions();
+        let alpha = decoder.color_type().has_alpha();
+        if width == 0 || height == 0 || u64::from(width) * u64::from(height) > MAX_PIXELS {
+            return Err(Error::input(
+                place,
+                format!("image {} is {width}x{height} pixels", path.display()),
+                format!("expected at least one and at most {MAX_PIXELS} pixels"),
+            ));
+        }
+        Ok(Self { path, place, width, height, alpha })
+    }
+
+    /// Decodes to width·height RGBA pixels, row by row.
+    pub(crate) fn decode(&self) -> Result<Vec<u8>> {
+        let wrong = |error: &dyn Display| undecodable(&self.place, &self.path, error);
+        let bytes = fs::read(&self.path).map_err(|error| wrong(&error))?;
+        // The decoder paints what is missing of a JPEG grey.
+        if is_truncated_jpeg(&bytes) {
+            return Err(wrong(&"the file ends before the image does"));
+        }
+        let image = ImageReader::new(Cursor::new(bytes))
+            .with_guessed_format()
+            .map_err(|error| wrong(&error))?
+            .decode()
+            .map_err(|error| wrong(&error))?;
+        if (image.width(), image.height()) != (self.width, self.height) {
+            return Err(wrong(&"it changed while it was read"));
+        }
+        Ok(image.into_rgba8().into_raw())
+    }
+}
+
+/// True for a JPEG whose last scan is not followed by an end of image. Neither marker occurs within the coded data,
+/// where a byte FF is always followed by 00 or a restart marker (ITU T.81, B.1.1.5).
+fn is_truncated_jpeg(bytes: &[u8]) -> bool {
+    let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
+    bytes.starts_with(&[0xff, 0xd8]) && last(0xd9) < last(0xda)
+}
+
+fn reader(path: &Path) -> image::ImageResult<ImageReader<BufReader<File>>> {
+    // The content decides the format, not the name: JPEGs called .png are common.
+    Ok(ImageReader::open(path)?.with_guessed_format()?)
+}
+
+fn undecodable(place: &str, path: &Path, error: &dyn Display) -> Error {
+    Error::input(
+        place,
+        format!("image {} cannot be decoded: {error}", path.display()),
+        "copy or export the image again (PNG or JPEG)",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
+
+    fn round_trip(image: impl Into<DynamicImage>, name: &str) -> (Vec<u8>, bool) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        image.into().save(&path).unwrap();
+        let photograph = Photograph::open(path, "test".into()).unwrap();
+        (photograph.decode().unwrap(), photograph.alpha)
+    }
+
+    #[test]
+    fn sixteen_bits_are_rounded_to_the_nearest_eight() {
+        let image = ImageBuffer::from_fn(256, 256, |x, y| Luma([(y * 256 + x) as u16]));
+        let (pixels, alpha) = round_trip(image, "a.png");
+        assert!(!alpha);
+        for (value, pixel) in pixels.chunks_exact(4).enumerate() {
+            let nearest = (value as f64 / 257.0).round() as u8;
+            assert_eq!(pixel, [nearest, nearest, nearest, 255], "{value}");
+        }
+    }
+
+    #[test]
+    fn every_kind_of_pixel_becomes_rgba() {
+        let kinds: [(DynamicImage, [u8; 4], bool); 6] = [
+            (ImageBuffer::from_pixel(3, 2, Luma([7_u8])).into(), [7, 7, 7, 255], false),
+            (ImageBuffer::from_pixel(3, 2, LumaA([7_u8, 9])).into(), [7, 7, 7, 9], true),
+            (ImageBuffer::from_pixel(3, 2, Rgb([1_u8, 2, 3])).into(), [1, 2, 3, 255], false),
+            (ImageBuffer::from_pixel(3, 2, Rgba([1_u8, 2, 3, 4])).into(), [1, 2, 3, 4], true),
+            (ImageBuffer::from_pixel(3, 2, Rgb([257_u16, 514, 771])).into(), [1, 2, 3, 255], false),
+            (ImageBuffer::from_pixel(3, 2, Rgba([257_u16, 514, 771, 1028])).into(), [1, 2, 3, 4], true),
+        ];
+        for (image, expected, has_alpha) in kinds {
+            let (pixels, alpha) = round_trip(image, "a.png");
+            assert_eq!((pixels, alpha), (expected.repeat(6), has_alpha));
+        }
+    }
+
+    #[test]
+    fn palettes_are_looked_up() {
+        // A 2x1 PNG of colour type 3: entries (10, 20, 30) and, half clear, (40, 50, 60).
+        let bytes: &[u8] = &[
+            0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d, 0x49, 0x48, 0x44, 0x52,
+            0x00, 0x00, 0x00, 0x02, 0x00, 0x00, 0x00, 0x01, 0x08, 0x03, 0x00, 0x00, 0x00, 0xc3, 0xfc, 0x8f,
+            0xb8, 0x00, 0x00, 0x00, 0x06, 0x50, 0x4c, 0x54, 0x45, 0x0a, 0x14, 0x1e, 0x28, 0x32, 0x3c, 0xd5,
+            0x1b, 0xb4, 0xe9, 0x00, 0x00, 0x00, 0x02, 0x74, 0x52, 0x4e, 0x53, 0xff, 0x80, 0x08, 0x0f, 0xb3,
+            0x6a, 0x00, 0x00, 0x00, 0x0b, 0x49, 0x44, 0x41, 0x54, 0x78, 0x9c, 0x63, 0x60, 0x60, 0x04, 0x00,
+            0x00, 0x04, 0x00, 0x02, 0xbf, 0x7a, 0x3f, 0x4a, 0x00, 0x00, 0x00, 0x00, 0x49, 0x45, 0x4e, 0x44,
+            0xae, 0x42, 0x60, 0x82,
+        ];
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        fs::write(&path, bytes).unwrap();
+        let photograph = Photograph::open(path, "test".into()).unwrap();
+        assert_eq!(photograph.decode().unwrap(), [10, 20, 30, 255, 40, 50, 60, 128]);
+        assert!(photograph.alpha);
+    }
+
+    #[test]
+    fn truncated_files_are_errors_wherever_they_end() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.png", "a.jpg"] {
+            let path = folder.path().join(name);
+            let image =
+                ImageBuffer::from_fn(33, 17, |x, y| Rgb([(x * 7) as u8, (y * 13) as u8, (x * y) as u8]));
+            DynamicImage::from(image).save(&path).unwrap();
+            let whole = fs::read(&path).unwrap();
+            Photograph::open(path.clone(), "here".into()).unwrap().decode().unwrap();
+            // A PNG's last 12 bytes are its empty end chunk: without it the pixels are still whole.
+            let end = if name.ends_with("png") { whole.len() - 12 } else { whole.len() };
+            for length in (0..end).step_by(7) {
+                fs::write(&path, &whole[..length]).unwrap();
+                let result = Photograph::open(path.clone(), "here".into()).and_then(|image| image.decode());
+                let message = result.expect_err(&format!("{name} of {length} bytes")).message;
+                assert!(message.starts_with("here: image ") && !message.contains('\n'), "{message}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_content_decides_the_format() {
+        let folder = tempfile::tempdir().unwrap();
+        let (jpeg, path) = (folder.path().join("a.jpg"), folder.path().join("b.png"));
+        DynamicImage::from(ImageBuffer::from_pixel(8, 8, Rgb([200_u8, 200, 200]))).save(&jpeg).unwrap();
+        fs::rename(jpeg, &path).unwrap();
+        let pixels = Photograph::open(path, "test".into()).unwrap().decode().unwrap();
+        assert!(pixels.chunks_exact(4).all(|pixel| pixel[0].abs_diff(200) <= 1));
+    }
+}

@@ -1,0 +1,126 @@
+//! Camera-to-world matrices from JSON: 4×4 or 3×4 rows, checked to be a rotation and a translation.
+
+use crate::json::Node;
+use glam::{DMat3, DVec3};
+use serde_json::Value;
+use trimip_core::{Error, Result};
+
+/// Largest |R·Rᵀ − I| that counts as a rotation written with few digits.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Deviations above this are corrected; below lies what storing in f32 leaves, which is kept bit for bit.
+const CORRECTED_ABOVE: f64 = 1e-5;
+
+/// Rotation and camera centre under `key`.
+pub(crate) fn read(node: &Node<'_>, key: &str) -> Result<(DMat3, DVec3)> {
+    parse(&node.place, key, node.required(key)?)
+}
+
+/// Rotation and camera centre from the rows of a matrix called `key` at `place`.
+pub(crate) fn parse(place: &str, key: &str, value: &Value) -> Result<(DMat3, DVec3)> {
+    let wrong = |what: String| {
+        Error::input(place, format!("\"{key}\" {what}"), "export the pose again or remove the entry")
+    };
+    let rows = matrix(value)
+        .filter(|rows| rows.len() == 3 || rows.len() == 4)
+        .filter(|rows| rows.iter().all(|row| row.len() == 4))
+        .ok_or_else(|| wrong("is not a 4x4 or 3x4 matrix of numbers".into()))?;
+    if rows.iter().flatten().any(|entry| !entry.is_finite()) {
+        return Err(wrong("holds a number that is not finite".into()));
+    }
+    if let Some(last) = rows.get(3)
+        && (last[3] - 1.0).abs().max(last[0].abs()).max(last[1].abs()).max(last[2].abs()) > ROTATION_TOLERANCE
+    {
+        return Err(wrong(format!("has the last row {last:?} instead of 0 0 0 1")));
+    }
+    let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
+    let rotation = DMat3::from_cols(column(0), column(1), column(2));
+    let deviation = deviation(rotation);
+    if deviation > ROTATION_TOLERANCE || !deviation.is_finite() {
+        let lengths = [0, 1, 2].map(|c| column(c).length());
+        return Err(wrong(format!(
+            "is not a rotation: |R R^T - I| is {deviation:.1e}, its axes have the lengths {:.4}, {:.4}, {:.4}",
+            lengths[0], lengths[1], lengths[2]
+        )));
+    }
+    let determinant = rotation.determinant();
+    if determinant < 0.0 {
+        return Err(wrong(format!("mirrors the scene: its determinant is {determinant:.3} instead of 1")));
+    }
+    Ok((if deviation > CORRECTED_ABOVE { nearest_rotation(rotation) } else { rotation }, column(3)))
+}
+
+/// Rows of numbers, `None` where something else stands.
+pub(crate) fn matrix(value: &Value) -> Option<Vec<Vec<f64>>> {
+    let row = |row: &Value| row.as_array()?.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>();
+    value.as_array()?.iter().map(row).collect()
+}
+
+/// Largest entry of |R·Rᵀ − I|.
+fn deviation(rotation: DMat3) -> f64 {
+    let product = rotation * rotation.transpose() - DMat3::IDENTITY;
+    product.to_cols_array().iter().fold(0.0, |largest: f64, entry| {
+        // `max` would let a NaN pass.
+        if entry.is_nan() { f64::NAN } else { largest.max(entry.abs()) }
+    })
+}
+
+/// Newton's iteration R ← (R + R⁻ᵀ)/2 for the orthogonal factor of a polar decomposition (Higham 1986); squares the
+/// deviation each time.
+fn nearest_rotation(mut rotation: DMat3) -> DMat3 {
+    for _ in 0..4 {
+        rotation = (rotation + rotation.transpose().inverse()) * 0.5;
+    }
+    rotation
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn error(value: Value) -> String {
+        parse("f.json: frame 3 (r_3)", "transform_matrix", &value).unwrap_err().message
+    }
+
+    #[test]
+    fn three_and_four_rows_are_the_same_pose() {
+        let three = json!([[0.0, 0.0, 1.0, 5.0], [1.0, 0.0, 0.0, 6.0], [0, 1, 0, 7]]);
+        let mut four = three.clone();
+        four.as_array_mut().unwrap().push(json!([0, 0, 0, 1]));
+        let (rotation, origin) = parse("", "", &three).unwrap();
+        assert_eq!((rotation, origin), parse("", "", &four).unwrap());
+        assert_eq!(origin, DVec3::new(5.0, 6.0, 7.0));
+        // Columns are the camera's axes.
+        assert_eq!(rotation.x_axis, DVec3::Y);
+    }
+
+    #[test]
+    fn each_broken_pose_is_told_apart() {
+        let cases = [
+            (json!([[1, 0, 0, 0], [0, 1, 0, 0]]), "4x4 or 3x4"),
+            (json!([[1, 0, 0], [0, 1, 0], [0, 0, 1]]), "4x4 or 3x4"),
+            (json!([[1, 0, 0, 0], [0, 1, 0, null], [0, 0, 1, 0]]), "4x4 or 3x4"),
+            (json!("identity"), "4x4 or 3x4"),
+            (json!([[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]), "lengths 2.0000, 1.0000, 1.0000"),
+            (json!([[1e200, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]), "not a rotation"),
+            (json!([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]]), "not a rotation"),
+            (json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]]), "mirrors the scene: its determinant is -1"),
+            (json!([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 2]]), "last row"),
+        ];
+        for (value, expected) in cases {
+            let message = error(value);
+            assert!(message.starts_with("f.json: frame 3 (r_3): \"transform_matrix\" "), "{message}");
+            assert!(message.contains(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn small_deviations_are_corrected_and_tiny_ones_kept() {
+        let (rotation, _) =
+            parse("", "", &json!([[1.0004, 0, 0, 0], [0, 0.9999, 1e-4, 0], [0, 0, 1, 0]])).unwrap();
+        assert!(deviation(rotation) < 1e-14);
+        let (rotation, _) =
+            parse("", "", &json!([[1.0000001, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])).unwrap();
+        assert_eq!(rotation.x_axis.x, 1.000_000_1);
+    }
+}

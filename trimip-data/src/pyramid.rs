@@ -1,0 +1,164 @@
+//! An image at 1, 1/2, 1/4, ..: repeated 2×2 means of RGBA in f32 of value/255, each level from the unrounded level
+//! before (METHOD: multi-scale set). A last row or column that fills no 2×2 block is cropped at each level.
+
+use trimip_core::config::Convention;
+
+/// `scales` levels of an image of `width` × `height` pixels, stored as `convention` says: straight RGBA truncated to
+/// 8 bits, or premultiplied RGBA rounded to 8 bits. A level that has no pixel left is empty.
+pub fn build(
+    base: &[[u8; 4]],
+    width: usize,
+    height: usize,
+    scales: u32,
+    convention: Convention,
+) -> Vec<Vec<[u8; 4]>> {
+    let mut levels: Vec<Vec<[u8; 4]>> = (0..scales)
+        .map(|level| {
+            let side = |length: usize| length.checked_shr(level).unwrap_or(0);
+            vec![[0; 4]; side(width) * side(height)]
+        })
+        .collect();
+    let mut slices: Vec<&mut [[u8; 4]]> = levels.iter_mut().map(Vec::as_mut_slice).collect();
+    fill(base, width, height, convention, &mut slices);
+    levels
+}
+
+/// [`build`] into slices that lie elsewhere; `levels[j]` holds (width >> j)·(height >> j) pixels.
+pub(crate) fn fill(
+    base: &[[u8; 4]],
+    width: usize,
+    height: usize,
+    convention: Convention,
+    levels: &mut [&mut [[u8; 4]]],
+) {
+    let Some((finest, coarser)) = levels.split_first_mut() else { return };
+    match convention {
+        Convention::Public => finest.copy_from_slice(base),
+        Convention::Premultiplied => {
+            for (stored, &pixel) in finest.iter_mut().zip(base) {
+                *stored = store(premultiplied(pixel), convention);
+            }
+        }
+    }
+    let unit = |&pixel: &[u8; 4]| match convention {
+        Convention::Public => straight(pixel),
+        Convention::Premultiplied => premultiplied(pixel),
+    };
+    let Some((second, coarser)) = coarser.split_first_mut() else { return };
+    let mut means = halve(base, width, height, unit);
+    write(&means, second, convention);
+    let (mut width, mut height) = (width / 2, height / 2);
+    for level in coarser {
+        means = halve(&means, width, height, |&pixel| pixel);
+        (width, height) = (width / 2, height / 2);
+        write(&means, level, convention);
+    }
+}
+
+/// 2×2 means, added in reading order: another order rounds differently and is not the public converter's bit for bit.
+fn halve<P>(pixels: &[P], width: usize, height: usize, value: impl Fn(&P) -> [f32; 4]) -> Vec<[f32; 4]> {
+    let mut means = Vec::with_capacity((width / 2) * (height / 2));
+    for y in 0..height / 2 {
+        let upper = &pixels[2 * y * width..][..width];
+        let lower = &pixels[(2 * y + 1) * width..][..width];
+        for (upper, lower) in upper.chunks_exact(2).zip(lower.chunks_exact(2)) {
+            let [a, b] = [value(&upper[0]), value(&upper[1])];
+            let [c, d] = [value(&lower[0]), value(&lower[1])];
+            means.push(std::array::from_fn(|i| (((a[i] + b[i]) + c[i]) + d[i]) * 0.25));
+        }
+    }
+    means
+}
+
+fn write(means: &[[f32; 4]], level: &mut [[u8; 4]], convention: Convention) {
+    for (stored, &mean) in level.iter_mut().zip(means) {
+        *stored = store(mean, convention);
+    }
+}
+
+fn straight(pixel: [u8; 4]) -> [f32; 4] {
+    pixel.map(|byte| f32::from(byte) / 255.0)
+}
+
+fn premultiplied(pixel: [u8; 4]) -> [f32; 4] {
+    let [r, g, b, a] = straight(pixel);
+    [r * a, g * a, b * a, a]
+}
+
+fn store(pixel: [f32; 4], convention: Convention) -> [u8; 4] {
+    match convention {
+        Convention::Public => pixel.map(|value| (255.0 * value) as u8),
+        Convention::Premultiplied => pixel.map(|value| (255.0 * value).round() as u8),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn truncation_and_rounding_keep_every_byte_of_the_finest_level() {
+        for byte in 0..=255_u8 {
+            let pixel = [byte; 4];
+            assert_eq!(store(straight(pixel), Convention::Public), pixel);
+            assert_eq!(store(straight(pixel), Convention::Premultiplied), pixel);
+        }
+    }
+
+    #[test]
+    fn the_public_convention_truncates_straight_means() {
+        let base = [[255, 1, 0, 255], [0, 0, 0, 0], [0, 0, 3, 0], [0, 0, 0, 0]];
+        // 255/4 = 63.75, 1/4 and 3/4 are cut, not rounded; colour is not weighted by alpha.
+        assert_eq!(build(&base, 2, 2, 2, Convention::Public)[1], [[63, 0, 0, 63]]);
+        // Premultiplied: only the opaque pixel has colour to give; 63.75 rounds to 64.
+        assert_eq!(build(&base, 2, 2, 2, Convention::Premultiplied)[1], [[64, 0, 0, 64]]);
+    }
+
+    #[test]
+    fn rounding_happens_once_however_many_levels_lie_between() {
+        // One pixel of 4·16 at 128 in black: its mean over 16 pixels is 8; rounding half way would give 128/4 = 32, 8.
+        // One of 2: 2/16 = 0.125 → 0, though 2/4 = 0.5 would round to 1 and stay visible.
+        let mut base = [[0, 0, 0, 255]; 16];
+        base[5] = [128, 2, 255, 255];
+        let levels = build(&base, 4, 4, 3, Convention::Premultiplied);
+        assert_eq!(levels[2], [[8, 0, 16, 255]]);
+    }
+
+    #[test]
+    fn odd_rows_and_columns_are_cropped_at_each_level() {
+        let base: Vec<[u8; 4]> = (0..7 * 5).map(|i| [i, 0, 0, 255]).collect();
+        let levels = build(&base, 7, 5, 3, Convention::Public);
+        assert_eq!(levels.iter().map(Vec::len).collect::<Vec<_>>(), [35, 6, 1]);
+        let mean = |x: usize, y: usize| {
+            let sum: u32 = [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .iter()
+                .map(|(i, j)| u32::from(base[(2 * y + j) * 7 + 2 * x + i][0]))
+                .sum();
+            (sum / 4) as u8
+        };
+        assert_eq!(levels[1][5][0], mean(2, 1));
+    }
+
+    proptest! {
+        /// What the premultiplied pyramid is for: on any background the mean of the composited image is that of
+        /// every level, up to the 8 bits it is stored in.
+        #[test]
+        fn premultiplied_levels_keep_the_composited_mean(
+            base in prop::collection::vec(any::<[u8; 4]>(), 64),
+            background in 0.0_f32..=1.0,
+        ) {
+            let exact = base.iter().map(|&[r, _, _, a]| {
+                let alpha = f32::from(a) / 255.0;
+                f32::from(r) / 255.0 * alpha + (1.0 - alpha) * background
+            }).sum::<f32>() / 64.0;
+            for level in build(&base, 8, 8, 4, Convention::Premultiplied) {
+                let mean = level.iter().map(|&[r, _, _, a]| {
+                    f32::from(r) / 255.0 + (1.0 - f32::from(a) / 255.0) * background
+                }).sum::<f32>() / level.len() as f32;
+                // Half a step of 1/255 for the colour and as much for alpha.
+                prop_assert!((mean - exact).abs() < 1.01 / 255.0);
+            }
+        }
+    }
+}

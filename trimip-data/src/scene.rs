@@ -1,0 +1,165 @@
+//! Opening a scene: which layout a folder has, its training views in memory, its test frames one at a time.
+
+use crate::{
+    blender::{self, Split},
+    builtin, describe,
+    multiscale::{METADATA, Metadata},
+    source::{FrameList, Source, assemble},
+};
+use std::path::Path;
+use trimip_core::{
+    Error, Frames, Result, ViewSet,
+    config::{Convention, DataConfig, Format},
+};
+
+/// A scene ready to train and test on.
+pub struct Scene {
+    /// Name of the folder, or "builtin".
+    pub name: String,
+    /// All training views at all scales.
+    pub train: ViewSet,
+    /// Test frames, each a set with one view per scale, decoded or rendered when asked for.
+    pub test: Box<dyn Frames>,
+    /// What is odd about the data; a reader should see it beside every result.
+    pub warnings: Vec<String>,
+    /// A few lines for people: layout, views, sizes, scales, memory.
+    pub description: Vec<String>,
+}
+
+impl std::fmt::Debug for Scene {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Scene").field("name", &self.name).field("description", &self.description).finish()
+    }
+}
+
+/// Opens the scene that the settings name: reads every camera and image header, decodes the training images.
+///
+/// # Errors
+/// Of kind `Input`, one line each: what is wrong, in which file and frame, and what to do.
+pub fn open(config: &DataConfig) -> Result<Scene> {
+    let survey = Survey::new(config)?;
+    let train = assemble(&survey.train, config.convention)?;
+    let description = describe::description(&survey, config, &train);
+    Ok(Scene {
+        name: survey.name,
+        train,
+        test: Box::new(FrameList { sources: survey.test, convention: config.convention }),
+        warnings: survey.warnings,
+        description,
+    })
+}
+
+/// Reads a split by name.
+type ReadSplit<'a> = Box<dyn Fn(&str) -> Result<Split> + 'a>;
+
+/// What is known of a scene before an image is decoded.
+pub(crate) struct Survey {
+    pub(crate) name: String,
+    /// The layout in words.
+    pub(crate) layout: &'static str,
+    /// Training splits by name.
+    pub(crate) train_splits: Vec<(String, usize)>,
+    pub(crate) train: Vec<Source>,
+    pub(crate) test: Vec<Source>,
+    pub(crate) warnings: Vec<String>,
+}
+
+impl Survey {
+    pub(crate) fn new(config: &DataConfig) -> Result<Self> {
+        if !(1..=8).contains(&config.scales) {
+            return Err(Error::input("data.scales", format!("is {}", config.scales), "expected 1 to 8"));
+        }
+        if config.train.is_empty() {
+            return Err(Error::input("data.train", "names no split", "name at least one"));
+        }
+        let format = detect(config)?;
+        let root = Path::new(&config.root);
+        let name = if format == Format::Builtin { "builtin".into() } else { folder_name(root) };
+        let mut warnings = Vec::new();
+        let mut train = Vec::new();
+        let mut train_splits = Vec::new();
+        let (layout, read): (_, ReadSplit<'_>) = match format {
+            Format::Builtin => ("built-in scene", Box::new(|split| builtin::split(config, split))),
+            Format::Multiscale => {
+                if config.convention == Convention::Premultiplied {
+                    return Err(Error::input(
+                        "data.convention",
+                        "\"premultiplied\" cannot be had from a multi-scale set, whose levels are straight means",
+                        "set it to \"public\", or data.root to the scene the set was made from",
+                    ));
+                }
+                let metadata = Metadata::open(root)?;
+                ("multi-scale set", Box::new(move |split| metadata.split(split, config.scales)))
+            }
+            _ => ("Blender layout", Box::new(|split| blender::read(root, split, config.scales))),
+        };
+        for split in &config.train {
+            let part = read(split)?;
+            train_splits.push((split.clone(), part.sources.len()));
+            train.extend(part.sources);
+            warnings.extend(part.warnings);
+        }
+        let test = read(&config.test)?;
+        warnings.extend(test.warnings);
+        if config.train.contains(&config.test) {
+            warnings.push(format!("split \"{}\" is both trained and tested on", config.test));
+        }
+        warnings.extend(alpha_warning(&train));
+        let mut seen = std::collections::HashSet::new();
+        warnings.retain(|warning| seen.insert(warning.clone()));
+        drop(read);
+        Ok(Self { name, layout, train_splits, train, test: test.sources, warnings })
+    }
+}
+
+/// The layout of the configured folder; refuses folders that have none.
+fn detect(config: &DataConfig) -> Result<Format> {
+    if config.format == Format::Builtin {
+        return Ok(Format::Builtin);
+    }
+    if config.root.is_empty() {
+        return Err(Error::input(
+            "data.root",
+            "is empty",
+            "set it to the folder of a scene, or data.format to \"builtin\"",
+        ));
+    }
+    let root = Path::new(&config.root);
+    if !root.is_dir() {
+        let what = if root.exists() { "is not a folder" } else { "does not exist" };
+        return Err(Error::input(root.display(), what, "set data.root to the folder of a scene"));
+    }
+    if config.format != Format::Auto {
+        return Ok(config.format);
+    }
+    if root.join(METADATA).is_file() {
+        return Ok(Format::Multiscale);
+    }
+    if blender::undivided(root).is_file() || !blender::splits(root).is_empty() {
+        return Ok(Format::Blender);
+    }
+    Err(Error::input(
+        root.display(),
+        format!("holds no scene: looked for {METADATA}, transforms_train.json, transforms.json"),
+        "set data.root to a folder with one of them",
+    ))
+}
+
+/// The last part of a path, whatever way it is written.
+fn folder_name(root: &Path) -> String {
+    let whole = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
+    whole.file_name().map_or_else(|| root.display().to_string(), |name| name.to_string_lossy().into_owned())
+}
+
+/// Photographs without a mask show their surroundings, which a bounded field cannot hold.
+fn alpha_warning(train: &[Source]) -> Option<String> {
+    let files = || train.iter().flat_map(|source| source.files());
+    let (total, masked) = (files().count(), files().filter(|file| file.alpha).count());
+    (masked < total).then(|| {
+        format!(
+            "{} of {total} training images have no alpha: all they show is taken for the object; mask what lies \
+             outside of the scene's box",
+            total - masked
+        )
+    })
+}

@@ -1,0 +1,195 @@
+//! Frames and their pixels: where each frame's images come from, and the sets they are assembled to. Pixels are
+//! allocated once and filled in parallel; the same code serves all training views and one test frame.
+
+use crate::{builtin, photograph::Photograph, pyramid};
+use rayon::prelude::*;
+use std::path::Path;
+use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet, config::Convention};
+
+/// One frame: a camera per scale and what its pixels are made from.
+#[derive(Debug)]
+pub(crate) struct Source {
+    pub(crate) name: String,
+    /// Level (log2 of the reduction) and camera of each view, fine to coarse.
+    pub(crate) views: Vec<(u32, Camera)>,
+    pub(crate) pixels: Pixels,
+}
+
+/// What the pixels of a frame are made from.
+#[derive(Debug)]
+pub(crate) enum Pixels {
+    /// One file for the finest view, from which the others are averaged.
+    Photograph(Photograph),
+    /// A file for each view.
+    Stored(Vec<Photograph>),
+    /// The built-in scene, with n × n rays per pixel.
+    Rendered {
+        /// n.
+        supersampling: u32,
+    },
+}
+
+impl Source {
+    /// A frame whose views at `scales` levels are averaged from the finest, seen by `camera`.
+    pub(crate) fn averaged(
+        name: String,
+        camera: Camera,
+        scales: u32,
+        place: &str,
+        pixels: Pixels,
+    ) -> Result<Self> {
+        let side = camera.intrinsics.width.min(camera.intrinsics.height);
+        let most = side.checked_ilog2().map_or(0, |log| log + 1);
+        if scales > most {
+            return Err(Error::input(
+                place,
+                format!(
+                    "an image of {}x{} pixels is too small for {scales} scales",
+                    camera.intrinsics.width, camera.intrinsics.height
+                ),
+                format!("set data.scales to {most} or less"),
+            ));
+        }
+        let views = (0..scales)
+            .map(|level| (level, Camera { intrinsics: camera.intrinsics.reduced(level), ..camera }))
+            .collect();
+        Ok(Self { name, views, pixels })
+    }
+
+    /// Files that the frame is read from.
+    pub(crate) fn files(&self) -> &[Photograph] {
+        match &self.pixels {
+            Pixels::Photograph(file) => std::slice::from_ref(file),
+            Pixels::Stored(files) => files,
+            Pixels::Rendered { .. } => &[],
+        }
+    }
+
+    /// Writes the pixels of each view to its slice.
+    fn fill(&self, convention: Convention, slots: &mut [&mut [[u8; 4]]]) -> Result<()> {
+        let Some((_, camera)) = self.views.first() else { return Ok(()) };
+        let size = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
+        match &self.pixels {
+            Pixels::Photograph(file) => {
+                pyramid::fill(file.decode()?.as_chunks().0, size.0, size.1, convention, slots);
+            }
+            Pixels::Rendered { supersampling } => {
+                let pixels = builtin::render(camera, *supersampling);
+                pyramid::fill(&pixels, size.0, size.1, convention, slots);
+            }
+            Pixels::Stored(files) => {
+                for (file, slot) in files.iter().zip(slots) {
+                    slot.copy_from_slice(file.decode()?.as_chunks().0);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// All views of `sources`, sorted by scale, then by frame.
+pub(crate) fn assemble(sources: &[Source], convention: Convention) -> Result<ViewSet> {
+    let mut levels: Vec<u32> =
+        sources.iter().flat_map(|source| source.views.iter().map(|(level, _)| *level)).collect();
+    levels.sort_unstable();
+    levels.dedup();
+
+    let (mut views, mut scales, mut end) = (Vec::new(), Vec::new(), 0_usize);
+    // Which frame each view belongs to, in the order of the views.
+    let mut owners = Vec::new();
+    for level in levels {
+        let (first_view, first_pixel) = (views.len(), end);
+        for (index, source) in sources.iter().enumerate() {
+            for (_, camera) in source.views.iter().filter(|(at, _)| *at == level) {
+                views.push(View { name: source.name.clone(), camera: *camera, offset: end });
+                owners.push(index);
+                end = area(camera).and_then(|area| end.checked_add(area)).ok_or_else(too_large)?;
+            }
+        }
+        scales.push(Scale {
+            factor: 1 << level,
+            weight: 4_f32.powi(level as i32),
+            views: first_view..views.len(),
+            pixels: first_pixel..end,
+        });
+    }
+
+    let mut pixels: Vec<[u8; 4]> = Vec::new();
+    pixels.try_reserve_exact(end).map_err(|_| too_large())?;
+    pixels.resize(end, [0; 4]);
+    let mut slots: Vec<Vec<&mut [[u8; 4]]>> = sources.iter().map(|_| Vec::new()).collect();
+    let mut rest = pixels.as_mut_slice();
+    for (index, view) in owners.into_iter().zip(&views) {
+        let (slot, tail) = rest.split_at_mut(area(&view.camera).unwrap_or(0));
+        slots[index].push(slot);
+        rest = tail;
+    }
+    let failure = sources
+        .par_iter()
+        .zip(slots)
+        .map(|(source, mut slots)| source.fill(convention, &mut slots))
+        .find_map_first(Result::err);
+    match failure {
+        Some(error) => Err(error),
+        None => Ok(ViewSet { views, pixels, alpha: Alpha::from(convention), scales }),
+    }
+}
+
+fn area(camera: &Camera) -> Option<usize> {
+    (camera.intrinsics.width as usize).checked_mul(camera.intrinsics.height as usize)
+}
+
+fn too_large() -> Error {
+    Error::input("data", "the images do not fit into memory", "use fewer or smaller images")
+}
+
+/// Frames decoded one at a time.
+pub(crate) struct FrameList {
+    pub(crate) sources: Vec<Source>,
+    pub(crate) convention: Convention,
+}
+
+impl Frames for FrameList {
+    fn len(&self) -> usize {
+        self.sources.len()
+    }
+
+    fn load(&self, index: usize) -> Result<ViewSet> {
+        let source = self.sources.get(index..=index).ok_or_else(|| {
+            Error::run(format!("frame {index} was asked for, there are {}", self.sources.len()))
+        })?;
+        assemble(source, self.convention)
+    }
+}
+
+/// Maps in parallel; of several errors the first in order is told, whichever thread meets its own first.
+pub(crate) fn map_in_order<T: Sync, R: Send>(
+    items: &[T],
+    map: impl Fn(usize, &T) -> Result<R> + Sync,
+) -> Result<Vec<R>> {
+    let results: Vec<_> = items.par_iter().enumerate().map(|(index, item)| map(index, item)).collect();
+    results.into_iter().collect()
+}
+
+/// The file an entry names: as written, or with one of the usual extensions added.
+pub(crate) fn find_image(root: &Path, named: &str, place: &str) -> Result<std::path::PathBuf> {
+    let candidates = ["", ".png", ".jpg", ".jpeg"].map(|extension| root.join(format!("{named}{extension}")));
+    if let Some(path) = candidates.iter().find(|path| path.is_file()) {
+        return Ok(path.clone());
+    }
+    let has_extension = [".png", ".jpg", ".jpeg"].iter().any(|end| named.to_lowercase().ends_with(end));
+    let tried = if has_extension { "" } else { " (nor with .png, .jpg or .jpeg added)" };
+    Err(Error::input(
+        place,
+        format!("image {} does not exist{tried}", candidates[0].display()),
+        "copy it there or remove its entry",
+    ))
+}
+
+/// File name without folder and extension, for pictures and messages.
+pub(crate) fn stem(named: &str) -> String {
+    let name = named.rsplit(['/', '\\']).next().unwrap_or(named);
+    let known = [".png", ".jpg", ".jpeg"].iter().find(|end| name.to_lowercase().ends_with(**end));
+    // Lower-casing keeps the length of these ASCII endings, so the cut lies on a boundary.
+    known.and_then(|end| name.get(..name.len() - end.len())).unwrap_or(name).to_string()
+}

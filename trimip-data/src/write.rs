@@ -1,0 +1,210 @@
+//! Writing scenes: any scene as the public multi-scale layout, and the built-in scene as a Blender-layout folder.
+//! The JSON file is written last, so a folder that has one is whole.
+
+use crate::{
+    builtin,
+    multiscale::METADATA,
+    scene::Survey,
+    source::{Source, assemble, map_in_order},
+};
+use serde_json::{Value, json};
+use std::{
+    fmt::Display,
+    fs,
+    path::{Path, PathBuf},
+};
+use trimip_core::{
+    Camera, Error, Intrinsics, Result,
+    config::{Convention, DataConfig, Format},
+};
+
+/// What was written.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// The folder.
+    pub folder: PathBuf,
+    /// Name and number of frames of each split.
+    pub splits: Vec<(String, usize)>,
+    /// Number of image files.
+    pub images: usize,
+    /// Bytes of the image files.
+    pub bytes: u64,
+}
+
+impl Display for Summary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let splits: Vec<String> =
+            self.splits.iter().map(|(split, count)| format!("{split} {count}")).collect();
+        write!(
+            f,
+            "{}: {} images of {} frames, {:.1} MB",
+            self.folder.display(),
+            self.images,
+            splits.join(" + "),
+            self.bytes as f64 / 1e6
+        )
+    }
+}
+
+/// Writes the training and test splits as the public converter does: `metadata.json`, `images_train/000_d0.png` ..
+/// near 2 and far 6 stand for every view, as in the public set. Splits of which none is a plain camera (square pixels,
+/// centred principal point) get the arrays `fl_y`, `cx`, `cy` beside `pix2cam`.
+///
+/// # Errors
+/// Those of reading; a folder that cannot be written or holds a set already; the premultiplied convention, which PNG
+/// does not have.
+pub fn write_multiscale(config: &DataConfig, folder: &Path) -> Result<Summary> {
+    if config.convention != Convention::Public {
+        return Err(Error::input(
+            "data.convention",
+            "the multi-scale layout stores straight RGBA",
+            "set it to \"public\"",
+        ));
+    }
+    let survey = Survey::new(config)?;
+    refuse_existing(&folder.join(METADATA))?;
+    let mut splits: Vec<(&str, &[Source])> = Vec::new();
+    let mut rest = survey.train.as_slice();
+    for (split, count) in &survey.train_splits {
+        let (head, tail) = rest.split_at(*count);
+        splits.push((split, head));
+        rest = tail;
+    }
+    if !config.train.contains(&config.test) {
+        splits.push((&config.test, &survey.test));
+    }
+    let mut metadata = serde_json::Map::new();
+    let mut summary = Summary { folder: folder.into(), splits: Vec::new(), images: 0, bytes: 0 };
+    for (split, sources) in splits {
+        create_folder(&folder.join(format!("images_{split}")))?;
+        let written = map_in_order(sources, |index, source| {
+            let set = assemble(std::slice::from_ref(source), config.convention)?;
+            let mut bytes = 0;
+            for view in 0..set.views.len() {
+                let path = folder.join(image_path(split, index, source.views[view].0));
+                bytes += save(&path, set.pixels_of(view), &set.views[view].camera.intrinsics)?;
+            }
+            Ok(bytes)
+        })?;
+        summary.splits.push((split.into(), sources.len()));
+        summary.images += sources.iter().map(|source| source.views.len()).sum::<usize>();
+        summary.bytes += written.iter().sum::<u64>();
+        metadata.insert(split.into(), columns(split, sources));
+    }
+    write_json(&folder.join(METADATA), &Value::Object(metadata))?;
+    Ok(summary)
+}
+
+fn image_path(split: &str, frame: usize, level: u32) -> String {
+    format!("images_{split}/{frame:03}_d{level}.png")
+}
+
+/// The arrays of one split.
+fn columns(split: &str, sources: &[Source]) -> Value {
+    let views: Vec<(usize, u32, &Camera)> = sources
+        .iter()
+        .enumerate()
+        .flat_map(|(frame, source)| source.views.iter().map(move |(level, camera)| (frame, *level, camera)))
+        .collect();
+    let column = |value: &dyn Fn(usize, u32, &Camera) -> Value| -> Value {
+        views.iter().map(|&(frame, level, camera)| value(frame, level, camera)).collect()
+    };
+    let mut table = json!({
+        "file_path": column(&|frame, level, _| image_path(split, frame, level).into()),
+        "cam2world": column(&|_, _, camera| pose(camera)),
+        "width": column(&|_, _, camera| camera.intrinsics.width.into()),
+        "height": column(&|_, _, camera| camera.intrinsics.height.into()),
+        "focal": column(&|_, _, camera| camera.intrinsics.fx.into()),
+        "label": column(&|_, level, _| level.into()),
+        "near": column(&|_, _, _| 2.0.into()),
+        "far": column(&|_, _, _| 6.0.into()),
+        "lossmult": column(&|_, level, _| 4_f64.powi(level as i32).into()),
+        "pix2cam": column(&|_, _, camera| {
+            let k = &camera.intrinsics;
+            json!([[1.0 / k.fx, 0.0, -k.cx / k.fx], [0.0, -1.0 / k.fy, k.cy / k.fy], [0.0, 0.0, -1.0]])
+        }),
+    });
+    let plain = |k: &Intrinsics| {
+        k.fx == k.fy && k.cx == 0.5 * f64::from(k.width) && k.cy == 0.5 * f64::from(k.height)
+    };
+    if !views.iter().all(|(.., camera)| plain(&camera.intrinsics)) {
+        table["fl_y"] = column(&|_, _, camera| camera.intrinsics.fy.into());
+        table["cx"] = column(&|_, _, camera| camera.intrinsics.cx.into());
+        table["cy"] = column(&|_, _, camera| camera.intrinsics.cy.into());
+    }
+    table
+}
+
+/// Renders the built-in scene and writes it as `transforms_{train,test}.json` with PNG files.
+///
+/// # Errors
+/// Settings out of range; a folder that cannot be written or holds a scene already.
+pub fn write_builtin(config: &DataConfig, folder: &Path) -> Result<Summary> {
+    let mut summary = Summary { folder: folder.into(), splits: Vec::new(), images: 0, bytes: 0 };
+    for split in ["train", "test"] {
+        refuse_existing(&folder.join(format!("transforms_{split}.json")))?;
+    }
+    for split in ["train", "test"] {
+        let single = DataConfig { scales: 1, format: Format::Builtin, ..config.clone() };
+        let sources = builtin::split(&single, split)?.sources;
+        create_folder(&folder.join(split))?;
+        let bytes = map_in_order(&sources, |_, source| {
+            let set = assemble(std::slice::from_ref(source), Convention::Public)?;
+            let path = folder.join(split).join(format!("{}.png", source.name));
+            save(&path, set.pixels_of(0), &set.views[0].camera.intrinsics)
+        })?;
+        let frames: Vec<Value> = sources
+            .iter()
+            .flat_map(|source| source.views.iter().map(move |(_, camera)| (source, camera)))
+            .map(|(source, camera)| {
+                json!({ "file_path": format!("./{split}/{}", source.name), "transform_matrix": pose(camera) })
+            })
+            .collect();
+        let document = json!({ "camera_angle_x": builtin::CAMERA_ANGLE_X, "frames": frames });
+        write_json(&folder.join(format!("transforms_{split}.json")), &document)?;
+        summary.splits.push((split.into(), sources.len()));
+        summary.images += sources.len();
+        summary.bytes += bytes.iter().sum::<u64>();
+    }
+    Ok(summary)
+}
+
+/// Camera-to-world rows.
+fn pose(camera: &Camera) -> Value {
+    let (r, o) = (camera.rotation.transpose().to_cols_array_2d(), camera.origin.to_array());
+    let row = |i: usize| json!([r[i][0], r[i][1], r[i][2], o[i]]);
+    json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
+}
+
+/// Writes a PNG and returns its bytes.
+fn save(path: &Path, pixels: &[[u8; 4]], k: &Intrinsics) -> Result<u64> {
+    image::save_buffer_with_format(
+        path,
+        pixels.as_flattened(),
+        k.width,
+        k.height,
+        image::ColorType::Rgba8,
+        image::ImageFormat::Png,
+    )
+    .map_err(|error| unwritable(path, &error))?;
+    Ok(fs::metadata(path).map_or(0, |metadata| metadata.len()))
+}
+
+fn write_json(path: &Path, value: &Value) -> Result<()> {
+    fs::write(path, value.to_string()).map_err(|error| unwritable(path, &error))
+}
+
+fn create_folder(path: &Path) -> Result<()> {
+    fs::create_dir_all(path).map_err(|error| unwritable(path, &error))
+}
+
+fn refuse_existing(path: &Path) -> Result<()> {
+    if path.exists() {
+        return Err(Error::input(path.display(), "exists already", "choose another folder or remove it"));
+    }
+    Ok(())
+}
+
+fn unwritable(path: &Path, error: &dyn Display) -> Error {
+    Error::input(path.display(), format!("cannot be written: {error}"), "choose a folder you may write to")
+}

@@ -1,0 +1,200 @@
+//! Layouts: what one reads is what another writes, and what the files say is what the views hold.
+
+mod common;
+
+use common::{assert_same, blender_scene, frame, save_image, settings, write};
+use serde_json::{Value, json};
+use std::fs;
+use trimip_core::{
+    Alpha,
+    config::{Convention, Format},
+};
+use trimip_data::{builtin, inspect, open, write_builtin, write_multiscale};
+
+#[test]
+fn frames_override_the_file_and_defaults_fill_in() {
+    let folder = tempfile::tempdir().unwrap();
+    blender_scene(folder.path());
+    let path = folder.path().join("transforms_train.json");
+    let mut document: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    document["camera_angle_y"] = json!(0.5);
+    let second = &mut document["frames"][1];
+    (second["fl_x"], second["cy"], second["w"]) = (json!(30.0), json!(5.5), json!(16.0));
+    write(&path, &document);
+    let scene = open(&settings(folder.path(), 2)).unwrap();
+    let [first, second] = [0, 1].map(|view| scene.train.views[view].camera.intrinsics);
+    assert_eq!(first.fx, 8.0 / 0.35_f64.tan());
+    assert_eq!(first.fy, 6.0 / 0.25_f64.tan());
+    assert_eq!((first.cx, first.cy), (8.0, 6.0));
+    assert_eq!((second.fx, second.fy, second.cx, second.cy), (30.0, 30.0, 8.0, 5.5));
+    assert_eq!(scene.train.views[3].camera.intrinsics, second.reduced(1));
+    assert_eq!(scene.train.views[2].camera.origin.to_array(), [0.1, -4.0, 0.3]);
+    assert_eq!(scene.train.scales[1].views, 2..4);
+    assert_eq!(scene.train.scales[1].pixels, 2 * 16 * 12..2 * (16 * 12 + 8 * 6));
+    assert_eq!((scene.test.len(), scene.train.views[1].name.as_str()), (2, "r_1"));
+    // One at a time is the same as all at once.
+    let frame = scene.test.load(1).unwrap();
+    assert_eq!(frame.pixels_of(1), scene.train.pixels_of(3));
+    assert!(scene.test.load(2).is_err());
+}
+
+#[test]
+fn sizes_may_differ_where_the_angle_is_shared() {
+    let folder = tempfile::tempdir().unwrap();
+    blender_scene(folder.path());
+    save_image(&folder.path().join("train/r_1.png"), 9, 30);
+    let scene = open(&settings(folder.path(), 3)).unwrap();
+    let sizes: Vec<(u32, u32)> = scene
+        .train
+        .views
+        .iter()
+        .map(|view| (view.camera.intrinsics.width, view.camera.intrinsics.height))
+        .collect();
+    assert_eq!(sizes, [(16, 12), (9, 30), (8, 6), (4, 15), (4, 3), (2, 7)]);
+    assert_eq!(scene.train.views[5].offset, scene.train.pixels.len() - 14);
+    assert!(scene.description[1].contains("2 sizes from 9x30 to 16x12"), "{:?}", scene.description);
+}
+
+#[test]
+fn an_undivided_file_holds_out_every_eighth_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let paths: Vec<String> = (0..10).map(|i| format!("images/{i:04}.png")).collect();
+    for path in &paths {
+        save_image(&folder.path().join(path), 8, 8);
+    }
+    let frames: Vec<Value> = paths.iter().map(|path| frame(path)).collect();
+    write(
+        &folder.path().join("transforms.json"),
+        &json!({ "fl_x": 10.0, "k1": 0.05, "k2": 0.0, "frames": frames }),
+    );
+    let scene = open(&settings(folder.path(), 1)).unwrap();
+    let names: Vec<&str> = scene.train.views.iter().map(|view| view.name.as_str()).collect();
+    assert_eq!(names, ["0001", "0002", "0003", "0004", "0005", "0006", "0007", "0009"]);
+    assert_eq!(scene.test.len(), 2);
+    assert_eq!(scene.test.load(1).unwrap().views[0].name, "0008");
+    assert!(scene.warnings.iter().any(|w| w.contains("every 8th frame")), "{:?}", scene.warnings);
+    assert!(scene.warnings.iter().any(|w| w.contains("distortion (k1 = 0.05)")), "{:?}", scene.warnings);
+    assert_eq!(scene.warnings.len(), 2, "{:?}", scene.warnings);
+}
+
+#[test]
+fn splits_are_concatenated_and_shared_ones_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    blender_scene(folder.path());
+    let mut data = settings(folder.path(), 2);
+    data.train = vec!["train".into(), "test".into()];
+    let scene = open(&data).unwrap();
+    assert_eq!(scene.train.views.len(), 8);
+    assert!(scene.warnings.iter().any(|w| w.contains("both trained and tested on")), "{:?}", scene.warnings);
+}
+
+#[test]
+fn a_written_multiscale_set_reads_back_the_same() {
+    // Per-frame focal lengths that differ in x and y, and principal points off the centre.
+    let folder = tempfile::tempdir().unwrap();
+    blender_scene(folder.path());
+    let path = folder.path().join("transforms_train.json");
+    let mut document: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    for (i, frame) in document["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
+        (frame["fl_x"], frame["fl_y"]) = (json!(20.1 + i as f64), json!(19.7));
+        (frame["cx"], frame["cy"]) = (json!(8.037), json!(5.951));
+    }
+    write(&path, &document);
+    let mut builtin = settings(folder.path(), 4);
+    builtin.format = Format::Builtin;
+    (builtin.builtin_size, builtin.builtin_train, builtin.builtin_test) = (17, 5, 3);
+    for config in [settings(folder.path(), 3), builtin] {
+        let written = tempfile::tempdir().unwrap();
+        let summary = write_multiscale(&config, written.path()).unwrap();
+        let (ours, theirs) =
+            (open(&config).unwrap(), open(&settings(written.path(), config.scales)).unwrap());
+        assert_same(&ours.train, &theirs.train);
+        assert_eq!(ours.test.len(), theirs.test.len());
+        for index in 0..ours.test.len() {
+            assert_same(&ours.test.load(index).unwrap(), &theirs.test.load(index).unwrap());
+        }
+        assert_eq!(summary.images, ours.train.views.len() + ours.test.len() * config.scales as usize);
+        // A set is never written over.
+        assert!(write_multiscale(&config, written.path()).unwrap_err().message.contains("exists already"));
+        // Fewer scales of it are the same as fewer scales of the source.
+        let mut fewer = config.clone();
+        fewer.scales = 2;
+        assert_same(&open(&fewer).unwrap().train, &open(&settings(written.path(), 2)).unwrap().train);
+    }
+}
+
+#[test]
+fn the_public_layout_has_its_columns() {
+    let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    blender_scene(folder.path());
+    let summary = write_multiscale(&settings(folder.path(), 2), set.path()).unwrap();
+    assert_eq!((summary.images, &summary.splits[1]), (8, &("test".to_string(), 2)));
+    let document: Value =
+        serde_json::from_slice(&fs::read(set.path().join("metadata.json")).unwrap()).unwrap();
+    let train = document["train"].as_object().unwrap();
+    let mut keys: Vec<&str> = train.keys().map(String::as_str).collect();
+    keys.sort_unstable();
+    let public =
+        ["cam2world", "far", "file_path", "focal", "height", "label", "lossmult", "near", "pix2cam", "width"];
+    assert_eq!(keys, public);
+    let entry = |key: &str| &train[key][3];
+    assert_eq!(entry("file_path"), "images_train/001_d1.png");
+    assert_eq!((entry("label"), entry("lossmult")), (&json!(1), &json!(4.0)));
+    assert_eq!((entry("near"), entry("far"), entry("height")), (&json!(2.0), &json!(6.0), &json!(6)));
+    assert!(set.path().join("images_test/001_d1.png").is_file());
+}
+
+#[test]
+fn the_built_in_scene_written_as_files_is_the_same_scene() {
+    let mut config = settings(std::path::Path::new(""), 3);
+    config.format = Format::Builtin;
+    (config.builtin_size, config.builtin_train, config.builtin_test) = (24, 3, 2);
+    for convention in [Convention::Public, Convention::Premultiplied] {
+        config.convention = convention;
+        let folder = tempfile::tempdir().unwrap();
+        let summary = write_builtin(&config, folder.path()).unwrap();
+        assert_eq!(summary.images, 5);
+        let mut files = settings(folder.path(), 3);
+        files.convention = convention;
+        let (ours, theirs) = (open(&config).unwrap(), open(&files).unwrap());
+        assert_eq!((ours.name.as_str(), ours.train.alpha), ("builtin", Alpha::from(convention)));
+        assert_same(&ours.train, &theirs.train);
+        for index in 0..2 {
+            assert_same(&ours.test.load(index).unwrap(), &theirs.test.load(index).unwrap());
+        }
+        let camera = ours.train.views[0].camera;
+        if convention == Convention::Public {
+            assert_eq!(ours.train.pixels_of(0), builtin::render(&camera, config.builtin_supersampling));
+        }
+        assert!(write_builtin(&config, folder.path()).is_err());
+    }
+}
+
+#[test]
+fn a_multiscale_set_cannot_be_premultiplied_after_the_fact() {
+    let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    blender_scene(folder.path());
+    write_multiscale(&settings(folder.path(), 2), set.path()).unwrap();
+    let mut config = settings(set.path(), 2);
+    config.convention = Convention::Premultiplied;
+    assert!(open(&config).unwrap_err().message.starts_with("data.convention: "));
+    config.convention = Convention::Public;
+    config.scales = 4;
+    assert!(open(&config).unwrap().warnings[0].contains("has 2 scales, data.scales asks for 4"));
+}
+
+#[test]
+fn inspection_names_splits_sizes_cameras_and_warnings() {
+    let folder = tempfile::tempdir().unwrap();
+    blender_scene(folder.path());
+    let lines = inspect(&settings(folder.path(), 2)).unwrap().join("\n");
+    for expected in [
+        "2 training views (train 2), 2 test views (test)",
+        "16x12",
+        "focal length",
+        "4.01 from the origin",
+        "clear",
+    ] {
+        assert!(lines.contains(expected), "{expected}:\n{lines}");
+    }
+}

@@ -1,0 +1,92 @@
+//! The shared photographs: the public multi-scale set bit for bit, and scenes of other makes. Without the folder
+//! (`TRIMIP_SHARED`) each test says so and passes.
+
+mod common;
+
+use common::{settings, shared};
+use trimip_core::{Alpha, config::Convention};
+use trimip_data::{inspect, open};
+
+#[test]
+fn levels_are_the_public_converters_bit_for_bit() {
+    let (Some(lego), Some(reference)) = (shared("lego"), shared("lego_multiscale_ref")) else { return };
+    let scene = open(&settings(&lego, 4)).unwrap();
+    let frames = scene.train.scales[0].views.len();
+    let mut compared = 0;
+    for (split, indices) in [("train", [0, 1, 50, 99]), ("test", [0, 1, 100, 199])] {
+        for index in indices {
+            let frame = (split == "test").then(|| scene.test.load(index).unwrap());
+            for level in 1..4 {
+                let path = reference.join(format!("images_{split}/{index:03}_d{level}.png"));
+                let expected = image::open(path).unwrap().into_rgba8().into_raw();
+                let found = match &frame {
+                    Some(frame) => frame.pixels_of(level),
+                    None => scene.train.pixels_of(level * frames + index),
+                };
+                assert!(found.as_flattened() == expected, "{split} {index} level {level}");
+                compared += 1;
+            }
+        }
+    }
+    assert_eq!(compared, 24);
+}
+
+#[test]
+fn metadata_gives_the_cameras_of_the_scene_it_was_made_from() {
+    let (Some(lego), Some(reference)) = (shared("lego"), shared("lego_multiscale_ref")) else { return };
+    // The sample's finest images are those of the scene itself.
+    let folder = tempfile::tempdir().unwrap();
+    for split in ["train", "test"] {
+        let images = format!("images_{split}");
+        std::fs::create_dir(folder.path().join(&images)).unwrap();
+        for entry in reference.join(&images).read_dir().unwrap().flatten() {
+            std::fs::copy(entry.path(), folder.path().join(&images).join(entry.file_name())).unwrap();
+        }
+        for index in if split == "train" { [0, 1, 50, 99] } else { [0, 1, 100, 199] } {
+            let finest = lego.join(format!("{split}/r_{index}.png"));
+            std::fs::copy(finest, folder.path().join(&images).join(format!("{index:03}_d0.png"))).unwrap();
+        }
+    }
+    std::fs::copy(reference.join("metadata.json"), folder.path().join("metadata.json")).unwrap();
+    let (ours, theirs) = (open(&settings(&lego, 4)).unwrap(), open(&settings(folder.path(), 4)).unwrap());
+    for level in 0..4 {
+        for (nth, index) in [0, 1, 50, 99].into_iter().enumerate() {
+            let (a, b) = (level * 100 + index, level * 4 + nth);
+            assert!(ours.train.pixels_of(a) == theirs.train.pixels_of(b));
+            let (a, b) = (ours.train.views[a].camera, theirs.train.views[b].camera);
+            assert_eq!((a.rotation, a.origin), (b.rotation, b.origin));
+            assert!((a.intrinsics.fx / b.intrinsics.fx - 1.0).abs() < 1e-12);
+            assert_eq!((a.intrinsics.cx, a.intrinsics.width), (b.intrinsics.cx, b.intrinsics.width));
+        }
+    }
+    assert_eq!(theirs.test.len(), 4);
+    assert_eq!(theirs.test.load(3).unwrap().views[2].name, "199");
+}
+
+#[test]
+fn a_set_without_its_finest_images_says_so() {
+    let Some(reference) = shared("lego_multiscale_ref") else { return };
+    let message = open(&settings(&reference, 4)).unwrap_err().message;
+    assert!(message.contains("train entry 0 (images_train/000_d0.png): image "), "{message}");
+    assert!(message.contains("000_d0.png does not exist; copy it there or remove its entry"), "{message}");
+}
+
+#[test]
+fn photographs_with_their_own_cameras_are_read() {
+    let (Some(dtu), Some(fox)) = (shared("dtu24"), shared("fox")) else { return };
+    let mut config = settings(&dtu, 2);
+    config.convention = Convention::Premultiplied;
+    let scene = open(&config).unwrap();
+    assert_eq!((scene.train.scales[0].views.len(), scene.test.len()), (42, 7));
+    assert_eq!(scene.train.alpha, Alpha::Premultiplied);
+    assert!(scene.warnings.is_empty(), "{:?}", scene.warnings);
+    let k = scene.train.views[0].camera.intrinsics;
+    assert!(k.fx != k.fy && k.cx != 200.0);
+
+    let lines = inspect(&settings(&fox, 1)).unwrap().join("\n");
+    for expected in
+        ["train 43", "7 test views", "1080x1920", "no alpha", "distortion (k1 = 0.0578421", "every 8th frame"]
+    {
+        assert!(lines.contains(expected), "{expected}:\n{lines}");
+    }
+}
