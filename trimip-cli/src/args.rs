@@ -1,0 +1,260 @@
+//! The command line: verbs, their options and help.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Anti-aliased radiance fields from photographs (Tri-MipRF): plan, train, evaluate, render and report.
+///
+/// Without a verb it trains: `trimip-cli --config configs/lego.toml`.
+#[derive(Debug, Parser)]
+#[command(
+    version,
+    args_conflicts_with_subcommands = true,
+    arg_required_else_help = true,
+    after_help = "Exit codes: 0 done (also after --stop-after), 1 the run failed or missed eval.min_psnr, \
+                  2 wrong input, 3 the device failed, 130 stopped by Ctrl-C (saved; the same command resumes)."
+)]
+pub struct Arguments {
+    /// What to do; training when left out.
+    #[command(subcommand)]
+    pub verb: Option<Verb>,
+    /// Options of training.
+    #[command(flatten)]
+    pub train: TrainArguments,
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Plan, train, evaluate and report; resumes what is in the run folder
+    Train(TrainArguments),
+    /// Measure a model on its test set: PSNR and SSIM per scale
+    Eval(EvalArguments),
+    /// Render views of a model as PNG or EXR
+    Render(RenderArguments),
+    /// Inspect a data set or write one
+    Data(DataArguments),
+    /// Show the effective settings and where each came from
+    Config(ConfigArguments),
+    /// Show what this machine and this build offer
+    Doctor,
+}
+
+/// Where settings come from.
+#[derive(Args, Clone, Debug, Default)]
+pub struct SettingsArguments {
+    /// Configuration file (TOML); what it leaves out has its default
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Override one setting; may be given many times
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ProgressStyle {
+    /// A bar on a terminal, JSON lines elsewhere
+    #[default]
+    Auto,
+    /// A bar and tables
+    Bar,
+    /// One JSON object per event and line, on standard output
+    Json,
+}
+
+/// Options of `train`.
+#[derive(Args, Clone, Debug, Default)]
+pub struct TrainArguments {
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArguments,
+    /// Run folder [default: runs/<name of the configuration file>]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Start anew: replaces the run that is in the folder
+    #[arg(long)]
+    pub fresh: bool,
+    /// Stop and save after this many steps, as if interrupted; the same command goes on from there
+    #[arg(long, value_name = "STEPS")]
+    pub stop_after: Option<u64>,
+    /// How progress is shown
+    #[arg(long, value_enum, default_value_t, value_name = "STYLE")]
+    pub progress: ProgressStyle,
+}
+
+/// Options of `eval`.
+#[derive(Args, Debug)]
+pub struct EvalArguments {
+    /// Run folder or model file
+    pub model: PathBuf,
+    /// Use every n-th test view
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub stride: u32,
+    /// Override a setting of data, eval, renderer, backend or threads (data.root=.. for a moved data set)
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    pub set: Vec<String>,
+    /// Also write the result as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// File format of rendered views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PictureFormat {
+    /// Colour as 8-bit sRGB, depth and opacity as 16-bit grey, one file each
+    Png,
+    /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity
+    Exr,
+}
+
+/// What of a view is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Quantity {
+    /// Colour on the configured background
+    Color,
+    /// Distance along the optical axis
+    Depth,
+    /// 1 - transmittance
+    Opacity,
+}
+
+/// Options of `render`.
+#[derive(Args, Debug)]
+#[command(group(clap::ArgGroup::new("cameras").args(["views", "pose", "look_at", "path", "turntable"])))]
+pub struct RenderArguments {
+    /// Run folder or model file
+    pub model: PathBuf,
+    /// Output folder [default: `renders` beside the model]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Test views by number, e.g. 0,25,50 (needs the data set) [default cameras: view 0]
+    #[arg(long, value_name = "N,..", value_delimiter = ',')]
+    pub views: Vec<usize>,
+    /// One camera-to-world matrix: 12 or 16 numbers row by row, or JSON, or a file with either
+    #[arg(long, value_name = "NUMBERS|FILE", allow_hyphen_values = true)]
+    pub pose: Option<String>,
+    /// One camera by position and target, e.g. 4,0,2/0,0,0
+    #[arg(long, value_name = "X,Y,Z/X,Y,Z", allow_hyphen_values = true)]
+    pub look_at: Option<String>,
+    /// A camera path: JSON like transforms_test.json (frames with transform_matrix)
+    #[arg(long, value_name = "FILE")]
+    pub path: Option<PathBuf>,
+    /// A circle of N cameras around the scene's box
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub turntable: Option<u32>,
+    /// Turntable: degrees above the horizon
+    #[arg(long, default_value_t = 30.0, allow_hyphen_values = true)]
+    pub elevation: f64,
+    /// Turntable: distance from the box's centre [default: 1.55 x half the box's diagonal]
+    #[arg(long)]
+    pub distance: Option<f64>,
+    /// Direction that is upwards in the picture, for --look-at and --turntable
+    #[arg(long, default_value = "0,0,1", value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub up: String,
+    /// Width in pixels, where the cameras do not say
+    #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(1..=16_384))]
+    pub width: u32,
+    /// Height in pixels, where the cameras do not say
+    #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(1..=16_384))]
+    pub height: u32,
+    /// Horizontal field of view in degrees, where the cameras do not say (39.6: the Blender scenes')
+    #[arg(long, default_value_t = 39.597_758_2)]
+    pub fov: f64,
+    /// Resize the pictures, e.g. 0.5 for half the width; the field of view stays
+    #[arg(long, default_value_t = 1.0)]
+    pub scale: f64,
+    /// File format
+    #[arg(long, value_enum, default_value = "png")]
+    pub format: PictureFormat,
+    /// What to write
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        default_value = "color",
+        value_name = "color,depth,opacity"
+    )]
+    pub what: Vec<Quantity>,
+    /// Override a setting of data, eval, renderer, backend or threads
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// Options of `data`.
+#[derive(Args, Debug)]
+pub struct DataArguments {
+    /// What to do with the data.
+    #[command(subcommand)]
+    pub action: DataAction,
+}
+
+/// What `data` does.
+#[derive(Debug, Subcommand)]
+pub enum DataAction {
+    /// Say what is in a data set and whether it is sound
+    Inspect {
+        /// Folder of the scene; overrides data.root
+        root: Option<PathBuf>,
+        /// Settings.
+        #[command(flatten)]
+        settings: SettingsArguments,
+    },
+    /// Write a data set at the scales 1, 1/2, 1/4, 1/8 in the public layout (metadata.json)
+    Multiscale {
+        /// Folder to write
+        out: PathBuf,
+        /// Folder of the scene; overrides data.root
+        #[arg(long, value_name = "DIR")]
+        root: Option<PathBuf>,
+        /// Settings.
+        #[command(flatten)]
+        settings: SettingsArguments,
+    },
+    /// Write the built-in procedural scene as a Blender data set
+    Builtin {
+        /// Folder to write
+        out: PathBuf,
+        /// Settings.
+        #[command(flatten)]
+        settings: SettingsArguments,
+    },
+}
+
+/// Options of `config`.
+#[derive(Args, Debug)]
+pub struct ConfigArguments {
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArguments,
+    /// Print the documented table of defaults instead
+    #[arg(long, conflicts_with_all = ["config", "set"])]
+    pub defaults: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn options_without_a_verb_are_those_of_training() {
+        let bare = Arguments::try_parse_from(["x", "--config", "a.toml", "--set", "seed=1"]).unwrap();
+        assert!(bare.verb.is_none());
+        assert_eq!(bare.train.settings.config, Some("a.toml".into()));
+        let verb = Arguments::try_parse_from(["x", "train", "--stop-after", "5"]).unwrap();
+        assert!(matches!(verb.verb, Some(Verb::Train(TrainArguments { stop_after: Some(5), .. }))));
+    }
+
+    #[test]
+    fn cameras_exclude_each_other_and_may_be_negative() {
+        let parse = |args: &[&str]| Arguments::try_parse_from([&["x", "render", "m"], args].concat());
+        assert!(parse(&["--turntable", "8", "--views", "1,2"]).is_err());
+        assert!(parse(&["--look-at", "-4,0,2/0,0,0", "--what", "color,depth"]).is_ok());
+    }
+}

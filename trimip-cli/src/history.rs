@@ -1,0 +1,219 @@
+//! What a run's events add up to: the curve of error against time, the final measures, warnings, counters. Built from
+//! the stream as it flows and, on resume, from `metrics.jsonl`; nothing else feeds the report.
+
+use trimip_core::events::{Event, ScaleQuality, Totals};
+
+/// One evaluation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evaluation {
+    /// Where the run stood.
+    pub totals: Totals,
+    /// Every n-th test view was used.
+    pub stride: usize,
+    /// True for the evaluation that ends the run.
+    pub last: bool,
+    /// Per scale, fine to coarse.
+    pub scales: Vec<ScaleQuality>,
+    /// Mean of the scales' PSNR, dB.
+    pub psnr: f64,
+    /// Mean of the scales' SSIM.
+    pub ssim: f64,
+    /// Seconds it took.
+    pub seconds: f64,
+}
+
+/// One process's part of the run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// Backend.
+    pub backend: String,
+    /// Seconds from the program's start, everything included.
+    pub wall_seconds: f64,
+    /// Largest resident memory, where known.
+    pub peak_memory_bytes: Option<u64>,
+}
+
+/// Latest figures of training.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Training {
+    /// Fraction of the run done.
+    pub progress: f64,
+    /// Mean loss of the latest step.
+    pub loss: f64,
+    /// Share of occupied cells.
+    pub occupied: f64,
+}
+
+/// Everything the report tells about the course of a run.
+#[derive(Clone, Debug, Default)]
+pub struct History {
+    /// Evaluations in the order of steps, one per step and stride.
+    pub evaluations: Vec<Evaluation>,
+    /// One line each, none twice.
+    pub warnings: Vec<String>,
+    /// Processes that worked on the run, first to last.
+    pub parts: Vec<Part>,
+    /// Counters.
+    pub totals: Totals,
+    /// Latest figures of training.
+    pub training: Training,
+    /// True once the schedule is done.
+    pub finished: bool,
+    /// Predicted peak memory of the latest plan.
+    pub predicted_memory_bytes: Option<u64>,
+}
+
+impl History {
+    /// The history of events read from a file.
+    pub fn of(events: &[Event]) -> Self {
+        let mut history = Self::default();
+        events.iter().for_each(|event| history.take(event));
+        history
+    }
+
+    /// Takes the next event.
+    pub fn take(&mut self, event: &Event) {
+        if let Some(totals) = totals(event) {
+            self.totals = *totals;
+        }
+        match event {
+            Event::Plan { memory_bytes, .. } => self.predicted_memory_bytes = Some(*memory_bytes),
+            Event::Step { progress, loss, occupied, .. } => {
+                self.training = Training { progress: *progress, loss: *loss, occupied: *occupied };
+            }
+            Event::Evaluation { totals, stride, last, scales, psnr, ssim, seconds } => {
+                // A step that is evaluated again, after a resume, replaces what was measured there.
+                self.evaluations.retain(|other| {
+                    (other.totals.step, other.stride) != (totals.step, *stride) && !(*last && other.last)
+                });
+                self.evaluations.push(Evaluation {
+                    totals: *totals,
+                    stride: *stride,
+                    last: *last,
+                    scales: scales.clone(),
+                    psnr: *psnr,
+                    ssim: *ssim,
+                    seconds: *seconds,
+                });
+            }
+            Event::Warning { message } if !self.warnings.contains(message) => {
+                self.warnings.push(message.clone())
+            }
+            Event::Finished { .. } => self.finished = true,
+            Event::SessionEnded { backend, wall_seconds, peak_memory_bytes, .. } => self.parts.push(Part {
+                backend: backend.clone(),
+                wall_seconds: *wall_seconds,
+                peak_memory_bytes: *peak_memory_bytes,
+            }),
+            _ => {}
+        }
+    }
+
+    /// The evaluation that ends the run.
+    pub fn last(&self) -> Option<&Evaluation> {
+        self.evaluations.iter().find(|evaluation| evaluation.last)
+    }
+
+    /// The newest evaluation there is, the final one first.
+    pub fn best_known(&self) -> Option<&Evaluation> {
+        self.last().or(self.evaluations.last())
+    }
+
+    /// Evaluations that may be drawn as one line: all on the same test views, in the order of steps.
+    pub fn curve(&self, stride: usize) -> Vec<&Evaluation> {
+        let mut curve: Vec<_> = self.evaluations.iter().filter(|e| e.stride == stride).collect();
+        curve.sort_by_key(|evaluation| evaluation.totals.step);
+        curve
+    }
+
+    /// Largest resident memory of all parts, where any is known.
+    pub fn peak_memory_bytes(&self) -> Option<u64> {
+        self.parts.iter().filter_map(|part| part.peak_memory_bytes).max()
+    }
+
+    /// Seconds spent in evaluations; two that share a step share their rendering.
+    pub fn evaluation_seconds(&self) -> f64 {
+        let mut steps: Vec<(u64, f64)> = Vec::new();
+        for evaluation in &self.evaluations {
+            match steps.iter_mut().find(|(step, _)| *step == evaluation.totals.step) {
+                Some((_, seconds)) => *seconds = seconds.max(evaluation.seconds),
+                None => steps.push((evaluation.totals.step, evaluation.seconds)),
+            }
+        }
+        steps.iter().map(|(_, seconds)| seconds).sum()
+    }
+}
+
+/// The counters an event carries.
+pub fn totals(event: &Event) -> Option<&Totals> {
+    match event {
+        Event::Resumed { totals }
+        | Event::Step { totals, .. }
+        | Event::Evaluation { totals, .. }
+        | Event::Stopped { totals }
+        | Event::Finished { totals } => Some(totals),
+        _ => None,
+    }
+}
+
+/// Events up to `step`: what a run resumed there keeps. Later ones are done again and would stand twice.
+pub fn up_to(events: Vec<Event>, step: u64) -> Vec<Event> {
+    events.into_iter().filter(|event| totals(event).is_none_or(|totals| totals.step <= step)).collect()
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::*;
+
+    /// An evaluation event at `step` with `psnr` at two scales.
+    pub fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
+        let scale = |scale, psnr| ScaleQuality { scale, images: 8, psnr, ssim: 0.9 };
+        Event::Evaluation {
+            totals: Totals {
+                step,
+                seconds: step as f64 / 10.0,
+                samples: step * 1000,
+                rays: step * 10,
+                ..Totals::default()
+            },
+            stride,
+            last,
+            scales: vec![scale(1, psnr - 1.0), scale(2, psnr + 1.0)],
+            psnr,
+            ssim: 0.9,
+            seconds: 2.0,
+        }
+    }
+
+    #[test]
+    fn a_resumed_run_keeps_its_curve_and_repeats_nothing() {
+        let before = vec![
+            evaluation(10, 5, false, 20.0),
+            Event::Warning { message: "dark".into() },
+            evaluation(30, 5, false, 24.0),
+        ];
+        let kept = up_to(before, 20);
+        assert_eq!(kept.len(), 2);
+        let mut history = History::of(&kept);
+        for event in [
+            Event::Warning { message: "dark".into() },
+            evaluation(30, 5, false, 24.5),
+            evaluation(40, 5, false, 26.0),
+            evaluation(40, 1, true, 25.0),
+        ] {
+            history.take(&event);
+        }
+        let steps: Vec<_> = history.curve(5).iter().map(|e| (e.totals.step, e.psnr)).collect();
+        assert_eq!(steps, [(10, 20.0), (30, 24.5), (40, 26.0)]);
+        assert_eq!(history.warnings, ["dark"]);
+        assert_eq!(history.last().unwrap().psnr, 25.0);
+        assert_eq!(history.evaluation_seconds(), 6.0);
+    }
+
+    #[test]
+    fn the_final_evaluation_done_again_replaces_the_first() {
+        let history = History::of(&[evaluation(40, 1, true, 25.0), evaluation(40, 2, true, 26.0)]);
+        assert_eq!(history.evaluations.len(), 1);
+        assert_eq!(history.last().unwrap().stride, 2);
+    }
+}

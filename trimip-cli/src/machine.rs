@@ -1,0 +1,128 @@
+//! What the program runs on: processor, memory, system, disk. Read from Linux's own files; what another system does not
+//! tell is `None`, never a made-up zero.
+
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// The machine, for reports and `doctor`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Machine {
+    /// Model name of the processor.
+    pub cpu: String,
+    /// Threads that this process may run at once.
+    pub cores: usize,
+    /// Instruction sets found that training can use.
+    pub simd: Vec<String>,
+    /// Operating system and kernel.
+    pub os: String,
+    /// Memory this process may use in all: the machine's, or a container's limit.
+    pub memory_total_bytes: Option<u64>,
+    /// Memory available when asked.
+    pub memory_available_bytes: Option<u64>,
+}
+
+impl Machine {
+    /// Looks around.
+    pub fn detect() -> Self {
+        let meminfo = read("/proc/meminfo");
+        let limit = read("/sys/fs/cgroup/memory.max").trim().parse().ok();
+        let used = read("/sys/fs/cgroup/memory.current").trim().parse::<u64>().ok();
+        let total = kilobytes(&meminfo, "MemTotal:");
+        let available = kilobytes(&meminfo, "MemAvailable:");
+        let left = limit.zip(used).map(|(limit, used): (u64, u64)| limit.saturating_sub(used));
+        Self {
+            cpu: field(&read("/proc/cpuinfo"), "model name", ':')
+                .unwrap_or_else(|| std::env::consts::ARCH.into()),
+            cores: std::thread::available_parallelism().map_or(1, usize::from),
+            simd: simd(),
+            os: os(),
+            memory_total_bytes: smaller(total, limit),
+            memory_available_bytes: smaller(available, left),
+        }
+    }
+}
+
+/// Largest resident memory of this process so far (`VmHWM`).
+pub fn peak_memory() -> Option<u64> {
+    kilobytes(&read("/proc/self/status"), "VmHWM:")
+}
+
+/// Bytes a user may still write on the disk that holds `path`.
+#[cfg(unix)]
+pub fn disk_free(path: &Path) -> Option<u64> {
+    let stat = rustix::fs::statvfs(path).ok()?;
+    Some(stat.f_bavail * stat.f_frsize)
+}
+
+/// Bytes a user may still write on the disk that holds `path`: not known here.
+#[cfg(not(unix))]
+pub fn disk_free(_path: &Path) -> Option<u64> {
+    None
+}
+
+fn read(path: &str) -> String {
+    std::fs::read_to_string(path).unwrap_or_default()
+}
+
+fn smaller(a: Option<u64>, b: Option<u64>) -> Option<u64> {
+    a.into_iter().chain(b).min()
+}
+
+/// The value after `name` and `separator` on the first line that starts with `name`, without quotes.
+fn field(text: &str, name: &str, separator: char) -> Option<String> {
+    let line = text.lines().find(|line| line.starts_with(name))?;
+    let value = line.split_once(separator)?.1.trim().trim_matches('"');
+    (!value.is_empty()).then(|| value.to_string())
+}
+
+/// The `kB` value on the line that starts with `name`, in bytes.
+fn kilobytes(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    line.trim().trim_end_matches("kB").trim().parse::<u64>().ok().map(|value| value * 1024)
+}
+
+fn os() -> String {
+    let name = field(&read("/etc/os-release"), "PRETTY_NAME", '=');
+    let kernel = read("/proc/sys/kernel/osrelease");
+    let kind = std::env::consts::OS;
+    match name {
+        Some(name) => format!("{name} ({kind} {})", kernel.trim()),
+        None => kind.to_string(),
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+fn simd() -> Vec<String> {
+    let found = [
+        ("sse4.2", std::is_x86_feature_detected!("sse4.2")),
+        ("avx2", std::is_x86_feature_detected!("avx2")),
+        ("fma", std::is_x86_feature_detected!("fma")),
+        ("f16c", std::is_x86_feature_detected!("f16c")),
+        ("avx512f", std::is_x86_feature_detected!("avx512f")),
+    ];
+    found.into_iter().filter(|(_, present)| *present).map(|(name, _)| name.to_string()).collect()
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn simd() -> Vec<String> {
+    if cfg!(target_feature = "neon") { vec!["neon".into()] } else { Vec::new() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_are_read_and_missing_ones_are_unknown() {
+        let status = "Name:\tx\nVmHWM:\t  1234 kB\n";
+        assert_eq!(kilobytes(status, "VmHWM:"), Some(1234 * 1024));
+        assert_eq!(kilobytes(status, "VmPeak:"), None);
+        assert_eq!(field("PRETTY_NAME=\"A B\"", "PRETTY_NAME", '='), Some("A B".into()));
+        assert_eq!(field("", "model name", ':'), None);
+    }
+
+    #[test]
+    fn this_machine_has_a_core() {
+        assert!(Machine::detect().cores >= 1);
+    }
+}

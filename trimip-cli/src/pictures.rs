@@ -1,0 +1,151 @@
+//! From rendered frames to picture files: 8-bit sRGB PNG for colour, 16-bit grey PNG for depth and opacity, 32-bit
+//! float EXR, and the comparison of a view with its photograph.
+
+use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage, imageops};
+use std::io::Cursor;
+use std::path::Path;
+use trimip_core::{Error, Frame, Result, tensors::write_atomically};
+
+/// Factor on the absolute difference in comparisons: 1/4 of full range shows as full brightness.
+pub const DIFFERENCE_GAIN: f32 = 4.0;
+
+/// Colours in [0, 1] as 8-bit pixels, rounded; a value that is no number is black.
+pub fn rgb_image(width: u32, height: u32, rgb: &[[f32; 3]]) -> RgbImage {
+    let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+    ImageBuffer::from_fn(width, height, |x, y| {
+        Rgb(rgb.get((y * width + x) as usize).copied().unwrap_or_default().map(byte))
+    })
+}
+
+/// Absolute difference per channel, amplified by [`DIFFERENCE_GAIN`].
+pub fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    a.iter().zip(b).map(|(a, b)| std::array::from_fn(|c| (a[c] - b[c]).abs() * DIFFERENCE_GAIN)).collect()
+}
+
+/// Rendered, photograph and difference next to each other, 2 white pixels apart.
+pub fn side_by_side(width: u32, height: u32, rendered: &[[f32; 3]], photograph: &[[f32; 3]]) -> RgbImage {
+    const GAP: u32 = 2;
+    let mut sheet = RgbImage::from_pixel(3 * width + 2 * GAP, height, Rgb([255; 3]));
+    for (i, rgb) in [rendered, photograph, &difference(rendered, photograph)].into_iter().enumerate() {
+        imageops::replace(&mut sheet, &rgb_image(width, height, rgb), i64::from(i as u32 * (width + GAP)), 0);
+    }
+    sheet
+}
+
+/// The three panels of a [`side_by_side`] sheet.
+pub fn panels(sheet: &RgbImage) -> [RgbImage; 3] {
+    let width = sheet.width().saturating_sub(4) / 3;
+    std::array::from_fn(|i| {
+        imageops::crop_imm(sheet, i as u32 * (width + 2), 0, width, sheet.height()).to_image()
+    })
+}
+
+/// A picture as PNG bytes.
+pub fn png(picture: impl Into<DynamicImage>) -> Result<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    picture
+        .into()
+        .write_to(&mut bytes, ImageFormat::Png)
+        .map_err(|error| Error::run(format!("cannot encode a PNG: {error}")))?;
+    Ok(bytes.into_inner())
+}
+
+/// Writes a picture as PNG.
+pub fn write_png(path: &Path, picture: impl Into<DynamicImage>) -> Result<()> {
+    write_atomically(path, &png(picture)?)
+}
+
+/// Values between `low` and `high` as 16-bit grey.
+pub fn grey(
+    width: u32,
+    height: u32,
+    values: &[f32],
+    low: f32,
+    high: f32,
+) -> ImageBuffer<Luma<u16>, Vec<u16>> {
+    let range = (high - low).max(f32::MIN_POSITIVE);
+    ImageBuffer::from_fn(width, height, |x, y| {
+        let value = values.get((y * width + x) as usize).copied().unwrap_or_default();
+        Luma([(((value - low) / range).clamp(0.0, 1.0) * 65_535.0).round() as u16])
+    })
+}
+
+/// Distance of what is seen along the optical axis: composited depth over opacity; `empty` where nothing is seen.
+pub fn depth(frame: &Frame, empty: f32) -> Vec<f32> {
+    let seen = |opacity: f32| opacity > 1e-3;
+    frame.pixels.iter().map(|p| if seen(p.opacity) { p.depth / p.opacity } else { empty }).collect()
+}
+
+/// Opacity of every pixel.
+pub fn opacity(frame: &Frame) -> Vec<f32> {
+    frame.pixels.iter().map(|pixel| pixel.opacity).collect()
+}
+
+/// Writes named 32-bit float channels as one EXR file.
+#[cfg(feature = "exr")]
+pub fn write_exr(path: &Path, width: u32, height: u32, channels: Vec<(&str, Vec<f32>)>) -> Result<()> {
+    use exr::prelude::*;
+    let channels = channels.into_iter().map(|(name, values)| AnyChannel::new(name, FlatSamples::F32(values)));
+    let picture =
+        Image::from_channels((width as usize, height as usize), AnyChannels::sort(channels.collect()));
+    let mut bytes = Cursor::new(Vec::new());
+    picture
+        .write()
+        .to_buffered(&mut bytes)
+        .map_err(|error| trimip_core::Error::run(format!("cannot encode an EXR: {error}")))?;
+    write_atomically(path, &bytes.into_inner())
+}
+
+/// This build leaves EXR out.
+#[cfg(not(feature = "exr"))]
+pub fn write_exr(path: &Path, _width: u32, _height: u32, _channels: Vec<(&str, Vec<f32>)>) -> Result<()> {
+    Err(Error::input(
+        path.display(),
+        "this build has no EXR",
+        "use --format png, or build with feature `exr`",
+    ))
+}
+
+/// An sRGB value as linear light (IEC 61966-2-1), what EXR holds by custom.
+pub fn linear(value: f32) -> f32 {
+    if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_are_rounded_and_clamped() {
+        let image = rgb_image(1, 1, &[[0.499 / 255.0, 1.5, f32::NAN]]);
+        assert_eq!(image.get_pixel(0, 0).0, [0, 255, 0]);
+    }
+
+    #[test]
+    fn a_sheet_comes_apart_into_its_panels() {
+        let (rendered, photograph) = (vec![[1.0; 3]; 6], vec![[0.9; 3]; 6]);
+        let [a, b, c] = panels(&side_by_side(3, 2, &rendered, &photograph));
+        assert_eq!(a, rgb_image(3, 2, &rendered));
+        assert_eq!(b, rgb_image(3, 2, &photograph));
+        assert_eq!(c.get_pixel(2, 1).0, [102; 3]);
+    }
+
+    #[test]
+    fn linear_light_keeps_black_and_white() {
+        assert!(linear(0.0) == 0.0 && (linear(1.0) - 1.0).abs() < 1e-6);
+        assert!((linear(0.5) - 0.214_041).abs() < 1e-5);
+    }
+
+    #[cfg(feature = "exr")]
+    #[test]
+    fn an_exr_holds_its_channels() {
+        use exr::prelude::*;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        write_exr(&path, 2, 1, vec![("Z", vec![1.5, 2.5]), ("R", vec![0.0, 1.0])]).unwrap();
+        let image = read_first_flat_layer_from_file(&path).unwrap();
+        let channels = &image.layer_data.channel_data.list;
+        assert_eq!(channels[1].name.to_string(), "Z");
+        assert_eq!(channels[1].sample_data.values_as_f32().collect::<Vec<_>>(), [1.5, 2.5]);
+    }
+}

@@ -1,0 +1,147 @@
+//! What a run is going to do and how much memory it will need, in lines said before it starts.
+
+use crate::{machine::Machine, terminal};
+use std::path::Path;
+use trimip_core::{Config, Frames, ViewSet};
+
+/// Lines of the plan and the predicted peak memory in bytes.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// One line each: a subject, a colon, what will be done.
+    pub lines: Vec<String>,
+    /// Predicted peak memory.
+    pub memory_bytes: u64,
+}
+
+/// What is known about the scene before training.
+pub struct Subject<'a> {
+    /// Name of the scene.
+    pub name: &'a str,
+    /// What the reader says about the data.
+    pub description: &'a [String],
+    /// Training views.
+    pub train: &'a ViewSet,
+    /// Test frames.
+    pub test: &'a dyn Frames,
+}
+
+impl Plan {
+    /// The plan of a run that starts at `step` and writes to `folder`.
+    pub fn new(
+        config: &Config,
+        subject: &Subject<'_>,
+        memory: &[(String, u64)],
+        folder: &Path,
+        step: u64,
+    ) -> Self {
+        let memory_bytes = memory.iter().map(|(_, bytes)| bytes).sum();
+        let mut lines = vec![format!("scene: {}", subject.name)];
+        lines.extend(subject.description.iter().map(|line| format!("data: {line}")));
+        lines.extend(subject.train.scales.iter().map(|scale| {
+            format!(
+                "scale 1/{}: {} training views, {}, loss weight {} per pixel",
+                scale.factor,
+                scale.views.len(),
+                terminal::number(scale.pixels.len() as f64, "pixels"),
+                scale.weight
+            )
+        }));
+        lines.push(model_line(config));
+        lines.push(train_line(config, step));
+        lines.push(evaluation_line(config, subject.test.len()));
+        let parts: Vec<_> =
+            memory.iter().map(|(part, bytes)| format!("{part} {}", terminal::bytes(*bytes))).collect();
+        lines.push(format!("memory: {} ({})", terminal::bytes(memory_bytes), parts.join(", ")));
+        lines.push(format!("folder: {}", folder.display()));
+        Self { lines, memory_bytes }
+    }
+
+    /// A warning when the machine has less memory than the plan needs.
+    pub fn memory_warning(&self, machine: &Machine) -> Option<String> {
+        let available = machine.memory_available_bytes?;
+        (self.memory_bytes > available).then(|| {
+            format!(
+                "the run needs about {} but only {} of memory is available; lower encoder.plane_size, data.scales or \
+                 train.samples_per_step",
+                terminal::bytes(self.memory_bytes),
+                terminal::bytes(available)
+            )
+        })
+    }
+}
+
+fn model_line(config: &Config) -> String {
+    let (encoder, field) = (&config.encoder, &config.field);
+    let texels = 3 * u64::from(encoder.plane_size).pow(2) * u64::from(encoder.channels);
+    let [hidden, density, color] = [field.hidden, field.density_layers, field.color_layers].map(u64::from);
+    // 3 planes' features → density logit + 15 features; 15 features + 16 spherical harmonics → RGB.
+    let weights = hidden * (3 * u64::from(encoder.channels) + (density - 1) * hidden + 16)
+        + hidden * (31 + (color - 1) * hidden + 3);
+    let levels = if encoder.mipmap { format!("{} mip levels", encoder.levels) } else { "no mipmap".into() };
+    format!(
+        "model: 3 planes of {size}×{size}×{channels} with {levels}, {texels} values; hidden layers {hidden}×{density} \
+         for density and {hidden}×{color} for colour, {weights} weights",
+        size = encoder.plane_size,
+        channels = encoder.channels,
+        texels = terminal::number(texels as f64, ""),
+        weights = terminal::number(weights as f64, ""),
+    )
+}
+
+fn train_line(config: &Config, step: u64) -> String {
+    let train = &config.train;
+    let per_step = terminal::number(train.samples_per_step.into(), "samples");
+    let length = if train.seconds > 0.0 {
+        format!("{} at {per_step} a step", terminal::duration(train.seconds))
+    } else {
+        let total = train.steps as f64 * f64::from(train.samples_per_step);
+        format!("{} steps of {per_step}, {} in all", train.steps, terminal::number(total, "samples"))
+    };
+    let from = if step > 0 { format!(", going on from step {step}") } else { String::new() };
+    format!("training: {length}{from}; backend {}, seed {}", config.backend, config.seed)
+}
+
+fn evaluation_line(config: &Config, views: usize) -> String {
+    let eval = &config.eval;
+    let on = |stride: usize| format!("{} of {views} test views", views.div_ceil(stride.max(1)));
+    let way = match eval.points {
+        0 => "none on the way".to_string(),
+        points => format!("{points} times on the way on {}", on(eval.stride as usize)),
+    };
+    let end = eval
+        .final_stride()
+        .map_or("none at the end".into(), |stride| format!("at the end on {}", on(stride)));
+    let floor = if eval.min_psnr > 0.0 {
+        format!("; fails below a mean PSNR of {} dB", eval.min_psnr)
+    } else {
+        String::new()
+    };
+    format!("evaluation: {way}, {end}{floor}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_model_is_counted() {
+        let line = model_line(&Config::default());
+        assert!(line.contains("512×512×16") && line.contains("12.6 M values"), "{line}");
+        // 48·128 + 128·16 + 31·128 + 128·128 + 128·3
+        assert!(line.contains("128×1 for density and 128×2") && line.contains("28.9 k weights"), "{line}");
+    }
+
+    #[test]
+    fn a_budget_of_time_replaces_steps() {
+        let mut config = Config::default();
+        assert!(
+            train_line(&config, 5).contains("25000 steps") && train_line(&config, 5).contains("from step 5")
+        );
+        config.train.seconds = 300.0;
+        assert!(
+            train_line(&config, 0).starts_with("training: 5 min 00 s at 262 k samples"),
+            "{}",
+            train_line(&config, 0)
+        );
+    }
+}

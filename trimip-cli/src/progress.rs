@@ -1,0 +1,187 @@
+//! Who listens to a run: the history for the report, `metrics.jsonl`, and the user, by a bar on a terminal or by the
+//! same JSON lines on standard output.
+
+use crate::{args::ProgressStyle, history::History, report::csv, run_folder::RunFolder, terminal};
+use indicatif::{ProgressBar, ProgressStyle as BarStyle};
+use std::fs::File;
+use std::io::Write;
+use trimip_core::{
+    Error, Result,
+    events::{Event, EventSink, ScaleQuality},
+};
+
+/// Shows events to the user.
+pub enum Display {
+    /// One JSON object a line.
+    Json,
+    /// A bar, and lines above it.
+    Bar(ProgressBar),
+}
+
+impl Display {
+    /// The display for a style; `Auto` asks whether a person watches.
+    pub fn new(style: ProgressStyle) -> Self {
+        match style {
+            ProgressStyle::Json => Self::Json,
+            ProgressStyle::Auto if !terminal::watched() => Self::Json,
+            _ => Self::Bar(bar("{bar:30} {percent:>3} %  {msg}", 1000)),
+        }
+    }
+
+    /// Shows one event.
+    pub fn show(&self, event: &Event) {
+        match self {
+            Self::Json => {
+                if let Ok(text) = serde_json::to_string(event) {
+                    terminal::line(text);
+                }
+            }
+            Self::Bar(bar) => show_on_bar(bar, event),
+        }
+    }
+}
+
+/// A bar over `length` units on standard error.
+pub fn bar(template: &str, length: u64) -> ProgressBar {
+    let style = BarStyle::with_template(template).unwrap_or_else(|_| BarStyle::default_bar());
+    ProgressBar::new(length).with_style(style.progress_chars("━╸─"))
+}
+
+fn show_on_bar(bar: &ProgressBar, event: &Event) {
+    match event {
+        Event::Plan { lines, .. } => bar.suspend(|| lines.iter().for_each(terminal::line)),
+        Event::Resumed { totals } => bar.suspend(|| {
+            terminal::line(format!("resumed: step {}, {}", totals.step, terminal::duration(totals.seconds)));
+        }),
+        Event::Step {
+            totals,
+            progress,
+            batch_psnr,
+            samples_per_second,
+            rays_per_second,
+            seconds_left,
+            ..
+        } => {
+            bar.set_position((progress * 1000.0) as u64);
+            bar.set_message(format!(
+                "step {}  PSNR {batch_psnr:.2} dB  {}  {}  {} left",
+                totals.step,
+                terminal::number(*samples_per_second, "samples/s"),
+                terminal::number(*rays_per_second, "rays/s"),
+                terminal::duration(*seconds_left)
+            ));
+        }
+        Event::EvaluationProgress { done, total } => {
+            bar.set_message(format!("evaluating view {} of {total}", done + 1));
+        }
+        Event::Evaluation { totals, scales, psnr, ssim, last: false, .. } => bar.suspend(|| {
+            let per_scale: Vec<_> = scales.iter().map(|q| format!("1/{} {:.2}", q.scale, q.psnr)).collect();
+            terminal::line(format!(
+                "{:>10}  step {:<7} PSNR {psnr:.2} dB ({})  SSIM {ssim:.4}",
+                terminal::duration(totals.seconds),
+                totals.step,
+                per_scale.join("  ")
+            ));
+        }),
+        Event::Evaluation { scales, .. } => {
+            bar.suspend(|| table(scales).iter().for_each(terminal::line));
+        }
+        Event::Warning { message } => bar.suspend(|| terminal::line(format!("warning: {message}"))),
+        Event::Stopped { totals } => {
+            bar.abandon();
+            terminal::line(format!("stopped at step {}; the same command goes on from there", totals.step));
+        }
+        Event::Finished { totals } => {
+            bar.set_position(1000);
+            bar.suspend(|| {
+                terminal::line(format!(
+                    "trained: {} steps in {}, {} and {}",
+                    totals.step,
+                    terminal::duration(totals.seconds),
+                    terminal::number(totals.samples as f64, "samples"),
+                    terminal::number(totals.rays as f64, "rays")
+                ));
+            });
+        }
+        Event::SessionEnded { .. } => bar.finish_and_clear(),
+        Event::Checkpoint { .. } => {}
+    }
+}
+
+/// PSNR and SSIM per scale and their mean as aligned lines.
+pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
+    let (psnr, ssim) = trimip_core::evaluate::mean_quality(scales);
+    let mut lines = vec![format!("{:>7}  {:>6}  {:>8}  {:>6}", "scale", "images", "PSNR/dB", "SSIM")];
+    lines.extend(scales.iter().map(|q| {
+        let name = if q.scale == 1 { "full".to_string() } else { format!("1/{}", q.scale) };
+        format!("{name:>7}  {:>6}  {:>8.3}  {:>6.4}", q.images, q.psnr, q.ssim)
+    }));
+    let images: usize = scales.iter().map(|q| q.images).sum();
+    lines.push(format!("{:>7}  {images:>6}  {psnr:>8.3}  {ssim:>6.4}", "mean"));
+    lines
+}
+
+/// The run's event sink.
+pub struct Recorder {
+    /// What the events add up to.
+    pub history: History,
+    display: Display,
+    metrics: File,
+    folder: RunFolder,
+    failure: Option<Error>,
+}
+
+impl Recorder {
+    /// Listens on, after the events that the folder already holds and the run keeps.
+    pub fn new(folder: &RunFolder, kept: &[Event], display: Display) -> Result<Self> {
+        Ok(Self {
+            history: History::of(kept),
+            display,
+            metrics: folder.restart_events(kept)?,
+            folder: folder.clone(),
+            failure: None,
+        })
+    }
+
+    /// The first failure to write metrics, told once.
+    pub fn take_failure(&mut self) -> Option<Error> {
+        self.failure.take()
+    }
+
+    fn write(&mut self, event: &Event) -> Result<()> {
+        let mut line = serde_json::to_string(event).map_err(Error::run)?;
+        line.push('\n');
+        let place = self.folder.metrics();
+        self.metrics.write_all(line.as_bytes()).map_err(|error| {
+            Error::input(place.display(), format!("cannot write: {error}"), "free some disk space")
+        })?;
+        if matches!(event, Event::Evaluation { .. }) {
+            csv::write(&self.folder.curve(), &self.history)?;
+        }
+        Ok(())
+    }
+}
+
+impl EventSink for Recorder {
+    fn emit(&mut self, event: &Event) {
+        self.history.take(event);
+        // A full disk must not end hours of training before its last checkpoint is tried.
+        if let Err(error) = self.write(event) {
+            self.failure.get_or_insert(error);
+        }
+        self.display.show(event);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_ends_with_the_mean_of_the_scales() {
+        let scale = |scale, psnr| ScaleQuality { scale, images: 3, psnr, ssim: 0.5 };
+        let lines = table(&[scale(1, 20.0), scale(2, 30.0)]);
+        assert_eq!(lines.len(), 4);
+        assert!(lines[1].contains("full") && lines[2].contains("1/2") && lines[3].contains("25.000"));
+    }
+}

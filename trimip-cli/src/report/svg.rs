@@ -1,0 +1,223 @@
+//! The plot of error against time as SVG text: PSNR in dB upwards (the right axis names the same error as RMSE), training
+//! seconds to the right, linear or logarithmic; one line per scale and one for their mean.
+
+use crate::history::Evaluation;
+
+const WIDTH: f64 = 960.0;
+const HEIGHT: f64 = 440.0;
+const LEFT: f64 = 56.0;
+const RIGHT: f64 = 66.0;
+const TOP: f64 = 14.0;
+const BOTTOM: f64 = 48.0;
+
+/// Line colours from fine to coarse (Okabe and Ito's set, told apart without colour vision too).
+pub const COLORS: [&str; 8] =
+    ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#a6761d"];
+
+/// An axis: the range of its values and the pixels it covers.
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    low: f64,
+    high: f64,
+    logarithmic: bool,
+    start: f64,
+    end: f64,
+}
+
+impl Axis {
+    /// Pixel of a value.
+    fn place(&self, value: f64) -> f64 {
+        let f = |x: f64| if self.logarithmic { x.log10() } else { x };
+        let fraction = (f(value) - f(self.low)) / (f(self.high) - f(self.low));
+        self.start + fraction * (self.end - self.start)
+    }
+
+    /// Round values to label.
+    fn ticks(&self) -> Vec<f64> {
+        if self.logarithmic {
+            let digits: &[f64] = if self.high / self.low > 2e3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+            let decades = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
+            let all = decades.flat_map(|e| digits.iter().map(move |d| d * 10_f64.powi(e)));
+            return all.filter(|t| (self.low * 0.999..=self.high * 1.001).contains(t)).collect();
+        }
+        let step = round_step((self.high - self.low) / 6.0);
+        let first = (self.low / step - 1e-9).ceil() as i64;
+        let last = (self.high / step + 1e-9).floor() as i64;
+        (first..=last).map(|i| i as f64 * step).collect()
+    }
+}
+
+/// The smallest of 1, 2, 5 × 10^n that is not below `rough`.
+fn round_step(rough: f64) -> f64 {
+    let power = 10_f64.powf(rough.log10().floor());
+    [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough * 0.999).unwrap_or(10.0 * power)
+}
+
+/// Axes that hold every finite point, the vertical one widened to round values.
+fn axes(curve: &[&Evaluation], logarithmic: bool) -> Option<(Axis, Axis)> {
+    let values: Vec<f64> = curve
+        .iter()
+        .flat_map(|e| e.scales.iter().map(|q| q.psnr).chain([e.psnr]))
+        .filter(|v| v.is_finite())
+        .collect();
+    let times: Vec<f64> = curve.iter().map(|e| e.totals.seconds).filter(|t| *t > 0.0).collect();
+    let range = |values: &[f64]| {
+        let low = values.iter().copied().reduce(f64::min)?;
+        Some((low, values.iter().copied().reduce(f64::max)?))
+    };
+    let ((first, last), (low, high)) = (range(&times)?, range(&values)?);
+    let step = round_step(((high - low) / 6.0).max(0.1));
+    let vertical = Axis {
+        low: (low / step).floor() * step,
+        high: ((high / step).ceil() * step).max((low / step).floor() * step + step),
+        logarithmic: false,
+        start: HEIGHT - BOTTOM,
+        end: TOP,
+    };
+    let (first, last) = if logarithmic { (first / 1.08, last * 1.08) } else { (0.0, last * 1.02) };
+    Some((Axis { low: first, high: last, logarithmic, start: LEFT, end: WIDTH - RIGHT }, vertical))
+}
+
+/// The plot; `None` where there is nothing to draw. `whole` is the evaluation on all views that ended the run, drawn as
+/// a ring because it is measured on other views than the curve.
+pub fn plot(curve: &[&Evaluation], whole: Option<&Evaluation>, logarithmic: bool) -> Option<String> {
+    let whole = whole.filter(|w| !curve.contains(w));
+    let all: Vec<&Evaluation> = curve.iter().copied().chain(whole).collect();
+    let (x, y) = axes(&all, logarithmic)?;
+    let mut svg = format!(
+        "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against training time\">"
+    );
+    for tick in y.ticks() {
+        let at = y.place(tick);
+        svg += &format!(
+            "<line class=\"grid\" x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{at:.1}\" y2=\"{at:.1}\"/>\
+             <text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>\
+             <text class=\"faint\" x=\"{:.1}\" y=\"{:.1}\">{}</text>",
+            x.end,
+            LEFT - 8.0,
+            at + 4.5,
+            short(tick),
+            x.end + 8.0,
+            at + 4.5,
+            short(10_f64.powf(-tick / 20.0)),
+        );
+    }
+    for tick in x.ticks() {
+        let at = x.place(tick);
+        svg += &format!(
+            "<line class=\"grid\" x1=\"{at:.1}\" x2=\"{at:.1}\" y1=\"{TOP}\" y2=\"{:.1}\"/>\
+             <text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+            y.start,
+            y.start + 20.0,
+            short(tick),
+        );
+    }
+    svg += &format!(
+        "<text class=\"faint\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">training time / s</text>\
+         <text class=\"faint\" transform=\"translate(14 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">PSNR / dB</text>\
+         <text class=\"faint\" transform=\"translate({:.1} {middle:.1}) rotate(90)\" text-anchor=\"middle\">RMSE</text>",
+        0.5 * (x.start + x.end),
+        HEIGHT - 6.0,
+        WIDTH - 12.0,
+        middle = 0.5 * (y.start + y.end),
+    );
+    let scales = all.iter().map(|e| e.scales.len()).max().unwrap_or(0);
+    for scale in 0..scales {
+        let value = |e: &Evaluation| e.scales.get(scale).map_or(f64::NAN, |q| q.psnr);
+        svg += &line(curve, whole, x, y, COLORS[scale % COLORS.len()], "scale", value);
+    }
+    svg += &line(curve, whole, x, y, "currentColor", "mean", |e| e.psnr);
+    Some(svg + "</svg>")
+}
+
+fn line(
+    curve: &[&Evaluation],
+    whole: Option<&Evaluation>,
+    x: Axis,
+    y: Axis,
+    color: &str,
+    class: &str,
+    value: impl Fn(&Evaluation) -> f64,
+) -> String {
+    let drawn = |e: &&Evaluation| value(e).is_finite() && e.totals.seconds > 0.0;
+    let at = |e: &Evaluation| (x.place(e.totals.seconds), y.place(value(e)));
+    let hint = |e: &Evaluation| {
+        format!(
+            "<title>{:.2} dB after {} (step {})</title>",
+            value(e),
+            crate::terminal::duration(e.totals.seconds),
+            e.totals.step
+        )
+    };
+    let points: Vec<_> = curve.iter().copied().filter(drawn).collect();
+    let path: Vec<_> = points.iter().map(|e| at(e)).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+    let mut svg =
+        format!("<g class=\"{class}\" style=\"color:{color}\"><polyline points=\"{}\"/>", path.join(" "));
+    for e in points {
+        let (x, y) = at(e);
+        svg += &format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.2\">{}</circle>", hint(e));
+    }
+    if let Some(e) = whole.filter(drawn) {
+        let (x, y) = at(e);
+        svg += &format!("<circle class=\"ring\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"6\">{}</circle>", hint(e));
+    }
+    svg + "</g>"
+}
+
+/// A tick's value in few characters.
+fn short(value: f64) -> String {
+    let digits = if value.abs() >= 9.995 { 1 } else { 3 };
+    let text = format!("{value:.digits$}");
+    let trimmed = text.trim_end_matches('0').trim_end_matches('.');
+    if trimmed.is_empty() { "0".into() } else { trimmed.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_map_their_ends_and_the_logarithm_its_middle() {
+        let axis = Axis { low: 1.0, high: 100.0, logarithmic: true, start: 0.0, end: 200.0 };
+        assert_eq!((axis.place(1.0), axis.place(10.0), axis.place(100.0)), (0.0, 100.0, 200.0));
+        assert_eq!(axis.ticks(), [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]);
+        let axis = Axis { low: 20.0, high: 30.0, logarithmic: false, start: 100.0, end: 0.0 };
+        assert_eq!((axis.place(20.0), axis.place(25.0)), (100.0, 50.0));
+        assert_eq!(axis.ticks(), [20.0, 22.0, 24.0, 26.0, 28.0, 30.0]);
+    }
+
+    #[test]
+    fn every_point_lies_inside_the_frame() {
+        super::super::example(|report| {
+            for logarithmic in [false, true] {
+                let svg = plot(&report.curve(), report.history.last(), logarithmic).unwrap();
+                assert_eq!(svg.matches("<polyline").count(), 3);
+                assert_eq!(svg.matches("class=\"ring\"").count(), 3);
+                for part in svg.split("cx=\"").skip(1) {
+                    let x: f64 = part.split('"').next().unwrap().parse().unwrap();
+                    assert!((LEFT..=WIDTH - RIGHT).contains(&x), "{x}");
+                }
+            }
+        });
+    }
+
+    #[test]
+    fn degenerate_curves_draw_nothing_or_stay_finite() {
+        assert!(plot(&[], None, true).is_none());
+        super::super::example(|report| {
+            let one = plot(&report.curve()[..1], None, true).unwrap();
+            assert!(!one.contains("NaN") && !one.contains("inf"));
+            let mut broken = report.curve()[0].clone();
+            broken.psnr = f64::NAN;
+            broken.scales[0].psnr = f64::INFINITY;
+            let svg = plot(&[&broken], None, false).unwrap();
+            assert!(!svg.contains("NaN") && !svg.contains("inf"));
+        });
+    }
+
+    #[test]
+    fn ticks_are_short() {
+        assert_eq!([short(0.0), short(25.0), short(0.0316), short(2.5)], ["0", "25", "0.032", "2.5"]);
+        assert_eq!(short(1000.0), "1000");
+    }
+}

@@ -1,0 +1,247 @@
+//! The folder of a run: names of its files, what state it is in, reading and writing its events.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use trimip_core::{
+    Config, Error, Result, checkpoint::Checkpoint, events::Event, model::Model, tensors::write_atomically,
+};
+
+/// The files of a run.
+#[derive(Clone, Debug)]
+pub struct RunFolder {
+    root: PathBuf,
+}
+
+/// Names of everything that a run writes, `images/` aside.
+const FILES: [&str; 8] = [
+    "config.toml",
+    "metrics.jsonl",
+    "model.safetensors",
+    "checkpoint.safetensors",
+    "views.json",
+    "error_vs_time.csv",
+    "report.html",
+    "report.json",
+];
+
+impl RunFolder {
+    /// Names a folder; touches nothing.
+    pub fn new(root: &Path) -> Self {
+        Self { root: root.to_path_buf() }
+    }
+
+    /// The folder itself.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The effective configuration.
+    pub fn config(&self) -> PathBuf {
+        self.root.join("config.toml")
+    }
+
+    /// One event a line.
+    pub fn metrics(&self) -> PathBuf {
+        self.root.join("metrics.jsonl")
+    }
+
+    /// The finished model.
+    pub fn model(&self) -> PathBuf {
+        self.root.join("model.safetensors")
+    }
+
+    /// The state to go on from.
+    pub fn checkpoint(&self) -> PathBuf {
+        self.root.join("checkpoint.safetensors")
+    }
+
+    /// Measures of every view of the final evaluation.
+    pub fn views(&self) -> PathBuf {
+        self.root.join("views.json")
+    }
+
+    /// The curve.
+    pub fn curve(&self) -> PathBuf {
+        self.root.join("error_vs_time.csv")
+    }
+
+    /// The report for people.
+    pub fn html(&self) -> PathBuf {
+        self.root.join("report.html")
+    }
+
+    /// The report for programs.
+    pub fn json(&self) -> PathBuf {
+        self.root.join("report.json")
+    }
+
+    /// Pictures of test views.
+    pub fn images(&self) -> PathBuf {
+        self.root.join("images")
+    }
+
+    /// Creates the folder and proves that it can be written, before anything long begins.
+    pub fn prepare(&self) -> Result<()> {
+        create_writable(&self.root)?;
+        create_writable(&self.images())
+    }
+
+    /// The checkpoint in the folder, refused where it belongs to another configuration.
+    pub fn resume_point(&self, config: &Config) -> Result<Option<Checkpoint>> {
+        let path = self.checkpoint();
+        if path.exists() {
+            let checkpoint = Checkpoint::read(&path)?;
+            checkpoint.expect_config(&path.display().to_string(), config).map_err(|error| Error {
+                message: format!("{}, or --fresh to replace this run", error.message),
+                ..error
+            })?;
+            return Ok(Some(checkpoint));
+        }
+        if self.model().exists() {
+            return Err(Error::input(
+                self.model().display(),
+                "a model without the checkpoint of its run",
+                "choose another --out folder, or --fresh to replace it",
+            ));
+        }
+        Ok(None)
+    }
+
+    /// Removes what an earlier run left; files of others stay.
+    pub fn clear(&self) -> Result<()> {
+        let mut doomed: Vec<PathBuf> = FILES.iter().map(|name| self.root.join(name)).collect();
+        doomed.extend(self.pictures());
+        for path in doomed {
+            match std::fs::remove_file(&path) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Error::input(
+                        path.display(),
+                        format!("cannot remove: {error}"),
+                        "choose another --out folder",
+                    ));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// PNG files in `images/`.
+    pub fn pictures(&self) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(self.images()).into_iter().flatten().flatten();
+        entries
+            .map(|entry| entry.path())
+            .filter(|path| path.extension().is_some_and(|e| e == "png"))
+            .collect()
+    }
+
+    /// Events written so far. A line that a killed run left half written is passed over.
+    pub fn events(&self) -> Vec<Event> {
+        let text = std::fs::read_to_string(self.metrics()).unwrap_or_default();
+        text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+    }
+
+    /// Replaces the events by `events` and opens the file to append more.
+    pub fn restart_events(&self, events: &[Event]) -> Result<File> {
+        let mut text = String::new();
+        for event in events {
+            text += &serde_json::to_string(event).map_err(Error::run)?;
+            text.push('\n');
+        }
+        write_atomically(&self.metrics(), text.as_bytes())?;
+        File::options().append(true).open(self.metrics()).map_err(|error| {
+            Error::input(self.metrics().display(), error, "choose a folder that can be written with --out")
+        })
+    }
+}
+
+/// The model of a run folder or file; of a run that is not finished, its checkpoint's.
+pub fn read_model(path: &Path) -> Result<Model> {
+    if !path.is_dir() {
+        return Model::read(path);
+    }
+    let folder = RunFolder::new(path);
+    if folder.model().exists() {
+        return Model::read(&folder.model());
+    }
+    if !folder.checkpoint().exists() {
+        return Err(Error::input(
+            path.display(),
+            "neither model.safetensors nor checkpoint.safetensors in this folder",
+            "name a run folder or a model file",
+        ));
+    }
+    let checkpoint = Checkpoint::read(&folder.checkpoint())?;
+    let mut file = checkpoint.file;
+    // What only training needs: the optimiser's moments and the running maximum of the occupancy.
+    file.tensors
+        .retain(|name, _| !(name.ends_with(".m") || name.ends_with(".v") || name == "occupancy.density"));
+    Ok(Model::new(checkpoint.config, file))
+}
+
+/// Creates a folder with its parents and proves that files can be written there.
+pub fn create_writable(folder: &Path) -> Result<()> {
+    let probe = folder.join(format!("probe-{}.tmp", std::process::id()));
+    let attempt = || {
+        std::fs::create_dir_all(folder)?;
+        std::fs::write(&probe, b"x")?;
+        std::fs::remove_file(&probe)
+    };
+    attempt().map_err(|error| {
+        Error::input(
+            folder.display(),
+            format!("cannot write there: {error}"),
+            "choose a folder that can be written with --out",
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::history::tests::evaluation;
+    use trimip_core::checkpoint::TrainState;
+
+    fn folder() -> (tempfile::TempDir, RunFolder) {
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = RunFolder::new(&temporary.path().join("a/run"));
+        folder.prepare().unwrap();
+        (temporary, folder)
+    }
+
+    #[test]
+    fn a_torn_last_line_of_events_is_passed_over() {
+        let (_keep, folder) = folder();
+        drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
+        let whole = std::fs::read_to_string(folder.metrics()).unwrap();
+        std::fs::write(folder.metrics(), format!("{whole}{}", &whole[..whole.len() / 2])).unwrap();
+        assert_eq!(folder.events().len(), 1);
+    }
+
+    #[test]
+    fn a_checkpoint_of_other_settings_is_refused_and_kept() {
+        let (_keep, folder) = folder();
+        let config = Config::default();
+        assert!(folder.resume_point(&config).unwrap().is_none());
+        let checkpoint =
+            Checkpoint { config: config.clone(), state: TrainState::default(), file: Default::default() };
+        checkpoint.write(&folder.checkpoint()).unwrap();
+        assert!(folder.resume_point(&config).unwrap().is_some());
+        let other = Config { seed: 1, ..config };
+        let error = folder.resume_point(&other).unwrap_err();
+        assert!(
+            error.exit_code() == 2 && error.message.contains("seed") && error.message.contains("--fresh")
+        );
+        assert!(folder.checkpoint().exists());
+        folder.clear().unwrap();
+        assert!(folder.resume_point(&other).unwrap().is_none());
+    }
+
+    #[test]
+    fn a_place_that_cannot_be_written_is_found_at_once() {
+        let temporary = tempfile::tempdir().unwrap();
+        let file = temporary.path().join("file");
+        std::fs::write(&file, "x").unwrap();
+        assert_eq!(RunFolder::new(&file.join("run")).prepare().unwrap_err().exit_code(), 2);
+    }
+}

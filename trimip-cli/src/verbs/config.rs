@@ -1,0 +1,15 @@
+//! `config`: the effective settings with their origins, or the documented table of defaults.
+
+use crate::{args::ConfigArguments, settings, terminal};
+use trimip_core::{DEFAULTS, Result};
+
+/// Prints settings as TOML.
+pub fn run(arguments: &ConfigArguments) -> Result<u8> {
+    if arguments.defaults {
+        terminal::line(DEFAULTS.trim_end());
+    } else {
+        let (settings, _) = settings::load(&arguments.settings)?;
+        terminal::line(settings::text(&settings).trim_end());
+    }
+    Ok(0)
+}

@@ -1,0 +1,40 @@
+//! `data`: look into a data set, write it at several scales, write the built-in scene.
+
+use crate::{
+    args::{DataAction, DataArguments, SettingsArguments},
+    run_folder, settings, terminal,
+};
+use std::path::Path;
+use trimip_core::{Config, Error, Result};
+
+/// Does one thing with a data set.
+pub fn run(arguments: &DataArguments) -> Result<u8> {
+    match &arguments.action {
+        DataAction::Inspect { root, settings } => {
+            let config = with_root(settings, root.as_deref())?;
+            trimip_data::inspect(&config.data)?.iter().for_each(terminal::line);
+        }
+        DataAction::Multiscale { out, root, settings } => {
+            let config = with_root(settings, root.as_deref())?;
+            run_folder::create_writable(out)?;
+            terminal::line(trimip_data::write_multiscale(&config.data, out)?);
+        }
+        DataAction::Builtin { out, settings } => {
+            let (_, config) = settings::load(settings)?;
+            run_folder::create_writable(out)?;
+            terminal::line(trimip_data::write_builtin(&config.data, out)?);
+        }
+    }
+    Ok(0)
+}
+
+fn with_root(arguments: &SettingsArguments, root: Option<&Path>) -> Result<Config> {
+    let (_, mut config) = settings::load(arguments)?;
+    if let Some(root) = root {
+        config.data.root = root
+            .to_str()
+            .ok_or_else(|| Error::input(root.display(), "the path is not UTF-8", "rename the folder"))?
+            .to_string();
+    }
+    Ok(config)
+}

@@ -1,0 +1,38 @@
+//! `doctor`: what this machine and this build offer, for a look before a long run and for bug reports.
+
+use crate::{backends, machine, machine::Machine, terminal};
+use std::path::Path;
+use trimip_core::Result;
+
+/// Prints one aligned line per fact.
+pub fn run() -> Result<u8> {
+    let machine = Machine::detect();
+    let bytes = |value: Option<u64>| value.map_or("unknown".to_string(), terminal::bytes);
+    let mut facts = vec![
+        ("version", format!("trimip-cli {}", env!("CARGO_PKG_VERSION"))),
+        ("build", format!("{}, EXR {}", profile(), if cfg!(feature = "exr") { "yes" } else { "no" })),
+        ("system", format!("{}, {}", machine.os, std::env::consts::ARCH)),
+        ("processor", machine.cpu),
+        ("cores", machine.cores.to_string()),
+        ("simd", if machine.simd.is_empty() { "none found".into() } else { machine.simd.join(", ") }),
+        (
+            "memory",
+            format!(
+                "{} in all, {} available",
+                bytes(machine.memory_total_bytes),
+                bytes(machine.memory_available_bytes)
+            ),
+        ),
+        ("disk free here", bytes(machine::disk_free(Path::new(".")))),
+    ];
+    facts.extend(backends::describe().into_iter().map(|line| ("backend", line)));
+    facts.extend(backends::adapters().into_iter().map(|line| ("adapters", line)));
+    for (name, value) in facts {
+        terminal::line(format!("{name:<15} {value}"));
+    }
+    Ok(0)
+}
+
+fn profile() -> &'static str {
+    if cfg!(debug_assertions) { "debug (train with a release build)" } else { "release" }
+}

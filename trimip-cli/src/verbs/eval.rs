@@ -1,0 +1,100 @@
+//! `eval`: a model's PSNR and SSIM per scale on its test set.
+
+use crate::{
+    args::EvalArguments,
+    backends, interrupt,
+    progress::{bar, table},
+    run_folder, settings, terminal,
+};
+use serde_json::json;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+use trimip_core::{
+    Error, Result,
+    evaluate::{evaluate, mean_quality, per_scale},
+    tensors::write_atomically,
+};
+
+/// Measures a model; exit code 1 when it misses `eval.min_psnr`.
+pub fn run(arguments: &EvalArguments) -> Result<u8> {
+    let mut model = run_folder::read_model(&arguments.model)?;
+    settings::override_model(&mut model, &arguments.set)?;
+    let config = model.config.clone();
+    backends::check(&config.backend)?;
+    if let Some(parent) = arguments.json.as_deref().and_then(|path| path.parent()) {
+        run_folder::create_writable(if parent.as_os_str().is_empty() { ".".as_ref() } else { parent })?;
+    }
+    let stop = interrupt::install()?;
+    let scene = trimip_data::open(&config.data)?;
+    for warning in &scene.warnings {
+        terminal::note(format!("warning: {warning}"));
+    }
+    let mut session = backends::load(&model, &config.backend, config.threads)?;
+
+    let (started, stride) = (Instant::now(), arguments.stride as usize);
+    let total = scene.test.len().div_ceil(stride);
+    if total == 0 {
+        return Err(Error::input(
+            &config.data.test,
+            "the test split holds no view",
+            "name another data.test",
+        ));
+    }
+    let bar = bar("{bar:30} view {pos} of {len}  {msg}", total as u64);
+    let mut whole = true;
+    let qualities =
+        evaluate(session.as_mut(), scene.test.as_ref(), stride, config.data.background, |view| {
+            bar.set_position((view.index / stride) as u64 + 1);
+            bar.set_message(format!("{} 1/{}: {:.2} dB", view.name, view.scale, view.psnr));
+            whole = !stop.load(Ordering::Relaxed);
+            Ok(whole)
+        })?;
+    bar.finish_and_clear();
+    if !whole {
+        return Ok(interrupt::EXIT_CODE);
+    }
+
+    let scales = per_scale(&qualities, 1);
+    let (psnr, ssim) = mean_quality(&scales);
+    table(&scales).iter().for_each(terminal::line);
+    if let Some(path) = &arguments.json {
+        let views: Vec<_> = qualities
+            .iter()
+            .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "ssim": q.ssim }))
+            .collect();
+        let report = json!({
+            "model": arguments.model.display().to_string(),
+            "scene": scene.name,
+            "backend": session.backend(),
+            "stride": stride,
+            "seconds": started.elapsed().as_secs_f64(),
+            "background": config.data.background,
+            "scales": scales,
+            "mean": { "psnr": psnr, "ssim": ssim },
+            "views": views,
+        });
+        write_atomically(path, serde_json::to_string_pretty(&report).map_err(Error::run)?.as_bytes())?;
+    }
+    floor(psnr, config.eval.min_psnr)?;
+    Ok(0)
+}
+
+/// Fails when a floor is stated and missed; a NaN misses every floor.
+pub fn floor(psnr: f64, floor: f64) -> Result<()> {
+    if floor <= 0.0 || psnr >= floor {
+        return Ok(());
+    }
+    Err(Error::run(format!("mean PSNR {psnr:.2} dB is below the floor eval.min_psnr = {floor}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_floor_is_missed_from_below_and_by_nan_and_by_nothing_when_unset() {
+        assert!(floor(20.0, 0.0).is_ok() && floor(f64::NAN, 0.0).is_ok() && floor(20.0, 20.0).is_ok());
+        assert_eq!(floor(19.9, 20.0).unwrap_err().exit_code(), 1);
+        assert!(floor(f64::NAN, 20.0).is_err());
+    }
+}

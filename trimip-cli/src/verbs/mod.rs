@@ -1,0 +1,24 @@
+//! One file per verb; each returns the program's exit code.
+
+mod config;
+mod data;
+mod doctor;
+mod eval;
+mod render;
+mod train;
+
+use crate::args::{Arguments, Verb};
+use trimip_core::Result;
+
+/// Does what the command line asks for.
+pub fn run(arguments: Arguments) -> Result<u8> {
+    match arguments.verb {
+        None => train::run(&arguments.train),
+        Some(Verb::Train(train)) => train::run(&train),
+        Some(Verb::Eval(eval)) => eval::run(&eval),
+        Some(Verb::Render(render)) => render::run(&render),
+        Some(Verb::Data(data)) => data::run(&data),
+        Some(Verb::Config(config)) => config::run(&config),
+        Some(Verb::Doctor) => doctor::run(),
+    }
+}

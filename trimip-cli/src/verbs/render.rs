@@ -1,0 +1,219 @@
+//! `render`: views of a model as pictures, from test views, a pose, a camera path or a turntable.
+
+use crate::{
+    args::{PictureFormat, Quantity, RenderArguments},
+    backends, cameras, interrupt, pictures,
+    progress::bar,
+    run_folder, settings,
+    store::file_stem,
+    terminal,
+};
+use glam::DVec3;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use trimip_core::{
+    Camera, Config, Error, Frame, Intrinsics, Result, config::SceneConfig, tensors::write_atomically,
+};
+
+/// Renders every camera the arguments name.
+pub fn run(arguments: &RenderArguments) -> Result<u8> {
+    if arguments.format == PictureFormat::Exr && !cfg!(feature = "exr") {
+        return Err(Error::input(
+            "--format exr",
+            "this build has no EXR",
+            "use --format png, or build with feature `exr`",
+        ));
+    }
+    let mut model = run_folder::read_model(&arguments.model)?;
+    settings::override_model(&mut model, &arguments.set)?;
+    let config = model.config.clone();
+    backends::check(&config.backend)?;
+    let cameras = resize(chosen(arguments, &config)?, arguments.scale)?;
+    let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
+    run_folder::create_writable(&out)?;
+    let stop = interrupt::install()?;
+    let mut session = backends::load(&model, &config.backend, config.threads)?;
+    write_cameras(&out.join("cameras.json"), &cameras)?;
+
+    let bar = bar("{bar:30} view {pos} of {len}  {eta} left", cameras.len() as u64);
+    for (name, camera) in &cameras {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(interrupt::EXIT_CODE);
+        }
+        let frame = session.render(camera)?;
+        for path in write(&out, name, &frame, camera, arguments, &config.scene)? {
+            bar.suspend(|| terminal::line(path.display()));
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(0)
+}
+
+/// `renders` in the run folder, or beside the model file.
+fn beside(model: &Path) -> PathBuf {
+    let folder = if model.is_dir() { model } else { model.parent().unwrap_or(Path::new("")) };
+    folder.join("renders")
+}
+
+/// The cameras that the arguments name.
+fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<cameras::Named>> {
+    if !(arguments.fov > 0.0 && arguments.fov < 180.0) {
+        return Err(Error::input(
+            format!("--fov {}", arguments.fov),
+            "out of range",
+            "expected degrees above 0 and below 180",
+        ));
+    }
+    let intrinsics = Intrinsics::from_angle(arguments.width, arguments.height, arguments.fov.to_radians());
+    let up = cameras::vector("--up", &arguments.up)?;
+    if let Some(text) = &arguments.pose {
+        return Ok(vec![("pose".into(), cameras::pose(text, intrinsics)?)]);
+    }
+    if let Some(text) = &arguments.look_at {
+        return Ok(vec![("look_at".into(), cameras::look_at(text, up, intrinsics)?)]);
+    }
+    if let Some(file) = &arguments.path {
+        return cameras::path(file, intrinsics);
+    }
+    if let Some(count) = arguments.turntable {
+        let (elevation, distance) = (arguments.elevation, arguments.distance);
+        return cameras::turntable(&config.scene, count, elevation, distance, up, intrinsics);
+    }
+    test_views(config, &arguments.views)
+}
+
+/// Cameras of test views at full size; view 0 when none is named.
+fn test_views(config: &Config, views: &[usize]) -> Result<Vec<cameras::Named>> {
+    let scene = trimip_data::open(&config.data)?;
+    let views = if views.is_empty() { &[0] } else { views };
+    views
+        .iter()
+        .map(|&index| {
+            if index >= scene.test.len() {
+                return Err(Error::input(
+                    format!("--views {index}"),
+                    format!("the test split holds {} views", scene.test.len()),
+                    "count from 0",
+                ));
+            }
+            let set = scene.test.load(index)?;
+            let view = set.views.first().ok_or_else(|| {
+                Error::input(format!("--views {index}"), "the view is empty", "choose another view")
+            })?;
+            Ok((format!("{index:04}_{}", file_stem(&view.name)), view.camera))
+        })
+        .collect()
+}
+
+fn resize(cameras: Vec<cameras::Named>, factor: f64) -> Result<Vec<cameras::Named>> {
+    cameras
+        .into_iter()
+        .map(|(name, camera)| {
+            Ok((name, Camera { intrinsics: cameras::resized(camera.intrinsics, factor)?, ..camera }))
+        })
+        .collect()
+}
+
+/// Writes the asked quantities of one view; returns the files.
+fn write(
+    out: &Path,
+    name: &str,
+    frame: &Frame,
+    camera: &Camera,
+    arguments: &RenderArguments,
+    scene: &SceneConfig,
+) -> Result<Vec<PathBuf>> {
+    let (width, height) = (frame.width, frame.height);
+    if arguments.format == PictureFormat::Exr {
+        let mut channels = Vec::new();
+        for quantity in &arguments.what {
+            match quantity {
+                Quantity::Color => {
+                    channels.extend(["R", "G", "B"].into_iter().enumerate().map(|(c, name)| {
+                        (name, frame.pixels.iter().map(|pixel| pictures::linear(pixel.rgb[c])).collect())
+                    }))
+                }
+                // Infinite where nothing is seen, as compositing programs expect of Z.
+                Quantity::Depth => channels.push(("Z", pictures::depth(frame, f32::INFINITY))),
+                Quantity::Opacity => channels.push(("opacity", pictures::opacity(frame))),
+            }
+        }
+        let path = out.join(format!("{name}.exr"));
+        pictures::write_exr(&path, width, height, channels)?;
+        return Ok(vec![path]);
+    }
+    let mut paths = Vec::new();
+    for quantity in &arguments.what {
+        let path = out.join(format!("{name}_{}.png", suffix(*quantity)));
+        match quantity {
+            Quantity::Color => {
+                pictures::write_png(&path, pictures::rgb_image(width, height, &frame.rgb()))?;
+            }
+            Quantity::Depth => {
+                let (near, far) = depth_range(scene, camera);
+                let depth = pictures::depth(frame, far);
+                pictures::write_png(&path, pictures::grey(width, height, &depth, near, far))?;
+            }
+            Quantity::Opacity => {
+                pictures::write_png(
+                    &path,
+                    pictures::grey(width, height, &pictures::opacity(frame), 0.0, 1.0),
+                )?;
+            }
+        }
+        paths.push(path);
+    }
+    Ok(paths)
+}
+
+fn suffix(quantity: Quantity) -> &'static str {
+    match quantity {
+        Quantity::Color => "color",
+        Quantity::Depth => "depth",
+        Quantity::Opacity => "opacity",
+    }
+}
+
+/// Distances that are black and white in a depth PNG: those of the ball around the scene's box, so that neighbouring
+/// views of a turntable share one scale.
+fn depth_range(scene: &SceneConfig, camera: &Camera) -> (f32, f32) {
+    let (low, high) =
+        (DVec3::from(scene.aabb_min.map(f64::from)), DVec3::from(scene.aabb_max.map(f64::from)));
+    let (centre, radius) = ((0.5 * (low + high) - camera.origin).length(), 0.5 * (high - low).length());
+    ((centre - radius).max(0.0) as f32, (centre + radius) as f32)
+}
+
+/// The cameras beside their pictures, in the layout that `--path` reads.
+fn write_cameras(path: &Path, cameras: &[cameras::Named]) -> Result<()> {
+    let frames: Vec<_> = cameras
+        .iter()
+        .map(|(name, camera)| {
+            let (k, m, o) = (camera.intrinsics, camera.rotation.transpose().to_cols_array_2d(), camera.origin);
+            let row = |i: usize| [m[i][0], m[i][1], m[i][2], o[i]];
+            json!({
+                "file_path": name, "w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy,
+                "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+            })
+        })
+        .collect();
+    let text = serde_json::to_string_pretty(&json!({ "frames": frames })).map_err(Error::run)?;
+    write_atomically(path, text.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn written_cameras_are_read_back_as_they_were() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cameras.json");
+        let intrinsics = Intrinsics { width: 50, height: 40, fx: 60.0, fy: 61.0, cx: 24.0, cy: 21.0 };
+        let camera = cameras::look_at("3,1,2/0,0.5,0", DVec3::Z, intrinsics).unwrap();
+        write_cameras(&path, &[("a".into(), camera)]).unwrap();
+        let read = cameras::path(&path, Intrinsics::from_angle(1, 1, 1.0)).unwrap();
+        assert_eq!(read[0].1, camera);
+    }
+}

@@ -1,0 +1,200 @@
+//! `train`: plan, train or resume, evaluate, report.
+
+use crate::{
+    args::TrainArguments,
+    backends,
+    history::{History, up_to},
+    interrupt, machine,
+    machine::Machine,
+    plan::{Plan, Subject},
+    progress::{Display, Recorder, table},
+    report::{Report, Status},
+    run_folder::RunFolder,
+    settings,
+    store::FileStore,
+    terminal,
+    verbs::eval::floor,
+};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+use trimip_core::{
+    Config, Result, Settings,
+    checkpoint::Checkpoint,
+    events::{Event, EventSink, Totals},
+    run::{Outcome, Run},
+    tensors::write_atomically,
+};
+
+/// Trains what the settings say; everything that can be refused is refused before anything long begins.
+pub fn run(arguments: &TrainArguments) -> Result<u8> {
+    let started = Instant::now();
+    let (settings, config) = settings::load(&arguments.settings)?;
+    backends::check(&config.backend)?;
+    let root = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| settings::default_folder(arguments.settings.config.as_deref()));
+    let folder = RunFolder::new(&root);
+    folder.prepare()?;
+    let checkpoint = if arguments.fresh { None } else { folder.resume_point(&config)? };
+    if let Some(checkpoint) = &checkpoint
+        && let Some(code) = finished(arguments, &folder, &settings, &config, checkpoint)?
+    {
+        return Ok(code);
+    }
+    let stop = interrupt::install()?;
+    let scene = trimip_data::open(&config.data)?;
+    if arguments.fresh {
+        folder.clear()?;
+    }
+    write_atomically(&folder.config(), config.to_toml().as_bytes())?;
+
+    let totals = checkpoint.as_ref().map_or_else(Totals::default, |checkpoint| checkpoint.state.totals);
+    // Without a checkpoint the run begins at its beginning, and so do its events.
+    let kept = checkpoint.as_ref().map_or_else(Vec::new, |_| up_to(folder.events(), totals.step));
+    let mut recorder = Recorder::new(&folder, &kept, Display::new(arguments.progress))?;
+    let subject = Subject {
+        name: &scene.name,
+        description: &scene.description,
+        train: &scene.train,
+        test: scene.test.as_ref(),
+    };
+    let memory = backends::predict_memory(&config, &scene.train);
+    let plan = Plan::new(&config, &subject, &memory, folder.root(), totals.step);
+    let warning = plan.memory_warning(&Machine::detect());
+    recorder.emit(&Event::Plan { lines: plan.lines, memory_bytes: plan.memory_bytes });
+    for message in scene.warnings.iter().cloned().chain(warning) {
+        recorder.emit(&Event::Warning { message });
+    }
+
+    let mut session = backends::train(&config, scene.train)?;
+    if let Some(checkpoint) = &checkpoint {
+        session.restore(checkpoint)?;
+        recorder.emit(&Event::Resumed { totals });
+    }
+    let stride = config.eval.final_stride().unwrap_or(1);
+    let mut store = FileStore::new(&folder, scene.test.len(), stride, config.eval.images as usize);
+    let last_step = arguments.stop_after.map_or(u64::MAX, |steps| totals.step.saturating_add(steps));
+    let outcome = Run {
+        config: &config,
+        session: session.as_mut(),
+        frames: scene.test.as_ref(),
+        store: &mut store,
+        events: &mut recorder,
+        stop: &stop,
+    }
+    .train_until(totals, last_step);
+
+    recorder.emit(&Event::SessionEnded {
+        backend: session.backend().to_string(),
+        wall_seconds: started.elapsed().as_secs_f64(),
+        peak_memory_bytes: machine::peak_memory(),
+    });
+    if recorder.history.last().is_some() && !matches!(outcome, Ok(Outcome::Stopped)) {
+        store.finish()?;
+    }
+    conclude(outcome, &mut recorder, &folder, &scene.name, &config, &settings, &stop)
+}
+
+/// When the folder holds this very run, trained and evaluated: says so, writes a missing report, and gives its exit code.
+fn finished(
+    arguments: &TrainArguments,
+    folder: &RunFolder,
+    settings: &Settings,
+    config: &Config,
+    checkpoint: &Checkpoint,
+) -> Result<Option<u8>> {
+    let totals = checkpoint.state.totals;
+    let history = History::of(&up_to(folder.events(), totals.step));
+    if progress(config, &totals) < 1.0 || !folder.model().exists() || !evaluated(config, &history, &totals) {
+        return Ok(None);
+    }
+    let floor = history.last().map_or(Ok(()), |e| floor(e.psnr, config.eval.min_psnr));
+    if !(folder.html().exists() && folder.json().exists()) {
+        let status =
+            floor.as_ref().map_or_else(|error| Status::Failed(error.message.clone()), |()| Status::Finished);
+        let scene = scene_name(config);
+        Report::gather(folder, status, &scene, config, settings, &history).write(folder)?;
+    }
+    Display::new(arguments.progress).show(&Event::Plan {
+        lines: vec![format!(
+            "finished: {} holds this run, {} steps, trained and evaluated; --fresh trains it again",
+            folder.root().display(),
+            totals.step
+        )],
+        memory_bytes: 0,
+    });
+    if let Some(last) = history.last().filter(|_| terminal::watched()) {
+        table(&last.scales).iter().for_each(terminal::line);
+    }
+    floor.map(|()| Some(0))
+}
+
+/// Fraction of the schedule done.
+fn progress(config: &Config, totals: &Totals) -> f64 {
+    if config.train.seconds > 0.0 {
+        totals.seconds / config.train.seconds
+    } else {
+        totals.step as f64 / config.train.steps as f64
+    }
+}
+
+/// True when the history holds the final evaluation that the configuration asks for.
+fn evaluated(config: &Config, history: &History, totals: &Totals) -> bool {
+    config.eval.final_stride().is_none_or(|stride| {
+        history.last().is_some_and(|e| e.stride == stride && e.totals.step == totals.step)
+    })
+}
+
+/// What the scene is called where its data is not opened: the data folder's name.
+fn scene_name(config: &Config) -> String {
+    let name = Path::new(&config.data.root).file_name();
+    name.map_or_else(|| "builtin".to_string(), |name| name.to_string_lossy().into_owned())
+}
+
+/// Writes the report whatever the outcome was, then returns it as exit code or error.
+fn conclude(
+    outcome: Result<Outcome>,
+    recorder: &mut Recorder,
+    folder: &RunFolder,
+    scene: &str,
+    config: &Config,
+    settings: &Settings,
+    stop: &AtomicBool,
+) -> Result<u8> {
+    let status = match &outcome {
+        Ok(Outcome::Finished) => Status::Finished,
+        Ok(Outcome::Stopped) => Status::Stopped,
+        Err(error) => Status::Failed(error.message.clone()),
+    };
+    let written = Report::gather(folder, status, scene, config, settings, &recorder.history).write(folder);
+    let outcome = outcome?;
+    written?;
+    if let Some(error) = recorder.take_failure() {
+        return Err(error);
+    }
+    terminal::note(format!("report: {}", folder.html().display()));
+    Ok(if outcome == Outcome::Stopped && stop.load(Ordering::Relaxed) { interrupt::EXIT_CODE } else { 0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::history::tests::evaluation;
+
+    #[test]
+    fn a_run_is_finished_when_the_evaluation_asked_for_is_there() {
+        let mut config = Config::default();
+        config.train.steps = 40;
+        let totals = Totals { step: 40, ..Totals::default() };
+        assert_eq!(progress(&config, &totals), 1.0);
+        let history = History::of(&[evaluation(40, 1, true, 25.0)]);
+        assert!(evaluated(&config, &history, &totals));
+        assert!(!evaluated(&config, &History::default(), &totals));
+        config.eval.r#final = trimip_core::config::FinalEval::Stride(2);
+        assert!(!evaluated(&config, &history, &totals));
+        config.eval.r#final = trimip_core::config::FinalEval::Flag(false);
+        assert!(evaluated(&config, &History::default(), &totals));
+    }
+}
