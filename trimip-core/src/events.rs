@@ -140,8 +140,6 @@ pub enum Event {
         wall_seconds: f64,
         /// Largest resident memory of the process, where the system tells.
         peak_memory_bytes: Option<u64>,
-        /// Bytes the backend held at the end.
-        backend_bytes: u64,
     },
 }
 

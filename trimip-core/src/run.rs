@@ -172,7 +172,7 @@ impl Run<'_> {
         let psnr = self.report(&qualities, stride, totals, true, started);
         let floor = self.config.eval.min_psnr;
         // A NaN misses every floor.
-        if !(psnr >= floor) && floor > 0.0 {
+        if floor > 0.0 && (psnr.is_nan() || psnr < floor) {
             return Err(Error::run(format!(
                 "mean PSNR {psnr:.2} dB is below the floor eval.min_psnr = {floor}; the model and the report are written"
             )));
