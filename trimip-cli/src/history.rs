@@ -36,8 +36,6 @@ pub struct Part {
 /// Latest figures of training.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Training {
-    /// Fraction of the run done.
-    pub progress: f64,
     /// Mean loss of the latest step.
     pub loss: f64,
     /// Share of occupied cells.
@@ -78,8 +76,8 @@ impl History {
         }
         match event {
             Event::Plan { memory_bytes, .. } => self.predicted_memory_bytes = Some(*memory_bytes),
-            Event::Step { progress, loss, occupied, .. } => {
-                self.training = Training { progress: *progress, loss: *loss, occupied: *occupied };
+            Event::Step { loss, occupied, .. } => {
+                self.training = Training { loss: *loss, occupied: *occupied };
             }
             Event::Evaluation { totals, stride, last, scales, psnr, ssim, seconds } => {
                 // A step that is evaluated again, after a resume, replaces what was measured there.

@@ -17,11 +17,28 @@ mod store;
 mod terminal;
 mod verbs;
 
-use clap::Parser;
+use clap::{Parser, error::ErrorKind};
 use std::process::ExitCode;
+use trimip_core::Error;
 
 fn main() -> ExitCode {
-    ExitCode::from(match verbs::run(args::Arguments::parse()) {
+    let arguments = match args::Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        // Help and version are answers, the rest are mistakes: one line, as every error.
+        Err(answer) if !answer.use_stderr() => answer.exit(),
+        Err(mistake) if mistake.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
+            mistake.exit()
+        }
+        Err(mistake) => {
+            let text = mistake.to_string();
+            let what = text.split("\nUsage:").next().unwrap_or_default();
+            let what = what.split("\nFor more").next().unwrap_or_default().trim_start_matches("error: ");
+            let error = Error::input("command line", what, "see trimip-cli --help");
+            terminal::error(&error);
+            return ExitCode::from(error.exit_code());
+        }
+    };
+    ExitCode::from(match verbs::run(arguments) {
         Ok(code) => code,
         Err(error) => {
             terminal::error(&error);

@@ -82,7 +82,11 @@ impl RunFolder {
 
     /// Creates the folder and proves that it can be written, before anything long begins.
     pub fn prepare(&self) -> Result<()> {
-        create_writable(&self.root)?;
+        create_writable(&self.root)
+    }
+
+    /// Creates the folder of pictures.
+    pub fn prepare_images(&self) -> Result<()> {
         create_writable(&self.images())
     }
 

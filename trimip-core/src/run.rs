@@ -104,14 +104,8 @@ impl Run<'_> {
         self.evaluate_at_the_end(&totals)
     }
 
-    /// Fraction of the schedule done.
     fn progress(&self, totals: &Totals) -> f64 {
-        let train = &self.config.train;
-        if train.seconds > 0.0 {
-            totals.seconds / train.seconds
-        } else {
-            totals.step as f64 / train.steps as f64
-        }
+        progress(self.config, totals)
     }
 
     fn log(&mut self, report: &StepReport, totals: &Totals, before: &Totals) {
@@ -215,6 +209,12 @@ impl Run<'_> {
         self.events.emit(&Event::Evaluation { totals: *totals, stride, last, scales, psnr, ssim, seconds });
         psnr
     }
+}
+
+/// Fraction of the schedule done at `totals`; 1 or more at its end.
+pub fn progress(config: &Config, totals: &Totals) -> f64 {
+    let train = &config.train;
+    if train.seconds > 0.0 { totals.seconds / train.seconds } else { totals.step as f64 / train.steps as f64 }
 }
 
 /// Progress at which a run is evaluated: `count` points evenly spaced in the logarithm from 1/32 to 1.

@@ -6,7 +6,7 @@ use crate::{
     terminal,
 };
 use std::path::Path;
-use trimip_core::{Origin, Result, config::Convention};
+use trimip_core::{Origin, Result, config::Convention, run::progress};
 
 /// The whole page; `images` is the folder of the comparisons.
 pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
@@ -39,21 +39,21 @@ fn head(report: &Report<'_>, title: &str) -> String {
         Status::Finished => ("", "finished".to_string()),
         Status::Stopped if report.history.finished => ("stopped", "trained, final evaluation stopped".into()),
         Status::Stopped => {
-            ("stopped", format!("stopped at {:.0} %", 100.0 * report.history.training.progress.min(1.0)))
+            ("stopped", format!("stopped at {:.0} %", 100.0 * progress(report.config, totals)))
         }
         Status::Failed(message) => ("failed", escape(message)),
     };
     let unknown = || "unknown".to_string();
     let mut tiles = Vec::new();
     if let Some(e) = report.headline() {
-        tiles.push((format!("{:.2} dB", e.psnr), "mean PSNR of the scales"));
-        tiles.push((format!("{:.4}", e.ssim), "mean SSIM of the scales"));
+        tiles.push((format!("{:.2} dB", e.psnr), "mean PSNR"));
+        tiles.push((format!("{:.4}", e.ssim), "mean SSIM"));
     }
     tiles.push((terminal::duration(totals.seconds), "training time"));
     tiles.push((terminal::number(totals.samples as f64, ""), "samples"));
     tiles.push((
         report.samples_per_second().map_or_else(unknown, |rate| terminal::number(rate, "")),
-        "samples per second",
+        "samples / s",
     ));
     tiles.push((report.history.peak_memory_bytes().map_or_else(unknown, terminal::bytes), "peak memory"));
     tiles.push((report.model_bytes.map_or("not yet".into(), terminal::bytes), "model file"));

@@ -22,7 +22,7 @@ use trimip_core::{
     Config, Result, Settings,
     checkpoint::Checkpoint,
     events::{Event, EventSink, Totals},
-    run::{Outcome, Run},
+    run::{Outcome, Run, progress},
     tensors::write_atomically,
 };
 
@@ -48,6 +48,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     if arguments.fresh {
         folder.clear()?;
     }
+    folder.prepare_images()?;
     write_atomically(&folder.config(), config.to_toml().as_bytes())?;
 
     let totals = checkpoint.as_ref().map_or_else(Totals::default, |checkpoint| checkpoint.state.totals);
@@ -129,15 +130,6 @@ fn finished(
         table(&last.scales).iter().for_each(terminal::line);
     }
     floor.map(|()| Some(0))
-}
-
-/// Fraction of the schedule done.
-fn progress(config: &Config, totals: &Totals) -> f64 {
-    if config.train.seconds > 0.0 {
-        totals.seconds / config.train.seconds
-    } else {
-        totals.step as f64 / config.train.steps as f64
-    }
 }
 
 /// True when the history holds the final evaluation that the configuration asks for.
