@@ -47,8 +47,8 @@ impl Display for Summary {
 }
 
 /// Writes the training and test splits as the public converter does: `metadata.json`, `images_train/000_d0.png` ..
-/// near 2 and far 6 stand for every view, as in the public set. Splits of which none is a plain camera (square pixels,
-/// centred principal point) get the arrays `fl_y`, `cx`, `cy` beside `pix2cam`.
+/// near 2 and far 6 stand for every view, as in the public set. A split with a camera that is not plain (square pixels,
+/// centred principal point) has the arrays `fl_y`, `cx`, `cy` beside `pix2cam`.
 ///
 /// # Errors
 /// Those of reading; a folder that cannot be written or holds a set already; the premultiplied convention, which PNG

@@ -5,9 +5,11 @@ use super::Shape;
 use glam::DVec3;
 use std::{f64::consts::TAU, sync::LazyLock};
 
-/// Directions to the lights (not normalised) and their strengths; the first casts shadows.
-const KEY: (DVec3, f64) = (DVec3::new(0.55, -0.4, 0.85), 0.62);
-const FILL: (DVec3, f64) = (DVec3::new(-0.7, 0.35, 0.4), 0.22);
+/// Directions to the lights and their strengths; the first casts shadows.
+static LIGHTS: LazyLock<[(DVec3, f64); 2]> = LazyLock::new(|| {
+    let light = |toward: [f64; 3], strength| (DVec3::from(toward).normalize(), strength);
+    [light([0.55, -0.4, 0.85], 0.62), light([-0.7, 0.35, 0.4], 0.22)]
+});
 /// Light from below and what the sky adds to it.
 const AMBIENT: (f64, f64) = (0.22, 0.16);
 
@@ -31,7 +33,7 @@ struct Object {
     /// Share of the mirrored surroundings at a right angle to the surface.
     mirror: f64,
     /// Strength and exponent of the lights' highlight (Phong).
-    highlight: (f64, f64),
+    highlight: (f64, i32),
 }
 
 static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
@@ -40,7 +42,7 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
         center: rgb(x, y, GROUND_TOP + radius),
         radii: DVec3::splat(radius),
     };
-    let matt = |shape, paint| Object { shape, paint, mirror: 0.0, highlight: (0.0, 1.0) };
+    let matt = |shape, paint| Object { shape, paint, mirror: 0.0, highlight: (0.0, 1) };
     let mut objects = vec![
         matt(
             Shape::Drum { center: rgb(0.0, 0.0, GROUND_TOP - 0.04), radius: 1.05, half_height: 0.04 },
@@ -50,7 +52,7 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
             shape: ball(-0.42, -0.42, 0.32),
             paint: Paint::Rings(rgb(0.86, 0.20, 0.14), rgb(0.97, 0.95, 0.90), 0.08),
             mirror: 0.0,
-            highlight: (0.25, 30.0),
+            highlight: (0.25, 30),
         },
         matt(
             Shape::Drum { center: rgb(0.52, -0.38, 0.06), radius: 0.17, half_height: 0.5 },
@@ -60,7 +62,7 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
             shape: ball(0.42, 0.44, 0.36),
             paint: Paint::Plain(rgb(0.10, 0.09, 0.12)),
             mirror: 0.55,
-            highlight: (0.8, 60.0),
+            highlight: (0.8, 60),
         },
         Object {
             shape: Shape::Ellipsoid {
@@ -69,7 +71,7 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
             },
             paint: Paint::Plain(rgb(0.20, 0.58, 0.28)),
             mirror: 0.08,
-            highlight: (0.35, 18.0),
+            highlight: (0.35, 18),
         },
     ];
     // A sheaf of rods, thinner and thinner: at 128 pixels the thinnest is half a pixel wide.
@@ -111,12 +113,22 @@ pub(super) fn near_line(origin: DVec3, direction: DVec3, spread: f64) -> u32 {
         .fold(0, |near, (i, object)| near | u32::from(object.shape.near_line(origin, direction, spread)) << i)
 }
 
+/// Objects whose bits are set.
+fn members(mut bits: u32) -> impl Iterator<Item = &'static Object> {
+    let objects = &*OBJECTS;
+    std::iter::from_fn(move || {
+        let index = bits.trailing_zeros() as usize;
+        // Clears the lowest bit; none is left at index 32.
+        bits &= bits.wrapping_sub(1);
+        objects.get(index)
+    })
+}
+
 /// [`radiance`] of the objects in `near`; shadows are cast by all.
 pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3) -> Option<DVec3> {
     let mut first: Option<(f64, &Object)> = None;
-    for (i, object) in OBJECTS.iter().enumerate() {
-        if near >> i & 1 == 1
-            && let Some(t) = object.shape.hit(origin, direction)
+    for object in members(near) {
+        if let Some(t) = object.shape.hit(origin, direction)
             && first.is_none_or(|(nearest, _)| t < nearest)
         {
             first = Some((t, object));
@@ -132,15 +144,16 @@ impl Object {
         let reflected = direction - 2.0 * direction.dot(normal) * normal;
         let mut diffuse = AMBIENT.0 + AMBIENT.1 * (0.5 + 0.5 * normal.z);
         let mut highlight = 0.0;
-        for (index, (toward, strength)) in [KEY, FILL].into_iter().enumerate() {
-            let toward = toward.normalize();
+        for (index, &(toward, strength)) in LIGHTS.iter().enumerate() {
             let facing = normal.dot(toward);
             // Off the surface by more than a hit's rounding.
-            if facing <= 0.0 || (index == 0 && is_shadowed(point + 1e-6 * normal, toward)) {
+            if facing <= 0.0 || (index == 0 && SHADOWS.covers(point + 1e-6 * normal)) {
                 continue;
             }
             diffuse += strength * facing;
-            highlight += strength * reflected.dot(toward).max(0.0).powf(self.highlight.1);
+            if self.highlight.0 > 0.0 {
+                highlight += strength * reflected.dot(toward).max(0.0).powi(self.highlight.1);
+            }
         }
         let mut color = self.color(point, normal) * diffuse;
         if self.mirror > 0.0 {
@@ -180,8 +193,49 @@ impl Object {
     }
 }
 
-fn is_shadowed(point: DVec3, toward: DVec3) -> bool {
-    OBJECTS.iter().any(|object| object.shape.hit(point, toward).is_some())
+/// Which objects can lie between a point and the first light, by where the point is seen from the light.
+static SHADOWS: LazyLock<ShadowMap> = LazyLock::new(ShadowMap::new);
+
+struct ShadowMap {
+    /// Unit vectors across the light's direction, and that direction.
+    right: DVec3,
+    up: DVec3,
+    toward: DVec3,
+    /// Bits of objects for every cell of [-REACH, REACH]², row by row.
+    cells: Vec<u32>,
+}
+
+impl ShadowMap {
+    const SIDE: usize = 128;
+    const REACH: f64 = 1.25;
+
+    fn new() -> Self {
+        let toward = LIGHTS[0].0;
+        let (right, up) = toward.any_orthonormal_pair();
+        let size = 2.0 * Self::REACH / Self::SIDE as f64;
+        let cells = (0..Self::SIDE * Self::SIDE)
+            .map(|cell| {
+                let middle = |index: usize| (index as f64 + 0.5) * size - Self::REACH;
+                let origin = middle(cell % Self::SIDE) * right + middle(cell / Self::SIDE) * up;
+                // Half the diagonal of a cell.
+                let margin = 0.7072 * size;
+                OBJECTS.iter().enumerate().fold(0, |bits, (i, object)| {
+                    bits | u32::from(object.shape.line_distance(origin, toward) <= margin) << i
+                })
+            })
+            .collect();
+        Self { right, up, toward, cells }
+    }
+
+    /// True where an object keeps the light from a point.
+    fn covers(&self, point: DVec3) -> bool {
+        let index = |along: DVec3| {
+            let share = (point.dot(along) / Self::REACH + 1.0) * 0.5;
+            ((share * Self::SIDE as f64) as usize).min(Self::SIDE - 1)
+        };
+        let bits = self.cells[index(self.up) * Self::SIDE + index(self.right)];
+        members(bits).any(|object| object.shape.hit(point, self.toward).is_some())
+    }
 }
 
 /// What a mirror sees: a sky that brightens upwards, a warm floor, two soft windows.
@@ -189,10 +243,10 @@ fn surroundings(direction: DVec3) -> DVec3 {
     let sky = DVec3::new(0.45, 0.62, 0.88).lerp(DVec3::new(0.92, 0.95, 1.0), direction.z.max(0.0));
     let floor = DVec3::new(0.42, 0.36, 0.30);
     let horizon = (0.5 + 4.0 * direction.z).clamp(0.0, 1.0);
-    let window = |toward: DVec3, sharpness: f64| direction.dot(toward.normalize()).max(0.0).powf(sharpness);
+    let window = |toward: DVec3, sharpness: i32| direction.dot(toward.normalize()).max(0.0).powi(sharpness);
     floor.lerp(sky, horizon)
-        + DVec3::new(1.0, 0.9, 0.6) * window(DVec3::new(-0.3, -0.9, 0.5), 20.0)
-        + DVec3::new(0.9, 0.3, 0.3) * window(DVec3::new(0.9, 0.5, 0.3), 12.0)
+        + DVec3::new(1.0, 0.9, 0.6) * window(DVec3::new(-0.3, -0.9, 0.5), 20)
+        + DVec3::new(0.9, 0.3, 0.3) * window(DVec3::new(0.9, 0.5, 0.3), 12)
 }
 
 #[cfg(test)]
@@ -231,5 +285,20 @@ mod tests {
             assert!(color.is_none_or(|color| color.iter().all(|c| (0.0..=1.0).contains(c))));
         }
         assert!(OBJECTS.len() <= 32, "objects are numbered by the bits of a u32");
+    }
+
+    #[test]
+    fn the_shadow_map_forgets_no_object() {
+        let toward = LIGHTS[0].0;
+        for i in 0..4000 {
+            let i = f64::from(i);
+            let point = DVec3::new((0.7 * i).sin(), (1.1 * i).cos(), 0.6 * (0.3 * i).sin());
+            // Points outside of all objects; inside, where a ray leaves, no answer is asked for.
+            if shapes().any(|shape| shape.implicit(point) < 1e-6) || point.length() > 1.2 {
+                continue;
+            }
+            let expected = shapes().any(|shape| shape.hit(point, toward).is_some());
+            assert_eq!(SHADOWS.covers(point), expected, "{point}");
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! Solids with exact ray intersections: an ellipsoid, a capped upright cylinder and a capsule. World units.
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
 /// Hits nearer than this are the surface a ray starts from.
 const SELF_HIT: f64 = 1e-9;
@@ -108,19 +108,30 @@ impl Shape {
 
     /// False only where no ray from `origin` within the angle `spread` (its tangent) of `direction` can hit.
     pub fn near_line(&self, origin: DVec3, direction: DVec3, spread: f64) -> bool {
-        let (start, end, radius) = match *self {
-            Self::Ellipsoid { center, radii } => (center, center, radii.max_element()),
-            Self::Drum { center, radius, half_height } => {
-                (center, center, DVec2::new(radius, half_height).length())
-            }
-            Self::Capsule { start, end, radius } => (start, end, radius),
-        };
+        let (start, end, radius) = self.bound();
+        let farthest = start.distance(origin).max(end.distance(origin)) + radius;
+        self.line_distance(origin, direction) <= 1.001 * spread * farthest
+    }
+
+    /// At most the distance of the surface to a line; negative where the line may meet the shape.
+    pub fn line_distance(&self, origin: DVec3, direction: DVec3) -> f64 {
+        let (start, end, radius) = self.bound();
         // The segment seen along the line: its point nearest to the line, on the plane across it.
         let across = |v: DVec3| v - direction * v.dot(direction);
         let (from, axis) = (across(start - origin), across(end - start));
         let share = (-from.dot(axis) / axis.length_squared().max(1e-300)).clamp(0.0, 1.0);
-        let farthest = (start - origin).length().max((end - origin).length()) + radius;
-        (from + share * axis).length() <= radius + 1.001 * spread * farthest
+        (from + share * axis).length() - radius
+    }
+
+    /// Ends and radius of a capsule around the shape.
+    fn bound(&self) -> (DVec3, DVec3, f64) {
+        match *self {
+            Self::Ellipsoid { center, radii } => (center, center, radii.max_element()),
+            Self::Drum { center, radius, half_height } => {
+                (center - half_height * DVec3::Z, center + half_height * DVec3::Z, radius)
+            }
+            Self::Capsule { start, end, radius } => (start, end, radius),
+        }
     }
 }
 
