@@ -33,12 +33,9 @@ pub struct Checkpoint {
 impl Checkpoint {
     /// Writes the checkpoint, atomically; returns its size in bytes.
     pub fn write(&self, path: &Path) -> Result<u64> {
-        let mut file = TensorFile { tensors: Default::default(), metadata: self.file.metadata.clone() };
-        file.metadata.insert("format".into(), FORMAT.into());
-        file.metadata.insert("config".into(), self.config.to_toml());
-        file.metadata.insert("state".into(), serde_json::to_string(&self.state).map_err(Error::run)?);
-        file.tensors.clone_from(&self.file.tensors);
-        file.write(path)
+        let state = serde_json::to_string(&self.state).map_err(Error::run)?;
+        let metadata = [("format", FORMAT.to_string()), ("config", self.config.to_toml()), ("state", state)];
+        self.file.write(path, &metadata)
     }
 
     /// Reads a checkpoint and checks that it is one.

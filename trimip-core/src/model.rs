@@ -28,7 +28,7 @@ impl Model {
 
     /// Writes the model, atomically; returns its size in bytes.
     pub fn write(&self, path: &Path) -> Result<u64> {
-        self.file.write(path)
+        self.file.write(path, &[])
     }
 
     /// Reads a model and checks that it is one.

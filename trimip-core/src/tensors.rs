@@ -79,8 +79,9 @@ impl TensorFile {
         })
     }
 
-    /// The file's bytes.
-    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+    /// Writes the file at `path`, atomically, with `metadata` beside its own; returns its size in bytes. Tensors go
+    /// straight to the disk: the file is never a second copy in memory.
+    pub fn write(&self, path: &Path, metadata: &[(&str, String)]) -> Result<u64> {
         let views = self
             .tensors
             .iter()
@@ -89,8 +90,12 @@ impl TensorFile {
                 Ok((name, TensorView::new(dtype, tensor.shape.clone(), bytes).map_err(Error::run)?))
             })
             .collect::<Result<Vec<_>>>()?;
-        let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
-        safetensors::serialize(views, Some(metadata)).map_err(Error::run)
+        let mut all: HashMap<String, String> = self.metadata.clone().into_iter().collect();
+        all.extend(metadata.iter().map(|(key, value)| ((*key).to_string(), value.clone())));
+        replace_atomically(path, |temporary| {
+            safetensors::serialize_to_file(views, Some(all), temporary).map_err(std::io::Error::other)?;
+            std::fs::metadata(temporary).map(|file| file.len())
+        })
     }
 
     /// Reads a file's bytes; `file` stands in errors.
@@ -129,13 +134,6 @@ impl TensorFile {
             .map_err(|error| Error::input(path.display(), error, "name an existing .safetensors file"))?;
         Self::from_bytes(&path.display().to_string(), &bytes)
     }
-
-    /// Writes the file at `path`, atomically; returns its size in bytes.
-    pub fn write(&self, path: &Path) -> Result<u64> {
-        let bytes = self.to_bytes()?;
-        write_atomically(path, &bytes)?;
-        Ok(bytes.len() as u64)
-    }
 }
 
 fn wrong_tensor(file: &str, name: &str, kind: &str, shape: &[usize], found: Option<&Tensor>) -> Error {
@@ -150,14 +148,21 @@ fn wrong_tensor(file: &str, name: &str, kind: &str, shape: &[usize], found: Opti
 
 /// Writes `bytes` beside `path` and renames: readers see the old file or the whole new one.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    let temporary = path.with_extension("tmp");
+    replace_atomically(path, |temporary| std::fs::File::create(temporary)?.write_all(bytes))
+}
+
+/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it.
+fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&Path) -> std::io::Result<T>) -> Result<T> {
+    let mut temporary = path.as_os_str().to_owned();
+    temporary.push(".tmp");
+    let temporary = Path::new(&temporary);
     let write = || {
-        let mut file = std::fs::File::create(&temporary)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        std::fs::rename(&temporary, path)
+        let result = fill(temporary)?;
+        std::fs::OpenOptions::new().write(true).open(temporary)?.sync_all()?;
+        std::fs::rename(temporary, path)?;
+        Ok(result)
     };
-    write().map_err(|error| {
+    write().map_err(|error: std::io::Error| {
         Error::input(
             path.display(),
             format!("cannot write: {error}"),
@@ -181,15 +186,27 @@ mod tests {
         file
     }
 
+    /// The sample as it stands in a file.
+    fn bytes() -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sample.safetensors");
+        let written = sample().write(&path, &[("more", "text".into())]).unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file stays behind");
+        let bytes = std::fs::read(path).unwrap();
+        assert_eq!(bytes.len() as u64, written);
+        bytes
+    }
+
     #[test]
     fn what_is_written_is_read() {
-        let bytes = sample().to_bytes().unwrap();
-        assert_eq!(TensorFile::from_bytes("x", &bytes).unwrap(), sample());
+        let mut expected = sample();
+        expected.metadata.insert("more".into(), "text".into());
+        assert_eq!(TensorFile::from_bytes("x", &bytes()).unwrap(), expected);
     }
 
     #[test]
     fn every_truncation_is_an_error_and_none_a_panic() {
-        let bytes = sample().to_bytes().unwrap();
+        let bytes = bytes();
         for length in 0..bytes.len() {
             let error = TensorFile::from_bytes("cut.safetensors", &bytes[..length]).unwrap_err();
             assert_eq!(error.exit_code(), 2);

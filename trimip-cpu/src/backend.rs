@@ -24,6 +24,11 @@ pub struct Lane;
 /// Samples that share a deposit, about; a deposit's weight gradients are joined at the end of a step.
 const SAMPLES_PER_DEPOSIT: u32 = 1024;
 
+/// Deposits of a step of `samples` samples: many enough to balance the load of many cores.
+pub fn deposits(samples: u32) -> usize {
+    (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
+}
+
 /// The CPU with a number of threads and an instruction set.
 pub struct CpuBackend {
     pool: rayon::ThreadPool,
@@ -170,7 +175,7 @@ impl Backend for CpuBackend {
     }
 
     fn deposits(&self, samples: u32) -> usize {
-        (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
+        deposits(samples)
     }
 
     fn collect(&self, deposits: &[Deposit<Self>]) -> Option<StepSums> {

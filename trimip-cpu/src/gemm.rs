@@ -270,8 +270,8 @@ mod tests {
     }
 
     fn close(found: f32, expected: f64, terms: usize) {
-        // Rounding of a sum of `terms` products of size up to 1.
-        let tolerance = 1e-7 * (terms as f64).sqrt() * 4.0 + 1e-7;
+        // A sum of `terms` products of size up to 1: each partial sum rounds to half an ulp of at most |expected| + terms.
+        let tolerance = 6e-8 * (expected.abs() + (terms as f64).sqrt()) * (terms as f64).sqrt() + 1e-7;
         assert!((f64::from(found) - expected).abs() < tolerance, "{found} {expected}");
     }
 

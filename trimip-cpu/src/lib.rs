@@ -7,6 +7,7 @@ mod encoder;
 mod field;
 pub mod gemm;
 mod loss;
+mod memory;
 mod mlp;
 mod occupancy;
 mod optimizer;
@@ -31,6 +32,20 @@ use trimip_core::{Config, Result, Session, ViewSet};
 pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     let backend = CpuBackend::new(config.threads, Simd::detect())?;
     Ok(Box::new(Trainer::new(backend, config, views)?))
+}
+
+/// Name and bytes of what training with these settings and views will need.
+pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
+    let threads = match config.threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads as usize,
+    };
+    memory::predict(config, views, threads, backend::deposits(config.train.samples_per_step))
+}
+
+/// The instruction sets this processor offers, widest (the one used) first.
+pub fn features() -> String {
+    Simd::available().iter().map(|simd| format!("{simd:?}")).collect::<Vec<_>>().join(", ")
 }
 
 /// A finished model to render, with `threads` threads (0: all cores).
