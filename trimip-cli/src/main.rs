@@ -32,7 +32,8 @@ fn main() -> ExitCode {
         Err(mistake) => {
             let text = mistake.to_string();
             let what = text.split("\nUsage:").next().unwrap_or_default();
-            let what = what.split("\nFor more").next().unwrap_or_default().trim_start_matches("error: ");
+            let what =
+                what.split("\nFor more").next().unwrap_or_default().trim_start_matches("error: ").trim();
             let error = Error::input("command line", what, "see trimip-cli --help");
             terminal::error(&error);
             return ExitCode::from(error.exit_code());

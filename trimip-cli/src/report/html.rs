@@ -194,7 +194,7 @@ fn course(report: &Report<'_>) -> String {
         ("evaluation", terminal::duration(history.evaluation_seconds())),
         (
             "wall time, everything",
-            format!("{} in {} session(s)", terminal::duration(wall), history.parts.len()),
+            format!("{} in {}", terminal::duration(wall), sessions(history.parts.len())),
         ),
         ("rays", count(totals.rays)),
         ("samples kept", format!("{} ({} per ray)", count(totals.samples), per(totals.samples))),
@@ -229,6 +229,10 @@ fn course(report: &Report<'_>) -> String {
         table(&run),
         table(&place)
     )
+}
+
+fn sessions(count: usize) -> String {
+    if count == 1 { "one session".into() } else { format!("{count} sessions") }
 }
 
 fn settings(report: &Report<'_>) -> String {
