@@ -1,0 +1,157 @@
+//! Small problems on which the tests run: random numbers, configurations, parameters that make interesting densities,
+//! photographs of noise at several scales, cameras.
+
+use glam::DVec3;
+use trimip_core::{
+    Alpha, Camera, Config, Intrinsics, Layout, Scale, View, ViewSet,
+    params::{Kind, Slot},
+};
+
+/// SplitMix64 (Steele et al. 2014): the tests' own random numbers.
+pub struct Draw(u64);
+
+impl Draw {
+    /// The sequence of a seed.
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// 64 random bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// Uniform in [low, high).
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// Uniform below `count`.
+    pub fn below(&mut self, count: usize) -> usize {
+        (self.bits() % count as u64) as usize
+    }
+
+    /// A unit vector.
+    pub fn direction(&mut self) -> DVec3 {
+        loop {
+            let v = DVec3::new(self.between(-1.0, 1.0), self.between(-1.0, 1.0), self.between(-1.0, 1.0));
+            if (0.01..1.0).contains(&v.length_squared()) {
+                return v.normalize();
+            }
+        }
+    }
+}
+
+/// A configuration small enough for the literal reference: 16² planes, 16 hidden units, about twenty steps a ray.
+pub fn small() -> Config {
+    let mut config = Config { threads: 1, ..Config::default() };
+    config.encoder.plane_size = 16;
+    config.encoder.levels = 5;
+    config.field.hidden = 16;
+    config.renderer.steps_per_diagonal = 32;
+    config.occupancy.resolution = 8;
+    config.train.samples_per_step = 512;
+    config.data.background = [0.9, 0.2, 0.6];
+    config
+}
+
+/// Parameters far from their small initial values: texels in ±1, layers 1.5 times Glorot's bound, so that densities run
+/// from nearly nothing to nearly opaque and no ReLU layer is dead.
+pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
+    let mut draw = Draw::new(seed);
+    let bound = |slot: &Slot| match slot.kind {
+        Kind::Planes => 1.0,
+        Kind::Network => 1.5 * (6.0 / (slot.shape[0] + slot.shape[1]) as f64).sqrt(),
+    };
+    let mut values = Vec::new();
+    for slot in &layout.slots {
+        let bound = bound(slot);
+        values.extend(slot.range.clone().map(|_| draw.between(-bound, bound) as f32));
+    }
+    values
+}
+
+/// Photographs of noise: `count` square views of `size` pixels, looking at the origin from 4 units away through an angle
+/// that leaves the box at the corners, at `scales` scales.
+pub fn noise(count: usize, size: u32, scales: u32, seed: u64) -> ViewSet {
+    let mut draw = Draw::new(seed);
+    let cameras: Vec<Camera> = (0..count)
+        .map(|_| {
+            Camera::look_at(
+                Intrinsics::from_angle(size, size, 1.1),
+                4.0 * draw.direction(),
+                DVec3::ZERO,
+                DVec3::Z,
+            )
+        })
+        .collect();
+    photographs(&cameras, scales, |_, _| draw.bits().to_le_bytes()[..4].try_into().unwrap_or_default())
+}
+
+/// Views of `cameras` at `scales` scales; `pixel(view, index)` gives straight RGBA.
+pub fn photographs(
+    cameras: &[Camera],
+    scales: u32,
+    mut pixel: impl FnMut(usize, usize) -> [u8; 4],
+) -> ViewSet {
+    let mut set = ViewSet { views: vec![], pixels: vec![], alpha: Alpha::Straight, scales: vec![] };
+    for level in 0..scales {
+        let (first_view, first_pixel) = (set.views.len(), set.pixels.len());
+        for (i, camera) in cameras.iter().enumerate() {
+            let intrinsics = camera.intrinsics.reduced(level);
+            let (name, offset) = (format!("view {i}"), set.pixels.len());
+            set.views.push(View { name, camera: Camera { intrinsics, ..*camera }, offset });
+            set.pixels.extend((0..(intrinsics.width * intrinsics.height) as usize).map(|p| pixel(i, p)));
+        }
+        set.scales.push(Scale {
+            factor: 1 << level,
+            weight: 4.0_f32.powi(level as i32),
+            views: first_view..set.views.len(),
+            pixels: first_pixel..set.pixels.len(),
+        });
+    }
+    set
+}
+
+/// Parameters of a field that is the same everywhere: texels 1, one density, one colour from every direction.
+pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -> Vec<f32> {
+    let mut values = vec![0.0_f32; layout.len()];
+    for slot in &layout.slots {
+        let [inputs, outputs] =
+            if slot.kind == Kind::Planes { [0, 0] } else { [slot.shape[0], slot.shape[1]] };
+        let part = &mut values[slot.range.clone()];
+        let layers = if slot.name.starts_with("density") {
+            config.field.density_layers
+        } else {
+            config.field.color_layers
+        };
+        let last = slot.name.contains(&format!(".{layers}."));
+        match slot.name.as_str() {
+            _ if slot.kind == Kind::Planes => part.fill(1.0),
+            // The first spherical harmonic is the constant 1/(2√π): every hidden unit becomes 1.
+            "color.0.weight" => part[..outputs].fill(2.0 * std::f32::consts::PI.sqrt()),
+            name if !last => {
+                debug_assert!(!name.is_empty());
+                part.fill(1.0 / inputs as f32);
+            }
+            // Density = exp(logit − 1); the geometry features stay 0.
+            name if name.starts_with("density") => {
+                part.iter_mut()
+                    .step_by(outputs)
+                    .for_each(|w| *w = ((density.ln() + 1.0) / inputs as f64) as f32);
+            }
+            _ => {
+                for row in part.chunks_exact_mut(outputs) {
+                    for (w, c) in row.iter_mut().zip(rgb) {
+                        *w = ((c / (1.0 - c)).ln() / inputs as f64) as f32;
+                    }
+                }
+            }
+        }
+    }
+    values
+}

@@ -1,0 +1,165 @@
+//! Marching with its skipping of empty space against asking every step, on random occupancy and difficult rays.
+
+use super::{Bench, stages::write_rays};
+use crate::{
+    fixtures::{Draw, lively, small},
+    reference,
+};
+use glam::DVec3;
+use trimip_core::{Backend, Config, Layout, Renderer, Result, backend::Occupancy, batch::Ray};
+
+/// Distance to a cell's border, in unit-box coordinates, and to the box's end, in steps, below which f32 and f64 may
+/// decide differently about a sample: positions of order 5 world units carry a rounding of 5e-7.
+const BORDER: f64 = 4e-6;
+
+/// Share of random samples that may lie so close to a border.
+const BORDER_SHARE: f64 = 0.005;
+
+/// Rays through, beside, along and from within the box; the first `AXIS_ALIGNED` are parallel to an axis.
+pub fn rays(seed: u64) -> Vec<Ray> {
+    let mut draw = Draw::new(seed);
+    let mut rays = Vec::new();
+    let mut push = |origin: DVec3, direction: DVec3| {
+        rays.push(Ray {
+            origin: origin.to_array().map(|x| x as f32),
+            direction: direction.to_array().map(|x| x as f32),
+            slope: 0.01,
+            cosine: 1.0,
+        });
+    };
+    for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+        let aside = axis.any_orthonormal_vector();
+        for sign in [1.0, -1.0] {
+            push(-4.0 * sign * axis + 0.3 * aside, sign * axis);
+            push(-4.0 * sign * axis, sign * axis);
+            // In a face, and past it.
+            push(-4.0 * sign * axis + 1.5 * aside, sign * axis);
+            push(-4.0 * sign * axis + 1.6 * aside, sign * axis);
+            // From within.
+            push(0.7 * aside, sign * axis);
+        }
+    }
+    for _ in 0..60 {
+        let direction = draw.direction();
+        let target = 2.2 * draw.direction() * draw.between(0.0, 1.0);
+        push(target - 4.0 * direction, direction);
+        push(draw.direction(), draw.direction());
+        // Nearly along an axis: one component tiny.
+        push(DVec3::new(-4.0, draw.between(-1.4, 1.4), 0.2), DVec3::new(1.0, 1e-7, -3e-4).normalize());
+        // Away from the box.
+        push(4.0 * direction, direction);
+    }
+    rays
+}
+
+/// One bit per cell: `share` of all set, singly or in slabs that leave whole blocks empty.
+pub fn bits(resolution: u32, share: f64, seed: u64) -> Vec<u8> {
+    let mut draw = Draw::new(seed);
+    let cells = resolution.pow(3);
+    let blocks: Vec<bool> =
+        (0..resolution.div_ceil(4).pow(3)).map(|_| draw.between(0.0, 1.0) < 0.5).collect();
+    let mut bits = vec![0_u8; cells.div_ceil(8) as usize];
+    for cell in 0..cells {
+        let [x, y, z] = [cell % resolution, cell / resolution % resolution, cell / resolution / resolution];
+        let side = resolution.div_ceil(4);
+        let block = blocks[(x / 4 + side * (y / 4 + side * (z / 4))) as usize];
+        if block && draw.between(0.0, 1.0) < share {
+            bits[cell as usize / 8] |= 1 << (cell % 8);
+        }
+    }
+    bits
+}
+
+/// A grid and steps fine enough that a cell holds several and a block many.
+pub fn configuration(resolution: u32) -> Config {
+    let mut config = small();
+    config.occupancy.resolution = resolution;
+    config.renderer.steps_per_diagonal = 700;
+    config
+}
+
+/// The samples of each ray, by their distance.
+pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u64>) -> Vec<Vec<f32>> {
+    let Bench { backend, stages, space, .. } = bench;
+    write_rays(backend, &mut space.rays, rays);
+    stages.renderer.march(&mut space.lane, &space.rays, &stages.occupancy, jitter, &mut space.samples);
+    let (segments, intervals) =
+        (backend.read(&space.samples.segments), backend.read(&space.samples.intervals));
+    let owners = backend.read(&space.samples.rays);
+    let of = |(i, s): (usize, &trimip_core::batch::Segment)| {
+        let range = s.start as usize..(s.start + s.count) as usize;
+        assert!(owners[range.clone()].iter().all(|&owner| owner as usize == i), "samples know their ray");
+        intervals[range].iter().map(|interval| interval.t).collect()
+    };
+    segments.iter().enumerate().map(of).collect()
+}
+
+/// Samples are those of the literal march, borders aside.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    for (resolution, share) in [(32, 0.02), (32, 0.5), (20, 0.9), (8, 0.1)] {
+        let config = configuration(resolution);
+        let parameters = lively(&Layout::new(&config), 1);
+        let mut bench = Bench::new(make(), &config, None, &parameters)?;
+        let bits = bits(resolution, share, 5);
+        bench.stages.occupancy.restore(&bits, None);
+        assert_eq!(bench.stages.occupancy.bits(), bits, "bits survive");
+        let rays = rays(3);
+        let found = marched(&mut bench, &rays, None);
+        let (mut total, mut borderline) = (0, 0);
+        let length = reference::step_length(&config);
+        for (ray, found) in rays.iter().zip(&found) {
+            let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
+            let leave = reference::span(&config, origin, direction).map_or(0.0, |span| span.1);
+            let mut found = found.iter().map(|&t| f64::from(t)).peekable();
+            for sample in reference::march(&config, ray, 0.0, |_| true) {
+                let scaled = sample.position.map(|p| p * f64::from(resolution));
+                let cell = scaled.map(|p| (p as u32).min(resolution - 1));
+                let index = cell[0] + resolution * (cell[1] + resolution * cell[2]);
+                let expected = bits[index as usize / 8] >> (index % 8) & 1 == 1;
+                let there = found.next_if(|t| (t - sample.t).abs() < 0.1 * length).is_some();
+                total += usize::from(expected);
+                if expected != there {
+                    let border =
+                        scaled.iter().any(|p| (p - p.round()).abs() < BORDER * f64::from(resolution));
+                    let end = leave - sample.t < BORDER * length.max(1.0);
+                    assert!(border || end, "{ray:?} at {}: {there}, not {expected}", sample.t);
+                    borderline += 1;
+                }
+            }
+            // What is left lies behind the last literal step: at the very end of the box, if anywhere.
+            assert!(found.all(|t| (leave - t).abs() < 1e-5), "{ray:?}: samples that no step has");
+        }
+        assert!(total > 500, "the rays meet {total} occupied steps");
+        assert!((borderline as f64) < BORDER_SHARE * total as f64, "{borderline} of {total} at a border");
+    }
+    Ok(())
+}
+
+/// Jitter moves each ray's first step by less than one step, differently for each ray and step, and by nothing else.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn jitter<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = configuration(8);
+    let mut bench = Bench::new(make(), &config, None, &lively(&Layout::new(&config), 1))?;
+    let ray = Ray { origin: [-4.0, 0.1, 0.2], direction: [1.0, 0.0, 0.0], slope: 0.01, cosine: 1.0 };
+    let length = reference::step_length(&config) as f32;
+    let straight = marched(&mut bench, &[ray; 200], None);
+    let mut firsts = Vec::new();
+    for step in [1, 2] {
+        for (moved, straight) in marched(&mut bench, &[ray; 200], Some(step)).iter().zip(&straight) {
+            let offset = (moved[0] - straight[0]) / length;
+            assert!((-1e-3..1.0).contains(&offset), "offset {offset}");
+            assert!(moved.windows(2).all(|t| ((t[1] - t[0]) / length - 1.0).abs() < 1e-3), "uniform steps");
+            firsts.push(offset);
+        }
+    }
+    let mean = firsts.iter().sum::<f32>() / 400.0;
+    // Uniform in [0, 1): the standard error of 400 is 0.0144; four of them.
+    assert!((mean - 0.5).abs() < 0.06, "mean offset {mean}");
+    assert_ne!(firsts[..200], firsts[200..], "each step draws anew");
+    Ok(())
+}

@@ -1,0 +1,68 @@
+//! What every backend must satisfy, through the traits alone. Each part takes a function that makes a fresh backend, so
+//! that a new backend is tested by one more line.
+
+pub mod gradients;
+pub mod marching;
+pub mod pyramid;
+pub mod scenes;
+pub mod stages;
+pub mod training;
+
+use trimip_core::{
+    Backend, Config, Encoder, Field, Layout, Result, ViewSet,
+    backend::Stages,
+    batch::{Samples, Segment, Sphere, Workspace},
+};
+
+/// A backend, the stages of a configuration with parameters in place, and a workspace.
+pub struct Bench<B: Backend> {
+    /// The device.
+    pub backend: B,
+    /// Its stages.
+    pub stages: Stages<B>,
+    /// Its batches.
+    pub space: Workspace<B>,
+    /// The parameters on the device.
+    pub parameters: B::Buffer<f32>,
+}
+
+impl<B: Backend> Bench<B> {
+    /// Puts the parameters in place.
+    ///
+    /// # Errors
+    /// When the backend refuses the configuration.
+    pub fn new(backend: B, config: &Config, views: Option<ViewSet>, parameters: &[f32]) -> Result<Self> {
+        assert_eq!(parameters.len(), Layout::new(config).len(), "one value per parameter");
+        let mut stages = backend.stages(config, views)?;
+        let mut buffer = backend.zeros(parameters.len());
+        backend.write(&mut buffer, parameters);
+        backend.install(|| {
+            stages.encoder.refresh(&buffer);
+            stages.field.refresh(&buffer);
+        });
+        let space = Workspace::new(&backend, &stages.field);
+        Ok(Self { backend, stages, space, parameters: buffer })
+    }
+
+    /// Makes `spheres` the samples of one ray.
+    pub fn place(&mut self, spheres: &[Sphere]) {
+        let count = spheres.len() as u32;
+        let Samples { segments, rays, spheres: buffer, counts, .. } = &mut self.space.samples;
+        self.backend.write(segments, &[Segment { start: 0, count }]);
+        self.backend.write(rays, &vec![0; spheres.len()]);
+        self.backend.write(buffer, spheres);
+        self.backend.write(counts, &[[count, count]]);
+    }
+
+    /// Features of the samples in place, 48 each.
+    pub fn features(&mut self) -> Vec<f32> {
+        let space = &mut self.space;
+        self.stages.encoder.forward(&mut space.lane, &self.parameters, &space.samples, &mut space.features);
+        self.backend.read(&space.features)
+    }
+}
+
+/// Parameters for the reference.
+pub fn wide(parameters: &[f32]) -> Vec<f64> {
+    parameters.iter().map(|&x| x.into()).collect()
+}

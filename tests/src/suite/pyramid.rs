@@ -1,0 +1,133 @@
+//! Laws of the mip pyramid: every level has the mean of its base, a gradient loses nothing on its way to the base, and
+//! backward is the transpose of forward.
+
+use super::{Bench, wide};
+use crate::fixtures::{Draw, lively, small};
+use trimip_core::{
+    Backend, Config, Encoder, Layout, Result,
+    backend::Field,
+    batch::{Deposit, Sphere},
+};
+
+/// Means and sums of some thousand f32 values of order 1, relative to the sum of their sizes.
+const SUM_TOLERANCE: f64 = 1e-6;
+
+/// Axes of each plane.
+const AXES: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
+
+fn configuration() -> Config {
+    let mut config = small();
+    config.encoder.plane_size = 32;
+    config.encoder.levels = 6;
+    config
+}
+
+/// World radius whose level is exactly `level` in a cube of 3 units.
+fn radius(config: &Config, level: f64) -> f32 {
+    let texel = 3.0 / f64::from(config.encoder.plane_size);
+    (texel / std::f64::consts::PI.sqrt() * level.exp2()) as f32
+}
+
+/// The mean over all texels of any level is the mean of the base.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn means<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = configuration();
+    let parameters = lively(&Layout::new(&config), 4);
+    let mut bench = Bench::new(make(), &config, None, &parameters)?;
+    let size = config.encoder.plane_size as usize;
+    for (plane, [a, b]) in AXES.into_iter().enumerate() {
+        let base = &parameters[plane * size * size * 16..][..size * size * 16];
+        for level in 0..config.encoder.levels as usize {
+            let side = size >> level;
+            let spheres: Vec<Sphere> = (0..side * side)
+                .map(|i| {
+                    let mut position = [0.5; 3];
+                    position[a] = ((i % side) as f32 + 0.5) / side as f32;
+                    position[b] = ((i / side) as f32 + 0.5) / side as f32;
+                    Sphere { position, radius: radius(&config, level as f64) }
+                })
+                .collect();
+            bench.place(&spheres);
+            let features = bench.features();
+            for channel in 0..16 {
+                let mean = |values: &mut dyn Iterator<Item = f32>, count: usize| {
+                    values.map(f64::from).sum::<f64>() / count as f64
+                };
+                let expected = mean(&mut base.iter().skip(channel).step_by(16).copied(), size * size);
+                let column = plane * 16 + channel;
+                let found = mean(&mut (0..side * side).map(|i| features[48 * i + column]), side * side);
+                assert!(
+                    (found - expected).abs() < SUM_TOLERANCE,
+                    "plane {plane}, level {level}, channel {channel}: mean {found}, not {expected}"
+                );
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What features' gradients hold in all arrives at the base, from every level; and ⟨forward(p), g⟩ = ⟨p, backward(g)⟩.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn gradients<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = configuration();
+    let layout = Layout::new(&config);
+    let parameters = lively(&layout, 4);
+    let mut bench = Bench::new(make(), &config, Some(crate::fixtures::noise(1, 8, 1, 1)), &parameters)?;
+    let mut draw = Draw::new(8);
+    let base = layout.slots[0].range.len();
+    for level in 0..config.encoder.levels {
+        let spheres: Vec<Sphere> = (0..203)
+            .map(|_| Sphere {
+                position: [0; 3].map(|_| draw.between(0.0, 1.0) as f32),
+                radius: radius(&config, f64::from(level) + draw.between(0.0, 1.0)),
+            })
+            .collect();
+        bench.place(&spheres);
+        let features = bench.features();
+        // Rows of padding, where a backend has them, hold what no sample has: they must not count.
+        let upstream: Vec<f32> = features.iter().map(|_| draw.between(-1.0, 1.0) as f32).collect();
+        let Bench { backend, stages, space, .. } = &mut bench;
+        backend.write(&mut space.feature_gradients, &upstream);
+        let mut deposits = [Deposit {
+            field: stages.field.gradient(),
+            encoder: stages.encoder.gradient(),
+            sums: B::Sums::default(),
+        }];
+        let deposit = &mut deposits[0].encoder;
+        stages.encoder.backward(&mut space.lane, &space.samples, &space.feature_gradients, deposit);
+        let mut gradient = backend.zeros(layout.len());
+        backend.install(|| stages.encoder.flush(&mut deposits, &mut gradient));
+        let gradient = wide(&backend.read(&gradient)[..base]);
+
+        let counted = 48 * spheres.len();
+        for column in 0..48 {
+            let (plane, channel) = (column / 16, column % 16);
+            let part = &gradient[plane * base / 3..][..base / 3];
+            let found: f64 = part.iter().skip(channel).step_by(16).sum();
+            let deposited = upstream[..counted].iter().skip(column).step_by(48);
+            let expected: f64 = deposited.clone().map(|&g| f64::from(g)).sum();
+            let size: f64 = deposited.map(|&g| f64::from(g).abs()).sum();
+            assert!(
+                (found - expected).abs() < SUM_TOLERANCE * size,
+                "level {level}, feature {column}: {found} arrived, not {expected}"
+            );
+        }
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let forward = dot(&wide(&features[..counted]), &wide(&upstream[..counted]));
+        let backward = dot(&wide(&parameters[..base]), &gradient);
+        // Both sum some 10,000 products of order 0.3 with errors of 1e-6 each, of random sign.
+        assert!((forward - backward).abs() < 1e-3, "level {level}: {forward} forward, {backward} backward");
+        // Flushing empties the deposits: a second flush finds nothing.
+        let mut again = backend.zeros(layout.len());
+        backend.install(|| stages.encoder.flush(&mut deposits, &mut again));
+        assert!(
+            backend.read(&again)[..base].iter().all(|&g| g == 0.0),
+            "level {level}: deposits are emptied"
+        );
+    }
+    Ok(())
+}

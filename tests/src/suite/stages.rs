@@ -1,0 +1,220 @@
+//! Stage by stage against the literal reference: features, density and colour, compositing, whole pixels.
+
+use super::{Bench, wide};
+use crate::{
+    fixtures::{Draw, lively, noise, small},
+    reference::{Composited, Reference, Sample, composite, kept, march},
+};
+use glam::DVec3;
+use trimip_core::{
+    Backend, Camera, Config, Field, Intrinsics, Layout, Pixel, Renderer, Result, Session,
+    batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere},
+    config::LevelFormula,
+    trainer::Trainer,
+};
+
+/// Features of texels in ±1 on planes up to 64 wide: a coordinate in texels is rounded to 64·2⁻²⁴ = 4e-6 and a texel
+/// differs from its neighbour by up to 2, on both axes; the blend of levels adds as much.
+const FEATURE_TOLERANCE: f64 = 4e-5;
+
+/// Colours and densities, absolute and relative: a logit of order 5 summed over 16 to 48 products in f32.
+const FIELD_TOLERANCE: f64 = 2e-5;
+
+/// Compositing alone, relative to values of order 1: forty additions in f32.
+const COMPOSITE_TOLERANCE: f64 = 1e-5;
+
+/// A whole pixel: feature errors, amplified by the networks' slope of about 10, over some twenty samples.
+const PIXEL_TOLERANCE: f64 = 5e-4;
+
+/// Where ln T of a sample is this near to the limit, either decision of pruning is right: the densities' own error.
+const PRUNING_MARGIN: f64 = 1e-3;
+
+fn configurations() -> Vec<Config> {
+    let paper = small();
+    let mut code = small();
+    code.encoder.level = LevelFormula::Code;
+    (code.encoder.plane_size, code.encoder.levels) = (64, 7);
+    (code.field.hidden, code.field.density_layers, code.field.color_layers) = (48, 2, 4);
+    // A box with three different sides: each plane has its own base radius.
+    (code.scene.aabb_min, code.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
+    let mut flat = small();
+    flat.encoder.mipmap = false;
+    vec![paper, code, flat]
+}
+
+/// Spheres all over the box and on its border, with radii from nothing to far beyond the coarsest level.
+pub fn spheres(seed: u64, count: usize) -> Vec<Sphere> {
+    let mut draw = Draw::new(seed);
+    let radii = [0.0, 1e-30, 1e-3, 0.05, 0.2, 0.8, 3.0, 1e4, f32::INFINITY];
+    (0..count)
+        .map(|i| {
+            let mut coordinate = || match draw.below(8) {
+                0 => 0.0,
+                1 => 1.0,
+                2 => 1.0 - f32::EPSILON,
+                _ => draw.between(0.0, 1.0) as f32,
+            };
+            let position = [coordinate(), coordinate(), coordinate()];
+            let radius = radii.get(i % 16).map_or_else(|| draw.between(-7.0, 1.0).exp2() as f32, |&r| r);
+            Sphere { position, radius }
+        })
+        .collect()
+}
+
+fn close(found: f64, expected: f64, tolerance: f64) -> bool {
+    (found - expected).abs() <= tolerance * expected.abs().max(1.0)
+}
+
+/// Features, densities and colours of random spheres.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    for config in configurations() {
+        let layout = Layout::new(&config);
+        let parameters = lively(&layout, 3);
+        let reference = Reference::new(&config, &layout, &wide(&parameters));
+        let mut bench = Bench::new(make(), &config, None, &parameters)?;
+        // 37: no multiple of any tile.
+        let spheres = spheres(5, 37 * 5);
+        bench.place(&spheres);
+        let features = bench.features();
+        for (i, sphere) in spheres.iter().enumerate() {
+            let expected = reference.features(sphere.position.map(f64::from), sphere.radius.into());
+            for (k, expected) in expected.into_iter().enumerate() {
+                let found = f64::from(features[48 * i + k]);
+                assert!(
+                    close(found, expected, FEATURE_TOLERANCE),
+                    "{sphere:?}, feature {k}: {found}, not {expected}"
+                );
+            }
+        }
+
+        let Bench { backend, stages, space, .. } = &mut bench;
+        let direction = DVec3::new(0.48, -0.6, 0.64);
+        let ray = Ray { direction: direction.to_array().map(|x| x as f32), ..Ray::default() };
+        backend.write(&mut space.rays.rays, &[ray]);
+        let (lane, samples, tape) = (&mut space.lane, &space.samples, &mut space.tape);
+        stages.field.density(lane, samples, &space.features, tape, &mut space.radiance);
+        stages.field.color(lane, &space.rays, samples, tape, &mut space.radiance);
+        let radiance = backend.read(&space.radiance);
+        for (i, found) in radiance.iter().enumerate().take(spheres.len()) {
+            let geometry = reference.geometry(&wide(&features[48 * i..][..48]));
+            let density = reference.density(&geometry);
+            assert!(
+                close(f64::from(found.density) / density, 1.0, FIELD_TOLERANCE),
+                "sample {i}: density {}, not {density}",
+                found.density
+            );
+            let rgb = reference.color(&geometry, ray.direction.map(f64::from));
+            for (found, expected) in found.rgb.into_iter().zip(rgb) {
+                assert!(
+                    close(found.into(), expected, FIELD_TOLERANCE),
+                    "sample {i}: {found}, not {expected}"
+                );
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Compositing of given samples: none, thin ones, an opaque one in the middle, forty of all kinds.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn compositing<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = small();
+    let layout = Layout::new(&config);
+    let Bench { backend, stages, mut space, .. } = Bench::new(make(), &config, None, &lively(&layout, 3))?;
+    let mut draw = Draw::new(11);
+    let counts = [0_u32, 1, 40, 3, 0, 17];
+    let (mut segments, mut intervals, mut radiance, mut owners) = (vec![], vec![], vec![], vec![]);
+    for (ray, &count) in counts.iter().enumerate() {
+        segments.push(Segment { start: intervals.len() as u32, count });
+        for i in 0..count {
+            let density = if (ray, i) == (3, 1) { 1e6 } else { draw.between(-20.0, 3.0).exp() as f32 };
+            let rgb = [0; 3].map(|_| draw.between(0.0, 1.0) as f32);
+            radiance.push(Radiance { rgb, density });
+            intervals.push(Interval { t: 2.0 + 0.1 * i as f32, length: draw.between(0.05, 0.15) as f32 });
+            owners.push(ray as u32);
+        }
+    }
+    let rays = [Ray { cosine: 0.8, ..Ray::default() }; 6];
+    let total = intervals.len() as u32;
+    backend.write(&mut space.rays.rays, &rays);
+    let Samples { segments: s, rays: r, intervals: v, spheres, counts: c } = &mut space.samples;
+    backend.write(s, &segments);
+    backend.write(r, &owners);
+    backend.write(v, &intervals);
+    backend.write(spheres, &vec![Sphere::default(); total as usize]);
+    backend.write(c, &[[total, total]]);
+    backend.write(&mut space.radiance, &radiance);
+    let (lane, pixels) = (&mut space.lane, &mut space.pixels);
+    stages.renderer.composite(lane, &space.rays, &space.samples, &space.radiance, pixels);
+    for (pixel, segment) in backend.read(pixels).iter().zip(&segments) {
+        let range = segment.start as usize..(segment.start + segment.count) as usize;
+        let sample = |interval: &Interval| Sample {
+            t: interval.t.into(),
+            length: interval.length.into(),
+            position: [0.0; 3],
+            radius: 0.0,
+        };
+        let samples: Vec<_> = intervals[range.clone()].iter().map(sample).collect();
+        let radiance: Vec<_> =
+            radiance[range].iter().map(|r| (r.density.into(), r.rgb.map(f64::from))).collect();
+        let background = config.data.background.map(f64::from);
+        let expected = composite(&samples, &radiance, background, f64::from(rays[0].cosine));
+        assert_pixel(pixel, &expected, COMPOSITE_TOLERANCE, "given samples");
+    }
+    Ok(())
+}
+
+fn assert_pixel(found: &Pixel, expected: &Composited, tolerance: f64, place: &str) {
+    let values = [found.rgb[0], found.rgb[1], found.rgb[2], found.opacity, found.depth];
+    let [r, g, b] = expected.rgb;
+    for (found, expected) in values.into_iter().zip([r, g, b, expected.opacity, expected.depth]) {
+        assert!(close(found.into(), expected, tolerance), "{place}: {found}, not {expected}");
+    }
+}
+
+/// Whole pixels of a camera, with and without pruning.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn pixels<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut pruned = 0;
+    for mut config in configurations() {
+        for min_transmittance in [0.0, 1e-4, 0.3] {
+            config.renderer.min_transmittance = min_transmittance;
+            let mut trainer = Trainer::new(make(), &config, noise(1, 8, 1, 1))?;
+            let layout = Layout::new(&config);
+            let parameters = lively(&layout, 9);
+            trainer.set_parameters(&parameters);
+            trainer.occupy_all();
+            let reference = Reference::new(&config, &layout, &wide(&parameters));
+            let intrinsics = Intrinsics { width: 7, height: 6, fx: 6.0, fy: 5.5, cx: 3.3, cy: 3.1 };
+            let camera = Camera::look_at(intrinsics, DVec3::new(2.0, -3.0, 1.5), DVec3::ZERO, DVec3::Z);
+            let frame = trainer.render(&camera)?;
+            assert_eq!((frame.width, frame.height), (7, 6));
+            for (i, pixel) in frame.pixels.iter().enumerate() {
+                let ray = Ray::from(camera.cone::<f32>(i as u32 % 7, i as u32 / 7));
+                let samples = march(&config, &ray, 0.0, |_| true);
+                let (count, margin) = kept(&config, &samples, &reference.densities(&samples));
+                pruned += samples.len() - count;
+                let expected = reference.pixel(&ray, &samples[..count]);
+                // A sample kept or not at the limit changes the pixel by what is left behind it, times its distance.
+                let edge = if margin < PRUNING_MARGIN { 8.0 * f64::from(min_transmittance) } else { 0.0 };
+                assert_pixel(pixel, &expected, PIXEL_TOLERANCE + edge, &format!("pixel {i}"));
+            }
+        }
+    }
+    assert!(pruned > 0, "some samples are pruned");
+    Ok(())
+}
+
+/// Rays written for a stage that reads no targets.
+pub fn write_rays<B: Backend>(backend: &B, rays: &mut Rays<B>, values: &[Ray]) {
+    backend.write(&mut rays.rays, values);
+    backend.write(&mut rays.targets, &[]);
+    rays.first = 0;
+}

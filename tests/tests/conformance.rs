@@ -1,0 +1,88 @@
+//! The suite that every backend passes, on the CPU with each instruction set and several numbers of threads.
+
+use trimip_core::Result;
+use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_tests::suite;
+
+/// Runs a part of the suite on every CPU backend that this processor offers.
+fn on_every_cpu(part: impl Fn(&dyn Fn() -> CpuBackend) -> Result<()>) {
+    with_threads(&[1, 2, 3], part);
+}
+
+/// Runs a part of the suite with every instruction set and these numbers of threads.
+fn with_threads(threads: &[u32], part: impl Fn(&dyn Fn() -> CpuBackend) -> Result<()>) {
+    for simd in Simd::available() {
+        for &threads in threads {
+            println!("{simd:?}, {threads} threads");
+            let make = || CpuBackend::new(threads, simd).expect("threads start");
+            part(&make).expect("a small configuration is accepted");
+        }
+    }
+}
+
+#[test]
+fn features_densities_and_colours_are_the_literal_ones() {
+    on_every_cpu(|make| suite::stages::field(make));
+}
+
+#[test]
+fn compositing_is_the_literal_sum() {
+    on_every_cpu(|make| suite::stages::compositing(make));
+}
+
+#[test]
+fn whole_pixels_are_the_literal_ones() {
+    on_every_cpu(|make| suite::stages::pixels(make));
+}
+
+#[test]
+fn gradients_are_finite_differences() {
+    // The literal loss is slow, and `determinism.rs` proves that threads change no bit.
+    with_threads(&[2], |make| suite::gradients::finite_differences(make));
+}
+
+#[test]
+fn marching_is_asking_every_step() {
+    on_every_cpu(|make| suite::marching::brute_force(make));
+}
+
+#[test]
+fn jitter_moves_rays_by_parts_of_a_step() {
+    on_every_cpu(|make| suite::marching::jitter(make));
+}
+
+#[test]
+fn every_level_has_the_mean_of_its_base() {
+    on_every_cpu(|make| suite::pyramid::means(make));
+}
+
+#[test]
+fn gradients_lose_nothing_on_the_way_to_the_base() {
+    on_every_cpu(|make| suite::pyramid::gradients(make));
+}
+
+#[test]
+fn a_homogeneous_medium_follows_beer_and_lambert() {
+    on_every_cpu(|make| suite::scenes::homogeneous(make));
+}
+
+#[test]
+fn an_opaque_box_has_its_silhouette() {
+    on_every_cpu(|make| suite::scenes::silhouette(make));
+}
+
+#[test]
+fn a_resumed_run_is_the_run_that_never_stopped() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    on_every_cpu(|make| suite::training::resume(make, &folder.path().join("checkpoint")));
+}
+
+#[test]
+fn poor_photographs_are_no_failure() {
+    on_every_cpu(|make| suite::training::poor_photographs(make));
+}
+
+#[test]
+fn an_empty_grid_recovers() {
+    on_every_cpu(|make| suite::training::empty_occupancy(make));
+}

@@ -1,0 +1,106 @@
+//! The same seed gives the same bits for any number of threads; another seed gives others. Skipping of empty space gives
+//! the samples, to the bit, that asking every step gives.
+
+use trimip_core::{
+    Aabb, Layout, Session,
+    backend::Occupancy,
+    batch::Ray,
+    checkpoint::Checkpoint,
+    rng::{Random, Stream},
+    trainer::Trainer,
+};
+use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_tests::{fixtures, suite, suite::Bench};
+
+/// What training leaves after some steps with `threads` threads, and a picture of it.
+fn trained(simd: Simd, threads: u32, seed: u64) -> (Checkpoint, trimip_core::Frame) {
+    let mut config = suite::training::configuration();
+    config.seed = seed;
+    // The number of deposits is at least 16: several spans share one, and workers race for them.
+    config.train.samples_per_step = 4096;
+    let views = fixtures::noise(4, 16, 3, 30);
+    let camera = views.views[0].camera;
+    let mut trainer = Trainer::new(CpuBackend::new(threads, simd).unwrap(), &config, views).unwrap();
+    suite::training::steps(&mut trainer, &config, 20).unwrap();
+    let frame = trainer.render(&camera).unwrap();
+    (trainer.checkpoint().unwrap(), frame)
+}
+
+#[test]
+fn threads_change_no_bit() {
+    for simd in Simd::available() {
+        let (expected, picture) = trained(simd, 1, 42);
+        assert!(expected.state.totals.samples > 20_000, "the steps are not empty");
+        for threads in [2, 3, 5] {
+            let (found, same) = trained(simd, threads, 42);
+            assert_eq!(found.state, expected.state, "{simd:?}, {threads} threads");
+            for (name, tensor) in &expected.file.tensors {
+                assert!(
+                    found.file.tensors.get(name) == Some(tensor),
+                    "{simd:?}, {threads} threads: `{name}` differs"
+                );
+            }
+            assert!(same == picture, "{simd:?}, {threads} threads: the picture differs");
+        }
+    }
+}
+
+#[test]
+fn another_seed_gives_another_run() {
+    let (first, second) = (trained(Simd::detect(), 2, 1).0, trained(Simd::detect(), 2, 2).0);
+    for (name, tensor) in first.file.tensors.iter().filter(|(name, _)| !name.starts_with("occupancy")) {
+        assert!(second.file.tensors.get(name) != Some(tensor), "`{name}` is the same");
+    }
+}
+
+/// The distances of asking every step in the marcher's own precision.
+fn every_step(config: &trimip_core::Config, ray: &Ray, offset: f32, bits: &[u8]) -> Vec<f32> {
+    let aabb = Aabb::<f32>::new(&config.scene);
+    let (enter, leave) = aabb.intersect(ray.origin, ray.direction);
+    let length = aabb.longest() * 3.0_f32.sqrt() / config.renderer.steps_per_diagonal as f32;
+    let first = enter + offset * length;
+    let resolution = config.occupancy.resolution;
+    let mut distances = Vec::new();
+    for i in 0.. {
+        let t = first + (i as f32 + 0.5) * length;
+        if !(enter < leave && t < leave) {
+            return distances;
+        }
+        let [x, y, z] = [0, 1, 2].map(|axis| {
+            let inverse = (aabb.max[axis] - aabb.min[axis]).recip();
+            let position = (ray.origin[axis] + t * ray.direction[axis] - aabb.min[axis]) * inverse;
+            ((position * resolution as f32) as u32).min(resolution - 1)
+        });
+        let cell = x + resolution * (y + resolution * z);
+        if bits[cell as usize / 8] >> (cell % 8) & 1 == 1 {
+            distances.push(t);
+        }
+    }
+    distances
+}
+
+#[test]
+fn skipping_empty_space_changes_no_sample() {
+    let mut samples = 0;
+    for (resolution, share, seed) in
+        [(32, 0.02, 1), (64, 0.1, 2), (32, 0.5, 3), (20, 0.9, 4), (8, 0.1, 5), (4, 0.5, 6)]
+    {
+        let config = suite::marching::configuration(resolution);
+        let parameters = fixtures::lively(&Layout::new(&config), 1);
+        let backend = CpuBackend::new(1, Simd::detect()).unwrap();
+        let mut bench = Bench::new(backend, &config, None, &parameters).unwrap();
+        let bits = suite::marching::bits(resolution, share, seed);
+        bench.stages.occupancy.restore(&bits, None);
+        let rays = suite::marching::rays(seed);
+        for jitter in [None, Some(3)] {
+            for (i, found) in suite::marching::marched(&mut bench, &rays, jitter).iter().enumerate() {
+                let random = Random::new(config.seed);
+                let offset = jitter.map_or(0.0, |step| random.uniform(Stream::Jitter, step, i as u32)[0]);
+                let expected = every_step(&config, &rays[i], offset, &bits);
+                assert_eq!(found, &expected, "grid of {resolution}, {:?}", rays[i]);
+                samples += expected.len();
+            }
+        }
+    }
+    assert!(samples > 20_000, "the rays meet {samples} samples");
+}

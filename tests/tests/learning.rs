@@ -1,0 +1,59 @@
+//! Training on the built-in scene learns it: held-out views are rendered better than any constant colour could be.
+
+use trimip_core::{Config, Session, config::Format, evaluate::evaluate, metrics::psnr, trainer::Trainer};
+use trimip_cpu::{CpuBackend, simd::Simd};
+
+/// dB by which the model must beat the best constant colour, which knows the held-out image's own mean.
+const MARGIN: f64 = 4.0;
+
+/// Steps of training.
+const STEPS: u64 = 150;
+
+fn configuration() -> Config {
+    let mut config = Config::default();
+    config.data.format = Format::Builtin;
+    (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 8, 2);
+    (config.data.builtin_supersampling, config.data.scales) = (2, 2);
+    (config.encoder.plane_size, config.encoder.levels) = (32, 5);
+    config.field.hidden = 32;
+    config.renderer.steps_per_diagonal = 192;
+    config.occupancy.resolution = 32;
+    config.occupancy.warmup = 64;
+    config.train.samples_per_step = 4096;
+    config.train.steps = STEPS;
+    config
+}
+
+/// Mean PSNR on the held-out views, and that of the best constant colour of each.
+fn held_out(config: &Config) -> (f64, f64) {
+    let scene = trimip_data::open(&config.data).unwrap();
+    let mut trainer = Trainer::new(CpuBackend::new(2, Simd::detect()).unwrap(), config, scene.train).unwrap();
+    for step in 0..STEPS {
+        let report = trainer.step(step as f64 / STEPS as f64).unwrap();
+        assert!(report.loss.is_finite() && report.totals.non_finite == 0);
+    }
+    let mut constant = Vec::new();
+    let views = evaluate(&mut trainer, scene.test.as_ref(), 1, config.data.background, |view| {
+        let count = view.target.len() as f32;
+        let mean = [0, 1, 2].map(|c| view.target.iter().map(|p| p[c]).sum::<f32>() / count);
+        constant.push(psnr(&vec![mean; view.target.len()], view.target));
+        Ok(true)
+    })
+    .unwrap();
+    let mean = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>() / views.len() as f64;
+    (mean(&mut views.iter().map(|view| view.psnr)), mean(&mut constant.iter().copied()))
+}
+
+#[test]
+fn held_out_views_beat_a_constant_colour() {
+    let (model, constant) = held_out(&configuration());
+    assert!(model > constant + MARGIN, "{model:.2} dB, a constant has {constant:.2} dB");
+}
+
+#[test]
+fn so_does_the_ablation_without_mipmap() {
+    let mut config = configuration();
+    config.encoder.mipmap = false;
+    let (model, constant) = held_out(&config);
+    assert!(model > constant + MARGIN, "{model:.2} dB, a constant has {constant:.2} dB");
+}
