@@ -65,7 +65,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
         rays: u32,
         per_span: u32,
         deposits: &mut [Deposit<Self>],
-        work: &(dyn Fn(&mut Workspace<Self>, &mut Deposit<Self>, Range<u32>) + Sync),
+        work: &TrainWork<'_, Self>,
     );
 
     /// Runs `work` over spans of `0..count` and gathers `result` of each into `out`, in order.
@@ -85,6 +85,9 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// The step's sums, joined; `None` while the device has not finished it.
     fn collect(&self, deposits: &[Deposit<Self>]) -> Option<StepSums>;
 }
+
+/// Work on one span of a training step.
+pub type TrainWork<'a, B> = dyn Fn(&mut Workspace<B>, &mut Deposit<B>, Range<u32>) + Sync + 'a;
 
 /// Bytes between host and device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -7,6 +7,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::Path;
 
+/// Key of the file format's own metadata under which ours stand as one JSON object: its keys have no order, and the same
+/// run should write the same file.
+const METADATA: &str = "trimip";
+
 /// Values of a tensor.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
@@ -90,10 +94,15 @@ impl TensorFile {
                 Ok((name, TensorView::new(dtype, tensor.shape.clone(), bytes).map_err(Error::run)?))
             })
             .collect::<Result<Vec<_>>>()?;
-        let mut all: HashMap<String, String> = self.metadata.clone().into_iter().collect();
+        let mut all = self.metadata.clone();
         all.extend(metadata.iter().map(|(key, value)| ((*key).to_string(), value.clone())));
+        let header =
+            HashMap::from([(METADATA.to_string(), serde_json::to_string(&all).map_err(Error::run)?)]);
         replace_atomically(path, |temporary| {
-            safetensors::serialize_to_file(views, Some(all), temporary).map_err(std::io::Error::other)?;
+            // The writer makes its file readable by its owner alone; keep what the user's mask says.
+            let permissions = std::fs::File::create(temporary)?.metadata()?.permissions();
+            safetensors::serialize_to_file(views, Some(header), temporary).map_err(std::io::Error::other)?;
+            std::fs::set_permissions(temporary, permissions)?;
             std::fs::metadata(temporary).map(|file| file.len())
         })
     }
@@ -124,7 +133,12 @@ impl TensorFile {
             };
             tensors.insert(name, Tensor { shape: view.shape().to_vec(), values });
         }
-        let metadata = header.metadata().clone().unwrap_or_default().into_iter().collect();
+        let metadata = match header.metadata().as_ref().and_then(|metadata| metadata.get(METADATA)) {
+            Some(text) => serde_json::from_str(text).map_err(|error| {
+                Error::input(file, format!("its metadata: {error}"), "use a file of this version")
+            })?,
+            None => BTreeMap::new(),
+        };
         Ok(Self { tensors, metadata })
     }
 

@@ -132,7 +132,11 @@ mod tests {
     use super::*;
 
     fn pyramid(size: u32, levels: u32) -> Pyramid {
-        let config = EncoderConfig { plane_size: size, levels, ..crate::Config::default().encoder };
+        with_formula(size, levels, LevelFormula::Paper)
+    }
+
+    fn with_formula(size: u32, levels: u32, level: LevelFormula) -> Pyramid {
+        let config = EncoderConfig { plane_size: size, levels, level, ..crate::Config::default().encoder };
         Pyramid::new(&config, &Aabb { min: [-1.5; 3], max: [1.5; 3] })
     }
 
@@ -145,6 +149,10 @@ mod tests {
             let expected = (radius / base).log2();
             let blend = pyramid.blend(2, radius.log2());
             assert!((blend.lower as f64 + blend.fraction - expected).abs() < 1e-12);
+            // The code's r̈ = texel/2 lies log2(2/√π) = 0.17 levels higher.
+            let blend = with_formula(512, 8, LevelFormula::Code).blend(2, radius.log2());
+            let higher = (2.0 / std::f64::consts::PI.sqrt()).log2();
+            assert!((blend.lower as f64 + blend.fraction - expected - higher).abs() < 1e-12);
         }
     }
 

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use trimip_core::backend::{Stages, Traffic};
+use trimip_core::backend::{Stages, Traffic, TrainWork};
 use trimip_core::batch::{Deposit, StepSums, Workspace};
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
@@ -141,7 +141,7 @@ impl Backend for CpuBackend {
         rays: u32,
         per_span: u32,
         deposits: &mut [Deposit<Self>],
-        work: &(dyn Fn(&mut Workspace<Self>, &mut Deposit<Self>, Range<u32>) + Sync),
+        work: &TrainWork<'_, Self>,
     ) {
         let count = deposits.len() as u64;
         let bound = |i: u64| (u64::from(rays) * i / count) as u32;

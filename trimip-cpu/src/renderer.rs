@@ -12,6 +12,8 @@ use trimip_core::{Aabb, Config, Pixel, Renderer};
 pub struct CpuRenderer {
     aabb: Aabb<f32>,
     step_length: f32,
+    /// Steps that fit into the box along any ray, and one for rounding.
+    most_samples: usize,
     /// Optical depth before a sample above which it is dropped: −ln of the least transmittance.
     max_depth: f32,
     background: [f32; 3],
@@ -21,9 +23,13 @@ pub struct CpuRenderer {
 impl CpuRenderer {
     /// The renderer of a configuration.
     pub fn new(config: &Config) -> Self {
+        let (aabb, step_length) = (Aabb::new(&config.scene), step_length(config));
+        let [x, y, z] = aabb.extent().map(f64::from);
+        let diagonal = (x * x + y * y + z * z).sqrt();
         Self {
-            aabb: Aabb::new(&config.scene),
-            step_length: step_length(config),
+            aabb,
+            step_length,
+            most_samples: (diagonal / f64::from(step_length)).ceil() as usize + 2,
             max_depth: -config.renderer.min_transmittance.ln(),
             background: config.data.background,
             random: Random::new(config.seed),
@@ -79,8 +85,9 @@ impl CpuRenderer {
                     exit = distance;
                 }
             }
-            let inside = ((exit - first) / self.step_length - 0.5).floor() - 1.0;
-            index = if inside.is_finite() { inside.max(index + 1.0) } else { index + 1.0 };
+            // A saturating cast: an exit at infinity ends the ray, NaN moves one step.
+            let inside = ((exit - first) / self.step_length - 0.5) as i32 - 1;
+            index = (inside as f32).max(index + 1.0);
         }
     }
 }
@@ -94,27 +101,33 @@ impl Renderer<CpuBackend> for CpuRenderer {
         jitter: Option<u64>,
         samples: &mut Samples<CpuBackend>,
     ) {
-        let inverse_extent = self.aabb.extent().map(f32::recip);
-        debug_assert!(inverse_extent.iter().all(|x| x.is_finite()));
         samples.segments.resize(rays.rays.len());
-        samples.rays.clear();
-        samples.intervals.clear();
-        samples.spheres.clear();
+        let mut count = 0;
         for (i, ray) in rays.rays.iter().enumerate() {
             let offset = jitter
                 .map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, rays.first + i as u32)[0]);
-            let start = samples.spheres.len() as u32;
-            let Samples { rays: owners, intervals, spheres, .. } = samples;
+            let start = count;
+            // Room for a ray that is occupied all along, so that placing a sample is a plain store.
+            let most = start + self.most_samples;
+            samples.rays.resize(most);
+            samples.intervals.resize(most);
+            samples.spheres.resize(most);
+            let owners = &mut samples.rays[start..];
+            let (intervals, spheres) = (&mut samples.intervals[start..], &mut samples.spheres[start..]);
             self.march_ray(ray, occupancy, offset, |t, position| {
-                owners.push(i as u32);
-                intervals.push(Interval { t, length: self.step_length });
-                spheres.push(Sphere { position, radius: ray.slope * t });
+                let place = count - start;
+                owners[place] = i as u32;
+                intervals[place] = Interval { t, length: self.step_length };
+                spheres[place] = Sphere { position, radius: ray.slope * t };
+                count += 1;
             });
-            samples.segments[i] = Segment { start, count: samples.spheres.len() as u32 - start };
+            samples.segments[i] = Segment { start: start as u32, count: (count - start) as u32 };
         }
-        let count = samples.spheres.len() as u32;
+        samples.rays.resize(count);
+        samples.intervals.resize(count);
+        samples.spheres.resize(count);
         samples.counts.resize(1);
-        samples.counts[0] = [count, count];
+        samples.counts[0] = [count as u32; 2];
     }
 
     fn prune(

@@ -1,0 +1,52 @@
+//! Criterion: the matrix kernels on a block of rows that stays in L2, for every instruction set and beside
+//! `matrixmultiply`. Throughput counts multiply-adds, so twice `elem/s` is FLOP/s.
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use std::hint::black_box;
+use trimip_cpu::Buffer;
+use trimip_cpu::gemm::{Finish, Packed, accumulate, multiply};
+use trimip_cpu::simd::Simd;
+
+const ROWS: usize = 504;
+
+fn values(count: usize) -> Buffer<f32> {
+    let mut buffer = Buffer::zeros(count);
+    for (i, value) in buffer.iter_mut().enumerate() {
+        *value = (i as f32 * 0.37).sin();
+    }
+    buffer
+}
+
+fn kernels(criterion: &mut Criterion) {
+    for (k, n) in [(48, 128), (128, 16), (32, 128), (128, 128)] {
+        let (a, d, weights) = (values(ROWS * k), values(ROWS * n), values(k * n));
+        let mut packed = Packed::zeros(k, n);
+        packed.fill(|row, column| weights[row * n + column]);
+        let (mut c, mut g) = (values(ROWS * n), values(k * n));
+        let mut group = criterion.benchmark_group(format!("{k} to {n}"));
+        group.throughput(Throughput::Elements((ROWS * k * n) as u64));
+        for simd in Simd::available() {
+            group.bench_function(BenchmarkId::new("multiply", format!("{simd:?}")), |b| {
+                b.iter(|| multiply(simd, ROWS, black_box(&a), &packed, &mut c, Finish::Relu));
+            });
+            group.bench_function(BenchmarkId::new("accumulate", format!("{simd:?}")), |b| {
+                b.iter(|| accumulate(simd, ROWS, k, n, black_box(&a), &d, &mut g));
+            });
+        }
+        group.bench_function("multiply/matrixmultiply", |b| {
+            b.iter(|| {
+                let (a, w, c) = (black_box(&a).as_ptr(), weights.as_ptr(), c.as_mut_ptr());
+                // SAFETY: the matrices are [ROWS, k], [k, n] and [ROWS, n], row-major.
+                unsafe {
+                    matrixmultiply::sgemm(
+                        ROWS, k, n, 1.0, a, k as isize, 1, w, n as isize, 1, 0.0, c, n as isize, 1,
+                    );
+                }
+            });
+        });
+        group.finish();
+    }
+}
+
+criterion_group!(benches, kernels);
+criterion_main!(benches);
