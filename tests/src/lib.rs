@@ -1,6 +1,7 @@
 //! What the tests across crates share: the whole model written literally in f64 ([`reference`]), small problems with a
-//! purpose ([`fixtures`]), and the truths that every backend must satisfy ([`suite`]).
+//! purpose ([`fixtures`]), the program to run ([`binary`]), and the truths that every backend must satisfy ([`suite`]).
 
+pub mod binary;
 pub mod fixtures;
 pub mod reference;
 pub mod suite;

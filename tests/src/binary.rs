@@ -1,0 +1,97 @@
+//! The program itself, built once and run as a user runs it, on a scene and a model of the smallest useful size.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+/// What a process said and how it ended.
+#[derive(Debug)]
+pub struct Answer {
+    /// Exit code; `None` where a signal ended it.
+    pub code: Option<i32>,
+    /// Standard output.
+    pub out: String,
+    /// Standard error.
+    pub err: String,
+}
+
+/// Path of `trimip-cli`, built in the profile and the target folder of the running test.
+///
+/// # Panics
+/// When the program does not build.
+pub fn program() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| {
+        // <target>/<profile>/deps/<test>
+        let test = std::env::current_exe().expect("a test knows its own path");
+        let folder = test.ancestors().nth(2).expect("tests lie in <profile>/deps");
+        let target = folder.parent().expect("profiles lie in a target folder");
+        let profile = match folder.file_name().and_then(|name| name.to_str()) {
+            Some("debug") | None => "dev",
+            Some(profile) => profile,
+        };
+        let built = Command::new(env!("CARGO"))
+            .args(["build", "--quiet", "--package", "trimip-cli", "--profile", profile, "--target-dir"])
+            .arg(target)
+            .current_dir(root())
+            .status();
+        assert!(built.is_ok_and(|status| status.success()), "cargo builds trimip-cli");
+        folder.join("trimip-cli").with_extension(std::env::consts::EXE_EXTENSION)
+    })
+}
+
+/// Root of the workspace.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// The program with arguments, in a working directory.
+pub fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(program());
+    command.args(arguments).current_dir(folder);
+    command
+}
+
+/// Runs the program to its end. Whatever happens, it does not panic.
+///
+/// # Panics
+/// When it cannot be started, or when it panicked.
+pub fn run(folder: &Path, arguments: &[&str]) -> Answer {
+    let Output { status, stdout, stderr } = command(folder, arguments).output().expect("the program starts");
+    let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
+    let answer = Answer { code: status.code(), out: text(stdout), err: text(stderr) };
+    for sign in ["panicked", "RUST_BACKTRACE", "internal error"] {
+        assert!(!answer.err.contains(sign) && !answer.out.contains(sign), "{arguments:?}: {answer:?}");
+    }
+    answer
+}
+
+/// Settings of a run that takes a tenth of a second: the built-in scene at 16 pixels, 20 steps.
+pub fn tiny() -> Vec<&'static str> {
+    [
+        "data.format=builtin",
+        "data.builtin_size=16",
+        "data.builtin_train=4",
+        "data.builtin_test=2",
+        "data.builtin_supersampling=2",
+        "data.scales=2",
+        "encoder.plane_size=16",
+        "encoder.levels=3",
+        "field.hidden=16",
+        "occupancy.resolution=16",
+        "renderer.steps_per_diagonal=64",
+        "train.samples_per_step=512",
+        "train.steps=20",
+        "eval.points=2",
+        "eval.stride=1",
+        "threads=2",
+    ]
+    .into_iter()
+    .flat_map(|setting| ["--set", setting])
+    .collect()
+}
+
+/// [`tiny`] with more arguments.
+pub fn tiny_and<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    [&tiny()[..], more].concat()
+}

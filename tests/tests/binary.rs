@@ -1,0 +1,247 @@
+//! The program on the built-in scene, from the first command to the last picture: files, exit codes, resume.
+
+use serde_json::Value;
+use std::{fs, path::Path, time::Duration};
+use trimip_core::{checkpoint::Checkpoint, events::Event, model::Model};
+use trimip_tests::binary::{command, root, run, tiny, tiny_and};
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
+        .unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The fields that the report promises to programs.
+fn assert_report(report: &Value, steps: u64, scales: usize) {
+    for key in ["backend", "scene"] {
+        assert!(report[key].is_string(), "{key}: {}", report[key]);
+    }
+    for key in ["samples", "rays", "model_bytes"] {
+        assert!(report[key].as_u64().is_some_and(|n| n > 0), "{key}: {}", report[key]);
+    }
+    assert_eq!(report["steps"], steps);
+    assert!(report["train_seconds"].as_f64().is_some_and(|s| s > 0.0));
+    // Where the system does not tell the peak, it is null.
+    assert!(report["peak_memory_bytes"].is_u64() || report["peak_memory_bytes"].is_null());
+    let list = |key: &str| report[key].as_array().unwrap_or_else(|| panic!("{key}: {}", report[key])).clone();
+    assert_eq!(list("scales").len(), scales);
+    let mut sum = 0.0;
+    for (i, scale) in list("scales").iter().enumerate() {
+        assert_eq!(scale["scale"], 1 << i);
+        assert_eq!(scale["images"], 2);
+        assert!(scale["ssim"].is_f64());
+        sum += scale["psnr"].as_f64().unwrap();
+    }
+    assert!((report["mean"]["psnr"].as_f64().unwrap() - sum / scales as f64).abs() < 1e-9);
+    assert!(report["mean"]["ssim"].is_f64());
+    assert!(!list("curve").is_empty());
+    for point in list("curve") {
+        assert!(point["seconds"].is_f64() && point["step"].is_u64() && point["samples"].is_u64());
+        assert_eq!(point["psnr"].as_array().unwrap().len(), scales);
+    }
+}
+
+#[test]
+fn a_run_leaves_a_whole_folder_and_is_not_run_twice() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = tiny_and(&["--out", "run"]);
+    let answer = run(folder.path(), &arguments);
+    assert_eq!((answer.code, answer.err.as_str()), (Some(0), ""));
+    for line in answer.out.lines() {
+        serde_json::from_str::<Event>(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+    }
+    let run_folder = folder.path().join("run");
+    assert_report(&json(&run_folder.join("report.json")), 20, 2);
+    assert!(json(&run_folder.join("views.json")).as_array().is_some_and(|views| views.len() == 4));
+    for line in fs::read_to_string(run_folder.join("metrics.jsonl")).unwrap().lines() {
+        serde_json::from_str::<Event>(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+    }
+    let curve = fs::read_to_string(run_folder.join("error_vs_time.csv")).unwrap();
+    let columns: Vec<usize> = curve.lines().map(|line| line.split(',').count()).collect();
+    assert!(columns.len() >= 3 && columns.iter().all(|&count| count == columns[0]), "{curve}");
+    let html = fs::read_to_string(run_folder.join("report.html")).unwrap();
+    assert!(html.starts_with("<!") && html.trim_end().ends_with("</html>") && !html.contains("src=\"http"));
+    let config = fs::read_to_string(run_folder.join("config.toml")).unwrap();
+    let config = trimip_core::Config::from_toml("config.toml", &config).unwrap();
+    assert_eq!(Model::read(&run_folder.join("model.safetensors")).unwrap().config, config);
+    let checkpoint = Checkpoint::read(&run_folder.join("checkpoint.safetensors")).unwrap();
+    assert_eq!((checkpoint.state.totals.step, &checkpoint.config), (20, &config));
+    let pictures: Vec<_> =
+        fs::read_dir(run_folder.join("images")).unwrap().map(|e| e.unwrap().path()).collect();
+    assert!(!pictures.is_empty());
+    for path in pictures {
+        image::open(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    }
+
+    let model = fs::read(run_folder.join("model.safetensors")).unwrap();
+    let again = run(folder.path(), &arguments);
+    assert_eq!(again.code, Some(0));
+    assert!(again.out.contains("finished") && again.out.contains("--fresh"), "{}", again.out);
+    assert_eq!(fs::read(run_folder.join("model.safetensors")).unwrap(), model);
+}
+
+#[test]
+fn a_stopped_run_goes_on_to_the_same_model() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(run(folder.path(), &tiny_and(&["--out", "whole"])).code, Some(0));
+    for stop in ["3", "13"] {
+        let stopped = run(folder.path(), &tiny_and(&["--out", stop, "--stop-after", stop]));
+        assert_eq!(stopped.code, Some(0), "{}", stopped.err);
+        let path = folder.path().join(stop);
+        let checkpoint = Checkpoint::read(&path.join("checkpoint.safetensors")).unwrap();
+        assert_eq!(checkpoint.state.totals.step.to_string(), stop);
+        assert!(!path.join("model.safetensors").exists());
+        let resumed = run(folder.path(), &tiny_and(&["--out", stop]));
+        assert_eq!(resumed.code, Some(0), "{}", resumed.err);
+        assert!(resumed.out.contains("\"resumed\""));
+        let model = |path: &Path| Model::read(&path.join("model.safetensors")).unwrap();
+        assert!(model(&path) == model(&folder.path().join("whole")), "stopped at {stop}: another model");
+        let bytes = |path: &Path| fs::read(path.join("model.safetensors")).unwrap();
+        assert!(bytes(&path) == bytes(&folder.path().join("whole")), "stopped at {stop}: other bytes");
+        assert_report(&json(&path.join("report.json")), 20, 2);
+    }
+}
+
+#[test]
+fn a_missed_floor_fails_with_its_report_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = tiny_and(&["--out", "run", "--set", "eval.min_psnr=99"]);
+    let path = folder.path().join("run");
+    for attempt in ["first", "repeated"] {
+        let answer = run(folder.path(), &arguments);
+        assert_eq!(answer.code, Some(1), "{attempt}: {}", answer.err);
+        assert!(answer.err.starts_with("error: ") && answer.err.lines().count() == 1, "{}", answer.err);
+        assert!(answer.err.contains("eval.min_psnr"), "{}", answer.err);
+        assert_report(&json(&path.join("report.json")), 20, 2);
+        assert!(path.join("model.safetensors").exists());
+    }
+    assert_eq!(run(folder.path(), &["eval", "run"]).code, Some(1));
+    assert_eq!(run(folder.path(), &["eval", "run", "--set", "eval.min_psnr=0"]).code, Some(0));
+}
+
+#[test]
+fn a_killed_run_leaves_a_whole_checkpoint_and_the_same_command_finishes_it() {
+    let folder = tempfile::tempdir().unwrap();
+    // A budget of time: the run is as long on any machine.
+    let more = ["--out", "run", "--set", "train.seconds=3", "--set", "train.checkpoint_seconds=0.02"];
+    let arguments = tiny_and(&[&more[..], &["--set", "eval.points=0"]].concat());
+    let checkpoint = folder.path().join("run/checkpoint.safetensors");
+    for pause in [0, 37, 91] {
+        let before = fs::metadata(&checkpoint).and_then(|m| m.modified()).ok();
+        let mut child =
+            command(folder.path(), &arguments).stdout(std::process::Stdio::null()).spawn().unwrap();
+        for _ in 0..2000 {
+            if fs::metadata(&checkpoint).and_then(|m| m.modified()).ok() != before {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        std::thread::sleep(Duration::from_millis(pause));
+        assert!(child.try_wait().unwrap().is_none(), "the run is still under way");
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let saved =
+            Checkpoint::read(&checkpoint).unwrap_or_else(|error| panic!("half a checkpoint: {error}"));
+        assert!(saved.state.totals.step > 0);
+    }
+    let answer = run(folder.path(), &arguments);
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    assert!(answer.out.contains("\"resumed\""));
+    let report = json(&folder.path().join("run/report.json"));
+    assert!(report["train_seconds"].as_f64().is_some_and(|s| s >= 3.0), "{}", report["train_seconds"]);
+}
+
+#[test]
+fn verbs_answer() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let good = |arguments: &[&str]| {
+        let answer = run(here, arguments);
+        assert_eq!((answer.code, answer.err.as_str()), (Some(0), ""), "{arguments:?}");
+        answer.out
+    };
+    good(&tiny_and(&["--out", "run"]));
+
+    let table = good(&["eval", "run", "--json", "eval.json"]);
+    assert!(["full", "1/2", "mean"].iter().all(|row| table.contains(row)), "{table}");
+    let (measured, reported) = (json(&here.join("eval.json")), json(&here.join("run/report.json")));
+    assert_eq!(measured["scales"], reported["scales"], "eval measures what training reported");
+
+    let listed = good(&[
+        "render",
+        "run",
+        "--turntable",
+        "2",
+        "--width",
+        "24",
+        "--height",
+        "16",
+        "--what",
+        "color,depth,opacity",
+    ]);
+    let listed: Vec<&str> = listed.lines().collect();
+    assert_eq!(listed.len(), 6);
+    for path in &listed {
+        let picture = image::open(here.join(path)).unwrap();
+        assert_eq!((picture.width(), picture.height()), (24, 16), "{path}");
+    }
+    let exr = good(&[
+        "render",
+        "run",
+        "--turntable",
+        "1",
+        "--width",
+        "9",
+        "--height",
+        "8",
+        "--format",
+        "exr",
+        "--out",
+        "exr",
+    ]);
+    let bytes = fs::read(here.join(exr.trim())).unwrap();
+    assert_eq!(bytes[..4], [0x76, 0x2f, 0x31, 0x01], "the magic number of OpenEXR");
+    let again = good(&["render", "run", "--path", "run/renders/cameras.json", "--out", "path"]);
+    let colors = listed.iter().filter(|path| path.ends_with("_color.png"));
+    for (again, first) in again.lines().zip(colors) {
+        let pixels = |path: &str| image::open(here.join(path)).unwrap();
+        assert!(pixels(again) == pixels(first), "{again}: cameras are read back as they were written");
+    }
+    assert_eq!(again.lines().count(), 2);
+
+    let shown = good(&[&["config"][..], &tiny()].concat());
+    assert!(
+        shown
+            .lines()
+            .any(|line| line.starts_with("plane_size") && line.contains("16") && line.ends_with("--set"))
+    );
+    let config = trimip_core::Config::from_toml("shown", &shown).unwrap();
+    assert_eq!((config.encoder.plane_size, config.train.steps), (16, 20));
+    assert_eq!(good(&["config", "--defaults"]), trimip_core::DEFAULTS);
+
+    let facts = good(&["doctor"]);
+    assert!(["version", "cores", "memory", "backend"].iter().all(|fact| facts.contains(fact)), "{facts}");
+    assert!(good(&["--help"]).contains("Usage") && good(&["--version"]).contains("trimip-cli"));
+
+    good(&[&["data", "builtin", "scene"][..], &tiny()].concat());
+    let inspected = good(&["data", "inspect", "scene"]);
+    assert!(inspected.contains("4 ") && inspected.contains("16x16"), "{inspected}");
+    good(&["data", "multiscale", "scales", "--root", "scene", "--set", "data.scales=2"]);
+    assert!(json(&here.join("scales/metadata.json")).is_object());
+    // A model trained from the written files is the model trained from the scene itself, at the same settings.
+    good(&tiny_and(&["--out", "written", "--set", "data.format=multiscale", "--set", "data.root=scales"]));
+    let parameters =
+        |name: &str| Model::read(&here.join(name).join("model.safetensors")).unwrap().file.tensors;
+    assert!(parameters("written") == parameters("run"), "the written photographs are the rendered ones");
+}
+
+#[test]
+fn every_shipped_configuration_is_accepted() {
+    let mut count = 0;
+    for entry in fs::read_dir(root().join("configs")).unwrap() {
+        let path = entry.unwrap().path();
+        let answer = run(&root(), &["config", "--config", path.to_str().unwrap()]);
+        assert_eq!((answer.code, answer.err.as_str()), (Some(0), ""), "{}", path.display());
+        count += 1;
+    }
+    assert!(count >= 6, "{count} configurations");
+}
