@@ -120,37 +120,30 @@ pub fn photographs(
 /// Parameters of a field that is the same everywhere: texels 1, one density, one colour from every direction.
 pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -> Vec<f32> {
     let mut values = vec![0.0_f32; layout.len()];
+    let last_density = format!("density.{}.weight", config.field.density_layers);
+    let last_color = format!("color.{}.weight", config.field.color_layers);
     for slot in &layout.slots {
-        let [inputs, outputs] =
-            if slot.kind == Kind::Planes { [0, 0] } else { [slot.shape[0], slot.shape[1]] };
         let part = &mut values[slot.range.clone()];
-        let layers = if slot.name.starts_with("density") {
-            config.field.density_layers
-        } else {
-            config.field.color_layers
-        };
-        let last = slot.name.contains(&format!(".{layers}."));
-        match slot.name.as_str() {
-            _ if slot.kind == Kind::Planes => part.fill(1.0),
-            // The first spherical harmonic is the constant 1/(2√π): every hidden unit becomes 1.
-            "color.0.weight" => part[..outputs].fill(2.0 * std::f32::consts::PI.sqrt()),
-            name if !last => {
-                debug_assert!(!name.is_empty());
-                part.fill(1.0 / inputs as f32);
-            }
-            // Density = exp(logit − 1); the geometry features stay 0.
-            name if name.starts_with("density") => {
-                part.iter_mut()
-                    .step_by(outputs)
-                    .for_each(|w| *w = ((density.ln() + 1.0) / inputs as f64) as f32);
-            }
-            _ => {
-                for row in part.chunks_exact_mut(outputs) {
-                    for (w, c) in row.iter_mut().zip(rgb) {
-                        *w = ((c / (1.0 - c)).ln() / inputs as f64) as f32;
-                    }
+        if slot.kind == Kind::Planes {
+            part.fill(1.0);
+            continue;
+        }
+        let [inputs, outputs] = [slot.shape[0], slot.shape[1]];
+        if slot.name == last_density {
+            // Density = exp(logit − 1) of hidden units that are 1; the geometry features stay 0.
+            let weight = (density.ln() + 1.0) / inputs as f64;
+            part.iter_mut().step_by(outputs).for_each(|w| *w = weight as f32);
+        } else if slot.name == last_color {
+            for row in part.chunks_exact_mut(outputs) {
+                for (w, c) in row.iter_mut().zip(rgb) {
+                    *w = ((c / (1.0 - c)).ln() / inputs as f64) as f32;
                 }
             }
+        } else if slot.name == "color.0.weight" {
+            // The first spherical harmonic is the constant 1/(2√π): every hidden unit becomes 1.
+            part[..outputs].fill(2.0 * std::f32::consts::PI.sqrt());
+        } else {
+            part.fill(1.0 / inputs as f32);
         }
     }
     values

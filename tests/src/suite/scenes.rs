@@ -28,7 +28,7 @@ fn render<B: Backend>(
     Trainer::from_model(backend, &Model::new(config.clone(), file))?.render(camera)
 }
 
-/// Density e⁻¹ and grey 1/2 everywhere: what planes of zeros mean. Every pixel has the analytic opacity, colour and depth.
+/// Density e⁻¹ and grey 1/2 everywhere: what logits of zero mean. Every pixel has the analytic opacity, colour and depth.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -40,15 +40,13 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let cells = config.occupancy.resolution.pow(3) as usize;
         let intrinsics = Intrinsics::from_angle(9, 7, 0.9);
         let camera = Camera::look_at(intrinsics, DVec3::new(3.1, -2.2, 1.7), DVec3::ZERO, DVec3::Z);
-        let parameters = [
-            vec![0.0; layout.slots[0].range.len()],
-            fixtures::lively(&layout, 5).split_off(layout.slots[0].range.len()),
-        ]
-        .concat();
-        // Weights that are not zero read features that are: the logits are 0 all the same, but for the harmonics.
-        let mut parameters = parameters;
-        let color = layout.network("color").next().map_or(0, |slot| slot.range.start);
-        parameters[color..].fill(0.0);
+        // Planes of zeros make density logits of 0 whatever the density network is; the colour network is zero too,
+        // or it would show the spherical harmonics.
+        let mut parameters = fixtures::lively(&layout, 5);
+        parameters[layout.slots[0].range.clone()].fill(0.0);
+        for slot in layout.network("color") {
+            parameters[slot.range.clone()].fill(0.0);
+        }
         let frame = render(make(), &config, &parameters, vec![0xff; cells / 8], &camera)?;
         let (sigma, step) = ((-1.0_f64).exp(), reference::step_length(&config));
         let mut misses = 0;

@@ -20,22 +20,11 @@ pub fn configuration() -> Config {
 /// # Errors
 /// When a step fails.
 pub fn steps<B: Backend>(trainer: &mut Trainer<B>, config: &Config, count: u64) -> Result<()> {
-    for _ in 0..count {
-        let done = trainer.checkpoint_step()?;
-        trainer.step(done as f64 / config.train.steps as f64)?;
+    let first = trainer.checkpoint()?.state.totals.step;
+    for step in first..first + count {
+        trainer.step(step as f64 / config.train.steps as f64)?;
     }
     Ok(())
-}
-
-/// The step a trainer stands at.
-trait Standing {
-    fn checkpoint_step(&mut self) -> Result<u64>;
-}
-
-impl<B: Backend> Standing for Trainer<B> {
-    fn checkpoint_step(&mut self) -> Result<u64> {
-        Ok(self.checkpoint()?.state.totals.step)
-    }
 }
 
 /// `stop` steps, a checkpoint written and read, and the rest in a new trainer equal all steps in one: every tensor and
