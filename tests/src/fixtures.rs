@@ -4,6 +4,7 @@
 use glam::DVec3;
 use trimip_core::{
     Alpha, Camera, Config, Intrinsics, Layout, Scale, View, ViewSet,
+    config::LevelFormula,
     params::{Kind, Slot},
 };
 
@@ -49,8 +50,8 @@ impl Draw {
 /// A configuration small enough for the literal reference: 16² planes, 16 hidden units, about twenty steps a ray.
 pub fn small() -> Config {
     let mut config = Config { threads: 1, ..Config::default() };
-    config.encoder.plane_size = 16;
-    config.encoder.levels = 5;
+    (config.encoder.plane_size, config.encoder.levels) = (16, 5);
+    config.encoder.level = LevelFormula::Paper;
     config.field.hidden = 16;
     config.renderer.steps_per_diagonal = 32;
     config.occupancy.resolution = 8;
