@@ -52,6 +52,11 @@ fn jitter_moves_rays_by_parts_of_a_step() {
 }
 
 #[test]
+fn seeing_in_pieces_keeps_what_asking_everything_keeps() {
+    with_threads(&[1], |make| suite::seeing::pieces(make));
+}
+
+#[test]
 fn every_level_has_the_mean_of_its_base() {
     on_every_cpu(|make| suite::pyramid::means(make));
 }

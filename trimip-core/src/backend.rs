@@ -79,11 +79,39 @@ pub trait Backend: Sized + Send + Sync + 'static {
         result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
     );
 
+    /// From rays to the density of the samples that can be seen, ready for their colour. A backend may walk each ray
+    /// front to back in pieces and stop where it is opaque, if it keeps the same samples as [`see_all`].
+    fn see(
+        &self,
+        stages: &Stages<Self>,
+        parameters: &Self::Buffer<f32>,
+        space: &mut Workspace<Self>,
+        jitter: Option<u64>,
+    ) {
+        see_all(stages, parameters, space, jitter);
+    }
+
     /// Number of deposits that suits steps of `samples` samples: 1 where a step is one span.
     fn deposits(&self, samples: u32) -> usize;
 
     /// The step's sums, joined; `None` while the device has not finished it.
     fn collect(&self, deposits: &[Deposit<Self>]) -> Option<StepSums>;
+}
+
+/// Asks the density of every sample in an occupied cell, then drops those that cannot be seen.
+pub fn see_all<B: Backend>(
+    stages: &Stages<B>,
+    parameters: &B::Buffer<f32>,
+    space: &mut Workspace<B>,
+    jitter: Option<u64>,
+) {
+    let Workspace { lane, rays, samples, features, tape, radiance, kept, .. } = space;
+    stages.renderer.march(lane, rays, &stages.occupancy, jitter, samples);
+    stages.encoder.forward(lane, parameters, samples, features);
+    stages.field.density(lane, samples, features, tape, radiance);
+    stages.renderer.prune(lane, radiance, samples, kept);
+    stages.encoder.keep(lane, kept, features);
+    stages.field.keep(lane, kept, tape, radiance);
 }
 
 /// Work on one span of a training step.

@@ -2,6 +2,17 @@
 //!
 //! Data flows one way: images and cameras → cones → spheres along the cone → features → density and colour →
 //! composited pixels → loss, and back. [`Session`] is the door a program uses; [`run::Run`] drives it.
+//!
+//! ```
+//! use glam::DVec3;
+//! use trimip_core::{Camera, Cone, Intrinsics};
+//!
+//! // The cone of the centre pixel of an 800-pixel camera, and the radius of its sphere at distance 4 (Eq. 3).
+//! let intrinsics = Intrinsics::from_angle(800, 800, 0.6911);
+//! let camera = Camera::look_at(intrinsics, DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z);
+//! let cone: Cone<f32> = camera.cone(400, 400);
+//! assert!((4.0 * cone.slope - 4.0 / (1111.1 * std::f32::consts::PI.sqrt())).abs() < 1e-5);
+//! ```
 
 pub mod aabb;
 pub mod activation;

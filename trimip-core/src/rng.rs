@@ -60,23 +60,14 @@ pub fn below(bits: u32, count: u32) -> u32 {
 /// Hash of four words to four (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
 #[inline]
 fn pcg4d(v: [u32; 4]) -> [u32; 4] {
-    let [mut x, mut y, mut z, mut w] = v.map(|v| v.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
-    let mut mix = || {
+    let mix = |[mut x, mut y, mut z, mut w]: [u32; 4]| {
         x = x.wrapping_add(y.wrapping_mul(w));
         y = y.wrapping_add(z.wrapping_mul(x));
         z = z.wrapping_add(x.wrapping_mul(y));
         w = w.wrapping_add(y.wrapping_mul(z));
+        [x, y, z, w]
     };
-    mix();
-    [x, y, z, w] = [x, y, z, w].map(|v| v ^ (v >> 16));
-    let mut mix = || {
-        x = x.wrapping_add(y.wrapping_mul(w));
-        y = y.wrapping_add(z.wrapping_mul(x));
-        z = z.wrapping_add(x.wrapping_mul(y));
-        w = w.wrapping_add(y.wrapping_mul(z));
-    };
-    mix();
-    [x, y, z, w]
+    mix(mix(v.map(|v| v.wrapping_mul(1_664_525).wrapping_add(1_013_904_223))).map(|v| v ^ (v >> 16)))
 }
 
 #[cfg(test)]

@@ -71,8 +71,8 @@ impl<B: Backend> Trainer<B> {
             probes: backend.zeros(0),
             frame: backend.zeros(0),
             state: TrainState {
-                // The first rays meet a grid that is occupied nearly everywhere.
-                rays_per_step: (config.train.samples_per_step / 128).max(16),
+                // The first rays meet a grid whose cells are occupied by chance, about every second one.
+                rays_per_step: (config.train.samples_per_step / 256).max(16),
                 marched_per_ray: 128.0,
                 ..TrainState::default()
             },
@@ -139,7 +139,8 @@ impl<B: Backend> Trainer<B> {
 
     /// Forward and backward over `rays` rays; leaves the gradient, not yet divided by the sum of the weights.
     fn gradients(&mut self, rays: u32) -> Option<StepSums> {
-        let (stages, parameters, step) = (&self.stages, &self.parameters, self.state.totals.step);
+        let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
+        let step = self.state.totals.step;
         for deposit in &mut self.deposits {
             deposit.sums = B::Sums::default();
         }
@@ -151,7 +152,7 @@ impl<B: Backend> Trainer<B> {
             &mut self.deposits,
             &|space, deposit, range| {
                 stages.sampler.training_rays(&mut space.lane, step, rays, range, &mut space.rays);
-                forward(stages, parameters, space, Some(step));
+                forward(backend, stages, parameters, space, Some(step));
                 let Workspace { lane, rays, samples, features, tape, radiance, pixels, .. } = space;
                 stages.loss.evaluate(
                     lane,
@@ -261,7 +262,7 @@ impl<B: Backend> Trainer<B> {
         let count = width.checked_mul(height).ok_or_else(|| {
             Error::input("camera", format!("{width} x {height} pixels"), "render at most 2^32 pixels at once")
         })?;
-        let (stages, parameters) = (&self.stages, &self.parameters);
+        let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
         self.backend.map_spans(
             &stages.field,
             count,
@@ -269,7 +270,7 @@ impl<B: Backend> Trainer<B> {
             &mut self.frame,
             &|space, range| {
                 stages.sampler.camera_rays(&mut space.lane, camera, range, &mut space.rays);
-                forward(stages, parameters, space, None);
+                forward(backend, stages, parameters, space, None);
             },
             &|space| &space.pixels,
         );
@@ -296,18 +297,14 @@ impl<B: Backend> Trainer<B> {
 
 /// Rays to pixels: the part that training and rendering share.
 fn forward<B: Backend>(
+    backend: &B,
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,
     space: &mut Workspace<B>,
     jitter: Option<u64>,
 ) {
-    let Workspace { lane, rays, samples, features, tape, radiance, kept, pixels, .. } = space;
-    stages.renderer.march(lane, rays, &stages.occupancy, jitter, samples);
-    stages.encoder.forward(lane, parameters, samples, features);
-    stages.field.density(lane, samples, features, tape, radiance);
-    stages.renderer.prune(lane, radiance, samples, kept);
-    stages.encoder.keep(lane, kept, features);
-    stages.field.keep(lane, kept, tape, radiance);
+    backend.see(stages, parameters, space, jitter);
+    let Workspace { lane, rays, samples, tape, radiance, pixels, .. } = space;
     stages.field.color(lane, rays, samples, tape, radiance);
     stages.renderer.composite(lane, rays, samples, radiance, pixels);
 }

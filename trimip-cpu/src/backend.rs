@@ -8,6 +8,7 @@ use crate::occupancy::CpuOccupancy;
 use crate::optimizer::CpuOptimizer;
 use crate::renderer::CpuRenderer;
 use crate::sampler::CpuSampler;
+use crate::see::{Scratch, see};
 use crate::simd::Simd;
 use bytemuck::Pod;
 use rayon::prelude::*;
@@ -18,8 +19,11 @@ use trimip_core::backend::{Stages, Traffic, TrainWork};
 use trimip_core::batch::{Deposit, StepSums, Workspace};
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
-/// Scratch of a worker: the stages need none of their own, their batches are the workspace.
-pub struct Lane;
+/// Scratch of a worker beside its workspace.
+#[derive(Default)]
+pub struct Lane {
+    pub(crate) scratch: Option<Box<Scratch>>,
+}
 
 /// Samples that share a deposit, about; a deposit's weight gradients are joined at the end of a step.
 const SAMPLES_PER_DEPOSIT: u32 = 1024;
@@ -109,7 +113,7 @@ impl Backend for CpuBackend {
     }
 
     fn lane(&self) -> Lane {
-        Lane
+        Lane::default()
     }
 
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Buffer<T> {
@@ -172,6 +176,16 @@ impl Backend for CpuBackend {
                 out.copy_from_slice(result(workspace));
             });
         });
+    }
+
+    fn see(
+        &self,
+        stages: &Stages<Self>,
+        parameters: &Buffer<f32>,
+        space: &mut Workspace<Self>,
+        jitter: Option<u64>,
+    ) {
+        see(self, stages, parameters, space, jitter);
     }
 
     fn deposits(&self, samples: u32) -> usize {

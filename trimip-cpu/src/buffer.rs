@@ -56,6 +56,25 @@ impl<T: Pod> Buffer<T> {
         }
         self.length = kept.len() * width;
     }
+
+    /// Appends the rows `rows` of `from`.
+    pub fn append_rows(&mut self, from: &[T], rows: &[u32], width: usize) {
+        let start = self.length;
+        self.resize(start + rows.len() * width);
+        copy_rows(&mut self[start..], from, rows, width);
+    }
+
+    /// Becomes the rows `rows` of `from`, and has room for `padded` rows.
+    pub fn gather_rows(&mut self, from: &[T], rows: &[u32], width: usize, padded: usize) {
+        self.resize(padded * width);
+        copy_rows(self, from, rows, width);
+    }
+}
+
+fn copy_rows<T: Copy>(to: &mut [T], from: &[T], rows: &[u32], width: usize) {
+    for (to, &row) in to.chunks_exact_mut(width).zip(rows) {
+        to.copy_from_slice(&from[row as usize * width..][..width]);
+    }
 }
 
 impl<T: Pod> Deref for Buffer<T> {

@@ -32,7 +32,10 @@ pub struct Tape {
     color: Activations,
     /// Spherical harmonics of each ray, evaluated once.
     directions: Vec<[f32; sh::COUNT]>,
-    scratch: [Buffer<f32>; 2],
+    /// Gradients of the colour logits, of the colour network's input and of the density network's output.
+    color_gradient: Buffer<f32>,
+    input_gradient: Buffer<f32>,
+    output_gradient: Buffer<f32>,
 }
 
 /// Weight gradients.
@@ -60,6 +63,23 @@ impl CpuField {
     }
 }
 
+impl CpuField {
+    /// Forgets all rows of a tape's density network.
+    pub(crate) fn clear(&self, tape: &mut Tape) {
+        tape.density.clear();
+    }
+
+    /// Appends rows of another tape's density network.
+    pub(crate) fn append(&self, tape: &mut Tape, from: &Tape, rows: &[u32]) {
+        tape.density.append(&self.density, &from.density, rows);
+    }
+
+    /// Becomes rows of another tape's density network.
+    pub(crate) fn gather(&self, tape: &mut Tape, from: &Tape, rows: &[u32]) {
+        tape.density.gather(&self.density, &from.density, rows);
+    }
+}
+
 impl Field<CpuBackend> for CpuField {
     type Tape = Tape;
     type Gradient = FieldGradient;
@@ -70,7 +90,9 @@ impl Field<CpuBackend> for CpuField {
             color_input: Buffer::zeros(0),
             color: self.color.activations(),
             directions: Vec::new(),
-            scratch: [Buffer::zeros(0), Buffer::zeros(0)],
+            color_gradient: Buffer::zeros(0),
+            input_gradient: Buffer::zeros(0),
+            output_gradient: Buffer::zeros(0),
         }
     }
 
@@ -146,44 +168,36 @@ impl Field<CpuBackend> for CpuField {
         gradient: &mut FieldGradient,
     ) {
         let (simd, rows) = (self.simd, samples.spheres.len());
-        let width = tape.color.output().len() / padded(rows).max(1);
-        let logit_gradients = &mut tape.scratch[0];
-        logit_gradients.resize(padded(rows) * width);
-        logit_gradients.fill(0.0);
+        let Tape { density, color_input, color, color_gradient, input_gradient, output_gradient, .. } = tape;
+        let width = color.output().len() / padded(rows).max(1);
+        color_gradient.resize(padded(rows) * width);
+        color_gradient.fill(0.0);
         let pairs = radiance.iter().zip(radiance_gradients.iter());
-        for (out, (value, by_value)) in logit_gradients.chunks_exact_mut(width.max(1)).zip(pairs) {
+        for (out, (value, by_value)) in color_gradient.chunks_exact_mut(width.max(1)).zip(pairs) {
             for c in 0..3 {
                 out[c] = by_value.rgb[c] * sigmoid_derivative(value.rgb[c]);
             }
         }
-        let input_width = self.color.inputs();
         self.color.backward(
             simd,
             rows,
-            &tape.color_input,
-            &tape.color,
-            &mut tape.scratch,
+            color_input,
+            color,
+            color_gradient,
+            input_gradient,
             &mut gradient.color,
         );
 
-        let [by_input, by_output] = &mut tape.scratch;
-        by_output.resize(padded(rows) * OUTPUTS);
-        let outputs = tape.density.output().chunks_exact(OUTPUTS);
-        let rows_of = by_output.chunks_exact_mut(OUTPUTS).zip(by_input.chunks_exact(input_width));
-        for ((out, by_input), (output, by_value)) in rows_of.zip(outputs.zip(radiance_gradients.iter())) {
+        output_gradient.resize(padded(rows) * OUTPUTS);
+        let outputs = density.output().chunks_exact(OUTPUTS);
+        let pairs =
+            output_gradient.chunks_exact_mut(OUTPUTS).zip(input_gradient.chunks_exact(self.color.inputs()));
+        for ((out, by_input), (output, by_value)) in pairs.zip(outputs.zip(radiance_gradients.iter())) {
             out.copy_from_slice(&by_input[sh::COUNT..]);
             out[0] = by_value.density * density_derivative(output[0]);
         }
-        tape.scratch.swap(0, 1);
-        let by_feature = self.density.backward(
-            simd,
-            rows,
-            features,
-            &tape.density,
-            &mut tape.scratch,
-            &mut gradient.density,
-        );
-        std::mem::swap(by_feature, feature_gradients);
+        let weights = &mut gradient.density;
+        self.density.backward(simd, rows, features, density, output_gradient, feature_gradients, weights);
     }
 
     fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {

@@ -1,5 +1,27 @@
 //! The stages of Tri-MipRF on the CPU: rayon over spans of rays, SIMD chosen at run time, the same bits for any number
 //! of threads.
+//!
+//! ```
+//! use trimip_core::{Config, config::Format};
+//!
+//! # fn main() -> trimip_core::Result<()> {
+//! let mut config = Config::default();
+//! config.encoder.plane_size = 32;
+//! config.encoder.levels = 4;
+//! config.train.samples_per_step = 1024;
+//! config.data.format = Format::Builtin;
+//! (config.data.builtin_size, config.data.builtin_train) = (16, 4);
+//!
+//! let scene = trimip_data::open(&config.data)?;
+//! let camera = scene.train.views[0].camera;
+//! let mut session = trimip_cpu::open(&config, scene.train)?;
+//! for step in 0..4 {
+//!     session.step(f64::from(step) / 4.0)?;
+//! }
+//! assert_eq!(session.render(&camera)?.pixels.len(), 16 * 16);
+//! # Ok(())
+//! # }
+//! ```
 
 mod backend;
 mod buffer;
@@ -14,6 +36,7 @@ mod optimizer;
 mod renderer;
 mod sampler;
 mod scatter;
+mod see;
 pub mod simd;
 
 pub use backend::{CpuBackend, Lane};

@@ -25,8 +25,8 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
         + size_of::<Interval>()
         + 2 * size_of::<Radiance>()
         + 8;
-    // A deposit's lists grow by doubling; on average they end three quarters full.
-    let grown = |bytes: usize| bytes as u64 * 4 / 3;
+    // A deposit's lists grow by doubling: at most half of them stays empty.
+    let grown = |bytes: usize| 2 * bytes as u64;
     vec![
         ("training images".into(), views.bytes() as u64),
         ("parameters".into(), floats(layout.len())),
@@ -37,6 +37,6 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
         ("network gradients".into(), floats(deposits * weights) + (deposits * 3 * BANDS * 24) as u64),
         ("occupancy grid".into(), (cells * (4 + 4 + size_of::<Radiance>()) + cells / 8) as u64),
         ("activations of all workers".into(), (threads * LARGEST_SPAN * row) as u64),
-        ("copies while a checkpoint is written".into(), floats(3 * layout.len() + cells)),
+        ("copies while a checkpoint is written".into(), floats(4 * layout.len() + cells)),
     ]
 }

@@ -2,8 +2,11 @@
 //! parameters know nothing of the padding.
 
 use crate::buffer::Buffer;
-use crate::gemm::{Finish, Packed, accumulate, multiply, padded};
+use crate::gemm::{Finish, Packed, ROWS, accumulate, multiply, padded};
 use crate::simd::Simd;
+
+/// Rows that go through all layers together: their activations and a layer's weights fit into half of a 1 MiB L2.
+const BLOCK: usize = 21 * ROWS;
 
 /// Weights of the network, packed for both directions.
 pub struct Mlp {
@@ -25,9 +28,10 @@ pub struct Activations {
     layers: Vec<Buffer<f32>>,
 }
 
-/// Weight gradients, padded like the packed weights, and two buffers for gradients on their way back.
+/// Weight gradients, padded like the packed weights, and two buffers for a block's gradients on their way back.
 pub struct MlpGradient {
     layers: Vec<Buffer<f32>>,
+    scratch: [Buffer<f32>; 2],
 }
 
 impl Mlp {
@@ -78,44 +82,61 @@ impl Mlp {
     pub fn gradient(&self) -> MlpGradient {
         let layers =
             self.layers.iter().map(|layer| Buffer::zeros(layer.forward.k * layer.forward.n)).collect();
-        MlpGradient { layers }
+        MlpGradient { layers, scratch: [Buffer::zeros(0), Buffer::zeros(0)] }
     }
 
-    /// Runs `rows` rows through the network.
+    /// Runs `rows` rows through the network, a block at a time through all layers: a block's activations stay in L2.
     pub fn forward(&self, simd: Simd, rows: usize, input: &[f32], activations: &mut Activations) {
+        for (buffer, layer) in activations.layers.iter_mut().zip(&self.layers) {
+            buffer.resize(padded(rows) * layer.forward.n);
+        }
         let last = self.layers.len() - 1;
-        for (i, layer) in self.layers.iter().enumerate() {
-            let (before, after) = activations.layers.split_at_mut(i);
-            let input = if i == 0 { input } else { &before[i - 1][..] };
-            after[0].resize(padded(rows) * layer.forward.n);
-            let finish = if i == last { Finish::Store } else { Finish::Relu };
-            multiply(simd, rows, input, &layer.forward, &mut after[0], finish);
+        for start in (0..rows).step_by(BLOCK) {
+            let count = (rows - start).min(BLOCK);
+            for (i, layer) in self.layers.iter().enumerate() {
+                let (before, after) = activations.layers.split_at_mut(i);
+                let input = if i == 0 { input } else { &before[i - 1][..] };
+                let out = &mut after[0][start * layer.forward.n..];
+                let finish = if i == last { Finish::Store } else { Finish::Relu };
+                multiply(simd, count, &input[start * layer.forward.k..], &layer.forward, out, finish);
+            }
         }
     }
 
-    /// From the gradient of the output to that of the input, which is left in the returned buffer of `scratch`; adds to
-    /// the weight gradients. `scratch[0]` holds the output's gradient, padded rows included.
-    pub fn backward<'a>(
+    /// From the gradient of the output to `input_gradient`, both of padded rows and width; adds to the weight gradients.
+    #[allow(clippy::too_many_arguments)]
+    pub fn backward(
         &self,
         simd: Simd,
         rows: usize,
         input: &[f32],
         activations: &Activations,
-        scratch: &'a mut [Buffer<f32>; 2],
+        output_gradient: &[f32],
+        input_gradient: &mut Buffer<f32>,
         gradient: &mut MlpGradient,
-    ) -> &'a mut Buffer<f32> {
-        for (i, layer) in self.layers.iter().enumerate().rev() {
-            let input = if i == 0 { input } else { &activations.layers[i - 1][..] };
-            let (k, n) = (layer.forward.k, layer.forward.n);
-            let [above, below] = scratch;
-            accumulate(simd, rows, k, n, input, above, &mut gradient.layers[i]);
-            below.resize(padded(rows) * k);
-            // Behind the input lies no ReLU of this network.
-            let finish = if i == 0 { Finish::Store } else { Finish::Mask(input) };
-            multiply(simd, rows, above, &layer.backward, below, finish);
-            scratch.swap(0, 1);
+    ) {
+        input_gradient.resize(padded(rows) * self.inputs());
+        let [above, below] = &mut gradient.scratch;
+        for start in (0..rows).step_by(BLOCK) {
+            let count = (rows - start).min(BLOCK);
+            for (i, layer) in self.layers.iter().enumerate().rev() {
+                let (k, n) = (layer.forward.k, layer.forward.n);
+                let input = if i == 0 { input } else { &activations.layers[i - 1][..] };
+                let input = &input[start * k..];
+                let by_output =
+                    if i + 1 == self.layers.len() { &output_gradient[start * n..] } else { &above[..] };
+                accumulate(simd, count, k, n, input, by_output, &mut gradient.layers[i]);
+                if i == 0 {
+                    // Behind the input lies no ReLU of this network.
+                    let out = &mut input_gradient[start * k..];
+                    multiply(simd, count, by_output, &layer.backward, out, Finish::Store);
+                } else {
+                    below.resize(padded(count) * k);
+                    multiply(simd, count, by_output, &layer.backward, below, Finish::Mask(input));
+                    std::mem::swap(above, below);
+                }
+            }
         }
-        &mut scratch[0]
     }
 
     /// Sums the gradients of layer `layer` over the deposits in their order, into parameters [inputs, outputs], and
@@ -155,6 +176,25 @@ impl Activations {
             let width = layer.forward.n;
             buffer.keep_rows(kept, width);
             buffer.resize(padded(kept.len()) * width);
+        }
+    }
+
+    /// Forgets all rows.
+    pub fn clear(&mut self) {
+        self.layers.iter_mut().for_each(Buffer::clear);
+    }
+
+    /// Appends the rows `rows` of `from`.
+    pub fn append(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
+        for ((buffer, from), layer) in self.layers.iter_mut().zip(&from.layers).zip(&mlp.layers) {
+            buffer.append_rows(from, rows, layer.forward.n);
+        }
+    }
+
+    /// Becomes the rows `rows` of `from`.
+    pub fn gather(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
+        for ((buffer, from), layer) in self.layers.iter_mut().zip(&from.layers).zip(&mlp.layers) {
+            buffer.gather_rows(from, rows, layer.forward.n, padded(rows.len()));
         }
     }
 }

@@ -8,6 +8,17 @@ use trimip_core::compositing::{composite, composite_gradient};
 use trimip_core::rng::{Random, Stream};
 use trimip_core::{Aabb, Config, Pixel, Renderer};
 
+/// How far a ray has been marched.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cursor {
+    /// Distance of the first step's beginning.
+    first: f32,
+    /// Distance at which the ray leaves the box; −∞ when it misses.
+    leave: f32,
+    /// Steps done.
+    index: f32,
+}
+
 /// Box, step and background.
 pub struct CpuRenderer {
     aabb: Aabb<f32>,
@@ -15,7 +26,7 @@ pub struct CpuRenderer {
     /// Steps that fit into the box along any ray, and one for rounding.
     most_samples: usize,
     /// Optical depth before a sample above which it is dropped: −ln of the least transmittance.
-    max_depth: f32,
+    pub(crate) max_depth: f32,
     background: [f32; 3],
     random: Random,
 }
@@ -36,32 +47,42 @@ impl CpuRenderer {
         }
     }
 
-    /// Calls `place(t, position)` for the middle of every step of the ray that lies in an occupied cell; `offset` moves
-    /// the first step, in steps. Positions are in coordinates of the unit box.
+    /// Where a ray begins in the box: before its first step, which `jitter` moves by a random part of a step; `index` is
+    /// the ray's number within the training step.
+    pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
+        let (enter, leave) = self.aabb.intersect(ray.origin, ray.direction);
+        let offset = jitter.map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, index)[0]);
+        let first = enter + offset * self.step_length;
+        let hits = leave > first && leave.is_finite();
+        Cursor { first, leave: if hits { leave } else { f32::NEG_INFINITY }, index: 0.0 }
+    }
+
+    /// Calls `place` for the middle of every step from the cursor on that lies in an occupied cell, at most `limit`
+    /// times; returns true when the ray has left the box.
     ///
     /// Empty blocks and cells are skipped to the last step inside them, never beyond, so that the samples are exactly
     /// those of testing every step.
     #[inline]
-    fn march_ray(
+    pub(crate) fn advance(
         &self,
         ray: &Ray,
         occupancy: &CpuOccupancy,
-        offset: f32,
-        mut place: impl FnMut(f32, [f32; 3]),
-    ) {
-        let (enter, leave) = self.aabb.intersect(ray.origin, ray.direction);
-        let first = enter + offset * self.step_length;
-        if !(leave > first) || !leave.is_finite() {
-            return;
-        }
+        cursor: &mut Cursor,
+        limit: usize,
+        mut place: impl FnMut(Interval, Sphere),
+    ) -> bool {
         let resolution = occupancy.resolution();
         let inverse_extent = self.aabb.extent().map(f32::recip);
-        // Position in cells along the ray: start + t·slope.
-        let mut index = 0.0_f32;
+        let Cursor { first, leave, mut index } = *cursor;
+        let mut placed = 0;
         loop {
             let t = first + (index + 0.5) * self.step_length;
             if !(t < leave) {
-                return;
+                return true;
+            }
+            if placed == limit {
+                cursor.index = index;
+                return false;
             }
             let position: [f32; 3] = std::array::from_fn(|i| {
                 (ray.origin[i] + t * ray.direction[i] - self.aabb.min[i]) * inverse_extent[i]
@@ -69,7 +90,8 @@ impl CpuRenderer {
             let cell = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
             let block = occupancy.block(cell.map(|c| c / BLOCK));
             if block >> bit_of(cell) & 1 == 1 {
-                place(t, position);
+                place(Interval { t, length: self.step_length }, Sphere { position, radius: ray.slope * t });
+                placed += 1;
                 index += 1.0;
                 continue;
             }
@@ -104,8 +126,6 @@ impl Renderer<CpuBackend> for CpuRenderer {
         samples.segments.resize(rays.rays.len());
         let mut count = 0;
         for (i, ray) in rays.rays.iter().enumerate() {
-            let offset = jitter
-                .map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, rays.first + i as u32)[0]);
             let start = count;
             // Room for a ray that is occupied all along, so that placing a sample is a plain store.
             let most = start + self.most_samples;
@@ -114,11 +134,10 @@ impl Renderer<CpuBackend> for CpuRenderer {
             samples.spheres.resize(most);
             let owners = &mut samples.rays[start..];
             let (intervals, spheres) = (&mut samples.intervals[start..], &mut samples.spheres[start..]);
-            self.march_ray(ray, occupancy, offset, |t, position| {
+            let mut cursor = self.start(ray, jitter, rays.first + i as u32);
+            self.advance(ray, occupancy, &mut cursor, usize::MAX, |interval, sphere| {
                 let place = count - start;
-                owners[place] = i as u32;
-                intervals[place] = Interval { t, length: self.step_length };
-                spheres[place] = Sphere { position, radius: ray.slope * t };
+                (owners[place], intervals[place], spheres[place]) = (i as u32, interval, sphere);
                 count += 1;
             });
             samples.segments[i] = Segment { start: start as u32, count: (count - start) as u32 };

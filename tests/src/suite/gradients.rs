@@ -115,7 +115,9 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         trainer.set_parameters(&parameters);
         trainer.occupy_all();
         let (sums, gradient) = trainer.loss_and_gradient(TRAINING_STEP, RAYS);
-        assert_eq!((sums.rays, sums.marched), (u64::from(RAYS), batch.marched as u64), "{name}");
+        assert_eq!(sums.rays, u64::from(RAYS), "{name}");
+        // A backend that sees front to back asks fewer samples, never fewer than it keeps.
+        assert!((sums.kept..=batch.marched as u64).contains(&sums.marched), "{name}: samples marched");
         assert!(sums.kept.abs_diff(batch.kept as u64) <= batch.doubtful as u64, "{name}: samples kept");
         let loss = reference.loss(&batch.rays);
         assert!((sums.loss / sums.weight - loss).abs() < 1e-4 * loss, "{name}: loss, not {loss}");

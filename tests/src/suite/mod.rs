@@ -5,6 +5,7 @@ pub mod gradients;
 pub mod marching;
 pub mod pyramid;
 pub mod scenes;
+pub mod seeing;
 pub mod stages;
 pub mod training;
 

@@ -1,0 +1,206 @@
+//! Seeing front to back: rays are walked in pieces of a few samples, and a ray that has become opaque is left. The samples
+//! kept, and every bit of their features and densities, are those of asking all samples and pruning afterwards.
+
+use crate::buffer::Buffer;
+use crate::field::Tape;
+use crate::gemm::padded;
+use crate::renderer::Cursor;
+use crate::{CpuBackend, CpuField, Lane};
+use trimip_core::backend::Stages;
+use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Workspace};
+use trimip_core::tri_mip::FEATURES;
+use trimip_core::{Encoder, Field};
+
+/// Samples of a ray that are asked at once: few, so that little is asked behind the surface.
+const PIECE: usize = 16;
+
+/// A ray on its way.
+struct Walker {
+    ray: u32,
+    cursor: Cursor,
+    /// Optical depth so far.
+    depth: f32,
+    /// True when it has left the box.
+    out: bool,
+}
+
+/// Scratch of a worker.
+pub(crate) struct Scratch {
+    walkers: Vec<Walker>,
+    /// One piece of every walking ray.
+    piece: Rows,
+    /// Rows of the piece that are seen.
+    seen: Buffer<u32>,
+    /// What was seen, piece by piece.
+    staged: Rows,
+    /// Rows of `staged`, ray by ray.
+    order: Vec<u32>,
+}
+
+/// Samples with what is known of them.
+struct Rows {
+    samples: Samples<CpuBackend>,
+    features: Buffer<f32>,
+    tape: Tape,
+    radiance: Buffer<Radiance>,
+}
+
+impl Rows {
+    fn new(backend: &CpuBackend, field: &CpuField) -> Self {
+        // A fresh workspace knows how to make its parts.
+        let Workspace { samples, features, tape, radiance, .. } = Workspace::new(backend, field);
+        Self { samples, features, tape, radiance }
+    }
+
+    fn clear(&mut self, field: &CpuField) {
+        self.samples.rays.clear();
+        self.samples.intervals.clear();
+        self.samples.spheres.clear();
+        self.features.clear();
+        self.radiance.clear();
+        field.clear(&mut self.tape);
+    }
+}
+
+/// See [`trimip_core::Backend::see`].
+pub(crate) fn see(
+    backend: &CpuBackend,
+    stages: &Stages<CpuBackend>,
+    parameters: &Buffer<f32>,
+    space: &mut Workspace<CpuBackend>,
+    jitter: Option<u64>,
+) {
+    let mut scratch = space.lane.scratch.take().unwrap_or_else(|| {
+        let rows = || Rows::new(backend, &stages.field);
+        let (piece, staged) = (rows(), rows());
+        Box::new(Scratch { walkers: Vec::new(), piece, seen: Buffer::zeros(0), staged, order: Vec::new() })
+    });
+    let marched = scratch.walk(&mut space.lane, stages, parameters, &space.rays, jitter);
+    scratch.sort_by_ray(stages, space);
+    space.samples.counts.resize(1);
+    space.samples.counts[0] = [marched as u32, space.samples.spheres.len() as u32];
+    space.lane.scratch = Some(scratch);
+}
+
+impl Scratch {
+    /// Walks all rays to their end; leaves what is seen in `staged`. Returns the number of samples asked.
+    fn walk(
+        &mut self,
+        lane: &mut Lane,
+        stages: &Stages<CpuBackend>,
+        parameters: &Buffer<f32>,
+        rays: &Rays<CpuBackend>,
+        jitter: Option<u64>,
+    ) -> usize {
+        let Self { walkers, piece, seen, staged, .. } = self;
+        let renderer = &stages.renderer;
+        staged.clear(&stages.field);
+        walkers.clear();
+        walkers.extend(rays.rays.iter().zip(0..).map(|(ray, index)| Walker {
+            ray: index,
+            cursor: renderer.start(ray, jitter, rays.first + index),
+            depth: 0.0,
+            out: false,
+        }));
+        let mut marched = 0;
+        while !walkers.is_empty() {
+            place(walkers, stages, rays, &mut piece.samples);
+            let samples = &piece.samples;
+            marched += samples.spheres.len();
+            stages.encoder.forward(lane, parameters, samples, &mut piece.features);
+            stages.field.density(lane, samples, &piece.features, &mut piece.tape, &mut piece.radiance);
+            look(walkers, samples, &piece.radiance, renderer.max_depth, seen);
+            staged.samples.rays.append_rows(&samples.rays, seen, 1);
+            staged.samples.intervals.append_rows(&samples.intervals, seen, 1);
+            staged.samples.spheres.append_rows(&samples.spheres, seen, 1);
+            staged.features.append_rows(&piece.features, seen, FEATURES);
+            staged.radiance.append_rows(&piece.radiance, seen, 1);
+            stages.field.append(&mut staged.tape, &piece.tape, seen);
+        }
+        marched
+    }
+
+    /// Brings what was seen into the workspace, ray by ray.
+    fn sort_by_ray(&mut self, stages: &Stages<CpuBackend>, space: &mut Workspace<CpuBackend>) {
+        let Self { staged, order, .. } = self;
+        let Workspace { rays, samples, features, tape, radiance, .. } = space;
+        let segments = &mut samples.segments;
+        segments.resize(rays.rays.len());
+        segments.fill(Segment::default());
+        for &ray in staged.samples.rays.iter() {
+            segments[ray as usize].count += 1;
+        }
+        let mut start = 0;
+        for segment in segments.iter_mut() {
+            segment.start = start;
+            start += std::mem::take(&mut segment.count);
+        }
+        let count = start as usize;
+        order.resize(count, 0);
+        for (row, &ray) in staged.samples.rays.iter().enumerate() {
+            let segment = &mut segments[ray as usize];
+            order[(segment.start + segment.count) as usize] = row as u32;
+            segment.count += 1;
+        }
+        samples.rays.gather_rows(&staged.samples.rays, order, 1, count);
+        samples.intervals.gather_rows(&staged.samples.intervals, order, 1, count);
+        samples.spheres.gather_rows(&staged.samples.spheres, order, 1, count);
+        radiance.gather_rows(&staged.radiance, order, 1, count);
+        features.gather_rows(&staged.features, order, FEATURES, padded(count));
+        stages.field.gather(tape, &staged.tape, order);
+    }
+}
+
+/// Places the next piece of every walking ray, one segment each.
+fn place(
+    walkers: &mut [Walker],
+    stages: &Stages<CpuBackend>,
+    rays: &Rays<CpuBackend>,
+    samples: &mut Samples<CpuBackend>,
+) {
+    let most = walkers.len() * PIECE;
+    samples.rays.resize(most);
+    samples.intervals.resize(most);
+    samples.spheres.resize(most);
+    samples.segments.resize(walkers.len());
+    let Samples { segments, rays: owners, intervals, spheres, .. } = samples;
+    let (owners, intervals, spheres): (&mut [u32], &mut [Interval], &mut [Sphere]) =
+        (owners, intervals, spheres);
+    let mut count = 0;
+    for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
+        let start = count;
+        let ray = &rays.rays[walker.ray as usize];
+        walker.out =
+            stages.renderer.advance(ray, &stages.occupancy, &mut walker.cursor, PIECE, |interval, sphere| {
+                (owners[count], intervals[count], spheres[count]) = (walker.ray, interval, sphere);
+                count += 1;
+            });
+        *segment = Segment { start: start as u32, count: (count - start) as u32 };
+    }
+    samples.rays.resize(count);
+    samples.intervals.resize(count);
+    samples.spheres.resize(count);
+}
+
+/// Lists the samples that are seen and leaves rays that have ended or become opaque.
+fn look(
+    walkers: &mut Vec<Walker>,
+    samples: &Samples<CpuBackend>,
+    radiance: &Buffer<Radiance>,
+    max_depth: f32,
+    seen: &mut Buffer<u32>,
+) {
+    seen.clear();
+    let mut segments = samples.segments.iter();
+    walkers.retain_mut(|walker| {
+        let Some(segment) = segments.next() else { return false };
+        for row in segment.start..segment.start + segment.count {
+            if walker.depth > max_depth {
+                return false;
+            }
+            seen.push(row);
+            walker.depth += radiance[row as usize].density * samples.intervals[row as usize].length;
+        }
+        !walker.out && !(walker.depth > max_depth)
+    });
+}
