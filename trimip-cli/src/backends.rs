@@ -19,11 +19,14 @@ pub fn adapters() -> Vec<String> {
 
 /// Refuses a name that this build has no backend for.
 pub fn check(name: &str) -> Result<()> {
-    let place = format!("backend = \"{name}\"");
     match name {
         "cpu" => Ok(()),
-        "wgpu" => Err(Error::input(place, "this build has no wgpu backend yet", "use backend = \"cpu\"")),
-        _ => Err(Error::input(place, "unknown backend", format!("this build knows: {}", names().join(", ")))),
+        "wgpu" => Err(trimip_wgpu::missing()),
+        _ => Err(Error::input(
+            format!("backend = \"{name}\""),
+            "unknown backend",
+            format!("this build knows: {}", names().join(", ")),
+        )),
     }
 }
 
