@@ -13,7 +13,7 @@ use trimip_core::rng::Random;
 use trimip_core::{Aabb, Config};
 
 /// Cells along a side of a block.
-pub const BLOCK: u32 = 4;
+const BLOCK: u32 = 4;
 
 /// Grid, bits and running densities.
 pub struct CpuOccupancy {
@@ -26,6 +26,8 @@ pub struct CpuOccupancy {
     densities: Vec<f32>,
     /// Blocks x + B·(y + B·z); bit x + 4·(y + 4·z) within.
     blocks: Vec<u64>,
+    /// Blocks of blocks, 16 cells a side: a bit says that its block is not empty.
+    supers: Vec<u64>,
     occupied: usize,
     chosen: Vec<u32>,
 }
@@ -38,16 +40,19 @@ impl CpuOccupancy {
         let [x, y, z] = aabb.extent();
         let cell = (x * y * z).cbrt() / resolution as f32;
         let cells = (resolution as usize).pow(3);
-        Self {
+        let mut grid = Self {
             config: config.occupancy.clone(),
             seed: config.seed,
             step_length: step_length(config),
             radius: cell / std::f32::consts::PI.sqrt(),
             densities: vec![0.0; cells],
-            blocks: vec![u64::MAX; cells / (BLOCK * BLOCK * BLOCK) as usize],
-            occupied: cells,
+            blocks: vec![0; cells / (BLOCK * BLOCK * BLOCK) as usize],
+            supers: Vec::new(),
+            occupied: 0,
             chosen: Vec::new(),
-        }
+        };
+        grid.set_bits(|_| true);
+        grid
     }
 
     /// Cells along a side.
@@ -56,11 +61,26 @@ impl CpuOccupancy {
         self.config.resolution
     }
 
-    /// The 64 bits of a block, by its integer coordinates.
+    /// Side, in cells, of the largest empty cube of the hierarchy that holds a cell; `None` when the cell is occupied.
     #[inline]
-    pub fn block(&self, [x, y, z]: [u32; 3]) -> u64 {
+    pub fn empty_around(&self, cell: [u32; 3]) -> Option<u32> {
+        let block = cell.map(|c| c / BLOCK);
+        let [x, y, z] = block.map(|c| c / BLOCK);
+        let supers = self.supers_per_side();
+        if self.supers[(x + supers * (y + supers * z)) as usize] == 0 {
+            return Some(BLOCK * BLOCK);
+        }
+        let [x, y, z] = block;
         let blocks = self.config.resolution / BLOCK;
-        self.blocks[(x + blocks * (y + blocks * z)) as usize]
+        let word = self.blocks[(x + blocks * (y + blocks * z)) as usize];
+        if word == 0 {
+            return Some(BLOCK);
+        }
+        (word >> bit_of(cell) & 1 == 0).then_some(1)
+    }
+
+    fn supers_per_side(&self) -> u32 {
+        (self.config.resolution / BLOCK).div_ceil(BLOCK)
     }
 
     /// Place of a cell's bit: block index and bit.
@@ -92,13 +112,21 @@ impl CpuOccupancy {
                 *word |= u64::from(occupied(cell)) << bit;
             }
         });
+        let supers = self.supers_per_side();
+        self.supers.clear();
+        self.supers.resize((supers * supers * supers) as usize, 0);
+        for (i, _) in self.blocks.iter().enumerate().filter(|(_, word)| **word != 0) {
+            let block = coordinates(i as u32, blocks);
+            let [x, y, z] = block.map(|c| c / BLOCK);
+            self.supers[(x + supers * (y + supers * z)) as usize] |= 1 << bit_of(block);
+        }
         self.occupied = self.blocks.iter().map(|word| word.count_ones() as usize).sum();
     }
 }
 
-/// Bit of a cell within its block.
+/// Bit of a cell within its block, or of a block within its block of blocks.
 #[inline]
-pub fn bit_of([x, y, z]: [u32; 3]) -> u32 {
+fn bit_of([x, y, z]: [u32; 3]) -> u32 {
     x % BLOCK + BLOCK * (y % BLOCK + BLOCK * (z % BLOCK))
 }
 

@@ -1,7 +1,7 @@
 //! Marching, pruning and compositing on the CPU, ray by ray.
 
 use crate::buffer::Buffer;
-use crate::occupancy::{BLOCK, CpuOccupancy, bit_of, step_length};
+use crate::occupancy::{CpuOccupancy, step_length};
 use crate::{CpuBackend, Lane};
 use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere};
 use trimip_core::compositing::{composite, composite_gradient};
@@ -60,8 +60,7 @@ impl CpuRenderer {
     /// Calls `place` for the middle of every step from the cursor on that lies in an occupied cell, at most `limit`
     /// times; returns true when the ray has left the box.
     ///
-    /// Empty blocks and cells are skipped to the last step inside them, never beyond, so that the samples are exactly
-    /// those of testing every step.
+    /// Empty cubes of 16, 4 or 1 cells are skipped whole, so that the samples are exactly those of testing every step.
     #[inline]
     pub(crate) fn advance(
         &self,
@@ -73,6 +72,9 @@ impl CpuRenderer {
     ) -> bool {
         let resolution = occupancy.resolution();
         let inverse_extent = self.aabb.extent().map(f32::recip);
+        let cell_extent = self.aabb.extent().map(|side| side / resolution as f32);
+        let inverse_direction = ray.direction.map(f32::recip);
+        let inverse_step = self.step_length.recip();
         let Cursor { first, leave, mut index } = *cursor;
         let mut placed = 0;
         loop {
@@ -88,28 +90,29 @@ impl CpuRenderer {
                 (ray.origin[i] + t * ray.direction[i] - self.aabb.min[i]) * inverse_extent[i]
             });
             let cell = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
-            let block = occupancy.block(cell.map(|c| c / BLOCK));
-            if block >> bit_of(cell) & 1 == 1 {
+            let Some(size) = occupancy.empty_around(cell) else {
                 place(Interval { t, length: self.step_length }, Sphere { position, radius: ray.slope * t });
                 placed += 1;
                 index += 1.0;
                 continue;
-            }
-            let size = if block == 0 { BLOCK } else { 1 };
+            };
             let mut exit = f32::INFINITY;
             for axis in 0..3 {
                 let lower = cell[axis] / size * size;
                 let edge = if ray.direction[axis] > 0.0 { lower + size } else { lower };
-                let edge = edge as f32 / (resolution as f32 * inverse_extent[axis]) + self.aabb.min[axis];
-                let distance = (edge - ray.origin[axis]) / ray.direction[axis];
+                let edge = edge as f32 * cell_extent[axis] + self.aabb.min[axis];
+                let distance = (edge - ray.origin[axis]) * inverse_direction[axis];
                 // An axis the ray does not move along gives ±∞ or NaN: no exit there.
                 if distance > t && distance < exit {
                     exit = distance;
                 }
             }
-            // A saturating cast: an exit at infinity ends the ray, NaN moves one step.
-            let inside = ((exit - first) / self.step_length - 0.5) as i32 - 1;
-            index = (inside as f32).max(index + 1.0);
+            // The first step whose middle is not before the exit. What rounding may move is a few 1e-7 of the distance;
+            // a step that close to the exit is asked rather than skipped.
+            let steps = (exit - first) * inverse_step - 0.5;
+            let next = (steps * (1.0 - 1e-6) - 0.01).ceil();
+            // No exit, or NaN: one step.
+            index = if next.is_finite() { next.max(index + 1.0) } else { index + 1.0 };
         }
     }
 }
