@@ -69,7 +69,7 @@ pub struct TrainArguments {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Run folder [default: runs/<name of the configuration file>]
+    /// Run folder [default: runs/ and the name of the configuration file]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Start anew: replaces the run that is in the folder

@@ -76,7 +76,10 @@ pub fn composite_gradient<R: Real>(
 mod tests {
     use super::*;
 
-    fn ray() -> (Vec<(f64, [f64; 3], f64)>, [f64; 3]) {
+    /// Optical depth, colour and distance.
+    type Sample = (f64, [f64; 3], f64);
+
+    fn ray() -> (Vec<Sample>, [f64; 3]) {
         let samples = (0..12)
             .map(|i| {
                 let x = f64::from(i);
@@ -112,7 +115,7 @@ mod tests {
     fn gradients_are_finite_differences() {
         let (samples, background) = ray();
         let g = [0.3, -1.2, 0.7];
-        let loss = |samples: &[(f64, [f64; 3], f64)]| -> f64 {
+        let loss = |samples: &[Sample]| -> f64 {
             let c = composite(samples.iter().copied(), background).rgb;
             (0..3).map(|k| c[k] * g[k]).sum()
         };
@@ -125,7 +128,7 @@ mod tests {
             g,
             |i, by_depth, by_color| {
                 let h = 1e-6;
-                let numeric = |change: &dyn Fn(&mut (f64, [f64; 3], f64), f64)| {
+                let numeric = |change: &dyn Fn(&mut Sample, f64)| {
                     let (mut up, mut down) = (samples.clone(), samples.clone());
                     change(&mut up[i], h);
                     change(&mut down[i], -h);

@@ -17,7 +17,7 @@ pub const CHANNELS: usize = 16;
 pub const FEATURES: usize = 3 * CHANNELS;
 
 /// Sizes and places of the planes' levels. Level 0 of all planes is the parameter `planes`, [3, N, N, 16]; the levels
-/// above it are one derived array, level by level, each [3, N >> l, N >> l, 16].
+/// above it are one derived array, level by level, level l being `[3, N >> l, N >> l, 16]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pyramid {
     /// Texels along a side at level 0.
