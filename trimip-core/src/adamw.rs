@@ -1,6 +1,9 @@
 //! AdamW for one parameter (Loshchilov and Hutter 2019), and the learning-rate schedule.
 
-use crate::{config::OptimizerConfig, scalar::Real};
+use crate::{
+    config::{OptimizerConfig, RateSchedule},
+    scalar::Real,
+};
 
 /// Constants of one step, the same for all parameters of a group.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,10 +46,19 @@ impl<R: Real> Rule<R> {
     }
 }
 
-/// Learning rate of the networks at `progress` in [0, 1]: multiplied by the factor at each milestone passed.
+/// Learning rate of the networks at `progress` in [0, 1].
 pub fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
-    let passed = config.milestones.iter().filter(|&&milestone| progress >= milestone).count();
-    config.learning_rate * config.decay_factor.powi(passed as i32)
+    config.learning_rate
+        * match config.schedule {
+            RateSchedule::Milestones => {
+                let passed = config.milestones.iter().filter(|&&milestone| progress >= milestone).count();
+                config.decay_factor.powi(passed as i32)
+            }
+            RateSchedule::Cosine => {
+                let half_wave = 0.5 + 0.5 * (std::f64::consts::PI * progress.clamp(0.0, 1.0)).cos();
+                config.final_factor + (1.0 - config.final_factor) * half_wave
+            }
+        }
 }
 
 #[cfg(test)]

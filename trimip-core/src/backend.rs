@@ -91,6 +91,20 @@ pub trait Backend: Sized + Send + Sync + 'static {
         see_all(stages, parameters, space, jitter);
     }
 
+    /// From full deposits to new parameters with all that derives from them; empties the deposits. A backend may do it in
+    /// other passes if the parameters get the same bits as from [`update_all`].
+    fn update(
+        &self,
+        stages: &mut Stages<Self>,
+        parameters: &mut Self::Buffer<f32>,
+        gradient: &mut Self::Buffer<f32>,
+        deposits: &mut [Deposit<Self>],
+        learning_rate: f64,
+        step: u64,
+    ) {
+        update_all(stages, parameters, gradient, deposits, learning_rate, step);
+    }
+
     /// Number of deposits that suits steps of `samples` samples: 1 where a step is one span.
     fn deposits(&self, samples: u32) -> usize;
 
@@ -112,6 +126,21 @@ pub fn see_all<B: Backend>(
     stages.renderer.prune(lane, radiance, samples, kept);
     stages.encoder.keep(lane, kept, features);
     stages.field.keep(lane, kept, tape, radiance);
+}
+
+/// Joins the deposits, moves every parameter, then rebuilds what derives from them.
+pub fn update_all<B: Backend>(
+    stages: &mut Stages<B>,
+    parameters: &mut B::Buffer<f32>,
+    gradient: &mut B::Buffer<f32>,
+    deposits: &mut [Deposit<B>],
+    learning_rate: f64,
+    step: u64,
+) {
+    stages.flush(deposits, gradient);
+    stages.optimizer.step(parameters, gradient, deposits, learning_rate, step);
+    stages.encoder.refresh(parameters);
+    stages.field.refresh(parameters);
 }
 
 /// Work on one span of a training step.
@@ -144,6 +173,14 @@ pub struct Stages<B: Backend> {
     pub loss: B::Loss,
 }
 
+impl<B: Backend> Stages<B> {
+    /// Joins the deposits to a gradient of all parameters, not yet divided by the sum of the weights, and empties them.
+    pub fn flush(&mut self, deposits: &mut [Deposit<B>], gradient: &mut B::Buffer<f32>) {
+        self.field.flush(deposits, gradient);
+        self.encoder.flush(deposits, gradient);
+    }
+}
+
 /// Spheres to features (tri-mip encoding, METHOD §3).
 pub trait Encoder<B: Backend>: Send + Sync {
     /// What spans leave behind: feature gradients and where they belong.
@@ -151,6 +188,10 @@ pub trait Encoder<B: Backend>: Send + Sync {
 
     /// An empty gradient.
     fn gradient(&self) -> Self::Gradient;
+
+    /// Lets the planes have `halvings` times half the configured texels along a side: they are the front part of the
+    /// parameters, [3, N', N', 16]. The parameters change first ([`crate::tri_mip::grow`]), a refresh follows.
+    fn halve(&mut self, halvings: u32);
 
     /// Rebuilds what derives from the parameters: the mip levels. Once per change of the parameters.
     fn refresh(&mut self, parameters: &B::Buffer<f32>);
@@ -247,6 +288,9 @@ pub trait Field<B: Backend>: Send + Sync {
 
 /// Rays to samples and samples to pixels (METHOD §2 and §5).
 pub trait Renderer<B: Backend>: Send + Sync {
+    /// Follows the schedules of a run: the marching step at `progress` in [0, 1].
+    fn follow(&mut self, progress: f64);
+
     /// Places samples where the grid is occupied. `jitter` names the training step that moves each ray's start by a
     /// random part of a step; `None` leaves it.
     fn march(
@@ -267,7 +311,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
         kept: &mut B::Buffer<u32>,
     );
 
-    /// Composites each ray on the background.
+    /// Composites each ray on its target's background, or on the configured one where there are no targets.
     fn composite(
         &self,
         lane: &mut B::Lane,
@@ -301,6 +345,9 @@ pub trait Optimizer<B: Backend>: Send + Sync {
         learning_rate: f64,
         step: u64,
     );
+
+    /// Lets the planes be the front part of their parameters, see [`Encoder::halve`].
+    fn halve(&mut self, halvings: u32);
 
     /// First and second moments.
     fn moments(&self) -> [&B::Buffer<f32>; 2];

@@ -32,6 +32,8 @@ pub struct Target {
     pub rgb: [f32; 3],
     /// Area weight of the pixel, 4^level.
     pub weight: f32,
+    /// What lies behind the ray.
+    pub background: [f32; 3],
 }
 
 /// A sphere inscribed in a cone: what the field is asked for.

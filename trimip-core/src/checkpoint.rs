@@ -13,6 +13,9 @@ const FORMAT: &str = "trimip-checkpoint-1";
 pub struct TrainState {
     /// Counters of the run.
     pub totals: Totals,
+    /// How often the planes' side is halved.
+    #[serde(default)]
+    pub halvings: u32,
     /// Rays of the next step (dynamic batch).
     pub rays_per_step: u32,
     /// Marched samples per ray of the last step, which sizes the next step's spans.

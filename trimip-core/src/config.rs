@@ -1,7 +1,7 @@
 //! The typed configuration. Defaults and their meaning stand in `defaults.toml`; layers and origins in [`Settings`];
 //! here are the types and the ranges in which a run makes sense.
 
-use crate::{Error, Result, Settings};
+use crate::{Error, Result, Settings, schedule::Schedule};
 use serde::{Deserialize, Serialize};
 
 /// Declares a section of the configuration: plain public fields, unknown keys refused.
@@ -66,10 +66,38 @@ choice!(
     }
 );
 
+choice!(
+    /// Background that training rays are composited on.
+    TrainBackground {
+        /// `data.background`.
+        Fixed,
+        /// A colour drawn for each ray.
+        Random,
+    }
+);
+choice!(
+    /// How the learning rate falls.
+    RateSchedule {
+        /// By a factor at each milestone.
+        Milestones,
+        /// Along half a cosine.
+        Cosine,
+    }
+);
+choice!(
+    /// What AdamW does with texels that a step gave no gradient.
+    Untouched {
+        /// As with all others: moments decay and the parameter moves on.
+        Decay,
+        /// Nothing.
+        Skip,
+    }
+);
+
 section!(
     /// Where the photographs are and how they are prepared.
     DataConfig {
-        root: String, format: Format, train: Vec<String>, test: String, scales: u32, convention: Convention,
+        root: String, format: Format, train: Vec<String>, test: String, holdout: u32, scales: u32, convention: Convention,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
     }
 );
@@ -81,6 +109,7 @@ section!(
     /// The tri-mip encoding.
     EncoderConfig {
         plane_size: u32, channels: u32, levels: u32, mipmap: bool, level: LevelFormula, init_range: f32,
+        halvings: Schedule,
     }
 );
 section!(
@@ -89,11 +118,16 @@ section!(
 );
 section!(
     /// Marching and compositing.
-    RendererConfig { steps_per_diagonal: u32, min_transmittance: f32 }
+    RendererConfig {
+        steps_per_diagonal: u32, step_scale: Schedule, step_per_radius: f32, min_transmittance: f32,
+    }
 );
 section!(
     /// The occupancy grid.
-    OccupancyConfig { resolution: u32, every: u32, warmup: u32, fraction: f32, decay: f32, threshold: f32 }
+    OccupancyConfig {
+        resolution: u32, every: u32, warmup: u32, warmup_fraction: f32, fraction: f32, decay: f32,
+        threshold: f32,
+    }
 );
 section!(
     /// The photometric loss.
@@ -103,12 +137,15 @@ section!(
     /// AdamW and its schedule.
     OptimizerConfig {
         learning_rate: f64, plane_scale: f64, beta1: f64, beta2: f64, epsilon: f64, weight_decay: f64,
-        decay_factor: f64, milestones: Vec<f64>,
+        schedule: RateSchedule, decay_factor: f64, milestones: Vec<f64>, final_factor: f64, untouched: Untouched,
     }
 );
 section!(
     /// Length of the run and size of a step.
-    TrainConfig { steps: u64, seconds: f64, samples_per_step: u32, checkpoint_seconds: f64, log_seconds: f64 }
+    TrainConfig {
+        steps: u64, seconds: f64, samples_per_step: u32, batch_scale: Schedule, background: TrainBackground,
+        checkpoint_seconds: f64, log_seconds: f64,
+    }
 );
 section!(
     /// When and on what the model is evaluated.
@@ -193,6 +230,7 @@ impl Config {
         };
         let positive = |x: f64| x.is_finite() && x > 0.0;
         check((1..=8).contains(&self.data.scales), "data.scales", "1 to 8")?;
+        check(self.data.holdout != 1, "data.holdout", "0, or 2 and more")?;
         check(!self.data.train.is_empty(), "data.train", "at least one split")?;
         check(
             self.data.background.iter().all(|c| (0.0..=1.0).contains(c)),
@@ -226,6 +264,16 @@ impl Config {
             "encoder.init_range",
             "0 or more",
         )?;
+        let halvings = || encoder.halvings.values();
+        let most = f64::from(encoder.plane_size.ilog2()) - 2.0;
+        check(
+            encoder.halvings.is_whole()
+                && halvings().all(|h| h.fract() == 0.0 && (0.0..=most).contains(&h))
+                && halvings().is_sorted_by(|a, b| a > b)
+                && halvings().last() == Some(0.0),
+            "encoder.halvings",
+            "[[0.0, n], ... [fraction, 0]] with rising fractions below 1, falling whole numbers, at least 4 texels left",
+        )?;
         let field = &self.field;
         check(
             (16..=512).contains(&field.hidden) && field.hidden.is_multiple_of(16),
@@ -241,6 +289,13 @@ impl Config {
             "16 to 65536",
         )?;
         check(
+            renderer.step_scale.is_whole()
+                && renderer.step_scale.values().all(|s| (0.25..=64.0).contains(&s)),
+            "renderer.step_scale",
+            "[[0.0, scale], ...] with rising fractions below 1 and scales from 0.25 to 64",
+        )?;
+        check((0.0..=64.0).contains(&renderer.step_per_radius), "renderer.step_per_radius", "0 to 64")?;
+        check(
             (0.0..1.0).contains(&renderer.min_transmittance),
             "renderer.min_transmittance",
             "0 to below 1",
@@ -252,6 +307,7 @@ impl Config {
             "a multiple of 4 from 4 to 1024",
         )?;
         check(occupancy.every >= 1, "occupancy.every", "1 or more")?;
+        check((0.0..=1.0).contains(&occupancy.warmup_fraction), "occupancy.warmup_fraction", "0 to 1")?;
         check((0.0..=1.0).contains(&occupancy.fraction), "occupancy.fraction", "0 to 1")?;
         check((0.0..=1.0).contains(&occupancy.decay), "occupancy.decay", "0 to 1")?;
         check(occupancy.threshold >= 0.0, "occupancy.threshold", "0 or more")?;
@@ -273,6 +329,7 @@ impl Config {
             "optimizer.milestones",
             "rising fractions from 0 to 1",
         )?;
+        check((0.0..=1.0).contains(&optimizer.final_factor), "optimizer.final_factor", "0 to 1")?;
         let train = &self.train;
         check(train.seconds.is_finite() && train.seconds >= 0.0, "train.seconds", "0 or more")?;
         check(train.steps >= 1, "train.steps", "1 or more")?;
@@ -280,6 +337,11 @@ impl Config {
             (256..=4_194_304).contains(&train.samples_per_step),
             "train.samples_per_step",
             "256 to 4194304",
+        )?;
+        check(
+            train.batch_scale.is_whole() && train.batch_scale.values().all(|s| (0.01..=1.0).contains(&s)),
+            "train.batch_scale",
+            "[[0.0, scale], ...] with rising fractions below 1 and scales from 0.01 to 1",
         )?;
         check(train.checkpoint_seconds >= 0.0, "train.checkpoint_seconds", "0 or more")?;
         check(positive(train.log_seconds), "train.log_seconds", "a number above 0")?;

@@ -35,6 +35,7 @@ pub mod params;
 pub mod rng;
 pub mod run;
 pub mod scalar;
+pub mod schedule;
 mod session;
 mod settings;
 pub mod sh;

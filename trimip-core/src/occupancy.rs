@@ -38,9 +38,10 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// The choice at `step`, when `occupied` of `cells` cells are occupied. Warm-up steps choose all.
+    /// The choice at `step`, when `occupied` of `cells` cells are occupied. Warm-up steps have a share of their own.
     pub fn new(config: &OccupancyConfig, seed: u64, step: u64, occupied: usize, cells: usize) -> Self {
-        let fraction = if step < u64::from(config.warmup) { 1.0 } else { config.fraction };
+        let warm = step < u64::from(config.warmup);
+        let fraction = if warm { config.warmup_fraction } else { config.fraction };
         let occupied_probability = fraction * cells as f32 / occupied.max(1) as f32;
         Self { random: Random::new(seed), step, fraction, occupied_probability }
     }

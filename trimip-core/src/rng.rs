@@ -15,6 +15,8 @@ pub enum Stream {
     Cell = 4,
     /// Points inside occupancy cells.
     Point = 5,
+    /// Backgrounds of training rays.
+    Background = 6,
 }
 
 /// A seed, to be hashed with stream, step and index.

@@ -9,7 +9,9 @@ use crate::{
     checkpoint::{Checkpoint, TrainState},
     metrics::psnr_of_error,
     model::Model,
+    run::progress,
     tensors::{Tensor, TensorFile},
+    tri_mip::grow,
 };
 use std::sync::Arc;
 
@@ -49,6 +51,7 @@ impl<B: Backend> Trainer<B> {
     pub fn from_model(backend: B, model: &Model) -> Result<Self> {
         let mut trainer = Self::build(backend, &model.config, None)?;
         trainer.restore_model("model", &model.file, None)?;
+        trainer.stages.renderer.follow(1.0);
         Ok(trainer)
     }
 
@@ -83,6 +86,9 @@ impl<B: Backend> Trainer<B> {
             parameters,
             deposits,
         };
+        if training {
+            trainer.halve(config.encoder.halvings.at(0.0) as u32);
+        }
         trainer.refresh();
         Ok(trainer)
     }
@@ -119,7 +125,11 @@ impl<B: Backend> Trainer<B> {
     pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> (StepSums, Vec<f32>) {
         self.state.totals.step = step;
         let backend = Arc::clone(&self.backend);
-        let sums = backend.install(|| self.gradients(rays)).unwrap_or_default();
+        let sums = backend.install(|| {
+            let sums = self.gradients(rays);
+            self.stages.flush(&mut self.deposits, &mut self.gradient);
+            sums.unwrap_or_default()
+        });
         let gradient =
             self.backend.read(&self.gradient).iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect();
         (sums, gradient)
@@ -137,7 +147,7 @@ impl<B: Backend> Trainer<B> {
         ((SAMPLES_PER_SPAN / self.state.marched_per_ray.max(1.0)) as u32).clamp(1, MAX_RAYS_PER_SPAN)
     }
 
-    /// Forward and backward over `rays` rays; leaves the gradient, not yet divided by the sum of the weights.
+    /// Forward and backward over `rays` rays; leaves the deposits full.
     fn gradients(&mut self, rays: u32) -> Option<StepSums> {
         let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
         let step = self.state.totals.step;
@@ -185,8 +195,6 @@ impl<B: Backend> Trainer<B> {
                 stages.encoder.backward(lane, samples, feature_gradients, &mut deposit.encoder);
             },
         );
-        self.stages.field.flush(&mut self.deposits, &mut self.gradient);
-        self.stages.encoder.flush(&mut self.deposits, &mut self.gradient);
         self.backend.collect(&self.deposits)
     }
 
@@ -211,23 +219,58 @@ impl<B: Backend> Trainer<B> {
         self.stages.occupancy.absorb(&self.probes);
     }
 
+    /// Lets every stage follow the schedules to `progress`; where the planes grow, moments grow along.
+    fn follow(&mut self, progress: f64) {
+        self.stages.renderer.follow(progress);
+        let halvings = self.config.encoder.halvings.at(progress) as u32;
+        if halvings >= self.state.halvings {
+            return;
+        }
+        let mut values = self.parameters();
+        self.grow(&mut values, halvings);
+        self.backend.write(&mut self.parameters, &values);
+        for moment in 0..2 {
+            let mut values = self.backend.read(self.stages.optimizer.moments()[moment]);
+            self.grow(&mut values, halvings);
+            self.backend.write(self.stages.optimizer.moments_mut()[moment], &values);
+        }
+        self.halve(halvings);
+        self.refresh();
+    }
+
+    /// Grows the planes at the front of `values` to `halvings` halvings.
+    fn grow(&self, values: &mut [f32], halvings: u32) {
+        for halvings in (halvings..self.state.halvings).rev() {
+            grow(values, self.config.encoder.plane_size as usize >> (halvings + 1));
+        }
+    }
+
+    fn halve(&mut self, halvings: u32) {
+        self.state.halvings = halvings;
+        self.stages.encoder.halve(halvings);
+        self.stages.optimizer.halve(halvings);
+    }
+
     /// Scales the next step's rays so that its kept samples stay near the target (dynamic batch).
-    fn adapt_batch(&mut self, sums: &StepSums) {
-        let target = u64::from(self.config.train.samples_per_step);
+    fn adapt_batch(&mut self, sums: &StepSums, progress: f64) {
+        let scale = self.config.train.batch_scale.at(progress);
+        let target = (f64::from(self.config.train.samples_per_step) * scale) as u64;
         let rays = u64::from(self.state.rays_per_step);
         let next = rays * target / sums.kept.max(1) + 1;
         // At most doubled, so that one thin batch does not make the next one enormous.
-        self.state.rays_per_step = next.min(2 * rays).clamp(16, 2 * target) as u32;
+        self.state.rays_per_step = next.min(2 * rays).clamp(16, 8 * target) as u32;
         self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
     }
 
     fn train_step(&mut self, progress: f64) -> Result<StepReport> {
         let step = self.state.totals.step;
+        self.follow(progress);
         if step.is_multiple_of(u64::from(self.config.occupancy.every)) {
             self.refresh_occupancy();
         }
         let sums = self.gradients(self.state.rays_per_step).unwrap_or_default();
         if sums.non_finite > 0 || !sums.loss.is_finite() {
+            self.stages.flush(&mut self.deposits, &mut self.gradient);
             return Err(Error::run(format!(
                 "step {step}: {} of {} pixels are not finite (loss {}); the state before this step is kept, lower \
                  optimizer.learning_rate",
@@ -236,9 +279,10 @@ impl<B: Backend> Trainer<B> {
         }
         let rate = learning_rate(&self.config.optimizer, progress);
         if sums.weight > 0.0 {
-            let gradient = &self.gradient;
-            self.stages.optimizer.step(&mut self.parameters, gradient, &self.deposits, rate, step + 1);
-            self.refresh();
+            let Self { backend, stages, parameters, gradient, deposits, .. } = self;
+            backend.update(stages, parameters, gradient, deposits, rate, step + 1);
+        } else {
+            self.stages.flush(&mut self.deposits, &mut self.gradient);
         }
         let totals = &mut self.state.totals;
         totals.step += 1;
@@ -247,7 +291,7 @@ impl<B: Backend> Trainer<B> {
         totals.rays += sums.rays;
         totals.empty_batches += u64::from(sums.kept == 0);
         totals.non_finite = self.stages.optimizer.non_finite();
-        self.adapt_batch(&sums);
+        self.adapt_batch(&sums, progress);
         Ok(StepReport {
             totals: self.state.totals,
             loss: sums.loss / sums.weight.max(f64::MIN_POSITIVE),
@@ -286,9 +330,9 @@ impl<B: Backend> Trainer<B> {
         Ok(())
     }
 
-    fn tensors(&self) -> TensorFile {
+    fn tensors(&self, values: &[f32]) -> TensorFile {
         let mut file = TensorFile::default();
-        self.layout.to_tensors(&self.parameters(), "", &mut file);
+        self.layout.to_tensors(values, "", &mut file);
         let bits = self.stages.occupancy.bits();
         file.tensors.insert("occupancy".into(), Tensor::u8(&[bits.len()], bits));
         file
@@ -325,11 +369,14 @@ impl<B: Backend> Session for Trainer<B> {
     }
 
     fn model(&mut self) -> Result<Model> {
-        Ok(Model::new(self.config.clone(), self.tensors()))
+        let mut values = self.parameters();
+        // A model's planes have their full size, whatever they have grown to in training.
+        self.grow(&mut values, 0);
+        Ok(Model::new(self.config.clone(), self.tensors(&values)))
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint> {
-        let mut file = self.tensors();
+        let mut file = self.tensors(&self.parameters());
         for (suffix, moments) in [".m", ".v"].into_iter().zip(self.stages.optimizer.moments()) {
             self.layout.to_tensors(&self.backend.read(moments), suffix, &mut file);
         }
@@ -349,6 +396,9 @@ impl<B: Backend> Session for Trainer<B> {
             self.backend.write(buffer, &values);
         }
         self.state = checkpoint.state;
+        self.halve(self.state.halvings);
+        self.refresh();
+        self.stages.renderer.follow(progress(&self.config, &self.state.totals));
         Ok(())
     }
 }

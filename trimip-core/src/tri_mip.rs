@@ -64,6 +64,15 @@ impl Pyramid {
         Self { size, levels: if config.mipmap { config.levels as usize } else { 1 }, log2_base_radius }
     }
 
+    /// The same planes with `halvings` times half the texels along a side: the pyramid without its finest levels.
+    pub fn halved(&self, halvings: u32) -> Self {
+        Self {
+            size: self.size >> halvings,
+            levels: self.levels.saturating_sub(halvings as usize).max(1),
+            log2_base_radius: self.log2_base_radius.map(|radius| radius + f64::from(halvings)),
+        }
+    }
+
     /// Texels along a side of `level`.
     #[inline]
     pub fn side(&self, level: usize) -> usize {
@@ -102,6 +111,22 @@ impl Pyramid {
         }
         let lower = level.floor();
         LevelBlend { lower: lower.to_usize().unwrap_or(0), fraction: level - lower }
+    }
+}
+
+/// Doubles the side of three planes in place: each of the `side`² texels of a plane becomes four like it, so that the
+/// levels above them stay what they are. `values` begins with the planes and has room for the result.
+pub fn grow<T: Copy>(values: &mut [T], side: usize) {
+    let row = side * CHANNELS;
+    // From the end: no texel is overwritten before it is read.
+    for from in (0..3 * side).rev() {
+        let (source, target) = (from * row, 4 * from * row);
+        for texel in (0..side).rev() {
+            let (source, target) = (source + texel * CHANNELS, target + 2 * texel * CHANNELS);
+            for place in [target + 2 * row + CHANNELS, target + 2 * row, target + CHANNELS, target] {
+                values.copy_within(source..source + CHANNELS, place);
+            }
+        }
     }
 }
 
@@ -187,6 +212,36 @@ mod tests {
         assert_eq!((corner.columns, corner.rows), ([0, 0], [7, 7]));
         let outside = taps(8, -5.0_f32, f32::NAN);
         assert!(outside.columns.iter().chain(&outside.rows).all(|&i| i < 8));
+    }
+
+    #[test]
+    fn halved_planes_are_the_pyramid_without_its_finest_levels() {
+        let (whole, halved) = (pyramid(64, 5), pyramid(64, 5).halved(2));
+        assert_eq!((halved.size, halved.levels), (16, 3));
+        for radius in [0.15_f64, 0.3, 0.5, 1.0] {
+            let (whole, halved) = (whole.blend(0, radius.log2()), halved.blend(0, radius.log2()));
+            assert!(
+                (whole.lower as f64 + whole.fraction - 2.0 - halved.lower as f64 - halved.fraction).abs()
+                    < 1e-12
+            );
+        }
+    }
+
+    #[test]
+    fn grown_planes_average_to_what_they_were() {
+        let (side, fine) = (4, 8);
+        let value = |i: usize| (i as f32 * 0.37).sin();
+        let mut values: Vec<f32> = (0..3 * fine * fine * CHANNELS).map(value).collect();
+        grow(&mut values, side);
+        for plane in 0..3 {
+            for (row, column) in (0..fine * fine).map(|i| (i / fine, i % fine)) {
+                let texel = ((plane * fine + row) * fine + column) * CHANNELS;
+                let parent = ((plane * side + row / 2) * side + column / 2) * CHANNELS;
+                for channel in 0..CHANNELS {
+                    assert_eq!(values[texel + channel], value(parent + channel), "{plane} {row} {column}");
+                }
+            }
+        }
     }
 
     #[test]

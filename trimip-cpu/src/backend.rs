@@ -15,9 +15,9 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use trimip_core::backend::{Stages, Traffic, TrainWork};
+use trimip_core::backend::{Stages, Traffic, TrainWork, update_all};
 use trimip_core::batch::{Deposit, StepSums, Workspace};
-use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
+use trimip_core::{Backend, Config, Error, Field, Layout, Result, ViewSet};
 
 /// Scratch of a worker beside its workspace.
 #[derive(Default)]
@@ -186,6 +186,25 @@ impl Backend for CpuBackend {
         jitter: Option<u64>,
     ) {
         see(self, stages, parameters, space, jitter);
+    }
+
+    fn update(
+        &self,
+        stages: &mut Stages<Self>,
+        parameters: &mut Buffer<f32>,
+        gradient: &mut Buffer<f32>,
+        deposits: &mut [Deposit<Self>],
+        learning_rate: f64,
+        step: u64,
+    ) {
+        if !stages.optimizer.skips_untouched() {
+            return update_all(stages, parameters, gradient, deposits, learning_rate, step);
+        }
+        stages.flush(deposits, gradient);
+        let touched = Some(stages.encoder.touched());
+        stages.optimizer.step_within(parameters, gradient, deposits, learning_rate, step, touched);
+        stages.encoder.refresh_touched(parameters);
+        stages.field.refresh(parameters);
     }
 
     fn deposits(&self, samples: u32) -> usize {

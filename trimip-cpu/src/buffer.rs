@@ -15,6 +15,12 @@ pub struct Buffer<T> {
     values: PhantomData<T>,
 }
 
+impl<T> Default for Buffer<T> {
+    fn default() -> Self {
+        Self { lines: Vec::new(), length: 0, values: PhantomData }
+    }
+}
+
 impl<T: Pod> Buffer<T> {
     /// `length` zeros.
     pub fn zeros(length: usize) -> Self {

@@ -1,11 +1,13 @@
 //! Tri-mip encoding on the CPU: a texel's 16 channels are one vector register; a query adds up to 24 of them.
 
 use crate::buffer::Buffer;
+use crate::extents::{Extent, Extents};
 use crate::gemm::padded;
 use crate::scatter::{BANDS, Band, spread};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
+use std::ops::Range;
 use trimip_core::batch::{Deposit, Samples, Sphere};
 use trimip_core::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
 use trimip_core::{Aabb, Config, Encoder};
@@ -14,6 +16,10 @@ use trimip_core::{Aabb, Config, Encoder};
 pub struct CpuEncoder {
     simd: Simd,
     pyramid: Pyramid,
+    /// The pyramid of planes of full size.
+    whole: Pyramid,
+    /// Where the gradient may differ from zero.
+    touched: Extents,
     /// Levels above the base, see [`Pyramid::derived_offset`].
     derived: Buffer<f32>,
     /// Gradient of the same.
@@ -36,7 +42,8 @@ impl CpuEncoder {
         let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
         let derived = Buffer::zeros(pyramid.derived_len());
         let derived_gradient = Buffer::zeros(if training { pyramid.derived_len() } else { 0 });
-        Self { simd, pyramid, derived, derived_gradient }
+        let touched = Extents::whole(&pyramid);
+        Self { simd, whole: pyramid.clone(), pyramid, touched, derived, derived_gradient }
     }
 }
 
@@ -51,22 +58,13 @@ impl Encoder<CpuBackend> for CpuEncoder {
         }
     }
 
+    fn halve(&mut self, halvings: u32) {
+        self.pyramid = self.whole.halved(halvings);
+        self.touched = Extents::whole(&self.pyramid);
+    }
+
     fn refresh(&mut self, parameters: &Buffer<f32>) {
-        for level in 1..self.pyramid.levels {
-            let side = self.pyramid.side(level);
-            let (finer, coarser) = self.derived.split_at_mut(self.pyramid.derived_offset(level, 0));
-            let finer = if level == 1 {
-                &parameters[..self.pyramid.base_len()]
-            } else {
-                &finer[self.pyramid.derived_offset(level - 1, 0)..]
-            };
-            // Three planes of `side` rows: row r of this level lies over rows 2r and 2r + 1 of the finer one.
-            let row = side * CHANNELS;
-            coarser[..3 * side * row].par_chunks_mut(row).enumerate().for_each(|(r, out)| {
-                let fine = &finer[4 * r * row..][..4 * row];
-                self.simd.run(AverageRow { fine, out });
-            });
-        }
+        self.average(parameters, &Extents::whole(&self.pyramid));
     }
 
     fn forward(
@@ -107,17 +105,29 @@ impl Encoder<CpuBackend> for CpuEncoder {
 
     fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {
         let base = &mut parameter_gradient[..self.pyramid.base_len()];
-        spread(self.simd, &self.pyramid, deposits, base, &mut self.derived_gradient);
+        spread(self.simd, &self.pyramid, deposits, base, &mut self.derived_gradient, &mut self.touched);
         // Pull from coarse to fine: each texel of a level carries a quarter of its parent's gradient.
         for level in (1..self.pyramid.levels).rev() {
             let side = self.pyramid.side(level);
             let (finer, coarser) = self.derived_gradient.split_at_mut(self.pyramid.derived_offset(level, 0));
-            let finer =
-                if level == 1 { &mut *base } else { &mut finer[self.pyramid.derived_offset(level - 1, 0)..] };
+            let finer = if level == 1 {
+                &mut base[..]
+            } else {
+                &mut finer[self.pyramid.derived_offset(level - 1, 0)..]
+            };
             let row = side * CHANNELS;
-            finer.par_chunks_mut(4 * row).enumerate().for_each(|(r, fine)| {
-                self.simd.run(PullRow { coarse: &coarser[r * row..][..row], fine });
-            });
+            let (fine_extents, extents) = self.touched.levels_mut(level - 1);
+            let fine_rows = finer.par_chunks_mut(4 * row).zip(fine_extents.par_chunks_mut(2));
+            fine_rows.zip(extents.par_iter()).enumerate().with_min_len(4).for_each(
+                |(r, ((fine, fine_extents), extent))| {
+                    if extent.is_empty() {
+                        return;
+                    }
+                    let columns = extent.texels();
+                    self.simd.run(PullRow { coarse: &coarser[r * row..][..row], fine, columns });
+                    fine_extents.iter_mut().for_each(|fine| *fine = fine.union(extent.doubled()));
+                },
+            );
         }
         for deposit in deposits {
             deposit.encoder.spheres.clear();
@@ -127,10 +137,49 @@ impl Encoder<CpuBackend> for CpuEncoder {
     }
 }
 
-/// One row of 2×2 box averages; `fine` holds the two rows below it.
+impl CpuEncoder {
+    /// Rows and columns of the base whose gradient may differ from zero.
+    pub(crate) fn touched(&self) -> &[Extent] {
+        self.touched.level(0)
+    }
+
+    /// Rebuilds the mip levels where the base has changed since: within what the last gradient touched.
+    pub(crate) fn refresh_touched(&mut self, parameters: &Buffer<f32>) {
+        let touched = std::mem::take(&mut self.touched);
+        self.average(parameters, &touched);
+        self.touched = touched;
+    }
+
+    /// Rebuilds the mip levels above the base texels `changed`.
+    fn average(&mut self, parameters: &Buffer<f32>, changed: &Extents) {
+        let mut below = changed.level(0).to_vec();
+        for level in 1..self.pyramid.levels {
+            let side = self.pyramid.side(level);
+            let (finer, coarser) = self.derived.split_at_mut(self.pyramid.derived_offset(level, 0));
+            let finer = if level == 1 {
+                &parameters[..self.pyramid.base_len()]
+            } else {
+                &finer[self.pyramid.derived_offset(level - 1, 0)..]
+            };
+            let extents: Vec<Extent> =
+                below.chunks_exact(2).map(|rows| rows[0].union(rows[1]).halved()).collect();
+            // Three planes of `side` rows: row r of this level lies over rows 2r and 2r + 1 of the finer one.
+            let row = side * CHANNELS;
+            let rows = coarser[..3 * side * row].par_chunks_mut(row).zip(&extents);
+            rows.enumerate().with_min_len(4).for_each(|(r, (out, extent))| {
+                let fine = &finer[4 * r * row..][..4 * row];
+                self.simd.run(AverageRow { fine, out, columns: extent.texels() });
+            });
+            below = extents;
+        }
+    }
+}
+
+/// Some texels of a row of 2×2 box averages; `fine` holds the two rows below it.
 struct AverageRow<'a> {
     fine: &'a [f32],
     out: &'a mut [f32],
+    columns: Range<usize>,
 }
 
 impl Kernel for AverageRow<'_> {
@@ -138,8 +187,12 @@ impl Kernel for AverageRow<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self) {
         let (lower, upper) = self.fine.split_at(self.fine.len() / 2);
-        let pairs = lower.chunks_exact(2 * CHANNELS).zip(upper.chunks_exact(2 * CHANNELS));
-        for (out, (lower, upper)) in self.out.chunks_exact_mut(CHANNELS).zip(pairs) {
+        let Range { start, end } = self.columns;
+        let below = 2 * CHANNELS * start..2 * CHANNELS * end;
+        let pairs =
+            lower[below.clone()].chunks_exact(2 * CHANNELS).zip(upper[below].chunks_exact(2 * CHANNELS));
+        let out = &mut self.out[CHANNELS * start..CHANNELS * end];
+        for (out, (lower, upper)) in out.chunks_exact_mut(CHANNELS).zip(pairs) {
             // SAFETY: `lower` and `upper` hold two texels of 16 values, `out` one. Written with lanes because the
             // compiler's own vectors run across texels and gather.
             unsafe {
@@ -151,10 +204,11 @@ impl Kernel for AverageRow<'_> {
     }
 }
 
-/// Adds a quarter of each coarse texel's gradient to its four children.
+/// Adds a quarter of some coarse texels' gradient to their four children each.
 struct PullRow<'a> {
     coarse: &'a [f32],
     fine: &'a mut [f32],
+    columns: Range<usize>,
 }
 
 impl Kernel for PullRow<'_> {
@@ -162,9 +216,12 @@ impl Kernel for PullRow<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self) {
         let half = self.fine.len() / 2;
+        let Range { start, end } = self.columns;
+        let parents = &self.coarse[CHANNELS * start..CHANNELS * end];
         for row in self.fine.chunks_exact_mut(half) {
+            let children = &mut row[2 * CHANNELS * start..2 * CHANNELS * end];
             for (children, parent) in
-                row.chunks_exact_mut(2 * CHANNELS).zip(self.coarse.chunks_exact(CHANNELS))
+                children.chunks_exact_mut(2 * CHANNELS).zip(parents.chunks_exact(CHANNELS))
             {
                 // SAFETY: `children` holds two texels of 16 values, `parent` one.
                 unsafe {

@@ -1,9 +1,10 @@
 //! Density and colour networks on the CPU. The density network's 16 outputs are 1 logit and 15 geometry features; the
-//! colour network reads 16 spherical harmonics, then those 16 outputs with a zero weight on the logit.
+//! colour network reads them with a zero weight on the logit, and 16 spherical harmonics, which go through the first
+//! layer once for each ray.
 
 use crate::buffer::Buffer;
 use crate::gemm::padded;
-use crate::mlp::{Activations, Mlp, MlpGradient};
+use crate::mlp::{Activations, Mlp, MlpGradient, Shared};
 use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
 use trimip_core::activation::{density, density_derivative, sigmoid, sigmoid_derivative};
@@ -28,14 +29,47 @@ pub struct CpuField {
 /// Activations of a span.
 pub struct Tape {
     density: Activations,
-    color_input: Buffer<f32>,
     color: Activations,
-    /// Spherical harmonics of each ray, evaluated once.
-    directions: Vec<[f32; sh::COUNT]>,
-    /// Gradients of the colour logits, of the colour network's input and of the density network's output.
+    directions: Directions,
+    /// Gradients of the colour logits and of the density network's output.
     color_gradient: Buffer<f32>,
-    input_gradient: Buffer<f32>,
     output_gradient: Buffer<f32>,
+}
+
+/// Spherical harmonics of the rays that have samples.
+#[derive(Default)]
+struct Directions {
+    /// Rays with samples.
+    count: usize,
+    /// [rays with samples (padded), 16].
+    harmonics: Buffer<f32>,
+    /// Row of `harmonics` of each sample, padding samples included.
+    of: Vec<u32>,
+}
+
+impl Directions {
+    fn gather(&mut self, rays: &Rays<CpuBackend>, samples: &Samples<CpuBackend>) {
+        self.of.clear();
+        self.harmonics.clear();
+        let (mut count, mut last) = (0, None);
+        for &ray in samples.rays.iter() {
+            if last != Some(ray) {
+                last = Some(ray);
+                count += 1;
+                self.harmonics.resize(count * sh::COUNT);
+                let harmonics = spherical_harmonics(rays.rays[ray as usize].direction);
+                self.harmonics[(count - 1) * sh::COUNT..].copy_from_slice(&harmonics);
+            }
+            self.of.push(count as u32 - 1);
+        }
+        self.count = count;
+        self.harmonics.resize(padded(count) * sh::COUNT);
+        self.of.resize(padded(samples.rays.len()), 0);
+    }
+
+    fn shared(&self) -> Shared<'_> {
+        Shared { groups: self.count, input: &self.harmonics, of: &self.of }
+    }
 }
 
 /// Weight gradients.
@@ -48,15 +82,16 @@ impl CpuField {
     /// The networks of a configuration.
     pub fn new(simd: Simd, config: &Config, layout: &Layout) -> Self {
         let density_shapes = density_layers(config);
-        let color_rows = (0..sh::COUNT)
-            .map(Some)
-            .chain([None]) // the density logit is no input of the colour network
-            .chain((sh::COUNT..sh::COUNT + GEOMETRY).map(Some))
-            .collect();
+        // The density logit is no input of the colour network.
+        let geometry_rows = std::iter::once(None).chain((sh::COUNT..sh::COUNT + GEOMETRY).map(Some));
         Self {
             simd,
-            density: Mlp::new(&density_shapes, (0..FEATURES).map(Some).collect()),
-            color: Mlp::new(&color_layers(config), color_rows),
+            density: Mlp::new(&density_shapes, (0..FEATURES).map(Some).collect(), Vec::new()),
+            color: Mlp::new(
+                &color_layers(config),
+                geometry_rows.collect(),
+                (0..sh::COUNT).map(Some).collect(),
+            ),
             slots: layout.slots.iter().filter(|slot| slot.kind == Kind::Network).cloned().collect(),
             density_layers: density_shapes.len(),
         }
@@ -87,11 +122,9 @@ impl Field<CpuBackend> for CpuField {
     fn tape(&self) -> Tape {
         Tape {
             density: self.density.activations(),
-            color_input: Buffer::zeros(0),
             color: self.color.activations(),
-            directions: Vec::new(),
+            directions: Directions::default(),
             color_gradient: Buffer::zeros(0),
-            input_gradient: Buffer::zeros(0),
             output_gradient: Buffer::zeros(0),
         }
     }
@@ -116,7 +149,7 @@ impl Field<CpuBackend> for CpuField {
         radiance: &mut Buffer<Radiance>,
     ) {
         let rows = samples.spheres.len();
-        self.density.forward(self.simd, rows, features, &mut tape.density);
+        self.density.forward(self.simd, rows, features, None, &mut tape.density);
         radiance.resize(rows);
         for (radiance, output) in radiance.iter_mut().zip(tape.density.output().chunks_exact(OUTPUTS)) {
             *radiance = Radiance { rgb: [0.0; 3], density: density(output[0]) };
@@ -137,21 +170,11 @@ impl Field<CpuBackend> for CpuField {
         radiance: &mut Buffer<Radiance>,
     ) {
         let rows = samples.spheres.len();
-        tape.directions.clear();
-        tape.directions.extend(rays.rays.iter().map(|ray| spherical_harmonics(ray.direction)));
-        let width = self.color.inputs();
-        tape.color_input.resize(padded(rows) * width);
-        let outputs = tape.density.output().chunks_exact(OUTPUTS);
-        for ((input, output), &ray) in
-            tape.color_input.chunks_exact_mut(width).zip(outputs).zip(samples.rays.iter())
-        {
-            input[..sh::COUNT].copy_from_slice(&tape.directions[ray as usize]);
-            input[sh::COUNT..].copy_from_slice(output);
-        }
-        self.color.forward(self.simd, rows, &tape.color_input, &mut tape.color);
+        let Tape { density, color, directions, .. } = tape;
+        directions.gather(rays, samples);
+        self.color.forward(self.simd, rows, density.output(), Some(directions.shared()), color);
         let logits = tape.color.output();
-        let width = logits.len() / padded(rows).max(1);
-        for (radiance, logits) in radiance.iter_mut().zip(logits.chunks_exact(width.max(1))) {
+        for (radiance, logits) in radiance.iter_mut().zip(logits.chunks_exact(self.color.outputs())) {
             radiance.rgb = [0, 1, 2].map(|c| sigmoid(logits[c]));
         }
     }
@@ -168,12 +191,12 @@ impl Field<CpuBackend> for CpuField {
         gradient: &mut FieldGradient,
     ) {
         let (simd, rows) = (self.simd, samples.spheres.len());
-        let Tape { density, color_input, color, color_gradient, input_gradient, output_gradient, .. } = tape;
-        let width = color.output().len() / padded(rows).max(1);
+        let Tape { density, color, directions, color_gradient, output_gradient } = tape;
+        let width = self.color.outputs();
         color_gradient.resize(padded(rows) * width);
         color_gradient.fill(0.0);
         let pairs = radiance.iter().zip(radiance_gradients.iter());
-        for (out, (value, by_value)) in color_gradient.chunks_exact_mut(width.max(1)).zip(pairs) {
+        for (out, (value, by_value)) in color_gradient.chunks_exact_mut(width).zip(pairs) {
             for c in 0..3 {
                 out[c] = by_value.rgb[c] * sigmoid_derivative(value.rgb[c]);
             }
@@ -181,23 +204,28 @@ impl Field<CpuBackend> for CpuField {
         self.color.backward(
             simd,
             rows,
-            color_input,
+            density.output(),
+            Some(directions.shared()),
             color,
             color_gradient,
-            input_gradient,
+            output_gradient,
             &mut gradient.color,
         );
-
-        output_gradient.resize(padded(rows) * OUTPUTS);
-        let outputs = density.output().chunks_exact(OUTPUTS);
-        let pairs =
-            output_gradient.chunks_exact_mut(OUTPUTS).zip(input_gradient.chunks_exact(self.color.inputs()));
-        for ((out, by_input), (output, by_value)) in pairs.zip(outputs.zip(radiance_gradients.iter())) {
-            out.copy_from_slice(&by_input[sh::COUNT..]);
+        let outputs = density.output().chunks_exact(OUTPUTS).zip(radiance_gradients.iter());
+        for (out, (output, by_value)) in output_gradient.chunks_exact_mut(OUTPUTS).zip(outputs) {
             out[0] = by_value.density * density_derivative(output[0]);
         }
         let weights = &mut gradient.density;
-        self.density.backward(simd, rows, features, density, output_gradient, feature_gradients, weights);
+        self.density.backward(
+            simd,
+            rows,
+            features,
+            None,
+            density,
+            output_gradient,
+            feature_gradients,
+            weights,
+        );
     }
 
     fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {

@@ -26,6 +26,7 @@
 mod backend;
 mod buffer;
 mod encoder;
+mod extents;
 mod field;
 pub mod gemm;
 mod loss;

@@ -1,104 +1,244 @@
-//! A small ReLU network without biases over rows of a tile. Widths are padded to multiples of 16 with zero weights; the
-//! parameters know nothing of the padding.
+//! A small ReLU network without biases over rows of a tile. Widths are padded to multiples of 16 with zero weights, and
+//! up to four outputs to four; the parameters know nothing of the padding. Inputs that many rows have in common (all
+//! samples of a ray) may go through the first layer once for each group of rows.
 
 use crate::buffer::Buffer;
-use crate::gemm::{Finish, Packed, ROWS, accumulate, multiply, padded};
+use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded};
 use crate::simd::Simd;
 
 /// Rows that go through all layers together: their activations and a layer's weights fit into half of a 1 MiB L2.
 const BLOCK: usize = 21 * ROWS;
 
+/// Outputs up to which a last layer is computed by dot products.
+const FEW: usize = 4;
+
 /// Weights of the network, packed for both directions.
 pub struct Mlp {
     layers: Vec<Layer>,
+    /// The first layer's weights of the shared inputs, if there are any.
+    shared: Option<Inputs>,
 }
 
 struct Layer {
-    forward: Packed,
+    inputs: Inputs,
+    /// [outputs, inputs], for the gradient of the inputs.
     backward: Packed,
-    /// Parameter row of each padded input, if it has one.
-    rows: Vec<Option<usize>>,
     /// Outputs that have parameters.
     outputs: usize,
+}
+
+/// Weights of some inputs of a layer.
+struct Inputs {
+    forward: Forward,
+    /// Parameter row of each padded input, if it has one.
+    rows: Vec<Option<usize>>,
+}
+
+enum Forward {
+    /// A product over panels of columns.
+    Wide(Packed),
+    /// [outputs, inputs] for outputs that are few.
+    Few(Buffer<f32>),
+}
+
+/// Inputs that groups of rows have in common.
+#[derive(Clone, Copy)]
+pub struct Shared<'a> {
+    /// Number of groups.
+    pub groups: usize,
+    /// [groups (padded), inputs].
+    pub input: &'a [f32],
+    /// Group of each row, padding rows included.
+    pub of: &'a [u32],
 }
 
 /// Activations of every layer but the input: hidden layers after their ReLU, then the output.
 #[derive(Default)]
 pub struct Activations {
     layers: Vec<Buffer<f32>>,
+    /// What the shared inputs add to the first layer, [groups (padded), its outputs].
+    shared: Buffer<f32>,
 }
 
-/// Weight gradients, padded like the packed weights, and two buffers for a block's gradients on their way back.
+/// Weight gradients, padded like the packed weights, and buffers for gradients on their way back.
 pub struct MlpGradient {
     layers: Vec<Buffer<f32>>,
+    shared: Buffer<f32>,
+    /// A block's gradients above and below a layer.
     scratch: [Buffer<f32>; 2],
+    /// Gradients of the first layer's outputs, summed over each group.
+    sums: Buffer<f32>,
+}
+
+impl Inputs {
+    fn new(rows: Vec<Option<usize>>, outputs: usize, last: bool) -> Self {
+        let forward = if last && outputs <= FEW {
+            Forward::Few(Buffer::zeros(outputs * rows.len()))
+        } else {
+            Forward::Wide(Packed::zeros(rows.len(), outputs.next_multiple_of(16)))
+        };
+        Self { forward, rows }
+    }
+
+    fn fill(&mut self, outputs: usize, weights: &[f32]) {
+        let Self { forward, rows } = self;
+        let value = |row: usize, column: usize| weight(rows, outputs, weights, row, column);
+        match forward {
+            Forward::Wide(packed) => packed.fill(value),
+            Forward::Few(dots) => {
+                for (place, weight) in dots.iter_mut().enumerate() {
+                    *weight = value(place % rows.len(), place / rows.len());
+                }
+            }
+        }
+    }
+
+    /// Adds a padded gradient to parameters [inputs, outputs].
+    fn unpack(&self, outputs: usize, gradient: &[f32], parameters: &mut [f32]) {
+        for (padded_row, row) in self.rows.iter().enumerate() {
+            let Some(row) = row else { continue };
+            for column in 0..outputs {
+                let place = match &self.forward {
+                    Forward::Wide(packed) => padded_row * packed.n + column,
+                    Forward::Few(_) => column * self.rows.len() + padded_row,
+                };
+                parameters[row * outputs + column] += gradient[place];
+            }
+        }
+    }
+}
+
+/// Weight at a padded place.
+fn weight(rows: &[Option<usize>], outputs: usize, weights: &[f32], row: usize, column: usize) -> f32 {
+    match rows[row] {
+        Some(row) if column < outputs => weights[row * outputs + column],
+        _ => 0.0,
+    }
+}
+
+impl Layer {
+    /// Padded inputs.
+    fn k(&self) -> usize {
+        self.inputs.rows.len()
+    }
+
+    /// Padded outputs.
+    fn n(&self) -> usize {
+        self.backward.k
+    }
 }
 
 impl Mlp {
     /// A network of the given layers ([inputs, outputs] each); `input_rows` says which parameter row each padded input
-    /// of the first layer has.
-    pub fn new(layers: &[[usize; 2]], input_rows: Vec<Option<usize>>) -> Self {
+    /// of the first layer has, `shared_rows` the same of the inputs that groups of rows share.
+    pub fn new(
+        layers: &[[usize; 2]],
+        input_rows: Vec<Option<usize>>,
+        shared_rows: Vec<Option<usize>>,
+    ) -> Self {
+        let shared = (!shared_rows.is_empty()).then(|| Inputs::new(shared_rows, layers[0][1], false));
         let mut rows = input_rows;
+        let count = layers.len();
         let layers = layers
             .iter()
-            .map(|&[_, outputs]| {
-                let (k, n) = (rows.len(), outputs.next_multiple_of(16));
-                let next = (0..n).map(|column| (column < outputs).then_some(column)).collect();
-                Layer {
-                    forward: Packed::zeros(k, n),
-                    backward: Packed::zeros(n, k),
-                    rows: std::mem::replace(&mut rows, next),
-                    outputs,
-                }
+            .enumerate()
+            .map(|(i, &[_, outputs])| {
+                let k = rows.len();
+                let inputs = Inputs::new(std::mem::take(&mut rows), outputs, i + 1 == count);
+                let n = match &inputs.forward {
+                    Forward::Wide(packed) => packed.n,
+                    Forward::Few(_) => FEW,
+                };
+                rows = (0..n).map(|column| (column < outputs).then_some(column)).collect();
+                Layer { inputs, backward: Packed::zeros(n, k), outputs }
             })
             .collect();
-        Self { layers }
+        Self { layers, shared }
     }
 
     /// Packs parameters; `weights[i]` is layer i, [inputs, outputs].
     pub fn pack(&mut self, weights: &[&[f32]]) {
+        if let Some(shared) = &mut self.shared {
+            shared.fill(self.layers[0].outputs, weights[0]);
+        }
         for (layer, weights) in self.layers.iter_mut().zip(weights) {
-            let Layer { forward, backward, rows, outputs } = layer;
-            let value = |row: usize, column: usize| match rows[row] {
-                Some(row) if column < *outputs => weights[row * *outputs + column],
-                _ => 0.0,
-            };
-            forward.fill(value);
-            backward.fill(|row, column| value(column, row));
+            let Layer { inputs, backward, outputs } = layer;
+            inputs.fill(*outputs, weights);
+            backward.fill(|row, column| weight(&inputs.rows, *outputs, weights, column, row));
         }
     }
 
     /// Padded width of the input.
     pub fn inputs(&self) -> usize {
-        self.layers[0].forward.k
+        self.layers[0].k()
+    }
+
+    /// Padded width of the output.
+    pub fn outputs(&self) -> usize {
+        self.layers[self.layers.len() - 1].n()
     }
 
     /// Room for activations.
     pub fn activations(&self) -> Activations {
-        Activations { layers: self.layers.iter().map(|_| Buffer::zeros(0)).collect() }
+        Activations {
+            layers: self.layers.iter().map(|_| Buffer::zeros(0)).collect(),
+            shared: Buffer::zeros(0),
+        }
     }
 
     /// A zero gradient.
     pub fn gradient(&self) -> MlpGradient {
-        let layers =
-            self.layers.iter().map(|layer| Buffer::zeros(layer.forward.k * layer.forward.n)).collect();
-        MlpGradient { layers, scratch: [Buffer::zeros(0), Buffer::zeros(0)] }
+        let size = |inputs: &Inputs, n: usize| inputs.rows.len() * n;
+        MlpGradient {
+            layers: self.layers.iter().map(|layer| Buffer::zeros(size(&layer.inputs, layer.n()))).collect(),
+            shared: Buffer::zeros(self.shared.as_ref().map_or(0, |s| size(s, self.layers[0].n()))),
+            scratch: [Buffer::zeros(0), Buffer::zeros(0)],
+            sums: Buffer::zeros(0),
+        }
     }
 
     /// Runs `rows` rows through the network, a block at a time through all layers: a block's activations stay in L2.
-    pub fn forward(&self, simd: Simd, rows: usize, input: &[f32], activations: &mut Activations) {
-        for (buffer, layer) in activations.layers.iter_mut().zip(&self.layers) {
-            buffer.resize(padded(rows) * layer.forward.n);
+    ///
+    /// # Panics
+    /// When `shared` is there and the network has no shared inputs, or the other way round.
+    pub fn forward(
+        &self,
+        simd: Simd,
+        rows: usize,
+        input: &[f32],
+        shared: Option<Shared<'_>>,
+        activations: &mut Activations,
+    ) {
+        let Activations { layers: buffers, shared: group_rows } = activations;
+        for (buffer, layer) in buffers.iter_mut().zip(&self.layers) {
+            buffer.resize(padded(rows) * layer.n());
+        }
+        assert_eq!(self.shared.is_some(), shared.is_some(), "shared inputs");
+        if let (Some(Inputs { forward: Forward::Wide(weights), .. }), Some(shared)) = (&self.shared, shared) {
+            group_rows.resize(padded(shared.groups) * weights.n);
+            multiply(simd, shared.groups, shared.input, weights, group_rows, Start::Zero, Finish::Store);
         }
         let last = self.layers.len() - 1;
-        for start in (0..rows).step_by(BLOCK) {
-            let count = (rows - start).min(BLOCK);
+        for first in (0..rows).step_by(BLOCK) {
+            let count = (rows - first).min(BLOCK);
             for (i, layer) in self.layers.iter().enumerate() {
-                let (before, after) = activations.layers.split_at_mut(i);
+                let (before, after) = buffers.split_at_mut(i);
                 let input = if i == 0 { input } else { &before[i - 1][..] };
-                let out = &mut after[0][start * layer.forward.n..];
-                let finish = if i == last { Finish::Store } else { Finish::Relu };
-                multiply(simd, count, &input[start * layer.forward.k..], &layer.forward, out, finish);
+                let input = &input[first * layer.k()..];
+                let out = &mut after[0][first * layer.n()..];
+                match &layer.inputs.forward {
+                    Forward::Wide(weights) => {
+                        let start = match shared {
+                            Some(shared) if i == 0 => {
+                                Start::Rows { rows: group_rows, of: &shared.of[first..] }
+                            }
+                            _ => Start::Zero,
+                        };
+                        let finish = if i == last { Finish::Store } else { Finish::Relu };
+                        multiply(simd, count, input, weights, out, start, finish);
+                    }
+                    Forward::Few(weights) => dots(simd, count, layer.k(), input, weights, out, layer.n()),
+                }
             }
         }
     }
@@ -110,32 +250,48 @@ impl Mlp {
         simd: Simd,
         rows: usize,
         input: &[f32],
+        shared: Option<Shared<'_>>,
         activations: &Activations,
         output_gradient: &[f32],
         input_gradient: &mut Buffer<f32>,
         gradient: &mut MlpGradient,
     ) {
         input_gradient.resize(padded(rows) * self.inputs());
-        let [above, below] = &mut gradient.scratch;
-        for start in (0..rows).step_by(BLOCK) {
-            let count = (rows - start).min(BLOCK);
+        let MlpGradient { layers: weights, shared: shared_weights, scratch: [above, below], sums } = gradient;
+        let width = self.layers[0].n();
+        if let Some(shared) = shared {
+            sums.resize(shared.groups * width);
+            sums.fill(0.0);
+        }
+        for first in (0..rows).step_by(BLOCK) {
+            let count = (rows - first).min(BLOCK);
             for (i, layer) in self.layers.iter().enumerate().rev() {
-                let (k, n) = (layer.forward.k, layer.forward.n);
+                let (k, n) = (layer.k(), layer.n());
                 let input = if i == 0 { input } else { &activations.layers[i - 1][..] };
-                let input = &input[start * k..];
+                let input = &input[first * k..];
                 let by_output =
-                    if i + 1 == self.layers.len() { &output_gradient[start * n..] } else { &above[..] };
-                accumulate(simd, count, k, n, input, by_output, &mut gradient.layers[i]);
+                    if i + 1 == self.layers.len() { &output_gradient[first * n..] } else { &above[..] };
+                match layer.inputs.forward {
+                    Forward::Wide(_) => accumulate(simd, count, k, n, input, by_output, &mut weights[i]),
+                    Forward::Few(_) => accumulate(simd, count, n, k, by_output, input, &mut weights[i]),
+                }
                 if i == 0 {
+                    if let Some(shared) = shared {
+                        add_groups(sums, by_output, &shared.of[first..][..count], width);
+                    }
                     // Behind the input lies no ReLU of this network.
-                    let out = &mut input_gradient[start * k..];
-                    multiply(simd, count, by_output, &layer.backward, out, Finish::Store);
+                    let out = &mut input_gradient[first * k..];
+                    multiply(simd, count, by_output, &layer.backward, out, Start::Zero, Finish::Store);
                 } else {
                     below.resize(padded(count) * k);
-                    multiply(simd, count, by_output, &layer.backward, below, Finish::Mask(input));
+                    let mask = Finish::Mask(input);
+                    multiply(simd, count, by_output, &layer.backward, below, Start::Zero, mask);
                     std::mem::swap(above, below);
                 }
             }
+        }
+        if let (Some(inputs), Some(shared)) = (&self.shared, shared) {
+            accumulate(simd, shared.groups, inputs.rows.len(), width, shared.input, sums, shared_weights);
         }
     }
 
@@ -147,19 +303,24 @@ impl Mlp {
         gradients: impl Iterator<Item = &'a mut MlpGradient>,
         parameters: &mut [f32],
     ) {
-        let Layer { rows, outputs, forward, .. } = &self.layers[layer];
+        let Layer { inputs, outputs, .. } = &self.layers[layer];
         parameters.fill(0.0);
         for gradient in gradients {
-            let gradient = &mut gradient.layers[layer];
-            for (padded_row, row) in rows.iter().enumerate() {
-                if let Some(row) = row {
-                    let to = &mut parameters[row * outputs..][..*outputs];
-                    for (to, from) in to.iter_mut().zip(&gradient[padded_row * forward.n..]) {
-                        *to += from;
-                    }
-                }
+            inputs.unpack(*outputs, &gradient.layers[layer], parameters);
+            gradient.layers[layer].fill(0.0);
+            if let (0, Some(shared)) = (layer, &self.shared) {
+                shared.unpack(*outputs, &gradient.shared, parameters);
+                gradient.shared.fill(0.0);
             }
-            gradient.fill(0.0);
+        }
+    }
+}
+
+/// Adds row i of `rows` to row `of[i]` of `sums`.
+fn add_groups(sums: &mut [f32], rows: &[f32], of: &[u32], width: usize) {
+    for (row, &group) in rows.chunks_exact(width).zip(of) {
+        for (sum, value) in sums[group as usize * width..][..width].iter_mut().zip(row) {
+            *sum += value;
         }
     }
 }
@@ -173,7 +334,7 @@ impl Activations {
     /// Drops rows.
     pub fn keep(&mut self, mlp: &Mlp, kept: &[u32]) {
         for (buffer, layer) in self.layers.iter_mut().zip(&mlp.layers) {
-            let width = layer.forward.n;
+            let width = layer.n();
             buffer.keep_rows(kept, width);
             buffer.resize(padded(kept.len()) * width);
         }
@@ -187,14 +348,14 @@ impl Activations {
     /// Appends the rows `rows` of `from`.
     pub fn append(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
         for ((buffer, from), layer) in self.layers.iter_mut().zip(&from.layers).zip(&mlp.layers) {
-            buffer.append_rows(from, rows, layer.forward.n);
+            buffer.append_rows(from, rows, layer.n());
         }
     }
 
     /// Becomes the rows `rows` of `from`.
     pub fn gather(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
         for ((buffer, from), layer) in self.layers.iter_mut().zip(&from.layers).zip(&mlp.layers) {
-            buffer.gather_rows(from, rows, layer.forward.n, padded(rows.len()));
+            buffer.gather_rows(from, rows, layer.n(), padded(rows.len()));
         }
     }
 }

@@ -2,13 +2,16 @@
 
 use crate::CpuBackend;
 use crate::buffer::Buffer;
+use crate::extents::Extent;
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trimip_core::adamw::Rule;
 use trimip_core::batch::Deposit;
-use trimip_core::config::OptimizerConfig;
+use trimip_core::config::{OptimizerConfig, Untouched};
 use trimip_core::params::{Kind, Slot};
+use trimip_core::tri_mip::CHANNELS;
 use trimip_core::{Config, Layout, Optimizer};
 
 /// Parameters of one task.
@@ -22,6 +25,7 @@ pub struct CpuOptimizer {
     m: Buffer<f32>,
     v: Buffer<f32>,
     non_finite: AtomicU64,
+    halvings: u32,
 }
 
 impl CpuOptimizer {
@@ -35,6 +39,69 @@ impl CpuOptimizer {
             m: Buffer::zeros(length),
             v: Buffer::zeros(length),
             non_finite: AtomicU64::new(0),
+            halvings: 0,
+        }
+    }
+}
+
+impl CpuOptimizer {
+    /// True when texels without a gradient stay as they are.
+    pub(crate) fn skips_untouched(&self) -> bool {
+        self.config.untouched == Untouched::Skip
+    }
+
+    /// As [`Optimizer::step`], for planes whose gradient is zero outside of `touched`.
+    pub(crate) fn step_within(
+        &mut self,
+        parameters: &mut Buffer<f32>,
+        gradient: &Buffer<f32>,
+        deposits: &[Deposit<CpuBackend>],
+        learning_rate: f64,
+        step: u64,
+        touched: Option<&[Extent]>,
+    ) {
+        let weight: f64 = deposits.iter().map(|deposit| deposit.sums.weight).sum();
+        let scale = (1.0 / weight) as f32;
+        let Self { simd, config, slots, m, v, non_finite, halvings } = self;
+        for slot in slots.iter() {
+            let planes = slot.kind == Kind::Planes;
+            let rate = if planes { learning_rate * config.plane_scale } else { learning_rate };
+            let rule = Rule::new(config, rate, step);
+            let skip = planes && config.untouched == Untouched::Skip;
+            let mut range = slot.range.clone();
+            if planes {
+                range.end = range.start + (range.len() >> (2 * *halvings));
+            }
+            let chunk = match touched {
+                Some(rows) if planes => range.len() / rows.len(),
+                _ => CHUNK,
+            };
+            let chunks = parameters[range.clone()]
+                .par_chunks_mut(chunk)
+                .zip(m[range.clone()].par_chunks_mut(chunk))
+                .zip(v[range.clone()].par_chunks_mut(chunk))
+                .zip(gradient[range].par_chunks(chunk));
+            chunks.enumerate().with_min_len(4).for_each(|(i, (((parameters, m), v), gradient))| {
+                let within = match touched {
+                    Some(rows) if planes => {
+                        let Range { start, end } = rows[i].texels();
+                        start * CHANNELS..end * CHANNELS
+                    }
+                    _ => 0..parameters.len(),
+                };
+                let skipped = simd.run(Update {
+                    rule,
+                    scale,
+                    skip,
+                    parameters: &mut parameters[within.clone()],
+                    m: &mut m[within.clone()],
+                    v: &mut v[within.clone()],
+                    gradient: &gradient[within],
+                });
+                if skipped > 0 {
+                    non_finite.fetch_add(skipped, Ordering::Relaxed);
+                }
+            });
         }
     }
 }
@@ -48,24 +115,11 @@ impl Optimizer<CpuBackend> for CpuOptimizer {
         learning_rate: f64,
         step: u64,
     ) {
-        let weight: f64 = deposits.iter().map(|deposit| deposit.sums.weight).sum();
-        let scale = (1.0 / weight) as f32;
-        for slot in &self.slots {
-            let factor = if slot.kind == Kind::Planes { self.config.plane_scale } else { 1.0 };
-            let rule = Rule::new(&self.config, learning_rate * factor, step);
-            let range = slot.range.clone();
-            let chunks = parameters[range.clone()]
-                .par_chunks_mut(CHUNK)
-                .zip(self.m[range.clone()].par_chunks_mut(CHUNK))
-                .zip(self.v[range.clone()].par_chunks_mut(CHUNK))
-                .zip(gradient[range].par_chunks(CHUNK));
-            chunks.for_each(|(((parameters, m), v), gradient)| {
-                let skipped = self.simd.run(Update { rule, scale, parameters, m, v, gradient });
-                if skipped > 0 {
-                    self.non_finite.fetch_add(skipped, Ordering::Relaxed);
-                }
-            });
-        }
+        self.step_within(parameters, gradient, deposits, learning_rate, step, None);
+    }
+
+    fn halve(&mut self, halvings: u32) {
+        self.halvings = halvings;
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {
@@ -84,6 +138,8 @@ impl Optimizer<CpuBackend> for CpuOptimizer {
 struct Update<'a> {
     rule: Rule<f32>,
     scale: f32,
+    /// Leave texels without any gradient as they are.
+    skip: bool,
     parameters: &'a mut [f32],
     m: &'a mut [f32],
     v: &'a mut [f32],
@@ -95,21 +151,23 @@ impl Kernel for Update<'_> {
     type Output = u64;
     #[inline(always)]
     fn run<L: Lanes>(self) -> u64 {
-        let Self { rule, scale, parameters, m, v, gradient } = self;
+        let Self { rule, scale, skip, parameters, m, v, gradient } = self;
         // One pass that looks, so that the pass that writes has no branch and becomes vectors.
         let finite = gradient.iter().fold(0.0_f32, |sum, g| sum + g * 0.0) == 0.0;
-        let moments = m.iter_mut().zip(v.iter_mut());
-        let rows = parameters.iter_mut().zip(moments).zip(gradient);
-        if finite {
-            rows.for_each(|((parameter, (m, v)), gradient)| rule.apply(parameter, m, v, gradient * scale));
-            return 0;
-        }
+        // Every slot holds a multiple of 16 values; arrays of known length become vectors.
+        let moments = m.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(v.as_chunks_mut::<CHANNELS>().0);
+        let texels = parameters.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(moments);
         let mut skipped = 0;
-        for ((parameter, (m, v)), gradient) in rows {
-            if gradient.is_finite() {
-                rule.apply(parameter, m, v, gradient * scale);
-            } else {
-                skipped += 1;
+        for ((parameters, (m, v)), gradient) in texels.zip(gradient.as_chunks::<CHANNELS>().0) {
+            if skip && gradient.iter().all(|g| *g == 0.0) {
+                continue;
+            }
+            for i in 0..CHANNELS {
+                if finite || gradient[i].is_finite() {
+                    rule.apply(&mut parameters[i], &mut m[i], &mut v[i], gradient[i] * scale);
+                } else {
+                    skipped += 1;
+                }
             }
         }
         skipped

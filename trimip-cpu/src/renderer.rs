@@ -6,6 +6,7 @@ use crate::{CpuBackend, Lane};
 use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere};
 use trimip_core::compositing::{composite, composite_gradient};
 use trimip_core::rng::{Random, Stream};
+use trimip_core::schedule::Schedule;
 use trimip_core::{Aabb, Config, Pixel, Renderer};
 
 /// How far a ray has been marched.
@@ -15,6 +16,8 @@ pub(crate) struct Cursor {
     first: f32,
     /// Distance at which the ray leaves the box; −∞ when it misses.
     leave: f32,
+    /// Length of a step.
+    step: f32,
     /// Steps done.
     index: f32,
 }
@@ -22,9 +25,13 @@ pub(crate) struct Cursor {
 /// Box, step and background.
 pub struct CpuRenderer {
     aabb: Aabb<f32>,
+    /// Length of a step of the schedule's scale 1.
+    uniform_step: f32,
+    step_scale: Schedule,
+    /// Length of a step as the schedule has it.
     step_length: f32,
-    /// Steps that fit into the box along any ray, and one for rounding.
-    most_samples: usize,
+    /// Least length of a step in radii of the ray's sphere in the middle of the box.
+    step_per_radius: f32,
     /// Optical depth before a sample above which it is dropped: −ln of the least transmittance.
     pub(crate) max_depth: f32,
     background: [f32; 3],
@@ -34,13 +41,14 @@ pub struct CpuRenderer {
 impl CpuRenderer {
     /// The renderer of a configuration.
     pub fn new(config: &Config) -> Self {
-        let (aabb, step_length) = (Aabb::new(&config.scene), step_length(config));
-        let [x, y, z] = aabb.extent().map(f64::from);
-        let diagonal = (x * x + y * y + z * z).sqrt();
+        let uniform_step = step_length(config);
+        let step_scale = config.renderer.step_scale.clone();
         Self {
-            aabb,
-            step_length,
-            most_samples: (diagonal / f64::from(step_length)).ceil() as usize + 2,
+            aabb: Aabb::new(&config.scene),
+            uniform_step,
+            step_length: uniform_step * step_scale.at(0.0) as f32,
+            step_scale,
+            step_per_radius: config.renderer.step_per_radius,
             max_depth: -config.renderer.min_transmittance.ln(),
             background: config.data.background,
             random: Random::new(config.seed),
@@ -52,9 +60,18 @@ impl CpuRenderer {
     pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
         let (enter, leave) = self.aabb.intersect(ray.origin, ray.direction);
         let offset = jitter.map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, index)[0]);
-        let first = enter + offset * self.step_length;
+        let by_radius = self.step_per_radius * ray.slope * 0.5 * (enter + leave);
+        // A comparison with NaN is false: the uniform step.
+        let step = if by_radius > self.step_length { by_radius } else { self.step_length };
+        let first = enter + offset * step;
         let hits = leave > first && leave.is_finite();
-        Cursor { first, leave: if hits { leave } else { f32::NEG_INFINITY }, index: 0.0 }
+        Cursor { first, leave: if hits { leave } else { f32::NEG_INFINITY }, step, index: 0.0 }
+    }
+
+    /// Steps that fit into the box along any ray, and one for rounding.
+    fn most_samples(&self) -> usize {
+        let [x, y, z] = self.aabb.extent().map(f64::from);
+        ((x * x + y * y + z * z).sqrt() / f64::from(self.step_length)).ceil() as usize + 2
     }
 
     /// Calls `place` for the middle of every step from the cursor on that lies in an occupied cell, at most `limit`
@@ -74,11 +91,11 @@ impl CpuRenderer {
         let inverse_extent = self.aabb.extent().map(f32::recip);
         let cell_extent = self.aabb.extent().map(|side| side / resolution as f32);
         let inverse_direction = ray.direction.map(f32::recip);
-        let inverse_step = self.step_length.recip();
-        let Cursor { first, leave, mut index } = *cursor;
+        let Cursor { first, leave, step, mut index } = *cursor;
+        let inverse_step = step.recip();
         let mut placed = 0;
         loop {
-            let t = first + (index + 0.5) * self.step_length;
+            let t = first + (index + 0.5) * step;
             if !(t < leave) {
                 return true;
             }
@@ -91,7 +108,7 @@ impl CpuRenderer {
             });
             let cell = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
             let Some(size) = occupancy.empty_around(cell) else {
-                place(Interval { t, length: self.step_length }, Sphere { position, radius: ray.slope * t });
+                place(Interval { t, length: step }, Sphere { position, radius: ray.slope * t });
                 placed += 1;
                 index += 1.0;
                 continue;
@@ -118,6 +135,10 @@ impl CpuRenderer {
 }
 
 impl Renderer<CpuBackend> for CpuRenderer {
+    fn follow(&mut self, progress: f64) {
+        self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
+    }
+
     fn march(
         &self,
         _: &mut Lane,
@@ -127,11 +148,12 @@ impl Renderer<CpuBackend> for CpuRenderer {
         samples: &mut Samples<CpuBackend>,
     ) {
         samples.segments.resize(rays.rays.len());
+        let most_samples = self.most_samples();
         let mut count = 0;
         for (i, ray) in rays.rays.iter().enumerate() {
             let start = count;
             // Room for a ray that is occupied all along, so that placing a sample is a plain store.
-            let most = start + self.most_samples;
+            let most = start + most_samples;
             samples.rays.resize(most);
             samples.intervals.resize(most);
             samples.spheres.resize(most);
@@ -187,13 +209,14 @@ impl Renderer<CpuBackend> for CpuRenderer {
         pixels: &mut Buffer<Pixel>,
     ) {
         pixels.resize(rays.rays.len());
-        for ((pixel, segment), ray) in pixels.iter_mut().zip(samples.segments.iter()).zip(rays.rays.iter()) {
+        let rows = pixels.iter_mut().zip(samples.segments.iter()).zip(rays.rays.iter());
+        for (i, ((pixel, segment), ray)) in rows.enumerate() {
             let result = composite(
                 range(segment).map(|i| {
                     let Interval { t, length } = samples.intervals[i];
                     (radiance[i].density * length, radiance[i].rgb, t)
                 }),
-                self.background,
+                rays.targets.get(i).map_or(self.background, |target| target.background),
             );
             *pixel = Pixel { rgb: result.rgb, opacity: result.opacity, depth: result.distance * ray.cosine };
         }

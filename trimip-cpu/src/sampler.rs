@@ -4,6 +4,7 @@ use crate::{CpuBackend, Lane};
 use std::ops::Range;
 use trimip_core::backend::Sampler;
 use trimip_core::batch::{Rays, Target};
+use trimip_core::config::TrainBackground;
 use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
@@ -14,6 +15,7 @@ pub struct CpuSampler {
     /// Share of a batch's rays per scale, ∝ 1/weight: each scale then has the same part of the loss.
     shares: Vec<f64>,
     background: [f32; 3],
+    train_background: TrainBackground,
     random: Random,
 }
 
@@ -30,6 +32,7 @@ impl CpuSampler {
             views,
             shares: weights.into_iter().map(|weight| weight / sum).collect(),
             background: config.data.background,
+            train_background: config.train.background,
             random: Random::new(config.seed),
         }
     }
@@ -73,9 +76,17 @@ impl Sampler<CpuBackend> for CpuSampler {
             let within = (pixel - view.offset) as u32;
             let width = view.camera.intrinsics.width;
             rays.rays[slot] = view.camera.cone(within % width, within / width).into();
+            let background = match self.train_background {
+                TrainBackground::Fixed => self.background,
+                TrainBackground::Random => {
+                    let [r, g, b, _] = self.random.uniform(Stream::Background, step, index);
+                    [r, g, b]
+                }
+            };
             rays.targets[slot] = Target {
-                rgb: composite_pixel(views.pixels[pixel], views.alpha, self.background),
+                rgb: composite_pixel(views.pixels[pixel], views.alpha, background),
                 weight: scale.weight,
+                background,
             };
         }
     }

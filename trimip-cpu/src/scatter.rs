@@ -3,8 +3,10 @@
 //! order. A row of a level belongs to exactly one band.
 
 use crate::CpuBackend;
+use crate::extents::{Extent, Extents};
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
+use std::ops::Range;
 use trimip_core::batch::{Deposit, Sphere};
 use trimip_core::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
 
@@ -15,8 +17,15 @@ pub const BANDS: usize = 16;
 pub struct Band<'a> {
     plane: usize,
     band: usize,
-    /// First row and texels of each level.
-    levels: Vec<(usize, &'a mut [f32])>,
+    levels: Vec<LevelBand<'a>>,
+}
+
+/// The rows of a band that belong to one level.
+struct LevelBand<'a> {
+    first_row: usize,
+    texels: &'a mut [f32],
+    /// What is touched of each row.
+    extents: &'a mut [Extent],
 }
 
 /// Band that owns a row of a level with `side` rows.
@@ -59,25 +68,29 @@ impl Band<'_> {
     }
 }
 
-/// Overwrites `base` and `derived` with the sums of all deposits.
+/// Overwrites `base` and `derived` with the sums of all deposits; both are zero outside of `touched`, before and after.
 pub fn spread(
     simd: Simd,
     pyramid: &Pyramid,
     deposits: &[Deposit<CpuBackend>],
     base: &mut [f32],
     derived: &mut [f32],
+    touched: &mut Extents,
 ) {
     let mut bands: Vec<Band<'_>> = (0..3 * BANDS)
         .map(|i| Band { plane: i / BANDS, band: i % BANDS, levels: Vec::with_capacity(pyramid.levels) })
         .collect();
     let mut rest = [base, derived];
-    for level in 0..pyramid.levels {
+    for (level, extents) in touched.iter_mut().enumerate() {
         let side = pyramid.side(level);
+        let mut extents = extents.as_mut_slice();
         let texels = &mut rest[usize::from(level > 0)];
         for band in &mut bands {
             let (from, to) = (first_row(band.band, side), first_row(band.band + 1, side));
             let (rows, after) = std::mem::take(texels).split_at_mut((to - from) * side * CHANNELS);
-            band.levels.push((from, rows));
+            let (row_extents, rest) = std::mem::take(&mut extents).split_at_mut(to - from);
+            extents = rest;
+            band.levels.push(LevelBand { first_row: from, texels: rows, extents: row_extents });
             *texels = after;
         }
     }
@@ -95,8 +108,13 @@ impl Kernel for SpreadBand<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self) {
         let Band { plane, band, mut levels } = self.band;
-        for (_, texels) in &mut levels {
-            texels.fill(0.0);
+        for (level, LevelBand { texels, extents, .. }) in levels.iter_mut().enumerate() {
+            let rows = texels.chunks_exact_mut(self.pyramid.side(level) * CHANNELS);
+            for (row, extent) in rows.zip(extents.iter_mut()) {
+                let Range { start, end } = extent.texels();
+                row[start * CHANNELS..end * CHANNELS].fill(0.0);
+                *extent = Extent::EMPTY;
+            }
         }
         let [a, b] = PLANE_AXES[plane];
         for deposit in self.deposits {
@@ -112,13 +130,14 @@ impl Kernel for SpreadBand<'_> {
                     }
                     let side = self.pyramid.side(level);
                     let taps = taps(side, sphere.position[a], sphere.position[b]);
-                    let (first, texels) = &mut levels[level];
+                    let LevelBand { first_row, texels, extents } = &mut levels[level];
                     for i in 0..2 {
                         if owner(taps.rows[i], side) != band {
                             continue;
                         }
+                        extents[taps.rows[i] - *first_row].add(taps.columns[0], taps.columns[1]);
                         for j in 0..2 {
-                            let texel = ((taps.rows[i] - *first) * side + taps.columns[j]) * CHANNELS;
+                            let texel = ((taps.rows[i] - *first_row) * side + taps.columns[j]) * CHANNELS;
                             let texel = texels[texel..][..CHANNELS].as_mut_ptr();
                             // SAFETY: the slice holds 16 values.
                             unsafe {

@@ -94,6 +94,8 @@ pub trait Lanes: Copy {
     fn where_positive(self, mask: Self) -> Self;
     /// Sum.
     fn add(self, other: Self) -> Self;
+    /// Sum of all lanes.
+    fn sum(self) -> f32;
 }
 
 /// Lanes in plain Rust.
@@ -143,6 +145,10 @@ impl Lanes for Plain {
             self.0[i] += other.0[i];
         }
         self
+    }
+    #[inline(always)]
+    fn sum(self) -> f32 {
+        self.0.iter().sum()
     }
 }
 
@@ -200,6 +206,10 @@ mod x86 {
         fn add(self, other: Self) -> Self {
             Self(unsafe { _mm512_add_ps(self.0, other.0) })
         }
+        #[inline(always)]
+        fn sum(self) -> f32 {
+            unsafe { _mm512_reduce_add_ps(self.0) }
+        }
     }
 
     /// Two AVX2 registers.
@@ -253,6 +263,15 @@ mod x86 {
         fn add(self, other: Self) -> Self {
             unsafe { Self(_mm256_add_ps(self.0, other.0), _mm256_add_ps(self.1, other.1)) }
         }
+        #[inline(always)]
+        fn sum(self) -> f32 {
+            unsafe {
+                let eight = _mm256_add_ps(self.0, self.1);
+                let four = _mm_add_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
+                let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+                _mm_cvtss_f32(_mm_add_ss(two, _mm_shuffle_ps::<1>(two, two)))
+            }
+        }
     }
 }
 
@@ -263,12 +282,12 @@ mod tests {
     struct Check;
 
     impl Kernel for Check {
-        type Output = [[f32; 16]; 4];
+        type Output = [[f32; 16]; 5];
         #[inline(always)]
         fn run<L: Lanes>(self) -> Self::Output {
             let x: [f32; 16] = std::array::from_fn(|i| i as f32 - 7.5);
             let mask: [f32; 16] = std::array::from_fn(|i| if i % 3 == 0 { 1.0 } else { -0.0 });
-            let mut out = [[0.0; 16]; 4];
+            let mut out = [[0.0; 16]; 5];
             // SAFETY: all arrays hold 16 values.
             unsafe {
                 let (x, mask) = (L::load(x.as_ptr()), L::load(mask.as_ptr()));
@@ -276,6 +295,7 @@ mod tests {
                 x.relu().store(out[1].as_mut_ptr());
                 x.where_positive(mask).store(out[2].as_mut_ptr());
                 x.add(x).store(out[3].as_mut_ptr());
+                out[4] = [x.sum(); 16];
             }
             out
         }
@@ -287,7 +307,7 @@ mod tests {
             let out = set.run(Check);
             for i in 0..16 {
                 let x = i as f32 - 7.5;
-                let expected = [2.0 * x + 0.25, x.max(0.0), if i % 3 == 0 { x } else { 0.0 }, 2.0 * x];
+                let expected = [2.0 * x + 0.25, x.max(0.0), if i % 3 == 0 { x } else { 0.0 }, 2.0 * x, 0.0];
                 assert_eq!(out.map(|row| row[i]), expected, "{set:?}");
             }
         }

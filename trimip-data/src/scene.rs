@@ -99,17 +99,39 @@ impl Survey {
             train.extend(part.sources);
             warnings.extend(part.warnings);
         }
-        let test = read(&config.test)?;
-        warnings.extend(test.warnings);
-        if config.train.contains(&config.test) {
-            warnings.push(format!("split \"{}\" is both trained and tested on", config.test));
-        }
+        let test = if config.holdout > 0 {
+            hold_out(&mut train, config.holdout as usize)?
+        } else {
+            let test = read(&config.test)?;
+            warnings.extend(test.warnings);
+            if config.train.contains(&config.test) {
+                warnings.push(format!("split \"{}\" is both trained and tested on", config.test));
+            }
+            test.sources
+        };
         warnings.extend(alpha_warning(&train));
         let mut seen = std::collections::HashSet::new();
         warnings.retain(|warning| seen.insert(warning.clone()));
         drop(read);
-        Ok(Self { name, layout, train_splits, train, test: test.sources, warnings })
+        Ok(Self { name, layout, train_splits, train, test, warnings })
     }
+}
+
+/// Takes every n-th frame out of `train`, the first among them.
+fn hold_out(train: &mut Vec<Source>, every: usize) -> Result<Vec<Source>> {
+    let (mut held, mut kept) = (Vec::new(), Vec::new());
+    for (index, source) in train.drain(..).enumerate() {
+        if index % every == 0 { held.push(source) } else { kept.push(source) }
+    }
+    if kept.is_empty() {
+        return Err(Error::input(
+            "data.holdout",
+            format!("leaves none of {} training frames", held.len()),
+            "use more frames or set it to 0",
+        ));
+    }
+    *train = kept;
+    Ok(held)
 }
 
 /// The layout of the configured folder; refuses folders that have none.

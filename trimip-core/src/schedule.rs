@@ -1,0 +1,52 @@
+//! Settings that change in the course of a run: constant pieces, each from a fraction of the run on.
+
+use serde::{Deserialize, Serialize};
+
+/// Pieces `[fraction, value]`, rising in the fraction; the first begins at 0. `[[0.0, 4.0], [0.5, 1.0]]` is 4 in the first
+/// half of a run and 1 in the second.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Schedule(Vec<[f64; 2]>);
+
+impl Schedule {
+    /// The value at `progress` in [0, 1].
+    pub fn at(&self, progress: f64) -> f64 {
+        let begun = self.0.iter().take_while(|[fraction, _]| *fraction <= progress);
+        begun.last().or(self.0.first()).map_or(0.0, |[_, value]| *value)
+    }
+
+    /// All values.
+    pub fn values(&self) -> impl Iterator<Item = f64> {
+        self.0.iter().map(|[_, value]| *value)
+    }
+
+    /// True when the pieces cover a run: the first begins at 0, the others follow it in order.
+    pub fn is_whole(&self) -> bool {
+        let fractions = || self.0.iter().map(|[fraction, _]| *fraction);
+        fractions().next() == Some(0.0)
+            && fractions().is_sorted_by(|a, b| a < b)
+            && fractions().all(|f| (0.0..1.0).contains(&f))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_piece_lasts_until_the_next_begins() {
+        let schedule = Schedule(vec![[0.0, 4.0], [0.25, 2.0], [0.5, 1.0]]);
+        let at = [0.0, 0.2499, 0.25, 0.4, 0.5, 1.0, 1.5].map(|progress| schedule.at(progress));
+        assert_eq!(at, [4.0, 4.0, 2.0, 2.0, 1.0, 1.0, 1.0]);
+        assert!(schedule.is_whole());
+    }
+
+    #[test]
+    fn pieces_that_do_not_cover_a_run_are_known() {
+        for pieces in
+            [vec![], vec![[0.1, 1.0]], vec![[0.0, 1.0], [0.0, 2.0]], vec![[0.0, 1.0], [f64::NAN, 2.0]]]
+        {
+            assert!(!Schedule(pieces.clone()).is_whole(), "{pieces:?}");
+        }
+    }
+}
