@@ -133,6 +133,11 @@ impl Reference {
 
     /// Composites the samples of a ray on the configured background.
     pub fn pixel(&self, ray: &Ray, samples: &[Sample]) -> Composited {
+        self.pixel_on(ray, samples, self.config.data.background)
+    }
+
+    /// Composites the samples of a ray on a background.
+    pub fn pixel_on(&self, ray: &Ray, samples: &[Sample], background: [f32; 3]) -> Composited {
         let direction = ray.direction.map(f64::from);
         let radiance: Vec<_> = samples
             .iter()
@@ -141,7 +146,7 @@ impl Reference {
                 (self.density(&geometry), self.color(&geometry, direction))
             })
             .collect();
-        composite(samples, &radiance, self.config.data.background.map(f64::from), ray.cosine.into())
+        composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
     }
 
     /// The loss over rays whose samples (kept ones only) are given: Σ weight·mean of smooth-L1, over Σ weight of the
@@ -152,7 +157,7 @@ impl Reference {
             if self.config.loss.rays == LossRays::Live && samples.is_empty() {
                 continue;
             }
-            let pixel = self.pixel(ray, samples);
+            let pixel = self.pixel_on(ray, samples, target.background);
             let weight = f64::from(target.weight);
             weights += weight;
             for c in 0..3 {
@@ -242,12 +247,22 @@ pub fn step_length(config: &Config) -> f64 {
     side(0).max(side(1)).max(side(2)) * 3.0_f64.sqrt() / f64::from(config.renderer.steps_per_diagonal)
 }
 
+/// World length of a ray's step: the uniform step times its scale at `progress`, and at least so many radii of the
+/// sphere (slope · t) in the middle between entering and leaving the box.
+pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
+    let uniform = step_length(config) * config.renderer.step_scale.at(progress);
+    let (enter, leave) =
+        span(config, ray.origin.map(f64::from), ray.direction.map(f64::from)).unwrap_or((0.0, 0.0));
+    let radius = f64::from(ray.slope) * (enter + leave) / 2.0;
+    uniform.max(f64::from(config.renderer.step_per_radius) * radius)
+}
+
 /// The middles of all uniform steps in the box, `offset` of a step late; `occupied` is asked at every one of them.
 pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]) -> bool) -> Vec<Sample> {
     let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
     let mut samples = Vec::new();
     let Some((enter, leave)) = span(config, origin, direction) else { return samples };
-    let length = step_length(config);
+    let length = ray_step(config, ray, 0.0);
     for i in 0.. {
         let t = enter + (offset + f64::from(i) + 0.5) * length;
         if t >= leave {

@@ -47,6 +47,16 @@ fn marching_is_asking_every_step() {
 }
 
 #[test]
+fn the_step_follows_its_schedule() {
+    on_every_cpu(|make| suite::marching::scale(make));
+}
+
+#[test]
+fn a_step_moves_parameters_by_the_written_rule() {
+    on_every_cpu(|make| suite::training::update(make));
+}
+
+#[test]
 fn jitter_moves_rays_by_parts_of_a_step() {
     on_every_cpu(|make| suite::marching::jitter(make));
 }

@@ -108,5 +108,9 @@ mod tests {
         assert_eq!(learning_rate(&config, 0.49), 2e-3);
         assert_eq!(learning_rate(&config, 0.5), 2e-3 * 0.6);
         assert!((learning_rate(&config, 1.0) - 2e-3 * 0.6_f64.powi(4)).abs() < 1e-15);
+        let cosine = OptimizerConfig { schedule: RateSchedule::Cosine, final_factor: 0.02, ..config };
+        for (progress, factor) in [(0.0, 1.0), (0.5, 0.51), (1.0, 0.02), (1.1, 0.02)] {
+            assert!((learning_rate(&cosine, progress) - 2e-3 * factor).abs() < 1e-15, "{progress}");
+        }
     }
 }

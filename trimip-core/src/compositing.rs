@@ -22,6 +22,48 @@ pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
     (transmittance * alpha, transmittance * (-depth).exp())
 }
 
+/// Which samples are dropped before their colour is asked: those that can hardly be seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pruning<R> {
+    /// Optical depth before a sample above which it is dropped: −ln of the least transmittance.
+    pub max_depth: R,
+    /// Weight T·α below which a sample is dropped, as if it were empty.
+    pub min_weight: R,
+}
+
+/// What becomes of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Seen {
+    /// It is kept.
+    Yes,
+    /// It is dropped, what lies behind it is seen.
+    No,
+    /// It is dropped with all that lies behind it.
+    Hidden,
+}
+
+impl<R: Real> Pruning<R> {
+    /// The rule for a least transmittance and a least weight.
+    pub fn new(min_transmittance: R, min_weight: R) -> Self {
+        Self { max_depth: -min_transmittance.ln(), min_weight }
+    }
+
+    /// Decides about a sample of optical depth `depth`; `before` is the optical depth of those kept before it, which a
+    /// kept sample adds to.
+    #[inline]
+    pub fn see(&self, before: &mut R, depth: R) -> Seen {
+        if *before > self.max_depth {
+            return Seen::Hidden;
+        }
+        // The comparison is false for NaN: such a sample is kept, and the step that meets it reports it.
+        if self.min_weight > R::zero() && weight((-*before).exp(), depth).0 < self.min_weight {
+            return Seen::No;
+        }
+        *before += depth;
+        Seen::Yes
+    }
+}
+
 /// Composites samples of optical depth, colour and distance, front to back.
 #[inline]
 pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, background: [R; 3]) -> Composite<R> {
@@ -152,6 +194,21 @@ mod tests {
             assert!((result.opacity - (1.0 - (-1.3_f64).exp())).abs() < 1e-12);
             assert!((result.rgb[1] - 0.5 * result.opacity).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn pruning_drops_what_weighs_little_and_what_is_hidden() {
+        let pruning = Pruning::new(0.01_f64, 0.05);
+        let depths = [0.04, 1.0, 0.06, 3.0, 2.0, 0.1];
+        let mut before = 0.0;
+        let seen = depths.map(|depth| pruning.see(&mut before, depth));
+        // Weights 0.039, 0.632, e^-1·0.058 = 0.021, e^-1·0.95 = 0.35, e^-4·0.86 = 0.016, e^-4·0.095; 0.01 is e^-4.6.
+        assert_eq!(seen, [Seen::No, Seen::Yes, Seen::No, Seen::Yes, Seen::No, Seen::No]);
+        let all = Pruning::new(0.01_f64, 0.0);
+        let mut before = 0.0;
+        let seen = [0.0, 4.0, 0.7, 1.0].map(|depth| all.see(&mut before, depth));
+        assert_eq!(seen, [Seen::Yes, Seen::Yes, Seen::Yes, Seen::Hidden]);
+        assert_eq!(Pruning::new(0.0_f32, 0.0).see(&mut 1e30, 1.0), Seen::Yes);
     }
 
     #[test]

@@ -120,6 +120,7 @@ section!(
     /// Marching and compositing.
     RendererConfig {
         steps_per_diagonal: u32, step_scale: Schedule, step_per_radius: f32, min_transmittance: f32,
+        min_weight: f32,
     }
 );
 section!(
@@ -300,6 +301,7 @@ impl Config {
             "renderer.min_transmittance",
             "0 to below 1",
         )?;
+        check((0.0..1.0).contains(&renderer.min_weight), "renderer.min_weight", "0 to below 1")?;
         let occupancy = &self.occupancy;
         check(
             (4..=1024).contains(&occupancy.resolution) && occupancy.resolution.is_multiple_of(4),

@@ -3,7 +3,7 @@
 
 use crate::{
     config::OccupancyConfig,
-    rng::{Random, Stream, unit},
+    rng::{Draws, Random, Stream, unit},
 };
 
 /// Cell that holds a position of the unit box; positions outside belong to the nearest cell.
@@ -31,8 +31,7 @@ pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32;
 /// occupied cell with the probability that makes at most the same share of the grid; no cell is asked twice.
 #[derive(Clone, Copy, Debug)]
 pub struct Choice {
-    random: Random,
-    step: u64,
+    draws: Draws,
     fraction: f32,
     occupied_probability: f32,
 }
@@ -43,7 +42,7 @@ impl Choice {
         let warm = step < u64::from(config.warmup);
         let fraction = if warm { config.warmup_fraction } else { config.fraction };
         let occupied_probability = fraction * cells as f32 / occupied.max(1) as f32;
-        Self { random: Random::new(seed), step, fraction, occupied_probability }
+        Self { draws: Random::new(seed).at(Stream::Cell, step), fraction, occupied_probability }
     }
 
     /// True when `cell` is asked.
@@ -52,7 +51,7 @@ impl Choice {
         if self.fraction >= 1.0 {
             return true;
         }
-        let [first, second, ..] = self.random.bits(Stream::Cell, self.step, cell);
+        let [first, second, ..] = self.draws.bits(cell);
         unit(first) < self.fraction || (occupied && unit(second) < self.occupied_probability)
     }
 }

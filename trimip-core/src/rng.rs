@@ -31,19 +31,37 @@ impl Random {
         Self { seed: [seed as u32, (seed >> 32) as u32] }
     }
 
+    /// The numbers of a stream at a step: the part of the hash that all indices share.
+    #[inline]
+    pub fn at(&self, stream: Stream, step: u64) -> Draws {
+        let key = self.seed[1].wrapping_mul(0x9e37_79b9) ^ (stream as u32).wrapping_mul(0x85eb_ca6b);
+        // The second round of the hash separates seeds that differ in few bits.
+        Draws(pcg4d([self.seed[0] ^ key, step as u32, (step >> 32) as u32, stream as u32]))
+    }
+
     /// Four independent 32-bit numbers for (`stream`, `step`, `index`).
     #[inline]
     pub fn bits(&self, stream: Stream, step: u64, index: u32) -> [u32; 4] {
-        let key = self.seed[1].wrapping_mul(0x9e37_79b9) ^ (stream as u32).wrapping_mul(0x85eb_ca6b);
-        // The second round of the hash separates seeds that differ in few bits.
-        let inner = pcg4d([self.seed[0] ^ key, step as u32, (step >> 32) as u32, stream as u32]);
-        pcg4d([inner[0] ^ index, inner[1], inner[2], inner[3].wrapping_add(index)])
+        self.at(stream, step).bits(index)
     }
 
     /// Four independent numbers in [0, 1), multiples of 2^−24.
     #[inline]
     pub fn uniform(&self, stream: Stream, step: u64, index: u32) -> [f32; 4] {
         self.bits(stream, step, index).map(unit)
+    }
+}
+
+/// The numbers of one stream at one step.
+#[derive(Clone, Copy, Debug)]
+pub struct Draws([u32; 4]);
+
+impl Draws {
+    /// Four independent 32-bit numbers for `index`.
+    #[inline]
+    pub fn bits(&self, index: u32) -> [u32; 4] {
+        let [x, y, z, w] = self.0;
+        pcg4d([x ^ index, y, z, w.wrapping_add(index)])
     }
 }
 

@@ -9,6 +9,11 @@ use serde::{Deserialize, Serialize};
 pub struct Schedule(Vec<[f64; 2]>);
 
 impl Schedule {
+    /// A schedule of pieces; see [`Schedule::is_whole`].
+    pub fn new(pieces: Vec<[f64; 2]>) -> Self {
+        Self(pieces)
+    }
+
     /// The value at `progress` in [0, 1].
     pub fn at(&self, progress: f64) -> f64 {
         let begun = self.0.iter().take_while(|[fraction, _]| *fraction <= progress);

@@ -104,7 +104,7 @@ impl Backend for CpuBackend {
         Ok(Stages {
             encoder: CpuEncoder::new(self.simd, config, training),
             field: CpuField::new(self.simd, config, &layout),
-            renderer: CpuRenderer::new(config),
+            renderer: CpuRenderer::new(self.simd, config),
             optimizer: CpuOptimizer::new(self.simd, config, &layout, training),
             sampler: CpuSampler::new(config, views),
             occupancy: CpuOccupancy::new(config),

@@ -3,7 +3,7 @@
 use crate::buffer::Buffer;
 use crate::extents::{Extent, Extents};
 use crate::gemm::padded;
-use crate::scatter::{BANDS, Band, spread};
+use crate::scatter::{BANDS, Sort, spread};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
@@ -98,9 +98,8 @@ impl Encoder<CpuBackend> for CpuEncoder {
         gradient.spheres[first..].copy_from_slice(&samples.spheres);
         gradient.rows.resize((first + count) * FEATURES);
         gradient.rows[first * FEATURES..].copy_from_slice(&feature_gradients[..count * FEATURES]);
-        for (i, sphere) in samples.spheres.iter().enumerate() {
-            Band::sort(&self.pyramid, sphere, (first + i) as u32, &mut gradient.bands);
-        }
+        let (pyramid, bands) = (&self.pyramid, &mut gradient.bands);
+        self.simd.run(Sort { pyramid, spheres: &samples.spheres, first: first as u32, bands });
     }
 
     fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {
@@ -243,39 +242,97 @@ struct Gather<'a> {
     features: &'a mut [f32],
 }
 
+/// Samples whose texels are fetched into the caches before the first of them is summed.
+const AHEAD: usize = 8;
+
+/// Levels a pyramid can have: plane sizes go up to 4096.
+const MOST_LEVELS: usize = 16;
+
+/// One bilinear read: where its texels are, and their weights with the level's share.
+#[derive(Clone, Copy)]
+struct Read {
+    texels: [*const f32; 4],
+    weights: [f32; 4],
+}
+
+/// What a sample reads: on each plane one level or two.
+#[derive(Clone, Copy)]
+struct Reads {
+    reads: [[Read; 2]; 3],
+    two: [bool; 3],
+}
+
+impl Gather<'_> {
+    /// First texel of every level and plane.
+    #[inline(always)]
+    fn places(&self) -> [[*const f32; 3]; MOST_LEVELS] {
+        let mut places = [[std::ptr::null(); 3]; MOST_LEVELS];
+        for (level, planes) in places.iter_mut().enumerate().take(self.pyramid.levels) {
+            let size = self.pyramid.side(level).pow(2) * CHANNELS;
+            for (plane, place) in planes.iter_mut().enumerate() {
+                *place = if level == 0 {
+                    self.base[plane * size..][..size].as_ptr()
+                } else {
+                    self.derived[self.pyramid.derived_offset(level, plane)..][..size].as_ptr()
+                };
+            }
+        }
+        places
+    }
+
+    /// Finds what a sample reads, and fetches it.
+    #[inline(always)]
+    fn find<L: Lanes>(&self, places: &[[*const f32; 3]; MOST_LEVELS], sphere: &Sphere, to: &mut Reads) {
+        let log2_radius = sphere.radius.log2();
+        for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
+            let blend = self.pyramid.blend(plane, log2_radius);
+            to.two[plane] = blend.fraction != 0.0;
+            let shares = [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)];
+            for (read, (level, share)) in to.reads[plane].iter_mut().zip(shares) {
+                if share == 0.0 {
+                    continue;
+                }
+                let side = self.pyramid.side(level);
+                let taps = taps(side, sphere.position[a], sphere.position[b]);
+                for i in 0..2 {
+                    for j in 0..2 {
+                        let texel = (taps.rows[i] * side + taps.columns[j]) * CHANNELS;
+                        // SAFETY: taps clamps rows and columns below `side`; the level holds side² texels.
+                        let texel = unsafe { places[level][plane].add(texel) };
+                        L::fetch(texel);
+                        read.texels[2 * i + j] = texel;
+                        read.weights[2 * i + j] = share * taps.weights[i][j];
+                    }
+                }
+            }
+        }
+    }
+}
+
 impl Kernel for Gather<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        for (sphere, out) in self.spheres.iter().zip(self.features.chunks_exact_mut(FEATURES)) {
-            let log2_radius = sphere.radius.log2();
-            for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
-                let blend = self.pyramid.blend(plane, log2_radius);
-                let mut sum = L::splat(0.0);
-                for (level, share) in [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
-                {
-                    if share == 0.0 {
-                        continue;
-                    }
-                    let side = self.pyramid.side(level);
-                    let texels = if level == 0 {
-                        &self.base[plane * side * side * CHANNELS..]
-                    } else {
-                        &self.derived[self.pyramid.derived_offset(level, plane)..]
-                    };
-                    let texels = &texels[..side * side * CHANNELS];
-                    let taps = taps(side, sphere.position[a], sphere.position[b]);
-                    for i in 0..2 {
-                        for j in 0..2 {
-                            let texel = (taps.rows[i] * side + taps.columns[j]) * CHANNELS;
-                            // SAFETY: taps clamps rows and columns below `side`, and `texels` holds side² texels.
-                            let value = unsafe { L::load(texels.as_ptr().add(texel)) };
-                            sum = L::splat(share * taps.weights[i][j]).mul_add(value, sum);
+        let places = self.places();
+        let nothing = Read { texels: [std::ptr::null(); 4], weights: [0.0; 4] };
+        let mut ahead = [Reads { reads: [[nothing; 2]; 3], two: [false; 3] }; AHEAD];
+        for (first, spheres) in self.spheres.chunks(AHEAD).enumerate() {
+            for (sphere, reads) in spheres.iter().zip(&mut ahead) {
+                self.find::<L>(&places, sphere, reads);
+            }
+            let out = &mut self.features[first * AHEAD * FEATURES..][..spheres.len() * FEATURES];
+            for (reads, out) in ahead.iter().zip(out.chunks_exact_mut(FEATURES)) {
+                for plane in 0..3 {
+                    let mut sum = L::splat(0.0);
+                    for read in &reads.reads[plane][..1 + usize::from(reads.two[plane])] {
+                        for (texel, weight) in read.texels.into_iter().zip(read.weights) {
+                            // SAFETY: `find` made the pointer from texels that this kernel borrows.
+                            sum = L::splat(weight).mul_add(unsafe { L::load(texel) }, sum);
                         }
                     }
+                    // SAFETY: `out` holds 48 values.
+                    unsafe { sum.store(out.as_mut_ptr().add(plane * CHANNELS)) };
                 }
-                // SAFETY: `out` holds 48 values.
-                unsafe { sum.store(out.as_mut_ptr().add(plane * CHANNELS)) };
             }
         }
     }

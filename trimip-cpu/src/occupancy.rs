@@ -62,7 +62,7 @@ impl CpuOccupancy {
     }
 
     /// Side, in cells, of the largest empty cube of the hierarchy that holds a cell; `None` when the cell is occupied.
-    #[inline]
+    #[inline(always)]
     pub fn empty_around(&self, cell: [u32; 3]) -> Option<u32> {
         let block = cell.map(|c| c / BLOCK);
         let [x, y, z] = block.map(|c| c / BLOCK);
@@ -125,7 +125,7 @@ impl CpuOccupancy {
 }
 
 /// Bit of a cell within its block, or of a block within its block of blocks.
-#[inline]
+#[inline(always)]
 fn bit_of([x, y, z]: [u32; 3]) -> u32 {
     x % BLOCK + BLOCK * (y % BLOCK + BLOCK * (z % BLOCK))
 }

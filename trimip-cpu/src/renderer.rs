@@ -2,9 +2,10 @@
 
 use crate::buffer::Buffer;
 use crate::occupancy::{CpuOccupancy, step_length};
+use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
 use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere};
-use trimip_core::compositing::{composite, composite_gradient};
+use trimip_core::compositing::{Pruning, Seen, composite, composite_gradient};
 use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
 use trimip_core::{Aabb, Config, Pixel, Renderer};
@@ -24,6 +25,7 @@ pub(crate) struct Cursor {
 
 /// Box, step and background.
 pub struct CpuRenderer {
+    pub(crate) simd: Simd,
     aabb: Aabb<f32>,
     /// Length of a step of the schedule's scale 1.
     uniform_step: f32,
@@ -32,24 +34,24 @@ pub struct CpuRenderer {
     step_length: f32,
     /// Least length of a step in radii of the ray's sphere in the middle of the box.
     step_per_radius: f32,
-    /// Optical depth before a sample above which it is dropped: −ln of the least transmittance.
-    pub(crate) max_depth: f32,
+    pub(crate) pruning: Pruning<f32>,
     background: [f32; 3],
     random: Random,
 }
 
 impl CpuRenderer {
     /// The renderer of a configuration.
-    pub fn new(config: &Config) -> Self {
+    pub fn new(simd: Simd, config: &Config) -> Self {
         let uniform_step = step_length(config);
         let step_scale = config.renderer.step_scale.clone();
         Self {
+            simd,
             aabb: Aabb::new(&config.scene),
             uniform_step,
             step_length: uniform_step * step_scale.at(0.0) as f32,
             step_scale,
             step_per_radius: config.renderer.step_per_radius,
-            max_depth: -config.renderer.min_transmittance.ln(),
+            pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
             background: config.data.background,
             random: Random::new(config.seed),
         }
@@ -78,7 +80,7 @@ impl CpuRenderer {
     /// times; returns true when the ray has left the box.
     ///
     /// Empty cubes of 16, 4 or 1 cells are skipped whole, so that the samples are exactly those of testing every step.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn advance(
         &self,
         ray: &Ray,
@@ -186,11 +188,12 @@ impl Renderer<CpuBackend> for CpuRenderer {
             let start = kept.len() as u32;
             let mut depth = 0.0;
             for i in segment.start..segment.start + segment.count {
-                if depth > self.max_depth {
-                    break;
+                let own = radiance[i as usize].density * samples.intervals[i as usize].length;
+                match self.pruning.see(&mut depth, own) {
+                    Seen::Yes => kept.push(i),
+                    Seen::No => {}
+                    Seen::Hidden => break,
                 }
-                kept.push(i);
-                depth += radiance[i as usize].density * samples.intervals[i as usize].length;
             }
             *segment = Segment { start, count: kept.len() as u32 - start };
         }

@@ -46,23 +46,38 @@ fn reads(pyramid: &Pyramid, plane: usize, log2_radius: f32) -> [(usize, f32); 2]
     [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
 }
 
-impl Band<'_> {
-    /// Lists sample `index` in every band it touches.
-    #[inline]
-    pub fn sort(pyramid: &Pyramid, sphere: &Sphere, index: u32, bands: &mut [Vec<u32>]) {
-        let log2_radius = sphere.radius.log2();
-        for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
-            let mut touched = 0_u32;
-            for (level, share) in reads(pyramid, plane, log2_radius) {
-                if share != 0.0 {
-                    let side = pyramid.side(level);
-                    let rows = taps(side, sphere.position[a], sphere.position[b]).rows;
-                    touched |= 1 << owner(rows[0], side) | 1 << owner(rows[1], side);
+/// Lists samples in every band they touch.
+pub struct Sort<'a> {
+    /// The planes.
+    pub pyramid: &'a Pyramid,
+    /// Where the samples lie.
+    pub spheres: &'a [Sphere],
+    /// Number of the first sample.
+    pub first: u32,
+    /// Lists by plane and band.
+    pub bands: &'a mut [Vec<u32>],
+}
+
+impl Kernel for Sort<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { pyramid, spheres, first, bands } = self;
+        for (sphere, index) in spheres.iter().zip(first..) {
+            let log2_radius = sphere.radius.log2();
+            for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
+                let mut touched = 0_u32;
+                for (level, share) in reads(pyramid, plane, log2_radius) {
+                    if share != 0.0 {
+                        let side = pyramid.side(level);
+                        let rows = taps(side, sphere.position[a], sphere.position[b]).rows;
+                        touched |= 1 << owner(rows[0], side) | 1 << owner(rows[1], side);
+                    }
                 }
-            }
-            while touched != 0 {
-                bands[plane * BANDS + touched.trailing_zeros() as usize].push(index);
-                touched &= touched - 1;
+                while touched != 0 {
+                    bands[plane * BANDS + touched.trailing_zeros() as usize].push(index);
+                    touched &= touched - 1;
+                }
             }
         }
     }

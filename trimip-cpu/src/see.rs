@@ -5,9 +5,11 @@ use crate::buffer::Buffer;
 use crate::field::Tape;
 use crate::gemm::padded;
 use crate::renderer::Cursor;
+use crate::simd::{Kernel, Lanes};
 use crate::{CpuBackend, CpuField, Lane};
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Workspace};
+use trimip_core::compositing::{Pruning, Seen};
 use trimip_core::tri_mip::FEATURES;
 use trimip_core::{Encoder, Field};
 
@@ -18,7 +20,7 @@ const PIECE: usize = 16;
 struct Walker {
     ray: u32,
     cursor: Cursor,
-    /// Optical depth so far.
+    /// Optical depth of what was seen so far.
     depth: f32,
     /// True when it has left the box.
     out: bool,
@@ -104,12 +106,12 @@ impl Scratch {
         }));
         let mut marched = 0;
         while !walkers.is_empty() {
-            place(walkers, stages, rays, &mut piece.samples);
+            renderer.simd.run(Place { walkers, stages, rays, samples: &mut piece.samples });
             let samples = &piece.samples;
             marched += samples.spheres.len();
             stages.encoder.forward(lane, parameters, samples, &mut piece.features);
             stages.field.density(lane, samples, &piece.features, &mut piece.tape, &mut piece.radiance);
-            look(walkers, samples, &piece.radiance, renderer.max_depth, seen);
+            look(walkers, samples, &piece.radiance, &renderer.pruning, seen);
             staged.samples.rays.append_rows(&samples.rays, seen, 1);
             staged.samples.intervals.append_rows(&samples.intervals, seen, 1);
             staged.samples.spheres.append_rows(&samples.spheres, seen, 1);
@@ -152,34 +154,46 @@ impl Scratch {
 }
 
 /// Places the next piece of every walking ray, one segment each.
-fn place(
-    walkers: &mut [Walker],
-    stages: &Stages<CpuBackend>,
-    rays: &Rays<CpuBackend>,
-    samples: &mut Samples<CpuBackend>,
-) {
-    let most = walkers.len() * PIECE;
-    samples.rays.resize(most);
-    samples.intervals.resize(most);
-    samples.spheres.resize(most);
-    samples.segments.resize(walkers.len());
-    let Samples { segments, rays: owners, intervals, spheres, .. } = samples;
-    let (owners, intervals, spheres): (&mut [u32], &mut [Interval], &mut [Sphere]) =
-        (owners, intervals, spheres);
-    let mut count = 0;
-    for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
-        let start = count;
-        let ray = &rays.rays[walker.ray as usize];
-        walker.out =
-            stages.renderer.advance(ray, &stages.occupancy, &mut walker.cursor, PIECE, |interval, sphere| {
-                (owners[count], intervals[count], spheres[count]) = (walker.ray, interval, sphere);
-                count += 1;
-            });
-        *segment = Segment { start: start as u32, count: (count - start) as u32 };
+struct Place<'a> {
+    walkers: &'a mut [Walker],
+    stages: &'a Stages<CpuBackend>,
+    rays: &'a Rays<CpuBackend>,
+    samples: &'a mut Samples<CpuBackend>,
+}
+
+impl Kernel for Place<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { walkers, stages, rays, samples } = self;
+        let most = walkers.len() * PIECE;
+        samples.rays.resize(most);
+        samples.intervals.resize(most);
+        samples.spheres.resize(most);
+        samples.segments.resize(walkers.len());
+        let Samples { segments, rays: owners, intervals, spheres, .. } = samples;
+        let (owners, intervals, spheres): (&mut [u32], &mut [Interval], &mut [Sphere]) =
+            (owners, intervals, spheres);
+        let mut count = 0;
+        for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
+            let start = count;
+            let ray = &rays.rays[walker.ray as usize];
+            walker.out = stages.renderer.advance(
+                ray,
+                &stages.occupancy,
+                &mut walker.cursor,
+                PIECE,
+                |interval, sphere| {
+                    (owners[count], intervals[count], spheres[count]) = (walker.ray, interval, sphere);
+                    count += 1;
+                },
+            );
+            *segment = Segment { start: start as u32, count: (count - start) as u32 };
+        }
+        samples.rays.resize(count);
+        samples.intervals.resize(count);
+        samples.spheres.resize(count);
     }
-    samples.rays.resize(count);
-    samples.intervals.resize(count);
-    samples.spheres.resize(count);
 }
 
 /// Lists the samples that are seen and leaves rays that have ended or become opaque.
@@ -187,7 +201,7 @@ fn look(
     walkers: &mut Vec<Walker>,
     samples: &Samples<CpuBackend>,
     radiance: &Buffer<Radiance>,
-    max_depth: f32,
+    pruning: &Pruning<f32>,
     seen: &mut Buffer<u32>,
 ) {
     seen.clear();
@@ -195,12 +209,13 @@ fn look(
     walkers.retain_mut(|walker| {
         let Some(segment) = segments.next() else { return false };
         for row in segment.start..segment.start + segment.count {
-            if walker.depth > max_depth {
-                return false;
+            let own = radiance[row as usize].density * samples.intervals[row as usize].length;
+            match pruning.see(&mut walker.depth, own) {
+                Seen::Yes => seen.push(row),
+                Seen::No => {}
+                Seen::Hidden => return false,
             }
-            seen.push(row);
-            walker.depth += radiance[row as usize].density * samples.intervals[row as usize].length;
         }
-        !walker.out && !(walker.depth > max_depth)
+        !walker.out && !(walker.depth > pruning.max_depth)
     });
 }

@@ -92,6 +92,8 @@ pub trait Lanes: Copy {
     fn relu(self) -> Self;
     /// Lanes where `mask` is above zero; zero elsewhere.
     fn where_positive(self, mask: Self) -> Self;
+    /// Asks for the cache line at `from`, which need not be valid.
+    fn fetch(from: *const f32);
     /// Sum.
     fn add(self, other: Self) -> Self;
     /// Sum of all lanes.
@@ -139,6 +141,8 @@ impl Lanes for Plain {
         }
         self
     }
+    #[inline(always)]
+    fn fetch(_: *const f32) {}
     #[inline(always)]
     fn add(mut self, other: Self) -> Self {
         for i in 0..16 {
@@ -203,6 +207,10 @@ mod x86 {
             }
         }
         #[inline(always)]
+        fn fetch(from: *const f32) {
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) };
+        }
+        #[inline(always)]
         fn add(self, other: Self) -> Self {
             Self(unsafe { _mm512_add_ps(self.0, other.0) })
         }
@@ -258,6 +266,10 @@ mod x86 {
                     _mm256_and_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(mask.1, zero), self.1),
                 )
             }
+        }
+        #[inline(always)]
+        fn fetch(from: *const f32) {
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) };
         }
         #[inline(always)]
         fn add(self, other: Self) -> Self {

@@ -56,6 +56,30 @@ fn sizes_may_differ_where_the_angle_is_shared() {
 }
 
 #[test]
+fn frames_kept_back_are_tested_on_and_not_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    blender_scene(folder.path());
+    let mut config = settings(folder.path(), 2);
+    let whole = open(&config).unwrap();
+    config.holdout = 2;
+    let scene = open(&config).unwrap();
+    let frames = whole.train.scales[0].views.len();
+    assert_eq!((scene.test.len(), scene.train.scales[0].views.len()), (frames.div_ceil(2), frames / 2));
+    let held = scene.test.load(0).unwrap();
+    assert_eq!(
+        (held.views[0].name.as_str(), held.pixels_of(0)),
+        (whole.train.views[0].name.as_str(), whole.train.pixels_of(0))
+    );
+    assert_eq!(scene.train.pixels_of(0), whole.train.pixels_of(1));
+    // The test split is not asked for.
+    config.test = "nowhere".into();
+    assert!(open(&config).is_ok());
+    config.train = vec!["train".into()];
+    config.holdout = 100;
+    assert!(open(&config).is_ok());
+}
+
+#[test]
 fn an_undivided_file_holds_out_every_eighth_frame() {
     let folder = tempfile::tempdir().unwrap();
     let paths: Vec<String> = (0..10).map(|i| format!("images/{i:04}.png")).collect();

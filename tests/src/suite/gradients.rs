@@ -5,11 +5,12 @@ use crate::{
     fixtures::{Draw, lively, noise, small},
     reference::{Reference, Sample, kept},
 };
+use trimip_core::schedule::Schedule;
 use trimip_core::{
     Backend, Config, Layout, Renderer, Result,
     backend::Sampler,
     batch::{Ray, Target},
-    config::{LevelFormula, LossRays},
+    config::{LevelFormula, LossRays, TrainBackground},
     params::Kind,
     trainer::Trainer,
 };
@@ -43,6 +44,11 @@ fn configurations() -> Vec<(&'static str, Config)> {
         change("no mipmap", &|c| c.encoder.mipmap = false),
         change("linear loss over all rays", &|c| {
             (c.loss.beta, c.loss.rays) = (0.05, LossRays::All);
+        }),
+        change("random backgrounds, long steps, steps of 40 radii", &|c| {
+            c.train.background = TrainBackground::Random;
+            c.renderer.step_scale = Schedule::new(vec![[0.0, 1.5]]);
+            c.renderer.step_per_radius = 40.0;
         }),
         change("pruned", &|c| c.renderer.min_transmittance = 0.3),
     ]
@@ -143,11 +149,6 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let size = (differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64).sqrt();
             for (&i, &expected) in chosen.iter().zip(&differences) {
                 let found = f64::from(part[i]);
-                println!(
-                    "RATIO {} {name} {}",
-                    (found - expected).abs() / size.max(expected.abs()),
-                    slot.name
-                );
                 assert!(
                     (found - expected).abs() <= GRADIENT_TOLERANCE * size.max(expected.abs()),
                     "{name}: {}[{i}] is {found}, not {expected} (the slot's size is {size})",

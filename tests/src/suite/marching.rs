@@ -6,6 +6,7 @@ use crate::{
     reference,
 };
 use glam::DVec3;
+use trimip_core::schedule::Schedule;
 use trimip_core::{Backend, Config, Layout, Renderer, Result, backend::Occupancy, batch::Ray};
 
 /// Distance to a cell's border, in unit-box coordinates, and to the box's end, in steps, below which f32 and f64 may
@@ -99,8 +100,12 @@ pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u6
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    for (resolution, share) in [(32, 0.02), (32, 0.5), (20, 0.9), (8, 0.1)] {
-        let config = configuration(resolution);
+    // The steepest of the rays has a radius of 0.05 in the middle of the box: 0.2 are a few steps of the finer grids.
+    for (resolution, share, per_radius) in
+        [(32, 0.02, 0.0), (32, 0.5, 0.0), (20, 0.9, 0.0), (8, 0.1, 0.0), (32, 0.5, 0.2), (20, 0.9, 0.7)]
+    {
+        let mut config = configuration(resolution);
+        config.renderer.step_per_radius = per_radius;
         let parameters = lively(&Layout::new(&config), 1);
         let mut bench = Bench::new(make(), &config, None, &parameters)?;
         let bits = bits(resolution, share, 5);
@@ -109,10 +114,10 @@ pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let rays = rays(3);
         let found = marched(&mut bench, &rays, None);
         let (mut total, mut borderline) = (0, 0);
-        let length = reference::step_length(&config);
         for (ray, found) in rays.iter().zip(&found) {
             let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
             let leave = reference::span(&config, origin, direction).map_or(0.0, |span| span.1);
+            let length = reference::ray_step(&config, ray, 0.0);
             let mut found = found.iter().map(|&t| f64::from(t)).peekable();
             for sample in reference::march(&config, ray, 0.0, |_| true) {
                 let scaled = sample.position.map(|p| p * f64::from(resolution));
@@ -134,6 +139,25 @@ pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         }
         assert!(total > 500, "the rays meet {total} occupied steps");
         assert!((borderline as f64) < BORDER_SHARE * total as f64, "{borderline} of {total} at a border");
+    }
+    Ok(())
+}
+
+/// The schedule's scale is the ratio of steps, at the progress it names.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut config = configuration(8);
+    config.renderer.step_scale = Schedule::new(vec![[0.0, 4.0], [0.5, 2.0]]);
+    let mut bench = Bench::new(make(), &config, None, &lively(&Layout::new(&config), 1))?;
+    let ray = Ray { origin: [-4.0, 0.1, 0.2], direction: [1.0, 0.0, 0.0], slope: 0.0, cosine: 1.0 };
+    for (progress, scale) in [(0.0, 4.0), (0.49, 4.0), (0.5, 2.0), (1.0, 2.0)] {
+        bench.stages.renderer.follow(progress);
+        let length = (scale * reference::step_length(&config)) as f32;
+        let found = marched(&mut bench, &[ray], None).remove(0);
+        assert_eq!(found.len(), (3.0 / length).round() as usize, "a box of 3 at {progress}");
+        assert!(found.windows(2).all(|t| ((t[1] - t[0]) / length - 1.0).abs() < 1e-3), "{progress}");
     }
     Ok(())
 }

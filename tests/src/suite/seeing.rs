@@ -31,9 +31,10 @@ fn seen<B: Backend>(bench: &mut Bench<B>, jitter: Option<u64>, all: bool) -> Vec
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn pieces<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    for min_transmittance in [0.0, 1e-4, 0.3] {
+    for (min_transmittance, min_weight) in [(0.0, 0.0), (1e-4, 0.0), (0.3, 0.0), (1e-3, 0.01)] {
         let mut config = marching::configuration(32);
         config.renderer.min_transmittance = min_transmittance;
+        config.renderer.min_weight = min_weight;
         let parameters = lively(&Layout::new(&config), 4);
         let mut bench = Bench::new(make(), &config, None, &parameters)?;
         bench.stages.occupancy.restore(&marching::bits(32, 0.5, 7), None);
@@ -41,7 +42,7 @@ pub fn pieces<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         for jitter in [None, Some(3)] {
             let (all, pieces) = (seen(&mut bench, jitter, true), seen(&mut bench, jitter, false));
             assert!(all[4].len() > 48 * 4 * 100, "the rays see something");
-            assert_eq!(all, pieces, "limit {min_transmittance}, jitter {jitter:?}");
+            assert_eq!(all, pieces, "limits {min_transmittance} {min_weight}, jitter {jitter:?}");
         }
     }
     Ok(())

@@ -3,7 +3,8 @@
 use crate::fixtures::{self, photographs};
 use glam::DVec3;
 use trimip_core::{
-    Backend, Camera, Config, Intrinsics, Result, Session, ViewSet, checkpoint::Checkpoint, trainer::Trainer,
+    Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet, adamw::Rule,
+    checkpoint::Checkpoint, config::Untouched, params::Kind, trainer::Trainer, tri_mip::CHANNELS,
 };
 
 /// A configuration whose steps are short: warm-up of the occupancy ends at step 8, refreshes every 4.
@@ -33,27 +34,114 @@ pub fn steps<B: Backend>(trainer: &mut Trainer<B>, config: &Config, count: u64) 
 /// # Errors
 /// When a step or the file fails.
 pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Result<()> {
-    let config = configuration();
+    resume_with(&make, &configuration(), file)?;
+    resume_with(&make, &scheduled()?, file)
+}
+
+/// Everything that changes in the course of a run: planes grow at steps 5 and 9, steps shorten, the batch grows.
+///
+/// # Errors
+/// When the settings are refused.
+pub fn scheduled() -> Result<Config> {
+    let mut config = configuration();
+    let text = r#"
+        [encoder]
+        halvings = [[0.0, 2], [0.11, 1], [0.21, 0]]
+        [renderer]
+        step_scale = [[0.0, 2.0], [0.2, 1.0]]
+        [optimizer]
+        schedule = "cosine"
+        untouched = "skip"
+        [train]
+        batch_scale = [[0.0, 0.5], [0.15, 1.0]]
+        background = "random"
+    "#;
+    let mut settings = trimip_core::Settings::defaults();
+    settings.apply_file("config", &config.to_toml())?;
+    settings.apply_file("schedules", text)?;
+    config = Config::from_settings(&settings)?;
+    Ok(config)
+}
+
+fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &std::path::Path) -> Result<()> {
     let views = || fixtures::noise(3, 16, 2, 2);
-    let mut whole = Trainer::new(make(), &config, views())?;
-    steps(&mut whole, &config, 18)?;
+    let mut whole = Trainer::new(make(), config, views())?;
+    steps(&mut whole, config, 18)?;
     let expected = whole.checkpoint()?;
     // Before, at and after a refresh and the end of the warm-up; right after the start.
     for stop in [1, 4, 7, 8, 9, 16] {
-        let mut first = Trainer::new(make(), &config, views())?;
-        steps(&mut first, &config, stop)?;
+        let mut first = Trainer::new(make(), config, views())?;
+        steps(&mut first, config, stop)?;
         first.checkpoint()?.write(file)?;
         drop(first);
         let read = Checkpoint::read(file)?;
         assert_eq!(read.state.totals.step, stop);
-        let mut second = Trainer::new(make(), &config, views())?;
+        let mut second = Trainer::new(make(), config, views())?;
         second.restore(&read)?;
-        steps(&mut second, &config, 18 - stop)?;
+        steps(&mut second, config, 18 - stop)?;
         let found = second.checkpoint()?;
         assert_eq!(found.state, expected.state, "stopped at {stop}");
         for (name, tensor) in &expected.file.tensors {
             assert!(found.file.tensors.get(name) == Some(tensor), "stopped at {stop}: `{name}` differs");
         }
+    }
+    Ok(())
+}
+
+/// One step moves every parameter by the written rule applied to the gradient of its rays, whatever passes the backend
+/// makes of it: with "skip", texels without a gradient stay to the bit. What derives from the parameters follows.
+///
+/// # Errors
+/// When a step fails.
+pub fn update<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    for untouched in [Untouched::Decay, Untouched::Skip] {
+        let mut config = configuration();
+        (config.encoder.plane_size, config.encoder.levels) = (64, 3);
+        (config.optimizer.untouched, config.optimizer.weight_decay) = (untouched, 0.1);
+        let views = fixtures::noise(2, 16, 2, 4);
+        let camera = views.views[0].camera;
+        let layout = Layout::new(&config);
+        let mut trainer = Trainer::new(make(), &config, views)?;
+        steps(&mut trainer, &config, 5)?;
+        let before = trainer.checkpoint()?;
+        let step = before.state.totals.step;
+        let (_, gradient) = trainer.loss_and_gradient(step, before.state.rays_per_step);
+        trainer.restore(&before)?;
+        trainer.step(step as f64 / config.train.steps as f64)?;
+        let after = trainer.checkpoint()?;
+        let values =
+            |checkpoint: &Checkpoint, suffix| layout.from_tensors(&checkpoint.file, "checkpoint", suffix);
+        let (old, m, v) = (values(&before, "")?, values(&before, ".m")?, values(&before, ".v")?);
+        let new = values(&after, "")?;
+        let mut still = 0;
+        for slot in &layout.slots {
+            let factor = if slot.kind == Kind::Planes { config.optimizer.plane_scale } else { 1.0 };
+            let rule = Rule::<f64>::new(&config.optimizer, config.optimizer.learning_rate * factor, step + 1);
+            for i in slot.range.clone() {
+                let texel = i - i % CHANNELS..i - i % CHANNELS + CHANNELS;
+                let skipped = slot.kind == Kind::Planes
+                    && untouched == Untouched::Skip
+                    && gradient[texel].iter().all(|g| *g == 0.0);
+                if skipped {
+                    still += 1;
+                    assert_eq!(new[i].to_bits(), old[i].to_bits(), "{}[{i}] has no gradient", slot.name);
+                    continue;
+                }
+                let old_m = m[i];
+                let (mut x, mut m, mut v) = (f64::from(old[i]), f64::from(old_m), f64::from(v[i]));
+                rule.apply(&mut x, &mut m, &mut v, gradient[i].into());
+                // Some eight roundings of 6e-8 each, on the terms that the move is made of.
+                let terms =
+                    config.optimizer.beta1 * f64::from(old_m).abs() + 0.1 * f64::from(gradient[i]).abs();
+                let tolerance =
+                    5e-7 * (rule.rate * terms / (v.sqrt() * rule.root_correction + rule.epsilon) + x.abs());
+                assert!((f64::from(new[i]) - x).abs() < tolerance, "{}[{i}]: {}, not {x}", slot.name, new[i]);
+            }
+        }
+        assert_eq!(still > 1000, untouched == Untouched::Skip, "{still} values without a gradient");
+        let picture = trainer.render(&camera)?;
+        trainer.set_parameters(&new);
+        assert!(trainer.render(&camera)? == picture, "levels and packed weights follow the parameters");
     }
     Ok(())
 }
