@@ -12,6 +12,10 @@ pub struct Rule<R> {
     pub beta1: R,
     /// β2, decay of the second moment.
     pub beta2: R,
+    /// 1 − β1, rounded once.
+    pub share1: R,
+    /// 1 − β2, rounded once: taken from β2 in f32 it would be 1.3e-5 off.
+    pub share2: R,
     /// Added to the root of the second moment.
     pub epsilon: R,
     /// Learning rate over 1 − β1^t.
@@ -29,6 +33,8 @@ impl<R: Real> Rule<R> {
         Self {
             beta1: R::from_f64(config.beta1),
             beta2: R::from_f64(config.beta2),
+            share1: R::from_f64(1.0 - config.beta1),
+            share2: R::from_f64(1.0 - config.beta2),
             epsilon: R::from_f64(config.epsilon),
             rate: R::from_f64(learning_rate / power(config.beta1)),
             root_correction: R::from_f64(power(config.beta2).sqrt().recip()),
@@ -39,8 +45,8 @@ impl<R: Real> Rule<R> {
     /// Updates parameter and moments by `gradient`.
     #[inline(always)]
     pub fn apply(&self, parameter: &mut R, m: &mut R, v: &mut R, gradient: R) {
-        *m = self.beta1 * *m + (R::one() - self.beta1) * gradient;
-        *v = self.beta2 * *v + (R::one() - self.beta2) * gradient * gradient;
+        *m = self.beta1 * *m + self.share1 * gradient;
+        *v = self.beta2 * *v + self.share2 * gradient * gradient;
         *parameter =
             *parameter * self.shrink - self.rate * *m / (v.sqrt() * self.root_correction + self.epsilon);
     }
