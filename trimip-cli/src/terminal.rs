@@ -15,6 +15,11 @@ pub fn note(text: impl std::fmt::Display) {
     }
 }
 
+/// One line on standard error, for people and logs; standard output stays what a program reads.
+pub fn aside(text: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
+}
+
 /// The one line that says why the program failed.
 pub fn error(error: &Error) {
     let _ = writeln!(std::io::stderr().lock(), "error: {error}");

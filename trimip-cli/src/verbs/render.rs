@@ -12,6 +12,7 @@ use glam::DVec3;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
+use std::time::Instant;
 use trimip_core::{
     Camera, Config, Error, Frame, Intrinsics, Result, config::SceneConfig, tensors::write_atomically,
 };
@@ -37,18 +38,31 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     write_cameras(&out.join("cameras.json"), &cameras)?;
 
     let bar = bar("{bar:30} view {pos} of {len}  {eta} left", cameras.len() as u64);
+    let mut seconds = Vec::new();
     for (name, camera) in &cameras {
         if stop.load(Ordering::Relaxed) {
             return Ok(interrupt::EXIT_CODE);
         }
+        let started = Instant::now();
         let frame = session.render(camera)?;
+        seconds.push(started.elapsed().as_secs_f64());
         for path in write(&out, name, &frame, camera, arguments, &config.scene)? {
             bar.suspend(|| terminal::line(path.display()));
         }
         bar.inc(1);
     }
     bar.finish_and_clear();
+    if let Some(line) = speed(seconds) {
+        terminal::aside(line);
+    }
     Ok(0)
+}
+
+/// How fast the views were rendered, files and pictures aside.
+fn speed(mut seconds: Vec<f64>) -> Option<String> {
+    seconds.sort_by(f64::total_cmp);
+    let median = *seconds.get(seconds.len() / 2)?;
+    Some(format!("{} views rendered, median {median:.3} s each, {:.2} frames/s", seconds.len(), 1.0 / median))
 }
 
 /// `renders` in the run folder, or beside the model file.
