@@ -4,7 +4,7 @@
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use trimip_cpu::Buffer;
-use trimip_cpu::gemm::{Finish, Packed, accumulate, multiply};
+use trimip_cpu::gemm::{Finish, Packed, Start, accumulate, multiply};
 use trimip_cpu::simd::Simd;
 
 const ROWS: usize = 504;
@@ -27,7 +27,7 @@ fn kernels(criterion: &mut Criterion) {
         group.throughput(Throughput::Elements((ROWS * k * n) as u64));
         for simd in Simd::available() {
             group.bench_function(BenchmarkId::new("multiply", format!("{simd:?}")), |b| {
-                b.iter(|| multiply(simd, ROWS, black_box(&a), &packed, &mut c, Finish::Relu));
+                b.iter(|| multiply(simd, ROWS, black_box(&a), &packed, &mut c, Start::Zero, Finish::Relu));
             });
             group.bench_function(BenchmarkId::new("accumulate", format!("{simd:?}")), |b| {
                 b.iter(|| accumulate(simd, ROWS, k, n, black_box(&a), &d, &mut g));

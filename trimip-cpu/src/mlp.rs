@@ -122,9 +122,10 @@ impl Layer {
         self.inputs.rows.len()
     }
 
-    /// Padded outputs.
+    /// Padded outputs: the rows of the matrix for the way back.
     fn n(&self) -> usize {
-        self.backward.k
+        let Packed { k, .. } = &self.backward;
+        *k
     }
 }
 
