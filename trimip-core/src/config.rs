@@ -57,6 +57,15 @@ choice!(
     }
 );
 choice!(
+    /// Numbers that the hidden layers multiply; sums and parameters are f32.
+    Precision {
+        /// 24 bits.
+        F32,
+        /// 8 bits: twice the rate where the processor has instructions for it.
+        Bf16,
+    }
+);
+choice!(
     /// Rays over which the loss is averaged.
     LossRays {
         /// Rays with at least one kept sample.
@@ -114,7 +123,7 @@ section!(
 );
 section!(
     /// The two small networks.
-    FieldConfig { hidden: u32, density_layers: u32, color_layers: u32 }
+    FieldConfig { hidden: u32, density_layers: u32, color_layers: u32, precision: Precision }
 );
 section!(
     /// Marching and compositing.

@@ -1,10 +1,11 @@
-//! Criterion: the matrix kernels on a block of rows that stays in L2, for every instruction set and beside
-//! `matrixmultiply`. Throughput counts multiply-adds, so twice `elem/s` is FLOP/s.
+//! Criterion: the matrix kernels on a block of rows that stays in L2, for every instruction set and in both precisions, and
+//! beside `matrixmultiply`. Throughput counts multiply-adds, so twice `elem/s` is FLOP/s.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
+use trimip_core::config::Precision;
 use trimip_cpu::Buffer;
-use trimip_cpu::gemm::{Finish, Packed, Start, accumulate, multiply};
+use trimip_cpu::gemm::{Finish, Packed, Start, accumulate, multiply, pair_columns, pair_rows};
 use trimip_cpu::simd::Simd;
 
 const ROWS: usize = 504;
@@ -20,8 +21,12 @@ fn values(count: usize) -> Buffer<f32> {
 fn kernels(criterion: &mut Criterion) {
     for (k, n) in [(48, 128), (128, 16), (32, 128), (128, 128)] {
         let (a, d, weights) = (values(ROWS * k), values(ROWS * n), values(k * n));
-        let mut packed = Packed::zeros(k, n);
-        packed.fill(|row, column| weights[row * n + column]);
+        let pack = |precision| {
+            let mut packed = Packed::zeros(k, n, precision);
+            packed.fill(|row, column| weights[row * n + column]);
+            packed
+        };
+        let (packed, halves) = (pack(Precision::F32), pack(Precision::Bf16));
         let (mut c, mut g) = (values(ROWS * n), values(k * n));
         let mut group = criterion.benchmark_group(format!("{k} to {n}"));
         group.throughput(Throughput::Elements((ROWS * k * n) as u64));
@@ -30,7 +35,23 @@ fn kernels(criterion: &mut Criterion) {
                 b.iter(|| multiply(simd, ROWS, black_box(&a), &packed, &mut c, Start::Zero, Finish::Relu));
             });
             group.bench_function(BenchmarkId::new("accumulate", format!("{simd:?}")), |b| {
-                b.iter(|| accumulate(simd, ROWS, k, n, black_box(&a), &d, &mut g));
+                b.iter(|| accumulate(simd, Precision::F32, ROWS, k, n, black_box(&a), &d, &mut g));
+            });
+            // What is rounded to bf16 counts as part of the product.
+            let mut columns = values(ROWS * k / 2);
+            group.bench_function(BenchmarkId::new("multiply bf16", format!("{simd:?}")), |b| {
+                b.iter(|| {
+                    pair_columns(simd, black_box(&a), &mut columns);
+                    multiply(simd, ROWS, &columns, &halves, &mut c, Start::Zero, Finish::Relu);
+                });
+            });
+            let mut rows = [values(0), values(0)];
+            group.bench_function(BenchmarkId::new("accumulate bf16", format!("{simd:?}")), |b| {
+                b.iter(|| {
+                    pair_rows(simd, ROWS, k, black_box(&a), &mut rows[0]);
+                    pair_rows(simd, ROWS, n, &d, &mut rows[1]);
+                    accumulate(simd, Precision::Bf16, ROWS / 2, k, n, &rows[0], &rows[1], &mut g);
+                });
             });
         }
         group.bench_function("multiply/matrixmultiply", |b| {

@@ -86,11 +86,17 @@ impl CpuField {
         let geometry_rows = std::iter::once(None).chain((sh::COUNT..sh::COUNT + GEOMETRY).map(Some));
         Self {
             simd,
-            density: Mlp::new(&density_shapes, (0..FEATURES).map(Some).collect(), Vec::new()),
+            density: Mlp::new(
+                &density_shapes,
+                (0..FEATURES).map(Some).collect(),
+                Vec::new(),
+                config.field.precision,
+            ),
             color: Mlp::new(
                 &color_layers(config),
                 geometry_rows.collect(),
                 (0..sh::COUNT).map(Some).collect(),
+                config.field.precision,
             ),
             slots: layout.slots.iter().filter(|slot| slot.kind == Kind::Network).cloned().collect(),
             density_layers: density_shapes.len(),

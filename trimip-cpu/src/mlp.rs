@@ -1,10 +1,12 @@
 //! A small ReLU network without biases over rows of a tile. Widths are padded to multiples of 16 with zero weights, and
 //! up to four outputs to four; the parameters know nothing of the padding. Inputs that many rows have in common (all
-//! samples of a ray) may go through the first layer once for each group of rows.
+//! samples of a ray) may go through the first layer once for each group of rows. Activations and gradients are f32; at
+//! bf16 the factors of a layer's products are rounded just before them, a last layer of few outputs excepted.
 
 use crate::buffer::Buffer;
-use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded};
+use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded, pair_columns, pair_rows};
 use crate::simd::Simd;
+use trimip_core::config::Precision;
 
 /// Rows that go through all layers together: their activations and a layer's weights fit into half of a 1 MiB L2.
 const BLOCK: usize = 21 * ROWS;
@@ -58,6 +60,8 @@ pub struct Activations {
     layers: Vec<Buffer<f32>>,
     /// What the shared inputs add to the first layer, [groups (padded), its outputs].
     shared: Buffer<f32>,
+    /// A block's rows as pairs of columns.
+    pairs: Buffer<f32>,
 }
 
 /// Weight gradients, padded like the packed weights, and buffers for gradients on their way back.
@@ -68,14 +72,62 @@ pub struct MlpGradient {
     scratch: [Buffer<f32>; 2],
     /// Gradients of the first layer's outputs, summed over each group.
     sums: Buffer<f32>,
+    pairs: Pairs,
+}
+
+/// A block's factors as pairs of bf16.
+#[derive(Default)]
+struct Pairs {
+    /// Neighbouring columns of the gradient of a layer's outputs.
+    columns: Buffer<f32>,
+    /// Neighbouring rows of a layer's inputs, and of the gradient of its outputs.
+    rows: [Buffer<f32>; 2],
+}
+
+impl Pairs {
+    /// Adds `input`ᵀ·`by_output` to the weight gradient of a layer.
+    #[allow(clippy::too_many_arguments)]
+    fn accumulate(
+        &mut self,
+        simd: Simd,
+        precision: Precision,
+        rows: usize,
+        [k, n]: [usize; 2],
+        input: &[f32],
+        by_output: &[f32],
+        weights: &mut [f32],
+    ) {
+        match precision {
+            Precision::F32 => accumulate(simd, precision, rows, k, n, input, by_output, weights),
+            Precision::Bf16 => {
+                let [a, d] = &mut self.rows;
+                pair_rows(simd, rows, k, input, a);
+                pair_rows(simd, rows, n, by_output, d);
+                accumulate(simd, precision, rows.div_ceil(2), k, n, a, d, weights);
+            }
+        }
+    }
+}
+
+/// Rows of `w.k` values as the left factor of a product with `w`; made in `pairs` where they have to be.
+fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a mut Buffer<f32>) -> &'a [f32] {
+    match w.precision() {
+        Precision::F32 => values,
+        Precision::Bf16 => {
+            let count = padded(rows) * w.k;
+            pairs.resize(count / 2);
+            pair_columns(simd, &values[..count], pairs);
+            pairs
+        }
+    }
 }
 
 impl Inputs {
-    fn new(rows: Vec<Option<usize>>, outputs: usize, last: bool) -> Self {
+    fn new(rows: Vec<Option<usize>>, outputs: usize, last: bool, precision: Precision) -> Self {
         let forward = if last && outputs <= FEW {
             Forward::Few(Buffer::zeros(outputs * rows.len()))
         } else {
-            Forward::Wide(Packed::zeros(rows.len(), outputs.next_multiple_of(16)))
+            Forward::Wide(Packed::zeros(rows.len(), outputs.next_multiple_of(16), precision))
         };
         Self { forward, rows }
     }
@@ -136,8 +188,10 @@ impl Mlp {
         layers: &[[usize; 2]],
         input_rows: Vec<Option<usize>>,
         shared_rows: Vec<Option<usize>>,
+        precision: Precision,
     ) -> Self {
-        let shared = (!shared_rows.is_empty()).then(|| Inputs::new(shared_rows, layers[0][1], false));
+        let shared =
+            (!shared_rows.is_empty()).then(|| Inputs::new(shared_rows, layers[0][1], false, precision));
         let mut rows = input_rows;
         let count = layers.len();
         let layers = layers
@@ -145,13 +199,13 @@ impl Mlp {
             .enumerate()
             .map(|(i, &[_, outputs])| {
                 let k = rows.len();
-                let inputs = Inputs::new(std::mem::take(&mut rows), outputs, i + 1 == count);
-                let n = match &inputs.forward {
-                    Forward::Wide(packed) => packed.n,
-                    Forward::Few(_) => FEW,
+                let inputs = Inputs::new(std::mem::take(&mut rows), outputs, i + 1 == count, precision);
+                let (n, precision) = match &inputs.forward {
+                    Forward::Wide(packed) => (packed.n, precision),
+                    Forward::Few(_) => (FEW, Precision::F32),
                 };
                 rows = (0..n).map(|column| (column < outputs).then_some(column)).collect();
-                Layer { inputs, backward: Packed::zeros(n, k), outputs }
+                Layer { inputs, backward: Packed::zeros(n, k, precision), outputs }
             })
             .collect();
         Self { layers, shared }
@@ -184,6 +238,7 @@ impl Mlp {
         Activations {
             layers: self.layers.iter().map(|_| Buffer::zeros(0)).collect(),
             shared: Buffer::zeros(0),
+            pairs: Buffer::zeros(0),
         }
     }
 
@@ -195,6 +250,7 @@ impl Mlp {
             shared: Buffer::zeros(self.shared.as_ref().map_or(0, |s| size(s, self.layers[0].n()))),
             scratch: [Buffer::zeros(0), Buffer::zeros(0)],
             sums: Buffer::zeros(0),
+            pairs: Pairs::default(),
         }
     }
 
@@ -210,14 +266,15 @@ impl Mlp {
         shared: Option<Shared<'_>>,
         activations: &mut Activations,
     ) {
-        let Activations { layers: buffers, shared: group_rows } = activations;
+        let Activations { layers: buffers, shared: group_rows, pairs } = activations;
         for (buffer, layer) in buffers.iter_mut().zip(&self.layers) {
             buffer.resize(padded(rows) * layer.n());
         }
         assert_eq!(self.shared.is_some(), shared.is_some(), "shared inputs");
         if let (Some(Inputs { forward: Forward::Wide(weights), .. }), Some(shared)) = (&self.shared, shared) {
             group_rows.resize(padded(shared.groups) * weights.n);
-            multiply(simd, shared.groups, shared.input, weights, group_rows, Start::Zero, Finish::Store);
+            let input = left(simd, shared.groups, shared.input, weights, pairs);
+            multiply(simd, shared.groups, input, weights, group_rows, Start::Zero, Finish::Store);
         }
         let last = self.layers.len() - 1;
         for first in (0..rows).step_by(BLOCK) {
@@ -236,6 +293,7 @@ impl Mlp {
                             _ => Start::Zero,
                         };
                         let finish = if i == last { Finish::Store } else { Finish::Relu };
+                        let input = left(simd, count, input, weights, pairs);
                         multiply(simd, count, input, weights, out, start, finish);
                     }
                     Forward::Few(weights) => dots(simd, count, layer.k(), input, weights, out, layer.n()),
@@ -258,7 +316,8 @@ impl Mlp {
         gradient: &mut MlpGradient,
     ) {
         input_gradient.resize(padded(rows) * self.inputs());
-        let MlpGradient { layers: weights, shared: shared_weights, scratch: [above, below], sums } = gradient;
+        let MlpGradient { layers: weights, shared: shared_weights, scratch: [above, below], sums, pairs } =
+            gradient;
         let width = self.layers[0].n();
         if let Some(shared) = shared {
             sums.resize(shared.groups * width);
@@ -272,27 +331,45 @@ impl Mlp {
                 let input = &input[first * k..];
                 let by_output =
                     if i + 1 == self.layers.len() { &output_gradient[first * n..] } else { &above[..] };
-                match layer.inputs.forward {
-                    Forward::Wide(_) => accumulate(simd, count, k, n, input, by_output, &mut weights[i]),
-                    Forward::Few(_) => accumulate(simd, count, n, k, by_output, input, &mut weights[i]),
+                match &layer.inputs.forward {
+                    Forward::Wide(w) => {
+                        let precision = w.precision();
+                        pairs.accumulate(simd, precision, count, [k, n], input, by_output, &mut weights[i]);
+                    }
+                    Forward::Few(_) => {
+                        accumulate(simd, Precision::F32, count, n, k, by_output, input, &mut weights[i]);
+                    }
                 }
+                let mask = Finish::Mask(input);
                 if i == 0 {
                     if let Some(shared) = shared {
                         add_groups(sums, by_output, &shared.of[first..][..count], width);
                     }
                     // Behind the input lies no ReLU of this network.
                     let out = &mut input_gradient[first * k..];
+                    let by_output = left(simd, count, by_output, &layer.backward, &mut pairs.columns);
                     multiply(simd, count, by_output, &layer.backward, out, Start::Zero, Finish::Store);
                 } else {
                     below.resize(padded(count) * k);
-                    let mask = Finish::Mask(input);
+                    let by_output = left(simd, count, by_output, &layer.backward, &mut pairs.columns);
                     multiply(simd, count, by_output, &layer.backward, below, Start::Zero, mask);
                     std::mem::swap(above, below);
                 }
             }
         }
         if let (Some(inputs), Some(shared)) = (&self.shared, shared) {
-            accumulate(simd, shared.groups, inputs.rows.len(), width, shared.input, sums, shared_weights);
+            if let Forward::Wide(w) = &inputs.forward {
+                let shape = [inputs.rows.len(), width];
+                pairs.accumulate(
+                    simd,
+                    w.precision(),
+                    shared.groups,
+                    shape,
+                    shared.input,
+                    sums,
+                    shared_weights,
+                );
+            }
         }
     }
 

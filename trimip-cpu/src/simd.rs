@@ -4,6 +4,8 @@
 /// An instruction set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Simd {
+    /// x86-64 with AVX-512F, BW and BF16: one register, and dot products of bf16 pairs at twice the rate.
+    Avx512Bf16,
     /// x86-64 with AVX-512F: one register.
     Avx512,
     /// x86-64 with AVX2 and FMA: two registers.
@@ -25,7 +27,11 @@ impl Simd {
         #[cfg(target_arch = "x86_64")]
         {
             let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-            if avx2 && is_x86_feature_detected!("avx512f") {
+            let avx512 = avx2 && is_x86_feature_detected!("avx512f");
+            if avx512 && is_x86_feature_detected!("avx512bw") && is_x86_feature_detected!("avx512bf16") {
+                sets.push(Self::Avx512Bf16);
+            }
+            if avx512 {
                 sets.push(Self::Avx512);
             }
             if avx2 {
@@ -44,9 +50,15 @@ impl Simd {
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
             #[cfg(target_arch = "x86_64")]
+            Self::Avx512Bf16 => {
+                debug_assert!(is_x86_feature_detected!("avx512bf16"));
+                // SAFETY: `Simd::available` offers the set only where the processor has it.
+                unsafe { x86::run_avx512_bf16(kernel) }
+            }
+            #[cfg(target_arch = "x86_64")]
             Self::Avx512 => {
                 debug_assert!(is_x86_feature_detected!("avx512f"));
-                // SAFETY: `Simd::available` offers the set only where the processor has it.
+                // SAFETY: as above.
                 unsafe { x86::run_avx512(kernel) }
             }
             #[cfg(target_arch = "x86_64")]
@@ -70,7 +82,7 @@ pub trait Kernel {
     fn run<L: Lanes>(self) -> Self::Output;
 }
 
-/// Sixteen f32.
+/// Sixteen f32; or sixteen words, each a pair of bf16 (the first in the low half) in the bits of an f32.
 pub trait Lanes: Copy {
     /// True when 24 accumulators fit in registers.
     const WIDE: bool;
@@ -98,6 +110,60 @@ pub trait Lanes: Copy {
     fn add(self, other: Self) -> Self;
     /// Sum of all lanes.
     fn sum(self) -> f32;
+    /// The first of each pair as f32.
+    fn first(self) -> Self;
+    /// The second of each pair as f32.
+    fn second(self) -> Self;
+    /// Of words of pairs: self.0 · factor.0 + self.1 · factor.1 + addend, in f32.
+    #[inline(always)]
+    fn dot_add(self, factor: Self, addend: Self) -> Self {
+        self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
+    }
+    /// Words of the pairs (self[i], second[i]), rounded to bf16.
+    #[inline(always)]
+    fn pair(self, second: Self) -> Self {
+        let (first, second) = (self.array(), second.array());
+        let words: [f32; 16] = std::array::from_fn(|i| pair(first[i], second[i]));
+        // SAFETY: 16 values.
+        unsafe { Self::load(words.as_ptr()) }
+    }
+    /// Words of the pairs of neighbours in the 32 values of `self` and `next`, rounded to bf16.
+    #[inline(always)]
+    fn pair_neighbours(self, next: Self) -> Self {
+        let values = [self.array(), next.array()];
+        let at = |i: usize| values[i / 16][i % 16];
+        let words: [f32; 16] = std::array::from_fn(|i| pair(at(2 * i), at(2 * i + 1)));
+        // SAFETY: 16 values.
+        unsafe { Self::load(words.as_ptr()) }
+    }
+    /// The 16 values.
+    #[inline(always)]
+    fn array(self) -> [f32; 16] {
+        let mut values = [0.0; 16];
+        // SAFETY: 16 values.
+        unsafe { self.store(values.as_mut_ptr()) };
+        values
+    }
+}
+
+/// The nearest bf16, ties to even: the upper half of an f32. Values below the smallest normal f32 become zero.
+#[inline(always)]
+pub fn bf16(value: f32) -> u16 {
+    let bits = value.to_bits();
+    let rounded = (bits.wrapping_add(0x7fff + (bits >> 16 & 1)) >> 16) as u16;
+    if value.is_nan() {
+        (bits >> 16) as u16 | 0x40
+    } else if value.abs() < f32::MIN_POSITIVE {
+        rounded & 0x8000
+    } else {
+        rounded
+    }
+}
+
+/// Two values as a word of two bf16.
+#[inline(always)]
+pub fn pair(first: f32, second: f32) -> f32 {
+    f32::from_bits(u32::from(bf16(first)) | u32::from(bf16(second)) << 16)
 }
 
 /// Lanes in plain Rust.
@@ -154,6 +220,14 @@ impl Lanes for Plain {
     fn sum(self) -> f32 {
         self.0.iter().sum()
     }
+    #[inline(always)]
+    fn first(self) -> Self {
+        Self(self.0.map(|word| f32::from_bits(word.to_bits() << 16)))
+    }
+    #[inline(always)]
+    fn second(self) -> Self {
+        Self(self.0.map(|word| f32::from_bits(word.to_bits() & 0xffff_0000)))
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -161,9 +235,14 @@ mod x86 {
     use super::{Kernel, Lanes};
     use std::arch::x86_64::*;
 
+    #[target_feature(enable = "avx512f,avx512bw,avx512bf16,avx2,fma")]
+    pub unsafe fn run_avx512_bf16<K: Kernel>(kernel: K) -> K::Output {
+        kernel.run::<Zmm<true>>()
+    }
+
     #[target_feature(enable = "avx512f,avx2,fma")]
     pub unsafe fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
-        kernel.run::<Zmm>()
+        kernel.run::<Zmm<false>>()
     }
 
     #[target_feature(enable = "avx2,fma")]
@@ -171,13 +250,13 @@ mod x86 {
         kernel.run::<Ymm2>()
     }
 
-    /// One AVX-512 register.
+    /// One AVX-512 register; with the instructions of BF16 or without.
     #[derive(Clone, Copy)]
-    pub struct Zmm(__m512);
+    pub struct Zmm<const BF16: bool>(__m512);
 
-    // SAFETY of all intrinsics below: reached only through `run_avx512`, whose caller checked the processor.
+    // SAFETY of all intrinsics below: reached only through `run_avx512` and `run_avx512_bf16`, whose caller checked the processor.
     #[allow(clippy::undocumented_unsafe_blocks)]
-    impl Lanes for Zmm {
+    impl<const BF16: bool> Lanes for Zmm<BF16> {
         const WIDE: bool = true;
         #[inline(always)]
         fn splat(value: f32) -> Self {
@@ -217,6 +296,85 @@ mod x86 {
         #[inline(always)]
         fn sum(self) -> f32 {
             unsafe { _mm512_reduce_add_ps(self.0) }
+        }
+        #[inline(always)]
+        fn first(self) -> Self {
+            unsafe { Self(_mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_castps_si512(self.0)))) }
+        }
+        #[inline(always)]
+        fn second(self) -> Self {
+            unsafe {
+                let upper = _mm512_set1_epi32(0xffff_0000_u32 as i32);
+                Self(_mm512_castsi512_ps(_mm512_and_si512(_mm512_castps_si512(self.0), upper)))
+            }
+        }
+        #[inline(always)]
+        fn dot_add(self, factor: Self, addend: Self) -> Self {
+            if BF16 {
+                Self(unsafe { _mm512_dpbf16_ps(addend.0, words(self.0), words(factor.0)) })
+            } else {
+                self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
+            }
+        }
+        #[inline(always)]
+        fn pair(self, second: Self) -> Self {
+            if !BF16 {
+                return Self(unsafe { round(self.0, second.0) });
+            }
+            unsafe {
+                // The lower half of the words holds `self`, the upper `second`.
+                let halves: __m512i = std::mem::transmute(_mm512_cvtne2ps_pbh(second.0, self.0));
+                let firsts = _mm512_cvtepu16_epi32(_mm512_castsi512_si256(halves));
+                let seconds = _mm512_cvtepu16_epi32(_mm512_extracti64x4_epi64::<1>(halves));
+                Self(_mm512_castsi512_ps(_mm512_or_si512(firsts, _mm512_slli_epi32::<16>(seconds))))
+            }
+        }
+        #[inline(always)]
+        fn pair_neighbours(self, next: Self) -> Self {
+            unsafe {
+                if BF16 {
+                    return Self(std::mem::transmute::<__m512bh, __m512>(_mm512_cvtne2ps_pbh(
+                        next.0, self.0,
+                    )));
+                }
+                let lanes = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+                let even = _mm512_permutex2var_ps(self.0, lanes, next.0);
+                let odd = _mm512_add_epi32(lanes, _mm512_set1_epi32(1));
+                Self(round(even, _mm512_permutex2var_ps(self.0, odd, next.0)))
+            }
+        }
+    }
+
+    /// The same bits as pairs of bf16.
+    #[inline(always)]
+    unsafe fn words(bits: __m512) -> __m512bh {
+        unsafe { std::mem::transmute(bits) }
+    }
+
+    /// Words of pairs without the instructions of BF16: what [`super::pair`] does.
+    #[inline(always)]
+    unsafe fn round(first: __m512, second: __m512) -> __m512 {
+        unsafe {
+            let first = _mm512_srli_epi32::<16>(round_up(first));
+            let second = _mm512_and_si512(round_up(second), _mm512_set1_epi32(0xffff_0000_u32 as i32));
+            _mm512_castsi512_ps(_mm512_or_si512(first, second))
+        }
+    }
+
+    /// Values whose upper halves are the nearest bf16: what [`super::bf16`] does.
+    #[inline(always)]
+    unsafe fn round_up(value: __m512) -> __m512i {
+        unsafe {
+            let bits = _mm512_castps_si512(value);
+            let odd = _mm512_and_si512(_mm512_srli_epi32::<16>(bits), _mm512_set1_epi32(1));
+            let rounded = _mm512_add_epi32(bits, _mm512_add_epi32(odd, _mm512_set1_epi32(0x7fff)));
+            let quiet = _mm512_or_si512(bits, _mm512_set1_epi32(0x40_0000));
+            let nan = _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(value, value);
+            let sign = _mm512_set1_epi32(i32::MIN);
+            let size = _mm512_castsi512_ps(_mm512_andnot_si512(sign, bits));
+            let normal = _mm512_cmp_ps_mask::<_CMP_NLT_UQ>(size, _mm512_set1_ps(f32::MIN_POSITIVE));
+            let kept = _mm512_mask_mov_epi32(_mm512_and_si512(bits, sign), normal, rounded);
+            _mm512_mask_mov_epi32(kept, nan, quiet)
         }
     }
 
@@ -284,12 +442,75 @@ mod x86 {
                 _mm_cvtss_f32(_mm_add_ss(two, _mm_shuffle_ps::<1>(two, two)))
             }
         }
+        #[inline(always)]
+        fn first(self) -> Self {
+            let half = |x| unsafe { _mm256_castsi256_ps(_mm256_slli_epi32::<16>(_mm256_castps_si256(x))) };
+            Self(half(self.0), half(self.1))
+        }
+        #[inline(always)]
+        fn second(self) -> Self {
+            unsafe {
+                let upper = _mm256_castsi256_ps(_mm256_set1_epi32(0xffff_0000_u32 as i32));
+                Self(_mm256_and_ps(self.0, upper), _mm256_and_ps(self.1, upper))
+            }
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Pairs of 32 values and dot products with them.
+    struct Pairs([f32; 32]);
+
+    impl Kernel for Pairs {
+        type Output = [[f32; 16]; 3];
+        #[inline(always)]
+        fn run<L: Lanes>(self) -> Self::Output {
+            // SAFETY: 16 values each.
+            unsafe {
+                let (x, y) = (L::load(self.0.as_ptr()), L::load(self.0[16..].as_ptr()));
+                let pairs = x.pair(y);
+                [pairs.array(), x.pair_neighbours(y).array(), pairs.dot_add(pairs, L::splat(0.5)).array()]
+            }
+        }
+    }
+
+    #[test]
+    fn pairs_are_the_nearest_bf16_and_their_dot_products() {
+        let nearest = |x: f32| f32::from_bits(u32::from(bf16(x)) << 16);
+        // Literal roundings: exact, a tie to even below and above, up, and what has no nearest.
+        assert_eq!(
+            [1.0, 1.0 + 1.0 / 256.0, 1.0 + 3.0 / 256.0, 1.005].map(nearest),
+            [1.0, 1.0, 1.0 + 4.0 / 256.0, 1.0 + 1.0 / 128.0]
+        );
+        assert_eq!([f32::MAX, -f32::INFINITY, 1e-40].map(nearest), [f32::INFINITY, -f32::INFINITY, 0.0]);
+        assert!(nearest(f32::NAN).is_nan() && nearest(f32::from_bits(0x7f80_0001)).is_nan());
+
+        let mut values: [f32; 32] =
+            std::array::from_fn(|i| (i as f32 * 0.7).sin() * 10f32.powi(i as i32 - 16));
+        (values[3], values[20]) = (-1e-41, 0.0);
+        for set in Simd::available() {
+            let [apart, neighbours, dots] = set.run(Pairs(values));
+            for i in 0..16 {
+                let (a, b) = (values[i], values[16 + i]);
+                assert_eq!(apart[i].to_bits(), pair(a, b).to_bits(), "{set:?} {i}");
+                assert_eq!(
+                    neighbours[i].to_bits(),
+                    pair(values[2 * i], values[2 * i + 1]).to_bits(),
+                    "{set:?} {i}"
+                );
+                let [a, b] = [a, b].map(|x| f64::from(nearest(x)));
+                let expected = a * a + b * b + 0.5;
+                assert!(
+                    (f64::from(dots[i]) - expected).abs() <= 2e-7 * expected,
+                    "{set:?} {i}: {} {expected}",
+                    dots[i]
+                );
+            }
+        }
+    }
 
     struct Check;
 
