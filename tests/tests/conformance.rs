@@ -42,6 +42,11 @@ fn gradients_are_finite_differences() {
 }
 
 #[test]
+fn bf16_gradients_are_near_those_of_f32() {
+    with_threads(&[2], |make| suite::gradients::bf16(make));
+}
+
+#[test]
 fn marching_is_asking_every_step() {
     on_every_cpu(|make| suite::marching::brute_force(make));
 }

@@ -6,6 +6,7 @@ use trimip_core::{
     backend::Occupancy,
     batch::Ray,
     checkpoint::Checkpoint,
+    config::Precision,
     rng::{Random, Stream},
     trainer::Trainer,
 };
@@ -13,9 +14,9 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};
 
 /// What training leaves after some steps with `threads` threads, and a picture of it.
-fn trained(simd: Simd, threads: u32, seed: u64) -> (Checkpoint, trimip_core::Frame) {
+fn trained(simd: Simd, precision: Precision, threads: u32, seed: u64) -> (Checkpoint, trimip_core::Frame) {
     let mut config = suite::training::configuration();
-    config.seed = seed;
+    (config.seed, config.field.precision) = (seed, precision);
     // The number of deposits is at least 16: several spans share one, and workers race for them.
     config.train.samples_per_step = 4096;
     let views = fixtures::noise(4, 16, 3, 30);
@@ -28,26 +29,26 @@ fn trained(simd: Simd, threads: u32, seed: u64) -> (Checkpoint, trimip_core::Fra
 
 #[test]
 fn threads_change_no_bit() {
-    for simd in Simd::available() {
-        let (expected, picture) = trained(simd, 1, 42);
+    let sets = Simd::available().into_iter();
+    for (simd, precision) in sets.flat_map(|simd| [Precision::F32, Precision::Bf16].map(|p| (simd, p))) {
+        let (expected, picture) = trained(simd, precision, 1, 42);
         assert!(expected.state.totals.samples > 20_000, "the steps are not empty");
         for threads in [2, 3, 5] {
-            let (found, same) = trained(simd, threads, 42);
-            assert_eq!(found.state, expected.state, "{simd:?}, {threads} threads");
-            for (name, tensor) in &expected.file.tensors {
-                assert!(
-                    found.file.tensors.get(name) == Some(tensor),
-                    "{simd:?}, {threads} threads: `{name}` differs"
-                );
+            let (found, same) = trained(simd, precision, threads, 42);
+            let name = format!("{simd:?}, {precision:?}, {threads} threads");
+            assert_eq!(found.state, expected.state, "{name}");
+            for (tensor, value) in &expected.file.tensors {
+                assert!(found.file.tensors.get(tensor) == Some(value), "{name}: `{tensor}` differs");
             }
-            assert!(same == picture, "{simd:?}, {threads} threads: the picture differs");
+            assert!(same == picture, "{name}: the picture differs");
         }
     }
 }
 
 #[test]
 fn another_seed_gives_another_run() {
-    let (first, second) = (trained(Simd::detect(), 2, 1).0, trained(Simd::detect(), 2, 2).0);
+    let run = |seed| trained(Simd::detect(), Precision::F32, 2, seed).0;
+    let (first, second) = (run(1), run(2));
     for (name, tensor) in first.file.tensors.iter().filter(|(name, _)| !name.starts_with("occupancy")) {
         assert!(second.file.tensors.get(name) != Some(tensor), "`{name}` is the same");
     }

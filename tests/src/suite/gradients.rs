@@ -10,7 +10,7 @@ use trimip_core::{
     Backend, Config, Layout, Renderer, Result,
     backend::Sampler,
     batch::{Ray, Target},
-    config::{LevelFormula, LossRays, TrainBackground},
+    config::{LevelFormula, LossRays, Precision, TrainBackground},
     params::Kind,
     trainer::Trainer,
 };
@@ -156,6 +156,39 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 );
             }
         }
+    }
+    Ok(())
+}
+
+/// Distance of a slot's gradient at bf16 from that at f32, relative to its length. A factor is off by at most 2⁻⁹, about
+/// 2⁻¹⁰ on average; four layers there and back, with ReLUs that switch, make a few of these.
+const BF16_TOLERANCE: f64 = 0.04;
+
+/// Rounding the factors of the layers' products moves loss and gradients a little, and does move them.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn bf16<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let views = noise(3, 24, 3, 21);
+    let layout = Layout::new(&small());
+    let at = |precision| {
+        let mut config = small();
+        config.field.precision = precision;
+        let mut trainer = Trainer::new(make(), &config, views.clone())?;
+        trainer.set_parameters(&lively(&layout, 13));
+        trainer.occupy_all();
+        Ok::<_, trimip_core::Error>(trainer.loss_and_gradient(TRAINING_STEP, RAYS))
+    };
+    let ((expected, exact), (found, rounded)) = (at(Precision::F32)?, at(Precision::Bf16)?);
+    let (expected, found) = (expected.loss / expected.weight, found.loss / found.weight);
+    assert!((found - expected).abs() < 0.01 * expected, "loss {found}, not {expected}");
+    for slot in &layout.slots {
+        let pairs = || exact[slot.range.clone()].iter().zip(&rounded[slot.range.clone()]);
+        let square = |x: f64| x * x;
+        let distance: f64 = pairs().map(|(a, b)| square(f64::from(a - b))).sum();
+        let size: f64 = pairs().map(|(a, _)| square(f64::from(*a))).sum();
+        let error = (distance / size).sqrt();
+        assert!((1e-5..BF16_TOLERANCE).contains(&error), "{}: off by {error}", slot.name);
     }
     Ok(())
 }
