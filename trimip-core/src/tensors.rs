@@ -165,7 +165,8 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace_atomically(path, |temporary| std::fs::File::create(temporary)?.write_all(bytes))
 }
 
-/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it.
+/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it; whatever fails, the old file
+/// stays and no other.
 fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&Path) -> std::io::Result<T>) -> Result<T> {
     let mut temporary = path.as_os_str().to_owned();
     temporary.push(".tmp");
@@ -177,6 +178,8 @@ fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&Path) -> std::io::Resul
         Ok(result)
     };
     write().map_err(|error: std::io::Error| {
+        // What was written of it only takes room, on a disk that may be full.
+        let _ = std::fs::remove_file(temporary);
         Error::input(
             path.display(),
             format!("cannot write: {error}"),
@@ -209,6 +212,21 @@ mod tests {
         let bytes = std::fs::read(path).unwrap();
         assert_eq!(bytes.len() as u64, written);
         bytes
+    }
+
+    #[test]
+    fn a_write_that_fails_leaves_the_old_file_and_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        write_atomically(&path, b"old").unwrap();
+        let error = replace_atomically(&path, |temporary| {
+            std::fs::write(temporary, b"half of the ne")?;
+            Err::<(), _>(std::io::ErrorKind::StorageFull.into())
+        })
+        .unwrap_err();
+        assert!(error.to_string().contains("cannot write"), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]

@@ -25,8 +25,8 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
         + size_of::<Interval>()
         + 2 * size_of::<Radiance>()
         + 8;
-    // A deposit's lists grow by doubling: at most half of them stays empty.
-    let grown = |bytes: usize| 2 * bytes as u64;
+    // Deposits are filled unevenly, up to twice their share, and their lists grow by doubling.
+    let grown = |bytes: usize| 4 * bytes as u64;
     vec![
         ("training images".into(), views.bytes() as u64),
         ("parameters".into(), floats(layout.len())),
