@@ -172,6 +172,12 @@ fn verbs_answer() {
     let (measured, reported) = (json(&here.join("eval.json")), json(&here.join("run/report.json")));
     assert_eq!(measured["scales"], reported["scales"], "eval measures what training reported");
 
+    let compared =
+        good(&["compare", "first=run", "run", "--reach", "1,99", "--svg", "plot.svg", "--json", "c.json"]);
+    assert!(compared.contains("first") && compared.lines().count() == 3, "{compared}");
+    assert_eq!(json(&here.join("c.json"))[0]["reaches"][1]["seconds"], serde_json::Value::Null);
+    assert!(fs::read_to_string(here.join("plot.svg")).unwrap().ends_with("</svg>\n"));
+
     let listed = good(&[
         "render",
         "run",

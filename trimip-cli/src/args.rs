@@ -36,6 +36,8 @@ pub enum Verb {
     Data(DataArguments),
     /// Show the effective settings and where each came from
     Config(ConfigArguments),
+    /// Lay curves of error against time beside each other: runs, or anybody's CSV
+    Compare(CompareArguments),
     /// Show what this machine and this build offer
     Doctor,
 }
@@ -179,6 +181,23 @@ pub struct RenderArguments {
     /// Override a setting of data, eval, renderer, backend or threads
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
+}
+
+/// Options of `compare`.
+#[derive(Args, Debug)]
+pub struct CompareArguments {
+    /// Run folders or CSV files with the columns `seconds` and `psnr_mean`, each with a name if wanted
+    #[arg(required = true, value_name = "[NAME=]RUN|FILE")]
+    pub curves: Vec<String>,
+    /// PSNR in dB whose times are asked for
+    #[arg(long, value_name = "DB,..", value_delimiter = ',', default_value = "25,28,30,32,33,34,35,36")]
+    pub reach: Vec<f64>,
+    /// Write the plot as SVG
+    #[arg(long, value_name = "FILE")]
+    pub svg: Option<PathBuf>,
+    /// Write the table as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
 }
 
 /// Options of `data`.

@@ -5,7 +5,7 @@ pub mod csv;
 mod html;
 mod json;
 mod pictures;
-mod svg;
+pub mod svg;
 
 use crate::{
     history::{Evaluation, History},

@@ -1,7 +1,8 @@
-//! The plot of error against time as SVG text: PSNR in dB upwards (the right axis names the same error as RMSE), training
-//! seconds to the right, linear or logarithmic; one line per scale and one for their mean.
+//! Plots of error against time as SVG text: PSNR in dB upwards (the right axis names the same error as RMSE), training
+//! seconds to the right, linear or logarithmic. A report draws one line per scale and one for their mean; a comparison
+//! one line per run.
 
-use crate::history::Evaluation;
+use crate::{history::Evaluation, terminal};
 
 const WIDTH: f64 = 960.0;
 const HEIGHT: f64 = 440.0;
@@ -53,19 +54,47 @@ fn round_step(rough: f64) -> f64 {
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough * 0.999).unwrap_or(10.0 * power)
 }
 
-/// Axes that hold every finite point, the vertical one widened to round values.
-fn axes(curve: &[&Evaluation], logarithmic: bool) -> Option<(Axis, Axis)> {
-    let values: Vec<f64> = curve
-        .iter()
-        .flat_map(|e| e.scales.iter().map(|q| q.psnr).chain([e.psnr]))
-        .filter(|v| v.is_finite())
-        .collect();
-    let times: Vec<f64> = curve.iter().map(|e| e.totals.seconds).filter(|t| *t > 0.0).collect();
-    let range = |values: &[f64]| {
-        let low = values.iter().copied().reduce(f64::min)?;
-        Some((low, values.iter().copied().reduce(f64::max)?))
+/// A measure on a line.
+#[derive(Clone, Debug)]
+pub struct Point {
+    /// Seconds of training.
+    pub seconds: f64,
+    /// dB.
+    pub psnr: f64,
+    /// What a pointer that rests on it is told.
+    pub hint: String,
+}
+
+impl Point {
+    /// False for what no axis can show.
+    fn drawn(&self) -> bool {
+        self.psnr.is_finite() && self.seconds > 0.0 && self.seconds.is_finite()
+    }
+}
+
+/// Points that belong together.
+#[derive(Clone, Debug)]
+pub struct Line {
+    /// In the legend of a comparison.
+    pub name: String,
+    /// A CSS colour.
+    pub color: String,
+    /// Class of its group in the style sheet.
+    pub class: &'static str,
+    /// In the order of time.
+    pub points: Vec<Point>,
+    /// A measure on other views than the line's.
+    pub ring: Option<Point>,
+}
+
+/// Axes that hold every point drawn, the vertical one widened to round values.
+fn axes(lines: &[Line], logarithmic: bool) -> Option<(Axis, Axis)> {
+    let points = || lines.iter().flat_map(|line| line.points.iter().chain(&line.ring)).filter(|p| p.drawn());
+    let range = |value: fn(&Point) -> f64| {
+        let low = points().map(value).reduce(f64::min)?;
+        Some((low, points().map(value).reduce(f64::max)?))
     };
-    let ((first, last), (low, high)) = (range(&times)?, range(&values)?);
+    let ((first, last), (low, high)) = (range(|p| p.seconds)?, range(|p| p.psnr)?);
     let step = round_step(((high - low) / 6.0).max(0.1));
     let vertical = Axis {
         low: (low / step).floor() * step,
@@ -78,15 +107,69 @@ fn axes(curve: &[&Evaluation], logarithmic: bool) -> Option<(Axis, Axis)> {
     Some((Axis { low: first, high: last, logarithmic, start: LEFT, end: WIDTH - RIGHT }, vertical))
 }
 
-/// The plot; `None` where there is nothing to draw. `whole` is the evaluation on all views that ended the run, drawn as
-/// a ring because it is measured on other views than the curve.
+/// The plot of a run; `None` where there is nothing to draw. `whole` is the evaluation on all views that ended the run,
+/// drawn as a ring because it is measured on other views than the curve.
 pub fn plot(curve: &[&Evaluation], whole: Option<&Evaluation>, logarithmic: bool) -> Option<String> {
     let whole = whole.filter(|w| !curve.contains(w));
-    let all: Vec<&Evaluation> = curve.iter().copied().chain(whole).collect();
-    let (x, y) = axes(&all, logarithmic)?;
-    let mut svg = format!(
-        "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against training time\">"
-    );
+    let line = |class, color: &str, value: &dyn Fn(&Evaluation) -> f64| {
+        let point = |e: &Evaluation| Point {
+            seconds: e.totals.seconds,
+            psnr: value(e),
+            hint: format!(
+                "{:.2} dB after {} (step {})",
+                value(e),
+                terminal::duration(e.totals.seconds),
+                e.totals.step
+            ),
+        };
+        let points = curve.iter().map(|e| point(e)).collect();
+        Line { name: String::new(), color: color.into(), class, points, ring: whole.map(point) }
+    };
+    let scales = curve.iter().copied().chain(whole).map(|e| e.scales.len()).max().unwrap_or(0);
+    let mut lines: Vec<Line> = (0..scales)
+        .map(|scale| {
+            let value = |e: &Evaluation| e.scales.get(scale).map_or(f64::NAN, |q| q.psnr);
+            line("scale", COLORS[scale % COLORS.len()], &value)
+        })
+        .collect();
+    lines.push(line("mean", "currentColor", &|e| e.psnr));
+    Some(format!(
+        "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against training time\">{}</svg>",
+        draw(&lines, logarithmic)?
+    ))
+}
+
+/// A plot that stands alone, with a legend, on logarithmic time; `None` where there is nothing to draw.
+pub fn alone(lines: &[Line]) -> Option<String> {
+    let style = "text { font: 13px system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif; fill: #1b1f24; } \
+                 text.faint { fill: #606a76; } .grid { stroke: #dde2e8; } \
+                 polyline { fill: none; stroke: currentColor; stroke-width: 2.2; stroke-linejoin: round; } \
+                 .dot { fill: currentColor; } .ring { fill: none; stroke: currentColor; stroke-width: 2; }";
+    let mut legend = String::new();
+    for (i, line) in lines.iter().enumerate() {
+        let y = TOP + 16.0 + 20.0 * i as f64;
+        legend += &format!(
+            "<g style=\"color:{}\"><polyline points=\"{:.0},{y:.0} {:.0},{y:.0}\"/></g><text x=\"{:.0}\" y=\"{:.1}\">{}</text>",
+            line.color,
+            LEFT + 14.0,
+            LEFT + 40.0,
+            LEFT + 48.0,
+            y + 4.5,
+            super::html::escape(&line.name)
+        );
+    }
+    Some(format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" \
+         aria-label=\"PSNR against training time\"><style>{style}</style>\
+         <rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"#ffffff\"/>{}{legend}</svg>\n",
+        draw(lines, true)?
+    ))
+}
+
+/// Axes, their labels and the lines.
+fn draw(lines: &[Line], logarithmic: bool) -> Option<String> {
+    let (x, y) = axes(lines, logarithmic)?;
+    let mut svg = String::new();
     for tick in y.ticks() {
         let at = y.place(tick);
         svg += &format!(
@@ -121,45 +204,30 @@ pub fn plot(curve: &[&Evaluation], whole: Option<&Evaluation>, logarithmic: bool
         WIDTH - 12.0,
         middle = 0.5 * (y.start + y.end),
     );
-    let scales = all.iter().map(|e| e.scales.len()).max().unwrap_or(0);
-    for scale in 0..scales {
-        let value = |e: &Evaluation| e.scales.get(scale).map_or(f64::NAN, |q| q.psnr);
-        svg += &line(curve, whole, x, y, COLORS[scale % COLORS.len()], "scale", value);
+    for line in lines {
+        svg += &group(line, x, y);
     }
-    svg += &line(curve, whole, x, y, "currentColor", "mean", |e| e.psnr);
-    Some(svg + "</svg>")
+    Some(svg)
 }
 
-fn line(
-    curve: &[&Evaluation],
-    whole: Option<&Evaluation>,
-    x: Axis,
-    y: Axis,
-    color: &str,
-    class: &str,
-    value: impl Fn(&Evaluation) -> f64,
-) -> String {
-    let drawn = |e: &&Evaluation| value(e).is_finite() && e.totals.seconds > 0.0;
-    let at = |e: &Evaluation| (x.place(e.totals.seconds), y.place(value(e)));
-    let hint = |e: &Evaluation| {
-        format!(
-            "<title>{:.2} dB after {} (step {})</title>",
-            value(e),
-            crate::terminal::duration(e.totals.seconds),
-            e.totals.step
-        )
-    };
-    let points: Vec<_> = curve.iter().copied().filter(drawn).collect();
-    let path: Vec<_> = points.iter().map(|e| at(e)).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-    let mut svg =
-        format!("<g class=\"{class}\" style=\"color:{color}\"><polyline points=\"{}\"/>", path.join(" "));
-    for e in points {
-        let (x, y) = at(e);
-        svg += &format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.2\">{}</circle>", hint(e));
+fn group(line: &Line, x: Axis, y: Axis) -> String {
+    let at = |p: &Point| (x.place(p.seconds), y.place(p.psnr));
+    let hint = |p: &Point| format!("<title>{}</title>", super::html::escape(&p.hint));
+    let points: Vec<_> = line.points.iter().filter(|p| p.drawn()).collect();
+    let path: Vec<_> = points.iter().map(|p| at(p)).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+    let mut svg = format!(
+        "<g class=\"{}\" style=\"color:{}\"><polyline points=\"{}\"/>",
+        line.class,
+        line.color,
+        path.join(" ")
+    );
+    for p in points {
+        let (x, y) = at(p);
+        svg += &format!("<circle class=\"dot\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.2\">{}</circle>", hint(p));
     }
-    if let Some(e) = whole.filter(drawn) {
-        let (x, y) = at(e);
-        svg += &format!("<circle class=\"ring\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"6\">{}</circle>", hint(e));
+    if let Some(p) = line.ring.as_ref().filter(|p| p.drawn()) {
+        let (x, y) = at(p);
+        svg += &format!("<circle class=\"ring\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"6\">{}</circle>", hint(p));
     }
     svg + "</g>"
 }
@@ -213,6 +281,21 @@ mod tests {
             let svg = plot(&[&broken], None, false).unwrap();
             assert!(!svg.contains("NaN") && !svg.contains("inf"));
         });
+    }
+
+    #[test]
+    fn a_plot_that_stands_alone_names_its_lines() {
+        let line = |name: &str, psnr: f64| Line {
+            name: name.into(),
+            color: COLORS[0].into(),
+            class: "mean",
+            points: vec![Point { seconds: 1.0, psnr, hint: "a < b".into() }],
+            ring: None,
+        };
+        let svg = alone(&[line("one & two", 20.0), line("three", f64::NAN)]).unwrap();
+        assert!(svg.contains("one &amp; two") && svg.contains("a &lt; b") && svg.contains("xmlns"));
+        assert_eq!(svg.matches("class=\"dot\"").count(), 1);
+        assert!(alone(&[line("nothing", f64::NAN)]).is_none() && alone(&[]).is_none());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! One file per verb; each returns the program's exit code.
 
+mod compare;
 mod config;
 mod data;
 mod doctor;
@@ -19,6 +20,7 @@ pub fn run(arguments: Arguments) -> Result<u8> {
         Some(Verb::Render(render)) => render::run(&render),
         Some(Verb::Data(data)) => data::run(&data),
         Some(Verb::Config(config)) => config::run(&config),
+        Some(Verb::Compare(compare)) => compare::run(&compare),
         Some(Verb::Doctor) => doctor::run(),
     }
 }

@@ -1,0 +1,224 @@
+//! `compare`: curves of error against time beside each other, from run folders or anybody's CSV: a table of the times at
+//! which each reaches given PSNRs, and a plot.
+
+use crate::args::CompareArguments;
+use crate::report::svg::{self, Line, Point};
+use crate::terminal;
+use std::path::Path;
+use trimip_core::{Error, Result, tensors::write_atomically};
+
+/// Curves that are told apart by colour.
+const MOST: usize = svg::COLORS.len();
+
+/// A curve of error against time.
+#[derive(Debug)]
+struct Curve {
+    name: String,
+    /// Measures on the way, by time.
+    points: Vec<Measure>,
+    /// The measure that ended the run, on other views than the curve.
+    last: Option<Measure>,
+}
+
+/// A row of a curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Measure {
+    /// Of training.
+    seconds: f64,
+    /// Mean of the scales, dB.
+    psnr: f64,
+}
+
+/// Runs the verb.
+pub fn run(arguments: &CompareArguments) -> Result<u8> {
+    if arguments.curves.len() > MOST {
+        return Err(Error::input(
+            "compare",
+            format!("{} curves", arguments.curves.len()),
+            format!("compare at most {MOST} at once"),
+        ));
+    }
+    let curves = arguments.curves.iter().map(|text| Curve::read(text)).collect::<Result<Vec<_>>>()?;
+    let mut reach: Vec<f64> = arguments.reach.iter().copied().filter(|psnr| psnr.is_finite()).collect();
+    reach.sort_by(f64::total_cmp);
+    terminal::line(table(&curves, &reach));
+    if let Some(path) = &arguments.svg {
+        let lines: Vec<Line> =
+            curves.iter().zip(svg::COLORS).map(|(curve, color)| curve.line(color)).collect();
+        let text = svg::alone(&lines).ok_or_else(|| {
+            Error::input(
+                "compare",
+                "no curve has a measure to draw",
+                "name runs that were evaluated on the way",
+            )
+        })?;
+        write_atomically(path, text.as_bytes())?;
+    }
+    if let Some(path) = &arguments.json {
+        let rows: Vec<_> = curves.iter().map(|curve| curve.json(&reach)).collect();
+        write_atomically(path, serde_json::to_string_pretty(&rows).map_err(Error::run)?.as_bytes())?;
+    }
+    Ok(0)
+}
+
+impl Curve {
+    /// Reads `path` or `name=path`; a folder's curve is its `error_vs_time.csv`.
+    fn read(text: &str) -> Result<Self> {
+        let (name, path) = match text.split_once('=') {
+            Some((name, path)) if !Path::new(text).exists() => (name.to_string(), Path::new(path)),
+            _ => (text.trim_end_matches('/').to_string(), Path::new(text)),
+        };
+        let path = if path.is_dir() { path.join("error_vs_time.csv") } else { path.to_path_buf() };
+        let text = std::fs::read_to_string(&path).map_err(|error| {
+            Error::input(path.display(), format!("cannot read: {error}"), "name a run folder or a CSV file")
+        })?;
+        let (points, last) = parse(&path.display().to_string(), &text)?;
+        Ok(Self { name, points, last })
+    }
+
+    /// Seconds at which the curve first reaches `psnr`, between two measures by straight lines over the logarithm of
+    /// time; `None` where it never does.
+    fn reaches(&self, psnr: f64) -> Option<f64> {
+        let mut before: Option<&Measure> = None;
+        for point in &self.points {
+            if point.psnr >= psnr {
+                let Some(before) = before else { return Some(point.seconds) };
+                let share = (psnr - before.psnr) / (point.psnr - before.psnr);
+                return Some(before.seconds * (point.seconds / before.seconds).powf(share));
+            }
+            before = Some(point);
+        }
+        None
+    }
+
+    fn line(&self, color: &str) -> Line {
+        let point = |m: &Measure| Point {
+            seconds: m.seconds,
+            psnr: m.psnr,
+            hint: format!("{}: {:.2} dB after {}", self.name, m.psnr, terminal::duration(m.seconds)),
+        };
+        Line {
+            name: self.name.clone(),
+            color: color.into(),
+            class: "mean",
+            points: self.points.iter().map(point).collect(),
+            ring: self.last.as_ref().map(point),
+        }
+    }
+
+    fn json(&self, reach: &[f64]) -> serde_json::Value {
+        let pair = |m: &Measure| serde_json::json!({ "seconds": m.seconds, "psnr": m.psnr });
+        serde_json::json!({
+            "name": self.name,
+            "curve": self.points.iter().map(pair).collect::<Vec<_>>(),
+            "final": self.last.as_ref().map(pair),
+            "reaches": reach.iter().map(|psnr| serde_json::json!({ "psnr": psnr, "seconds": self.reaches(*psnr) })).collect::<Vec<_>>(),
+        })
+    }
+}
+
+/// Measures of a CSV text by time, and the one that ended the run where a column `last` tells it apart.
+fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
+    let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
+    let header: Vec<&str> =
+        lines.next().map_or(Vec::new(), |(line, _)| line.split(',').map(str::trim).collect());
+    let column = |name: &str| header.iter().position(|column| *column == name);
+    let missing =
+        |name: &str| Error::input(file, format!("no column `{name}`"), "name the columns in the first line");
+    let seconds = column("seconds").ok_or_else(|| missing("seconds"))?;
+    let psnr = column("psnr_mean").ok_or_else(|| missing("psnr_mean"))?;
+    let is_last = column("last");
+    let (mut points, mut last) = (Vec::new(), None);
+    for (line, number) in lines {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let value = |column: usize| {
+            let cell = cells.get(column).copied().unwrap_or_default();
+            cell.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(|| {
+                Error::input(
+                    format!("{file}:{number}"),
+                    format!("`{}` is `{cell}`", header[column]),
+                    "expected a finite number",
+                )
+            })
+        };
+        let measure = Measure { seconds: value(seconds)?, psnr: value(psnr)? };
+        if is_last.is_some_and(|column| cells.get(column) == Some(&"true")) {
+            last = Some(measure);
+        } else {
+            points.push(measure);
+        }
+    }
+    points.sort_by(|a: &Measure, b| a.seconds.total_cmp(&b.seconds));
+    if points.is_empty() {
+        points.extend(last.take());
+    }
+    if points.is_empty() {
+        return Err(Error::input(file, "no measures", "name a run that was evaluated"));
+    }
+    Ok((points, last))
+}
+
+/// One row per curve: its end, and the time at which it reaches each PSNR.
+fn table(curves: &[Curve], reach: &[f64]) -> String {
+    let mut rows = vec![vec!["curve".to_string(), "seconds".into(), "PSNR / dB".into(), "final / dB".into()]];
+    rows[0].extend(reach.iter().map(|psnr| format!("{psnr} dB after")));
+    for curve in curves {
+        let end = &curve.points[curve.points.len() - 1];
+        let mut row = vec![curve.name.clone(), format!("{:.1}", end.seconds), format!("{:.2}", end.psnr)];
+        row.push(curve.last.map_or("–".into(), |last| format!("{:.2}", last.psnr)));
+        row.extend(reach.iter().map(|psnr| curve.reaches(*psnr).map_or("–".into(), |t| format!("{t:.1} s"))));
+        rows.push(row);
+    }
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let lines: Vec<String> = rows
+        .iter()
+        .map(|row| {
+            let cells = row.iter().enumerate().map(|(i, cell)| {
+                let pad = " ".repeat(width(i) - cell.chars().count());
+                if i == 0 { format!("{cell}{pad}") } else { format!("{pad}{cell}") }
+            });
+            cells.collect::<Vec<_>>().join("  ").trim_end().to_string()
+        })
+        .collect();
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve(text: &str) -> Curve {
+        let (points, last) = parse("x.csv", text).unwrap();
+        Curve { name: "x".into(), points, last }
+    }
+
+    #[test]
+    fn a_curve_reaches_what_lies_between_its_measures() {
+        let curve =
+            curve("seconds,psnr_mean,last\n100,30,false\n10,20,false\n1000,29,false\n1000,28.5,true\n");
+        assert_eq!(curve.last, Some(Measure { seconds: 1000.0, psnr: 28.5 }));
+        // Half way in dB is half way in the logarithm of time.
+        assert!((curve.reaches(25.0).unwrap() - 1000_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(
+            (curve.reaches(15.0), curve.reaches(30.0), curve.reaches(30.1)),
+            (Some(10.0), Some(100.0), None)
+        );
+        let table = table(&[curve], &[25.0, 40.0]);
+        assert!(table.contains("31.6 s") && table.ends_with('–'), "{table}");
+    }
+
+    #[test]
+    fn a_run_measured_at_its_end_alone_is_a_point() {
+        let curve = curve("seconds,psnr_mean,last\n100,30,true\n");
+        assert_eq!((curve.points.len(), curve.last), (1, None));
+    }
+
+    #[test]
+    fn broken_tables_are_named_with_their_line() {
+        let message = |text: &str| parse("x.csv", text).unwrap_err().to_string();
+        assert!(message("seconds,psnr\n1,2\n").contains("psnr_mean"));
+        assert!(message("seconds,psnr_mean\n1,2\n3\n").contains("x.csv:3"));
+        assert!(message("seconds,psnr_mean\n1,nan\n").contains("x.csv:2"));
+        assert!(message("").contains("seconds") && message("seconds,psnr_mean\n").contains("no measures"));
+    }
+}
