@@ -175,7 +175,7 @@ fn verbs_answer() {
     let compared =
         good(&["compare", "first=run", "run", "--reach", "1,99", "--svg", "plot.svg", "--json", "c.json"]);
     assert!(compared.contains("first") && compared.lines().count() == 3, "{compared}");
-    assert_eq!(json(&here.join("c.json"))[0]["reaches"][1]["seconds"], serde_json::Value::Null);
+    assert_eq!(json(&here.join("c.json"))[0]["reaches"][1]["seconds"], Value::Null);
     assert!(fs::read_to_string(here.join("plot.svg")).unwrap().ends_with("</svg>\n"));
 
     let listed = good(&[

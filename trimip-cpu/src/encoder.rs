@@ -4,7 +4,7 @@ use crate::buffer::Buffer;
 use crate::extents::{Extent, Extents};
 use crate::gemm::padded;
 use crate::scatter::{BANDS, Sort, spread};
-use crate::simd::{Kernel, Lanes, Simd};
+use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -282,7 +282,7 @@ impl Gather<'_> {
 
     /// Finds what a sample reads, and fetches it.
     #[inline(always)]
-    fn find<L: Lanes>(&self, places: &[[*const f32; 3]; MOST_LEVELS], sphere: &Sphere, to: &mut Reads) {
+    fn find(&self, places: &[[*const f32; 3]; MOST_LEVELS], sphere: &Sphere, to: &mut Reads) {
         let log2_radius = sphere.radius.log2();
         for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
             let blend = self.pyramid.blend(plane, log2_radius);
@@ -299,7 +299,7 @@ impl Gather<'_> {
                         let texel = (taps.rows[i] * side + taps.columns[j]) * CHANNELS;
                         // SAFETY: taps clamps rows and columns below `side`; the level holds side² texels.
                         let texel = unsafe { places[level][plane].add(texel) };
-                        L::fetch(texel);
+                        fetch(texel);
                         read.texels[2 * i + j] = texel;
                         read.weights[2 * i + j] = share * taps.weights[i][j];
                     }
@@ -318,7 +318,7 @@ impl Kernel for Gather<'_> {
         let mut ahead = [Reads { reads: [[nothing; 2]; 3], two: [false; 3] }; AHEAD];
         for (first, spheres) in self.spheres.chunks(AHEAD).enumerate() {
             for (sphere, reads) in spheres.iter().zip(&mut ahead) {
-                self.find::<L>(&places, sphere, reads);
+                self.find(&places, sphere, reads);
             }
             let out = &mut self.features[first * AHEAD * FEATURES..][..spheres.len() * FEATURES];
             for (reads, out) in ahead.iter().zip(out.chunks_exact_mut(FEATURES)) {

@@ -357,19 +357,11 @@ impl Mlp {
                 }
             }
         }
-        if let (Some(inputs), Some(shared)) = (&self.shared, shared) {
-            if let Forward::Wide(w) = &inputs.forward {
-                let shape = [inputs.rows.len(), width];
-                pairs.accumulate(
-                    simd,
-                    w.precision(),
-                    shared.groups,
-                    shape,
-                    shared.input,
-                    sums,
-                    shared_weights,
-                );
-            }
+        if let (Some(inputs), Some(shared)) = (&self.shared, shared)
+            && let Forward::Wide(w) = &inputs.forward
+        {
+            let shape = [inputs.rows.len(), width];
+            pairs.accumulate(simd, w.precision(), shared.groups, shape, shared.input, sums, shared_weights);
         }
     }
 

@@ -1,5 +1,6 @@
 //! Where rays come from on the CPU: random pixels of the training views, or all pixels of a camera.
 
+use crate::simd::fetch;
 use crate::{CpuBackend, Lane};
 use std::ops::Range;
 use trimip_core::backend::Sampler;
@@ -8,6 +9,9 @@ use trimip_core::config::TrainBackground;
 use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
+
+/// Pixels that are drawn before the first of them is read.
+const AHEAD: usize = 32;
 
 /// Training views and the share of each scale.
 pub struct CpuSampler {
@@ -67,10 +71,20 @@ impl Sampler<CpuBackend> for CpuSampler {
             rays.targets.clear();
             return;
         };
-        for (slot, index) in range.enumerate() {
-            let scale = &views.scales[self.scale_of(index, total)];
-            let bits = self.random.bits(Stream::Pixel, step, index);
-            let pixel = scale.pixels.start + below(bits[0], scale.pixels.len() as u32) as usize;
+        // Random pixels are out of every cache: some are asked for before the first is read.
+        let mut drawn = [(0, 0); AHEAD];
+        for (slot, index) in range.clone().enumerate() {
+            if slot % AHEAD == 0 {
+                for (drawn, index) in drawn.iter_mut().zip(index..range.end) {
+                    let scale = self.scale_of(index, total);
+                    let pixels = &views.scales[scale].pixels;
+                    let bits = self.random.bits(Stream::Pixel, step, index);
+                    *drawn = (scale, pixels.start + below(bits[0], pixels.len() as u32) as usize);
+                    fetch(&raw const views.pixels[drawn.1]);
+                }
+            }
+            let (scale, pixel) = drawn[slot % AHEAD];
+            let scale = &views.scales[scale];
             let in_scale = &views.views[scale.views.clone()];
             let view = &in_scale[in_scale.partition_point(|view| view.offset <= pixel) - 1];
             let within = (pixel - view.offset) as u32;

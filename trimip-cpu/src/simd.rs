@@ -73,6 +73,19 @@ impl Simd {
     }
 }
 
+/// Asks for the cache line at `from`, which need not be valid.
+#[inline(always)]
+pub fn fetch<T>(from: *const T) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a prefetch reads nothing; every x86-64 has it.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = from;
+}
+
 /// A computation written over lanes. `run` and all it calls must be `#[inline(always)]`: only then is it compiled with
 /// the instruction set's features.
 pub trait Kernel {
@@ -104,8 +117,6 @@ pub trait Lanes: Copy {
     fn relu(self) -> Self;
     /// Lanes where `mask` is above zero; zero elsewhere.
     fn where_positive(self, mask: Self) -> Self;
-    /// Asks for the cache line at `from`, which need not be valid.
-    fn fetch(from: *const f32);
     /// Sum.
     fn add(self, other: Self) -> Self;
     /// Sum of all lanes.
@@ -208,8 +219,6 @@ impl Lanes for Plain {
         self
     }
     #[inline(always)]
-    fn fetch(_: *const f32) {}
-    #[inline(always)]
     fn add(mut self, other: Self) -> Self {
         for i in 0..16 {
             self.0[i] += other.0[i];
@@ -286,10 +295,6 @@ mod x86 {
             }
         }
         #[inline(always)]
-        fn fetch(from: *const f32) {
-            unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) };
-        }
-        #[inline(always)]
         fn add(self, other: Self) -> Self {
             Self(unsafe { _mm512_add_ps(self.0, other.0) })
         }
@@ -348,12 +353,14 @@ mod x86 {
     /// The same bits as pairs of bf16.
     #[inline(always)]
     unsafe fn words(bits: __m512) -> __m512bh {
+        // SAFETY: both are 512 bits of anything.
         unsafe { std::mem::transmute(bits) }
     }
 
     /// Words of pairs without the instructions of BF16: what [`super::pair`] does.
     #[inline(always)]
     unsafe fn round(first: __m512, second: __m512) -> __m512 {
+        // SAFETY: the caller runs with AVX-512F, as `Zmm` does.
         unsafe {
             let first = _mm512_srli_epi32::<16>(round_up(first));
             let second = _mm512_and_si512(round_up(second), _mm512_set1_epi32(0xffff_0000_u32 as i32));
@@ -364,6 +371,7 @@ mod x86 {
     /// Values whose upper halves are the nearest bf16: what [`super::bf16`] does.
     #[inline(always)]
     unsafe fn round_up(value: __m512) -> __m512i {
+        // SAFETY: as above.
         unsafe {
             let bits = _mm512_castps_si512(value);
             let odd = _mm512_and_si512(_mm512_srli_epi32::<16>(bits), _mm512_set1_epi32(1));
@@ -424,10 +432,6 @@ mod x86 {
                     _mm256_and_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(mask.1, zero), self.1),
                 )
             }
-        }
-        #[inline(always)]
-        fn fetch(from: *const f32) {
-            unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) };
         }
         #[inline(always)]
         fn add(self, other: Self) -> Self {
