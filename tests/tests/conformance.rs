@@ -98,6 +98,11 @@ fn a_resumed_run_is_the_run_that_never_stopped() {
 }
 
 #[test]
+fn the_batch_follows_the_step() {
+    with_threads(&[2], |make| suite::training::steady_batch(make));
+}
+
+#[test]
 fn poor_photographs_are_no_failure() {
     on_every_cpu(|make| suite::training::poor_photographs(make));
 }

@@ -16,6 +16,9 @@ pub struct TrainState {
     /// How often the planes' side is halved.
     #[serde(default)]
     pub halvings: u32,
+    /// The marching step of the last step, in uniform steps; 0 before the first.
+    #[serde(default)]
+    pub step_scale: f64,
     /// Rays of the next step (dynamic batch).
     pub rays_per_step: u32,
     /// Marched samples per ray of the last step, which sizes the next step's spans.

@@ -219,9 +219,17 @@ impl<B: Backend> Trainer<B> {
         self.stages.occupancy.absorb(&self.probes);
     }
 
-    /// Lets every stage follow the schedules to `progress`; where the planes grow, moments grow along.
+    /// Lets every stage follow the schedules to `progress`; where the planes grow, moments grow along, and where the
+    /// marching step shrinks, the batch has fewer rays of more samples.
     fn follow(&mut self, progress: f64) {
         self.stages.renderer.follow(progress);
+        let scale = self.config.renderer.step_scale.at(progress);
+        if self.state.step_scale > 0.0 && self.state.step_scale != scale {
+            let ratio = scale / self.state.step_scale;
+            self.state.rays_per_step = ((f64::from(self.state.rays_per_step) * ratio) as u32).max(16);
+            self.state.marched_per_ray /= ratio as f32;
+        }
+        self.state.step_scale = scale;
         let halvings = self.config.encoder.halvings.at(progress) as u32;
         if halvings >= self.state.halvings {
             return;

@@ -4,7 +4,8 @@ use crate::fixtures::{self, photographs};
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet, adamw::Rule,
-    checkpoint::Checkpoint, config::Untouched, params::Kind, trainer::Trainer, tri_mip::CHANNELS,
+    checkpoint::Checkpoint, config::Untouched, params::Kind, schedule::Schedule, trainer::Trainer,
+    tri_mip::CHANNELS,
 };
 
 /// A configuration whose steps are short: warm-up of the occupancy ends at step 8, refreshes every 4.
@@ -61,6 +62,31 @@ pub fn scheduled() -> Result<Config> {
     settings.apply_file("schedules", text)?;
     config = Config::from_settings(&settings)?;
     Ok(config)
+}
+
+/// Where the marching step shrinks to a quarter, the batch keeps its samples, not its rays.
+///
+/// # Errors
+/// When a step fails.
+pub fn steady_batch<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut config = configuration();
+    config.train.samples_per_step = 2048;
+    config.renderer.step_scale = Schedule::new(vec![[0.0, 4.0], [0.5, 1.0]]);
+    let mut trainer = Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2))?;
+    let (mut samples, mut rays) = (Vec::new(), Vec::new());
+    for step in 0..config.train.steps {
+        let before = trainer.checkpoint()?.state.totals;
+        let after = trainer.step(step as f64 / config.train.steps as f64)?.totals;
+        samples.push((after.samples - before.samples) as f64);
+        rays.push((after.rays - before.rays) as f64);
+    }
+    let switch = (config.train.steps / 2) as usize;
+    let ratio = rays[switch] / rays[switch - 1];
+    assert!((0.2..0.35).contains(&ratio), "rays change by {ratio}");
+    for (step, kept) in samples.iter().enumerate().skip(switch - 4) {
+        assert!((0.6..1.5).contains(&(kept / 2048.0)), "step {step} keeps {kept} samples");
+    }
+    Ok(())
 }
 
 fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &std::path::Path) -> Result<()> {
