@@ -48,7 +48,8 @@ pub fn root() -> PathBuf {
 /// The program with arguments, in a working directory.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(program());
-    command.args(arguments).current_dir(folder);
+    // A software driver of Vulkan writes to standard error where this is not set.
+    command.args(arguments).current_dir(folder).env("XDG_RUNTIME_DIR", folder);
     command
 }
 

@@ -93,7 +93,7 @@ pub struct EvalArguments {
     /// Use every n-th test view
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub stride: u32,
-    /// Override a setting of data, eval, renderer, backend or threads (data.root=.. for a moved data set)
+    /// Override a setting of data, eval, renderer, backend, threads or wgpu (data.root=.. for a moved data set)
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
     /// Also write the result as JSON
@@ -178,7 +178,7 @@ pub struct RenderArguments {
         value_name = "color,depth,opacity"
     )]
     pub what: Vec<Quantity>,
-    /// Override a setting of data, eval, renderer, backend or threads
+    /// Override a setting of data, eval, renderer, backend, threads or wgpu
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
 }

@@ -4,15 +4,34 @@ use trimip_core::{Config, Error, Result, Session, ViewSet, model::Model};
 
 /// Backends of this build.
 pub fn names() -> &'static [&'static str] {
-    &["cpu"]
+    if cfg!(feature = "wgpu") { &["cpu", "wgpu"] } else { &["cpu"] }
 }
 
 /// Each backend of this build in one line.
 pub fn describe() -> Vec<String> {
-    vec![format!("cpu: {}", trimip_cpu::features())]
+    let mut lines = vec![format!("cpu: {}", trimip_cpu::features())];
+    if cfg!(feature = "wgpu") {
+        lines.push("wgpu: any of the adapters below".into());
+    }
+    lines
 }
 
 /// Graphics adapters that a backend of this build could use, one line each.
+#[cfg(feature = "wgpu")]
+pub fn adapters() -> Vec<String> {
+    let mut lines = Vec::new();
+    for adapter in trimip_wgpu::adapters() {
+        lines.push(format!("{} ({})", adapter.name, adapter.about));
+        lines.extend(adapter.offers.iter().map(|(name, value)| format!("  {name}: {value}")));
+    }
+    if lines.is_empty() {
+        lines.push("none: install a Vulkan, Metal or Direct3D 12 driver to use backend = \"wgpu\"".into());
+    }
+    lines
+}
+
+/// Graphics adapters that a backend of this build could use, one line each.
+#[cfg(not(feature = "wgpu"))]
 pub fn adapters() -> Vec<String> {
     vec!["none: this build has no wgpu backend".into()]
 }
@@ -20,8 +39,12 @@ pub fn adapters() -> Vec<String> {
 /// Refuses a name that this build has no backend for.
 pub fn check(name: &str) -> Result<()> {
     match name {
-        "cpu" => Ok(()),
-        "wgpu" => Err(trimip_wgpu::missing()),
+        _ if names().contains(&name) => Ok(()),
+        "wgpu" => Err(Error::input(
+            "backend = \"wgpu\"",
+            "this build has no wgpu backend",
+            "build with the feature `wgpu`, or use backend = \"cpu\"",
+        )),
         _ => Err(Error::input(
             format!("backend = \"{name}\""),
             "unknown backend",
@@ -33,17 +56,30 @@ pub fn check(name: &str) -> Result<()> {
 /// A new model in training on the configured backend.
 pub fn train(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     check(&config.backend)?;
+    #[cfg(feature = "wgpu")]
+    if config.backend == "wgpu" {
+        return trimip_wgpu::open(config, views);
+    }
     trimip_cpu::open(config, views)
 }
 
-/// A finished model to render.
-pub fn load(model: &Model, backend: &str, threads: u32) -> Result<Box<dyn Session>> {
-    check(backend)?;
-    trimip_cpu::load(model, threads)
+/// A finished model to render on the backend that its configuration names now.
+pub fn load(model: &Model) -> Result<Box<dyn Session>> {
+    let config = &model.config;
+    check(&config.backend)?;
+    #[cfg(feature = "wgpu")]
+    if config.backend == "wgpu" {
+        return trimip_wgpu::load(model, &config.wgpu.adapter);
+    }
+    trimip_cpu::load(model, config.threads)
 }
 
 /// Bytes that training will need, by part; the photographs included.
 pub fn predict_memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
+    #[cfg(feature = "wgpu")]
+    if config.backend == "wgpu" {
+        return trimip_wgpu::memory(config, views);
+    }
     trimip_cpu::memory(config, views)
 }
 
@@ -53,10 +89,12 @@ mod tests {
 
     #[test]
     fn an_unknown_backend_is_the_users_to_mend() {
-        assert!(check("cpu").is_ok());
-        for name in ["wgpu", "cuda", ""] {
-            let error = check(name).unwrap_err();
-            assert!(error.exit_code() == 2 && error.message.contains("cpu"), "{error}");
+        for name in ["cpu", "wgpu", "cuda", ""] {
+            match check(name) {
+                Ok(()) => assert!(names().contains(&name)),
+                Err(error) => assert!(error.exit_code() == 2 && error.message.contains("cpu"), "{error}"),
+            }
         }
+        assert!(check("cuda").is_err() && check("cpu").is_ok());
     }
 }

@@ -17,6 +17,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
     type Lane: Send;
     /// Losses and counts of a step as they accumulate on the device.
     type Sums: Default + Send;
+    /// Sums on their way to the host.
+    type Receipt: Send;
     /// Tri-mip encoding.
     type Encoder: Encoder<Self>;
     /// Density and colour networks.
@@ -31,6 +33,10 @@ pub trait Backend: Sized + Send + Sync + 'static {
     type Occupancy: Occupancy<Self>;
     /// Photometric loss.
     type Loss: Loss<Self>;
+
+    /// Steps between a step and the use of its sums, at most [`crate::checkpoint::MOST_PENDING`]: a device that computes
+    /// one step while the host records the next is behind by some.
+    const LAG: usize = 0;
 
     /// Name in configurations: "cpu", "wgpu".
     fn name(&self) -> &'static str;
@@ -91,8 +97,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
         see_all(stages, parameters, space, jitter);
     }
 
-    /// From full deposits to new parameters with all that derives from them; empties the deposits. A backend may do it in
-    /// other passes if the parameters get the same bits as from [`update_all`].
+    /// From full deposits to new parameters with all that derives from them; empties the deposits. Where the sum of the
+    /// weights is zero nothing moves. A backend may do it in other passes if the parameters get the same bits as from [`update_all`].
     fn update(
         &self,
         stages: &mut Stages<Self>,
@@ -108,8 +114,17 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Number of deposits that suits steps of `samples` samples: 1 where a step is one span.
     fn deposits(&self, samples: u32) -> usize;
 
-    /// The step's sums, joined; `None` while the device has not finished it.
-    fn collect(&self, deposits: &[Deposit<Self>]) -> Option<StepSums>;
+    /// Sends the step's sums, joined, on their way to the host.
+    fn post(&self, deposits: &[Deposit<Self>]) -> Self::Receipt;
+
+    /// Hands the recorded work to the device. A backend that works at once has nothing to hand over.
+    fn submit(&self) {}
+
+    /// The sums that were posted; waits for them and for nothing behind them.
+    ///
+    /// # Errors
+    /// When the device failed.
+    fn redeem(&self, receipt: Self::Receipt) -> Result<StepSums>;
 }
 
 /// Asks the density of every sample in an occupied cell, then drops those that cannot be seen.

@@ -3,6 +3,7 @@
 
 use crate::{Backend, Cone, Field, Pixel, backend::Encoder};
 use bytemuck::{Pod, Zeroable};
+use serde::{Deserialize, Serialize};
 
 /// The axis of a pixel's cone.
 #[repr(C)]
@@ -162,8 +163,7 @@ pub struct Deposit<B: Backend> {
 }
 
 /// Losses and counts of a step.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepSums {
     /// Σ weight · mean over channels of smooth-L1.
     pub loss: f64,

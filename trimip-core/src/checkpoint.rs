@@ -1,12 +1,17 @@
 //! Everything training needs to go on with the same bits: parameters, moments, occupancy, counters. Random numbers are
 //! hashes of (seed, step, index), so the step is all the random state there is.
 
-use crate::{Config, Error, Result, events::Totals, model::expect_format, tensors::TensorFile};
+use crate::{
+    Config, Error, Result, batch::StepSums, events::Totals, model::expect_format, tensors::TensorFile,
+};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Value of the metadata `format` of a checkpoint file.
 const FORMAT: &str = "trimip-checkpoint-1";
+
+/// Steps whose sums may be under way.
+pub const MOST_PENDING: usize = 2;
 
 /// State beside the tensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -19,6 +24,10 @@ pub struct TrainState {
     /// The marching step of the last step, in uniform steps; 0 before the first.
     #[serde(default)]
     pub step_scale: f64,
+    /// Sums of the last steps that the next ones will use, oldest first, each with its step's `step_scale`. The totals
+    /// hold them.
+    #[serde(default)]
+    pub pending: [Option<(f64, StepSums)>; MOST_PENDING],
     /// Rays of the next step (dynamic batch).
     pub rays_per_step: u32,
     /// Marched samples per ray of the last step, which sizes the next step's spans.

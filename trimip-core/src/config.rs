@@ -184,11 +184,15 @@ impl EvalConfig {
 }
 
 section!(
+    /// The GPU.
+    WgpuConfig { adapter: String, deterministic: bool }
+);
+section!(
     /// Everything a run is told.
     Config {
         backend: String, seed: u64, threads: u32, data: DataConfig, scene: SceneConfig, encoder: EncoderConfig,
         field: FieldConfig, renderer: RendererConfig, occupancy: OccupancyConfig, loss: LossConfig,
-        optimizer: OptimizerConfig, train: TrainConfig, eval: EvalConfig,
+        optimizer: OptimizerConfig, train: TrainConfig, eval: EvalConfig, wgpu: WgpuConfig,
     }
 );
 

@@ -57,6 +57,11 @@ impl Random {
 pub struct Draws([u32; 4]);
 
 impl Draws {
+    /// What a device needs to draw the same numbers.
+    pub fn words(&self) -> [u32; 4] {
+        self.0
+    }
+
     /// Four independent 32-bit numbers for `index`.
     #[inline]
     pub fn bits(&self, index: u32) -> [u32; 4] {

@@ -6,13 +6,14 @@ use crate::{
     adamw::learning_rate,
     backend::{Loss, Occupancy, Sampler, Stages},
     batch::{Deposit, Radiance, StepSums, Workspace},
-    checkpoint::{Checkpoint, TrainState},
+    checkpoint::{Checkpoint, MOST_PENDING, TrainState},
     metrics::psnr_of_error,
     model::Model,
     run::progress,
     tensors::{Tensor, TensorFile},
     tri_mip::grow,
 };
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Marched samples that a span aims at: what its activations leave of a core's L2.
@@ -36,6 +37,23 @@ pub struct Trainer<B: Backend> {
     probes: B::Buffer<Radiance>,
     frame: B::Buffer<Pixel>,
     state: TrainState,
+    /// Sums of the last steps that are not used yet, oldest first.
+    pending: VecDeque<Pending<B>>,
+}
+
+/// Sums of a step that no later one has used.
+struct Pending<B: Backend> {
+    /// The marching step then, in uniform steps.
+    scale: f64,
+    sums: Arrival<B>,
+}
+
+/// Sums of a step.
+enum Arrival<B: Backend> {
+    /// On their way from the device.
+    Posted(B::Receipt),
+    /// Read and counted, because a checkpoint was taken since.
+    Counted(StepSums),
 }
 
 impl<B: Backend> Trainer<B> {
@@ -85,6 +103,7 @@ impl<B: Backend> Trainer<B> {
             stages,
             parameters,
             deposits,
+            pending: VecDeque::new(),
         };
         if training {
             trainer.halve(config.encoder.halvings.at(0.0) as u32);
@@ -122,17 +141,22 @@ impl<B: Backend> Trainer<B> {
 
     /// Loss and gradient of the current parameters on the rays of step `step`, without moving them; the gradient is
     /// flat and divided by the sum of the weights.
-    pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> (StepSums, Vec<f32>) {
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<f32>)> {
         self.state.totals.step = step;
         let backend = Arc::clone(&self.backend);
-        let sums = backend.install(|| {
-            let sums = self.gradients(rays);
+        let receipt = backend.install(|| {
+            self.gradients(rays);
+            let receipt = self.backend.post(&self.deposits);
             self.stages.flush(&mut self.deposits, &mut self.gradient);
-            sums.unwrap_or_default()
+            receipt
         });
+        let sums = self.backend.redeem(receipt)?;
         let gradient =
             self.backend.read(&self.gradient).iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect();
-        (sums, gradient)
+        Ok((sums, gradient))
     }
 
     fn refresh(&mut self) {
@@ -148,7 +172,7 @@ impl<B: Backend> Trainer<B> {
     }
 
     /// Forward and backward over `rays` rays; leaves the deposits full.
-    fn gradients(&mut self, rays: u32) -> Option<StepSums> {
+    fn gradients(&mut self, rays: u32) {
         let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
         let step = self.state.totals.step;
         for deposit in &mut self.deposits {
@@ -195,7 +219,6 @@ impl<B: Backend> Trainer<B> {
                 stages.encoder.backward(lane, samples, feature_gradients, &mut deposit.encoder);
             },
         );
-        self.backend.collect(&self.deposits)
     }
 
     /// Asks the occupancy grid's chosen cells for their density.
@@ -259,15 +282,60 @@ impl<B: Backend> Trainer<B> {
         self.stages.optimizer.halve(halvings);
     }
 
-    /// Scales the next step's rays so that its kept samples stay near the target (dynamic batch).
-    fn adapt_batch(&mut self, sums: &StepSums, progress: f64) {
-        let scale = self.config.train.batch_scale.at(progress);
-        let target = (f64::from(self.config.train.samples_per_step) * scale) as u64;
-        let rays = u64::from(self.state.rays_per_step);
-        let next = rays * target / sums.kept.max(1) + 1;
+    /// Scales the next step's rays so that its kept samples stay near the target (dynamic batch); `scale` is the marching
+    /// step that the sums were made with.
+    fn adapt_batch(&mut self, sums: &StepSums, scale: f64, progress: f64) {
+        let part = self.config.train.batch_scale.at(progress);
+        let target = (f64::from(self.config.train.samples_per_step) * part) as u64;
+        let mut next = sums.rays * target / sums.kept.max(1) + 1;
+        if scale != self.state.step_scale {
+            next = (next as f64 * self.state.step_scale / scale) as u64;
+        }
         // At most doubled, so that one thin batch does not make the next one enormous.
-        self.state.rays_per_step = next.min(2 * rays).clamp(16, 8 * target) as u32;
+        let most = 2 * u64::from(self.state.rays_per_step);
+        self.state.rays_per_step = next.min(most).clamp(16, 8 * target) as u32;
         self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
+    }
+
+    /// Adds the sums of a step to the totals.
+    fn count(&mut self, sums: &StepSums) {
+        let totals = &mut self.state.totals;
+        totals.samples += sums.kept;
+        totals.marched += sums.marched;
+        totals.rays += sums.rays;
+        totals.empty_batches += u64::from(sums.kept == 0);
+    }
+
+    /// The oldest sums that no step has used, counted, with their marching step; once there are more than the lag.
+    fn oldest_sums(&mut self) -> Result<Option<(f64, StepSums)>> {
+        if self.pending.len() <= B::LAG {
+            return Ok(None);
+        }
+        let Some(Pending { scale, sums }) = self.pending.pop_front() else { return Ok(None) };
+        Ok(Some((scale, self.arrived(sums)?)))
+    }
+
+    /// Waits for sums and counts them.
+    fn arrived(&mut self, sums: Arrival<B>) -> Result<StepSums> {
+        match sums {
+            Arrival::Counted(sums) => Ok(sums),
+            Arrival::Posted(receipt) => {
+                let sums = self.backend.redeem(receipt)?;
+                self.count(&sums);
+                Ok(sums)
+            }
+        }
+    }
+
+    /// Reads all sums that are under way: what a checkpoint holds.
+    fn settle(&mut self) -> Result<()> {
+        self.state.pending = [None; MOST_PENDING];
+        for (place, Pending { scale, sums }) in std::mem::take(&mut self.pending).into_iter().enumerate() {
+            let sums = self.arrived(sums)?;
+            self.pending.push_back(Pending { scale, sums: Arrival::Counted(sums) });
+            self.state.pending[place] = Some((scale, sums));
+        }
+        Ok(())
     }
 
     fn train_step(&mut self, progress: f64) -> Result<StepReport> {
@@ -276,30 +344,32 @@ impl<B: Backend> Trainer<B> {
         if step.is_multiple_of(u64::from(self.config.occupancy.every)) {
             self.refresh_occupancy();
         }
-        let sums = self.gradients(self.state.rays_per_step).unwrap_or_default();
-        if sums.non_finite > 0 || !sums.loss.is_finite() {
+        self.gradients(self.state.rays_per_step);
+        let posted = Arrival::Posted(self.backend.post(&self.deposits));
+        self.pending.push_back(Pending { scale: self.state.step_scale, sums: posted });
+        // A backend without lag is asked before anything moves.
+        let early = if B::LAG == 0 { self.oldest_sums()? } else { None };
+        if let Some((_, sums)) = &early
+            && let Err(error) = finite(step, sums)
+        {
             self.stages.flush(&mut self.deposits, &mut self.gradient);
-            return Err(Error::run(format!(
-                "step {step}: {} of {} pixels are not finite (loss {}); the state before this step is kept, lower \
-                 optimizer.learning_rate",
-                sums.non_finite, sums.rays, sums.loss
-            )));
+            return Err(error);
         }
         let rate = learning_rate(&self.config.optimizer, progress);
-        if sums.weight > 0.0 {
-            let Self { backend, stages, parameters, gradient, deposits, .. } = self;
-            backend.update(stages, parameters, gradient, deposits, rate, step + 1);
-        } else {
-            self.stages.flush(&mut self.deposits, &mut self.gradient);
+        let Self { backend, stages, parameters, gradient, deposits, .. } = self;
+        backend.update(stages, parameters, gradient, deposits, rate, step + 1);
+        backend.submit();
+        let late = if B::LAG > 0 { self.oldest_sums()? } else { None };
+        if let Some((_, sums)) = &late {
+            finite(step.saturating_sub(B::LAG as u64), sums)?;
         }
-        let totals = &mut self.state.totals;
-        totals.step += 1;
-        totals.samples += sums.kept;
-        totals.marched += sums.marched;
-        totals.rays += sums.rays;
-        totals.empty_batches += u64::from(sums.kept == 0);
-        totals.non_finite = self.stages.optimizer.non_finite();
-        self.adapt_batch(&sums, progress);
+        self.state.totals.step += 1;
+        let sums = early.or(late);
+        if let Some((scale, sums)) = &sums {
+            self.adapt_batch(sums, *scale, progress);
+        }
+        self.state.totals.non_finite = self.stages.optimizer.non_finite();
+        let sums = sums.map_or_else(StepSums::default, |(_, sums)| sums);
         Ok(StepReport {
             totals: self.state.totals,
             loss: sums.loss / sums.weight.max(f64::MIN_POSITIVE),
@@ -347,6 +417,18 @@ impl<B: Backend> Trainer<B> {
     }
 }
 
+/// Refuses the sums of a step that are not finite.
+fn finite(step: u64, sums: &StepSums) -> Result<()> {
+    if sums.non_finite == 0 && sums.loss.is_finite() {
+        return Ok(());
+    }
+    Err(Error::run(format!(
+        "step {step}: {} of {} pixels are not finite (loss {}); the last checkpoint is kept, lower \
+         optimizer.learning_rate",
+        sums.non_finite, sums.rays, sums.loss
+    )))
+}
+
 /// Rays to pixels: the part that training and rendering share.
 fn forward<B: Backend>(
     backend: &B,
@@ -384,6 +466,7 @@ impl<B: Backend> Session for Trainer<B> {
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint> {
+        self.settle()?;
         let mut file = self.tensors(&self.parameters());
         for (suffix, moments) in [".m", ".v"].into_iter().zip(self.stages.optimizer.moments()) {
             self.layout.to_tensors(&self.backend.read(moments), suffix, &mut file);
@@ -404,6 +487,8 @@ impl<B: Backend> Session for Trainer<B> {
             self.backend.write(buffer, &values);
         }
         self.state = checkpoint.state;
+        let counted = |(scale, sums)| Pending { scale, sums: Arrival::Counted(sums) };
+        self.pending = self.state.pending.into_iter().flatten().map(counted).collect();
         self.halve(self.state.halvings);
         self.refresh();
         self.stages.renderer.follow(progress(&self.config, &self.state.totals));

@@ -6,7 +6,7 @@ use std::hint::black_box;
 use trimip_core::config::Precision;
 use trimip_cpu::Buffer;
 use trimip_cpu::gemm::{Finish, Packed, Start, accumulate, multiply, pair_columns, pair_rows};
-use trimip_cpu::simd::Simd;
+use trimip_cpu::simd::{Kernel, Lanes, Simd};
 
 const ROWS: usize = 504;
 
@@ -16,6 +16,39 @@ fn values(count: usize) -> Buffer<f32> {
         *value = (i as f32 * 0.37).sin();
     }
     buffer
+}
+
+/// Products of registers alone: the processor's limit.
+struct Peak<const PAIRS: bool>;
+
+/// Products of a run of [`Peak`], in instructions.
+const PEAK: usize = 24 * 1000;
+
+impl<const PAIRS: bool> Kernel for Peak<PAIRS> {
+    type Output = f32;
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> f32 {
+        let factor = L::splat(black_box(1.0));
+        let mut sums = [L::splat(0.0); 24];
+        for _ in 0..PEAK / sums.len() {
+            for sum in &mut sums {
+                *sum = if PAIRS { factor.dot_add(factor, *sum) } else { factor.mul_add(factor, *sum) };
+            }
+        }
+        sums.into_iter().map(L::sum).sum()
+    }
+}
+
+fn peak(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("peak");
+    for simd in Simd::available().into_iter().filter(|simd| *simd != Simd::Portable) {
+        group.throughput(Throughput::Elements(16 * PEAK as u64));
+        group.bench_function(format!("f32/{simd:?}"), |b| b.iter(|| simd.run(Peak::<false>)));
+    }
+    let simd = Simd::detect();
+    group.throughput(Throughput::Elements(32 * PEAK as u64));
+    group.bench_function(format!("bf16/{simd:?}"), |b| b.iter(|| simd.run(Peak::<true>)));
+    group.finish();
 }
 
 fn kernels(criterion: &mut Criterion) {
@@ -69,5 +102,5 @@ fn kernels(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, kernels);
+criterion_group!(benches, peak, kernels);
 criterion_main!(benches);

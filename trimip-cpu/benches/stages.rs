@@ -1,10 +1,14 @@
-//! Criterion: each stage on one thread over one large span, and a whole training step on all cores. Throughput is in
-//! samples, so `elem/s` compares stages with each other and with the step.
+//! Criterion: each stage on one thread over one large span, with the widest instruction set and in plain Rust, and a whole
+//! training step on all cores. Throughput is in samples (rays for drawing rays, parameters for the end of a step), so
+//! `elem/s` compares stages with each other and with the step.
 
-use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use criterion::measurement::WallTime;
+use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
-use trimip_core::backend::{Loss, Occupancy, Sampler};
-use trimip_core::batch::{Radiance, StepSums, Workspace};
+use std::time::{Duration, Instant};
+use trimip_core::backend::{Loss, Occupancy, Optimizer, Sampler, Stages};
+use trimip_core::batch::{Deposit, Radiance, StepSums, Workspace};
+use trimip_core::config::Precision;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
 use trimip_cpu::CpuBackend;
@@ -39,24 +43,47 @@ fn ball(resolution: u32) -> Vec<u8> {
 }
 
 fn stages(criterion: &mut Criterion) {
-    let (config, views) = scene(16_384);
-    let backend = CpuBackend::new(1, Simd::detect()).expect("one thread");
-    let mut stages = backend.stages(&config, Some(views)).expect("views that fit");
-    let layout = Layout::new(&config);
+    let widest = Simd::detect();
+    for (simd, precision) in
+        [(widest, Precision::F32), (widest, Precision::Bf16), (Simd::Portable, Precision::F32)]
+    {
+        let (mut config, views) = scene(16_384);
+        config.field.precision = precision;
+        let mut group = criterion.benchmark_group(format!("stage, one thread, {simd:?}, {precision:?}"));
+        one_by_one(&mut group, &config, views, simd);
+        group.finish();
+    }
+}
+
+/// Every stage of a step on one thread. `field` and `update` alone depend on the precision.
+fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: ViewSet, simd: Simd) {
+    let backend = CpuBackend::new(1, simd).expect("one thread");
+    let mut stages = backend.stages(config, Some(views)).expect("views that fit");
+    let layout = Layout::new(config);
     let mut parameters = backend.zeros(layout.len());
-    backend.write(&mut parameters, &layout.initial(&config));
+    backend.write(&mut parameters, &layout.initial(config));
     stages.encoder.refresh(&parameters);
     stages.field.refresh(&parameters);
     stages.occupancy.restore(&ball(config.occupancy.resolution), None);
 
     let mut space = Workspace::<CpuBackend>::new(&backend, &stages.field);
     let Workspace { lane, rays, samples, features, tape, radiance, kept, pixels, .. } = &mut space;
+    let mut deposit = Deposit {
+        field: stages.field.gradient(),
+        encoder: stages.encoder.gradient(),
+        sums: StepSums::default(),
+    };
+    group.throughput(Throughput::Elements(64));
+    group.bench_function("sample rays", |b| {
+        let mut step = 0;
+        b.iter(|| {
+            step += 1;
+            stages.sampler.training_rays(lane, step, 64, 0..64, rays);
+        });
+    });
     stages.sampler.training_rays(lane, 1, 64, 0..64, rays);
     stages.renderer.march(lane, rays, &stages.occupancy, Some(1), samples);
-    let count = samples.spheres.len() as u64;
-
-    let mut group = criterion.benchmark_group("stage, one thread");
-    group.throughput(Throughput::Elements(count));
+    group.throughput(Throughput::Elements(samples.spheres.len() as u64));
     group.bench_function("march", |b| {
         b.iter(|| stages.renderer.march(lane, black_box(rays), &stages.occupancy, Some(1), samples));
     });
@@ -77,25 +104,20 @@ fn stages(criterion: &mut Criterion) {
         b.iter(|| stages.renderer.composite(lane, black_box(rays), samples, radiance, pixels));
     });
     let (mut pixel_gradients, mut radiance_gradients) = (backend.zeros(0), backend.zeros::<Radiance>(0));
-    let mut sums = StepSums::default();
     group.bench_function("loss", |b| {
         b.iter(|| {
-            stages.loss.evaluate(lane, rays, samples, black_box(pixels), &mut pixel_gradients, &mut sums)
+            let sums = &mut deposit.sums;
+            stages.loss.evaluate(lane, rays, samples, black_box(pixels), &mut pixel_gradients, sums);
         });
     });
     group.bench_function("composite backward", |b| {
         b.iter(|| {
-            stages.renderer.backward(
-                lane,
-                samples,
-                radiance,
-                pixels,
-                black_box(&pixel_gradients),
-                &mut radiance_gradients,
-            );
+            let pixel_gradients = black_box(&pixel_gradients);
+            let out = &mut radiance_gradients;
+            stages.renderer.backward(lane, samples, radiance, pixels, pixel_gradients, out);
         });
     });
-    let (mut gradient, mut feature_gradients) = (stages.field.gradient(), backend.zeros(0));
+    let mut feature_gradients = backend.zeros(0);
     group.bench_function("field backward", |b| {
         b.iter(|| {
             stages.field.backward(
@@ -106,18 +128,42 @@ fn stages(criterion: &mut Criterion) {
                 radiance,
                 black_box(&radiance_gradients),
                 &mut feature_gradients,
-                &mut gradient,
+                &mut deposit.field,
             );
         });
     });
-    group.finish();
+    // What is left behind by a span is timed apart from what the end of the step makes of it.
+    let mut gradient = backend.zeros(layout.len());
+    let mut deposits = [deposit];
+    let mut timed = |stages: &mut Stages<CpuBackend>, count: u64, end_of_step: bool| {
+        let mut time = Duration::ZERO;
+        for step in 0..count {
+            let start = Instant::now();
+            stages.encoder.backward(lane, samples, &feature_gradients, &mut deposits[0].encoder);
+            let deposited = start.elapsed();
+            stages.flush(&mut deposits, &mut gradient);
+            if end_of_step {
+                stages.optimizer.step(&mut parameters, &gradient, &deposits, 1e-3, step + 1);
+                stages.encoder.refresh(&parameters);
+                stages.field.refresh(&parameters);
+            }
+            time += if end_of_step { start.elapsed() - deposited } else { deposited };
+        }
+        time
+    };
+    group.bench_function("encode backward", |b| b.iter_custom(|count| timed(&mut stages, count, false)));
+    group.throughput(Throughput::Elements(layout.len() as u64));
+    group.bench_function("end of step", |b| b.iter_custom(|count| timed(&mut stages, count, true)));
 }
 
 fn step(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("training step, all cores");
     group.sample_size(10);
-    for samples in [32_768, 262_144] {
-        let (config, views) = scene(samples);
+    for (samples, precision) in
+        [(32_768, Precision::F32), (262_144, Precision::F32), (262_144, Precision::Bf16)]
+    {
+        let (mut config, views) = scene(samples);
+        config.field.precision = precision;
         let backend = CpuBackend::new(0, Simd::detect()).expect("threads");
         let mut trainer = Trainer::new(backend, &config, views).expect("views that fit");
         // Past the first steps, whose rays meet a grid that is occupied everywhere.
@@ -125,7 +171,7 @@ fn step(criterion: &mut Criterion) {
             trainer.step(0.0).expect("a finite step");
         }
         group.throughput(Throughput::Elements(samples.into()));
-        group.bench_function(format!("{samples} samples"), |b| {
+        group.bench_function(format!("{samples} samples, {precision:?}"), |b| {
             b.iter(|| trainer.step(0.0).expect("a finite step"));
         });
     }

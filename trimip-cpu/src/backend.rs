@@ -78,6 +78,7 @@ impl Backend for CpuBackend {
     type Buffer<T: Pod + Send + Sync> = Buffer<T>;
     type Lane = Lane;
     type Sums = StepSums;
+    type Receipt = StepSums;
     type Encoder = CpuEncoder;
     type Field = CpuField;
     type Renderer = CpuRenderer;
@@ -197,6 +198,9 @@ impl Backend for CpuBackend {
         learning_rate: f64,
         step: u64,
     ) {
+        if !deposits.iter().any(|deposit| deposit.sums.weight > 0.0) {
+            return stages.flush(deposits, gradient);
+        }
         if !stages.optimizer.skips_untouched() {
             return update_all(stages, parameters, gradient, deposits, learning_rate, step);
         }
@@ -211,11 +215,15 @@ impl Backend for CpuBackend {
         deposits(samples)
     }
 
-    fn collect(&self, deposits: &[Deposit<Self>]) -> Option<StepSums> {
+    fn post(&self, deposits: &[Deposit<Self>]) -> StepSums {
         let mut sums = StepSums::default();
         for deposit in deposits {
             sums.add(&deposit.sums);
         }
-        Some(sums)
+        sums
+    }
+
+    fn redeem(&self, sums: StepSums) -> Result<StepSums> {
+        Ok(sums)
     }
 }

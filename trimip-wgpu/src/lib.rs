@@ -1,9 +1,44 @@
-//! The stages of Tri-MipRF on any GPU through wgpu: the place where they will live, behind the traits of
-//! [`trimip_core::backend`]. This build has none yet, and says so to whoever asks.
+//! The stages of Tri-MipRF on any GPU through wgpu: one WGSL file per stage in `shaders/`, twins of `trimip-core`'s
+//! mathematics by the same names. A training step is one submission; no parameter crosses, and the sums of a step are
+//! read while later steps run.
 
-use trimip_core::Error;
+mod backend;
+mod buffer;
+mod device;
+mod encoder;
+mod field;
+mod kernel;
+mod loss;
+mod memory;
+mod occupancy;
+mod optimizer;
+mod renderer;
+mod rows;
+mod sampler;
 
-/// Why there is no wgpu backend, in one line: what is missing and what to do.
-pub fn missing() -> Error {
-    Error::input("backend = \"wgpu\"", "this build has no wgpu backend yet", "use backend = \"cpu\"")
+pub use backend::{Lane, WgpuBackend};
+pub use buffer::Buffer;
+pub use device::{AdapterFacts, Counts, adapters};
+pub use memory::memory;
+
+use trimip_core::model::Model;
+use trimip_core::trainer::Trainer;
+use trimip_core::{Config, Result, Session, ViewSet};
+
+/// A fresh model to be trained on `views`, on the configured adapter.
+///
+/// # Errors
+/// When there is no such adapter, or the configuration does not fit it.
+pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
+    let backend = WgpuBackend::new(&config.wgpu.adapter, config.wgpu.deterministic)?;
+    Ok(Box::new(Trainer::new(backend, config, views)?))
+}
+
+/// A finished model to render, on the adapter whose name contains `adapter`.
+///
+/// # Errors
+/// When there is no such adapter, or the model does not fit it.
+pub fn load(model: &Model, adapter: &str) -> Result<Box<dyn Session>> {
+    let backend = WgpuBackend::new(adapter, true)?;
+    Ok(Box::new(Trainer::from_model(backend, model)?))
 }

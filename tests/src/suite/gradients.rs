@@ -120,7 +120,7 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let mut trainer = Trainer::new(make(), &config, views)?;
         trainer.set_parameters(&parameters);
         trainer.occupy_all();
-        let (sums, gradient) = trainer.loss_and_gradient(TRAINING_STEP, RAYS);
+        let (sums, gradient) = trainer.loss_and_gradient(TRAINING_STEP, RAYS)?;
         assert_eq!(sums.rays, u64::from(RAYS), "{name}");
         // A backend that sees front to back asks fewer samples, never fewer than it keeps.
         assert!((sums.kept..=batch.marched as u64).contains(&sums.marched), "{name}: samples marched");
@@ -177,7 +177,7 @@ pub fn bf16<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let mut trainer = Trainer::new(make(), &config, views.clone())?;
         trainer.set_parameters(&lively(&layout, 13));
         trainer.occupy_all();
-        Ok::<_, trimip_core::Error>(trainer.loss_and_gradient(TRAINING_STEP, RAYS))
+        trainer.loss_and_gradient(TRAINING_STEP, RAYS)
     };
     let ((expected, exact), (found, rounded)) = (at(Precision::F32)?, at(Precision::Bf16)?);
     let (expected, found) = (expected.loss / expected.weight, found.loss / found.weight);

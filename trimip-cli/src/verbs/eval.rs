@@ -29,7 +29,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     for warning in &scene.warnings {
         terminal::note(format!("warning: {warning}"));
     }
-    let mut session = backends::load(&model, &config.backend, config.threads)?;
+    let mut session = backends::load(&model)?;
 
     let (started, stride) = (Instant::now(), arguments.stride as usize);
     let total = scene.test.len().div_ceil(stride);

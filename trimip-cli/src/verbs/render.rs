@@ -34,7 +34,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
     run_folder::create_writable(&out)?;
     let stop = interrupt::install()?;
-    let mut session = backends::load(&model, &config.backend, config.threads)?;
+    let mut session = backends::load(&model)?;
     write_cameras(&out.join("cameras.json"), &cameras)?;
 
     let bar = bar("{bar:30} view {pos} of {len}  {eta} left", cameras.len() as u64);

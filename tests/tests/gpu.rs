@@ -1,0 +1,119 @@
+//! The suite that every backend passes, on the GPU, with texel gradients in fixed point and in f32. Where a machine has no
+//! adapter the tests are skipped and say so, unless `TRIMIP_REQUIRE_GPU` is set: then they fail.
+
+use trimip_core::Result;
+use trimip_tests::suite;
+use trimip_wgpu::WgpuBackend;
+
+/// Runs a part of the suite on the best adapter, with both ways to add.
+fn on_the_gpu(part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
+    with(&[true, false], part);
+}
+
+/// Runs a part of the suite that needs the same bits every time.
+fn reproducibly(part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
+    with(&[true], part);
+}
+
+fn with(ways: &[bool], part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
+    if trimip_wgpu::adapters().is_empty() {
+        assert!(
+            std::env::var_os("TRIMIP_REQUIRE_GPU").is_none(),
+            "a GPU is required and there is no adapter"
+        );
+        println!("skipped: this machine has no adapter for wgpu");
+        return;
+    }
+    for &deterministic in ways {
+        let make = || WgpuBackend::new("", deterministic).expect("the adapter opens");
+        println!("{}, deterministic = {deterministic}", make().adapter());
+        part(&make).expect("a small configuration is accepted");
+    }
+}
+
+#[test]
+fn features_densities_and_colours_are_the_literal_ones() {
+    on_the_gpu(|make| suite::stages::field(make));
+}
+
+#[test]
+fn compositing_is_the_literal_sum() {
+    on_the_gpu(|make| suite::stages::compositing(make));
+}
+
+#[test]
+fn whole_pixels_are_the_literal_ones() {
+    on_the_gpu(|make| suite::stages::pixels(make));
+}
+
+#[test]
+fn gradients_are_finite_differences() {
+    on_the_gpu(|make| suite::gradients::finite_differences(make));
+}
+
+#[test]
+fn marching_is_asking_every_step() {
+    on_the_gpu(|make| suite::marching::brute_force(make));
+}
+
+#[test]
+fn the_step_follows_its_schedule() {
+    on_the_gpu(|make| suite::marching::scale(make));
+}
+
+#[test]
+fn a_step_moves_parameters_by_the_written_rule() {
+    on_the_gpu(|make| suite::training::update(make));
+}
+
+#[test]
+fn jitter_moves_rays_by_parts_of_a_step() {
+    on_the_gpu(|make| suite::marching::jitter(make));
+}
+
+#[test]
+fn seeing_in_pieces_keeps_what_asking_everything_keeps() {
+    on_the_gpu(|make| suite::seeing::pieces(make));
+}
+
+#[test]
+fn every_level_has_the_mean_of_its_base() {
+    on_the_gpu(|make| suite::pyramid::means(make));
+}
+
+#[test]
+fn gradients_lose_nothing_on_the_way_to_the_base() {
+    on_the_gpu(|make| suite::pyramid::gradients(make));
+}
+
+#[test]
+fn a_homogeneous_medium_follows_beer_and_lambert() {
+    on_the_gpu(|make| suite::scenes::homogeneous(make));
+}
+
+#[test]
+fn an_opaque_box_has_its_silhouette() {
+    on_the_gpu(|make| suite::scenes::silhouette(make));
+}
+
+#[test]
+fn the_batch_follows_the_step() {
+    on_the_gpu(|make| suite::training::steady_batch(make));
+}
+
+#[test]
+fn a_resumed_run_is_the_run_that_never_stopped() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    // In f32 the order of additions is the device's own affair, and with it the last bits.
+    reproducibly(|make| suite::training::resume(make, &folder.path().join("checkpoint")));
+}
+
+#[test]
+fn poor_photographs_are_no_failure() {
+    on_the_gpu(|make| suite::training::poor_photographs(make));
+}
+
+#[test]
+fn an_empty_grid_recovers() {
+    on_the_gpu(|make| suite::training::empty_occupancy(make));
+}

@@ -1,0 +1,311 @@
+//! The GPU as a backend: all stages record into one submission, a step is one span, and sums are read when they are there.
+
+use crate::buffer::Buffer;
+use crate::device::{Bind, Counts, GROUP, Gpu, Receipt, Size};
+use crate::encoder::WgpuEncoder;
+use crate::field::WgpuField;
+use crate::kernel::{Addition, GATHERING};
+use crate::loss::{Sums, WgpuLoss};
+use crate::occupancy::{OCCUPIED_AT, WgpuOccupancy};
+use crate::optimizer::WgpuOptimizer;
+use crate::renderer::WgpuRenderer;
+use crate::sampler::WgpuSampler;
+use bytemuck::Pod;
+use std::collections::HashMap;
+use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use trimip_core::backend::{Stages, Traffic, TrainWork};
+use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
+use trimip_core::tri_mip::FEATURES;
+use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
+
+/// Marched samples that a training step has room for, for each sample it aims to keep.
+pub const MARCHED_PER_KEPT: usize = 4;
+
+/// Samples of a span of a view.
+const VIEW_SAMPLES: usize = 1 << 20;
+
+/// Samples that a span must have room for: one ray through the whole box.
+const LEAST_ROOM: usize = 4096;
+
+/// Marched samples for which a span of the training loop is made.
+const SAMPLES_PER_SPAN: usize = 512;
+
+/// A GPU.
+pub struct WgpuBackend {
+    gpu: Arc<Gpu>,
+    addition: Addition,
+    workspaces: Mutex<Vec<Workspace<Self>>>,
+    known: Arc<Known>,
+    /// Counters of the model that is trained, to be read with the sums of a step.
+    watched: Mutex<Option<wgpu::Buffer>>,
+    room: Mutex<usize>,
+}
+
+/// Counts on the device as they were last read.
+#[derive(Default)]
+pub struct Known {
+    /// Occupied cells.
+    pub occupied: AtomicU64,
+}
+
+/// Scratch of a workspace.
+pub struct Lane {
+    gpu: Arc<Gpu>,
+    /// A number of rows that the host knows.
+    pub(crate) count: Buffer<u32>,
+    pub(crate) bits: Buffer<u32>,
+    pub(crate) blocks: Buffer<u32>,
+    pub(crate) old_segments: Buffer<Segment>,
+    pub(crate) marks: Buffer<u32>,
+    pub(crate) sums: Buffer<f32>,
+    /// Arrays that rows are gathered into, by their width in words.
+    spares: HashMap<usize, Buffer<u32>>,
+    /// Rays were marched: there may have been too little room.
+    pub(crate) marched: bool,
+}
+
+impl Lane {
+    fn new(gpu: &Arc<Gpu>) -> Self {
+        let words = || Buffer::zeros(gpu, 0);
+        Self {
+            gpu: Arc::clone(gpu),
+            count: Buffer::zeros(gpu, 1),
+            bits: words(),
+            blocks: words(),
+            old_segments: Buffer::zeros(gpu, 0),
+            marks: words(),
+            sums: Buffer::zeros(gpu, 0),
+            spares: HashMap::new(),
+            marched: false,
+        }
+    }
+
+    /// Lets an array have the rows `kept`, of `width` words each.
+    pub(crate) fn keep<T: Pod>(&mut self, kept: &Buffer<u32>, array: &mut Buffer<T>, width: usize) {
+        let spare = self.spares.entry(width).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
+        let Some((counts, counter)) = kept.counter() else { return };
+        let values = width * 4 / size_of::<T>();
+        spare.count_by(kept.capacity() * width, counts, counter, width);
+        let params = [width as u32, counter];
+        let counts = Bind { buffer: counts, offset: 0, size: None };
+        let binds = [array.bind(), spare.bind(), kept.bind(), counts];
+        let size = Size::Counted { counts: counts.buffer, counter, per: width as u32, group: GROUP };
+        self.gpu.dispatch(&GATHERING, &binds, &params, size);
+        array.swap(spare);
+        array.count_by(kept.capacity() * values, counts.buffer, counter, values);
+    }
+}
+
+impl WgpuBackend {
+    /// The adapter whose name contains `adapter`, or the best one when it is empty. `deterministic` adds texel gradients
+    /// in fixed point: the same bits every time.
+    ///
+    /// # Errors
+    /// When there is no such adapter, or it opens no device.
+    pub fn new(adapter: &str, deterministic: bool) -> Result<Self> {
+        let gpu = Gpu::open(adapter)?;
+        Ok(Self {
+            gpu,
+            addition: if deterministic { Addition::Fixed } else { Addition::Exchange },
+            workspaces: Mutex::default(),
+            known: Arc::default(),
+            watched: Mutex::default(),
+            room: Mutex::new(VIEW_SAMPLES),
+        })
+    }
+
+    /// What crossed between host and device, and how often the host waited.
+    pub fn counts(&self) -> Counts {
+        self.gpu.counts()
+    }
+
+    /// The adapter's name and driver.
+    pub fn adapter(&self) -> String {
+        self.gpu.name()
+    }
+
+    /// Samples that a span has room for.
+    fn plan(&self, config: &Config, training: bool) -> Result<usize> {
+        let wanted = match training {
+            true => MARCHED_PER_KEPT * config.train.samples_per_step as usize,
+            false => VIEW_SAMPLES,
+        };
+        let widest = 4 * FEATURES.max(config.field.hidden as usize);
+        let most = self.gpu.limits().max_storage_buffer_binding_size as usize / widest;
+        if most < LEAST_ROOM {
+            return Err(Error::input(
+                "field.hidden",
+                format!(
+                    "{} bytes a sample leave room for {most} samples in the device's largest binding",
+                    widest
+                ),
+                "use a smaller field.hidden, or backend = \"cpu\"",
+            ));
+        }
+        Ok(wanted.clamp(LEAST_ROOM, most))
+    }
+
+    fn with_workspace(&self, field: &WgpuField, work: impl FnOnce(&mut Workspace<Self>)) {
+        let pooled = self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut workspace = pooled.unwrap_or_else(|| Workspace::new(self, field));
+        work(&mut workspace);
+        self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).push(workspace);
+    }
+}
+
+/// A step's sums on their way to the host.
+pub struct StepReceipt {
+    sums: Receipt<u32>,
+    occupied: Option<Receipt<u32>>,
+    rays: u32,
+}
+
+impl Backend for WgpuBackend {
+    type Buffer<T: Pod + Send + Sync> = Buffer<T>;
+    type Lane = Lane;
+    type Sums = Sums;
+    type Receipt = Option<StepReceipt>;
+    type Encoder = WgpuEncoder;
+    type Field = WgpuField;
+    type Renderer = WgpuRenderer;
+    type Optimizer = WgpuOptimizer;
+    type Sampler = WgpuSampler;
+    type Occupancy = WgpuOccupancy;
+    type Loss = WgpuLoss;
+
+    const LAG: usize = 2;
+
+    fn name(&self) -> &'static str {
+        "wgpu"
+    }
+
+    fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {
+        let layout = Layout::new(config);
+        let training = views.is_some();
+        let room = self.plan(config, training)?;
+        *self.room.lock().unwrap_or_else(PoisonError::into_inner) = room;
+        let gpu = &self.gpu;
+        let occupancy = WgpuOccupancy::new(gpu, config, training, room, Arc::clone(&self.known));
+        *self.watched.lock().unwrap_or_else(PoisonError::into_inner) = Some(occupancy.state().raw().clone());
+        let stages = Stages {
+            encoder: WgpuEncoder::new(gpu, config, training, self.addition),
+            field: WgpuField::new(gpu, config, &layout),
+            renderer: WgpuRenderer::new(gpu, config, room),
+            optimizer: WgpuOptimizer::new(gpu, config, &layout, training),
+            sampler: WgpuSampler::new(gpu, config, views)?,
+            occupancy,
+            loss: WgpuLoss::new(gpu, &config.loss),
+        };
+        gpu.submit();
+        gpu.check("building the stages")?;
+        Ok(stages)
+    }
+
+    fn lane(&self) -> Lane {
+        Lane::new(&self.gpu)
+    }
+
+    fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Buffer<T> {
+        Buffer::zeros(&self.gpu, length)
+    }
+
+    fn write<T: Pod + Send + Sync>(&self, buffer: &mut Buffer<T>, values: &[T]) {
+        buffer.write(values);
+    }
+
+    fn read<T: Pod + Send + Sync>(&self, buffer: &Buffer<T>) -> Vec<T> {
+        buffer.read()
+    }
+
+    fn traffic(&self) -> Traffic {
+        let Counts { written, read, .. } = self.gpu.counts();
+        Traffic { written, read }
+    }
+
+    fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        work()
+    }
+
+    fn train_spans(
+        &self,
+        field: &WgpuField,
+        rays: u32,
+        _: u32,
+        deposits: &mut [Deposit<Self>],
+        work: &TrainWork<'_, Self>,
+    ) {
+        let Some(deposit) = deposits.first_mut() else { return };
+        self.with_workspace(field, |workspace| work(workspace, deposit, 0..rays));
+    }
+
+    fn map_spans<T: Pod + Send + Sync>(
+        &self,
+        field: &WgpuField,
+        count: u32,
+        per_span: u32,
+        out: &mut Buffer<T>,
+        work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
+        result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
+    ) {
+        out.resize(count as usize);
+        let room = *self.room.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut chunk = (per_span as usize * (room / SAMPLES_PER_SPAN).max(1)).min(count as usize) as u32;
+        self.with_workspace(field, |workspace| {
+            let mut start = 0;
+            while start < count {
+                let span = chunk.clamp(1, count - start);
+                workspace.lane.marched = false;
+                work(workspace, start..start + span);
+                if workspace.lane.marched {
+                    let counts = workspace.samples.counts.read();
+                    let (marched, dropped) = (counts[0][0], counts[1][0]);
+                    if dropped > 0 && span > 1 {
+                        chunk = span / 2;
+                        continue;
+                    }
+                    let mean = (marched as usize / span as usize).max(1);
+                    // A view's next rows may hold more than its last.
+                    chunk = (room / mean / 2).min(1 << 20) as u32;
+                }
+                let bytes = |values: u32| u64::from(values) * size_of::<T>() as u64;
+                self.gpu.copy(result(workspace).raw(), 0, out.raw(), bytes(start), bytes(span));
+                start += span;
+            }
+        });
+    }
+
+    fn deposits(&self, _: u32) -> usize {
+        1
+    }
+
+    fn post(&self, deposits: &[Deposit<Self>]) -> Option<StepReceipt> {
+        let sums = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref())?;
+        let watched = self.watched.lock().unwrap_or_else(PoisonError::into_inner);
+        Some(StepReceipt {
+            sums: self.gpu.send(&sums.buffer, 0, 8),
+            occupied: watched.as_ref().map(|state| self.gpu.send(state, u64::from(4 * OCCUPIED_AT), 1)),
+            rays: sums.rays,
+        })
+    }
+
+    fn redeem(&self, receipt: Option<StepReceipt>) -> Result<StepSums> {
+        let Some(StepReceipt { sums, occupied, rays }) = receipt else { return Ok(StepSums::default()) };
+        let words = self.gpu.redeem(sums);
+        if let Some(occupied) = occupied {
+            self.known.occupied.store(self.gpu.redeem(occupied)[0].into(), Ordering::Relaxed);
+        }
+        self.gpu.check("a training step")?;
+        let float = |i: usize| f64::from(f32::from_bits(words[i]));
+        Ok(StepSums {
+            loss: float(0),
+            weight: float(1),
+            squared_error: float(2),
+            rays: rays.into(),
+            marched: (words[4] + words[6]).into(),
+            kept: words[5].into(),
+            non_finite: float(3) as u64,
+        })
+    }
+}

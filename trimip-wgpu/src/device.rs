@@ -1,0 +1,565 @@
+//! The device: which adapter, with which limits; compute pipelines by kernel; and the recorder into which a whole step's
+//! dispatches go before they are submitted once.
+
+use crate::kernel::{Access, Kernel};
+use bytemuck::Pod;
+use std::collections::{HashMap, VecDeque};
+use std::num::NonZeroU64;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use trimip_core::{Error, Result};
+
+/// Bytes between the parameters of two dispatches: what every device can align to.
+const PARAMETERS_STRIDE: usize = 256;
+
+/// Dispatches that fit into a submission; more are submitted in parts.
+const DISPATCHES: usize = 2048;
+
+/// Bytes of the sizes of an indirect dispatch.
+const SIZES: u64 = 16;
+
+/// Workgroups in a row of a dispatch: what every device takes.
+const MOST_GROUPS: u64 = 65_535;
+
+/// Invocations of a workgroup of the kernels that work item by item.
+pub const GROUP: u32 = 64;
+
+/// A device, its pipelines and its recorder.
+pub struct Gpu {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    info: wgpu::AdapterInfo,
+    limits: wgpu::Limits,
+    pipelines: Mutex<HashMap<String, Arc<Pipeline>>>,
+    recorder: Mutex<Recorder>,
+    counters: Counters,
+    /// Why the device went away, or what it refused, first cause first.
+    failure: Arc<Mutex<Option<String>>>,
+}
+
+struct Pipeline {
+    pipeline: wgpu::ComputePipeline,
+    layout: wgpu::BindGroupLayout,
+}
+
+/// What is recorded and not yet submitted.
+struct Recorder {
+    encoder: Option<wgpu::CommandEncoder>,
+    /// Parameters of the dispatches, one stride each.
+    parameters: Vec<u8>,
+    uniforms: wgpu::Buffer,
+    /// Sizes of indirect dispatches.
+    sizes: wgpu::Buffer,
+    indirect: u32,
+    /// Number of the submission that is recorded.
+    number: u64,
+    /// The last submissions, newest last.
+    submitted: VecDeque<(u64, wgpu::SubmissionIndex)>,
+}
+
+/// Submissions that are remembered, to wait for one and not for those behind it.
+const REMEMBERED: usize = 16;
+
+/// What crossed between host and device, and how often the host waited.
+#[derive(Default)]
+struct Counters {
+    written: AtomicU64,
+    read: AtomicU64,
+    submissions: AtomicU64,
+    stalls: AtomicU64,
+}
+
+/// What the counters stand at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Bytes of buffers written by the host; parameters of dispatches are none of them.
+    pub written: u64,
+    /// Bytes read back.
+    pub read: u64,
+    /// Submissions to the queue.
+    pub submissions: u64,
+    /// Times that the host waited until the device had nothing left to do.
+    pub stalls: u64,
+}
+
+/// A part of a buffer that a kernel sees.
+#[derive(Clone, Copy)]
+pub struct Bind<'a> {
+    /// The buffer.
+    pub buffer: &'a wgpu::Buffer,
+    /// First byte; a multiple of 256.
+    pub offset: u64,
+    /// Bytes; `None` for all that follow.
+    pub size: Option<u64>,
+}
+
+/// How much work a dispatch has.
+#[derive(Clone, Copy)]
+pub enum Size<'a> {
+    /// Invocations, in workgroups of [`GROUP`].
+    Items(u64),
+    /// Workgroups.
+    Groups(u64),
+    /// Groups of `group` items for `per` items for each that the device has counted.
+    Counted {
+        /// Counters on the device.
+        counts: &'a wgpu::Buffer,
+        /// Which of them.
+        counter: u32,
+        /// Items of each.
+        per: u32,
+        /// Items of a workgroup.
+        group: u32,
+    },
+}
+
+/// What an adapter is and offers.
+#[derive(Clone, Debug)]
+pub struct AdapterFacts {
+    /// Its name.
+    pub name: String,
+    /// One line: kind, backend, driver.
+    pub about: String,
+    /// Limits and features that matter here, name and value.
+    pub offers: Vec<(&'static str, String)>,
+}
+
+fn instance() -> wgpu::Instance {
+    wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle())
+}
+
+fn all_adapters() -> Vec<wgpu::Adapter> {
+    pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()))
+}
+
+/// All adapters of this machine.
+pub fn adapters() -> Vec<AdapterFacts> {
+    all_adapters().iter().map(facts).collect()
+}
+
+fn facts(adapter: &wgpu::Adapter) -> AdapterFacts {
+    let (info, limits, features) = (adapter.get_info(), adapter.limits(), adapter.features());
+    let has = |feature| if features.contains(feature) { "yes" } else { "no" }.to_string();
+    let mebibytes = |bytes: u64| format!("{} MiB", bytes >> 20);
+    AdapterFacts {
+        about: format!("{:?}, {:?}, {} {}", info.device_type, info.backend, info.driver, info.driver_info)
+            .trim_end()
+            .to_string(),
+        name: info.name,
+        offers: vec![
+            ("largest binding", mebibytes(limits.max_storage_buffer_binding_size)),
+            ("largest buffer", mebibytes(limits.max_buffer_size)),
+            ("storage buffers of a stage", limits.max_storage_buffers_per_shader_stage.to_string()),
+            ("invocations of a workgroup", limits.max_compute_invocations_per_workgroup.to_string()),
+            ("workgroup memory", format!("{} KiB", limits.max_compute_workgroup_storage_size >> 10)),
+            ("atomic f32 additions", has(wgpu::Features::SHADER_FLOAT32_ATOMIC)),
+            ("f16", has(wgpu::Features::SHADER_F16)),
+            ("cooperative matrices", has(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX)),
+        ],
+    }
+}
+
+/// Ranks adapters for a user who names none: real devices first, software last.
+fn rank(info: &wgpu::AdapterInfo) -> u32 {
+    match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    }
+}
+
+impl Gpu {
+    /// Opens the adapter whose name contains `name` (case does not matter), or the best one when it is empty.
+    ///
+    /// # Errors
+    /// When there is no such adapter, or it opens no device.
+    pub fn open(name: &str) -> Result<Arc<Self>> {
+        let mut adapters = all_adapters();
+        let names: Vec<String> = adapters.iter().map(|a| format!("`{}`", a.get_info().name)).collect();
+        adapters.retain(|a| a.get_info().name.to_lowercase().contains(&name.to_lowercase()));
+        adapters.sort_by_key(|a| rank(&a.get_info()));
+        let Some(adapter) = adapters.first() else {
+            return Err(match names.is_empty() {
+                true => Error::input(
+                    "backend = \"wgpu\"",
+                    "this machine has no adapter for wgpu (Vulkan, Metal or Direct3D 12)",
+                    "install the graphics driver, or use backend = \"cpu\"",
+                ),
+                false => Error::input(
+                    format!("wgpu.adapter = \"{name}\""),
+                    "no adapter has a name that contains this",
+                    format!("choose one of {}", names.join(", ")),
+                ),
+            });
+        };
+        let info = adapter.get_info();
+        // All that the adapter has, asked for by name: the default would be the least of all adapters.
+        let limits = adapter.limits();
+        let wanted = wgpu::Features::SHADER_FLOAT32_ATOMIC | wgpu::Features::TIMESTAMP_QUERY;
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("trimip"),
+            required_features: adapter.features() & wanted,
+            required_limits: limits.clone(),
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|error| Error::device(format!("`{}` opens no device: {error}", info.name)))?;
+        let failure = Arc::new(Mutex::new(None));
+        let note = |failure: &Arc<Mutex<Option<String>>>| {
+            let failure = Arc::clone(failure);
+            move |message: String| {
+                lock(&failure).get_or_insert(message);
+            }
+        };
+        let refused = note(&failure);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| refused(error.to_string())));
+        let lost = note(&failure);
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                lost(format!("the device was lost: {message}"));
+            }
+        });
+        let buffer = |label, size, usage| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
+                usage,
+                mapped_at_creation: false,
+            })
+        };
+        let recorder = Recorder {
+            encoder: None,
+            parameters: Vec::new(),
+            uniforms: buffer(
+                "parameters",
+                (DISPATCHES * PARAMETERS_STRIDE) as u64,
+                wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            ),
+            sizes: buffer(
+                "sizes",
+                DISPATCHES as u64 * SIZES,
+                wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT,
+            ),
+            indirect: 0,
+            number: 0,
+            submitted: VecDeque::new(),
+        };
+        Ok(Arc::new(Self {
+            device,
+            queue,
+            info,
+            limits,
+            pipelines: Mutex::default(),
+            recorder: Mutex::new(recorder),
+            counters: Counters::default(),
+            failure,
+        }))
+    }
+
+    /// The adapter's name and driver.
+    pub fn name(&self) -> String {
+        format!("{} ({:?}, {})", self.info.name, self.info.backend, self.info.driver_info)
+    }
+
+    /// The device's limits.
+    pub fn limits(&self) -> &wgpu::Limits {
+        &self.limits
+    }
+
+    /// What the counters stand at.
+    pub fn counts(&self) -> Counts {
+        let at = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let Counters { written, read, submissions, stalls } = &self.counters;
+        Counts { written: at(written), read: at(read), submissions: at(submissions), stalls: at(stalls) }
+    }
+
+    /// A buffer of zeros.
+    pub fn buffer(&self, label: &str, bytes: u64) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes.next_multiple_of(4).max(16),
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Writes values to the front of a buffer, after all that was recorded before.
+    pub fn write<T: Pod>(&self, buffer: &wgpu::Buffer, values: &[T]) {
+        if values.is_empty() {
+            return;
+        }
+        self.submit();
+        self.queue.write_buffer(buffer, 0, bytemuck::cast_slice(values));
+        self.counters.written.fetch_add(size_of_val(values) as u64, Ordering::Relaxed);
+    }
+
+    /// Copies the front of a buffer to a place from which the host can read it, when the device has come so far.
+    pub fn send<T: Pod>(&self, buffer: &wgpu::Buffer, offset: u64, count: usize) -> Receipt<T> {
+        let bytes = (count * size_of::<T>()) as u64;
+        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size: bytes.next_multiple_of(4).max(4),
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut recorder = self.recorder();
+        if bytes > 0 {
+            self.encoder(&mut recorder).copy_buffer_to_buffer(
+                buffer,
+                offset,
+                &staging,
+                0,
+                bytes.next_multiple_of(4),
+            );
+        }
+        Receipt { staging, count, number: recorder.number, kind: std::marker::PhantomData }
+    }
+
+    /// What a receipt stands for; waits until the device has come so far, and no further.
+    pub fn redeem<T: Pod>(&self, receipt: Receipt<T>) -> Vec<T> {
+        let wait = {
+            let mut recorder = self.recorder();
+            if recorder.number == receipt.number {
+                self.submit_recorder(&mut recorder);
+            }
+            let newest = recorder.submitted.back().is_none_or(|(number, _)| *number <= receipt.number);
+            self.counters.stalls.fetch_add(newest.into(), Ordering::Relaxed);
+            recorder
+                .submitted
+                .iter()
+                .find(|(number, _)| *number == receipt.number)
+                .map(|(_, index)| index.clone())
+        };
+        let done = Arc::new(Mutex::new(None));
+        let slot = Arc::clone(&done);
+        receipt.staging.map_async(wgpu::MapMode::Read, .., move |result| *lock(&slot) = Some(result));
+        let polled = self.device.poll(wgpu::PollType::Wait { submission_index: wait, timeout: None });
+        let mapped = lock(&done).take();
+        let (Ok(_), Some(Ok(()))) = (polled, mapped) else {
+            lock(&self.failure).get_or_insert_with(|| "a buffer could not be read back".into());
+            return vec![T::zeroed(); receipt.count];
+        };
+        let bytes = receipt.count * size_of::<T>();
+        self.counters.read.fetch_add(bytes as u64, Ordering::Relaxed);
+        let values = match receipt.staging.get_mapped_range(..) {
+            Ok(view) => bytemuck::pod_collect_to_vec(&view[..bytes]),
+            Err(_) => vec![T::zeroed(); receipt.count],
+        };
+        receipt.staging.unmap();
+        values
+    }
+
+    /// Zeroes bytes of a buffer.
+    pub fn clear(&self, buffer: &wgpu::Buffer, offset: u64, size: u64) {
+        let mut recorder = self.recorder();
+        self.encoder(&mut recorder).clear_buffer(buffer, offset, Some(size));
+    }
+
+    /// Copies bytes between buffers, from and to the byte given.
+    pub fn copy(&self, from: &wgpu::Buffer, first: u64, to: &wgpu::Buffer, place: u64, bytes: u64) {
+        let mut recorder = self.recorder();
+        self.encoder(&mut recorder).copy_buffer_to_buffer(from, first, to, place, bytes);
+    }
+
+    /// Records a kernel with its bindings, in the order of [`Kernel::bindings`], and its parameters.
+    pub fn dispatch<P: Pod>(&self, kernel: &Kernel, binds: &[Bind<'_>], parameters: &P, size: Size<'_>) {
+        let groups = match size {
+            Size::Items(items) => items.div_ceil(GROUP.into()),
+            Size::Groups(groups) => groups,
+            Size::Counted { .. } => 1,
+        };
+        if groups == 0 {
+            return;
+        }
+        let mut recorder = self.recorder();
+        if recorder.parameters.len() >= (DISPATCHES - 1) * PARAMETERS_STRIDE {
+            self.submit_recorder(&mut recorder);
+        }
+        let indirect = match size {
+            Size::Counted { counts, counter, per, group } => {
+                let slot = recorder.indirect;
+                recorder.indirect += 1;
+                let sizes = recorder.sizes.clone();
+                let binds = [counts, &sizes].map(|buffer| Bind { buffer, offset: 0, size: None });
+                self.record(
+                    &mut recorder,
+                    &crate::kernel::ARGUMENTS,
+                    &binds,
+                    &[counter, per, group, slot],
+                    Err((1, 1)),
+                );
+                Some((sizes, u64::from(slot) * SIZES))
+            }
+            _ => None,
+        };
+        let size = match &indirect {
+            Some((sizes, offset)) => Ok((sizes, *offset)),
+            None => Err((groups.min(MOST_GROUPS) as u32, groups.div_ceil(MOST_GROUPS) as u32)),
+        };
+        self.record(&mut recorder, kernel, binds, parameters, size);
+    }
+
+    fn record<P: Pod>(
+        &self,
+        recorder: &mut Recorder,
+        kernel: &Kernel,
+        binds: &[Bind<'_>],
+        parameters: &P,
+        size: std::result::Result<(&wgpu::Buffer, u64), (u32, u32)>,
+    ) {
+        let pipeline = self.pipeline(kernel);
+        let offset = recorder.parameters.len();
+        recorder.parameters.extend_from_slice(bytemuck::bytes_of(parameters));
+        recorder.parameters.resize(offset + PARAMETERS_STRIDE, 0);
+        let uniform = wgpu::BufferBinding {
+            buffer: &recorder.uniforms,
+            offset: 0,
+            size: NonZeroU64::new(PARAMETERS_STRIDE as u64),
+        };
+        let mut binds = binds.iter();
+        let entries: Vec<wgpu::BindGroupEntry<'_>> = kernel
+            .bindings
+            .iter()
+            .map(|&(binding, access)| {
+                let resource = match (access, binds.len()) {
+                    (Access::Parameters, _) => uniform.clone(),
+                    (_, 0) => panic!("{}: a binding is missing", kernel.entry),
+                    _ => {
+                        let bind = binds.next().copied().unwrap_or_else(|| unreachable!("counted above"));
+                        wgpu::BufferBinding {
+                            buffer: bind.buffer,
+                            offset: bind.offset,
+                            size: bind.size.and_then(NonZeroU64::new),
+                        }
+                    }
+                };
+                wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::Buffer(resource) }
+            })
+            .collect();
+        assert_eq!(binds.len(), 0, "{}: a binding too many", kernel.entry);
+        let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(kernel.entry),
+            layout: &pipeline.layout,
+            entries: &entries,
+        });
+        let mut pass = self.encoder(recorder).begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some(kernel.entry),
+            timestamp_writes: None,
+        });
+        pass.set_pipeline(&pipeline.pipeline);
+        pass.set_bind_group(0, &group, &[offset as u32]);
+        match size {
+            Ok((sizes, offset)) => pass.dispatch_workgroups_indirect(sizes, offset),
+            Err((x, y)) => pass.dispatch_workgroups(x, y, 1),
+        }
+    }
+
+    /// Submits what is recorded.
+    pub fn submit(&self) {
+        self.submit_recorder(&mut self.recorder());
+    }
+
+    fn submit_recorder(&self, recorder: &mut Recorder) {
+        let Some(encoder) = recorder.encoder.take() else { return };
+        if !recorder.parameters.is_empty() {
+            self.queue.write_buffer(&recorder.uniforms, 0, &recorder.parameters);
+        }
+        let index = self.queue.submit([encoder.finish()]);
+        recorder.submitted.push_back((recorder.number, index));
+        if recorder.submitted.len() > REMEMBERED {
+            recorder.submitted.pop_front();
+        }
+        recorder.number += 1;
+        self.counters.submissions.fetch_add(1, Ordering::Relaxed);
+        recorder.parameters.clear();
+        recorder.indirect = 0;
+    }
+
+    /// What failed on the device since the last time, if anything did.
+    ///
+    /// # Errors
+    /// With the first failure.
+    pub fn check(&self, stage: &str) -> Result<()> {
+        match lock(&self.failure).take() {
+            None => Ok(()),
+            Some(message) => Err(Error::device(format!("{} in {stage}: {message}", self.name()))),
+        }
+    }
+
+    fn recorder(&self) -> MutexGuard<'_, Recorder> {
+        lock(&self.recorder)
+    }
+
+    fn encoder<'a>(&self, recorder: &'a mut Recorder) -> &'a mut wgpu::CommandEncoder {
+        recorder.encoder.get_or_insert_with(|| self.device.create_command_encoder(&Default::default()))
+    }
+
+    fn pipeline(&self, kernel: &Kernel) -> Arc<Pipeline> {
+        let mut pipelines = lock(&self.pipelines);
+        let key = kernel.key();
+        if let Some(pipeline) = pipelines.get(&key) {
+            return Arc::clone(pipeline);
+        }
+        let pipeline = Arc::new(self.compile(kernel));
+        pipelines.insert(key, Arc::clone(&pipeline));
+        pipeline
+    }
+
+    fn compile(&self, kernel: &Kernel) -> Pipeline {
+        let entries: Vec<wgpu::BindGroupLayoutEntry> = kernel
+            .bindings
+            .iter()
+            .map(|&(binding, access)| {
+                let (ty, has_dynamic_offset) = match access {
+                    Access::Parameters => (wgpu::BufferBindingType::Uniform, true),
+                    Access::Read => (wgpu::BufferBindingType::Storage { read_only: true }, false),
+                    Access::Write => (wgpu::BufferBindingType::Storage { read_only: false }, false),
+                };
+                wgpu::BindGroupLayoutEntry {
+                    binding,
+                    visibility: wgpu::ShaderStages::COMPUTE,
+                    ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+                    count: None,
+                }
+            })
+            .collect();
+        let label = Some(kernel.entry);
+        let layout = self
+            .device
+            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
+        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label,
+            source: wgpu::ShaderSource::Wgsl(kernel.source().into()),
+        });
+        let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label,
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label,
+            layout: Some(&pipeline_layout),
+            module: &module,
+            entry_point: Some(kernel.entry),
+            compilation_options: Default::default(),
+            cache: None,
+        });
+        Pipeline { pipeline, layout }
+    }
+}
+
+/// A copy on its way to the host.
+pub struct Receipt<T> {
+    staging: wgpu::Buffer,
+    count: usize,
+    /// The submission that fills it.
+    number: u64,
+    kind: std::marker::PhantomData<T>,
+}
+
+/// A lock; a thread that panicked under it left nothing half done.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

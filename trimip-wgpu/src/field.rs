@@ -1,0 +1,308 @@
+//! Density and colour networks on the GPU, layer by layer: activations of a step stay on the device. Widths are padded to
+//! multiples of 16 with zero weights.
+
+use crate::backend::{Lane, WgpuBackend};
+use crate::buffer::Buffer;
+use crate::device::{GROUP, Gpu, Size};
+use crate::kernel::{
+    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, Finish, PACK, REDUCE, accumulate,
+    multiply, tile,
+};
+use crate::rows::Rows;
+use bytemuck::{Pod, Zeroable};
+use std::sync::Arc;
+use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
+use trimip_core::params::{Kind, Slot, color_layers, density_layers};
+use trimip_core::{Config, Field, Layout};
+
+/// Rows of a tile of a product.
+const TILE_ROWS: u32 = 64;
+
+/// Parts of a weight gradient, each over a run of samples; joined in their order.
+pub const CHUNKS: u32 = 64;
+
+/// Width of the density network's output: a logit and 15 geometry features.
+const OUTPUTS: usize = 16;
+
+/// Width of the colour network's input: 16 harmonics, 15 geometry features, zero.
+const INPUTS: usize = 32;
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct WeightParams {
+    start: u32,
+    inputs: u32,
+    outputs: u32,
+    k: u32,
+    n: u32,
+    chunks: u32,
+}
+
+/// One layer's matrices.
+struct Layer {
+    slot: Slot,
+    k: usize,
+    n: usize,
+    forward: Buffer<f32>,
+    backward: Buffer<f32>,
+}
+
+impl Layer {
+    fn new(gpu: &Arc<Gpu>, slot: &Slot) -> Self {
+        let [k, n] = [slot.shape[0], slot.shape[1]].map(|width| width.next_multiple_of(16));
+        Self {
+            slot: slot.clone(),
+            k,
+            n,
+            forward: Buffer::zeros(gpu, k * n),
+            backward: Buffer::zeros(gpu, k * n),
+        }
+    }
+
+    fn params(&self) -> WeightParams {
+        WeightParams {
+            start: self.slot.range.start as u32,
+            inputs: self.slot.shape[0] as u32,
+            outputs: self.slot.shape[1] as u32,
+            k: self.k as u32,
+            n: self.n as u32,
+            chunks: CHUNKS,
+        }
+    }
+}
+
+/// A ReLU network without biases.
+struct Mlp {
+    layers: Vec<Layer>,
+}
+
+/// Activations of a network: hidden layers after their ReLU, then the output.
+type Activations = Vec<Buffer<f32>>;
+
+impl Mlp {
+    /// Runs rows through the network.
+    fn forward(&self, gpu: &Gpu, rows: &Rows, input: &Buffer<f32>, activations: &mut Activations) {
+        for (i, layer) in self.layers.iter().enumerate() {
+            let (before, after) = activations.split_at_mut(i);
+            let input = before.last().unwrap_or(input);
+            rows.size(&mut after[0], layer.n);
+            let finish = if i + 1 == self.layers.len() { Finish::Store } else { Finish::Relu };
+            let binds = [input.bind(), layer.forward.bind(), after[0].bind(), rows.bind()];
+            gpu.dispatch(&multiply(layer.k, layer.n, finish), &binds, &rows.counter, size(rows, layer.n));
+        }
+    }
+
+    /// From the gradient of the output to that of the input; weight gradients go to `partials`.
+    #[allow(clippy::too_many_arguments)]
+    fn backward(
+        &self,
+        gpu: &Gpu,
+        rows: &Rows,
+        input: &Buffer<f32>,
+        activations: &Activations,
+        by_output: &Buffer<f32>,
+        scratch: &mut [Buffer<f32>; 2],
+        by_input: &mut Buffer<f32>,
+        partials: &[Buffer<f32>],
+    ) {
+        let [above, below] = scratch;
+        for (i, layer) in self.layers.iter().enumerate().rev() {
+            let by_output = if i + 1 == self.layers.len() { by_output } else { &*above };
+            let input = if i == 0 { input } else { &activations[i - 1] };
+            let binds = [input.bind(), by_output.bind(), partials[i].bind(), rows.bind()];
+            let tiles = (layer.k / (16 * tile(layer.k) as usize)) * (layer.n / (16 * tile(layer.n) as usize));
+            let groups = Size::Groups(tiles as u64 * u64::from(CHUNKS));
+            gpu.dispatch(&accumulate(layer.k, layer.n, CHUNKS), &binds, &rows.counter, groups);
+            let size = size(rows, layer.k);
+            if i == 0 {
+                rows.size(by_input, layer.k);
+                let binds = [by_output.bind(), layer.backward.bind(), by_input.bind(), rows.bind()];
+                gpu.dispatch(&multiply(layer.n, layer.k, Finish::Store), &binds, &rows.counter, size);
+            } else {
+                rows.size(below, layer.k);
+                let binds =
+                    [by_output.bind(), layer.backward.bind(), below.bind(), input.bind(), rows.bind()];
+                gpu.dispatch(&multiply(layer.n, layer.k, Finish::Mask), &binds, &rows.counter, size);
+                above.swap(below);
+            }
+        }
+    }
+}
+
+/// Workgroups of a product with `n` columns: one for each tile.
+fn size(rows: &Rows, n: usize) -> Size<'_> {
+    rows.dispatch((n / (16 * tile(n) as usize)) as u32, TILE_ROWS)
+}
+
+/// Both networks.
+pub struct WgpuField {
+    gpu: Arc<Gpu>,
+    density: Mlp,
+    color: Mlp,
+}
+
+/// Activations of a step.
+pub struct Tape {
+    density: Activations,
+    color: Activations,
+    color_input: Buffer<f32>,
+    color_gradient: Buffer<f32>,
+    input_gradient: Buffer<f32>,
+    output_gradient: Buffer<f32>,
+    scratch: [Buffer<f32>; 2],
+}
+
+/// Weight gradients in chunks, for each layer of both networks.
+pub struct FieldGradient {
+    density: Vec<Buffer<f32>>,
+    color: Vec<Buffer<f32>>,
+}
+
+impl WgpuField {
+    /// The networks of a configuration.
+    pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout) -> Self {
+        let network = |name| Mlp { layers: layout.network(name).map(|slot| Layer::new(gpu, slot)).collect() };
+        debug_assert!(layout.slots.iter().filter(|s| s.kind == Kind::Network).count() > 1);
+        debug_assert_eq!(density_layers(config).last().map(|l| l[1]), Some(OUTPUTS));
+        debug_assert_eq!(color_layers(config)[0][0], INPUTS - 1);
+        Self { gpu: Arc::clone(gpu), density: network("density"), color: network("color") }
+    }
+}
+
+impl Field<WgpuBackend> for WgpuField {
+    type Tape = Tape;
+    type Gradient = FieldGradient;
+
+    fn tape(&self) -> Tape {
+        let empty = || Buffer::zeros(&self.gpu, 0);
+        let layers = |mlp: &Mlp| mlp.layers.iter().map(|_| empty()).collect();
+        Tape {
+            density: layers(&self.density),
+            color: layers(&self.color),
+            color_input: empty(),
+            color_gradient: empty(),
+            input_gradient: empty(),
+            output_gradient: empty(),
+            scratch: [empty(), empty()],
+        }
+    }
+
+    fn gradient(&self) -> FieldGradient {
+        let parts = |mlp: &Mlp| {
+            let size = |layer: &Layer| layer.k * layer.n * CHUNKS as usize;
+            mlp.layers.iter().map(|layer| Buffer::zeros(&self.gpu, size(layer))).collect()
+        };
+        FieldGradient { density: parts(&self.density), color: parts(&self.color) }
+    }
+
+    fn refresh(&mut self, parameters: &Buffer<f32>) {
+        for layer in self.density.layers.iter().chain(&self.color.layers) {
+            let binds = [parameters.bind(), layer.forward.bind(), layer.backward.bind()];
+            self.gpu.dispatch(&PACK, &binds, &layer.params(), Size::Items((layer.k * layer.n) as u64));
+        }
+    }
+
+    fn density(
+        &self,
+        lane: &mut Lane,
+        samples: &Samples<WgpuBackend>,
+        features: &Buffer<f32>,
+        tape: &mut Tape,
+        radiance: &mut Buffer<Radiance>,
+    ) {
+        let rows = Rows::of(&samples.spheres, &mut lane.count);
+        self.density.forward(&self.gpu, &rows, features, &mut tape.density);
+        rows.size(radiance, 1);
+        let outputs = &tape.density[tape.density.len() - 1];
+        let binds = [outputs.bind(), radiance.bind(), rows.bind()];
+        self.gpu.dispatch(&DENSITIES, &binds, &rows.counter, rows.dispatch(1, GROUP));
+    }
+
+    fn keep(&self, lane: &mut Lane, kept: &Buffer<u32>, tape: &mut Tape, radiance: &mut Buffer<Radiance>) {
+        for (layer, activations) in self.density.layers.iter().zip(&mut tape.density) {
+            lane.keep(kept, activations, layer.n);
+        }
+        lane.keep(kept, radiance, 4);
+    }
+
+    fn color(
+        &self,
+        lane: &mut Lane,
+        rays: &Rays<WgpuBackend>,
+        samples: &Samples<WgpuBackend>,
+        tape: &mut Tape,
+        radiance: &mut Buffer<Radiance>,
+    ) {
+        let rows = Rows::of(&samples.spheres, &mut lane.count);
+        let Tape { density, color, color_input, .. } = tape;
+        rows.size(color_input, INPUTS);
+        let outputs = &density[density.len() - 1];
+        let binds = [outputs.bind(), rows.bind(), rays.rays.bind(), samples.rays.bind(), color_input.bind()];
+        self.gpu.dispatch(&COLOR_INPUTS, &binds, &rows.counter, rows.dispatch(1, GROUP));
+        self.color.forward(&self.gpu, &rows, color_input, color);
+        let binds = [color[color.len() - 1].bind(), radiance.bind(), rows.bind()];
+        self.gpu.dispatch(&COLORS, &binds, &rows.counter, rows.dispatch(1, GROUP));
+    }
+
+    fn backward(
+        &self,
+        lane: &mut Lane,
+        samples: &Samples<WgpuBackend>,
+        features: &Buffer<f32>,
+        tape: &mut Tape,
+        radiance: &Buffer<Radiance>,
+        radiance_gradients: &Buffer<Radiance>,
+        feature_gradients: &mut Buffer<f32>,
+        gradient: &mut FieldGradient,
+    ) {
+        let rows = Rows::of(&samples.spheres, &mut lane.count);
+        let Tape { density, color, color_input, color_gradient, input_gradient, output_gradient, scratch } =
+            tape;
+        rows.size(color_gradient, 16);
+        let binds = [radiance.bind(), rows.bind(), color_gradient.bind(), radiance_gradients.bind()];
+        self.gpu.dispatch(&COLOR_GRADIENTS, &binds, &rows.counter, rows.dispatch(1, GROUP));
+        self.color.backward(
+            &self.gpu,
+            &rows,
+            color_input,
+            color,
+            color_gradient,
+            scratch,
+            input_gradient,
+            &gradient.color,
+        );
+        rows.size(output_gradient, OUTPUTS);
+        let outputs = &density[density.len() - 1];
+        let binds = [
+            outputs.bind(),
+            output_gradient.bind(),
+            rows.bind(),
+            input_gradient.bind(),
+            radiance_gradients.bind(),
+        ];
+        self.gpu.dispatch(&DENSITY_GRADIENT, &binds, &rows.counter, rows.dispatch(1, GROUP));
+        self.density.backward(
+            &self.gpu,
+            &rows,
+            features,
+            density,
+            output_gradient,
+            scratch,
+            feature_gradients,
+            &gradient.density,
+        );
+    }
+
+    fn flush(&mut self, deposits: &mut [Deposit<WgpuBackend>], parameter_gradient: &mut Buffer<f32>) {
+        // A step is one span: one deposit, whose chunks are overwritten by the next.
+        for deposit in deposits {
+            let FieldGradient { density, color } = &deposit.field;
+            let layers = self.density.layers.iter().chain(&self.color.layers);
+            for (layer, partial) in layers.zip(density.iter().chain(color)) {
+                let binds = [partial.bind(), parameter_gradient.bind()];
+                let items = layer.slot.range.len() as u64;
+                self.gpu.dispatch(&REDUCE, &binds, &layer.params(), Size::Items(items));
+            }
+        }
+    }
+}

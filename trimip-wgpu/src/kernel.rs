@@ -1,0 +1,367 @@
+//! Kernels: an entry point in WGSL files with constants put in front, and the bindings it uses. Every constant comes from
+//! Rust; none is typed twice.
+
+use crate::device::GROUP;
+
+/// How a kernel uses a binding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Reads values.
+    Read,
+    /// Reads and writes values.
+    Write,
+    /// The dispatch's own parameters.
+    Parameters,
+}
+
+use Access::{Parameters, Read, Write};
+
+/// A compute kernel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kernel {
+    /// Entry point.
+    pub entry: &'static str,
+    /// WGSL texts, in order.
+    files: &'static [&'static str],
+    /// Constants of this variant.
+    constants: Vec<(&'static str, u32)>,
+    /// Binding numbers and their use.
+    pub bindings: &'static [(u32, Access)],
+}
+
+impl Kernel {
+    const fn new(
+        entry: &'static str,
+        files: &'static [&'static str],
+        bindings: &'static [(u32, Access)],
+    ) -> Self {
+        Self { entry, files, constants: Vec::new(), bindings }
+    }
+
+    /// The kernel with constants of its own.
+    fn with(mut self, constants: &[(&'static str, u32)]) -> Self {
+        self.constants = constants.to_vec();
+        self
+    }
+
+    /// What tells variants apart.
+    pub fn key(&self) -> String {
+        format!("{} {:p} {:?}", self.entry, self.files, self.constants)
+    }
+
+    /// The whole WGSL text.
+    pub fn source(&self) -> String {
+        let constants = self.constants.iter().copied().chain([("GROUP", GROUP)]);
+        let constants: String =
+            constants.map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();
+        constants + &self.files.join("\n")
+    }
+}
+
+const GRID: &str = include_str!("shaders/grid.wgsl");
+const RANDOM: &str = include_str!("shaders/random.wgsl");
+const RAYS: &[&str] = &[GRID, RANDOM, include_str!("shaders/rays.wgsl")];
+const MARCH: &[&str] = &[GRID, RANDOM, include_str!("shaders/march.wgsl")];
+const SCAN: &[&str] = &[include_str!("shaders/scan.wgsl")];
+const TRI_MIP: &str = include_str!("shaders/tri_mip.wgsl");
+const ENCODE: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/encode.wgsl")];
+const FIXED: &str = include_str!("shaders/fixed.wgsl");
+const SCATTER: &str = include_str!("shaders/scatter.wgsl");
+const SCATTER_FIXED: &[&str] = &[GRID, TRI_MIP, FIXED, include_str!("shaders/add_fixed.wgsl"), SCATTER];
+const SCATTER_FLOAT: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/add_exchange.wgsl"), SCATTER];
+const AVERAGING: &[&str] = &[GRID, include_str!("shaders/average.wgsl")];
+const PULL: &str = include_str!("shaders/pull.wgsl");
+const PULL_FIXED: &[&str] = &[GRID, FIXED, include_str!("shaders/own_fixed.wgsl"), PULL];
+const PULL_FLOAT: &[&str] = &[GRID, include_str!("shaders/own_float.wgsl"), PULL];
+const PRODUCT: &str = include_str!("shaders/multiply.wgsl");
+const MULTIPLY: &[&str] = &[include_str!("shaders/finish_store.wgsl"), PRODUCT];
+const MULTIPLY_RELU: &[&str] = &[include_str!("shaders/finish_relu.wgsl"), PRODUCT];
+const MULTIPLY_MASK: &[&str] = &[include_str!("shaders/finish_mask.wgsl"), PRODUCT];
+const ACCUMULATE: &[&str] = &[include_str!("shaders/accumulate.wgsl")];
+const WEIGHTS: &[&str] = &[GRID, include_str!("shaders/weights.wgsl")];
+const ACTIVATION: &str = include_str!("shaders/activation.wgsl");
+const FIELD: &[&str] = &[GRID, ACTIVATION, include_str!("shaders/field.wgsl")];
+const DENSITY_GRADIENTS: &[&str] = &[GRID, ACTIVATION, include_str!("shaders/density_gradients.wgsl")];
+const PRUNE: &[&str] = &[GRID, include_str!("shaders/prune.wgsl")];
+const GATHER: &[&str] = &[GRID, include_str!("shaders/gather.wgsl")];
+const COMPOSITING: &str = include_str!("shaders/compositing.wgsl");
+const COMPOSITE: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite.wgsl")];
+const COMPOSITE_GRADIENT: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite_gradient.wgsl")];
+const LOSS: &[&str] = &[GRID, include_str!("shaders/loss.wgsl")];
+const ADAMW: &[&str] = &[GRID, include_str!("shaders/adamw.wgsl")];
+const OCCUPANCY: &[&str] = &[GRID, RANDOM, include_str!("shaders/occupancy.wgsl")];
+
+/// Sizes of an indirect dispatch.
+pub static ARGUMENTS: Kernel =
+    Kernel::new("size", &[include_str!("shaders/arguments.wgsl")], &[(0, Read), (1, Write), (2, Parameters)]);
+
+pub static CAMERA_RAYS: Kernel = Kernel::new("camera_rays", RAYS, &[(0, Read), (1, Write), (2, Parameters)]);
+pub static TRAINING_RAYS: Kernel = Kernel::new(
+    "training_rays",
+    RAYS,
+    &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Write)],
+);
+pub static MARCHING: Kernel =
+    Kernel::new("march", MARCH, &[(0, Read), (1, Write), (2, Write), (3, Parameters), (4, Read)]);
+pub static PLACING: Kernel = Kernel::new(
+    "place",
+    MARCH,
+    &[(0, Read), (1, Write), (2, Write), (3, Parameters), (5, Write), (6, Write), (7, Write)],
+);
+pub static SUM_BLOCKS: Kernel = Kernel::new("sum_blocks", SCAN, &[(0, Write), (1, Write), (2, Parameters)]);
+pub static SUM_ALL: Kernel = Kernel::new("sum_all", SCAN, &[(1, Write), (2, Parameters), (3, Write)]);
+pub static START_SEGMENTS: Kernel =
+    Kernel::new("start_segments", SCAN, &[(0, Write), (1, Write), (2, Parameters)]);
+pub static ENCODING: Kernel =
+    Kernel::new("encode", ENCODE, &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read)]);
+pub static AVERAGE: Kernel = Kernel::new("average", AVERAGING, &[(0, Write), (1, Write), (2, Parameters)]);
+pub static PACK: Kernel = Kernel::new("pack", WEIGHTS, &[(0, Read), (1, Write), (2, Parameters), (3, Write)]);
+pub static REDUCE: Kernel = Kernel::new("reduce", WEIGHTS, &[(0, Read), (1, Write), (2, Parameters)]);
+pub static DENSITIES: Kernel =
+    Kernel::new("densities", FIELD, &[(0, Read), (1, Write), (2, Parameters), (3, Read)]);
+pub static COLOR_INPUTS: Kernel = Kernel::new(
+    "color_inputs",
+    FIELD,
+    &[(0, Read), (2, Parameters), (3, Read), (4, Read), (5, Read), (6, Write)],
+);
+pub static COLORS: Kernel =
+    Kernel::new("colors", FIELD, &[(0, Read), (1, Write), (2, Parameters), (3, Read)]);
+pub static COLOR_GRADIENTS: Kernel =
+    Kernel::new("color_gradients", FIELD, &[(1, Write), (2, Parameters), (3, Read), (6, Write), (7, Read)]);
+pub static DENSITY_GRADIENT: Kernel = Kernel::new(
+    "density_gradients",
+    DENSITY_GRADIENTS,
+    &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Read)],
+);
+pub static SEE: Kernel =
+    Kernel::new("see", PRUNE, &[(0, Write), (2, Parameters), (3, Read), (4, Read), (5, Write), (6, Write)]);
+pub static LIST: Kernel =
+    Kernel::new("list", PRUNE, &[(0, Write), (1, Write), (2, Parameters), (5, Write), (6, Write)]);
+pub static GATHERING: Kernel =
+    Kernel::new("gather", GATHER, &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read)]);
+pub static COMPOSITING_RAYS: Kernel = Kernel::new(
+    "composite",
+    COMPOSITE,
+    &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Read), (6, Read)],
+);
+pub static COMPOSITING_GRADIENT: Kernel = Kernel::new(
+    "composite_gradient",
+    COMPOSITE_GRADIENT,
+    &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Read), (6, Read)],
+);
+pub static EVALUATE: Kernel = Kernel::new(
+    "evaluate",
+    LOSS,
+    &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Write), (7, Read)],
+);
+pub static ADD_UP: Kernel =
+    Kernel::new("add_up", LOSS, &[(2, Parameters), (4, Write), (5, Write), (6, Read)]);
+pub static UPDATE: Kernel = Kernel::new(
+    "update",
+    ADAMW,
+    &[(0, Write), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read), (6, Write)],
+);
+pub static CHOOSE: Kernel =
+    Kernel::new("choose", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters), (3, Write)]);
+pub static PROBES: Kernel =
+    Kernel::new("probes", OCCUPANCY, &[(0, Write), (2, Parameters), (3, Write), (4, Write)]);
+pub static ABSORB: Kernel =
+    Kernel::new("absorb", OCCUPANCY, &[(0, Write), (2, Parameters), (3, Write), (5, Read), (6, Write)]);
+pub static SUM_DENSITIES: Kernel =
+    Kernel::new("sum_densities", OCCUPANCY, &[(2, Parameters), (6, Write), (7, Write)]);
+pub static SETTLE: Kernel = Kernel::new("settle", OCCUPANCY, &[(0, Write), (2, Parameters), (7, Write)]);
+pub static SET_BITS: Kernel =
+    Kernel::new("set_bits", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters), (6, Write), (7, Write)]);
+pub static FILL_IF_EMPTY: Kernel =
+    Kernel::new("fill_if_empty", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters)]);
+pub static SET_OUTER_BITS: Kernel =
+    Kernel::new("set_outer_bits", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters)]);
+
+/// What becomes of a product before it is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Finish {
+    /// Nothing.
+    Store,
+    /// Values below zero become zero.
+    Relu,
+    /// Zero where the mask is not above zero.
+    Mask,
+}
+
+/// Columns of a tile in units of 16 for matrices of `n` columns.
+pub fn tile(n: usize) -> u32 {
+    (1..=4).rev().find(|t| n.is_multiple_of(16 * t)).unwrap_or(1) as u32
+}
+
+/// Product of [rows, k] and [k, n].
+pub fn multiply(k: usize, n: usize, finish: Finish) -> Kernel {
+    let plain: &[_] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read)];
+    let masked: &[_] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (5, Read)];
+    let (files, bindings) = match finish {
+        Finish::Store => (MULTIPLY, plain),
+        Finish::Relu => (MULTIPLY_RELU, plain),
+        Finish::Mask => (MULTIPLY_MASK, masked),
+    };
+    let constants = [("K", k as u32), ("N", n as u32), ("TN", tile(n))];
+    Kernel::new("multiply", files, bindings).with(&constants)
+}
+
+/// Weight gradient [k, n] in `chunks` parts.
+pub fn accumulate(k: usize, n: usize, chunks: u32) -> Kernel {
+    let constants = [("K", k as u32), ("N", n as u32), ("TK", tile(k)), ("TN", tile(n)), ("CHUNKS", chunks)];
+    Kernel::new("accumulate", ACCUMULATE, &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read)])
+        .with(&constants)
+}
+
+/// How texel gradients are added up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Addition {
+    /// Fixed point of 64 bits: the same bits every time.
+    Fixed,
+    /// Compare and exchange of f32: half the memory.
+    Exchange,
+}
+
+/// Texel gradients of feature gradients.
+pub fn scatter(addition: Addition) -> Kernel {
+    match addition {
+        Addition::Fixed => Kernel::new(
+            "scatter",
+            SCATTER_FIXED,
+            &[
+                (0, Read),
+                (1, Read),
+                (2, Parameters),
+                (3, Write),
+                (4, Write),
+                (5, Read),
+                (6, Write),
+                (7, Write),
+            ],
+        ),
+        Addition::Exchange => Kernel::new(
+            "scatter",
+            SCATTER_FLOAT,
+            &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read)],
+        ),
+    }
+}
+
+/// Gradients from a coarse level to a fine one.
+pub fn pull(addition: Addition) -> Kernel {
+    match addition {
+        Addition::Fixed => {
+            Kernel::new("pull", PULL_FIXED, &[(0, Write), (1, Write), (2, Parameters), (3, Write)])
+        }
+        Addition::Exchange => Kernel::new("pull", PULL_FLOAT, &[(0, Write), (1, Write), (2, Parameters)]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every kernel in every variant that a configuration can ask for, or one like it.
+    fn all() -> Vec<Kernel> {
+        let fixed = [
+            &ARGUMENTS,
+            &CAMERA_RAYS,
+            &TRAINING_RAYS,
+            &MARCHING,
+            &PLACING,
+            &SUM_BLOCKS,
+            &SUM_ALL,
+            &START_SEGMENTS,
+            &ENCODING,
+            &AVERAGE,
+            &PACK,
+            &REDUCE,
+            &DENSITIES,
+            &COLOR_INPUTS,
+            &COLORS,
+            &COLOR_GRADIENTS,
+            &DENSITY_GRADIENT,
+            &SEE,
+            &LIST,
+            &GATHERING,
+            &COMPOSITING_RAYS,
+            &COMPOSITING_GRADIENT,
+            &EVALUATE,
+            &ADD_UP,
+            &UPDATE,
+            &CHOOSE,
+            &PROBES,
+            &ABSORB,
+            &SUM_DENSITIES,
+            &SETTLE,
+            &SET_BITS,
+            &FILL_IF_EMPTY,
+            &SET_OUTER_BITS,
+        ];
+        let mut kernels: Vec<Kernel> = fixed.into_iter().cloned().collect();
+        for hidden in [16, 32, 48, 80, 128, 512] {
+            for (k, n) in [(48, hidden), (hidden, 16), (32, hidden), (hidden, hidden), (16, hidden)] {
+                kernels.extend([Finish::Store, Finish::Relu, Finish::Mask].map(|f| multiply(k, n, f)));
+                kernels.push(accumulate(k, n, 64));
+            }
+        }
+        kernels.extend([Addition::Fixed, Addition::Exchange].into_iter().flat_map(|a| [scatter(a), pull(a)]));
+        kernels
+    }
+
+    #[test]
+    fn every_variant_is_valid_and_fits_everywhere() {
+        for kernel in all() {
+            let name = kernel.key();
+            let module = naga::front::wgsl::parse_str(&kernel.source())
+                .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(&kernel.source())));
+            let capabilities = naga::valid::Capabilities::default();
+            let info = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities)
+                .validate(&module)
+                .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(&kernel.source())));
+            let place = module.entry_points.iter().position(|entry| entry.name == kernel.entry);
+            let place = place.unwrap_or_else(|| panic!("{name}: no such entry point"));
+            assert!(module.entry_points[place].workgroup_size[0] <= 256, "{name}");
+
+            // The bindings listed are those the entry point uses, with the access that they are declared with.
+            let used = info.get_entry_point(place);
+            let mut found: Vec<(u32, Access)> = Vec::new();
+            let (mut storage, mut workgroup) = (0, 0);
+            for (handle, variable) in module.global_variables.iter() {
+                if used[handle].is_empty() {
+                    continue;
+                }
+                let size = module.types[variable.ty].inner.size(module.to_ctx());
+                let access = match variable.space {
+                    naga::AddressSpace::Uniform => Parameters,
+                    naga::AddressSpace::Storage { access } if access.contains(naga::StorageAccess::STORE) => {
+                        Write
+                    }
+                    naga::AddressSpace::Storage { .. } => Read,
+                    naga::AddressSpace::WorkGroup => {
+                        workgroup += size;
+                        continue;
+                    }
+                    _ => continue,
+                };
+                if access == Parameters {
+                    assert!(size <= 256, "{name}: parameters of {size} bytes");
+                } else {
+                    storage += 1;
+                }
+                found.extend(variable.binding.as_ref().map(|at| (at.binding, access)));
+            }
+            found.sort_by_key(|(binding, _)| *binding);
+            assert_eq!(found, kernel.bindings, "{name}");
+            assert!(storage <= 8, "{name}: {storage} storage buffers");
+            assert!(workgroup <= 16 << 10, "{name}: {workgroup} bytes of workgroup memory");
+        }
+    }
+
+    #[test]
+    fn tiles_divide_their_matrices() {
+        for n in (16..=512).step_by(16) {
+            assert_eq!(n % (16 * tile(n) as usize), 0, "{n}");
+        }
+    }
+}

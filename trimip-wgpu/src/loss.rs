@@ -1,0 +1,77 @@
+//! The loss on the GPU: sums stay on the device until the step is over.
+
+use crate::backend::{Lane, WgpuBackend};
+use crate::buffer::Buffer;
+use crate::device::{GROUP, Gpu, Size};
+use crate::kernel::{ADD_UP, EVALUATE};
+use bytemuck::{Pod, Zeroable};
+use std::sync::Arc;
+use trimip_core::Pixel;
+use trimip_core::backend::Loss;
+use trimip_core::batch::{Rays, Samples};
+use trimip_core::config::{LossConfig, LossRays};
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Params {
+    count: u32,
+    blocks: u32,
+    beta: f32,
+    live: u32,
+}
+
+/// Sums of a step on the device: loss, weight, squared error, pixels that are not finite, then counts of samples.
+#[derive(Default)]
+pub struct Sums(pub Option<DeviceSums>);
+
+/// Where the sums are.
+pub struct DeviceSums {
+    /// Eight floats; the last four are counts in their bits.
+    pub buffer: wgpu::Buffer,
+    /// Rays of the step.
+    pub rays: u32,
+}
+
+/// Smooth-L1 of the pixels.
+pub struct WgpuLoss {
+    gpu: Arc<Gpu>,
+    config: LossConfig,
+    sums: Buffer<f32>,
+}
+
+impl WgpuLoss {
+    /// The configured loss.
+    pub fn new(gpu: &Arc<Gpu>, config: &LossConfig) -> Self {
+        Self { gpu: Arc::clone(gpu), config: config.clone(), sums: Buffer::zeros(gpu, 8) }
+    }
+}
+
+impl Loss<WgpuBackend> for WgpuLoss {
+    fn evaluate(
+        &self,
+        lane: &mut Lane,
+        rays: &Rays<WgpuBackend>,
+        samples: &Samples<WgpuBackend>,
+        pixels: &Buffer<Pixel>,
+        pixel_gradients: &mut Buffer<[f32; 3]>,
+        sums: &mut Sums,
+    ) {
+        let count = pixels.known_len().unwrap_or(0) as u32;
+        let blocks = count.div_ceil(GROUP);
+        pixel_gradients.resize(count as usize);
+        lane.sums.resize(4 * blocks as usize);
+        let live = u32::from(self.config.rays == LossRays::Live);
+        let params = Params { count, blocks, beta: self.config.beta, live };
+        let binds = [
+            pixels.bind(),
+            pixel_gradients.bind(),
+            rays.targets.bind(),
+            lane.sums.bind(),
+            samples.segments.bind(),
+        ];
+        self.gpu.dispatch(&EVALUATE, &binds, &params, Size::Items(count.into()));
+        let binds = [lane.sums.bind(), self.sums.bind(), samples.counts.bind()];
+        self.gpu.dispatch(&ADD_UP, &binds, &params, Size::Groups(1));
+        sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count });
+    }
+}

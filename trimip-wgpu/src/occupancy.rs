@@ -1,0 +1,211 @@
+//! The occupancy grid on the GPU: densities, bits and the list of asked cells never leave it but for checkpoints.
+
+use crate::backend::{Known, Lane, WgpuBackend};
+use crate::buffer::Buffer;
+use crate::device::{GROUP, Gpu, Size};
+use crate::kernel::{ABSORB, CHOOSE, FILL_IF_EMPTY, PROBES, SET_BITS, SET_OUTER_BITS, SETTLE, SUM_DENSITIES};
+use bytemuck::{Pod, Zeroable};
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use trimip_core::backend::Occupancy;
+use trimip_core::batch::{Radiance, Samples};
+use trimip_core::config::OccupancyConfig;
+use trimip_core::occupancy::coordinates;
+use trimip_core::rng::{Random, Stream};
+use trimip_core::{Aabb, Config};
+
+/// Cells along a side of a block, and blocks along a side of a block of blocks.
+const SIDE: u32 = 4;
+
+/// Places in the state: cells chosen, cells occupied, cells asked in a span.
+const CHOSEN: u32 = 0;
+const OCCUPIED: u32 = 1;
+const ASKED: u32 = 2;
+
+#[repr(C)]
+#[derive(Clone, Copy, Default, Pod, Zeroable)]
+struct Params {
+    cell_draws: [u32; 4],
+    point_draws: [u32; 4],
+    resolution: u32,
+    cells: u32,
+    fraction: f32,
+    first: u32,
+    capacity: u32,
+    radius: f32,
+    step_length: f32,
+    decay: f32,
+    threshold: f32,
+    blocks: u32,
+}
+
+/// Grid, bits and running densities.
+pub struct WgpuOccupancy {
+    gpu: Arc<Gpu>,
+    config: OccupancyConfig,
+    random: Random,
+    params: Params,
+    /// Samples that a span has room for.
+    room: usize,
+    state: Buffer<u32>,
+    /// Two words a block, then two words a block of blocks.
+    grid: Buffer<u32>,
+    chosen: Buffer<u32>,
+    densities: Buffer<f32>,
+    partial: Buffer<f32>,
+    known: Arc<Known>,
+}
+
+impl WgpuOccupancy {
+    /// A grid that is occupied everywhere.
+    pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, room: usize, known: Arc<Known>) -> Self {
+        let aabb = Aabb::<f32>::new(&config.scene);
+        let resolution = config.occupancy.resolution;
+        let [x, y, z] = aabb.extent();
+        let cell = (x * y * z).cbrt() / resolution as f32;
+        let cells = resolution.pow(3);
+        let params = Params {
+            resolution,
+            cells,
+            radius: cell / std::f32::consts::PI.sqrt(),
+            step_length: crate::renderer::step_length(config),
+            decay: config.occupancy.decay,
+            threshold: config.occupancy.threshold,
+            blocks: cells.div_ceil(GROUP),
+            ..Params::default()
+        };
+        let kept = if training { cells as usize } else { 1 };
+        let mut grid = Self {
+            gpu: Arc::clone(gpu),
+            config: config.occupancy.clone(),
+            random: Random::new(config.seed),
+            params,
+            room,
+            state: Buffer::zeros(gpu, 4),
+            grid: Buffer::zeros(gpu, 0),
+            chosen: Buffer::zeros(gpu, kept),
+            densities: Buffer::zeros(gpu, kept),
+            partial: Buffer::zeros(gpu, params.blocks as usize),
+            known,
+        };
+        grid.set_bits(|_| true);
+        grid
+    }
+
+    /// Cells along a side.
+    pub fn resolution(&self) -> u32 {
+        self.params.resolution
+    }
+
+    /// The bits, for marching.
+    pub fn grid(&self) -> &Buffer<u32> {
+        &self.grid
+    }
+
+    /// The counters.
+    pub fn state(&self) -> &Buffer<u32> {
+        &self.state
+    }
+
+    /// Place of a cell: block and bit.
+    fn place(&self, cell: u32) -> (usize, u32) {
+        place(coordinates(cell, self.params.resolution), self.params.resolution / SIDE)
+    }
+
+    /// Sets every cell's bit by `occupied(cell)`.
+    fn set_bits(&mut self, occupied: impl Fn(u32) -> bool) {
+        let blocks = self.params.resolution / SIDE;
+        let outer = blocks.div_ceil(SIDE);
+        let inner_words = 2 * (blocks as usize).pow(3);
+        let mut words = vec![0_u32; inner_words + 2 * (outer as usize).pow(3)];
+        let mut count = 0;
+        for cell in (0..self.params.cells).filter(|&cell| occupied(cell)) {
+            let (block, bit) = self.place(cell);
+            words[2 * block + bit as usize / 32] |= 1 << (bit % 32);
+            let (outer_block, bit) = place(coordinates(block as u32, blocks), outer);
+            words[inner_words + 2 * outer_block + bit as usize / 32] |= 1 << (bit % 32);
+            count += 1;
+        }
+        self.grid.write(&words);
+        self.state.write(&[0, count, 0, 0]);
+        self.known.occupied.store(count.into(), Ordering::Relaxed);
+    }
+}
+
+/// Block of four to a side, of `blocks` along a side, and bit within it.
+fn place(at: [u32; 3], blocks: u32) -> (usize, u32) {
+    let [x, y, z] = at.map(|c| c / SIDE);
+    let [bx, by, bz] = at.map(|c| c % SIDE);
+    ((x + blocks * (y + blocks * z)) as usize, bx + SIDE * (by + SIDE * bz))
+}
+
+impl Occupancy<WgpuBackend> for WgpuOccupancy {
+    fn choose(&mut self, step: u64) -> u32 {
+        let warm = step < u64::from(self.config.warmup);
+        self.params.fraction = if warm { self.config.warmup_fraction } else { self.config.fraction };
+        self.params.cell_draws = self.random.at(Stream::Cell, step).words();
+        self.gpu.clear(self.state.raw(), u64::from(4 * CHOSEN), 4);
+        let binds = [self.state.bind(), self.grid.bind(), self.chosen.bind()];
+        self.gpu.dispatch(&CHOOSE, &binds, &self.params, Size::Items(self.params.cells.into()));
+        // How many were chosen only the device knows.
+        self.params.cells
+    }
+
+    fn probes(&self, _: &mut Lane, step: u64, range: Range<u32>, samples: &mut Samples<WgpuBackend>) {
+        let room = range.len().min(self.room);
+        samples.spheres.count_by(room, self.state.raw(), ASKED, 1);
+        let params = Params {
+            point_draws: self.random.at(Stream::Point, step).words(),
+            first: range.start,
+            capacity: room as u32,
+            ..self.params
+        };
+        let binds = [self.state.bind(), self.chosen.bind(), samples.spheres.bind()];
+        self.gpu.dispatch(&PROBES, &binds, &params, Size::Items(room as u64));
+    }
+
+    fn absorb(&mut self, radiance: &Buffer<Radiance>) {
+        let Self { gpu, params, state, grid, chosen, densities, partial, .. } = self;
+        let cells = Size::Items(params.cells.into());
+        let binds = [state.bind(), chosen.bind(), radiance.bind(), densities.bind()];
+        gpu.dispatch(&ABSORB, &binds, params, cells);
+        gpu.dispatch(&SUM_DENSITIES, &[densities.bind(), partial.bind()], params, cells);
+        gpu.dispatch(&SETTLE, &[state.bind(), partial.bind()], params, Size::Groups(1));
+        let blocks = u64::from(params.resolution / SIDE).pow(3);
+        let binds = [state.bind(), grid.bind(), densities.bind(), partial.bind()];
+        gpu.dispatch(&SET_BITS, &binds, params, Size::Items(blocks));
+        let binds = [state.bind(), grid.bind()];
+        gpu.dispatch(&FILL_IF_EMPTY, &binds, params, Size::Items(blocks));
+        gpu.dispatch(&SET_OUTER_BITS, &binds, params, Size::Items(blocks));
+    }
+
+    fn occupied(&self) -> f64 {
+        self.known.occupied.load(Ordering::Relaxed) as f64 / f64::from(self.params.cells)
+    }
+
+    fn densities(&self) -> Vec<f32> {
+        self.densities.read()
+    }
+
+    fn bits(&self) -> Vec<u8> {
+        let words = self.grid.read();
+        let mut bits = vec![0; (self.params.cells as usize).div_ceil(8)];
+        for cell in 0..self.params.cells {
+            let (block, bit) = self.place(cell);
+            let own = words[2 * block + bit as usize / 32] >> (bit % 32) & 1;
+            bits[cell as usize / 8] |= (own as u8) << (cell % 8);
+        }
+        bits
+    }
+
+    fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>) {
+        self.set_bits(|cell| bits[cell as usize / 8] >> (cell % 8) & 1 == 1);
+        if let Some(densities) = densities {
+            self.densities.write(densities);
+        }
+    }
+}
+
+/// Where the number of occupied cells stands in the state.
+pub const OCCUPIED_AT: u32 = OCCUPIED;

@@ -1,0 +1,265 @@
+//! Marching, pruning and compositing on the GPU.
+
+use crate::backend::{Lane, WgpuBackend};
+use crate::buffer::Buffer;
+use crate::device::{GROUP, Gpu, Size};
+use crate::kernel::{
+    COMPOSITING_GRADIENT, COMPOSITING_RAYS, LIST, MARCHING, PLACING, SEE, START_SEGMENTS, SUM_ALL, SUM_BLOCKS,
+};
+use crate::occupancy::WgpuOccupancy;
+use bytemuck::{Pod, Zeroable};
+use std::sync::Arc;
+use trimip_core::batch::{Radiance, Rays, Samples, Segment};
+use trimip_core::compositing::Pruning;
+use trimip_core::rng::{Random, Stream};
+use trimip_core::schedule::Schedule;
+use trimip_core::{Aabb, Config, Pixel, Renderer};
+
+/// Segments that a workgroup of the sums takes.
+const BLOCK: u32 = 4 * GROUP;
+
+/// Places of the counters in [`Samples::counts`]; what is dropped for want of room stands two further.
+const MARCHED: u32 = 0;
+const KEPT: u32 = 1;
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct MarchParams {
+    aabb_min: [f32; 3],
+    step_length: f32,
+    aabb_max: [f32; 3],
+    step_per_radius: f32,
+    inverse_extent: [f32; 3],
+    padding: f32,
+    cell_extent: [f32; 3],
+    more_padding: f32,
+    draws: [u32; 4],
+    jitter: u32,
+    first: u32,
+    count: u32,
+    resolution: u32,
+    words: u32,
+    capacity: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct PruneParams {
+    count: u32,
+    max_depth: f32,
+    min_weight: f32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct CompositeParams {
+    background: [f32; 3],
+    count: u32,
+    targets: u32,
+}
+
+/// Box, step and background.
+pub struct WgpuRenderer {
+    gpu: Arc<Gpu>,
+    aabb: Aabb<f32>,
+    /// Length of a step of the schedule's scale 1.
+    uniform_step: f32,
+    step_scale: Schedule,
+    step_length: f32,
+    step_per_radius: f32,
+    pruning: Pruning<f32>,
+    background: [f32; 3],
+    random: Random,
+    /// Samples that a span has room for.
+    room: usize,
+}
+
+/// World length of the uniform marching step: longest side · √3 / steps (code).
+pub fn step_length(config: &Config) -> f32 {
+    Aabb::<f32>::new(&config.scene).longest() * 3.0_f32.sqrt() / config.renderer.steps_per_diagonal as f32
+}
+
+impl WgpuRenderer {
+    /// The renderer of a configuration, with room for `room` samples of a span.
+    pub fn new(gpu: &Arc<Gpu>, config: &Config, room: usize) -> Self {
+        let uniform_step = step_length(config);
+        let step_scale = config.renderer.step_scale.clone();
+        Self {
+            gpu: Arc::clone(gpu),
+            aabb: Aabb::new(&config.scene),
+            uniform_step,
+            step_length: uniform_step * step_scale.at(0.0) as f32,
+            step_scale,
+            step_per_radius: config.renderer.step_per_radius,
+            pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
+            background: config.data.background,
+            random: Random::new(config.seed),
+            room,
+        }
+    }
+
+    /// Steps that fit into the box along any ray, and one for rounding.
+    fn most_samples(&self) -> usize {
+        let [x, y, z] = self.aabb.extent().map(f64::from);
+        ((x * x + y * y + z * z).sqrt() / f64::from(self.step_length)).ceil() as usize + 2
+    }
+
+    /// Gives every segment its start; the total goes to a counter.
+    fn scan(
+        &self,
+        lane: &mut Lane,
+        segments: &Buffer<Segment>,
+        counts: &Buffer<[u32; 2]>,
+        counter: u32,
+        room: usize,
+    ) {
+        let count = segments.known_len().unwrap_or(segments.capacity()) as u32;
+        let blocks = count.div_ceil(BLOCK);
+        lane.blocks.resize(blocks as usize);
+        let params = [count, blocks, counter, room as u32];
+        let groups = Size::Groups(blocks.into());
+        let binds = [segments.bind(), lane.blocks.bind()];
+        self.gpu.dispatch(&SUM_BLOCKS, &binds, &params, groups);
+        self.gpu.dispatch(&SUM_ALL, &[lane.blocks.bind(), counts.bind()], &params, Size::Groups(1));
+        self.gpu.dispatch(&START_SEGMENTS, &binds, &params, groups);
+    }
+}
+
+impl Renderer<WgpuBackend> for WgpuRenderer {
+    fn follow(&mut self, progress: f64) {
+        self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
+    }
+
+    fn march(
+        &self,
+        lane: &mut Lane,
+        rays: &Rays<WgpuBackend>,
+        occupancy: &WgpuOccupancy,
+        jitter: Option<u64>,
+        samples: &mut Samples<WgpuBackend>,
+    ) {
+        let count = rays.rays.known_len().unwrap_or(0);
+        let words = self.most_samples().div_ceil(32);
+        let room = self.room.min(count * self.most_samples()).max(1);
+        samples.segments.resize(count);
+        samples.counts.resize(2);
+        lane.bits.resize(count * words);
+        lane.marched = true;
+        let params = MarchParams {
+            aabb_min: self.aabb.min,
+            step_length: self.step_length,
+            aabb_max: self.aabb.max,
+            step_per_radius: self.step_per_radius,
+            inverse_extent: self.aabb.extent().map(f32::recip),
+            padding: 0.0,
+            cell_extent: self.aabb.extent().map(|side| side / occupancy.resolution() as f32),
+            more_padding: 0.0,
+            draws: jitter.map_or([0; 4], |step| self.random.at(Stream::Jitter, step).words()),
+            jitter: u32::from(jitter.is_some()),
+            first: rays.first,
+            count: count as u32,
+            resolution: occupancy.resolution(),
+            words: words as u32,
+            capacity: room as u32,
+        };
+        let items = Size::Items(count as u64);
+        let binds = [rays.rays.bind(), lane.bits.bind(), samples.segments.bind(), occupancy.grid().bind()];
+        self.gpu.dispatch(&MARCHING, &binds, &params, items);
+        self.scan(lane, &samples.segments, &samples.counts, MARCHED, room);
+        let counts = samples.counts.raw().clone();
+        samples.rays.count_by(room, &counts, MARCHED, 1);
+        samples.intervals.count_by(room, &counts, MARCHED, 1);
+        samples.spheres.count_by(room, &counts, MARCHED, 1);
+        let binds = [
+            rays.rays.bind(),
+            lane.bits.bind(),
+            samples.segments.bind(),
+            samples.rays.bind(),
+            samples.intervals.bind(),
+            samples.spheres.bind(),
+        ];
+        self.gpu.dispatch(&PLACING, &binds, &params, items);
+    }
+
+    fn prune(
+        &self,
+        lane: &mut Lane,
+        radiance: &Buffer<Radiance>,
+        samples: &mut Samples<WgpuBackend>,
+        kept: &mut Buffer<u32>,
+    ) {
+        let count = samples.segments.known_len().unwrap_or(0);
+        let room = samples.spheres.capacity();
+        samples.counts.resize(2);
+        lane.old_segments.resize(count);
+        lane.marks.resize(room);
+        let Pruning { max_depth, min_weight } = self.pruning;
+        // WGSL knows no infinity.
+        let params = PruneParams { count: count as u32, max_depth: max_depth.min(f32::MAX), min_weight };
+        let items = Size::Items(count as u64);
+        let binds = [
+            samples.segments.bind(),
+            radiance.bind(),
+            samples.intervals.bind(),
+            lane.old_segments.bind(),
+            lane.marks.bind(),
+        ];
+        self.gpu.dispatch(&SEE, &binds, &params, items);
+        self.scan(lane, &samples.segments, &samples.counts, KEPT, room);
+        kept.count_by(room, samples.counts.raw(), KEPT, 1);
+        let binds = [samples.segments.bind(), kept.bind(), lane.old_segments.bind(), lane.marks.bind()];
+        self.gpu.dispatch(&LIST, &binds, &params, items);
+        lane.keep(kept, &mut samples.rays, 1);
+        lane.keep(kept, &mut samples.intervals, 2);
+        lane.keep(kept, &mut samples.spheres, 4);
+    }
+
+    fn composite(
+        &self,
+        _: &mut Lane,
+        rays: &Rays<WgpuBackend>,
+        samples: &Samples<WgpuBackend>,
+        radiance: &Buffer<Radiance>,
+        pixels: &mut Buffer<Pixel>,
+    ) {
+        let count = rays.rays.known_len().unwrap_or(0);
+        pixels.resize(count);
+        let targets = rays.targets.known_len().unwrap_or(0) > 0;
+        let params =
+            CompositeParams { background: self.background, count: count as u32, targets: u32::from(targets) };
+        let binds = [
+            samples.segments.bind(),
+            pixels.bind(),
+            radiance.bind(),
+            samples.intervals.bind(),
+            rays.rays.bind(),
+            rays.targets.bind(),
+        ];
+        self.gpu.dispatch(&COMPOSITING_RAYS, &binds, &params, Size::Items(count as u64));
+    }
+
+    fn backward(
+        &self,
+        _: &mut Lane,
+        samples: &Samples<WgpuBackend>,
+        radiance: &Buffer<Radiance>,
+        pixels: &Buffer<Pixel>,
+        pixel_gradients: &Buffer<[f32; 3]>,
+        radiance_gradients: &mut Buffer<Radiance>,
+    ) {
+        let count = pixels.known_len().unwrap_or(0);
+        match radiance.counter() {
+            Some((counts, counter)) => radiance_gradients.count_by(radiance.capacity(), counts, counter, 1),
+            None => radiance_gradients.resize(radiance.known_len().unwrap_or(0)),
+        }
+        let binds = [
+            samples.segments.bind(),
+            radiance_gradients.bind(),
+            radiance.bind(),
+            samples.intervals.bind(),
+            pixels.bind(),
+            pixel_gradients.bind(),
+        ];
+        self.gpu.dispatch(&COMPOSITING_GRADIENT, &binds, &(count as u32), Size::Items(count as u64));
+    }
+}

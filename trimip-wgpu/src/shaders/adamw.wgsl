@@ -1,0 +1,68 @@
+// AdamW: twin of `trimip_core::adamw::Rule`, four parameters an invocation. Where the step has no weight nothing moves.
+
+struct Params {
+    beta1: f32,
+    beta2: f32,
+    share1: f32,
+    share2: f32,
+    epsilon: f32,
+    rate: f32,
+    root_correction: f32,
+    shrink: f32,
+    // In fours: first and number of parameters.
+    start: u32,
+    count: u32,
+    // Texels without any gradient stay as they are.
+    skip: u32,
+}
+
+@group(0) @binding(0) var<storage, read_write> parameters: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> gradients: array<vec4<f32>>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read_write> first_moments: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> second_moments: array<vec4<f32>>;
+// The second is the sum of the weights.
+@group(0) @binding(5) var<storage, read> sums: array<f32>;
+@group(0) @binding(6) var<storage, read_write> skipped: array<atomic<u32>>;
+
+@compute @workgroup_size(GROUP)
+fn update(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count || !(sums[1] > 0.0) {
+        return;
+    }
+    let at = params.start + i;
+    let raw = gradients[at];
+    if params.skip != 0u && all(raw == vec4<f32>(0.0)) {
+        let texel = params.start + i / 4u * 4u;
+        var none = true;
+        for (var j = 0u; j < 4u; j++) {
+            none = none && all(gradients[texel + j] == vec4<f32>(0.0));
+        }
+        if none {
+            return;
+        }
+    }
+    let gradient = raw / sums[1];
+    var parameter = parameters[at];
+    var m = first_moments[at];
+    var v = second_moments[at];
+    for (var c = 0u; c < 4u; c++) {
+        if (bitcast<u32>(raw[c]) & 0x7f800000u) == 0x7f800000u {
+            atomicAdd(&skipped[0], 1u);
+            continue;
+        }
+        let g = gradient[c];
+        m[c] = params.beta1 * m[c] + params.share1 * g;
+        v[c] = params.beta2 * v[c] + params.share2 * g * g;
+        parameter[c] = parameter[c] * params.shrink
+            - params.rate * m[c] / (sqrt(v[c]) * params.root_correction + params.epsilon);
+    }
+    parameters[at] = parameter;
+    first_moments[at] = m;
+    second_moments[at] = v;
+}

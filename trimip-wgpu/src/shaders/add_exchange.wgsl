@@ -1,0 +1,23 @@
+// Additions to texel gradients in f32, by comparing and exchanging their bits: every device can, in any order.
+
+fn add_base(at: u32, value: f32) {
+    var old = atomicLoad(&base[at]);
+    loop {
+        let result = atomicCompareExchangeWeak(&base[at], old, bitcast<u32>(bitcast<f32>(old) + value));
+        if result.exchanged {
+            break;
+        }
+        old = result.old_value;
+    }
+}
+
+fn add_derived(at: u32, value: f32) {
+    var old = atomicLoad(&derived[at]);
+    loop {
+        let result = atomicCompareExchangeWeak(&derived[at], old, bitcast<u32>(bitcast<f32>(old) + value));
+        if result.exchanged {
+            break;
+        }
+        old = result.old_value;
+    }
+}

@@ -1,0 +1,21 @@
+// Additions to texel gradients in fixed point: the high word is touched where it changes.
+@group(0) @binding(6) var<storage, read_write> base_high: array<atomic<u32>>;
+@group(0) @binding(7) var<storage, read_write> derived_high: array<atomic<u32>>;
+
+fn add_base(at: u32, value: f32) {
+    let words = to_fixed(value);
+    let before = atomicAdd(&base[at], words.x);
+    let high = words.y + select(0u, 1u, before + words.x < before);
+    if high != 0u {
+        atomicAdd(&base_high[at], high);
+    }
+}
+
+fn add_derived(at: u32, value: f32) {
+    let words = to_fixed(value);
+    let before = atomicAdd(&derived[at], words.x);
+    let high = words.y + select(0u, 1u, before + words.x < before);
+    if high != 0u {
+        atomicAdd(&derived_high[at], high);
+    }
+}

@@ -1,0 +1,41 @@
+// From gradients of pixels to gradients of density and colour: what a sample shows minus what it hides.
+
+struct Params {
+    count: u32,
+}
+
+@group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
+@group(0) @binding(1) var<storage, read_write> gradients: array<vec4<f32>>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
+@group(0) @binding(5) var<storage, read> pixels: array<f32>;
+@group(0) @binding(6) var<storage, read> pixel_gradients: array<f32>;
+
+@compute @workgroup_size(GROUP)
+fn composite_gradient(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count {
+        return;
+    }
+    let segment = segments[i];
+    let by_rgb = vec3<f32>(pixel_gradients[3u * i], pixel_gradients[3u * i + 1u], pixel_gradients[3u * i + 2u]);
+    // Everything behind the sample, background included: starts as the whole colour.
+    var behind = dot(vec3<f32>(pixels[5u * i], pixels[5u * i + 1u], pixels[5u * i + 2u]), by_rgb);
+    var transmittance = 1.0;
+    var depth_before = 0.0;
+    for (var j = segment.x; j < segment.x + segment.y; j++) {
+        let length = intervals[j].y;
+        let depth = radiance[j].w * length;
+        let shade = dot(radiance[j].rgb, by_rgb);
+        let weight = transmittance * alpha_of(depth);
+        depth_before += depth;
+        transmittance = exp(-depth_before);
+        behind -= weight * shade;
+        gradients[j] = vec4<f32>(by_rgb * weight, (transmittance * shade - behind) * length);
+    }
+}

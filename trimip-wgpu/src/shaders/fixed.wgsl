@@ -1,0 +1,24 @@
+// Sums of texel gradients in fixed point of 64 bits, 30 of them behind the point, in two words: integers add up to the same
+// bits in any order. Not yet divided by the weight of a step, gradients stay below 2^33 and are as exact as in f32.
+const POINT: f32 = 1073741824.0;
+const WORD: f32 = 4294967296.0;
+
+// Low and high word of a value.
+fn to_fixed(value: f32) -> vec2<u32> {
+    let size = min(abs(value) * POINT, 9.2e18);
+    let high = u32(size / WORD);
+    let low = u32(size - f32(high) * WORD);
+    return select(vec2<u32>(low, high), negated(vec2<u32>(low, high)), value < 0.0);
+}
+
+fn negated(words: vec2<u32>) -> vec2<u32> {
+    let low = ~words.x + 1u;
+    return vec2<u32>(low, ~words.y + select(0u, 1u, low == 0u));
+}
+
+fn from_fixed(words: vec2<u32>) -> f32 {
+    let negative = (words.y >> 31u) == 1u;
+    let size = select(words, negated(words), negative);
+    let value = (f32(size.y) * WORD + f32(size.x)) / POINT;
+    return select(value, -value, negative);
+}

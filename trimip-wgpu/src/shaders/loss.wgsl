@@ -1,0 +1,101 @@
+// Area-weighted smooth-L1 of each ray and its gradient with respect to the pixel; sums of a workgroup's rays go to
+// `partial`, and `add_up` joins them in their order.
+
+struct Params {
+    count: u32,
+    blocks: u32,
+    beta: f32,
+    // Average over rays with samples alone.
+    live: u32,
+}
+
+@group(0) @binding(0) var<storage, read> pixels: array<f32>;
+@group(0) @binding(1) var<storage, read_write> gradients: array<f32>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read> targets: array<f32>;
+// Loss, weight, squared error, pixels that are not finite.
+@group(0) @binding(4) var<storage, read_write> partial: array<vec4<f32>>;
+// The same of the step, then as bits: samples marched and kept, and dropped from both for want of room.
+@group(0) @binding(5) var<storage, read_write> sums: array<f32>;
+@group(0) @binding(6) var<storage, read> counts: array<u32>;
+@group(0) @binding(7) var<storage, read> segments: array<vec2<u32>>;
+
+var<workgroup> shared_sums: array<vec4<f32>, GROUP>;
+
+fn is_finite(x: f32) -> bool {
+    return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
+}
+
+// Sum over the workgroup in a fixed order; valid for the first invocation.
+fn total(local: u32, own: vec4<f32>) -> vec4<f32> {
+    shared_sums[local] = own;
+    workgroupBarrier();
+    for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {
+        if local < stride {
+            shared_sums[local] += shared_sums[local + stride];
+        }
+        workgroupBarrier();
+    }
+    return shared_sums[0];
+}
+
+@compute @workgroup_size(GROUP)
+fn evaluate(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    var own = vec4<f32>(0.0);
+    if i < params.count {
+        let weight = targets[7u * i + 3u];
+        let counted = params.live == 0u || segments[i].y > 0u;
+        var loss = 0.0;
+        var squared = 0.0;
+        var finite = true;
+        for (var c = 0u; c < 3u; c++) {
+            let difference = pixels[5u * i + c] - targets[7u * i + c];
+            finite = finite && is_finite(difference);
+            let size = abs(difference);
+            var value = size - 0.5 * params.beta;
+            var slope = sign(difference);
+            if size < params.beta {
+                value = 0.5 * difference * difference / params.beta;
+                slope = difference / params.beta;
+            }
+            loss += value / 3.0;
+            squared += difference * difference;
+            gradients[3u * i + c] = select(0.0, weight * slope / 3.0, counted);
+        }
+        own = vec4<f32>(select(0.0, weight * loss, counted), select(0.0, weight, counted), squared, 0.0);
+        if !finite {
+            own = vec4<f32>(0.0, 0.0, 0.0, 1.0);
+            for (var c = 0u; c < 3u; c++) {
+                gradients[3u * i + c] = 0.0;
+            }
+        }
+    }
+    let sum = total(local, own);
+    let block = group.y * groups.x + group.x;
+    if local == 0u && block < params.blocks {
+        partial[block] = sum;
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn add_up(@builtin(local_invocation_index) local: u32) {
+    var own = vec4<f32>(0.0);
+    for (var i = local; i < params.blocks; i += GROUP) {
+        own += partial[i];
+    }
+    let sum = total(local, own);
+    if local == 0u {
+        sums[0] = sum.x;
+        sums[1] = sum.y;
+        sums[2] = sum.z;
+        sums[3] = sum.w;
+        for (var c = 0u; c < 4u; c++) {
+            sums[4u + c] = bitcast<f32>(counts[c]);
+        }
+    }
+}

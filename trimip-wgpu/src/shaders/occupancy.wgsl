@@ -1,0 +1,220 @@
+// The occupancy grid: which cells are asked, what they answer, which are occupied. Twin of `trimip_core::occupancy` and
+// of the CPU's grid. `state` holds: cells chosen, cells occupied, cells asked in this span.
+
+struct Params {
+    cell_draws: vec4<u32>,
+    point_draws: vec4<u32>,
+    resolution: u32,
+    cells: u32,
+    fraction: f32,
+    // First of the chosen cells of this span, and how many it has at most.
+    first: u32,
+    capacity: u32,
+    radius: f32,
+    step_length: f32,
+    decay: f32,
+    threshold: f32,
+    blocks: u32,
+}
+
+@group(0) @binding(0) var<storage, read_write> state: array<atomic<u32>>;
+@group(0) @binding(1) var<storage, read_write> grid: array<u32>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read_write> chosen: array<u32>;
+@group(0) @binding(4) var<storage, read_write> spheres: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> radiance: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> densities: array<f32>;
+@group(0) @binding(7) var<storage, read_write> partial: array<f32>;
+
+fn is_occupied(cell: vec3<u32>) -> bool {
+    let blocks = params.resolution / 4u;
+    let block = cell / 4u;
+    let within = cell % 4u;
+    let bit = within.x + 4u * (within.y + 4u * within.z);
+    let word = 2u * (block.x + blocks * (block.y + blocks * block.z));
+    return ((grid[word + bit / 32u] >> (bit % 32u)) & 1u) == 1u;
+}
+
+fn coordinates(cell: u32, side: u32) -> vec3<u32> {
+    return vec3<u32>(cell % side, cell / side % side, cell / (side * side));
+}
+
+// Cells are listed in any order: each answers for itself.
+@compute @workgroup_size(GROUP)
+fn choose(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let cell = index_of(group, groups, local);
+    if cell >= params.cells {
+        return;
+    }
+    var asked = params.fraction >= 1.0;
+    if !asked {
+        let bits = random_bits(params.cell_draws, cell);
+        let probability = params.fraction * f32(params.cells) / f32(max(atomicLoad(&state[1]), 1u));
+        asked = unit(bits.x) < params.fraction
+            || (is_occupied(coordinates(cell, params.resolution)) && unit(bits.y) < probability);
+    }
+    if asked {
+        chosen[atomicAdd(&state[0], 1u)] = cell;
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn probes(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    let all = atomicLoad(&state[0]);
+    let count = min(all - min(all, params.first), params.capacity);
+    if i == 0u {
+        atomicStore(&state[2], count);
+    }
+    if i >= count {
+        return;
+    }
+    let cell = chosen[params.first + i];
+    let bits = random_bits(params.point_draws, cell);
+    let offset = vec3<f32>(unit(bits.x), unit(bits.y), unit(bits.z));
+    let corner = vec3<f32>(coordinates(cell, params.resolution));
+    spheres[i] = vec4<f32>((corner + offset) / f32(params.resolution), params.radius);
+}
+
+@compute @workgroup_size(GROUP)
+fn absorb(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= atomicLoad(&state[0]) {
+        return;
+    }
+    let cell = chosen[i];
+    densities[cell] = max(params.decay * densities[cell], radiance[i].w * params.step_length);
+}
+
+var<workgroup> shared_sums: array<f32, GROUP>;
+
+fn total(local: u32, own: f32) -> f32 {
+    shared_sums[local] = own;
+    workgroupBarrier();
+    for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {
+        if local < stride {
+            shared_sums[local] += shared_sums[local + stride];
+        }
+        workgroupBarrier();
+    }
+    return shared_sums[0];
+}
+
+@compute @workgroup_size(GROUP)
+fn sum_densities(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    var own = 0.0;
+    if i < params.cells {
+        own = densities[i];
+    }
+    let sum = total(local, own);
+    let block = group.y * groups.x + group.x;
+    if local == 0u && block < params.blocks {
+        partial[block] = sum;
+    }
+}
+
+// The threshold of this refresh goes to `partial[0]`; nothing is counted as occupied yet.
+@compute @workgroup_size(GROUP)
+fn settle(@builtin(local_invocation_index) local: u32) {
+    var own = 0.0;
+    for (var i = local; i < params.blocks; i += GROUP) {
+        own += partial[i];
+    }
+    let sum = total(local, own);
+    if local == 0u {
+        partial[0] = min(sum / f32(params.cells), params.threshold);
+        atomicStore(&state[1], 0u);
+    }
+}
+
+// One block of 64 cells an invocation.
+@compute @workgroup_size(GROUP)
+fn set_bits(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let block = index_of(group, groups, local);
+    let side = params.resolution / 4u;
+    if block >= side * side * side {
+        return;
+    }
+    let corner = coordinates(block, side) * 4u;
+    var words = vec2<u32>(0u);
+    for (var bit = 0u; bit < 64u; bit++) {
+        let cell = corner + coordinates(bit, 4u);
+        let index = cell.x + params.resolution * (cell.y + params.resolution * cell.z);
+        if densities[index] > partial[0] {
+            words[bit / 32u] |= 1u << (bit % 32u);
+        }
+    }
+    grid[2u * block] = words.x;
+    grid[2u * block + 1u] = words.y;
+    atomicAdd(&state[1], countOneBits(words.x) + countOneBits(words.y));
+}
+
+// A grid whose cells all equal their mean has none above it: without this it would stay empty for ever.
+@compute @workgroup_size(GROUP)
+fn fill_if_empty(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let block = index_of(group, groups, local);
+    let side = params.resolution / 4u;
+    if block < side * side * side && atomicLoad(&state[1]) == 0u {
+        grid[2u * block] = 0xffffffffu;
+        grid[2u * block + 1u] = 0xffffffffu;
+    }
+}
+
+// One block of blocks an invocation.
+@compute @workgroup_size(GROUP)
+fn set_outer_bits(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let outer = index_of(group, groups, local);
+    let side = params.resolution / 4u;
+    let outer_side = (side + 3u) / 4u;
+    if outer >= outer_side * outer_side * outer_side {
+        return;
+    }
+    let corner = coordinates(outer, outer_side) * 4u;
+    var words = vec2<u32>(0u);
+    for (var bit = 0u; bit < 64u; bit++) {
+        let block = corner + coordinates(bit, 4u);
+        if any(block >= vec3<u32>(side)) {
+            continue;
+        }
+        let word = 2u * (block.x + side * (block.y + side * block.z));
+        if (grid[word] | grid[word + 1u]) != 0u {
+            words[bit / 32u] |= 1u << (bit % 32u);
+        }
+    }
+    let at = 2u * (side * side * side + outer);
+    grid[at] = words.x;
+    grid[at + 1u] = words.y;
+    // Filled blocks count as occupied.
+    if outer == 0u && atomicLoad(&state[1]) == 0u {
+        atomicStore(&state[1], params.cells);
+    }
+}

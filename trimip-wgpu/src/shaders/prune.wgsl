@@ -1,0 +1,68 @@
+// Pruning: `see` walks each ray front to back and marks the samples that are kept; after the counts are summed `list`
+// writes their rows. Twin of `compositing::Pruning`.
+
+struct Params {
+    count: u32,
+    max_depth: f32,
+    min_weight: f32,
+}
+
+@group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
+@group(0) @binding(1) var<storage, read_write> kept: array<u32>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
+@group(0) @binding(5) var<storage, read_write> old_segments: array<vec2<u32>>;
+@group(0) @binding(6) var<storage, read_write> marks: array<u32>;
+
+@compute @workgroup_size(GROUP)
+fn see(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count {
+        return;
+    }
+    let segment = segments[i];
+    old_segments[i] = segment;
+    var depth = 0.0;
+    var count = 0u;
+    for (var j = segment.x; j < segment.x + segment.y; j++) {
+        if depth > params.max_depth {
+            marks[j] = 0u;
+            continue;
+        }
+        let own = radiance[j].w * intervals[j].y;
+        // The comparison is false for NaN: such a sample is kept, and the step that meets it reports it.
+        if params.min_weight > 0.0 && exp(-depth) * (1.0 - exp(-own)) < params.min_weight {
+            marks[j] = 0u;
+            continue;
+        }
+        depth += own;
+        marks[j] = 1u;
+        count += 1u;
+    }
+    segments[i] = vec2<u32>(0u, count);
+}
+
+@compute @workgroup_size(GROUP)
+fn list(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count {
+        return;
+    }
+    let old = old_segments[i];
+    var at = segments[i].x;
+    for (var j = old.x; j < old.x + old.y; j++) {
+        if marks[j] == 1u {
+            kept[at] = j;
+            at += 1u;
+        }
+    }
+}

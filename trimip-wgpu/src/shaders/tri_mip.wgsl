@@ -1,0 +1,75 @@
+// Twin of `trimip_core::tri_mip`: the level of a sphere (Eq. 5) and the texels a query reads.
+
+struct Pyramid {
+    // log2 of the base radius of each plane.
+    log2_base_radius: vec3<f32>,
+    size: u32,
+    levels: u32,
+    // Rows: counts[counter].
+    counter: u32,
+}
+
+// Coordinates along a row of texels and across.
+fn plane_axes(position: vec3<f32>, plane: u32) -> vec2<f32> {
+    switch plane {
+        case 0u: { return position.yz; }
+        case 1u: { return position.xz; }
+        default: { return position.xy; }
+    }
+}
+
+// First texel of `level` of `plane`; level 0 begins the parameters, level 1 the derived levels.
+fn level_start(pyramid: Pyramid, level: u32, plane: u32) -> u32 {
+    let side = pyramid.size >> level;
+    if level == 0u {
+        return plane * side * side;
+    }
+    // Levels 1 to level - 1 have 3 (size/2)^2 (1 + 1/4 + ...) texels.
+    var texels = 0u;
+    for (var l = 1u; l < level; l++) {
+        texels += 3u * (pyramid.size >> l) * (pyramid.size >> l);
+    }
+    return texels + plane * side * side;
+}
+
+struct Blend {
+    lower: u32,
+    fraction: f32,
+}
+
+fn blend_levels(pyramid: Pyramid, plane: u32, log2_radius: f32) -> Blend {
+    let level = log2_radius - pyramid.log2_base_radius[plane];
+    let top = f32(pyramid.levels - 1u);
+    if !(level > 0.0) || pyramid.levels == 1u {
+        return Blend(0u, 0.0);
+    }
+    if level >= top {
+        return Blend(pyramid.levels - 1u, 0.0);
+    }
+    let lower = floor(level);
+    return Blend(u32(lower), level - lower);
+}
+
+struct Taps {
+    // Columns of the left and right texels, rows of the lower and upper ones.
+    columns: vec2<u32>,
+    rows: vec2<u32>,
+    // How far right and up.
+    right: f32,
+    up: f32,
+}
+
+fn texel_taps(side: u32, at: vec2<f32>) -> Taps {
+    let place = at * f32(side) - 0.5;
+    let lower = floor(place);
+    let fraction = place - lower;
+    let last = i32(side) - 1;
+    let low = vec2<i32>(lower);
+    let first = vec2<u32>(clamp(low, vec2<i32>(0), vec2<i32>(last)));
+    let second = vec2<u32>(clamp(low + 1, vec2<i32>(0), vec2<i32>(last)));
+    return Taps(vec2<u32>(first.x, second.x), vec2<u32>(first.y, second.y), fraction.x, fraction.y);
+}
+
+fn tap_weight(taps: Taps, row: u32, column: u32) -> f32 {
+    return select(1.0 - taps.up, taps.up, row == 1u) * select(1.0 - taps.right, taps.right, column == 1u);
+}

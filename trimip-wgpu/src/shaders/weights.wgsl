@@ -1,0 +1,56 @@
+// Between parameters [inputs, outputs] and padded matrices: `pack` makes the matrix of a layer and its transpose,
+// `reduce` adds the chunks of a weight gradient and drops the padding.
+
+struct Params {
+    // First float of the layer in the parameters.
+    start: u32,
+    inputs: u32,
+    outputs: u32,
+    // Padded shape.
+    k: u32,
+    n: u32,
+    chunks: u32,
+}
+
+@group(0) @binding(0) var<storage, read> source: array<f32>;
+@group(0) @binding(1) var<storage, read_write> forward: array<f32>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read_write> backward: array<f32>;
+
+@compute @workgroup_size(GROUP)
+fn pack(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.k * params.n {
+        return;
+    }
+    let row = i / params.n;
+    let column = i % params.n;
+    var value = 0.0;
+    if row < params.inputs && column < params.outputs {
+        value = source[params.start + row * params.outputs + column];
+    }
+    forward[i] = value;
+    backward[column * params.k + row] = value;
+}
+
+@compute @workgroup_size(GROUP)
+fn reduce(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.inputs * params.outputs {
+        return;
+    }
+    let at = i / params.outputs * params.n + i % params.outputs;
+    var sum = 0.0;
+    for (var chunk = 0u; chunk < params.chunks; chunk++) {
+        sum += source[chunk * params.k * params.n + at];
+    }
+    forward[params.start + i] = sum;
+}
