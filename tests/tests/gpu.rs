@@ -1,8 +1,9 @@
 //! The suite that every backend passes, on the GPU, with texel gradients in fixed point and in f32. Where a machine has no
 //! adapter the tests are skipped and say so, unless `TRIMIP_REQUIRE_GPU` is set: then they fail.
 
-use trimip_core::Result;
-use trimip_tests::suite;
+use trimip_core::{Result, Session, model::Model, trainer::Trainer};
+use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_tests::{fixtures, suite};
 use trimip_wgpu::WgpuBackend;
 
 /// Runs a part of the suite on the best adapter, with both ways to add.
@@ -116,4 +117,65 @@ fn poor_photographs_are_no_failure() {
 #[test]
 fn an_empty_grid_recovers() {
     on_the_gpu(|make| suite::training::empty_occupancy(make));
+}
+
+#[test]
+fn a_step_is_one_submission_and_moves_no_parameters() {
+    on_the_gpu(|make| {
+        let config = suite::training::configuration();
+        let mut trainer = Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2))?;
+        suite::training::steps(&mut trainer, &config, 5)?;
+        let before = trainer.device().counts();
+        // Refreshes of the occupancy grid among them.
+        for step in 5..17 {
+            trainer.step(f64::from(step) / config.train.steps as f64)?;
+        }
+        let after = trainer.device().counts();
+        assert_eq!(after.submissions - before.submissions, 12, "one submission a step");
+        assert_eq!(after.written, before.written, "nothing is written");
+        assert_eq!(after.read - before.read, 12 * 36, "eight sums and a count are read a step");
+        assert_eq!(after.stalls, before.stalls, "nobody waits for the step that runs");
+        Ok(())
+    });
+}
+
+/// Root of the mean squared difference of two pictures.
+fn difference(a: &trimip_core::Frame, b: &trimip_core::Frame) -> f64 {
+    let squares = a.pixels.iter().zip(&b.pixels).flat_map(|(a, b)| [0, 1, 2].map(|c| a.rgb[c] - b.rgb[c]));
+    let sum: f64 = squares.map(|d| f64::from(d) * f64::from(d)).sum();
+    (sum / (3 * a.pixels.len()) as f64).sqrt()
+}
+
+#[test]
+fn models_are_the_same_pictures_on_both_backends() {
+    reproducibly(|make| {
+        let config = suite::training::configuration();
+        let views = || fixtures::noise(3, 16, 2, 2);
+        let camera = views().views[0].camera;
+        let cpu = || CpuBackend::new(2, Simd::detect()).expect("threads start");
+        let mut on_cpu = Trainer::new(cpu(), &config, views())?;
+        suite::training::steps(&mut on_cpu, &config, 20)?;
+        let mut on_gpu = Trainer::new(make(), &config, views())?;
+        suite::training::steps(&mut on_gpu, &config, 20)?;
+        let models: [(&str, Model, _); 2] = [
+            ("trained on the CPU", on_cpu.model()?, on_cpu.render(&camera)?),
+            ("trained on the GPU", on_gpu.model()?, on_gpu.render(&camera)?),
+        ];
+        for (name, model, own) in &models {
+            let [on_cpu, on_gpu] = [
+                Trainer::from_model(cpu(), model)?.render(&camera)?,
+                Trainer::from_model(make(), model)?.render(&camera)?,
+            ];
+            // 90 dB: a sample at the border of an occupied cell may fall to either side.
+            for picture in [&on_cpu, &on_gpu] {
+                let error = difference(picture, own);
+                assert!(error < 3e-5, "{name}: pictures differ by {error}");
+            }
+        }
+        // A run that began on one goes on on the other.
+        let mut resumed = Trainer::new(make(), &config, views())?;
+        resumed.restore(&on_cpu.checkpoint()?)?;
+        suite::training::steps(&mut resumed, &config, 4)?;
+        Ok(())
+    });
 }

@@ -29,10 +29,12 @@ impl<const PAIRS: bool> Kernel for Peak<PAIRS> {
     #[inline(always)]
     fn run<L: Lanes>(self) -> f32 {
         let factor = L::splat(black_box(1.0));
-        let mut sums = [L::splat(0.0); 24];
-        for _ in 0..PEAK / sums.len() {
-            for sum in &mut sums {
-                *sum = if PAIRS { factor.dot_add(factor, *sum) } else { factor.mul_add(factor, *sum) };
+        // As many sums as hide the latency and stay in registers.
+        let mut sums = [L::splat(0.0); 12];
+        for _ in 0..PEAK / 12 {
+            for i in 0..12 {
+                sums[i] =
+                    if PAIRS { factor.dot_add(factor, sums[i]) } else { factor.mul_add(factor, sums[i]) };
             }
         }
         sums.into_iter().map(L::sum).sum()

@@ -290,6 +290,10 @@ impl Backend for WgpuBackend {
         })
     }
 
+    fn submit(&self) {
+        self.gpu.submit();
+    }
+
     fn redeem(&self, receipt: Option<StepReceipt>) -> Result<StepSums> {
         let Some(StepReceipt { sums, occupied, rays }) = receipt else { return Ok(StepSums::default()) };
         let words = self.gpu.redeem(sums);

@@ -127,8 +127,8 @@ fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
         |name: &str| Error::input(file, format!("no column `{name}`"), "name the columns in the first line");
     let seconds = column("seconds").ok_or_else(|| missing("seconds"))?;
     let psnr = column("psnr_mean").ok_or_else(|| missing("psnr_mean"))?;
-    let is_last = column("last");
-    let (mut points, mut last) = (Vec::new(), None);
+    let (is_last, stride) = (column("last"), column("stride"));
+    let (mut points, mut last, mut views) = (Vec::new(), None, None);
     for (line, number) in lines {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         let value = |column: usize| {
@@ -142,10 +142,15 @@ fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
             })
         };
         let measure = Measure { seconds: value(seconds)?, psnr: value(psnr)? };
-        if is_last.is_some_and(|column| cells.get(column) == Some(&"true")) {
+        let ends = is_last.is_some_and(|column| cells.get(column) == Some(&"true"));
+        let own = stride.and_then(|column| cells.get(column)).map(|cell| (*cell).to_string());
+        if ends {
             last = Some(measure);
-        } else {
+        }
+        // The last measure belongs to the curve too where it was made on the curve's own views.
+        if !ends || (own.is_some() && own == views) {
             points.push(measure);
+            views = own;
         }
     }
     points.sort_by(|a: &Measure, b| a.seconds.total_cmp(&b.seconds));
@@ -205,6 +210,12 @@ mod tests {
         );
         let table = table(&[curve], &[25.0, 40.0]);
         assert!(table.contains("31.6 s") && table.ends_with('–'), "{table}");
+    }
+
+    #[test]
+    fn a_last_measure_on_the_same_views_ends_the_curve() {
+        let text = |stride| format!("seconds,psnr_mean,stride,last\n10,20,25,false\n20,30,{stride},true\n");
+        assert_eq!((curve(&text(25)).points.len(), curve(&text(1)).points.len()), (2, 1));
     }
 
     #[test]
