@@ -102,7 +102,8 @@ impl Curve {
             color: color.into(),
             class: "mean",
             points: self.points.iter().map(point).collect(),
-            ring: self.last.as_ref().map(point),
+            // Where it ends the curve it is drawn already.
+            ring: self.last.as_ref().filter(|last| self.points.last() != Some(last)).map(point),
         }
     }
 
