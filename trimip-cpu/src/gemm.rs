@@ -67,7 +67,7 @@ fn words(count: usize, precision: Precision) -> usize {
     }
 }
 
-/// `to`[i] = the pair (`from`[2i], `from`[2i + 1]) in bf16: rows of k values become rows of k/2 words.
+/// Neighbours `from[2 i]`, `from[2 i + 1]` become the pair `to[i]` in bf16: rows of k values become rows of k/2 words.
 pub fn pair_columns(simd: Simd, from: &[f32], to: &mut [f32]) {
     assert!(from.len() == 2 * to.len(), "whole pairs");
     simd.run(PairColumns { from, to });

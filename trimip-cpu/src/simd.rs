@@ -130,7 +130,7 @@ pub trait Lanes: Copy {
     fn dot_add(self, factor: Self, addend: Self) -> Self {
         self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
     }
-    /// Words of the pairs (self[i], second[i]), rounded to bf16.
+    /// Words of the pairs `(self[i], second[i])`, rounded to bf16.
     #[inline(always)]
     fn pair(self, second: Self) -> Self {
         let (first, second) = (self.array(), second.array());
