@@ -1,7 +1,7 @@
 //! The typed configuration. Defaults and their meaning stand in `defaults.toml`; layers and origins in [`Settings`];
 //! here are the types and the ranges in which a run makes sense.
 
-use crate::{Error, Result, Settings, schedule::Schedule};
+use crate::{Aabb, Error, Result, Settings, schedule::Schedule};
 use serde::{Deserialize, Serialize};
 
 /// Declares a section of the configuration: plain public fields, unknown keys refused.
@@ -205,6 +205,11 @@ impl Default for Config {
 }
 
 impl Config {
+    /// World length of the uniform marching step: longest side · √3 / steps (code).
+    pub fn step_length(&self) -> f32 {
+        Aabb::<f32>::new(&self.scene).longest() * 3.0_f32.sqrt() / self.renderer.steps_per_diagonal as f32
+    }
+
     /// The typed configuration of layered settings, every range checked.
     pub fn from_settings(settings: &Settings) -> Result<Self> {
         let config: Self = settings.table().try_into().map_err(|error: toml::de::Error| {

@@ -43,7 +43,7 @@ impl CpuOccupancy {
         let mut grid = Self {
             config: config.occupancy.clone(),
             seed: config.seed,
-            step_length: step_length(config),
+            step_length: config.step_length(),
             radius: cell / std::f32::consts::PI.sqrt(),
             densities: vec![0.0; cells],
             blocks: vec![0; cells / (BLOCK * BLOCK * BLOCK) as usize],
@@ -128,11 +128,6 @@ impl CpuOccupancy {
 #[inline(always)]
 fn bit_of([x, y, z]: [u32; 3]) -> u32 {
     x % BLOCK + BLOCK * (y % BLOCK + BLOCK * (z % BLOCK))
-}
-
-/// World length of the uniform marching step: longest side · √3 / steps (code).
-pub fn step_length(config: &Config) -> f32 {
-    Aabb::<f32>::new(&config.scene).longest() * 3.0_f32.sqrt() / config.renderer.steps_per_diagonal as f32
 }
 
 impl Occupancy<CpuBackend> for CpuOccupancy {

@@ -1,7 +1,7 @@
 //! Marching, pruning and compositing on the CPU, ray by ray.
 
 use crate::buffer::Buffer;
-use crate::occupancy::{CpuOccupancy, step_length};
+use crate::occupancy::CpuOccupancy;
 use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
 use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere};
@@ -42,7 +42,7 @@ pub struct CpuRenderer {
 impl CpuRenderer {
     /// The renderer of a configuration.
     pub fn new(simd: Simd, config: &Config) -> Self {
-        let uniform_step = step_length(config);
+        let uniform_step = config.step_length();
         let step_scale = config.renderer.step_scale.clone();
         Self {
             simd,

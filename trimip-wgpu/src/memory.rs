@@ -30,6 +30,13 @@ pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
         ("training images".into(), 4 * views.pixels.len() as u64),
         ("parameters, gradient and moments".into(), floats(4 * layout.len())),
         ("mip levels and their gradient".into(), floats(2 * pyramid.derived_len())),
+        (
+            "high words of the gradient in fixed point".into(),
+            match config.wgpu.deterministic {
+                true => floats(pyramid.base_len() + pyramid.derived_len()),
+                false => 0,
+            },
+        ),
         ("samples and activations".into(), (room * sample) as u64),
         ("network gradients".into(), floats(weights * CHUNKS as usize)),
         ("occupancy grid".into(), (cells * (4 + 4 + size_of::<Radiance>()) + cells / 8) as u64),

@@ -69,7 +69,7 @@ impl WgpuOccupancy {
             resolution,
             cells,
             radius: cell / std::f32::consts::PI.sqrt(),
-            step_length: crate::renderer::step_length(config),
+            step_length: config.step_length(),
             decay: config.occupancy.decay,
             threshold: config.occupancy.threshold,
             blocks: cells.div_ceil(GROUP),

@@ -74,15 +74,10 @@ pub struct WgpuRenderer {
     room: usize,
 }
 
-/// World length of the uniform marching step: longest side · √3 / steps (code).
-pub fn step_length(config: &Config) -> f32 {
-    Aabb::<f32>::new(&config.scene).longest() * 3.0_f32.sqrt() / config.renderer.steps_per_diagonal as f32
-}
-
 impl WgpuRenderer {
     /// The renderer of a configuration, with room for `room` samples of a span.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, room: usize) -> Self {
-        let uniform_step = step_length(config);
+        let uniform_step = config.step_length();
         let step_scale = config.renderer.step_scale.clone();
         Self {
             gpu: Arc::clone(gpu),
