@@ -58,7 +58,7 @@ fn the_step_follows_its_schedule() {
 
 #[test]
 fn a_step_moves_parameters_by_the_written_rule() {
-    on_every_cpu(|make| suite::training::update(make));
+    on_every_cpu(|make| suite::training::update(make, 0.0));
 }
 
 #[test]

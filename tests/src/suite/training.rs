@@ -116,12 +116,17 @@ fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &std::p
     Ok(())
 }
 
-/// One step moves every parameter by the written rule applied to the gradient of its rays, whatever passes the backend
-/// makes of it: with "skip", texels without a gradient stay to the bit. What derives from the parameters follows.
+/// One step moves both moments of every parameter by the written rule applied to the gradient of its rays, and the
+/// parameter by the written rule applied to these moments, whatever passes the backend makes of it: with "skip", texels
+/// without a gradient stay to the bit. What derives from the parameters follows.
+///
+/// `spread` is the share of a tensor's largest gradient by which two sums of the same contributions may differ: 0 where
+/// the order of addition is fixed. A step where the spread exceeds the gradient itself would move a parameter anywhere,
+/// so the parameter is held against the moments that the backend wrote.
 ///
 /// # Errors
 /// When a step fails.
-pub fn update<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
     for untouched in [Untouched::Decay, Untouched::Skip] {
         let mut config = configuration();
         (config.encoder.plane_size, config.encoder.levels) = (64, 3);
@@ -139,12 +144,14 @@ pub fn update<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let after = trainer.checkpoint()?;
         let values =
             |checkpoint: &Checkpoint, suffix| layout.from_tensors(&checkpoint.file, "checkpoint", suffix);
-        let (old, m, v) = (values(&before, "")?, values(&before, ".m")?, values(&before, ".v")?);
-        let new = values(&after, "")?;
+        let old = [values(&before, "")?, values(&before, ".m")?, values(&before, ".v")?];
+        let new = [values(&after, "")?, values(&after, ".m")?, values(&after, ".v")?];
         let mut still = 0;
         for slot in &layout.slots {
             let factor = if slot.kind == Kind::Planes { config.optimizer.plane_scale } else { 1.0 };
             let rule = Rule::<f64>::new(&config.optimizer, config.optimizer.learning_rate * factor, step + 1);
+            let largest = gradient[slot.range.clone()].iter().fold(0f32, |most, g| most.max(g.abs()));
+            let spread = spread * f64::from(largest);
             for i in slot.range.clone() {
                 let texel = i - i % CHANNELS..i - i % CHANNELS + CHANNELS;
                 let skipped = slot.kind == Kind::Planes
@@ -152,23 +159,44 @@ pub fn update<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                     && gradient[texel].iter().all(|g| *g == 0.0);
                 if skipped {
                     still += 1;
-                    assert_eq!(new[i].to_bits(), old[i].to_bits(), "{}[{i}] has no gradient", slot.name);
+                    assert_eq!(
+                        new[0][i].to_bits(),
+                        old[0][i].to_bits(),
+                        "{}[{i}] has no gradient",
+                        slot.name
+                    );
                     continue;
                 }
-                let old_m = m[i];
-                let (mut x, mut m, mut v) = (f64::from(old[i]), f64::from(old_m), f64::from(v[i]));
-                rule.apply(&mut x, &mut m, &mut v, gradient[i].into());
-                // Some eight roundings of 6e-8 each, on the terms that the move is made of.
-                let terms =
-                    config.optimizer.beta1 * f64::from(old_m).abs() + 0.1 * f64::from(gradient[i]).abs();
-                let tolerance =
-                    5e-7 * (rule.rate * terms / (v.sqrt() * rule.root_correction + rule.epsilon) + x.abs());
-                assert!((f64::from(new[i]) - x).abs() < tolerance, "{}[{i}]: {}, not {x}", slot.name, new[i]);
+                let [x, m, v] = [&old[0], &old[1], &old[2]].map(|values| f64::from(values[i]));
+                let [new_x, new_m, new_v] = [&new[0], &new[1], &new[2]].map(|values| f64::from(values[i]));
+                let g = f64::from(gradient[i]);
+                let near = |what: &str, found: f64, expected: f64, tolerance: f64| {
+                    let name = &slot.name;
+                    assert!(
+                        (found - expected).abs() <= tolerance,
+                        "{what} of {name}[{i}]: {found}, not {expected}"
+                    );
+                };
+                // Some eight roundings of 6e-8 each, on the terms that each value is made of; below the smallest normal
+                // number a device may round to zero.
+                let (rounding, least) = (5e-7, f64::from(f32::MIN_POSITIVE));
+                let first = rule.beta1 * m.abs() + rule.share1 * g.abs();
+                near(
+                    "first moment",
+                    new_m,
+                    rule.beta1 * m + rule.share1 * g,
+                    rounding * first + rule.share1 * spread + least,
+                );
+                let second = rule.beta2 * v + rule.share2 * g * g;
+                let apart = rule.share2 * (2.0 * g.abs() + spread) * spread;
+                near("second moment", new_v, second, rounding * second + apart + least);
+                let change = rule.rate / (new_v.sqrt() * rule.root_correction + rule.epsilon) * new_m;
+                near("value", new_x, x * rule.shrink - change, rounding * (change.abs() + x.abs()));
             }
         }
         assert_eq!(still > 1000, untouched == Untouched::Skip, "{still} values without a gradient");
         let picture = trainer.render(&camera)?;
-        trainer.set_parameters(&new);
+        trainer.set_parameters(&new[0]);
         assert!(trainer.render(&camera)? == picture, "levels and packed weights follow the parameters");
     }
     Ok(())
