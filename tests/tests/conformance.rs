@@ -98,6 +98,11 @@ fn a_resumed_run_is_the_run_that_never_stopped() {
 }
 
 #[test]
+fn every_scale_has_its_share_of_the_rays() {
+    with_threads(&[1], |make| suite::sampling::balance(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     with_threads(&[2], |make| suite::training::steady_batch(make));
 }

@@ -99,6 +99,11 @@ fn an_opaque_box_has_its_silhouette() {
 }
 
 #[test]
+fn every_scale_has_its_share_of_the_rays() {
+    reproducibly(|make| suite::sampling::balance(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     on_the_gpu(|make| suite::training::steady_batch(make));
 }

@@ -376,7 +376,10 @@ pub trait Optimizer<B: Backend>: Send + Sync {
 
 /// Where rays come from.
 pub trait Sampler<B: Backend>: Send + Sync {
-    /// Rays `range` of a training step that has `total` rays: each scale gets its share (∝ 1/weight), pixels uniform.
+    /// Shares the rays of later steps among the scales as the schedule says at `progress` in [0, 1]; see [`Balance`](crate::balance::Balance).
+    fn follow(&mut self, progress: f64);
+
+    /// Rays `range` of a training step that has `total` rays: each scale gets its share, pixels uniform.
     fn training_rays(&self, lane: &mut B::Lane, step: u64, total: u32, range: Range<u32>, rays: &mut Rays<B>);
 
     /// Rays of the pixels `range` of a camera, row by row.

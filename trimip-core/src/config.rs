@@ -153,7 +153,7 @@ section!(
 section!(
     /// Length of the run and size of a step.
     TrainConfig {
-        steps: u64, seconds: f64, samples_per_step: u32, batch_scale: Schedule, background: TrainBackground,
+        steps: u64, seconds: f64, samples_per_step: u32, batch_scale: Schedule, scale_balance: Schedule, background: TrainBackground,
         checkpoint_seconds: f64, log_seconds: f64,
     }
 );
@@ -362,6 +362,11 @@ impl Config {
             train.batch_scale.is_whole() && train.batch_scale.values().all(|s| (0.01..=1.0).contains(&s)),
             "train.batch_scale",
             "[[0.0, scale], ...] with rising fractions below 1 and scales from 0.01 to 1",
+        )?;
+        check(
+            train.scale_balance.is_whole() && train.scale_balance.values().all(|b| (0.0..=1.0).contains(&b)),
+            "train.scale_balance",
+            "[[0.0, balance], ...] with rising fractions below 1 and balances from 0 to 1",
         )?;
         check(train.checkpoint_seconds >= 0.0, "train.checkpoint_seconds", "0 or more")?;
         check(positive(train.log_seconds), "train.log_seconds", "a number above 0")?;

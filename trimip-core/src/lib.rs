@@ -18,6 +18,7 @@ pub mod aabb;
 pub mod activation;
 pub mod adamw;
 pub mod backend;
+pub mod balance;
 pub mod batch;
 pub mod camera;
 pub mod checkpoint;

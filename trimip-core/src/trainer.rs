@@ -246,6 +246,7 @@ impl<B: Backend> Trainer<B> {
     /// marching step shrinks, the batch has fewer rays of more samples.
     fn follow(&mut self, progress: f64) {
         self.stages.renderer.follow(progress);
+        self.stages.sampler.follow(progress);
         let scale = self.config.renderer.step_scale.at(progress);
         if self.state.step_scale > 0.0 && self.state.step_scale != scale {
             let ratio = scale / self.state.step_scale;
@@ -491,7 +492,9 @@ impl<B: Backend> Session for Trainer<B> {
         self.pending = self.state.pending.into_iter().flatten().map(counted).collect();
         self.halve(self.state.halvings);
         self.refresh();
-        self.stages.renderer.follow(progress(&self.config, &self.state.totals));
+        let progress = progress(&self.config, &self.state.totals);
+        self.stages.renderer.follow(progress);
+        self.stages.sampler.follow(progress);
         Ok(())
     }
 }

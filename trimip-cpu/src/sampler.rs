@@ -4,20 +4,22 @@ use crate::simd::fetch;
 use crate::{CpuBackend, Lane};
 use std::ops::Range;
 use trimip_core::backend::Sampler;
+use trimip_core::balance::Balance;
 use trimip_core::batch::{Rays, Target};
 use trimip_core::config::TrainBackground;
 use trimip_core::rng::{Random, Stream, below};
+use trimip_core::schedule::Schedule;
 use trimip_core::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
 
 /// Pixels that are drawn before the first of them is read.
 const AHEAD: usize = 32;
 
-/// Training views and the share of each scale.
+/// Training views and how rays are shared among their scales.
 pub struct CpuSampler {
     views: Option<ViewSet>,
-    /// Share of a batch's rays per scale, ∝ 1/weight: each scale then has the same part of the loss.
-    shares: Vec<f64>,
+    schedule: Schedule,
+    balance: Balance,
     background: [f32; 3],
     train_background: TrainBackground,
     random: Random,
@@ -26,35 +28,26 @@ pub struct CpuSampler {
 impl CpuSampler {
     /// A sampler over `views`; without them it makes camera rays only.
     pub fn new(config: &Config, views: Option<ViewSet>) -> Self {
-        let weights: Vec<f64> = views
-            .iter()
-            .flat_map(|views| &views.scales)
-            .map(|scale| if scale.pixels.is_empty() { 0.0 } else { 1.0 / f64::from(scale.weight) })
-            .collect();
-        let sum: f64 = weights.iter().sum();
-        Self {
+        let mut sampler = Self {
             views,
-            shares: weights.into_iter().map(|weight| weight / sum).collect(),
+            schedule: config.train.scale_balance.clone(),
+            balance: Balance::default(),
             background: config.data.background,
             train_background: config.train.background,
             random: Random::new(config.seed),
-        }
-    }
-
-    /// Scale of ray `index` of `total`: coarse scales take their rounded-down share from the end, the finest the rest.
-    fn scale_of(&self, index: u32, total: u32) -> usize {
-        let mut end = total;
-        for (scale, share) in self.shares.iter().enumerate().skip(1).rev() {
-            end -= (f64::from(total) * share) as u32;
-            if index >= end {
-                return scale;
-            }
-        }
-        0
+        };
+        sampler.follow(0.0);
+        sampler
     }
 }
 
 impl Sampler<CpuBackend> for CpuSampler {
+    fn follow(&mut self, progress: f64) {
+        if let Some(views) = &self.views {
+            self.balance = Balance::new(&views.scales, self.schedule.at(progress));
+        }
+    }
+
     fn training_rays(
         &self,
         _: &mut Lane,
@@ -71,12 +64,13 @@ impl Sampler<CpuBackend> for CpuSampler {
             rays.targets.clear();
             return;
         };
+        let begins: Vec<u32> = self.balance.begins(total).collect();
         // Random pixels are out of every cache: some are asked for before the first is read.
         let mut drawn = [(0, 0); AHEAD];
         for (slot, index) in range.clone().enumerate() {
             if slot % AHEAD == 0 {
                 for (drawn, index) in drawn.iter_mut().zip(index..range.end) {
-                    let scale = self.scale_of(index, total);
+                    let scale = begins.iter().rposition(|&begin| index >= begin).unwrap_or(0);
                     let pixels = &views.scales[scale].pixels;
                     let bits = self.random.bits(Stream::Pixel, step, index);
                     *drawn = (scale, pixels.start + below(bits[0], pixels.len() as u32) as usize);
@@ -84,6 +78,7 @@ impl Sampler<CpuBackend> for CpuSampler {
                 }
             }
             let (scale, pixel) = drawn[slot % AHEAD];
+            let weight = self.balance.weight(scale);
             let scale = &views.scales[scale];
             let in_scale = &views.views[scale.views.clone()];
             let view = &in_scale[in_scale.partition_point(|view| view.offset <= pixel) - 1];
@@ -99,7 +94,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             };
             rays.targets[slot] = Target {
                 rgb: composite_pixel(views.pixels[pixel], views.alpha, background),
-                weight: scale.weight,
+                weight,
                 background,
             };
         }

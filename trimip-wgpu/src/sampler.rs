@@ -8,11 +8,13 @@ use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 use std::sync::Arc;
 use trimip_core::backend::Sampler;
+use trimip_core::balance::Balance;
 use trimip_core::batch::Rays;
 use trimip_core::config::TrainBackground;
 use trimip_core::rng::{Random, Stream};
+use trimip_core::schedule::Schedule;
 use trimip_core::views::Alpha;
-use trimip_core::{Camera, Config, Error, Result, ViewSet};
+use trimip_core::{Camera, Config, Error, Result, Scale, ViewSet};
 
 /// Scales that a set may have.
 const MOST_SCALES: usize = 8;
@@ -51,7 +53,6 @@ struct GpuScale {
     pixels: u32,
     first_view: u32,
     views: u32,
-    weight: f32,
 }
 
 #[repr(C)]
@@ -68,11 +69,13 @@ struct Params {
     premultiplied: u32,
     padding: [u32; 3],
     begins: [u32; MOST_SCALES],
+    weights: [f32; MOST_SCALES],
 }
 
-/// Training views on the device, and the share of each scale.
+/// Training views on the device, and how rays are shared among their scales.
 pub struct WgpuSampler {
     gpu: Arc<Gpu>,
+    schedule: Schedule,
     training: Option<Training>,
     camera: Buffer<GpuView>,
     random: Random,
@@ -83,8 +86,9 @@ struct Training {
     views: Buffer<GpuView>,
     pixels: Buffer<u32>,
     scales: Buffer<GpuScale>,
-    /// Share of a batch's rays per scale, ∝ 1/weight.
-    shares: Vec<f64>,
+    /// The scales as the host knows them.
+    shared: Vec<Scale>,
+    balance: Balance,
 }
 
 impl WgpuSampler {
@@ -104,7 +108,11 @@ impl WgpuSampler {
             }
         };
         let random = Random::new(config.seed);
-        Ok(Self { gpu: Arc::clone(gpu), training, camera: Buffer::zeros(gpu, 1), random, params })
+        let schedule = config.train.scale_balance.clone();
+        let mut sampler =
+            Self { gpu: Arc::clone(gpu), schedule, training, camera: Buffer::zeros(gpu, 1), random, params };
+        sampler.follow(0.0);
+        Ok(sampler)
     }
 }
 
@@ -126,17 +134,12 @@ impl Training {
                 format!("use at most {MOST_SCALES} on the GPU"),
             ));
         }
-        let weights: Vec<f64> = views
-            .scales
-            .iter()
-            .map(|scale| if scale.pixels.is_empty() { 0.0 } else { 1.0 / f64::from(scale.weight) })
-            .collect();
-        let sum: f64 = weights.iter().sum();
         let mut training = Self {
             views: Buffer::zeros(gpu, 0),
             pixels: Buffer::zeros(gpu, 0),
             scales: Buffer::zeros(gpu, 0),
-            shares: weights.into_iter().map(|weight| weight / sum).collect(),
+            shared: views.scales.clone(),
+            balance: Balance::default(),
         };
         let table: Vec<GpuView> = views.views.iter().map(|v| GpuView::new(&v.camera, v.offset)).collect();
         training.views.write(&table);
@@ -149,26 +152,27 @@ impl Training {
                 pixels: scale.pixels.len() as u32,
                 first_view: scale.views.start as u32,
                 views: scale.views.len() as u32,
-                weight: scale.weight,
             })
             .collect();
         training.scales.write(&scales);
         Ok(training)
     }
+}
 
-    /// Index of the first ray of each scale or a coarser one: coarse scales take their rounded-down share from the end.
-    fn begins(&self, total: u32) -> [u32; MOST_SCALES] {
-        let mut begins = [u32::MAX; MOST_SCALES];
-        let mut end = total;
-        for (scale, share) in self.shares.iter().enumerate().skip(1).rev() {
-            end -= (f64::from(total) * share) as u32;
-            begins[scale] = end;
-        }
-        begins
-    }
+/// The values in front of others that nothing reads.
+fn padded<T: Copy>(values: impl Iterator<Item = T>, rest: T) -> [T; MOST_SCALES] {
+    let mut all = [rest; MOST_SCALES];
+    all.iter_mut().zip(values).for_each(|(place, value)| *place = value);
+    all
 }
 
 impl Sampler<WgpuBackend> for WgpuSampler {
+    fn follow(&mut self, progress: f64) {
+        if let Some(training) = &mut self.training {
+            training.balance = Balance::new(&training.shared, self.schedule.at(progress));
+        }
+    }
+
     fn training_rays(
         &self,
         _: &mut Lane,
@@ -191,7 +195,8 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             total,
             first: range.start,
             count: range.len() as u32,
-            begins: training.begins(total),
+            begins: padded(training.balance.begins(total), u32::MAX),
+            weights: padded(training.balance.weights().iter().copied(), 0.0),
             ..self.params
         };
         let Training { views, pixels, scales, .. } = training;

@@ -4,6 +4,7 @@
 pub mod gradients;
 pub mod marching;
 pub mod pyramid;
+pub mod sampling;
 pub mod scenes;
 pub mod seeing;
 pub mod stages;

@@ -34,6 +34,8 @@ struct Params {
     premultiplied: u32,
     // Rays from this index of the step on belong to this scale or a coarser one.
     begins: array<vec4<u32>, 2>,
+    // Loss weight of a ray of each scale.
+    weights: array<vec4<f32>, 2>,
 }
 
 struct Scale {
@@ -41,7 +43,6 @@ struct Scale {
     pixels: u32,
     first_view: u32,
     views: u32,
-    weight: f32,
 }
 
 @group(0) @binding(0) var<storage, read> views: array<View>;
@@ -135,7 +136,7 @@ fn training_rays(
     targets[at] = rgb.r;
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
-    targets[at + 3u] = scale.weight;
+    targets[at + 3u] = params.weights[s / 4u][s % 4u];
     targets[at + 4u] = background.r;
     targets[at + 5u] = background.g;
     targets[at + 6u] = background.b;
