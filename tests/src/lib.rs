@@ -3,5 +3,6 @@
 
 pub mod binary;
 pub mod fixtures;
+pub mod gpu;
 pub mod reference;
 pub mod suite;

@@ -125,6 +125,14 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// # Errors
     /// When the device failed.
     fn redeem(&self, receipt: Self::Receipt) -> Result<StepSums>;
+
+    /// Whether the device still works: once it has failed, what [`Backend::read`] gives is not the model.
+    ///
+    /// # Errors
+    /// When the device failed at any time before.
+    fn health(&self) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// Asks the density of every sample in an occupied cell, then drops those that cannot be seen.

@@ -85,6 +85,17 @@ choice!(
     }
 );
 choice!(
+    /// Where a GPU backend keeps the training photographs.
+    Photographs {
+        /// On the device where one binding holds them, else on the host.
+        Auto,
+        /// On the device.
+        Device,
+        /// On the host: the pixels that a step draws are sent to the device.
+        Host,
+    }
+);
+choice!(
     /// How the learning rate falls.
     RateSchedule {
         /// By a factor at each milestone.
@@ -185,7 +196,7 @@ impl EvalConfig {
 
 section!(
     /// The GPU.
-    WgpuConfig { adapter: String, deterministic: bool }
+    WgpuConfig { adapter: String, deterministic: bool, photographs: Photographs }
 );
 section!(
     /// Everything a run is told.
@@ -401,6 +412,7 @@ fn free_to_change(path: &str) -> bool {
         || path == "threads"
         || path == "data.root"
         || path.starts_with("eval.")
+        || path.starts_with("wgpu.")
         || path == "train.checkpoint_seconds"
         || path == "train.log_seconds"
 }

@@ -2,7 +2,7 @@
 //! things, nothing of files, terminals or devices.
 
 use crate::{
-    Config, Error, Frames, Result, Session,
+    Config, Error, ErrorKind, Frames, Result, Session,
     checkpoint::Checkpoint,
     evaluate::{ViewQuality, ViewResult, evaluate, mean_quality, per_scale},
     events::{Event, EventSink, Totals},
@@ -60,7 +60,24 @@ impl Run<'_> {
     ///
     /// # Errors
     /// As [`Run::train`].
-    pub fn train_until(&mut self, mut totals: Totals, last_step: u64) -> Result<Outcome> {
+    pub fn train_until(&mut self, totals: Totals, last_step: u64) -> Result<Outcome> {
+        let mut kept = (totals.step > 0).then_some(totals.step);
+        let outcome = self.steps(totals, last_step, &mut kept);
+        if let Err(error) = &outcome
+            && error.kind == ErrorKind::Device
+        {
+            // A device that failed gives nothing back: what was stored before is what there is.
+            let message = match kept {
+                Some(step) => format!("the device failed: the checkpoint of step {step} is kept, the same command goes on from it"),
+                None => "the device failed before a checkpoint was written; train.checkpoint_seconds says how often".into(),
+            };
+            self.events.emit(&Event::Warning { message });
+        }
+        outcome
+    }
+
+    /// As [`Run::train_until`]; `kept` is the step of the last checkpoint.
+    fn steps(&mut self, mut totals: Totals, last_step: u64, kept: &mut Option<u64>) -> Result<Outcome> {
         let mut points = evaluation_points(self.config.eval.points);
         points.retain(|&point| point > self.progress(&totals));
         let (mut saved, mut logged_totals) = (totals.seconds, totals);
@@ -74,8 +91,12 @@ impl Run<'_> {
             let report = match self.session.step(self.progress(&totals)) {
                 Ok(report) => report,
                 Err(error) => {
-                    // The step's own failure is what the user must see, even where a lost device cannot be read back.
-                    let _ = self.save(&totals);
+                    if error.kind != ErrorKind::Device {
+                        // The step's own failure is what the user must see first.
+                        if let Err(unsaved) = self.save(&totals) {
+                            self.events.emit(&Event::Warning { message: unsaved.message });
+                        }
+                    }
                     return Err(error);
                 }
             };
@@ -88,7 +109,7 @@ impl Run<'_> {
             let every = self.config.train.checkpoint_seconds;
             if every > 0.0 && totals.seconds - saved >= every && !done {
                 self.save(&totals)?;
-                saved = totals.seconds;
+                (saved, *kept) = (totals.seconds, Some(totals.step));
             }
             if points.first().is_some_and(|&point| point <= self.progress(&totals)) && !done {
                 points.retain(|&point| point > self.progress(&totals));
@@ -98,6 +119,7 @@ impl Run<'_> {
             }
         }
         self.save(&totals)?;
+        *kept = Some(totals.step);
         let model = self.session.model()?;
         self.store.model(&model)?;
         self.events.emit(&Event::Finished { totals });

@@ -397,7 +397,9 @@ impl<B: Backend> Trainer<B> {
             },
             &|space| &space.pixels,
         );
-        Ok(Frame { width, height, pixels: self.backend.read(&self.frame) })
+        let pixels = self.backend.read(&self.frame);
+        self.backend.health()?;
+        Ok(Frame { width, height, pixels })
     }
 
     fn restore_model(&mut self, name: &str, file: &TensorFile, densities: Option<&[f32]>) -> Result<()> {
@@ -463,7 +465,9 @@ impl<B: Backend> Session for Trainer<B> {
         let mut values = self.parameters();
         // A model's planes have their full size, whatever they have grown to in training.
         self.grow(&mut values, 0);
-        Ok(Model::new(self.config.clone(), self.tensors(&values)))
+        let tensors = self.tensors(&values);
+        self.backend.health()?;
+        Ok(Model::new(self.config.clone(), tensors))
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint> {
@@ -474,6 +478,7 @@ impl<B: Backend> Session for Trainer<B> {
         }
         let densities = self.stages.occupancy.densities();
         file.tensors.insert("occupancy.density".into(), Tensor::f32(&[densities.len()], densities));
+        self.backend.health()?;
         Ok(Checkpoint { config: self.config.clone(), state: self.state, file })
     }
 

@@ -3,7 +3,7 @@
 use crate::buffer::Buffer;
 use crate::device::{Bind, Counts, GROUP, Gpu, Receipt, Size};
 use crate::encoder::WgpuEncoder;
-use crate::field::WgpuField;
+use crate::field::{WgpuField, padded};
 use crate::kernel::{Addition, GATHERING};
 use crate::loss::{Sums, WgpuLoss};
 use crate::occupancy::{OCCUPIED_AT, WgpuOccupancy};
@@ -21,7 +21,10 @@ use trimip_core::tri_mip::FEATURES;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
 /// Marched samples that a training step has room for, for each sample it aims to keep.
-pub const MARCHED_PER_KEPT: usize = 4;
+const MARCHED_PER_AIM: usize = 4;
+
+/// Kept samples that a training step has room for, for each that it aims to keep.
+const KEPT_PER_AIM: usize = 2;
 
 /// Samples of a span of a view.
 const VIEW_SAMPLES: usize = 1 << 20;
@@ -87,14 +90,15 @@ impl Lane {
         let spare = self.spares.entry(width).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
         let Some((counts, counter)) = kept.counter() else { return };
         let values = width * 4 / size_of::<T>();
-        spare.count_by(kept.capacity() * width, counts, counter, width);
+        spare.reserve(array.capacity() * size_of::<T>() / 4);
+        spare.count_by(kept.most() * width, counts, counter, width);
         let params = [width as u32, counter];
         let counts = Bind { buffer: counts, offset: 0, size: None };
         let binds = [array.bind(), spare.bind(), kept.bind(), counts];
         let size = Size::Counted { counts: counts.buffer, counter, per: width as u32, group: GROUP };
         self.gpu.dispatch(&GATHERING, &binds, &params, size);
         array.swap(spare);
-        array.count_by(kept.capacity() * values, counts.buffer, counter, values);
+        array.count_by(kept.most() * values, counts.buffer, counter, values);
     }
 }
 
@@ -106,14 +110,34 @@ impl WgpuBackend {
     /// When there is no such adapter, or it opens no device.
     pub fn new(adapter: &str, deterministic: bool) -> Result<Self> {
         let gpu = Gpu::open(adapter)?;
-        Ok(Self {
+        let addition = match (deterministic, gpu.adds_floats()) {
+            (true, _) => Addition::Fixed,
+            (false, true) => Addition::Atomic,
+            (false, false) => Addition::Exchange,
+        };
+        Ok(Self::with(gpu, addition))
+    }
+
+    /// The adapter whose name contains `adapter`, adding texel gradients in one of the ways that `deterministic` decides
+    /// between; `None` where the device does not have it.
+    ///
+    /// # Errors
+    /// When there is no such adapter, or it opens no device.
+    pub fn adding(adapter: &str, addition: Addition) -> Result<Option<Self>> {
+        let gpu = Gpu::open(adapter)?;
+        let can = addition != Addition::Atomic || gpu.adds_floats();
+        Ok(can.then(|| Self::with(gpu, addition)))
+    }
+
+    fn with(gpu: Arc<Gpu>, addition: Addition) -> Self {
+        Self {
             gpu,
-            addition: if deterministic { Addition::Fixed } else { Addition::Exchange },
+            addition,
             workspaces: Mutex::default(),
             known: Arc::default(),
             watched: Mutex::default(),
             room: Mutex::new(VIEW_SAMPLES),
-        })
+        }
     }
 
     /// What crossed between host and device, and how often the host waited.
@@ -121,30 +145,20 @@ impl WgpuBackend {
         self.gpu.counts()
     }
 
+    /// How texel gradients are added.
+    pub fn addition(&self) -> Addition {
+        self.addition
+    }
+
+    /// Gives the device up when it is called, as a reset of the driver does: for tests of what happens then.
+    pub fn loss(&self) -> impl Fn() + Send + use<> {
+        let gpu = Arc::clone(&self.gpu);
+        move || gpu.destroy()
+    }
+
     /// The adapter's name and driver.
     pub fn adapter(&self) -> String {
         self.gpu.name()
-    }
-
-    /// Samples that a span has room for.
-    fn plan(&self, config: &Config, training: bool) -> Result<usize> {
-        let wanted = match training {
-            true => MARCHED_PER_KEPT * config.train.samples_per_step as usize,
-            false => VIEW_SAMPLES,
-        };
-        let widest = 4 * FEATURES.max(config.field.hidden as usize);
-        let most = self.gpu.limits().max_storage_buffer_binding_size as usize / widest;
-        if most < LEAST_ROOM {
-            return Err(Error::input(
-                "field.hidden",
-                format!(
-                    "{} bytes a sample leave room for {most} samples in the device's largest binding",
-                    widest
-                ),
-                "use a smaller field.hidden, or backend = \"cpu\"",
-            ));
-        }
-        Ok(wanted.clamp(LEAST_ROOM, most))
     }
 
     fn with_workspace(&self, field: &WgpuField, work: impl FnOnce(&mut Workspace<Self>)) {
@@ -153,6 +167,18 @@ impl WgpuBackend {
         work(&mut workspace);
         self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).push(workspace);
     }
+}
+
+/// Samples that a span has room for, and those of them that it has room to keep, on a device that binds at most `binding`
+/// bytes at once.
+pub fn rooms(config: &Config, training: bool, binding: u64) -> (usize, usize) {
+    let widest = (size_of::<f32>() * FEATURES.max(padded(config.field.hidden as usize))) as u64;
+    let most = usize::try_from(binding / widest).unwrap_or(usize::MAX);
+    let wanted = config.train.samples_per_step as usize;
+    let marched = if training { (MARCHED_PER_AIM * wanted).max(LEAST_ROOM) } else { VIEW_SAMPLES }.min(most);
+    let kept =
+        if training { (KEPT_PER_AIM * wanted).clamp(LEAST_ROOM, marched.max(LEAST_ROOM)) } else { marched };
+    (marched, kept.min(marched))
 }
 
 /// A step's sums on their way to the host.
@@ -184,7 +210,20 @@ impl Backend for WgpuBackend {
     fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {
         let layout = Layout::new(config);
         let training = views.is_some();
-        let room = self.plan(config, training)?;
+        let binding = self.gpu.limits().max_storage_buffer_binding_size;
+        let (room, kept_room) = rooms(config, training, binding);
+        if room < LEAST_ROOM {
+            return Err(Error::input(
+                "field.hidden",
+                format!(
+                    "{} wide, {room} samples fit into the {binding} bytes that the device binds at once",
+                    config.field.hidden
+                ),
+                format!(
+                    "use a smaller field.hidden (a ray may have {LEAST_ROOM} samples), or backend = \"cpu\""
+                ),
+            ));
+        }
         *self.room.lock().unwrap_or_else(PoisonError::into_inner) = room;
         let gpu = &self.gpu;
         let occupancy = WgpuOccupancy::new(gpu, config, training, room, Arc::clone(&self.known));
@@ -192,7 +231,7 @@ impl Backend for WgpuBackend {
         let stages = Stages {
             encoder: WgpuEncoder::new(gpu, config, training, self.addition),
             field: WgpuField::new(gpu, config, &layout),
-            renderer: WgpuRenderer::new(gpu, config, room),
+            renderer: WgpuRenderer::new(gpu, config, training, [room, kept_room]),
             optimizer: WgpuOptimizer::new(gpu, config, &layout, training),
             sampler: WgpuSampler::new(gpu, config, views)?,
             occupancy,
@@ -260,7 +299,7 @@ impl Backend for WgpuBackend {
                 work(workspace, start..start + span);
                 if workspace.lane.marched {
                     let counts = workspace.samples.counts.read();
-                    let (marched, dropped) = (counts[0][0], counts[1][0]);
+                    let (marched, dropped) = (counts[0][0], counts[1][0] + counts[1][1]);
                     if dropped > 0 && span > 1 {
                         chunk = span / 2;
                         continue;
@@ -311,5 +350,9 @@ impl Backend for WgpuBackend {
             kept: words[5].into(),
             non_finite: float(3) as u64,
         })
+    }
+
+    fn health(&self) -> Result<()> {
+        self.gpu.check("reading the model back")
     }
 }

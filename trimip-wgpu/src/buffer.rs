@@ -20,12 +20,19 @@ pub struct Buffer<T> {
 #[derive(Clone)]
 enum Length {
     Known(usize),
-    /// As many as the counter says, times a width.
+    /// As many as the counter says, times a width, and at most so many.
     Counted {
         counts: wgpu::Buffer,
         counter: u32,
         width: usize,
+        most: usize,
     },
+}
+
+impl<T> Drop for Buffer<T> {
+    fn drop(&mut self) {
+        self.gpu.released(self.room as u64);
+    }
 }
 
 impl<T: Pod> Buffer<T> {
@@ -41,10 +48,12 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Makes room for `capacity` values; what was there is lost if there was less.
+    /// Makes room for `capacity` values; what was there is lost if there was less. An array that grows gets a quarter
+    /// more than it needs, so that one that grows step by step seldom moves.
     pub fn reserve(&mut self, capacity: usize) {
         if capacity > self.capacity() {
-            *self = Self::zeros(&self.gpu, capacity);
+            let spare = if self.room > 0 { capacity / 4 } else { 0 };
+            *self = Self::zeros(&self.gpu, capacity + spare);
         }
     }
 
@@ -57,7 +66,7 @@ impl<T: Pod> Buffer<T> {
     /// Has room for `capacity` values, of which there are `width` for each that the device has counted.
     pub fn count_by(&mut self, capacity: usize, counts: &wgpu::Buffer, counter: u32, width: usize) {
         self.reserve(capacity);
-        self.length = Length::Counted { counts: counts.clone(), counter, width };
+        self.length = Length::Counted { counts: counts.clone(), counter, width, most: capacity };
     }
 
     /// Changes places with an array of other values.
@@ -70,6 +79,14 @@ impl<T: Pod> Buffer<T> {
     /// Values that there is room for.
     pub fn capacity(&self) -> usize {
         self.room / size_of::<T>()
+    }
+
+    /// Values that there are at most.
+    pub fn most(&self) -> usize {
+        match self.length {
+            Length::Known(length) => length,
+            Length::Counted { most, .. } => most,
+        }
     }
 
     /// Number of values where the host knows it.
@@ -98,9 +115,9 @@ impl<T: Pod> Buffer<T> {
     pub fn read(&self) -> Vec<T> {
         let length = match &self.length {
             Length::Known(length) => *length,
-            Length::Counted { counts, counter, width } => {
+            Length::Counted { counts, counter, width, most } => {
                 let count = self.gpu.redeem(self.gpu.send::<u32>(counts, u64::from(*counter) * 4, 1));
-                (count[0] as usize * width).min(self.capacity())
+                (count[0] as usize * width).min(*most)
             }
         };
         self.gpu.redeem(self.gpu.send(&self.raw, 0, length))

@@ -1,6 +1,7 @@
 //! The device: which adapter, with which limits; compute pipelines by kernel; and the recorder into which a whole step's
 //! dispatches go before they are submitted once.
 
+use crate::adapter::choose;
 use crate::kernel::{Access, Kernel};
 use bytemuck::Pod;
 use std::collections::{HashMap, VecDeque};
@@ -67,6 +68,9 @@ struct Counters {
     read: AtomicU64,
     submissions: AtomicU64,
     stalls: AtomicU64,
+    held: AtomicU64,
+    most_held: AtomicU64,
+    largest: AtomicU64,
 }
 
 /// What the counters stand at.
@@ -80,6 +84,8 @@ pub struct Counts {
     pub submissions: u64,
     /// Times that the host waited until the device had nothing left to do.
     pub stalls: u64,
+    /// Most bytes that arrays on the device had at once.
+    pub most_held: u64,
 }
 
 /// A part of a buffer that a kernel sees.
@@ -113,87 +119,13 @@ pub enum Size<'a> {
     },
 }
 
-/// What an adapter is and offers.
-#[derive(Clone, Debug)]
-pub struct AdapterFacts {
-    /// Its name.
-    pub name: String,
-    /// One line: kind, backend, driver.
-    pub about: String,
-    /// Limits and features that matter here, name and value.
-    pub offers: Vec<(&'static str, String)>,
-}
-
-fn instance() -> wgpu::Instance {
-    wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle())
-}
-
-fn all_adapters() -> Vec<wgpu::Adapter> {
-    pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()))
-}
-
-/// All adapters of this machine.
-pub fn adapters() -> Vec<AdapterFacts> {
-    all_adapters().iter().map(facts).collect()
-}
-
-fn facts(adapter: &wgpu::Adapter) -> AdapterFacts {
-    let (info, limits, features) = (adapter.get_info(), adapter.limits(), adapter.features());
-    let has = |feature| if features.contains(feature) { "yes" } else { "no" }.to_string();
-    let mebibytes = |bytes: u64| format!("{} MiB", bytes >> 20);
-    AdapterFacts {
-        about: format!("{:?}, {:?}, {} {}", info.device_type, info.backend, info.driver, info.driver_info)
-            .trim_end()
-            .to_string(),
-        name: info.name,
-        offers: vec![
-            ("largest binding", mebibytes(limits.max_storage_buffer_binding_size)),
-            ("largest buffer", mebibytes(limits.max_buffer_size)),
-            ("storage buffers of a stage", limits.max_storage_buffers_per_shader_stage.to_string()),
-            ("invocations of a workgroup", limits.max_compute_invocations_per_workgroup.to_string()),
-            ("workgroup memory", format!("{} KiB", limits.max_compute_workgroup_storage_size >> 10)),
-            ("atomic f32 additions", has(wgpu::Features::SHADER_FLOAT32_ATOMIC)),
-            ("f16", has(wgpu::Features::SHADER_F16)),
-            ("cooperative matrices", has(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX)),
-        ],
-    }
-}
-
-/// Ranks adapters for a user who names none: real devices first, software last.
-fn rank(info: &wgpu::AdapterInfo) -> u32 {
-    match info.device_type {
-        wgpu::DeviceType::DiscreteGpu => 0,
-        wgpu::DeviceType::IntegratedGpu => 1,
-        wgpu::DeviceType::VirtualGpu => 2,
-        wgpu::DeviceType::Other => 3,
-        wgpu::DeviceType::Cpu => 4,
-    }
-}
-
 impl Gpu {
     /// Opens the adapter whose name contains `name` (case does not matter), or the best one when it is empty.
     ///
     /// # Errors
     /// When there is no such adapter, or it opens no device.
     pub fn open(name: &str) -> Result<Arc<Self>> {
-        let mut adapters = all_adapters();
-        let names: Vec<String> = adapters.iter().map(|a| format!("`{}`", a.get_info().name)).collect();
-        adapters.retain(|a| a.get_info().name.to_lowercase().contains(&name.to_lowercase()));
-        adapters.sort_by_key(|a| rank(&a.get_info()));
-        let Some(adapter) = adapters.first() else {
-            return Err(match names.is_empty() {
-                true => Error::input(
-                    "backend = \"wgpu\"",
-                    "this machine has no adapter for wgpu (Vulkan, Metal or Direct3D 12)",
-                    "install the graphics driver, or use backend = \"cpu\"",
-                ),
-                false => Error::input(
-                    format!("wgpu.adapter = \"{name}\""),
-                    "no adapter has a name that contains this",
-                    format!("choose one of {}", names.join(", ")),
-                ),
-            });
-        };
+        let adapter = choose(name)?;
         let info = adapter.get_info();
         // All that the adapter has, asked for by name: the default would be the least of all adapters.
         let limits = adapter.limits();
@@ -215,11 +147,10 @@ impl Gpu {
         };
         let refused = note(&failure);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| refused(error.to_string())));
-        let lost = note(&failure);
+        // The loss is the cause of whatever else was refused.
+        let lost = Arc::clone(&failure);
         device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                lost(format!("the device was lost: {message}"));
-            }
+            *lock(&lost) = Some(format!("the device was lost ({reason:?}): {message}"));
         });
         let buffer = |label, size, usage| {
             device.create_buffer(&wgpu::BufferDescriptor {
@@ -263,6 +194,11 @@ impl Gpu {
         format!("{} ({:?}, {})", self.info.name, self.info.backend, self.info.driver_info)
     }
 
+    /// True when the device adds f32 atomically.
+    pub fn adds_floats(&self) -> bool {
+        self.device.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC)
+    }
+
     /// The device's limits.
     pub fn limits(&self) -> &wgpu::Limits {
         &self.limits
@@ -271,18 +207,38 @@ impl Gpu {
     /// What the counters stand at.
     pub fn counts(&self) -> Counts {
         let at = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let Counters { written, read, submissions, stalls } = &self.counters;
-        Counts { written: at(written), read: at(read), submissions: at(submissions), stalls: at(stalls) }
+        let Counters { written, read, submissions, stalls, most_held, .. } = &self.counters;
+        Counts {
+            written: at(written),
+            read: at(read),
+            submissions: at(submissions),
+            stalls: at(stalls),
+            most_held: at(most_held),
+        }
     }
 
-    /// A buffer of zeros.
+    /// Gives the device up, as a reset of the driver does: everything that follows fails.
+    pub fn destroy(&self) {
+        self.device.destroy();
+    }
+
+    /// A buffer of zeros. Who drops it says so by [`Gpu::released`].
     pub fn buffer(&self, label: &str, bytes: u64) -> wgpu::Buffer {
+        let Counters { held, most_held, largest, .. } = &self.counters;
+        let now = held.fetch_add(bytes, Ordering::Relaxed) + bytes;
+        most_held.fetch_max(now, Ordering::Relaxed);
+        largest.fetch_max(bytes, Ordering::Relaxed);
         self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size: bytes.next_multiple_of(4).max(16),
             usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         })
+    }
+
+    /// A buffer of so many bytes is no longer held.
+    pub fn released(&self, bytes: u64) {
+        self.counters.held.fetch_sub(bytes, Ordering::Relaxed);
     }
 
     /// Writes values to the front of a buffer, after all that was recorded before.
@@ -475,15 +431,27 @@ impl Gpu {
         recorder.indirect = 0;
     }
 
-    /// What failed on the device since the last time, if anything did.
+    /// Whether anything failed on the device so far.
     ///
     /// # Errors
-    /// With the first failure.
+    /// With the loss of the device, else the first failure; with the stage, the memory in use and the limits.
     pub fn check(&self, stage: &str) -> Result<()> {
-        match lock(&self.failure).take() {
-            None => Ok(()),
-            Some(message) => Err(Error::device(format!("{} in {stage}: {message}", self.name()))),
+        if lock(&self.failure).is_none() {
+            return Ok(());
         }
+        // A loss is told when the device is polled, after whatever else was refused because of it.
+        let _ = self.device.poll(wgpu::PollType::Poll);
+        let Some(message) = lock(&self.failure).clone() else { return Ok(()) };
+        let mebibytes = |bytes: u64| bytes.div_ceil(1 << 20);
+        let at = |counter: &AtomicU64| mebibytes(counter.load(Ordering::Relaxed));
+        Err(Error::device(format!(
+            "{} failed in {stage}: {message}; {} MiB were in use, the largest buffer had {} MiB and may have {} MiB; if \
+             memory was short lower train.samples_per_step or field.hidden, else renew the driver or use backend = \"cpu\"",
+            self.name(),
+            at(&self.counters.held),
+            at(&self.counters.largest),
+            mebibytes(self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)),
+        )))
     }
 
     fn recorder(&self) -> MutexGuard<'_, Recorder> {
@@ -558,6 +526,6 @@ pub struct Receipt<T> {
 }
 
 /// A lock; a thread that panicked under it left nothing half done.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

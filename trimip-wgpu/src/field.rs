@@ -38,6 +38,11 @@ struct WeightParams {
     chunks: u32,
 }
 
+/// Width of a matrix on the device.
+pub fn padded(width: usize) -> usize {
+    width.next_multiple_of(16)
+}
+
 /// One layer's matrices.
 struct Layer {
     slot: Slot,
@@ -49,7 +54,7 @@ struct Layer {
 
 impl Layer {
     fn new(gpu: &Arc<Gpu>, slot: &Slot) -> Self {
-        let [k, n] = [slot.shape[0], slot.shape[1]].map(|width| width.next_multiple_of(16));
+        let [k, n] = [slot.shape[0], slot.shape[1]].map(padded);
         Self {
             slot: slot.clone(),
             k,

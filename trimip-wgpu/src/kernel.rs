@@ -68,7 +68,8 @@ const ENCODE: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/encode.wgsl")];
 const FIXED: &str = include_str!("shaders/fixed.wgsl");
 const SCATTER: &str = include_str!("shaders/scatter.wgsl");
 const SCATTER_FIXED: &[&str] = &[GRID, TRI_MIP, FIXED, include_str!("shaders/add_fixed.wgsl"), SCATTER];
-const SCATTER_FLOAT: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/add_exchange.wgsl"), SCATTER];
+const SCATTER_ATOMIC: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/add_atomic.wgsl"), SCATTER];
+const SCATTER_EXCHANGE: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/add_exchange.wgsl"), SCATTER];
 const AVERAGING: &[&str] = &[GRID, include_str!("shaders/average.wgsl")];
 const PULL: &str = include_str!("shaders/pull.wgsl");
 const PULL_FIXED: &[&str] = &[GRID, FIXED, include_str!("shaders/own_fixed.wgsl"), PULL];
@@ -218,9 +219,14 @@ pub fn accumulate(k: usize, n: usize, chunks: u32) -> Kernel {
 pub enum Addition {
     /// Fixed point of 64 bits: the same bits every time.
     Fixed,
-    /// Compare and exchange of f32: half the memory.
+    /// Atomic additions of f32, where the device has them: half the memory.
+    Atomic,
+    /// Compare and exchange of f32, which every device has: half the memory.
     Exchange,
 }
+
+const SCATTER_FLOATS: &[(u32, Access)] =
+    &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read)];
 
 /// Texel gradients of feature gradients.
 pub fn scatter(addition: Addition) -> Kernel {
@@ -239,11 +245,8 @@ pub fn scatter(addition: Addition) -> Kernel {
                 (7, Write),
             ],
         ),
-        Addition::Exchange => Kernel::new(
-            "scatter",
-            SCATTER_FLOAT,
-            &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read)],
-        ),
+        Addition::Atomic => Kernel::new("scatter", SCATTER_ATOMIC, SCATTER_FLOATS),
+        Addition::Exchange => Kernel::new("scatter", SCATTER_EXCHANGE, SCATTER_FLOATS),
     }
 }
 
@@ -253,7 +256,9 @@ pub fn pull(addition: Addition) -> Kernel {
         Addition::Fixed => {
             Kernel::new("pull", PULL_FIXED, &[(0, Write), (1, Write), (2, Parameters), (3, Write)])
         }
-        Addition::Exchange => Kernel::new("pull", PULL_FLOAT, &[(0, Write), (1, Write), (2, Parameters)]),
+        Addition::Atomic | Addition::Exchange => {
+            Kernel::new("pull", PULL_FLOAT, &[(0, Write), (1, Write), (2, Parameters)])
+        }
     }
 }
 
@@ -305,7 +310,8 @@ mod tests {
                 kernels.push(accumulate(k, n, 64));
             }
         }
-        kernels.extend([Addition::Fixed, Addition::Exchange].into_iter().flat_map(|a| [scatter(a), pull(a)]));
+        let additions = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
+        kernels.extend(additions.into_iter().flat_map(|a| [scatter(a), pull(a)]));
         kernels
     }
 
@@ -315,7 +321,11 @@ mod tests {
             let name = kernel.key();
             let module = naga::front::wgsl::parse_str(&kernel.source())
                 .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(&kernel.source())));
-            let capabilities = naga::valid::Capabilities::default();
+            // Asked for where the adapter has it, and then alone.
+            let capabilities = match kernel == scatter(Addition::Atomic) {
+                true => naga::valid::Capabilities::SHADER_FLOAT32_ATOMIC,
+                false => naga::valid::Capabilities::default(),
+            };
             let info = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities)
                 .validate(&module)
                 .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(&kernel.source())));

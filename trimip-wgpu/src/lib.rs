@@ -2,6 +2,7 @@
 //! mathematics by the same names. A training step is one submission; no parameter crosses, and the sums of a step are
 //! read while later steps run.
 
+mod adapter;
 mod backend;
 mod buffer;
 mod device;
@@ -16,9 +17,11 @@ mod renderer;
 mod rows;
 mod sampler;
 
+pub use adapter::{AdapterFacts, adapters};
 pub use backend::{Lane, WgpuBackend};
 pub use buffer::Buffer;
-pub use device::{AdapterFacts, Counts, adapters};
+pub use device::Counts;
+pub use kernel::Addition;
 pub use memory::memory;
 
 use trimip_core::model::Model;

@@ -48,6 +48,7 @@ struct PruneParams {
     count: u32,
     max_depth: f32,
     min_weight: f32,
+    capacity: u32,
 }
 
 #[repr(C)]
@@ -70,13 +71,15 @@ pub struct WgpuRenderer {
     pruning: Pruning<f32>,
     background: [f32; 3],
     random: Random,
-    /// Samples that a span has room for.
+    training: bool,
+    /// Samples that a span has room for, and those of them that it has room to keep.
     room: usize,
+    kept_room: usize,
 }
 
 impl WgpuRenderer {
-    /// The renderer of a configuration, with room for `room` samples of a span.
-    pub fn new(gpu: &Arc<Gpu>, config: &Config, room: usize) -> Self {
+    /// The renderer of a configuration, with room for so many samples of a span, and for so many kept ones of them.
+    pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, [room, kept_room]: [usize; 2]) -> Self {
         let uniform_step = config.step_length();
         let step_scale = config.renderer.step_scale.clone();
         Self {
@@ -89,7 +92,9 @@ impl WgpuRenderer {
             pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
             background: config.data.background,
             random: Random::new(config.seed),
+            training,
             room,
+            kept_room,
         }
     }
 
@@ -135,7 +140,8 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
     ) {
         let count = rays.rays.known_len().unwrap_or(0);
         let words = self.most_samples().div_ceil(32);
-        let room = self.room.min(count * self.most_samples()).max(1);
+        // A small view needs little; in training arrays have their size from the first step on.
+        let room = if self.training { self.room } else { self.room.min(count * self.most_samples()).max(1) };
         samples.segments.resize(count);
         samples.counts.resize(2);
         lane.bits.resize(count * words);
@@ -184,13 +190,19 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         kept: &mut Buffer<u32>,
     ) {
         let count = samples.segments.known_len().unwrap_or(0);
-        let room = samples.spheres.capacity();
+        let room = samples.spheres.most();
+        let kept_room = self.kept_room.min(room);
         samples.counts.resize(2);
         lane.old_segments.resize(count);
         lane.marks.resize(room);
         let Pruning { max_depth, min_weight } = self.pruning;
         // WGSL knows no infinity.
-        let params = PruneParams { count: count as u32, max_depth: max_depth.min(f32::MAX), min_weight };
+        let params = PruneParams {
+            count: count as u32,
+            max_depth: max_depth.min(f32::MAX),
+            min_weight,
+            capacity: kept_room as u32,
+        };
         let items = Size::Items(count as u64);
         let binds = [
             samples.segments.bind(),
@@ -200,8 +212,8 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             lane.marks.bind(),
         ];
         self.gpu.dispatch(&SEE, &binds, &params, items);
-        self.scan(lane, &samples.segments, &samples.counts, KEPT, room);
-        kept.count_by(room, samples.counts.raw(), KEPT, 1);
+        self.scan(lane, &samples.segments, &samples.counts, KEPT, kept_room);
+        kept.count_by(kept_room, samples.counts.raw(), KEPT, 1);
         let binds = [samples.segments.bind(), kept.bind(), lane.old_segments.bind(), lane.marks.bind()];
         self.gpu.dispatch(&LIST, &binds, &params, items);
         lane.keep(kept, &mut samples.rays, 1);
@@ -244,7 +256,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
     ) {
         let count = pixels.known_len().unwrap_or(0);
         match radiance.counter() {
-            Some((counts, counter)) => radiance_gradients.count_by(radiance.capacity(), counts, counter, 1),
+            Some((counts, counter)) => radiance_gradients.count_by(radiance.most(), counts, counter, 1),
             None => radiance_gradients.resize(radiance.known_len().unwrap_or(0)),
         }
         let binds = [

@@ -18,7 +18,7 @@ impl Rows {
     /// The rows of an array of samples; `own` holds the number where the host knows it.
     pub fn of<T: Pod>(samples: &Buffer<T>, own: &mut Buffer<u32>) -> Self {
         match samples.counter() {
-            Some((counts, counter)) => Self { counts: counts.clone(), counter, capacity: samples.capacity() },
+            Some((counts, counter)) => Self { counts: counts.clone(), counter, capacity: samples.most() },
             None => {
                 let count = samples.known_len().unwrap_or(0);
                 own.write(&[count as u32]);

@@ -2,19 +2,22 @@
 
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
-use crate::device::{Gpu, Size};
+use crate::device::{Gpu, Size, lock};
 use crate::kernel::{CAMERA_RAYS, TRAINING_RAYS};
 use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use trimip_core::backend::Sampler;
 use trimip_core::balance::Balance;
 use trimip_core::batch::Rays;
-use trimip_core::config::TrainBackground;
-use trimip_core::rng::{Random, Stream};
+use trimip_core::config::{Photographs, TrainBackground};
+use trimip_core::rng::{Random, Stream, below};
 use trimip_core::schedule::Schedule;
 use trimip_core::views::Alpha;
 use trimip_core::{Camera, Config, Error, Result, Scale, ViewSet};
+
+/// Threads that look up a step's pixels on the host.
+const MOST_THREADS: usize = 8;
 
 /// Scales that a set may have.
 const MOST_SCALES: usize = 8;
@@ -67,7 +70,9 @@ struct Params {
     count: u32,
     scales: u32,
     premultiplied: u32,
-    padding: [u32; 3],
+    /// Pixels come in the order of the rays.
+    streamed: u32,
+    padding: [u32; 2],
     begins: [u32; MOST_SCALES],
     weights: [f32; MOST_SCALES],
 }
@@ -84,7 +89,10 @@ pub struct WgpuSampler {
 
 struct Training {
     views: Buffer<GpuView>,
-    pixels: Buffer<u32>,
+    /// All pixels, or those of a step's rays.
+    pixels: Mutex<Buffer<u32>>,
+    /// All pixels where they stay on the host.
+    host: Option<Vec<[u8; 4]>>,
     scales: Buffer<GpuScale>,
     /// The scales as the host knows them.
     shared: Vec<Scale>,
@@ -104,7 +112,9 @@ impl WgpuSampler {
                 params.random_background = u32::from(config.train.background == TrainBackground::Random);
                 params.premultiplied = u32::from(views.alpha == Alpha::Premultiplied);
                 params.scales = views.scales.len() as u32;
-                Some(Training::new(gpu, &views)?)
+                let training = Training::new(gpu, config.wgpu.photographs, views)?;
+                params.streamed = u32::from(training.host.is_some());
+                Some(training)
             }
         };
         let random = Random::new(config.seed);
@@ -117,16 +127,17 @@ impl WgpuSampler {
 }
 
 impl Training {
-    fn new(gpu: &Arc<Gpu>, views: &ViewSet) -> Result<Self> {
+    fn new(gpu: &Arc<Gpu>, photographs: Photographs, views: ViewSet) -> Result<Self> {
         let most = gpu.limits().max_storage_buffer_binding_size;
         let bytes = 4 * views.pixels.len() as u64;
-        if bytes > most {
+        if bytes > most && photographs == Photographs::Device {
             return Err(Error::input(
-                "training views",
+                "wgpu.photographs = \"device\"",
                 format!("{bytes} bytes of pixels, and the device binds at most {most} at once"),
-                "train on fewer or smaller photographs, or use backend = \"cpu\"",
+                "use \"auto\" or \"host\", which sends each step's pixels",
             ));
         }
+        let streamed = photographs == Photographs::Host || bytes > most;
         if views.scales.len() > MOST_SCALES {
             return Err(Error::input(
                 "data.scales",
@@ -136,14 +147,14 @@ impl Training {
         }
         let mut training = Self {
             views: Buffer::zeros(gpu, 0),
-            pixels: Buffer::zeros(gpu, 0),
+            pixels: Mutex::new(Buffer::zeros(gpu, 0)),
+            host: None,
             scales: Buffer::zeros(gpu, 0),
             shared: views.scales.clone(),
             balance: Balance::default(),
         };
         let table: Vec<GpuView> = views.views.iter().map(|v| GpuView::new(&v.camera, v.offset)).collect();
         training.views.write(&table);
-        training.pixels.write(bytemuck::cast_slice(&views.pixels));
         let scales: Vec<GpuScale> = views
             .scales
             .iter()
@@ -155,7 +166,35 @@ impl Training {
             })
             .collect();
         training.scales.write(&scales);
+        if streamed {
+            training.host = Some(views.pixels);
+        } else {
+            lock(&training.pixels).write(bytemuck::cast_slice(&views.pixels));
+        }
         Ok(training)
+    }
+
+    /// Pixels of the rays `range` of `total`, as the device draws them; each of a few threads looks up a part.
+    fn draw(&self, host: &[[u8; 4]], random: &Random, step: u64, total: u32, range: Range<u32>) -> Vec<u32> {
+        let begins: Vec<u32> = self.balance.begins(total).collect();
+        let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
+        let part = range.len().div_ceil(threads).max(1);
+        let mut words = vec![0; range.len()];
+        std::thread::scope(|scope| {
+            for (words, first) in words.chunks_mut(part).zip(range.step_by(part)) {
+                let (begins, scales) = (&begins, &self.shared);
+                scope.spawn(move || {
+                    for (word, index) in words.iter_mut().zip(first..) {
+                        let scale = begins.iter().rposition(|&begin| index >= begin).unwrap_or(0);
+                        let pixels = &scales[scale].pixels;
+                        let bits = random.bits(Stream::Pixel, step, index);
+                        let pixel = pixels.start + below(bits[0], pixels.len() as u32) as usize;
+                        *word = u32::from_le_bytes(host[pixel]);
+                    }
+                });
+            }
+        });
+        words
     }
 }
 
@@ -199,7 +238,11 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             weights: padded(training.balance.weights().iter().copied(), 0.0),
             ..self.params
         };
-        let Training { views, pixels, scales, .. } = training;
+        let mut pixels = lock(&training.pixels);
+        if let Some(host) = &training.host {
+            pixels.write(&training.draw(host, &self.random, step, total, range.clone()));
+        }
+        let Training { views, scales, .. } = training;
         let binds = [views.bind(), rays.rays.bind(), pixels.bind(), scales.bind(), rays.targets.bind()];
         self.gpu.dispatch(&TRAINING_RAYS, &binds, &params, Size::Items(range.len() as u64));
     }

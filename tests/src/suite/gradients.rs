@@ -101,6 +101,21 @@ fn entries(gradient: &[f32], kind: Kind, draw: &mut Draw) -> Vec<usize> {
     chosen
 }
 
+/// Central difference of a loss around 0. Where the slopes to the left and to the right differ, a ReLU switches in
+/// between: a smaller step leaves the switch outside.
+fn difference(at: &mut dyn FnMut(f64) -> f64) -> f64 {
+    let here = at(0.0);
+    let mut central = 0.0;
+    for step in [STEP, STEP / 16.0, STEP / 256.0] {
+        let (left, right) = ((here - at(-step)) / step, (at(step) - here) / step);
+        central = 0.5 * (left + right);
+        if (right - left).abs() <= GRADIENT_TOLERANCE * central.abs() {
+            break;
+        }
+    }
+    central
+}
+
 /// Every slot's gradient, and the loss itself.
 ///
 /// # Errors
@@ -143,7 +158,7 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                         values[i] = before;
                         loss
                     };
-                    (at(STEP) - at(-STEP)) / (2.0 * STEP)
+                    difference(&mut at)
                 })
                 .collect();
             let size = (differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64).sqrt();

@@ -1,4 +1,6 @@
 // Additions to texel gradients in f32, by comparing and exchanging their bits: every device can, in any order.
+@group(0) @binding(3) var<storage, read_write> base: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> derived: array<atomic<u32>>;
 
 fn add_base(at: u32, value: f32) {
     var old = atomicLoad(&base[at]);

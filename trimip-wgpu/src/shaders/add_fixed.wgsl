@@ -1,4 +1,6 @@
 // Additions to texel gradients in fixed point: the high word is touched where it changes.
+@group(0) @binding(3) var<storage, read_write> base: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> derived: array<atomic<u32>>;
 @group(0) @binding(6) var<storage, read_write> base_high: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read_write> derived_high: array<atomic<u32>>;
 

@@ -5,6 +5,8 @@ struct Params {
     count: u32,
     max_depth: f32,
     min_weight: f32,
+    // Samples that there is room to keep.
+    capacity: u32,
 }
 
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
@@ -57,9 +59,15 @@ fn list(
     if i >= params.count {
         return;
     }
+    // What there is no room for is dropped from the end of the batch.
+    var segment = segments[i];
+    segment.x = min(segment.x, params.capacity);
+    segment.y = min(segment.y, params.capacity - segment.x);
+    segments[i] = segment;
     let old = old_segments[i];
-    var at = segments[i].x;
-    for (var j = old.x; j < old.x + old.y; j++) {
+    var at = segment.x;
+    let end = segment.x + segment.y;
+    for (var j = old.x; j < old.x + old.y && at < end; j++) {
         if marks[j] == 1u {
             kept[at] = j;
             at += 1u;

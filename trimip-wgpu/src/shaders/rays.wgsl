@@ -32,6 +32,8 @@ struct Params {
     count: u32,
     scales: u32,
     premultiplied: u32,
+    // Pixels come in the order of this span's rays.
+    streamed: u32,
     // Rays from this index of the step on belong to this scale or a coarser one.
     begins: array<vec4<u32>, 2>,
     // Loss weight of a ray of each scale.
@@ -127,7 +129,7 @@ fn training_rays(
         let bits = random_bits(params.background_draws, index);
         background = vec3<f32>(unit(bits.x), unit(bits.y), unit(bits.z));
     }
-    let word = pixels[pixel];
+    let word = pixels[select(pixel, i, params.streamed != 0u)];
     let rgba = vec4<f32>(vec4<u32>(word, word >> 8u, word >> 16u, word >> 24u) & vec4<u32>(0xffu)) / 255.0;
     let coverage = select(rgba.a, 1.0, params.premultiplied != 0u);
     let rgb = rgba.rgb * coverage + (1.0 - rgba.a) * background;

@@ -1,11 +1,9 @@
 // Feature gradients to texel gradients of all levels: one invocation adds four channels of one plane of one sample.
-// `add_base` and `add_derived` decide how.
+// `add_base` and `add_derived` decide how; `base` and `derived` are theirs.
 
 @group(0) @binding(0) var<storage, read> gradients: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> pyramid: Pyramid;
-@group(0) @binding(3) var<storage, read_write> base: array<atomic<u32>>;
-@group(0) @binding(4) var<storage, read_write> derived: array<atomic<u32>>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
 
 @compute @workgroup_size(GROUP)

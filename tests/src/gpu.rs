@@ -1,0 +1,38 @@
+//! Adapters for the tests. Where a machine has none, tests are skipped and say so, unless `TRIMIP_REQUIRE_GPU` is set:
+//! then they fail.
+
+use trimip_core::Result;
+use trimip_wgpu::{Addition, WgpuBackend};
+
+/// All ways to add texel gradients.
+pub const ADDITIONS: [Addition; 3] = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
+
+/// Runs `part` on the best adapter with each of the `additions` that it has.
+///
+/// # Panics
+/// When `part` fails, or there is no adapter where one is required.
+pub fn with(additions: &[Addition], part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
+    if trimip_wgpu::adapters().is_empty() {
+        assert!(
+            std::env::var_os("TRIMIP_REQUIRE_GPU").is_none(),
+            "a GPU is required and there is no adapter"
+        );
+        println!("skipped: this machine has no adapter for wgpu");
+        return;
+    }
+    for &addition in additions {
+        let open = || WgpuBackend::adding("", addition).expect("the adapter opens");
+        match open() {
+            None => println!("skipped: this adapter has no {addition:?} additions"),
+            Some(backend) => {
+                println!("{}, {addition:?} additions", backend.adapter());
+                part(&|| open().expect("it did before")).expect("a small configuration is accepted");
+            }
+        }
+    }
+}
+
+/// Runs a part that needs the same bits every time.
+pub fn reproducibly(part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
+    with(&[Addition::Fixed], part);
+}

@@ -1,0 +1,251 @@
+//! The GPU beside the CPU: what crosses the bus, models and runs that change the backend, and what a lost device leaves.
+
+use std::sync::atomic::AtomicBool;
+use trimip_core::{
+    Config, Error, ErrorKind, Result, Session,
+    checkpoint::Checkpoint,
+    config::{Format, Photographs},
+    evaluate::{ViewResult, evaluate},
+    events::{Event, Totals},
+    model::Model,
+    run::{Run, Store},
+    tensors::Values,
+    trainer::Trainer,
+};
+use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_tests::{
+    fixtures,
+    gpu::{ADDITIONS, reproducibly, with},
+    suite,
+};
+
+fn cpu() -> CpuBackend {
+    CpuBackend::new(2, Simd::detect()).expect("threads start")
+}
+
+#[test]
+fn a_step_is_one_submission_and_moves_no_parameters() {
+    with(&ADDITIONS, |make| {
+        let config = suite::training::configuration();
+        let mut trainer = Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2))?;
+        suite::training::steps(&mut trainer, &config, 5)?;
+        let before = trainer.device().counts();
+        // Refreshes of the occupancy grid among them.
+        for step in 5..17 {
+            trainer.step(f64::from(step) / config.train.steps as f64)?;
+        }
+        let after = trainer.device().counts();
+        assert_eq!(after.submissions - before.submissions, 12, "one submission a step");
+        assert_eq!(after.written, before.written, "nothing is written");
+        assert_eq!(after.read - before.read, 12 * 36, "eight sums and a count are read a step");
+        assert_eq!(after.stalls, before.stalls, "nobody waits for the step that runs");
+        Ok(())
+    });
+}
+
+/// Root of the mean squared difference of two pictures.
+fn difference(a: &trimip_core::Frame, b: &trimip_core::Frame) -> f64 {
+    let squares = a.pixels.iter().zip(&b.pixels).flat_map(|(a, b)| [0, 1, 2].map(|c| a.rgb[c] - b.rgb[c]));
+    let sum: f64 = squares.map(|d| f64::from(d) * f64::from(d)).sum();
+    (sum / (3 * a.pixels.len()) as f64).sqrt()
+}
+
+#[test]
+fn models_are_the_same_pictures_on_both_backends() {
+    reproducibly(|make| {
+        let config = suite::training::configuration();
+        let views = || fixtures::noise(3, 16, 2, 2);
+        let camera = views().views[0].camera;
+        let mut on_cpu = Trainer::new(cpu(), &config, views())?;
+        suite::training::steps(&mut on_cpu, &config, 20)?;
+        let mut on_gpu = Trainer::new(make(), &config, views())?;
+        suite::training::steps(&mut on_gpu, &config, 20)?;
+        let models: [(&str, Model, _); 2] = [
+            ("trained on the CPU", on_cpu.model()?, on_cpu.render(&camera)?),
+            ("trained on the GPU", on_gpu.model()?, on_gpu.render(&camera)?),
+        ];
+        for (name, model, own) in &models {
+            let [on_cpu, on_gpu] = [
+                Trainer::from_model(cpu(), model)?.render(&camera)?,
+                Trainer::from_model(make(), model)?.render(&camera)?,
+            ];
+            // 90 dB: a sample at the border of an occupied cell may fall to either side.
+            for picture in [&on_cpu, &on_gpu] {
+                let error = difference(picture, own);
+                assert!(error < 3e-5, "{name}: pictures differ by {error}");
+            }
+        }
+        // A run that began on one goes on on the other.
+        let mut resumed = Trainer::new(make(), &config, views())?;
+        resumed.restore(&on_cpu.checkpoint()?)?;
+        suite::training::steps(&mut resumed, &config, 4)?;
+        Ok(())
+    });
+}
+
+/// Every tensor of a run of `steps` steps.
+fn tensors(
+    trainer: &mut Trainer<impl trimip_core::Backend>,
+    config: &Config,
+    steps: u64,
+) -> Result<Checkpoint> {
+    suite::training::steps(trainer, config, steps)?;
+    trainer.checkpoint()
+}
+
+#[test]
+fn photographs_on_the_host_train_the_same_bits() {
+    reproducibly(|make| {
+        let mut config = suite::training::scheduled()?;
+        let views = || fixtures::noise(3, 16, 3, 2);
+        let there = tensors(&mut Trainer::new(make(), &config, views())?, &config, 12)?;
+        config.wgpu.photographs = Photographs::Host;
+        let mut trainer = Trainer::new(make(), &config, views())?;
+        let written = trainer.device().counts().written;
+        let sent = tensors(&mut trainer, &config, 12)?;
+        assert!(trainer.device().counts().written > written, "pixels are sent");
+        assert_eq!(sent.state, there.state);
+        assert!(sent.file.tensors == there.file.tensors, "the same tensors");
+        Ok(())
+    });
+}
+
+#[test]
+fn memory_is_predicted_within_a_tenth() {
+    with(&ADDITIONS[..2], |make| {
+        for (hidden, plane_size, samples) in [(128, 64, 4096), (32, 256, 1024)] {
+            let mut config = suite::training::configuration();
+            config.field.hidden = hidden;
+            (config.encoder.plane_size, config.train.samples_per_step) = (plane_size, samples);
+            config.occupancy.resolution = 32;
+            let views = fixtures::noise(4, 64, 2, 2);
+            let camera = views.views[0].camera;
+            let mut trainer = Trainer::new(make(), &config, views.clone())?;
+            config.wgpu.deterministic = trainer.device().addition() == ADDITIONS[0];
+            let predicted: u64 = trimip_wgpu::memory(&config, &views).iter().map(|(_, bytes)| bytes).sum();
+            suite::training::steps(&mut trainer, &config, 20)?;
+            trainer.render(&camera)?;
+            let found = trainer.device().counts().most_held;
+            let ratio = predicted as f64 / found as f64;
+            println!(
+                "hidden {hidden}, planes {plane_size}, {samples} samples: {predicted} bytes predicted, {found} held"
+            );
+            assert!((ratio - 1.0).abs() < 0.1, "predicted {predicted}, held {found}");
+        }
+        Ok(())
+    });
+}
+
+/// Keeps the step of the last checkpoint and destroys the device when it is asked to keep the second.
+struct Shelf<'a> {
+    kept: Vec<u64>,
+    lose: &'a dyn Fn(),
+}
+
+impl Store for Shelf<'_> {
+    fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<u64> {
+        let planes = &checkpoint.file.tensors["planes"];
+        assert!(
+            matches!(&planes.values, Values::F32(values) if values.iter().any(|x| *x != 0.0)),
+            "{planes:?}"
+        );
+        self.kept.push(checkpoint.state.totals.step);
+        if self.kept.len() == 2 {
+            (self.lose)();
+        }
+        Ok(0)
+    }
+
+    fn model(&mut self, _: &Model) -> Result<u64> {
+        Err(Error::run("a lost device has no model"))
+    }
+
+    fn view(&mut self, _: &ViewResult<'_>) -> Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
+    reproducibly(|make| {
+        let mut config = suite::training::configuration();
+        config.train.checkpoint_seconds = 1e-9;
+        let backend = make();
+        let lose = backend.loss();
+        let mut trainer = Trainer::new(backend, &config, fixtures::noise(3, 16, 2, 2))?;
+        let scene = trimip_data::open(&builtin().data)?;
+        let mut shelf = Shelf { kept: Vec::new(), lose: &lose };
+        let mut events: Vec<Event> = Vec::new();
+        let outcome = Run {
+            config: &config,
+            session: &mut trainer,
+            frames: scene.test.as_ref(),
+            store: &mut shelf,
+            events: &mut |event: &Event| events.push(event.clone()),
+            stop: &AtomicBool::new(false),
+        }
+        .train(Totals::default());
+        let error = outcome.expect_err("the device is gone");
+        assert_eq!((error.kind, error.exit_code()), (ErrorKind::Device, 3), "{error}");
+        for part in ["failed in", "lost", "MiB were in use", "largest buffer", "may have"] {
+            assert!(error.message.contains(part), "`{part}` in {error}");
+        }
+        assert_eq!(shelf.kept, [1, 2], "no checkpoint is written after the loss");
+        let said = |event: &Event| matches!(event, Event::Warning { message } if message.contains("the checkpoint of step 2 is kept"));
+        assert!(events.iter().any(said), "{events:?}");
+        Ok(())
+    });
+}
+
+/// The built-in scene, small.
+fn builtin() -> Config {
+    let mut config = Config::default();
+    config.data.format = Format::Builtin;
+    (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 8, 2);
+    (config.data.builtin_supersampling, config.data.scales) = (2, 2);
+    (config.encoder.plane_size, config.encoder.levels) = (32, 5);
+    config.field.hidden = 32;
+    config.renderer.steps_per_diagonal = 128;
+    config.occupancy.resolution = 32;
+    config.occupancy.warmup = 64;
+    config.train.samples_per_step = 4096;
+    config.train.steps = 150;
+    config
+}
+
+/// Mean PSNR on the held-out views of the built-in scene.
+fn held_out(session: &mut dyn Session, config: &Config) -> Result<f64> {
+    let scene = trimip_data::open(&config.data)?;
+    let views = evaluate(session, scene.test.as_ref(), 1, config.data.background, |_| Ok(true))?;
+    Ok(views.iter().map(|view| view.psnr).sum::<f64>() / views.len() as f64)
+}
+
+#[test]
+fn both_backends_learn_the_built_in_scene_alike() {
+    reproducibly(|make| {
+        let config = builtin();
+        let train = || Ok::<_, Error>(trimip_data::open(&config.data)?.train);
+        // From scratch, runs of two seeds differ by more than a tenth of a decibel; from a common start they may not.
+        let mut on_cpu = Trainer::new(cpu(), &config, train()?)?;
+        suite::training::steps(&mut on_cpu, &config, 90)?;
+        let (start, before) = (on_cpu.checkpoint()?, held_out(&mut on_cpu, &config)?);
+        let mut on_gpu = Trainer::new(make(), &config, train()?)?;
+        on_gpu.restore(&start)?;
+        suite::training::steps(&mut on_cpu, &config, 60)?;
+        suite::training::steps(&mut on_gpu, &config, 60)?;
+        let (by_cpu, by_gpu) = (held_out(&mut on_cpu, &config)?, held_out(&mut on_gpu, &config)?);
+        println!("{before:.3} dB, then trained on the CPU {by_cpu:.3} dB, on the GPU {by_gpu:.3} dB");
+        assert!(by_cpu > before + 0.5, "there is something to learn");
+        assert!((by_cpu - by_gpu).abs() < 0.1, "CPU {by_cpu:.3} dB, GPU {by_gpu:.3} dB");
+        // A model is as good on the other backend.
+        let crossed = [
+            (by_cpu, held_out(&mut Trainer::from_model(make(), &on_cpu.model()?)?, &config)?),
+            (by_gpu, held_out(&mut Trainer::from_model(cpu(), &on_gpu.model()?)?, &config)?),
+        ];
+        for (own, other) in crossed {
+            println!("{own:.4} dB where it was trained, {other:.4} dB on the other backend");
+            assert!((own - other).abs() < 0.02, "{own:.4} dB and {other:.4} dB");
+        }
+        Ok(())
+    });
+}

@@ -1,0 +1,85 @@
+//! The adapters of this machine: what they offer, and which one is meant.
+
+use trimip_core::{Error, Result};
+
+/// What an adapter is and offers.
+#[derive(Clone, Debug)]
+pub struct AdapterFacts {
+    /// Its name.
+    pub name: String,
+    /// One line: kind, backend, driver.
+    pub about: String,
+    /// Limits and features that matter here, name and value.
+    pub offers: Vec<(&'static str, String)>,
+}
+
+fn instance() -> wgpu::Instance {
+    wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle())
+}
+
+fn all_adapters() -> Vec<wgpu::Adapter> {
+    pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()))
+}
+
+/// All adapters of this machine.
+pub fn adapters() -> Vec<AdapterFacts> {
+    all_adapters().iter().map(facts).collect()
+}
+
+fn facts(adapter: &wgpu::Adapter) -> AdapterFacts {
+    let (info, limits, features) = (adapter.get_info(), adapter.limits(), adapter.features());
+    let has = |feature| if features.contains(feature) { "yes" } else { "no" }.to_string();
+    let mebibytes = |bytes: u64| format!("{} MiB", bytes >> 20);
+    AdapterFacts {
+        about: format!("{:?}, {:?}, {} {}", info.device_type, info.backend, info.driver, info.driver_info)
+            .trim_end()
+            .to_string(),
+        name: info.name,
+        offers: vec![
+            ("largest binding", mebibytes(limits.max_storage_buffer_binding_size)),
+            ("largest buffer", mebibytes(limits.max_buffer_size)),
+            ("storage buffers of a stage", limits.max_storage_buffers_per_shader_stage.to_string()),
+            ("invocations of a workgroup", limits.max_compute_invocations_per_workgroup.to_string()),
+            ("workgroup memory", format!("{} KiB", limits.max_compute_workgroup_storage_size >> 10)),
+            ("atomic f32 additions", has(wgpu::Features::SHADER_FLOAT32_ATOMIC)),
+            ("f16", has(wgpu::Features::SHADER_F16)),
+            ("cooperative matrices", has(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX)),
+        ],
+    }
+}
+
+/// Ranks adapters for a user who names none: real devices first, software last.
+fn rank(info: &wgpu::AdapterInfo) -> u32 {
+    match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    }
+}
+
+/// The adapter whose name contains `name` (case does not matter), or the best one when it is empty.
+pub fn choose(name: &str) -> Result<wgpu::Adapter> {
+    let mut adapters = all_adapters();
+    let names: Vec<String> = adapters.iter().map(|a| format!("`{}`", a.get_info().name)).collect();
+    adapters.retain(|a| a.get_info().name.to_lowercase().contains(&name.to_lowercase()));
+    adapters.sort_by_key(|a| rank(&a.get_info()));
+    adapters.into_iter().next().ok_or_else(|| match names.is_empty() {
+        true => Error::input(
+            "backend = \"wgpu\"",
+            "this machine has no adapter for wgpu (Vulkan, Metal or Direct3D 12)",
+            "install the graphics driver, or use backend = \"cpu\"",
+        ),
+        false => Error::input(
+            format!("wgpu.adapter = \"{name}\""),
+            "no adapter has a name that contains this",
+            format!("choose one of {}", names.join(", ")),
+        ),
+    })
+}
+
+/// Bytes that the adapter of this name binds at once, where there is one.
+pub fn largest_binding(name: &str) -> Option<u64> {
+    choose(name).ok().map(|adapter| adapter.limits().max_storage_buffer_binding_size)
+}
