@@ -30,7 +30,7 @@ pub struct Kernel {
 }
 
 impl Kernel {
-    const fn new(
+    pub const fn new(
         entry: &'static str,
         files: &'static [&'static str],
         bindings: &'static [(u32, Access)],

@@ -13,6 +13,8 @@ mod loss;
 mod memory;
 mod occupancy;
 mod optimizer;
+#[cfg(test)]
+mod probe;
 mod renderer;
 mod rows;
 mod sampler;

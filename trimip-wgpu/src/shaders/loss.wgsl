@@ -26,6 +26,15 @@ fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
 }
 
+// Value and derivative at `difference`; twin of `trimip_core::loss`.
+fn smooth_l1(difference: f32, beta: f32) -> vec2<f32> {
+    let size = abs(difference);
+    if size < beta {
+        return vec2<f32>(0.5 * difference * difference / beta, difference / beta);
+    }
+    return vec2<f32>(size - 0.5 * beta, sign(difference));
+}
+
 // Sum over the workgroup in a fixed order; valid for the first invocation.
 fn total(local: u32, own: vec4<f32>) -> vec4<f32> {
     shared_sums[local] = own;
@@ -56,16 +65,10 @@ fn evaluate(
         for (var c = 0u; c < 3u; c++) {
             let difference = pixels[5u * i + c] - targets[7u * i + c];
             finite = finite && is_finite(difference);
-            let size = abs(difference);
-            var value = size - 0.5 * params.beta;
-            var slope = sign(difference);
-            if size < params.beta {
-                value = 0.5 * difference * difference / params.beta;
-                slope = difference / params.beta;
-            }
-            loss += value / 3.0;
+            let value = smooth_l1(difference, params.beta);
+            loss += value.x / 3.0;
             squared += difference * difference;
-            gradients[3u * i + c] = select(0.0, weight * slope / 3.0, counted);
+            gradients[3u * i + c] = select(0.0, weight * value.y / 3.0, counted);
         }
         own = vec4<f32>(select(0.0, weight * loss, counted), select(0.0, weight, counted), squared, 0.0);
         if !finite {

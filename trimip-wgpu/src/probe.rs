@@ -1,0 +1,296 @@
+//! Every scalar function of the shaders on one table of inputs, against the function of the same name in f64.
+
+use crate::buffer::Buffer;
+use crate::device::{Gpu, Size};
+use crate::kernel::{Access, Kernel};
+use std::sync::Arc;
+use trimip_core::tri_mip::{Pyramid, taps};
+use trimip_core::{activation, camera, compositing, loss, rng, sh};
+
+/// Calls `probe`, which a probe's own text defines, on every input.
+const SHELL: &str = "
+@group(0) @binding(20) var<storage, read> probe_inputs: array<vec4<f32>>;
+@group(0) @binding(21) var<storage, read_write> probe_outputs: array<vec4<f32>>;
+@compute @workgroup_size(GROUP)
+fn run_probe(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x < arrayLength(&probe_inputs) {
+        probe_outputs[id.x] = probe(probe_inputs[id.x]);
+    }
+}
+";
+
+const BINDINGS: &[(u32, Access)] = &[(20, Access::Read), (21, Access::Write), (22, Access::Parameters)];
+
+/// The files and the body of a probe.
+macro_rules! files {
+    ($($file:literal),+; $body:literal) => {
+        &[
+            $(include_str!(concat!("shaders/", $file)),)+
+            concat!("fn probe(x: vec4<f32>) -> vec4<f32> {\n", $body, "\n}\n"),
+            SHELL,
+        ]
+    };
+}
+
+/// The adapter's device; `None` where there is none and none is required.
+fn gpu() -> Option<Arc<Gpu>> {
+    if crate::adapters().is_empty() {
+        assert!(std::env::var_os("TRIMIP_REQUIRE_GPU").is_none(), "a GPU is required, there is no adapter");
+        println!("skipped: this machine has no adapter for wgpu");
+        return None;
+    }
+    Some(Gpu::open("").expect("the adapter opens"))
+}
+
+fn run(gpu: &Arc<Gpu>, files: &'static [&'static str], inputs: &[[f32; 4]]) -> Vec<[f32; 4]> {
+    let (mut from, mut to) = (Buffer::zeros(gpu, 0), Buffer::<[f32; 4]>::zeros(gpu, 0));
+    from.write(inputs);
+    to.resize(inputs.len());
+    let kernel = Kernel::new("run_probe", files, BINDINGS);
+    gpu.dispatch(&kernel, &[from.bind(), to.bind()], &0_u32, Size::Items(inputs.len() as u64));
+    let found = to.read();
+    gpu.check("a probe").expect("the probe compiles");
+    found
+}
+
+/// Holds a function of floats against one in f64: |found − expected| ≤ absolute + relative · |expected|. Expectations are
+/// taken to f32 where they leave its range; where the expectation is not finite nothing is compared.
+fn compare(
+    files: &'static [&'static str],
+    inputs: &[[f32; 4]],
+    expected: impl Fn([f64; 4]) -> [f64; 4],
+    (absolute, relative): (f64, f64),
+) {
+    let Some(gpu) = gpu() else { return };
+    let found = run(&gpu, files, inputs);
+    for (input, found) in inputs.iter().zip(&found) {
+        let expected = expected(input.map(f64::from));
+        for (&found, &expected) in found.iter().zip(&expected) {
+            if (expected as f32).is_finite() {
+                let error = (f64::from(found) - expected).abs();
+                let bound = absolute + relative * expected.abs();
+                assert!(
+                    error <= bound,
+                    "at {input:?}: {found}, not {expected} (off by {error}, bound {bound})"
+                );
+            }
+        }
+    }
+}
+
+/// Numbers of all sizes and both signs.
+fn numbers() -> Vec<f32> {
+    let mut numbers = vec![0.0];
+    for exponent in -30..=30 {
+        for mantissa in [1.0, 1.37, 1.99] {
+            let number = mantissa * 2_f32.powi(exponent);
+            numbers.extend([number, -number]);
+        }
+    }
+    numbers
+}
+
+fn singles(keep: impl Fn(f32) -> bool) -> Vec<[f32; 4]> {
+    numbers().into_iter().filter(|&x| keep(x)).map(|x| [x, 0.0, 0.0, 0.0]).collect()
+}
+
+#[test]
+fn activations() {
+    // Drivers' exp is good to some 17 ulp (2e-6) at 0 and loses with the size of its argument.
+    compare(
+        files!("activation.wgsl"; "return vec4<f32>(density_of(x.x), density_derivative(x.x), sigmoid(x.x), sigmoid_derivative(x.x));"),
+        &singles(|x| x.abs() < 80.0),
+        |[x, ..]| {
+            [
+                activation::density(x),
+                activation::density_derivative(x),
+                activation::sigmoid(x),
+                activation::sigmoid_derivative(x),
+            ]
+        },
+        (1e-37, 2e-5),
+    );
+}
+
+#[test]
+fn thin_samples_keep_their_relative_accuracy() {
+    compare(
+        files!("compositing.wgsl"; "return vec4<f32>(alpha_of(x.x), 0.0, 0.0, 0.0);"),
+        &singles(|x| x >= 0.0),
+        |[x, ..]| [compositing::weight(1.0, x).0, 0.0, 0.0, 0.0],
+        (0.0, 3e-6),
+    );
+}
+
+#[test]
+fn the_loss_and_what_is_finite() {
+    compare(
+        files!("grid.wgsl", "loss.wgsl"; "return vec4<f32>(smooth_l1(x.x, 1.0), smooth_l1(x.x, 0.05));"),
+        &singles(|_| true),
+        |[x, ..]| {
+            let ((a, b), (c, d)) = (loss::smooth_l1(x, 1.0), loss::smooth_l1(x, f64::from(0.05_f32)));
+            [a, b, c, d]
+        },
+        (0.0, 1e-6),
+    );
+    let Some(gpu) = gpu() else { return };
+    let inputs = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, f32::MAX, -1e-45].map(|x| [x; 4]);
+    let found = run(
+        &gpu,
+        files!("grid.wgsl", "loss.wgsl"; "return vec4<f32>(select(0.0, 1.0, is_finite(x.x)), 0.0, 0.0, 0.0);"),
+        &inputs,
+    );
+    assert_eq!(found.iter().map(|row| row[0]).collect::<Vec<_>>(), [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]);
+}
+
+#[test]
+fn spheres_in_cones() {
+    let inputs: Vec<[f32; 4]> = [1e-6, 5e-4, 0.3]
+        .into_iter()
+        .flat_map(|disc| [0.0_f32, 1e-3, 0.5, 4.0].map(|t| [disc, t, (1.0 + t * t).sqrt().recip(), 0.0]))
+        .collect();
+    compare(
+        files!("grid.wgsl", "random.wgsl", "rays.wgsl"; "return vec4<f32>(sphere_slope(x.x, x.y, x.z), 0.0, 0.0, 0.0);"),
+        &inputs,
+        |[disc, tangent, cosine, _]| [camera::sphere_slope(disc, tangent, cosine), 0.0, 0.0, 0.0],
+        (0.0, 1e-6),
+    );
+}
+
+#[test]
+fn harmonics() {
+    let directions: Vec<[f32; 4]> = (0..100_u8)
+        .map(|i| {
+            let (z, angle) = (1.0 - (f32::from(i) + 0.5) / 50.0, 2.4 * f32::from(i));
+            let r = (1.0 - z * z).sqrt();
+            [r * angle.cos(), r * angle.sin(), z, 0.0]
+        })
+        .collect();
+    let expected = |first: usize| {
+        move |[x, y, z, _]: [f64; 4]| {
+            let all = sh::spherical_harmonics([x, y, z]);
+            [0, 1, 2, 3].map(|i| all[first + i])
+        }
+    };
+    let bound = (5e-7, 1e-6);
+    compare(
+        files!("grid.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[0], h[1], h[2], h[3]);"),
+        &directions,
+        expected(0),
+        bound,
+    );
+    compare(
+        files!("grid.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[4], h[5], h[6], h[7]);"),
+        &directions,
+        expected(4),
+        bound,
+    );
+    compare(
+        files!("grid.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[8], h[9], h[10], h[11]);"),
+        &directions,
+        expected(8),
+        bound,
+    );
+    compare(
+        files!("grid.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[12], h[13], h[14], h[15]);"),
+        &directions,
+        expected(12),
+        bound,
+    );
+}
+
+#[test]
+fn levels_and_texels() {
+    let pyramid = Pyramid { size: 64, levels: 5, log2_base_radius: [-7.0, -6.5, -5.25] };
+    let radii: Vec<[f32; 4]> =
+        (-40..20).flat_map(|i| [0.0, 1.0, 2.0].map(|p| [i as f32 / 4.0, p, 0.0, 0.0])).collect();
+    compare(
+        files!("tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 64u, 5u, 0u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), 0.0);"),
+        &radii,
+        |[radius, plane, ..]| {
+            let plane = plane as usize;
+            let blend = pyramid.blend(plane, radius);
+            let start = match blend.lower {
+                0 => plane * 64 * 64,
+                level => pyramid.derived_offset(level, plane) / trimip_core::tri_mip::CHANNELS,
+            };
+            [blend.lower as f64, blend.fraction, start as f64, 0.0]
+        },
+        (1e-6, 0.0),
+    );
+    // At the border, between texels, and past either end.
+    let places: Vec<[f32; 4]> = [0.0, 0.003, 0.01, 0.3, 0.5, 0.77, 0.998, 1.0]
+        .into_iter()
+        .flat_map(|a| [0.0_f32, 0.12, 0.999, 1.0].map(|b| [a, b, 0.0, 0.0]))
+        .collect();
+    compare(
+        files!("tri_mip.wgsl"; "let t = texel_taps(32u, x.xy); return vec4<f32>(f32(t.columns.x), f32(t.columns.y), f32(t.rows.x), f32(t.rows.y));"),
+        &places,
+        |[a, b, ..]| {
+            let taps = taps(32, a, b);
+            [taps.columns[0], taps.columns[1], taps.rows[0], taps.rows[1]].map(|x| x as f64)
+        },
+        (0.0, 0.0),
+    );
+    compare(
+        files!("tri_mip.wgsl"; "let t = texel_taps(32u, x.xy); return vec4<f32>(tap_weight(t, 0u, 0u), tap_weight(t, 0u, 1u), tap_weight(t, 1u, 0u), tap_weight(t, 1u, 1u));"),
+        &places,
+        |[a, b, ..]| {
+            let [below, above] = taps(32, a, b).weights;
+            [below[0], below[1], above[0], above[1]]
+        },
+        (4e-6, 0.0),
+    );
+}
+
+#[test]
+fn fixed_point_there_and_back() {
+    // 30 bits behind the point; a sum of two of both signs is right whichever words carry.
+    compare(
+        files!("fixed.wgsl"; "let a = to_fixed(x.x); let b = to_fixed(x.y); let low = a.x + b.x; let high = a.y + b.y + select(0u, 1u, low < a.x); return vec4<f32>(from_fixed(a), from_fixed(negated(a)), from_fixed(vec2<u32>(low, high)), 0.0);"),
+        &numbers()
+            .into_iter()
+            .flat_map(|x| [0.0_f32, 1.5, -1.5, 7e-4, -1e6].map(|y| [x, y, 0.0, 0.0]))
+            .collect::<Vec<_>>(),
+        |[x, y, ..]| [x, -x, x + y, 0.0],
+        (2.0 / f64::from(1 << 30), 3e-7),
+    );
+}
+
+#[test]
+fn random_numbers_are_the_same_integers() {
+    let Some(gpu) = gpu() else { return };
+    let draws = rng::Random::new(9).at(rng::Stream::Pixel, 77);
+    let counts = [1, 2, 1000, 65_536, 4_000_000_000_u32];
+    let inputs: Vec<[f32; 4]> = (0..200_u32)
+        .map(|i| {
+            let bits = draws.bits(i);
+            // Index, random bits and count travel as the bits of floats.
+            [i, bits[0], counts[i as usize % counts.len()], 0].map(f32::from_bits)
+        })
+        .collect();
+    let found = run(
+        &gpu,
+        files!("random.wgsl"; "let i = bitcast<vec4<u32>>(x); return vec4<f32>(f32(below(i.y, i.z) >> 16u), f32(below(i.y, i.z) & 0xffffu), unit(i.y), 0.0);"),
+        &inputs,
+    );
+    for (input, found) in inputs.iter().zip(&found) {
+        let [_, bits, count, _] = input.map(f32::to_bits);
+        let expected = rng::below(bits, count);
+        assert_eq!(found[0] as u32 * 65_536 + found[1] as u32, expected, "below({bits}, {count})");
+        assert_eq!(found[2], rng::unit(bits));
+    }
+    // The hash itself, on words that travel the same way: the upper 24 bits of four numbers are exact floats.
+    let words: Vec<[u32; 4]> =
+        (0..50).map(|step| rng::Random::new(step).at(rng::Stream::Cell, step).words()).collect();
+    let inputs: Vec<[f32; 4]> = words.iter().map(|words| words.map(f32::from_bits)).collect();
+    let found = run(
+        &gpu,
+        files!("random.wgsl"; "return vec4<f32>(random_bits(bitcast<vec4<u32>>(x), 12345u) >> vec4<u32>(8u));"),
+        &inputs,
+    );
+    for (step, found) in (0..50).zip(&found) {
+        let expected = rng::Random::new(step).at(rng::Stream::Cell, step).bits(12_345);
+        assert_eq!(found.map(|x| x as u32), expected.map(|bits| bits >> 8));
+    }
+}
