@@ -1,7 +1,7 @@
 //! The suite that every backend passes, on the GPU, with every way to add texel gradients. What crosses backends stands in
 //! `gpu_and_cpu.rs`.
 
-use trimip_core::Result;
+use trimip_core::{Backend, Result, config::Precision};
 use trimip_tests::{
     gpu::{ADDITIONS, reproducibly, with},
     suite,
@@ -31,6 +31,21 @@ fn whole_pixels_are_the_literal_ones() {
 #[test]
 fn gradients_are_finite_differences() {
     with(&ADDITIONS, |make| suite::gradients::finite_differences(make));
+}
+
+#[test]
+fn f16_gradients_are_near_those_of_f32() {
+    reproducibly(|make| {
+        if make().cooperates() {
+            return suite::gradients::rounded(make, Precision::F16, 11);
+        }
+        println!("skipped: this adapter has no cooperative matrices");
+        let mut config = suite::training::configuration();
+        config.field.precision = Precision::F16;
+        let notes = make().notes(&config);
+        assert!(notes.len() == 1 && notes[0].contains("computed in f32"), "{notes:?}");
+        Ok(())
+    });
 }
 
 #[test]

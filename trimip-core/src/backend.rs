@@ -126,6 +126,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// When the device failed.
     fn redeem(&self, receipt: Self::Receipt) -> Result<StepSums>;
 
+    /// Settings that this device takes otherwise than they read, one line each.
+    fn notes(&self, _config: &Config) -> Vec<String> {
+        Vec::new()
+    }
+
     /// Whether the device still works: once it has failed, what [`Backend::read`] gives is not the model.
     ///
     /// # Errors

@@ -61,8 +61,10 @@ choice!(
     Precision {
         /// 24 bits.
         F32,
-        /// 8 bits: twice the rate where the processor has instructions for it.
+        /// 8 bits: twice the rate where the processor has instructions for it. On a CPU.
         Bf16,
+        /// 11 bits, up to 65,504: the cooperative matrices of a GPU.
+        F16,
     }
 );
 choice!(

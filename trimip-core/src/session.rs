@@ -22,6 +22,11 @@ pub trait Session: Send {
     /// Name of the backend.
     fn backend(&self) -> &str;
 
+    /// Settings that the device takes otherwise than they read, one line each: a run says them.
+    fn notes(&self) -> Vec<String> {
+        Vec::new()
+    }
+
     /// One optimiser step; `progress` in [0, 1] drives the schedules. `totals.seconds` is the caller's to keep.
     ///
     /// # Errors

@@ -451,6 +451,10 @@ impl<B: Backend> Session for Trainer<B> {
         self.backend.name()
     }
 
+    fn notes(&self) -> Vec<String> {
+        self.backend.notes(&self.config)
+    }
+
     fn step(&mut self, progress: f64) -> Result<StepReport> {
         let backend = Arc::clone(&self.backend);
         backend.install(|| self.train_step(progress))

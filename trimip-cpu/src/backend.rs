@@ -17,6 +17,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trimip_core::backend::{Stages, Traffic, TrainWork, update_all};
 use trimip_core::batch::{Deposit, StepSums, Workspace};
+use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Field, Layout, Result, ViewSet};
 
 /// Scratch of a worker beside its workspace.
@@ -89,6 +90,13 @@ impl Backend for CpuBackend {
 
     fn name(&self) -> &'static str {
         "cpu"
+    }
+
+    fn notes(&self, config: &Config) -> Vec<String> {
+        match config.field.precision {
+            Precision::F16 => vec!["field.precision = \"f16\" is a GPU's: the CPU computes in f32".into()],
+            Precision::F32 | Precision::Bf16 => Vec::new(),
+        }
     }
 
     fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {

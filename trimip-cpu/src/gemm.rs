@@ -46,7 +46,7 @@ impl Packed {
             let width = (self.n - panel).min(32);
             for row in 0..height {
                 self.data[panel * height + row * width + column - panel] = match self.precision {
-                    Precision::F32 => value(row, column),
+                    Precision::F32 | Precision::F16 => value(row, column),
                     Precision::Bf16 => pair(value(2 * row, column), value(2 * row + 1, column)),
                 };
             }
@@ -62,7 +62,7 @@ impl Packed {
 /// Words of `count` values that are summed over.
 fn words(count: usize, precision: Precision) -> usize {
     match precision {
-        Precision::F32 => count,
+        Precision::F32 | Precision::F16 => count,
         Precision::Bf16 => count.div_ceil(2),
     }
 }
@@ -125,7 +125,7 @@ pub fn multiply(
         assert!(of.len() >= rows && of[..rows].iter().all(fits), "a row for each row");
     }
     match w.precision {
-        Precision::F32 => simd.run(Multiply::<false> { rows, a, w, c, start, finish }),
+        Precision::F32 | Precision::F16 => simd.run(Multiply::<false> { rows, a, w, c, start, finish }),
         Precision::Bf16 => simd.run(Multiply::<true> { rows, a, w, c, start, finish }),
     }
 }
@@ -152,7 +152,7 @@ pub fn accumulate(
     assert!(a.len() >= rows * k && d.len() >= rows * n && g.len() >= k * n, "whole matrices");
     assert!(k.is_multiple_of(4) && n.is_multiple_of(16), "padded widths");
     match precision {
-        Precision::F32 => simd.run(Accumulate::<false> { rows, k, n, a, d, g }),
+        Precision::F32 | Precision::F16 => simd.run(Accumulate::<false> { rows, k, n, a, d, g }),
         Precision::Bf16 => simd.run(Accumulate::<true> { rows, k, n, a, d, g }),
     }
 }
@@ -490,7 +490,7 @@ mod tests {
                 packed.fill(|row, column| w[row * n + column]);
                 let mut left = Buffer::zeros(a.len() / 2);
                 match precision {
-                    Precision::F32 => left = matrix(rows, k, 0.0),
+                    Precision::F32 | Precision::F16 => left = matrix(rows, k, 0.0),
                     Precision::Bf16 => pair_columns(simd, &a, &mut left),
                 }
                 hold(&mut a, precision);
@@ -556,7 +556,9 @@ mod tests {
                 a[rows * k..].fill(f32::NAN);
                 let mut out = matrix(k, n, 5.0);
                 match precision {
-                    Precision::F32 => accumulate(simd, precision, rows, k, n, &a, &d, &mut out),
+                    Precision::F32 | Precision::F16 => {
+                        accumulate(simd, precision, rows, k, n, &a, &d, &mut out)
+                    }
                     Precision::Bf16 => {
                         let (mut left, mut right) = (Buffer::default(), Buffer::default());
                         pair_rows(simd, rows, k, &a, &mut left);

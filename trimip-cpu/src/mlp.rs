@@ -98,7 +98,9 @@ impl Pairs {
         weights: &mut [f32],
     ) {
         match precision {
-            Precision::F32 => accumulate(simd, precision, rows, k, n, input, by_output, weights),
+            Precision::F32 | Precision::F16 => {
+                accumulate(simd, precision, rows, k, n, input, by_output, weights)
+            }
             Precision::Bf16 => {
                 let [a, d] = &mut self.rows;
                 pair_rows(simd, rows, k, input, a);
@@ -112,7 +114,7 @@ impl Pairs {
 /// Rows of `w.k` values as the left factor of a product with `w`; made in `pairs` where they have to be.
 fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a mut Buffer<f32>) -> &'a [f32] {
     match w.precision() {
-        Precision::F32 => values,
+        Precision::F32 | Precision::F16 => values,
         Precision::Bf16 => {
             let count = padded(rows) * w.k;
             pairs.resize(count / 2);

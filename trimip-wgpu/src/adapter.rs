@@ -1,5 +1,6 @@
 //! The adapters of this machine: what they offer, and which one is meant.
 
+use crate::kernel::{COOPERATING, Matrices};
 use trimip_core::{Error, Result};
 
 /// What an adapter is and offers.
@@ -43,9 +44,33 @@ fn facts(adapter: &wgpu::Adapter) -> AdapterFacts {
             ("workgroup memory", format!("{} KiB", limits.max_compute_workgroup_storage_size >> 10)),
             ("atomic f32 additions", has(wgpu::Features::SHADER_FLOAT32_ATOMIC)),
             ("f16", has(wgpu::Features::SHADER_F16)),
-            ("cooperative matrices", has(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX)),
+            (
+                "cooperative matrices",
+                matrices(adapter).map_or("no".into(), |m| format!("{0}x{0}, f16 with sums of f32", m.side)),
+            ),
         ],
     }
+}
+
+/// What cooperative matrices need.
+pub const COOPERATION: wgpu::Features = wgpu::Features::SHADER_F16
+    .union(wgpu::Features::SUBGROUP)
+    .union(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX);
+
+/// The cooperative matrices that the kernels are written for: square, of 8 or 16, factors of f16, sums of f32.
+pub fn matrices(adapter: &wgpu::Adapter) -> Option<Matrices> {
+    use wgpu::CooperativeScalarType::{F16, F32};
+    if !adapter.features().contains(COOPERATION) {
+        return None;
+    }
+    let fits = |p: &wgpu::CooperativeMatrixProperties| {
+        [p.n_size, p.k_size] == [p.m_size; 2]
+            && matches!(p.m_size, 8 | 16)
+            && (p.ab_type, p.cr_type) == (F16, F32)
+    };
+    let side = adapter.cooperative_matrix_properties().iter().filter(|p| fits(p)).map(|p| p.m_size).max()?;
+    let largest = adapter.get_info().subgroup_max_size.clamp(1, COOPERATING);
+    Some(Matrices { side, subgroups: COOPERATING / largest })
 }
 
 /// Ranks adapters for a user who names none: real devices first, software last.

@@ -17,6 +17,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::backend::{Stages, Traffic, TrainWork};
 use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
+use trimip_core::config::Precision;
 use trimip_core::tri_mip::FEATURES;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
@@ -145,6 +146,11 @@ impl WgpuBackend {
         self.gpu.counts()
     }
 
+    /// True when the device has the cooperative matrices of `field.precision = "f16"`.
+    pub fn cooperates(&self) -> bool {
+        self.gpu.matrices().is_some()
+    }
+
     /// How texel gradients are added.
     pub fn addition(&self) -> Addition {
         self.addition
@@ -205,6 +211,20 @@ impl Backend for WgpuBackend {
 
     fn name(&self) -> &'static str {
         "wgpu"
+    }
+
+    fn notes(&self, config: &Config) -> Vec<String> {
+        match config.field.precision {
+            Precision::F32 => Vec::new(),
+            Precision::F16 if self.gpu.matrices().is_some() => Vec::new(),
+            Precision::F16 => vec![format!(
+                "field.precision = \"f16\": {} has no cooperative matrices of f16 with sums of f32, computed in f32",
+                self.gpu.name()
+            )],
+            Precision::Bf16 => {
+                vec!["field.precision = \"bf16\" is a CPU's: the GPU computes in f32, or in \"f16\"".into()]
+            }
+        }
     }
 
     fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {

@@ -1,8 +1,8 @@
 //! The device: which adapter, with which limits; compute pipelines by kernel; and the recorder into which a whole step's
 //! dispatches go before they are submitted once.
 
-use crate::adapter::choose;
-use crate::kernel::{Access, Kernel};
+use crate::adapter::{COOPERATION, choose, matrices};
+use crate::kernel::{Access, Kernel, Matrices};
 use bytemuck::Pod;
 use std::collections::{HashMap, VecDeque};
 use std::num::NonZeroU64;
@@ -31,6 +31,7 @@ pub struct Gpu {
     queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
     limits: wgpu::Limits,
+    matrices: Option<Matrices>,
     pipelines: Mutex<HashMap<String, Arc<Pipeline>>>,
     recorder: Mutex<Recorder>,
     counters: Counters,
@@ -129,11 +130,18 @@ impl Gpu {
         let info = adapter.get_info();
         // All that the adapter has, asked for by name: the default would be the least of all adapters.
         let limits = adapter.limits();
-        let wanted = wgpu::Features::SHADER_FLOAT32_ATOMIC | wgpu::Features::TIMESTAMP_QUERY;
+        let matrices = matrices(&adapter);
+        let mut wanted = wgpu::Features::SHADER_FLOAT32_ATOMIC | wgpu::Features::TIMESTAMP_QUERY;
+        if matrices.is_some() {
+            wanted |= COOPERATION;
+        }
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("trimip"),
             required_features: adapter.features() & wanted,
             required_limits: limits.clone(),
+            // SAFETY: cooperative matrices alone are asked for; every load and store of them lies within its array, whose
+            // rows end with a whole block.
+            experimental_features: unsafe { wgpu::ExperimentalFeatures::enabled() },
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -182,6 +190,7 @@ impl Gpu {
             queue,
             info,
             limits,
+            matrices,
             pipelines: Mutex::default(),
             recorder: Mutex::new(recorder),
             counters: Counters::default(),
@@ -197,6 +206,11 @@ impl Gpu {
     /// True when the device adds f32 atomically.
     pub fn adds_floats(&self) -> bool {
         self.device.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC)
+    }
+
+    /// Cooperative matrices of f16 with sums of f32, where the device has them.
+    pub fn matrices(&self) -> Option<Matrices> {
+        self.matrices
     }
 
     /// The device's limits.

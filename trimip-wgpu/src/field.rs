@@ -5,13 +5,14 @@ use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
 use crate::kernel::{
-    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, Finish, PACK, REDUCE, accumulate,
-    multiply, tile,
+    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, Finish, GRADIENT_SCALE, Kernel,
+    Matrices, PACK, PACK_HALF, REDUCE, accumulate, multiply, tile,
 };
 use crate::rows::Rows;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
+use trimip_core::config::Precision;
 use trimip_core::params::{Kind, Slot, color_layers, density_layers};
 use trimip_core::{Config, Field, Layout};
 
@@ -36,6 +37,7 @@ struct WeightParams {
     k: u32,
     n: u32,
     chunks: u32,
+    scale: f32,
 }
 
 /// Width of a matrix on the device.
@@ -48,19 +50,23 @@ struct Layer {
     slot: Slot,
     k: usize,
     n: usize,
-    forward: Buffer<f32>,
-    backward: Buffer<f32>,
+    /// The matrix and its transpose, in words of f32 or of two f16.
+    forward: Buffer<u32>,
+    backward: Buffer<u32>,
+    matrices: Option<Matrices>,
 }
 
 impl Layer {
-    fn new(gpu: &Arc<Gpu>, slot: &Slot) -> Self {
+    fn new(gpu: &Arc<Gpu>, slot: &Slot, matrices: Option<Matrices>) -> Self {
         let [k, n] = [slot.shape[0], slot.shape[1]].map(padded);
+        let words = if matrices.is_some() { k * n / 2 } else { k * n };
         Self {
             slot: slot.clone(),
             k,
             n,
-            forward: Buffer::zeros(gpu, k * n),
-            backward: Buffer::zeros(gpu, k * n),
+            forward: Buffer::zeros(gpu, words),
+            backward: Buffer::zeros(gpu, words),
+            matrices,
         }
     }
 
@@ -72,6 +78,30 @@ impl Layer {
             k: self.k as u32,
             n: self.n as u32,
             chunks: CHUNKS,
+            scale: if self.matrices.is_some() { (GRADIENT_SCALE as f32).recip() } else { 1.0 },
+        }
+    }
+
+    /// Product with the matrix, or with its transpose where a `scale` for gradients is given.
+    fn product(&self, finish: Finish, scale: Option<u32>) -> Kernel {
+        let (k, n) = if scale.is_some() { (self.n, self.k) } else { (self.k, self.n) };
+        multiply(k, n, finish, self.matrices, scale.unwrap_or(1))
+    }
+
+    /// Workgroups of a product of rows of `k` columns with `n` columns.
+    fn size<'a>(&self, rows: &'a Rows, k: usize, n: usize) -> Size<'a> {
+        match self.matrices {
+            None => rows.dispatch((n / (16 * tile(n) as usize)) as u32, TILE_ROWS),
+            Some(matrices) => rows.dispatch(1, matrices.rows(k)),
+        }
+    }
+
+    /// Workgroups for each chunk of the weight gradient.
+    fn tiles(&self) -> u64 {
+        let side = |width: usize| width / (16 * tile(width) as usize);
+        match self.matrices {
+            None => (side(self.k) * side(self.n)) as u64,
+            Some(matrices) => matrices.tiles(self.k, self.n).into(),
         }
     }
 }
@@ -93,7 +123,8 @@ impl Mlp {
             rows.size(&mut after[0], layer.n);
             let finish = if i + 1 == self.layers.len() { Finish::Store } else { Finish::Relu };
             let binds = [input.bind(), layer.forward.bind(), after[0].bind(), rows.bind()];
-            gpu.dispatch(&multiply(layer.k, layer.n, finish), &binds, &rows.counter, size(rows, layer.n));
+            let size = layer.size(rows, layer.k, layer.n);
+            gpu.dispatch(&layer.product(finish, None), &binds, &rows.counter, size);
         }
     }
 
@@ -115,28 +146,24 @@ impl Mlp {
             let by_output = if i + 1 == self.layers.len() { by_output } else { &*above };
             let input = if i == 0 { input } else { &activations[i - 1] };
             let binds = [input.bind(), by_output.bind(), partials[i].bind(), rows.bind()];
-            let tiles = (layer.k / (16 * tile(layer.k) as usize)) * (layer.n / (16 * tile(layer.n) as usize));
-            let groups = Size::Groups(tiles as u64 * u64::from(CHUNKS));
-            gpu.dispatch(&accumulate(layer.k, layer.n, CHUNKS), &binds, &rows.counter, groups);
-            let size = size(rows, layer.k);
+            let groups = Size::Groups(layer.tiles() * u64::from(CHUNKS));
+            let kernel = accumulate(layer.k, layer.n, CHUNKS, layer.matrices);
+            gpu.dispatch(&kernel, &binds, &rows.counter, groups);
+            let size = layer.size(rows, layer.n, layer.k);
+            let scale = Some(GRADIENT_SCALE);
             if i == 0 {
                 rows.size(by_input, layer.k);
                 let binds = [by_output.bind(), layer.backward.bind(), by_input.bind(), rows.bind()];
-                gpu.dispatch(&multiply(layer.n, layer.k, Finish::Store), &binds, &rows.counter, size);
+                gpu.dispatch(&layer.product(Finish::Store, scale), &binds, &rows.counter, size);
             } else {
                 rows.size(below, layer.k);
                 let binds =
                     [by_output.bind(), layer.backward.bind(), below.bind(), input.bind(), rows.bind()];
-                gpu.dispatch(&multiply(layer.n, layer.k, Finish::Mask), &binds, &rows.counter, size);
+                gpu.dispatch(&layer.product(Finish::Mask, scale), &binds, &rows.counter, size);
                 above.swap(below);
             }
         }
     }
-}
-
-/// Workgroups of a product with `n` columns: one for each tile.
-fn size(rows: &Rows, n: usize) -> Size<'_> {
-    rows.dispatch((n / (16 * tile(n) as usize)) as u32, TILE_ROWS)
 }
 
 /// Both networks.
@@ -166,7 +193,9 @@ pub struct FieldGradient {
 impl WgpuField {
     /// The networks of a configuration.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout) -> Self {
-        let network = |name| Mlp { layers: layout.network(name).map(|slot| Layer::new(gpu, slot)).collect() };
+        let matrices = if config.field.precision == Precision::F16 { gpu.matrices() } else { None };
+        let network =
+            |name| Mlp { layers: layout.network(name).map(|slot| Layer::new(gpu, slot, matrices)).collect() };
         debug_assert!(layout.slots.iter().filter(|s| s.kind == Kind::Network).count() > 1);
         debug_assert_eq!(density_layers(config).last().map(|l| l[1]), Some(OUTPUTS));
         debug_assert_eq!(color_layers(config)[0][0], INPUTS - 1);
@@ -203,7 +232,8 @@ impl Field<WgpuBackend> for WgpuField {
     fn refresh(&mut self, parameters: &Buffer<f32>) {
         for layer in self.density.layers.iter().chain(&self.color.layers) {
             let binds = [parameters.bind(), layer.forward.bind(), layer.backward.bind()];
-            self.gpu.dispatch(&PACK, &binds, &layer.params(), Size::Items((layer.k * layer.n) as u64));
+            let kernel = if layer.matrices.is_some() { &PACK_HALF } else { &PACK };
+            self.gpu.dispatch(kernel, &binds, &layer.params(), Size::Items((layer.k * layer.n) as u64));
         }
     }
 

@@ -23,6 +23,8 @@ pub struct Kernel {
     pub entry: &'static str,
     /// WGSL texts, in order.
     files: &'static [&'static str],
+    /// What stands before everything: extensions of the language.
+    enables: &'static str,
     /// Constants of this variant.
     constants: Vec<(&'static str, u32)>,
     /// Binding numbers and their use.
@@ -35,7 +37,13 @@ impl Kernel {
         files: &'static [&'static str],
         bindings: &'static [(u32, Access)],
     ) -> Self {
-        Self { entry, files, constants: Vec::new(), bindings }
+        Self { entry, files, enables: "", constants: Vec::new(), bindings }
+    }
+
+    /// The kernel with f16 and cooperative matrices.
+    const fn cooperative(mut self) -> Self {
+        self.enables = "enable f16;\nenable wgpu_cooperative_matrix;\n";
+        self
     }
 
     /// The kernel with constants of its own.
@@ -54,7 +62,7 @@ impl Kernel {
         let constants = self.constants.iter().copied().chain([("GROUP", GROUP)]);
         let constants: String =
             constants.map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();
-        constants + &self.files.join("\n")
+        format!("{}{constants}{}", self.enables, self.files.join("\n"))
     }
 }
 
@@ -75,11 +83,35 @@ const PULL: &str = include_str!("shaders/pull.wgsl");
 const PULL_FIXED: &[&str] = &[GRID, FIXED, include_str!("shaders/own_fixed.wgsl"), PULL];
 const PULL_FLOAT: &[&str] = &[GRID, include_str!("shaders/own_float.wgsl"), PULL];
 const PRODUCT: &str = include_str!("shaders/multiply.wgsl");
-const MULTIPLY: &[&str] = &[include_str!("shaders/finish_store.wgsl"), PRODUCT];
-const MULTIPLY_RELU: &[&str] = &[include_str!("shaders/finish_relu.wgsl"), PRODUCT];
-const MULTIPLY_MASK: &[&str] = &[include_str!("shaders/finish_mask.wgsl"), PRODUCT];
+const STORE: &str = include_str!("shaders/finish_store.wgsl");
+const RELU: &str = include_str!("shaders/finish_relu.wgsl");
+const MASK: &str = include_str!("shaders/finish_mask.wgsl");
+const MULTIPLY: [&[&str]; 3] = [&[STORE, PRODUCT], &[RELU, PRODUCT], &[MASK, PRODUCT]];
 const ACCUMULATE: &[&str] = &[include_str!("shaders/accumulate.wgsl")];
-const WEIGHTS: &[&str] = &[GRID, include_str!("shaders/weights.wgsl")];
+const HALF: &str = include_str!("shaders/half.wgsl");
+const EIGHT: &str = include_str!("shaders/cooperative_8.wgsl");
+const SIXTEEN: &str = include_str!("shaders/cooperative_16.wgsl");
+const PRODUCT_HALF: &str = include_str!("shaders/multiply_cooperative.wgsl");
+/// By the side of the matrices, then by [`Finish`].
+const MULTIPLY_COOPERATIVE: [[&[&str]; 3]; 2] = [
+    [
+        &[HALF, EIGHT, STORE, PRODUCT_HALF],
+        &[HALF, EIGHT, RELU, PRODUCT_HALF],
+        &[HALF, EIGHT, MASK, PRODUCT_HALF],
+    ],
+    [
+        &[HALF, SIXTEEN, STORE, PRODUCT_HALF],
+        &[HALF, SIXTEEN, RELU, PRODUCT_HALF],
+        &[HALF, SIXTEEN, MASK, PRODUCT_HALF],
+    ],
+];
+const ACCUMULATE_HALF: &str = include_str!("shaders/accumulate_cooperative.wgsl");
+const ACCUMULATE_COOPERATIVE: [&[&str]; 2] =
+    [&[HALF, EIGHT, ACCUMULATE_HALF], &[HALF, SIXTEEN, ACCUMULATE_HALF]];
+const WEIGHTS: &[&str] =
+    &[GRID, include_str!("shaders/weight_float.wgsl"), include_str!("shaders/weights.wgsl")];
+const WEIGHTS_HALF: &[&str] =
+    &[GRID, HALF, include_str!("shaders/weight_half.wgsl"), include_str!("shaders/weights.wgsl")];
 const ACTIVATION: &str = include_str!("shaders/activation.wgsl");
 const FIELD: &[&str] = &[GRID, ACTIVATION, include_str!("shaders/field.wgsl")];
 const DENSITY_GRADIENTS: &[&str] = &[GRID, ACTIVATION, include_str!("shaders/density_gradients.wgsl")];
@@ -117,6 +149,8 @@ pub static ENCODING: Kernel =
     Kernel::new("encode", ENCODE, &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read)]);
 pub static AVERAGE: Kernel = Kernel::new("average", AVERAGING, &[(0, Write), (1, Write), (2, Parameters)]);
 pub static PACK: Kernel = Kernel::new("pack", WEIGHTS, &[(0, Read), (1, Write), (2, Parameters), (3, Write)]);
+pub static PACK_HALF: Kernel =
+    Kernel::new("pack", WEIGHTS_HALF, &[(0, Read), (1, Write), (2, Parameters), (3, Write)]).cooperative();
 pub static REDUCE: Kernel = Kernel::new("reduce", WEIGHTS, &[(0, Read), (1, Write), (2, Parameters)]);
 pub static DENSITIES: Kernel =
     Kernel::new("densities", FIELD, &[(0, Read), (1, Write), (2, Parameters), (3, Read)]);
@@ -194,24 +228,81 @@ pub fn tile(n: usize) -> u32 {
     (1..=4).rev().find(|t| n.is_multiple_of(16 * t)).unwrap_or(1) as u32
 }
 
-/// Product of [rows, k] and [k, n].
-pub fn multiply(k: usize, n: usize, finish: Finish) -> Kernel {
-    let plain: &[_] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read)];
-    let masked: &[_] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (5, Read)];
-    let (files, bindings) = match finish {
-        Finish::Store => (MULTIPLY, plain),
-        Finish::Relu => (MULTIPLY_RELU, plain),
-        Finish::Mask => (MULTIPLY_MASK, masked),
-    };
-    let constants = [("K", k as u32), ("N", n as u32), ("TN", tile(n))];
-    Kernel::new("multiply", files, bindings).with(&constants)
+/// Cooperative matrices of a device: f16 factors, f32 sums.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Matrices {
+    /// Rows and columns: 8 or 16.
+    pub side: u32,
+    /// Subgroups that a workgroup of [`COOPERATING`] invocations has at least.
+    pub subgroups: u32,
 }
 
-/// Weight gradient [k, n] in `chunks` parts.
-pub fn accumulate(k: usize, n: usize, chunks: u32) -> Kernel {
-    let constants = [("K", k as u32), ("N", n as u32), ("TK", tile(k)), ("TN", tile(n)), ("CHUNKS", chunks)];
-    Kernel::new("accumulate", ACCUMULATE, &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read)])
-        .with(&constants)
+/// Invocations of a workgroup that works on cooperative matrices.
+pub const COOPERATING: u32 = 128;
+
+/// Factor that keeps small gradients within f16; the largest that it leaves room for is 255.
+pub const GRADIENT_SCALE: u32 = 256;
+
+/// Floats of a block of rows in workgroup memory: 16 KiB of f16.
+const BLOCK: usize = 8192;
+
+impl Matrices {
+    fn index(self) -> usize {
+        usize::from(self.side == 16)
+    }
+
+    /// Matrices side by side for which a subgroup sums at once.
+    fn across(self, n: usize) -> u32 {
+        (1..=4).rev().find(|t| n.is_multiple_of((self.side * t) as usize)).unwrap_or(1)
+    }
+
+    /// Rows of a block of `k` columns.
+    pub fn rows(self, k: usize) -> u32 {
+        (BLOCK / k / 16 * 16).clamp(16, 64) as u32
+    }
+
+    /// Workgroups for each chunk of a weight gradient [k, n].
+    pub fn tiles(self, k: usize, n: usize) -> u32 {
+        (k as u32).div_ceil(self.side * self.subgroups) * (n as u32 / (self.side * self.across(n)))
+    }
+}
+
+const PLAIN: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read)];
+const MASKED: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (5, Read)];
+const SUMMED: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read)];
+
+/// Product of [rows, k] and [k, n], in f32 or by cooperative `matrices`; these take the left factor times `scale`.
+pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, scale: u32) -> Kernel {
+    let bindings = if finish == Finish::Mask { MASKED } else { PLAIN };
+    let mut constants = vec![("K", k as u32), ("N", n as u32)];
+    match matrices {
+        None => {
+            constants.push(("TN", tile(n)));
+            Kernel::new("multiply", MULTIPLY[finish as usize], bindings).with(&constants)
+        }
+        Some(matrices) => {
+            constants.extend([("TN", matrices.across(n)), ("ROWS", matrices.rows(k)), ("SCALE", scale)]);
+            let files = MULTIPLY_COOPERATIVE[matrices.index()][finish as usize];
+            Kernel::new("multiply", files, bindings).cooperative().with(&constants)
+        }
+    }
+}
+
+/// Weight gradient [k, n] in `chunks` parts, in f32 or by cooperative `matrices`; these leave it times [`GRADIENT_SCALE`].
+pub fn accumulate(k: usize, n: usize, chunks: u32, matrices: Option<Matrices>) -> Kernel {
+    let mut constants = vec![("K", k as u32), ("N", n as u32), ("CHUNKS", chunks)];
+    match matrices {
+        None => {
+            constants.extend([("TK", tile(k)), ("TN", tile(n))]);
+            Kernel::new("accumulate", ACCUMULATE, SUMMED).with(&constants)
+        }
+        Some(matrices) => {
+            let (across, subgroups) = (matrices.across(n), matrices.subgroups);
+            constants.extend([("TN", across), ("SUBGROUPS", subgroups), ("SCALE", GRADIENT_SCALE)]);
+            let files = ACCUMULATE_COOPERATIVE[matrices.index()];
+            Kernel::new("accumulate", files, SUMMED).cooperative().with(&constants)
+        }
+    }
 }
 
 /// How texel gradients are added up.
@@ -280,6 +371,7 @@ mod tests {
             &ENCODING,
             &AVERAGE,
             &PACK,
+            &PACK_HALF,
             &REDUCE,
             &DENSITIES,
             &COLOR_INPUTS,
@@ -303,11 +395,17 @@ mod tests {
             &FILL_IF_EMPTY,
             &SET_OUTER_BITS,
         ];
+        let sizes = [(8, 16), (16, 4), (16, 1)];
+        let matrices = sizes.map(|(side, subgroups)| Some(Matrices { side, subgroups }));
+        let matrices = matrices.into_iter().chain([None]);
         let mut kernels: Vec<Kernel> = fixed.into_iter().cloned().collect();
         for hidden in [16, 32, 48, 80, 128, 512] {
             for (k, n) in [(48, hidden), (hidden, 16), (32, hidden), (hidden, hidden), (16, hidden)] {
-                kernels.extend([Finish::Store, Finish::Relu, Finish::Mask].map(|f| multiply(k, n, f)));
-                kernels.push(accumulate(k, n, 64));
+                for matrices in matrices.clone() {
+                    let finishes = [Finish::Store, Finish::Relu, Finish::Mask];
+                    kernels.extend(finishes.map(|f| multiply(k, n, f, matrices, GRADIENT_SCALE)));
+                    kernels.push(accumulate(k, n, 64, matrices));
+                }
             }
         }
         let additions = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
@@ -322,9 +420,11 @@ mod tests {
             let module = naga::front::wgsl::parse_str(&kernel.source())
                 .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(&kernel.source())));
             // Asked for where the adapter has it, and then alone.
-            let capabilities = match kernel == scatter(Addition::Atomic) {
-                true => naga::valid::Capabilities::SHADER_FLOAT32_ATOMIC,
-                false => naga::valid::Capabilities::default(),
+            use naga::valid::Capabilities;
+            let capabilities = match &kernel {
+                kernel if *kernel == scatter(Addition::Atomic) => Capabilities::SHADER_FLOAT32_ATOMIC,
+                kernel if kernel.enables.is_empty() => Capabilities::default(),
+                _ => Capabilities::SHADER_FLOAT16 | Capabilities::COOPERATIVE_MATRIX | Capabilities::SUBGROUP,
             };
             let info = naga::valid::Validator::new(naga::valid::ValidationFlags::all(), capabilities)
                 .validate(&module)
@@ -364,7 +464,7 @@ mod tests {
             found.sort_by_key(|(binding, _)| *binding);
             assert_eq!(found, kernel.bindings, "{name}");
             assert!(storage <= 8, "{name}: {storage} storage buffers");
-            assert!(workgroup <= 16 << 10, "{name}: {workgroup} bytes of workgroup memory");
+            assert!(workgroup <= 20 << 10, "{name}: {workgroup} bytes of workgroup memory");
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::buffer::Buffer;
 use crate::device::{Gpu, Size};
-use crate::kernel::{Access, Kernel};
+use crate::kernel::{Access, Finish, GRADIENT_SCALE, Kernel, accumulate, multiply, tile};
 use std::sync::Arc;
 use trimip_core::tri_mip::{Pyramid, taps};
 use trimip_core::{activation, camera, compositing, loss, rng, sh};
@@ -293,4 +293,102 @@ fn random_numbers_are_the_same_integers() {
         let expected = rng::Random::new(step).at(rng::Stream::Cell, step).bits(12_345);
         assert_eq!(found.map(|x| x as u32), expected.map(|bits| bits >> 8));
     }
+}
+
+/// Small whole numbers, which f16 holds and whose products and sums f32 holds.
+fn whole(count: usize, seed: u64) -> Vec<f32> {
+    let draws = rng::Random::new(seed).at(rng::Stream::Pixel, 0);
+    (0..count as u32).map(|i| rng::below(draws.bits(i)[0], 17) as f32 - 8.0).collect()
+}
+
+/// Two numbers of f16 in a word: whole numbers of at most 8.
+fn halves(values: &[f32]) -> Vec<u32> {
+    let half = |x: f32| {
+        let bits = x.to_bits();
+        // Sign, exponent less 112, upper 10 of 23 bits; zero is zero.
+        if x == 0.0 {
+            0
+        } else {
+            (bits >> 16 & 0x8000) | ((bits >> 23 & 0xff) - 112) << 10 | (bits >> 13 & 0x3ff)
+        }
+    };
+    values.chunks_exact(2).map(|pair| half(pair[0]) | half(pair[1]) << 16).collect()
+}
+
+/// Products and weight gradients of matrices, in f32 and by cooperative matrices where the device has them: on whole numbers
+/// both are exact.
+#[test]
+fn products_of_matrices_are_exact_on_whole_numbers() {
+    let Some(gpu) = gpu() else { return };
+    let ways = [None, gpu.matrices()];
+    for matrices in &ways[..1 + usize::from(gpu.matrices().is_some())] {
+        for (k, n, rows) in [(48, 128, 100), (128, 16, 64), (16, 32, 1), (32, 48, 333), (160, 16, 70)] {
+            let (left, weights) = (whole(rows * k, 1), whole(k * n, 2));
+            let (right, mask) = (whole(rows * n, 3), whole(rows * n, 4));
+            let buffer = |values: &[f32], room: usize| {
+                let mut buffer = Buffer::zeros(&gpu, room);
+                buffer.write(values);
+                buffer
+            };
+            let room = rows.next_multiple_of(64) * n;
+            let mut packed: Buffer<u32> = Buffer::zeros(&gpu, 0);
+            match matrices {
+                None => packed.write(bytemuck::cast_slice(&weights)),
+                Some(_) => packed.write(&halves(&weights)),
+            }
+            let mut counts: Buffer<u32> = Buffer::zeros(&gpu, 0);
+            counts.write(&[rows as u32]);
+            let left_buffer = buffer(&left, 0);
+            let exact =
+                |r: usize, c: usize| (0..k).map(|i| left[r * k + i] * weights[i * n + c]).sum::<f32>();
+            for (finish, scale) in [(Finish::Store, 1), (Finish::Relu, 1), (Finish::Mask, 4)] {
+                let product = buffer(&[], room);
+                let mask_buffer = buffer(&mask, 0);
+                let mut binds = vec![left_buffer.bind(), packed.bind(), product.bind()];
+                if finish == Finish::Mask {
+                    binds.push(mask_buffer.bind());
+                }
+                binds.push(counts.bind());
+                let groups = match matrices {
+                    None => rows.div_ceil(64) * (n / (16 * tile(n) as usize)),
+                    Some(matrices) => rows.div_ceil(matrices.rows(k) as usize),
+                };
+                let kernel = multiply(k, n, finish, *matrices, scale);
+                gpu.dispatch(&kernel, &binds, &0_u32, Size::Groups(groups as u64));
+                let found = gpu.redeem(gpu.send::<f32>(product.raw(), 0, rows * n));
+                for (at, found) in found.iter().enumerate() {
+                    let exact = exact(at / n, at % n);
+                    let expected = match finish {
+                        Finish::Store => exact,
+                        Finish::Relu => exact.max(0.0),
+                        Finish::Mask => {
+                            if mask[at] > 0.0 {
+                                exact
+                            } else {
+                                0.0
+                            }
+                        }
+                    };
+                    assert_eq!(*found, expected, "{matrices:?} {finish:?} [{rows}, {k}]·[{k}, {n}] at {at}");
+                }
+            }
+            let chunks = 4;
+            let partial = buffer(&[], chunks * k * n);
+            let right_buffer = buffer(&right, 0);
+            let binds = [left_buffer.bind(), right_buffer.bind(), partial.bind(), counts.bind()];
+            let (tiles, scale) = match matrices {
+                None => ((k / (16 * tile(k) as usize)) * (n / (16 * tile(n) as usize)), 1.0),
+                Some(matrices) => (matrices.tiles(k, n) as usize, GRADIENT_SCALE as f32),
+            };
+            let kernel = accumulate(k, n, chunks as u32, *matrices);
+            gpu.dispatch(&kernel, &binds, &0_u32, Size::Groups((tiles * chunks) as u64));
+            let found = gpu.redeem(gpu.send::<f32>(partial.raw(), 0, chunks * k * n));
+            for at in 0..k * n {
+                let sum: f32 = (0..chunks).map(|chunk| found[chunk * k * n + at]).sum();
+                let expected: f32 = (0..rows).map(|r| left[r * k + at / n] * right[r * n + at % n]).sum();
+                assert_eq!(sum, scale * expected, "{matrices:?} [{rows}, {k}]ᵀ·[{rows}, {n}] at {at}");
+            }
+        }
+    }
+    gpu.check("products").expect("the kernels compile");
 }

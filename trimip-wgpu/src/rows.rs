@@ -4,6 +4,9 @@ use crate::buffer::Buffer;
 use crate::device::Size;
 use bytemuck::Pod;
 
+/// Rows that a workgroup takes at most: arrays have room for whole blocks.
+const BLOCK: usize = 64;
+
 /// A counter of rows.
 pub struct Rows {
     /// Counters on the device.
@@ -27,9 +30,9 @@ impl Rows {
         }
     }
 
-    /// Lets an array have `width` values for each row.
+    /// Lets an array have `width` values for each row, and whole blocks of rows.
     pub fn size<T: Pod>(&self, array: &mut Buffer<T>, width: usize) {
-        array.count_by(self.capacity * width, &self.counts, self.counter, width);
+        array.count_by(self.capacity.next_multiple_of(BLOCK) * width, &self.counts, self.counter, width);
     }
 
     /// A dispatch over `per` invocations of each row, in workgroups of `group`.

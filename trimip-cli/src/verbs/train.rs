@@ -70,6 +70,9 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     }
 
     let mut session = backends::train(&config, scene.train)?;
+    for message in session.notes() {
+        recorder.emit(&Event::Warning { message });
+    }
     if let Some(checkpoint) = &checkpoint {
         session.restore(checkpoint)?;
         recorder.emit(&Event::Resumed { totals });

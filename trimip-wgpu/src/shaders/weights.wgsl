@@ -10,12 +10,14 @@ struct Params {
     k: u32,
     n: u32,
     chunks: u32,
+    // What the sums of the chunks are multiplied by.
+    scale: f32,
 }
 
 @group(0) @binding(0) var<storage, read> source: array<f32>;
-@group(0) @binding(1) var<storage, read_write> forward: array<f32>;
+@group(0) @binding(1) var<storage, read_write> forward: array<Weight>;
 @group(0) @binding(2) var<uniform> params: Params;
-@group(0) @binding(3) var<storage, read_write> backward: array<f32>;
+@group(0) @binding(3) var<storage, read_write> backward: array<Weight>;
 
 @compute @workgroup_size(GROUP)
 fn pack(
@@ -33,8 +35,8 @@ fn pack(
     if row < params.inputs && column < params.outputs {
         value = source[params.start + row * params.outputs + column];
     }
-    forward[i] = value;
-    backward[column * params.k + row] = value;
+    forward[i] = weight_of(value);
+    backward[column * params.k + row] = weight_of(value);
 }
 
 @compute @workgroup_size(GROUP)
@@ -52,5 +54,5 @@ fn reduce(
     for (var chunk = 0u; chunk < params.chunks; chunk++) {
         sum += source[chunk * params.k * params.n + at];
     }
-    forward[params.start + i] = sum;
+    forward[params.start + i] = Weight(params.scale * sum);
 }

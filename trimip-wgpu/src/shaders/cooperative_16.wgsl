@@ -1,0 +1,5 @@
+// Cooperative matrices of 16 by 16: factors of f16, sums of f32.
+const T: u32 = 16u;
+alias Left = coop_mat16x16<f16, A>;
+alias Right = coop_mat16x16<f16, B>;
+alias Sums = coop_mat16x16<f32, C>;

@@ -1,0 +1,7 @@
+// Largest f16.
+const MOST: f32 = 65504.0;
+
+// A factor in f16; what is too large becomes the largest.
+fn half(x: f32) -> f16 {
+    return f16(clamp(x, -MOST, MOST));
+}

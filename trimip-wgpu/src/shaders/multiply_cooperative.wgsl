@@ -1,0 +1,64 @@
+// C[rows, N] = A[rows, K] · W[K, N] by cooperative matrices: a workgroup computes ROWS rows, each of its subgroups strips
+// of T rows by T·TN columns. A is taken times SCALE, so that small gradients survive in f16. `finish` decides what is
+// stored. Arrays end with whole blocks of rows: what lies behind the last row is overwritten and never read.
+
+struct Params {
+    // Rows: counts[counter].
+    counter: u32,
+}
+
+@group(0) @binding(0) var<storage, read> left: array<f32>;
+@group(0) @binding(1) var<storage, read> weights: array<f16>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read_write> product: array<f32>;
+@group(0) @binding(5) var<storage, read> counts: array<u32>;
+
+const STRIPS: u32 = N / (T * TN);
+
+var<workgroup> block: array<f16, ROWS * K>;
+
+@compute @workgroup_size(128)
+fn multiply(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+    @builtin(subgroup_id) subgroup: u32,
+    @builtin(num_subgroups) subgroups: u32,
+) {
+    let rows = counts[params.counter];
+    let first = (group.y * groups.x + group.x) * ROWS;
+    // The same for the whole workgroup.
+    if first >= rows {
+        return;
+    }
+    for (var i = local; i < ROWS * K; i += 128u) {
+        var value = 0.0;
+        if first + i / K < rows {
+            value = left[first * K + i];
+        }
+        block[i] = half(f32(SCALE) * value);
+    }
+    workgroupBarrier();
+    for (var strip = subgroup; strip < ROWS / T * STRIPS; strip += subgroups) {
+        let row = strip / STRIPS * T;
+        let column = strip % STRIPS * T * TN;
+        var sums: array<Sums, TN>;
+        for (var k = 0u; k < K; k += T) {
+            let a = coopLoadT<Left>(&block[row * K + k], K);
+            for (var j = 0u; j < TN; j++) {
+                let b = coopLoadT<Right>(&weights[k * N + column + j * T], N);
+                sums[j] = coopMultiplyAdd(a, b, sums[j]);
+            }
+        }
+        for (var j = 0u; j < TN; j++) {
+            coopStoreT(sums[j], &product[(first + row) * N + column + j * T], N);
+        }
+    }
+    storageBarrier();
+    for (var i = local; i < ROWS * N; i += 128u) {
+        let at = first * N + i;
+        if first + i / N < rows {
+            product[at] = finish(product[at] / f32(SCALE), at);
+        }
+    }
+}
