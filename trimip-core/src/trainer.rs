@@ -117,6 +117,15 @@ impl<B: Backend> Trainer<B> {
         &self.backend
     }
 
+    /// Waits for all that was recorded, and says whether the device still works.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub fn health(&self) -> Result<()> {
+        self.backend.read(&self.backend.zeros::<u32>(1));
+        self.backend.health()
+    }
+
     /// Names and places of the parameters.
     pub fn layout(&self) -> &Layout {
         &self.layout

@@ -30,6 +30,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         terminal::note(format!("warning: {warning}"));
     }
     let mut session = backends::load(&model)?;
+    session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
 
     let (started, stride) = (Instant::now(), arguments.stride as usize);
     let total = scene.test.len().div_ceil(stride);

@@ -35,6 +35,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     run_folder::create_writable(&out)?;
     let stop = interrupt::install()?;
     let mut session = backends::load(&model)?;
+    session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
     write_cameras(&out.join("cameras.json"), &cameras)?;
 
     let bar = bar("{bar:30} view {pos} of {len}  {eta} left", cameras.len() as u64);

@@ -1,0 +1,242 @@
+//! Criterion: every stage and a whole training step, on the CPU and on the GPU, and one table of both at the end. Stages run
+//! over one span, which the CPU gives to one thread; the step has all cores. `TRIMIP_BENCH_SAMPLES` is the size of a step
+//! (a software driver wants few, a graphics card many).
+
+use criterion::{Criterion, Throughput};
+use std::path::Path;
+use std::time::{Duration, Instant};
+use trimip_core::backend::{Loss, Occupancy, Sampler};
+use trimip_core::batch::{Deposit, Workspace};
+use trimip_core::config::{Format, Precision};
+use trimip_core::trainer::Trainer;
+use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
+use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_wgpu::{Addition, WgpuBackend};
+
+/// Steps before the step that is timed: the first meet a grid that is occupied everywhere.
+const WARM: usize = 24;
+
+fn samples() -> u32 {
+    std::env::var("TRIMIP_BENCH_SAMPLES").ok().and_then(|text| text.parse().ok()).unwrap_or(8192)
+}
+
+/// The paper's model on small views of the built-in scene.
+fn scene(precision: Precision) -> (Config, ViewSet) {
+    let mut config = Config::default();
+    config.data.format = Format::Builtin;
+    (config.data.builtin_size, config.data.builtin_train) = (64, 8);
+    config.data.builtin_supersampling = 2;
+    config.train.samples_per_step = samples();
+    config.field.precision = precision;
+    (config.occupancy.resolution, config.occupancy.warmup) = (64, 8);
+    let views = trimip_data::open(&config.data).expect("the built-in scene needs no files").train;
+    (config, views)
+}
+
+/// Occupied where the built-in scene is, roughly: a ball.
+fn ball(resolution: u32) -> Vec<u8> {
+    let cells = resolution.pow(3);
+    let mut bits = vec![0; cells as usize / 8];
+    for cell in 0..cells {
+        let centre = resolution as f32 / 2.0;
+        let offsets = trimip_core::occupancy::coordinates(cell, resolution).map(|c| c as f32 + 0.5 - centre);
+        let distance = offsets.iter().map(|offset| offset * offset).sum::<f32>().sqrt();
+        bits[cell as usize / 8] |= u8::from(distance < 0.2 * resolution as f32) << (cell % 8);
+    }
+    bits
+}
+
+/// A backend by name.
+struct Way<'a, B> {
+    name: &'a str,
+    make: &'a dyn Fn() -> B,
+    precision: Precision,
+}
+
+/// Times every stage; each is issued many times and waited for once.
+fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
+    let (config, views) = scene(way.precision);
+    let backend = (way.make)();
+    let layout = Layout::new(&config);
+    let mut stages = backend.stages(&config, Some(views)).expect("views that fit");
+    let (mut parameters, mut gradient) = (backend.zeros(layout.len()), backend.zeros(layout.len()));
+    backend.write(&mut parameters, &layout.initial(&config));
+    stages.encoder.refresh(&parameters);
+    stages.field.refresh(&parameters);
+    stages.occupancy.restore(&ball(config.occupancy.resolution), None);
+    let mark = backend.zeros::<u32>(1);
+    let timed = |work: &mut dyn FnMut(), count: u64| -> Duration {
+        backend.read(&mark);
+        let start = Instant::now();
+        for _ in 0..count {
+            work();
+        }
+        backend.read(&mark);
+        start.elapsed()
+    };
+    let rays = config.train.samples_per_step / 32;
+    let mut space = Workspace::<B>::new(&backend, &stages.field);
+    let mut deposits = [Deposit {
+        field: stages.field.gradient(),
+        encoder: stages.encoder.gradient(),
+        sums: B::Sums::default(),
+    }];
+    let mut bench = |stage: &str, elements: u64, work: &mut dyn FnMut()| {
+        let mut group = criterion.benchmark_group(stage);
+        group
+            .sample_size(10)
+            .measurement_time(Duration::from_secs(2))
+            .warm_up_time(Duration::from_millis(500));
+        group.throughput(Throughput::Elements(elements));
+        group.bench_function(way.name, |b| b.iter_custom(|count| timed(work, count)));
+        group.finish();
+    };
+
+    bench("sample rays", rays.into(), &mut || {
+        stages.sampler.training_rays(&mut space.lane, 1, rays, 0..rays, &mut space.rays);
+    });
+    stages.sampler.training_rays(&mut space.lane, 1, rays, 0..rays, &mut space.rays);
+    let Workspace { lane, rays: origins, samples, features, tape, radiance, .. } = &mut space;
+    stages.renderer.march(lane, origins, &stages.occupancy, Some(1), samples);
+    let marched = backend.read(&samples.spheres).len() as u64;
+    bench("march", marched, &mut || {
+        stages.renderer.march(lane, origins, &stages.occupancy, Some(1), samples);
+    });
+    bench("encode", marched, &mut || stages.encoder.forward(lane, &parameters, samples, features));
+    bench("density", marched, &mut || stages.field.density(lane, samples, features, tape, radiance));
+    bench("march to density, pruned", marched, &mut || {
+        backend.see(&stages, &parameters, &mut space, Some(1));
+    });
+    let Workspace {
+        lane,
+        rays: origins,
+        samples,
+        features,
+        feature_gradients,
+        tape,
+        radiance,
+        radiance_gradients,
+        pixels,
+        pixel_gradients,
+        ..
+    } = &mut space;
+    let kept = backend.read(&samples.spheres).len() as u64;
+    bench("color", kept, &mut || stages.field.color(lane, origins, samples, tape, radiance));
+    bench("composite", kept, &mut || stages.renderer.composite(lane, origins, samples, radiance, pixels));
+    bench("loss", kept, &mut || {
+        stages.loss.evaluate(lane, origins, samples, pixels, pixel_gradients, &mut deposits[0].sums);
+    });
+    bench("composite backward", kept, &mut || {
+        stages.renderer.backward(lane, samples, radiance, pixels, pixel_gradients, radiance_gradients);
+    });
+    bench("field backward", kept, &mut || {
+        stages.field.backward(
+            lane,
+            samples,
+            features,
+            tape,
+            radiance,
+            radiance_gradients,
+            feature_gradients,
+            &mut deposits[0].field,
+        );
+    });
+    bench("scatter and end of step", kept, &mut || {
+        stages.encoder.backward(lane, samples, feature_gradients, &mut deposits[0].encoder);
+        backend.update(&mut stages, &mut parameters, &mut gradient, &mut deposits, 1e-3, 1);
+    });
+    backend.health().expect("the device works");
+}
+
+/// Times a whole step in a state past the first steps.
+fn step<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
+    let (config, views) = scene(way.precision);
+    let mut trainer = Trainer::new((way.make)(), &config, views).expect("views that fit");
+    for _ in 0..WARM {
+        trainer.step(0.0).expect("a finite step");
+    }
+    let mut group = criterion.benchmark_group("training step");
+    group.sample_size(10).measurement_time(Duration::from_secs(4));
+    group.throughput(Throughput::Elements(config.train.samples_per_step.into()));
+    group.bench_function(way.name, |b| {
+        b.iter_custom(|count| {
+            let start = Instant::now();
+            for _ in 0..count {
+                trainer.step(0.0).expect("a finite step");
+            }
+            trainer.health().expect("the device works");
+            start.elapsed()
+        });
+    });
+    group.finish();
+}
+
+fn both<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
+    stages(criterion, way);
+    step(criterion, way);
+}
+
+/// Nanoseconds of an element, by group and name, as criterion keeps them.
+fn estimate(folder: &Path, group: &str, name: &str) -> Option<f64> {
+    let base = folder.join(group.replace(' ', "_")).join(name).join("new");
+    let base = if base.exists() { base } else { folder.join(group).join(name).join("new") };
+    let json = |file: &str| -> Option<serde_json::Value> {
+        serde_json::from_slice(&std::fs::read(base.join(file)).ok()?).ok()
+    };
+    let time = json("estimates.json")?["median"]["point_estimate"].as_f64()?;
+    let elements = json("benchmark.json")?["throughput"]["Elements"].as_f64()?;
+    Some(time / elements)
+}
+
+fn main() {
+    let mut criterion = Criterion::default().configure_from_args();
+    let cpu = |threads| move || CpuBackend::new(threads, Simd::detect()).expect("threads start");
+    let (one, all) = (cpu(1), cpu(0));
+    stages(&mut criterion, &Way { name: "cpu", make: &one, precision: Precision::F32 });
+    step(&mut criterion, &Way { name: "cpu", make: &all, precision: Precision::F32 });
+    let gpu =
+        || WgpuBackend::adding("", Addition::Fixed).expect("the adapter opens").expect("every device can");
+    let mut names = vec!["cpu"];
+    let mut adapter = "no adapter for wgpu".to_string();
+    if !trimip_wgpu::adapters().is_empty() {
+        adapter = gpu().adapter();
+        both(&mut criterion, &Way { name: "wgpu f32", make: &gpu, precision: Precision::F32 });
+        names.push("wgpu f32");
+        if gpu().cooperates() {
+            both(&mut criterion, &Way { name: "wgpu f16", make: &gpu, precision: Precision::F16 });
+            names.push("wgpu f16");
+        }
+    }
+    criterion.final_summary();
+
+    let target = std::env::var_os("CARGO_TARGET_DIR")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../target"), std::path::PathBuf::from);
+    let folder = target.join("criterion");
+    println!(
+        "\n{} samples a step; wgpu on {adapter}; stages on the CPU by one thread, the step by all",
+        samples()
+    );
+    println!("| nanoseconds a sample | {} |", names.join(" | "));
+    println!("|---|{}", "---|".repeat(names.len()));
+    let groups = [
+        "sample rays",
+        "march",
+        "encode",
+        "density",
+        "march to density, pruned",
+        "color",
+        "composite",
+        "loss",
+        "composite backward",
+        "field backward",
+        "scatter and end of step",
+        "training step",
+    ];
+    for group in groups {
+        let cells: Vec<String> = names
+            .iter()
+            .map(|name| estimate(&folder, group, name).map_or("not run".into(), |ns| format!("{ns:.2}")))
+            .collect();
+        println!("| {group} | {} |", cells.join(" | "));
+    }
+}
