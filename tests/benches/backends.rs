@@ -218,25 +218,61 @@ fn main() {
     );
     println!("| nanoseconds a sample | {} |", names.join(" | "));
     println!("|---|{}", "---|".repeat(names.len()));
-    let groups = [
-        "sample rays",
-        "march",
-        "encode",
-        "density",
-        "march to density, pruned",
-        "color",
-        "composite",
-        "loss",
-        "composite backward",
-        "field backward",
-        "scatter and end of step",
-        "training step",
-    ];
-    for group in groups {
+    for (stage, _) in work() {
         let cells: Vec<String> = names
             .iter()
-            .map(|name| estimate(&folder, group, name).map_or("not run".into(), |ns| format!("{ns:.2}")))
+            .map(|name| estimate(&folder, stage, name).map_or("not run".into(), |ns| format!("{ns:.2}")))
             .collect();
-        println!("| {group} | {} |", cells.join(" | "));
+        println!("| {stage} | {} |", cells.join(" | "));
+    }
+    if names.len() > 1 {
+        roofline(&folder, &names[1..], &gpu().ceilings());
+    }
+}
+
+/// Operations and bytes of memory of a sample in each stage, of the paper's networks; none where a stage is too mixed to
+/// say. Texels count as if no cache held them, arrays of samples as read and written once.
+fn work() -> [(&'static str, Option<[f64; 2]>); 12] {
+    let products = |layers: &[[f64; 2]]| layers.iter().map(|[k, n]| 2.0 * k * n).sum::<f64>();
+    // What a layer reads and writes, in bytes.
+    let rows = |layers: &[[f64; 2]]| layers.iter().map(|[k, n]| 4.0 * (k + n)).sum::<f64>();
+    let (density, color) = ([[48.0, 128.0], [128.0, 16.0]], [[32.0, 128.0], [128.0, 128.0], [128.0, 16.0]]);
+    let taps = 3.0 * 8.0 * 16.0;
+    let forward = [products(&density) + products(&color), rows(&density) + rows(&color)];
+    [
+        ("sample rays", None),
+        ("march", None),
+        ("encode", Some([2.0 * taps, 4.0 * taps + 4.0 * 48.0])),
+        ("density", Some([products(&density), rows(&density)])),
+        ("march to density, pruned", None),
+        ("color", Some([products(&color), rows(&color)])),
+        ("composite", Some([30.0, 16.0 + 8.0])),
+        ("loss", None),
+        ("composite backward", Some([40.0, 16.0 + 8.0 + 16.0])),
+        // Each layer's product is made twice more: by its input and by its weights.
+        ("field backward", Some([2.0 * forward[0], 2.0 * forward[1]])),
+        ("scatter and end of step", None),
+        ("training step", Some([3.0 * forward[0] + 4.0 * taps, 3.0 * forward[1] + 8.0 * taps])),
+    ]
+}
+
+/// Each stage's share of what the device reaches at best.
+fn roofline(folder: &Path, names: &[&str], ceilings: &trimip_wgpu::Ceilings) {
+    let (operations, bytes) = (ceilings.operations / 1e9, ceilings.bytes / 1e9);
+    println!("\nmeasured ceilings: {operations:.1} GFLOP/s of f32 multiply-adds, {bytes:.1} GB/s of copies");
+    println!("| stage | way | FLOP a sample | bytes a sample | GFLOP/s | share | GB/s | share |");
+    println!("|---|---|---|---|---|---|---|---|");
+    for (stage, work) in work() {
+        let Some([flop, memory]) = work else { continue };
+        for name in names {
+            let Some(ns) = estimate(folder, stage, name) else { continue };
+            println!(
+                "| {stage} | {name} | {flop:.0} | {memory:.0} | {:.2} | {:.1} % | {:.2} | {:.1} % |",
+                flop / ns,
+                100.0 * flop / ns / operations,
+                memory / ns,
+                100.0 * memory / ns / bytes
+            );
+        }
     }
 }

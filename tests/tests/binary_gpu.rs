@@ -66,7 +66,11 @@ fn what_a_gpu_takes_otherwise_is_said_and_a_wrong_adapter_is_refused() {
         let arguments = ["--set", "backend=wgpu", "--set", "wgpu.adapter=no such thing", "--out", "none"];
         let answer = run(folder, &tiny_and(&arguments));
         assert_eq!(answer.code, Some(2), "{}", answer.out);
-        assert!(answer.err.contains("wgpu.adapter") && answer.err.contains("choose one of"), "{}", answer.err);
+        assert!(
+            answer.err.contains("wgpu.adapter") && answer.err.contains("choose one of"),
+            "{}",
+            answer.err
+        );
         assert_eq!(answer.err.lines().count(), 1, "{}", answer.err);
         let doctor = run(folder, &["doctor"]);
         for part in ["largest binding", "atomic f32 additions", "cooperative matrices"] {

@@ -1,6 +1,7 @@
 //! The GPU as a backend: all stages record into one submission, a step is one span, and sums are read when they are there.
 
 use crate::buffer::Buffer;
+use crate::ceilings::Ceilings;
 use crate::device::{Bind, Counts, GROUP, Gpu, Receipt, Size};
 use crate::encoder::WgpuEncoder;
 use crate::field::{WgpuField, padded};
@@ -144,6 +145,11 @@ impl WgpuBackend {
     /// What crossed between host and device, and how often the host waited.
     pub fn counts(&self) -> Counts {
         self.gpu.counts()
+    }
+
+    /// Measures what the device reaches at best.
+    pub fn ceilings(&self) -> Ceilings {
+        Ceilings::measure(&self.gpu)
     }
 
     /// True when the device has the cooperative matrices of `field.precision = "f16"`.

@@ -128,6 +128,10 @@ const OCCUPANCY: &[&str] = &[GRID, RANDOM, include_str!("shaders/occupancy.wgsl"
 pub static ARGUMENTS: Kernel =
     Kernel::new("size", &[include_str!("shaders/arguments.wgsl")], &[(0, Read), (1, Write), (2, Parameters)]);
 
+/// Multiply-adds without memory, to measure a device.
+pub static PEAK: Kernel =
+    Kernel::new("peak", &[include_str!("shaders/peak.wgsl")], &[(0, Write), (1, Parameters)]);
+
 pub static CAMERA_RAYS: Kernel = Kernel::new("camera_rays", RAYS, &[(0, Read), (1, Write), (2, Parameters)]);
 pub static TRAINING_RAYS: Kernel = Kernel::new(
     "training_rays",
@@ -361,6 +365,7 @@ mod tests {
     fn all() -> Vec<Kernel> {
         let fixed = [
             &ARGUMENTS,
+            &PEAK,
             &CAMERA_RAYS,
             &TRAINING_RAYS,
             &MARCHING,

@@ -5,6 +5,7 @@
 mod adapter;
 mod backend;
 mod buffer;
+mod ceilings;
 mod device;
 mod encoder;
 mod field;
@@ -22,6 +23,7 @@ mod sampler;
 pub use adapter::{AdapterFacts, adapters};
 pub use backend::{Lane, WgpuBackend};
 pub use buffer::Buffer;
+pub use ceilings::Ceilings;
 pub use device::Counts;
 pub use kernel::Addition;
 pub use memory::memory;

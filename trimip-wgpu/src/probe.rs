@@ -392,3 +392,15 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
     }
     gpu.check("products").expect("the kernels compile");
 }
+
+#[test]
+fn ceilings_are_numbers() {
+    let Some(gpu) = gpu() else { return };
+    let ceilings = crate::ceilings::Ceilings::measure(&gpu);
+    println!("{ceilings:?}");
+    // A software driver on one slow core has more, no device has so much.
+    assert!(
+        (1e7..1e15).contains(&ceilings.bytes) && (1e7..1e17).contains(&ceilings.operations),
+        "{ceilings:?}"
+    );
+}
