@@ -38,6 +38,8 @@ pub enum Verb {
     Config(ConfigArguments),
     /// Lay curves of error against time beside each other: runs, or anybody's CSV
     Compare(CompareArguments),
+    /// Run the catalogue of stiff and extreme cases; exit code 1 when a law is broken
+    Check(CheckArguments),
     /// Show what this machine and this build offer
     Doctor,
 }
@@ -181,6 +183,23 @@ pub struct RenderArguments {
     /// Override a setting of data, eval, renderer, backend, threads or wgpu
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
+}
+
+/// Options of `check`.
+#[derive(Args, Debug)]
+pub struct CheckArguments {
+    /// Backends to try [default: all that this machine has]
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
+    pub backend: Vec<String>,
+    /// Part of the adapter's name for the wgpu backend
+    #[arg(long, default_value = "", hide_default_value = true)]
+    pub adapter: String,
+    /// Threads of the CPU backend; 0 = all
+    #[arg(long, default_value_t = 0)]
+    pub threads: u32,
+    /// Write the table as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
 }
 
 /// Options of `compare`.

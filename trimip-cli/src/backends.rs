@@ -1,5 +1,6 @@
 //! The one place that knows which backends this build has; a configuration picks one by name.
 
+use crate::check::{self, Finding};
 use trimip_core::{Config, Error, Result, Session, ViewSet, model::Model};
 
 /// Backends of this build.
@@ -81,6 +82,32 @@ pub fn predict_memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
         return trimip_wgpu::memory(config, views);
     }
     trimip_cpu::memory(config, views)
+}
+
+/// Backends that this machine can run.
+pub fn usable() -> Vec<String> {
+    #[cfg(feature = "wgpu")]
+    if !trimip_wgpu::adapters().is_empty() {
+        return vec!["cpu".into(), "wgpu".into()];
+    }
+    vec!["cpu".into()]
+}
+
+/// The catalogue of stiff and extreme cases on a backend.
+pub fn catalogue(
+    name: &str,
+    adapter: &str,
+    threads: u32,
+    tell: &mut dyn FnMut(&Finding),
+) -> Result<Vec<Finding>> {
+    check(name)?;
+    #[cfg(feature = "wgpu")]
+    if name == "wgpu" {
+        return check::catalogue(&|| trimip_wgpu::WgpuBackend::new(adapter, true), tell);
+    }
+    let _ = adapter;
+    let simd = trimip_cpu::simd::Simd::detect();
+    check::catalogue(&|| trimip_cpu::CpuBackend::new(threads, simd), tell)
 }
 
 #[cfg(test)]

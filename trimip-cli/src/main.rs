@@ -4,6 +4,7 @@
 mod args;
 mod backends;
 mod cameras;
+mod check;
 mod history;
 mod interrupt;
 mod machine;

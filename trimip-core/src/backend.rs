@@ -126,6 +126,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// When the device failed.
     fn redeem(&self, receipt: Self::Receipt) -> Result<StepSums>;
 
+    /// Samples that a ray may have: a driver in software ends every loop after some.
+    fn longest_ray(&self) -> usize {
+        usize::MAX
+    }
+
     /// Settings that this device takes otherwise than they read, one line each.
     fn notes(&self, _config: &Config) -> Vec<String> {
         Vec::new()

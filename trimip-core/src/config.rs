@@ -2,6 +2,7 @@
 //! here are the types and the ranges in which a run makes sense.
 
 use crate::{Aabb, Error, Result, Settings, schedule::Schedule};
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 /// Declares a section of the configuration: plain public fields, unknown keys refused.
@@ -221,6 +222,17 @@ impl Config {
     /// World length of the uniform marching step: longest side · √3 / steps (code).
     pub fn step_length(&self) -> f32 {
         Aabb::<f32>::new(&self.scene).longest() * 3.0_f32.sqrt() / self.renderer.steps_per_diagonal as f32
+    }
+
+    /// The same run with its box around the origin, and where the box's centre was: far away from the origin f32 has no
+    /// digits left for what happens in the box.
+    pub fn centred(&self) -> (Self, DVec3) {
+        let scene = Aabb::<f64>::new(&self.scene);
+        let centre: [f64; 3] = std::array::from_fn(|axis| 0.5 * (scene.min[axis] + scene.max[axis]));
+        let mut config = self.clone();
+        let shifted = |corner: [f64; 3]| std::array::from_fn(|axis| (corner[axis] - centre[axis]) as f32);
+        (config.scene.aabb_min, config.scene.aabb_max) = (shifted(scene.min), shifted(scene.max));
+        (config, DVec3::from_array(centre))
     }
 
     /// The typed configuration of layered settings, every range checked.

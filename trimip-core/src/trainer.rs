@@ -13,6 +13,7 @@ use crate::{
     tensors::{Tensor, TensorFile},
     tri_mip::grow,
 };
+use glam::DVec3;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -29,6 +30,8 @@ const CELLS_PER_SPAN: u32 = 512;
 pub struct Trainer<B: Backend> {
     backend: Arc<B>,
     config: Config,
+    /// Centre of the scene's box: the origin of what the stages see.
+    centre: DVec3,
     layout: Layout,
     stages: Stages<B>,
     parameters: B::Buffer<f32>,
@@ -76,7 +79,12 @@ impl<B: Backend> Trainer<B> {
     fn build(backend: B, config: &Config, views: Option<ViewSet>) -> Result<Self> {
         let layout = Layout::new(config);
         let training = views.is_some();
-        let stages = backend.stages(config, views)?;
+        let (centred, centre) = config.centred();
+        let views = views.map(|mut views| {
+            views.views.iter_mut().for_each(|view| view.camera.origin -= centre);
+            views
+        });
+        let stages = backend.stages(&centred, views)?;
         let mut parameters = backend.zeros(layout.len());
         backend.write(&mut parameters, &layout.initial(config));
         let deposits = if training { backend.deposits(config.train.samples_per_step) } else { 0 };
@@ -99,6 +107,7 @@ impl<B: Backend> Trainer<B> {
             },
             backend: Arc::new(backend),
             config: config.clone(),
+            centre,
             layout,
             stages,
             parameters,
@@ -395,6 +404,7 @@ impl<B: Backend> Trainer<B> {
             Error::input("camera", format!("{width} x {height} pixels"), "render at most 2^32 pixels at once")
         })?;
         let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
+        let camera = &Camera { origin: camera.origin - self.centre, ..*camera };
         self.backend.map_spans(
             &stages.field,
             count,

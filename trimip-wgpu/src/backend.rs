@@ -28,6 +28,9 @@ const MARCHED_PER_AIM: usize = 4;
 /// Kept samples that a training step has room for, for each that it aims to keep.
 const KEPT_PER_AIM: usize = 2;
 
+/// Rounds after which llvmpipe ends the loops of an invocation, less some for the other loops.
+const SOFTWARE_ROUNDS: usize = 60_000;
+
 /// Samples of a span of a view.
 const VIEW_SAMPLES: usize = 1 << 20;
 
@@ -219,6 +222,10 @@ impl Backend for WgpuBackend {
         "wgpu"
     }
 
+    fn longest_ray(&self) -> usize {
+        if self.gpu.is_software() { SOFTWARE_ROUNDS } else { usize::MAX }
+    }
+
     fn notes(&self, config: &Config) -> Vec<String> {
         match config.field.precision {
             Precision::F32 => Vec::new(),
@@ -236,6 +243,14 @@ impl Backend for WgpuBackend {
     fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {
         let layout = Layout::new(config);
         let training = views.is_some();
+        let (steps, most) = (config.renderer.steps_per_diagonal as usize, self.longest_ray());
+        if steps > most {
+            return Err(Error::input(
+                "renderer.steps_per_diagonal",
+                format!("{steps}, and {} follows a ray for {most} samples", self.gpu.name()),
+                "use fewer steps, or backend = \"cpu\"",
+            ));
+        }
         let binding = self.gpu.limits().max_storage_buffer_binding_size;
         let (room, kept_room) = rooms(config, training, binding);
         if room < LEAST_ROOM {

@@ -203,6 +203,11 @@ impl Gpu {
         format!("{} ({:?}, {})", self.info.name, self.info.backend, self.info.driver_info)
     }
 
+    /// True when the device is a processor.
+    pub fn is_software(&self) -> bool {
+        self.info.device_type == wgpu::DeviceType::Cpu
+    }
+
     /// True when the device adds f32 atomically.
     pub fn adds_floats(&self) -> bool {
         self.device.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC)

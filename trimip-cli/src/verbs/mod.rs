@@ -1,5 +1,6 @@
 //! One file per verb; each returns the program's exit code.
 
+mod check;
 mod compare;
 mod config;
 mod data;
@@ -21,6 +22,7 @@ pub fn run(arguments: Arguments) -> Result<u8> {
         Some(Verb::Data(data)) => data::run(&data),
         Some(Verb::Config(config)) => config::run(&config),
         Some(Verb::Compare(compare)) => compare::run(&compare),
+        Some(Verb::Check(check)) => check::run(&check),
         Some(Verb::Doctor) => doctor::run(),
     }
 }

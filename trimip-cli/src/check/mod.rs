@@ -1,0 +1,83 @@
+//! `check`: a catalogue of stiff and extreme cases, each with the law that it must satisfy, on any backend.
+
+mod bench;
+mod geometry;
+mod optics;
+mod training;
+
+use trimip_core::{Backend, Result};
+
+/// What a case came to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Finding {
+    /// Part of the catalogue.
+    pub part: &'static str,
+    /// What was tried.
+    pub case: String,
+    /// What must hold.
+    pub law: &'static str,
+    /// The worst error found.
+    pub worst: f64,
+    /// The most that it may be.
+    pub bound: f64,
+}
+
+impl Finding {
+    /// True when the law holds; not a number breaks every law.
+    pub fn holds(&self) -> bool {
+        self.worst <= self.bound
+    }
+}
+
+/// The largest of some errors; not a number if one of them is.
+fn worst(errors: impl IntoIterator<Item = f64>) -> f64 {
+    errors.into_iter().fold(0.0, |most, error| if error.is_nan() || error > most { error } else { most })
+}
+
+/// |found − expected|.
+fn apart(found: impl Into<f64>, expected: f64) -> f64 {
+    (found.into() - expected).abs()
+}
+
+/// |found − expected| in parts of |expected|.
+fn relative(found: impl Into<f64>, expected: f64) -> f64 {
+    let found = found.into();
+    if found == expected { 0.0 } else { (found - expected).abs() / expected.abs() }
+}
+
+/// How many of the values are not finite.
+fn not_finite<'a>(values: impl IntoIterator<Item = &'a f32>) -> f64 {
+    values.into_iter().filter(|value| !value.is_finite()).count() as f64
+}
+
+/// Makes a backend of its own for a case.
+pub type Make<'a, B> = &'a dyn Fn() -> Result<B>;
+
+/// All cases on one backend, told one by one.
+///
+/// # Errors
+/// When the backend cannot be opened, or fails.
+pub fn catalogue<B: Backend>(make: Make<'_, B>, tell: &mut dyn FnMut(&Finding)) -> Result<Vec<Finding>> {
+    let mut findings = Vec::new();
+    for part in [optics::cases::<B>, geometry::cases::<B>, training::cases::<B>] {
+        for finding in part(make)? {
+            tell(&finding);
+            findings.push(finding);
+        }
+    }
+    Ok(findings)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_law_is_broken_by_too_much_and_by_what_is_no_number() {
+        let finding = |worst| Finding { part: "", case: String::new(), law: "", worst, bound: 1.0 };
+        assert!(finding(0.0).holds() && finding(1.0).holds());
+        assert!(!finding(1.1).holds() && !finding(f64::NAN).holds() && !finding(f64::INFINITY).holds());
+        assert!(worst([0.1, f64::NAN, 0.3]).is_nan() && worst([0.1, 0.3, 0.2]) == 0.3);
+        assert!(relative(f32::NAN, 1.0).is_nan() && relative(0.0_f32, 0.0) == 0.0);
+    }
+}

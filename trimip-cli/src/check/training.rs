@@ -1,0 +1,287 @@
+//! Stiff training: photographs that contradict each other or teach nothing, rates and weights of all sizes, grids and
+//! batches gone empty, numbers that leave their range.
+
+use super::bench::{photographs, small};
+use super::{Finding, Make, not_finite, worst};
+use glam::DVec3;
+use trimip_core::adamw::Rule;
+use trimip_core::config::{OptimizerConfig, Untouched};
+use trimip_core::params::Kind;
+use trimip_core::tensors::Values;
+use trimip_core::trainer::Trainer;
+use trimip_core::{Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet};
+
+fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {
+    Finding { part: "training", case: case.into(), law, worst, bound }
+}
+
+/// A square camera of `size` pixels on a circle around the box.
+fn camera(size: u32, i: u32) -> Camera {
+    let angle = f64::from(i);
+    let origin = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0);
+    Camera::look_at(Intrinsics::from_angle(size, size, 0.7), origin, DVec3::ZERO, DVec3::Z)
+}
+
+/// A number that looks random.
+fn hash(view: usize, x: usize, y: usize) -> [u8; 4] {
+    let mut word = (view * 7919 + x * 104_729 + y * 1_299_709 + 17) as u32;
+    word = (word ^ (word >> 15)).wrapping_mul(0x2c1b_3c6d);
+    word = (word ^ (word >> 12)).wrapping_mul(0x297a_2d39);
+    (word ^ (word >> 15)).to_le_bytes()
+}
+
+/// The cases of this part.
+pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let mut findings = photographs_of_all_kinds(make)?;
+    findings.extend(rates_and_weights(make)?);
+    findings.extend(untouched(make)?);
+    findings.extend(empty(make)?);
+    findings.extend(logits(make)?);
+    findings.extend(gradients());
+    Ok(findings)
+}
+
+/// Trains `steps` steps; the number of values that are not finite in parameters, loss and a picture, and how far the
+/// picture's colours leave [0, 1].
+fn train<B: Backend>(make: Make<'_, B>, config: &Config, views: ViewSet, steps: u64) -> Result<[f64; 2]> {
+    let camera = views.views[0].camera;
+    let mut trainer = Trainer::new(make()?, config, views)?;
+    let mut strange = 0.0;
+    for step in 0..steps {
+        let report = trainer.step(step as f64 / config.train.steps as f64)?;
+        strange += not_finite(&[report.loss as f32]) + report.totals.non_finite as f64;
+    }
+    let frame = trainer.render(&camera)?;
+    let colors: Vec<f32> = frame.pixels.iter().flat_map(|pixel| pixel.rgb).collect();
+    strange += not_finite(&trainer.parameters()) + not_finite(&colors);
+    let beyond = worst(colors.iter().map(|&c| f64::from((c - 1.0).max(-c))));
+    Ok([strange, beyond])
+}
+
+fn told(case: &str, [strange, beyond]: [f64; 2]) -> [Finding; 2] {
+    [
+        found(case, "loss, parameters and pictures stay finite", strange, 0.0),
+        // A weighted mean of colours within 0 and 1, and a background that is.
+        found(case, "colours stay within 0 and 1", beyond, 2e-6),
+    ]
+}
+
+fn photographs_of_all_kinds<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let few: Vec<Camera> = (0..3).map(|i| camera(16, i)).collect();
+    let same = vec![camera(16, 0); 3];
+    let gray = |x: bool| if x { [255; 4] } else { [0, 0, 0, 255] };
+    let cases: Vec<(&str, ViewSet)> = vec![
+        ("all white", photographs(&few, 2, |_, _, _| [255; 4])),
+        ("all black", photographs(&few, 2, |_, _, _| [0, 0, 0, 255])),
+        ("all transparent", photographs(&few, 2, |_, _, _| [0; 4])),
+        (
+            "an object of one pixel",
+            photographs(&few, 2, |_, x, y| if (x, y) == (8, 8) { [200, 30, 30, 255] } else { [0; 4] }),
+        ),
+        ("identical cameras, identical images", photographs(&same, 2, |_, x, y| hash(0, x, y))),
+        ("identical cameras, contradictory images", photographs(&same, 2, |i, _, _| gray(i % 2 == 0))),
+        ("one image", photographs(&few[..1], 2, |i, x, y| hash(i, x, y))),
+        ("one image of one pixel", photographs(&[camera(1, 0)], 1, |_, _, _| [10, 200, 30, 255])),
+        ("checkers of 0 and 1 at every pixel", photographs(&few, 2, |_, x, y| gray((x + y) % 2 == 0))),
+        ("area weights 1 to 4096", photographs(&[camera(64, 0)], 7, |i, x, y| hash(i, x, y))),
+    ];
+    let mut findings = Vec::new();
+    for (name, views) in cases {
+        findings.extend(told(name, train(make, &small(), views, 24)?));
+    }
+    Ok(findings)
+}
+
+fn rates_and_weights<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let views = || photographs(&[camera(16, 0), camera(16, 2)], 2, |i, x, y| hash(i, x, y));
+    let mut hot = small();
+    hot.optimizer.learning_rate *= 100.0;
+    let mut findings = told("learning rates x 100", train(make, &hot, views(), 24)?).to_vec();
+    let mut cold = small();
+    cold.optimizer.learning_rate = 1e-12;
+    findings.extend(told("learning rates of 1e-12", train(make, &cold, views(), 8)?));
+    // One ray may hold the whole batch: a long box of many steps and few samples a step.
+    let mut one = small();
+    (one.renderer.steps_per_diagonal, one.train.samples_per_step) = (4096, 256);
+    findings.extend(told("a ray with more samples than a step", train(make, &one, views(), 12)?));
+    Ok(findings)
+}
+
+/// Texels without a gradient: with "skip" they stay to the bit, with "decay" they shrink by the written factor, whatever
+/// an epsilon of 1e-15 makes of moments of zero.
+fn untouched<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let mut findings = Vec::new();
+    for (name, way) in [("skip", Untouched::Skip), ("decay", Untouched::Decay)] {
+        let mut config = small();
+        // A corner of the planes is out of every view.
+        (config.encoder.plane_size, config.encoder.levels) = (64, 2);
+        (config.optimizer.untouched, config.optimizer.weight_decay) = (way, 0.1);
+        let narrow = Intrinsics::from_angle(4, 4, 0.05);
+        let camera = Camera::look_at(narrow, DVec3::new(4.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z);
+        let mut trainer = Trainer::new(make()?, &config, photographs(&[camera], 1, |i, x, y| hash(i, x, y)))?;
+        let before = trainer.parameters();
+        let layout = Layout::new(&config);
+        let planes =
+            layout.slots.iter().find(|slot| slot.kind == Kind::Planes).map_or(0..0, |s| s.range.clone());
+        let steps = 5;
+        for _ in 0..steps {
+            trainer.step(0.0)?;
+        }
+        let checkpoint = trainer.checkpoint()?;
+        let after = trainer.parameters();
+        let first = layout.from_tensors(&checkpoint.file, "checkpoint", ".m")?;
+        let rate = config.optimizer.learning_rate * config.optimizer.plane_scale;
+        let factor = match way {
+            Untouched::Skip => 1.0,
+            Untouched::Decay => (1.0 - rate * config.optimizer.weight_decay).powi(steps),
+        };
+        let still: Vec<usize> = planes.filter(|&i| first[i] == 0.0).collect();
+        let moved = still.iter().map(|&i| {
+            (f64::from(after[i]) - factor * f64::from(before[i])).abs()
+                / f64::from(before[i]).abs().max(1e-30)
+        });
+        let bound = if way == Untouched::Skip { 0.0 } else { 1e-6 };
+        findings.push(found(
+            format!("texels without a gradient, \"{name}\""),
+            "move by the written rule alone",
+            worst(moved),
+            bound,
+        ));
+        let share = still.len() as f64 / after.len() as f64;
+        findings.push(found(
+            format!("texels without a gradient, \"{name}\""),
+            "there are such",
+            if share > 0.1 { 0.0 } else { 1.0 },
+            0.0,
+        ));
+    }
+    Ok(findings)
+}
+
+/// A batch without a sample moves nothing and is counted; a grid gone empty is filled by its next refresh.
+fn empty<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let config = small();
+    let away = Camera::look_at(
+        Intrinsics::from_angle(8, 8, 0.7),
+        DVec3::new(5.0, 0.0, 0.0),
+        DVec3::new(9.0, 0.0, 0.0),
+        DVec3::Z,
+    );
+    let mut trainer = Trainer::new(make()?, &config, photographs(&[away], 1, |i, x, y| hash(i, x, y)))?;
+    let before = trainer.parameters();
+    for _ in 0..6 {
+        trainer.step(0.0)?;
+    }
+    let moved = before.iter().zip(trainer.parameters()).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
+    let counted = trainer.checkpoint()?.state.totals.empty_batches;
+    let mut findings = vec![
+        found("batches without a sample", "no parameter moves", moved as f64, 0.0),
+        found("batches without a sample", "are counted", if counted >= 1 { 0.0 } else { 1.0 }, 0.0),
+    ];
+
+    let views = photographs(&[camera(16, 0), camera(16, 1)], 1, |i, x, y| hash(i, x, y));
+    let mut trainer = Trainer::new(make()?, &config, views)?;
+    for step in 0..9 {
+        trainer.step(f64::from(step) / 40.0)?;
+    }
+    let mut checkpoint = trainer.checkpoint()?;
+    for (name, tensor) in &mut checkpoint.file.tensors {
+        match &mut tensor.values {
+            Values::U8(bits) if name == "occupancy" => bits.fill(0),
+            Values::F32(densities) if name == "occupancy.density" => densities.fill(0.0),
+            _ => {}
+        }
+    }
+    trainer.restore(&checkpoint)?;
+    let kept = trainer.checkpoint()?.state.totals.samples;
+    for step in 9..20 {
+        trainer.step(f64::from(step) / 40.0)?;
+    }
+    let after = trainer.checkpoint()?.state.totals;
+    let recovers = after.samples > kept && after.empty_batches >= 1;
+    findings.push(found(
+        "an occupancy grid gone empty",
+        "recovers, and says so",
+        if recovers { 0.0 } else { 1.0 },
+        0.0,
+    ));
+    Ok(findings)
+}
+
+/// Density logits of ±1e4: nothing and everything.
+fn logits<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let config = small();
+    let layout = Layout::new(&config);
+    let mut findings = Vec::new();
+    for (name, logit) in [("density logits of 1e4", 1e4_f32), ("density logits of -1e4", -1e4)] {
+        let views = photographs(&[camera(8, 0)], 1, |i, x, y| hash(i, x, y));
+        let view = views.views[0].camera;
+        let mut trainer = Trainer::new(make()?, &config, views)?;
+        let mut values = trainer.parameters();
+        let last = format!("density.{}.weight", config.field.density_layers);
+        for slot in &layout.slots {
+            let part = &mut values[slot.range.clone()];
+            let inputs = slot.shape[0] as f32;
+            if slot.kind == Kind::Planes {
+                part.fill(1.0);
+            } else if slot.name == last {
+                // Hidden units are 1: their sum is the logit.
+                part.iter_mut().step_by(slot.shape[1]).for_each(|w| *w = logit / inputs);
+            } else if slot.name.starts_with("density") {
+                part.fill(1.0 / inputs);
+            }
+        }
+        trainer.set_parameters(&values);
+        trainer.occupy_all();
+        let frame = trainer.render(&view)?;
+        let opacity = if logit > 0.0 { 1.0 } else { 0.0 };
+        // The middle of the picture looks through the box.
+        let middle = &frame.pixels[frame.pixels.len() / 2 + 4];
+        findings.push(found(
+            name,
+            "the box is solid, or is not there",
+            (f64::from(middle.opacity) - opacity).abs(),
+            1e-6,
+        ));
+        let numbers: Vec<f32> =
+            frame.pixels.iter().flat_map(|p| [p.rgb[0], p.rgb[1], p.rgb[2], p.opacity, p.depth]).collect();
+        findings.push(found(name, "the picture is finite", not_finite(&numbers), 0.0));
+        let strange = match trainer.step(0.1) {
+            Ok(_) => not_finite(&trainer.parameters()),
+            Err(error) => return Err(error),
+        };
+        findings.push(found(name, "a step leaves finite parameters", strange, 0.0));
+    }
+    Ok(findings)
+}
+
+/// The optimiser's rule at gradients that f32 can hardly hold, or whose squares it cannot.
+fn gradients() -> Vec<Finding> {
+    let config = OptimizerConfig { weight_decay: 0.0, ..Config::default().optimizer };
+    [1e-38_f32, 1e-30, 1e-20, 1e-8, 1.0, 1e8, 1e15]
+        .into_iter()
+        .map(|gradient| {
+            let rate = config.learning_rate;
+            let (mut x, mut m, mut v) = (0.0_f32, 0.0, 0.0);
+            let (mut wide, mut wide_m, mut wide_v) = (0.0_f64, 0.0, 0.0);
+            for step in 1..=20 {
+                Rule::<f32>::new(&config, rate, step).apply(&mut x, &mut m, &mut v, gradient);
+                Rule::<f64>::new(&config, rate, step).apply(
+                    &mut wide,
+                    &mut wide_m,
+                    &mut wide_v,
+                    gradient.into(),
+                );
+            }
+            // Twenty steps of at most the rate; where squares underflow, epsilon takes their place.
+            let strange = not_finite(&[x, m, v]);
+            let error = if strange > 0.0 { f64::NAN } else { (f64::from(x) - wide).abs() / (20.0 * rate) };
+            found(
+                format!("gradients of {gradient:e}"),
+                "the step is that of f64, of its largest",
+                error,
+                if gradient < 1e-15 { 1.0 } else { 1e-5 },
+            )
+        })
+        .collect()
+}
