@@ -80,10 +80,10 @@ fn photographs_of_all_kinds<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding
         ),
         ("identical cameras, identical images", photographs(&same, 2, |_, x, y| hash(0, x, y))),
         ("identical cameras, contradictory images", photographs(&same, 2, |i, _, _| gray(i % 2 == 0))),
-        ("one image", photographs(&few[..1], 2, |i, x, y| hash(i, x, y))),
+        ("one image", photographs(&few[..1], 2, hash)),
         ("one image of one pixel", photographs(&[camera(1, 0)], 1, |_, _, _| [10, 200, 30, 255])),
         ("checkers of 0 and 1 at every pixel", photographs(&few, 2, |_, x, y| gray((x + y) % 2 == 0))),
-        ("area weights 1 to 4096", photographs(&[camera(64, 0)], 7, |i, x, y| hash(i, x, y))),
+        ("area weights 1 to 4096", photographs(&[camera(64, 0)], 7, hash)),
     ];
     let mut findings = Vec::new();
     for (name, views) in cases {
@@ -93,7 +93,7 @@ fn photographs_of_all_kinds<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding
 }
 
 fn rates_and_weights<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let views = || photographs(&[camera(16, 0), camera(16, 2)], 2, |i, x, y| hash(i, x, y));
+    let views = || photographs(&[camera(16, 0), camera(16, 2)], 2, hash);
     let mut hot = small();
     hot.optimizer.learning_rate *= 100.0;
     let mut findings = told("learning rates x 100", train(make, &hot, views(), 24)?).to_vec();
@@ -118,7 +118,7 @@ fn untouched<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         (config.optimizer.untouched, config.optimizer.weight_decay) = (way, 0.1);
         let narrow = Intrinsics::from_angle(4, 4, 0.05);
         let camera = Camera::look_at(narrow, DVec3::new(4.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z);
-        let mut trainer = Trainer::new(make()?, &config, photographs(&[camera], 1, |i, x, y| hash(i, x, y)))?;
+        let mut trainer = Trainer::new(make()?, &config, photographs(&[camera], 1, hash))?;
         let before = trainer.parameters();
         let layout = Layout::new(&config);
         let planes =
@@ -167,7 +167,7 @@ fn empty<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         DVec3::new(9.0, 0.0, 0.0),
         DVec3::Z,
     );
-    let mut trainer = Trainer::new(make()?, &config, photographs(&[away], 1, |i, x, y| hash(i, x, y)))?;
+    let mut trainer = Trainer::new(make()?, &config, photographs(&[away], 1, hash))?;
     let before = trainer.parameters();
     for _ in 0..6 {
         trainer.step(0.0)?;
@@ -179,7 +179,7 @@ fn empty<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         found("batches without a sample", "are counted", if counted >= 1 { 0.0 } else { 1.0 }, 0.0),
     ];
 
-    let views = photographs(&[camera(16, 0), camera(16, 1)], 1, |i, x, y| hash(i, x, y));
+    let views = photographs(&[camera(16, 0), camera(16, 1)], 1, hash);
     let mut trainer = Trainer::new(make()?, &config, views)?;
     for step in 0..9 {
         trainer.step(f64::from(step) / 40.0)?;
@@ -214,7 +214,7 @@ fn logits<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     let layout = Layout::new(&config);
     let mut findings = Vec::new();
     for (name, logit) in [("density logits of 1e4", 1e4_f32), ("density logits of -1e4", -1e4)] {
-        let views = photographs(&[camera(8, 0)], 1, |i, x, y| hash(i, x, y));
+        let views = photographs(&[camera(8, 0)], 1, hash);
         let view = views.views[0].camera;
         let mut trainer = Trainer::new(make()?, &config, views)?;
         let mut values = trainer.parameters();
