@@ -257,3 +257,42 @@ fn every_shipped_configuration_is_accepted() {
     }
     assert!(count >= 6, "{count} configurations");
 }
+
+#[test]
+fn a_bench_lays_variants_and_seeds_beside_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let bench = |more: &[&str]| {
+        let settings = tiny();
+        run(folder.path(), &[&["bench", "--out", "b"], &settings[..], more].concat())
+    };
+    let variants = ["--try", "no mip: encoder.mipmap=false", "--vary", "field.hidden=16|32", "--seeds", "2"];
+    let first = bench(&variants);
+    assert_eq!(first.code, Some(0), "{}", first.err);
+    for name in ["base", "no mip", "field.hidden=16", "field.hidden=32", "*"] {
+        assert!(first.out.contains(name), "`{name}` in {}", first.out);
+    }
+    let table = json(&folder.path().join("b/bench.json"));
+    let rows = table["variants"].as_array().unwrap();
+    assert_eq!(rows.len(), 4);
+    for row in rows {
+        assert_eq!((row["seeds"].as_u64(), row["runs"].as_array().map(Vec::len)), (Some(2), Some(2)));
+        assert!(row["spread"].as_f64().is_some_and(|spread| spread > 0.0), "two seeds are two runs: {row}");
+        assert!(row["psnr"].is_f64() && row["seconds"].as_f64().is_some_and(|s| s > 0.0));
+    }
+    assert!(rows.iter().any(|row| row["pareto"] == true), "some variant is on the front");
+    // The base is hidden = 16 by another name: the same bits, the same figures.
+    assert_eq!(rows[0]["psnr"], rows[2]["psnr"]);
+    let csv = fs::read_to_string(folder.path().join("b/bench.csv")).unwrap();
+    assert_eq!(csv.lines().count(), 5);
+    assert!(fs::read_to_string(folder.path().join("b/bench.svg")).unwrap().starts_with("<svg"));
+    let page = fs::read_to_string(folder.path().join("b/bench.html")).unwrap();
+    assert!(page.starts_with("<!doctype html>") && page.contains("<svg") && page.contains("no mip"));
+    // What is finished is not run again.
+    let model = folder.path().join("b/no-mip-1/model.safetensors");
+    let before = fs::metadata(&model).unwrap().modified().unwrap();
+    assert_eq!(bench(&variants).code, Some(0));
+    assert_eq!(fs::metadata(&model).unwrap().modified().unwrap(), before);
+    let wrong = bench(&["--vary", "field.hiden=16"]);
+    assert_eq!(wrong.code, Some(2), "{}", wrong.out);
+    assert!(wrong.err.contains("hiden") && wrong.err.lines().count() == 1, "{}", wrong.err);
+}

@@ -38,6 +38,8 @@ pub enum Verb {
     Config(ConfigArguments),
     /// Lay curves of error against time beside each other: runs, or anybody's CSV
     Compare(CompareArguments),
+    /// Train a set of configurations, several seeds each, and lay their error against time beside each other
+    Bench(BenchArguments),
     /// Run the catalogue of stiff and extreme cases; exit code 1 when a law is broken
     Check(CheckArguments),
     /// Show what this machine and this build offer
@@ -183,6 +185,32 @@ pub struct RenderArguments {
     /// Override a setting of data, eval, renderer, backend, threads or wgpu
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
+}
+
+/// Options of `bench`.
+#[derive(Args, Debug)]
+pub struct BenchArguments {
+    /// Settings that all variants share.
+    #[command(flatten)]
+    pub settings: SettingsArguments,
+    /// A variant: its name and what it sets, e.g. 'no mipmap: encoder.mipmap=false; train.seconds=60'
+    #[arg(long = "try", value_name = "NAME: KEY=VALUE; ..")]
+    pub variants: Vec<String>,
+    /// One variant for each value of a setting, e.g. 'field.hidden=32|64|128'
+    #[arg(long, value_name = "KEY=VALUE|..")]
+    pub vary: Vec<String>,
+    /// Leave out the shared settings as a variant of their own
+    #[arg(long)]
+    pub no_base: bool,
+    /// Seeds of each variant: the spread is that of chance
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub seeds: u32,
+    /// PSNR in dB whose times are asked for
+    #[arg(long, value_name = "DB,..", value_delimiter = ',', default_value = "25,28,30,32,34")]
+    pub reach: Vec<f64>,
+    /// Folder of the runs and of bench.csv, bench.json, bench.svg and bench.html
+    #[arg(long, default_value = "runs/bench", value_name = "DIR")]
+    pub out: PathBuf,
 }
 
 /// Options of `check`.

@@ -5,6 +5,7 @@ mod args;
 mod backends;
 mod cameras;
 mod check;
+mod curves;
 mod history;
 mod interrupt;
 mod machine;

@@ -2,7 +2,7 @@
 //! from the run folder and the history of events, so that they can be made again at any time.
 
 pub mod csv;
-mod html;
+pub mod html;
 mod json;
 mod pictures;
 pub mod svg;

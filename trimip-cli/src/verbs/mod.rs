@@ -1,5 +1,6 @@
 //! One file per verb; each returns the program's exit code.
 
+mod bench;
 mod check;
 mod compare;
 mod config;
@@ -22,6 +23,7 @@ pub fn run(arguments: Arguments) -> Result<u8> {
         Some(Verb::Data(data)) => data::run(&data),
         Some(Verb::Config(config)) => config::run(&config),
         Some(Verb::Compare(compare)) => compare::run(&compare),
+        Some(Verb::Bench(bench)) => bench::run(&bench),
         Some(Verb::Check(check)) => check::run(&check),
         Some(Verb::Doctor) => doctor::run(),
     }

@@ -1,0 +1,207 @@
+//! Curves of error against time: read from run folders or anybody's CSV, and laid beside each other as a table.
+
+use crate::report::svg::{Line, Point};
+use crate::terminal;
+use std::path::Path;
+use trimip_core::{Error, Result};
+
+/// A curve of error against time.
+#[derive(Debug)]
+pub struct Curve {
+    /// What it is called.
+    pub name: String,
+    /// Measures on the way, by time.
+    pub points: Vec<Measure>,
+    /// The measure that ended the run, on other views than the curve.
+    pub last: Option<Measure>,
+}
+
+/// A row of a curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measure {
+    /// Of training.
+    pub seconds: f64,
+    /// Mean of the scales, dB.
+    pub psnr: f64,
+}
+
+impl Curve {
+    /// Reads `path` or `name=path`; a folder's curve is its `error_vs_time.csv`.
+    pub fn read(text: &str) -> Result<Self> {
+        let (name, path) = match text.split_once('=') {
+            Some((name, path)) if !Path::new(text).exists() => (name.to_string(), Path::new(path)),
+            _ => (text.trim_end_matches('/').to_string(), Path::new(text)),
+        };
+        let path = if path.is_dir() { path.join("error_vs_time.csv") } else { path.to_path_buf() };
+        let text = std::fs::read_to_string(&path).map_err(|error| {
+            Error::input(path.display(), format!("cannot read: {error}"), "name a run folder or a CSV file")
+        })?;
+        let (points, last) = parse(&path.display().to_string(), &text)?;
+        Ok(Self { name, points, last })
+    }
+
+    /// Seconds at which the curve first reaches `psnr`, between two measures by straight lines over the logarithm of
+    /// time; `None` where it never does.
+    pub fn reaches(&self, psnr: f64) -> Option<f64> {
+        let mut before: Option<&Measure> = None;
+        for point in &self.points {
+            if point.psnr >= psnr {
+                let Some(before) = before else { return Some(point.seconds) };
+                let share = (psnr - before.psnr) / (point.psnr - before.psnr);
+                return Some(before.seconds * (point.seconds / before.seconds).powf(share));
+            }
+            before = Some(point);
+        }
+        None
+    }
+
+    /// As a line of a plot.
+    pub fn line(&self, color: &str) -> Line {
+        let point = |m: &Measure| Point {
+            seconds: m.seconds,
+            psnr: m.psnr,
+            hint: format!("{}: {:.2} dB after {}", self.name, m.psnr, terminal::duration(m.seconds)),
+        };
+        Line {
+            name: self.name.clone(),
+            color: color.into(),
+            class: "mean",
+            points: self.points.iter().map(point).collect(),
+            // Where it ends the curve it is drawn already.
+            ring: self.last.as_ref().filter(|last| self.points.last() != Some(last)).map(point),
+        }
+    }
+
+    /// As JSON, with the times at which it reaches each PSNR.
+    pub fn json(&self, reach: &[f64]) -> serde_json::Value {
+        let pair = |m: &Measure| serde_json::json!({ "seconds": m.seconds, "psnr": m.psnr });
+        serde_json::json!({
+            "name": self.name,
+            "curve": self.points.iter().map(pair).collect::<Vec<_>>(),
+            "final": self.last.as_ref().map(pair),
+            "reaches": reach.iter().map(|psnr| serde_json::json!({ "psnr": psnr, "seconds": self.reaches(*psnr) })).collect::<Vec<_>>(),
+        })
+    }
+}
+
+/// Measures of a CSV text by time, and the one that ended the run where a column `last` tells it apart.
+fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
+    let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
+    let header: Vec<&str> =
+        lines.next().map_or(Vec::new(), |(line, _)| line.split(',').map(str::trim).collect());
+    let column = |name: &str| header.iter().position(|column| *column == name);
+    let missing =
+        |name: &str| Error::input(file, format!("no column `{name}`"), "name the columns in the first line");
+    let seconds = column("seconds").ok_or_else(|| missing("seconds"))?;
+    let psnr = column("psnr_mean").ok_or_else(|| missing("psnr_mean"))?;
+    let (is_last, stride) = (column("last"), column("stride"));
+    let (mut points, mut last, mut views) = (Vec::new(), None, None);
+    for (line, number) in lines {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let value = |column: usize| {
+            let cell = cells.get(column).copied().unwrap_or_default();
+            cell.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(|| {
+                Error::input(
+                    format!("{file}:{number}"),
+                    format!("`{}` is `{cell}`", header[column]),
+                    "expected a finite number",
+                )
+            })
+        };
+        let measure = Measure { seconds: value(seconds)?, psnr: value(psnr)? };
+        let ends = is_last.is_some_and(|column| cells.get(column) == Some(&"true"));
+        let own = stride.and_then(|column| cells.get(column)).map(|cell| (*cell).to_string());
+        if ends {
+            last = Some(measure);
+        }
+        // The last measure belongs to the curve too where it was made on the curve's own views.
+        if !ends || (own.is_some() && own == views) {
+            points.push(measure);
+            views = own;
+        }
+    }
+    points.sort_by(|a: &Measure, b| a.seconds.total_cmp(&b.seconds));
+    if points.is_empty() {
+        points.extend(last.take());
+    }
+    if points.is_empty() {
+        return Err(Error::input(file, "no measures", "name a run that was evaluated"));
+    }
+    Ok((points, last))
+}
+
+/// One row per curve: its end, and the time at which it reaches each PSNR.
+pub fn table(curves: &[Curve], reach: &[f64]) -> String {
+    let mut rows = vec![vec!["curve".to_string(), "seconds".into(), "PSNR / dB".into(), "final / dB".into()]];
+    rows[0].extend(reach.iter().map(|psnr| format!("{psnr} dB after")));
+    for curve in curves {
+        let end = &curve.points[curve.points.len() - 1];
+        let mut row = vec![curve.name.clone(), format!("{:.1}", end.seconds), format!("{:.2}", end.psnr)];
+        row.push(curve.last.map_or("–".into(), |last| format!("{:.2}", last.psnr)));
+        row.extend(reach.iter().map(|psnr| curve.reaches(*psnr).map_or("–".into(), |t| format!("{t:.1} s"))));
+        rows.push(row);
+    }
+    aligned(&rows)
+}
+
+/// Rows as lines of aligned columns: the first to the left, the others to the right.
+pub fn aligned(rows: &[Vec<String>]) -> String {
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let lines: Vec<String> = rows
+        .iter()
+        .map(|row| {
+            let cells = row.iter().enumerate().map(|(i, cell)| {
+                let pad = " ".repeat(width(i) - cell.chars().count());
+                if i == 0 { format!("{cell}{pad}") } else { format!("{pad}{cell}") }
+            });
+            cells.collect::<Vec<_>>().join("  ").trim_end().to_string()
+        })
+        .collect();
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve(text: &str) -> Curve {
+        let (points, last) = parse("x.csv", text).unwrap();
+        Curve { name: "x".into(), points, last }
+    }
+
+    #[test]
+    fn a_curve_reaches_what_lies_between_its_measures() {
+        let curve =
+            curve("seconds,psnr_mean,last\n100,30,false\n10,20,false\n1000,29,false\n1000,28.5,true\n");
+        assert_eq!(curve.last, Some(Measure { seconds: 1000.0, psnr: 28.5 }));
+        // Half way in dB is half way in the logarithm of time.
+        assert!((curve.reaches(25.0).unwrap() - 1000_f64.sqrt()).abs() < 1e-9);
+        assert_eq!(
+            (curve.reaches(15.0), curve.reaches(30.0), curve.reaches(30.1)),
+            (Some(10.0), Some(100.0), None)
+        );
+        let table = table(&[curve], &[25.0, 40.0]);
+        assert!(table.contains("31.6 s") && table.ends_with('–'), "{table}");
+    }
+
+    #[test]
+    fn a_last_measure_on_the_same_views_ends_the_curve() {
+        let text = |stride| format!("seconds,psnr_mean,stride,last\n10,20,25,false\n20,30,{stride},true\n");
+        assert_eq!((curve(&text(25)).points.len(), curve(&text(1)).points.len()), (2, 1));
+    }
+
+    #[test]
+    fn a_run_measured_at_its_end_alone_is_a_point() {
+        let curve = curve("seconds,psnr_mean,last\n100,30,true\n");
+        assert_eq!((curve.points.len(), curve.last), (1, None));
+    }
+
+    #[test]
+    fn broken_tables_are_named_with_their_line() {
+        let message = |text: &str| parse("x.csv", text).unwrap_err().to_string();
+        assert!(message("seconds,psnr\n1,2\n").contains("psnr_mean"));
+        assert!(message("seconds,psnr_mean\n1,2\n3\n").contains("x.csv:3"));
+        assert!(message("seconds,psnr_mean\n1,nan\n").contains("x.csv:2"));
+        assert!(message("").contains("seconds") && message("seconds,psnr_mean\n").contains("no measures"));
+    }
+}
