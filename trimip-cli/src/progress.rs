@@ -111,13 +111,15 @@ fn show_on_bar(bar: &ProgressBar, event: &Event) {
 /// PSNR and SSIM per scale and their mean as aligned lines.
 pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
     let (psnr, ssim) = trimip_core::evaluate::mean_quality(scales);
-    let mut lines = vec![format!("{:>7}  {:>6}  {:>8}  {:>6}", "scale", "images", "PSNR/dB", "SSIM")];
+    let mut lines =
+        vec![format!("{:>7}  {:>6}  {:>8}  {:>8}  {:>6}", "scale", "images", "PSNR/dB", "at 8 bit", "SSIM")];
     lines.extend(scales.iter().map(|q| {
         let name = if q.scale == 1 { "full".to_string() } else { format!("1/{}", q.scale) };
-        format!("{name:>7}  {:>6}  {:>8.3}  {:>6.4}", q.images, q.psnr, q.ssim)
+        format!("{name:>7}  {:>6}  {:>8.3}  {:>8.3}  {:>6.4}", q.images, q.psnr, q.psnr_8bit, q.ssim)
     }));
     let images: usize = scales.iter().map(|q| q.images).sum();
-    lines.push(format!("{:>7}  {images:>6}  {psnr:>8.3}  {ssim:>6.4}", "mean"));
+    let rounded = trimip_core::evaluate::mean_psnr_8bit(scales);
+    lines.push(format!("{:>7}  {images:>6}  {psnr:>8.3}  {rounded:>8.3}  {ssim:>6.4}", "mean"));
     lines
 }
 
@@ -179,7 +181,7 @@ mod tests {
 
     #[test]
     fn the_table_ends_with_the_mean_of_the_scales() {
-        let scale = |scale, psnr| ScaleQuality { scale, images: 3, psnr, ssim: 0.5 };
+        let scale = |scale, psnr| ScaleQuality { scale, images: 3, psnr, psnr_8bit: psnr, ssim: 0.5 };
         let lines = table(&[scale(1, 20.0), scale(2, 30.0)]);
         assert_eq!(lines.len(), 4);
         assert!(lines[1].contains("full") && lines[2].contains("1/2") && lines[3].contains("25.000"));

@@ -3,7 +3,7 @@
 use crate::{
     Frame, Frames, Result, Session,
     events::ScaleQuality,
-    metrics::{psnr, ssim},
+    metrics::{psnr, psnr_8bit, ssim},
 };
 
 /// One rendered test view and its measures.
@@ -33,6 +33,8 @@ pub struct ViewQuality {
     pub scale: u32,
     /// dB.
     pub psnr: f64,
+    /// dB, of colours rounded to 8 bits.
+    pub psnr_8bit: f64,
     /// Structural similarity.
     pub ssim: f64,
 }
@@ -57,6 +59,7 @@ pub fn evaluate(
                     index,
                     scale: scale.factor,
                     psnr: psnr(&rgb, &target),
+                    psnr_8bit: psnr_8bit(&rgb, &target),
                     ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
                 };
                 let result = ViewResult {
@@ -93,9 +96,20 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
             let mean = |f: &dyn Fn(&ViewQuality) -> f64| {
                 views.iter().map(|q| f(q)).sum::<f64>() / views.len() as f64
             };
-            ScaleQuality { scale, images: views.len(), psnr: mean(&|q| q.psnr), ssim: mean(&|q| q.ssim) }
+            ScaleQuality {
+                scale,
+                images: views.len(),
+                psnr: mean(&|q| q.psnr),
+                psnr_8bit: mean(&|q| q.psnr_8bit),
+                ssim: mean(&|q| q.ssim),
+            }
         })
         .collect()
+}
+
+/// Mean of the scales' PSNR of colours rounded to 8 bits.
+pub fn mean_psnr_8bit(scales: &[ScaleQuality]) -> f64 {
+    scales.iter().map(|scale| scale.psnr_8bit).sum::<f64>() / scales.len().max(1) as f64
 }
 
 /// Mean PSNR and SSIM of the scales.
@@ -111,7 +125,7 @@ mod tests {
 
     #[test]
     fn the_headline_is_the_mean_of_the_scales_not_of_the_views() {
-        let view = |index, scale, psnr| ViewQuality { index, scale, psnr, ssim: 0.5 };
+        let view = |index, scale, psnr| ViewQuality { index, scale, psnr, psnr_8bit: psnr, ssim: 0.5 };
         let qualities = [view(0, 1, 20.0), view(1, 1, 30.0), view(2, 1, 40.0), view(0, 2, 10.0)];
         let scales = per_scale(&qualities, 1);
         assert_eq!((scales[0].psnr, scales[0].images, scales[1].psnr), (30.0, 3, 10.0));

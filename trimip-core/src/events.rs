@@ -7,6 +7,11 @@ fn float_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::E
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
+/// What was not measured.
+fn unknown() -> f64 {
+    f64::NAN
+}
+
 /// PSNR and SSIM of one scale, means over its images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScaleQuality {
@@ -17,6 +22,9 @@ pub struct ScaleQuality {
     /// Mean over the images of −10·log10(mean squared error), dB, on [0, 1] values that were not rounded.
     #[serde(deserialize_with = "float_or_null")]
     pub psnr: f64,
+    /// The same on colours rounded to 8 bits.
+    #[serde(default = "unknown", deserialize_with = "float_or_null")]
+    pub psnr_8bit: f64,
     /// Mean over the images of the structural similarity.
     #[serde(deserialize_with = "float_or_null")]
     pub ssim: f64,
@@ -161,7 +169,8 @@ mod tests {
 
     #[test]
     fn an_event_with_a_value_that_json_cannot_hold_is_read_back() {
-        let scales = vec![ScaleQuality { scale: 1, images: 1, psnr: f64::INFINITY, ssim: 1.0 }];
+        let scales =
+            vec![ScaleQuality { scale: 1, images: 1, psnr: f64::INFINITY, psnr_8bit: 50.0, ssim: 1.0 }];
         let event = Event::Evaluation {
             totals: Totals::default(),
             stride: 1,

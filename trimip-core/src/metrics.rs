@@ -12,6 +12,13 @@ pub fn psnr(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     psnr_of_error(mean_squared_error(image, target))
 }
 
+/// The same of colours rounded to 8 bits, as a picture file holds them.
+pub fn psnr_8bit(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
+    let rounded: Vec<[f32; 3]> =
+        image.iter().map(|rgb| rgb.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() / 255.0)).collect();
+    psnr(&rounded, target)
+}
+
 /// PSNR of a mean squared error, dB.
 pub fn psnr_of_error(mean_squared_error: f64) -> f64 {
     -10.0 * mean_squared_error.log10()
@@ -152,5 +159,16 @@ mod tests {
         let vxy = mean(&|i| (value(&a, i) - mx) * (value(&b, i) - my));
         let expected = (2.0 * mx * my + C1) * (2.0 * vxy + C2) / ((mx * mx + my * my + C1) * (vx + vy + C2));
         assert!((ssim(&a, &b, 11, 11) - expected).abs() < 1e-9);
+    }
+
+    #[test]
+    fn rounding_to_8_bits_is_a_picture_files() {
+        // Between two bytes lies half a byte at most, and what is beyond 0 and 1 is their own.
+        let target = [[0.0, 0.5, 1.0]];
+        let image = [[-0.2, 127.6 / 255.0, 1.3]];
+        let expected = ((128.0 / 255.0 - 0.5_f64).powi(2) / 3.0).log10() * -10.0;
+        let found = psnr_8bit(&image, &target);
+        assert!((found - expected).abs() < 1e-3, "{found}, not {expected}");
+        assert!(psnr(&image, &target) > expected);
     }
 }

@@ -6,6 +6,7 @@ use crate::{
     terminal,
 };
 use std::path::Path;
+use trimip_core::evaluate::mean_psnr_8bit;
 use trimip_core::{Origin, Result, config::Convention, run::progress};
 
 /// The whole page; `images` is the folder of the comparisons.
@@ -91,17 +92,19 @@ fn quality(report: &Report<'_>) -> String {
             .zip(of.iter().copied().reduce(f64::max))
             .map_or("–".into(), |(low, high)| format!("{low:.2} – {high:.2}"));
         body += &format!(
-            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\">{range}</td><td class=\"n\">{:.4}</td></tr>",
+            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\">{range}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.4}</td></tr>",
             scale_name(q.scale),
             q.images,
             q.psnr,
+            q.psnr_8bit,
             q.ssim
         );
     }
     body += &format!(
-        "<tr class=\"mean\"><td>mean</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\"></td><td class=\"n\">{:.4}</td></tr>",
+        "<tr class=\"mean\"><td>mean</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\"></td><td class=\"n\">{:.3}</td><td class=\"n\">{:.4}</td></tr>",
         e.scales.iter().map(|q| q.images).sum::<usize>(),
         e.psnr,
+        mean_psnr_8bit(&e.scales),
         e.ssim
     );
     let note = if e.last {
@@ -114,7 +117,7 @@ fn quality(report: &Report<'_>) -> String {
     };
     format!(
         "<section><h2>Quality per scale</h2><div class=\"scroll\"><table><tr><th>scale</th><th class=\"n\">images</th>\
-         <th class=\"n\">PSNR / dB</th><th class=\"n\">least – greatest</th><th class=\"n\">SSIM</th></tr>{body}</table></div>{note}</section>\n"
+         <th class=\"n\">PSNR / dB</th><th class=\"n\">least – greatest</th><th class=\"n\">at 8 bits</th><th class=\"n\">SSIM</th></tr>{body}</table></div>{note}</section>\n"
     )
 }
 
