@@ -296,3 +296,27 @@ fn a_bench_lays_variants_and_seeds_beside_each_other() {
     assert_eq!(wrong.code, Some(2), "{}", wrong.out);
     assert!(wrong.err.contains("hiden") && wrong.err.lines().count() == 1, "{}", wrong.err);
 }
+
+#[test]
+fn a_bench_of_rendering_converges_to_the_picture_in_f64() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(run(folder.path(), &tiny_and(&["--out", "run"])).code, Some(0));
+    let answer = run(folder.path(), &["bench", "--render", "run", "--width", "12", "--out", "b"]);
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    let report = json(&folder.path().join("b/rendering.json"));
+    let rows = report["rows"].as_array().unwrap();
+    let errors: Vec<f64> = rows
+        .iter()
+        .filter(|row| row["varied"] == "steps along the diagonal")
+        .map(|row| row["error"].as_f64().unwrap())
+        .collect();
+    assert_eq!(errors.len(), 7);
+    // Sixty-four times shorter steps, and what f32 leaves: the errors of a model that was hardly trained.
+    assert!(errors[6] < 0.1 * errors[0] && errors[6] < 1e-3, "{errors:?}");
+    assert!(rows.iter().filter(|row| row["varied"] == "precision").count() == 2, "f32 and bf16 on a CPU");
+    assert!(rows.iter().all(|row| row["milliseconds"].as_f64().is_some_and(|ms| ms > 0.0)));
+    assert_eq!(
+        fs::read_to_string(folder.path().join("b/rendering.csv")).unwrap().lines().count(),
+        rows.len() + 1
+    );
+}

@@ -1,8 +1,9 @@
 //! The suite that every backend passes, on the GPU, with every way to add texel gradients. What crosses backends stands in
 //! `gpu_and_cpu.rs`.
 
-use trimip_core::{Backend, Result, config::Precision};
+use trimip_core::{Backend, Layout, Result, Session, config::Precision, trainer::Trainer};
 use trimip_tests::{
+    fixtures,
     gpu::{ADDITIONS, reproducibly, with},
     suite,
 };
@@ -44,6 +45,35 @@ fn f16_gradients_are_near_those_of_f32() {
         config.field.precision = Precision::F16;
         let notes = make().notes(&config);
         assert!(notes.len() == 1 && notes[0].contains("computed in f32"), "{notes:?}");
+        Ok(())
+    });
+}
+
+#[test]
+fn numbers_beyond_f16_are_counted_and_the_run_goes_on_in_f32() {
+    reproducibly(|make| {
+        if !make().cooperates() {
+            println!("skipped: this adapter has no cooperative matrices");
+            return Ok(());
+        }
+        let mut config = suite::training::configuration();
+        config.field.precision = Precision::F16;
+        let mut trainer = Trainer::new(make(), &config, fixtures::noise(2, 16, 1, 6))?;
+        suite::training::steps(&mut trainer, &config, 6)?;
+        assert!(trainer.notes().is_empty(), "{:?}", trainer.notes());
+        // Weights of the colour network's first layer that make hidden units of a million, and small ones behind them.
+        let mut values = trainer.parameters();
+        for slot in &Layout::new(&config).slots {
+            match slot.name.as_str() {
+                "color.0.weight" => values[slot.range.clone()].fill(1e6),
+                "color.1.weight" | "color.2.weight" => values[slot.range.clone()].fill(1e-9),
+                _ => {}
+            }
+        }
+        trainer.set_parameters(&values);
+        suite::training::steps(&mut trainer, &config, 6)?;
+        assert!(trainer.notes().iter().any(|note| note.contains("goes on in f32")), "{:?}", trainer.notes());
+        assert!(trainer.parameters().iter().all(|x| x.is_finite()));
         Ok(())
     });
 }

@@ -37,7 +37,7 @@ fn a_step_is_one_submission_and_moves_no_parameters() {
         let after = trainer.device().counts();
         assert_eq!(after.submissions - before.submissions, 12, "one submission a step");
         assert_eq!(after.written, before.written, "nothing is written");
-        assert_eq!(after.read - before.read, 12 * 36, "eight sums and a count are read a step");
+        assert_eq!(after.read - before.read, 12 * 40, "eight sums and two counts are read a step");
         assert_eq!(after.stalls, before.stalls, "nobody waits for the step that runs");
         Ok(())
     });

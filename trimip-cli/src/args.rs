@@ -38,7 +38,7 @@ pub enum Verb {
     Config(ConfigArguments),
     /// Lay curves of error against time beside each other: runs, or anybody's CSV
     Compare(CompareArguments),
-    /// Train a set of configurations, several seeds each, and lay their error against time beside each other
+    /// Error against time: of training over a set of configurations and seeds, or of rendering a model in many ways
     Bench(BenchArguments),
     /// Run the catalogue of stiff and extreme cases; exit code 1 when a law is broken
     Check(CheckArguments),
@@ -190,6 +190,12 @@ pub struct RenderArguments {
 /// Options of `bench`.
 #[derive(Args, Debug)]
 pub struct BenchArguments {
+    /// Rendering instead of training: error of this model's pictures against time per frame (run folder or model file)
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["variants", "vary", "no_base", "seeds", "config"])]
+    pub render: Option<PathBuf>,
+    /// Rendering: width of the picture (the f64 reference takes its time)
+    #[arg(long, default_value_t = 48, value_parser = clap::value_parser!(u32).range(4..=800))]
+    pub width: u32,
     /// Settings that all variants share.
     #[command(flatten)]
     pub settings: SettingsArguments,
@@ -222,6 +228,9 @@ pub struct CheckArguments {
     /// Part of the adapter's name for the wgpu backend
     #[arg(long, default_value = "", hide_default_value = true)]
     pub adapter: String,
+    /// Also the cases that take minutes: 100,000 steps of training
+    #[arg(long)]
+    pub long: bool,
     /// Threads of the CPU backend; 0 = all
     #[arg(long, default_value_t = 0)]
     pub threads: u32,

@@ -98,16 +98,17 @@ pub fn catalogue(
     name: &str,
     adapter: &str,
     threads: u32,
+    long: bool,
     tell: &mut dyn FnMut(&Finding),
 ) -> Result<Vec<Finding>> {
     check(name)?;
     #[cfg(feature = "wgpu")]
     if name == "wgpu" {
-        return check::catalogue(&|| trimip_wgpu::WgpuBackend::new(adapter, true), tell);
+        return check::catalogue(&|| trimip_wgpu::WgpuBackend::new(adapter, true), long, tell);
     }
     let _ = adapter;
     let simd = trimip_cpu::simd::Simd::detect();
-    check::catalogue(&|| trimip_cpu::CpuBackend::new(threads, simd), tell)
+    check::catalogue(&|| trimip_cpu::CpuBackend::new(threads, simd), long, tell)
 }
 
 #[cfg(test)]

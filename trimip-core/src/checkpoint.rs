@@ -2,7 +2,11 @@
 //! hashes of (seed, step, index), so the step is all the random state there is.
 
 use crate::{
-    Config, Error, Result, batch::StepSums, events::Totals, model::expect_format, tensors::TensorFile,
+    Config, Error, Result,
+    batch::StepSums,
+    events::Totals,
+    model::expect_format,
+    tensors::{TensorFile, Values},
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -46,6 +50,17 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
+    /// Name, index and value of the first number that is not finite.
+    pub fn not_finite(&self) -> Option<(&str, usize, f32)> {
+        self.file.tensors.iter().find_map(|(name, tensor)| match &tensor.values {
+            Values::F32(values) => {
+                let index = values.iter().position(|value| !value.is_finite())?;
+                Some((name.as_str(), index, values[index]))
+            }
+            Values::U8(_) => None,
+        })
+    }
+
     /// Writes the checkpoint, atomically; returns its size in bytes.
     pub fn write(&self, path: &Path) -> Result<u64> {
         let state = serde_json::to_string(&self.state).map_err(Error::run)?;

@@ -27,6 +27,7 @@ pub mod config;
 mod error;
 pub mod evaluate;
 pub mod events;
+pub mod exact;
 pub mod frame;
 pub mod loss;
 pub mod metrics;

@@ -81,35 +81,30 @@ impl Run<'_> {
         let mut points = evaluation_points(self.config.eval.points);
         points.retain(|&point| point > self.progress(&totals));
         let (mut saved, mut logged_totals) = (totals.seconds, totals);
+        let mut told = self.tell(Vec::new());
         while self.progress(&totals) < 1.0 {
             if self.stop.load(Ordering::Relaxed) || totals.step >= last_step {
-                self.save(&totals)?;
+                self.save(&totals, kept)?;
                 self.events.emit(&Event::Stopped { totals });
                 return Ok(Outcome::Stopped);
             }
             let started = Instant::now();
             let report = match self.session.step(self.progress(&totals)) {
                 Ok(report) => report,
-                Err(error) => {
-                    if error.kind != ErrorKind::Device {
-                        // The step's own failure is what the user must see first.
-                        if let Err(unsaved) = self.save(&totals) {
-                            self.events.emit(&Event::Warning { message: unsaved.message });
-                        }
-                    }
-                    return Err(error);
-                }
+                Err(error) if error.kind == ErrorKind::Device => return Err(error),
+                Err(error) => return Err(self.save_after(error, &totals, kept)),
             };
             totals = Totals { seconds: totals.seconds + started.elapsed().as_secs_f64(), ..report.totals };
             let done = self.progress(&totals) >= 1.0;
             if done || totals.seconds - logged_totals.seconds >= self.config.train.log_seconds {
                 self.log(&report, &totals, &logged_totals);
                 logged_totals = totals;
+                told = self.tell(told);
             }
             let every = self.config.train.checkpoint_seconds;
             if every > 0.0 && totals.seconds - saved >= every && !done {
-                self.save(&totals)?;
-                (saved, *kept) = (totals.seconds, Some(totals.step));
+                self.save(&totals, kept)?;
+                saved = totals.seconds;
             }
             if points.first().is_some_and(|&point| point <= self.progress(&totals)) && !done {
                 points.retain(|&point| point > self.progress(&totals));
@@ -118,8 +113,7 @@ impl Run<'_> {
                 }
             }
         }
-        self.save(&totals)?;
-        *kept = Some(totals.step);
+        self.save(&totals, kept)?;
         let model = self.session.model()?;
         self.store.model(&model)?;
         self.events.emit(&Event::Finished { totals });
@@ -128,6 +122,15 @@ impl Run<'_> {
 
     fn progress(&self, totals: &Totals) -> f64 {
         progress(self.config, totals)
+    }
+
+    /// Tells what the device takes otherwise than the settings read, once it is known; returns all that was told.
+    fn tell(&mut self, told: Vec<String>) -> Vec<String> {
+        let notes = self.session.notes();
+        for message in notes.iter().filter(|note| !told.contains(note)) {
+            self.events.emit(&Event::Warning { message: message.clone() });
+        }
+        notes
     }
 
     fn log(&mut self, report: &StepReport, totals: &Totals, before: &Totals) {
@@ -147,13 +150,34 @@ impl Run<'_> {
         });
     }
 
-    fn save(&mut self, totals: &Totals) -> Result<()> {
+    /// Stores a checkpoint, and remembers its step.
+    ///
+    /// # Errors
+    /// When a number of it is not finite: the last good one is not overwritten.
+    fn save(&mut self, totals: &Totals, kept: &mut Option<u64>) -> Result<()> {
         let mut checkpoint = self.session.checkpoint()?;
         checkpoint.state.totals.seconds = totals.seconds;
         let step = checkpoint.state.totals.step;
+        if let Some((name, index, value)) = checkpoint.not_finite() {
+            let kept = kept.map_or("no checkpoint was written before".into(), |step| {
+                format!("the checkpoint of step {step} is kept")
+            });
+            return Err(Error::run(format!(
+                "step {step}: {name}[{index}] is {value}, {kept}; lower optimizer.learning_rate"
+            )));
+        }
         let bytes = self.store.checkpoint(&checkpoint)?;
+        *kept = Some(step);
         self.events.emit(&Event::Checkpoint { step, bytes });
         Ok(())
+    }
+
+    /// Saves the state before a step that failed, if it is one to go on from; returns what the user must see.
+    fn save_after(&mut self, error: Error, totals: &Totals, kept: &mut Option<u64>) -> Error {
+        match self.save(totals, kept) {
+            Ok(()) => error,
+            Err(unsaved) => Error { message: format!("{}; {}", error.message, unsaved.message), ..error },
+        }
     }
 
     /// Returns false when the run was asked to stop meanwhile.

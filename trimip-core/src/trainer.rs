@@ -445,8 +445,7 @@ fn finite(step: u64, sums: &StepSums) -> Result<()> {
         return Ok(());
     }
     Err(Error::run(format!(
-        "step {step}: {} of {} pixels are not finite (loss {}); the last checkpoint is kept, lower \
-         optimizer.learning_rate",
+        "step {step}: {} of {} pixels are not finite (loss {}); lower optimizer.learning_rate",
         sums.non_finite, sums.rays, sums.loss
     )))
 }

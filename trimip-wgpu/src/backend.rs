@@ -46,8 +46,8 @@ pub struct WgpuBackend {
     addition: Addition,
     workspaces: Mutex<Vec<Workspace<Self>>>,
     known: Arc<Known>,
-    /// Counters of the model that is trained, to be read with the sums of a step.
-    watched: Mutex<Option<wgpu::Buffer>>,
+    /// Counters of the model that is trained, to be read with the sums of a step: the grid's and the field's.
+    watched: Mutex<Option<[wgpu::Buffer; 2]>>,
     room: Mutex<usize>,
 }
 
@@ -56,6 +56,8 @@ pub struct WgpuBackend {
 pub struct Known {
     /// Occupied cells.
     pub occupied: AtomicU64,
+    /// Factors that did not fit into f16.
+    pub overflows: AtomicU64,
 }
 
 /// Scratch of a workspace.
@@ -199,7 +201,7 @@ pub fn rooms(config: &Config, training: bool, binding: u64) -> (usize, usize) {
 /// A step's sums on their way to the host.
 pub struct StepReceipt {
     sums: Receipt<u32>,
-    occupied: Option<Receipt<u32>>,
+    watched: Option<[Receipt<u32>; 2]>,
     rays: u32,
 }
 
@@ -229,7 +231,14 @@ impl Backend for WgpuBackend {
     fn notes(&self, config: &Config) -> Vec<String> {
         match config.field.precision {
             Precision::F32 => Vec::new(),
-            Precision::F16 if self.gpu.matrices().is_some() => Vec::new(),
+            Precision::F16 if self.gpu.matrices().is_some() => {
+                match self.known.overflows.load(Ordering::Relaxed) {
+                    0 => Vec::new(),
+                    count => vec![format!(
+                        "field.precision = \"f16\": {count} numbers were too large for f16, the run goes on in f32"
+                    )],
+                }
+            }
             Precision::F16 => vec![format!(
                 "field.precision = \"f16\": {} has no cooperative matrices of f16 with sums of f32, computed in f32",
                 self.gpu.name()
@@ -268,10 +277,13 @@ impl Backend for WgpuBackend {
         *self.room.lock().unwrap_or_else(PoisonError::into_inner) = room;
         let gpu = &self.gpu;
         let occupancy = WgpuOccupancy::new(gpu, config, training, room, Arc::clone(&self.known));
-        *self.watched.lock().unwrap_or_else(PoisonError::into_inner) = Some(occupancy.state().raw().clone());
+        self.known.overflows.store(0, Ordering::Relaxed);
+        let field = WgpuField::new(gpu, config, &layout, Arc::clone(&self.known));
+        *self.watched.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some([occupancy.state().raw().clone(), field.overflows().raw().clone()]);
         let stages = Stages {
             encoder: WgpuEncoder::new(gpu, config, training, self.addition),
-            field: WgpuField::new(gpu, config, &layout),
+            field,
             renderer: WgpuRenderer::new(gpu, config, training, [room, kept_room]),
             optimizer: WgpuOptimizer::new(gpu, config, &layout, training),
             sampler: WgpuSampler::new(gpu, config, views)?,
@@ -365,7 +377,9 @@ impl Backend for WgpuBackend {
         let watched = self.watched.lock().unwrap_or_else(PoisonError::into_inner);
         Some(StepReceipt {
             sums: self.gpu.send(&sums.buffer, 0, 8),
-            occupied: watched.as_ref().map(|state| self.gpu.send(state, u64::from(4 * OCCUPIED_AT), 1)),
+            watched: watched.as_ref().map(|[grid, field]| {
+                [self.gpu.send(grid, u64::from(4 * OCCUPIED_AT), 1), self.gpu.send(field, 0, 1)]
+            }),
             rays: sums.rays,
         })
     }
@@ -375,10 +389,11 @@ impl Backend for WgpuBackend {
     }
 
     fn redeem(&self, receipt: Option<StepReceipt>) -> Result<StepSums> {
-        let Some(StepReceipt { sums, occupied, rays }) = receipt else { return Ok(StepSums::default()) };
+        let Some(StepReceipt { sums, watched, rays }) = receipt else { return Ok(StepSums::default()) };
         let words = self.gpu.redeem(sums);
-        if let Some(occupied) = occupied {
+        if let Some([occupied, overflows]) = watched {
             self.known.occupied.store(self.gpu.redeem(occupied)[0].into(), Ordering::Relaxed);
+            self.known.overflows.store(self.gpu.redeem(overflows)[0].into(), Ordering::Relaxed);
         }
         self.gpu.check("a training step")?;
         let float = |i: usize| f64::from(f32::from_bits(words[i]));

@@ -1,9 +1,9 @@
 //! Density and colour networks on the GPU, layer by layer: activations of a step stay on the device. Widths are padded to
 //! multiples of 16 with zero weights.
 
-use crate::backend::{Lane, WgpuBackend};
+use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu, Size};
+use crate::device::{Bind, GROUP, Gpu, Size};
 use crate::kernel::{
     COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, Finish, GRADIENT_SCALE, Kernel,
     Matrices, PACK, PACK_HALF, REDUCE, accumulate, multiply, tile,
@@ -11,6 +11,7 @@ use crate::kernel::{
 use crate::rows::Rows;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
 use trimip_core::config::Precision;
 use trimip_core::params::{Kind, Slot, color_layers, density_layers};
@@ -54,10 +55,12 @@ struct Layer {
     forward: Buffer<u32>,
     backward: Buffer<u32>,
     matrices: Option<Matrices>,
+    /// Factors that did not fit into f16, of all layers.
+    overflows: wgpu::Buffer,
 }
 
 impl Layer {
-    fn new(gpu: &Arc<Gpu>, slot: &Slot, matrices: Option<Matrices>) -> Self {
+    fn new(gpu: &Arc<Gpu>, slot: &Slot, matrices: Option<Matrices>, overflows: &Buffer<u32>) -> Self {
         let [k, n] = [slot.shape[0], slot.shape[1]].map(padded);
         let words = if matrices.is_some() { k * n / 2 } else { k * n };
         Self {
@@ -67,7 +70,14 @@ impl Layer {
             forward: Buffer::zeros(gpu, words),
             backward: Buffer::zeros(gpu, words),
             matrices,
+            overflows: overflows.raw().clone(),
         }
+    }
+
+    /// The bindings of a product or a weight gradient, and what the layer's own way needs beside them.
+    fn with_overflows<'a>(&'a self, binds: &[Bind<'a>]) -> Vec<Bind<'a>> {
+        let own = self.matrices.map(|_| Bind { buffer: &self.overflows, offset: 0, size: None });
+        binds.iter().copied().chain(own).collect()
     }
 
     fn params(&self) -> WeightParams {
@@ -124,6 +134,7 @@ impl Mlp {
             let finish = if i + 1 == self.layers.len() { Finish::Store } else { Finish::Relu };
             let binds = [input.bind(), layer.forward.bind(), after[0].bind(), rows.bind()];
             let size = layer.size(rows, layer.k, layer.n);
+            let binds = layer.with_overflows(&binds);
             gpu.dispatch(&layer.product(finish, None), &binds, &rows.counter, size);
         }
     }
@@ -148,17 +159,19 @@ impl Mlp {
             let binds = [input.bind(), by_output.bind(), partials[i].bind(), rows.bind()];
             let groups = Size::Groups(layer.tiles() * u64::from(CHUNKS));
             let kernel = accumulate(layer.k, layer.n, CHUNKS, layer.matrices);
-            gpu.dispatch(&kernel, &binds, &rows.counter, groups);
+            gpu.dispatch(&kernel, &layer.with_overflows(&binds), &rows.counter, groups);
             let size = layer.size(rows, layer.n, layer.k);
             let scale = Some(GRADIENT_SCALE);
             if i == 0 {
                 rows.size(by_input, layer.k);
                 let binds = [by_output.bind(), layer.backward.bind(), by_input.bind(), rows.bind()];
+                let binds = layer.with_overflows(&binds);
                 gpu.dispatch(&layer.product(Finish::Store, scale), &binds, &rows.counter, size);
             } else {
                 rows.size(below, layer.k);
                 let binds =
                     [by_output.bind(), layer.backward.bind(), below.bind(), input.bind(), rows.bind()];
+                let binds = layer.with_overflows(&binds);
                 gpu.dispatch(&layer.product(Finish::Mask, scale), &binds, &rows.counter, size);
                 above.swap(below);
             }
@@ -171,6 +184,8 @@ pub struct WgpuField {
     gpu: Arc<Gpu>,
     density: Mlp,
     color: Mlp,
+    overflows: Buffer<u32>,
+    known: Arc<Known>,
 }
 
 /// Activations of a step.
@@ -192,14 +207,29 @@ pub struct FieldGradient {
 
 impl WgpuField {
     /// The networks of a configuration.
-    pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout) -> Self {
+    pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout, known: Arc<Known>) -> Self {
+        let overflows = Buffer::zeros(gpu, 1);
         let matrices = if config.field.precision == Precision::F16 { gpu.matrices() } else { None };
-        let network =
-            |name| Mlp { layers: layout.network(name).map(|slot| Layer::new(gpu, slot, matrices)).collect() };
+        let network = |name| Mlp {
+            layers: layout.network(name).map(|slot| Layer::new(gpu, slot, matrices, &overflows)).collect(),
+        };
         debug_assert!(layout.slots.iter().filter(|s| s.kind == Kind::Network).count() > 1);
         debug_assert_eq!(density_layers(config).last().map(|l| l[1]), Some(OUTPUTS));
         debug_assert_eq!(color_layers(config)[0][0], INPUTS - 1);
-        Self { gpu: Arc::clone(gpu), density: network("density"), color: network("color") }
+        let (density, color) = (network("density"), network("color"));
+        Self { gpu: Arc::clone(gpu), density, color, overflows, known }
+    }
+
+    /// Where factors that did not fit into f16 are counted.
+    pub fn overflows(&self) -> &Buffer<u32> {
+        &self.overflows
+    }
+
+    /// Goes on in f32 once a factor did not fit into f16.
+    fn fall_back(&mut self) {
+        for layer in self.density.layers.iter_mut().chain(&mut self.color.layers) {
+            *layer = Layer::new(&self.gpu, &layer.slot, None, &self.overflows);
+        }
     }
 }
 
@@ -230,6 +260,10 @@ impl Field<WgpuBackend> for WgpuField {
     }
 
     fn refresh(&mut self, parameters: &Buffer<f32>) {
+        let halves = self.density.layers.iter().any(|layer| layer.matrices.is_some());
+        if halves && self.known.overflows.load(Ordering::Relaxed) > 0 {
+            self.fall_back();
+        }
         for layer in self.density.layers.iter().chain(&self.color.layers) {
             let binds = [parameters.bind(), layer.forward.bind(), layer.backward.bind()];
             let kernel = if layer.matrices.is_some() { &PACK_HALF } else { &PACK };

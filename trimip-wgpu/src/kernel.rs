@@ -274,10 +274,23 @@ impl Matrices {
 const PLAIN: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read)];
 const MASKED: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (5, Read)];
 const SUMMED: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read)];
+// The same, and where overflows are counted.
+const PLAIN_HALF: &[(u32, Access)] =
+    &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (6, Write)];
+const MASKED_HALF: &[(u32, Access)] =
+    &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (5, Read), (6, Write)];
+const SUMMED_HALF: &[(u32, Access)] =
+    &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (6, Write)];
 
-/// Product of [rows, k] and [k, n], in f32 or by cooperative `matrices`; these take the left factor times `scale`.
+/// Product of [rows, k] and [k, n], in f32 or by cooperative `matrices`; these take the left factor times `scale` and have
+/// one more binding, the count of overflows.
 pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, scale: u32) -> Kernel {
-    let bindings = if finish == Finish::Mask { MASKED } else { PLAIN };
+    let bindings = match (finish == Finish::Mask, matrices.is_some()) {
+        (false, false) => PLAIN,
+        (true, false) => MASKED,
+        (false, true) => PLAIN_HALF,
+        (true, true) => MASKED_HALF,
+    };
     let mut constants = vec![("K", k as u32), ("N", n as u32)];
     match matrices {
         None => {
@@ -292,7 +305,8 @@ pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, 
     }
 }
 
-/// Weight gradient [k, n] in `chunks` parts, in f32 or by cooperative `matrices`; these leave it times [`GRADIENT_SCALE`].
+/// Weight gradient [k, n] in `chunks` parts, in f32 or by cooperative `matrices`; these leave it times [`GRADIENT_SCALE`]
+/// and have one more binding, the count of overflows.
 pub fn accumulate(k: usize, n: usize, chunks: u32, matrices: Option<Matrices>) -> Kernel {
     let mut constants = vec![("K", k as u32), ("N", n as u32), ("CHUNKS", chunks)];
     match matrices {
@@ -304,7 +318,7 @@ pub fn accumulate(k: usize, n: usize, chunks: u32, matrices: Option<Matrices>) -
             let (across, subgroups) = (matrices.across(n), matrices.subgroups);
             constants.extend([("TN", across), ("SUBGROUPS", subgroups), ("SCALE", GRADIENT_SCALE)]);
             let files = ACCUMULATE_COOPERATIVE[matrices.index()];
-            Kernel::new("accumulate", files, SUMMED).cooperative().with(&constants)
+            Kernel::new("accumulate", files, SUMMED_HALF).cooperative().with(&constants)
         }
     }
 }

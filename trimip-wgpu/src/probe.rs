@@ -338,6 +338,7 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
             }
             let mut counts: Buffer<u32> = Buffer::zeros(&gpu, 0);
             counts.write(&[rows as u32]);
+            let overflows: Buffer<u32> = Buffer::zeros(&gpu, 1);
             let left_buffer = buffer(&left, 0);
             let exact =
                 |r: usize, c: usize| (0..k).map(|i| left[r * k + i] * weights[i * n + c]).sum::<f32>();
@@ -349,6 +350,7 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
                     binds.push(mask_buffer.bind());
                 }
                 binds.push(counts.bind());
+                binds.extend(matrices.map(|_| overflows.bind()));
                 let groups = match matrices {
                     None => rows.div_ceil(64) * (n / (16 * tile(n) as usize)),
                     Some(matrices) => rows.div_ceil(matrices.rows(k) as usize),
@@ -375,7 +377,8 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
             let chunks = 4;
             let partial = buffer(&[], chunks * k * n);
             let right_buffer = buffer(&right, 0);
-            let binds = [left_buffer.bind(), right_buffer.bind(), partial.bind(), counts.bind()];
+            let mut binds = vec![left_buffer.bind(), right_buffer.bind(), partial.bind(), counts.bind()];
+            binds.extend(matrices.map(|_| overflows.bind()));
             let (tiles, scale) = match matrices {
                 None => ((k / (16 * tile(k) as usize)) * (n / (16 * tile(n) as usize)), 1.0),
                 Some(matrices) => (matrices.tiles(k, n) as usize, GRADIENT_SCALE as f32),
@@ -390,6 +393,19 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
             }
         }
     }
+    let Some(matrices) = gpu.matrices() else { return };
+    // What f16 cannot hold is taken for its largest number, and counted: here two numbers and one that is none.
+    let mut counts: Buffer<u32> = Buffer::zeros(&gpu, 0);
+    counts.write(&[1]);
+    let (mut left, mut ones): (Buffer<f32>, Buffer<u32>) = (Buffer::zeros(&gpu, 0), Buffer::zeros(&gpu, 0));
+    let mut row = [1.0_f32; 16];
+    (row[3], row[4], row[9]) = (1e6, -1e30, f32::NAN);
+    left.write(&row);
+    ones.write(&halves(&[1.0; 256]));
+    let (product, overflows) = (Buffer::<f32>::zeros(&gpu, 64 * 16), Buffer::<u32>::zeros(&gpu, 1));
+    let binds = [left.bind(), ones.bind(), product.bind(), counts.bind(), overflows.bind()];
+    gpu.dispatch(&multiply(16, 16, Finish::Store, Some(matrices), 1), &binds, &0_u32, Size::Groups(1));
+    assert_eq!(overflows.read(), [3]);
     gpu.check("products").expect("the kernels compile");
 }
 

@@ -53,13 +53,21 @@ fn not_finite<'a>(values: impl IntoIterator<Item = &'a f32>) -> f64 {
 /// Makes a backend of its own for a case.
 pub type Make<'a, B> = &'a dyn Fn() -> Result<B>;
 
-/// All cases on one backend, told one by one.
+/// All cases on one backend, told one by one; with those that take minutes where they are wanted.
 ///
 /// # Errors
 /// When the backend cannot be opened, or fails.
-pub fn catalogue<B: Backend>(make: Make<'_, B>, tell: &mut dyn FnMut(&Finding)) -> Result<Vec<Finding>> {
+pub fn catalogue<B: Backend>(
+    make: Make<'_, B>,
+    long: bool,
+    tell: &mut dyn FnMut(&Finding),
+) -> Result<Vec<Finding>> {
     let mut findings = Vec::new();
-    for part in [optics::cases::<B>, geometry::cases::<B>, training::cases::<B>] {
+    let mut parts = vec![optics::cases::<B>, geometry::cases::<B>, training::cases::<B>];
+    if long {
+        parts.push(training::long::<B>);
+    }
+    for part in parts {
         for finding in part(make)? {
             tell(&finding);
             findings.push(finding);

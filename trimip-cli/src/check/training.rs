@@ -3,6 +3,7 @@
 
 use super::bench::{photographs, small};
 use super::{Finding, Make, not_finite, worst};
+use crate::machine::peak_memory;
 use glam::DVec3;
 use trimip_core::adamw::Rule;
 use trimip_core::config::{OptimizerConfig, Untouched};
@@ -251,6 +252,45 @@ fn logits<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
             Err(error) => return Err(error),
         };
         findings.push(found(name, "a step leaves finite parameters", strange, 0.0));
+    }
+    Ok(findings)
+}
+
+/// Steps of a long run.
+const LONG: u64 = 100_000;
+
+/// A run of a hundred thousand steps on a small scene: it learns and does not unlearn, no number leaves its range, the
+/// schedule ends where it is written to, and memory does not grow.
+pub fn long<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let mut config = small();
+    config.train.steps = LONG;
+    config.train.samples_per_step = 256;
+    let views = photographs(&[camera(8, 0), camera(8, 1), camera(8, 2)], 2, |i, x, y| hash(i, x / 4, y / 4));
+    let mut trainer = Trainer::new(make()?, &config, views)?;
+    let (mut strange, mut early, mut late, mut memory, mut rate) = (0.0, 0.0, 0.0, None, 0.0);
+    for step in 0..LONG {
+        let report = trainer.step(step as f64 / LONG as f64)?;
+        strange += not_finite(&[report.loss as f32]);
+        match step {
+            9_000..10_000 => early += report.loss / 1000.0,
+            99_000.. => late += report.loss / 1000.0,
+            10_000 => memory = peak_memory(),
+            _ => {}
+        }
+        rate = report.learning_rate;
+    }
+    strange += not_finite(&trainer.parameters()) + trainer.checkpoint()?.state.totals.non_finite as f64;
+    let optimizer = &config.optimizer;
+    let written = optimizer.learning_rate * optimizer.decay_factor.powi(optimizer.milestones.len() as i32);
+    let case = "100,000 steps on a small scene";
+    let mut findings = vec![
+        found(case, "losses and parameters stay finite", strange, 0.0),
+        found(case, "the last loss in parts of that after a tenth", late / early, 1.0),
+        found(case, "the learning rate ends as written", (rate - written).abs() / written, 1e-12),
+    ];
+    if let Some((before, after)) = memory.zip(peak_memory()) {
+        let growth = (after - before) as f64 / before as f64;
+        findings.push(found(case, "memory grows by nothing after a tenth, in parts", growth, 0.02));
     }
     Ok(findings)
 }

@@ -26,7 +26,8 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
                 finding.part, finding.case, finding.law, finding.worst, finding.bound
             ));
         };
-        let findings = backends::catalogue(name, &arguments.adapter, arguments.threads, &mut tell)?;
+        let findings =
+            backends::catalogue(name, &arguments.adapter, arguments.threads, arguments.long, &mut tell)?;
         all.extend(findings.into_iter().map(|finding| (name.clone(), finding)));
     }
     let broken = all.iter().filter(|(_, finding)| !finding.holds()).count();

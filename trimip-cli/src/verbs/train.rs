@@ -70,11 +70,9 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     }
 
     let mut session = backends::train(&config, scene.train)?;
-    for message in session.notes() {
-        recorder.emit(&Event::Warning { message });
-    }
-    if let Some(checkpoint) = &checkpoint {
-        session.restore(checkpoint)?;
+    // What was read is not needed beside what it was read into.
+    if let Some(checkpoint) = checkpoint {
+        session.restore(&checkpoint)?;
         recorder.emit(&Event::Resumed { totals });
     }
     let stride = config.eval.final_stride().unwrap_or(1);

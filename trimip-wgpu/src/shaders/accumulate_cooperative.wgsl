@@ -12,6 +12,8 @@ struct Params {
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read_write> partial: array<f32>;
 @group(0) @binding(4) var<storage, read> counts: array<u32>;
+// Factors that did not fit into f16.
+@group(0) @binding(6) var<storage, read_write> overflows: array<atomic<u32>>;
 
 const DEPTH: u32 = 32u;
 const HEIGHT: u32 = T * SUBGROUPS;
@@ -40,6 +42,7 @@ fn accumulate(
     let works = subgroup < SUBGROUPS && first_k + subgroup * T < K;
     let depth = select(0u, DEPTH, works);
     let across = select(0u, TN, works);
+    var lost = 0u;
     var sums: array<Sums, TN>;
     for (var first = begin; first < end; first += DEPTH) {
         for (var i = local; i < DEPTH * HEIGHT; i += 128u) {
@@ -49,15 +52,17 @@ fn accumulate(
             if r < end && k < K {
                 value = left[r * K + k];
             }
+            lost += too_large(value);
             left_tile[i] = half(value);
         }
         for (var i = local; i < DEPTH * WIDTH; i += 128u) {
             let r = first + i / WIDTH;
             var value = 0.0;
             if r < end {
-                value = right[r * N + first_n + i % WIDTH];
+                value = f32(SCALE) * right[r * N + first_n + i % WIDTH];
             }
-            right_tile[i] = half(f32(SCALE) * value);
+            lost += too_large(value);
+            right_tile[i] = half(value);
         }
         workgroupBarrier();
         for (var p = 0u; p < depth; p += T) {
@@ -69,6 +74,9 @@ fn accumulate(
             }
         }
         workgroupBarrier();
+    }
+    if lost > 0u {
+        atomicAdd(&overflows[0], lost);
     }
     let at = chunk * K * N + (first_k + subgroup * T) * N + first_n;
     for (var j = 0u; j < across; j++) {

@@ -5,3 +5,8 @@ const MOST: f32 = 65504.0;
 fn half(x: f32) -> f16 {
     return f16(clamp(x, -MOST, MOST));
 }
+
+// 1 for a number that f16 cannot hold, or that is none.
+fn too_large(x: f32) -> u32 {
+    return select(1u, 0u, abs(x) <= MOST);
+}

@@ -12,6 +12,8 @@ struct Params {
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read_write> product: array<f32>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
+// Factors that did not fit into f16.
+@group(0) @binding(6) var<storage, read_write> overflows: array<atomic<u32>>;
 
 const STRIPS: u32 = N / (T * TN);
 
@@ -31,12 +33,17 @@ fn multiply(
     if first >= rows {
         return;
     }
+    var lost = 0u;
     for (var i = local; i < ROWS * K; i += 128u) {
         var value = 0.0;
         if first + i / K < rows {
-            value = left[first * K + i];
+            value = f32(SCALE) * left[first * K + i];
         }
-        block[i] = half(f32(SCALE) * value);
+        lost += too_large(value);
+        block[i] = half(value);
+    }
+    if lost > 0u {
+        atomicAdd(&overflows[0], lost);
     }
     workgroupBarrier();
     for (var strip = subgroup; strip < ROWS / T * STRIPS; strip += subgroups) {

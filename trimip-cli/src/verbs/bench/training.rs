@@ -1,4 +1,4 @@
-//! `bench`: error against seconds of a set of configurations, several seeds each, on one plot and in one table, with the
+//! Error against seconds of training of a set of configurations, several seeds each, on one plot and in one table, with the
 //! variants marked that no other beats in both. Runs that are finished in the folder are not run again.
 
 use crate::args::{BenchArguments, ProgressStyle, SettingsArguments, TrainArguments};
@@ -293,6 +293,8 @@ mod tests {
 
     fn arguments(variants: &[&str], vary: &[&str]) -> BenchArguments {
         BenchArguments {
+            render: None,
+            width: 48,
             settings: SettingsArguments::default(),
             variants: variants.iter().map(|text| (*text).into()).collect(),
             vary: vary.iter().map(|text| (*text).into()).collect(),

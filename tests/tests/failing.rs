@@ -1,0 +1,93 @@
+//! A run whose numbers leave their range stops, says which and when, and leaves the last good checkpoint.
+
+use std::sync::atomic::AtomicBool;
+use trimip_core::{
+    Config, ErrorKind, Frames, Result, Session, ViewSet,
+    checkpoint::Checkpoint,
+    evaluate::ViewResult,
+    events::{Event, Totals},
+    model::Model,
+    run::{Run, Store},
+    trainer::Trainer,
+};
+use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_tests::{fixtures, suite};
+
+/// Remembers the steps of the checkpoints.
+#[derive(Default)]
+struct Shelf(Vec<u64>);
+
+impl Store for Shelf {
+    fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<u64> {
+        assert_eq!(checkpoint.not_finite(), None, "what is kept can be gone on from");
+        self.0.push(checkpoint.state.totals.step);
+        Ok(0)
+    }
+
+    fn model(&mut self, _: &Model) -> Result<u64> {
+        Ok(0)
+    }
+
+    fn view(&mut self, _: &ViewResult<'_>) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// No test frames.
+struct Nothing;
+
+impl Frames for Nothing {
+    fn len(&self) -> usize {
+        0
+    }
+
+    fn load(&self, _: usize) -> Result<ViewSet> {
+        unreachable!("there is none")
+    }
+}
+
+fn run(trainer: &mut dyn Session, config: &Config, totals: Totals, shelf: &mut Shelf) -> trimip_core::Error {
+    let stop = AtomicBool::new(false);
+    Run { config, session: trainer, frames: &Nothing, store: shelf, events: &mut |_: &Event| {}, stop: &stop }
+        .train(totals)
+        .expect_err("the run fails")
+}
+
+/// What a run says that goes on after step 6 with one number broken, and which checkpoints it writes.
+fn broken(slot: &str, checkpoint_seconds: f64) -> (trimip_core::Error, Vec<u64>) {
+    let mut config = suite::training::configuration();
+    config.train.checkpoint_seconds = checkpoint_seconds;
+    let backend = CpuBackend::new(1, Simd::detect()).expect("a thread");
+    let mut trainer = Trainer::new(backend, &config, fixtures::noise(3, 16, 2, 2)).expect("views that fit");
+    suite::training::steps(&mut trainer, &config, 6).expect("finite steps");
+    let totals = trainer.checkpoint().expect("a checkpoint").state.totals;
+    let mut values = trainer.parameters();
+    let slot = trainer.layout().slots.iter().find(|other| other.name == slot).expect("a layer");
+    let place = slot.range.start + 5;
+    values[place] = f32::NAN;
+    trainer.set_parameters(&values);
+    let mut shelf = Shelf::default();
+    let error = run(&mut trainer, &config, totals, &mut shelf);
+    assert_eq!((error.kind, error.exit_code()), (ErrorKind::Run, 1), "{error}");
+    (error, shelf.0)
+}
+
+#[test]
+fn a_loss_out_of_range_stops_the_run_and_names_the_number() {
+    let (error, written) = broken("color.2.weight", 0.0);
+    for part in
+        ["step 6", "pixels are not finite", "color.2.weight[5] is NaN", "checkpoint of step 6 is kept"]
+    {
+        assert!(error.message.contains(part), "`{part}` in {error}");
+    }
+    assert_eq!(written, [0_u64; 0], "nothing is written over the last good checkpoint");
+}
+
+#[test]
+fn a_number_that_a_relu_hides_from_the_loss_is_found_when_it_would_be_saved() {
+    let (error, written) = broken("color.0.weight", 1e-9);
+    for part in ["step 7", "color.0.weight[5] is NaN", "checkpoint of step 6 is kept"] {
+        assert!(error.message.contains(part), "`{part}` in {error}");
+    }
+    assert_eq!(written, [0_u64; 0], "nothing is written over the last good checkpoint");
+}

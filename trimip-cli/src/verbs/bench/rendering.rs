@@ -1,0 +1,198 @@
+//! Error of rendering against time per frame: how far a picture is from the same model's picture in f64 with very short
+//! steps, over steps, early stops, pruning and precision. The field is as trained: this is the error of the quadrature and
+//! of f32 alone. Where steps are halved, the order of convergence is printed beside the one to be expected.
+
+use crate::args::BenchArguments;
+use crate::curves::aligned;
+use crate::machine::Machine;
+use crate::{backends, run_folder, settings, terminal};
+use serde::Serialize;
+use serde_json::json;
+use std::path::Path;
+use std::time::Instant;
+use trimip_core::config::Precision;
+use trimip_core::exact::Exact;
+use trimip_core::metrics::psnr_of_error;
+use trimip_core::model::Model;
+use trimip_core::{Camera, Error, Result, tensors::write_atomically};
+
+/// Steps along the diagonal of the reference; half as many show how far it is from its own limit.
+const REFERENCE_STEPS: u32 = 16_384;
+
+/// Frames of which the fastest counts.
+const FRAMES: usize = 3;
+
+/// A picture in f64, row by row.
+type Picture = Vec<[f64; 3]>;
+
+/// A way to render and what it came to.
+#[derive(Debug, Serialize)]
+struct Row {
+    varied: &'static str,
+    value: String,
+    /// Root of the mean squared difference from the reference, colours in [0, 1].
+    error: f64,
+    /// The same as PSNR, dB.
+    psnr: f64,
+    milliseconds: f64,
+    /// log2 of the error with twice the step over this one's.
+    order: Option<f64>,
+}
+
+/// Renders one view in many ways.
+pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
+    let mut model = run_folder::read_model(path)?;
+    settings::override_model(&mut model, &arguments.settings.set)?;
+    backends::check(&model.config.backend)?;
+    let camera = camera(&model, arguments)?;
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    terminal::aside(format!("the reference: {width}x{height} pixels in f64, {REFERENCE_STEPS} steps"));
+    let exact = Exact::new(&model)?;
+    let reference = picture(&exact, &camera, REFERENCE_STEPS);
+    let own = distance(&picture(&exact, &camera, REFERENCE_STEPS / 2), &reference);
+
+    let mut rows: Vec<Row> = Vec::new();
+    let mut before: Option<f64> = None;
+    for steps in [64, 128, 256, 512, 1024, 2048, 4096] {
+        let mut other = model.clone();
+        other.config.renderer.steps_per_diagonal = steps;
+        // The steps alone are in question: nothing is left out, and none is longer than another.
+        (other.config.renderer.min_transmittance, other.config.renderer.min_weight) = (1e-9, 0.0);
+        other.config.renderer.step_scale = trimip_core::schedule::Schedule::new(vec![[0.0, 1.0]]);
+        other.config.renderer.step_per_radius = 0.0;
+        let mut row = measure(&other, &camera, &reference, "steps along the diagonal", steps.to_string())?;
+        row.order = before.map(|before| (before / row.error).log2());
+        before = Some(row.error);
+        rows.push(row);
+    }
+    for least in [0.1_f32, 1e-2, 1e-3, 1e-4, 1e-6, 1e-9] {
+        let mut other = model.clone();
+        other.config.renderer.min_transmittance = least;
+        rows.push(measure(&other, &camera, &reference, "least transmittance", format!("{least:e}"))?);
+    }
+    for least in [0.0_f32, 1e-5, 1e-4, 1e-3, 1e-2] {
+        let mut other = model.clone();
+        other.config.renderer.min_weight = least;
+        rows.push(measure(&other, &camera, &reference, "least weight", format!("{least:e}"))?);
+    }
+    for (precision, name) in [(Precision::F32, "f32"), (Precision::Bf16, "bf16"), (Precision::F16, "f16")] {
+        let mut other = model.clone();
+        other.config.field.precision = precision;
+        let session = backends::load(&other)?;
+        if session.notes().is_empty() {
+            rows.push(measure(&other, &camera, &reference, "precision", name.into())?);
+        }
+    }
+    let text = table(&rows);
+    terminal::line(&text);
+    terminal::line(format!(
+        "the reference itself is {own:.1e} from that of half its steps; order to be expected: 1, for the grid's cells begin \
+         and end the medium, 2 within it; {} backend, {}",
+        model.config.backend,
+        Machine::detect().cpu
+    ));
+    run_folder::create_writable(&arguments.out)?;
+    let report = json!({
+        "model": path.display().to_string(),
+        "machine": Machine::detect(),
+        "backend": model.config.backend,
+        "width": width,
+        "height": height,
+        "background": model.config.data.background,
+        "reference": { "precision": "f64", "steps": REFERENCE_STEPS, "error_of_half_the_steps": own },
+        "measures": "root of the mean squared difference of unrounded colours in [0, 1]; fastest of 3 frames",
+        "rows": rows,
+    });
+    let text = serde_json::to_string_pretty(&report).map_err(Error::run)?;
+    write_atomically(&arguments.out.join("rendering.json"), text.as_bytes())?;
+    let mut csv = "varied,value,error,psnr,milliseconds,order\n".to_string();
+    for row in &rows {
+        let order = row.order.map_or(String::new(), |order| format!("{order:.3}"));
+        csv += &format!(
+            "{},{},{:.6e},{:.3},{:.3},{order}\n",
+            row.varied, row.value, row.error, row.psnr, row.milliseconds
+        );
+    }
+    write_atomically(&arguments.out.join("rendering.csv"), csv.as_bytes())?;
+    Ok(0)
+}
+
+/// Test view 0, as small as is asked.
+fn camera(model: &Model, arguments: &BenchArguments) -> Result<Camera> {
+    let scene = trimip_data::open(&model.config.data)?;
+    if scene.test.is_empty() {
+        return Err(Error::input("data.test", "the test split holds no view", "name another data.test"));
+    }
+    let set = scene.test.load(0)?;
+    let mut camera = set.views[0].camera;
+    let scale = f64::from(arguments.width) / f64::from(camera.intrinsics.width);
+    let k = &mut camera.intrinsics;
+    k.height = ((f64::from(k.height) * scale).round() as u32).max(1);
+    k.width = arguments.width;
+    for length in [&mut k.fx, &mut k.fy, &mut k.cx, &mut k.cy] {
+        *length *= scale;
+    }
+    Ok(camera)
+}
+
+/// A whole picture in f64, on all cores.
+fn picture(exact: &Exact, camera: &Camera, steps: u32) -> Picture {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let mut pixels = vec![[0.0; 3]; (width * height) as usize];
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let next = std::sync::Mutex::new(pixels.chunks_mut(width as usize).enumerate());
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                loop {
+                    let Ok(Some((y, row))) = next.lock().map(|mut rows| rows.next()) else { break };
+                    for (x, pixel) in row.iter_mut().enumerate() {
+                        *pixel = exact.pixel(camera, x as u32, y as u32, steps);
+                    }
+                }
+            });
+        }
+    });
+    pixels
+}
+
+fn distance(a: &Picture, b: &Picture) -> f64 {
+    let squares = a.iter().zip(b).flat_map(|(a, b)| (0..3).map(move |c| (a[c] - b[c]).powi(2)));
+    (squares.sum::<f64>() / (3 * a.len()) as f64).sqrt()
+}
+
+fn measure(
+    model: &Model,
+    camera: &Camera,
+    reference: &Picture,
+    varied: &'static str,
+    value: String,
+) -> Result<Row> {
+    let mut session = backends::load(model)?;
+    let (mut fastest, mut found) = (f64::INFINITY, Vec::new());
+    for _ in 0..FRAMES {
+        let started = Instant::now();
+        let frame = session.render(camera)?;
+        fastest = fastest.min(started.elapsed().as_secs_f64());
+        found = frame.pixels.iter().map(|pixel| pixel.rgb.map(f64::from)).collect();
+    }
+    let error = distance(&found, reference);
+    let psnr = psnr_of_error(error * error);
+    Ok(Row { varied, value, error, psnr, milliseconds: 1e3 * fastest, order: None })
+}
+
+fn table(rows: &[Row]) -> String {
+    let mut cells =
+        vec![["varied", "value", "error", "PSNR / dB", "ms a frame", "order"].map(String::from).to_vec()];
+    cells.extend(rows.iter().map(|row| {
+        vec![
+            row.varied.to_string(),
+            row.value.clone(),
+            format!("{:.2e}", row.error),
+            format!("{:.1}", row.psnr),
+            format!("{:.2}", row.milliseconds),
+            row.order.map_or(String::new(), |order| format!("{order:.2}")),
+        ]
+    }));
+    aligned(&cells)
+}
