@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
-    Config, ErrorKind, Frames, Result, Session, ViewSet,
+    Camera, Config, ErrorKind, Frames, Result, Session, ViewSet,
     checkpoint::Checkpoint,
     evaluate::ViewResult,
     events::{Event, Totals},
@@ -39,6 +39,10 @@ struct Nothing;
 impl Frames for Nothing {
     fn len(&self) -> usize {
         0
+    }
+
+    fn cameras(&self) -> Vec<Camera> {
+        Vec::new()
     }
 
     fn load(&self, _: usize) -> Result<ViewSet> {

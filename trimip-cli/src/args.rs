@@ -28,6 +28,8 @@ pub struct Arguments {
 pub enum Verb {
     /// Plan, train, evaluate and report; resumes what is in the run folder
     Train(TrainArguments),
+    /// Say what the scene does not need, and measure what leaving it out costs and saves
+    Plan(PlanArguments),
     /// Measure a model on its test set: PSNR and SSIM per scale
     Eval(EvalArguments),
     /// Render views of a model as PNG or EXR
@@ -87,6 +89,26 @@ pub struct TrainArguments {
     /// How progress is shown
     #[arg(long, value_enum, default_value_t, value_name = "STYLE")]
     pub progress: ProgressStyle,
+}
+
+/// Options of `plan`.
+#[derive(Args, Debug)]
+pub struct PlanArguments {
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArguments,
+    /// Train both ways, briefly and at equal samples, on training views kept back: dB, seconds and bytes of each decision
+    #[arg(long)]
+    pub measure: bool,
+    /// Million samples of each of these trainings
+    #[arg(long, default_value_t = 16.0, value_name = "MILLION")]
+    pub samples: f64,
+    /// Folder of these trainings
+    #[arg(long, default_value = "runs/plan", value_name = "DIR")]
+    pub out: PathBuf,
+    /// Also write the decisions as JSON
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
 }
 
 /// Options of `eval`.

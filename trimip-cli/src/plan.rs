@@ -2,7 +2,7 @@
 
 use crate::{machine::Machine, terminal};
 use std::path::Path;
-use trimip_core::{Config, Frames, ViewSet};
+use trimip_core::{Aabb, Config, Frames, ViewSet, scene_plan::Finding, tri_mip::Pyramid};
 
 /// Lines of the plan and the predicted peak memory in bytes.
 #[derive(Clone, Debug)]
@@ -26,10 +26,11 @@ pub struct Subject<'a> {
 }
 
 impl Plan {
-    /// The plan of a run that starts at `step` and writes to `folder`.
+    /// The plan of a run that starts at `step` and writes to `folder`; `findings` are the scene plan's.
     pub fn new(
         config: &Config,
         subject: &Subject<'_>,
+        findings: &[Finding],
         memory: &[(String, u64)],
         folder: &Path,
         step: u64,
@@ -38,14 +39,17 @@ impl Plan {
         let mut lines = vec![format!("scene: {}", subject.name)];
         lines.extend(subject.description.iter().map(|line| format!("data: {line}")));
         lines.extend(subject.train.scales.iter().map(|scale| {
+            // A balance of b draws a pixel weight^b times as often and its ray weighs weight^(1 - b).
+            let drawn = scale.weight.powf(config.train.scale_balance.at(0.0) as f32);
             format!(
-                "scale 1/{}: {} training views, {}, loss weight {} per pixel",
+                "scale 1/{}: {} training views, {}, drawn {drawn:.3} times as often at loss weight {:.3}",
                 scale.factor,
                 scale.views.len(),
                 terminal::number(scale.pixels.len() as f64, "pixels"),
-                scale.weight
+                scale.weight / drawn
             )
         }));
+        lines.extend(findings.iter().map(ToString::to_string));
         lines.push(model_line(config));
         lines.push(train_line(config, step));
         lines.push(evaluation_line(config, subject.test.len()));
@@ -72,18 +76,20 @@ impl Plan {
 
 fn model_line(config: &Config) -> String {
     let (encoder, field) = (&config.encoder, &config.field);
-    let texels = 3 * u64::from(encoder.plane_size).pow(2) * u64::from(encoder.channels);
+    let pyramid = Pyramid::new(encoder, &Aabb::new(&config.scene));
+    let sizes = match pyramid.sides {
+        [x, y, z] if x == y && y == z => format!("3 planes of {x}×{x}×{}", encoder.channels),
+        [x, y, z] => format!("planes of {y}×{z}, {x}×{z} and {x}×{y} texels, {} channels,", encoder.channels),
+    };
     let [hidden, density, color] = [field.hidden, field.density_layers, field.color_layers].map(u64::from);
     // 3 planes' features → density logit + 15 features; 15 features + 16 spherical harmonics → RGB.
     let weights = hidden * (3 * u64::from(encoder.channels) + (density - 1) * hidden + 16)
         + hidden * (31 + (color - 1) * hidden + 3);
     let levels = if encoder.mipmap { format!("{} mip levels", encoder.levels) } else { "no mipmap".into() };
     format!(
-        "model: 3 planes of {size}×{size}×{channels} with {levels}, {texels} values; hidden layers {hidden}×{density} \
+        "model: {sizes} with {levels}, {texels} values; hidden layers {hidden}×{density} \
          for density and {hidden}×{color} for colour, {weights} weights",
-        size = encoder.plane_size,
-        channels = encoder.channels,
-        texels = terminal::number(texels as f64, ""),
+        texels = terminal::number(pyramid.base_len() as f64, ""),
         weights = terminal::number(weights as f64, ""),
     )
 }

@@ -3,7 +3,8 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use trimip_core::{
-    Config, Error, Result, checkpoint::Checkpoint, events::Event, model::Model, tensors::write_atomically,
+    Config, Error, Result, checkpoint::Checkpoint, events::Event, model::Model, scene_plan::Finding,
+    tensors::write_atomically,
 };
 
 /// The files of a run.
@@ -13,8 +14,9 @@ pub struct RunFolder {
 }
 
 /// Names of everything that a run writes, `images/` aside.
-const FILES: [&str; 8] = [
+const FILES: [&str; 9] = [
     "config.toml",
+    "plan.json",
     "metrics.jsonl",
     "model.safetensors",
     "checkpoint.safetensors",
@@ -58,6 +60,31 @@ impl RunFolder {
     /// Measures of every view of the final evaluation.
     pub fn views(&self) -> PathBuf {
         self.root.join("views.json")
+    }
+
+    /// What the scene plan decided.
+    pub fn plan(&self) -> PathBuf {
+        self.root.join("plan.json")
+    }
+
+    /// What the scene plan decided when the run began; `None` where there is no such file.
+    ///
+    /// # Errors
+    /// When the file is not what was written.
+    pub fn findings(&self) -> Result<Option<Vec<Finding>>> {
+        let Ok(bytes) = std::fs::read(self.plan()) else { return Ok(None) };
+        serde_json::from_slice(&bytes)
+            .map(Some)
+            .map_err(|error| Error::input(self.plan().display(), error, "give --fresh to start the run anew"))
+    }
+
+    /// Keeps what the scene plan decided.
+    ///
+    /// # Errors
+    /// When the folder cannot be written.
+    pub fn write_findings(&self, findings: &[Finding]) -> Result<()> {
+        let text = serde_json::to_string_pretty(findings).map_err(Error::run)?;
+        write_atomically(&self.plan(), text.as_bytes())
     }
 
     /// The curve.

@@ -57,7 +57,7 @@ impl Checkpoint {
                 let index = values.iter().position(|value| !value.is_finite())?;
                 Some((name.as_str(), index, values[index]))
             }
-            Values::U8(_) => None,
+            Values::F16(_) | Values::U8(_) => None,
         })
     }
 

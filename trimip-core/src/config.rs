@@ -49,6 +49,35 @@ choice!(
     }
 );
 choice!(
+    /// Texels of a plane.
+    PlaneShape {
+        /// `plane_size` along both sides, whatever the box: the planes are stretched over it (paper).
+        Square,
+        /// `plane_size` along the box's longest side, along the others as many as make the texels square.
+        Box,
+    }
+);
+choice!(
+    /// Whether the scene plan leaves something out.
+    PlanChoice {
+        /// Where the scene does not need it.
+        Auto,
+        /// Always; an error where it cannot be known what the scene needs.
+        On,
+        /// Never.
+        Off,
+    }
+);
+choice!(
+    /// Numbers of the planes in a model file.
+    FilePrecision {
+        /// 32 bits: what was trained.
+        F32,
+        /// 16 bits.
+        F16,
+    }
+);
+choice!(
     /// Base radius in the mip level's formula (METHOD: Eq. 5).
     LevelFormula {
         /// texel/√π, the radius of a disc with the texel's area.
@@ -129,10 +158,18 @@ section!(
     SceneConfig { aabb_min: [f32; 3], aabb_max: [f32; 3] }
 );
 section!(
+    /// What is left out where the scene does not need it.
+    PlanConfig { aabb: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, file: PlanChoice }
+);
+section!(
+    /// The model file.
+    FileConfig { planes: FilePrecision }
+);
+section!(
     /// The tri-mip encoding.
     EncoderConfig {
-        plane_size: u32, channels: u32, levels: u32, mipmap: bool, level: LevelFormula, init_range: f32,
-        halvings: Schedule,
+        plane_size: u32, shape: PlaneShape, channels: u32, levels: u32, mipmap: bool, level: LevelFormula,
+        init_range: f32, halvings: Schedule,
     }
 );
 section!(
@@ -204,9 +241,9 @@ section!(
 section!(
     /// Everything a run is told.
     Config {
-        backend: String, seed: u64, threads: u32, data: DataConfig, scene: SceneConfig, encoder: EncoderConfig,
-        field: FieldConfig, renderer: RendererConfig, occupancy: OccupancyConfig, loss: LossConfig,
-        optimizer: OptimizerConfig, train: TrainConfig, eval: EvalConfig, wgpu: WgpuConfig,
+        backend: String, seed: u64, threads: u32, data: DataConfig, scene: SceneConfig, plan: PlanConfig,
+        file: FileConfig, encoder: EncoderConfig, field: FieldConfig, renderer: RendererConfig, occupancy: OccupancyConfig,
+        loss: LossConfig, optimizer: OptimizerConfig, train: TrainConfig, eval: EvalConfig, wgpu: WgpuConfig,
     }
 );
 
@@ -215,6 +252,14 @@ impl Default for Config {
     fn default() -> Self {
         Self::from_settings(&Settings::defaults())
             .unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"))
+    }
+}
+
+impl EncoderConfig {
+    /// What the texels along a side of the planes are a multiple of, so that every level and halving is even.
+    pub fn texel_unit(&self) -> u32 {
+        let halvings = self.halvings.values().fold(0.0, f64::max) as u32;
+        1 << self.levels.saturating_sub(1).max(halvings).min(31)
     }
 }
 
@@ -292,31 +337,27 @@ impl Config {
             "a corner above aabb_min on every axis, all finite",
         )?;
         let encoder = &self.encoder;
-        check(
-            (4..=4096).contains(&encoder.plane_size) && encoder.plane_size.is_power_of_two(),
-            "encoder.plane_size",
-            "a power of two from 4 to 4096",
-        )?;
         check(encoder.channels == 16, "encoder.channels", "16 (the only width built so far)")?;
-        check(
-            encoder.levels >= 1 && encoder.plane_size >> (encoder.levels - 1).min(31) >= 1,
-            "encoder.levels",
-            "1 to log2(plane_size) + 1",
-        )?;
         check(
             encoder.init_range.is_finite() && encoder.init_range >= 0.0,
             "encoder.init_range",
             "0 or more",
         )?;
         let halvings = || encoder.halvings.values();
-        let most = f64::from(encoder.plane_size.ilog2()) - 2.0;
         check(
             encoder.halvings.is_whole()
-                && halvings().all(|h| h.fract() == 0.0 && (0.0..=most).contains(&h))
+                && halvings().all(|h| h.fract() == 0.0 && (0.0..=10.0).contains(&h))
                 && halvings().is_sorted_by(|a, b| a > b)
                 && halvings().last() == Some(0.0),
             "encoder.halvings",
-            "[[0.0, n], ... [fraction, 0]] with rising fractions below 1, falling whole numbers, at least 4 texels left",
+            "[[0.0, n], ... [fraction, 0]] with rising fractions below 1 and falling whole numbers",
+        )?;
+        check((1..=13).contains(&encoder.levels), "encoder.levels", "1 to 13")?;
+        let unit = encoder.texel_unit();
+        check(
+            (4..=4096).contains(&encoder.plane_size) && encoder.plane_size.is_multiple_of(unit),
+            "encoder.plane_size",
+            &format!("a multiple of {unit} from 4 to 4096, so that {} levels halve evenly", encoder.levels),
         )?;
         let field = &self.field;
         check(
@@ -401,7 +442,7 @@ impl Config {
     }
 
     /// Dotted paths of settings whose change makes another model of the same run: all but the device, the threads,
-    /// what is logged and what is evaluated. Used to refuse a checkpoint of another configuration.
+    /// what is logged, what is evaluated, how it was planned and how it is written. Used to refuse a checkpoint of another configuration.
     pub fn differences(&self, other: &Self) -> Vec<String> {
         let (ours, theirs) = (self.settings(), other.settings());
         ours.iter()
@@ -426,6 +467,8 @@ fn free_to_change(path: &str) -> bool {
         || path == "threads"
         || path == "data.root"
         || path.starts_with("eval.")
+        || path.starts_with("plan.")
+        || path.starts_with("file.")
         || path.starts_with("wgpu.")
         || path == "train.checkpoint_seconds"
         || path == "train.log_seconds"
@@ -444,7 +487,7 @@ mod tests {
     #[test]
     fn ranges_and_choices_are_refused_with_their_place() {
         for (assignment, expected) in [
-            ("encoder.plane_size=500", "a power of two"),
+            ("encoder.plane_size=500", "a multiple of 128"),
             ("encoder.level=\"papers\"", "expected"),
             ("train.samples_per_step=0", "256 to"),
             ("scene.aabb_min=[2.0, 0.0, 0.0]", "a corner above"),

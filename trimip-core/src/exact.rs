@@ -51,19 +51,19 @@ impl Exact {
             values.get(..pyramid.base_len()).ok_or_else(|| Error::run("a model without planes"))?.to_vec();
         let mut derived = vec![0.0; pyramid.derived_len()];
         for level in 1..pyramid.levels {
-            let side = pyramid.side(level);
             for plane in 0..3 {
-                let to = pyramid.derived_offset(level, plane);
-                for (row, column, channel) in grid(side) {
-                    let child = |j: usize, i: usize| {
-                        let at = ((2 * row + j) * 2 * side + 2 * column + i) * CHANNELS + channel;
-                        match level {
-                            1 => base[plane * 4 * side * side * CHANNELS + at],
-                            _ => derived[pyramid.derived_offset(level - 1, plane) + at],
-                        }
+                let (shape, to) = (pyramid.shape(level, plane), pyramid.offset(level, plane));
+                let from = pyramid.offset(level - 1, plane);
+                for i in 0..shape.texels() * CHANNELS {
+                    let (texel, channel) = (i / CHANNELS, i % CHANNELS);
+                    let (row, column) = (texel / shape.columns, texel % shape.columns);
+                    let child = |j: usize, k: usize| {
+                        let at = (2 * row + j) * 2 * shape.columns + 2 * column + k;
+                        let finer = if level == 1 { &base } else { &derived };
+                        finer[from + at * CHANNELS + channel]
                     };
                     let mean = 0.25 * (child(0, 0) + child(0, 1) + child(1, 0) + child(1, 1));
-                    derived[to + (row * side + column) * CHANNELS + channel] = mean;
+                    derived[to + i] = mean;
                 }
             }
         }
@@ -141,15 +141,13 @@ impl Exact {
                 if share == 0.0 {
                     continue;
                 }
-                let side = self.pyramid.side(level);
-                let texels = match level {
-                    0 => &self.base[plane * side * side * CHANNELS..],
-                    _ => &self.derived[self.pyramid.derived_offset(level, plane)..],
-                };
-                let taps = taps(side, position[a], position[b]);
+                let shape = self.pyramid.shape(level, plane);
+                let levels = if level == 0 { &self.base } else { &self.derived };
+                let texels = &levels[self.pyramid.range(level, plane)];
+                let taps = taps(shape, position[a], position[b]);
                 for (row, weights) in taps.rows.into_iter().zip(taps.weights) {
                     for (column, weight) in taps.columns.into_iter().zip(weights) {
-                        let texel = &texels[(row * side + column) * CHANNELS..][..CHANNELS];
+                        let texel = &texels[(row * shape.columns + column) * CHANNELS..][..CHANNELS];
                         let out = &mut features[plane * CHANNELS..][..CHANNELS];
                         out.iter_mut().zip(texel).for_each(|(sum, value)| *sum += share * weight * value);
                     }
@@ -158,11 +156,6 @@ impl Exact {
         }
         features
     }
-}
-
-/// Rows, columns and channels of a square of texels.
-fn grid(side: usize) -> impl Iterator<Item = (usize, usize, usize)> {
-    (0..side * side * CHANNELS).map(move |i| (i / CHANNELS / side, i / CHANNELS % side, i % CHANNELS))
 }
 
 /// Linear layers with ReLU between them.

@@ -37,6 +37,7 @@ pub mod params;
 pub mod rng;
 pub mod run;
 pub mod scalar;
+pub mod scene_plan;
 pub mod schedule;
 mod session;
 mod settings;

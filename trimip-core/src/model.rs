@@ -1,11 +1,14 @@
 //! A finished model: the parameters by name, the occupancy grid, and the configuration they belong to. Self-contained:
 //! its file is all that rendering needs.
 
-use crate::{Config, Error, Result, tensors::TensorFile};
+use crate::{Config, Error, Result, config::FilePrecision, tensors::TensorFile};
 use std::path::Path;
 
 /// Value of the metadata `format` of a model file.
 const FORMAT: &str = "trimip-model-1";
+
+/// Name of the planes' tensor.
+const PLANES: &str = "planes";
 
 /// Named tensors (see [`crate::params::Layout`]), the occupancy bits as tensor `occupancy` and the configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,16 +29,26 @@ impl Model {
         Self { config, file }
     }
 
-    /// Writes the model, atomically; returns its size in bytes.
+    /// Writes the model, atomically, its planes in the precision of `file.planes`; returns its size in bytes.
     pub fn write(&self, path: &Path) -> Result<u64> {
-        self.file.write(path, &[])
+        match (self.config.file.planes, self.file.tensors.get(PLANES)) {
+            (FilePrecision::F16, Some(planes)) => {
+                let mut file = self.file.clone();
+                file.tensors.insert(PLANES.into(), planes.halved());
+                file.write(path, &[])
+            }
+            _ => self.file.write(path, &[]),
+        }
     }
 
     /// Reads a model and checks that it is one.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
-        let file = TensorFile::read(path)?;
+        let mut file = TensorFile::read(path)?;
         expect_format(&name, &file, FORMAT)?;
+        if let Some(planes) = file.tensors.remove(PLANES) {
+            file.tensors.insert(PLANES.into(), planes.widened());
+        }
         let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
         Ok(Self { config, file })
     }

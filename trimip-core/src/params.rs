@@ -2,11 +2,11 @@
 //! backends are compared by name.
 
 use crate::{
-    Config, Result,
+    Aabb, Config, Result,
     rng::{Random, Stream, unit},
     sh,
     tensors::{Tensor, TensorFile},
-    tri_mip::{CHANNELS, FEATURES},
+    tri_mip::{CHANNELS, FEATURES, sides},
 };
 use std::ops::Range;
 
@@ -62,9 +62,14 @@ fn layers(inputs: usize, hidden: usize, count: u32, outputs: usize) -> Vec<[usiz
 impl Layout {
     /// The slots of a configuration.
     pub fn new(config: &Config) -> Self {
-        let size = config.encoder.plane_size as usize;
         let mut layout = Self { slots: Vec::new() };
-        layout.push("planes".into(), vec![3, size, size, CHANNELS], Kind::Planes);
+        let sides = sides(&config.encoder, &Aabb::new(&config.scene));
+        let shape = match sides {
+            [x, y, z] if x == y && y == z => vec![3, x, x, CHANNELS],
+            // Planes YZ, XZ and XY, one after the other, each row by row.
+            [x, y, z] => vec![y * z + x * z + x * y, CHANNELS],
+        };
+        layout.push("planes".into(), shape, Kind::Planes);
         for (network, layers) in [("density", density_layers(config)), ("color", color_layers(config))] {
             for (i, shape) in layers.into_iter().enumerate() {
                 layout.push(format!("{network}.{i}.weight"), shape.to_vec(), Kind::Network);

@@ -18,6 +18,8 @@ pub enum Origin {
     File(String),
     /// `--set` on the command line.
     CommandLine,
+    /// The scene plan.
+    Plan,
 }
 
 impl std::fmt::Display for Origin {
@@ -26,6 +28,7 @@ impl std::fmt::Display for Origin {
             Self::Default => f.write_str("default"),
             Self::File(place) => f.write_str(place),
             Self::CommandLine => f.write_str("--set"),
+            Self::Plan => f.write_str("scene plan"),
         }
     }
 }
@@ -91,11 +94,25 @@ impl Settings {
         let Some((path, text)) = assignment.split_once('=') else {
             return Err(Error::input(place, "no '=' found", "write --set section.key=value"));
         };
-        let value = toml::from_str::<Table>(&format!("value = {text}"))
-            .ok()
-            .and_then(|mut table| table.remove("value"))
-            .unwrap_or_else(|| Value::String(text.to_string()));
-        self.put(path.trim(), value, &place, Origin::CommandLine)
+        self.put(path.trim(), parsed(text), &place, Origin::CommandLine)
+    }
+
+    /// Lays a decision of the scene plan over what is there; `value` is TOML text.
+    ///
+    /// # Errors
+    /// When there is no such setting or the value has another type.
+    pub fn decide(&mut self, path: &str, value: &str) -> Result<()> {
+        self.put(path, parsed(value), "scene plan", Origin::Plan)
+    }
+
+    /// The effective value of a setting as TOML text; empty where there is no such setting.
+    pub fn value(&self, path: &str) -> String {
+        self.entries.get(path).map_or_else(String::new, |(value, _)| value.to_string())
+    }
+
+    /// Where the effective value of a setting came from.
+    pub fn origin(&self, path: &str) -> &Origin {
+        self.entries.get(path).map_or(&Origin::Default, |(_, origin)| origin)
     }
 
     fn put(&mut self, path: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
@@ -186,6 +203,14 @@ fn plain(value: &Spanned<DeValue<'_>>) -> Value {
             fields.iter().map(|(key, value)| (key.get_ref().to_string(), plain(value))).collect(),
         ),
     }
+}
+
+/// A value as TOML; what is none is a string.
+fn parsed(text: &str) -> Value {
+    toml::from_str::<Table>(&format!("value = {text}"))
+        .ok()
+        .and_then(|mut table| table.remove("value"))
+        .unwrap_or_else(|| Value::String(text.to_string()))
 }
 
 /// `value` in the type of the default; an integer serves where a float is expected. `Err` names found and expected.

@@ -16,6 +16,8 @@ const METADATA: &str = "trimip";
 pub enum Values {
     /// 32-bit floats.
     F32(Vec<f32>),
+    /// 16-bit floats.
+    F16(Vec<half::f16>),
     /// Bytes.
     U8(Vec<u8>),
 }
@@ -42,9 +44,31 @@ impl Tensor {
         Self { shape: shape.to_vec(), values: Values::U8(values) }
     }
 
+    /// The same numbers rounded to f16, where all of them stay finite; else as they are.
+    pub fn halved(&self) -> Self {
+        match &self.values {
+            Values::F32(values) if values.iter().all(|value| value.abs() < 65_504.0) => {
+                let values = values.iter().map(|&value| half::f16::from_f32(value)).collect();
+                Self { shape: self.shape.clone(), values: Values::F16(values) }
+            }
+            _ => self.clone(),
+        }
+    }
+
+    /// The same numbers as f32, where they are f16.
+    pub fn widened(self) -> Self {
+        match self.values {
+            Values::F16(values) => {
+                Self::f32(&self.shape, values.into_iter().map(half::f16::to_f32).collect())
+            }
+            _ => self,
+        }
+    }
+
     fn bytes(&self) -> (&[u8], Dtype) {
         match &self.values {
             Values::F32(values) => (bytemuck::cast_slice(values), Dtype::F32),
+            Values::F16(values) => (bytemuck::cast_slice(values), Dtype::F16),
             Values::U8(values) => (values, Dtype::U8),
         }
     }
@@ -122,12 +146,13 @@ impl TensorFile {
         for (name, view) in views.tensors() {
             let values = match view.dtype() {
                 Dtype::F32 => Values::F32(bytemuck::allocation::pod_collect_to_vec(view.data())),
+                Dtype::F16 => Values::F16(bytemuck::allocation::pod_collect_to_vec(view.data())),
                 Dtype::U8 => Values::U8(view.data().to_vec()),
                 other => {
                     return Err(Error::input(
                         file,
                         format!("tensor `{name}` is {other:?}"),
-                        "expected f32 or u8",
+                        "expected f32, f16 or u8",
                     ));
                 }
             };

@@ -1,7 +1,7 @@
 //! The training step and the rendering of a view, written once over the traits: any backend's model is a [`Session`].
 
 use crate::{
-    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Optimizer, Pixel, Renderer, Result,
+    Aabb, Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Optimizer, Pixel, Renderer, Result,
     Session, StepReport, ViewSet,
     adamw::learning_rate,
     backend::{Loss, Occupancy, Sampler, Stages},
@@ -11,7 +11,7 @@ use crate::{
     model::Model,
     run::progress,
     tensors::{Tensor, TensorFile},
-    tri_mip::grow,
+    tri_mip::{Pyramid, grow},
 };
 use glam::DVec3;
 use std::collections::VecDeque;
@@ -290,8 +290,9 @@ impl<B: Backend> Trainer<B> {
 
     /// Grows the planes at the front of `values` to `halvings` halvings.
     fn grow(&self, values: &mut [f32], halvings: u32) {
+        let whole = Pyramid::new(&self.config.encoder, &Aabb::new(&self.config.scene));
         for halvings in (halvings..self.state.halvings).rev() {
-            grow(values, self.config.encoder.plane_size as usize >> (halvings + 1));
+            grow(values, &whole.halved(halvings + 1));
         }
     }
 

@@ -97,6 +97,8 @@ pub trait Frames: Send + Sync {
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
+    /// Cameras of all frames at every scale, without a look at the photographs.
+    fn cameras(&self) -> Vec<Camera>;
     /// Frame `index` at every scale: a set of one view per scale, fine to coarse.
     fn load(&self, index: usize) -> Result<ViewSet>;
 }

@@ -100,6 +100,20 @@ impl<T: Pod> DerefMut for Buffer<T> {
     }
 }
 
+/// Cuts off the first `count` values and leaves the rest.
+pub fn take<'a, T>(from: &mut &'a [T], count: usize) -> &'a [T] {
+    let (first, rest) = from.split_at(count);
+    *from = rest;
+    first
+}
+
+/// Cuts off the first `count` values, to change, and leaves the rest.
+pub fn take_mut<'a, T>(from: &mut &'a mut [T], count: usize) -> &'a mut [T] {
+    let (first, rest) = std::mem::take(from).split_at_mut(count);
+    *from = rest;
+    first
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

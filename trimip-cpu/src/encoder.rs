@@ -1,7 +1,7 @@
 //! Tri-mip encoding on the CPU: a texel's 16 channels are one vector register; a query adds up to 24 of them.
 
-use crate::buffer::Buffer;
-use crate::extents::{Extent, Extents};
+use crate::buffer::{Buffer, take, take_mut};
+use crate::extents::{Extent, Extents, Touched};
 use crate::gemm::padded;
 use crate::scatter::{BANDS, Sort, spread};
 use crate::simd::{Kernel, Lanes, Simd, fetch};
@@ -9,7 +9,7 @@ use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::batch::{Deposit, Samples, Sphere};
-use trimip_core::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
+use trimip_core::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, taps};
 use trimip_core::{Aabb, Config, Encoder};
 
 /// Planes and their mip levels.
@@ -20,7 +20,7 @@ pub struct CpuEncoder {
     whole: Pyramid,
     /// Where the gradient may differ from zero.
     touched: Extents,
-    /// Levels above the base, see [`Pyramid::derived_offset`].
+    /// Levels above the base, see [`Pyramid::offset`].
     derived: Buffer<f32>,
     /// Gradient of the same.
     derived_gradient: Buffer<f32>,
@@ -106,27 +106,29 @@ impl Encoder<CpuBackend> for CpuEncoder {
         let base = &mut parameter_gradient[..self.pyramid.base_len()];
         spread(self.simd, &self.pyramid, deposits, base, &mut self.derived_gradient, &mut self.touched);
         // Pull from coarse to fine: each texel of a level carries a quarter of its parent's gradient.
-        for level in (1..self.pyramid.levels).rev() {
-            let side = self.pyramid.side(level);
-            let (finer, coarser) = self.derived_gradient.split_at_mut(self.pyramid.derived_offset(level, 0));
-            let finer = if level == 1 {
-                &mut base[..]
-            } else {
-                &mut finer[self.pyramid.derived_offset(level - 1, 0)..]
-            };
-            let row = side * CHANNELS;
-            let (fine_extents, extents) = self.touched.levels_mut(level - 1);
-            let fine_rows = finer.par_chunks_mut(4 * row).zip(fine_extents.par_chunks_mut(2));
-            fine_rows.zip(extents.par_iter()).enumerate().with_min_len(4).for_each(
-                |(r, ((fine, fine_extents), extent))| {
+        let Self { simd, pyramid, derived_gradient, touched, .. } = self;
+        for level in (1..pyramid.levels).rev() {
+            let (derived, coarser) = derived_gradient.split_at_mut(pyramid.offset(level, 0));
+            let mut finer =
+                if level == 1 { &mut base[..] } else { &mut derived[pyramid.offset(level - 1, 0)..] };
+            let mut coarser = &coarser[..];
+            let (mut fine_extents, mut extents) = touched.levels_mut(level - 1);
+            for plane in 0..3 {
+                let Shape { rows, .. } = pyramid.shape(level, plane);
+                let row = pyramid.shape(level, plane).row();
+                let coarse = take(&mut coarser, rows * row);
+                let fine = take_mut(&mut finer, 4 * rows * row).par_chunks_mut(4 * row);
+                let fine_rows = fine.zip(take_mut(&mut fine_extents, 2 * rows).par_chunks_mut(2));
+                let rows = fine_rows.zip(take(&mut extents, rows)).enumerate().with_min_len(4);
+                rows.for_each(|(r, ((fine, fine_extents), extent))| {
                     if extent.is_empty() {
                         return;
                     }
                     let columns = extent.texels();
-                    self.simd.run(PullRow { coarse: &coarser[r * row..][..row], fine, columns });
+                    simd.run(PullRow { coarse: &coarse[r * row..][..row], fine, columns });
                     fine_extents.iter_mut().for_each(|fine| *fine = fine.union(extent.doubled()));
-                },
-            );
+                });
+            }
         }
         for deposit in deposits {
             deposit.encoder.spheres.clear();
@@ -138,8 +140,8 @@ impl Encoder<CpuBackend> for CpuEncoder {
 
 impl CpuEncoder {
     /// Rows and columns of the base whose gradient may differ from zero.
-    pub(crate) fn touched(&self) -> &[Extent] {
-        self.touched.level(0)
+    pub(crate) fn touched(&self) -> Touched<'_> {
+        Touched { shapes: [0, 1, 2].map(|plane| self.pyramid.shape(0, plane)), rows: self.touched.level(0) }
     }
 
     /// Rebuilds the mip levels where the base has changed since: within what the last gradient touched.
@@ -151,25 +153,31 @@ impl CpuEncoder {
 
     /// Rebuilds the mip levels above the base texels `changed`.
     fn average(&mut self, parameters: &Buffer<f32>, changed: &Extents) {
+        let Self { simd, pyramid, derived, .. } = self;
         let mut below = changed.level(0).to_vec();
-        for level in 1..self.pyramid.levels {
-            let side = self.pyramid.side(level);
-            let (finer, coarser) = self.derived.split_at_mut(self.pyramid.derived_offset(level, 0));
-            let finer = if level == 1 {
-                &parameters[..self.pyramid.base_len()]
+        for level in 1..pyramid.levels {
+            let (derived, mut coarser) = derived.split_at_mut(pyramid.offset(level, 0));
+            let mut finer = if level == 1 {
+                &parameters[..pyramid.base_len()]
             } else {
-                &finer[self.pyramid.derived_offset(level - 1, 0)..]
+                &derived[pyramid.offset(level - 1, 0)..]
             };
-            let extents: Vec<Extent> =
+            // Every plane has an even number of rows below its rows: pairs stay within their plane.
+            let above: Vec<Extent> =
                 below.chunks_exact(2).map(|rows| rows[0].union(rows[1]).halved()).collect();
-            // Three planes of `side` rows: row r of this level lies over rows 2r and 2r + 1 of the finer one.
-            let row = side * CHANNELS;
-            let rows = coarser[..3 * side * row].par_chunks_mut(row).zip(&extents);
-            rows.enumerate().with_min_len(4).for_each(|(r, (out, extent))| {
-                let fine = &finer[4 * r * row..][..4 * row];
-                self.simd.run(AverageRow { fine, out, columns: extent.texels() });
-            });
-            below = extents;
+            let mut extents = &above[..];
+            for plane in 0..3 {
+                // Row r of this level lies over rows 2r and 2r + 1 of the finer one.
+                let Shape { rows, .. } = pyramid.shape(level, plane);
+                let row = pyramid.shape(level, plane).row();
+                let fine = take(&mut finer, 4 * rows * row).par_chunks(4 * row);
+                let out = take_mut(&mut coarser, rows * row).par_chunks_mut(row);
+                let rows = out.zip(fine).zip(take(&mut extents, rows)).with_min_len(4);
+                rows.for_each(|((out, fine), extent)| {
+                    simd.run(AverageRow { fine, out, columns: extent.texels() });
+                });
+            }
+            below = above;
         }
     }
 }
@@ -268,13 +276,9 @@ impl Gather<'_> {
     fn places(&self) -> [[*const f32; 3]; MOST_LEVELS] {
         let mut places = [[std::ptr::null(); 3]; MOST_LEVELS];
         for (level, planes) in places.iter_mut().enumerate().take(self.pyramid.levels) {
-            let size = self.pyramid.side(level).pow(2) * CHANNELS;
             for (plane, place) in planes.iter_mut().enumerate() {
-                *place = if level == 0 {
-                    self.base[plane * size..][..size].as_ptr()
-                } else {
-                    self.derived[self.pyramid.derived_offset(level, plane)..][..size].as_ptr()
-                };
+                let values = if level == 0 { self.base } else { self.derived };
+                *place = values[self.pyramid.range(level, plane)].as_ptr();
             }
         }
         places
@@ -292,12 +296,12 @@ impl Gather<'_> {
                 if share == 0.0 {
                     continue;
                 }
-                let side = self.pyramid.side(level);
-                let taps = taps(side, sphere.position[a], sphere.position[b]);
+                let shape = self.pyramid.shape(level, plane);
+                let taps = taps(shape, sphere.position[a], sphere.position[b]);
                 for i in 0..2 {
                     for j in 0..2 {
-                        let texel = (taps.rows[i] * side + taps.columns[j]) * CHANNELS;
-                        // SAFETY: taps clamps rows and columns below `side`; the level holds side² texels.
+                        let texel = (taps.rows[i] * shape.columns + taps.columns[j]) * CHANNELS;
+                        // SAFETY: taps clamps rows and columns to the shape; the level holds all its texels.
                         let texel = unsafe { places[level][plane].add(texel) };
                         fetch(texel);
                         read.texels[2 * i + j] = texel;

@@ -2,7 +2,7 @@
 //! moments and mip levels leave out the rest.
 
 use std::ops::Range;
-use trimip_core::tri_mip::Pyramid;
+use trimip_core::tri_mip::{Pyramid, Shape};
 
 /// Columns of a row, end excluded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,8 +58,11 @@ impl Extents {
     /// Every texel.
     pub fn whole(pyramid: &Pyramid) -> Self {
         let level = |level| {
-            let side = pyramid.side(level);
-            vec![Extent { start: 0, end: side as u32 }; 3 * side]
+            let plane = |plane| {
+                let Shape { rows, columns } = pyramid.shape(level, plane);
+                std::iter::repeat_n(Extent { start: 0, end: columns as u32 }, rows)
+            };
+            (0..3).flat_map(plane).collect()
         };
         Self { levels: (0..pyramid.levels).map(level).collect() }
     }
@@ -79,6 +82,15 @@ impl Extents {
         let (finer, coarser) = self.levels.split_at_mut(level + 1);
         (&mut finer[level], &coarser[0])
     }
+}
+
+/// What a step touched of the base: the planes' shapes, and an extent for each of their rows, plane by plane.
+#[derive(Clone, Copy)]
+pub struct Touched<'a> {
+    /// Rows and columns of each plane.
+    pub shapes: [Shape; 3],
+    /// One extent a row.
+    pub rows: &'a [Extent],
 }
 
 #[cfg(test)]

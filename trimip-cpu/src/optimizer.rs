@@ -1,8 +1,8 @@
 //! AdamW on the CPU: one pass over all parameters, in chunks that do not depend on the number of threads.
 
 use crate::CpuBackend;
-use crate::buffer::Buffer;
-use crate::extents::Extent;
+use crate::buffer::{Buffer, take};
+use crate::extents::Touched;
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -58,7 +58,7 @@ impl CpuOptimizer {
         deposits: &[Deposit<CpuBackend>],
         learning_rate: f64,
         step: u64,
-        touched: Option<&[Extent]>,
+        touched: Option<Touched<'_>>,
     ) {
         let weight: f64 = deposits.iter().map(|deposit| deposit.sums.weight).sum();
         let scale = (1.0 / weight) as f32;
@@ -68,40 +68,47 @@ impl CpuOptimizer {
             let rate = if planes { learning_rate * config.plane_scale } else { learning_rate };
             let rule = Rule::new(config, rate, step);
             let skip = planes && config.untouched == Untouched::Skip;
-            let mut range = slot.range.clone();
+            let mut whole = slot.range.clone();
             if planes {
-                range.end = range.start + (range.len() >> (2 * *halvings));
+                whole.end = whole.start + (whole.len() >> (2 * *halvings));
             }
-            let chunk = match touched {
-                Some(rows) if planes => range.len() / rows.len(),
-                _ => CHUNK,
+            // Plane by plane and row by row where rows say what they touched.
+            let pieces = match touched {
+                Some(Touched { shapes, mut rows }) if planes => {
+                    let mut start = whole.start;
+                    Vec::from(shapes.map(|shape| {
+                        let range = start..start + shape.rows * shape.row();
+                        start = range.end;
+                        (range, shape.row(), Some(take(&mut rows, shape.rows)))
+                    }))
+                }
+                _ => vec![(whole, CHUNK, None)],
             };
-            let chunks = parameters[range.clone()]
-                .par_chunks_mut(chunk)
-                .zip(m[range.clone()].par_chunks_mut(chunk))
-                .zip(v[range.clone()].par_chunks_mut(chunk))
-                .zip(gradient[range].par_chunks(chunk));
-            chunks.enumerate().with_min_len(4).for_each(|(i, (((parameters, m), v), gradient))| {
-                let within = match touched {
-                    Some(rows) if planes => {
+            for (range, chunk, rows) in pieces {
+                let chunks = parameters[range.clone()]
+                    .par_chunks_mut(chunk)
+                    .zip(m[range.clone()].par_chunks_mut(chunk))
+                    .zip(v[range.clone()].par_chunks_mut(chunk))
+                    .zip(gradient[range].par_chunks(chunk));
+                chunks.enumerate().with_min_len(4).for_each(|(i, (((parameters, m), v), gradient))| {
+                    let within = rows.map_or(0..parameters.len(), |rows| {
                         let Range { start, end } = rows[i].texels();
                         start * CHANNELS..end * CHANNELS
+                    });
+                    let skipped = simd.run(Update {
+                        rule,
+                        scale,
+                        skip,
+                        parameters: &mut parameters[within.clone()],
+                        m: &mut m[within.clone()],
+                        v: &mut v[within.clone()],
+                        gradient: &gradient[within],
+                    });
+                    if skipped > 0 {
+                        non_finite.fetch_add(skipped, Ordering::Relaxed);
                     }
-                    _ => 0..parameters.len(),
-                };
-                let skipped = simd.run(Update {
-                    rule,
-                    scale,
-                    skip,
-                    parameters: &mut parameters[within.clone()],
-                    m: &mut m[within.clone()],
-                    v: &mut v[within.clone()],
-                    gradient: &gradient[within],
                 });
-                if skipped > 0 {
-                    non_finite.fetch_add(skipped, Ordering::Relaxed);
-                }
-            });
+            }
         }
     }
 }

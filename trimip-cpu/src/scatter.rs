@@ -3,6 +3,7 @@
 //! order. A row of a level belongs to exactly one band.
 
 use crate::CpuBackend;
+use crate::buffer::take_mut;
 use crate::extents::{Extent, Extents};
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
@@ -28,15 +29,15 @@ struct LevelBand<'a> {
     extents: &'a mut [Extent],
 }
 
-/// Band that owns a row of a level with `side` rows.
+/// Band that owns a row of a plane's level that has `rows`.
 #[inline(always)]
-fn owner(row: usize, side: usize) -> usize {
-    row * BANDS / side
+fn owner(row: usize, rows: usize) -> usize {
+    row * BANDS / rows
 }
 
 /// First row of a band.
-fn first_row(band: usize, side: usize) -> usize {
-    (band * side).div_ceil(BANDS)
+fn first_row(band: usize, rows: usize) -> usize {
+    (band * rows).div_ceil(BANDS)
 }
 
 /// The up to two reads of a sphere on a plane: level and weight.
@@ -69,9 +70,9 @@ impl Kernel for Sort<'_> {
                 let mut touched = 0_u32;
                 for (level, share) in reads(pyramid, plane, log2_radius) {
                     if share != 0.0 {
-                        let side = pyramid.side(level);
-                        let rows = taps(side, sphere.position[a], sphere.position[b]).rows;
-                        touched |= 1 << owner(rows[0], side) | 1 << owner(rows[1], side);
+                        let shape = pyramid.shape(level, plane);
+                        let [lower, upper] = taps(shape, sphere.position[a], sphere.position[b]).rows;
+                        touched |= 1 << owner(lower, shape.rows) | 1 << owner(upper, shape.rows);
                     }
                 }
                 while touched != 0 {
@@ -97,16 +98,16 @@ pub fn spread(
         .collect();
     let mut rest = [base, derived];
     for (level, extents) in touched.iter_mut().enumerate() {
-        let side = pyramid.side(level);
         let mut extents = extents.as_mut_slice();
         let texels = &mut rest[usize::from(level > 0)];
         for band in &mut bands {
-            let (from, to) = (first_row(band.band, side), first_row(band.band + 1, side));
-            let (rows, after) = std::mem::take(texels).split_at_mut((to - from) * side * CHANNELS);
-            let (row_extents, rest) = std::mem::take(&mut extents).split_at_mut(to - from);
-            extents = rest;
-            band.levels.push(LevelBand { first_row: from, texels: rows, extents: row_extents });
-            *texels = after;
+            let shape = pyramid.shape(level, band.plane);
+            let (from, to) = (first_row(band.band, shape.rows), first_row(band.band + 1, shape.rows));
+            band.levels.push(LevelBand {
+                first_row: from,
+                texels: take_mut(texels, (to - from) * shape.row()),
+                extents: take_mut(&mut extents, to - from),
+            });
         }
     }
     bands.into_par_iter().with_max_len(1).for_each(|band| simd.run(SpreadBand { pyramid, deposits, band }));
@@ -124,7 +125,7 @@ impl Kernel for SpreadBand<'_> {
     fn run<L: Lanes>(self) {
         let Band { plane, band, mut levels } = self.band;
         for (level, LevelBand { texels, extents, .. }) in levels.iter_mut().enumerate() {
-            let rows = texels.chunks_exact_mut(self.pyramid.side(level) * CHANNELS);
+            let rows = texels.chunks_exact_mut(self.pyramid.shape(level, plane).row());
             for (row, extent) in rows.zip(extents.iter_mut()) {
                 let Range { start, end } = extent.texels();
                 row[start * CHANNELS..end * CHANNELS].fill(0.0);
@@ -143,16 +144,17 @@ impl Kernel for SpreadBand<'_> {
                     if share == 0.0 {
                         continue;
                     }
-                    let side = self.pyramid.side(level);
-                    let taps = taps(side, sphere.position[a], sphere.position[b]);
+                    let shape = self.pyramid.shape(level, plane);
+                    let taps = taps(shape, sphere.position[a], sphere.position[b]);
                     let LevelBand { first_row, texels, extents } = &mut levels[level];
                     for i in 0..2 {
-                        if owner(taps.rows[i], side) != band {
+                        if owner(taps.rows[i], shape.rows) != band {
                             continue;
                         }
                         extents[taps.rows[i] - *first_row].add(taps.columns[0], taps.columns[1]);
                         for j in 0..2 {
-                            let texel = ((taps.rows[i] - *first_row) * side + taps.columns[j]) * CHANNELS;
+                            let row = (taps.rows[i] - *first_row) * shape.columns;
+                            let texel = (row + taps.columns[j]) * CHANNELS;
                             let texel = texels[texel..][..CHANNELS].as_mut_ptr();
                             // SAFETY: the slice holds 16 values.
                             unsafe {
@@ -173,7 +175,7 @@ mod tests {
 
     #[test]
     fn every_row_has_one_owner_and_bands_meet() {
-        for side in [1, 2, 8, 16, 32, 512] {
+        for side in [1, 2, 8, 16, 24, 40, 336, 512] {
             let mut rows = 0;
             for band in 0..BANDS {
                 for row in first_row(band, side)..first_row(band + 1, side) {

@@ -154,6 +154,10 @@ impl Frames for FrameList {
         self.sources.len()
     }
 
+    fn cameras(&self) -> Vec<Camera> {
+        self.sources.iter().flat_map(|source| source.views.iter().map(|(_, camera)| *camera)).collect()
+    }
+
     fn load(&self, index: usize) -> Result<ViewSet> {
         let source = self.sources.get(index..=index).ok_or_else(|| {
             Error::run(format!("frame {index} was asked for, there are {}", self.sources.len()))

@@ -15,16 +15,15 @@ use trimip_core::{Aabb, Config, Encoder};
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Params {
     log2_base_radius: [f32; 3],
-    size: u32,
     levels: u32,
+    sides: [u32; 3],
     counter: u32,
-    padding: [u32; 2],
 }
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct LevelParams {
-    side: u32,
+    sides: [u32; 3],
     has_coarse: u32,
 }
 
@@ -71,22 +70,32 @@ impl WgpuEncoder {
     }
 
     fn params(&self, counter: u32) -> Params {
-        let Pyramid { size, levels, log2_base_radius } = &self.pyramid;
+        let Pyramid { sides, levels, log2_base_radius } = &self.pyramid;
         Params {
             log2_base_radius: log2_base_radius.map(|radius| radius as f32),
-            size: *size as u32,
             levels: *levels as u32,
+            sides: sides.map(|side| side as u32),
             counter,
-            padding: [0; 2],
         }
+    }
+
+    /// What a pass over `level` needs to know.
+    fn level_params(&self, level: usize, has_coarse: bool) -> LevelParams {
+        let sides = self.pyramid.sides.map(|side| (side >> level) as u32);
+        LevelParams { sides, has_coarse: u32::from(has_coarse) }
+    }
+
+    /// Invocations of a pass over `level`: one has four channels of a texel.
+    fn items(&self, level: usize) -> Size<'static> {
+        Size::Items((self.pyramid.texels(level) * CHANNELS / 4) as u64)
     }
 
     /// A level of an array of levels above the base, or of the base array.
     fn level<'a>(&self, level: usize, base: &'a Buffer<f32>, derived: &'a Buffer<f32>) -> Bind<'a> {
-        let count = 3 * self.pyramid.side(level).pow(2) * CHANNELS;
+        let count = self.pyramid.texels(level) * CHANNELS;
         match level {
             0 => base.part(0, count),
-            _ => derived.part(self.pyramid.derived_offset(level, 0), count),
+            _ => derived.part(self.pyramid.offset(level, 0), count),
         }
     }
 }
@@ -104,13 +113,11 @@ impl Encoder<WgpuBackend> for WgpuEncoder {
 
     fn refresh(&mut self, parameters: &Buffer<f32>) {
         for level in 1..self.pyramid.levels {
-            let side = self.pyramid.side(level - 1) as u32;
             let binds = [
                 self.level(level - 1, parameters, &self.derived),
                 self.level(level, parameters, &self.derived),
             ];
-            let items = 3 * u64::from(side / 2).pow(2) * CHANNELS as u64 / 4;
-            self.gpu.dispatch(&AVERAGE, &binds, &LevelParams { side, has_coarse: 1 }, Size::Items(items));
+            self.gpu.dispatch(&AVERAGE, &binds, &self.level_params(level - 1, true), self.items(level));
         }
     }
 
@@ -172,7 +179,6 @@ impl Encoder<WgpuBackend> for WgpuEncoder {
         }
         // Pull from coarse to fine: each texel of a level carries a quarter of its parent's gradient.
         for level in (0..self.pyramid.levels).rev() {
-            let side = self.pyramid.side(level) as u32;
             let has_coarse = level + 1 < self.pyramid.levels;
             // Where there is no coarser level, something else stands in its place and is not read.
             let coarse = match has_coarse {
@@ -183,9 +189,8 @@ impl Encoder<WgpuBackend> for WgpuEncoder {
             if fixed {
                 binds.push(self.level(level, &self.high[0], &self.high[1]));
             }
-            let params = LevelParams { side, has_coarse: u32::from(has_coarse) };
-            let items = 3 * u64::from(side).pow(2) * CHANNELS as u64 / 4;
-            self.gpu.dispatch(&pull(self.addition), &binds, &params, Size::Items(items));
+            let params = self.level_params(level, has_coarse);
+            self.gpu.dispatch(&pull(self.addition), &binds, &params, self.items(level));
         }
     }
 }

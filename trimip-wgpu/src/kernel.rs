@@ -71,17 +71,20 @@ const RANDOM: &str = include_str!("shaders/random.wgsl");
 const RAYS: &[&str] = &[GRID, RANDOM, include_str!("shaders/rays.wgsl")];
 const MARCH: &[&str] = &[GRID, RANDOM, include_str!("shaders/march.wgsl")];
 const SCAN: &[&str] = &[include_str!("shaders/scan.wgsl")];
+const PLANES: &str = include_str!("shaders/planes.wgsl");
 const TRI_MIP: &str = include_str!("shaders/tri_mip.wgsl");
-const ENCODE: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/encode.wgsl")];
+const ENCODE: &[&str] = &[GRID, PLANES, TRI_MIP, include_str!("shaders/encode.wgsl")];
 const FIXED: &str = include_str!("shaders/fixed.wgsl");
 const SCATTER: &str = include_str!("shaders/scatter.wgsl");
-const SCATTER_FIXED: &[&str] = &[GRID, TRI_MIP, FIXED, include_str!("shaders/add_fixed.wgsl"), SCATTER];
-const SCATTER_ATOMIC: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/add_atomic.wgsl"), SCATTER];
-const SCATTER_EXCHANGE: &[&str] = &[GRID, TRI_MIP, include_str!("shaders/add_exchange.wgsl"), SCATTER];
-const AVERAGING: &[&str] = &[GRID, include_str!("shaders/average.wgsl")];
+const SCATTER_FIXED: &[&str] =
+    &[GRID, PLANES, TRI_MIP, FIXED, include_str!("shaders/add_fixed.wgsl"), SCATTER];
+const SCATTER_ATOMIC: &[&str] = &[GRID, PLANES, TRI_MIP, include_str!("shaders/add_atomic.wgsl"), SCATTER];
+const SCATTER_EXCHANGE: &[&str] =
+    &[GRID, PLANES, TRI_MIP, include_str!("shaders/add_exchange.wgsl"), SCATTER];
+const AVERAGING: &[&str] = &[GRID, PLANES, include_str!("shaders/average.wgsl")];
 const PULL: &str = include_str!("shaders/pull.wgsl");
-const PULL_FIXED: &[&str] = &[GRID, FIXED, include_str!("shaders/own_fixed.wgsl"), PULL];
-const PULL_FLOAT: &[&str] = &[GRID, include_str!("shaders/own_float.wgsl"), PULL];
+const PULL_FIXED: &[&str] = &[GRID, PLANES, FIXED, include_str!("shaders/own_fixed.wgsl"), PULL];
+const PULL_FLOAT: &[&str] = &[GRID, PLANES, include_str!("shaders/own_float.wgsl"), PULL];
 const PRODUCT: &str = include_str!("shaders/multiply.wgsl");
 const STORE: &str = include_str!("shaders/finish_store.wgsl");
 const RELU: &str = include_str!("shaders/finish_relu.wgsl");

@@ -4,7 +4,7 @@ use crate::buffer::Buffer;
 use crate::device::{Gpu, Size};
 use crate::kernel::{Access, Finish, GRADIENT_SCALE, Kernel, accumulate, multiply, tile};
 use std::sync::Arc;
-use trimip_core::tri_mip::{Pyramid, taps};
+use trimip_core::tri_mip::{Pyramid, Shape, taps};
 use trimip_core::{activation, camera, compositing, loss, rng, sh};
 
 /// Calls `probe`, which a probe's own text defines, on every input.
@@ -201,19 +201,16 @@ fn harmonics() {
 
 #[test]
 fn levels_and_texels() {
-    let pyramid = Pyramid { size: 64, levels: 5, log2_base_radius: [-7.0, -6.5, -5.25] };
+    let pyramid = Pyramid { sides: [64, 32, 96], levels: 5, log2_base_radius: [-7.0, -6.5, -5.25] };
     let radii: Vec<[f32; 4]> =
         (-40..20).flat_map(|i| [0.0, 1.0, 2.0].map(|p| [i as f32 / 4.0, p, 0.0, 0.0])).collect();
     compare(
-        files!("tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 64u, 5u, 0u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), 0.0);"),
+        files!("planes.wgsl", "tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 5u, vec3<u32>(64u, 32u, 96u), 0u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), 0.0);"),
         &radii,
         |[radius, plane, ..]| {
             let plane = plane as usize;
             let blend = pyramid.blend(plane, radius);
-            let start = match blend.lower {
-                0 => plane * 64 * 64,
-                level => pyramid.derived_offset(level, plane) / trimip_core::tri_mip::CHANNELS,
-            };
+            let start = pyramid.offset(blend.lower, plane) / trimip_core::tri_mip::CHANNELS;
             [blend.lower as f64, blend.fraction, start as f64, 0.0]
         },
         (1e-6, 0.0),
@@ -224,19 +221,19 @@ fn levels_and_texels() {
         .flat_map(|a| [0.0_f32, 0.12, 0.999, 1.0].map(|b| [a, b, 0.0, 0.0]))
         .collect();
     compare(
-        files!("tri_mip.wgsl"; "let t = texel_taps(32u, x.xy); return vec4<f32>(f32(t.columns.x), f32(t.columns.y), f32(t.rows.x), f32(t.rows.y));"),
+        files!("planes.wgsl", "tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(f32(t.columns.x), f32(t.columns.y), f32(t.rows.x), f32(t.rows.y));"),
         &places,
         |[a, b, ..]| {
-            let taps = taps(32, a, b);
+            let taps = taps(Shape { rows: 48, columns: 32 }, a, b);
             [taps.columns[0], taps.columns[1], taps.rows[0], taps.rows[1]].map(|x| x as f64)
         },
         (0.0, 0.0),
     );
     compare(
-        files!("tri_mip.wgsl"; "let t = texel_taps(32u, x.xy); return vec4<f32>(tap_weight(t, 0u, 0u), tap_weight(t, 0u, 1u), tap_weight(t, 1u, 0u), tap_weight(t, 1u, 1u));"),
+        files!("planes.wgsl", "tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(tap_weight(t, 0u, 0u), tap_weight(t, 0u, 1u), tap_weight(t, 1u, 0u), tap_weight(t, 1u, 1u));"),
         &places,
         |[a, b, ..]| {
-            let [below, above] = taps(32, a, b).weights;
+            let [below, above] = taps(Shape { rows: 48, columns: 32 }, a, b).weights;
             [below[0], below[1], above[0], above[1]]
         },
         (4e-6, 0.0),

@@ -3,28 +3,31 @@
 
 use super::{Bench, wide};
 use crate::fixtures::{Draw, lively, small};
+use crate::reference::{AXES, sides};
 use trimip_core::{
     Backend, Config, Encoder, Layout, Result,
     backend::Field,
     batch::{Deposit, Sphere},
+    config::PlaneShape,
 };
 
 /// Means and sums of some thousand f32 values of order 1, relative to the sum of their sizes.
 const SUM_TOLERANCE: f64 = 1e-6;
 
-/// Axes of each plane.
-const AXES: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
-
-fn configuration() -> Config {
-    let mut config = small();
-    config.encoder.plane_size = 32;
-    config.encoder.levels = 6;
-    config
+/// Square planes over a cube, and planes of 48 × 64 × 16 texels over a box of these proportions.
+fn configurations() -> [Config; 2] {
+    let mut cube = small();
+    (cube.encoder.plane_size, cube.encoder.levels) = (32, 6);
+    let mut long = small();
+    (long.encoder.plane_size, long.encoder.levels) = (64, 5);
+    long.encoder.shape = PlaneShape::Box;
+    (long.scene.aabb_min, long.scene.aabb_max) = ([-1.0, -2.0, 0.0], [2.0, 2.0, 1.0]);
+    [cube, long]
 }
 
-/// World radius whose level is exactly `level` in a cube of 3 units.
+/// World radius whose level is exactly `level`, by the paper's formula.
 fn radius(config: &Config, level: f64) -> f32 {
-    let texel = 3.0 / f64::from(config.encoder.plane_size);
+    let texel = f64::from(config.scene.aabb_max[1] - config.scene.aabb_min[1]) / sides(config)[1] as f64;
     (texel / std::f64::consts::PI.sqrt() * level.exp2()) as f32
 }
 
@@ -33,20 +36,28 @@ fn radius(config: &Config, level: f64) -> f32 {
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn means<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    let config = configuration();
-    let parameters = lively(&Layout::new(&config), 4);
-    let mut bench = Bench::new(make(), &config, None, &parameters)?;
-    let size = config.encoder.plane_size as usize;
+    for config in configurations() {
+        means_of(make(), &config)?;
+    }
+    Ok(())
+}
+
+fn means_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
+    let parameters = lively(&Layout::new(config), 4);
+    let mut bench = Bench::new(backend, config, None, &parameters)?;
+    let mut rest = &parameters[..];
     for (plane, [a, b]) in AXES.into_iter().enumerate() {
-        let base = &parameters[plane * size * size * 16..][..size * size * 16];
+        let [columns, rows] = [a, b].map(|axis| sides(config)[axis]);
+        let base;
+        (base, rest) = rest.split_at(columns * rows * 16);
         for level in 0..config.encoder.levels as usize {
-            let side = size >> level;
-            let spheres: Vec<Sphere> = (0..side * side)
+            let (columns, rows) = (columns >> level, rows >> level);
+            let spheres: Vec<Sphere> = (0..columns * rows)
                 .map(|i| {
                     let mut position = [0.5; 3];
-                    position[a] = ((i % side) as f32 + 0.5) / side as f32;
-                    position[b] = ((i / side) as f32 + 0.5) / side as f32;
-                    Sphere { position, radius: radius(&config, level as f64) }
+                    position[a] = ((i % columns) as f32 + 0.5) / columns as f32;
+                    position[b] = ((i / columns) as f32 + 0.5) / rows as f32;
+                    Sphere { position, radius: radius(config, level as f64) }
                 })
                 .collect();
             bench.place(&spheres);
@@ -55,9 +66,10 @@ pub fn means<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 let mean = |values: &mut dyn Iterator<Item = f32>, count: usize| {
                     values.map(f64::from).sum::<f64>() / count as f64
                 };
-                let expected = mean(&mut base.iter().skip(channel).step_by(16).copied(), size * size);
+                let expected = mean(&mut base.iter().skip(channel).step_by(16).copied(), base.len() / 16);
                 let column = plane * 16 + channel;
-                let found = mean(&mut (0..side * side).map(|i| features[48 * i + column]), side * side);
+                let texels = columns * rows;
+                let found = mean(&mut (0..texels).map(|i| features[48 * i + column]), texels);
                 assert!(
                     (found - expected).abs() < SUM_TOLERANCE,
                     "plane {plane}, level {level}, channel {channel}: mean {found}, not {expected}"
@@ -73,17 +85,23 @@ pub fn means<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn gradients<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    let config = configuration();
-    let layout = Layout::new(&config);
+    for config in configurations() {
+        gradients_of(make(), &config)?;
+    }
+    Ok(())
+}
+
+fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
+    let layout = Layout::new(config);
     let parameters = lively(&layout, 4);
-    let mut bench = Bench::new(make(), &config, Some(crate::fixtures::noise(1, 8, 1, 1)), &parameters)?;
+    let mut bench = Bench::new(backend, config, Some(crate::fixtures::noise(1, 8, 1, 1)), &parameters)?;
     let mut draw = Draw::new(8);
     let base = layout.slots[0].range.len();
     for level in 0..config.encoder.levels {
         let spheres: Vec<Sphere> = (0..203)
             .map(|_| Sphere {
                 position: [0; 3].map(|_| draw.between(0.0, 1.0) as f32),
-                radius: radius(&config, f64::from(level) + draw.between(0.0, 1.0)),
+                radius: radius(config, f64::from(level) + draw.between(0.0, 1.0)),
             })
             .collect();
         bench.place(&spheres);
@@ -106,7 +124,8 @@ pub fn gradients<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let counted = 48 * spheres.len();
         for column in 0..48 {
             let (plane, channel) = (column / 16, column % 16);
-            let part = &gradient[plane * base / 3..][..base / 3];
+            let texels = AXES.map(|[a, b]| sides(config)[a] * sides(config)[b]);
+            let part = &gradient[texels[..plane].iter().sum::<usize>() * 16..][..texels[plane] * 16];
             let found: f64 = part.iter().skip(channel).step_by(16).sum();
             let deposited = upstream[..counted].iter().skip(column).step_by(48);
             let expected: f64 = deposited.clone().map(|&g| f64::from(g)).sum();

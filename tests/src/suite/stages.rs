@@ -9,7 +9,7 @@ use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Field, Intrinsics, Layout, Pixel, Renderer, Result, Session,
     batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere},
-    config::LevelFormula,
+    config::{LevelFormula, PlaneShape},
     trainer::Trainer,
 };
 
@@ -39,7 +39,12 @@ fn configurations() -> Vec<Config> {
     (code.scene.aabb_min, code.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
     let mut flat = small();
     flat.encoder.mipmap = false;
-    vec![paper, code, flat]
+    // The same box under square texels: planes of 64, 64 and 32.
+    let mut fitted = small();
+    (fitted.encoder.plane_size, fitted.encoder.levels) = (64, 4);
+    fitted.encoder.shape = PlaneShape::Box;
+    fitted.scene = code.scene.clone();
+    vec![paper, code, flat, fitted]
 }
 
 /// Spheres all over the box and on its border, with radii from nothing to far beyond the coarsest level.

@@ -7,7 +7,7 @@ use crate::{
 };
 use std::path::Path;
 use trimip_core::evaluate::mean_psnr_8bit;
-use trimip_core::{Origin, Result, config::Convention, run::progress};
+use trimip_core::{Aabb, Origin, Result, config::Convention, run::progress, tri_mip::Pyramid};
 
 /// The whole page; `images` is the folder of the comparisons.
 pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
@@ -60,9 +60,10 @@ fn head(report: &Report<'_>, title: &str) -> String {
     tiles.push((report.model_bytes.map_or("not yet".into(), terminal::bytes), "model file"));
     let tiles: String =
         tiles.iter().map(|(value, name)| format!("<div><b>{value}</b><span>{name}</span></div>")).collect();
-    let size = report.config.encoder.plane_size;
+    let [x, y, z] = Pyramid::new(&report.config.encoder, &Aabb::new(&report.config.scene)).sides;
+    let size = if x == y && y == z { format!("{x}×{x}") } else { format!("{x}×{y}×{z}") };
     format!(
-        "<header><h1>{title}</h1>\n<p class=\"lead\">Tri-MipRF, planes {size}×{size}, {} steps, backend {} \
+        "<header><h1>{title}</h1>\n<p class=\"lead\">Tri-MipRF, planes {size}, {} steps, backend {} \
          <span class=\"status {class}\">{status}</span></p>\n<div class=\"tiles\">{tiles}</div></header>\n",
         totals.step, report.config.backend,
     )

@@ -7,6 +7,7 @@ mod config;
 mod data;
 mod doctor;
 mod eval;
+mod plan;
 mod render;
 mod train;
 
@@ -18,6 +19,7 @@ pub fn run(arguments: Arguments) -> Result<u8> {
     match arguments.verb {
         None => train::run(&arguments.train),
         Some(Verb::Train(train)) => train::run(&train),
+        Some(Verb::Plan(plan)) => plan::run(&plan),
         Some(Verb::Eval(eval)) => eval::run(&eval),
         Some(Verb::Render(render)) => render::run(&render),
         Some(Verb::Data(data)) => data::run(&data),

@@ -23,13 +23,14 @@ use trimip_core::{
     checkpoint::Checkpoint,
     events::{Event, EventSink, Totals},
     run::{Outcome, Run, progress},
+    scene_plan::{self, Facts},
     tensors::write_atomically,
 };
 
 /// Trains what the settings say; everything that can be refused is refused before anything long begins.
 pub fn run(arguments: &TrainArguments) -> Result<u8> {
     let started = Instant::now();
-    let (settings, config) = settings::load(&arguments.settings)?;
+    let (given, config) = settings::load(&arguments.settings)?;
     backends::check(&config.backend)?;
     let root = arguments
         .out
@@ -37,6 +38,13 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
         .unwrap_or_else(|| settings::default_folder(arguments.settings.config.as_deref()));
     let folder = RunFolder::new(&root);
     folder.prepare()?;
+    // A run that goes on keeps the plan it began with; another one is planned when its scene is known.
+    let (mut settings, mut findings) = (given.clone(), Vec::new());
+    if let Some(earlier) = folder.findings()?.filter(|_| !arguments.fresh) {
+        scene_plan::adopt(&mut settings, &earlier)?;
+        findings = earlier;
+    }
+    let mut config = Config::from_settings(&settings)?;
     let checkpoint = if arguments.fresh { None } else { folder.resume_point(&config)? };
     if let Some(checkpoint) = &checkpoint
         && let Some(code) = finished(arguments, &folder, &settings, &config, checkpoint)?
@@ -47,6 +55,13 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     let scene = trimip_data::open(&config.data)?;
     if arguments.fresh {
         folder.clear()?;
+    }
+    if checkpoint.is_none() {
+        settings = given;
+        let facts = Facts { train: &scene.train, test: &scene.test.cameras() };
+        findings = scene_plan::make(&mut settings, &facts)?;
+        config = Config::from_settings(&settings)?;
+        folder.write_findings(&findings)?;
     }
     folder.prepare_images()?;
     write_atomically(&folder.config(), config.to_toml().as_bytes())?;
@@ -62,7 +77,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
         test: scene.test.as_ref(),
     };
     let memory = backends::predict_memory(&config, &scene.train);
-    let plan = Plan::new(&config, &subject, &memory, folder.root(), totals.step);
+    let plan = Plan::new(&config, &subject, &findings, &memory, folder.root(), totals.step);
     let warning = plan.memory_warning(&Machine::detect());
     recorder.emit(&Event::Plan { lines: plan.lines, memory_bytes: plan.memory_bytes });
     for message in scene.warnings.iter().cloned().chain(warning) {

@@ -1,8 +1,8 @@
 // Mip levels: each texel of a level is the mean of four of the finer one. One invocation has four channels of one texel.
 
 struct Params {
-    // Side of the finer level in texels.
-    side: u32,
+    // Texels of the finer level along x, y and z.
+    sides: vec3<u32>,
 }
 
 @group(0) @binding(0) var<storage, read_write> fine: array<vec4<f32>>;
@@ -16,15 +16,15 @@ fn average(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let half = params.side / 2u;
-    if i >= 12u * half * half {
+    let sides = params.sides / 2u;
+    if i / 4u >= plane_start(sides, 3u) {
         return;
     }
-    let texel = i / 4u;
-    let row = texel / half;
-    let first = (2u * row * params.side + 2u * (texel % half)) * 4u + i % 4u;
+    let place = place_of(sides, i / 4u);
+    let child = Place(place.plane, 2u * place.row, 2u * place.column);
+    let first = 4u * texel_at(params.sides, child) + i % 4u;
+    let row = 4u * plane_shape(params.sides, place.plane).x;
     let below = fine[first] + fine[first + 4u];
-    let above = fine[first + 4u * params.side]
-        + fine[first + 4u * params.side + 4u];
+    let above = fine[first + row] + fine[first + row + 4u];
     coarse[i] = 0.25 * (below + above);
 }

@@ -37,12 +37,12 @@ fn encode(
             continue;
         }
         let level = blend.lower + upper;
-        let side = pyramid.size >> level;
+        let shape = plane_shape(pyramid.sides >> vec3<u32>(level), plane);
         let start = level_start(pyramid, level, plane);
-        let taps = texel_taps(side, at);
+        let taps = texel_taps(shape, at);
         for (var r = 0u; r < 2u; r++) {
             for (var c = 0u; c < 2u; c++) {
-                let index = start + taps.rows[r] * side + taps.columns[c];
+                let index = start + taps.rows[r] * shape.x + taps.columns[c];
                 sum += share * tap_weight(taps, r, c) * texel(level, 4u * index + part);
             }
         }

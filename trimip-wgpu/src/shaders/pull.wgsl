@@ -2,8 +2,8 @@
 // of one texel. `own_gradient` reads what `scatter` left.
 
 struct Params {
-    // Side of the finer level in texels.
-    side: u32,
+    // Texels of the finer level along x, y and z.
+    sides: vec3<u32>,
     // There is a coarser level to pull from.
     has_coarse: u32,
 }
@@ -19,16 +19,15 @@ fn pull(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    if i >= 12u * params.side * params.side {
+    if i / 4u >= plane_start(params.sides, 3u) {
         return;
     }
-    let at = i;
-    var own = own_gradient(at);
+    var own = own_gradient(i);
     if params.has_coarse != 0u {
-        let texel = i / 4u;
-        let half = params.side / 2u;
-        let parent = texel / params.side / 2u * half + texel % params.side / 2u;
-        own += 0.25 * bitcast<vec4<f32>>(coarse[4u * parent + i % 4u]);
+        let place = place_of(params.sides, i / 4u);
+        let parent = Place(place.plane, place.row / 2u, place.column / 2u);
+        let coarser = texel_at(params.sides / 2u, parent);
+        own += 0.25 * bitcast<vec4<f32>>(coarse[4u * coarser + i % 4u]);
     }
-    fine[at] = bitcast<vec4<u32>>(own);
+    fine[i] = bitcast<vec4<u32>>(own);
 }

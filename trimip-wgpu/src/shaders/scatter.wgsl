@@ -29,12 +29,12 @@ fn scatter(
             continue;
         }
         let level = blend.lower + upper;
-        let side = pyramid.size >> level;
+        let shape = plane_shape(pyramid.sides >> vec3<u32>(level), plane);
         let start = level_start(pyramid, level, plane);
-        let taps = texel_taps(side, at);
+        let taps = texel_taps(shape, at);
         for (var r = 0u; r < 2u; r++) {
             for (var c = 0u; c < 2u; c++) {
-                let texel = start + taps.rows[r] * side + taps.columns[c];
+                let texel = start + taps.rows[r] * shape.x + taps.columns[c];
                 let value = share * tap_weight(taps, r, c) * gradient;
                 for (var channel = 0u; channel < 4u; channel++) {
                     let place = 16u * texel + 4u * part + channel;

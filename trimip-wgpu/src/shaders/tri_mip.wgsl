@@ -1,10 +1,11 @@
-// Twin of `trimip_core::tri_mip`: the level of a sphere (Eq. 5) and the texels a query reads.
+// Twin of `trimip_core::tri_mip`: the level of a sphere (Eq. 5) and the texels a query reads. Needs `planes.wgsl`.
 
 struct Pyramid {
     // log2 of the base radius of each plane.
     log2_base_radius: vec3<f32>,
-    size: u32,
     levels: u32,
+    // Texels along x, y and z at level 0.
+    sides: vec3<u32>,
     // Rows: counts[counter].
     counter: u32,
 }
@@ -20,16 +21,11 @@ fn plane_axes(position: vec3<f32>, plane: u32) -> vec2<f32> {
 
 // First texel of `level` of `plane`; level 0 begins the parameters, level 1 the derived levels.
 fn level_start(pyramid: Pyramid, level: u32, plane: u32) -> u32 {
-    let side = pyramid.size >> level;
-    if level == 0u {
-        return plane * side * side;
-    }
-    // Levels 1 to level - 1 have 3 (size/2)^2 (1 + 1/4 + ...) texels.
-    var texels = 0u;
+    var start = plane_start(pyramid.sides >> vec3<u32>(level), plane);
     for (var l = 1u; l < level; l++) {
-        texels += 3u * (pyramid.size >> l) * (pyramid.size >> l);
+        start += plane_start(pyramid.sides >> vec3<u32>(l), 3u);
     }
-    return texels + plane * side * side;
+    return start;
 }
 
 struct Blend {
@@ -59,14 +55,14 @@ struct Taps {
     up: f32,
 }
 
-fn texel_taps(side: u32, at: vec2<f32>) -> Taps {
-    let place = at * f32(side) - 0.5;
+fn texel_taps(shape: vec2<u32>, at: vec2<f32>) -> Taps {
+    let place = at * vec2<f32>(shape) - 0.5;
     let lower = floor(place);
     let fraction = place - lower;
-    let last = i32(side) - 1;
+    let last = vec2<i32>(shape) - 1;
     let low = vec2<i32>(lower);
-    let first = vec2<u32>(clamp(low, vec2<i32>(0), vec2<i32>(last)));
-    let second = vec2<u32>(clamp(low + 1, vec2<i32>(0), vec2<i32>(last)));
+    let first = vec2<u32>(clamp(low, vec2<i32>(0), last));
+    let second = vec2<u32>(clamp(low + 1, vec2<i32>(0), last));
     return Taps(vec2<u32>(first.x, second.x), vec2<u32>(first.y, second.y), fraction.x, fraction.y);
 }
 

@@ -1,0 +1,151 @@
+//! `plan`: what the scene does not need and why; with `--measure`, what leaving it out costs in dB and saves in seconds and
+//! bytes, each decision on top of those before it, at equal samples, on training views kept back.
+
+use crate::args::{BenchArguments, PlanArguments, SettingsArguments};
+use crate::curves::aligned;
+use crate::verbs::bench;
+use crate::{settings, terminal};
+use serde_json::{Value, json};
+use trimip_core::scene_plan::{self, Facts, Finding};
+use trimip_core::{Config, Error, Result, ViewSet, tensors::write_atomically};
+
+/// Training views kept back to measure on.
+const KEPT_BACK: usize = 4;
+
+/// Prints a line for every decision, and measures where asked to.
+pub fn run(arguments: &PlanArguments) -> Result<u8> {
+    let (mut settings, configured) = settings::load(&arguments.settings)?;
+    let scene = trimip_data::open(&configured.data)?;
+    let facts = Facts { train: &scene.train, test: &scene.test.cameras() };
+    let findings = scene_plan::make(&mut settings, &facts)?;
+    terminal::line(format!("scene plan of {}", scene.name));
+    for finding in &findings {
+        terminal::line(finding);
+        for change in &finding.changes {
+            terminal::line(format!("    {} = {} (was {})", change.path, change.to, change.from));
+        }
+    }
+    let planned = Config::from_settings(&settings)?;
+    let mut report = json!({ "scene": scene.name, "findings": findings, "config": planned.to_toml() });
+    if arguments.measure {
+        if findings.iter().any(|finding| finding.left_out) {
+            let shared = shared(arguments, &configured, &scene.train)?;
+            drop(scene);
+            let code = bench::training::run(&bench_arguments(arguments, shared, &findings))?;
+            if code != 0 {
+                return Ok(code);
+            }
+            let rows = effects(arguments)?;
+            terminal::line(table(&rows));
+            report["effects"] = json!(rows);
+        } else {
+            terminal::line("nothing is left out: there is nothing to measure");
+        }
+    }
+    if let Some(path) = &arguments.json {
+        let text = serde_json::to_string_pretty(&report).map_err(Error::run)?;
+        write_atomically(path, text.as_bytes())?;
+    }
+    Ok(0)
+}
+
+/// The settings of all trainings: brief ones of equal samples, measured at their end on training views kept back.
+fn shared(arguments: &PlanArguments, configured: &Config, train: &ViewSet) -> Result<SettingsArguments> {
+    if !(arguments.samples.is_finite() && arguments.samples > 0.0) {
+        return Err(Error::input(
+            "--samples",
+            "is no amount of samples",
+            "give a number above 0, in millions",
+        ));
+    }
+    let steps = (arguments.samples * 1e6 / f64::from(configured.train.samples_per_step)).ceil();
+    let frames = train.views.len() / train.scales.len().max(1);
+    let mut settings = arguments.settings.clone();
+    settings.set.extend([
+        format!("train.steps={steps:.0}"),
+        "train.seconds=0".into(),
+        "train.checkpoint_seconds=0".into(),
+        format!("data.holdout={}", (frames / KEPT_BACK).max(2)),
+        "eval.points=0".into(),
+        "eval.final=1".into(),
+        "eval.images=0".into(),
+        "eval.min_psnr=0".into(),
+    ]);
+    Ok(settings)
+}
+
+/// One training with nothing left out, then one more for each decision that leaves something out.
+fn bench_arguments(
+    arguments: &PlanArguments,
+    settings: SettingsArguments,
+    findings: &[Finding],
+) -> BenchArguments {
+    let taken: Vec<&str> =
+        findings.iter().filter(|finding| finding.left_out).map(|f| f.decision.as_str()).collect();
+    let variant = |count: usize| {
+        let name = if count == 0 { "nothing left out".into() } else { format!("and {}", taken[count - 1]) };
+        let choices = scene_plan::keys().map(|key| match taken[..count].contains(&key) {
+            true => format!("plan.{key}=auto"),
+            false => format!("plan.{key}=off"),
+        });
+        format!("{name}: {}", choices.collect::<Vec<_>>().join("; "))
+    };
+    BenchArguments {
+        render: None,
+        width: 48,
+        settings,
+        variants: (0..=taken.len()).map(variant).collect(),
+        vary: Vec::new(),
+        no_base: true,
+        seeds: 1,
+        reach: Vec::new(),
+        out: arguments.out.clone(),
+    }
+}
+
+/// What the bench wrote: its variants in their order.
+fn effects(arguments: &PlanArguments) -> Result<Vec<Value>> {
+    let path = arguments.out.join("bench.json");
+    let broken = |error: &dyn std::fmt::Display| Error::run(format!("{}: {error}", path.display()));
+    let text = std::fs::read(&path).map_err(|error| broken(&error))?;
+    let report: Value = serde_json::from_slice(&text).map_err(|error| broken(&error))?;
+    let rows = report["variants"].as_array().cloned().unwrap_or_default();
+    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+    let first = rows.first().cloned().unwrap_or_default();
+    let mut before = first.clone();
+    let mut effects = Vec::new();
+    for row in &rows {
+        effects.push(json!({
+            "plan": row["name"],
+            "psnr": number(row, "psnr"),
+            "psnr_change": number(row, "psnr") - number(&before, "psnr"),
+            "seconds": number(row, "seconds"),
+            "seconds_share": number(row, "seconds") / number(&first, "seconds"),
+            "model_bytes": number(row, "model_bytes"),
+            "peak_memory_bytes": number(row, "peak_memory_bytes"),
+        }));
+        before = row.clone();
+    }
+    Ok(effects)
+}
+
+fn table(rows: &[Value]) -> String {
+    let mut cells = vec![
+        ["plan", "PSNR / dB", "change", "seconds", "of all", "model", "peak memory"]
+            .map(String::from)
+            .to_vec(),
+    ];
+    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+    for row in rows {
+        cells.push(vec![
+            row["plan"].as_str().unwrap_or_default().into(),
+            format!("{:.2}", number(row, "psnr")),
+            format!("{:+.2}", number(row, "psnr_change")),
+            format!("{:.1}", number(row, "seconds")),
+            format!("{:.0} %", 100.0 * number(row, "seconds_share")),
+            terminal::bytes(number(row, "model_bytes") as u64),
+            terminal::bytes(number(row, "peak_memory_bytes") as u64),
+        ]);
+    }
+    aligned(&cells)
+}

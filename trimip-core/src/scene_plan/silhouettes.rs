@@ -1,0 +1,183 @@
+//! The box that holds an object, from its silhouettes: a coarse visual hull. Cells are carved where a photograph shows
+//! nothing but background; what no photograph can tell stays.
+
+use crate::{Aabb, Camera, Scale, ViewSet};
+use glam::DVec3;
+
+/// Cells along each side of the first pass, over the whole box, and of the second, over what the first left.
+const CELLS: [usize; 2] = [48, 96];
+
+/// Views looked at, at most: fewer views only leave a larger hull.
+const MOST_VIEWS: usize = 128;
+
+/// Width or height in pixels below which a scale is too coarse, where there is a finer one.
+const FINE_ENOUGH: u32 = 128;
+
+/// Where a view shows something: sums of pixels with any opacity over every rectangle from the upper left corner.
+struct Silhouette {
+    camera: Camera,
+    sums: Vec<u32>,
+}
+
+/// What a view says of a cell.
+enum Verdict {
+    /// It lies outside of the photograph.
+    Unseen,
+    /// Something may be there.
+    Maybe,
+    /// Background alone.
+    Empty,
+}
+
+impl Silhouette {
+    /// `None` for a photograph without any clear pixel, which tells nothing.
+    fn new(views: &ViewSet, index: usize) -> Option<Self> {
+        let camera = views.views[index].camera;
+        let (width, pixels) = (camera.intrinsics.width as usize, views.pixels_of(index));
+        if pixels.iter().all(|pixel| pixel[3] > 0) {
+            return None;
+        }
+        let mut sums = vec![0; (width + 1) * (camera.intrinsics.height as usize + 1)];
+        for (y, row) in pixels.chunks_exact(width).enumerate() {
+            let mut sum = 0;
+            for (x, pixel) in row.iter().enumerate() {
+                sum += u32::from(pixel[3] > 0);
+                sums[(y + 1) * (width + 1) + x + 1] = sums[y * (width + 1) + x + 1] + sum;
+            }
+        }
+        Some(Self { camera, sums })
+    }
+
+    /// Pixels that show something in columns and rows `low` to `high`, the last excluded.
+    fn count(&self, low: [usize; 2], high: [usize; 2]) -> u32 {
+        let at = |x: usize, y: usize| self.sums[y * (self.camera.intrinsics.width as usize + 1) + x];
+        at(high[0], high[1]) + at(low[0], low[1]) - at(low[0], high[1]) - at(high[0], low[1])
+    }
+
+    /// What it says of a ball around `centre`.
+    fn verdict(&self, centre: DVec3, radius: f64) -> Verdict {
+        let k = &self.camera.intrinsics;
+        let at = self.camera.rotation.transpose() * (centre - self.camera.origin);
+        let depth = -at.z;
+        if depth <= 2.0 * radius {
+            return if depth < -radius { Verdict::Unseen } else { Verdict::Maybe };
+        }
+        // A pixel more: an edge may lie between the centres of two.
+        let reach = k.fx.max(k.fy) * radius / (depth - radius) + 1.0;
+        let (x, y) = (k.cx + k.fx * at.x / depth, k.cy - k.fy * at.y / depth);
+        let (width, height) = (f64::from(k.width), f64::from(k.height));
+        if x + reach <= 0.0 || y + reach <= 0.0 || x - reach >= width || y - reach >= height {
+            return Verdict::Unseen;
+        }
+        if x - reach < 0.0 || y - reach < 0.0 || x + reach > width || y + reach > height {
+            return Verdict::Maybe;
+        }
+        let low = [x - reach, y - reach].map(|value| value.floor() as usize);
+        let high = [x + reach, y + reach].map(|value| value.ceil() as usize);
+        if self.count(low, high) > 0 { Verdict::Maybe } else { Verdict::Empty }
+    }
+}
+
+/// Bounds of what the photographs may show within `aabb`: never less than the object. `None` where no photograph has a
+/// silhouette, or where they leave nothing.
+pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>) -> Option<Aabb<f64>> {
+    let fine_enough = |scale: &&Scale| {
+        let sides = scale.views.clone().map(|i| views.views[i].camera.intrinsics);
+        sides.map(|k| k.width.min(k.height)).min().is_some_and(|side| side >= FINE_ENOUGH)
+    };
+    let scale = views.scales.iter().rev().find(fine_enough).or(views.scales.first())?;
+    let stride = scale.views.len().div_ceil(MOST_VIEWS).max(1);
+    let silhouettes: Vec<_> =
+        scale.views.clone().step_by(stride).filter_map(|index| Silhouette::new(views, index)).collect();
+    if silhouettes.is_empty() {
+        return None;
+    }
+    CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells))
+}
+
+/// Bounds of the cells of a grid over `aabb` that are not carved.
+fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize) -> Option<Aabb<f64>> {
+    let cell = aabb.extent().map(|side| side / cells as f64);
+    let radius = 0.5 * DVec3::from_array(cell).length();
+    let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
+    for i in 0..cells.pow(3) {
+        let index = [i % cells, i / cells % cells, i / cells / cells];
+        // Inside of what is already known to be kept there is nothing to learn.
+        if (0..3).all(|axis| low[axis] <= index[axis] && index[axis] < high[axis]) {
+            continue;
+        }
+        let centre = std::array::from_fn(|axis| aabb.min[axis] + (index[axis] as f64 + 0.5) * cell[axis]);
+        if kept(silhouettes, DVec3::from_array(centre), radius) {
+            for axis in 0..3 {
+                low[axis] = low[axis].min(index[axis]);
+                high[axis] = high[axis].max(index[axis] + 1);
+            }
+        }
+    }
+    let corner = |at: [usize; 3]| std::array::from_fn(|axis| aabb.min[axis] + at[axis] as f64 * cell[axis]);
+    (high[0] > 0).then(|| Aabb { min: corner(low), max: corner(high) })
+}
+
+/// True unless a view shows background there, or none sees it at all: what no ray meets is never learnt.
+fn kept(silhouettes: &[Silhouette], centre: DVec3, radius: f64) -> bool {
+    let mut seen = false;
+    for silhouette in silhouettes {
+        match silhouette.verdict(centre, radius) {
+            Verdict::Unseen => {}
+            Verdict::Maybe => seen = true,
+            Verdict::Empty => return false,
+        }
+    }
+    seen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Alpha, Intrinsics, View};
+
+    /// Silhouettes of a box, from cameras all around it.
+    fn photographs(object: &Aabb<f64>, opaque: bool) -> ViewSet {
+        let k = Intrinsics::from_angle(160, 160, 0.7);
+        let (mut views, mut pixels) = (Vec::new(), Vec::new());
+        for i in 0..24 {
+            let (turn, rise) = (f64::from(i) * 2.4, f64::from(i % 5) * 0.35 - 0.5);
+            let origin = 4.5 * DVec3::new(turn.cos() * rise.cos(), turn.sin() * rise.cos(), rise.sin());
+            let camera = Camera::look_at(k, origin, DVec3::ZERO, DVec3::Z);
+            views.push(View { name: format!("{i}"), camera, offset: pixels.len() });
+            for (y, x) in (0..k.height).flat_map(|y| (0..k.width).map(move |x| (y, x))) {
+                let cone = camera.cone::<f64>(x, y);
+                let (enter, leave) = object.intersect(cone.origin, cone.direction);
+                pixels.push([200, 200, 200, if opaque || enter < leave { 255 } else { 0 }]);
+            }
+        }
+        let all = Scale { factor: 1, weight: 1.0, views: 0..views.len(), pixels: 0..pixels.len() };
+        ViewSet { views, pixels, alpha: Alpha::Straight, scales: vec![all] }
+    }
+
+    #[test]
+    fn the_hull_holds_the_object_and_little_more() {
+        let whole = Aabb { min: [-1.5; 3], max: [1.5; 3] };
+        for object in [
+            Aabb { min: [-0.3, -0.9, -0.2], max: [0.4, 0.6, 0.5] },
+            Aabb { min: [0.1, 0.1, 0.1], max: [0.2, 0.3, 0.9] },
+        ] {
+            let found = bounds(&photographs(&object, false), &whole).unwrap();
+            for axis in 0..3 {
+                // Two pixels of 0.02 units and a cell of the finer grid.
+                let (below, above) = (object.min[axis] - found.min[axis], found.max[axis] - object.max[axis]);
+                assert!((-1e-9..0.15).contains(&below), "axis {axis}: {below} below {object:?}");
+                assert!((-1e-9..0.15).contains(&above), "axis {axis}: {above} above {object:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn opaque_photographs_tell_nothing_and_an_object_larger_than_the_box_leaves_it() {
+        let whole = Aabb { min: [-0.5; 3], max: [0.5; 3] };
+        let large = Aabb { min: [-0.8; 3], max: [0.8; 3] };
+        assert_eq!(bounds(&photographs(&large, true), &whole), None);
+        let found = bounds(&photographs(&large, false), &whole).unwrap();
+        assert!((0..3).all(|axis| found.min[axis] <= -0.5 + 1e-9 && found.max[axis] >= 0.5 - 1e-9));
+    }
+}
