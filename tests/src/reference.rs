@@ -126,7 +126,8 @@ impl Reference {
 
     /// Colour seen along a unit direction.
     pub fn color(&self, geometry: &[f64], direction: [f64; 3]) -> [f64; 3] {
-        let mut input = spherical_harmonics(direction).to_vec();
+        let mut input =
+            if self.config.field.directions { spherical_harmonics(direction).to_vec() } else { Vec::new() };
         input.extend_from_slice(&geometry[1..]);
         let logits = network(&self.color, &input);
         [0, 1, 2].map(|c| 1.0 / (1.0 + (-logits[c]).exp()))

@@ -1,7 +1,8 @@
 //! The one place that knows which backends this build has; a configuration picks one by name.
 
 use crate::check::{self, Finding};
-use trimip_core::{Config, Error, Result, Session, ViewSet, model::Model};
+use crate::verbs::bench::stages::{self, StageError};
+use trimip_core::{Camera, Config, Error, Result, Session, ViewSet, model::Model};
 
 /// Backends of this build.
 pub fn names() -> &'static [&'static str] {
@@ -109,6 +110,19 @@ pub fn catalogue(
     let _ = adapter;
     let simd = trimip_cpu::simd::Simd::detect();
     check::catalogue(&|| trimip_cpu::CpuBackend::new(threads, simd), long, tell)
+}
+
+/// Errors of a model's stages against f64, on the backend that its configuration names.
+pub fn stage_errors(model: &Model, camera: &Camera, precision: &'static str) -> Result<Vec<StageError>> {
+    let config = &model.config;
+    check(&config.backend)?;
+    #[cfg(feature = "wgpu")]
+    if config.backend == "wgpu" {
+        let backend = trimip_wgpu::WgpuBackend::new(&config.wgpu.adapter, true)?;
+        return stages::on(&backend, model, camera, precision);
+    }
+    let backend = trimip_cpu::CpuBackend::new(config.threads, trimip_cpu::simd::Simd::detect())?;
+    stages::on(&backend, model, camera, precision)
 }
 
 #[cfg(test)]

@@ -27,6 +27,8 @@ pub struct Evaluation {
 pub struct Part {
     /// Backend.
     pub backend: String,
+    /// Its device.
+    pub device: String,
     /// Seconds from the program's start, everything included.
     pub wall_seconds: f64,
     /// Largest resident memory, where known.
@@ -98,11 +100,14 @@ impl History {
                 self.warnings.push(message.clone())
             }
             Event::Finished { .. } => self.finished = true,
-            Event::SessionEnded { backend, wall_seconds, peak_memory_bytes, .. } => self.parts.push(Part {
-                backend: backend.clone(),
-                wall_seconds: *wall_seconds,
-                peak_memory_bytes: *peak_memory_bytes,
-            }),
+            Event::SessionEnded { backend, device, wall_seconds, peak_memory_bytes } => {
+                self.parts.push(Part {
+                    backend: backend.clone(),
+                    device: device.clone(),
+                    wall_seconds: *wall_seconds,
+                    peak_memory_bytes: *peak_memory_bytes,
+                })
+            }
             _ => {}
         }
     }
@@ -122,6 +127,18 @@ impl History {
         let mut curve: Vec<_> = self.evaluations.iter().filter(|e| e.stride == stride).collect();
         curve.sort_by_key(|evaluation| evaluation.totals.step);
         curve
+    }
+
+    /// Backends and devices that worked on the run, none twice.
+    pub fn devices(&self) -> Vec<String> {
+        let mut devices: Vec<String> = Vec::new();
+        for part in self.parts.iter().filter(|part| !part.device.is_empty()) {
+            let device = format!("{}: {}", part.backend, part.device);
+            if !devices.contains(&device) {
+                devices.push(device);
+            }
+        }
+        devices
     }
 
     /// Largest resident memory of all parts, where any is known.

@@ -4,6 +4,14 @@
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
+/// Version and, where the program was built in its repository, commit.
+pub fn version() -> String {
+    match option_env!("TRIMIP_COMMIT") {
+        Some(commit) => format!("{} ({commit})", env!("CARGO_PKG_VERSION")),
+        None => env!("CARGO_PKG_VERSION").to_string(),
+    }
+}
+
 /// The machine, for reports and `doctor`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Machine {

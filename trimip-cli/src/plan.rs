@@ -2,7 +2,7 @@
 
 use crate::{machine::Machine, terminal};
 use std::path::Path;
-use trimip_core::{Aabb, Config, Frames, ViewSet, scene_plan::Finding, tri_mip::Pyramid};
+use trimip_core::{Aabb, Config, Frames, Layout, ViewSet, scene_plan::Finding, tri_mip::Pyramid};
 
 /// Lines of the plan and the predicted peak memory in bytes.
 #[derive(Clone, Debug)]
@@ -82,13 +82,12 @@ fn model_line(config: &Config) -> String {
         [x, y, z] => format!("planes of {y}×{z}, {x}×{z} and {x}×{y} texels, {} channels,", encoder.channels),
     };
     let [hidden, density, color] = [field.hidden, field.density_layers, field.color_layers].map(u64::from);
-    // 3 planes' features → density logit + 15 features; 15 features + 16 spherical harmonics → RGB.
-    let weights = hidden * (3 * u64::from(encoder.channels) + (density - 1) * hidden + 16)
-        + hidden * (31 + (color - 1) * hidden + 3);
+    let weights = Layout::new(config).len() - pyramid.base_len();
+    let blind = if field.directions { "" } else { ", which sees no directions" };
     let levels = if encoder.mipmap { format!("{} mip levels", encoder.levels) } else { "no mipmap".into() };
     format!(
         "model: {sizes} with {levels}, {texels} values; hidden layers {hidden}×{density} \
-         for density and {hidden}×{color} for colour, {weights} weights",
+         for density and {hidden}×{color} for colour{blind}, {weights} weights",
         texels = terminal::number(pyramid.base_len() as f64, ""),
         weights = terminal::number(weights as f64, ""),
     )

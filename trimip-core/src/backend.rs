@@ -131,6 +131,9 @@ pub trait Backend: Sized + Send + Sync + 'static {
         usize::MAX
     }
 
+    /// The device that stands behind the name, for whoever reads a figure: model, driver, instructions.
+    fn device_name(&self) -> String;
+
     /// Settings that this device takes otherwise than they read, one line each.
     fn notes(&self, _config: &Config) -> Vec<String> {
         Vec::new()

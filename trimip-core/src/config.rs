@@ -159,7 +159,9 @@ section!(
 );
 section!(
     /// What is left out where the scene does not need it.
-    PlanConfig { aabb: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, file: PlanChoice }
+    PlanConfig {
+        aabb: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
+    }
 );
 section!(
     /// The model file.
@@ -174,7 +176,7 @@ section!(
 );
 section!(
     /// The two small networks.
-    FieldConfig { hidden: u32, density_layers: u32, color_layers: u32, precision: Precision }
+    FieldConfig { hidden: u32, density_layers: u32, color_layers: u32, directions: bool, precision: Precision }
 );
 section!(
     /// Marching and compositing.

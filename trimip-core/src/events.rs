@@ -142,6 +142,9 @@ pub enum Event {
     },
     /// One process's part of the run is over, whatever its outcome.
     SessionEnded {
+        /// The device behind the backend's name.
+        #[serde(default)]
+        device: String,
         /// Backend of this part.
         backend: String,
         /// Seconds from the program's start, everything included.

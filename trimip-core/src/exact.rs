@@ -22,6 +22,8 @@ pub struct Exact {
     derived: Vec<f64>,
     density: Vec<Layer>,
     color: Vec<Layer>,
+    /// The colour network sees the direction.
+    directions: bool,
     occupancy: Vec<u8>,
     resolution: u32,
     background: [f64; 3],
@@ -81,6 +83,7 @@ impl Exact {
             centre,
             density: network("density"),
             color: network("color"),
+            directions: config.field.directions,
             base,
             derived,
             occupancy,
@@ -115,10 +118,8 @@ impl Exact {
             depth += own;
             let weight = before * -(-own).exp_m1();
             if weight > OPAQUE {
-                let mut input = harmonics.to_vec();
-                input.extend_from_slice(&geometry[1..]);
-                let logits = run(&self.color, input);
-                (0..3).for_each(|c| rgb[c] += weight * sigmoid(logits[c]));
+                let color = self.color(&harmonics, &geometry);
+                (0..3).for_each(|c| rgb[c] += weight * color[c]);
             }
             if before < OPAQUE {
                 break;
@@ -133,7 +134,21 @@ impl Exact {
         self.occupancy[cell / 8] >> (cell % 8) & 1 == 1
     }
 
-    fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64> {
+    /// Density per world unit and colour of a sample with these 48 features, seen along a unit direction.
+    pub fn radiance(&self, features: &[f64], direction: [f64; 3]) -> (f64, [f64; 3]) {
+        let geometry = run(&self.density, features.to_vec());
+        (density(geometry[0]), self.color(&spherical_harmonics(direction), &geometry))
+    }
+
+    fn color(&self, harmonics: &[f64], geometry: &[f64]) -> [f64; 3] {
+        let mut input = if self.directions { harmonics.to_vec() } else { Vec::new() };
+        input.extend_from_slice(&geometry[1..]);
+        let logits = run(&self.color, input);
+        [0, 1, 2].map(|c| sigmoid(logits[c]))
+    }
+
+    /// The 48 features of a sphere: its centre in coordinates of the unit box, its radius in world units.
+    pub fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64> {
         let mut features = vec![0.0; FEATURES];
         for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
             let blend = self.pyramid.blend(plane, radius.log2());

@@ -47,9 +47,11 @@ pub fn density_layers(config: &Config) -> Vec<[usize; 2]> {
     layers(FEATURES, config.field.hidden as usize, config.field.density_layers, 1 + GEOMETRY)
 }
 
-/// Inputs and outputs of each layer of the colour network: 16 spherical harmonics + 15 geometry features → hidden … → 3.
+/// Inputs and outputs of each layer of the colour network: 16 spherical harmonics (none without directions) + 15 geometry
+/// features → hidden … → 3.
 pub fn color_layers(config: &Config) -> Vec<[usize; 2]> {
-    layers(sh::COUNT + GEOMETRY, config.field.hidden as usize, config.field.color_layers, 3)
+    let harmonics = if config.field.directions { sh::COUNT } else { 0 };
+    layers(harmonics + GEOMETRY, config.field.hidden as usize, config.field.color_layers, 3)
 }
 
 fn layers(inputs: usize, hidden: usize, count: u32, outputs: usize) -> Vec<[usize; 2]> {

@@ -22,6 +22,9 @@ pub trait Session: Send {
     /// Name of the backend.
     fn backend(&self) -> &str;
 
+    /// The device that stands behind that name.
+    fn device_name(&self) -> String;
+
     /// Settings that the device takes otherwise than they read, one line each: a run says them.
     fn notes(&self) -> Vec<String> {
         Vec::new()

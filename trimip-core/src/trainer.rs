@@ -77,9 +77,9 @@ impl<B: Backend> Trainer<B> {
     }
 
     fn build(backend: B, config: &Config, views: Option<ViewSet>) -> Result<Self> {
-        let layout = Layout::new(config);
         let training = views.is_some();
         let (centred, centre) = config.centred();
+        let layout = Layout::new(&centred);
         let views = views.map(|mut views| {
             views.views.iter_mut().for_each(|view| view.camera.origin -= centre);
             views
@@ -290,7 +290,8 @@ impl<B: Backend> Trainer<B> {
 
     /// Grows the planes at the front of `values` to `halvings` halvings.
     fn grow(&self, values: &mut [f32], halvings: u32) {
-        let whole = Pyramid::new(&self.config.encoder, &Aabb::new(&self.config.scene));
+        let (config, _) = self.config.centred();
+        let whole = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
         for halvings in (halvings..self.state.halvings).rev() {
             grow(values, &whole.halved(halvings + 1));
         }
@@ -468,6 +469,10 @@ fn forward<B: Backend>(
 impl<B: Backend> Session for Trainer<B> {
     fn backend(&self) -> &str {
         self.backend.name()
+    }
+
+    fn device_name(&self) -> String {
+        self.backend.device_name()
     }
 
     fn notes(&self) -> Vec<String> {

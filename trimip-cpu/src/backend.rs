@@ -92,6 +92,10 @@ impl Backend for CpuBackend {
         "cpu"
     }
 
+    fn device_name(&self) -> String {
+        format!("{:?}, {} threads", self.simd, self.pool.current_num_threads())
+    }
+
     fn notes(&self, config: &Config) -> Vec<String> {
         match config.field.precision {
             Precision::F16 => vec!["field.precision = \"f16\" is a GPU's: the CPU computes in f32".into()],

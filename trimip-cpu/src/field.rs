@@ -24,6 +24,8 @@ pub struct CpuField {
     color: Mlp,
     slots: Vec<Slot>,
     density_layers: usize,
+    /// The colour network sees directions.
+    directed: bool,
 }
 
 /// Activations of a span.
@@ -83,7 +85,8 @@ impl CpuField {
     pub fn new(simd: Simd, config: &Config, layout: &Layout) -> Self {
         let density_shapes = density_layers(config);
         // The density logit is no input of the colour network.
-        let geometry_rows = std::iter::once(None).chain((sh::COUNT..sh::COUNT + GEOMETRY).map(Some));
+        let harmonics = if config.field.directions { sh::COUNT } else { 0 };
+        let geometry_rows = std::iter::once(None).chain((harmonics..harmonics + GEOMETRY).map(Some));
         Self {
             simd,
             density: Mlp::new(
@@ -95,11 +98,12 @@ impl CpuField {
             color: Mlp::new(
                 &color_layers(config),
                 geometry_rows.collect(),
-                (0..sh::COUNT).map(Some).collect(),
+                (0..harmonics).map(Some).collect(),
                 config.field.precision,
             ),
             slots: layout.slots.iter().filter(|slot| slot.kind == Kind::Network).cloned().collect(),
             density_layers: density_shapes.len(),
+            directed: config.field.directions,
         }
     }
 }
@@ -177,8 +181,11 @@ impl Field<CpuBackend> for CpuField {
     ) {
         let rows = samples.spheres.len();
         let Tape { density, color, directions, .. } = tape;
-        directions.gather(rays, samples);
-        self.color.forward(self.simd, rows, density.output(), Some(directions.shared()), color);
+        if self.directed {
+            directions.gather(rays, samples);
+        }
+        let shared = self.directed.then(|| directions.shared());
+        self.color.forward(self.simd, rows, density.output(), shared, color);
         let logits = tape.color.output();
         for (radiance, logits) in radiance.iter_mut().zip(logits.chunks_exact(self.color.outputs())) {
             radiance.rgb = [0, 1, 2].map(|c| sigmoid(logits[c]));
@@ -211,7 +218,7 @@ impl Field<CpuBackend> for CpuField {
             simd,
             rows,
             density.output(),
-            Some(directions.shared()),
+            self.directed.then(|| directions.shared()),
             color,
             color_gradient,
             output_gradient,

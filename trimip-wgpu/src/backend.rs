@@ -228,6 +228,10 @@ impl Backend for WgpuBackend {
         if self.gpu.is_software() { SOFTWARE_ROUNDS } else { usize::MAX }
     }
 
+    fn device_name(&self) -> String {
+        self.gpu.name()
+    }
+
     fn notes(&self, config: &Config) -> Vec<String> {
         match config.field.precision {
             Precision::F32 => Vec::new(),

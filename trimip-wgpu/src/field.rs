@@ -26,9 +26,6 @@ pub const CHUNKS: u32 = 64;
 /// Width of the density network's output: a logit and 15 geometry features.
 const OUTPUTS: usize = 16;
 
-/// Width of the colour network's input: 16 harmonics, 15 geometry features, zero.
-const INPUTS: usize = 32;
-
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct WeightParams {
@@ -184,6 +181,8 @@ pub struct WgpuField {
     gpu: Arc<Gpu>,
     density: Mlp,
     color: Mlp,
+    /// Width of the colour network's input: 16 harmonics, where it sees directions, 15 geometry features, zero.
+    width: usize,
     overflows: Buffer<u32>,
     known: Arc<Known>,
 }
@@ -215,9 +214,13 @@ impl WgpuField {
         };
         debug_assert!(layout.slots.iter().filter(|s| s.kind == Kind::Network).count() > 1);
         debug_assert_eq!(density_layers(config).last().map(|l| l[1]), Some(OUTPUTS));
-        debug_assert_eq!(color_layers(config)[0][0], INPUTS - 1);
+        let width = padded(color_layers(config)[0][0]);
         let (density, color) = (network("density"), network("color"));
-        Self { gpu: Arc::clone(gpu), density, color, overflows, known }
+        Self { gpu: Arc::clone(gpu), density, color, width, overflows, known }
+    }
+
+    fn params(&self, rows: &Rows) -> [u32; 2] {
+        [rows.counter, self.width as u32]
     }
 
     /// Where factors that did not fit into f16 are counted.
@@ -284,7 +287,7 @@ impl Field<WgpuBackend> for WgpuField {
         rows.size(radiance, 1);
         let outputs = &tape.density[tape.density.len() - 1];
         let binds = [outputs.bind(), radiance.bind(), rows.bind()];
-        self.gpu.dispatch(&DENSITIES, &binds, &rows.counter, rows.dispatch(1, GROUP));
+        self.gpu.dispatch(&DENSITIES, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
     }
 
     fn keep(&self, lane: &mut Lane, kept: &Buffer<u32>, tape: &mut Tape, radiance: &mut Buffer<Radiance>) {
@@ -304,13 +307,13 @@ impl Field<WgpuBackend> for WgpuField {
     ) {
         let rows = Rows::of(&samples.spheres, &mut lane.count);
         let Tape { density, color, color_input, .. } = tape;
-        rows.size(color_input, INPUTS);
+        rows.size(color_input, self.width);
         let outputs = &density[density.len() - 1];
         let binds = [outputs.bind(), rows.bind(), rays.rays.bind(), samples.rays.bind(), color_input.bind()];
-        self.gpu.dispatch(&COLOR_INPUTS, &binds, &rows.counter, rows.dispatch(1, GROUP));
+        self.gpu.dispatch(&COLOR_INPUTS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
         self.color.forward(&self.gpu, &rows, color_input, color);
         let binds = [color[color.len() - 1].bind(), radiance.bind(), rows.bind()];
-        self.gpu.dispatch(&COLORS, &binds, &rows.counter, rows.dispatch(1, GROUP));
+        self.gpu.dispatch(&COLORS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
     }
 
     fn backward(
@@ -329,7 +332,7 @@ impl Field<WgpuBackend> for WgpuField {
             tape;
         rows.size(color_gradient, 16);
         let binds = [radiance.bind(), rows.bind(), color_gradient.bind(), radiance_gradients.bind()];
-        self.gpu.dispatch(&COLOR_GRADIENTS, &binds, &rows.counter, rows.dispatch(1, GROUP));
+        self.gpu.dispatch(&COLOR_GRADIENTS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
         self.color.backward(
             &self.gpu,
             &rows,
@@ -349,7 +352,7 @@ impl Field<WgpuBackend> for WgpuField {
             input_gradient.bind(),
             radiance_gradients.bind(),
         ];
-        self.gpu.dispatch(&DENSITY_GRADIENT, &binds, &rows.counter, rows.dispatch(1, GROUP));
+        self.gpu.dispatch(&DENSITY_GRADIENT, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
         self.density.backward(
             &self.gpu,
             &rows,

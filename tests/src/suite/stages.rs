@@ -39,6 +39,7 @@ fn configurations() -> Vec<Config> {
     (code.scene.aabb_min, code.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
     let mut flat = small();
     flat.encoder.mipmap = false;
+    flat.field.directions = false;
     // The same box under square texels: planes of 64, 64 and 32.
     let mut fitted = small();
     (fitted.encoder.plane_size, fitted.encoder.levels) = (64, 4);

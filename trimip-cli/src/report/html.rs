@@ -2,6 +2,7 @@
 
 use super::{Report, Status, pictures, svg};
 use crate::{
+    machine,
     settings::{Row, rows},
     terminal,
 };
@@ -25,7 +26,7 @@ pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
         measure(report),
         course(report),
         settings(report),
-        format_args!("<footer>Written by trimip-cli {}.</footer>\n", env!("CARGO_PKG_VERSION")),
+        format_args!("<footer>Written by trimip-cli {}.</footer>\n", machine::version()),
     ))
 }
 
@@ -214,12 +215,13 @@ fn course(report: &Report<'_>) -> String {
         threads => threads.to_string(),
     };
     let place = [
+        ("backend", history.devices().join("; ")),
         ("processor", machine.cpu.clone()),
         ("cores", format!("{} (threads used: {threads})", machine.cores)),
         ("instruction sets", machine.simd.join(", ")),
         ("memory", machine.memory_total_bytes.map_or_else(unknown, terminal::bytes)),
         ("system", machine.os.clone()),
-        ("version", format!("trimip-cli {}", env!("CARGO_PKG_VERSION"))),
+        ("version", format!("trimip-cli {}", machine::version())),
     ];
     let table = |rows: &[(&str, String)]| {
         let rows: String = rows

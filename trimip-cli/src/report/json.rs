@@ -27,10 +27,11 @@ fn value(report: &Report<'_>) -> Value {
         })
         .collect();
     json!({
-        "version": env!("CARGO_PKG_VERSION"),
+        "version": crate::machine::version(),
         "status": status,
         "failure": failure,
         "backend": config.backend,
+        "devices": history.devices(),
         "scene": report.scene,
         "steps": history.totals.step,
         "samples": history.totals.samples,

@@ -9,7 +9,7 @@ pub fn run() -> Result<u8> {
     let machine = Machine::detect();
     let bytes = |value: Option<u64>| value.map_or("unknown".to_string(), terminal::bytes);
     let mut facts = vec![
-        ("version", format!("trimip-cli {}", env!("CARGO_PKG_VERSION"))),
+        ("version", format!("trimip-cli {}", machine::version())),
         ("build", format!("{}, EXR {}", profile(), if cfg!(feature = "exr") { "yes" } else { "no" })),
         ("system", format!("{}, {}", machine.os, std::env::consts::ARCH)),
         ("processor", machine.cpu),

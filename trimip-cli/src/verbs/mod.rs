@@ -1,6 +1,6 @@
 //! One file per verb; each returns the program's exit code.
 
-mod bench;
+pub mod bench;
 mod check;
 mod compare;
 mod config;

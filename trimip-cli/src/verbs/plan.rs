@@ -6,11 +6,15 @@ use crate::curves::aligned;
 use crate::verbs::bench;
 use crate::{settings, terminal};
 use serde_json::{Value, json};
+use trimip_core::config::PlanChoice;
 use trimip_core::scene_plan::{self, Facts, Finding};
 use trimip_core::{Config, Error, Result, ViewSet, tensors::write_atomically};
 
 /// Training views kept back to measure on.
 const KEPT_BACK: usize = 4;
+
+/// The decision that only a training can take: the colour network without directions.
+const BLIND: &str = "directions";
 
 /// Prints a line for every decision, and measures where asked to.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
@@ -28,19 +32,15 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
     let planned = Config::from_settings(&settings)?;
     let mut report = json!({ "scene": scene.name, "findings": findings, "config": planned.to_toml() });
     if arguments.measure {
-        if findings.iter().any(|finding| finding.left_out) {
-            let shared = shared(arguments, &configured, &scene.train)?;
-            drop(scene);
-            let code = bench::training::run(&bench_arguments(arguments, shared, &findings))?;
-            if code != 0 {
-                return Ok(code);
-            }
-            let rows = effects(arguments)?;
-            terminal::line(table(&rows));
-            report["effects"] = json!(rows);
-        } else {
-            terminal::line("nothing is left out: there is nothing to measure");
+        let shared = shared(arguments, &configured, &scene.train)?;
+        drop(scene);
+        let code = bench::training::run(&bench_arguments(arguments, shared, &findings))?;
+        if code != 0 {
+            return Ok(code);
         }
+        let rows = effects(arguments)?;
+        terminal::line(table(&rows));
+        report["effects"] = json!(rows);
     }
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&report).map_err(Error::run)?;
@@ -80,11 +80,14 @@ fn bench_arguments(
     settings: SettingsArguments,
     findings: &[Finding],
 ) -> BenchArguments {
-    let taken: Vec<&str> =
-        findings.iter().filter(|finding| finding.left_out).map(|f| f.decision.as_str()).collect();
+    let mut taken: Vec<&str> =
+        findings.iter().filter(|f| f.left_out && f.decision != BLIND).map(|f| f.decision.as_str()).collect();
+    // Whether directions are needed the data do not tell; a training does.
+    taken.extend(findings.iter().find(|f| f.decision == BLIND && f.choice != PlanChoice::Off).map(|_| BLIND));
     let variant = |count: usize| {
         let name = if count == 0 { "nothing left out".into() } else { format!("and {}", taken[count - 1]) };
         let choices = scene_plan::keys().map(|key| match taken[..count].contains(&key) {
+            true if key == BLIND => format!("plan.{BLIND}=on"),
             true => format!("plan.{key}=auto"),
             false => format!("plan.{key}=off"),
         });

@@ -105,6 +105,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
 
     recorder.emit(&Event::SessionEnded {
         backend: session.backend().to_string(),
+        device: session.device_name(),
         wall_seconds: started.elapsed().as_secs_f64(),
         peak_memory_bytes: machine::peak_memory(),
     });

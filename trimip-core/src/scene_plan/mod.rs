@@ -74,7 +74,7 @@ struct Decision {
 }
 
 /// In the order in which they are taken: each sees what those before it changed.
-const DECISIONS: [Decision; 4] = [
+const DECISIONS: [Decision; 5] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -88,6 +88,12 @@ const DECISIONS: [Decision; 4] = [
         decide: reached_levels,
     },
     Decision { key: "occupancy", owns: &[], choice: |config| config.plan.occupancy, decide: cells_as_wide },
+    Decision {
+        key: "directions",
+        owns: &["field.directions"],
+        choice: |config| config.plan.directions,
+        decide: view_dependence,
+    },
     Decision {
         key: "file",
         owns: &["file.planes"],
@@ -307,6 +313,18 @@ fn cells_as_wide(now: &Config, configured: &Config, _: &Facts<'_>) -> Proposal {
     }
 }
 
+fn view_dependence(now: &Config, configured: &Config, _: &Facts<'_>) -> Proposal {
+    if configured.plan.directions == PlanChoice::Auto || !now.field.directions {
+        return Proposal::Keep(
+            "the photographs alone do not tell whether colours change with the view".into(),
+        );
+    }
+    Proposal::LeaveOut {
+        reason: "colours depend on the place alone".into(),
+        changes: vec![("field.directions", Value::Boolean(false))],
+    }
+}
+
 fn half_precision(now: &Config, _: &Config, _: &Facts<'_>) -> Proposal {
     if now.file.planes == FilePrecision::F16 {
         return Proposal::Keep("texels are written as f16 already".into());
@@ -371,7 +389,8 @@ mod tests {
     fn a_small_object_needs_a_small_box_and_texels_steps_and_cells_stay_as_wide() {
         let before = Config::default();
         let (config, findings) = planned(&views(true), &["encoder.levels=5"]).unwrap();
-        assert!(findings.iter().all(|f| f.left_out == (f.decision != "levels")), "{findings:?}");
+        let kept = ["levels", "directions"];
+        assert!(findings.iter().all(|f| f.left_out != kept.contains(&f.decision.as_str())), "{findings:?}");
         let aabb = Aabb::<f64>::new(&config.scene);
         for (axis, centre) in [0.5, 0.0, 0.0].into_iter().enumerate() {
             assert!(aabb.min[axis] <= centre - 0.39 && aabb.min[axis] > centre - 0.6, "{aabb:?}");
@@ -422,6 +441,13 @@ mod tests {
         let (config, findings) = planned(&views(true), &off).unwrap();
         assert!(findings.iter().all(|finding| !finding.left_out && finding.changes.is_empty()));
         assert_eq!(Config { plan: Config::default().plan, ..config }, Config::default());
+    }
+
+    #[test]
+    fn directions_go_when_asked() {
+        let (config, findings) = planned(&views(true), &["plan.directions=on"]).unwrap();
+        assert!(!config.field.directions && findings[3].left_out, "{findings:?}");
+        assert_eq!(crate::params::color_layers(&config)[0][0], 15);
     }
 
     #[test]

@@ -1,8 +1,9 @@
 // Gradients of the density network's outputs, [samples, 16]: the logit's from the density, the geometry features' from
-// the colour network's input [samples, 32].
+// the colour network's input [samples, width].
 
 struct Params {
     counter: u32,
+    width: u32,
 }
 
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
@@ -23,7 +24,8 @@ fn density_gradients(
         return;
     }
     rows[16u * i] = gradients[i].w * density_derivative(outputs[16u * i]);
+    let geometry = params.width * (i + 1u) - 16u;
     for (var j = 1u; j < 16u; j++) {
-        rows[16u * i + j] = inputs[32u * i + 15u + j];
+        rows[16u * i + j] = inputs[geometry + j - 1u];
     }
 }

@@ -10,6 +10,8 @@ struct Ray {
 
 struct Params {
     counter: u32,
+    // Width of the colour network's input: 16 harmonics, where it sees directions, 15 geometry features, zero.
+    width: u32,
 }
 
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
@@ -61,7 +63,7 @@ fn densities(
     }
 }
 
-// Rows of 32: 16 harmonics, 15 geometry features, zero.
+// Rows of `width`.
 @compute @workgroup_size(GROUP)
 fn color_inputs(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -72,14 +74,18 @@ fn color_inputs(
     if i >= counts[params.counter] {
         return;
     }
-    var harmonics = spherical_harmonics(rays[owners[i]].direction);
-    for (var j = 0u; j < 16u; j++) {
-        rows[32u * i + j] = harmonics[j];
+    let start = params.width * i;
+    let geometry = start + params.width - 16u;
+    if params.width > 16u {
+        var harmonics = spherical_harmonics(rays[owners[i]].direction);
+        for (var j = 0u; j < 16u; j++) {
+            rows[start + j] = harmonics[j];
+        }
     }
     for (var j = 1u; j < 16u; j++) {
-        rows[32u * i + 15u + j] = outputs[16u * i + j];
+        rows[geometry + j - 1u] = outputs[16u * i + j];
     }
-    rows[32u * i + 31u] = 0.0;
+    rows[geometry + 15u] = 0.0;
 }
 
 // Colours of the colour network's outputs, [samples, 16] of which three count.

@@ -1,6 +1,7 @@
 //! `bench`: error against time, of training over a set of configurations, or of rendering over the shortcuts of a model.
 
 mod rendering;
+pub mod stages;
 pub mod training;
 
 use crate::args::BenchArguments;

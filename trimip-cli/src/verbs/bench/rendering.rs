@@ -1,7 +1,9 @@
 //! Error of rendering against time per frame: how far a picture is from the same model's picture in f64 with very short
 //! steps, over steps, early stops, pruning and precision. The field is as trained: this is the error of the quadrature and
-//! of f32 alone. Where steps are halved, the order of convergence is printed beside the one to be expected.
+//! of f32 alone. Where steps are halved, the order of convergence is printed beside the one to be expected. Below it, each
+//! stage against f64 on samples of the same view.
 
+use super::stages::{self, StageError};
 use crate::args::BenchArguments;
 use crate::curves::aligned;
 use crate::machine::Machine;
@@ -91,17 +93,22 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         model.config.backend,
         Machine::detect().cpu
     ));
+    let stages = stages::measure(&model, &camera)?;
+    terminal::line(stage_table(&stages));
     run_folder::create_writable(&arguments.out)?;
     let report = json!({
         "model": path.display().to_string(),
         "machine": Machine::detect(),
         "backend": model.config.backend,
+        "device": backends::load(&model)?.device_name(),
+        "version": crate::machine::version(),
         "width": width,
         "height": height,
         "background": model.config.data.background,
         "reference": { "precision": "f64", "steps": REFERENCE_STEPS, "error_of_half_the_steps": own },
         "measures": "root of the mean squared difference of unrounded colours in [0, 1]; fastest of 3 frames",
         "rows": rows,
+        "stages": stages,
     });
     let text = serde_json::to_string_pretty(&report).map_err(Error::run)?;
     write_atomically(&arguments.out.join("rendering.json"), text.as_bytes())?;
@@ -179,6 +186,23 @@ fn measure(
     let error = distance(&found, reference);
     let psnr = psnr_of_error(error * error);
     Ok(Row { varied, value, error, psnr, milliseconds: 1e3 * fastest, order: None })
+}
+
+fn stage_table(rows: &[StageError]) -> String {
+    let head = ["stage", "precision", "values", "median ulp", "99 % ulp", "worst / largest", "ms"];
+    let mut cells = vec![head.map(String::from).to_vec()];
+    cells.extend(rows.iter().map(|row| {
+        vec![
+            row.stage.to_string(),
+            row.precision.to_string(),
+            row.values.to_string(),
+            format!("{:.1}", row.median_ulp),
+            format!("{:.0}", row.high_ulp),
+            format!("{:.1e}", row.relative),
+            format!("{:.2}", row.milliseconds),
+        ]
+    }));
+    aligned(&cells)
 }
 
 fn table(rows: &[Row]) -> String {

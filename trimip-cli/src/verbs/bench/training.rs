@@ -247,7 +247,7 @@ fn write(
     let file = |name: &str| arguments.out.join(name);
     let report = json!({
         "machine": machine,
-        "version": env!("CARGO_PKG_VERSION"),
+        "version": crate::machine::version(),
         "measures": "PSNR of unrounded colours on the configured background, mean of the scales; seconds of training alone",
         "shared": base.to_toml(),
         "reach": reach,

@@ -1,0 +1,248 @@
+//! Error of each stage against f64 on a model's own samples: what goes in is what the stage before it gave, in f32, so that
+//! each row is the stage's own rounding. Errors in units in the last place of the f64 result's f32, and relative to the
+//! largest value of the stage.
+
+use crate::backends;
+use serde::Serialize;
+use std::time::Instant;
+use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
+use trimip_core::config::Precision;
+use trimip_core::exact::Exact;
+use trimip_core::model::Model;
+use trimip_core::{Aabb, Backend, Camera, Encoder, Field, Layout, Renderer, Result, backend::Occupancy};
+
+/// Rays along each side of the picture.
+const SIDE: u32 = 16;
+
+/// A stage and its errors.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageError {
+    /// Name of the stage.
+    pub stage: &'static str,
+    /// `f32`, `bf16` or `f16`.
+    pub precision: &'static str,
+    /// Values compared.
+    pub values: usize,
+    /// Median error in units in the last place.
+    pub median_ulp: f64,
+    /// 99th percentile of the same.
+    pub high_ulp: f64,
+    /// Largest error over the largest value.
+    pub relative: f64,
+    /// Time of the stage, over these samples, the device's answer included.
+    pub milliseconds: f64,
+}
+
+/// The stages of a model in every precision that its backend has.
+///
+/// # Errors
+/// When the model does not fit its backend.
+pub fn measure(model: &Model, camera: &Camera) -> Result<Vec<StageError>> {
+    let mut rows = Vec::new();
+    for (precision, name) in [(Precision::F32, "f32"), (Precision::Bf16, "bf16"), (Precision::F16, "f16")] {
+        let mut other = model.clone();
+        other.config.field.precision = precision;
+        if backends::load(&other)?.notes().is_empty() {
+            let found = backends::stage_errors(&other, camera, name)?;
+            // Without layers a stage has one precision alone.
+            rows.extend(found.into_iter().filter(|row| precision == Precision::F32 || layered(row.stage)));
+        }
+    }
+    Ok(rows)
+}
+
+fn layered(stage: &str) -> bool {
+    ["density", "colour"].contains(&stage)
+}
+
+/// The stages of a model on a backend.
+///
+/// # Errors
+/// When the model does not fit the backend.
+pub fn on<B: Backend>(
+    backend: &B,
+    model: &Model,
+    camera: &Camera,
+    precision: &'static str,
+) -> Result<Vec<StageError>> {
+    let exact = Exact::new(model)?;
+    let (config, centre) = model.config.centred();
+    let layout = Layout::new(&config);
+    let mut stages = backend.stages(&config, None)?;
+    let mut parameters = backend.zeros(layout.len());
+    backend.write(&mut parameters, &layout.from_tensors(&model.file, "model", "")?);
+    let bits = (config.occupancy.resolution as usize).pow(3).div_ceil(8);
+    stages.occupancy.restore(model.file.u8("model", "occupancy", &[bits])?, None);
+    backend.install(|| {
+        stages.encoder.refresh(&parameters);
+        stages.field.refresh(&parameters);
+    });
+    stages.renderer.follow(1.0);
+    let k = camera.intrinsics;
+    let camera = Camera { origin: camera.origin - centre, ..*camera };
+    let rays: Vec<Ray> = (0..SIDE * SIDE)
+        .map(|i| Ray::from(camera.cone::<f32>(i % SIDE * k.width / SIDE, i / SIDE * k.height / SIDE)))
+        .collect();
+
+    let mut space = Workspace::new(backend, &stages.field);
+    backend.write(&mut space.rays.rays, &rays);
+    backend.write(&mut space.rays.targets, &[]);
+    space.rays.first = 0;
+    let wait = || drop(backend.read(&backend.zeros::<u32>(1)));
+    let Workspace { lane, rays: own, samples, features, tape, radiance, pixels, .. } = &mut space;
+    let marching = timed(backend, || {
+        stages.renderer.march(lane, own, &stages.occupancy, None, samples);
+        wait();
+    });
+    let segments: Vec<Segment> = backend.read(&samples.segments);
+    let count = segments.iter().map(|segment| segment.count as usize).sum::<usize>();
+    let intervals: Vec<Interval> = backend.read(&samples.intervals)[..count].to_vec();
+    let spheres: Vec<Sphere> = backend.read(&samples.spheres)[..count].to_vec();
+    let owners: Vec<u32> = backend.read(&samples.rays)[..count].to_vec();
+    place(backend, samples, &segments, &intervals, &spheres, &owners);
+    let encoding = timed(backend, || {
+        stages.encoder.forward(lane, &parameters, samples, features);
+        wait();
+    });
+    let density = timed(backend, || {
+        stages.field.density(lane, samples, features, tape, radiance);
+        wait();
+    });
+    let color = timed(backend, || {
+        stages.field.color(lane, own, samples, tape, radiance);
+        wait();
+    });
+    let composing = timed(backend, || {
+        stages.renderer.composite(lane, own, samples, radiance, pixels);
+        wait();
+    });
+    let features = backend.read(features);
+    let radiance: Vec<Radiance> = backend.read(radiance)[..count].to_vec();
+    let pixels = backend.read(pixels);
+    backend.health()?;
+
+    let aabb = Aabb::<f64>::new(&config.scene);
+    let mut errors: [Vec<(f64, f64)>; 5] = Default::default();
+    for (i, sphere) in spheres.iter().enumerate() {
+        let (ray, t) = (&rays[owners[i] as usize], f64::from(intervals[i].t));
+        for axis in 0..3 {
+            let at = f64::from(ray.origin[axis]) + t * f64::from(ray.direction[axis]);
+            let expected = (at - aabb.min[axis]) / (aabb.max[axis] - aabb.min[axis]);
+            errors[0].push((sphere.position[axis].into(), expected));
+        }
+        let own = &features[48 * i..][..48];
+        let expected = exact.features(sphere.position.map(f64::from), sphere.radius.into());
+        errors[1].extend(own.iter().map(|&x| f64::from(x)).zip(expected));
+        let own: Vec<f64> = own.iter().map(|&x| x.into()).collect();
+        let (density, rgb) = exact.radiance(&own, ray.direction.map(f64::from));
+        errors[2].push((radiance[i].density.into(), density));
+        errors[3].extend(radiance[i].rgb.map(f64::from).into_iter().zip(rgb));
+    }
+    for (pixel, segment) in pixels.iter().zip(&segments) {
+        let range = segment.start as usize..(segment.start + segment.count) as usize;
+        let expected = composite(&intervals[range.clone()], &radiance[range], config.data.background);
+        errors[4].extend(pixel.rgb.map(f64::from).into_iter().zip(expected));
+    }
+    let names = ["march", "encode", "density", "colour", "composite"];
+    let times = [marching, encoding, density, color, composing];
+    let rows = names.into_iter().zip(times).zip(&errors);
+    Ok(rows.map(|((stage, time), errors)| row(stage, precision, time, errors)).collect())
+}
+
+/// Milliseconds of a stage that has come into being by a run before.
+fn timed<B: Backend>(backend: &B, mut work: impl FnMut() + Send) -> f64 {
+    backend.install(&mut work);
+    let started = Instant::now();
+    backend.install(&mut work);
+    1e3 * started.elapsed().as_secs_f64()
+}
+
+/// Puts samples in place with all of them kept.
+fn place<B: Backend>(
+    backend: &B,
+    samples: &mut Samples<B>,
+    segments: &[Segment],
+    intervals: &[Interval],
+    spheres: &[Sphere],
+    owners: &[u32],
+) {
+    let count = spheres.len() as u32;
+    backend.write(&mut samples.segments, segments);
+    backend.write(&mut samples.intervals, intervals);
+    backend.write(&mut samples.spheres, spheres);
+    backend.write(&mut samples.rays, owners);
+    backend.write(&mut samples.counts, &[[count, count]]);
+}
+
+/// C = Σ T·α·c + T·background in f64.
+fn composite(intervals: &[Interval], radiance: &[Radiance], background: [f32; 3]) -> [f64; 3] {
+    let (mut rgb, mut depth) = ([0.0; 3], 0.0_f64);
+    for (interval, sample) in intervals.iter().zip(radiance) {
+        let own = f64::from(sample.density) * f64::from(interval.length);
+        let weight = (-depth).exp() * -(-own).exp_m1();
+        (0..3).for_each(|c| rgb[c] += weight * f64::from(sample.rgb[c]));
+        depth += own;
+    }
+    std::array::from_fn(|c| rgb[c] + (-depth).exp() * f64::from(background[c]))
+}
+
+/// Distance to the next larger f32.
+fn ulp(value: f64) -> f64 {
+    let near = (value.abs() as f32).max(f32::MIN_POSITIVE);
+    f64::from(near.next_up()) - f64::from(near)
+}
+
+/// `pairs` of found and expected.
+fn row(stage: &'static str, precision: &'static str, milliseconds: f64, pairs: &[(f64, f64)]) -> StageError {
+    let mut ulps: Vec<f64> = pairs.iter().map(|(found, x)| (found - x).abs() / ulp(*x)).collect();
+    ulps.sort_by(f64::total_cmp);
+    let at = |share: f64| ulps.get((share * (ulps.len().max(1) - 1) as f64) as usize).copied().unwrap_or(0.0);
+    let largest = pairs.iter().map(|(_, x)| x.abs()).fold(f64::MIN_POSITIVE, f64::max);
+    let worst = pairs.iter().map(|(found, x)| (found - x).abs()).fold(0.0, f64::max);
+    StageError {
+        stage,
+        precision,
+        values: pairs.len(),
+        median_ulp: at(0.5),
+        high_ulp: at(0.99),
+        relative: worst / largest,
+        milliseconds,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_in_the_last_place_are_those_of_f32() {
+        assert_eq!(ulp(1.0), f64::from(f32::EPSILON));
+        assert_eq!(ulp(-3.0), 2.0 * f64::from(f32::EPSILON));
+        let found = row("x", "f32", 0.0, &[(1.0 + 3.0 * f64::from(f32::EPSILON), 1.0); 10]);
+        assert_eq!((found.median_ulp, found.high_ulp), (3.0, 3.0));
+        assert!((found.relative - 3.0 * f64::from(f32::EPSILON)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_stages_of_a_fresh_model_round_as_f32_does() {
+        let mut config = trimip_core::Config::default();
+        (config.encoder.plane_size, config.encoder.levels) = (32, 4);
+        (config.field.hidden, config.occupancy.resolution) = (16, 16);
+        config.encoder.init_range = 1.0;
+        let layout = Layout::new(&config);
+        let mut file = trimip_core::tensors::TensorFile::default();
+        layout.to_tensors(&layout.initial(&config), "", &mut file);
+        let bits = trimip_core::tensors::Tensor::u8(&[512], vec![0xff; 512]);
+        file.tensors.insert("occupancy".into(), bits);
+        let model = Model::new(config, file);
+        let k = trimip_core::Intrinsics::from_angle(32, 32, 0.7);
+        let camera = Camera::look_at(k, glam::DVec3::new(3.0, 2.0, 1.0), glam::DVec3::ZERO, glam::DVec3::Z);
+        let rows = measure(&model, &camera).unwrap();
+        let of = |stage: &str| rows.iter().find(|r| r.stage == stage && r.precision == "f32").unwrap();
+        for stage in ["march", "encode", "density", "colour", "composite"] {
+            let row = of(stage);
+            assert!(row.values > 500 && row.relative < 1e-5 && row.relative > 0.0, "{row:?}");
+        }
+        assert!(of("march").median_ulp < 8.0 && of("composite").median_ulp < 8.0, "{rows:?}");
+    }
+}
