@@ -1,10 +1,11 @@
-//! The device: which adapter, with which limits; compute pipelines by kernel; and the recorder into which a whole step's
-//! dispatches go before they are submitted once.
+//! The device: which adapter, with which limits, and the recorder into which a whole step's dispatches go before they are
+//! submitted once.
 
 use crate::adapter::{COOPERATION, choose, matrices};
 use crate::kernel::{Access, Kernel, Matrices};
+use crate::pipelines::Pipelines;
 use bytemuck::Pod;
-use std::collections::{HashMap, VecDeque};
+use std::collections::VecDeque;
 use std::num::NonZeroU64;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -32,16 +33,11 @@ pub struct Gpu {
     info: wgpu::AdapterInfo,
     limits: wgpu::Limits,
     matrices: Option<Matrices>,
-    pipelines: Mutex<HashMap<String, Arc<Pipeline>>>,
+    pipelines: Pipelines,
     recorder: Mutex<Recorder>,
     counters: Counters,
     /// Why the device went away, or what it refused, first cause first.
     failure: Arc<Mutex<Option<String>>>,
-}
-
-struct Pipeline {
-    pipeline: wgpu::ComputePipeline,
-    layout: wgpu::BindGroupLayout,
 }
 
 /// What is recorded and not yet submitted.
@@ -186,12 +182,12 @@ impl Gpu {
             submitted: VecDeque::new(),
         };
         Ok(Arc::new(Self {
+            pipelines: Pipelines::new(device.clone()),
             device,
             queue,
             info,
             limits,
             matrices,
-            pipelines: Mutex::default(),
             recorder: Mutex::new(recorder),
             counters: Counters::default(),
             failure,
@@ -384,7 +380,7 @@ impl Gpu {
         parameters: &P,
         size: std::result::Result<(&wgpu::Buffer, u64), (u32, u32)>,
     ) {
-        let pipeline = self.pipeline(kernel);
+        let pipeline = self.pipelines.of(kernel);
         let offset = recorder.parameters.len();
         recorder.parameters.extend_from_slice(bytemuck::bytes_of(parameters));
         recorder.parameters.resize(offset + PARAMETERS_STRIDE, 0);
@@ -479,59 +475,6 @@ impl Gpu {
 
     fn encoder<'a>(&self, recorder: &'a mut Recorder) -> &'a mut wgpu::CommandEncoder {
         recorder.encoder.get_or_insert_with(|| self.device.create_command_encoder(&Default::default()))
-    }
-
-    fn pipeline(&self, kernel: &Kernel) -> Arc<Pipeline> {
-        let mut pipelines = lock(&self.pipelines);
-        let key = kernel.key();
-        if let Some(pipeline) = pipelines.get(&key) {
-            return Arc::clone(pipeline);
-        }
-        let pipeline = Arc::new(self.compile(kernel));
-        pipelines.insert(key, Arc::clone(&pipeline));
-        pipeline
-    }
-
-    fn compile(&self, kernel: &Kernel) -> Pipeline {
-        let entries: Vec<wgpu::BindGroupLayoutEntry> = kernel
-            .bindings
-            .iter()
-            .map(|&(binding, access)| {
-                let (ty, has_dynamic_offset) = match access {
-                    Access::Parameters => (wgpu::BufferBindingType::Uniform, true),
-                    Access::Read => (wgpu::BufferBindingType::Storage { read_only: true }, false),
-                    Access::Write => (wgpu::BufferBindingType::Storage { read_only: false }, false),
-                };
-                wgpu::BindGroupLayoutEntry {
-                    binding,
-                    visibility: wgpu::ShaderStages::COMPUTE,
-                    ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
-                    count: None,
-                }
-            })
-            .collect();
-        let label = Some(kernel.entry);
-        let layout = self
-            .device
-            .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
-        let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label,
-            source: wgpu::ShaderSource::Wgsl(kernel.source().into()),
-        });
-        let pipeline_layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label,
-            bind_group_layouts: &[Some(&layout)],
-            immediate_size: 0,
-        });
-        let pipeline = self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label,
-            layout: Some(&pipeline_layout),
-            module: &module,
-            entry_point: Some(kernel.entry),
-            compilation_options: Default::default(),
-            cache: None,
-        });
-        Pipeline { pipeline, layout }
     }
 }
 

@@ -14,6 +14,7 @@ mod loss;
 mod memory;
 mod occupancy;
 mod optimizer;
+mod pipelines;
 #[cfg(test)]
 mod probe;
 mod renderer;

@@ -1,0 +1,117 @@
+//! The scene plan of the program itself: what it leaves out, that a run keeps it, and what a model is worth without it.
+
+use serde_json::Value;
+use std::{fs, path::Path};
+use trimip_core::{Config, config::FilePrecision, config::PlaneShape, model::Model};
+use trimip_tests::binary::{run, tiny_and};
+
+fn json(path: &Path) -> Value {
+    let bytes = fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    serde_json::from_slice(&bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// Decisions of a `plan.json` that leave something out.
+fn left_out(findings: &Value) -> Vec<&str> {
+    let findings = findings.as_array().expect("a list");
+    findings.iter().filter(|f| f["left_out"] == true).map(|f| f["decision"].as_str().unwrap()).collect()
+}
+
+const OFF: [&str; 10] = [
+    "--set",
+    "plan.aabb=off",
+    "--set",
+    "plan.levels=off",
+    "--set",
+    "plan.occupancy=off",
+    "--set",
+    "plan.directions=off",
+    "--set",
+    "plan.file=off",
+];
+
+#[test]
+fn a_run_is_planned_once_and_its_model_is_what_was_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let wide = "--set=scene.aabb_min=[-4.0,-4.0,-4.0]";
+    // The user's own corner stands: nothing else of the box is fitted.
+    let answer = run(folder.path(), &tiny_and(&["--out", "own", wide]));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    assert_eq!(left_out(&json(&folder.path().join("own/plan.json"))), ["file"]);
+
+    let arguments = tiny_and(&["--out", "run", "--stop-after", "7"]);
+    assert_eq!(run(folder.path(), &arguments).code, Some(0));
+    let path = folder.path().join("run");
+    let plan = fs::read(path.join("plan.json")).unwrap();
+    assert_eq!(run(folder.path(), &tiny_and(&["--out", "run"])).code, Some(0));
+    assert_eq!(fs::read(path.join("plan.json")).unwrap(), plan, "a run that goes on is not planned again");
+    let text = fs::read_to_string(path.join("config.toml")).unwrap();
+    let config = Config::from_toml("config.toml", &text).unwrap();
+    let model = Model::read(&path.join("model.safetensors")).unwrap();
+    assert_eq!(model.config, config);
+    assert_eq!(config.file.planes, FilePrecision::F16);
+    // What `eval` reads from the file is what the run measured before it wrote it, f16 or not.
+    let answer = run(folder.path(), &["eval", "run", "--json", "eval.json"]);
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    let measured = json(&path.join("report.json"))["mean"]["psnr"].as_f64().unwrap();
+    let read = json(&folder.path().join("eval.json"))["mean"]["psnr"].as_f64().unwrap();
+    assert!((measured - read).abs() < 0.01, "{measured} dB trained, {read} dB read");
+    // Other settings are another run, whatever was planned.
+    let answer = run(folder.path(), &tiny_and(&["--out", "run", "--set", "encoder.plane_size=32"]));
+    assert_eq!(answer.code, Some(2), "{}", answer.err);
+    assert!(answer.err.contains("encoder.plane_size"), "{}", answer.err);
+    let answer = run(folder.path(), &tiny_and(&[&["--out", "run"], &OFF[..]].concat()));
+    assert_eq!(answer.code, Some(if config.encoder.shape == PlaneShape::Box { 2 } else { 0 }));
+}
+
+#[test]
+fn everything_off_is_the_configuration_as_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let answer = run(folder.path(), &tiny_and(&[&["--out", "run"], &OFF[..]].concat()));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    let path = folder.path().join("run");
+    assert!(left_out(&json(&path.join("plan.json"))).is_empty());
+    let model = Model::read(&path.join("model.safetensors")).unwrap();
+    assert_eq!(model.config.scene, Config::default().scene);
+    assert_eq!((model.config.encoder.plane_size, model.config.occupancy.resolution), (16, 16));
+    assert_eq!(model.file.tensors["planes"].shape, [3, 16, 16, 16]);
+}
+
+#[test]
+fn a_plan_says_what_why_and_at_what_cost() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut arguments =
+        vec!["plan", "--json", "plan.json", "--measure", "--samples", "0.02", "--out", "trials"];
+    arguments.extend(tiny_and(&["--set", "data.builtin_train=8"]));
+    let answer = run(folder.path(), &arguments);
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    let report = json(&folder.path().join("plan.json"));
+    for finding in report["findings"].as_array().unwrap() {
+        let (decision, reason) = (finding["decision"].as_str().unwrap(), finding["reason"].as_str().unwrap());
+        assert!(answer.out.contains(&format!("plan.{decision}: ")) && answer.out.contains(reason));
+        for change in finding["changes"].as_array().unwrap() {
+            assert!(answer.out.contains(change["path"].as_str().unwrap()), "{}", answer.out);
+        }
+    }
+    let effects = report["effects"].as_array().unwrap();
+    assert_eq!(effects[0]["plan"], "nothing left out");
+    assert_eq!(effects.last().unwrap()["plan"], "and directions");
+    assert_eq!(effects.len(), left_out(&report["findings"]).len() + 2);
+    for effect in effects {
+        for key in ["psnr", "psnr_change", "seconds", "seconds_share", "model_bytes"] {
+            assert!(effect[key].is_f64(), "{key}: {effect}");
+        }
+    }
+    // Half the bits of the texels are half of what they took.
+    let bytes = |name: &str| {
+        let at = effects.iter().position(|effect| effect["plan"] == name).unwrap();
+        (effects[at - 1]["model_bytes"].as_f64().unwrap(), effects[at]["model_bytes"].as_f64().unwrap())
+    };
+    let (before, after) = bytes("and file");
+    assert!(after < 0.9 * before, "{before} to {after} bytes");
+
+    for broken in [&["--samples", "0"][..], &["--samples", "nan"], &["--set", "plan.aabb=maybe"]] {
+        let answer =
+            run(folder.path(), &[&["plan", "--measure", "--out", "x"], &tiny_and(broken)[..]].concat());
+        assert_eq!(answer.code, Some(2), "{broken:?}: {answer:?}");
+    }
+}
