@@ -146,7 +146,7 @@ fn wrong_settings_and_arguments_are_refused() {
         (&["--set", "train.stepz=3"], &["train.stepz", "train.steps"]),
         (&["--set", "train.steps"], &["--set train.steps", "="]),
         (&["--set", "train.steps=many"], &["train.steps", "many", "whole number"]),
-        (&["--set", "encoder.plane_size=100"], &["encoder.plane_size", "power of two"]),
+        (&["--set", "encoder.plane_size=100"], &["encoder.plane_size", "multiple of 128"]),
         (&["--set", "backend=cuda"], &["cuda", "cpu"]),
         (&["--set"], &["--set"]),
         (&["--frobnicate"], &["--frobnicate"]),

@@ -66,7 +66,7 @@ pub fn rows(settings: &Settings) -> Vec<Row> {
     let mut section = String::new();
     for line in DEFAULTS.lines() {
         if let Some(name) = line.strip_prefix('[') {
-            section = name.trim_end_matches(']').to_string();
+            section = name.split(']').next().unwrap_or_default().to_string();
         }
         let Some((key, rest)) = line.split_once(" = ").filter(|_| !line.starts_with(['#', '['])) else {
             continue;

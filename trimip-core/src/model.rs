@@ -29,6 +29,16 @@ impl Model {
         Self { config, file }
     }
 
+    /// The same model with its planes rounded as its file will hold them.
+    pub fn rounded(mut self) -> Self {
+        if self.config.file.planes == FilePrecision::F16
+            && let Some(planes) = self.file.tensors.remove(PLANES)
+        {
+            self.file.tensors.insert(PLANES.into(), planes.halved().widened());
+        }
+        self
+    }
+
     /// Writes the model, atomically, its planes in the precision of `file.planes`; returns its size in bytes.
     pub fn write(&self, path: &Path) -> Result<u64> {
         match (self.config.file.planes, self.file.tensors.get(PLANES)) {

@@ -114,7 +114,7 @@ impl Run<'_> {
             }
         }
         self.save(&totals, kept)?;
-        let model = self.session.model()?;
+        let model = self.session.finish()?;
         self.store.model(&model)?;
         self.events.emit(&Event::Finished { totals });
         self.evaluate_at_the_end(&totals)

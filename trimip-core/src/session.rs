@@ -42,6 +42,12 @@ pub trait Session: Send {
     /// Everything `render` needs.
     fn model(&mut self) -> Result<Model>;
 
+    /// The model as its file will hold it, which this session renders from now on: training is over.
+    ///
+    /// # Errors
+    /// When the device failed.
+    fn finish(&mut self) -> Result<Model>;
+
     /// Everything training needs to go on with the same bits.
     fn checkpoint(&mut self) -> Result<Checkpoint>;
 

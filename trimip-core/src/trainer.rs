@@ -7,6 +7,7 @@ use crate::{
     backend::{Loss, Occupancy, Sampler, Stages},
     batch::{Deposit, Radiance, StepSums, Workspace},
     checkpoint::{Checkpoint, MOST_PENDING, TrainState},
+    config::FilePrecision,
     metrics::psnr_of_error,
     model::Model,
     run::progress,
@@ -496,6 +497,14 @@ impl<B: Backend> Session for Trainer<B> {
         let tensors = self.tensors(&values);
         self.backend.health()?;
         Ok(Model::new(self.config.clone(), tensors))
+    }
+
+    fn finish(&mut self) -> Result<Model> {
+        let model = self.model()?.rounded();
+        if model.config.file.planes != FilePrecision::F32 {
+            self.restore_model("model", &model.file, None)?;
+        }
+        Ok(model)
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint> {
