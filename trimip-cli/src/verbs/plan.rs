@@ -125,7 +125,6 @@ fn effects(arguments: &PlanArguments) -> Result<Vec<Value>> {
             "seconds": number(row, "seconds"),
             "seconds_share": number(row, "seconds") / number(&first, "seconds"),
             "model_bytes": number(row, "model_bytes"),
-            "peak_memory_bytes": number(row, "peak_memory_bytes"),
         }));
         before = row.clone();
     }
@@ -133,11 +132,8 @@ fn effects(arguments: &PlanArguments) -> Result<Vec<Value>> {
 }
 
 fn table(rows: &[Value]) -> String {
-    let mut cells = vec![
-        ["plan", "PSNR / dB", "change", "seconds", "of all", "model", "peak memory"]
-            .map(String::from)
-            .to_vec(),
-    ];
+    let mut cells =
+        vec![["plan", "PSNR / dB", "change", "seconds", "of all", "model"].map(String::from).to_vec()];
     let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
     for row in rows {
         cells.push(vec![
@@ -147,7 +143,6 @@ fn table(rows: &[Value]) -> String {
             format!("{:.1}", number(row, "seconds")),
             format!("{:.0} %", 100.0 * number(row, "seconds_share")),
             terminal::bytes(number(row, "model_bytes") as u64),
-            terminal::bytes(number(row, "peak_memory_bytes") as u64),
         ]);
     }
     aligned(&cells)
