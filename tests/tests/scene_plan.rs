@@ -2,7 +2,8 @@
 
 use serde_json::Value;
 use std::{fs, path::Path};
-use trimip_core::{Config, config::FilePrecision, config::PlaneShape, model::Model};
+use trimip_core::scene_plan::{self, Facts};
+use trimip_core::{Config, Settings, config::FilePrecision, config::PlaneShape, model::Model};
 use trimip_tests::binary::{run, tiny_and};
 
 fn json(path: &Path) -> Value {
@@ -113,5 +114,55 @@ fn a_plan_says_what_why_and_at_what_cost() {
         let answer =
             run(folder.path(), &[&["plan", "--measure", "--out", "x"], &tiny_and(broken)[..]].concat());
         assert_eq!(answer.code, Some(2), "{broken:?}: {answer:?}");
+    }
+}
+
+/// The built-in scene needs a third of the box that it is given, and all of the box that the plan gives it: a plan of what
+/// was planned leaves nothing out. At four scales its coarsest pixels ask for every mip level, at one for half of them.
+#[test]
+fn a_plan_of_what_was_planned_leaves_nothing_out() {
+    for (scales, expected) in
+        [(4, &["aabb", "occupancy", "file"][..]), (1, &["aabb", "levels", "occupancy", "file"])]
+    {
+        plan_twice(scales, expected);
+    }
+}
+
+fn plan_twice(scales: u32, expected: &[&str]) {
+    let mut settings = Settings::defaults();
+    let scales = format!("data.scales={scales}");
+    for assignment in ["data.format=builtin", "data.builtin_size=128", "data.builtin_train=24", &scales] {
+        settings.apply_assignment(assignment).unwrap();
+    }
+    let config = Config::from_settings(&settings).unwrap();
+    let scene = trimip_data::open(&config.data).unwrap();
+    let facts = Facts { train: &scene.train, test: &scene.test.cameras() };
+    let decided = |settings: &mut Settings| {
+        let findings = scene_plan::make(settings, &facts).unwrap();
+        findings.into_iter().filter(|f| f.left_out).map(|f| f.decision).collect::<Vec<_>>()
+    };
+    assert_eq!(decided(&mut settings), expected, "{scales}");
+    let planned = Config::from_settings(&settings).unwrap();
+    let mut again = Settings::defaults();
+    again.apply_file("planned", &planned.to_toml()).unwrap();
+    for key in scene_plan::keys().filter(|key| *key != "directions") {
+        again.apply_assignment(&format!("plan.{key}=on")).unwrap();
+    }
+    assert_eq!(decided(&mut again), Vec::<String>::new(), "{scales}: {planned:?}");
+
+    // A model of the fitted box sees what one of the whole box sees: no test view shows anything outside of it.
+    let aabb = trimip_core::Aabb::<f64>::new(&planned.scene);
+    for index in 0..scene.test.len() {
+        let view = scene.test.load(index).unwrap();
+        let camera = view.views[0].camera;
+        for (i, pixel) in view.pixels_of(0).iter().enumerate() {
+            let (x, y) = (i as u32 % camera.intrinsics.width, i as u32 / camera.intrinsics.width);
+            let cone = camera.cone::<f64>(x, y);
+            let (enter, leave) = aabb.intersect(cone.origin, cone.direction);
+            assert!(
+                enter < leave || pixel[3] < 128,
+                "view {index}: pixel {x}, {y} shows what the box has not"
+            );
+        }
     }
 }
