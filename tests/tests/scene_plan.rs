@@ -56,6 +56,13 @@ fn a_run_is_planned_once_and_its_model_is_what_was_measured() {
     let measured = json(&path.join("report.json"))["mean"]["psnr"].as_f64().unwrap();
     let read = json(&folder.path().join("eval.json"))["mean"]["psnr"].as_f64().unwrap();
     assert_eq!(measured, read, "what training reported, and what the file gives");
+    // A plan that cannot be read is named, and a fresh run needs none.
+    fs::write(path.join("plan.json"), "[{").unwrap();
+    let answer = run(folder.path(), &tiny_and(&["--out", "run"]));
+    assert!(answer.code == Some(2) && answer.err.contains("--fresh"), "{answer:?}");
+    let answer = run(folder.path(), &tiny_and(&["--out", "run", "--fresh"]));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    assert_eq!(fs::read(path.join("plan.json")).unwrap(), plan);
     // Other settings are another run, whatever was planned.
     let answer = run(folder.path(), &tiny_and(&["--out", "run", "--set", "encoder.plane_size=32"]));
     assert_eq!(answer.code, Some(2), "{}", answer.err);

@@ -84,11 +84,12 @@ fn bench_arguments(
         findings.iter().filter(|f| f.left_out && f.decision != BLIND).map(|f| f.decision.as_str()).collect();
     // Whether directions are needed the data do not tell; a training does.
     taken.extend(findings.iter().find(|f| f.decision == BLIND && f.choice != PlanChoice::Off).map(|_| BLIND));
+    let forced = |key: &str| findings.iter().any(|f| f.decision == key && f.choice == PlanChoice::On);
     let variant = |count: usize| {
         let name = if count == 0 { "nothing left out".into() } else { format!("and {}", taken[count - 1]) };
         let choices = scene_plan::keys().map(|key| match taken[..count].contains(&key) {
             true if key == BLIND => format!("plan.{BLIND}=on"),
-            true => format!("plan.{key}=auto"),
+            true => format!("plan.{key}={}", if forced(key) { "on" } else { "auto" }),
             false => format!("plan.{key}=off"),
         });
         format!("{name}: {}", choices.collect::<Vec<_>>().join("; "))

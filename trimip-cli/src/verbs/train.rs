@@ -40,7 +40,8 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     folder.prepare()?;
     // A run that goes on keeps the plan it began with; another one is planned when its scene is known.
     let (mut settings, mut findings) = (given.clone(), Vec::new());
-    if let Some(earlier) = folder.findings()?.filter(|_| !arguments.fresh) {
+    let earlier = if arguments.fresh { None } else { folder.findings()? };
+    if let Some(earlier) = earlier {
         scene_plan::adopt(&mut settings, &earlier)?;
         findings = earlier;
     }
