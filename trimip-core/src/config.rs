@@ -151,6 +151,7 @@ section!(
     DataConfig {
         root: String, format: Format, train: Vec<String>, test: String, holdout: u32, scales: u32, convention: Convention,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
+        builtin_gloss: bool,
     }
 );
 section!(
@@ -171,7 +172,7 @@ section!(
     /// The tri-mip encoding.
     EncoderConfig {
         plane_size: u32, shape: PlaneShape, channels: u32, levels: u32, mipmap: bool, level: LevelFormula,
-        init_range: f32, halvings: Schedule,
+        level_bias: f32, init_range: f32, halvings: Schedule,
     }
 );
 section!(
@@ -344,6 +345,11 @@ impl Config {
             encoder.init_range.is_finite() && encoder.init_range >= 0.0,
             "encoder.init_range",
             "0 or more",
+        )?;
+        check(
+            encoder.level_bias.is_finite() && encoder.level_bias.abs() <= 8.0,
+            "encoder.level_bias",
+            "-8 (sharper) to 8 (blurrier)",
         )?;
         let halvings = || encoder.halvings.values();
         check(

@@ -26,7 +26,7 @@ pub struct Pyramid {
     pub sides: [usize; 3],
     /// Number of levels, the base included; 1 without a mipmap.
     pub levels: usize,
-    /// log2 of the world radius r̈ that belongs to level 0, per plane.
+    /// log2 of the world radius that belongs to level 0, per plane: r̈ less `encoder.level_bias` levels.
     pub log2_base_radius: [f64; 3],
 }
 
@@ -98,6 +98,7 @@ impl Pyramid {
                 LevelFormula::Code => texel / 2.0,
             }
             .log2()
+                - f64::from(config.level_bias)
         });
         Self { sides, levels: if config.mipmap { config.levels as usize } else { 1 }, log2_base_radius }
     }
@@ -232,6 +233,26 @@ mod tests {
             let blend = with_formula(512, 8, LevelFormula::Code).blend(2, radius.log2());
             let higher = (2.0 / std::f64::consts::PI.sqrt()).log2();
             assert!((blend.lower as f64 + blend.fraction - expected - higher).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_bias_moves_every_level_by_itself() {
+        let biased = |level_bias| {
+            let config =
+                EncoderConfig { level_bias, plane_size: 64, levels: 6, ..crate::Config::default().encoder };
+            Pyramid::new(&config, &Aabb { min: [-1.5; 3], max: [1.5; 3] })
+        };
+        let level = |bias: f32, radius: f64| {
+            let blend = biased(bias).blend(1, radius.log2());
+            blend.lower as f64 + blend.fraction
+        };
+        for radius in [0.1_f64, 0.13, 0.2] {
+            for bias in [-1.0_f32, -0.25, 0.5, 1.5] {
+                assert!((level(bias, radius) - level(0.0, radius) - f64::from(bias)).abs() < 1e-12);
+            }
+            // A radius half as large is one level.
+            assert!((level(-1.0, radius) - level(0.0, radius / 2.0)).abs() < 1e-12);
         }
     }
 

@@ -26,6 +26,8 @@ pub(crate) enum Pixels {
     Rendered {
         /// n.
         supersampling: u32,
+        /// Objects mirror and shine.
+        gloss: bool,
     },
 }
 
@@ -73,8 +75,8 @@ impl Source {
             Pixels::Photograph(file) => {
                 pyramid::fill(file.decode()?.as_chunks().0, size.0, size.1, convention, slots);
             }
-            Pixels::Rendered { supersampling } => {
-                let pixels = builtin::render(camera, *supersampling);
+            Pixels::Rendered { supersampling, gloss } => {
+                let pixels = builtin::render(camera, *supersampling, *gloss);
                 pyramid::fill(&pixels, size.0, size.1, convention, slots);
             }
             Pixels::Stored(files) => {

@@ -102,7 +102,7 @@ pub fn shapes() -> impl Iterator<Item = Shape> {
 /// Colour that arrives from where a ray enters the scene, `None` where it meets nothing; `origin` must lie outside of
 /// every solid.
 pub fn radiance(origin: DVec3, direction: DVec3) -> Option<[f64; 3]> {
-    radiance_of(u32::MAX, origin, direction.try_normalize()?).map(|color| color.to_array())
+    radiance_of(u32::MAX, origin, direction.try_normalize()?, true).map(|color| color.to_array())
 }
 
 /// Bit i is set where object i may be hit within the angle `spread` (its tangent) around a ray.
@@ -124,8 +124,8 @@ fn members(mut bits: u32) -> impl Iterator<Item = &'static Object> {
     })
 }
 
-/// [`radiance`] of the objects in `near`; shadows are cast by all.
-pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3) -> Option<DVec3> {
+/// [`radiance`] of the objects in `near`; shadows are cast by all. Without `gloss` no object mirrors or shines.
+pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3, gloss: bool) -> Option<DVec3> {
     let mut first: Option<(f64, &Object)> = None;
     for object in members(near) {
         if let Some(t) = object.shape.hit(origin, direction)
@@ -135,11 +135,11 @@ pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3) -> Option<
         }
     }
     let (t, object) = first?;
-    Some(object.shade(origin + t * direction, direction))
+    Some(object.shade(origin + t * direction, direction, gloss))
 }
 
 impl Object {
-    fn shade(&self, point: DVec3, direction: DVec3) -> DVec3 {
+    fn shade(&self, point: DVec3, direction: DVec3, gloss: bool) -> DVec3 {
         let normal = self.shape.normal(point);
         let reflected = direction - 2.0 * direction.dot(normal) * normal;
         let mut diffuse = AMBIENT.0 + AMBIENT.1 * (0.5 + 0.5 * normal.z);
@@ -151,12 +151,12 @@ impl Object {
                 continue;
             }
             diffuse += strength * facing;
-            if self.highlight.0 > 0.0 {
+            if gloss && self.highlight.0 > 0.0 {
                 highlight += strength * reflected.dot(toward).max(0.0).powi(self.highlight.1);
             }
         }
         let mut color = self.color(point, normal) * diffuse;
-        if self.mirror > 0.0 {
+        if gloss && self.mirror > 0.0 {
             // Schlick's approximation of Fresnel's reflectance.
             let share =
                 self.mirror + (1.0 - self.mirror) * (1.0 + direction.dot(normal)).clamp(0.0, 1.0).powi(5);
@@ -272,6 +272,11 @@ mod tests {
         let seen = |from: DVec3| DVec3::from(radiance(from, point - from).expect("the ball is there"));
         let (a, b) = (seen(DVec3::new(2.0, 3.0, 2.0)), seen(DVec3::new(1.0, 3.0, 3.0)));
         assert!((a - b).length() > 0.03, "{a} {b}");
+        let matt = |from: DVec3| {
+            radiance_of(u32::MAX, from, (point - from).normalize(), false).expect("the ball is there")
+        };
+        let (a, b) = (matt(DVec3::new(2.0, 3.0, 2.0)), matt(DVec3::new(1.0, 3.0, 3.0)));
+        assert!((a - b).length() < 1e-9, "without gloss a point has one colour: {a} {b}");
     }
 
     #[test]
