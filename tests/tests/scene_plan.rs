@@ -87,8 +87,18 @@ fn everything_off_is_the_configuration_as_written() {
 #[test]
 fn a_plan_says_what_why_and_at_what_cost() {
     let folder = tempfile::tempdir().unwrap();
-    let mut arguments =
-        vec!["plan", "--json", "plan.json", "--measure", "--samples", "0.02", "--out", "trials"];
+    let mut arguments = vec![
+        "plan",
+        "--json",
+        "plan.json",
+        "--measure",
+        "--samples",
+        "0.02",
+        "--seeds",
+        "2",
+        "--out",
+        "trials",
+    ];
     arguments.extend(tiny_and(&["--set", "data.builtin_train=8"]));
     let answer = run(folder.path(), &arguments);
     assert_eq!(answer.code, Some(0), "{}", answer.err);
@@ -105,10 +115,14 @@ fn a_plan_says_what_why_and_at_what_cost() {
     assert_eq!(effects.last().unwrap()["plan"], "and directions");
     assert_eq!(effects.len(), left_out(&report["findings"]).len() + 2);
     for effect in effects {
-        for key in ["psnr", "psnr_change", "seconds", "seconds_share", "model_bytes"] {
+        for key in ["psnr", "psnr_change", "psnr_spread", "seconds", "seconds_share", "model_bytes"] {
             assert!(effect[key].is_f64(), "{key}: {effect}");
         }
     }
+    let needed = report["directions_needed"].as_bool().unwrap();
+    assert_eq!(needed, effects.last().unwrap()["psnr_change"].as_f64().unwrap() < -0.05);
+    let verdict = if needed { "plan.directions: needed: " } else { "plan.directions: not needed: " };
+    assert!(answer.out.contains(verdict), "{}", answer.out);
     // Half the bits of the texels are half of what they took.
     let bytes = |name: &str| {
         let at = effects.iter().position(|effect| effect["plan"] == name).unwrap();

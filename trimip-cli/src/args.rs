@@ -103,6 +103,9 @@ pub struct PlanArguments {
     /// Million samples of each of these trainings
     #[arg(long, default_value_t = 16.0, value_name = "MILLION")]
     pub samples: f64,
+    /// Seeds of each of them
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub seeds: u32,
     /// Folder of these trainings
     #[arg(long, default_value = "runs/plan", value_name = "DIR")]
     pub out: PathBuf,

@@ -2,7 +2,7 @@
 //! grid, which belongs to the model; made to measure errors by.
 
 use crate::activation::{density, sigmoid};
-use crate::model::Model;
+use crate::model::{Model, OCCUPANCY};
 use crate::occupancy::cell_of;
 use crate::sh::spherical_harmonics;
 use crate::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
@@ -78,7 +78,7 @@ impl Exact {
         };
         let resolution = config.occupancy.resolution;
         let cells = (resolution as usize).pow(3);
-        let occupancy = model.file.u8("model", "occupancy", &[cells.div_ceil(8)])?.to_vec();
+        let occupancy = model.file.u8("model", OCCUPANCY, &[cells.div_ceil(8)])?.to_vec();
         Ok(Self {
             centre,
             density: network("density"),

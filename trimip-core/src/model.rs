@@ -10,6 +10,9 @@ const FORMAT: &str = "trimip-model-1";
 /// Name of the planes' tensor.
 const PLANES: &str = "planes";
 
+/// Name of the occupancy grid's tensor: one bit per cell, cell order, lowest bit first.
+pub const OCCUPANCY: &str = "occupancy";
+
 /// Named tensors (see [`crate::params::Layout`]), the occupancy bits as tensor `occupancy` and the configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {

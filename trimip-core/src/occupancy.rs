@@ -67,10 +67,51 @@ pub fn threshold(mean: f64, config: &OccupancyConfig) -> f32 {
     (mean as f32).min(config.threshold)
 }
 
+/// The bits of a grid of half the resolution (an even one): a cell is occupied where one of its eight is.
+pub fn coarsened(bits: &[u8], resolution: u32) -> Vec<u8> {
+    let half = resolution / 2;
+    let mut coarse = vec![0; (half as usize).pow(3).div_ceil(8)];
+    for cell in 0..resolution.pow(3) {
+        if bits[cell as usize / 8] >> (cell % 8) & 1 == 1 {
+            let [x, y, z] = coordinates(cell, resolution).map(|c| c / 2);
+            let parent = x + half * (y + half * z);
+            coarse[parent as usize / 8] |= 1 << (parent % 8);
+        }
+    }
+    coarse
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Config;
+
+    #[test]
+    fn a_coarser_grid_holds_what_the_finer_one_held() {
+        let random = Random::new(5);
+        for resolution in [4_u32, 6, 10] {
+            let cells = resolution.pow(3);
+            let occupied = |cell: u32| random.bits(Stream::Cell, 0, cell)[0].is_multiple_of(9);
+            let mut bits = vec![0_u8; (cells as usize).div_ceil(8)];
+            (0..cells)
+                .filter(|&cell| occupied(cell))
+                .for_each(|cell| bits[cell as usize / 8] |= 1 << (cell % 8));
+            let coarse = coarsened(&bits, resolution);
+            let half = resolution / 2;
+            for parent in 0..half.pow(3) {
+                let corner = coordinates(parent, half).map(|c| 2 * c);
+                let any = (0..8).any(|child| {
+                    let [x, y, z] = [0, 1, 2].map(|axis| corner[axis] + (child >> axis & 1));
+                    occupied(x + resolution * (y + resolution * z))
+                });
+                assert_eq!(
+                    coarse[parent as usize / 8] >> (parent % 8) & 1 == 1,
+                    any,
+                    "{resolution}: {parent}"
+                );
+            }
+        }
+    }
 
     #[test]
     fn a_point_of_a_cell_lies_in_that_cell() {

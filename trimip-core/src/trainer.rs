@@ -9,7 +9,7 @@ use crate::{
     checkpoint::{Checkpoint, MOST_PENDING, TrainState},
     config::FilePrecision,
     metrics::psnr_of_error,
-    model::Model,
+    model::{Model, OCCUPANCY},
     run::progress,
     tensors::{Tensor, TensorFile},
     tri_mip::{Pyramid, grow},
@@ -427,7 +427,7 @@ impl<B: Backend> Trainer<B> {
     fn restore_model(&mut self, name: &str, file: &TensorFile, densities: Option<&[f32]>) -> Result<()> {
         let values = self.layout.from_tensors(file, name, "")?;
         let cells = (self.config.occupancy.resolution as usize).pow(3);
-        let bits = file.u8(name, "occupancy", &[cells.div_ceil(8)])?;
+        let bits = file.u8(name, OCCUPANCY, &[cells.div_ceil(8)])?;
         self.stages.occupancy.restore(bits, densities);
         self.set_parameters(&values);
         Ok(())
@@ -437,7 +437,7 @@ impl<B: Backend> Trainer<B> {
         let mut file = TensorFile::default();
         self.layout.to_tensors(values, "", &mut file);
         let bits = self.stages.occupancy.bits();
-        file.tensors.insert("occupancy".into(), Tensor::u8(&[bits.len()], bits));
+        file.tensors.insert(OCCUPANCY.into(), Tensor::u8(&[bits.len()], bits));
         file
     }
 }

@@ -16,6 +16,9 @@ const KEPT_BACK: usize = 4;
 /// The decision that only a training can take: the colour network without directions.
 const BLIND: &str = "directions";
 
+/// Loss of PSNR up to which directions are not needed, dB.
+const NO_LOSS: f64 = 0.05;
+
 /// Prints a line for every decision, and measures where asked to.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
     let (mut settings, configured) = settings::load(&arguments.settings)?;
@@ -41,6 +44,10 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
         let rows = effects(arguments)?;
         terminal::line(table(&rows));
         report["effects"] = json!(rows);
+        if let Some(verdict) = verdict(&rows) {
+            terminal::line(&verdict.text);
+            report["directions_needed"] = json!(verdict.needed);
+        }
     }
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&report).map_err(Error::run)?;
@@ -101,7 +108,7 @@ fn bench_arguments(
         variants: (0..=taken.len()).map(variant).collect(),
         vary: Vec::new(),
         no_base: true,
-        seeds: 1,
+        seeds: arguments.seeds,
         reach: Vec::new(),
         out: arguments.out.clone(),
     }
@@ -123,6 +130,8 @@ fn effects(arguments: &PlanArguments) -> Result<Vec<Value>> {
             "plan": row["name"],
             "psnr": number(row, "psnr"),
             "psnr_change": number(row, "psnr") - number(&before, "psnr"),
+            // The larger of both that are compared.
+            "psnr_spread": number(row, "spread").max(number(&before, "spread")),
             "seconds": number(row, "seconds"),
             "seconds_share": number(row, "seconds") / number(&first, "seconds"),
             "model_bytes": number(row, "model_bytes"),
@@ -130,6 +139,24 @@ fn effects(arguments: &PlanArguments) -> Result<Vec<Value>> {
         before = row.clone();
     }
     Ok(effects)
+}
+
+/// What the trainings say of directions.
+struct Verdict {
+    needed: bool,
+    text: String,
+}
+
+fn verdict(rows: &[Value]) -> Option<Verdict> {
+    let row = rows.iter().find(|row| row["plan"] == format!("and {BLIND}"))?;
+    let (change, spread) = (row["psnr_change"].as_f64()?, row["psnr_spread"].as_f64()?);
+    let needed = change < -NO_LOSS;
+    let found = format!("without them {change:+.2} dB, seeds {spread:.2} dB apart");
+    let text = match needed {
+        true => format!("plan.{BLIND}: needed: {found}"),
+        false => format!("plan.{BLIND}: not needed: {found}; plan.{BLIND} = \"on\" leaves them out"),
+    };
+    Some(Verdict { needed, text })
 }
 
 fn table(rows: &[Value]) -> String {
@@ -147,4 +174,23 @@ fn table(rows: &[Value]) -> String {
         ]);
     }
     aligned(&cells)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_are_needed_where_leaving_them_out_costs() {
+        let verdict = |change: f64| {
+            let rows = [
+                json!({ "plan": "nothing left out", "psnr_change": 0.0, "psnr_spread": 0.1 }),
+                json!({ "plan": "and directions", "psnr_change": change, "psnr_spread": 0.1 }),
+            ];
+            verdict(&rows).map(|verdict| verdict.needed)
+        };
+        assert_eq!([-0.41, -0.04, 0.2].map(verdict), [Some(true), Some(false), Some(false)]);
+        assert_eq!(verdict(f64::NAN), None, "JSON has no such number");
+        assert!(super::verdict(&[json!({ "plan": "nothing left out" })]).is_none());
+    }
 }

@@ -1,6 +1,6 @@
 //! Error of rendering against time per frame: how far a picture is from the same model's picture in f64 with very short
-//! steps, over steps, early stops, pruning and precision. The field is as trained: this is the error of the quadrature and
-//! of f32 alone. Where steps are halved, the order of convergence is printed beside the one to be expected. Below it, each
+//! steps, over steps, early stops, pruning, occupancy cells, precision and rays per pixel. The field is as trained: this is
+//! the error of the quadrature and of f32 alone, and for several rays per pixel what prefiltering differs from them. Where steps are halved, the order of convergence is printed beside the one to be expected. Below it, each
 //! stage against f64 on samples of the same view.
 
 use super::stages::{self, StageError};
@@ -15,8 +15,10 @@ use std::time::Instant;
 use trimip_core::config::Precision;
 use trimip_core::exact::Exact;
 use trimip_core::metrics::psnr_of_error;
-use trimip_core::model::Model;
-use trimip_core::{Camera, Error, Result, tensors::write_atomically};
+use trimip_core::model::{Model, OCCUPANCY};
+use trimip_core::occupancy;
+use trimip_core::tensors::{Tensor, write_atomically};
+use trimip_core::{Camera, Error, Result};
 
 /// Steps along the diagonal of the reference; half as many show how far it is from its own limit.
 const REFERENCE_STEPS: u32 = 16_384;
@@ -77,6 +79,18 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         other.config.renderer.min_weight = least;
         rows.push(measure(&other, &camera, &reference, "least weight", format!("{least:e}"))?);
     }
+    let mut coarser = model.clone();
+    loop {
+        let cells = coarser.config.occupancy.resolution;
+        rows.push(measure(&coarser, &camera, &reference, "occupancy cells a side", cells.to_string())?);
+        if !cells.is_multiple_of(8) || cells <= 16 {
+            break;
+        }
+        let bits = coarser.file.u8("model", OCCUPANCY, &[(cells as usize).pow(3).div_ceil(8)])?;
+        let bits = occupancy::coarsened(bits, cells);
+        coarser.file.tensors.insert(OCCUPANCY.into(), Tensor::u8(&[bits.len()], bits));
+        coarser.config.occupancy.resolution = cells / 2;
+    }
     for (precision, name) in [(Precision::F32, "f32"), (Precision::Bf16, "bf16"), (Precision::F16, "f16")] {
         let mut other = model.clone();
         other.config.field.precision = precision;
@@ -84,6 +98,10 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         if session.notes().is_empty() {
             rows.push(measure(&other, &camera, &reference, "precision", name.into())?);
         }
+    }
+    for across in [1, 2, 4] {
+        let rays = (across * across).to_string();
+        rows.push(measure_supersampled(&model, &camera, across, &reference, "rays a pixel", rays)?);
     }
     let text = table(&rows);
     terminal::line(&text);
@@ -133,13 +151,18 @@ fn camera(model: &Model, arguments: &BenchArguments) -> Result<Camera> {
     let set = scene.test.load(0)?;
     let mut camera = set.views[0].camera;
     let scale = f64::from(arguments.width) / f64::from(camera.intrinsics.width);
+    let height = ((f64::from(camera.intrinsics.height) * scale).round() as u32).max(1);
+    resize(&mut camera, arguments.width, height, scale);
+    Ok(camera)
+}
+
+/// Gives a camera other pixels over the same field of view.
+fn resize(camera: &mut Camera, width: u32, height: u32, scale: f64) {
     let k = &mut camera.intrinsics;
-    k.height = ((f64::from(k.height) * scale).round() as u32).max(1);
-    k.width = arguments.width;
+    (k.width, k.height) = (width, height);
     for length in [&mut k.fx, &mut k.fy, &mut k.cx, &mut k.cy] {
         *length *= scale;
     }
-    Ok(camera)
 }
 
 /// A whole picture in f64, on all cores.
@@ -175,13 +198,34 @@ fn measure(
     varied: &'static str,
     value: String,
 ) -> Result<Row> {
+    measure_supersampled(model, camera, 1, reference, varied, value)
+}
+
+/// The same with `across`² cones in each pixel, as much narrower, whose mean it is.
+fn measure_supersampled(
+    model: &Model,
+    camera: &Camera,
+    across: u32,
+    reference: &Picture,
+    varied: &'static str,
+    value: String,
+) -> Result<Row> {
     let mut session = backends::load(model)?;
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let mut fine = *camera;
+    resize(&mut fine, width * across, height * across, across.into());
     let (mut fastest, mut found) = (f64::INFINITY, Vec::new());
     for _ in 0..FRAMES {
         let started = Instant::now();
-        let frame = session.render(camera)?;
+        let frame = session.render(&fine)?;
+        found = vec![[0.0; 3]; (width * height) as usize];
+        let share = 1.0 / f64::from(across * across);
+        for (i, pixel) in frame.pixels.iter().enumerate() {
+            let (x, y) = (i as u32 % (width * across), i as u32 / (width * across));
+            let sum = &mut found[(y / across * width + x / across) as usize];
+            (0..3).for_each(|c| sum[c] += share * f64::from(pixel.rgb[c]));
+        }
         fastest = fastest.min(started.elapsed().as_secs_f64());
-        found = frame.pixels.iter().map(|pixel| pixel.rgb.map(f64::from)).collect();
     }
     let error = distance(&found, reference);
     let psnr = psnr_of_error(error * error);
