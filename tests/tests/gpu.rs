@@ -130,6 +130,11 @@ fn every_scale_has_its_share_of_the_rays() {
 }
 
 #[test]
+fn as_many_rays_have_their_own_background_as_the_schedule_says() {
+    reproducibly(|make| suite::sampling::backgrounds(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     on_the_gpu(|make| suite::training::steady_batch(make));
 }

@@ -208,6 +208,7 @@ section!(
     /// Length of the run and size of a step.
     TrainConfig {
         steps: u64, seconds: f64, samples_per_step: u32, batch_scale: Schedule, scale_balance: Schedule, background: TrainBackground,
+        background_share: Schedule,
         checkpoint_seconds: f64, log_seconds: f64,
     }
 );
@@ -263,6 +264,16 @@ impl EncoderConfig {
     pub fn texel_unit(&self) -> u32 {
         let halvings = self.halvings.values().fold(0.0, f64::max) as u32;
         1 << self.levels.saturating_sub(1).max(halvings).min(31)
+    }
+}
+
+impl TrainConfig {
+    /// Share of the training rays at `progress` in [0, 1] that have a random background.
+    pub fn random_share(&self, progress: f64) -> f32 {
+        match self.background {
+            TrainBackground::Fixed => 0.0,
+            TrainBackground::Random => self.background_share.at(progress) as f32,
+        }
     }
 }
 
@@ -436,6 +447,12 @@ impl Config {
             train.batch_scale.is_whole() && train.batch_scale.values().all(|s| (0.01..=1.0).contains(&s)),
             "train.batch_scale",
             "[[0.0, scale], ...] with rising fractions below 1 and scales from 0.01 to 1",
+        )?;
+        check(
+            train.background_share.is_whole()
+                && train.background_share.values().all(|share| (0.0..=1.0).contains(&share)),
+            "train.background_share",
+            "[[0.0, share], ... [fraction, share]] with rising fractions below 1 and shares from 0 to 1",
         )?;
         check(
             train.scale_balance.is_whole() && train.scale_balance.values().all(|b| (0.0..=1.0).contains(&b)),

@@ -6,9 +6,8 @@ use std::ops::Range;
 use trimip_core::backend::Sampler;
 use trimip_core::balance::Balance;
 use trimip_core::batch::{Rays, Target};
-use trimip_core::config::TrainBackground;
+use trimip_core::config::TrainConfig;
 use trimip_core::rng::{Random, Stream, below};
-use trimip_core::schedule::Schedule;
 use trimip_core::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
 
@@ -18,10 +17,11 @@ const AHEAD: usize = 32;
 /// Training views and how rays are shared among their scales.
 pub struct CpuSampler {
     views: Option<ViewSet>,
-    schedule: Schedule,
     balance: Balance,
     background: [f32; 3],
-    train_background: TrainBackground,
+    train: TrainConfig,
+    /// Share of the rays that have a random background.
+    random_share: f32,
     random: Random,
 }
 
@@ -30,10 +30,10 @@ impl CpuSampler {
     pub fn new(config: &Config, views: Option<ViewSet>) -> Self {
         let mut sampler = Self {
             views,
-            schedule: config.train.scale_balance.clone(),
             balance: Balance::default(),
             background: config.data.background,
-            train_background: config.train.background,
+            train: config.train.clone(),
+            random_share: 0.0,
             random: Random::new(config.seed),
         };
         sampler.follow(0.0);
@@ -44,8 +44,9 @@ impl CpuSampler {
 impl Sampler<CpuBackend> for CpuSampler {
     fn follow(&mut self, progress: f64) {
         if let Some(views) = &self.views {
-            self.balance = Balance::new(&views.scales, self.schedule.at(progress));
+            self.balance = Balance::new(&views.scales, self.train.scale_balance.at(progress));
         }
+        self.random_share = self.train.random_share(progress);
     }
 
     fn training_rays(
@@ -85,13 +86,13 @@ impl Sampler<CpuBackend> for CpuSampler {
             let within = (pixel - view.offset) as u32;
             let width = view.camera.intrinsics.width;
             rays.rays[slot] = view.camera.cone(within % width, within / width).into();
-            let background = match self.train_background {
-                TrainBackground::Fixed => self.background,
-                TrainBackground::Random => {
-                    let [r, g, b, _] = self.random.uniform(Stream::Background, step, index);
-                    [r, g, b]
+            let mut background = self.background;
+            if self.random_share > 0.0 {
+                let [r, g, b, chance] = self.random.uniform(Stream::Background, step, index);
+                if chance < self.random_share {
+                    background = [r, g, b];
                 }
-            };
+            }
             rays.targets[slot] = Target {
                 rgb: composite_pixel(views.pixels[pixel], views.alpha, background),
                 weight,

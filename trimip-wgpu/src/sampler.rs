@@ -10,9 +10,8 @@ use std::sync::{Arc, Mutex};
 use trimip_core::backend::Sampler;
 use trimip_core::balance::Balance;
 use trimip_core::batch::Rays;
-use trimip_core::config::{Photographs, TrainBackground};
+use trimip_core::config::{Photographs, TrainConfig};
 use trimip_core::rng::{Random, Stream, below};
-use trimip_core::schedule::Schedule;
 use trimip_core::views::Alpha;
 use trimip_core::{Camera, Config, Error, Result, Scale, ViewSet};
 
@@ -64,7 +63,7 @@ struct Params {
     draws: [u32; 4],
     background_draws: [u32; 4],
     background: [f32; 3],
-    random_background: u32,
+    random_share: f32,
     total: u32,
     first: u32,
     count: u32,
@@ -80,7 +79,7 @@ struct Params {
 /// Training views on the device, and how rays are shared among their scales.
 pub struct WgpuSampler {
     gpu: Arc<Gpu>,
-    schedule: Schedule,
+    train: TrainConfig,
     training: Option<Training>,
     camera: Buffer<GpuView>,
     random: Random,
@@ -109,7 +108,6 @@ impl WgpuSampler {
         let training = match views {
             None => None,
             Some(views) => {
-                params.random_background = u32::from(config.train.background == TrainBackground::Random);
                 params.premultiplied = u32::from(views.alpha == Alpha::Premultiplied);
                 params.scales = views.scales.len() as u32;
                 let training = Training::new(gpu, config.wgpu.photographs, views)?;
@@ -118,9 +116,9 @@ impl WgpuSampler {
             }
         };
         let random = Random::new(config.seed);
-        let schedule = config.train.scale_balance.clone();
+        let train = config.train.clone();
         let mut sampler =
-            Self { gpu: Arc::clone(gpu), schedule, training, camera: Buffer::zeros(gpu, 1), random, params };
+            Self { gpu: Arc::clone(gpu), train, training, camera: Buffer::zeros(gpu, 1), random, params };
         sampler.follow(0.0);
         Ok(sampler)
     }
@@ -208,8 +206,9 @@ fn padded<T: Copy>(values: impl Iterator<Item = T>, rest: T) -> [T; MOST_SCALES]
 impl Sampler<WgpuBackend> for WgpuSampler {
     fn follow(&mut self, progress: f64) {
         if let Some(training) = &mut self.training {
-            training.balance = Balance::new(&training.shared, self.schedule.at(progress));
+            training.balance = Balance::new(&training.shared, self.train.scale_balance.at(progress));
         }
+        self.params.random_share = self.train.random_share(progress);
     }
 
     fn training_rays(

@@ -2,7 +2,7 @@
 
 use super::Bench;
 use crate::fixtures::{lively, noise, small};
-use trimip_core::{Backend, Layout, Result, backend::Sampler, schedule::Schedule};
+use trimip_core::{Backend, Layout, Result, backend::Sampler, config::TrainBackground, schedule::Schedule};
 
 /// Rays of a step are shared among the scales as the schedule says, and weigh what makes up for it. A ray's scale shows
 /// in the width of its cone.
@@ -36,6 +36,40 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             assert!((target.weight - weights[scale]).abs() < 1e-6, "weight {} at {progress}", target.weight);
         }
         assert_eq!(found, shares, "{progress}");
+    }
+    Ok(())
+}
+
+/// As many training rays have a background of their own as the schedule says, the others the configured one, and every
+/// target lies on its ray's background.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    const RAYS: u32 = 4_000;
+    let mut config = small();
+    config.data.background = [0.25, 0.5, 0.75];
+    config.train.background_share = Schedule::new(vec![[0.0, 1.0], [0.5, 0.25], [0.9, 0.0]]);
+    let parameters = lively(&Layout::new(&config), 1);
+    for (background, shares) in
+        [(TrainBackground::Fixed, [0.0; 3]), (TrainBackground::Random, [1.0, 0.25, 0.0])]
+    {
+        config.train.background = background;
+        let mut views = noise(3, 32, 3, 4);
+        // Nothing is in the photographs: what is seen is the background.
+        views.pixels.iter_mut().for_each(|pixel| pixel[3] = 0);
+        let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
+        for (progress, share) in [0.2, 0.7, 0.95].into_iter().zip(shares) {
+            let Bench { backend, stages, space, .. } = &mut bench;
+            stages.sampler.follow(progress);
+            stages.sampler.training_rays(&mut space.lane, 3, RAYS, 0..RAYS, &mut space.rays);
+            let targets = backend.read(&space.rays.targets);
+            assert!(targets.iter().all(|target| target.rgb == target.background));
+            let own = targets.iter().filter(|target| target.background != config.data.background);
+            // Five standard deviations.
+            let bound = 5.0 * (f64::from(RAYS) * share * (1.0 - share)).sqrt();
+            assert!((own.count() as f64 - f64::from(RAYS) * share).abs() <= bound, "{share} at {progress}");
+        }
     }
     Ok(())
 }

@@ -25,7 +25,8 @@ struct Params {
     draws: vec4<u32>,
     background_draws: vec4<u32>,
     background: vec3<f32>,
-    random_background: u32,
+    // Share of the rays that have a random background.
+    random_share: f32,
     // Rays of the step; first ray and number of rays of this span.
     total: u32,
     first: u32,
@@ -125,9 +126,11 @@ fn training_rays(
     rays[i] = cone(view, within % view.width, within / view.width);
 
     var background = params.background;
-    if params.random_background != 0u {
+    if params.random_share > 0.0 {
         let bits = random_bits(params.background_draws, index);
-        background = vec3<f32>(unit(bits.x), unit(bits.y), unit(bits.z));
+        if unit(bits.w) < params.random_share {
+            background = vec3<f32>(unit(bits.x), unit(bits.y), unit(bits.z));
+        }
     }
     let word = pixels[select(pixel, i, params.streamed != 0u)];
     let rgba = vec4<f32>(vec4<u32>(word, word >> 8u, word >> 16u, word >> 24u) & vec4<u32>(0xffu)) / 255.0;
