@@ -171,6 +171,13 @@ fn verbs_answer() {
     assert!(["full", "1/2", "mean"].iter().all(|row| table.contains(row)), "{table}");
     let (measured, reported) = (json(&here.join("eval.json")), json(&here.join("run/report.json")));
     assert_eq!(measured["scales"], reported["scales"], "eval measures what training reported");
+    good(&["eval", "run", "--json", "black.json", "--set", "data.background=[0.0, 0.0, 0.0]"]);
+    let black = json(&here.join("black.json"));
+    let psnr = |report: &Value, key: &str| report["mean"][key].as_f64().unwrap();
+    for (one, other) in [("psnr", "psnr_opposite"), ("psnr_opposite", "psnr")] {
+        let (one, other) = (psnr(&measured, one), psnr(&black, other));
+        assert!((one - other).abs() < 1e-3, "what is white to one is black to the other: {one} and {other}");
+    }
 
     let compared =
         good(&["compare", "first=run", "run", "--reach", "1,99", "--svg", "plot.svg", "--json", "c.json"]);

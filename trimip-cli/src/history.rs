@@ -182,7 +182,14 @@ pub mod tests {
 
     /// An evaluation event at `step` with `psnr` at two scales.
     pub fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
-        let scale = |scale, psnr| ScaleQuality { scale, images: 8, psnr, psnr_8bit: psnr, ssim: 0.9 };
+        let scale = |scale, psnr| ScaleQuality {
+            scale,
+            images: 8,
+            psnr,
+            psnr_8bit: psnr,
+            psnr_opposite: psnr,
+            ssim: 0.9,
+        };
         Event::Evaluation {
             totals: Totals {
                 step,

@@ -5,6 +5,7 @@ use crate::{args::ProgressStyle, history::History, report::csv, run_folder::RunF
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::fs::File;
 use std::io::Write;
+use trimip_core::evaluate::mean_quality;
 use trimip_core::{
     Error, Result,
     events::{Event, EventSink, ScaleQuality},
@@ -108,18 +109,23 @@ fn show_on_bar(bar: &ProgressBar, event: &Event) {
     }
 }
 
-/// PSNR and SSIM per scale and their mean as aligned lines.
+/// PSNR and SSIM per scale and their mean as aligned lines, and what there is to say of them.
 pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
-    let (psnr, ssim) = trimip_core::evaluate::mean_quality(scales);
-    let mut lines =
-        vec![format!("{:>7}  {:>6}  {:>8}  {:>8}  {:>6}", "scale", "images", "PSNR/dB", "at 8 bit", "SSIM")];
+    let line = |name: &str, images: usize, [psnr, rounded, opposite, ssim]: [f64; 4]| {
+        format!("{name:>7}  {images:>6}  {psnr:>8.3}  {rounded:>8.3}  {opposite:>11.3}  {ssim:>6.4}")
+    };
+    let mut lines = vec![format!(
+        "{:>7}  {:>6}  {:>8}  {:>8}  {:>11}  {:>6}",
+        "scale", "images", "PSNR/dB", "at 8 bit", "on opposite", "SSIM"
+    )];
     lines.extend(scales.iter().map(|q| {
         let name = if q.scale == 1 { "full".to_string() } else { format!("1/{}", q.scale) };
-        format!("{name:>7}  {:>6}  {:>8.3}  {:>8.3}  {:>6.4}", q.images, q.psnr, q.psnr_8bit, q.ssim)
+        line(&name, q.images, [q.psnr, q.psnr_8bit, q.psnr_opposite, q.ssim])
     }));
-    let images: usize = scales.iter().map(|q| q.images).sum();
-    let rounded = trimip_core::evaluate::mean_psnr_8bit(scales);
-    lines.push(format!("{:>7}  {images:>6}  {psnr:>8.3}  {rounded:>8.3}  {ssim:>6.4}", "mean"));
+    let mean = mean_quality(scales);
+    let images = scales.iter().map(|q| q.images).sum();
+    lines.push(line("mean", images, [mean.psnr, mean.psnr_8bit, mean.psnr_opposite, mean.ssim]));
+    lines.extend(mean.remark());
     lines
 }
 
@@ -181,7 +187,14 @@ mod tests {
 
     #[test]
     fn the_table_ends_with_the_mean_of_the_scales() {
-        let scale = |scale, psnr| ScaleQuality { scale, images: 3, psnr, psnr_8bit: psnr, ssim: 0.5 };
+        let scale = |scale, psnr| ScaleQuality {
+            scale,
+            images: 3,
+            psnr,
+            psnr_8bit: psnr,
+            psnr_opposite: psnr,
+            ssim: 0.5,
+        };
         let lines = table(&[scale(1, 20.0), scale(2, 30.0)]);
         assert_eq!(lines.len(), 4);
         assert!(lines[1].contains("full") && lines[2].contains("1/2") && lines[3].contains("25.000"));

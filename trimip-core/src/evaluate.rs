@@ -5,6 +5,10 @@ use crate::{
     events::ScaleQuality,
     metrics::{psnr, psnr_8bit, ssim},
 };
+use serde::Serialize;
+
+/// PSNR that a model may lose on the opposite background before it is said, dB.
+const SHINES_THROUGH: f64 = 1.0;
 
 /// One rendered test view and its measures.
 pub struct ViewResult<'a> {
@@ -35,8 +39,41 @@ pub struct ViewQuality {
     pub psnr: f64,
     /// dB, of colours rounded to 8 bits.
     pub psnr_8bit: f64,
+    /// dB, on the opposite background, see [`opposite`].
+    pub psnr_opposite: f64,
     /// Structural similarity.
     pub ssim: f64,
+}
+
+/// Means over the scales: the headline.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MeanQuality {
+    /// dB.
+    pub psnr: f64,
+    /// dB, of colours rounded to 8 bits.
+    pub psnr_8bit: f64,
+    /// dB, on the opposite background.
+    pub psnr_opposite: f64,
+    /// Structural similarity.
+    pub ssim: f64,
+}
+
+impl MeanQuality {
+    /// What to say of a model that lets its background shine through where the photographs do not.
+    pub fn remark(&self) -> Option<String> {
+        (self.psnr - self.psnr_opposite > SHINES_THROUGH).then(|| {
+            format!(
+                "the background shines through the model: {:.2} dB on the opposite one; train.background = \"random\" \
+                 trains solids that hide any",
+                self.psnr_opposite
+            )
+        })
+    }
+}
+
+/// The background that shows best what shines through: black for what is bright, white for what is dark, per channel.
+pub fn opposite(background: [f32; 3]) -> [f32; 3] {
+    background.map(|channel| if channel < 0.5 { 1.0 } else { 0.0 })
 }
 
 /// Renders every `stride`-th frame at every scale; `on_view` sees each result and returns false to stop early.
@@ -55,11 +92,13 @@ pub fn evaluate(
                 let target = set.composited(view, background);
                 let rendered = session.render(&set.views[view].camera)?;
                 let rgb = rendered.rgb();
+                let other = opposite(background);
                 let quality = ViewQuality {
                     index,
                     scale: scale.factor,
                     psnr: psnr(&rgb, &target),
                     psnr_8bit: psnr_8bit(&rgb, &target),
+                    psnr_opposite: psnr(&rendered.moved(background, other), &set.composited(view, other)),
                     ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
                 };
                 let result = ViewResult {
@@ -101,22 +140,23 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
                 images: views.len(),
                 psnr: mean(&|q| q.psnr),
                 psnr_8bit: mean(&|q| q.psnr_8bit),
+                psnr_opposite: mean(&|q| q.psnr_opposite),
                 ssim: mean(&|q| q.ssim),
             }
         })
         .collect()
 }
 
-/// Mean of the scales' PSNR of colours rounded to 8 bits.
-pub fn mean_psnr_8bit(scales: &[ScaleQuality]) -> f64 {
-    scales.iter().map(|scale| scale.psnr_8bit).sum::<f64>() / scales.len().max(1) as f64
-}
-
-/// Mean PSNR and SSIM of the scales.
-pub fn mean_quality(scales: &[ScaleQuality]) -> (f64, f64) {
+/// Means over the scales, each counting once.
+pub fn mean_quality(scales: &[ScaleQuality]) -> MeanQuality {
     let mean =
         |f: &dyn Fn(&ScaleQuality) -> f64| scales.iter().map(f).sum::<f64>() / scales.len().max(1) as f64;
-    (mean(&|scale| scale.psnr), mean(&|scale| scale.ssim))
+    MeanQuality {
+        psnr: mean(&|scale| scale.psnr),
+        psnr_8bit: mean(&|scale| scale.psnr_8bit),
+        psnr_opposite: mean(&|scale| scale.psnr_opposite),
+        ssim: mean(&|scale| scale.ssim),
+    }
 }
 
 #[cfg(test)]
@@ -125,11 +165,22 @@ mod tests {
 
     #[test]
     fn the_headline_is_the_mean_of_the_scales_not_of_the_views() {
-        let view = |index, scale, psnr| ViewQuality { index, scale, psnr, psnr_8bit: psnr, ssim: 0.5 };
+        let view = |index, scale, psnr| ViewQuality {
+            index,
+            scale,
+            psnr,
+            psnr_8bit: psnr,
+            psnr_opposite: psnr - 2.0,
+            ssim: 0.5,
+        };
         let qualities = [view(0, 1, 20.0), view(1, 1, 30.0), view(2, 1, 40.0), view(0, 2, 10.0)];
         let scales = per_scale(&qualities, 1);
         assert_eq!((scales[0].psnr, scales[0].images, scales[1].psnr), (30.0, 3, 10.0));
-        assert_eq!(mean_quality(&scales).0, 20.0);
+        let mean = mean_quality(&scales);
+        assert_eq!((mean.psnr, mean.psnr_opposite, mean.ssim), (20.0, 18.0, 0.5));
+        assert!(mean.remark().is_some_and(|remark| remark.contains("18.00 dB")));
+        assert_eq!(MeanQuality { psnr_opposite: 19.5, ..mean }.remark(), None);
+        assert_eq!(MeanQuality { psnr_opposite: f64::NAN, ..mean }.remark(), None);
         assert_eq!(per_scale(&qualities, 2)[0].images, 2);
     }
 }

@@ -25,6 +25,9 @@ pub struct ScaleQuality {
     /// The same on colours rounded to 8 bits.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_8bit: f64,
+    /// The same of unrounded colours on the opposite background: what shines through the model lowers it.
+    #[serde(default = "unknown", deserialize_with = "float_or_null")]
+    pub psnr_opposite: f64,
     /// Mean over the images of the structural similarity.
     #[serde(deserialize_with = "float_or_null")]
     pub ssim: f64,
@@ -172,8 +175,14 @@ mod tests {
 
     #[test]
     fn an_event_with_a_value_that_json_cannot_hold_is_read_back() {
-        let scales =
-            vec![ScaleQuality { scale: 1, images: 1, psnr: f64::INFINITY, psnr_8bit: 50.0, ssim: 1.0 }];
+        let scales = vec![ScaleQuality {
+            scale: 1,
+            images: 1,
+            psnr: f64::INFINITY,
+            psnr_8bit: 50.0,
+            psnr_opposite: 40.0,
+            ssim: 1.0,
+        }];
         let event = Event::Evaluation {
             totals: Totals::default(),
             stride: 1,

@@ -28,4 +28,32 @@ impl Frame {
     pub fn rgb(&self) -> Vec<[f32; 3]> {
         self.pixels.iter().map(|pixel| pixel.rgb).collect()
     }
+
+    /// RGB of every pixel on the background `to` instead of `from`, on which it was rendered.
+    pub fn moved(&self, from: [f32; 3], to: [f32; 3]) -> Vec<[f32; 3]> {
+        let moved =
+            |pixel: &Pixel| std::array::from_fn(|c| pixel.rgb[c] + (1.0 - pixel.opacity) * (to[c] - from[c]));
+        self.pixels.iter().map(moved).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_background_is_seen_as_far_as_a_pixel_is_clear() {
+        let pixel = |rgb, opacity| Pixel { rgb, opacity, depth: 0.0 };
+        // Composited by hand: 0.75 of (0.4, 0.2, 0.8) on white, then on (0, 1, 0.5).
+        let frame = Frame {
+            width: 3,
+            height: 1,
+            pixels: vec![pixel([0.55, 0.4, 0.85], 0.75), pixel([0.1; 3], 1.0), pixel([1.0; 3], 0.0)],
+        };
+        let moved = frame.moved([1.0; 3], [0.0, 1.0, 0.5]);
+        let expected = [[0.3, 0.4, 0.725], [0.1; 3], [0.0, 1.0, 0.5]];
+        for (found, expected) in moved.iter().flatten().zip(expected.iter().flatten()) {
+            assert!((found - expected).abs() < 1e-6, "{moved:?}");
+        }
+    }
 }

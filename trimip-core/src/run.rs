@@ -4,7 +4,7 @@
 use crate::{
     Config, Error, ErrorKind, Frames, Result, Session,
     checkpoint::Checkpoint,
-    evaluate::{ViewQuality, ViewResult, evaluate, mean_quality, per_scale},
+    evaluate::{MeanQuality, ViewQuality, ViewResult, evaluate, mean_quality, per_scale},
     events::{Event, EventSink, Totals},
     model::Model,
     session::StepReport,
@@ -250,7 +250,7 @@ impl Run<'_> {
         started: Instant,
     ) -> f64 {
         let scales = per_scale(views, stride);
-        let (psnr, ssim) = mean_quality(&scales);
+        let MeanQuality { psnr, ssim, .. } = mean_quality(&scales);
         let seconds = started.elapsed().as_secs_f64();
         self.events.emit(&Event::Evaluation { totals: *totals, stride, last, scales, psnr, ssim, seconds });
         psnr

@@ -7,7 +7,7 @@ use crate::{
     terminal,
 };
 use std::path::Path;
-use trimip_core::evaluate::mean_psnr_8bit;
+use trimip_core::evaluate::mean_quality;
 use trimip_core::{Aabb, Origin, Result, config::Convention, run::progress, tri_mip::Pyramid};
 
 /// The whole page; `images` is the folder of the comparisons.
@@ -94,23 +94,27 @@ fn quality(report: &Report<'_>) -> String {
             .zip(of.iter().copied().reduce(f64::max))
             .map_or("–".into(), |(low, high)| format!("{low:.2} – {high:.2}"));
         body += &format!(
-            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\">{range}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.4}</td></tr>",
+            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\">{range}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.4}</td></tr>",
             scale_name(q.scale),
             q.images,
             q.psnr,
             q.psnr_8bit,
+            q.psnr_opposite,
             q.ssim
         );
     }
+    let mean = mean_quality(&e.scales);
     body += &format!(
-        "<tr class=\"mean\"><td>mean</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\"></td><td class=\"n\">{:.3}</td><td class=\"n\">{:.4}</td></tr>",
+        "<tr class=\"mean\"><td>mean</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\"></td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.4}</td></tr>",
         e.scales.iter().map(|q| q.images).sum::<usize>(),
-        e.psnr,
-        mean_psnr_8bit(&e.scales),
-        e.ssim
+        mean.psnr,
+        mean.psnr_8bit,
+        mean.psnr_opposite,
+        mean.ssim
     );
+    let remark = mean.remark().map_or(String::new(), |remark| format!("<p>{}</p>", escape(&remark)));
     let note = if e.last {
-        String::new()
+        remark
     } else {
         format!(
             "<p>Measured on the way, on every {}. test view; the final evaluation is not made yet.</p>",
@@ -119,7 +123,7 @@ fn quality(report: &Report<'_>) -> String {
     };
     format!(
         "<section><h2>Quality per scale</h2><div class=\"scroll\"><table><tr><th>scale</th><th class=\"n\">images</th>\
-         <th class=\"n\">PSNR / dB</th><th class=\"n\">least – greatest</th><th class=\"n\">at 8 bits</th><th class=\"n\">SSIM</th></tr>{body}</table></div>{note}</section>\n"
+         <th class=\"n\">PSNR / dB</th><th class=\"n\">least – greatest</th><th class=\"n\">at 8 bits</th><th class=\"n\">on the opposite background</th><th class=\"n\">SSIM</th></tr>{body}</table></div>{note}</section>\n"
     )
 }
 

@@ -3,7 +3,7 @@
 use super::{Report, Status};
 use crate::history::Evaluation;
 use serde_json::{Value, json};
-use trimip_core::evaluate::mean_psnr_8bit;
+use trimip_core::evaluate::mean_quality;
 use trimip_core::{Error, Result};
 
 /// The report as JSON text.
@@ -50,6 +50,7 @@ fn value(report: &Report<'_>) -> Value {
         "measure": {
             "psnr": "-10 log10(mean squared error) per image, mean over images, then over scales; unrounded sRGB values",
             "psnr_8bit": "the same of values rounded to 8 bits",
+            "psnr_opposite": "the same of unrounded values on black where the background is bright, on white where it is dark",
             "background": config.data.background,
             "convention": config.data.convention,
             "split": config.data.test,
@@ -57,7 +58,7 @@ fn value(report: &Report<'_>) -> Value {
             "complete": history.last().is_some(),
         },
         "scales": headline.map_or(json!([]), |e| json!(e.scales)),
-        "mean": headline.map_or(Value::Null, |e| json!({ "psnr": e.psnr, "psnr_8bit": mean_psnr_8bit(&e.scales), "ssim": e.ssim })),
+        "mean": headline.map_or(Value::Null, |e| json!(mean_quality(&e.scales))),
         "curve": report.curve().into_iter().map(point).collect::<Vec<_>>(),
         "views": report.views,
         "warnings": history.warnings,
@@ -97,7 +98,7 @@ mod tests {
             assert_eq!(json["mean"]["psnr"], 24.5);
             assert_eq!(
                 json["scales"][1],
-                json!({ "scale": 2, "images": 8, "psnr": 25.5, "psnr_8bit": 25.5, "ssim": 0.9 })
+                json!({ "scale": 2, "images": 8, "psnr": 25.5, "psnr_8bit": 25.5, "psnr_opposite": 25.5, "ssim": 0.9 })
             );
             assert_eq!(json["curve"].as_array().unwrap().len(), 2);
             assert_eq!(json["curve"][0]["psnr"], json!([19.0, 21.0]));

@@ -11,7 +11,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip_core::{
     Error, Result,
-    evaluate::{evaluate, mean_psnr_8bit, mean_quality, per_scale},
+    evaluate::{evaluate, mean_quality, per_scale},
     tensors::write_atomically,
 };
 
@@ -56,12 +56,12 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     }
 
     let scales = per_scale(&qualities, 1);
-    let (psnr, ssim) = mean_quality(&scales);
+    let mean = mean_quality(&scales);
     table(&scales).iter().for_each(terminal::line);
     if let Some(path) = &arguments.json {
         let views: Vec<_> = qualities
             .iter()
-            .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "psnr_8bit": q.psnr_8bit, "ssim": q.ssim }))
+            .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "psnr_8bit": q.psnr_8bit, "psnr_opposite": q.psnr_opposite, "ssim": q.ssim }))
             .collect();
         let report = json!({
             "model": arguments.model.display().to_string(),
@@ -71,12 +71,12 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
             "seconds": started.elapsed().as_secs_f64(),
             "background": config.data.background,
             "scales": scales,
-            "mean": { "psnr": psnr, "psnr_8bit": mean_psnr_8bit(&scales), "ssim": ssim },
+            "mean": mean,
             "views": views,
         });
         write_atomically(path, serde_json::to_string_pretty(&report).map_err(Error::run)?.as_bytes())?;
     }
-    floor(psnr, config.eval.min_psnr)?;
+    floor(mean.psnr, config.eval.min_psnr)?;
     Ok(0)
 }
 
