@@ -16,8 +16,8 @@ const KEPT_BACK: usize = 4;
 /// The decision that only a training can take: the colour network without directions.
 const BLIND: &str = "directions";
 
-/// Loss of PSNR up to which directions are not needed, dB.
-const NO_LOSS: f64 = 0.05;
+/// Change of PSNR that says nothing of directions even where seeds agree, dB.
+const CHANCE: f64 = 0.05;
 
 /// Prints a line for every decision, and measures where asked to.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
@@ -143,19 +143,21 @@ fn effects(arguments: &PlanArguments) -> Result<Vec<Value>> {
 
 /// What the trainings say of directions.
 struct Verdict {
-    needed: bool,
+    /// `None` where the change is no larger than that between seeds.
+    needed: Option<bool>,
     text: String,
 }
 
 fn verdict(rows: &[Value]) -> Option<Verdict> {
     let row = rows.iter().find(|row| row["plan"] == format!("and {BLIND}"))?;
     let (change, spread) = (row["psnr_change"].as_f64()?, row["psnr_spread"].as_f64()?);
-    let needed = change < -NO_LOSS;
-    let found = format!("without them {change:+.2} dB, seeds {spread:.2} dB apart");
-    let text = match needed {
-        true => format!("plan.{BLIND}: needed: {found}"),
-        false => format!("plan.{BLIND}: not needed: {found}; plan.{BLIND} = \"on\" leaves them out"),
+    let needed = (change.abs() > spread.max(CHANCE)).then_some(change < 0.0);
+    let verdict = match needed {
+        Some(true) => "needed",
+        Some(false) => "not needed, plan.directions = \"on\" leaves them out",
+        None => "not to be told apart from chance, more --samples or --seeds may",
     };
+    let text = format!("plan.{BLIND}: {verdict}: without them {change:+.2} dB, seeds {spread:.2} dB apart");
     Some(Verdict { needed, text })
 }
 
@@ -189,7 +191,7 @@ mod tests {
             ];
             verdict(&rows).map(|verdict| verdict.needed)
         };
-        assert_eq!([-0.41, -0.04, 0.2].map(verdict), [Some(true), Some(false), Some(false)]);
+        assert_eq!([-0.41, -0.09, 0.2].map(verdict), [Some(Some(true)), Some(None), Some(Some(false))]);
         assert_eq!(verdict(f64::NAN), None, "JSON has no such number");
         assert!(super::verdict(&[json!({ "plan": "nothing left out" })]).is_none());
     }
