@@ -157,10 +157,11 @@ impl Reference {
         composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
     }
 
-    /// The loss over rays whose samples (kept ones only) are given: Σ weight·mean of smooth-L1, over Σ weight of the
+    /// The loss over rays whose samples (kept ones only) are given: Σ weight·(mean of smooth-L1 + that of opacity), over Σ weight of the
     /// rays that count.
     pub fn loss(&self, rays: &[(Ray, Target, Vec<Sample>)]) -> f64 {
         let (beta, mut loss, mut weights) = (f64::from(self.config.loss.beta), 0.0, 0.0);
+        let smooth_l1 = |d: f64| if d < beta { d * d / (2.0 * beta) } else { d - beta / 2.0 };
         for (ray, target, samples) in rays {
             if self.config.loss.rays == LossRays::Live && samples.is_empty() {
                 continue;
@@ -170,8 +171,10 @@ impl Reference {
             weights += weight;
             for c in 0..3 {
                 let d = (pixel.rgb[c] - f64::from(target.rgb[c])).abs();
-                loss += weight / 3.0 * if d < beta { d * d / (2.0 * beta) } else { d - beta / 2.0 };
+                loss += weight / 3.0 * smooth_l1(d);
             }
+            let share = f64::from(self.config.loss.opacity);
+            loss += weight * share * smooth_l1((pixel.opacity - f64::from(target.opacity)).abs());
         }
         loss / weights
     }

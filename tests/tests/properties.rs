@@ -51,14 +51,14 @@ proptest! {
     fn gradients_are_finite_and_true(
         depths in prop::collection::vec(1e-3..2.0_f64, 1..12),
         extreme in ray(),
-        upstream in prop::array::uniform3(-1.0..1.0_f64),
+        upstream in prop::array::uniform4(-1.0..1.0_f64),
     ) {
         let color = |i: usize| [0.2, 0.9, 0.4].map(|c| (c + 0.37 * i as f64).fract());
         let samples: Vec<_> = depths.iter().enumerate().map(|(i, &x)| (x, color(i), i as f64)).collect();
         let background = [0.3, 0.6, 0.1];
         let value = |samples: &[(f64, [f64; 3], f64)]| {
             let pixel = composite(samples.iter().copied(), background);
-            (0..3).map(|c| upstream[c] * pixel.rgb[c]).sum::<f64>()
+            upstream.iter().zip(pixel.channels()).map(|(g, value)| g * value).sum::<f64>()
         };
         let mut found = vec![(0.0, [0.0; 3]); samples.len()];
         gradient(&samples, background, upstream, &mut found);
@@ -150,12 +150,12 @@ proptest! {
 fn gradient(
     samples: &[(f64, [f64; 3], f64)],
     background: [f64; 3],
-    upstream: [f64; 3],
+    upstream: [f64; 4],
     out: &mut [(f64, [f64; 3])],
 ) {
     let pixel = composite(samples.iter().copied(), background);
     let sample = |i: usize| (samples[i].0, samples[i].1);
-    composite_gradient(samples.len(), sample, pixel.rgb, upstream, |i, x, rgb| out[i] = (x, rgb));
+    composite_gradient(samples.len(), sample, pixel.channels(), upstream, |i, x, rgb| out[i] = (x, rgb));
 }
 
 /// Silhouettes of a box, from cameras all around.

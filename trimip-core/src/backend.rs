@@ -364,7 +364,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
         samples: &Samples<B>,
         radiance: &B::Buffer<Radiance>,
         pixels: &B::Buffer<Pixel>,
-        pixel_gradients: &B::Buffer<[f32; 3]>,
+        pixel_gradients: &B::Buffer<[f32; 4]>,
         radiance_gradients: &mut B::Buffer<Radiance>,
     );
 }
@@ -441,7 +441,7 @@ pub trait Loss<B: Backend>: Send + Sync {
         rays: &Rays<B>,
         samples: &Samples<B>,
         pixels: &B::Buffer<Pixel>,
-        pixel_gradients: &mut B::Buffer<[f32; 3]>,
+        pixel_gradients: &mut B::Buffer<[f32; 4]>,
         sums: &mut B::Sums,
     );
 }

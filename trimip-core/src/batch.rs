@@ -35,6 +35,8 @@ pub struct Target {
     pub weight: f32,
     /// What lies behind the ray.
     pub background: [f32; 3],
+    /// Alpha of the photograph's pixel, in [0, 1].
+    pub opacity: f32,
 }
 
 /// A sphere inscribed in a cone: what the field is asked for.
@@ -123,8 +125,8 @@ pub struct Workspace<B: Backend> {
     pub kept: B::Buffer<u32>,
     /// One per ray.
     pub pixels: B::Buffer<Pixel>,
-    /// Gradient with respect to each pixel's colour.
-    pub pixel_gradients: B::Buffer<[f32; 3]>,
+    /// Gradient with respect to each pixel's [r, g, b, opacity].
+    pub pixel_gradients: B::Buffer<[f32; 4]>,
 }
 
 impl<B: Backend> Workspace<B> {

@@ -14,6 +14,14 @@ pub struct Composite<R> {
     pub distance: R,
 }
 
+impl<R: Real> Composite<R> {
+    /// [r, g, b, opacity].
+    pub fn channels(&self) -> [R; 4] {
+        let [r, g, b] = self.rgb;
+        [r, g, b, self.opacity]
+    }
+}
+
 /// Weight of a sample of optical depth `depth` behind transmittance `transmittance`, and the transmittance after it.
 /// α by `exp_m1`: thin samples keep their relative accuracy.
 #[inline]
@@ -86,31 +94,33 @@ pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, backgro
     Composite { rgb, opacity: opacity.min(R::one()), distance }
 }
 
-/// Gradient of a loss with respect to each sample, given its gradient `rgb_gradient` with respect to the colour:
+/// Gradient of a loss with respect to each sample, given its gradient with respect to the `pixel` [r, g, b, opacity]:
 /// calls `out(i, ∂L/∂x_i, ∂L/∂c_i)` front to back, for samples (x_i, c_i) given by index.
 ///
-/// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides.
+/// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides. Opacity is a
+/// fourth channel, 1 for every sample and 0 for the background.
 #[inline]
 pub fn composite_gradient<R: Real>(
     count: usize,
     sample: impl Fn(usize) -> (R, [R; 3]),
-    rgb: [R; 3],
-    rgb_gradient: [R; 3],
+    pixel: [R; 4],
+    gradient: [R; 4],
     mut out: impl FnMut(usize, R, [R; 3]),
 ) {
-    let dot = |a: [R; 3], b: [R; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    // Everything behind the sample, background included: starts as the whole colour.
-    let mut behind = dot(rgb, rgb_gradient);
+    let [r, g, b, opacity] = gradient;
+    let shade = |[red, green, blue]: [R; 3], share: R| red * r + green * g + blue * b + share * opacity;
+    // Everything behind the sample, background included: starts as the whole pixel.
+    let mut behind = shade([pixel[0], pixel[1], pixel[2]], pixel[3]);
     let mut transmittance = R::one();
     let mut depth_before = R::zero();
     for i in 0..count {
         let (depth, color) = sample(i);
-        let shade = dot(color, rgb_gradient);
+        let shade = shade(color, R::one());
         let (w, _) = weight(transmittance, depth);
         depth_before += depth;
         transmittance = (-depth_before).exp();
         behind = behind - w * shade;
-        out(i, transmittance * shade - behind, rgb_gradient.map(|g| g * w));
+        out(i, transmittance * shade - behind, [r, g, b].map(|g| g * w));
     }
 }
 
@@ -156,17 +166,17 @@ mod tests {
     #[test]
     fn gradients_are_finite_differences() {
         let (samples, background) = ray();
-        let g = [0.3, -1.2, 0.7];
+        let g = [0.3, -1.2, 0.7, 0.4];
+        let pixel = |samples: &[Sample]| composite(samples.iter().copied(), background).channels();
         let loss = |samples: &[Sample]| -> f64 {
-            let c = composite(samples.iter().copied(), background).rgb;
-            (0..3).map(|k| c[k] * g[k]).sum()
+            let pixel = pixel(samples);
+            (0..4).map(|k| pixel[k] * g[k]).sum()
         };
-        let rgb = composite(samples.iter().copied(), background).rgb;
         let mut seen = 0;
         composite_gradient(
             samples.len(),
             |i| (samples[i].0, samples[i].1),
-            rgb,
+            pixel(&samples),
             g,
             |i, by_depth, by_color| {
                 let h = 1e-6;

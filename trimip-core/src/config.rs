@@ -195,7 +195,7 @@ section!(
 );
 section!(
     /// The photometric loss.
-    LossConfig { beta: f32, rays: LossRays }
+    LossConfig { beta: f32, opacity: f32, rays: LossRays }
 );
 section!(
     /// AdamW and its schedule.
@@ -428,6 +428,7 @@ impl Config {
             "optimizer.weight_decay",
             "0 or more",
         )?;
+        check(self.loss.opacity >= 0.0 && self.loss.opacity.is_finite(), "loss.opacity", "0 or more")?;
         check(positive(optimizer.decay_factor), "optimizer.decay_factor", "a number above 0")?;
         check(
             optimizer.milestones.iter().all(|m| (0.0..=1.0).contains(m)) && optimizer.milestones.is_sorted(),

@@ -23,6 +23,14 @@ pub struct Pixel {
     pub depth: f32,
 }
 
+impl Pixel {
+    /// [r, g, b, opacity].
+    pub fn channels(&self) -> [f32; 4] {
+        let [r, g, b] = self.rgb;
+        [r, g, b, self.opacity]
+    }
+}
+
 impl Frame {
     /// RGB of every pixel.
     pub fn rgb(&self) -> Vec<[f32; 3]> {

@@ -8,7 +8,7 @@ use trimip_core::batch::{Rays, Samples, StepSums};
 use trimip_core::config::{LossConfig, LossRays};
 use trimip_core::loss::smooth_l1;
 
-/// Area-weighted smooth-L1.
+/// Area-weighted smooth-L1 of colour and opacity.
 pub struct CpuLoss {
     config: LossConfig,
 }
@@ -27,7 +27,7 @@ impl Loss<CpuBackend> for CpuLoss {
         rays: &Rays<CpuBackend>,
         samples: &Samples<CpuBackend>,
         pixels: &Buffer<Pixel>,
-        pixel_gradients: &mut Buffer<[f32; 3]>,
+        pixel_gradients: &mut Buffer<[f32; 4]>,
         sums: &mut StepSums,
     ) {
         pixel_gradients.resize(pixels.len());
@@ -37,7 +37,7 @@ impl Loss<CpuBackend> for CpuLoss {
         sums.kept += u64::from(kept);
         let rows = pixels.iter().zip(rays.targets.iter()).zip(samples.segments.iter());
         for (gradient, ((pixel, target), segment)) in pixel_gradients.iter_mut().zip(rows) {
-            *gradient = [0.0; 3];
+            *gradient = [0.0; 4];
             let difference: [f32; 3] = std::array::from_fn(|c| pixel.rgb[c] - target.rgb[c]);
             sums.squared_error += difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
             if !difference.iter().all(|d| d.is_finite()) {
@@ -52,6 +52,11 @@ impl Loss<CpuBackend> for CpuLoss {
                 let (value, slope) = smooth_l1(difference[c], self.config.beta);
                 sums.loss += f64::from(target.weight * value) / 3.0;
                 gradient[c] = target.weight * slope / 3.0;
+            }
+            if self.config.opacity > 0.0 {
+                let (value, slope) = smooth_l1(pixel.opacity - target.opacity, self.config.beta);
+                sums.loss += f64::from(target.weight * self.config.opacity * value);
+                gradient[3] = target.weight * self.config.opacity * slope;
             }
         }
     }

@@ -231,7 +231,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
         samples: &Samples<CpuBackend>,
         radiance: &Buffer<Radiance>,
         pixels: &Buffer<Pixel>,
-        pixel_gradients: &Buffer<[f32; 3]>,
+        pixel_gradients: &Buffer<[f32; 4]>,
         radiance_gradients: &mut Buffer<Radiance>,
     ) {
         radiance_gradients.resize(radiance.len());
@@ -245,7 +245,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
                     let i = first + i;
                     (radiance[i].density * samples.intervals[i].length, radiance[i].rgb)
                 },
-                pixel.rgb,
+                pixel.channels(),
                 gradient,
                 |i, by_depth, rgb| {
                     let i = first + i;

@@ -97,6 +97,7 @@ impl Sampler<CpuBackend> for CpuSampler {
                 rgb: composite_pixel(views.pixels[pixel], views.alpha, background),
                 weight,
                 background,
+                opacity: f32::from(views.pixels[pixel][3]) / 255.0,
             };
         }
     }

@@ -18,6 +18,8 @@ struct Params {
     blocks: u32,
     beta: f32,
     live: u32,
+    opacity: f32,
+    padding: [u32; 3],
 }
 
 /// Sums of a step on the device: loss, weight, squared error, pixels that are not finite, then counts of samples.
@@ -53,7 +55,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
         rays: &Rays<WgpuBackend>,
         samples: &Samples<WgpuBackend>,
         pixels: &Buffer<Pixel>,
-        pixel_gradients: &mut Buffer<[f32; 3]>,
+        pixel_gradients: &mut Buffer<[f32; 4]>,
         sums: &mut Sums,
     ) {
         let count = pixels.known_len().unwrap_or(0) as u32;
@@ -61,7 +63,14 @@ impl Loss<WgpuBackend> for WgpuLoss {
         pixel_gradients.resize(count as usize);
         lane.sums.resize(4 * blocks as usize);
         let live = u32::from(self.config.rays == LossRays::Live);
-        let params = Params { count, blocks, beta: self.config.beta, live };
+        let params = Params {
+            count,
+            blocks,
+            beta: self.config.beta,
+            live,
+            opacity: self.config.opacity,
+            padding: [0; 3],
+        };
         let binds = [
             pixels.bind(),
             pixel_gradients.bind(),

@@ -44,7 +44,7 @@ fn predict(config: &Config, views: &ViewSet, binding: u64) -> Vec<(String, u64)>
     let per_ray = size_of::<Ray>()
         + size_of::<Target>()
         + size_of::<Pixel>()
-        + size_of::<[f32; 3]>()
+        + size_of::<[f32; 4]>()
         + 2 * size_of::<Segment>()
         + words * size_of::<u32>();
     let cells = (config.occupancy.resolution as usize).pow(3);

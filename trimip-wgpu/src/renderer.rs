@@ -251,7 +251,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         samples: &Samples<WgpuBackend>,
         radiance: &Buffer<Radiance>,
         pixels: &Buffer<Pixel>,
-        pixel_gradients: &Buffer<[f32; 3]>,
+        pixel_gradients: &Buffer<[f32; 4]>,
         radiance_gradients: &mut Buffer<Radiance>,
     ) {
         let count = pixels.known_len().unwrap_or(0);

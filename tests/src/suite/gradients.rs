@@ -50,6 +50,7 @@ fn configurations() -> Vec<(&'static str, Config)> {
             c.renderer.step_scale = Schedule::new(vec![[0.0, 1.5]]);
             c.renderer.step_per_radius = 40.0;
         }),
+        change("opacity beside colour", &|c| c.loss.opacity = 0.7),
         change("pruned", &|c| c.renderer.min_transmittance = 0.3),
     ]
 }

@@ -51,11 +51,11 @@ impl<B: Backend> Bench<B> {
         self.space.rays.first = 0;
     }
 
-    /// Composites rays of given samples, and pulls the gradient `by_rgb` of every pixel back to them.
+    /// Composites rays of given samples, and pulls the gradient `by_pixel` of every pixel back to them.
     pub fn composite(
         &mut self,
         rays: &[Vec<(Interval, Radiance)>],
-        by_rgb: [f32; 3],
+        by_pixel: [f32; 4],
     ) -> (Vec<Pixel>, Vec<Radiance>) {
         let (mut segments, mut owners, mut intervals, mut radiance) = (vec![], vec![], vec![], vec![]);
         for (owner, samples) in rays.iter().enumerate() {
@@ -78,7 +78,7 @@ impl<B: Backend> Bench<B> {
         backend.write(&mut space.radiance, &radiance);
         let (lane, samples) = (&mut space.lane, &space.samples);
         stages.renderer.composite(lane, &space.rays, samples, &space.radiance, &mut space.pixels);
-        backend.write(&mut space.pixel_gradients, &vec![by_rgb; rays.len()]);
+        backend.write(&mut space.pixel_gradients, &vec![by_pixel; rays.len()]);
         let (pixels, gradients) = (&space.pixels, &mut space.radiance_gradients);
         stages.renderer.backward(lane, samples, &space.radiance, pixels, &space.pixel_gradients, gradients);
         (backend.read(&space.pixels), backend.read(&space.radiance_gradients))

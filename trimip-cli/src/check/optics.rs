@@ -37,7 +37,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     // One sample each, all sizes.
     let thin: Vec<Vec<Sample>> =
         (-48..=48).map(|quarter| vec![sample(0, 10_f64.powf(f64::from(quarter) / 4.0), [1.0; 3])]).collect();
-    let (pixels, gradients) = bench.composite(&thin, [1.0; 3]);
+    let (pixels, gradients) = bench.composite(&thin, [1.0, 1.0, 1.0, 0.0]);
     let alpha = |ray: &Vec<Sample>| -(-depth(&ray[0])).exp_m1();
     findings.push(found(
         "one sample, depth 1e-12 to 1e12",
@@ -71,7 +71,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     for count in [1_usize, 10, 1000, bench.backend.longest_ray().min(100_000)] {
         let ray: Vec<Sample> = (0..count).map(|i| sample(i, 1.0 / count as f64, [0.25, 0.5, 1.0])).collect();
         let total: f64 = ray.iter().map(depth).sum();
-        let (pixels, _) = bench.composite(&[ray], [1.0; 3]);
+        let (pixels, _) = bench.composite(&[ray], [1.0, 1.0, 1.0, 0.0]);
         let opacity = -(-total).exp_m1();
         findings.push(found(
             &format!("a medium of depth 1 in {count} samples"),
@@ -109,8 +109,8 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
             })
             .collect(),
     ];
-    let by_rgb = [0.7_f32, -0.4, 1.0];
-    let (pixels, gradients) = bench.composite(&mixed, by_rgb);
+    let by_pixel = [0.7_f32, -0.4, 1.0, -0.6];
+    let (pixels, gradients) = bench.composite(&mixed, by_pixel);
     let names = [
         "an opaque shell one step thick",
         "vacuum and wall by turns",
@@ -132,8 +132,8 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
             8.0 * ROUNDING + ray.len() as f64 * 6e-8,
         ));
         let mut errors = Vec::new();
-        let gradient = by_rgb.map(f64::from);
-        composite_gradient(ray.len(), wide, exact.rgb, gradient, |i, by_depth, by_color| {
+        let gradient = by_pixel.map(f64::from);
+        composite_gradient(ray.len(), wide, exact.channels(), gradient, |i, by_depth, by_color| {
             let found = &gradients[first + i];
             errors.push(apart(found.density, by_depth * f64::from(LENGTH)) / f64::from(LENGTH));
             errors.extend((0..3).map(|c| apart(found.rgb[c], by_color[c])));

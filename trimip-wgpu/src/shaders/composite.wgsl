@@ -15,7 +15,7 @@ struct Params {
 @group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
 // Eight floats a ray, of which the last is the cosine.
 @group(0) @binding(5) var<storage, read> rays: array<f32>;
-// Seven floats a ray: colour, weight, background.
+// Eight floats a ray: colour, weight, background, opacity.
 @group(0) @binding(6) var<storage, read> targets: array<f32>;
 
 @compute @workgroup_size(GROUP)
@@ -45,7 +45,7 @@ fn composite(
     }
     var background = params.background;
     if params.targets != 0u {
-        background = vec3<f32>(targets[7u * i + 4u], targets[7u * i + 5u], targets[7u * i + 6u]);
+        background = vec3<f32>(targets[8u * i + 4u], targets[8u * i + 5u], targets[8u * i + 6u]);
     }
     rgb += transmittance * background;
     pixels[5u * i] = rgb.r;

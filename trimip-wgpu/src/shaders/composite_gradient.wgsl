@@ -10,7 +10,7 @@ struct Params {
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
 @group(0) @binding(5) var<storage, read> pixels: array<f32>;
-@group(0) @binding(6) var<storage, read> pixel_gradients: array<f32>;
+@group(0) @binding(6) var<storage, read> pixel_gradients: array<vec4<f32>>;
 
 @compute @workgroup_size(GROUP)
 fn composite_gradient(
@@ -23,19 +23,21 @@ fn composite_gradient(
         return;
     }
     let segment = segments[i];
-    let by_rgb = vec3<f32>(pixel_gradients[3u * i], pixel_gradients[3u * i + 1u], pixel_gradients[3u * i + 2u]);
-    // Everything behind the sample, background included: starts as the whole colour.
-    var behind = dot(vec3<f32>(pixels[5u * i], pixels[5u * i + 1u], pixels[5u * i + 2u]), by_rgb);
+    // Opacity is a fourth channel: 1 for every sample, 0 for the background.
+    let gradient = pixel_gradients[i];
+    // Everything behind the sample, background included: starts as the whole pixel.
+    let pixel = vec4<f32>(pixels[5u * i], pixels[5u * i + 1u], pixels[5u * i + 2u], pixels[5u * i + 3u]);
+    var behind = dot(pixel, gradient);
     var transmittance = 1.0;
     var depth_before = 0.0;
     for (var j = segment.x; j < segment.x + segment.y; j++) {
         let length = intervals[j].y;
         let depth = radiance[j].w * length;
-        let shade = dot(radiance[j].rgb, by_rgb);
+        let shade = dot(vec4<f32>(radiance[j].rgb, 1.0), gradient);
         let weight = transmittance * alpha_of(depth);
         depth_before += depth;
         transmittance = exp(-depth_before);
         behind -= weight * shade;
-        gradients[j] = vec4<f32>(by_rgb * weight, (transmittance * shade - behind) * length);
+        gradients[j] = vec4<f32>(gradient.rgb * weight, (transmittance * shade - behind) * length);
     }
 }

@@ -7,6 +7,8 @@ struct Params {
     beta: f32,
     // Average over rays with samples alone.
     live: u32,
+    // Weight of the opacity beside the colour.
+    opacity: f32,
 }
 
 @group(0) @binding(0) var<storage, read> pixels: array<f32>;
@@ -57,24 +59,28 @@ fn evaluate(
     let i = index_of(group, groups, local);
     var own = vec4<f32>(0.0);
     if i < params.count {
-        let weight = targets[7u * i + 3u];
+        let weight = targets[8u * i + 3u];
         let counted = params.live == 0u || segments[i].y > 0u;
         var loss = 0.0;
         var squared = 0.0;
         var finite = true;
         for (var c = 0u; c < 3u; c++) {
-            let difference = pixels[5u * i + c] - targets[7u * i + c];
+            let difference = pixels[5u * i + c] - targets[8u * i + c];
             finite = finite && is_finite(difference);
             let value = smooth_l1(difference, params.beta);
             loss += value.x / 3.0;
             squared += difference * difference;
-            gradients[3u * i + c] = select(0.0, weight * value.y / 3.0, counted);
+            gradients[4u * i + c] = select(0.0, weight * value.y / 3.0, counted);
         }
+        let difference = pixels[5u * i + 3u] - targets[8u * i + 7u];
+        let value = smooth_l1(difference, params.beta);
+        loss += params.opacity * value.x;
+        gradients[4u * i + 3u] = select(0.0, weight * params.opacity * value.y, counted);
         own = vec4<f32>(select(0.0, weight * loss, counted), select(0.0, weight, counted), squared, 0.0);
         if !finite {
             own = vec4<f32>(0.0, 0.0, 0.0, 1.0);
-            for (var c = 0u; c < 3u; c++) {
-                gradients[3u * i + c] = 0.0;
+            for (var c = 0u; c < 4u; c++) {
+                gradients[4u * i + c] = 0.0;
             }
         }
     }

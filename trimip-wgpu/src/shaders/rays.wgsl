@@ -136,8 +136,8 @@ fn training_rays(
     let rgba = vec4<f32>(vec4<u32>(word, word >> 8u, word >> 16u, word >> 24u) & vec4<u32>(0xffu)) / 255.0;
     let coverage = select(rgba.a, 1.0, params.premultiplied != 0u);
     let rgb = rgba.rgb * coverage + (1.0 - rgba.a) * background;
-    // A target is seven floats: colour, weight, background.
-    let at = i * 7u;
+    // A target is eight floats: colour, weight, background, opacity.
+    let at = i * 8u;
     targets[at] = rgb.r;
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
@@ -145,4 +145,5 @@ fn training_rays(
     targets[at + 4u] = background.r;
     targets[at + 5u] = background.g;
     targets[at + 6u] = background.b;
+    targets[at + 7u] = rgba.a;
 }
