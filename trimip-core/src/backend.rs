@@ -391,7 +391,8 @@ pub trait Optimizer<B: Backend>: Send + Sync {
     /// The same, to restore a checkpoint.
     fn moments_mut(&mut self) -> [&mut B::Buffer<f32>; 2];
 
-    /// Gradients met that were not finite; their parameters were left as they were.
+    /// Gradients met whose square is beyond f32, or that were not finite: their parameters were left as they were. A
+    /// second moment once infinite would keep its parameter from ever moving again.
     fn non_finite(&self) -> u64;
 }
 

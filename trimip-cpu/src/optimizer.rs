@@ -154,13 +154,14 @@ struct Update<'a> {
 }
 
 impl Kernel for Update<'_> {
-    /// Gradients that were not finite.
+    /// Gradients whose square is beyond f32.
     type Output = u64;
     #[inline(always)]
     fn run<L: Lanes>(self) -> u64 {
         let Self { rule, scale, skip, parameters, m, v, gradient } = self;
         // One pass that looks, so that the pass that writes has no branch and becomes vectors.
-        let finite = gradient.iter().fold(0.0_f32, |sum, g| sum + g * 0.0) == 0.0;
+        let square = |g: f32| (g * scale) * (g * scale);
+        let finite = gradient.iter().fold(0.0_f32, |sum, &g| sum + square(g) * 0.0) == 0.0;
         // Every slot holds a multiple of 16 values; arrays of known length become vectors.
         let moments = m.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(v.as_chunks_mut::<CHANNELS>().0);
         let texels = parameters.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(moments);
@@ -170,7 +171,7 @@ impl Kernel for Update<'_> {
                 continue;
             }
             for i in 0..CHANNELS {
-                if finite || gradient[i].is_finite() {
+                if finite || square(gradient[i]).is_finite() {
                     rule.apply(&mut parameters[i], &mut m[i], &mut v[i], gradient[i] * scale);
                 } else {
                     skipped += 1;

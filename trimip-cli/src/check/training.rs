@@ -6,11 +6,11 @@ use super::{Finding, Make, not_finite, worst};
 use crate::machine::peak_memory;
 use glam::DVec3;
 use trimip_core::adamw::Rule;
-use trimip_core::config::{OptimizerConfig, Untouched};
+use trimip_core::config::{OptimizerConfig, Precision, Untouched};
 use trimip_core::params::Kind;
 use trimip_core::tensors::Values;
 use trimip_core::trainer::Trainer;
-use trimip_core::{Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet};
+use trimip_core::{Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Session, ViewSet};
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {
     Finding { part: "training", case: case.into(), law, worst, bound }
@@ -39,6 +39,8 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     findings.extend(empty(make)?);
     findings.extend(logits(make)?);
     findings.extend(gradients());
+    findings.extend(steep(make)?);
+    findings.extend(beyond_half(make)?);
     Ok(findings)
 }
 
@@ -256,6 +258,84 @@ fn logits<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     Ok(findings)
 }
 
+/// Texels of 1e-30 behind weights of 1e30: the gradients of the texels are some 1e30, those of the weights some 1e-30. A
+/// gradient that no second moment can hold leaves its parameter and its moments as they were, and is counted.
+fn steep<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let config = small();
+    let layout = Layout::new(&config);
+    let mut trainer = Trainer::new(make()?, &config, photographs(&[camera(16, 0)], 1, hash))?;
+    let mut values = trainer.parameters();
+    for slot in &layout.slots {
+        let part = &mut values[slot.range.clone()];
+        if slot.kind == Kind::Planes {
+            part.iter_mut().for_each(|texel| *texel = texel.signum() * 1e-30);
+        } else if slot.name == "density.0.weight" {
+            part.iter_mut().for_each(|weight| *weight *= 1e30);
+        }
+    }
+    trainer.set_parameters(&values);
+    trainer.occupy_all();
+    for _ in 0..3 {
+        trainer.step(0.1)?;
+    }
+    let checkpoint = trainer.checkpoint()?;
+    let case = "gradients of 1e30 and of 1e-30";
+    let numbers = checkpoint.file.tensors.values().flat_map(|tensor| match &tensor.values {
+        Values::F32(numbers) => numbers.as_slice(),
+        _ => &[],
+    });
+    let counted = checkpoint.state.totals.non_finite > 0;
+    Ok(vec![
+        found(case, "parameters and moments stay finite", not_finite(numbers), 0.0),
+        found(case, "are counted where no second moment holds them", if counted { 0.0 } else { 1.0 }, 0.0),
+    ])
+}
+
+/// Numbers between the layers that f16 cannot hold: in whatever precision, the picture is that of f32 to the rounding of
+/// its factors; a backend that meets them in f16 goes on in f32.
+fn beyond_half<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+    let layout = Layout::new(&small());
+    let picture = |precision| -> Result<Frame> {
+        let mut config = small();
+        config.field.precision = precision;
+        // Steps that move nothing: what they count is what is looked for.
+        config.optimizer.learning_rate = 1e-20;
+        let views = photographs(&[camera(16, 0), camera(16, 1)], 1, hash);
+        let view = views.views[0].camera;
+        let mut trainer = Trainer::new(make()?, &config, views)?;
+        let mut values = trainer.parameters();
+        for slot in &layout.slots {
+            let factor = match (slot.kind, slot.name.as_str()) {
+                (Kind::Planes, _) => 100.0,
+                (_, "density.0.weight") => 1e7,
+                (_, "density.1.weight") => 1e-7,
+                _ => 1.0,
+            };
+            values[slot.range.clone()].iter_mut().for_each(|value| *value *= factor);
+        }
+        trainer.set_parameters(&values);
+        trainer.occupy_all();
+        for _ in 0..6 {
+            trainer.step(0.1)?;
+        }
+        trainer.render(&view)
+    };
+    let exact = picture(Precision::F32)?;
+    let mut findings = Vec::new();
+    for (name, precision) in [("bf16", Precision::Bf16), ("f16", Precision::F16)] {
+        let found_picture = picture(precision)?;
+        let colors = found_picture.pixels.iter().zip(&exact.pixels);
+        let errors = colors.flat_map(|(a, b)| (0..3).map(|c| f64::from((a.rgb[c] - b.rgb[c]).abs())));
+        findings.push(found(
+            format!("hidden units beyond f16's range, \"{name}\""),
+            "the picture is that of f32",
+            worst(errors),
+            0.02,
+        ));
+    }
+    Ok(findings)
+}
+
 /// Steps of a long run.
 const LONG: u64 = 100_000;
 
@@ -298,7 +378,7 @@ pub fn long<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
 /// The optimiser's rule at gradients that f32 can hardly hold, or whose squares it cannot.
 fn gradients() -> Vec<Finding> {
     let config = OptimizerConfig { weight_decay: 0.0, ..Config::default().optimizer };
-    [1e-38_f32, 1e-30, 1e-20, 1e-8, 1.0, 1e8, 1e15]
+    [1e-38_f32, 1e-30, 1e-20, 1e-8, 1.0, 1e8, 1e15, 1e19]
         .into_iter()
         .map(|gradient| {
             let rate = config.learning_rate;

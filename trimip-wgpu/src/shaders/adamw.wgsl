@@ -52,11 +52,12 @@ fn update(
     var m = first_moments[at];
     var v = second_moments[at];
     for (var c = 0u; c < 4u; c++) {
-        if (bitcast<u32>(raw[c]) & 0x7f800000u) == 0x7f800000u {
+        let g = gradient[c];
+        // Beyond f32, or not a number.
+        if (bitcast<u32>(g * g) & 0x7f800000u) == 0x7f800000u {
             atomicAdd(&skipped[0], 1u);
             continue;
         }
-        let g = gradient[c];
         m[c] = params.beta1 * m[c] + params.share1 * g;
         v[c] = params.beta2 * v[c] + params.share2 * g * g;
         parameter[c] = parameter[c] * params.shrink
