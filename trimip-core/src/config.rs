@@ -108,6 +108,17 @@ choice!(
 );
 
 choice!(
+    /// Surfaces of the built-in scene: how their colour changes with the view.
+    Finish {
+        /// Some mirror or shine.
+        Mixed,
+        /// None does: a point has one colour, from wherever it is seen.
+        Matt,
+        /// All do.
+        Lacquered,
+    }
+);
+choice!(
     /// Background that training rays are composited on.
     TrainBackground {
         /// `data.background`.
@@ -151,7 +162,7 @@ section!(
     DataConfig {
         root: String, format: Format, train: Vec<String>, test: String, holdout: u32, scales: u32, convention: Convention,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
-        builtin_gloss: bool,
+        builtin_finish: Finish,
     }
 );
 section!(
@@ -417,6 +428,7 @@ impl Config {
         check((0.0..=1.0).contains(&occupancy.decay), "occupancy.decay", "0 to 1")?;
         check(occupancy.threshold >= 0.0, "occupancy.threshold", "0 or more")?;
         check(positive(self.loss.beta.into()), "loss.beta", "a number above 0")?;
+        check(self.loss.opacity >= 0.0 && self.loss.opacity.is_finite(), "loss.opacity", "0 or more")?;
         let optimizer = &self.optimizer;
         check(positive(optimizer.learning_rate), "optimizer.learning_rate", "a number above 0")?;
         check(positive(optimizer.plane_scale), "optimizer.plane_scale", "a number above 0")?;
@@ -428,7 +440,6 @@ impl Config {
             "optimizer.weight_decay",
             "0 or more",
         )?;
-        check(self.loss.opacity >= 0.0 && self.loss.opacity.is_finite(), "loss.opacity", "0 or more")?;
         check(positive(optimizer.decay_factor), "optimizer.decay_factor", "a number above 0")?;
         check(
             optimizer.milestones.iter().all(|m| (0.0..=1.0).contains(m)) && optimizer.milestones.is_sorted(),

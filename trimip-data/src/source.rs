@@ -4,7 +4,8 @@
 use crate::{builtin, photograph::Photograph, pyramid};
 use rayon::prelude::*;
 use std::path::Path;
-use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet, config::Convention};
+use trimip_core::config::{Convention, Finish};
+use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
 
 /// One frame: a camera per scale and what its pixels are made from.
 #[derive(Debug)]
@@ -26,8 +27,8 @@ pub(crate) enum Pixels {
     Rendered {
         /// n.
         supersampling: u32,
-        /// Objects mirror and shine.
-        gloss: bool,
+        /// Which of its surfaces mirror and shine.
+        finish: Finish,
     },
 }
 
@@ -75,8 +76,8 @@ impl Source {
             Pixels::Photograph(file) => {
                 pyramid::fill(file.decode()?.as_chunks().0, size.0, size.1, convention, slots);
             }
-            Pixels::Rendered { supersampling, gloss } => {
-                let pixels = builtin::render(camera, *supersampling, *gloss);
+            Pixels::Rendered { supersampling, finish } => {
+                let pixels = builtin::render(camera, *supersampling, *finish);
                 pyramid::fill(&pixels, size.0, size.1, convention, slots);
             }
             Pixels::Stored(files) => {

@@ -188,7 +188,10 @@ fn the_built_in_scene_written_as_files_is_the_same_scene() {
         }
         let camera = ours.train.views[0].camera;
         if convention == Convention::Public {
-            assert_eq!(ours.train.pixels_of(0), builtin::render(&camera, config.builtin_supersampling, true));
+            assert_eq!(
+                ours.train.pixels_of(0),
+                builtin::render(&camera, config.builtin_supersampling, config.builtin_finish)
+            );
         }
         assert!(write_builtin(&config, folder.path()).is_err());
     }

@@ -14,7 +14,8 @@ use crate::{
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
-use trimip_core::{Camera, Error, Intrinsics, Result, config::DataConfig};
+use trimip_core::config::{DataConfig, Finish};
+use trimip_core::{Camera, Error, Intrinsics, Result};
 
 /// Horizontal field of view in radians, that of NeRF-synthetic.
 pub const CAMERA_ANGLE_X: f64 = 0.691_111_207_008_361_8;
@@ -62,21 +63,21 @@ pub fn test_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
 }
 
 /// Straight 8-bit RGBA of the scene, row by row: the mean over `supersampling`² rays per pixel at the centres of a
-/// regular grid. Colour is the mean over the rays that hit, alpha their share; both are rounded. Without `gloss` nothing
-/// mirrors or shines: a point has one colour, from wherever it is seen.
-pub fn render(camera: &Camera, supersampling: u32, gloss: bool) -> Vec<[u8; 4]> {
+/// regular grid. Colour is the mean over the rays that hit, alpha their share; both are rounded. `finish` says which
+/// surfaces mirror and shine.
+pub fn render(camera: &Camera, supersampling: u32, finish: Finish) -> Vec<[u8; 4]> {
     let k = camera.intrinsics;
     let n = supersampling.max(1);
     let mut pixels = vec![[0; 4]; k.width as usize * k.height as usize];
     pixels.par_chunks_mut(k.width.max(1) as usize).enumerate().for_each(|(y, row)| {
         for (x, pixel) in row.iter_mut().enumerate() {
-            *pixel = render_pixel(camera, x as f64, y as f64, n, gloss);
+            *pixel = render_pixel(camera, x as f64, y as f64, n, finish);
         }
     });
     pixels
 }
 
-fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, gloss: bool) -> [u8; 4] {
+fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, finish: Finish) -> [u8; 4] {
     let k = &camera.intrinsics;
     let direction = |x: f64, y: f64| {
         (camera.rotation * DVec3::new((x - k.cx) / k.fx, -(y - k.cy) / k.fy, -1.0)).normalize()
@@ -92,7 +93,7 @@ fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, gloss: bool) -> [u8; 4]
     for j in 0..n {
         for i in 0..n {
             let ray = direction(x + (f64::from(i) + 0.5) * step, y + (f64::from(j) + 0.5) * step);
-            if let Some(hit) = scene::radiance_of(near, camera.origin, ray, gloss) {
+            if let Some(hit) = scene::radiance_of(near, camera.origin, ray, finish) {
                 color += hit;
                 hits += 1;
             }
@@ -132,7 +133,7 @@ pub(crate) fn split(config: &DataConfig, split: &str) -> Result<Split> {
         }
     };
     let pixels =
-        || Pixels::Rendered { supersampling: config.builtin_supersampling, gloss: config.builtin_gloss };
+        || Pixels::Rendered { supersampling: config.builtin_supersampling, finish: config.builtin_finish };
     let sources = cameras
         .into_iter()
         .enumerate()
@@ -164,8 +165,8 @@ mod tests {
     #[test]
     fn more_rays_converge() {
         let camera = orbit(Intrinsics::from_angle(48, 48, CAMERA_ANGLE_X), CAMERA_RADIUS, 0.5, 0.7);
-        let truth = render(&camera, 64, true);
-        let errors = [1, 2, 4, 8, 16].map(|n| difference(&render(&camera, n, true), &truth));
+        let truth = render(&camera, 64, Finish::Mixed);
+        let errors = [1, 2, 4, 8, 16].map(|n| difference(&render(&camera, n, Finish::Mixed), &truth));
         assert!(errors.windows(2).all(|pair| pair[1] < 0.7 * pair[0]), "{errors:?}");
         assert!(errors[3] < 0.01, "{errors:?}");
     }
@@ -174,7 +175,7 @@ mod tests {
     fn leaving_out_far_shapes_changes_no_pixel() {
         let camera = orbit(Intrinsics::from_angle(40, 30, CAMERA_ANGLE_X), 2.5, 0.4, 2.0);
         let k = camera.intrinsics;
-        let pixels = render(&camera, 1, true);
+        let pixels = render(&camera, 1, Finish::Mixed);
         for y in 0..k.height {
             for x in 0..k.width {
                 let cone = camera.cone::<f64>(x, y);
@@ -196,7 +197,7 @@ mod tests {
         let (train, test) = (train_cameras(k, 48), test_cameras(k, 12));
         for camera in train.iter().chain(&test) {
             assert!((camera.origin.length() - CAMERA_RADIUS).abs() < 1e-12 && camera.origin.z > 0.0);
-            let pixels = render(camera, 1, true);
+            let pixels = render(camera, 1, Finish::Mixed);
             let border = (0..64).flat_map(|i| [i, 63 * 64 + i, 64 * i, 64 * i + 63]);
             assert!(border.into_iter().all(|i| pixels[i][3] == 0));
             assert!(pixels.iter().filter(|pixel| pixel[3] > 0).count() > 64 * 64 / 8);

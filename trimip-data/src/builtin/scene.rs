@@ -4,6 +4,7 @@
 use super::Shape;
 use glam::DVec3;
 use std::{f64::consts::TAU, sync::LazyLock};
+use trimip_core::config::Finish;
 
 /// Directions to the lights and their strengths; the first casts shadows.
 static LIGHTS: LazyLock<[(DVec3, f64); 2]> = LazyLock::new(|| {
@@ -102,7 +103,7 @@ pub fn shapes() -> impl Iterator<Item = Shape> {
 /// Colour that arrives from where a ray enters the scene, `None` where it meets nothing; `origin` must lie outside of
 /// every solid.
 pub fn radiance(origin: DVec3, direction: DVec3) -> Option<[f64; 3]> {
-    radiance_of(u32::MAX, origin, direction.try_normalize()?, true).map(|color| color.to_array())
+    radiance_of(u32::MAX, origin, direction.try_normalize()?, Finish::Mixed).map(|color| color.to_array())
 }
 
 /// Bit i is set where object i may be hit within the angle `spread` (its tangent) around a ray.
@@ -124,8 +125,8 @@ fn members(mut bits: u32) -> impl Iterator<Item = &'static Object> {
     })
 }
 
-/// [`radiance`] of the objects in `near`; shadows are cast by all. Without `gloss` no object mirrors or shines.
-pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3, gloss: bool) -> Option<DVec3> {
+/// [`radiance`] of the objects in `near`; shadows are cast by all.
+pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3, finish: Finish) -> Option<DVec3> {
     let mut first: Option<(f64, &Object)> = None;
     for object in members(near) {
         if let Some(t) = object.shape.hit(origin, direction)
@@ -135,11 +136,18 @@ pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3, gloss: boo
         }
     }
     let (t, object) = first?;
-    Some(object.shade(origin + t * direction, direction, gloss))
+    Some(object.shade(origin + t * direction, direction, finish))
 }
 
 impl Object {
-    fn shade(&self, point: DVec3, direction: DVec3, gloss: bool) -> DVec3 {
+    fn shade(&self, point: DVec3, direction: DVec3, finish: Finish) -> DVec3 {
+        let (mirror, (shine, exponent)) = match finish {
+            Finish::Mixed => (self.mirror, self.highlight),
+            Finish::Matt => (0.0, (0.0, 1)),
+            Finish::Lacquered => {
+                (self.mirror.max(0.25), if self.highlight.0 > 0.0 { self.highlight } else { (0.35, 30) })
+            }
+        };
         let normal = self.shape.normal(point);
         let reflected = direction - 2.0 * direction.dot(normal) * normal;
         let mut diffuse = AMBIENT.0 + AMBIENT.1 * (0.5 + 0.5 * normal.z);
@@ -151,18 +159,17 @@ impl Object {
                 continue;
             }
             diffuse += strength * facing;
-            if gloss && self.highlight.0 > 0.0 {
-                highlight += strength * reflected.dot(toward).max(0.0).powi(self.highlight.1);
+            if shine > 0.0 {
+                highlight += strength * reflected.dot(toward).max(0.0).powi(exponent);
             }
         }
         let mut color = self.color(point, normal) * diffuse;
-        if gloss && self.mirror > 0.0 {
+        if mirror > 0.0 {
             // Schlick's approximation of Fresnel's reflectance.
-            let share =
-                self.mirror + (1.0 - self.mirror) * (1.0 + direction.dot(normal)).clamp(0.0, 1.0).powi(5);
+            let share = mirror + (1.0 - mirror) * (1.0 + direction.dot(normal)).clamp(0.0, 1.0).powi(5);
             color = color.lerp(surroundings(reflected), share);
         }
-        (color + self.highlight.0 * highlight).clamp(DVec3::ZERO, DVec3::ONE)
+        (color + shine * highlight).clamp(DVec3::ZERO, DVec3::ONE)
     }
 
     fn color(&self, point: DVec3, normal: DVec3) -> DVec3 {
@@ -272,11 +279,17 @@ mod tests {
         let seen = |from: DVec3| DVec3::from(radiance(from, point - from).expect("the ball is there"));
         let (a, b) = (seen(DVec3::new(2.0, 3.0, 2.0)), seen(DVec3::new(1.0, 3.0, 3.0)));
         assert!((a - b).length() > 0.03, "{a} {b}");
-        let matt = |from: DVec3| {
-            radiance_of(u32::MAX, from, (point - from).normalize(), false).expect("the ball is there")
+        // A matt point has one colour, a lacquered one of the ground more than one.
+        let eyes = [DVec3::new(2.0, 3.0, 2.0), DVec3::new(1.0, 3.0, 3.0)];
+        let change = |point: DVec3, finish| {
+            let seen = |from: DVec3| radiance_of(u32::MAX, from, (point - from).normalize(), finish);
+            let [a, b] = eyes.map(|from| seen(from).expect("it is there"));
+            (a - b).length()
         };
-        let (a, b) = (matt(DVec3::new(2.0, 3.0, 2.0)), matt(DVec3::new(1.0, 3.0, 3.0)));
-        assert!((a - b).length() < 1e-9, "without gloss a point has one colour: {a} {b}");
+        let ground = DVec3::new(-0.7, 0.5, GROUND_TOP);
+        assert!(change(point, Finish::Matt) < 1e-9 && change(ground, Finish::Mixed) < 1e-9);
+        // More than two of 255.
+        assert!(change(ground, Finish::Lacquered) > 0.01, "{}", change(ground, Finish::Lacquered));
     }
 
     #[test]
