@@ -392,7 +392,8 @@ pub trait Optimizer<B: Backend>: Send + Sync {
     fn moments_mut(&mut self) -> [&mut B::Buffer<f32>; 2];
 
     /// Gradients met whose square is beyond f32, or that were not finite: their parameters were left as they were. A
-    /// second moment once infinite would keep its parameter from ever moving again.
+    /// second moment once infinite would keep its parameter from ever moving again. Also terms of gradients that a device
+    /// left out for their size.
     fn non_finite(&self) -> u64;
 }
 

@@ -41,6 +41,8 @@ pub struct Trainer<B: Backend> {
     probes: B::Buffer<Radiance>,
     frame: B::Buffer<Pixel>,
     state: TrainState,
+    /// Gradients left out before the optimiser began to count.
+    left_out_before: u64,
     /// Sums of the last steps that are not used yet, oldest first.
     pending: VecDeque<Pending<B>>,
 }
@@ -113,6 +115,7 @@ impl<B: Backend> Trainer<B> {
             stages,
             parameters,
             deposits,
+            left_out_before: 0,
             pending: VecDeque::new(),
         };
         if training {
@@ -156,6 +159,10 @@ impl<B: Backend> Trainer<B> {
     pub fn occupy_all(&mut self) {
         let cells = (self.config.occupancy.resolution as usize).pow(3);
         self.stages.occupancy.restore(&vec![0xff; cells.div_ceil(8)], Some(&vec![1.0; cells]));
+    }
+
+    fn count_left_out(&mut self) {
+        self.state.totals.non_finite = self.left_out_before + self.stages.optimizer.non_finite();
     }
 
     /// Loss and gradient of the current parameters on the rays of step `step`, without moving them; the gradient is
@@ -390,7 +397,7 @@ impl<B: Backend> Trainer<B> {
         if let Some((scale, sums)) = &sums {
             self.adapt_batch(sums, *scale, progress);
         }
-        self.state.totals.non_finite = self.stages.optimizer.non_finite();
+        self.count_left_out();
         let sums = sums.map_or_else(StepSums::default, |(_, sums)| sums);
         Ok(StepReport {
             totals: self.state.totals,
@@ -513,6 +520,8 @@ impl<B: Backend> Session for Trainer<B> {
         for (suffix, moments) in [".m", ".v"].into_iter().zip(self.stages.optimizer.moments()) {
             self.layout.to_tensors(&self.backend.read(moments), suffix, &mut file);
         }
+        // A device's count is as new as its moments.
+        self.count_left_out();
         let densities = self.stages.occupancy.densities();
         file.tensors.insert("occupancy.density".into(), Tensor::f32(&[densities.len()], densities));
         self.backend.health()?;
@@ -530,6 +539,8 @@ impl<B: Backend> Session for Trainer<B> {
             self.backend.write(buffer, &values);
         }
         self.state = checkpoint.state;
+        self.left_out_before =
+            self.state.totals.non_finite.saturating_sub(self.stages.optimizer.non_finite());
         let counted = |(scale, sums)| Pending { scale, sums: Arrival::Counted(sums) };
         self.pending = self.state.pending.into_iter().flatten().map(counted).collect();
         self.halve(self.state.halvings);

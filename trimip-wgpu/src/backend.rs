@@ -285,11 +285,12 @@ impl Backend for WgpuBackend {
         let field = WgpuField::new(gpu, config, &layout, Arc::clone(&self.known));
         *self.watched.lock().unwrap_or_else(PoisonError::into_inner) =
             Some([occupancy.state().raw().clone(), field.overflows().raw().clone()]);
+        let skipped = Buffer::zeros(gpu, 1);
         let stages = Stages {
-            encoder: WgpuEncoder::new(gpu, config, training, self.addition),
+            encoder: WgpuEncoder::new(gpu, config, training, self.addition, &skipped),
             field,
             renderer: WgpuRenderer::new(gpu, config, training, [room, kept_room]),
-            optimizer: WgpuOptimizer::new(gpu, config, &layout, training),
+            optimizer: WgpuOptimizer::new(gpu, config, &layout, training, skipped),
             sampler: WgpuSampler::new(gpu, config, views)?,
             occupancy,
             loss: WgpuLoss::new(gpu, &config.loss),

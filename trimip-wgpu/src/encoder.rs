@@ -38,6 +38,8 @@ pub struct WgpuEncoder {
     addition: Addition,
     /// High words of the planes' and the levels' gradient in fixed point.
     high: [Buffer<f32>; 2],
+    /// Counts the terms that fixed point cannot hold.
+    skipped: wgpu::Buffer,
 }
 
 /// Feature gradients of a step and where they belong: the workspace's own arrays, which nothing overwrites before the
@@ -52,8 +54,14 @@ struct Left {
 }
 
 impl WgpuEncoder {
-    /// The planes of a configuration.
-    pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, addition: Addition) -> Self {
+    /// The planes of a configuration; `skipped` counts the terms of gradients that are left out.
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        config: &Config,
+        training: bool,
+        addition: Addition,
+        skipped: &Buffer<u32>,
+    ) -> Self {
         let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
         // A binding has at least one value, also where there is a base level alone.
         let derived = pyramid.derived_len().max(CHANNELS);
@@ -66,6 +74,7 @@ impl WgpuEncoder {
             derived_gradient: Buffer::zeros(gpu, if training { derived } else { CHANNELS }),
             addition,
             high: [base, derived].map(|length| Buffer::zeros(gpu, if fixed { length } else { CHANNELS })),
+            skipped: skipped.raw().clone(),
         }
     }
 
@@ -173,6 +182,7 @@ impl Encoder<WgpuBackend> for WgpuEncoder {
             ];
             if fixed {
                 binds.extend(self.high.iter().map(Buffer::bind));
+                binds.push(whole(&self.skipped));
             }
             let size = rows.dispatch(FEATURES as u32 / 4, GROUP);
             self.gpu.dispatch(&scatter(self.addition), &binds, &self.params(rows.counter), size);

@@ -355,6 +355,7 @@ pub fn scatter(addition: Addition) -> Kernel {
                 (5, Read),
                 (6, Write),
                 (7, Write),
+                (8, Write),
             ],
         ),
         Addition::Atomic => Kernel::new("scatter", SCATTER_ATOMIC, SCATTER_FLOATS),

@@ -43,8 +43,14 @@ pub struct WgpuOptimizer {
 }
 
 impl WgpuOptimizer {
-    /// Zero moments; none to speak of unless `training`.
-    pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout, training: bool) -> Self {
+    /// Zero moments; none to speak of unless `training`. `skipped` counts what is left out for its size.
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        config: &Config,
+        layout: &Layout,
+        training: bool,
+        skipped: Buffer<u32>,
+    ) -> Self {
         let length = if training { layout.len() } else { 4 };
         Self {
             gpu: Arc::clone(gpu),
@@ -52,7 +58,7 @@ impl WgpuOptimizer {
             slots: layout.slots.clone(),
             m: Buffer::zeros(gpu, length),
             v: Buffer::zeros(gpu, length),
-            skipped: Buffer::zeros(gpu, 1),
+            skipped,
             known: AtomicU64::new(0),
             halvings: 0,
         }

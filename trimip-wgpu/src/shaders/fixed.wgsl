@@ -3,9 +3,14 @@
 const POINT: f32 = 1073741824.0;
 const WORD: f32 = 4294967296.0;
 
-// Low and high word of a value.
+// True for numbers below 2^24, of which 512 may add up.
+fn fits(value: f32) -> bool {
+    return (bitcast<u32>(value) & 0x7fffffffu) < 0x4b800000u;
+}
+
+// Low and high word of a value that fits.
 fn to_fixed(value: f32) -> vec2<u32> {
-    let size = min(abs(value) * POINT, 9.2e18);
+    let size = abs(value) * POINT;
     let high = u32(size / WORD);
     let low = u32(size - f32(high) * WORD);
     return select(vec2<u32>(low, high), negated(vec2<u32>(low, high)), value < 0.0);
