@@ -63,8 +63,8 @@ impl MeanQuality {
     pub fn remark(&self) -> Option<String> {
         (self.psnr - self.psnr_opposite > SHINES_THROUGH).then(|| {
             format!(
-                "the background shines through the model: {:.2} dB on the opposite one; train.background = \"random\" \
-                 trains solids that hide any",
+                "the background shines through the model: {:.2} dB on the opposite one; loss.opacity = 0.1 trains \
+                 solids that hide any",
                 self.psnr_opposite
             )
         })

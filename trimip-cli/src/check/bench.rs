@@ -1,10 +1,12 @@
 //! A backend with the stages of a small configuration, and photographs made up for a case.
 
 use super::Make;
+use glam::DVec3;
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
 use trimip_core::{
-    Alpha, Backend, Camera, Config, Encoder, Field, Layout, Pixel, Renderer, Result, Scale, View, ViewSet,
+    Alpha, Backend, Camera, Config, Encoder, Field, Intrinsics, Layout, Pixel, Renderer, Result, Scale, View,
+    ViewSet,
 };
 
 /// A small model: 16² planes, 16 hidden units.
@@ -109,6 +111,21 @@ impl<B: Backend> Bench<B> {
         stages.encoder.forward(&mut space.lane, parameters, &space.samples, &mut space.features);
         backend.read(&space.features)
     }
+}
+
+/// A square camera of `size` pixels on a circle around the box.
+pub fn camera(size: u32, i: u32) -> Camera {
+    let angle = f64::from(i);
+    let origin = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0);
+    Camera::look_at(Intrinsics::from_angle(size, size, 0.7), origin, DVec3::ZERO, DVec3::Z)
+}
+
+/// A number that looks random.
+pub fn hash(view: usize, x: usize, y: usize) -> [u8; 4] {
+    let mut word = (view * 7919 + x * 104_729 + y * 1_299_709 + 17) as u32;
+    word = (word ^ (word >> 15)).wrapping_mul(0x2c1b_3c6d);
+    word = (word ^ (word >> 12)).wrapping_mul(0x297a_2d39);
+    (word ^ (word >> 15)).to_le_bytes()
 }
 
 /// Photographs of `cameras` at `scales` scales; `pixel(view, x, y)` gives straight RGBA at every scale.

@@ -2,6 +2,7 @@
 
 mod bench;
 mod geometry;
+mod numbers;
 mod optics;
 mod training;
 
@@ -63,7 +64,7 @@ pub fn catalogue<B: Backend>(
     tell: &mut dyn FnMut(&Finding),
 ) -> Result<Vec<Finding>> {
     let mut findings = Vec::new();
-    let mut parts = vec![optics::cases::<B>, geometry::cases::<B>, training::cases::<B>];
+    let mut parts = vec![optics::cases::<B>, geometry::cases::<B>, training::cases::<B>, numbers::cases::<B>];
     if long {
         parts.push(training::long::<B>);
     }

@@ -1,34 +1,18 @@
 //! Stiff training: photographs that contradict each other or teach nothing, rates and weights of all sizes, grids and
-//! batches gone empty, numbers that leave their range.
+//! batches gone empty, runs of many steps.
 
-use super::bench::{photographs, small};
+use super::bench::{camera, hash, photographs, small};
 use super::{Finding, Make, not_finite, worst};
 use crate::machine::peak_memory;
 use glam::DVec3;
-use trimip_core::adamw::Rule;
-use trimip_core::config::{OptimizerConfig, Precision, Untouched};
+use trimip_core::config::Untouched;
 use trimip_core::params::Kind;
 use trimip_core::tensors::Values;
 use trimip_core::trainer::Trainer;
-use trimip_core::{Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Session, ViewSet};
+use trimip_core::{Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet};
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {
     Finding { part: "training", case: case.into(), law, worst, bound }
-}
-
-/// A square camera of `size` pixels on a circle around the box.
-fn camera(size: u32, i: u32) -> Camera {
-    let angle = f64::from(i);
-    let origin = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0);
-    Camera::look_at(Intrinsics::from_angle(size, size, 0.7), origin, DVec3::ZERO, DVec3::Z)
-}
-
-/// A number that looks random.
-fn hash(view: usize, x: usize, y: usize) -> [u8; 4] {
-    let mut word = (view * 7919 + x * 104_729 + y * 1_299_709 + 17) as u32;
-    word = (word ^ (word >> 15)).wrapping_mul(0x2c1b_3c6d);
-    word = (word ^ (word >> 12)).wrapping_mul(0x297a_2d39);
-    (word ^ (word >> 15)).to_le_bytes()
 }
 
 /// The cases of this part.
@@ -37,10 +21,6 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     findings.extend(rates_and_weights(make)?);
     findings.extend(untouched(make)?);
     findings.extend(empty(make)?);
-    findings.extend(logits(make)?);
-    findings.extend(gradients());
-    findings.extend(steep(make)?);
-    findings.extend(beyond_half(make)?);
     Ok(findings)
 }
 
@@ -211,131 +191,6 @@ fn empty<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     Ok(findings)
 }
 
-/// Density logits of ±1e4: nothing and everything.
-fn logits<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let config = small();
-    let layout = Layout::new(&config);
-    let mut findings = Vec::new();
-    for (name, logit) in [("density logits of 1e4", 1e4_f32), ("density logits of -1e4", -1e4)] {
-        let views = photographs(&[camera(8, 0)], 1, hash);
-        let view = views.views[0].camera;
-        let mut trainer = Trainer::new(make()?, &config, views)?;
-        let mut values = trainer.parameters();
-        let last = format!("density.{}.weight", config.field.density_layers);
-        for slot in &layout.slots {
-            let part = &mut values[slot.range.clone()];
-            let inputs = slot.shape[0] as f32;
-            if slot.kind == Kind::Planes {
-                part.fill(1.0);
-            } else if slot.name == last {
-                // Hidden units are 1: their sum is the logit.
-                part.iter_mut().step_by(slot.shape[1]).for_each(|w| *w = logit / inputs);
-            } else if slot.name.starts_with("density") {
-                part.fill(1.0 / inputs);
-            }
-        }
-        trainer.set_parameters(&values);
-        trainer.occupy_all();
-        let frame = trainer.render(&view)?;
-        let opacity = if logit > 0.0 { 1.0 } else { 0.0 };
-        // The middle of the picture looks through the box.
-        let middle = &frame.pixels[frame.pixels.len() / 2 + 4];
-        findings.push(found(
-            name,
-            "the box is solid, or is not there",
-            (f64::from(middle.opacity) - opacity).abs(),
-            1e-6,
-        ));
-        let numbers: Vec<f32> =
-            frame.pixels.iter().flat_map(|p| [p.rgb[0], p.rgb[1], p.rgb[2], p.opacity, p.depth]).collect();
-        findings.push(found(name, "the picture is finite", not_finite(&numbers), 0.0));
-        let strange = match trainer.step(0.1) {
-            Ok(_) => not_finite(&trainer.parameters()),
-            Err(error) => return Err(error),
-        };
-        findings.push(found(name, "a step leaves finite parameters", strange, 0.0));
-    }
-    Ok(findings)
-}
-
-/// Texels of 1e-30 behind weights of 1e30: the gradients of the texels are some 1e30, those of the weights some 1e-30. A
-/// gradient that no second moment can hold leaves its parameter and its moments as they were, and is counted.
-fn steep<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let config = small();
-    let layout = Layout::new(&config);
-    let mut trainer = Trainer::new(make()?, &config, photographs(&[camera(16, 0)], 1, hash))?;
-    let mut values = trainer.parameters();
-    for slot in &layout.slots {
-        let part = &mut values[slot.range.clone()];
-        if slot.kind == Kind::Planes {
-            part.iter_mut().for_each(|texel| *texel = texel.signum() * 1e-30);
-        } else if slot.name == "density.0.weight" {
-            part.iter_mut().for_each(|weight| *weight *= 1e30);
-        }
-    }
-    trainer.set_parameters(&values);
-    trainer.occupy_all();
-    for _ in 0..3 {
-        trainer.step(0.1)?;
-    }
-    let checkpoint = trainer.checkpoint()?;
-    let case = "gradients of 1e30 and of 1e-30";
-    let numbers = checkpoint.file.tensors.values().flat_map(|tensor| match &tensor.values {
-        Values::F32(numbers) => numbers.as_slice(),
-        _ => &[],
-    });
-    let counted = checkpoint.state.totals.non_finite > 0;
-    Ok(vec![
-        found(case, "parameters and moments stay finite", not_finite(numbers), 0.0),
-        found(case, "are counted where no second moment holds them", if counted { 0.0 } else { 1.0 }, 0.0),
-    ])
-}
-
-/// Numbers between the layers that f16 cannot hold: in whatever precision, the picture is that of f32 to the rounding of
-/// its factors; a backend that meets them in f16 goes on in f32.
-fn beyond_half<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let layout = Layout::new(&small());
-    let picture = |precision| -> Result<Frame> {
-        let mut config = small();
-        config.field.precision = precision;
-        // Steps that move nothing: what they count is what is looked for.
-        config.optimizer.learning_rate = 1e-20;
-        let views = photographs(&[camera(16, 0), camera(16, 1)], 1, hash);
-        let view = views.views[0].camera;
-        let mut trainer = Trainer::new(make()?, &config, views)?;
-        let mut values = trainer.parameters();
-        for slot in &layout.slots {
-            let factor = match (slot.kind, slot.name.as_str()) {
-                (Kind::Planes, _) => 100.0,
-                (_, "density.0.weight") => 1e7,
-                (_, "density.1.weight") => 1e-7,
-                _ => 1.0,
-            };
-            values[slot.range.clone()].iter_mut().for_each(|value| *value *= factor);
-        }
-        trainer.set_parameters(&values);
-        trainer.occupy_all();
-        for _ in 0..6 {
-            trainer.step(0.1)?;
-        }
-        trainer.render(&view)
-    };
-    let exact = picture(Precision::F32)?;
-    let mut findings = Vec::new();
-    for (name, precision) in [("bf16", Precision::Bf16), ("f16", Precision::F16)] {
-        let found_picture = picture(precision)?;
-        let colors = found_picture.pixels.iter().zip(&exact.pixels);
-        let errors = colors.flat_map(|(a, b)| (0..3).map(|c| f64::from((a.rgb[c] - b.rgb[c]).abs())));
-        findings.push(found(
-            format!("hidden units beyond f16's range, \"{name}\""),
-            "the picture is that of f32",
-            worst(errors),
-            0.02,
-        ));
-    }
-    Ok(findings)
-}
-
 /// Steps of a long run.
 const LONG: u64 = 100_000;
 
@@ -373,35 +228,4 @@ pub fn long<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         findings.push(found(case, "memory grows by nothing after a tenth, in parts", growth, 0.02));
     }
     Ok(findings)
-}
-
-/// The optimiser's rule at gradients that f32 can hardly hold, or whose squares it cannot.
-fn gradients() -> Vec<Finding> {
-    let config = OptimizerConfig { weight_decay: 0.0, ..Config::default().optimizer };
-    [1e-38_f32, 1e-30, 1e-20, 1e-8, 1.0, 1e8, 1e15, 1e19]
-        .into_iter()
-        .map(|gradient| {
-            let rate = config.learning_rate;
-            let (mut x, mut m, mut v) = (0.0_f32, 0.0, 0.0);
-            let (mut wide, mut wide_m, mut wide_v) = (0.0_f64, 0.0, 0.0);
-            for step in 1..=20 {
-                Rule::<f32>::new(&config, rate, step).apply(&mut x, &mut m, &mut v, gradient);
-                Rule::<f64>::new(&config, rate, step).apply(
-                    &mut wide,
-                    &mut wide_m,
-                    &mut wide_v,
-                    gradient.into(),
-                );
-            }
-            // Twenty steps of at most the rate; where squares underflow, epsilon takes their place.
-            let strange = not_finite(&[x, m, v]);
-            let error = if strange > 0.0 { f64::NAN } else { (f64::from(x) - wide).abs() / (20.0 * rate) };
-            found(
-                format!("gradients of {gradient:e}"),
-                "the step is that of f64, of its largest",
-                error,
-                if gradient < 1e-15 { 1.0 } else { 1e-5 },
-            )
-        })
-        .collect()
 }
