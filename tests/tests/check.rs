@@ -17,7 +17,8 @@ fn every_law_holds_on_every_backend() {
         let count = |part: &str| {
             cases.iter().filter(|case| case["backend"] == backend && case["part"] == part).count()
         };
-        assert!(count("optics") >= 15 && count("geometry") >= 30 && count("training") >= 40, "{backend}");
+        assert!(count("optics") >= 15 && count("geometry") >= 30, "{backend}");
+        assert!(count("training") >= 30 && count("numbers") >= 15, "{backend}");
     }
     assert!(cases.iter().all(|case| case["holds"] == true && case["worst"].is_number()));
 }
