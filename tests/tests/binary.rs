@@ -102,6 +102,19 @@ fn a_stopped_run_goes_on_to_the_same_model() {
 }
 
 #[test]
+fn a_fresh_run_that_cannot_begin_leaves_the_old_one() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(run(folder.path(), &tiny_and(&["--out", "run"])).code, Some(0));
+    let files = ["model.safetensors", "checkpoint.safetensors", "config.toml", "plan.json", "metrics.jsonl"];
+    let bytes = || files.map(|name| fs::read(folder.path().join("run").join(name)).unwrap());
+    let before = bytes();
+    let absent = ["--out", "run", "--fresh", "--set", "backend=wgpu", "--set", "wgpu.adapter=no such thing"];
+    let answer = run(folder.path(), &tiny_and(&absent));
+    assert!(answer.code.is_some_and(|code| code >= 2), "{:?}", answer.code);
+    assert!(bytes() == before, "something is lost");
+}
+
+#[test]
 fn a_missed_floor_fails_with_its_report_written() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = tiny_and(&["--out", "run", "--set", "eval.min_psnr=99"]);

@@ -92,6 +92,11 @@ fn an_opaque_box_has_its_silhouette() {
 }
 
 #[test]
+fn a_run_that_ends_early_is_its_model() {
+    on_every_cpu(|make| suite::training::finish_early(make));
+}
+
+#[test]
 fn a_resumed_run_is_the_run_that_never_stopped() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     on_every_cpu(|make| suite::training::resume(make, &folder.path().join("checkpoint")));

@@ -57,6 +57,45 @@ fn run(trainer: &mut dyn Session, config: &Config, totals: Totals, shelf: &mut S
         .expect_err("the run fails")
 }
 
+/// One test frame that cannot be read.
+struct Unreadable;
+
+impl Frames for Unreadable {
+    fn len(&self) -> usize {
+        1
+    }
+
+    fn cameras(&self) -> Vec<Camera> {
+        Vec::new()
+    }
+
+    fn load(&self, _: usize) -> Result<ViewSet> {
+        Err(trimip_core::Error::input("r_0.png", "is torn", "copy it again"))
+    }
+}
+
+#[test]
+fn a_test_view_that_cannot_be_read_costs_no_step() {
+    let mut config = suite::training::configuration();
+    (config.train.checkpoint_seconds, config.eval.points) = (0.0, 4);
+    let backend = CpuBackend::new(1, Simd::detect()).expect("a thread");
+    let mut trainer = Trainer::new(backend, &config, fixtures::noise(3, 16, 2, 2)).expect("views that fit");
+    let (stop, mut shelf) = (AtomicBool::new(false), Shelf::default());
+    let events = &mut |_: &Event| {};
+    let error = Run {
+        config: &config,
+        session: &mut trainer,
+        frames: &Unreadable,
+        store: &mut shelf,
+        events,
+        stop: &stop,
+    }
+    .train(Totals::default())
+    .expect_err("the frame cannot be read");
+    assert!(error.message.contains("r_0.png"), "{error}");
+    assert_eq!(shelf.0, [trainer.checkpoint().expect("a checkpoint").state.totals.step]);
+}
+
 /// What a run says that goes on after step 6 with one number broken, and which checkpoints it writes.
 fn broken(slot: &str, checkpoint_seconds: f64) -> (trimip_core::Error, Vec<u64>) {
     let mut config = suite::training::configuration();

@@ -140,6 +140,11 @@ fn the_batch_follows_the_step() {
 }
 
 #[test]
+fn a_run_that_ends_early_is_its_model() {
+    reproducibly(|make| suite::training::finish_early(make));
+}
+
+#[test]
 fn a_resumed_run_is_the_run_that_never_stopped() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     // In f32 the order of additions is the device's own affair, and with it the last bits.

@@ -138,7 +138,7 @@ proptest! {
             let half = fitted.halved(1);
             let mut values: Vec<f64> = (0..fitted.base_len()).map(|i| (i as f64 * 0.7).sin()).collect();
             let before: f64 = values[..half.base_len()].iter().sum();
-            grow(&mut values, &half);
+            grow(&mut values, &fitted, 1, 0);
             let after: f64 = values.iter().sum();
             prop_assert!((after - 4.0 * before).abs() < 1e-6 * values.len() as f64);
             prop_assert_eq!(values.len() % CHANNELS, 0);

@@ -181,10 +181,13 @@ fn projected(place: &str, own: Projection, head: Projection, fallback: Intrinsic
     let pick = |f: fn(&Projection) -> Option<f64>| f(&own).or(f(&head));
     let width = pick(|p| p.w).unwrap_or(fallback.width.into());
     let height = pick(|p| p.h).unwrap_or(fallback.height.into());
-    let fallback_angle = 2.0 * (0.5 * f64::from(fallback.width) / fallback.fx).atan();
-    let angle = pick(|p| p.camera_angle_x).unwrap_or(fallback_angle);
-    let fx = pick(|p| p.fl_x).unwrap_or(0.5 * width / (0.5 * angle).tan());
-    let fy = pick(|p| p.fl_y).unwrap_or(fx);
+    // A frame's own focal length counts before the file's, however either is stated.
+    let focal = |p: &Projection| {
+        let x = p.fl_x.or(p.camera_angle_x.map(|angle| 0.5 * width / (0.5 * angle).tan()));
+        x.or(p.fl_y).map(|x| (x, p.fl_y.unwrap_or(x)))
+    };
+    let fallback_focal = fallback.fx * width / f64::from(fallback.width);
+    let (fx, fy) = focal(&own).or(focal(&head)).unwrap_or((fallback_focal, fallback_focal));
     let sane = [width, height].iter().all(|side| (1.0..=MAX_SIDE).contains(side));
     let (cx, cy) = (pick(|p| p.cx).unwrap_or(0.5 * width), pick(|p| p.cy).unwrap_or(0.5 * height));
     if !(sane && fx > 0.0 && fy > 0.0 && [fx, fy, cx, cy].iter().all(|value| value.is_finite())) {
@@ -278,13 +281,18 @@ mod tests {
         let file = folder.path().join("path.json");
         let matrix = "[[1,0,0,3],[0,1,0,4],[0,0,1,5],[0,0,0,1]]";
         let text = format!(
-            "{{\"w\": 100, \"h\": 50, \"fl_x\": 120, \"frames\": [{{\"transform_matrix\": {matrix}}},
-              {{\"transform_matrix\": {matrix}, \"fl_x\": 60}}]}}"
+            "{{\"w\": 100, \"h\": 50, \"fl_x\": 120, \"fl_y\": 110, \"frames\": [{{\"transform_matrix\": {matrix}}},
+              {{\"transform_matrix\": {matrix}, \"fl_x\": 60}},
+              {{\"transform_matrix\": {matrix}, \"camera_angle_x\": {}}}]}}",
+            std::f64::consts::FRAC_PI_2
         );
         std::fs::write(&file, text).unwrap();
         let cameras = path(&file, intrinsics()).unwrap();
         let k = cameras[1].1.intrinsics;
-        assert_eq!((cameras.len(), k.width, k.height, k.fx, k.fy, k.cx), (2, 100, 50, 60.0, 60.0, 50.0));
+        assert_eq!((cameras.len(), k.width, k.height, k.fx, k.fy, k.cx), (3, 100, 50, 60.0, 60.0, 50.0));
+        let [first, last] = [0, 2].map(|at: usize| cameras[at].1.intrinsics);
+        assert_eq!((first.fx, first.fy), (120.0, 110.0));
+        assert!((last.fx - 50.0).abs() < 1e-9 && last.fy == last.fx, "{last:?}");
         std::fs::write(&file, "{\"frames\": [{\"transform_matrix\": [1]}]}").unwrap();
         assert!(path(&file, intrinsics()).unwrap_err().message.contains("frames[0]"));
     }

@@ -41,13 +41,16 @@ impl Curve {
     }
 
     /// Seconds at which the curve first reaches `psnr`, between two measures by straight lines over the logarithm of
-    /// time; `None` where it never does.
+    /// time, over time itself from a measure at its beginning on; `None` where it never does.
     pub fn reaches(&self, psnr: f64) -> Option<f64> {
         let mut before: Option<&Measure> = None;
         for point in &self.points {
             if point.psnr >= psnr {
                 let Some(before) = before else { return Some(point.seconds) };
                 let share = (psnr - before.psnr) / (point.psnr - before.psnr);
+                if before.seconds <= 0.0 {
+                    return Some(before.seconds + share * (point.seconds - before.seconds));
+                }
                 return Some(before.seconds * (point.seconds / before.seconds).powf(share));
             }
             before = Some(point);
@@ -171,6 +174,7 @@ mod tests {
 
     #[test]
     fn a_curve_reaches_what_lies_between_its_measures() {
+        let from_the_start = curve("seconds,psnr_mean\n0,10\n40,20\n");
         let curve =
             curve("seconds,psnr_mean,last\n100,30,false\n10,20,false\n1000,29,false\n1000,28.5,true\n");
         assert_eq!(curve.last, Some(Measure { seconds: 1000.0, psnr: 28.5 }));
@@ -180,6 +184,7 @@ mod tests {
             (curve.reaches(15.0), curve.reaches(30.0), curve.reaches(30.1)),
             (Some(10.0), Some(100.0), None)
         );
+        assert_eq!(from_the_start.reaches(15.0), Some(20.0));
         let table = table(&[curve], &[25.0, 40.0]);
         assert!(table.contains("31.6 s") && table.ends_with('–'), "{table}");
     }

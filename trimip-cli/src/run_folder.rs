@@ -157,19 +157,34 @@ impl RunFolder {
         Ok(())
     }
 
-    /// PNG files in `images/`.
+    /// Pictures in `images/` that runs wrote, by their names: whatever else lies there is somebody's.
     pub fn pictures(&self) -> Vec<PathBuf> {
         let entries = std::fs::read_dir(self.images()).into_iter().flatten().flatten();
-        entries
-            .map(|entry| entry.path())
-            .filter(|path| path.extension().is_some_and(|e| e == "png"))
-            .collect()
+        let ours = entries.filter(|entry| is_picture(&entry.file_name().to_string_lossy()));
+        ours.map(|entry| entry.path()).collect()
+    }
+
+    /// Refuses a configuration file that the effective settings of a new run would replace.
+    ///
+    /// # Errors
+    /// When `given` is the folder's `config.toml`, and no run wrote it.
+    pub fn spare(&self, given: &Path) -> Result<()> {
+        let same = std::fs::canonicalize(given).ok();
+        if same.is_none() || same != std::fs::canonicalize(self.config()).ok() || self.metrics().exists() {
+            return Ok(());
+        }
+        Err(Error::input(
+            given.display(),
+            "the run would write its effective settings over this file",
+            "choose another --out folder, or another name for the file",
+        ))
     }
 
     /// Events written so far. A line that a killed run left half written is passed over.
     pub fn events(&self) -> Vec<Event> {
-        let text = std::fs::read_to_string(self.metrics()).unwrap_or_default();
-        text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+        // A line may end within a character.
+        let bytes = std::fs::read(self.metrics()).unwrap_or_default();
+        String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
     }
 
     /// Replaces the events by `events` and opens the file to append more.
@@ -202,12 +217,21 @@ pub fn read_model(path: &Path) -> Result<Model> {
             "name a run folder or a model file",
         ));
     }
-    let checkpoint = Checkpoint::read(&folder.checkpoint())?;
-    let mut file = checkpoint.file;
-    // What only training needs: the optimiser's moments and the running maximum of the occupancy.
-    file.tensors
-        .retain(|name, _| !(name.ends_with(".m") || name.ends_with(".v") || name == "occupancy.density"));
-    Ok(Model::new(checkpoint.config, file))
+    Ok(Checkpoint::read(&folder.checkpoint())?.into_model())
+}
+
+/// True for names that [`picture_stem`] makes, of a picture or a comparison.
+fn is_picture(name: &str) -> bool {
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let Some(stem) = name.strip_suffix(".png") else { return false };
+    let stem = stem.strip_suffix("_compare").unwrap_or(stem);
+    let Some((front, scale)) = stem.rsplit_once("_scale") else { return false };
+    front.split_once('_').is_some_and(|(index, _)| index.len() >= 4 && digits(index)) && digits(scale)
+}
+
+/// Name of the picture of a test view, without extension.
+pub fn picture_stem(index: usize, photograph: &str, scale: u32) -> String {
+    format!("{index:04}_{photograph}_scale{scale}")
 }
 
 /// Creates a folder with its parents and proves that files can be written there.
@@ -244,9 +268,33 @@ mod tests {
     fn a_torn_last_line_of_events_is_passed_over() {
         let (_keep, folder) = folder();
         drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
-        let whole = std::fs::read_to_string(folder.metrics()).unwrap();
-        std::fs::write(folder.metrics(), format!("{whole}{}", &whole[..whole.len() / 2])).unwrap();
+        let whole = std::fs::read(folder.metrics()).unwrap();
+        // Half a line, and half a character.
+        let torn = [&whole[..], &whole[..whole.len() / 2], &"×".as_bytes()[..1]].concat();
+        std::fs::write(folder.metrics(), torn).unwrap();
         assert_eq!(folder.events().len(), 1);
+    }
+
+    #[test]
+    fn files_of_others_stay() {
+        let (_keep, folder) = folder();
+        folder.prepare_images().unwrap();
+        let ours = [picture_stem(3, "r_3", 1), format!("{}_compare", picture_stem(12345, "a_scale_b", 16))];
+        let theirs = ["r_3", "0001", "0001_scale", "a_0001_scale2", "0001_scale2_more"];
+        let path = |stem: &str| folder.images().join(format!("{stem}.png"));
+        for stem in ours.iter().map(String::as_str).chain(theirs) {
+            std::fs::write(path(stem), "x").unwrap();
+        }
+        folder.clear().unwrap();
+        assert!(ours.iter().all(|stem| !path(stem).exists()));
+        assert!(theirs.iter().all(|stem| path(stem).exists()));
+
+        std::fs::write(folder.config(), "seed = 1").unwrap();
+        let error = folder.spare(&folder.config()).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("--out"), "{}", error.message);
+        assert!(folder.spare(&folder.root().join("other.toml")).is_ok());
+        drop(folder.restart_events(&[]).unwrap());
+        assert!(folder.spare(&folder.config()).is_ok(), "a run wrote it");
     }
 
     #[test]

@@ -1,6 +1,9 @@
 //! Where a run keeps its checkpoint, model and test pictures: files of its run folder.
 
-use crate::{pictures, run_folder::RunFolder};
+use crate::{
+    pictures,
+    run_folder::{RunFolder, picture_stem},
+};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trimip_core::{
@@ -74,7 +77,7 @@ impl Store for FileStore<'_> {
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()> {
         let mut comparison = None;
         if self.picked.contains(&view.index) {
-            let stem = format!("{:04}_{}_scale{}", view.index, file_stem(view.name), view.scale);
+            let stem = picture_stem(view.index, &file_stem(view.name), view.scale);
             let (width, height, rgb) = (view.rendered.width, view.rendered.height, view.rendered.rgb());
             let images = self.folder.images();
             pictures::write_png(

@@ -50,14 +50,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// A buffer of `length` zeros.
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Self::Buffer<T>;
 
-    /// Replaces the buffer's values. With [`Backend::read`] the only door to a buffer; both are counted.
+    /// Replaces the buffer's values. With [`Backend::read`] the only door to a buffer.
     fn write<T: Pod + Send + Sync>(&self, buffer: &mut Self::Buffer<T>, values: &[T]);
 
     /// Copies the buffer's values out; waits for the device.
     fn read<T: Pod + Send + Sync>(&self, buffer: &Self::Buffer<T>) -> Vec<T>;
-
-    /// Bytes that went through the doors so far.
-    fn traffic(&self) -> Traffic;
 
     /// Runs `work` with the device's workers at hand; whole-array work inside uses them.
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
@@ -182,15 +179,6 @@ pub fn update_all<B: Backend>(
 /// Work on one span of a training step.
 pub type TrainWork<'a, B> = dyn Fn(&mut Workspace<B>, &mut Deposit<B>, Range<u32>) + Sync + 'a;
 
-/// Bytes between host and device.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Traffic {
-    /// Bytes written to the device.
-    pub written: u64,
-    /// Bytes read from it.
-    pub read: u64,
-}
-
 /// The stages of one model.
 pub struct Stages<B: Backend> {
     /// Spheres to features.
@@ -217,7 +205,7 @@ impl<B: Backend> Stages<B> {
     }
 }
 
-/// Spheres to features (tri-mip encoding, METHOD §3).
+/// Spheres to features (tri-mip encoding, Tri-MipRF Eq. 3 to 5).
 pub trait Encoder<B: Backend>: Send + Sync {
     /// What spans leave behind: feature gradients and where they belong.
     type Gradient: Send;
@@ -258,7 +246,7 @@ pub trait Encoder<B: Backend>: Send + Sync {
     fn flush(&mut self, deposits: &mut [Deposit<B>], parameter_gradient: &mut B::Buffer<f32>);
 }
 
-/// Features to density, then colour (two small networks, METHOD §4). Density apart from colour: occupancy and pruning
+/// Features to density, then colour (two small networks). Density apart from colour: occupancy and pruning
 /// never pay for colour.
 pub trait Field<B: Backend>: Send + Sync {
     /// Activations between forward and backward.
@@ -322,7 +310,7 @@ pub trait Field<B: Backend>: Send + Sync {
     fn flush(&mut self, deposits: &mut [Deposit<B>], parameter_gradient: &mut B::Buffer<f32>);
 }
 
-/// Rays to samples and samples to pixels (METHOD §2 and §5).
+/// Rays to samples and samples to pixels (cones in uniform steps; volume rendering, NeRF Eq. 3).
 pub trait Renderer<B: Backend>: Send + Sync {
     /// Follows the schedules of a run: the marching step at `progress` in [0, 1].
     fn follow(&mut self, progress: f64);
@@ -369,7 +357,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
     );
 }
 
-/// Gradients to parameters (AdamW, METHOD §6).
+/// Gradients to parameters (AdamW, Loshchilov and Hutter 2019).
 pub trait Optimizer<B: Backend>: Send + Sync {
     /// One step of number `step` (from 1) at the networks' learning rate; gradients are divided by `sums.weight` of the
     /// deposits first.
@@ -409,7 +397,7 @@ pub trait Sampler<B: Backend>: Send + Sync {
     fn camera_rays(&self, lane: &mut B::Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);
 }
 
-/// The occupancy grid (METHOD §2).
+/// The occupancy grid (instant-ngp, Appendix C).
 pub trait Occupancy<B: Backend>: Send + Sync {
     /// Chooses the cells that a refresh at `step` asks; returns their number.
     fn choose(&mut self, step: u64) -> u32;
@@ -433,7 +421,7 @@ pub trait Occupancy<B: Backend>: Send + Sync {
     fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>);
 }
 
-/// Pixels to loss (METHOD §6).
+/// Pixels to loss (smooth-L1, weighted by area).
 pub trait Loss<B: Backend>: Send + Sync {
     /// Area-weighted smooth-L1 of each ray, its gradient with respect to the pixel (not yet divided by the sum of the
     /// weights), and the sums.

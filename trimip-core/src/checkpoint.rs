@@ -2,17 +2,21 @@
 //! hashes of (seed, step, index), so the step is all the random state there is.
 
 use crate::{
-    Config, Error, Result,
+    Aabb, Config, Error, Result,
     batch::StepSums,
     events::Totals,
-    model::expect_format,
+    model::{Model, PLANES, expect_format},
     tensors::{TensorFile, Values},
+    tri_mip::{Pyramid, grow},
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Value of the metadata `format` of a checkpoint file.
 const FORMAT: &str = "trimip-checkpoint-1";
+
+/// Name of the tensor of the grid's running maximum of densities.
+pub const OCCUPANCY_DENSITY: &str = "occupancy.density";
 
 /// Steps whose sums may be under way.
 pub const MOST_PENDING: usize = 2;
@@ -59,6 +63,18 @@ impl Checkpoint {
             }
             Values::F16(_) | Values::U8(_) => None,
         })
+    }
+
+    /// The model as it stands, its planes in full size; what only training needs is left out.
+    pub fn into_model(self) -> Model {
+        let Self { config, state, mut file } = self;
+        file.tensors
+            .retain(|name, _| !(name.ends_with(".m") || name.ends_with(".v") || name == OCCUPANCY_DENSITY));
+        if let Some(Values::F32(planes)) = file.tensors.get_mut(PLANES).map(|planes| &mut planes.values) {
+            let whole = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
+            grow(planes, &whole, state.halvings, 0);
+        }
+        Model::new(config, file)
     }
 
     /// Writes the checkpoint, atomically; returns its size in bytes.

@@ -1,4 +1,4 @@
-//! Volume rendering along one ray (METHOD, compositing), with its gradient. Letters: x = σ·δ optical depth of a sample,
+//! Volume rendering along one ray (NeRF Eq. 3), with its gradient. Letters: x = σ·δ optical depth of a sample,
 //! α = 1 − exp(−x), T transmittance before the sample, w = T·α, C = Σ w·c + T_end·background.
 
 use crate::scalar::Real;

@@ -62,7 +62,7 @@ choice!(
     PlanChoice {
         /// Where the scene does not need it.
         Auto,
-        /// Always; an error where it cannot be known what the scene needs.
+        /// Where the scene does not need it, even in settings that were given; an error where that cannot be known.
         On,
         /// Never.
         Off,
@@ -78,7 +78,7 @@ choice!(
     }
 );
 choice!(
-    /// Base radius in the mip level's formula (METHOD: Eq. 5).
+    /// Base radius in the mip level's formula (Tri-MipRF Eq. 5).
     LevelFormula {
         /// texel/√π, the radius of a disc with the texel's area.
         Paper,
@@ -236,6 +236,16 @@ pub enum FinalEval {
     Flag(bool),
     /// Every n-th view; 0: none.
     Stride(u32),
+}
+
+impl DataConfig {
+    /// Which frames a model is tested on, in words.
+    pub fn tested_on(&self) -> String {
+        match self.holdout {
+            0 => self.test.clone(),
+            every => format!("one frame in {every} of {}, kept back", self.train.join(" + ")),
+        }
+    }
 }
 
 impl EvalConfig {
@@ -475,6 +485,11 @@ impl Config {
         check(positive(train.log_seconds), "train.log_seconds", "a number above 0")?;
         check(self.eval.stride >= 1, "eval.stride", "1 or more")?;
         check(self.eval.min_psnr.is_finite(), "eval.min_psnr", "a number")?;
+        check(
+            self.eval.min_psnr <= 0.0 || self.eval.final_stride().is_some(),
+            "eval.min_psnr",
+            "0, where eval.final = false measures nothing",
+        )?;
         Ok(())
     }
 
@@ -519,6 +534,15 @@ mod tests {
     fn defaults_are_whole_and_survive_a_round_trip() {
         let config = Config::default();
         assert_eq!(Config::from_toml("text", &config.to_toml()).unwrap(), config);
+    }
+
+    #[test]
+    fn a_floor_that_nothing_measures_is_refused() {
+        let mut settings = Settings::defaults();
+        settings.apply_assignment("eval.min_psnr=20").unwrap();
+        assert!(Config::from_settings(&settings).is_ok());
+        settings.apply_assignment("eval.final=false").unwrap();
+        assert!(Config::from_settings(&settings).unwrap_err().message.contains("eval.min_psnr"));
     }
 
     #[test]

@@ -10,6 +10,9 @@ use serde::Serialize;
 /// PSNR that a model may lose on the opposite background before it is said, dB.
 const SHINES_THROUGH: f64 = 1.0;
 
+/// PSNR of a view that equals its photograph, dB: one blank view must not make a mean infinite.
+pub const MOST_PSNR: f64 = 100.0;
+
 /// One rendered test view and its measures.
 pub struct ViewResult<'a> {
     /// Index of the frame in the test split.
@@ -76,6 +79,11 @@ pub fn opposite(background: [f32; 3]) -> [f32; 3] {
     background.map(|channel| if channel < 0.5 { 1.0 } else { 0.0 })
 }
 
+/// A PSNR of at most [`MOST_PSNR`]; what is no number stays none.
+fn capped(psnr: f64) -> f64 {
+    if psnr > MOST_PSNR { MOST_PSNR } else { psnr }
+}
+
 /// Renders every `stride`-th frame at every scale; `on_view` sees each result and returns false to stop early.
 pub fn evaluate(
     session: &mut dyn Session,
@@ -96,9 +104,12 @@ pub fn evaluate(
                 let quality = ViewQuality {
                     index,
                     scale: scale.factor,
-                    psnr: psnr(&rgb, &target),
-                    psnr_8bit: psnr_8bit(&rgb, &target),
-                    psnr_opposite: psnr(&rendered.moved(background, other), &set.composited(view, other)),
+                    psnr: capped(psnr(&rgb, &target)),
+                    psnr_8bit: capped(psnr_8bit(&rgb, &target)),
+                    psnr_opposite: capped(psnr(
+                        &rendered.moved(background, other),
+                        &set.composited(view, other),
+                    )),
                     ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
                 };
                 let result = ViewResult {
@@ -182,5 +193,7 @@ mod tests {
         assert_eq!(MeanQuality { psnr_opposite: 19.5, ..mean }.remark(), None);
         assert_eq!(MeanQuality { psnr_opposite: f64::NAN, ..mean }.remark(), None);
         assert_eq!(per_scale(&qualities, 2)[0].images, 2);
+        assert_eq!([capped(f64::INFINITY), capped(120.0), capped(30.0)], [MOST_PSNR, MOST_PSNR, 30.0]);
+        assert!(capped(f64::NAN).is_nan(), "a picture of no numbers is not the best of all");
     }
 }

@@ -1,4 +1,4 @@
-//! Smooth-L1 per channel, with its derivative (METHOD, loss).
+//! Smooth-L1 per channel, with its derivative (β = 1).
 
 use crate::scalar::Real;
 

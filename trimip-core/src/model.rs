@@ -8,7 +8,7 @@ use std::path::Path;
 const FORMAT: &str = "trimip-model-1";
 
 /// Name of the planes' tensor.
-const PLANES: &str = "planes";
+pub(crate) const PLANES: &str = "planes";
 
 /// Name of the occupancy grid's tensor: one bit per cell, cell order, lowest bit first.
 pub const OCCUPANCY: &str = "occupancy";

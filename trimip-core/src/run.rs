@@ -108,8 +108,13 @@ impl Run<'_> {
             }
             if points.first().is_some_and(|&point| point <= self.progress(&totals)) && !done {
                 points.retain(|&point| point > self.progress(&totals));
-                if !self.evaluate_on_the_way(&totals)? {
-                    continue;
+                match self.evaluate_on_the_way(&totals) {
+                    Err(error) if error.kind != ErrorKind::Device => {
+                        return Err(self.save_after(error, &totals, kept));
+                    }
+                    evaluated => {
+                        evaluated?;
+                    }
                 }
             }
         }
@@ -180,15 +185,15 @@ impl Run<'_> {
         }
     }
 
-    /// Returns false when the run was asked to stop meanwhile.
-    fn evaluate_on_the_way(&mut self, totals: &Totals) -> Result<bool> {
+    /// Tells nothing when the run was asked to stop meanwhile.
+    fn evaluate_on_the_way(&mut self, totals: &Totals) -> Result<()> {
         let started = Instant::now();
         let stride = self.config.eval.stride as usize;
         let (qualities, whole) = self.views(stride, false)?;
         if whole && !qualities.is_empty() {
             self.report(&qualities, stride, totals, false, started);
         }
-        Ok(whole)
+        Ok(())
     }
 
     fn evaluate_at_the_end(&mut self, totals: &Totals) -> Result<Outcome> {
@@ -263,7 +268,7 @@ pub fn progress(config: &Config, totals: &Totals) -> f64 {
     if train.seconds > 0.0 { totals.seconds / train.seconds } else { totals.step as f64 / train.steps as f64 }
 }
 
-/// Progress at which a run is evaluated: `count` points evenly spaced in the logarithm from 1/32 to 1.
+/// Progress at which a run is evaluated: `count` points evenly spaced in the logarithm, from 1/32 (left out) to 1.
 pub fn evaluation_points(count: u32) -> Vec<f64> {
     (0..count).map(|i| 32_f64.powf(f64::from(i + 1) / f64::from(count) - 1.0)).collect()
 }

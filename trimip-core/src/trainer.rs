@@ -6,7 +6,7 @@ use crate::{
     adamw::learning_rate,
     backend::{Loss, Occupancy, Sampler, Stages},
     batch::{Deposit, Radiance, StepSums, Workspace},
-    checkpoint::{Checkpoint, MOST_PENDING, TrainState},
+    checkpoint::{Checkpoint, MOST_PENDING, OCCUPANCY_DENSITY, TrainState},
     config::FilePrecision,
     metrics::psnr_of_error,
     model::{Model, OCCUPANCY},
@@ -300,9 +300,7 @@ impl<B: Backend> Trainer<B> {
     fn grow(&self, values: &mut [f32], halvings: u32) {
         let (config, _) = self.config.centred();
         let whole = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
-        for halvings in (halvings..self.state.halvings).rev() {
-            grow(values, &whole.halved(halvings + 1));
-        }
+        grow(values, &whole, self.state.halvings, halvings);
     }
 
     fn halve(&mut self, halvings: u32) {
@@ -359,8 +357,10 @@ impl<B: Backend> Trainer<B> {
     /// Reads all sums that are under way: what a checkpoint holds.
     fn settle(&mut self) -> Result<()> {
         self.state.pending = [None; MOST_PENDING];
+        let first = self.state.totals.step - self.pending.len() as u64;
         for (place, Pending { scale, sums }) in std::mem::take(&mut self.pending).into_iter().enumerate() {
             let sums = self.arrived(sums)?;
+            finite(first + place as u64, &sums)?;
             self.pending.push_back(Pending { scale, sums: Arrival::Counted(sums) });
             self.state.pending[place] = Some((scale, sums));
         }
@@ -508,7 +508,11 @@ impl<B: Backend> Session for Trainer<B> {
 
     fn finish(&mut self) -> Result<Model> {
         let model = self.model()?.rounded();
+        // What follows renders as the file does: by the end of the schedule, also where no step came so far.
+        self.stages.renderer.follow(1.0);
         if model.config.file.planes != FilePrecision::F32 {
+            // The model's planes have their full size, also where the run ended before they had grown to it.
+            self.halve(0);
             self.restore_model("model", &model.file, None)?;
         }
         Ok(model)
@@ -523,7 +527,7 @@ impl<B: Backend> Session for Trainer<B> {
         // A device's count is as new as its moments.
         self.count_left_out();
         let densities = self.stages.occupancy.densities();
-        file.tensors.insert("occupancy.density".into(), Tensor::f32(&[densities.len()], densities));
+        file.tensors.insert(OCCUPANCY_DENSITY.into(), Tensor::f32(&[densities.len()], densities));
         self.backend.health()?;
         Ok(Checkpoint { config: self.config.clone(), state: self.state, file })
     }
@@ -531,7 +535,7 @@ impl<B: Backend> Session for Trainer<B> {
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {
         let name = "checkpoint";
         let cells = (self.config.occupancy.resolution as usize).pow(3);
-        let densities = checkpoint.file.f32(name, "occupancy.density", &[cells])?;
+        let densities = checkpoint.file.f32(name, OCCUPANCY_DENSITY, &[cells])?;
         let first = self.layout.from_tensors(&checkpoint.file, name, ".m")?;
         let second = self.layout.from_tensors(&checkpoint.file, name, ".v")?;
         self.restore_model(name, &checkpoint.file, Some(densities))?;
@@ -546,6 +550,11 @@ impl<B: Backend> Session for Trainer<B> {
         self.halve(self.state.halvings);
         self.refresh();
         let progress = progress(&self.config, &self.state.totals);
+        // A backend with less lag than the one that stopped has used these by now.
+        while self.pending.len() > B::LAG {
+            let Some((scale, sums)) = self.oldest_sums()? else { break };
+            self.adapt_batch(&sums, scale, progress);
+        }
         self.stages.renderer.follow(progress);
         self.stages.sampler.follow(progress);
         Ok(())

@@ -166,9 +166,16 @@ impl Pyramid {
     }
 }
 
+/// Grows the planes of `whole` at the front of `values` in place, from `halvings` halvings of their sides to `fewer`.
+pub fn grow<T: Copy>(values: &mut [T], whole: &Pyramid, halvings: u32, fewer: u32) {
+    for halvings in (fewer..halvings).rev() {
+        double(values, &whole.halved(halvings + 1));
+    }
+}
+
 /// Doubles the sides of the planes of `pyramid` in place: each texel becomes four like it, so that the levels above them
 /// stay what they are. `values` begins with the planes and has room for the result.
-pub fn grow<T: Copy>(values: &mut [T], pyramid: &Pyramid) {
+fn double<T: Copy>(values: &mut [T], pyramid: &Pyramid) {
     // From the end: no texel is overwritten before it is read.
     for plane in (0..3).rev() {
         let (shape, start) = (pyramid.shape(0, plane), pyramid.offset(0, plane));
@@ -309,7 +316,7 @@ mod tests {
         let fine = Pyramid { sides: [8, 4, 12], ..coarse.clone() };
         let value = |i: usize| (i as f32 * 0.37).sin();
         let mut values: Vec<f32> = (0..fine.base_len()).map(value).collect();
-        grow(&mut values, &coarse);
+        double(&mut values, &coarse);
         for plane in 0..3 {
             let (shape, above) = (fine.shape(0, plane), coarse.shape(0, plane));
             for (row, column) in (0..shape.texels()).map(|i| (i / shape.columns, i % shape.columns)) {

@@ -1,5 +1,5 @@
 //! Photographs as the training and the evaluation see them: 8-bit RGBA pixels in one flat array, cut into views, views
-//! grouped by scale. Scale j holds images reduced by 2^j; the area weight of its pixels is 4^j (METHOD, loss).
+//! grouped by scale. Scale j holds images reduced by 2^j; the area weight of its pixels is 4^j (the paper's area loss).
 
 use crate::{Camera, Result, config::Convention};
 use std::ops::Range;

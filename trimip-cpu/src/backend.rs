@@ -14,8 +14,7 @@ use bytemuck::Pod;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
-use trimip_core::backend::{Stages, Traffic, TrainWork, update_all};
+use trimip_core::backend::{Stages, TrainWork, update_all};
 use trimip_core::batch::{Deposit, StepSums, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Field, Layout, Result, ViewSet};
@@ -39,8 +38,6 @@ pub struct CpuBackend {
     pool: rayon::ThreadPool,
     simd: Simd,
     workspaces: Mutex<Vec<Workspace<Self>>>,
-    written: AtomicU64,
-    read: AtomicU64,
 }
 
 impl CpuBackend {
@@ -50,13 +47,7 @@ impl CpuBackend {
             .num_threads(threads as usize)
             .build()
             .map_err(|error| Error::device(format!("cannot start {threads} threads: {error}")))?;
-        Ok(Self {
-            pool,
-            simd,
-            workspaces: Mutex::new(Vec::new()),
-            written: AtomicU64::new(0),
-            read: AtomicU64::new(0),
-        })
+        Ok(Self { pool, simd, workspaces: Mutex::new(Vec::new()) })
     }
 
     /// Threads at work.
@@ -136,16 +127,10 @@ impl Backend for CpuBackend {
     fn write<T: Pod + Send + Sync>(&self, buffer: &mut Buffer<T>, values: &[T]) {
         buffer.resize(values.len());
         buffer.copy_from_slice(values);
-        self.written.fetch_add(size_of_val(values) as u64, Ordering::Relaxed);
     }
 
     fn read<T: Pod + Send + Sync>(&self, buffer: &Buffer<T>) -> Vec<T> {
-        self.read.fetch_add(size_of_val(&buffer[..]) as u64, Ordering::Relaxed);
         buffer.to_vec()
-    }
-
-    fn traffic(&self) -> Traffic {
-        Traffic { written: self.written.load(Ordering::Relaxed), read: self.read.load(Ordering::Relaxed) }
     }
 
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {

@@ -51,19 +51,19 @@ impl Simd {
         match self {
             #[cfg(target_arch = "x86_64")]
             Self::Avx512Bf16 => {
-                debug_assert!(is_x86_feature_detected!("avx512bf16"));
-                // SAFETY: `Simd::available` offers the set only where the processor has it.
+                assert!(is_x86_feature_detected!("avx512bf16"));
+                // SAFETY: the processor has the set, or the line above has panicked.
                 unsafe { x86::run_avx512_bf16(kernel) }
             }
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => {
-                debug_assert!(is_x86_feature_detected!("avx512f"));
+                assert!(is_x86_feature_detected!("avx512f"));
                 // SAFETY: as above.
                 unsafe { x86::run_avx512(kernel) }
             }
             #[cfg(target_arch = "x86_64")]
             Self::Avx2 => {
-                debug_assert!(is_x86_feature_detected!("avx2"));
+                assert!(is_x86_feature_detected!("avx2"));
                 // SAFETY: as above.
                 unsafe { x86::run_avx2(kernel) }
             }

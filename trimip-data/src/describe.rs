@@ -30,7 +30,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
             survey.train.len(),
             splits.join(", "),
             survey.test.len(),
-            config.test
+            config.tested_on()
         ),
         format!("images {}, {}", sizes(&survey.train), alpha(&survey.train)),
         format!("scales {}: {convention}", factors.join(", ")),

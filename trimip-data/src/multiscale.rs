@@ -105,14 +105,23 @@ impl<'a> Table<'a> {
         format!("{} entry {index} ({})", self.node.place, self.paths[index].as_str().unwrap_or("no path"))
     }
 
+    /// A number of an entry.
+    fn value(&self, key: &str, index: usize) -> Result<f64> {
+        self.number(key, index, "a number", |_| true)
+    }
+
     /// A positive number of an entry.
     fn positive(&self, key: &str, index: usize) -> Result<f64> {
+        self.number(key, index, "a number above 0", |value| value > 0.0)
+    }
+
+    fn number(&self, key: &str, index: usize, expected: &str, fits: fn(f64) -> bool) -> Result<f64> {
         let value = &self.node.array(key)?[index];
-        value.as_f64().filter(|value| *value > 0.0).ok_or_else(|| {
+        value.as_f64().filter(|value| fits(*value)).ok_or_else(|| {
             Error::input(
                 self.place(index),
                 format!("\"{key}\" is {}", short(value)),
-                "expected a number above 0: export the set again",
+                format!("expected {expected}: export the set again"),
             )
         })
     }
@@ -184,10 +193,12 @@ impl<'a> Table<'a> {
             };
         }
         // Written beside pix2cam where a camera is not the plain one, because a quotient does not come back exactly.
-        let exact = |key: &str, otherwise: f64| -> Result<f64> {
-            if self.node.get(key).is_none() { Ok(otherwise) } else { self.positive(key, index) }
+        let length = if self.node.get("fl_y").is_none() { k.fy } else { self.positive("fl_y", index)? };
+        // A crop may leave the principal point outside of the picture.
+        let point = |key: &str, otherwise: f64| -> Result<f64> {
+            if self.node.get(key).is_none() { Ok(otherwise) } else { self.value(key, index) }
         };
-        Ok(Intrinsics { fy: exact("fl_y", k.fy)?, cx: exact("cx", k.cx)?, cy: exact("cy", k.cy)?, ..k })
+        Ok(Intrinsics { fy: length, cx: point("cx", k.cx)?, cy: point("cy", k.cy)?, ..k })
     }
 }
 

@@ -63,11 +63,22 @@ impl Photograph {
     }
 }
 
-/// True for a JPEG whose last scan is not followed by an end of image. Neither marker occurs within the coded data,
-/// where a byte FF is always followed by 00 or a restart marker (ITU T.81, B.1.1.5).
+/// True for a JPEG that ends before its image does. Segments are stepped over by their length; within coded data a byte
+/// FF is followed by 00 or a restart marker, else it is the next segment's (ITU T.81, B.1.1). What follows the end of the
+/// image, as the film of a moving photograph does, is not looked at.
 fn is_truncated_jpeg(bytes: &[u8]) -> bool {
-    let last = |marker: u8| bytes.windows(2).rposition(|pair| pair == [0xff, marker]);
-    bytes.starts_with(&[0xff, 0xd8]) && last(0xd9) < last(0xda)
+    let Some(mut rest) = bytes.strip_prefix(&[0xff, 0xd8]) else { return false };
+    let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0x00 | 0x01 | 0xff | 0xd0..=0xd8);
+    while let Some(at) = rest.windows(2).position(is_marker) {
+        if rest[at + 1] == 0xd9 {
+            return false;
+        }
+        let segment = &rest[at + 2..];
+        let Some((&length, _)) = segment.split_first_chunk() else { break };
+        let Some(after) = segment.get(usize::from(u16::from_be_bytes(length))..) else { break };
+        rest = after;
+    }
+    true
 }
 
 fn reader(path: &Path) -> image::ImageResult<ImageReader<BufReader<File>>> {
@@ -162,6 +173,17 @@ mod tests {
                 assert!(message.starts_with("here: image ") && !message.contains('\n'), "{message}");
             }
         }
+    }
+
+    /// As a moving photograph has its film behind the picture.
+    #[test]
+    fn what_follows_the_end_of_the_image_is_not_looked_at() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.jpg");
+        DynamicImage::from(ImageBuffer::from_pixel(9, 5, Rgb([9_u8, 99, 199]))).save(&path).unwrap();
+        let whole = fs::read(&path).unwrap();
+        fs::write(&path, [&whole[..], &[0xff, 0xda, 0x00, 0x7f]].concat()).unwrap();
+        Photograph::open(path, "here".into()).unwrap().decode().unwrap();
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! An image at 1, 1/2, 1/4, ..: repeated 2×2 means of RGBA in f32 of value/255, each level from the unrounded level
-//! before (METHOD: multi-scale set). A last row or column that fills no 2×2 block is cropped at each level.
+//! before. A last row or column that fills no 2×2 block is cropped at each level.
 
 use trimip_core::config::Convention;
 

@@ -61,7 +61,8 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path) -> Result<Summary> {
             "set it to \"public\"",
         ));
     }
-    let survey = Survey::new(config)?;
+    // The set has all frames, whatever is kept back of them in training.
+    let survey = Survey::new(&DataConfig { holdout: 0, ..config.clone() })?;
     refuse_existing(&folder.join(METADATA))?;
     let mut splits: Vec<(&str, &[Source])> = Vec::new();
     let mut rest = survey.train.as_slice();

@@ -71,6 +71,7 @@ fn frames_kept_back_are_tested_on_and_not_trained_on() {
         (whole.train.views[0].name.as_str(), whole.train.pixels_of(0))
     );
     assert_eq!(scene.train.pixels_of(0), whole.train.pixels_of(1));
+    assert!(scene.description[0].contains("(one frame in 2 of"), "{}", scene.description[0]);
     // The test split is not asked for.
     config.test = "nowhere".into();
     assert!(open(&config).is_ok());
@@ -138,6 +139,10 @@ fn a_written_multiscale_set_reads_back_the_same() {
             assert_same(&ours.test.load(index).unwrap(), &theirs.test.load(index).unwrap());
         }
         assert_eq!(summary.images, ours.train.views.len() + ours.test.len() * config.scales as usize);
+        // Frames kept back belong to the set as all others do.
+        let again = tempfile::tempdir().unwrap();
+        let held = trimip_core::config::DataConfig { holdout: 2, ..config.clone() };
+        assert_eq!(write_multiscale(&held, again.path()).unwrap().images, summary.images);
         // A set is never written over.
         assert!(write_multiscale(&config, written.path()).unwrap_err().message.contains("exists already"));
         // Fewer scales of it are the same as fewer scales of the source.

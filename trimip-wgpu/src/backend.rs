@@ -10,13 +10,14 @@ use crate::loss::{Sums, WgpuLoss};
 use crate::occupancy::{OCCUPIED_AT, WgpuOccupancy};
 use crate::optimizer::WgpuOptimizer;
 use crate::renderer::WgpuRenderer;
+use crate::rows::BLOCK;
 use crate::sampler::WgpuSampler;
 use bytemuck::Pod;
 use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use trimip_core::backend::{Stages, Traffic, TrainWork};
+use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::tri_mip::FEATURES;
@@ -190,7 +191,8 @@ impl WgpuBackend {
 /// bytes at once.
 pub fn rooms(config: &Config, training: bool, binding: u64) -> (usize, usize) {
     let widest = (size_of::<f32>() * FEATURES.max(padded(config.field.hidden as usize))) as u64;
-    let most = usize::try_from(binding / widest).unwrap_or(usize::MAX);
+    // Whole blocks, as arrays have them.
+    let most = usize::try_from(binding / widest).unwrap_or(usize::MAX) / BLOCK * BLOCK;
     let wanted = config.train.samples_per_step as usize;
     let marched = if training { (MARCHED_PER_AIM * wanted).max(LEAST_ROOM) } else { VIEW_SAMPLES }.min(most);
     let kept =
@@ -316,11 +318,6 @@ impl Backend for WgpuBackend {
         buffer.read()
     }
 
-    fn traffic(&self) -> Traffic {
-        let Counts { written, read, .. } = self.gpu.counts();
-        Traffic { written, read }
-    }
-
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         work()
     }
@@ -415,5 +412,27 @@ impl Backend for WgpuBackend {
 
     fn health(&self) -> Result<()> {
         self.gpu.check("reading the model back")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Arrays end with whole blocks of rows, and these too have to lie within what the device binds.
+    #[test]
+    fn rooms_fit_a_binding() {
+        let mut config = Config::default();
+        for binding in [128 << 20, (1 << 31) - 4, u64::from(u32::MAX)] {
+            for hidden in (16..=512).step_by(16) {
+                config.field.hidden = hidden;
+                for (samples, training) in [(262_144, true), (1 << 20, true), (1024, false)] {
+                    config.train.samples_per_step = samples;
+                    let (marched, kept) = rooms(&config, training, binding);
+                    let bytes = marched.next_multiple_of(BLOCK) * padded(hidden as usize).max(FEATURES) * 4;
+                    assert!(bytes as u64 <= binding && kept <= marched, "{hidden} {samples} {binding}");
+                }
+            }
+        }
     }
 }

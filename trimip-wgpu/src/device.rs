@@ -7,6 +7,7 @@ use crate::pipelines::Pipelines;
 use bytemuck::Pod;
 use std::collections::VecDeque;
 use std::num::NonZeroU64;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use trimip_core::{Error, Result};
@@ -306,9 +307,9 @@ impl Gpu {
         let done = Arc::new(Mutex::new(None));
         let slot = Arc::clone(&done);
         receipt.staging.map_async(wgpu::MapMode::Read, .., move |result| *lock(&slot) = Some(result));
-        let polled = self.device.poll(wgpu::PollType::Wait { submission_index: wait, timeout: None });
+        let polled = self.poll(wgpu::PollType::Wait { submission_index: wait, timeout: None });
         let mapped = lock(&done).take();
-        let (Ok(_), Some(Ok(()))) = (polled, mapped) else {
+        let (true, Some(Ok(()))) = (polled, mapped) else {
             lock(&self.failure).get_or_insert_with(|| "a buffer could not be read back".into());
             return vec![T::zeroed(); receipt.count];
         };
@@ -455,7 +456,7 @@ impl Gpu {
             return Ok(());
         }
         // A loss is told when the device is polled, after whatever else was refused because of it.
-        let _ = self.device.poll(wgpu::PollType::Poll);
+        self.poll(wgpu::PollType::Poll);
         let Some(message) = lock(&self.failure).clone() else { return Ok(()) };
         let mebibytes = |bytes: u64| bytes.div_ceil(1 << 20);
         let at = |counter: &AtomicU64| mebibytes(counter.load(Ordering::Relaxed));
@@ -467,6 +468,21 @@ impl Gpu {
             at(&self.counters.largest),
             mebibytes(self.limits.max_storage_buffer_binding_size.min(self.limits.max_buffer_size)),
         )))
+    }
+
+    /// Lets the device answer; false when it failed. wgpu panics where a driver gives its device up while it is waited for:
+    /// that panic ends here, as a failure like any other.
+    fn poll(&self, how: wgpu::PollType) -> bool {
+        match catch_unwind(AssertUnwindSafe(|| self.device.poll(how))) {
+            Ok(polled) => polled.is_ok(),
+            Err(panic) => {
+                let told = panic.downcast_ref::<String>().map(String::as_str);
+                let message =
+                    told.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
+                lock(&self.failure).get_or_insert_with(|| format!("the device was lost: {message}"));
+                false
+            }
+        }
     }
 
     fn recorder(&self) -> MutexGuard<'_, Recorder> {

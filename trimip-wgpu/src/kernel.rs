@@ -263,9 +263,14 @@ impl Matrices {
         (1..=4).rev().find(|t| n.is_multiple_of((self.side * t) as usize)).unwrap_or(1)
     }
 
-    /// Rows of a block of `k` columns.
+    /// Rows of a block of `k` columns: they divide the rows that arrays end with ([`crate::rows::BLOCK`]), so that no block
+    /// reaches beyond its array.
     pub fn rows(self, k: usize) -> u32 {
-        (BLOCK / k / 16 * 16).clamp(16, 64) as u32
+        match BLOCK / k {
+            64.. => 64,
+            32.. => 32,
+            _ => 16,
+        }
     }
 
     /// Workgroups for each chunk of a weight gradient [k, n].
@@ -422,7 +427,7 @@ mod tests {
         let matrices = sizes.map(|(side, subgroups)| Some(Matrices { side, subgroups }));
         let matrices = matrices.into_iter().chain([None]);
         let mut kernels: Vec<Kernel> = fixed.into_iter().cloned().collect();
-        for hidden in [16, 32, 48, 80, 128, 512] {
+        for hidden in [16, 32, 48, 80, 128, 144, 160, 512] {
             for (k, n) in [(48, hidden), (hidden, 16), (32, hidden), (hidden, hidden), (16, hidden)] {
                 for matrices in matrices.clone() {
                     let finishes = [Finish::Store, Finish::Relu, Finish::Mask];
@@ -434,6 +439,17 @@ mod tests {
         let additions = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
         kernels.extend(additions.into_iter().flat_map(|a| [scatter(a), pull(a)]));
         kernels
+    }
+
+    /// Cooperative stores write whole blocks of rows: arrays have to end with one.
+    #[test]
+    fn arrays_end_with_whole_blocks() {
+        let matrices = Matrices { side: 16, subgroups: 4 };
+        for k in (16..=512).step_by(16) {
+            let rows = matrices.rows(k) as usize;
+            assert!(crate::rows::BLOCK.is_multiple_of(rows) && rows.is_multiple_of(16), "{k}");
+            assert!(rows * k <= BLOCK, "{k}: workgroup memory");
+        }
     }
 
     #[test]

@@ -28,7 +28,7 @@ pub struct Sums(pub Option<DeviceSums>);
 
 /// Where the sums are.
 pub struct DeviceSums {
-    /// Eight floats; the last four are counts in their bits.
+    /// Eight words: the bits of four floats, and four counts.
     pub buffer: wgpu::Buffer,
     /// Rays of the step.
     pub rays: u32,
@@ -38,7 +38,7 @@ pub struct DeviceSums {
 pub struct WgpuLoss {
     gpu: Arc<Gpu>,
     config: LossConfig,
-    sums: Buffer<f32>,
+    sums: Buffer<u32>,
 }
 
 impl WgpuLoss {

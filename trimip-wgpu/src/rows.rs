@@ -5,7 +5,7 @@ use crate::device::Size;
 use bytemuck::Pod;
 
 /// Rows that a workgroup takes at most: arrays have room for whole blocks.
-const BLOCK: usize = 64;
+pub const BLOCK: usize = 64;
 
 /// A counter of rows.
 pub struct Rows {

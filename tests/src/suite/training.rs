@@ -3,8 +3,13 @@
 use crate::fixtures::{self, photographs};
 use glam::DVec3;
 use trimip_core::{
-    Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet, adamw::Rule,
-    checkpoint::Checkpoint, config::Untouched, params::Kind, schedule::Schedule, trainer::Trainer,
+    Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet,
+    adamw::Rule,
+    checkpoint::Checkpoint,
+    config::{FilePrecision, Untouched},
+    params::Kind,
+    schedule::Schedule,
+    trainer::Trainer,
     tri_mip::CHANNELS,
 };
 
@@ -65,6 +70,26 @@ pub fn scheduled() -> Result<Config> {
     Ok(config)
 }
 
+/// A run that ends before its planes have grown to their full size renders what its model's file renders.
+///
+/// # Errors
+/// When the settings are refused or a step fails.
+pub fn finish_early<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut config = scheduled()?;
+    config.file.planes = FilePrecision::F16;
+    let views = fixtures::noise(3, 16, 2, 2);
+    let camera = views.views[0].camera;
+    let mut trainer = Trainer::new(make(), &config, views)?;
+    steps(&mut trainer, &config, 3)?;
+    let model = trainer.finish()?;
+    let mut loaded = Trainer::from_model(make(), &model)?;
+    assert!(
+        trainer.render(&camera)?.pixels == loaded.render(&camera)?.pixels,
+        "other pictures than the file's"
+    );
+    Ok(())
+}
+
 /// Where the marching step shrinks to a quarter, the batch keeps its samples, not its rays.
 ///
 /// # Errors
@@ -102,9 +127,11 @@ fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &std::p
         let mut first = Trainer::new(make(), config, views())?;
         steps(&mut first, config, stop)?;
         first.checkpoint()?.write(file)?;
+        let model = first.model()?;
         drop(first);
         let read = Checkpoint::read(file)?;
         assert_eq!(read.state.totals.step, stop);
+        assert!(read.clone().into_model().file.tensors == model.file.tensors, "step {stop}: another model");
         let mut second = Trainer::new(make(), config, views())?;
         second.restore(&read)?;
         steps(&mut second, config, 18 - stop)?;

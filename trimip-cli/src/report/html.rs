@@ -187,7 +187,7 @@ fn measure(report: &Report<'_>) -> String {
          over the scales. SSIM follows Wang et al. 2004: Gaussian window of 11 pixels, σ = 1.5, K<sub>1</sub> = 0.01, \
          K<sub>2</sub> = 0.03.</p>\n<p>Coarser photographs are {convention}. Trained on {}, tested on {}.</p></section>\n",
         escape(&data.train.join(" + ")),
-        escape(&data.test),
+        escape(&data.tested_on()),
     )
 }
 
@@ -198,6 +198,10 @@ fn course(report: &Report<'_>) -> String {
     let wall: f64 = history.parts.iter().map(|part| part.wall_seconds).sum();
     let count = |value: u64| terminal::number(value as f64, "");
     let per = |value: u64| format!("{:.1}", value as f64 / totals.rays.max(1) as f64);
+    let predicted = match report.config.backend.as_str() {
+        "cpu" => "memory predicted",
+        _ => "memory of the device, predicted",
+    };
     let run = [
         ("training", terminal::duration(totals.seconds)),
         ("evaluation", terminal::duration(history.evaluation_seconds())),
@@ -211,7 +215,7 @@ fn course(report: &Report<'_>) -> String {
         ("occupied cells", format!("{:.2} %", 100.0 * history.training.occupied)),
         ("empty batches", totals.empty_batches.to_string()),
         ("non-finite values", totals.non_finite.to_string()),
-        ("memory predicted", history.predicted_memory_bytes.map_or_else(unknown, terminal::bytes)),
+        (predicted, history.predicted_memory_bytes.map_or_else(unknown, terminal::bytes)),
         ("memory used at most", history.peak_memory_bytes().map_or_else(unknown, terminal::bytes)),
     ];
     let threads = match report.config.threads {

@@ -53,7 +53,7 @@ fn value(report: &Report<'_>) -> Value {
             "psnr_opposite": "the same of unrounded values on black where the background is bright, on white where it is dark",
             "background": config.data.background,
             "convention": config.data.convention,
-            "split": config.data.test,
+            "split": config.data.tested_on(),
             "stride": headline.map(|e| e.stride),
             "complete": history.last().is_some(),
         },

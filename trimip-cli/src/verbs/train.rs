@@ -37,6 +37,9 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
         .clone()
         .unwrap_or_else(|| settings::default_folder(arguments.settings.config.as_deref()));
     let folder = RunFolder::new(&root);
+    if let Some(file) = &arguments.settings.config {
+        folder.spare(file)?;
+    }
     folder.prepare()?;
     // A run that goes on keeps the plan it began with; another one is planned when its scene is known.
     let (mut settings, mut findings) = (given.clone(), Vec::new());
@@ -54,23 +57,13 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     }
     let stop = interrupt::install()?;
     let scene = trimip_data::open(&config.data)?;
-    if arguments.fresh {
-        folder.clear()?;
-    }
     if checkpoint.is_none() {
         settings = given;
         let facts = Facts { train: &scene.train, test: &scene.test.cameras() };
         findings = scene_plan::make(&mut settings, &facts)?;
         config = Config::from_settings(&settings)?;
-        folder.write_findings(&findings)?;
     }
-    folder.prepare_images()?;
-    write_atomically(&folder.config(), config.to_toml().as_bytes())?;
-
     let totals = checkpoint.as_ref().map_or_else(Totals::default, |checkpoint| checkpoint.state.totals);
-    // Without a checkpoint the run begins at its beginning, and so do its events.
-    let kept = checkpoint.as_ref().map_or_else(Vec::new, |_| up_to(folder.events(), totals.step));
-    let mut recorder = Recorder::new(&folder, &kept, Display::new(arguments.progress))?;
     let subject = Subject {
         name: &scene.name,
         description: &scene.description,
@@ -79,16 +72,33 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     };
     let memory = backends::predict_memory(&config, &scene.train);
     let plan = Plan::new(&config, &subject, &findings, &memory, folder.root(), totals.step);
-    let warning = plan.memory_warning(&Machine::detect());
+    // A GPU has memory of its own, and says itself what it has no room for.
+    let on_host = config.backend == "cpu";
+    let warning = on_host.then(|| plan.memory_warning(&Machine::detect())).flatten();
+    let mut session = backends::train(&config, scene.train)?;
+    let resumed = checkpoint.is_some();
+    // What was read is not needed beside what it was read into.
+    if let Some(checkpoint) = checkpoint {
+        session.restore(&checkpoint)?;
+    }
+
+    // Nothing of an earlier run is touched before everything that can be refused was refused.
+    if arguments.fresh {
+        folder.clear()?;
+    }
+    if !resumed {
+        folder.write_findings(&findings)?;
+    }
+    folder.prepare_images()?;
+    write_atomically(&folder.config(), config.to_toml().as_bytes())?;
+    // Without a checkpoint the run begins at its beginning, and so do its events.
+    let kept = if resumed { up_to(folder.events(), totals.step) } else { Vec::new() };
+    let mut recorder = Recorder::new(&folder, &kept, Display::new(arguments.progress))?;
     recorder.emit(&Event::Plan { lines: plan.lines, memory_bytes: plan.memory_bytes });
     for message in scene.warnings.iter().cloned().chain(warning) {
         recorder.emit(&Event::Warning { message });
     }
-
-    let mut session = backends::train(&config, scene.train)?;
-    // What was read is not needed beside what it was read into.
-    if let Some(checkpoint) = checkpoint {
-        session.restore(&checkpoint)?;
+    if resumed {
         recorder.emit(&Event::Resumed { totals });
     }
     let stride = config.eval.final_stride().unwrap_or(1);

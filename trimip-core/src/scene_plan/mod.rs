@@ -65,7 +65,9 @@ enum Proposal {
 
 type Decide = fn(&Config, &Config, &Facts<'_>) -> Proposal;
 
-/// A decision: its key, the settings that are its own (one that the user set himself is not touched), and its rule.
+/// A decision: its key, the settings that are its own (`auto` leaves the decision alone where the user gave one of them),
+/// and its rule. Rules also lower `encoder.plane_size`, `renderer.steps_per_diagonal` and `occupancy.resolution`, given or
+/// not, with the box that they divide: a texel, a step and a cell stay as wide as configured.
 struct Decision {
     key: &'static str,
     owns: &'static [&'static str],
@@ -242,7 +244,7 @@ fn fit_box(now: &Config, configured: &Config, facts: &Facts<'_>) -> Proposal {
             ("scene.aabb_max", corner(smaller.scene.aabb_max)),
             ("encoder.shape", Value::String("box".into())),
             ("encoder.plane_size", Value::Integer(smaller.encoder.plane_size.into())),
-            ("renderer.steps_per_diagonal", Value::Integer(steps.ceil().max(8.0) as i64)),
+            ("renderer.steps_per_diagonal", Value::Integer(steps.ceil().max(16.0) as i64)),
         ],
     }
 }

@@ -7,7 +7,7 @@ use glam::DVec3;
 /// Cells along each side of the first pass, over the whole box, and of the second, over what the first left.
 const CELLS: [usize; 2] = [48, 96];
 
-/// Views looked at, at most: fewer views only leave a larger hull.
+/// Silhouettes looked at, at most: fewer only leave a larger hull, since the other views still say what they see.
 const MOST_VIEWS: usize = 128;
 
 /// Width or height in pixels below which a scale is too coarse, where there is a finer one.
@@ -16,7 +16,8 @@ const FINE_ENOUGH: u32 = 128;
 /// Where a view shows something: sums of pixels with any opacity over every rectangle from the upper left corner.
 struct Silhouette {
     camera: Camera,
-    sums: Vec<u32>,
+    /// `None` for a photograph without any clear pixel: it sees, but tells nothing.
+    sums: Option<Vec<u32>>,
 }
 
 /// What a view says of a cell.
@@ -30,12 +31,11 @@ enum Verdict {
 }
 
 impl Silhouette {
-    /// `None` for a photograph without any clear pixel, which tells nothing.
-    fn new(views: &ViewSet, index: usize) -> Option<Self> {
+    fn new(views: &ViewSet, index: usize) -> Self {
         let camera = views.views[index].camera;
         let (width, pixels) = (camera.intrinsics.width as usize, views.pixels_of(index));
         if pixels.iter().all(|pixel| pixel[3] > 0) {
-            return None;
+            return Self { camera, sums: None };
         }
         let mut sums = vec![0; (width + 1) * (camera.intrinsics.height as usize + 1)];
         for (y, row) in pixels.chunks_exact(width).enumerate() {
@@ -45,12 +45,12 @@ impl Silhouette {
                 sums[(y + 1) * (width + 1) + x + 1] = sums[y * (width + 1) + x + 1] + sum;
             }
         }
-        Some(Self { camera, sums })
+        Self { camera, sums: Some(sums) }
     }
 
     /// Pixels that show something in columns and rows `low` to `high`, the last excluded.
-    fn count(&self, low: [usize; 2], high: [usize; 2]) -> u32 {
-        let at = |x: usize, y: usize| self.sums[y * (self.camera.intrinsics.width as usize + 1) + x];
+    fn count(&self, sums: &[u32], low: [usize; 2], high: [usize; 2]) -> u32 {
+        let at = |x: usize, y: usize| sums[y * (self.camera.intrinsics.width as usize + 1) + x];
         at(high[0], high[1]) + at(low[0], low[1]) - at(low[0], high[1]) - at(high[0], low[1])
     }
 
@@ -62,8 +62,10 @@ impl Silhouette {
         if depth <= 2.0 * radius {
             return if depth < -radius { Verdict::Unseen } else { Verdict::Maybe };
         }
-        // A pixel more: an edge may lie between the centres of two.
-        let reach = k.fx.max(k.fy) * radius / (depth - radius) + 1.0;
+        // A point of the ball moves the farther, the wider it lies off the axis. A pixel more: an edge may lie between the
+        // centres of two.
+        let off_axis = (1.0 + (at.x * at.x + at.y * at.y) / (depth * depth)).sqrt();
+        let reach = k.fx.max(k.fy) * radius * off_axis / (depth - radius) + 1.0;
         let (x, y) = (k.cx + k.fx * at.x / depth, k.cy - k.fy * at.y / depth);
         let (width, height) = (f64::from(k.width), f64::from(k.height));
         if x + reach <= 0.0 || y + reach <= 0.0 || x - reach >= width || y - reach >= height {
@@ -74,7 +76,10 @@ impl Silhouette {
         }
         let low = [x - reach, y - reach].map(|value| value.floor() as usize);
         let high = [x + reach, y + reach].map(|value| value.ceil() as usize);
-        if self.count(low, high) > 0 { Verdict::Maybe } else { Verdict::Empty }
+        match &self.sums {
+            Some(sums) if self.count(sums, low, high) == 0 => Verdict::Empty,
+            _ => Verdict::Maybe,
+        }
     }
 }
 
@@ -87,9 +92,18 @@ pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>) -> Option<Aabb<f64>> {
     };
     let scale = views.scales.iter().rev().find(fine_enough).or(views.scales.first())?;
     let stride = scale.views.len().div_ceil(MOST_VIEWS).max(1);
-    let silhouettes: Vec<_> =
-        scale.views.clone().step_by(stride).filter_map(|index| Silhouette::new(views, index)).collect();
-    if silhouettes.is_empty() {
+    let mut silhouettes: Vec<_> = scale
+        .views
+        .clone()
+        .enumerate()
+        .map(|(place, index)| match place % stride {
+            0 => Silhouette::new(views, index),
+            _ => Silhouette { camera: views.views[index].camera, sums: None },
+        })
+        .collect();
+    // Those that tell something first: most cells are carved before the others are asked.
+    silhouettes.sort_by_key(|silhouette| silhouette.sums.is_none());
+    if silhouettes.first().is_none_or(|silhouette| silhouette.sums.is_none()) {
         return None;
     }
     CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells))
@@ -122,6 +136,9 @@ fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize) -> Option<Aa
 fn kept(silhouettes: &[Silhouette], centre: DVec3, radius: f64) -> bool {
     let mut seen = false;
     for silhouette in silhouettes {
+        if seen && silhouette.sums.is_none() {
+            break;
+        }
         match silhouette.verdict(centre, radius) {
             Verdict::Unseen => {}
             Verdict::Maybe => seen = true,
@@ -170,6 +187,39 @@ mod tests {
                 assert!((-1e-9..0.15).contains(&above), "axis {axis}: {above} above {object:?}");
             }
         }
+    }
+
+    /// A place that only an opaque photograph sees, a close-up say, is somebody's subject.
+    #[test]
+    fn what_an_opaque_photograph_sees_stays() {
+        let whole = Aabb { min: [-1.5; 3], max: [1.5; 3] };
+        let object = Aabb { min: [-1.2, -0.2, -0.2], max: [-0.8, 0.2, 0.2] };
+        let mut views = photographs(&object, false);
+        // All look at the object through a narrow lens, from the side where nothing else is.
+        let narrow = Intrinsics::from_angle(160, 160, 0.25);
+        views.views.truncate(2);
+        for (index, origin) in
+            [DVec3::new(-1.0, 0.5, 5.0), DVec3::new(-1.0, 5.0, 0.5)].into_iter().enumerate()
+        {
+            let camera = Camera::look_at(narrow, origin, DVec3::new(-1.0, 0.0, 0.0), DVec3::Z);
+            views.views[index].camera = camera;
+            let cones = (0..160).flat_map(|y| (0..160).map(move |x| camera.cone::<f64>(x, y)));
+            let start = views.views[index].offset;
+            for (pixel, cone) in views.pixels[start..].iter_mut().zip(cones) {
+                let (enter, leave) = object.intersect(cone.origin, cone.direction);
+                pixel[3] = if enter < leave { 255 } else { 0 };
+            }
+        }
+        views.scales[0].views = 0..2;
+        let without = bounds(&views, &whole).unwrap();
+        let close = Camera::look_at(narrow, DVec3::new(1.1, 0.0, 3.0), DVec3::new(1.1, 0.0, 0.0), DVec3::Y);
+        let offset = views.pixels.len();
+        views.pixels.extend(vec![[200, 200, 200, 255]; 160 * 160]);
+        views.views.push(View { name: "close".into(), camera: close, offset });
+        views.scales[0].views = 0..3;
+        let with = bounds(&views, &whole).unwrap();
+        assert!(without.max[0] < 0.5, "{without:?}");
+        assert!(with.max[0] > 1.1 && with.min[0] <= without.min[0], "{with:?}");
     }
 
     #[test]

@@ -17,8 +17,9 @@ struct Params {
 @group(0) @binding(3) var<storage, read> targets: array<f32>;
 // Loss, weight, squared error, pixels that are not finite.
 @group(0) @binding(4) var<storage, read_write> partial: array<vec4<f32>>;
-// The same of the step, then as bits: samples marched and kept, and dropped from both for want of room.
-@group(0) @binding(5) var<storage, read_write> sums: array<f32>;
+// The same of the step as bits, then samples marched and kept, and dropped from both for want of room. Not the reverse,
+// counts as floats: small ones would be denormal, which a device may take for zero.
+@group(0) @binding(5) var<storage, read_write> sums: array<u32>;
 @group(0) @binding(6) var<storage, read> counts: array<u32>;
 @group(0) @binding(7) var<storage, read> segments: array<vec2<u32>>;
 
@@ -99,12 +100,9 @@ fn add_up(@builtin(local_invocation_index) local: u32) {
     }
     let sum = total(local, own);
     if local == 0u {
-        sums[0] = sum.x;
-        sums[1] = sum.y;
-        sums[2] = sum.z;
-        sums[3] = sum.w;
         for (var c = 0u; c < 4u; c++) {
-            sums[4u + c] = bitcast<f32>(counts[c]);
+            sums[c] = bitcast<u32>(sum[c]);
+            sums[4u + c] = counts[c];
         }
     }
 }
