@@ -33,36 +33,12 @@ impl Store for Shelf {
     }
 }
 
-/// No test frames.
-struct Nothing;
-
-impl Frames for Nothing {
-    fn len(&self) -> usize {
-        0
-    }
-
-    fn cameras(&self) -> Vec<Camera> {
-        Vec::new()
-    }
-
-    fn load(&self, _: usize) -> Result<ViewSet> {
-        unreachable!("there is none")
-    }
-}
-
-fn run(trainer: &mut dyn Session, config: &Config, totals: Totals, shelf: &mut Shelf) -> trimip_core::Error {
-    let stop = AtomicBool::new(false);
-    Run { config, session: trainer, frames: &Nothing, store: shelf, events: &mut |_: &Event| {}, stop: &stop }
-        .train(totals)
-        .expect_err("the run fails")
-}
-
-/// One test frame that cannot be read.
-struct Unreadable;
+/// So many test frames, none of which can be read.
+struct Unreadable(usize);
 
 impl Frames for Unreadable {
     fn len(&self) -> usize {
-        1
+        self.0
     }
 
     fn cameras(&self) -> Vec<Camera> {
@@ -72,6 +48,20 @@ impl Frames for Unreadable {
     fn load(&self, _: usize) -> Result<ViewSet> {
         Err(trimip_core::Error::input("r_0.png", "is torn", "copy it again"))
     }
+}
+
+fn run(trainer: &mut dyn Session, config: &Config, totals: Totals, shelf: &mut Shelf) -> trimip_core::Error {
+    let stop = AtomicBool::new(false);
+    Run {
+        config,
+        session: trainer,
+        frames: &Unreadable(0),
+        store: shelf,
+        events: &mut |_: &Event| {},
+        stop: &stop,
+    }
+    .train(totals)
+    .expect_err("the run fails")
 }
 
 #[test]
@@ -85,7 +75,7 @@ fn a_test_view_that_cannot_be_read_costs_no_step() {
     let error = Run {
         config: &config,
         session: &mut trainer,
-        frames: &Unreadable,
+        frames: &Unreadable(1),
         store: &mut shelf,
         events,
         stop: &stop,

@@ -20,7 +20,7 @@ pub struct ViewRecord {
     pub name: String,
     /// Reduction of the view.
     pub scale: u32,
-    /// dB; `None` where it is infinite.
+    /// dB; `None` where it is no number.
     pub psnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,

@@ -1,5 +1,5 @@
-//! The binary occupancy grid's rules (instant-ngp, Appendix C): which cells a refresh asks, how they decay, where the threshold
-//! lies. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
+//! The binary occupancy grid's rules (instant-ngp, Appendix C): which cells a refresh asks, how they decay, where the
+//! threshold lies. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
 
 use crate::{
     config::OccupancyConfig,

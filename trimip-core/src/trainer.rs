@@ -357,7 +357,7 @@ impl<B: Backend> Trainer<B> {
     /// Reads all sums that are under way: what a checkpoint holds.
     fn settle(&mut self) -> Result<()> {
         self.state.pending = [None; MOST_PENDING];
-        let first = self.state.totals.step - self.pending.len() as u64;
+        let first = self.state.totals.step.saturating_sub(self.pending.len() as u64);
         for (place, Pending { scale, sums }) in std::mem::take(&mut self.pending).into_iter().enumerate() {
             let sums = self.arrived(sums)?;
             finite(first + place as u64, &sums)?;

@@ -7,7 +7,7 @@ use crate::{
     terminal,
 };
 use std::path::Path;
-use trimip_core::evaluate::mean_quality;
+use trimip_core::evaluate::{MOST_PSNR, mean_quality};
 use trimip_core::{Aabb, Origin, Result, config::Convention, run::progress, tri_mip::Pyramid};
 
 /// The whole page; `images` is the folder of the comparisons.
@@ -183,7 +183,7 @@ fn measure(report: &Report<'_>) -> String {
     format!(
         "<section><h2>How it was measured</h2>\n<p>PSNR is −10·log<sub>10</sub> of the mean squared error of one image, on \
          rendered values clipped to [0, 1] and not rounded, in the photographs’ own sRGB values from 0 to 1; the target is \
-         the 8-bit photograph on the background ({r}, {g}, {b}). A scale’s figure is the mean over its images, the headline the mean \
+         the 8-bit photograph on the background ({r}, {g}, {b}); an image that equals it counts as {MOST_PSNR} dB. A scale’s figure is the mean over its images, the headline the mean \
          over the scales. SSIM follows Wang et al. 2004: Gaussian window of 11 pixels, σ = 1.5, K<sub>1</sub> = 0.01, \
          K<sub>2</sub> = 0.03.</p>\n<p>Coarser photographs are {convention}. Trained on {}, tested on {}.</p></section>\n",
         escape(&data.train.join(" + ")),
