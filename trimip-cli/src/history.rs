@@ -188,6 +188,7 @@ pub mod tests {
             psnr,
             psnr_8bit: psnr,
             psnr_opposite: psnr,
+            psnr_constant: 12.0,
             ssim: 0.9,
         };
         Event::Evaluation {

@@ -193,6 +193,7 @@ mod tests {
             psnr,
             psnr_8bit: psnr,
             psnr_opposite: psnr,
+            psnr_constant: 12.0,
             ssim: 0.5,
         };
         let lines = table(&[scale(1, 20.0), scale(2, 30.0)]);

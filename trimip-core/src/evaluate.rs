@@ -3,7 +3,7 @@
 use crate::{
     Frame, Frames, Result, Session,
     events::ScaleQuality,
-    metrics::{psnr, psnr_8bit, ssim},
+    metrics::{psnr, psnr_8bit, psnr_of_constant, psnr_of_error, ssim},
 };
 use serde::Serialize;
 
@@ -44,6 +44,8 @@ pub struct ViewQuality {
     pub psnr_8bit: f64,
     /// dB, on the opposite background, see [`opposite`].
     pub psnr_opposite: f64,
+    /// dB, of the photograph's mean colour instead of the rendering.
+    pub psnr_constant: f64,
     /// Structural similarity.
     pub ssim: f64,
 }
@@ -57,11 +59,24 @@ pub struct MeanQuality {
     pub psnr_8bit: f64,
     /// dB, on the opposite background.
     pub psnr_opposite: f64,
+    /// dB, of each photograph's mean colour.
+    pub psnr_constant: f64,
     /// Structural similarity.
     pub ssim: f64,
 }
 
+/// PSNR that a model must have above that of constant pictures, dB; less is a fog of the right colour.
+const LEARNED: f64 = 1.0;
+
 impl MeanQuality {
+    /// False for a model that shows nothing: hardly better than each photograph's mean colour, or no number at all.
+    pub fn learned(&self) -> bool {
+        self.psnr.is_finite()
+            && (self.psnr_constant.is_nan()
+                || self.psnr >= self.psnr_constant + LEARNED
+                || self.psnr >= MOST_PSNR)
+    }
+
     /// What to say of a model that lets its background shine through where the photographs do not.
     pub fn remark(&self) -> Option<String> {
         (self.psnr - self.psnr_opposite > SHINES_THROUGH).then(|| {
@@ -110,6 +125,7 @@ pub fn evaluate(
                         &rendered.moved(background, other),
                         &set.composited(view, other),
                     )),
+                    psnr_constant: capped(psnr_of_constant(&target)),
                     ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
                 };
                 let result = ViewResult {
@@ -152,6 +168,8 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
                 psnr: mean(&|q| q.psnr),
                 psnr_8bit: mean(&|q| q.psnr_8bit),
                 psnr_opposite: mean(&|q| q.psnr_opposite),
+                // Errors are averaged here: a blank view, which a constant equals, must not stand for all others.
+                psnr_constant: capped(psnr_of_error(mean(&|q| 10_f64.powf(-0.1 * q.psnr_constant)))),
                 ssim: mean(&|q| q.ssim),
             }
         })
@@ -166,6 +184,7 @@ pub fn mean_quality(scales: &[ScaleQuality]) -> MeanQuality {
         psnr: mean(&|scale| scale.psnr),
         psnr_8bit: mean(&|scale| scale.psnr_8bit),
         psnr_opposite: mean(&|scale| scale.psnr_opposite),
+        psnr_constant: mean(&|scale| scale.psnr_constant),
         ssim: mean(&|scale| scale.ssim),
     }
 }
@@ -182,6 +201,7 @@ mod tests {
             psnr,
             psnr_8bit: psnr,
             psnr_opposite: psnr - 2.0,
+            psnr_constant: 12.0,
             ssim: 0.5,
         };
         let qualities = [view(0, 1, 20.0), view(1, 1, 30.0), view(2, 1, 40.0), view(0, 2, 10.0)];
@@ -192,6 +212,8 @@ mod tests {
         assert!(mean.remark().is_some_and(|remark| remark.contains("18.00 dB")));
         assert_eq!(MeanQuality { psnr_opposite: 19.5, ..mean }.remark(), None);
         assert_eq!(MeanQuality { psnr_opposite: f64::NAN, ..mean }.remark(), None);
+        assert!(mean.learned() && !MeanQuality { psnr: 12.9, ..mean }.learned());
+        assert!(!MeanQuality { psnr: f64::NAN, ..mean }.learned());
         assert_eq!(per_scale(&qualities, 2)[0].images, 2);
         assert_eq!([capped(f64::INFINITY), capped(120.0), capped(30.0)], [MOST_PSNR, MOST_PSNR, 30.0]);
         assert!(capped(f64::NAN).is_nan(), "a picture of no numbers is not the best of all");

@@ -28,6 +28,9 @@ pub struct ScaleQuality {
     /// The same of unrounded colours on the opposite background: what shines through the model lowers it.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_opposite: f64,
+    /// PSNR of each photograph's mean colour, from the mean of their errors: what a model that learned nothing reaches.
+    #[serde(default = "unknown", deserialize_with = "float_or_null")]
+    pub psnr_constant: f64,
     /// Mean over the images of the structural similarity.
     #[serde(deserialize_with = "float_or_null")]
     pub ssim: f64,
@@ -181,6 +184,7 @@ mod tests {
             psnr: f64::INFINITY,
             psnr_8bit: 50.0,
             psnr_opposite: 40.0,
+            psnr_constant: 10.0,
             ssim: 1.0,
         }];
         let event = Event::Evaluation {

@@ -19,6 +19,18 @@ pub fn psnr_8bit(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     psnr(&rounded, target)
 }
 
+/// PSNR of the constant picture that is closest to `target`, its mean colour: what a model that learned nothing but the
+/// overall colour reaches, dB.
+pub fn psnr_of_constant(target: &[[f32; 3]]) -> f64 {
+    let count = target.len().max(1) as f64;
+    let values = |c: usize| target.iter().map(move |rgb| f64::from(rgb[c].clamp(0.0, 1.0)));
+    let variance = (0..3).map(|c| {
+        let mean = values(c).sum::<f64>() / count;
+        values(c).map(|value| (value - mean).powi(2)).sum::<f64>() / count
+    });
+    psnr_of_error(variance.sum::<f64>() / 3.0)
+}
+
 /// PSNR of a mean squared error, dB.
 pub fn psnr_of_error(mean_squared_error: f64) -> f64 {
     -10.0 * mean_squared_error.log10()

@@ -61,7 +61,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     if let Some(path) = &arguments.json {
         let views: Vec<_> = qualities
             .iter()
-            .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "psnr_8bit": q.psnr_8bit, "psnr_opposite": q.psnr_opposite, "ssim": q.ssim }))
+            .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "psnr_8bit": q.psnr_8bit, "psnr_opposite": q.psnr_opposite, "psnr_constant": q.psnr_constant, "ssim": q.ssim }))
             .collect();
         let report = json!({
             "model": arguments.model.display().to_string(),
