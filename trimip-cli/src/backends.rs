@@ -2,7 +2,7 @@
 
 use crate::check::{self, Finding};
 use crate::verbs::bench::stages::{self, StageError};
-use trimip_core::{Camera, Config, Error, Result, Session, ViewSet, model::Model};
+use trimip_core::{Camera, Config, Error, Result, Session, ViewSet, model::Model, scene_plan::Compute};
 
 /// Backends of this build.
 pub fn names() -> &'static [&'static str] {
@@ -83,6 +83,16 @@ pub fn predict_memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
         return trimip_wgpu::memory(config, views);
     }
     trimip_cpu::memory(config, views)
+}
+
+/// What the configured backend computes with.
+pub fn compute(config: &Config) -> Result<Compute> {
+    check(&config.backend)?;
+    #[cfg(feature = "wgpu")]
+    if config.backend == "wgpu" {
+        return trimip_wgpu::compute(&config.wgpu.adapter);
+    }
+    Ok(trimip_cpu::compute(config.threads))
 }
 
 /// Backends that this machine can run.

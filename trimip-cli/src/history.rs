@@ -10,6 +10,10 @@ pub struct Evaluation {
     pub totals: Totals,
     /// Every n-th test view was used.
     pub stride: usize,
+    /// Test views there are; 0 where that is not known.
+    pub frames: usize,
+    /// True where there was no time for all views or scales that were asked for.
+    pub bounded: bool,
     /// True for the evaluation that ends the run.
     pub last: bool,
     /// Per scale, fine to coarse.
@@ -81,7 +85,7 @@ impl History {
             Event::Step { loss, occupied, .. } => {
                 self.training = Training { loss: *loss, occupied: *occupied };
             }
-            Event::Evaluation { totals, stride, last, scales, psnr, ssim, seconds } => {
+            Event::Evaluation { totals, stride, frames, bounded, last, scales, psnr, ssim, seconds } => {
                 // A step that is evaluated again, after a resume, replaces what was measured there.
                 self.evaluations.retain(|other| {
                     (other.totals.step, other.stride) != (totals.step, *stride) && !(*last && other.last)
@@ -89,6 +93,8 @@ impl History {
                 self.evaluations.push(Evaluation {
                     totals: *totals,
                     stride: *stride,
+                    frames: *frames,
+                    bounded: *bounded,
                     last: *last,
                     scales: scales.clone(),
                     psnr: *psnr,
@@ -100,6 +106,10 @@ impl History {
                 self.warnings.push(message.clone())
             }
             Event::Finished { .. } => self.finished = true,
+            Event::Extended { .. } => {
+                self.finished = false;
+                self.evaluations.iter_mut().for_each(|evaluation| evaluation.last = false);
+            }
             Event::SessionEnded { backend, device, wall_seconds, peak_memory_bytes } => {
                 self.parts.push(Part {
                     backend: backend.clone(),
@@ -122,9 +132,18 @@ impl History {
         self.last().or(self.evaluations.last())
     }
 
-    /// Evaluations that may be drawn as one line: all on the same test views, in the order of steps.
-    pub fn curve(&self, stride: usize) -> Vec<&Evaluation> {
-        let mut curve: Vec<_> = self.evaluations.iter().filter(|e| e.stride == stride).collect();
+    /// Evaluations that may be drawn as one line: the most that are on the same test views at the same scales, in the order
+    /// of steps.
+    pub fn curve(&self) -> Vec<&Evaluation> {
+        let views = |e: &Evaluation| (e.stride, e.scales.first().map_or(0, |scale| scale.scale));
+        let alike = |e: &Evaluation| self.evaluations.iter().filter(|other| views(other) == views(e)).count();
+        // Of two as many the finer, which is the smaller key.
+        let Some(best) =
+            self.evaluations.iter().max_by_key(|e| (alike(e), std::cmp::Reverse(views(e)))).map(views)
+        else {
+            return Vec::new();
+        };
+        let mut curve: Vec<_> = self.evaluations.iter().filter(|e| views(e) == best).collect();
         curve.sort_by_key(|evaluation| evaluation.totals.step);
         curve
     }
@@ -163,6 +182,7 @@ impl History {
 pub fn totals(event: &Event) -> Option<&Totals> {
     match event {
         Event::Resumed { totals }
+        | Event::Extended { totals, .. }
         | Event::Step { totals, .. }
         | Event::Evaluation { totals, .. }
         | Event::Stopped { totals }
@@ -200,6 +220,8 @@ pub mod tests {
                 ..Totals::default()
             },
             stride,
+            frames: 8 * stride,
+            bounded: false,
             last,
             scales: vec![scale(1, psnr - 1.0), scale(2, psnr + 1.0)],
             psnr,
@@ -226,11 +248,21 @@ pub mod tests {
         ] {
             history.take(&event);
         }
-        let steps: Vec<_> = history.curve(5).iter().map(|e| (e.totals.step, e.psnr)).collect();
+        let steps: Vec<_> = history.curve().iter().map(|e| (e.totals.step, e.psnr)).collect();
         assert_eq!(steps, [(10, 20.0), (30, 24.5), (40, 26.0)]);
         assert_eq!(history.warnings, ["dark"]);
         assert_eq!(history.last().unwrap().psnr, 25.0);
         assert_eq!(history.evaluation_seconds(), 6.0);
+    }
+
+    #[test]
+    fn a_run_that_is_extended_is_not_finished() {
+        let finished = Event::Finished { totals: Totals { step: 40, ..Totals::default() } };
+        let mut history = History::of(&[evaluation(40, 1, true, 25.0), finished]);
+        assert!(history.finished && history.last().is_some());
+        let totals = history.totals;
+        history.take(&Event::Extended { totals, message: String::new() });
+        assert!(!history.finished && history.last().is_none() && history.evaluations.len() == 1);
     }
 
     #[test]

@@ -96,11 +96,11 @@ fn model_line(config: &Config) -> String {
 fn train_line(config: &Config, step: u64) -> String {
     let train = &config.train;
     let per_step = terminal::number(train.samples_per_step.into(), "samples");
-    let length = if train.seconds > 0.0 {
-        format!("{} at {per_step} a step", terminal::duration(train.seconds))
-    } else {
+    let length = if train.steps > 0 {
         let total = train.steps as f64 * f64::from(train.samples_per_step);
         format!("{} steps of {per_step}, {} in all", train.steps, terminal::number(total, "samples"))
+    } else {
+        format!("{} at {per_step} a step", terminal::duration(train.seconds))
     };
     let from = if step > 0 { format!(", going on from step {step}") } else { String::new() };
     format!("training: {length}{from}; backend {}, seed {}", config.backend, config.seed)
@@ -108,20 +108,27 @@ fn train_line(config: &Config, step: u64) -> String {
 
 fn evaluation_line(config: &Config, views: usize) -> String {
     let eval = &config.eval;
-    let on = |stride: usize| format!("{} of {views} test views", views.div_ceil(stride.max(1)));
+    let on = |stride: usize| match (views.div_ceil(stride.max(1)), eval.share > 0.0) {
+        (count, false) => format!("{count} of {views} test views"),
+        (count, true) => format!("up to {count} of {views} test views"),
+    };
     let way = match eval.points {
         0 => "none on the way".to_string(),
-        points => format!("{points} times on the way on {}", on(eval.stride as usize)),
+        points => format!("{points} times on the way on {}", on(eval.stride_of(views))),
     };
     let end = eval
-        .final_stride()
+        .final_stride(views)
         .map_or("none at the end".into(), |stride| format!("at the end on {}", on(stride)));
     let floor = if eval.min_psnr > 0.0 {
         format!("; fails below a mean PSNR of {} dB", eval.min_psnr)
     } else {
         String::new()
     };
-    format!("evaluation: {way}, {end}{floor}")
+    let bound = match eval.share {
+        0.0 => String::new(),
+        share => format!("; at most {:.0} % of the training time and 20 s", 100.0 * share),
+    };
+    format!("evaluation: {way}, {end}{bound}{floor}")
 }
 
 #[cfg(test)]
@@ -139,10 +146,11 @@ mod tests {
     #[test]
     fn a_budget_of_time_replaces_steps() {
         let mut config = Config::default();
+        (config.train.steps, config.train.samples_per_step) = (25_000, 262_144);
         assert!(
             train_line(&config, 5).contains("25000 steps") && train_line(&config, 5).contains("from step 5")
         );
-        config.train.seconds = 300.0;
+        config.train.steps = 0;
         assert!(
             train_line(&config, 0).starts_with("training: 5 min 00 s at 262 k samples"),
             "{}",

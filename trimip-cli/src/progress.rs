@@ -72,8 +72,9 @@ fn show_on_bar(bar: &ProgressBar, event: &Event) {
                 terminal::duration(*seconds_left)
             ));
         }
-        Event::EvaluationProgress { done, total } => {
-            bar.set_message(format!("evaluating view {} of {total}", done + 1));
+        Event::Extended { message, .. } => bar.suspend(|| terminal::line(message)),
+        Event::EvaluationProgress { done, total, part } => {
+            bar.set_message(format!("evaluating view {} of {total}, {:.0} %", done + 1, 100.0 * part));
         }
         Event::Evaluation { totals, scales, psnr, ssim, last: false, .. } => bar.suspend(|| {
             let per_scale: Vec<_> = scales.iter().map(|q| format!("1/{} {:.2}", q.scale, q.psnr)).collect();

@@ -31,14 +31,16 @@ pub struct ViewRecord {
 /// Files of a run folder as the run's store.
 pub struct FileStore<'a> {
     folder: &'a RunFolder,
+    /// Test frames that are pictured, and how many may be.
     picked: Vec<usize>,
+    images: usize,
     records: Vec<ViewRecord>,
 }
 
 impl<'a> FileStore<'a> {
-    /// `images` of every `stride`-th of `frames` test frames will be written as pictures.
-    pub fn new(folder: &'a RunFolder, frames: usize, stride: usize, images: usize) -> Self {
-        Self { folder, picked: picked(frames, stride, images), records: Vec::new() }
+    /// The first `images` test frames that it sees will be written as pictures: evaluations begin with evenly spread ones.
+    pub fn new(folder: &'a RunFolder, images: usize) -> Self {
+        Self { folder, picked: Vec::new(), images, records: Vec::new() }
     }
 
     /// Writes `views.json` and removes pictures of an earlier evaluation; call when the final evaluation is whole.
@@ -54,7 +56,9 @@ impl<'a> FileStore<'a> {
                 let _ = std::fs::remove_file(path);
             }
         }
-        let text = serde_json::to_string_pretty(&self.records).map_err(Error::run)?;
+        let mut records = self.records.clone();
+        records.sort_by_key(|record| (record.index, record.scale));
+        let text = serde_json::to_string_pretty(&records).map_err(Error::run)?;
         write_atomically(&self.folder.views(), text.as_bytes())
     }
 
@@ -76,6 +80,9 @@ impl Store for FileStore<'_> {
 
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()> {
         let mut comparison = None;
+        if self.picked.len() < self.images && !self.picked.contains(&view.index) {
+            self.picked.push(view.index);
+        }
         if self.picked.contains(&view.index) {
             let stem = picture_stem(view.index, &file_stem(view.name), view.scale);
             let (width, height, rgb) = (view.rendered.width, view.rendered.height, view.rendered.rgb());
@@ -107,14 +114,6 @@ fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// `images` frames evenly spread over every `stride`-th of `frames`.
-fn picked(frames: usize, stride: usize, images: usize) -> Vec<usize> {
-    let stride = stride.max(1);
-    let count = frames.div_ceil(stride);
-    let images = images.min(count);
-    (0..images).map(|i| (2 * i + 1) * count / (2 * images) * stride).collect()
-}
-
 /// The last part of a photograph's name without extension, safe as a file name.
 pub fn file_stem(name: &str) -> String {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
@@ -124,14 +123,6 @@ pub fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn pictures_are_spread_over_the_views_that_are_evaluated() {
-        assert_eq!(picked(200, 1, 4), [25, 75, 125, 175]);
-        assert_eq!(picked(200, 25, 4), [25, 75, 125, 175]);
-        assert_eq!(picked(3, 1, 10), [0, 1, 2]);
-        assert!(picked(0, 1, 4).is_empty() && picked(5, 1, 0).is_empty());
-    }
 
     #[test]
     fn names_of_photographs_become_safe_file_names() {

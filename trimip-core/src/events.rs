@@ -71,6 +71,13 @@ pub enum Event {
         /// Where it stands.
         totals: Totals,
     },
+    /// A finished run goes on with a longer budget.
+    Extended {
+        /// Where it stands.
+        totals: Totals,
+        /// One line: the budget before and after, and what the schedule does.
+        message: String,
+    },
     /// Steps done since the last such event.
     Step {
         /// Where the run stands.
@@ -94,7 +101,7 @@ pub enum Event {
         /// Share of occupied cells.
         #[serde(deserialize_with = "float_or_null")]
         occupied: f64,
-        /// Seconds of training left, estimated.
+        /// Seconds of training and evaluation left, estimated.
         #[serde(deserialize_with = "float_or_null")]
         seconds_left: f64,
     },
@@ -104,6 +111,12 @@ pub enum Event {
         totals: Totals,
         /// Every n-th test view was used.
         stride: usize,
+        /// Test views there are; 0 where an earlier version wrote the event.
+        #[serde(default)]
+        frames: usize,
+        /// True where more views or scales were asked for than `eval.share` had time for.
+        #[serde(default)]
+        bounded: bool,
         /// True for the evaluation that ends the run.
         last: bool,
         /// Per scale, fine to coarse.
@@ -121,8 +134,11 @@ pub enum Event {
     EvaluationProgress {
         /// Views done.
         done: usize,
-        /// Views in all.
+        /// Views that this evaluation looks at, as far as is decided.
         total: usize,
+        /// Part of the view under way that is rendered, 0 to 1.
+        #[serde(default)]
+        part: f64,
     },
     /// A checkpoint was written.
     Checkpoint {
@@ -190,6 +206,8 @@ mod tests {
         let event = Event::Evaluation {
             totals: Totals::default(),
             stride: 1,
+            frames: 1,
+            bounded: false,
             last: true,
             scales,
             psnr: f64::INFINITY,

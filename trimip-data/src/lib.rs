@@ -25,6 +25,7 @@ mod pose;
 pub mod pyramid;
 mod scene;
 mod source;
+mod stated;
 mod write;
 
 pub use describe::inspect;

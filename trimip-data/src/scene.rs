@@ -10,6 +10,7 @@ use std::path::Path;
 use trimip_core::{
     Error, Frames, Result, ViewSet,
     config::{Convention, DataConfig, Format},
+    scene_plan::StatedBox,
 };
 
 /// A scene ready to train and test on.
@@ -20,6 +21,8 @@ pub struct Scene {
     pub train: ViewSet,
     /// Test frames, each a set with one view per scale, decoded or rendered when asked for.
     pub test: Box<dyn Frames>,
+    /// Where the data say that the subject is.
+    pub stated: Option<StatedBox>,
     /// What is odd about the data; a reader should see it beside every result.
     pub warnings: Vec<String>,
     /// A few lines for people: layout, views, sizes, scales, memory.
@@ -44,6 +47,7 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
         name: survey.name,
         train,
         test: Box::new(FrameList { sources: survey.test, convention: config.convention }),
+        stated: survey.stated,
         warnings: survey.warnings,
         description,
     })
@@ -62,6 +66,7 @@ pub(crate) struct Survey {
     pub(crate) train: Vec<Source>,
     pub(crate) test: Vec<Source>,
     pub(crate) warnings: Vec<String>,
+    pub(crate) stated: Option<StatedBox>,
 }
 
 impl Survey {
@@ -78,6 +83,7 @@ impl Survey {
         let mut warnings = Vec::new();
         let mut train = Vec::new();
         let mut train_splits = Vec::new();
+        let mut stated = None;
         let (layout, read): (_, ReadSplit<'_>) = match format {
             Format::Builtin => ("built-in scene", Box::new(|split| builtin::split(config, split))),
             Format::Multiscale => {
@@ -98,9 +104,25 @@ impl Survey {
             train_splits.push((split.clone(), part.sources.len()));
             train.extend(part.sources);
             warnings.extend(part.warnings);
+            stated = stated.or(part.stated);
         }
-        let test = if config.holdout > 0 {
-            hold_out(&mut train, config.holdout as usize)?
+        let every = match config.holdout {
+            // A folder with photographs to train on alone is measured on some of them.
+            0 if format == Format::Blender
+                && !blender::has_split(root, &config.test)
+                && config.test == TEST =>
+            {
+                warnings.push(format!(
+                    "{} has no split \"{TEST}\": every {}th training frame is kept back and tested on",
+                    root.display(),
+                    blender::HOLD_OUT
+                ));
+                blender::HOLD_OUT
+            }
+            every => every as usize,
+        };
+        let test = if every > 0 {
+            hold_out(&mut train, every)?
         } else {
             let test = read(&config.test)?;
             warnings.extend(test.warnings);
@@ -113,8 +135,37 @@ impl Survey {
         let mut seen = std::collections::HashSet::new();
         warnings.retain(|warning| seen.insert(warning.clone()));
         drop(read);
-        Ok(Self { name, layout, train_splits, train, test, warnings })
+        let (train, test) = shrink(train, test, config, &mut warnings);
+        Ok(Self { name, layout, train_splits, train, test, warnings, stated })
     }
+}
+
+/// The split that is tested on where no other is named.
+const TEST: &str = "test";
+
+/// Halves the photographs until all that are trained on fit into `data.most_pixels`; the test views are halved along.
+fn shrink(
+    train: Vec<Source>,
+    test: Vec<Source>,
+    config: &DataConfig,
+    warnings: &mut Vec<String>,
+) -> (Vec<Source>, Vec<Source>) {
+    let pixels: f64 = train.iter().map(Source::pixels_in_memory).sum();
+    let most = train.iter().chain(&test).map(Source::halvings_possible).min().unwrap_or(0);
+    let halvings =
+        (0..most).find(|&n| pixels * 0.25_f64.powi(n as i32) <= config.most_pixels).unwrap_or(most);
+    if halvings == 0 {
+        return (train, test);
+    }
+    warnings.push(format!(
+        "the photographs are read at 1/{} of their width: {:.0} M training pixels are more than data.most_pixels = {:.0} M; \
+         scale 1 is theirs",
+        1 << halvings,
+        1e-6 * pixels,
+        1e-6 * config.most_pixels
+    ));
+    let shrunk = |sources: Vec<Source>| sources.into_iter().map(|source| source.shrunk(halvings)).collect();
+    (shrunk(train), shrunk(test))
 }
 
 /// Takes every n-th frame out of `train`, the first among them.

@@ -83,7 +83,7 @@ impl<'a> Report<'a> {
 
     /// The evaluations of the curve.
     fn curve(&self) -> Vec<&Evaluation> {
-        self.history.curve(self.config.eval.stride as usize)
+        self.history.curve()
     }
 
     /// Kept samples per second of training.

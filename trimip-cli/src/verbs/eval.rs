@@ -76,26 +76,6 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         });
         write_atomically(path, serde_json::to_string_pretty(&report).map_err(Error::run)?.as_bytes())?;
     }
-    floor(mean.psnr, config.eval.min_psnr)?;
+    mean.judge(&config.eval)?;
     Ok(0)
-}
-
-/// Fails when a floor is stated and missed; a NaN misses every floor.
-pub fn floor(psnr: f64, floor: f64) -> Result<()> {
-    if floor <= 0.0 || psnr >= floor {
-        return Ok(());
-    }
-    Err(Error::run(format!("mean PSNR {psnr:.2} dB is below the floor eval.min_psnr = {floor}")))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_floor_is_missed_from_below_and_by_nan_and_by_nothing_when_unset() {
-        assert!(floor(20.0, 0.0).is_ok() && floor(f64::NAN, 0.0).is_ok() && floor(20.0, 20.0).is_ok());
-        assert_eq!(floor(19.9, 20.0).unwrap_err().exit_code(), 1);
-        assert!(floor(f64::NAN, 20.0).is_err());
-    }
 }
