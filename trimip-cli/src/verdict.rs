@@ -141,7 +141,7 @@ impl Verdict {
     pub fn reasons(&self) -> Vec<String> {
         let Some(mean) = self.figures.mean else {
             return vec![
-                "there is no final evaluation; eval.final = 1 asks for one on every test view".into(),
+                "there is no final evaluation yet; eval.final says on which test views it is made".into(),
             ];
         };
         let mut reasons = vec![match mean.psnr_constant {

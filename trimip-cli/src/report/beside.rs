@@ -135,8 +135,8 @@ pub fn views(entries: &[Entry]) -> Result<String> {
         );
     }
     Ok(format!(
-        "<section class=\"wide\"><h2>Test views</h2><p class=\"lead\">Click a picture to enlarge it; the arrow keys change \
-         between the pictures in place.</p>{groups}</section>\n"
+        "<section><h2>Test views</h2><p class=\"lead\">Click a picture to enlarge it; the arrow keys change \
+         between the pictures in place.</p><div class=\"wide\">{groups}</div></section>\n"
     ))
 }
 

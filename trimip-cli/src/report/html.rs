@@ -105,7 +105,7 @@ fn quality(report: &Report<'_>) -> String {
     }
     format!(
         "<section><h2>Quality per scale</h2>{}<p class=\"lead\">{note}“Mean colour” is what the mean colour of each \
-         photograph would reach in place of the rendering; “opposite” is black where the background is bright and white \
+         photograph would reach in place of the rendering; “on opposite” is PSNR on another background: black where the background is bright and white \
          where it is dark.</p></section>\n",
         table(&text::measures(report), true)
     )

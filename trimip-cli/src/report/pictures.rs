@@ -37,8 +37,8 @@ pub fn sections(report: &Report<'_>, images: &Path) -> Result<String> {
     }
     if !frames.is_empty() {
         html += &format!(
-            "<section class=\"wide\"><h2>Views evenly spread</h2><p class=\"lead\">Finest and coarsest scale. Pictures in \
-             their own size are in <code>images/</code>; here they have at most {LONGEST} pixels a side.</p>{frames}</section>\n"
+            "<section><h2>Views evenly spread</h2><p class=\"lead\">Finest and coarsest scale. Pictures in \
+             their own size are in <code>images/</code>; here they have at most {LONGEST} pixels a side.</p><div class=\"wide\">{frames}</div></section>\n"
         );
     }
     Ok(html)

@@ -55,7 +55,10 @@
     stage.replaceChildren(item.make());
     stage.style.setProperty("--ratio", item.width / item.height);
     caption.textContent = item.text;
-    if (!light.open) light.showModal();
+    if (light.open) return;
+    light.showModal();
+    // Else the slider has the focus, and takes the arrow keys.
+    bar.children[1].focus();
   }
   button("‹", "previous picture", () => enlarge(at - 1));
   button("›", "next picture", () => enlarge(at + 1));

@@ -14,7 +14,7 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
         "PSNR / dB",
         "least – greatest",
         "at 8 bits",
-        "on the opposite background",
+        "on opposite",
         "mean colour",
         "SSIM",
     ];
