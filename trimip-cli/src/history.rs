@@ -1,7 +1,7 @@
 //! What a run's events add up to: the curve of error against time, the final measures, warnings, counters. Built from
 //! the stream as it flows and, on resume, from `metrics.jsonl`; nothing else feeds the report.
 
-use trimip_core::events::{Event, ScaleQuality, Totals};
+use trimip_core::events::{Event, Provenance, ScaleQuality, Totals};
 
 /// One evaluation.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +26,13 @@ pub struct Evaluation {
     pub seconds: f64,
 }
 
+impl Evaluation {
+    /// Test views that were evaluated, each at all of its scales.
+    pub fn views(&self) -> usize {
+        self.scales.iter().map(|quality| quality.images).max().unwrap_or(0)
+    }
+}
+
 /// One process's part of the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
@@ -37,6 +44,8 @@ pub struct Part {
     pub wall_seconds: f64,
     /// Largest resident memory, where known.
     pub peak_memory_bytes: Option<u64>,
+    /// Command line, version, date.
+    pub provenance: Provenance,
 }
 
 /// Latest figures of training.
@@ -46,6 +55,10 @@ pub struct Training {
     pub loss: f64,
     /// Share of occupied cells.
     pub occupied: f64,
+    /// Samples marched per ray since the event before; 0 where no ray was cast.
+    pub marched_per_ray: f64,
+    /// Samples kept per ray since the event before.
+    pub kept_per_ray: f64,
 }
 
 /// Everything the report tells about the course of a run.
@@ -65,6 +78,8 @@ pub struct History {
     pub finished: bool,
     /// Predicted peak memory of the latest plan.
     pub predicted_memory_bytes: Option<u64>,
+    /// Counters of the latest step event, which the next one counts from.
+    logged: Totals,
 }
 
 impl History {
@@ -82,8 +97,16 @@ impl History {
         }
         match event {
             Event::Plan { memory_bytes, .. } => self.predicted_memory_bytes = Some(*memory_bytes),
-            Event::Step { loss, occupied, .. } => {
-                self.training = Training { loss: *loss, occupied: *occupied };
+            Event::Resumed { totals } => self.logged = *totals,
+            Event::Step { totals, loss, occupied, .. } => {
+                let rays = totals.rays.saturating_sub(self.logged.rays).max(1) as f64;
+                self.training = Training {
+                    loss: *loss,
+                    occupied: *occupied,
+                    marched_per_ray: totals.marched.saturating_sub(self.logged.marched) as f64 / rays,
+                    kept_per_ray: totals.samples.saturating_sub(self.logged.samples) as f64 / rays,
+                };
+                self.logged = *totals;
             }
             Event::Evaluation { totals, stride, frames, bounded, last, scales, psnr, ssim, seconds } => {
                 // A step that is evaluated again, after a resume, replaces what was measured there.
@@ -110,12 +133,13 @@ impl History {
                 self.finished = false;
                 self.evaluations.iter_mut().for_each(|evaluation| evaluation.last = false);
             }
-            Event::SessionEnded { backend, device, wall_seconds, peak_memory_bytes } => {
+            Event::SessionEnded { backend, device, wall_seconds, peak_memory_bytes, provenance } => {
                 self.parts.push(Part {
                     backend: backend.clone(),
                     device: device.clone(),
                     wall_seconds: *wall_seconds,
                     peak_memory_bytes: *peak_memory_bytes,
+                    provenance: provenance.clone(),
                 })
             }
             _ => {}
@@ -158,6 +182,11 @@ impl History {
             }
         }
         devices
+    }
+
+    /// Views of the test split, evaluated or not, where a part told.
+    pub fn test_views(&self) -> Option<usize> {
+        self.parts.iter().rev().find_map(|part| part.provenance.test_views)
     }
 
     /// Largest resident memory of all parts, where any is known.
@@ -253,6 +282,31 @@ pub mod tests {
         assert_eq!(history.warnings, ["dark"]);
         assert_eq!(history.last().unwrap().psnr, 25.0);
         assert_eq!(history.evaluation_seconds(), 6.0);
+    }
+
+    /// A step event at `step` with these counters.
+    pub fn step(step: u64, rays: u64, marched: u64, samples: u64) -> Event {
+        Event::Step {
+            totals: Totals { step, rays, marched, samples, seconds: step as f64, ..Totals::default() },
+            progress: 0.5,
+            loss: 0.25,
+            batch_psnr: f64::INFINITY,
+            learning_rate: 0.002,
+            samples_per_second: 1000.0,
+            rays_per_second: 10.0,
+            occupied: 0.125,
+            seconds_left: 1.0,
+        }
+    }
+
+    #[test]
+    fn samples_per_ray_are_those_since_the_event_before() {
+        let mut history = History::of(&[step(1, 10, 1000, 900), step(2, 20, 1400, 1000)]);
+        assert_eq!((history.training.marched_per_ray, history.training.kept_per_ray), (40.0, 10.0));
+        let totals = Totals { step: 2, rays: 20, marched: 1400, samples: 1000, ..Totals::default() };
+        history.take(&Event::Resumed { totals });
+        history.take(&step(3, 20, 1400, 1000));
+        assert_eq!(history.training.marched_per_ray, 0.0);
     }
 
     #[test]

@@ -18,6 +18,7 @@ mod settings;
 mod store;
 mod terminal;
 mod verbs;
+mod verdict;
 
 use clap::{Parser, error::ErrorKind};
 use std::process::ExitCode;

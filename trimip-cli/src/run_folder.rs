@@ -14,16 +14,19 @@ pub struct RunFolder {
 }
 
 /// Names of everything that a run writes, `images/` aside.
-const FILES: [&str; 9] = [
+const FILES: [&str; 12] = [
     "config.toml",
     "plan.json",
     "metrics.jsonl",
+    "metrics.csv",
     "model.safetensors",
     "checkpoint.safetensors",
     "views.json",
     "error_vs_time.csv",
     "report.html",
     "report.json",
+    "report.md",
+    "report.tex",
 ];
 
 impl RunFolder {
@@ -100,6 +103,21 @@ impl RunFolder {
     /// The report for programs.
     pub fn json(&self) -> PathBuf {
         self.root.join("report.json")
+    }
+
+    /// The report's table as Markdown.
+    pub fn markdown(&self) -> PathBuf {
+        self.root.join("report.md")
+    }
+
+    /// The report's table as LaTeX.
+    pub fn latex(&self) -> PathBuf {
+        self.root.join("report.tex")
+    }
+
+    /// Step events as a table.
+    pub fn steps(&self) -> PathBuf {
+        self.root.join("metrics.csv")
     }
 
     /// Pictures of test views.

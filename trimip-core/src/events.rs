@@ -55,6 +55,20 @@ pub struct Totals {
     pub non_finite: u64,
 }
 
+/// Where one process's part of a run came from; what an older run did not tell is `None`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Provenance {
+    /// The command line as it was typed, the program by its name alone.
+    pub command: Option<String>,
+    /// Version of the program, with its commit where that is known.
+    pub version: Option<String>,
+    /// When it ended: seconds since the beginning of 1970, UTC.
+    pub ended_unix: Option<u64>,
+    /// Views of the test split, evaluated or not.
+    pub test_views: Option<usize>,
+}
+
 /// Something that happened. Serialised with a `kind` field, one JSON object a line in `metrics.jsonl`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
@@ -173,6 +187,9 @@ pub enum Event {
         wall_seconds: f64,
         /// Largest resident memory of the process, where the system tells.
         peak_memory_bytes: Option<u64>,
+        /// Where it came from.
+        #[serde(default)]
+        provenance: Provenance,
     },
 }
 

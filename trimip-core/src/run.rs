@@ -16,6 +16,9 @@ use std::time::{Duration, Instant};
 /// Time between two words of an evaluation on how far it is.
 const TELL_EVERY: Duration = Duration::from_millis(500);
 
+/// Part of a run in which it is measured on at least half of the views of its curve, or not at all.
+const EARLY: f64 = 0.3;
+
 /// Steps after which a run that kept no sample at all is over: nothing will ever be seen.
 const BLIND_STEPS: u64 = 64;
 
@@ -230,7 +233,13 @@ impl Run<'_> {
         let frames = self.frames.len();
         let stride = self.config.eval.stride_of(frames);
         let allowed = keeper.on_the_way(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
-        let sight = self.look(&strides(frames, stride, stride), allowed, keeper, false);
+        let mut chain = strides(frames, stride, stride);
+        if self.progress(totals) < EARLY {
+            // A fog is slow to render: better no point than one on other views than those to come.
+            let few = chain.len().saturating_sub(2);
+            chain.drain(..few);
+        }
+        let sight = self.look(&chain, allowed, keeper, false);
         keeper.spend(started.elapsed().as_secs_f64());
         if let Sight::Seen(look) = sight? {
             self.report(&look.views, look.stride, stride, look.coarse, totals, false, started);
@@ -295,10 +304,12 @@ impl Run<'_> {
         let whole = self.pixels_of_a_view();
         let (mut finest, mut of_a_view) = (1, whole);
         let coarsest = 1 << (self.config.data.scales - 1);
-        while keeper.pixel() * of_a_view > allowed && finest < coarsest {
+        let least = strides.first().map_or(0, |&stride| frames.div_ceil(stride)) as f64;
+        // Coarser scales alone are for one view that is too slow; more views than one are few enough to be left out.
+        while least <= 1.0 && keeper.pixel() * of_a_view > allowed && finest < coarsest {
             (finest, of_a_view) = (2 * finest, 0.25 * of_a_view);
         }
-        if !last && keeper.pixel() * of_a_view > allowed {
+        if !last && keeper.pixel() * of_a_view * least > allowed {
             return Ok(Sight::NoTime);
         }
         let Self { session, store, events, stop, .. } = self;

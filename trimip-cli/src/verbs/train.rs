@@ -8,7 +8,7 @@ use crate::{
     machine::Machine,
     plan::{Plan, Subject},
     progress::{Display, Recorder, table},
-    report::{Report, Status},
+    report::{Report, Status, provenance},
     run_folder::RunFolder,
     settings,
     store::FileStore,
@@ -218,6 +218,7 @@ fn go(
         device: session.device_name(),
         wall_seconds: started.elapsed().as_secs_f64(),
         peak_memory_bytes: machine::peak_memory(),
+        provenance: provenance::here_and_now(scene.test.len()),
     });
     if recorder.history.last().is_some() && !matches!(outcome, Ok(Outcome::Stopped)) {
         store.finish()?;
