@@ -196,6 +196,12 @@ pub struct RenderArguments {
     /// Resize the pictures, e.g. 0.5 for half the width; the field of view stays
     #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
     pub scale: f64,
+    /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, the original below
+    #[arg(long, conflicts_with_all = ["format", "what"])]
+    pub strip: bool,
+    /// Strip: another model, in a row of its own; may be given many times
+    #[arg(long, value_name = "RUN", requires = "strip")]
+    pub against: Vec<PathBuf>,
     /// File format
     #[arg(long, value_enum, default_value = "png")]
     pub format: PictureFormat,

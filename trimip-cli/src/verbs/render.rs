@@ -1,5 +1,6 @@
 //! `render`: views of a model as pictures, from test views, a pose, a camera path or a turntable.
 
+use super::strip;
 use crate::{
     args::{PictureFormat, Quantity, RenderArguments},
     backends, cameras, interrupt,
@@ -20,6 +21,9 @@ use trimip_core::{
 
 /// Renders every camera the arguments name.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
+    if arguments.strip {
+        return strip::run(arguments);
+    }
     if arguments.format == PictureFormat::Exr && !cfg!(feature = "exr") {
         return Err(Error::input(
             "--format exr",
@@ -73,13 +77,13 @@ fn speed(mut seconds: Vec<f64>) -> Option<String> {
 }
 
 /// `renders` in the run folder, or beside the model file.
-fn beside(model: &Path) -> PathBuf {
+pub fn beside(model: &Path) -> PathBuf {
     let folder = if model.is_dir() { model } else { model.parent().unwrap_or(Path::new("")) };
     folder.join("renders")
 }
 
 /// The cameras that the arguments name.
-fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<cameras::Named>> {
+pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<cameras::Named>> {
     if !(arguments.fov > 0.0 && arguments.fov < 180.0) {
         return Err(Error::input(
             format!("--fov {}", arguments.fov),
@@ -103,6 +107,13 @@ fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<cameras::N
         return turntable::cameras(&config.scene, &Turntable { count, elevation, distance, up }, intrinsics);
     }
     test_views(config, &arguments.views)
+}
+
+/// The first test view that the arguments name, where they name no other camera; view 0 where they name none.
+pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
+    let RenderArguments { pose, look_at, path, turntable, views, .. } = arguments;
+    let other = pose.is_some() || look_at.is_some() || path.is_some() || turntable.is_some();
+    (!other).then(|| views.first().copied().unwrap_or(0))
 }
 
 /// Cameras of test views at full size; view 0 when none is named.
@@ -132,7 +143,8 @@ fn test_views(config: &Config, views: &[usize]) -> Result<Vec<cameras::Named>> {
         .collect()
 }
 
-fn resize(cameras: Vec<cameras::Named>, factor: f64) -> Result<Vec<cameras::Named>> {
+/// The same views with `factor` times as many pixels along each side.
+pub fn resize(cameras: Vec<cameras::Named>, factor: f64) -> Result<Vec<cameras::Named>> {
     cameras
         .into_iter()
         .map(|(name, camera)| {
