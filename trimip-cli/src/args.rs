@@ -161,7 +161,7 @@ pub struct EvalArguments {
 /// File format of rendered views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PictureFormat {
-    /// Colour as 8-bit sRGB, depth and opacity as 16-bit grey, one file each
+    /// Colour as 8-bit sRGB, depth (its range stands in the file) and opacity as 16-bit grey, one file each
     Png,
     /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity
     Exr,
@@ -199,14 +199,15 @@ pub struct RenderArguments {
     /// A camera path: JSON like transforms_test.json (frames with transform_matrix)
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
-    /// A circle of N cameras around the scene's box
+    /// A circle of N cameras around the model's box
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub turntable: Option<u32>,
     /// Turntable: degrees above the horizon
-    #[arg(long, default_value_t = 30.0, allow_hyphen_values = true)]
+    // A requirement alone is waived where another camera excludes the turntable.
+    #[arg(long, default_value_t = 30.0, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path"], allow_hyphen_values = true)]
     pub elevation: f64,
-    /// Turntable: distance from the box's centre [default: 1.55 x half the box's diagonal]
-    #[arg(long)]
+    /// Turntable: distance from the box's centre [default: the least from which every picture holds the whole box]
+    #[arg(long, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path"], allow_hyphen_values = true)]
     pub distance: Option<f64>,
     /// Direction that is upwards in the picture, for --look-at and --turntable
     #[arg(long, default_value = "0,0,1", value_name = "X,Y,Z", allow_hyphen_values = true)]
@@ -218,11 +219,17 @@ pub struct RenderArguments {
     #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(1..=16_384))]
     pub height: u32,
     /// Horizontal field of view in degrees, where the cameras do not say (39.6: the Blender scenes')
-    #[arg(long, default_value_t = 39.597_758_2)]
+    #[arg(long, default_value_t = 39.597_758_2, allow_hyphen_values = true)]
     pub fov: f64,
     /// Resize the pictures, e.g. 0.5 for half the width; the field of view stays
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
     pub scale: f64,
+    /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, the original below
+    #[arg(long, conflicts_with_all = ["format", "what"])]
+    pub strip: bool,
+    /// Strip: another model, in a row of its own; may be given many times
+    #[arg(long, value_name = "RUN", requires = "strip")]
+    pub against: Vec<PathBuf>,
     /// File format
     #[arg(long, value_enum, default_value = "png")]
     pub format: PictureFormat,
@@ -393,5 +400,9 @@ mod tests {
         let parse = |args: &[&str]| Arguments::try_parse_from([&["x", "render", "m"], args].concat());
         assert!(parse(&["--turntable", "8", "--views", "1,2"]).is_err());
         assert!(parse(&["--look-at", "-4,0,2/0,0,0", "--what", "color,depth"]).is_ok());
+        assert!(parse(&["--turntable", "8", "--distance", "2"]).is_ok());
+        assert!(
+            parse(&["--distance", "2"]).is_err() && parse(&["--views", "1", "--elevation", "2"]).is_err()
+        );
     }
 }

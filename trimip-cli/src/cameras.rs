@@ -1,11 +1,11 @@
-//! Cameras named on the command line: a matrix, a position and its target, a path file, a circle. World units, OpenGL
-//! axes; what is not a rigid pose or a sane projection is refused with its place.
+//! Cameras named on the command line: a matrix, a position and its target, a path file. World units, OpenGL axes;
+//! what is not a rigid pose or a sane projection is refused with its place.
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Camera, Error, Intrinsics, Result, config::SceneConfig};
+use trimip_core::{Camera, Error, Intrinsics, Result};
 
 /// Largest width or height of a rendered picture, pixels.
 const MAX_SIDE: f64 = 16_384.0;
@@ -31,7 +31,8 @@ pub fn look_at(text: &str, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> 
     aimed(&place, eye, target, up, intrinsics)
 }
 
-fn aimed(place: &str, eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> {
+/// A camera at `eye` that looks at `target`; refused where the two and `up` leave its turn open.
+pub fn aimed(place: &str, eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> {
     let back = eye - target;
     if up.cross(back).length() <= 1e-9 * up.length() * back.length() {
         return Err(Error::input(
@@ -41,41 +42,6 @@ fn aimed(place: &str, eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intrinsi
         ));
     }
     Ok(Camera::look_at(intrinsics, eye, target, up))
-}
-
-/// `count` cameras on a circle about the vertical axis `up` through the centre of the scene's box.
-pub fn turntable(
-    scene: &SceneConfig,
-    count: u32,
-    elevation_degrees: f64,
-    distance: Option<f64>,
-    up: DVec3,
-    intrinsics: Intrinsics,
-) -> Result<Vec<Named>> {
-    let (low, high) =
-        (DVec3::from(scene.aabb_min.map(f64::from)), DVec3::from(scene.aabb_max.map(f64::from)));
-    let centre = 0.5 * (low + high);
-    // 1.55 half diagonals is where the Blender scenes' cameras stand (distance 4.03 for a box of side 3).
-    let distance = distance.unwrap_or(1.55 * 0.5 * (high - low).length());
-    if !(distance.is_finite() && distance > 0.0 && elevation_degrees.abs() < 89.999 && up.length() > 0.0) {
-        return Err(Error::input(
-            "--turntable",
-            format!("distance {distance}, elevation {elevation_degrees}, up {up}"),
-            "expected a distance above 0, an elevation within 89.999 degrees and an up that is not 0",
-        ));
-    }
-    let axis = up.normalize();
-    let first = axis.any_orthonormal_vector();
-    let second = axis.cross(first);
-    let (sine, cosine) = elevation_degrees.to_radians().sin_cos();
-    (0..count)
-        .map(|i| {
-            let angle = std::f64::consts::TAU * f64::from(i) / f64::from(count);
-            let ring = first * angle.cos() + second * angle.sin();
-            let eye = centre + distance * (cosine * ring + sine * axis);
-            Ok((format!("{i:04}"), aimed("--turntable", eye, centre, up, intrinsics)?))
-        })
-        .collect()
 }
 
 /// A camera-to-world matrix: numbers, JSON, or a file with either.
@@ -252,19 +218,6 @@ mod tests {
         {
             assert_eq!(pose(text, intrinsics()).unwrap_err().exit_code(), 2, "{text}");
         }
-    }
-
-    #[test]
-    fn a_turntable_looks_at_the_centre_from_one_distance() {
-        let scene = SceneConfig { aabb_min: [-1.0, -1.0, 0.0], aabb_max: [1.0, 1.0, 2.0] };
-        let cameras = turntable(&scene, 5, 20.0, None, DVec3::Z, intrinsics()).unwrap();
-        for (_, camera) in &cameras {
-            let to_centre = DVec3::Z - camera.origin;
-            assert!((to_centre.length() - 1.55 * 3_f64.sqrt()).abs() < 1e-9);
-            assert!((to_centre.normalize() + camera.rotation.z_axis).length() < 1e-9);
-        }
-        assert!(turntable(&scene, 5, 90.0, None, DVec3::Z, intrinsics()).is_err());
-        assert!(turntable(&scene, 5, 0.0, None, DVec3::ZERO, intrinsics()).is_err());
     }
 
     #[test]

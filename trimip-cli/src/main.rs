@@ -17,6 +17,7 @@ mod run_folder;
 mod settings;
 mod store;
 mod terminal;
+mod turntable;
 mod verbs;
 mod verdict;
 

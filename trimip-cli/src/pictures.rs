@@ -81,13 +81,70 @@ pub fn opacity(frame: &Frame) -> Vec<f32> {
     frame.pixels.iter().map(|pixel| pixel.opacity).collect()
 }
 
-/// Writes named 32-bit float channels as one EXR file.
+/// Depths in world units that are black and white in a grey picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DepthRange {
+    /// Black.
+    pub near: f32,
+    /// White; also where nothing is seen.
+    pub far: f32,
+}
+
+impl DepthRange {
+    /// Keys and values that a picture file states.
+    fn stated(self) -> [(&'static str, String); 3] {
+        [
+            ("depth_near", self.near.to_string()),
+            ("depth_far", self.far.to_string()),
+            ("unit", "world units along the optical axis".into()),
+        ]
+    }
+}
+
+/// Writes depths as 16-bit grey PNG; text chunks state the range and how to read it.
+pub fn write_depth_png(path: &Path, width: u32, height: u32, depth: &[f32], range: DepthRange) -> Result<()> {
+    let values = grey(width, height, depth, range.near, range.far);
+    let mut bytes = Vec::new();
+    let encode = |bytes: &mut Vec<u8>| {
+        let mut encoder = png::Encoder::new(bytes, width, height);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Sixteen);
+        for (key, value) in range.stated() {
+            encoder.add_text_chunk(key.into(), value)?;
+        }
+        let formula =
+            "depth = depth_near + value / 65535 * (depth_far - depth_near); depth_far or nothing is white";
+        encoder.add_text_chunk("Description".into(), formula.into())?;
+        let mut writer = encoder.write_header()?;
+        // PNG holds the high byte first.
+        let samples: Vec<u8> = values.as_raw().iter().flat_map(|value| value.to_be_bytes()).collect();
+        writer.write_image_data(&samples)?;
+        writer.finish()
+    };
+    encode(&mut bytes).map_err(|error| Error::run(format!("cannot encode a PNG: {error}")))?;
+    write_atomically(path, &bytes)
+}
+
+/// Writes named 32-bit float channels as one EXR file; attributes state the range of its depths, where it has any.
 #[cfg(feature = "exr")]
-pub fn write_exr(path: &Path, width: u32, height: u32, channels: Vec<(&str, Vec<f32>)>) -> Result<()> {
+pub fn write_exr(
+    path: &Path,
+    width: u32,
+    height: u32,
+    channels: Vec<(&str, Vec<f32>)>,
+    range: Option<DepthRange>,
+) -> Result<()> {
     use exr::prelude::*;
     let channels = channels.into_iter().map(|(name, values)| AnyChannel::new(name, FlatSamples::F32(values)));
-    let picture =
+    let mut picture =
         Image::from_channels((width as usize, height as usize), AnyChannels::sort(channels.collect()));
+    for (key, value) in range.iter().flat_map(|range| range.stated()) {
+        let value = match value.parse() {
+            Ok(number) => AttributeValue::F32(number),
+            Err(_) => AttributeValue::Text(value.as_str().into()),
+        };
+        picture.layer_data.attributes.other.insert(key.into(), value);
+    }
     let mut bytes = Cursor::new(Vec::new());
     picture
         .write()
@@ -98,7 +155,13 @@ pub fn write_exr(path: &Path, width: u32, height: u32, channels: Vec<(&str, Vec<
 
 /// This build leaves EXR out.
 #[cfg(not(feature = "exr"))]
-pub fn write_exr(path: &Path, _width: u32, _height: u32, _channels: Vec<(&str, Vec<f32>)>) -> Result<()> {
+pub fn write_exr(
+    path: &Path,
+    _width: u32,
+    _height: u32,
+    _channels: Vec<(&str, Vec<f32>)>,
+    _range: Option<DepthRange>,
+) -> Result<()> {
     Err(Error::input(
         path.display(),
         "this build has no EXR",
@@ -136,16 +199,40 @@ mod tests {
         assert!((linear(0.5) - 0.214_041).abs() < 1e-5);
     }
 
+    #[test]
+    fn a_depth_png_says_how_its_depths_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let (range, depth) = (DepthRange { near: 0.1, far: 3.7 }, [0.1, 1.9, 2.345_678, 3.7, 9.0, 0.0]);
+        write_depth_png(&path, 3, 2, &depth, range).unwrap();
+        let reader = png::Decoder::new(Cursor::new(std::fs::read(&path).unwrap())).read_info().unwrap();
+        let texts = &reader.info().uncompressed_latin1_text;
+        let stated = |key: &str| &texts.iter().find(|text| text.keyword == key).unwrap().text;
+        let [near, far] = ["depth_near", "depth_far"].map(|key| stated(key).parse::<f32>().unwrap());
+        assert_eq!((near, far), (range.near, range.far));
+        assert!(stated("unit").starts_with("world units"));
+        let picture = image::open(&path).unwrap().into_luma16();
+        for (value, depth) in picture.as_raw().iter().zip(depth) {
+            let read = near + f32::from(*value) / 65_535.0 * (far - near);
+            assert!((read - depth.clamp(near, far)).abs() < 0.6 * (far - near) / 65_535.0, "{read} {depth}");
+        }
+    }
+
     #[cfg(feature = "exr")]
     #[test]
     fn an_exr_holds_its_channels() {
         use exr::prelude::*;
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.exr");
-        write_exr(&path, 2, 1, vec![("Z", vec![1.5, 2.5]), ("R", vec![0.0, 1.0])]).unwrap();
+        let range = DepthRange { near: 1.25, far: 3.1 };
+        write_exr(&path, 2, 1, vec![("Z", vec![1.5, 2.5]), ("R", vec![0.0, 1.0])], Some(range)).unwrap();
         let image = read_first_flat_layer_from_file(&path).unwrap();
         let channels = &image.layer_data.channel_data.list;
         assert_eq!(channels[1].name.to_string(), "Z");
         assert_eq!(channels[1].sample_data.values_as_f32().collect::<Vec<_>>(), [1.5, 2.5]);
+        let stated = |key: &str| image.layer_data.attributes.other.get(&Text::from(key)).cloned();
+        assert_eq!(stated("depth_near"), Some(AttributeValue::F32(1.25)));
+        assert_eq!(stated("depth_far"), Some(AttributeValue::F32(3.1)));
+        assert!(matches!(stated("unit"), Some(AttributeValue::Text(_))));
     }
 }

@@ -9,6 +9,7 @@ mod doctor;
 mod eval;
 mod plan;
 mod render;
+mod strip;
 mod train;
 
 use crate::args::{Arguments, Verb};

@@ -1,14 +1,16 @@
 //! `render`: views of a model as pictures, from test views, a pose, a camera path or a turntable.
 
+use super::strip;
 use crate::{
     args::{PictureFormat, Quantity, RenderArguments},
-    backends, cameras, interrupt, pictures,
+    backends, cameras, interrupt,
+    pictures::{self, DepthRange},
     progress::bar,
     run_folder, settings,
     store::file_stem,
     terminal,
+    turntable::{self, Turntable},
 };
-use glam::DVec3;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -19,6 +21,9 @@ use trimip_core::{
 
 /// Renders every camera the arguments name.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
+    if arguments.strip {
+        return strip::run(arguments);
+    }
     if arguments.format == PictureFormat::Exr && !cfg!(feature = "exr") {
         return Err(Error::input(
             "--format exr",
@@ -36,7 +41,8 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let stop = interrupt::install()?;
     let mut session = backends::load(&model)?;
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
-    write_cameras(&out.join("cameras.json"), &cameras)?;
+    let ranged = arguments.what.contains(&Quantity::Depth).then_some(&config.scene);
+    write_cameras(&out.join("cameras.json"), &cameras, ranged)?;
 
     let bar = bar("{bar:30} view {pos} of {len}  {eta} left", cameras.len() as u64);
     let mut seconds = Vec::new();
@@ -63,17 +69,21 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
 fn speed(mut seconds: Vec<f64>) -> Option<String> {
     seconds.sort_by(f64::total_cmp);
     let median = *seconds.get(seconds.len() / 2)?;
-    Some(format!("{} views rendered, median {median:.3} s each, {:.2} frames/s", seconds.len(), 1.0 / median))
+    let rate = format!("{:.2} frames/s", 1.0 / median);
+    Some(match seconds.len() {
+        1 => format!("1 view rendered, {median:.3} s, {rate}"),
+        count => format!("{count} views rendered, median {median:.3} s each, {rate}"),
+    })
 }
 
 /// `renders` in the run folder, or beside the model file.
-fn beside(model: &Path) -> PathBuf {
+pub fn beside(model: &Path) -> PathBuf {
     let folder = if model.is_dir() { model } else { model.parent().unwrap_or(Path::new("")) };
     folder.join("renders")
 }
 
 /// The cameras that the arguments name.
-fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<cameras::Named>> {
+pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<cameras::Named>> {
     if !(arguments.fov > 0.0 && arguments.fov < 180.0) {
         return Err(Error::input(
             format!("--fov {}", arguments.fov),
@@ -94,9 +104,16 @@ fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<cameras::N
     }
     if let Some(count) = arguments.turntable {
         let (elevation, distance) = (arguments.elevation, arguments.distance);
-        return cameras::turntable(&config.scene, count, elevation, distance, up, intrinsics);
+        return turntable::cameras(&config.scene, &Turntable { count, elevation, distance, up }, intrinsics);
     }
     test_views(config, &arguments.views)
+}
+
+/// The first test view that the arguments name, where they name no other camera; view 0 where they name none.
+pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
+    let RenderArguments { pose, look_at, path, turntable, views, .. } = arguments;
+    let other = pose.is_some() || look_at.is_some() || path.is_some() || turntable.is_some();
+    (!other).then(|| views.first().copied().unwrap_or(0))
 }
 
 /// Cameras of test views at full size; view 0 when none is named.
@@ -109,8 +126,12 @@ fn test_views(config: &Config, views: &[usize]) -> Result<Vec<cameras::Named>> {
             if index >= scene.test.len() {
                 return Err(Error::input(
                     format!("--views {index}"),
-                    format!("the test split holds {} views", scene.test.len()),
-                    "count from 0",
+                    format!(
+                        "the test split holds {} view{}",
+                        scene.test.len(),
+                        if scene.test.len() == 1 { "" } else { "s" }
+                    ),
+                    format!("name views from 0 to {}", scene.test.len().saturating_sub(1)),
                 ));
             }
             let set = scene.test.load(index)?;
@@ -122,7 +143,8 @@ fn test_views(config: &Config, views: &[usize]) -> Result<Vec<cameras::Named>> {
         .collect()
 }
 
-fn resize(cameras: Vec<cameras::Named>, factor: f64) -> Result<Vec<cameras::Named>> {
+/// The same views with `factor` times as many pixels along each side.
+pub fn resize(cameras: Vec<cameras::Named>, factor: f64) -> Result<Vec<cameras::Named>> {
     cameras
         .into_iter()
         .map(|(name, camera)| {
@@ -156,7 +178,8 @@ fn write(
             }
         }
         let path = out.join(format!("{name}.exr"));
-        pictures::write_exr(&path, width, height, channels)?;
+        let range = arguments.what.contains(&Quantity::Depth).then(|| depth_range(scene, camera));
+        pictures::write_exr(&path, width, height, channels, range)?;
         return Ok(vec![path]);
     }
     let mut paths = Vec::new();
@@ -167,9 +190,8 @@ fn write(
                 pictures::write_png(&path, pictures::rgb_image(width, height, &frame.rgb()))?;
             }
             Quantity::Depth => {
-                let (near, far) = depth_range(scene, camera);
-                let depth = pictures::depth(frame, far);
-                pictures::write_png(&path, pictures::grey(width, height, &depth, near, far))?;
+                let range = depth_range(scene, camera);
+                pictures::write_depth_png(&path, width, height, &pictures::depth(frame, range.far), range)?;
             }
             Quantity::Opacity => {
                 pictures::write_png(
@@ -191,26 +213,32 @@ fn suffix(quantity: Quantity) -> &'static str {
     }
 }
 
-/// Distances that are black and white in a depth PNG: those of the ball around the scene's box, so that neighbouring
-/// views of a turntable share one scale.
-fn depth_range(scene: &SceneConfig, camera: &Camera) -> (f32, f32) {
-    let (low, high) =
-        (DVec3::from(scene.aabb_min.map(f64::from)), DVec3::from(scene.aabb_max.map(f64::from)));
-    let (centre, radius) = ((0.5 * (low + high) - camera.origin).length(), 0.5 * (high - low).length());
-    ((centre - radius).max(0.0) as f32, (centre + radius) as f32)
+/// Depths of the ball around the scene's box, so that neighbouring views of a turntable share one range.
+fn depth_range(scene: &SceneConfig, camera: &Camera) -> DepthRange {
+    let (centre, half) = turntable::middle(scene);
+    let (depth, radius) = ((camera.origin - centre).dot(camera.rotation.z_axis), half.length());
+    let near = (depth - radius).max(0.0);
+    // Behind the camera there is no depth; the range stays one of numbers that differ.
+    DepthRange { near: near as f32, far: (depth + radius).max(near + radius) as f32 }
 }
 
-/// The cameras beside their pictures, in the layout that `--path` reads.
-fn write_cameras(path: &Path, cameras: &[cameras::Named]) -> Result<()> {
+/// The cameras beside their pictures, in the layout that `--path` reads; with `scene`, each with its range of depths in
+/// world units.
+fn write_cameras(path: &Path, cameras: &[cameras::Named], scene: Option<&SceneConfig>) -> Result<()> {
     let frames: Vec<_> = cameras
         .iter()
         .map(|(name, camera)| {
             let (k, m, o) = (camera.intrinsics, camera.rotation.transpose().to_cols_array_2d(), camera.origin);
             let row = |i: usize| [m[i][0], m[i][1], m[i][2], o[i]];
-            json!({
+            let mut frame = json!({
                 "file_path": name, "w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy,
                 "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
-            })
+            });
+            if let Some(scene) = scene {
+                let range = depth_range(scene, camera);
+                (frame["depth_near"], frame["depth_far"]) = (json!(range.near), json!(range.far));
+            }
+            frame
         })
         .collect();
     let text = serde_json::to_string_pretty(&json!({ "frames": frames })).map_err(Error::run)?;
@@ -220,6 +248,8 @@ fn write_cameras(path: &Path, cameras: &[cameras::Named]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DVec3;
+    use serde_json::Value;
 
     #[test]
     fn written_cameras_are_read_back_as_they_were() {
@@ -227,8 +257,40 @@ mod tests {
         let path = folder.path().join("cameras.json");
         let intrinsics = Intrinsics { width: 50, height: 40, fx: 60.0, fy: 61.0, cx: 24.0, cy: 21.0 };
         let camera = cameras::look_at("3,1,2/0,0.5,0", DVec3::Z, intrinsics).unwrap();
-        write_cameras(&path, &[("a".into(), camera)]).unwrap();
-        let read = cameras::path(&path, Intrinsics::from_angle(1, 1, 1.0)).unwrap();
-        assert_eq!(read[0].1, camera);
+        let scene = SceneConfig { aabb_min: [-1.0; 3], aabb_max: [1.0; 3] };
+        for ranged in [None, Some(&scene)] {
+            write_cameras(&path, &[("a".into(), camera)], ranged).unwrap();
+            let read = cameras::path(&path, Intrinsics::from_angle(1, 1, 1.0)).unwrap();
+            assert_eq!(read[0].1, camera);
+            let json: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+            let stated =
+                ["depth_near", "depth_far"].map(|key| json["frames"][0][key].as_f64().map(|v| v as f32));
+            let range = ranged.map(|scene| depth_range(scene, &camera));
+            assert_eq!(stated, [range.map(|range| range.near), range.map(|range| range.far)]);
+        }
+    }
+
+    #[test]
+    fn the_range_of_depths_holds_the_box_wherever_the_camera_looks() {
+        let scene = SceneConfig { aabb_min: [-1.0, -2.0, 0.0], aabb_max: [1.0, 0.5, 3.0] };
+        let k = Intrinsics::from_angle(8, 8, 0.7);
+        for text in ["9,0,2/0,0,1", "9,0,2/0,9,1", "0.5,0,1/3,3,3", "9,0,2/99,0,3"] {
+            let camera = cameras::look_at(text, DVec3::Z, k).unwrap();
+            let range = depth_range(&scene, &camera);
+            assert!(0.0 <= range.near && range.near < range.far, "{text}");
+            for i in 0..8 {
+                let corner = |axis: usize| [scene.aabb_min, scene.aabb_max][i >> axis & 1][axis].into();
+                let corner = DVec3::new(corner(0), corner(1), corner(2));
+                let depth = (camera.origin - corner).dot(camera.rotation.z_axis);
+                assert!(depth < 0.0 || (range.near..=range.far).contains(&(depth as f32)), "{text}: {depth}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_view_is_one_and_two_are_more() {
+        assert!(speed(vec![0.5]).unwrap().starts_with("1 view rendered"));
+        assert!(speed(vec![0.5, 0.5]).unwrap().starts_with("2 views rendered"));
+        assert_eq!(speed(vec![]), None);
     }
 }

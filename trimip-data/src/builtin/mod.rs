@@ -1,6 +1,7 @@
 //! The built-in scene: ray-traced views of checkers, stripes, thin rods and glossy objects within [-1.2, 1.2]³, z up, on
 //! a transparent background. Exact intersections, a regular grid of rays per pixel, no random numbers.
 
+mod paint;
 mod scene;
 mod shapes;
 

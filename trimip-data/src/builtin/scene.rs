@@ -1,7 +1,7 @@
-//! What stands in the built-in scene and how it is lit: patterns finer than a coarse pixel, rods down to a pixel's
-//! width, a glossy ball that mirrors its surroundings. Colours in [0, 1], image values.
+//! What stands in the built-in scene and how it is lit: patterns finer than a coarse pixel, lines of letters, pins down
+//! to half a pixel's width, a ball that mirrors the others. Colours in [0, 1], image values.
 
-use super::Shape;
+use super::{Shape, paint::Paint};
 use glam::DVec3;
 use std::{f64::consts::TAU, sync::LazyLock};
 use trimip_core::config::Finish;
@@ -9,24 +9,14 @@ use trimip_core::config::Finish;
 /// Directions to the lights and their strengths; the first casts shadows.
 static LIGHTS: LazyLock<[(DVec3, f64); 2]> = LazyLock::new(|| {
     let light = |toward: [f64; 3], strength| (DVec3::from(toward).normalize(), strength);
-    [light([0.55, -0.4, 0.85], 0.62), light([-0.7, 0.35, 0.4], 0.22)]
+    [light([0.55, -0.4, 0.85], 0.58), light([-0.7, 0.35, 0.4], 0.20)]
 });
 /// Light from below and what the sky adds to it.
-const AMBIENT: (f64, f64) = (0.22, 0.16);
+const AMBIENT: (f64, f64) = (0.32, 0.14);
 
 const GROUND_TOP: f64 = -0.44;
-
-/// Colour over a surface.
-#[derive(Clone, Copy)]
-enum Paint {
-    Plain(DVec3),
-    /// Squares of a side, seen from above; the wall of a drum is striped.
-    Checker(DVec3, DVec3, f64),
-    /// Rings around the z axis, a pair of them per period.
-    Rings(DVec3, DVec3, f64),
-    /// Stripes that wind up around the shape's axis: turns around, period along z.
-    Helix(DVec3, DVec3, f64, f64),
-}
+/// A surface that mirrors as much as this mirrors the other objects too, not the surroundings alone.
+const MIRROR: f64 = 0.6;
 
 struct Object {
     shape: Shape,
@@ -56,13 +46,18 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
             highlight: (0.25, 30),
         },
         matt(
-            Shape::Drum { center: rgb(0.52, -0.38, 0.06), radius: 0.17, half_height: 0.5 },
-            Paint::Helix(rgb(0.15, 0.45, 0.75), rgb(0.98, 0.84, 0.25), 3.0, 0.11),
+            Shape::Drum { center: rgb(0.50, -0.42, GROUND_TOP + 0.42), radius: 0.26, half_height: 0.42 },
+            Paint::Letters {
+                ink: rgb(0.08, 0.24, 0.46),
+                paper: rgb(1.0, 0.86, 0.40),
+                radius: 0.26,
+                top: GROUND_TOP + 0.84,
+            },
         ),
         Object {
             shape: ball(0.42, 0.44, 0.36),
             paint: Paint::Plain(rgb(0.10, 0.09, 0.12)),
-            mirror: 0.55,
+            mirror: MIRROR,
             highlight: (0.8, 60),
         },
         Object {
@@ -75,22 +70,30 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
             highlight: (0.35, 18),
         },
     ];
-    // A sheaf of rods, thinner and thinner: at 128 pixels the thinnest is half a pixel wide.
-    for i in 0..8 {
-        let turn = TAU * f64::from(i) / 8.0;
-        let radius = 0.024 * 0.8_f64.powi(i);
+    // A sheaf of pins, thinner and thinner: at 192 pixels the thinnest is half a pixel wide.
+    let heads = [rgb(0.90, 0.22, 0.16), rgb(0.98, 0.76, 0.18), rgb(0.10, 0.58, 0.62)];
+    for (i, head) in (0..9).zip(heads.into_iter().cycle()) {
+        let turn = TAU * f64::from(i) / 9.0;
+        let tip = rgb(0.46 * (turn + 1.1).cos(), 0.46 * (turn + 1.1).sin(), 0.78);
         objects.push(matt(
             Shape::Capsule {
                 start: rgb(0.10 * turn.cos(), 0.10 * turn.sin(), GROUND_TOP),
-                end: rgb(0.46 * (turn + 1.1).cos(), 0.46 * (turn + 1.1).sin(), 0.78),
-                radius,
+                end: tip,
+                radius: 0.024 * 0.8_f64.powi(i),
             },
             match i % 3 {
-                0 => Paint::Plain(rgb(0.75, 0.72, 0.70)),
-                1 => Paint::Plain(rgb(0.55, 0.25, 0.55)),
+                0 => Paint::Helix(rgb(0.92, 0.92, 0.94), rgb(0.20, 0.45, 0.78), 1.0, 0.12),
+                1 => Paint::Plain(rgb(0.62, 0.28, 0.60)),
                 _ => Paint::Helix(rgb(0.12, 0.12, 0.12), rgb(0.95, 0.75, 0.30), 0.0, 0.1),
             },
         ));
+        let head_shape = Shape::Ellipsoid { center: tip, radii: DVec3::splat(0.045 - 0.002 * f64::from(i)) };
+        objects.push(Object {
+            shape: head_shape,
+            paint: Paint::Plain(head),
+            mirror: 0.0,
+            highlight: (0.35, 30),
+        });
     }
     objects
 });
@@ -163,40 +166,16 @@ impl Object {
                 highlight += strength * reflected.dot(toward).max(0.0).powi(exponent);
             }
         }
-        let mut color = self.color(point, normal) * diffuse;
+        let mut color = self.paint.color(point, normal) * diffuse;
         if mirror > 0.0 {
             // Schlick's approximation of Fresnel's reflectance.
             let share = mirror + (1.0 - mirror) * (1.0 + direction.dot(normal)).clamp(0.0, 1.0).powi(5);
-            color = color.lerp(surroundings(reflected), share);
+            // The ball is convex: a reflected ray never meets it again.
+            let others =
+                (mirror >= MIRROR).then(|| radiance_of(u32::MAX, point + 1e-6 * normal, reflected, finish));
+            color = color.lerp(others.flatten().unwrap_or_else(|| surroundings(reflected)), share);
         }
         (color + shine * highlight).clamp(DVec3::ZERO, DVec3::ONE)
-    }
-
-    fn color(&self, point: DVec3, normal: DVec3) -> DVec3 {
-        let odd = |value: f64| value.floor().rem_euclid(2.0) == 1.0;
-        match self.paint {
-            Paint::Plain(color) => color,
-            Paint::Checker(a, b, side) => {
-                let second = if normal.z.abs() > 0.5 {
-                    odd(point.x / side) != odd(point.y / side)
-                } else {
-                    odd(point.y.atan2(point.x) / TAU * 96.0)
-                };
-                if second { b } else { a }
-            }
-            Paint::Rings(a, b, period) => {
-                if odd(2.0 * point.z / period) {
-                    b
-                } else {
-                    a
-                }
-            }
-            Paint::Helix(a, b, turns, period) => {
-                // On the shape's axis the angle is that of its normal.
-                let angle = normal.y.atan2(normal.x) / TAU;
-                if normal.z.abs() < 0.999 && odd(2.0 * (turns * angle + point.z / period)) { b } else { a }
-            }
-        }
     }
 }
 

@@ -62,12 +62,14 @@ impl Shape {
                 let (axis, o) = (end - start, origin - start);
                 let (length, along) = (axis.length_squared(), axis.dot(direction));
                 // Everything times |axis|², with the part along the axis removed.
-                let side = entry(
-                    length - along * along,
-                    length * o.dot(direction) - axis.dot(o) * along,
-                    length * (o.length_squared() - radius * radius) - axis.dot(o).powi(2),
-                )
-                .filter(|t| (0.0..=length).contains(&(axis.dot(o) + t * along)));
+                let a = length - along * along;
+                let b = length * o.dot(direction) - axis.dot(o) * along;
+                let c = length * (o.length_squared() - radius * radius) - axis.dot(o).powi(2);
+                // The ends lie within the endless cylinder too; only a ray along the axis, a = 0, knows no distance to it.
+                if a > 1e-9 * length && b * b < a * c {
+                    return None;
+                }
+                let side = entry(a, b, c).filter(|t| (0.0..=length).contains(&(axis.dot(o) + t * along)));
                 let ball = |center: DVec3| {
                     let o = origin - center;
                     entry(1.0, o.dot(direction), o.length_squared() - radius * radius)
