@@ -3,6 +3,7 @@
 use crate::{
     args::TrainArguments,
     backends,
+    fresh::report_is_fresh,
     history::{History, up_to},
     interrupt, machine,
     machine::Machine,
@@ -40,7 +41,9 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     if let Some(file) = &arguments.settings.config {
         folder.spare(file)?;
     }
+    folder.expect_no_others()?;
     folder.prepare()?;
+    let _held = folder.lock()?;
     // A run that goes on keeps the plan it began with; another one is planned when its scene is known.
     let (mut settings, mut findings) = (given.clone(), Vec::new());
     let earlier = if arguments.fresh { None } else { folder.findings()? };
@@ -74,7 +77,9 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     let plan = Plan::new(&config, &subject, &findings, &memory, folder.root(), totals.step);
     // A GPU has memory of its own, and says itself what it has no room for.
     let on_host = config.backend == "cpu";
-    let warning = on_host.then(|| plan.memory_warning(&Machine::detect())).flatten();
+    let mut warnings = scene.warnings.clone();
+    warnings.extend(on_host.then(|| plan.memory_warning(&Machine::detect())).flatten());
+    warnings.extend(backends::software_warning(&config));
     let mut session = backends::train(&config, scene.train)?;
     let resumed = checkpoint.is_some();
     // What was read is not needed beside what it was read into.
@@ -86,16 +91,17 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     if arguments.fresh {
         folder.clear()?;
     }
+    // Without a checkpoint the run begins at its beginning, and so do its events.
+    let kept = if resumed { up_to(folder.events(), totals.step) } else { Vec::new() };
+    let mut recorder = Recorder::new(&folder, &kept, Display::new(arguments.progress))?;
+    // The first event is the run's mark on its folder: it stands before every other file.
+    recorder.emit(&Event::Plan { lines: plan.lines, memory_bytes: plan.memory_bytes });
     if !resumed {
         folder.write_findings(&findings)?;
     }
     folder.prepare_images()?;
     write_atomically(&folder.config(), config.to_toml().as_bytes())?;
-    // Without a checkpoint the run begins at its beginning, and so do its events.
-    let kept = if resumed { up_to(folder.events(), totals.step) } else { Vec::new() };
-    let mut recorder = Recorder::new(&folder, &kept, Display::new(arguments.progress))?;
-    recorder.emit(&Event::Plan { lines: plan.lines, memory_bytes: plan.memory_bytes });
-    for message in scene.warnings.iter().cloned().chain(warning) {
+    for message in warnings {
         recorder.emit(&Event::Warning { message });
     }
     if resumed {
@@ -126,7 +132,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     conclude(outcome, &mut recorder, &folder, &scene.name, &config, &settings, &stop)
 }
 
-/// When the folder holds this very run, trained and evaluated: says so, writes a missing report, and gives its exit code.
+/// When the folder holds this very run, trained and evaluated: says so, writes its report anew where it is stale, and gives its exit code.
 fn finished(
     arguments: &TrainArguments,
     folder: &RunFolder,
@@ -140,7 +146,7 @@ fn finished(
         return Ok(None);
     }
     let floor = history.last().map_or(Ok(()), |e| floor(e.psnr, config.eval.min_psnr));
-    if !(folder.html().exists() && folder.json().exists()) {
+    if !report_is_fresh(folder) {
         let status =
             floor.as_ref().map_or_else(|error| Status::Failed(error.message.clone()), |()| Status::Finished);
         let scene = scene_name(config);
@@ -148,14 +154,14 @@ fn finished(
     }
     Display::new(arguments.progress).show(&Event::Plan {
         lines: vec![format!(
-            "finished: {} holds this run, {} steps, trained and evaluated; --fresh trains it again",
+            "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",
             folder.root().display(),
-            totals.step
+            terminal::count(totals.step, "step")
         )],
         memory_bytes: 0,
     });
     if let Some(last) = history.last().filter(|_| terminal::watched()) {
-        table(&last.scales).iter().for_each(terminal::line);
+        table(&last.scales).iter().for_each(terminal::prose);
     }
     floor.map(|()| Some(0))
 }
