@@ -6,6 +6,8 @@ mod backends;
 mod cameras;
 mod check;
 mod curves;
+mod fresh;
+mod guard;
 mod history;
 mod interrupt;
 mod machine;

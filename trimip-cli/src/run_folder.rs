@@ -13,11 +13,10 @@ pub struct RunFolder {
     root: PathBuf,
 }
 
-/// Names of everything that a run writes, `images/` aside.
+/// Names of everything that a run writes, `images/` aside. Its events come last: they are the mark of a run.
 const FILES: [&str; 12] = [
     "config.toml",
     "plan.json",
-    "metrics.jsonl",
     "metrics.csv",
     "model.safetensors",
     "checkpoint.safetensors",
@@ -27,6 +26,7 @@ const FILES: [&str; 12] = [
     "report.json",
     "report.md",
     "report.tex",
+    "metrics.jsonl",
 ];
 
 impl RunFolder {
@@ -156,11 +156,14 @@ impl RunFolder {
         Ok(None)
     }
 
+    /// Everything that a run writes, pictures aside, whether it is there or not; the events last.
+    pub fn files(&self) -> Vec<PathBuf> {
+        FILES.iter().map(|name| self.root.join(name)).collect()
+    }
+
     /// Removes what an earlier run left; files of others stay.
     pub fn clear(&self) -> Result<()> {
-        let mut doomed: Vec<PathBuf> = FILES.iter().map(|name| self.root.join(name)).collect();
-        doomed.extend(self.pictures());
-        for path in doomed {
+        for path in self.pictures().into_iter().chain(self.files()) {
             match std::fs::remove_file(&path) {
                 Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                     return Err(Error::input(
@@ -188,7 +191,7 @@ impl RunFolder {
     /// When `given` is the folder's `config.toml`, and no run wrote it.
     pub fn spare(&self, given: &Path) -> Result<()> {
         let same = std::fs::canonicalize(given).ok();
-        if same.is_none() || same != std::fs::canonicalize(self.config()).ok() || self.metrics().exists() {
+        if same.is_none() || same != std::fs::canonicalize(self.config()).ok() || self.is_ours() {
             return Ok(());
         }
         Err(Error::input(
@@ -311,7 +314,7 @@ mod tests {
         let error = folder.spare(&folder.config()).unwrap_err();
         assert!(error.exit_code() == 2 && error.message.contains("--out"), "{}", error.message);
         assert!(folder.spare(&folder.root().join("other.toml")).is_ok());
-        drop(folder.restart_events(&[]).unwrap());
+        drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
         assert!(folder.spare(&folder.config()).is_ok(), "a run wrote it");
     }
 

@@ -122,6 +122,12 @@ pub fn compute(name: &str) -> Result<Compute> {
     })
 }
 
+/// Full name of the adapter of this name where it is software: the processor in a GPU's place.
+pub fn software(name: &str) -> Option<String> {
+    let info = choose(name).ok()?.get_info();
+    (info.device_type == wgpu::DeviceType::Cpu).then_some(info.name)
+}
+
 /// Bytes that the adapter of this name binds at once, where there is one.
 pub fn largest_binding(name: &str) -> Option<u64> {
     choose(name).ok().map(|adapter| adapter.limits().max_storage_buffer_binding_size)

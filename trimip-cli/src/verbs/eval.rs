@@ -41,7 +41,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
             "name another data.test",
         ));
     }
-    let bar = bar("{bar:30} view {pos} of {len}  {msg}", total as u64);
+    let bar = bar("{bar:12} view {pos} of {len}  {wide_msg}", total as u64);
     let mut whole = true;
     let qualities =
         evaluate(session.as_mut(), scene.test.as_ref(), stride, config.data.background, |view| {
@@ -57,7 +57,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
 
     let scales = per_scale(&qualities, 1);
     let mean = mean_quality(&scales);
-    table(&scales).iter().for_each(terminal::line);
+    table(&scales).iter().for_each(terminal::prose);
     if let Some(path) = &arguments.json {
         let views: Vec<_> = qualities
             .iter()

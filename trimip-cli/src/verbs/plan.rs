@@ -29,9 +29,9 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
     let findings = scene_plan::make(&mut settings, &facts)?;
     terminal::line(format!("scene plan of {}", scene.name));
     for finding in &findings {
-        terminal::line(finding);
+        terminal::prose(finding);
         for change in &finding.changes {
-            terminal::line(format!("    {} = {} (was {})", change.path, change.to, change.from));
+            terminal::prose(format!("    {} = {} (was {})", change.path, change.to, change.from));
         }
     }
     let planned = Config::from_settings(&settings)?;
@@ -50,7 +50,7 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
         terminal::line(table(&rows));
         report["effects"] = json!(rows);
         if let Some(verdict) = verdict(&rows) {
-            terminal::line(&verdict.text);
+            terminal::prose(&verdict.text);
             report["directions_needed"] = json!(verdict.needed);
         }
     }

@@ -3,6 +3,7 @@
 use crate::{
     args::TrainArguments,
     backends,
+    fresh::report_is_fresh,
     history::{Evaluation, History, up_to},
     interrupt, machine,
     machine::Machine,
@@ -43,7 +44,9 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     if let Some(file) = file {
         folder.spare(file)?;
     }
+    folder.expect_no_others()?;
     folder.prepare()?;
+    let _held = folder.lock()?;
     // A run that goes on keeps the plan it began with; another one is planned when its scene is known.
     let (mut settings, mut findings) = (given.clone(), Vec::new());
     let earlier = if arguments.fresh { None } else { folder.findings()? };
@@ -81,6 +84,7 @@ fn extend(arguments: &TrainArguments, folder: &RunFolder, time: &str, started: I
             "name the folder of the run with --out, or leave --continue-for out to train one",
         ));
     }
+    let _held = folder.lock()?;
     let checkpoint = Checkpoint::read(&folder.checkpoint())?;
     let totals = checkpoint.state.totals;
     if progress(&checkpoint.config, &totals) < 1.0 {
@@ -159,8 +163,7 @@ fn go(
         findings = scene_plan::make(&mut settings, &facts)?;
         config = Config::from_settings(&settings)?;
     }
-    let mut warnings = scene.warnings.clone();
-    warnings.extend(scene_plan::warnings(&config, &facts));
+    let doubts = scene_plan::warnings(&config, &facts);
     let totals = checkpoint.as_ref().map_or_else(Totals::default, |checkpoint| checkpoint.state.totals);
     let subject = Subject {
         name: &scene.name,
@@ -172,7 +175,10 @@ fn go(
     let plan = Plan::new(&config, &subject, &findings, &memory, folder.root(), totals.step);
     // A GPU has memory of its own, and says itself what it has no room for.
     let on_host = config.backend == "cpu";
-    let warning = on_host.then(|| plan.memory_warning(&Machine::detect())).flatten();
+    let mut warnings = scene.warnings.clone();
+    warnings.extend(doubts);
+    warnings.extend(on_host.then(|| plan.memory_warning(&Machine::detect())).flatten());
+    warnings.extend(backends::software_warning(&config));
     let mut session = backends::train(&config, scene.train)?;
     let resumed = checkpoint.is_some();
     // What was read is not needed beside what it was read into.
@@ -184,16 +190,17 @@ fn go(
     if arguments.fresh {
         folder.clear()?;
     }
+    // Without a checkpoint the run begins at its beginning, and so do its events.
+    let kept = if resumed { up_to(folder.events(), totals.step) } else { Vec::new() };
+    let mut recorder = Recorder::new(folder, &kept, Display::new(arguments.progress))?;
+    // The first event is the run's mark on its folder: it stands before every other file.
+    recorder.emit(&Event::Plan { lines: plan.lines, memory_bytes: plan.memory_bytes });
     if !resumed {
         folder.write_findings(&findings)?;
     }
     folder.prepare_images()?;
     write_atomically(&folder.config(), config.to_toml().as_bytes())?;
-    // Without a checkpoint the run begins at its beginning, and so do its events.
-    let kept = if resumed { up_to(folder.events(), totals.step) } else { Vec::new() };
-    let mut recorder = Recorder::new(folder, &kept, Display::new(arguments.progress))?;
-    recorder.emit(&Event::Plan { lines: plan.lines, memory_bytes: plan.memory_bytes });
-    for message in warnings.into_iter().chain(warning) {
+    for message in warnings {
         recorder.emit(&Event::Warning { message });
     }
     match extended {
@@ -226,7 +233,7 @@ fn go(
     conclude(outcome, &mut recorder, folder, &scene.name, &config, &settings, &stop)
 }
 
-/// When the folder holds this very run, trained and evaluated: says so, writes a missing report, and gives its exit code.
+/// When the folder holds this very run, trained and evaluated: says so, writes its report anew where it is stale, and gives its exit code.
 fn finished(
     arguments: &TrainArguments,
     folder: &RunFolder,
@@ -240,7 +247,7 @@ fn finished(
         return Ok(None);
     }
     let floor = history.last().map_or(Ok(()), |e| mean_quality(&e.scales).judge(&config.eval));
-    if !(folder.html().exists() && folder.json().exists()) {
+    if !report_is_fresh(folder) {
         let status =
             floor.as_ref().map_or_else(|error| Status::Failed(error.message.clone()), |()| Status::Finished);
         let scene = scene_name(config);
@@ -248,14 +255,14 @@ fn finished(
     }
     Display::new(arguments.progress).show(&Event::Plan {
         lines: vec![format!(
-            "finished: {} holds this run, {} steps, trained and evaluated; --fresh trains it again",
+            "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",
             folder.root().display(),
-            totals.step
+            terminal::count(totals.step, "step")
         )],
         memory_bytes: 0,
     });
     if let Some(last) = history.last().filter(|_| terminal::watched()) {
-        table(&last.scales).iter().for_each(terminal::line);
+        table(&last.scales).iter().for_each(terminal::prose);
     }
     floor.map(|()| Some(0))
 }

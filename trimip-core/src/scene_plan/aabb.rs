@@ -1,7 +1,7 @@
 //! The box that holds the subject: what the data state, or what the cameras look at together, shrunk to the silhouettes
 //! where the photographs have any. World units.
 
-use super::{Context, Facts, Proposal, detail, leave_out::megabytes, silhouettes};
+use super::{Context, Facts, Proposal, detail, leave_out::saved, silhouettes};
 use crate::config::PlaneShape;
 use crate::tri_mip::Pyramid;
 use crate::{Aabb, Camera, Config, ViewSet};
@@ -74,9 +74,7 @@ pub(super) fn find(context: &Context<'_>) -> Proposal {
     let sizes =
         [now, &smaller].map(|config| Pyramid::new(&config.encoder, &Aabb::new(&config.scene)).base_len());
     let saved = match sizes {
-        [before, after] if after < before && !detail::sets_planes(context) => {
-            format!("; planes of {} instead of {}", megabytes(after), megabytes(before))
-        }
+        [before, after] if !detail::sets_planes(context) => saved("planes", after, before),
         _ => String::new(),
     };
     let reason = format!("{reason}; {x} by {y} by {z} units{saved}");

@@ -7,8 +7,18 @@ use crate::config::{FilePrecision, PlanChoice};
 use crate::tri_mip::{CHANNELS, Pyramid};
 use toml::Value;
 
-pub(super) fn megabytes(floats: usize) -> String {
+fn megabytes(floats: usize) -> String {
     format!("{:.1} MB", floats as f64 * 4e-6)
+}
+
+/// `; planes of 12.6 MB instead of 50.3 MB`: what is saved of f32 values; nothing where nothing is.
+pub(super) fn saved(what: &str, after: usize, before: usize) -> String {
+    let [less, more] = [after, before].map(megabytes);
+    if after >= before || less == more {
+        String::new()
+    } else {
+        format!("; {what} of {less} instead of {more}")
+    }
 }
 
 pub(super) fn levels(context: &Context<'_>) -> Proposal {
@@ -47,11 +57,7 @@ pub(super) fn levels(context: &Context<'_>) -> Proposal {
         pyramid.base_len() + pyramid.derived_len()
     });
     Proposal::LeaveOut {
-        reason: format!(
-            "{reach}; {} of planes and levels instead of {}",
-            megabytes(sizes[1]),
-            megabytes(sizes[0])
-        ),
+        reason: format!("{reach}{}", saved("planes and levels", sizes[1], sizes[0])),
         changes: vec![
             ("encoder.levels", Value::Integer(smaller.encoder.levels.into())),
             ("encoder.plane_size", Value::Integer(smaller.encoder.plane_size.into())),

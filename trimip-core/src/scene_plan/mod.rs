@@ -450,6 +450,25 @@ mod tests {
     }
 
     #[test]
+    fn a_saving_is_told_where_there_is_one() {
+        assert_eq!(
+            leave_out::saved("planes", 10_000_000, 20_000_000),
+            "; planes of 40.0 MB instead of 80.0 MB"
+        );
+        // Two sizes that read the same, the same size, and a larger one.
+        for (after, before) in [(16_775_000, 16_777_216), (5, 5), (20_000_000, 10_000_000)] {
+            assert_eq!(leave_out::saved("planes", after, before), "");
+        }
+        for set in [&[][..], &["encoder.plane_size=16", "encoder.levels=3"]] {
+            for finding in planned(&views(true), set).unwrap().1 {
+                if let Some((before, after)) = finding.reason.split_once(" instead of ") {
+                    assert!(!before.ends_with(after), "{}", finding.reason);
+                }
+            }
+        }
+    }
+
+    #[test]
     fn directions_go_when_asked() {
         let (config, findings) = planned(&views(true), &["plan.directions=on"]).unwrap();
         assert!(!config.field.directions && of(&findings, "directions").left_out, "{findings:?}");
