@@ -8,8 +8,10 @@ use std::io::Write;
 use trimip_core::evaluate::mean_quality;
 use trimip_core::{
     Error, Result,
+    config::DataConfig,
     events::{Event, EventSink, ScaleQuality},
 };
+use trimip_data::Scene;
 
 /// The bar of a training, in parts of a thousand: the message has what is left of the terminal's width.
 const TRAINING: &str = "{bar:12} {percent:>3} %  {wide_msg}";
@@ -49,6 +51,23 @@ impl Display {
 pub fn bar(template: &str, length: u64) -> ProgressBar {
     let style = BarStyle::with_template(template).unwrap_or_else(|_| BarStyle::default_bar());
     ProgressBar::new(length).with_style(style.progress_chars("━╸─"))
+}
+
+/// Opens a scene; on a terminal a bar tells how many photographs are read.
+///
+/// # Errors
+/// As [`trimip_data::open`].
+pub fn open(config: &DataConfig) -> Result<Scene> {
+    if !terminal::watched() {
+        return trimip_data::open(config);
+    }
+    let bar = bar("{bar:30} reading photograph {pos} of {len}", 0);
+    let scene = trimip_data::open_watched(config, &|done, total| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    scene
 }
 
 fn show_on_bar(bar: &ProgressBar, event: &Event) {

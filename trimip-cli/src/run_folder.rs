@@ -140,10 +140,23 @@ impl RunFolder {
         let path = self.checkpoint();
         if path.exists() {
             let checkpoint = Checkpoint::read(&path)?;
-            checkpoint.expect_config(&path.display().to_string(), config).map_err(|error| Error {
-                message: format!("{}, or --fresh to replace this run", error.message),
-                ..error
-            })?;
+            let differences = config.differences(&checkpoint.config);
+            if !differences.is_empty() {
+                let budget =
+                    |text: &String| text.starts_with("train.seconds") || text.starts_with("train.steps");
+                let longer = match differences.iter().all(budget) {
+                    true => ", --continue-for 5m to train a finished one longer",
+                    false => "",
+                };
+                return Err(Error::input(
+                    self.root.display(),
+                    format!("holds a run with other settings ({})", differences.join(", ")),
+                    format!(
+                        "give the same settings to go on with it{longer}, --fresh to replace it, or another --out folder to \
+                         keep both"
+                    ),
+                ));
+            }
             return Ok(Some(checkpoint));
         }
         if self.model().exists() {

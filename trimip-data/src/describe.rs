@@ -44,7 +44,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
 /// As [`open`](crate::open).
 pub fn inspect(config: &DataConfig) -> Result<Vec<String>> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, config.convention)?;
+    let train = assemble(&survey.train, config.convention, &|_, _| {})?;
     let mut lines = description(&survey, config, &train);
     for (name, sources) in [("train", &survey.train), ("test", &survey.test)] {
         let cameras = || sources.iter().filter_map(|source| source.views.first().map(|(_, camera)| camera));

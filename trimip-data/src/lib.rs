@@ -29,5 +29,5 @@ mod stated;
 mod write;
 
 pub use describe::inspect;
-pub use scene::{Scene, open};
+pub use scene::{Scene, open, open_watched};
 pub use write::{Summary, write_builtin, write_multiscale};

@@ -40,8 +40,16 @@ impl std::fmt::Debug for Scene {
 /// # Errors
 /// Of kind `Input`, one line each: what is wrong, in which file and frame, and what to do.
 pub fn open(config: &DataConfig) -> Result<Scene> {
+    open_watched(config, &|_, _| {})
+}
+
+/// As [`open`]; `watch` is told, from any thread, how many training frames of how many are read.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_watched(config: &DataConfig, watch: &(dyn Fn(usize, usize) + Sync)) -> Result<Scene> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, config.convention)?;
+    let train = assemble(&survey.train, config.convention, watch)?;
     let description = describe::description(&survey, config, &train);
     Ok(Scene {
         name: survey.name,
@@ -211,11 +219,31 @@ fn detect(config: &DataConfig) -> Result<Format> {
     if blender::undivided(root).is_file() || !blender::splits(root).is_empty() {
         return Ok(Format::Blender);
     }
-    Err(Error::input(
-        root.display(),
-        format!("holds no scene: looked for {METADATA}, transforms_train.json, transforms.json"),
-        "set data.root to a folder with one of them",
-    ))
+    let what = format!("holds no scene: looked for {METADATA}, transforms_train.json, transforms.json");
+    Err(Error::input(root.display(), what, instead(root)))
+}
+
+/// What to do with a folder that holds no scene.
+fn instead(root: &Path) -> String {
+    let entries = || root.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+    let scene = |path: &std::path::PathBuf| {
+        path.join(METADATA).is_file()
+            || blender::undivided(path).is_file()
+            || !blender::splits(path).is_empty()
+    };
+    if let Some(inner) = entries().find(scene) {
+        return format!("name {}, which holds one", inner.display());
+    }
+    let picture = |path: &std::path::PathBuf| {
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        ["png", "jpg", "jpeg"].contains(&extension.as_str())
+    };
+    match entries().filter(picture).count() {
+        0 => "name a folder with one of them".into(),
+        count => format!(
+            "its {count} pictures need cameras: COLMAP finds them, and nerfstudio or Instant-NGP write transforms.json from it"
+        ),
+    }
 }
 
 /// The last part of a path, whatever way it is written.

@@ -4,6 +4,7 @@
 use crate::{builtin, photograph::Photograph, pyramid};
 use rayon::prelude::*;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use trimip_core::config::{Convention, Finish};
 use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
 
@@ -125,8 +126,12 @@ impl Source {
     }
 }
 
-/// All views of `sources`, sorted by scale, then by frame.
-pub(crate) fn assemble(sources: &[Source], convention: Convention) -> Result<ViewSet> {
+/// All views of `sources`, sorted by scale, then by frame; `watch` is told how many frames of how many are read.
+pub(crate) fn assemble(
+    sources: &[Source],
+    convention: Convention,
+    watch: &(dyn Fn(usize, usize) + Sync),
+) -> Result<ViewSet> {
     let mut levels: Vec<u32> =
         sources.iter().flat_map(|source| source.views.iter().map(|(level, _)| *level)).collect();
     levels.sort_unstable();
@@ -162,10 +167,16 @@ pub(crate) fn assemble(sources: &[Source], convention: Convention) -> Result<Vie
         slots[index].push(slot);
         rest = tail;
     }
+    let read = AtomicUsize::new(0);
+    watch(0, sources.len());
     let failure = sources
         .par_iter()
         .zip(slots)
-        .map(|(source, mut slots)| source.fill(convention, &mut slots))
+        .map(|(source, mut slots)| {
+            source.fill(convention, &mut slots)?;
+            watch(read.fetch_add(1, Ordering::Relaxed) + 1, sources.len());
+            Ok(())
+        })
         .find_map_first(Result::err);
     match failure {
         Some(error) => Err(error),
@@ -200,7 +211,7 @@ impl Frames for FrameList {
         let source = self.sources.get(index..=index).ok_or_else(|| {
             Error::run(format!("frame {index} was asked for, there are {}", self.sources.len()))
         })?;
-        assemble(source, self.convention)
+        assemble(source, self.convention, &|_, _| {})
     }
 }
 

@@ -3,15 +3,16 @@
 use crate::{
     args::EvalArguments,
     backends, interrupt,
-    progress::{bar, table},
+    progress::{bar, open, table},
     run_folder, settings, terminal,
 };
+use indicatif::ProgressBar;
 use serde_json::json;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use trimip_core::{
     Error, Result,
-    evaluate::{evaluate, mean_quality, per_scale},
+    evaluate::{ViewResult, Watch, evaluate_frame, mean_quality, per_scale},
     tensors::write_atomically,
 };
 
@@ -25,7 +26,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         run_folder::create_writable(if parent.as_os_str().is_empty() { ".".as_ref() } else { parent })?;
     }
     let stop = interrupt::install()?;
-    let scene = trimip_data::open(&config.data)?;
+    let scene = open(&config.data)?;
     for warning in &scene.warnings {
         terminal::note(format!("warning: {warning}"));
     }
@@ -41,19 +42,18 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
             "name another data.test",
         ));
     }
-    let bar = bar("{bar:12} view {pos} of {len}  {wide_msg}", total as u64);
-    let mut whole = true;
-    let qualities =
-        evaluate(session.as_mut(), scene.test.as_ref(), stride, config.data.background, |view| {
-            bar.set_position((view.index / stride) as u64 + 1);
-            bar.set_message(format!("{} 1/{}: {:.2} dB", view.name, view.scale, view.psnr));
-            whole = !stop.load(Ordering::Relaxed);
-            Ok(whole)
-        })?;
-    bar.finish_and_clear();
-    if !whole {
-        return Ok(interrupt::EXIT_CODE);
+    let bar = bar("{bar:20} {percent:>3} %  {wide_msg}", 1000);
+    let mut watch = OnBar { bar: &bar, stop: &stop, total, done: 0 };
+    let mut qualities = Vec::new();
+    for index in (0..scene.test.len()).step_by(stride) {
+        let (frames, background) = (scene.test.as_ref(), config.data.background);
+        if !evaluate_frame(session.as_mut(), frames, index, 1, background, &mut watch, &mut qualities)? {
+            bar.finish_and_clear();
+            return Ok(interrupt::EXIT_CODE);
+        }
+        watch.done += 1;
     }
+    bar.finish_and_clear();
 
     let scales = per_scale(&qualities, 1);
     let mean = mean_quality(&scales);
@@ -78,4 +78,31 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     }
     mean.judge(&config.eval)?;
     Ok(0)
+}
+
+/// Moves a bar with the rows that are rendered.
+struct OnBar<'a> {
+    bar: &'a ProgressBar,
+    stop: &'a AtomicBool,
+    /// Frames in all.
+    total: usize,
+    /// Frames done.
+    done: usize,
+}
+
+impl Watch for OnBar<'_> {
+    fn rows(&mut self, rows: u32, of: u32) -> bool {
+        let part = self.done as f64 + f64::from(rows) / f64::from(of.max(1));
+        self.bar.set_position((1000.0 * part / self.total.max(1) as f64) as u64);
+        !self.stop.load(Ordering::Relaxed)
+    }
+
+    fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {
+        let (at, name) = (self.done + 1, view.name);
+        self.bar.set_message(format!(
+            "view {at} of {}  {name} 1/{}: {:.2} dB",
+            self.total, view.scale, view.psnr
+        ));
+        Ok(!self.stop.load(Ordering::Relaxed))
+    }
 }

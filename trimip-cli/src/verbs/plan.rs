@@ -3,6 +3,7 @@
 
 use crate::args::{BenchArguments, PlanArguments, SettingsArguments};
 use crate::curves::aligned;
+use crate::progress::open;
 use crate::verbs::bench;
 use crate::{backends, settings, terminal};
 use serde_json::{Value, json};
@@ -22,7 +23,7 @@ const CHANCE: f64 = 0.05;
 /// Prints a line for every decision, and measures where asked to.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
     let (mut settings, configured) = settings::load_scene(&arguments.scene, &arguments.settings)?;
-    let scene = trimip_data::open(&configured.data)?;
+    let scene = open(&configured.data)?;
     let compute = backends::compute(&configured)?;
     let test = scene.test.cameras();
     let facts = Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };

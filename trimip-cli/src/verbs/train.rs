@@ -8,7 +8,7 @@ use crate::{
     interrupt, machine,
     machine::Machine,
     plan::{Plan, Subject},
-    progress::{Display, Recorder, table},
+    progress::{Display, Recorder, open, table},
     report::{Report, Status, provenance},
     run_folder::RunFolder,
     settings,
@@ -156,7 +156,7 @@ fn go(
     let mut config = Config::from_settings(&settings)?;
     folder.prepare()?;
     let stop = interrupt::install()?;
-    let scene = trimip_data::open(&config.data)?;
+    let scene = open(&config.data)?;
     let (compute, test) = (backends::compute(&config)?, scene.test.cameras());
     let facts = Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };
     if checkpoint.is_none() {
