@@ -6,7 +6,7 @@ use crate::curves::{Curve, rows, table};
 use crate::report::beside::{self, Entry};
 use crate::report::page;
 use crate::report::svg::{self, Line};
-use crate::{run_folder, terminal};
+use crate::terminal;
 use std::path::Path;
 use trimip_core::{Error, Result, tensors::write_atomically};
 
@@ -49,8 +49,14 @@ pub fn run(arguments: &CompareArguments) -> Result<u8> {
 
 /// Writes a file, its folder first where that is not there.
 fn write(path: &Path, text: &str) -> Result<()> {
+    let refused = |error: &dyn std::fmt::Display| {
+        Error::input(path.display(), error, "name a file in a folder that can be written")
+    };
     if let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-        run_folder::create_writable(parent)?;
+        std::fs::create_dir_all(parent).map_err(|error| refused(&format!("cannot write: {error}")))?;
+    }
+    if path.is_dir() {
+        return Err(refused(&"this is a folder"));
     }
     write_atomically(path, text.as_bytes())
 }
