@@ -90,7 +90,7 @@ impl<'a> Report<'a> {
     }
 
     /// What the run came to.
-    fn verdict(&self) -> Verdict {
+    pub fn verdict(&self) -> Verdict {
         Verdict::judge(self.history, &self.views)
     }
 

@@ -296,7 +296,19 @@ fn conclude(
         Ok(Outcome::Stopped) => Status::Stopped,
         Err(error) => Status::Failed(error.message.clone()),
     };
-    let written = Report::gather(folder, status, scene, config, settings, &recorder.history).write(folder);
+    let report = Report::gather(folder, status, scene, config, settings, &recorder.history);
+    let written = report.write(folder);
+    if let Some(last) = recorder.history.last() {
+        terminal::note(format!("verdict: {}", report.verdict().words()));
+        if last.bounded {
+            let measured = last.scales.iter().map(|scale| scale.images).max().unwrap_or(0);
+            terminal::note(format!(
+                "measured on {measured} of {}, as many as eval.share had time for; trimip-cli eval {} measures all",
+                terminal::count(last.frames as u64, "test view"),
+                folder.root().display()
+            ));
+        }
+    }
     let outcome = outcome?;
     written?;
     if let Some(error) = recorder.take_failure() {
