@@ -22,7 +22,7 @@ fn samples() -> u32 {
 
 /// The paper's model on small views of the built-in scene.
 fn scene(precision: Precision) -> (Config, ViewSet) {
-    let mut config = Config::default();
+    let mut config = trimip_tests::fixtures::as_code();
     config.data.format = Format::Builtin;
     (config.data.builtin_size, config.data.builtin_train) = (64, 8);
     config.data.builtin_supersampling = 2;

@@ -85,6 +85,10 @@ pub fn tiny() -> Vec<&'static str> {
         "train.steps=20",
         "eval.points=2",
         "eval.stride=1",
+        "eval.share=0",
+        "eval.min_gain=0",
+        "plan.detail=off",
+        "plan.schedule=off",
         "threads=2",
     ]
     .into_iter()

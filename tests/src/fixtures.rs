@@ -4,7 +4,7 @@
 use glam::DVec3;
 use trimip_core::{
     Alpha, Camera, Config, Intrinsics, Layout, Scale, View, ViewSet,
-    config::LevelFormula,
+    config::{LevelFormula, Untouched},
     params::{Kind, Slot},
 };
 
@@ -47,9 +47,20 @@ impl Draw {
     }
 }
 
+/// The optimiser, the occupancy grid and the budget as the authors' code has them, on the defaults of all else.
+pub fn as_code() -> Config {
+    let mut config = Config::default();
+    (config.optimizer.plane_scale, config.optimizer.beta2) = (10.0, 0.999);
+    config.optimizer.untouched = Untouched::Decay;
+    (config.occupancy.warmup_fraction, config.occupancy.fraction) = (1.0, 0.25);
+    config.occupancy.threshold = 5e-3;
+    (config.train.steps, config.train.seconds) = (25_000, 0.0);
+    config
+}
+
 /// A configuration small enough for the literal reference: 16² planes, 16 hidden units, about twenty steps a ray.
 pub fn small() -> Config {
-    let mut config = Config { threads: 1, ..Config::default() };
+    let mut config = Config { threads: 1, ..as_code() };
     (config.encoder.plane_size, config.encoder.levels) = (16, 5);
     config.encoder.level = LevelFormula::Paper;
     config.field.hidden = 16;

@@ -199,7 +199,7 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
 
 /// The built-in scene, small.
 fn builtin() -> Config {
-    let mut config = Config::default();
+    let mut config = fixtures::as_code();
     config.data.format = Format::Builtin;
     (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 8, 2);
     (config.data.builtin_supersampling, config.data.scales) = (2, 2);

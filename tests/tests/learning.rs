@@ -2,6 +2,7 @@
 
 use trimip_core::{Config, Session, config::Format, evaluate::evaluate, metrics::psnr, trainer::Trainer};
 use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_tests::fixtures::as_code;
 
 /// dB by which the model must beat the best constant colour, which knows the held-out image's own mean.
 const MARGIN: f64 = 6.0;
@@ -10,7 +11,7 @@ const MARGIN: f64 = 6.0;
 const STEPS: u64 = 150;
 
 fn configuration() -> Config {
-    let mut config = Config::default();
+    let mut config = as_code();
     config.data.format = Format::Builtin;
     (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 8, 2);
     (config.data.builtin_supersampling, config.data.scales) = (2, 2);

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 use std::{fs, path::Path};
-use trimip_core::scene_plan::{self, Facts};
+use trimip_core::scene_plan::{self, Compute, Facts};
 use trimip_core::{Config, Settings, config::FilePrecision, config::PlaneShape, model::Model};
 use trimip_tests::binary::{run, tiny_and};
 
@@ -17,7 +17,11 @@ fn left_out(findings: &Value) -> Vec<&str> {
     findings.iter().filter(|f| f["left_out"] == true).map(|f| f["decision"].as_str().unwrap()).collect()
 }
 
-const OFF: [&str; 10] = [
+const OFF: [&str; 14] = [
+    "--set",
+    "plan.background=off",
+    "--set",
+    "plan.solids=off",
     "--set",
     "plan.aabb=off",
     "--set",
@@ -158,7 +162,8 @@ fn plan_twice(scales: u32, expected: &[&str]) {
     }
     let config = Config::from_settings(&settings).unwrap();
     let scene = trimip_data::open(&config.data).unwrap();
-    let facts = Facts { train: &scene.train, test: &scene.test.cameras() };
+    let compute = Compute::one_thread();
+    let facts = Facts { train: &scene.train, test: &scene.test.cameras(), stated: None, compute: &compute };
     let decided = |settings: &mut Settings| {
         let findings = scene_plan::make(settings, &facts).unwrap();
         findings.into_iter().filter(|f| f.left_out).map(|f| f.decision).collect::<Vec<_>>()

@@ -5,12 +5,11 @@ use std::path::PathBuf;
 
 /// Anti-aliased radiance fields from photographs (Tri-MipRF): plan, train, evaluate, render and report.
 ///
-/// Without a verb it trains: `trimip-cli --config configs/lego.toml`.
+/// Without a verb it trains: `trimip-cli FOLDER`.
 #[derive(Debug, Parser)]
 #[command(
     version,
     args_conflicts_with_subcommands = true,
-    arg_required_else_help = true,
     after_help = "Exit codes: 0 done (also after --stop-after), 1 the run failed or missed eval.min_psnr, \
                   2 wrong input, 3 the device failed, 130 stopped by Ctrl-C (saved; the same command resumes)."
 )]
@@ -59,6 +58,17 @@ pub struct SettingsArguments {
     pub set: Vec<String>,
 }
 
+/// What is trained on, and for how long.
+#[derive(Args, Clone, Debug, Default)]
+pub struct SceneArguments {
+    /// Folder of the scene: photographs with transforms*.json or metadata.json (data.root)
+    #[arg(value_name = "FOLDER")]
+    pub folder: Option<PathBuf>,
+    /// Minutes of training; evaluation comes on top (train.seconds) [default: 5]
+    #[arg(long, value_name = "N")]
+    pub minutes: Option<f64>,
+}
+
 /// How progress is shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum ProgressStyle {
@@ -74,15 +84,21 @@ pub enum ProgressStyle {
 /// Options of `train`.
 #[derive(Args, Clone, Debug, Default)]
 pub struct TrainArguments {
+    /// Scene.
+    #[command(flatten)]
+    pub scene: SceneArguments,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Run folder [default: runs/ and the name of the configuration file]
+    /// Run folder [default: runs/ and the name of the configuration file, or of FOLDER]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Start anew: replaces the run that is in the folder
     #[arg(long)]
     pub fresh: bool,
+    /// Go on with a finished run for this much longer, e.g. 90s, 5m, 1h: its schedule stretches to the new length
+    #[arg(long, value_name = "TIME", conflicts_with_all = ["fresh", "minutes", "config"])]
+    pub continue_for: Option<String>,
     /// Stop and save after this many steps, as if interrupted; the same command goes on from there
     #[arg(long, value_name = "STEPS")]
     pub stop_after: Option<u64>,
@@ -91,9 +107,21 @@ pub struct TrainArguments {
     pub progress: ProgressStyle,
 }
 
+impl TrainArguments {
+    /// True where nothing says what to train on.
+    pub fn is_bare(&self) -> bool {
+        let named =
+            self.scene.folder.is_some() || self.settings.config.is_some() || self.continue_for.is_some();
+        !named && self.settings.set.is_empty()
+    }
+}
+
 /// Options of `plan`.
 #[derive(Args, Debug)]
 pub struct PlanArguments {
+    /// Scene.
+    #[command(flatten)]
+    pub scene: SceneArguments,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
@@ -283,6 +311,9 @@ pub struct CompareArguments {
     /// Write the plot as SVG
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
+    /// Write a page with the table, the plot and the runs' pictures
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
     /// Write the table as JSON
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -331,11 +362,14 @@ pub enum DataAction {
 /// Options of `config`.
 #[derive(Args, Debug)]
 pub struct ConfigArguments {
+    /// Scene.
+    #[command(flatten)]
+    pub scene: SceneArguments,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
     /// Print the documented table of defaults instead
-    #[arg(long, conflicts_with_all = ["config", "set"])]
+    #[arg(long, conflicts_with_all = ["config", "set", "folder", "minutes"])]
     pub defaults: bool,
 }
 
@@ -354,6 +388,9 @@ mod tests {
         let bare = Arguments::try_parse_from(["x", "--config", "a.toml", "--set", "seed=1"]).unwrap();
         assert!(bare.verb.is_none());
         assert_eq!(bare.train.settings.config, Some("a.toml".into()));
+        let folder = Arguments::try_parse_from(["x", "some/folder", "--minutes", "1.5"]).unwrap();
+        assert!(folder.verb.is_none() && folder.train.scene.minutes == Some(1.5));
+        assert_eq!(folder.train.scene.folder, Some("some/folder".into()));
         let verb = Arguments::try_parse_from(["x", "train", "--stop-after", "5"]).unwrap();
         assert!(matches!(verb.verb, Some(Verb::Train(TrainArguments { stop_after: Some(5), .. }))));
     }

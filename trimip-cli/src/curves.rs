@@ -2,7 +2,8 @@
 
 use crate::report::svg::{Line, Point};
 use crate::terminal;
-use std::path::Path;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 use trimip_core::{Error, Result};
 
 /// A curve of error against time.
@@ -14,6 +15,8 @@ pub struct Curve {
     pub points: Vec<Measure>,
     /// The measure that ended the run, on other views than the curve.
     pub last: Option<Measure>,
+    /// The folder of its run, where it is a run's.
+    pub folder: Option<PathBuf>,
 }
 
 /// A row of a curve.
@@ -25,6 +28,21 @@ pub struct Measure {
     pub psnr: f64,
 }
 
+/// When a curve reaches a PSNR.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Reach {
+    /// Of training.
+    pub seconds: f64,
+    /// The first measure is already above: it was there by then, nobody knows when.
+    pub at_most: bool,
+}
+
+impl std::fmt::Display for Reach {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}{:.1} s", if self.at_most { "≤ " } else { "" }, self.seconds)
+    }
+}
+
 impl Curve {
     /// Reads `path` or `name=path`; a folder's curve is its `error_vs_time.csv`.
     pub fn read(text: &str) -> Result<Self> {
@@ -32,26 +50,30 @@ impl Curve {
             Some((name, path)) if !Path::new(text).exists() => (name.to_string(), Path::new(path)),
             _ => (text.trim_end_matches('/').to_string(), Path::new(text)),
         };
-        let path = if path.is_dir() { path.join("error_vs_time.csv") } else { path.to_path_buf() };
+        let folder = path.is_dir().then(|| path.to_path_buf());
+        let path = if folder.is_some() { path.join("error_vs_time.csv") } else { path.to_path_buf() };
         let text = std::fs::read_to_string(&path).map_err(|error| {
             Error::input(path.display(), format!("cannot read: {error}"), "name a run folder or a CSV file")
         })?;
         let (points, last) = parse(&path.display().to_string(), &text)?;
-        Ok(Self { name, points, last })
+        Ok(Self { name, points, last, folder })
     }
 
-    /// Seconds at which the curve first reaches `psnr`, between two measures by straight lines over the logarithm of
-    /// time, over time itself from a measure at its beginning on; `None` where it never does.
-    pub fn reaches(&self, psnr: f64) -> Option<f64> {
+    /// When the curve first reaches `psnr`, between two measures by straight lines over the logarithm of time, over time
+    /// itself from a measure at its beginning on; `None` where it never does.
+    pub fn reaches(&self, psnr: f64) -> Option<Reach> {
+        let at = |seconds: f64| Some(Reach { seconds, at_most: false });
         let mut before: Option<&Measure> = None;
         for point in &self.points {
             if point.psnr >= psnr {
-                let Some(before) = before else { return Some(point.seconds) };
+                let Some(before) = before else {
+                    return Some(Reach { seconds: point.seconds, at_most: point.seconds > 0.0 });
+                };
                 let share = (psnr - before.psnr) / (point.psnr - before.psnr);
                 if before.seconds <= 0.0 {
-                    return Some(before.seconds + share * (point.seconds - before.seconds));
+                    return at(before.seconds + share * (point.seconds - before.seconds));
                 }
-                return Some(before.seconds * (point.seconds / before.seconds).powf(share));
+                return at(before.seconds * (point.seconds / before.seconds).powf(share));
             }
             before = Some(point);
         }
@@ -82,9 +104,18 @@ impl Curve {
             "name": self.name,
             "curve": self.points.iter().map(pair).collect::<Vec<_>>(),
             "final": self.last.as_ref().map(pair),
-            "reaches": reach.iter().map(|psnr| serde_json::json!({ "psnr": psnr, "seconds": self.reaches(*psnr) })).collect::<Vec<_>>(),
+            "reaches": reach.iter().map(|&psnr| reach_json(psnr, self.reaches(psnr))).collect::<Vec<_>>(),
         })
     }
+}
+
+/// A PSNR and when it is reached: `seconds` is null where it never is.
+pub fn reach_json(psnr: f64, reach: Option<Reach>) -> serde_json::Value {
+    serde_json::json!({
+        "psnr": psnr,
+        "seconds": reach.map(|reach| reach.seconds),
+        "at_most": reach.is_some_and(|reach| reach.at_most),
+    })
 }
 
 /// Measures of a CSV text by time, and the one that ended the run where a column `last` tells it apart.
@@ -133,18 +164,25 @@ fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
     Ok((points, last))
 }
 
-/// One row per curve: its end, and the time at which it reaches each PSNR.
+/// The [`rows`] for a terminal.
 pub fn table(curves: &[Curve], reach: &[f64]) -> String {
+    aligned(&rows(curves, reach))
+}
+
+/// A head, then one row per curve: its end, and the time at which it reaches each PSNR.
+pub fn rows(curves: &[Curve], reach: &[f64]) -> Vec<Vec<String>> {
     let mut rows = vec![vec!["curve".to_string(), "seconds".into(), "PSNR / dB".into(), "final / dB".into()]];
     rows[0].extend(reach.iter().map(|psnr| format!("{psnr} dB after")));
     for curve in curves {
         let end = &curve.points[curve.points.len() - 1];
         let mut row = vec![curve.name.clone(), format!("{:.1}", end.seconds), format!("{:.2}", end.psnr)];
         row.push(curve.last.map_or("–".into(), |last| format!("{:.2}", last.psnr)));
-        row.extend(reach.iter().map(|psnr| curve.reaches(*psnr).map_or("–".into(), |t| format!("{t:.1} s"))));
+        row.extend(
+            reach.iter().map(|psnr| curve.reaches(*psnr).map_or("–".into(), |reach| reach.to_string())),
+        );
         rows.push(row);
     }
-    aligned(&rows)
+    rows
 }
 
 /// Rows as lines of aligned columns: the first to the left, the others to the right.
@@ -169,7 +207,7 @@ mod tests {
 
     fn curve(text: &str) -> Curve {
         let (points, last) = parse("x.csv", text).unwrap();
-        Curve { name: "x".into(), points, last }
+        Curve { name: "x".into(), points, last, folder: None }
     }
 
     #[test]
@@ -179,14 +217,14 @@ mod tests {
             curve("seconds,psnr_mean,last\n100,30,false\n10,20,false\n1000,29,false\n1000,28.5,true\n");
         assert_eq!(curve.last, Some(Measure { seconds: 1000.0, psnr: 28.5 }));
         // Half way in dB is half way in the logarithm of time.
-        assert!((curve.reaches(25.0).unwrap() - 1000_f64.sqrt()).abs() < 1e-9);
-        assert_eq!(
-            (curve.reaches(15.0), curve.reaches(30.0), curve.reaches(30.1)),
-            (Some(10.0), Some(100.0), None)
-        );
-        assert_eq!(from_the_start.reaches(15.0), Some(20.0));
-        let table = table(&[curve], &[25.0, 40.0]);
-        assert!(table.contains("31.6 s") && table.ends_with('–'), "{table}");
+        assert!((curve.reaches(25.0).unwrap().seconds - 1000_f64.sqrt()).abs() < 1e-9);
+        let at = |seconds, at_most| Some(Reach { seconds, at_most });
+        assert_eq!((curve.reaches(30.0), curve.reaches(30.1)), (at(100.0, false), None));
+        assert_eq!(from_the_start.reaches(15.0), at(20.0, false));
+        // What lies below the first measure was reached by then, but for a measure of the beginning itself.
+        assert_eq!((curve.reaches(15.0), from_the_start.reaches(5.0)), (at(10.0, true), at(0.0, false)));
+        let table = table(&[curve], &[15.0, 25.0, 40.0]);
+        assert!(table.contains("≤ 10.0 s") && table.contains(" 31.6 s") && table.ends_with('–'), "{table}");
     }
 
     #[test]

@@ -6,6 +6,8 @@ mod backends;
 mod cameras;
 mod check;
 mod curves;
+mod fresh;
+mod guard;
 mod history;
 mod interrupt;
 mod machine;
@@ -19,6 +21,7 @@ mod store;
 mod terminal;
 mod turntable;
 mod verbs;
+mod verdict;
 
 use clap::{Parser, error::ErrorKind};
 use std::process::ExitCode;

@@ -42,10 +42,10 @@ impl Plan {
             // A balance of b draws a pixel weight^b times as often and its ray weighs weight^(1 - b).
             let drawn = scale.weight.powf(config.train.scale_balance.at(0.0) as f32);
             format!(
-                "scale 1/{}: {} training views, {}, drawn {drawn:.3} times as often at loss weight {:.3}",
+                "scale 1/{}: {}, {}, drawn {drawn:.3} times as often at loss weight {:.3}",
                 scale.factor,
-                scale.views.len(),
-                terminal::number(scale.pixels.len() as f64, "pixels"),
+                terminal::count(scale.views.len() as u64, "training view"),
+                terminal::many(scale.pixels.len() as u64, "pixel"),
                 scale.weight / drawn
             )
         }));
@@ -84,23 +84,27 @@ fn model_line(config: &Config) -> String {
     let [hidden, density, color] = [field.hidden, field.density_layers, field.color_layers].map(u64::from);
     let weights = Layout::new(config).len() - pyramid.base_len();
     let blind = if field.directions { "" } else { ", which sees no directions" };
-    let levels = if encoder.mipmap { format!("{} mip levels", encoder.levels) } else { "no mipmap".into() };
+    let levels = match encoder.mipmap {
+        true => terminal::count(encoder.levels.into(), "mip level"),
+        false => "no mipmap".into(),
+    };
     format!(
-        "model: {sizes} with {levels}, {texels} values; hidden layers {hidden}×{density} \
-         for density and {hidden}×{color} for colour{blind}, {weights} weights",
-        texels = terminal::number(pyramid.base_len() as f64, ""),
-        weights = terminal::number(weights as f64, ""),
+        "model: {sizes} with {levels}, {texels}; hidden layers {hidden}×{density} \
+         for density and {hidden}×{color} for colour{blind}, {weights}",
+        texels = terminal::many(pyramid.base_len() as u64, "value"),
+        weights = terminal::many(weights as u64, "weight"),
     )
 }
 
 fn train_line(config: &Config, step: u64) -> String {
     let train = &config.train;
-    let per_step = terminal::number(train.samples_per_step.into(), "samples");
-    let length = if train.seconds > 0.0 {
-        format!("{} at {per_step} a step", terminal::duration(train.seconds))
+    let per_step = terminal::many(train.samples_per_step.into(), "sample");
+    let length = if train.steps > 0 {
+        let total = train.steps.saturating_mul(train.samples_per_step.into());
+        let steps = terminal::count(train.steps, "step");
+        format!("{steps} of {per_step}, {} in all", terminal::many(total, "sample"))
     } else {
-        let total = train.steps as f64 * f64::from(train.samples_per_step);
-        format!("{} steps of {per_step}, {} in all", train.steps, terminal::number(total, "samples"))
+        format!("{} at {per_step} a step", terminal::duration(train.seconds))
     };
     let from = if step > 0 { format!(", going on from step {step}") } else { String::new() };
     format!("training: {length}{from}; backend {}, seed {}", config.backend, config.seed)
@@ -108,20 +112,31 @@ fn train_line(config: &Config, step: u64) -> String {
 
 fn evaluation_line(config: &Config, views: usize) -> String {
     let eval = &config.eval;
-    let on = |stride: usize| format!("{} of {views} test views", views.div_ceil(stride.max(1)));
+    let all = terminal::count(views as u64, "test view");
+    let on = |stride: usize| match (views.div_ceil(stride.max(1)), eval.share > 0.0) {
+        (count, false) => format!("{count} of {all}"),
+        (count, true) => format!("up to {count} of {all}"),
+    };
     let way = match eval.points {
         0 => "none on the way".to_string(),
-        points => format!("{points} times on the way on {}", on(eval.stride as usize)),
+        points => {
+            let times = terminal::count(points.into(), "time");
+            format!("{times} on the way on {}", on(eval.stride_of(views)))
+        }
     };
     let end = eval
-        .final_stride()
+        .final_stride(views)
         .map_or("none at the end".into(), |stride| format!("at the end on {}", on(stride)));
     let floor = if eval.min_psnr > 0.0 {
         format!("; fails below a mean PSNR of {} dB", eval.min_psnr)
     } else {
         String::new()
     };
-    format!("evaluation: {way}, {end}{floor}")
+    let bound = match eval.share {
+        0.0 => String::new(),
+        share => format!("; at most {:.0} % of the training time and 20 s", 100.0 * share),
+    };
+    format!("evaluation: {way}, {end}{bound}{floor}")
 }
 
 #[cfg(test)]
@@ -137,12 +152,24 @@ mod tests {
     }
 
     #[test]
+    fn one_of_a_thing_has_no_s() {
+        let mut config = Config::default();
+        (config.train.steps, config.train.samples_per_step, config.encoder.levels) = (1, 1, 1);
+        (config.eval.points, config.eval.stride) = (1, 1);
+        assert!(train_line(&config, 0).contains("1 step of 1 sample, 1 sample in all"));
+        assert!(model_line(&config).contains("1 mip level,"));
+        let line = evaluation_line(&config, 1);
+        assert!(line.contains("1 time on the way on 1 of 1 test view,"), "{line}");
+    }
+
+    #[test]
     fn a_budget_of_time_replaces_steps() {
         let mut config = Config::default();
+        (config.train.steps, config.train.samples_per_step) = (25_000, 262_144);
         assert!(
             train_line(&config, 5).contains("25000 steps") && train_line(&config, 5).contains("from step 5")
         );
-        config.train.seconds = 300.0;
+        config.train.steps = 0;
         assert!(
             train_line(&config, 0).starts_with("training: 5 min 00 s at 262 k samples"),
             "{}",

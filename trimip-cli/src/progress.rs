@@ -8,8 +8,13 @@ use std::io::Write;
 use trimip_core::evaluate::mean_quality;
 use trimip_core::{
     Error, Result,
+    config::DataConfig,
     events::{Event, EventSink, ScaleQuality},
 };
+use trimip_data::Scene;
+
+/// The bar of a training, in parts of a thousand: the message has what is left of the terminal's width.
+const TRAINING: &str = "{bar:12} {percent:>3} %  {wide_msg}";
 
 /// Shows events to the user.
 pub enum Display {
@@ -25,7 +30,7 @@ impl Display {
         match style {
             ProgressStyle::Json => Self::Json,
             ProgressStyle::Auto if !terminal::watched() => Self::Json,
-            _ => Self::Bar(bar("{bar:30} {percent:>3} %  {msg}", 1000)),
+            _ => Self::Bar(bar(TRAINING, 1000)),
         }
     }
 
@@ -48,65 +53,75 @@ pub fn bar(template: &str, length: u64) -> ProgressBar {
     ProgressBar::new(length).with_style(style.progress_chars("━╸─"))
 }
 
+/// Opens a scene; on a terminal a bar tells how many photographs are read.
+///
+/// # Errors
+/// As [`trimip_data::open`].
+pub fn open(config: &DataConfig) -> Result<Scene> {
+    if !terminal::watched() {
+        return trimip_data::open(config);
+    }
+    let bar = bar("{bar:30} reading photograph {pos} of {len}", 0);
+    let scene = trimip_data::open_watched(config, &|done, total| {
+        bar.set_length(total as u64);
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    scene
+}
+
 fn show_on_bar(bar: &ProgressBar, event: &Event) {
     match event {
-        Event::Plan { lines, .. } => bar.suspend(|| lines.iter().for_each(terminal::line)),
+        Event::Plan { lines, .. } => bar.suspend(|| lines.iter().for_each(terminal::prose)),
         Event::Resumed { totals } => bar.suspend(|| {
             terminal::line(format!("resumed: step {}, {}", totals.step, terminal::duration(totals.seconds)));
         }),
-        Event::Step {
-            totals,
-            progress,
-            batch_psnr,
-            samples_per_second,
-            rays_per_second,
-            seconds_left,
-            ..
-        } => {
+        Event::Step { totals, progress, batch_psnr, samples_per_second, seconds_left, .. } => {
             bar.set_position((progress * 1000.0) as u64);
-            bar.set_message(format!(
-                "step {}  PSNR {batch_psnr:.2} dB  {}  {}  {} left",
-                totals.step,
-                terminal::number(*samples_per_second, "samples/s"),
-                terminal::number(*rays_per_second, "rays/s"),
-                terminal::duration(*seconds_left)
-            ));
+            bar.set_message(message(totals.step, *batch_psnr, *samples_per_second, *seconds_left));
         }
-        Event::EvaluationProgress { done, total } => {
-            bar.set_message(format!("evaluating view {} of {total}", done + 1));
+        Event::Extended { message, .. } => bar.suspend(|| terminal::line(message)),
+        Event::EvaluationProgress { done, total, part } => {
+            bar.set_message(format!("evaluating view {} of {total}, {:.0} %", done + 1, 100.0 * part));
         }
         Event::Evaluation { totals, scales, psnr, ssim, last: false, .. } => bar.suspend(|| {
             let per_scale: Vec<_> = scales.iter().map(|q| format!("1/{} {:.2}", q.scale, q.psnr)).collect();
-            terminal::line(format!(
-                "{:>10}  step {:<7} PSNR {psnr:.2} dB ({})  SSIM {ssim:.4}",
+            terminal::prose(format!(
+                "{:>10}  step {:<7} {psnr:.2} dB ({})  SSIM {ssim:.4}",
                 terminal::duration(totals.seconds),
                 totals.step,
                 per_scale.join("  ")
             ));
         }),
         Event::Evaluation { scales, .. } => {
-            bar.suspend(|| table(scales).iter().for_each(terminal::line));
+            bar.suspend(|| table(scales).iter().for_each(terminal::prose));
         }
-        Event::Warning { message } => bar.suspend(|| terminal::line(format!("warning: {message}"))),
+        Event::Warning { message } => bar.suspend(|| terminal::prose(format!("warning: {message}"))),
         Event::Stopped { totals } => {
             bar.abandon();
-            terminal::line(format!("stopped at step {}; the same command goes on from there", totals.step));
+            terminal::prose(format!("stopped at step {}; the same command goes on from there", totals.step));
         }
         Event::Finished { totals } => {
             bar.set_position(1000);
             bar.suspend(|| {
-                terminal::line(format!(
-                    "trained: {} steps in {}, {} and {}",
-                    totals.step,
+                terminal::prose(format!(
+                    "trained: {} in {}, {} and {}",
+                    terminal::count(totals.step, "step"),
                     terminal::duration(totals.seconds),
-                    terminal::number(totals.samples as f64, "samples"),
-                    terminal::number(totals.rays as f64, "rays")
+                    terminal::many(totals.samples, "sample"),
+                    terminal::many(totals.rays, "ray")
                 ));
             });
         }
         Event::SessionEnded { .. } => bar.finish_and_clear(),
         Event::Checkpoint { .. } => {}
     }
+}
+
+/// What stands beside the bar of a training: the step, PSNR of its own pixels in dB, kept samples a second, seconds left.
+fn message(step: u64, psnr: f64, samples_per_second: f64, seconds_left: f64) -> String {
+    let speed = terminal::number(samples_per_second, "samples/s");
+    format!("step {step}  {psnr:.2} dB  {speed}  {} left", terminal::duration(seconds_left))
 }
 
 /// PSNR and SSIM per scale and their mean as aligned lines, and what there is to say of them.
@@ -184,6 +199,20 @@ impl EventSink for Recorder {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn bar_and_message_fit_eighty_columns() {
+        // "{bar:12} {percent:>3} %  " comes before the message.
+        let before = 12 + 1 + 3 + 2 + 2;
+        for (step, psnr, speed, left) in [
+            (0, f64::NAN, f64::NAN, f64::NAN),
+            (25_000, 27.4, 1.02e6, 3599.0),
+            (9_999_999, -10.25, 999_499.0, 99.0 * 3600.0),
+        ] {
+            let message = message(step, psnr, speed, left);
+            assert!(before + message.chars().count() <= 80, "{message}");
+        }
+    }
 
     #[test]
     fn the_table_ends_with_the_mean_of_the_scales() {

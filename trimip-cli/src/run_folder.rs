@@ -13,17 +13,20 @@ pub struct RunFolder {
     root: PathBuf,
 }
 
-/// Names of everything that a run writes, `images/` aside.
-const FILES: [&str; 9] = [
+/// Names of everything that a run writes, `images/` aside. Its events come last: they are the mark of a run.
+const FILES: [&str; 12] = [
     "config.toml",
     "plan.json",
-    "metrics.jsonl",
+    "metrics.csv",
     "model.safetensors",
     "checkpoint.safetensors",
     "views.json",
     "error_vs_time.csv",
     "report.html",
     "report.json",
+    "report.md",
+    "report.tex",
+    "metrics.jsonl",
 ];
 
 impl RunFolder {
@@ -102,6 +105,21 @@ impl RunFolder {
         self.root.join("report.json")
     }
 
+    /// The report's table as Markdown.
+    pub fn markdown(&self) -> PathBuf {
+        self.root.join("report.md")
+    }
+
+    /// The report's table as LaTeX.
+    pub fn latex(&self) -> PathBuf {
+        self.root.join("report.tex")
+    }
+
+    /// Step events as a table.
+    pub fn steps(&self) -> PathBuf {
+        self.root.join("metrics.csv")
+    }
+
     /// Pictures of test views.
     pub fn images(&self) -> PathBuf {
         self.root.join("images")
@@ -122,10 +140,23 @@ impl RunFolder {
         let path = self.checkpoint();
         if path.exists() {
             let checkpoint = Checkpoint::read(&path)?;
-            checkpoint.expect_config(&path.display().to_string(), config).map_err(|error| Error {
-                message: format!("{}, or --fresh to replace this run", error.message),
-                ..error
-            })?;
+            let differences = config.differences(&checkpoint.config);
+            if !differences.is_empty() {
+                let budget =
+                    |text: &String| text.starts_with("train.seconds") || text.starts_with("train.steps");
+                let longer = match differences.iter().all(budget) {
+                    true => ", --continue-for 5m to train a finished one longer",
+                    false => "",
+                };
+                return Err(Error::input(
+                    self.root.display(),
+                    format!("holds a run with other settings ({})", differences.join(", ")),
+                    format!(
+                        "give the same settings to go on with it{longer}, --fresh to replace it, or another --out folder to \
+                         keep both"
+                    ),
+                ));
+            }
             return Ok(Some(checkpoint));
         }
         if self.model().exists() {
@@ -138,11 +169,14 @@ impl RunFolder {
         Ok(None)
     }
 
+    /// Everything that a run writes, pictures aside, whether it is there or not; the events last.
+    pub fn files(&self) -> Vec<PathBuf> {
+        FILES.iter().map(|name| self.root.join(name)).collect()
+    }
+
     /// Removes what an earlier run left; files of others stay.
     pub fn clear(&self) -> Result<()> {
-        let mut doomed: Vec<PathBuf> = FILES.iter().map(|name| self.root.join(name)).collect();
-        doomed.extend(self.pictures());
-        for path in doomed {
+        for path in self.pictures().into_iter().chain(self.files()) {
             match std::fs::remove_file(&path) {
                 Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
                     return Err(Error::input(
@@ -170,7 +204,7 @@ impl RunFolder {
     /// When `given` is the folder's `config.toml`, and no run wrote it.
     pub fn spare(&self, given: &Path) -> Result<()> {
         let same = std::fs::canonicalize(given).ok();
-        if same.is_none() || same != std::fs::canonicalize(self.config()).ok() || self.metrics().exists() {
+        if same.is_none() || same != std::fs::canonicalize(self.config()).ok() || self.is_ours() {
             return Ok(());
         }
         Err(Error::input(
@@ -293,7 +327,7 @@ mod tests {
         let error = folder.spare(&folder.config()).unwrap_err();
         assert!(error.exit_code() == 2 && error.message.contains("--out"), "{}", error.message);
         assert!(folder.spare(&folder.root().join("other.toml")).is_ok());
-        drop(folder.restart_events(&[]).unwrap());
+        drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
         assert!(folder.spare(&folder.config()).is_ok(), "a run wrote it");
     }
 

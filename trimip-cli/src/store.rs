@@ -1,9 +1,11 @@
-//! Where a run keeps its checkpoint, model and test pictures: files of its run folder.
+//! Where a run keeps its checkpoint, model and test pictures: files of its run folder. Pictures are those of some test
+//! views evenly spread, and of the worst and the best view of the finest scale.
 
 use crate::{
     pictures,
     run_folder::{RunFolder, picture_stem},
 };
+use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trimip_core::{
@@ -28,23 +30,43 @@ pub struct ViewRecord {
     pub comparison: Option<String>,
 }
 
+/// Pictures of a view that may turn out to be the worst or the best: kept until all are seen.
+struct Extreme {
+    /// Its place among the records.
+    record: usize,
+    /// dB; what is no number is worse than anything.
+    psnr: f64,
+    stem: String,
+    rendered: RgbImage,
+    sheet: RgbImage,
+}
+
 /// Files of a run folder as the run's store.
 pub struct FileStore<'a> {
     folder: &'a RunFolder,
+    /// Test frames that are pictured, and how many may be.
     picked: Vec<usize>,
+    images: usize,
     records: Vec<ViewRecord>,
+    worst: Option<Extreme>,
+    best: Option<Extreme>,
 }
 
 impl<'a> FileStore<'a> {
-    /// `images` of every `stride`-th of `frames` test frames will be written as pictures.
-    pub fn new(folder: &'a RunFolder, frames: usize, stride: usize, images: usize) -> Self {
-        Self { folder, picked: picked(frames, stride, images), records: Vec::new() }
+    /// The first `images` test frames that it sees will be written as pictures: evaluations begin with evenly spread ones.
+    pub fn new(folder: &'a RunFolder, images: usize) -> Self {
+        Self { folder, picked: Vec::new(), images, records: Vec::new(), worst: None, best: None }
     }
 
-    /// Writes `views.json` and removes pictures of an earlier evaluation; call when the final evaluation is whole.
-    pub fn finish(&self) -> Result<()> {
+    /// Writes the worst and the best view and `views.json`, and removes pictures of an earlier evaluation; call when the
+    /// final evaluation is whole. Without wanted pictures (`eval.images = 0`) there are none of these two either.
+    pub fn finish(&mut self) -> Result<()> {
         if self.records.is_empty() {
             return Ok(());
+        }
+        for extreme in [self.worst.take(), self.best.take()].into_iter().flatten() {
+            self.records[extreme.record].comparison =
+                Some(self.write(&extreme.stem, extreme.rendered, extreme.sheet)?);
         }
         let kept: Vec<_> = self.records.iter().filter_map(|record| record.comparison.as_deref()).collect();
         for path in self.folder.pictures() {
@@ -54,8 +76,18 @@ impl<'a> FileStore<'a> {
                 let _ = std::fs::remove_file(path);
             }
         }
-        let text = serde_json::to_string_pretty(&self.records).map_err(Error::run)?;
+        let mut records = self.records.clone();
+        records.sort_by_key(|record| (record.index, record.scale));
+        let text = serde_json::to_string_pretty(&records).map_err(Error::run)?;
         write_atomically(&self.folder.views(), text.as_bytes())
+    }
+
+    /// Writes a view's picture and its comparison; returns the name of the comparison.
+    fn write(&self, stem: &str, rendered: RgbImage, sheet: RgbImage) -> Result<String> {
+        let (images, name) = (self.folder.images(), format!("{stem}_compare.png"));
+        pictures::write_png(&images.join(format!("{stem}.png")), rendered)?;
+        pictures::write_png(&images.join(&name), sheet)?;
+        Ok(name)
     }
 
     /// The views of the final evaluation that `finish` wrote; none where there was none.
@@ -75,21 +107,28 @@ impl Store for FileStore<'_> {
     }
 
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()> {
+        let psnr = finite(view.psnr).unwrap_or(f64::NEG_INFINITY);
+        let finest = self.records.first().is_none_or(|first| first.scale == view.scale);
+        let wanted = finest && self.images > 0;
+        let worst = wanted && self.worst.as_ref().is_none_or(|extreme| psnr < extreme.psnr);
+        let best = wanted && self.best.as_ref().is_none_or(|extreme| psnr > extreme.psnr);
         let mut comparison = None;
-        if self.picked.contains(&view.index) {
+        if self.picked.len() < self.images && !self.picked.contains(&view.index) {
+            self.picked.push(view.index);
+        }
+        if worst || best || self.picked.contains(&view.index) {
             let stem = picture_stem(view.index, &file_stem(view.name), view.scale);
             let (width, height, rgb) = (view.rendered.width, view.rendered.height, view.rendered.rgb());
-            let images = self.folder.images();
-            pictures::write_png(
-                &images.join(format!("{stem}.png")),
-                pictures::rgb_image(width, height, &rgb),
-            )?;
-            let sheet = format!("{stem}_compare.png");
-            pictures::write_png(
-                &images.join(&sheet),
-                pictures::side_by_side(width, height, &rgb, view.target),
-            )?;
-            comparison = Some(sheet);
+            let rendered = pictures::rgb_image(width, height, &rgb);
+            let sheet = pictures::side_by_side(width, height, &rgb, view.target);
+            let record = self.records.len();
+            for (place, _) in [(&mut self.worst, worst), (&mut self.best, best)].into_iter().filter(|p| p.1) {
+                let (rendered, sheet, stem) = (rendered.clone(), sheet.clone(), stem.clone());
+                *place = Some(Extreme { record, psnr, stem, rendered, sheet });
+            }
+            if self.picked.contains(&view.index) {
+                comparison = Some(self.write(&stem, rendered, sheet)?);
+            }
         }
         self.records.push(ViewRecord {
             index: view.index,
@@ -107,14 +146,6 @@ fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// `images` frames evenly spread over every `stride`-th of `frames`.
-fn picked(frames: usize, stride: usize, images: usize) -> Vec<usize> {
-    let stride = stride.max(1);
-    let count = frames.div_ceil(stride);
-    let images = images.min(count);
-    (0..images).map(|i| (2 * i + 1) * count / (2 * images) * stride).collect()
-}
-
 /// The last part of a photograph's name without extension, safe as a file name.
 pub fn file_stem(name: &str) -> String {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
@@ -124,13 +155,33 @@ pub fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use trimip_core::Frame;
 
     #[test]
-    fn pictures_are_spread_over_the_views_that_are_evaluated() {
-        assert_eq!(picked(200, 1, 4), [25, 75, 125, 175]);
-        assert_eq!(picked(200, 25, 4), [25, 75, 125, 175]);
-        assert_eq!(picked(3, 1, 10), [0, 1, 2]);
-        assert!(picked(0, 1, 4).is_empty() && picked(5, 1, 0).is_empty());
+    fn the_worst_and_the_best_view_have_pictures_too() {
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = RunFolder::new(temporary.path());
+        folder.prepare_images().unwrap();
+        let mut store = FileStore::new(&folder, 1);
+        let rendered = Frame { width: 2, height: 1, pixels: vec![Default::default(); 2] };
+        let target = [[0.5; 3]; 2];
+        // Frame 0 is the one picked; scale 2 has the least and the greatest PSNR of all.
+        for (index, psnr) in [20.0, 30.0, 25.0, 10.0, 22.0].into_iter().enumerate() {
+            for (scale, psnr) in [(1, psnr), (2, if index == 0 { 1.0 } else { 50.0 })] {
+                let name = format!("r_{index}");
+                let (rendered, target, ssim) = (&rendered, &target[..], 0.5);
+                store.view(&ViewResult { index, name: &name, scale, rendered, target, psnr, ssim }).unwrap();
+            }
+        }
+        store.finish().unwrap();
+        let pictured: Vec<_> = FileStore::read(&folder)
+            .into_iter()
+            .filter_map(|view| view.comparison.map(|file| (view.index, view.scale, file)))
+            .collect();
+        let places: Vec<_> = pictured.iter().map(|(index, scale, _)| (*index, *scale)).collect();
+        assert_eq!(places, [(0, 1), (0, 2), (1, 1), (3, 1)]);
+        assert!(pictured.iter().all(|(_, _, file)| folder.images().join(file).exists()));
+        assert_eq!(folder.pictures().len(), 8);
     }
 
     #[test]

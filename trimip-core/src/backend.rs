@@ -38,6 +38,9 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// one step while the host records the next is behind by some.
     const LAG: usize = 0;
 
+    /// Rays of a picture that are rendered before somebody is told how far it is: rows of about this many pixels.
+    const RAYS_OF_A_BAND: u32 = 1 << 15;
+
     /// Name in configurations: "cpu", "wgpu".
     fn name(&self) -> &'static str;
 

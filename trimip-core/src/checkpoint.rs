@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Value of the metadata `format` of a checkpoint file.
-const FORMAT: &str = "trimip-checkpoint-1";
+pub const FORMAT: &str = "trimip-checkpoint-1";
 
 /// Name of the tensor of the grid's running maximum of densities.
 pub const OCCUPANCY_DENSITY: &str = "occupancy.density";

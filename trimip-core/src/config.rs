@@ -162,7 +162,7 @@ section!(
     DataConfig {
         root: String, format: Format, train: Vec<String>, test: String, holdout: u32, scales: u32, convention: Convention,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
-        builtin_finish: Finish,
+        builtin_finish: Finish, most_pixels: f64,
     }
 );
 section!(
@@ -170,9 +170,9 @@ section!(
     SceneConfig { aabb_min: [f32; 3], aabb_max: [f32; 3] }
 );
 section!(
-    /// What is left out where the scene does not need it.
+    /// What follows the data and the budget, and what is left out where the scene does not need it.
     PlanConfig {
-        aabb: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
+        aabb: PlanChoice, background: PlanChoice, solids: PlanChoice, schedule: PlanChoice, detail: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }
 );
 section!(
@@ -225,7 +225,7 @@ section!(
 );
 section!(
     /// When and on what the model is evaluated.
-    EvalConfig { points: u32, stride: u32, r#final: FinalEval, images: u32, min_psnr: f64 }
+    EvalConfig { points: u32, stride: u32, r#final: FinalEval, share: f64, images: u32, min_psnr: f64, min_gain: f64 }
 );
 
 /// The final evaluation: a stride over the test views, or a flag.
@@ -248,13 +248,25 @@ impl DataConfig {
     }
 }
 
+/// Test views of an evaluation on the way, where `eval.stride` is 0.
+const CURVE_VIEWS: usize = 8;
+
 impl EvalConfig {
     /// Stride of the final evaluation over the test views, `None` when there is none.
-    pub fn final_stride(&self) -> Option<usize> {
+    pub fn final_stride(&self, frames: usize) -> Option<usize> {
         match self.r#final {
-            FinalEval::Flag(true) => Some(self.stride as usize),
+            FinalEval::Flag(true) => Some(self.stride_of(frames)),
             FinalEval::Flag(false) | FinalEval::Stride(0) => None,
             FinalEval::Stride(stride) => Some(stride as usize),
+        }
+    }
+
+    /// Stride of the evaluations on the way over `frames` test views: as given, or the one that leaves about
+    /// [`CURVE_VIEWS`].
+    pub fn stride_of(&self, frames: usize) -> usize {
+        match self.stride {
+            0 => (frames / CURVE_VIEWS).max(1),
+            stride => stride as usize,
         }
     }
 }
@@ -361,6 +373,7 @@ impl Config {
             "data.background",
             "three values from 0 to 1",
         )?;
+        check(self.data.most_pixels >= 1.0, "data.most_pixels", "1 or more")?;
         check((8..=4096).contains(&self.data.builtin_size), "data.builtin_size", "8 to 4096")?;
         check((1..=10_000).contains(&self.data.builtin_train), "data.builtin_train", "1 to 10000")?;
         check((1..=10_000).contains(&self.data.builtin_test), "data.builtin_test", "1 to 10000")?;
@@ -459,7 +472,11 @@ impl Config {
         check((0.0..=1.0).contains(&optimizer.final_factor), "optimizer.final_factor", "0 to 1")?;
         let train = &self.train;
         check(train.seconds.is_finite() && train.seconds >= 0.0, "train.seconds", "0 or more")?;
-        check(train.steps >= 1, "train.steps", "1 or more")?;
+        check(
+            train.steps > 0 || train.seconds > 0.0,
+            "train.seconds",
+            "a budget: train.seconds or train.steps above 0",
+        )?;
         check(
             (256..=4_194_304).contains(&train.samples_per_step),
             "train.samples_per_step",
@@ -483,10 +500,11 @@ impl Config {
         )?;
         check(train.checkpoint_seconds >= 0.0, "train.checkpoint_seconds", "0 or more")?;
         check(positive(train.log_seconds), "train.log_seconds", "a number above 0")?;
-        check(self.eval.stride >= 1, "eval.stride", "1 or more")?;
+        check((0.0..=100.0).contains(&self.eval.share), "eval.share", "0 to 100")?;
+        check(self.eval.min_gain.is_finite(), "eval.min_gain", "a number")?;
         check(self.eval.min_psnr.is_finite(), "eval.min_psnr", "a number")?;
         check(
-            self.eval.min_psnr <= 0.0 || self.eval.final_stride().is_some(),
+            self.eval.min_psnr <= 0.0 || self.eval.final_stride(1).is_some(),
             "eval.min_psnr",
             "0, where eval.final = false measures nothing",
         )?;

@@ -1,7 +1,8 @@
 //! Evaluation: test frames rendered at every scale and compared with their photographs.
 
 use crate::{
-    Frame, Frames, Result, Session,
+    Error, Frame, Frames, Result, Session,
+    config::EvalConfig,
     events::ScaleQuality,
     metrics::{psnr, psnr_8bit, psnr_of_constant, psnr_of_error, ssim},
 };
@@ -65,16 +66,32 @@ pub struct MeanQuality {
     pub ssim: f64,
 }
 
-/// PSNR that a model must have above that of constant pictures, dB; less is a fog of the right colour.
-const LEARNED: f64 = 1.0;
-
 impl MeanQuality {
-    /// False for a model that shows nothing: hardly better than each photograph's mean colour, or no number at all.
-    pub fn learned(&self) -> bool {
-        self.psnr.is_finite()
-            && (self.psnr_constant.is_nan()
-                || self.psnr >= self.psnr_constant + LEARNED
-                || self.psnr >= MOST_PSNR)
+    /// False for a model that shows nothing: less than `gain` dB better than each photograph's mean colour, or no number.
+    pub fn learned(&self, gain: f64) -> bool {
+        self.psnr >= MOST_PSNR || (self.psnr.is_finite() && !(self.psnr < self.psnr_constant + gain))
+    }
+
+    /// Fails where the model learned nothing, or misses the floor that is set.
+    ///
+    /// # Errors
+    /// Of kind `Run`: what was measured, and what it was held against.
+    pub fn judge(&self, eval: &EvalConfig) -> Result<()> {
+        if eval.min_gain != 0.0 && !self.learned(eval.min_gain) {
+            return Err(Error::run(format!(
+                "failed to learn: mean PSNR {:.2} dB, where each photograph's mean colour alone has {:.2} dB; look at the \
+                 pictures, and at the cameras and the box (trimip-cli plan)",
+                self.psnr, self.psnr_constant
+            )));
+        }
+        // A NaN misses every floor.
+        if eval.min_psnr > 0.0 && (self.psnr.is_nan() || self.psnr < eval.min_psnr) {
+            return Err(Error::run(format!(
+                "mean PSNR {:.2} dB is below the floor eval.min_psnr = {}",
+                self.psnr, eval.min_psnr
+            )));
+        }
+        Ok(())
     }
 
     /// What to say of a model that lets its background shine through where the photographs do not.
@@ -99,52 +116,96 @@ fn capped(psnr: f64) -> f64 {
     if psnr > MOST_PSNR { MOST_PSNR } else { psnr }
 }
 
+/// Who watches an evaluation; each method returns false to end it at once.
+pub trait Watch {
+    /// `rows` of the `of` rows of a frame, over all its scales, are rendered.
+    fn rows(&mut self, rows: u32, of: u32) -> bool {
+        let _ = (rows, of);
+        true
+    }
+    /// A view was rendered and measured.
+    fn view(&mut self, view: &ViewResult<'_>) -> Result<bool>;
+}
+
+/// Watches views alone.
+struct OnView<F>(F);
+
+impl<F: FnMut(&ViewResult<'_>) -> Result<bool>> Watch for OnView<F> {
+    fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {
+        (self.0)(view)
+    }
+}
+
 /// Renders every `stride`-th frame at every scale; `on_view` sees each result and returns false to stop early.
 pub fn evaluate(
     session: &mut dyn Session,
     frames: &dyn Frames,
     stride: usize,
     background: [f32; 3],
-    mut on_view: impl FnMut(&ViewResult<'_>) -> Result<bool>,
+    on_view: impl FnMut(&ViewResult<'_>) -> Result<bool>,
 ) -> Result<Vec<ViewQuality>> {
-    let mut qualities = Vec::new();
+    let (mut qualities, mut watch) = (Vec::new(), OnView(on_view));
     for index in (0..frames.len()).step_by(stride.max(1)) {
-        let set = frames.load(index)?;
-        for scale in &set.scales {
-            for view in scale.views.clone() {
-                let target = set.composited(view, background);
-                let rendered = session.render(&set.views[view].camera)?;
-                let rgb = rendered.rgb();
-                let other = opposite(background);
-                let quality = ViewQuality {
-                    index,
-                    scale: scale.factor,
-                    psnr: capped(psnr(&rgb, &target)),
-                    psnr_8bit: capped(psnr_8bit(&rgb, &target)),
-                    psnr_opposite: capped(psnr(
-                        &rendered.moved(background, other),
-                        &set.composited(view, other),
-                    )),
-                    psnr_constant: capped(psnr_of_constant(&target)),
-                    ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
-                };
-                let result = ViewResult {
-                    index,
-                    name: &set.views[view].name,
-                    scale: scale.factor,
-                    rendered: &rendered,
-                    target: &target,
-                    psnr: quality.psnr,
-                    ssim: quality.ssim,
-                };
-                qualities.push(quality);
-                if !on_view(&result)? {
-                    return Ok(qualities);
-                }
-            }
+        if !evaluate_frame(session, frames, index, 1, background, &mut watch, &mut qualities)? {
+            break;
         }
     }
     Ok(qualities)
+}
+
+/// Renders frame `index` at its scales from `finest` on (1, 2, 4, ..; where it has none so coarse, at its coarsest) and
+/// adds their measures to `qualities`. False when `watch` ended it: the view under way is not among them.
+///
+/// # Errors
+/// When a photograph cannot be read, the device fails, or `watch` fails.
+pub fn evaluate_frame(
+    session: &mut dyn Session,
+    frames: &dyn Frames,
+    index: usize,
+    finest: u32,
+    background: [f32; 3],
+    watch: &mut dyn Watch,
+    qualities: &mut Vec<ViewQuality>,
+) -> Result<bool> {
+    let set = frames.load(index)?;
+    let finest = set.scales.iter().map(|scale| scale.factor).filter(|&f| f <= finest).max().unwrap_or(1);
+    let scales = || set.scales.iter().filter(|scale| scale.factor >= finest);
+    let views = || scales().flat_map(|scale| scale.views.clone().map(move |view| (scale.factor, view)));
+    let rows = |view: usize| set.views[view].camera.intrinsics.height;
+    let (all, mut before) = (views().map(|(_, view)| rows(view)).sum::<u32>(), 0);
+    for (factor, view) in views() {
+        let target = set.composited(view, background);
+        let camera = &set.views[view].camera;
+        let Some(rendered) = session.render_watched(camera, &mut |done, _| watch.rows(before + done, all))?
+        else {
+            return Ok(false);
+        };
+        before += rows(view);
+        let (rgb, other) = (rendered.rgb(), opposite(background));
+        let quality = ViewQuality {
+            index,
+            scale: factor,
+            psnr: capped(psnr(&rgb, &target)),
+            psnr_8bit: capped(psnr_8bit(&rgb, &target)),
+            psnr_opposite: capped(psnr(&rendered.moved(background, other), &set.composited(view, other))),
+            psnr_constant: capped(psnr_of_constant(&target)),
+            ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
+        };
+        let result = ViewResult {
+            index,
+            name: &set.views[view].name,
+            scale: factor,
+            rendered: &rendered,
+            target: &target,
+            psnr: quality.psnr,
+            ssim: quality.ssim,
+        };
+        qualities.push(quality);
+        if !watch.view(&result)? {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 /// Means per scale, fine to coarse, over the frames whose index is a multiple of `stride`.
@@ -210,10 +271,16 @@ mod tests {
         let mean = mean_quality(&scales);
         assert_eq!((mean.psnr, mean.psnr_opposite, mean.ssim), (20.0, 18.0, 0.5));
         assert!(mean.remark().is_some_and(|remark| remark.contains("18.00 dB")));
+        let eval = |min_psnr, min_gain| EvalConfig { min_psnr, min_gain, ..crate::Config::default().eval };
+        assert!(mean.judge(&eval(0.0, 1.0)).is_ok() && mean.judge(&eval(20.0, 0.0)).is_ok());
+        assert_eq!(mean.judge(&eval(20.1, 1.0)).unwrap_err().exit_code(), 1);
+        let blind = MeanQuality { psnr: f64::NAN, ..mean };
+        assert!(blind.judge(&eval(0.0, 0.0)).is_ok() && blind.judge(&eval(1.0, 0.0)).is_err());
+        assert!(blind.judge(&eval(0.0, 1.0)).unwrap_err().message.contains("failed to learn"));
         assert_eq!(MeanQuality { psnr_opposite: 19.5, ..mean }.remark(), None);
         assert_eq!(MeanQuality { psnr_opposite: f64::NAN, ..mean }.remark(), None);
-        assert!(mean.learned() && !MeanQuality { psnr: 12.9, ..mean }.learned());
-        assert!(!MeanQuality { psnr: f64::NAN, ..mean }.learned());
+        assert!(mean.learned(1.0) && !MeanQuality { psnr: 12.9, ..mean }.learned(1.0));
+        assert!(!MeanQuality { psnr: f64::NAN, ..mean }.learned(1.0));
         assert_eq!(per_scale(&qualities, 2)[0].images, 2);
         assert_eq!([capped(f64::INFINITY), capped(120.0), capped(30.0)], [MOST_PSNR, MOST_PSNR, 30.0]);
         assert!(capped(f64::NAN).is_nan(), "a picture of no numbers is not the best of all");

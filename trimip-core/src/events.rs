@@ -55,6 +55,20 @@ pub struct Totals {
     pub non_finite: u64,
 }
 
+/// Where one process's part of a run came from; what an older run did not tell is `None`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Provenance {
+    /// The command line as it was typed, the program by its name alone.
+    pub command: Option<String>,
+    /// Version of the program, with its commit where that is known.
+    pub version: Option<String>,
+    /// When it ended: seconds since the beginning of 1970, UTC.
+    pub ended_unix: Option<u64>,
+    /// Views of the test split, evaluated or not.
+    pub test_views: Option<usize>,
+}
+
 /// Something that happened. Serialised with a `kind` field, one JSON object a line in `metrics.jsonl`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
@@ -70,6 +84,13 @@ pub enum Event {
     Resumed {
         /// Where it stands.
         totals: Totals,
+    },
+    /// A finished run goes on with a longer budget.
+    Extended {
+        /// Where it stands.
+        totals: Totals,
+        /// One line: the budget before and after, and what the schedule does.
+        message: String,
     },
     /// Steps done since the last such event.
     Step {
@@ -94,7 +115,7 @@ pub enum Event {
         /// Share of occupied cells.
         #[serde(deserialize_with = "float_or_null")]
         occupied: f64,
-        /// Seconds of training left, estimated.
+        /// Seconds of training and evaluation left, estimated.
         #[serde(deserialize_with = "float_or_null")]
         seconds_left: f64,
     },
@@ -104,6 +125,12 @@ pub enum Event {
         totals: Totals,
         /// Every n-th test view was used.
         stride: usize,
+        /// Test views there are; 0 where an earlier version wrote the event.
+        #[serde(default)]
+        frames: usize,
+        /// True where more views or scales were asked for than `eval.share` had time for.
+        #[serde(default)]
+        bounded: bool,
         /// True for the evaluation that ends the run.
         last: bool,
         /// Per scale, fine to coarse.
@@ -121,8 +148,11 @@ pub enum Event {
     EvaluationProgress {
         /// Views done.
         done: usize,
-        /// Views in all.
+        /// Views that this evaluation looks at, as far as is decided.
         total: usize,
+        /// Part of the view under way that is rendered, 0 to 1.
+        #[serde(default)]
+        part: f64,
     },
     /// A checkpoint was written.
     Checkpoint {
@@ -157,6 +187,9 @@ pub enum Event {
         wall_seconds: f64,
         /// Largest resident memory of the process, where the system tells.
         peak_memory_bytes: Option<u64>,
+        /// Where it came from.
+        #[serde(default)]
+        provenance: Provenance,
     },
 }
 
@@ -190,6 +223,8 @@ mod tests {
         let event = Event::Evaluation {
             totals: Totals::default(),
             stride: 1,
+            frames: 1,
+            bounded: false,
             last: true,
             scales,
             psnr: f64::INFINITY,

@@ -43,6 +43,7 @@ mod session;
 mod settings;
 pub mod sh;
 pub mod tensors;
+mod timekeeper;
 pub mod trainer;
 pub mod tri_mip;
 pub mod views;

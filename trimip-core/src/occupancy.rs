@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_refresh_asks_the_stated_shares() {
-        let config = Config::default().occupancy;
+        let config = OccupancyConfig { warmup_fraction: 1.0, fraction: 0.25, ..Config::default().occupancy };
         let cells = 200_000;
         let count = |choice: &Choice, occupied: bool| {
             (0..cells).filter(|&cell| choice.includes(cell, occupied)).count() as f64 / f64::from(cells)

@@ -4,13 +4,23 @@
 use crate::{
     Config, Error, ErrorKind, Frames, Result, Session,
     checkpoint::Checkpoint,
-    evaluate::{MeanQuality, ViewQuality, ViewResult, evaluate, mean_quality, per_scale},
+    evaluate::{MeanQuality, ViewQuality, ViewResult, Watch, evaluate_frame, mean_quality, per_scale},
     events::{Event, EventSink, Totals},
     model::Model,
     session::StepReport,
+    timekeeper::{Timekeeper, strides},
 };
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// Time between two words of an evaluation on how far it is.
+const TELL_EVERY: Duration = Duration::from_millis(500);
+
+/// Part of a run in which it is measured on at least half of the views of its curve, or not at all.
+const EARLY: f64 = 0.3;
+
+/// Steps after which a run that kept no sample at all is over: nothing will ever be seen.
+const BLIND_STEPS: u64 = 64;
 
 /// Where a run keeps its results.
 pub trait Store {
@@ -47,6 +57,25 @@ pub struct Run<'a> {
     pub stop: &'a AtomicBool,
 }
 
+/// What an evaluation looked at.
+struct Look {
+    views: Vec<ViewQuality>,
+    /// Every n-th test view.
+    stride: usize,
+    /// True where scales finer than these were left out.
+    coarse: bool,
+}
+
+/// How an evaluation went.
+enum Sight {
+    /// These views were measured.
+    Seen(Look),
+    /// There was no time for a single view.
+    NoTime,
+    /// The run was asked to stop.
+    Stopped,
+}
+
 impl Run<'_> {
     /// Trains from `totals` (those of a restored checkpoint, or zero) to the end of the schedule, then evaluates.
     ///
@@ -81,6 +110,7 @@ impl Run<'_> {
         let mut points = evaluation_points(self.config.eval.points);
         points.retain(|&point| point > self.progress(&totals));
         let (mut saved, mut logged_totals) = (totals.seconds, totals);
+        let mut keeper = Timekeeper::new(self.config.eval.share, self.config.eval.points);
         let mut told = self.tell(Vec::new());
         while self.progress(&totals) < 1.0 {
             if self.stop.load(Ordering::Relaxed) || totals.step >= last_step {
@@ -94,10 +124,15 @@ impl Run<'_> {
                 Err(error) if error.kind == ErrorKind::Device => return Err(error),
                 Err(error) => return Err(self.save_after(error, &totals, kept)),
             };
-            totals = Totals { seconds: totals.seconds + started.elapsed().as_secs_f64(), ..report.totals };
+            let seconds = started.elapsed().as_secs_f64();
+            keeper.trained(seconds, report.totals.rays - totals.rays);
+            totals = Totals { seconds: totals.seconds + seconds, ..report.totals };
+            if totals.step >= BLIND_STEPS && totals.samples == 0 {
+                return Err(self.save_after(blind(&totals), &totals, kept));
+            }
             let done = self.progress(&totals) >= 1.0;
             if done || totals.seconds - logged_totals.seconds >= self.config.train.log_seconds {
-                self.log(&report, &totals, &logged_totals);
+                self.log(&report, &totals, &logged_totals, &keeper);
                 logged_totals = totals;
                 told = self.tell(told);
             }
@@ -108,7 +143,7 @@ impl Run<'_> {
             }
             if points.first().is_some_and(|&point| point <= self.progress(&totals)) && !done {
                 points.retain(|&point| point > self.progress(&totals));
-                match self.evaluate_on_the_way(&totals) {
+                match self.evaluate_on_the_way(&totals, &mut keeper) {
                     Err(error) if error.kind != ErrorKind::Device => {
                         return Err(self.save_after(error, &totals, kept));
                     }
@@ -122,7 +157,7 @@ impl Run<'_> {
         let model = self.session.finish()?;
         self.store.model(&model)?;
         self.events.emit(&Event::Finished { totals });
-        self.evaluate_at_the_end(&totals)
+        self.evaluate_at_the_end(&totals, &mut keeper)
     }
 
     fn progress(&self, totals: &Totals) -> f64 {
@@ -138,10 +173,17 @@ impl Run<'_> {
         notes
     }
 
-    fn log(&mut self, report: &StepReport, totals: &Totals, before: &Totals) {
+    fn log(&mut self, report: &StepReport, totals: &Totals, before: &Totals, keeper: &Timekeeper) {
         let seconds = (totals.seconds - before.seconds).max(1e-9);
         let progress = self.progress(totals).min(1.0);
         let per_progress = (totals.seconds - before.seconds) / (progress - self.progress(before)).max(1e-12);
+        let views = self.frames.len().max(1);
+        let part = views.div_ceil(self.config.eval.stride_of(views)) as f64 / views as f64;
+        let measured = if self.config.eval.final_stride(views).is_some() {
+            keeper.left(per_progress, self.pixels_of_a_view() * views as f64, part)
+        } else {
+            0.0
+        };
         self.events.emit(&Event::Step {
             totals: *totals,
             progress,
@@ -151,7 +193,7 @@ impl Run<'_> {
             samples_per_second: (totals.samples - before.samples) as f64 / seconds,
             rays_per_second: (totals.rays - before.rays) as f64 / seconds,
             occupied: report.occupied,
-            seconds_left: per_progress * (1.0 - progress),
+            seconds_left: per_progress * (1.0 - progress) + measured,
         });
     }
 
@@ -185,87 +227,210 @@ impl Run<'_> {
         }
     }
 
-    /// Tells nothing when the run was asked to stop meanwhile.
-    fn evaluate_on_the_way(&mut self, totals: &Totals) -> Result<()> {
+    /// Tells nothing when the run was asked to stop meanwhile, or when there is no time for a view.
+    fn evaluate_on_the_way(&mut self, totals: &Totals, keeper: &mut Timekeeper) -> Result<()> {
         let started = Instant::now();
-        let stride = self.config.eval.stride as usize;
-        let (qualities, whole) = self.views(stride, false)?;
-        if whole && !qualities.is_empty() {
-            self.report(&qualities, stride, totals, false, started);
+        let frames = self.frames.len();
+        let stride = self.config.eval.stride_of(frames);
+        let allowed = keeper.on_the_way(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
+        let mut chain = strides(frames, stride, stride);
+        if self.progress(totals) < EARLY {
+            // A fog is slow to render: better no point than one on other views than those to come.
+            let few = chain.len().saturating_sub(2);
+            chain.drain(..few);
+        }
+        let sight = self.look(&chain, allowed, keeper, false);
+        keeper.spend(started.elapsed().as_secs_f64());
+        if let Sight::Seen(look) = sight? {
+            self.report(&look.views, look.stride, stride, look.coarse, totals, false, started);
         }
         Ok(())
     }
 
-    fn evaluate_at_the_end(&mut self, totals: &Totals) -> Result<Outcome> {
-        let Some(stride) = self.config.eval.final_stride() else {
+    fn evaluate_at_the_end(&mut self, totals: &Totals, keeper: &mut Timekeeper) -> Result<Outcome> {
+        if 2 * totals.empty_batches > totals.step {
+            return Err(Error::run(format!(
+                "{} of {} steps kept no sample: nothing was learned from them; look at the pictures' cameras and the box \
+                 (trimip-cli plan), or lower occupancy.threshold",
+                totals.empty_batches, totals.step
+            )));
+        }
+        let frames = self.frames.len();
+        let Some(wanted) = self.config.eval.final_stride(frames).filter(|_| frames > 0) else {
             return Ok(Outcome::Finished);
         };
         let started = Instant::now();
-        let (qualities, whole) = self.views(stride, true)?;
-        if !whole {
-            self.events.emit(&Event::Stopped { totals: *totals });
-            return Ok(Outcome::Stopped);
-        }
-        if qualities.is_empty() {
-            return Ok(Outcome::Finished);
-        }
+        let curve = self.config.eval.stride_of(frames);
+        let allowed = keeper.at_the_end(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
+        let look = match self.look(&strides(frames, curve, wanted), allowed, keeper, true)? {
+            Sight::Seen(look) => look,
+            Sight::Stopped => {
+                self.events.emit(&Event::Stopped { totals: *totals });
+                return Ok(Outcome::Stopped);
+            }
+            Sight::NoTime => {
+                return Err(Error::run(format!(
+                    "no test view could be rendered within {allowed:.0} s; the model is written, trimip-cli eval measures it \
+                     without a limit, as eval.share = 0 does"
+                )));
+            }
+        };
         // The curve's last point is taken on the same views as its other points.
-        let curve = self.config.eval.stride as usize;
-        if self.config.eval.points > 0 && curve != stride && curve.is_multiple_of(stride) {
-            self.report(&qualities, curve, totals, false, started);
+        if self.config.eval.points > 0 && curve != look.stride && curve.is_multiple_of(look.stride) {
+            self.report(&look.views, curve, curve, look.coarse, totals, false, started);
         }
-        let psnr = self.report(&qualities, stride, totals, true, started);
-        let floor = self.config.eval.min_psnr;
-        // A NaN misses every floor.
-        if floor > 0.0 && (psnr.is_nan() || psnr < floor) {
-            return Err(Error::run(format!(
-                "mean PSNR {psnr:.2} dB is below the floor eval.min_psnr = {floor}; the model and the report are written"
-            )));
-        }
+        let mean = self.report(&look.views, look.stride, wanted, look.coarse, totals, true, started);
+        mean.judge(&self.config.eval)?;
         Ok(Outcome::Finished)
     }
 
-    fn views(&mut self, stride: usize, last: bool) -> Result<(Vec<ViewQuality>, bool)> {
-        let (stop, store, events) = (self.stop, &mut *self.store, &mut *self.events);
-        let total = self.frames.len().div_ceil(stride);
-        let (mut seen, mut whole) = (None, true);
-        let mut done = 0;
-        let background = self.config.data.background;
-        let qualities = evaluate(self.session, self.frames, stride, background, |view| {
-            if seen != Some(view.index) {
-                seen = Some(view.index);
-                events.emit(&Event::EvaluationProgress { done, total });
-                done += 1;
-            }
-            if last {
-                store.view(view)?;
-            }
-            whole = !stop.load(Ordering::Relaxed);
-            Ok(whole)
-        })?;
-        Ok((qualities, whole))
+    /// Mean number of pixels of a test frame, all scales together.
+    fn pixels_of_a_view(&self) -> f64 {
+        let area = |k: &crate::Intrinsics| f64::from(k.width) * f64::from(k.height);
+        let pixels: f64 = self.frames.cameras().iter().map(|camera| area(&camera.intrinsics)).sum();
+        pixels / self.frames.len().max(1) as f64
     }
 
+    /// Measures every n-th view of the finest of `strides` that `allowed` seconds are enough for, and coarse scales alone
+    /// where they are not enough for one whole view.
+    fn look(
+        &mut self,
+        strides: &[usize],
+        allowed: f64,
+        keeper: &mut Timekeeper,
+        last: bool,
+    ) -> Result<Sight> {
+        let (frames, started) = (self.frames.len(), Instant::now());
+        let whole = self.pixels_of_a_view();
+        let (mut finest, mut of_a_view) = (1, whole);
+        let coarsest = 1 << (self.config.data.scales - 1);
+        let least = strides.first().map_or(0, |&stride| frames.div_ceil(stride)) as f64;
+        // Coarser scales alone are for one view that is too slow; more views than one are few enough to be left out.
+        while least <= 1.0 && keeper.pixel() * of_a_view > allowed && finest < coarsest {
+            (finest, of_a_view) = (2 * finest, 0.25 * of_a_view);
+        }
+        if !last && keeper.pixel() * of_a_view * least > allowed {
+            return Ok(Sight::NoTime);
+        }
+        let Self { session, store, events, stop, .. } = self;
+        let mut watch = Watcher {
+            store: last.then_some(&mut **store),
+            events: &mut **events,
+            stop,
+            // Predictions may be off; a view that takes this long says nothing worth it.
+            deadline: Duration::try_from_secs_f64(4.0 * allowed.max(5.0))
+                .ok()
+                .and_then(|most| started.checked_add(most)),
+            told: None,
+            done: 0,
+            total: 1,
+        };
+        let mut look = None;
+        let mut views = Vec::new();
+        let mut measured = 0_usize;
+        for (i, &stride) in strides.iter().enumerate() {
+            let before = i.checked_sub(1).map(|before| strides[before]);
+            let is_new = |index: &usize| before.is_none_or(|before| !index.is_multiple_of(before));
+            let indices: Vec<usize> = (0..frames).step_by(stride).filter(is_new).collect();
+            let each = started.elapsed().as_secs_f64() / measured.max(1) as f64;
+            if measured > 0 && each * (measured + indices.len()) as f64 > allowed {
+                break;
+            }
+            watch.total = measured + indices.len();
+            for index in indices {
+                let background = self.config.data.background;
+                if !evaluate_frame(*session, self.frames, index, finest, background, &mut watch, &mut views)?
+                {
+                    if watch.stop.load(Ordering::Relaxed) {
+                        return Ok(Sight::Stopped);
+                    }
+                    return Ok(look.map_or(Sight::NoTime, Sight::Seen));
+                }
+                (measured, watch.done) = (measured + 1, measured + 1);
+            }
+            look = Some(Look { views: views.clone(), stride, coarse: finest > 1 });
+        }
+        keeper.rendered(started.elapsed().as_secs_f64(), measured as f64 * of_a_view);
+        Ok(look.map_or(Sight::NoTime, Sight::Seen))
+    }
+
+    /// Tells what was measured; `wanted` is the stride that was asked for.
+    #[allow(clippy::too_many_arguments)]
     fn report(
         &mut self,
         views: &[ViewQuality],
         stride: usize,
+        wanted: usize,
+        coarse: bool,
         totals: &Totals,
         last: bool,
         started: Instant,
-    ) -> f64 {
+    ) -> MeanQuality {
         let scales = per_scale(views, stride);
-        let MeanQuality { psnr, ssim, .. } = mean_quality(&scales);
-        let seconds = started.elapsed().as_secs_f64();
-        self.events.emit(&Event::Evaluation { totals: *totals, stride, last, scales, psnr, ssim, seconds });
-        psnr
+        let mean = mean_quality(&scales);
+        self.events.emit(&Event::Evaluation {
+            totals: *totals,
+            stride,
+            frames: self.frames.len(),
+            bounded: coarse || stride > wanted,
+            last,
+            psnr: mean.psnr,
+            ssim: mean.ssim,
+            scales,
+            seconds: started.elapsed().as_secs_f64(),
+        });
+        mean
     }
+}
+
+/// Passes on what an evaluation does, and ends it when asked to or when it takes too long.
+struct Watcher<'a> {
+    store: Option<&'a mut dyn Store>,
+    events: &'a mut dyn EventSink,
+    stop: &'a AtomicBool,
+    deadline: Option<Instant>,
+    told: Option<Instant>,
+    done: usize,
+    total: usize,
+}
+
+impl Watcher<'_> {
+    fn goes_on(&self) -> bool {
+        !self.stop.load(Ordering::Relaxed) && self.deadline.is_none_or(|deadline| Instant::now() < deadline)
+    }
+}
+
+impl Watch for Watcher<'_> {
+    fn rows(&mut self, rows: u32, of: u32) -> bool {
+        if self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY) {
+            self.told = Some(Instant::now());
+            let part = f64::from(rows) / f64::from(of.max(1));
+            self.events.emit(&Event::EvaluationProgress { done: self.done, total: self.total, part });
+        }
+        self.goes_on()
+    }
+
+    fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {
+        if let Some(store) = &mut self.store {
+            store.view(view)?;
+        }
+        Ok(self.goes_on())
+    }
+}
+
+/// The error of a run whose rays met nothing.
+fn blind(totals: &Totals) -> Error {
+    Error::run(format!(
+        "{} steps of {} rays kept no sample: no ray sees anything of the box from scene.aabb_min to scene.aabb_max; set them to \
+         where the subject is (trimip-cli data inspect tells where the cameras are)",
+        totals.step, totals.rays
+    ))
 }
 
 /// Fraction of the schedule done at `totals`; 1 or more at its end.
 pub fn progress(config: &Config, totals: &Totals) -> f64 {
     let train = &config.train;
-    if train.seconds > 0.0 { totals.seconds / train.seconds } else { totals.step as f64 / train.steps as f64 }
+    if train.steps > 0 { totals.step as f64 / train.steps as f64 } else { totals.seconds / train.seconds }
 }
 
 /// Progress at which a run is evaluated: `count` points evenly spaced in the logarithm, from 1/32 (left out) to 1.

@@ -39,6 +39,17 @@ pub trait Session: Send {
     /// Renders one view on the configured background.
     fn render(&mut self, camera: &Camera) -> Result<Frame>;
 
+    /// As [`render`](Self::render); `watch` is told how many rows of how many are done, first none, and returns false to
+    /// give the view up, which makes it `None`.
+    ///
+    /// # Errors
+    /// As [`render`](Self::render).
+    fn render_watched(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Frame>>;
+
     /// Everything `render` needs.
     fn model(&mut self) -> Result<Model>;
 

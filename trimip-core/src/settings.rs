@@ -133,7 +133,14 @@ impl Settings {
         entry.0 = fit(&entry.0, value).map_err(|(found, expected)| {
             Error::input(place, format!("`{path}` is {found}"), format!("expected {expected}"))
         })?;
-        entry.1 = origin;
+        let given = positive(&entry.0);
+        entry.1 = origin.clone();
+        // A run has one budget, that which was given last.
+        let other = BUDGETS.iter().find(|pair| pair[0] == path).map(|pair| pair[1]);
+        if let Some(other) = other.filter(|_| given).and_then(|other| self.entries.get_mut(other)) {
+            other.0 = fit(&other.0, Value::Integer(0)).unwrap_or_else(|_| Value::Integer(0));
+            other.1 = origin;
+        }
         Ok(())
     }
 
@@ -173,6 +180,13 @@ impl Settings {
         }
         table
     }
+}
+
+/// Each budget of a run, and the one it replaces.
+const BUDGETS: [[&str; 2]; 2] = [["train.seconds", "train.steps"], ["train.steps", "train.seconds"]];
+
+fn positive(value: &Value) -> bool {
+    value.as_float().or(value.as_integer().map(|number| number as f64)).is_some_and(|number| number > 0.0)
 }
 
 fn section_of(path: &str) -> &str {
@@ -283,6 +297,20 @@ mod tests {
         let error = settings.apply_file("run.toml", "[train\n").unwrap_err();
         assert!(error.message.starts_with("run.toml:1:"), "{error}");
         assert!(settings.apply_assignment("train.steps").is_err());
+    }
+
+    #[test]
+    fn the_budget_that_is_given_last_counts() {
+        let mut settings = Settings::defaults();
+        let budget = |settings: &Settings| [settings.value("train.seconds"), settings.value("train.steps")];
+        assert_eq!(budget(&settings), ["300.0", "0"]);
+        settings.apply_file("run.toml", "[train]\nsteps = 10\n").unwrap();
+        assert_eq!(budget(&settings), ["0.0", "10"]);
+        settings.apply_assignment("train.seconds=60").unwrap();
+        assert_eq!(budget(&settings), ["60.0", "0"]);
+        // A whole configuration names both, one of them 0.
+        settings.apply_file("config.toml", "[train]\nseconds = 0.0\nsteps = 7\n").unwrap();
+        assert_eq!(budget(&settings), ["0.0", "7"]);
     }
 
     #[test]

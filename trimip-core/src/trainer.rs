@@ -408,27 +408,43 @@ impl<B: Backend> Trainer<B> {
         })
     }
 
-    fn render_view(&mut self, camera: &Camera) -> Result<Frame> {
+    fn render_view(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Frame>> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let count = width.checked_mul(height).ok_or_else(|| {
             Error::input("camera", format!("{width} x {height} pixels"), "render at most 2^32 pixels at once")
         })?;
         let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
         let camera = &Camera { origin: camera.origin - self.centre, ..*camera };
-        self.backend.map_spans(
-            &stages.field,
-            count,
-            MAX_RAYS_PER_SPAN / 4,
-            &mut self.frame,
-            &|space, range| {
-                stages.sampler.camera_rays(&mut space.lane, camera, range, &mut space.rays);
-                forward(backend, stages, parameters, space, None);
-            },
-            &|space| &space.pixels,
-        );
-        let pixels = self.backend.read(&self.frame);
-        self.backend.health()?;
-        Ok(Frame { width, height, pixels })
+        let rows = (B::RAYS_OF_A_BAND / width.max(1)).clamp(1, height.max(1));
+        let mut pixels = Vec::with_capacity(count as usize);
+        for first in (0..height).step_by(rows as usize) {
+            if !watch(first, height) {
+                return Ok(None);
+            }
+            let (start, count) = (first * width, rows.min(height - first) * width);
+            let frame = &mut self.frame;
+            backend.install(|| {
+                backend.map_spans(
+                    &stages.field,
+                    count,
+                    MAX_RAYS_PER_SPAN / 4,
+                    frame,
+                    &|space, range| {
+                        let range = start + range.start..start + range.end;
+                        stages.sampler.camera_rays(&mut space.lane, camera, range, &mut space.rays);
+                        forward(backend, stages, parameters, space, None);
+                    },
+                    &|space| &space.pixels,
+                );
+            });
+            pixels.extend(self.backend.read(&self.frame));
+            self.backend.health()?;
+        }
+        Ok(Some(Frame { width, height, pixels }))
     }
 
     fn restore_model(&mut self, name: &str, file: &TensorFile, densities: Option<&[f32]>) -> Result<()> {
@@ -493,8 +509,17 @@ impl<B: Backend> Session for Trainer<B> {
     }
 
     fn render(&mut self, camera: &Camera) -> Result<Frame> {
-        let backend = Arc::clone(&self.backend);
-        backend.install(|| self.render_view(camera))
+        let frame = self.render_view(camera, &mut |_, _| true)?;
+        // Nobody gave the view up.
+        frame.ok_or_else(|| Error::run("a view was not rendered"))
+    }
+
+    fn render_watched(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Frame>> {
+        self.render_view(camera, watch)
     }
 
     fn model(&mut self) -> Result<Model> {

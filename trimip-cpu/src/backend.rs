@@ -1,6 +1,6 @@
 //! The CPU as a backend: buffers are plain memory, spans run on rayon workers, deposits are joined in their order.
 
-use crate::buffer::Buffer;
+use crate::buffer::{Buffer, take_mut};
 use crate::encoder::CpuEncoder;
 use crate::field::CpuField;
 use crate::loss::CpuLoss;
@@ -12,17 +12,43 @@ use crate::see::{Scratch, see};
 use crate::simd::Simd;
 use bytemuck::Pod;
 use rayon::prelude::*;
+use std::any::TypeId;
 use std::ops::Range;
 use std::sync::Mutex;
 use trimip_core::backend::{Stages, TrainWork, update_all};
-use trimip_core::batch::{Deposit, StepSums, Workspace};
+use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::{Backend, Config, Error, Field, Layout, Result, ViewSet};
+use trimip_core::{Backend, Config, Error, Field, Layout, Pixel, Result, ViewSet};
+
+/// Samples that the rays rendered at once have at most, about: what bounds the memory of a worker.
+pub const SAMPLES_AT_ONCE: usize = 4096;
+
+/// Samples of a ray of which nothing is known yet.
+const UNKNOWN_RAY: f32 = 256.0;
+
+/// Part of what is known of the longest ray that still counts after the next rays: they lie beside each other.
+const REMEMBERED: f32 = 0.98;
 
 /// Scratch of a worker beside its workspace.
-#[derive(Default)]
 pub struct Lane {
     pub(crate) scratch: Option<Box<Scratch>>,
+    /// Samples of the longest ray rendered lately.
+    longest_ray: f32,
+}
+
+impl Lane {
+    /// Rays to be rendered at once: many, but few through fog, where each has hundreds of samples.
+    fn rays_at_once(&self) -> usize {
+        ((SAMPLES_AT_ONCE as f32 / self.longest_ray) as usize).max(1)
+    }
+
+    /// Takes note of the samples of the rays just rendered; rays without any say nothing of their neighbours.
+    fn saw(&mut self, segments: &[Segment]) {
+        let longest = segments.iter().map(|segment| segment.count).max().unwrap_or(0);
+        if longest > 0 {
+            self.longest_ray = (longest as f32).max(REMEMBERED * self.longest_ray);
+        }
+    }
 }
 
 /// Samples that share a deposit, about; a deposit's weight gradients are joined at the end of a step.
@@ -84,7 +110,8 @@ impl Backend for CpuBackend {
     }
 
     fn device_name(&self) -> String {
-        format!("{:?}, {} threads", self.simd, self.pool.current_num_threads())
+        let threads = self.pool.current_num_threads();
+        format!("{:?}, {threads} thread{}", self.simd, if threads == 1 { "" } else { "s" })
     }
 
     fn notes(&self, config: &Config) -> Vec<String> {
@@ -117,7 +144,7 @@ impl Backend for CpuBackend {
     }
 
     fn lane(&self) -> Lane {
-        Lane::default()
+        Lane { scratch: None, longest_ray: UNKNOWN_RAY }
     }
 
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Buffer<T> {
@@ -166,12 +193,24 @@ impl Backend for CpuBackend {
         work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
+        // Rays have samples by the hundred, or none; a probe is one sample.
+        let rays = TypeId::of::<T>() == TypeId::of::<Pixel>();
         out.resize(count as usize);
-        out.par_chunks_mut(per_span as usize).enumerate().with_max_len(8).for_each(|(i, out)| {
-            let start = i as u32 * per_span;
+        out.par_chunks_mut(per_span as usize).enumerate().with_max_len(8).for_each(|(i, mut out)| {
+            let mut start = i as u32 * per_span;
             self.with_workspace(field, |workspace| {
-                work(workspace, start..start + out.len() as u32);
-                out.copy_from_slice(result(workspace));
+                while !out.is_empty() {
+                    let most = if rays { workspace.lane.rays_at_once() } else { out.len() };
+                    let count = most.min(out.len());
+                    let now = take_mut(&mut out, count);
+                    let end = start + now.len() as u32;
+                    work(workspace, start..end);
+                    now.copy_from_slice(result(workspace));
+                    if rays {
+                        workspace.lane.saw(&workspace.samples.segments);
+                    }
+                    start = end;
+                }
             });
         });
     }
@@ -222,5 +261,25 @@ impl Backend for CpuBackend {
 
     fn redeem(&self, sums: StepSums) -> Result<StepSums> {
         Ok(sums)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rays_through_fog_are_rendered_few_at_once() {
+        let mut lane = Lane { scratch: None, longest_ray: UNKNOWN_RAY };
+        let rays = |count| [Segment { start: 0, count: 1 }, Segment { start: 1, count }];
+        assert_eq!(lane.rays_at_once(), SAMPLES_AT_ONCE / 256);
+        lane.saw(&rays(1000));
+        assert_eq!(lane.rays_at_once(), SAMPLES_AT_ONCE / 1000);
+        lane.saw(&[Segment::default(); 3]);
+        assert_eq!(lane.rays_at_once(), SAMPLES_AT_ONCE / 1000, "empty space says nothing of fog");
+        (0..300).for_each(|_| lane.saw(&rays(8)));
+        assert_eq!(lane.rays_at_once(), SAMPLES_AT_ONCE / 8);
+        lane.saw(&rays(1 << 20));
+        assert_eq!(lane.rays_at_once(), 1);
     }
 }

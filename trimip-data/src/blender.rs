@@ -6,12 +6,13 @@ use crate::{
     photograph::Photograph,
     pose,
     source::{Pixels, Source, find_image, map_in_order, stem},
+    stated,
 };
 use std::path::{Path, PathBuf};
-use trimip_core::{Camera, Error, Intrinsics, Result};
+use trimip_core::{Camera, Error, Intrinsics, Result, scene_plan::StatedBox};
 
 /// Every n-th frame of an undivided file is tested on (mip-NeRF 360's and Instant-NGP's habit for photographs).
-const HOLD_OUT: usize = 8;
+pub(crate) const HOLD_OUT: usize = 8;
 /// Keys of lens models that a pinhole camera does not have.
 const DISTORTION: [&str; 6] = ["k1", "k2", "k3", "k4", "p1", "p2"];
 
@@ -19,6 +20,8 @@ const DISTORTION: [&str; 6] = ["k1", "k2", "k3", "k4", "p1", "p2"];
 pub(crate) struct Split {
     pub(crate) sources: Vec<Source>,
     pub(crate) warnings: Vec<String>,
+    /// Where the file says that the scene is.
+    pub(crate) stated: Option<StatedBox>,
 }
 
 /// Names of the splits that have a file of their own.
@@ -33,6 +36,12 @@ pub(crate) fn splits(root: &Path) -> Vec<String> {
         .collect();
     names.sort();
     names
+}
+
+/// True where a folder has frames of a split.
+pub(crate) fn has_split(root: &Path, split: &str) -> bool {
+    let found = splits(root);
+    if found.is_empty() { undivided(root).is_file() } else { found.iter().any(|name| name == split) }
 }
 
 /// The undivided file of a folder.
@@ -86,7 +95,8 @@ pub(crate) fn read(root: &Path, split: &str, scales: u32) -> Result<Split> {
         ));
     }
     warnings.extend(distortion(&file, entries)?);
-    Ok(Split { sources, warnings })
+    let stated = stated::read(root, &file)?;
+    Ok(Split { sources, warnings, stated })
 }
 
 /// The file that holds a split.

@@ -24,16 +24,16 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
     };
     vec![
         format!(
-            "{}: {}, {} training views ({}), {} test views ({})",
+            "{}: {}, {} ({}), {} ({})",
             survey.name,
             survey.layout,
-            survey.train.len(),
+            count(survey.train.len(), "training view"),
             splits.join(", "),
-            survey.test.len(),
+            count(survey.test.len(), "test view"),
             config.tested_on()
         ),
         format!("images {}, {}", sizes(&survey.train), alpha(&survey.train)),
-        format!("scales {}: {convention}", factors.join(", ")),
+        format!("scale{} {}: {convention}", if factors.len() == 1 { "" } else { "s" }, factors.join(", ")),
         format!("{:.1} MB of training pixels in memory", train.bytes() as f64 / 1e6),
     ]
 }
@@ -44,7 +44,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
 /// As [`open`](crate::open).
 pub fn inspect(config: &DataConfig) -> Result<Vec<String>> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, config.convention)?;
+    let train = assemble(&survey.train, config.convention, &|_, _| {})?;
     let mut lines = description(&survey, config, &train);
     for (name, sources) in [("train", &survey.train), ("test", &survey.test)] {
         let cameras = || sources.iter().filter_map(|source| source.views.first().map(|(_, camera)| camera));
@@ -74,15 +74,20 @@ pub fn inspect(config: &DataConfig) -> Result<Vec<String>> {
     }
     for scale in &train.scales {
         lines.push(format!(
-            "train: scale 1/{}: {} views, {:.2} million pixels of weight {}",
+            "train: scale 1/{}: {}, {:.2} million pixels of weight {}",
             scale.factor,
-            scale.views.len(),
+            count(scale.views.len(), "view"),
             scale.pixels.len() as f64 / 1e6,
             scale.weight
         ));
     }
     lines.extend(survey.warnings.iter().map(|warning| format!("warning: {warning}")));
     Ok(lines)
+}
+
+/// "1 view", "12 views".
+fn count(count: usize, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 
 /// "800x800", or the range of sizes.

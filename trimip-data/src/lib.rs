@@ -25,8 +25,9 @@ mod pose;
 pub mod pyramid;
 mod scene;
 mod source;
+mod stated;
 mod write;
 
 pub use describe::inspect;
-pub use scene::{Scene, open};
+pub use scene::{Scene, open, open_watched};
 pub use write::{Summary, write_builtin, write_multiscale};

@@ -65,7 +65,7 @@ impl Metadata {
         let found = sources.first().map_or(0, |source| source.views.len());
         let warnings = (found < scales as usize)
             .then(|| format!("{} has {found} scales, data.scales asks for {scales}", table.node.place));
-        Ok(Split { sources, warnings: warnings.into_iter().collect() })
+        Ok(Split { sources, warnings: warnings.into_iter().collect(), stated: None })
     }
 }
 
@@ -226,7 +226,12 @@ fn frames(place: &str, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
         *frame += 1;
         let Some(source) = sources.get_mut(index) else {
             let name = name.strip_suffix(&format!("_d{level}")).unwrap_or(&name).to_string();
-            sources.push(Source { name, views: vec![(level, camera)], pixels: Pixels::Stored(vec![image]) });
+            sources.push(Source {
+                name,
+                views: vec![(level, camera)],
+                halvings: 0,
+                pixels: Pixels::Stored(vec![image]),
+            });
             continue;
         };
         let first = source.views[0].1;

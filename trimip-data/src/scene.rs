@@ -10,6 +10,7 @@ use std::path::Path;
 use trimip_core::{
     Error, Frames, Result, ViewSet,
     config::{Convention, DataConfig, Format},
+    scene_plan::StatedBox,
 };
 
 /// A scene ready to train and test on.
@@ -20,6 +21,8 @@ pub struct Scene {
     pub train: ViewSet,
     /// Test frames, each a set with one view per scale, decoded or rendered when asked for.
     pub test: Box<dyn Frames>,
+    /// Where the data say that the subject is.
+    pub stated: Option<StatedBox>,
     /// What is odd about the data; a reader should see it beside every result.
     pub warnings: Vec<String>,
     /// A few lines for people: layout, views, sizes, scales, memory.
@@ -37,13 +40,22 @@ impl std::fmt::Debug for Scene {
 /// # Errors
 /// Of kind `Input`, one line each: what is wrong, in which file and frame, and what to do.
 pub fn open(config: &DataConfig) -> Result<Scene> {
+    open_watched(config, &|_, _| {})
+}
+
+/// As [`open`]; `watch` is told, from any thread, how many training frames of how many are read.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_watched(config: &DataConfig, watch: &(dyn Fn(usize, usize) + Sync)) -> Result<Scene> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, config.convention)?;
+    let train = assemble(&survey.train, config.convention, watch)?;
     let description = describe::description(&survey, config, &train);
     Ok(Scene {
         name: survey.name,
         train,
         test: Box::new(FrameList { sources: survey.test, convention: config.convention }),
+        stated: survey.stated,
         warnings: survey.warnings,
         description,
     })
@@ -62,6 +74,7 @@ pub(crate) struct Survey {
     pub(crate) train: Vec<Source>,
     pub(crate) test: Vec<Source>,
     pub(crate) warnings: Vec<String>,
+    pub(crate) stated: Option<StatedBox>,
 }
 
 impl Survey {
@@ -78,6 +91,7 @@ impl Survey {
         let mut warnings = Vec::new();
         let mut train = Vec::new();
         let mut train_splits = Vec::new();
+        let mut stated = None;
         let (layout, read): (_, ReadSplit<'_>) = match format {
             Format::Builtin => ("built-in scene", Box::new(|split| builtin::split(config, split))),
             Format::Multiscale => {
@@ -98,9 +112,25 @@ impl Survey {
             train_splits.push((split.clone(), part.sources.len()));
             train.extend(part.sources);
             warnings.extend(part.warnings);
+            stated = stated.or(part.stated);
         }
-        let test = if config.holdout > 0 {
-            hold_out(&mut train, config.holdout as usize)?
+        let every = match config.holdout {
+            // A folder with photographs to train on alone is measured on some of them.
+            0 if format == Format::Blender
+                && !blender::has_split(root, &config.test)
+                && config.test == TEST =>
+            {
+                warnings.push(format!(
+                    "{} has no split \"{TEST}\": every {}th training frame is kept back and tested on",
+                    root.display(),
+                    blender::HOLD_OUT
+                ));
+                blender::HOLD_OUT
+            }
+            every => every as usize,
+        };
+        let test = if every > 0 {
+            hold_out(&mut train, every)?
         } else {
             let test = read(&config.test)?;
             warnings.extend(test.warnings);
@@ -113,8 +143,37 @@ impl Survey {
         let mut seen = std::collections::HashSet::new();
         warnings.retain(|warning| seen.insert(warning.clone()));
         drop(read);
-        Ok(Self { name, layout, train_splits, train, test, warnings })
+        let (train, test) = shrink(train, test, config, &mut warnings);
+        Ok(Self { name, layout, train_splits, train, test, warnings, stated })
     }
+}
+
+/// The split that is tested on where no other is named.
+const TEST: &str = "test";
+
+/// Halves the photographs until all that are trained on fit into `data.most_pixels`; the test views are halved along.
+fn shrink(
+    train: Vec<Source>,
+    test: Vec<Source>,
+    config: &DataConfig,
+    warnings: &mut Vec<String>,
+) -> (Vec<Source>, Vec<Source>) {
+    let pixels: f64 = train.iter().map(Source::pixels_in_memory).sum();
+    let most = train.iter().chain(&test).map(Source::halvings_possible).min().unwrap_or(0);
+    let halvings =
+        (0..most).find(|&n| pixels * 0.25_f64.powi(n as i32) <= config.most_pixels).unwrap_or(most);
+    if halvings == 0 {
+        return (train, test);
+    }
+    warnings.push(format!(
+        "the photographs are read at 1/{} of their width: {:.0} M training pixels are more than data.most_pixels = {:.0} M; \
+         scale 1 is theirs",
+        1 << halvings,
+        1e-6 * pixels,
+        1e-6 * config.most_pixels
+    ));
+    let shrunk = |sources: Vec<Source>| sources.into_iter().map(|source| source.shrunk(halvings)).collect();
+    (shrunk(train), shrunk(test))
 }
 
 /// Takes every n-th frame out of `train`, the first among them.
@@ -160,11 +219,31 @@ fn detect(config: &DataConfig) -> Result<Format> {
     if blender::undivided(root).is_file() || !blender::splits(root).is_empty() {
         return Ok(Format::Blender);
     }
-    Err(Error::input(
-        root.display(),
-        format!("holds no scene: looked for {METADATA}, transforms_train.json, transforms.json"),
-        "set data.root to a folder with one of them",
-    ))
+    let what = format!("holds no scene: looked for {METADATA}, transforms_train.json, transforms.json");
+    Err(Error::input(root.display(), what, instead(root)))
+}
+
+/// What to do with a folder that holds no scene.
+fn instead(root: &Path) -> String {
+    let entries = || root.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+    let scene = |path: &std::path::PathBuf| {
+        path.join(METADATA).is_file()
+            || blender::undivided(path).is_file()
+            || !blender::splits(path).is_empty()
+    };
+    if let Some(inner) = entries().find(scene) {
+        return format!("name {}, which holds one", inner.display());
+    }
+    let picture = |path: &std::path::PathBuf| {
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        ["png", "jpg", "jpeg"].contains(&extension.as_str())
+    };
+    match entries().filter(picture).count() {
+        0 => "name a folder with one of them".into(),
+        count => format!(
+            "its {count} pictures need cameras: COLMAP finds them, and nerfstudio or Instant-NGP write transforms.json from it"
+        ),
+    }
 }
 
 /// The last part of a path, whatever way it is written.

@@ -4,6 +4,7 @@
 use crate::{builtin, photograph::Photograph, pyramid};
 use rayon::prelude::*;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use trimip_core::config::{Convention, Finish};
 use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
 
@@ -13,6 +14,8 @@ pub(crate) struct Source {
     pub(crate) name: String,
     /// Level (log2 of the reduction) and camera of each view, fine to coarse.
     pub(crate) views: Vec<(u32, Camera)>,
+    /// How often the photograph is halved before its first view.
+    pub(crate) halvings: u32,
     pub(crate) pixels: Pixels,
 }
 
@@ -56,7 +59,32 @@ impl Source {
         let views = (0..scales)
             .map(|level| (level, Camera { intrinsics: camera.intrinsics.reduced(level), ..camera }))
             .collect();
-        Ok(Self { name, views, pixels })
+        Ok(Self { name, views, halvings: 0, pixels })
+    }
+
+    /// Pixels of all its views.
+    pub(crate) fn pixels_in_memory(&self) -> f64 {
+        self.views.iter().filter_map(|(_, camera)| area(camera)).map(|area| area as f64).sum()
+    }
+
+    /// How often it can be halved and still has all its scales. Files of a multi-scale set stay as they are.
+    pub(crate) fn halvings_possible(&self) -> u32 {
+        let Some((_, coarsest)) = self.views.last() else { return 0 };
+        match self.pixels {
+            Pixels::Photograph(_) => {
+                coarsest.intrinsics.width.min(coarsest.intrinsics.height).checked_ilog2().unwrap_or(0)
+            }
+            Pixels::Stored(_) | Pixels::Rendered { .. } => 0,
+        }
+    }
+
+    /// The same frame from a photograph halved `halvings` times first.
+    pub(crate) fn shrunk(mut self, halvings: u32) -> Self {
+        self.halvings += halvings;
+        for (_, camera) in &mut self.views {
+            camera.intrinsics = camera.intrinsics.reduced(halvings);
+        }
+        self
     }
 
     /// Files that the frame is read from.
@@ -74,7 +102,15 @@ impl Source {
         let size = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
         match &self.pixels {
             Pixels::Photograph(file) => {
-                pyramid::fill(file.decode()?.as_chunks().0, size.0, size.1, convention, slots);
+                let pixels = file.decode()?;
+                let (width, height) = (file.width as usize, file.height as usize);
+                // The levels above the first view are made and dropped.
+                let mut above: Vec<Vec<[u8; 4]>> = (0..self.halvings)
+                    .map(|level| vec![[0; 4]; (width >> level) * (height >> level)])
+                    .collect();
+                let mut levels: Vec<&mut [[u8; 4]]> = above.iter_mut().map(Vec::as_mut_slice).collect();
+                levels.extend(slots.iter_mut().map(|slot| &mut **slot));
+                pyramid::fill(pixels.as_chunks().0, width, height, convention, &mut levels);
             }
             Pixels::Rendered { supersampling, finish } => {
                 let pixels = builtin::render(camera, *supersampling, *finish);
@@ -90,8 +126,12 @@ impl Source {
     }
 }
 
-/// All views of `sources`, sorted by scale, then by frame.
-pub(crate) fn assemble(sources: &[Source], convention: Convention) -> Result<ViewSet> {
+/// All views of `sources`, sorted by scale, then by frame; `watch` is told how many frames of how many are read.
+pub(crate) fn assemble(
+    sources: &[Source],
+    convention: Convention,
+    watch: &(dyn Fn(usize, usize) + Sync),
+) -> Result<ViewSet> {
     let mut levels: Vec<u32> =
         sources.iter().flat_map(|source| source.views.iter().map(|(level, _)| *level)).collect();
     levels.sort_unstable();
@@ -127,10 +167,16 @@ pub(crate) fn assemble(sources: &[Source], convention: Convention) -> Result<Vie
         slots[index].push(slot);
         rest = tail;
     }
+    let read = AtomicUsize::new(0);
+    watch(0, sources.len());
     let failure = sources
         .par_iter()
         .zip(slots)
-        .map(|(source, mut slots)| source.fill(convention, &mut slots))
+        .map(|(source, mut slots)| {
+            source.fill(convention, &mut slots)?;
+            watch(read.fetch_add(1, Ordering::Relaxed) + 1, sources.len());
+            Ok(())
+        })
         .find_map_first(Result::err);
     match failure {
         Some(error) => Err(error),
@@ -165,7 +211,7 @@ impl Frames for FrameList {
         let source = self.sources.get(index..=index).ok_or_else(|| {
             Error::run(format!("frame {index} was asked for, there are {}", self.sources.len()))
         })?;
-        assemble(source, self.convention)
+        assemble(source, self.convention, &|_, _| {})
     }
 }
 

@@ -79,7 +79,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path) -> Result<Summary> {
     for (split, sources) in splits {
         create_folder(&folder.join(format!("images_{split}")))?;
         let written = map_in_order(sources, |index, source| {
-            let set = assemble(std::slice::from_ref(source), config.convention)?;
+            let set = assemble(std::slice::from_ref(source), config.convention, &|_, _| {})?;
             let mut bytes = 0;
             for view in 0..set.views.len() {
                 let path = folder.join(image_path(split, index, source.views[view].0));
@@ -150,7 +150,7 @@ pub fn write_builtin(config: &DataConfig, folder: &Path) -> Result<Summary> {
         let sources = builtin::split(&single, split)?.sources;
         create_folder(&folder.join(split))?;
         let bytes = map_in_order(&sources, |_, source| {
-            let set = assemble(std::slice::from_ref(source), Convention::Public)?;
+            let set = assemble(std::slice::from_ref(source), Convention::Public, &|_, _| {})?;
             let path = folder.join(split).join(format!("{}.png", source.name));
             save(&path, set.pixels_of(0), &set.views[0].camera.intrinsics)
         })?;

@@ -1,7 +1,7 @@
 //! The adapters of this machine: what they offer, and which one is meant.
 
 use crate::kernel::{COOPERATING, Matrices};
-use trimip_core::{Error, Result};
+use trimip_core::{Error, Result, scene_plan::Compute};
 
 /// What an adapter is and offers.
 #[derive(Clone, Debug)]
@@ -102,6 +102,30 @@ pub fn choose(name: &str) -> Result<wgpu::Adapter> {
             format!("choose one of {}", names.join(", ")),
         ),
     })
+}
+
+/// Kept samples a second that a GPU is expected to train: what the paper reports for an A100. Not measured here.
+const EXPECTED: f64 = 2.2e7;
+
+/// Kept samples a second of a software adapter.
+const SOFTWARE: f64 = 2e3;
+
+/// What the adapter of this name trains with.
+pub fn compute(name: &str) -> Result<Compute> {
+    let info = choose(name)?.get_info();
+    let software = info.device_type == wgpu::DeviceType::Cpu;
+    Ok(Compute {
+        name: info.name,
+        samples_per_second: if software { SOFTWARE } else { EXPECTED },
+        bf16: false,
+        wide: !software,
+    })
+}
+
+/// Full name of the adapter of this name where it is software: the processor in a GPU's place.
+pub fn software(name: &str) -> Option<String> {
+    let info = choose(name).ok()?.get_info();
+    (info.device_type == wgpu::DeviceType::Cpu).then_some(info.name)
 }
 
 /// Bytes that the adapter of this name binds at once, where there is one.

@@ -221,6 +221,7 @@ impl Backend for WgpuBackend {
     type Loss = WgpuLoss;
 
     const LAG: usize = 2;
+    const RAYS_OF_A_BAND: u32 = 1 << 18;
 
     fn name(&self) -> &'static str {
         "wgpu"

@@ -21,7 +21,7 @@ mod renderer;
 mod rows;
 mod sampler;
 
-pub use adapter::{AdapterFacts, adapters};
+pub use adapter::{AdapterFacts, adapters, compute, software};
 pub use backend::{Lane, WgpuBackend};
 pub use buffer::Buffer;
 pub use ceilings::Ceilings;

@@ -1,8 +1,9 @@
-//! `error_vs_time.csv`: one line per evaluation, with PSNR in dB and SSIM per scale and their means.
+//! `error_vs_time.csv`: one line per evaluation, with PSNR in dB and SSIM per scale and their means. `metrics.csv`: one
+//! line per step event.
 
 use crate::history::History;
 use std::path::Path;
-use trimip_core::{Result, tensors::write_atomically};
+use trimip_core::{Result, events::Event, tensors::write_atomically};
 
 /// Writes the curve.
 pub fn write(path: &Path, history: &History) -> Result<()> {
@@ -39,10 +40,46 @@ fn text(history: &History) -> String {
     text
 }
 
+/// Writes the step events among `events`.
+pub fn write_steps(path: &Path, events: &[Event]) -> Result<()> {
+    write_atomically(path, steps(events).as_bytes())
+}
+
+/// Columns: step, seconds of training, samples kept and rays so far; loss and PSNR (dB) of the step's own pixels; learning
+/// rate; share of occupied cells; kept samples per second. What is no number is left empty.
+fn steps(events: &[Event]) -> String {
+    let mut text =
+        "step,seconds,samples,rays,loss,batch_psnr,learning_rate,occupied,samples_per_second\n".to_string();
+    let number = |value: f64| if value.is_finite() { format!("{value}") } else { String::new() };
+    for event in events {
+        let Event::Step { totals, loss, batch_psnr, learning_rate, occupied, samples_per_second, .. } = event
+        else {
+            continue;
+        };
+        let values = [*loss, *batch_psnr, *learning_rate, *occupied, *samples_per_second].map(number);
+        text += &format!(
+            "{},{:.3},{},{},{}\n",
+            totals.step,
+            totals.seconds,
+            totals.samples,
+            totals.rays,
+            values.join(",")
+        );
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::history::tests::evaluation;
+    use crate::history::tests::{evaluation, step};
+
+    #[test]
+    fn step_events_become_lines_and_infinity_an_empty_cell() {
+        let text = steps(&[evaluation(10, 5, false, 20.0), step(3, 20, 500, 400)]);
+        assert_eq!(text.lines().nth(1), Some("3,3.000,400,20,0.25,,0.002,0.125,1000"));
+        assert_eq!(text.lines().count(), 2);
+    }
 
     #[test]
     fn every_line_has_every_column() {

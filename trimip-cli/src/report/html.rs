@@ -1,49 +1,38 @@
 //! `report.html`: the report for people, one file without anything to fetch.
 
-use super::{Report, Status, pictures, svg};
-use crate::{
-    machine,
-    settings::{Row, rows},
-    terminal,
-};
+use super::page::{escape, pairs, plot, table};
+use super::{Report, Status, page, pictures, provenance, settings, svg, text};
+use crate::{machine, terminal};
 use std::path::Path;
 use trimip_core::evaluate::{MOST_PSNR, mean_quality};
-use trimip_core::{Aabb, Origin, Result, config::Convention, run::progress, tri_mip::Pyramid};
+use trimip_core::{Aabb, Result, config::Convention, run::progress, tri_mip::Pyramid};
 
 /// The whole page; `images` is the folder of the comparisons.
 pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
-    let title = escape(&report.scene);
-    Ok(format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title} – Tri-MipRF run</title>\n\
-         <style>\n{}</style>\n</head>\n<body>\n<main>\n{}{}{}{}{}{}{}{}{}</main>\n</body>\n</html>\n",
-        include_str!("style.css"),
-        head(report, &title),
+    let content = [
+        head(report),
         warnings(report),
         quality(report),
         curve(report),
-        views(report, images)?,
+        pictures::sections(report, images)?,
         measure(report),
         course(report),
-        settings(report),
-        format_args!("<footer>Written by trimip-cli {}.</footer>\n", machine::version()),
-    ))
+        settings::section(report.settings),
+    ];
+    Ok(page::whole(&format!("{} on {} – Tri-MipRF run", report.run, report.scene), &content.concat()))
 }
 
-/// Text that is safe inside HTML.
-pub fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-fn head(report: &Report<'_>, title: &str) -> String {
+fn head(report: &Report<'_>) -> String {
     let totals = &report.history.totals;
     let (class, status) = match &report.status {
-        Status::Finished => ("", "finished".to_string()),
-        Status::Stopped if report.history.finished => ("stopped", "trained, final evaluation stopped".into()),
-        Status::Stopped => {
-            ("stopped", format!("stopped at {:.0} %", 100.0 * progress(report.config, totals)))
+        Status::Finished => ("plain", "finished".to_string()),
+        Status::Stopped if report.history.finished => {
+            ("doubtful", "trained, final evaluation stopped".into())
         }
-        Status::Failed(message) => ("failed", escape(message)),
+        Status::Stopped => {
+            ("doubtful", format!("stopped at {:.0} %", 100.0 * progress(report.config, totals)))
+        }
+        Status::Failed(message) => ("bad", escape(message)),
     };
     let unknown = || "unknown".to_string();
     let mut tiles = Vec::new();
@@ -63,11 +52,35 @@ fn head(report: &Report<'_>, title: &str) -> String {
         tiles.iter().map(|(value, name)| format!("<div><b>{value}</b><span>{name}</span></div>")).collect();
     let [x, y, z] = Pyramid::new(&report.config.encoder, &Aabb::new(&report.config.scene)).sides;
     let size = if x == y && y == z { format!("{x}×{x}") } else { format!("{x}×{y}×{z}") };
+    let verdict = report.verdict();
     format!(
-        "<header><h1>{title}</h1>\n<p class=\"lead\">Tri-MipRF, planes {size}, {} steps, backend {} \
-         <span class=\"status {class}\">{status}</span></p>\n<div class=\"tiles\">{tiles}</div></header>\n",
-        totals.step, report.config.backend,
+        "<header><h1>{} <span class=\"scene\">on {}</span></h1>\n\
+         <p class=\"lead\">Tri-MipRF, planes {size}, {} steps, backend {} <b class=\"badge {class}\">{status}</b></p>\n\
+         <p class=\"verdict\"><b class=\"badge {}\">{}</b> {}.</p>\n<div class=\"tiles\">{tiles}</div>\n{}</header>\n",
+        escape(&report.run),
+        escape(&report.scene),
+        totals.step,
+        report.config.backend,
+        verdict.class(),
+        verdict.label(),
+        escape(&verdict.reasons().join("; ")),
+        origin(report),
     )
+}
+
+/// What was measured, by which command, version and when: one row for each session that says something else.
+fn origin(report: &Report<'_>) -> String {
+    let mut rows = vec![("measured on", report.views_measured())];
+    let sessions: Vec<_> = report.history.parts.iter().map(|part| &part.provenance).collect();
+    let mut commands: Vec<&String> = sessions.iter().filter_map(|session| session.command.as_ref()).collect();
+    commands.dedup();
+    rows.extend(commands.into_iter().map(|command| ("command", command.clone())));
+    let last = |value: Option<String>| value.unwrap_or_else(|| "unknown".into());
+    let session = sessions.last();
+    let version = session.and_then(|session| session.version.clone());
+    rows.push(("version (commit)", last(version.map(|version| format!("trimip-cli {version}")))));
+    rows.push(("ended", last(session.and_then(|session| session.ended_unix).map(provenance::date))));
+    format!("<div class=\"origin\">{}</div>", pairs(&rows))
 }
 
 fn warnings(report: &Report<'_>) -> String {
@@ -83,92 +96,31 @@ fn quality(report: &Report<'_>) -> String {
     let Some(e) = report.headline() else {
         return "<section><h2>Quality</h2><p>Not evaluated yet.</p></section>\n".into();
     };
-    let mut body = String::new();
-    for q in &e.scales {
-        let of: Vec<f64> =
-            report.views.iter().filter(|v| v.scale == q.scale).filter_map(|v| v.psnr).collect();
-        let range = of
-            .iter()
-            .copied()
-            .reduce(f64::min)
-            .zip(of.iter().copied().reduce(f64::max))
-            .map_or("–".into(), |(low, high)| format!("{low:.2} – {high:.2}"));
-        body += &format!(
-            "<tr><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\">{range}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.4}</td></tr>",
-            scale_name(q.scale),
-            q.images,
-            q.psnr,
-            q.psnr_8bit,
-            q.psnr_opposite,
-            q.ssim
-        );
+    let mut note = format!("Measured on {}. ", report.views_measured());
+    if !e.last {
+        note += &format!("That is every {}. one; the final evaluation is not made yet. ", e.stride);
     }
-    let mean = mean_quality(&e.scales);
-    body += &format!(
-        "<tr class=\"mean\"><td>mean</td><td class=\"n\">{}</td><td class=\"n\">{:.3}</td><td class=\"n\"></td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.4}</td></tr>",
-        e.scales.iter().map(|q| q.images).sum::<usize>(),
-        mean.psnr,
-        mean.psnr_8bit,
-        mean.psnr_opposite,
-        mean.ssim
-    );
-    let remark = mean.remark().map_or(String::new(), |remark| format!("<p>{}</p>", escape(&remark)));
-    let note = if e.last {
-        remark
-    } else {
-        format!(
-            "<p>Measured on the way, on every {}. test view; the final evaluation is not made yet.</p>",
-            e.stride
-        )
-    };
+    if let Some(remark) = mean_quality(&e.scales).remark() {
+        note += &format!("Remark: {}. ", escape(&remark));
+    }
     format!(
-        "<section><h2>Quality per scale</h2><div class=\"scroll\"><table><tr><th>scale</th><th class=\"n\">images</th>\
-         <th class=\"n\">PSNR / dB</th><th class=\"n\">least – greatest</th><th class=\"n\">at 8 bits</th><th class=\"n\">on the opposite background</th><th class=\"n\">SSIM</th></tr>{body}</table></div>{note}</section>\n"
+        "<section><h2>Quality per scale</h2>{}<p class=\"lead\">{note}“Mean colour” is what the mean colour of each \
+         photograph would reach in place of the rendering; “on opposite” is PSNR on another background: black where the background is bright and white \
+         where it is dark.</p></section>\n",
+        table(&text::measures(report), true)
     )
-}
-
-fn scale_name(scale: u32) -> String {
-    if scale == 1 { "full".into() } else { format!("1/{scale}") }
 }
 
 fn curve(report: &Report<'_>) -> String {
     let (curve, last) = (report.curve(), report.history.last());
-    let plots = svg::plot(&curve, last, true).zip(svg::plot(&curve, last, false));
-    let Some((logarithmic, linear)) = plots.filter(|_| curve.len() > 1) else { return String::new() };
-    let mut legend = String::new();
-    for (i, q) in curve[0].scales.iter().enumerate() {
-        let color = svg::COLORS[i % svg::COLORS.len()];
-        legend += &format!("<span><i style=\"color:{color}\"></i>{}</span>", scale_name(q.scale));
+    if curve.len() < 2 {
+        return String::new();
     }
-    legend += "<span><i></i>mean of the scales</span>";
-    let views = |e: &crate::history::Evaluation| e.scales.iter().map(|q| q.images).max().unwrap_or(0);
-    let mut note = format!("The lines are measured on {} test views", views(curve[0]));
+    let mut note = format!("The lines are measured on {} test views", curve[0].views());
     if let Some(last) = last.filter(|last| !curve.contains(last)) {
-        legend += "<span><i class=\"ring\"></i>final</span>";
-        note += &format!(", the rings at the end on {}", views(last));
+        note += &format!(", the rings at the end on {}", last.views());
     }
-    format!(
-        "<section class=\"plot\"><h2>Error against time</h2><div class=\"legend\">{legend}</div>\
-         <div class=\"log\">{logarithmic}</div><div class=\"linear\">{linear}</div>\
-         <div class=\"axis\"><label><input type=\"radio\" name=\"axis\" id=\"axis-log\" checked> logarithmic time</label>\
-         <label><input type=\"radio\" name=\"axis\" id=\"axis-linear\"> linear time</label></div>\
-         <p class=\"lead\">{note}. Training time only: evaluations and pictures are not counted. The right axis is the root of the mean \
-         squared error that the PSNR stands for.</p></section>\n"
-    )
-}
-
-fn views(report: &Report<'_>, images: &Path) -> Result<String> {
-    let mut figures = String::new();
-    for view in pictures::shown(&report.views).into_iter().flatten() {
-        figures += &pictures::figure(images, view)?;
-    }
-    if figures.is_empty() {
-        return Ok(figures);
-    }
-    Ok(format!(
-        "<section><h2>Test views</h2><p class=\"lead\">Finest and coarsest scale. The absolute difference is shown four times as \
-         bright. Pictures in their own size are in <code>images/</code>.</p><div class=\"pair\">{figures}</div></section>\n"
-    ))
+    plot("Error against time", &svg::lines(&curve, last), &format!("{note}."))
 }
 
 fn measure(report: &Report<'_>) -> String {
@@ -231,52 +183,15 @@ fn course(report: &Report<'_>) -> String {
         ("system", machine.os.clone()),
         ("version", format!("trimip-cli {}", machine::version())),
     ];
-    let table = |rows: &[(&str, String)]| {
-        let rows: String = rows
-            .iter()
-            .map(|(name, value)| format!("<tr><td>{name}</td><td>{}</td></tr>", escape(value)))
-            .collect();
-        format!("<table>{rows}</table>")
-    };
     format!(
         "<div class=\"pair\"><section><h2>Course of the run</h2>{}</section><section><h2>Machine</h2>{}</section></div>\n",
-        table(&run),
-        table(&place)
+        pairs(&run),
+        pairs(&place)
     )
 }
 
 fn sessions(count: usize) -> String {
     if count == 1 { "one session".into() } else { format!("{count} sessions") }
-}
-
-fn settings(report: &Report<'_>) -> String {
-    let rows = rows(report.settings);
-    let (set, defaults): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row.origin != Origin::Default);
-    let table = |rows: &[&Row]| {
-        let body: String = rows.iter().map(|row| setting(row)).collect();
-        format!(
-            "<div class=\"scroll\"><table class=\"settings\"><tr><th>setting</th><th>value</th><th>from</th>\
-             <th class=\"m\">meaning</th></tr>{body}</table></div>"
-        )
-    };
-    let chosen =
-        if set.is_empty() { "<p>Every setting has its default.</p>".to_string() } else { table(&set) };
-    format!(
-        "<section><h2>Settings</h2>{chosen}<details><summary>{} settings with their defaults</summary>{}</details></section>\n",
-        defaults.len(),
-        table(&defaults)
-    )
-}
-
-fn setting(row: &Row) -> String {
-    let path = if row.section.is_empty() { row.key.clone() } else { format!("{}.{}", row.section, row.key) };
-    let class = if row.origin == Origin::Default { "" } else { " class=\"set\"" };
-    format!(
-        "<tr{class}><td class=\"k\">{path}</td><td class=\"v\">{}</td><td class=\"o\">{}</td><td class=\"m o\">{}</td></tr>",
-        escape(&row.value),
-        escape(&row.origin.to_string()),
-        escape(&row.meaning)
-    )
 }
 
 #[cfg(test)]
@@ -287,14 +202,20 @@ mod tests {
     fn the_page_is_whole_fetches_nothing_and_escapes_what_others_wrote() {
         super::super::example(|report| {
             let page = page(report, Path::new("nowhere")).unwrap();
+            page::expect_whole(&page);
             assert!(page.contains("lego &amp; co") && page.contains("a &lt;dark&gt; image"));
-            assert!(!page.contains("http") && !page.contains("<script") && !page.contains("src=\"images"));
-            for tag in ["section", "table", "div", "svg", "details", "p"] {
-                let open =
-                    page.matches(&format!("<{tag}>")).count() + page.matches(&format!("<{tag} ")).count();
-                assert_eq!(open, page.matches(&format!("</{tag}>")).count(), "{tag}");
+            assert!(page.contains("24.50 dB") && page.contains("25.50") && page.contains("first_run"));
+        });
+    }
+
+    #[test]
+    fn the_page_says_where_the_run_came_from_and_what_it_came_to() {
+        super::super::example(|report| {
+            let page = page(report, Path::new("nowhere")).unwrap();
+            for part in ["config a&amp;b.toml", "0.1.0 (abc)", "1970-01-01", "8 of 200 test views"] {
+                assert!(page.contains(part), "{part}");
             }
-            assert!(page.contains("24.50 dB") && page.contains("25.500"));
+            assert!(page.contains("<b class=\"badge doubtful\">fair</b>"));
         });
     }
 }

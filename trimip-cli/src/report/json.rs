@@ -26,10 +26,17 @@ fn value(report: &Report<'_>) -> Value {
             (path.to_string(), json!({ "value": value, "origin": origin.to_string() }))
         })
         .collect();
+    let verdict = report.verdict();
+    let last = history.parts.last().map(|part| &part.provenance);
     json!({
         "version": crate::machine::version(),
         "status": status,
         "failure": failure,
+        "verdict": verdict.label(),
+        "verdict_reasons": verdict.reasons(),
+        "run": report.run,
+        "command": last.and_then(|last| last.command.as_ref()),
+        "ended_unix": last.and_then(|last| last.ended_unix),
         "backend": config.backend,
         "devices": history.devices(),
         "scene": report.scene,
@@ -56,6 +63,8 @@ fn value(report: &Report<'_>) -> Value {
             "convention": config.data.convention,
             "split": config.data.tested_on(),
             "stride": headline.map(|e| e.stride),
+            "views": headline.map(Evaluation::views),
+            "test_views": history.test_views(),
             "complete": history.last().is_some(),
         },
         "scales": headline.map_or(json!([]), |e| json!(e.scales)),
@@ -90,9 +99,21 @@ mod tests {
     fn the_fields_that_programs_rely_on_are_there() {
         super::super::example(|report| {
             let json = value(report);
-            for key in ["backend", "scene", "train_seconds", "peak_memory_bytes", "model_bytes", "settings"] {
+            for key in [
+                "verdict",
+                "verdict_reasons",
+                "run",
+                "command",
+                "backend",
+                "scene",
+                "train_seconds",
+                "peak_memory_bytes",
+                "model_bytes",
+                "settings",
+            ] {
                 assert!(json.get(key).is_some(), "{key}");
             }
+            assert_eq!((&json["verdict"], &json["measure"]["test_views"]), (&json!("fair"), &json!(200)));
             assert_eq!(json["steps"], 100);
             assert_eq!(json["samples"], 100_000);
             assert_eq!(json["rays"], 1000);

@@ -1,17 +1,24 @@
-//! The report of a run: one self-contained HTML page for people, JSON for programs, CSV for plots. All three are made
-//! from the run folder and the history of events, so that they can be made again at any time.
+//! The report of a run: one self-contained HTML page for people, JSON for programs, CSV for plots, Markdown and LaTeX for
+//! texts. All are made from the run folder and the history of events, so that they can be made again at any time.
 
+pub mod beside;
 pub mod csv;
-pub mod html;
+mod difference;
+mod html;
 mod json;
+pub mod page;
 mod pictures;
+pub mod provenance;
+mod settings;
 pub mod svg;
+mod text;
 
 use crate::{
     history::{Evaluation, History},
     machine::Machine,
     run_folder::RunFolder,
     store::{FileStore, ViewRecord},
+    verdict::Verdict,
 };
 use trimip_core::{Config, Result, Settings, tensors::write_atomically};
 
@@ -30,6 +37,8 @@ pub enum Status {
 pub struct Report<'a> {
     /// How far the run came.
     pub status: Status,
+    /// Name of the run: its folder's.
+    pub run: String,
     /// Name of the scene.
     pub scene: String,
     /// The effective configuration.
@@ -59,6 +68,7 @@ impl<'a> Report<'a> {
         let ended = history.last().is_some();
         Self {
             status,
+            run: folder_name(folder),
             scene: scene.to_string(),
             config,
             settings,
@@ -69,11 +79,27 @@ impl<'a> Report<'a> {
         }
     }
 
-    /// Writes `report.html`, `report.json` and `error_vs_time.csv`.
+    /// Writes every file of the report.
     pub fn write(&self, folder: &RunFolder) -> Result<()> {
         csv::write(&folder.curve(), self.history)?;
+        csv::write_steps(&folder.steps(), &folder.events())?;
+        write_atomically(&folder.markdown(), text::markdown(self).as_bytes())?;
+        write_atomically(&folder.latex(), text::latex(self).as_bytes())?;
         write_atomically(&folder.json(), json::text(self)?.as_bytes())?;
         write_atomically(&folder.html(), html::page(self, &folder.images())?.as_bytes())
+    }
+
+    /// What the run came to.
+    fn verdict(&self) -> Verdict {
+        Verdict::judge(self.history, &self.views)
+    }
+
+    /// Which views the headline is measured on: `8 of 200 test views`.
+    fn views_measured(&self) -> String {
+        let Some(e) = self.headline() else { return "not evaluated".into() };
+        let of = self.history.test_views().map_or(String::new(), |all| format!(" of {all}"));
+        let which = if e.last { "" } else { ", on the way" };
+        format!("{}{of} test views{which}", e.views())
     }
 
     /// The measures the report leads with: the final ones, else the latest.
@@ -83,7 +109,7 @@ impl<'a> Report<'a> {
 
     /// The evaluations of the curve.
     fn curve(&self) -> Vec<&Evaluation> {
-        self.history.curve(self.config.eval.stride as usize)
+        self.history.curve()
     }
 
     /// Kept samples per second of training.
@@ -93,11 +119,22 @@ impl<'a> Report<'a> {
     }
 }
 
+/// What the folder is called, also where it is named as `.`.
+fn folder_name(folder: &RunFolder) -> String {
+    let root = std::fs::canonicalize(folder.root()).unwrap_or_else(|_| folder.root().to_path_buf());
+    root.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned())
+}
+
+/// What a scale is called: `full`, `1/2`, ..
+pub fn scale_name(scale: u32) -> String {
+    if scale == 1 { "full".into() } else { format!("1/{scale}") }
+}
+
 /// A report of two evaluations on a small curve, for tests of the writers.
 #[cfg(test)]
 fn example(test: impl FnOnce(&Report<'_>)) {
     use crate::history::tests::evaluation;
-    use trimip_core::events::Event;
+    use trimip_core::events::{Event, Provenance};
     let settings = Settings::defaults();
     let config = Config::default();
     let history = History::of(&[
@@ -105,9 +142,22 @@ fn example(test: impl FnOnce(&Report<'_>)) {
         evaluation(10, 25, false, 20.0),
         evaluation(100, 25, false, 25.0),
         evaluation(100, 1, true, 24.5),
+        Event::SessionEnded {
+            device: "two cores".into(),
+            backend: "cpu".into(),
+            wall_seconds: 20.0,
+            peak_memory_bytes: None,
+            provenance: Provenance {
+                command: Some("trimip-cli --config a&b.toml".into()),
+                version: Some("0.1.0 (abc)".into()),
+                ended_unix: Some(0),
+                test_views: Some(200),
+            },
+        },
     ]);
     test(&Report {
         status: Status::Finished,
+        run: "first_run".into(),
         scene: "lego & co".into(),
         config: &config,
         settings: &settings,

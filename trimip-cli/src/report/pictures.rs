@@ -1,53 +1,154 @@
-//! Pictures for the report: the panels of a comparison, brought to a moderate size and written into the page.
+//! Pictures of test views in the report: the worst and the best, then those evenly spread. A figure holds rendering,
+//! photograph and difference; the page's script lays a slider over the first two.
 
+use super::{Report, difference, page, page::escape, scale_name};
 use crate::{pictures, store::ViewRecord};
 use base64::{Engine, prelude::BASE64_STANDARD};
-use image::{RgbImage, imageops};
+use image::{RgbImage, codecs::jpeg::JpegEncoder, imageops};
 use std::path::Path;
-use trimip_core::Result;
+use trimip_core::{Error, Result};
 
-/// Largest width of one panel in the page, pixels.
-const PANEL: u32 = 400;
+/// Longest side of a picture in a page, pixels.
+const LONGEST: u32 = 1024;
+/// Below this width a picture is shown with its pixels as squares.
+const SQUARES: u32 = 200;
+/// A larger PNG becomes a JPEG: a page of six views has to fit into a letter.
+const MOST_PNG_BYTES: usize = 400_000;
+/// Quality of these JPEGs: their error stays about a tenth of that of good renderings.
+const JPEG_QUALITY: u8 = 92;
+/// Views named among the worst and the best.
+const NAMED: usize = 5;
 
-/// Captions of the panels.
-const CAPTIONS: [&str; 3] = ["rendered", "photograph", "difference × 4"];
-
-/// A figure of three panels; empty where the picture is gone.
-pub fn figure(images: &Path, view: &ViewRecord) -> Result<String> {
-    let Some(name) = &view.comparison else { return Ok(String::new()) };
-    let Ok(sheet) = image::open(images.join(name)) else { return Ok(String::new()) };
-    let mut figure = String::from("<figure class=\"views\">");
-    for (panel, caption) in pictures::panels(&sheet.to_rgb8()).into_iter().zip(CAPTIONS) {
-        let (small, class) = fitted(panel);
-        let data = BASE64_STANDARD.encode(pictures::png(small)?);
-        figure += &format!(
-            "<div><img class=\"{class}\" alt=\"{caption}\" src=\"data:image/png;base64,{data}\"><span>{caption}</span></div>"
+/// Both sections; empty where no view was evaluated. `images` is the folder of the comparisons.
+pub fn sections(report: &Report<'_>, images: &Path) -> Result<String> {
+    let ordered = by_error(&report.views);
+    let (Some(worst), Some(best)) = (ordered.first(), ordered.last()) else { return Ok(String::new()) };
+    let mut html = extremes(&ordered, images)?;
+    let mut frames = String::new();
+    for frame in shown(&report.views) {
+        // The worst and the best stand above.
+        if [worst.index, best.index].contains(&frame[0].index) && ordered.len() > 1 {
+            continue;
+        }
+        let figures = frame.into_iter().map(|view| figure(images, view, "")).collect::<Result<Vec<_>>>()?;
+        if figures.iter().any(|figure| !figure.is_empty()) {
+            frames += &format!("<div class=\"frame\">{}</div>", figures.concat());
+        }
+    }
+    if !frames.is_empty() {
+        html += &format!(
+            "<section><h2>Views evenly spread</h2><p class=\"lead\">Finest and coarsest scale. Pictures in \
+             their own size are in <code>images/</code>; here they have at most {LONGEST} pixels a side.</p><div class=\"wide\">{frames}</div></section>\n"
         );
     }
-    let scale = if view.scale == 1 { "full size".into() } else { format!("scale 1/{}", view.scale) };
-    let measure = |value: Option<f64>, digits: usize| value.map_or("∞".into(), |v| format!("{v:.digits$}"));
-    figure += &format!(
-        "<figcaption>{} <b>·</b> {scale} <b>·</b> {} dB <b>·</b> SSIM {}</figcaption></figure>",
-        super::html::escape(&view.name),
+    Ok(html)
+}
+
+/// Views of the finest scale from the worst to the best; what has no PSNR is worst.
+fn by_error(views: &[ViewRecord]) -> Vec<&ViewRecord> {
+    let finest = views.iter().map(|view| view.scale).min();
+    let mut ordered: Vec<_> = views.iter().filter(|view| Some(view.scale) == finest).collect();
+    let psnr = |view: &ViewRecord| view.psnr.unwrap_or(f64::NEG_INFINITY);
+    ordered.sort_by(|a, b| psnr(a).total_cmp(&psnr(b)));
+    ordered
+}
+
+/// The worst and the best views: their names, and pictures where there are some.
+fn extremes(ordered: &[&ViewRecord], images: &Path) -> Result<String> {
+    let count = (ordered.len() / 2).clamp(1, NAMED);
+    let list = |title: &str, views: &mut dyn Iterator<Item = &&ViewRecord>| {
+        let head = [title, "PSNR / dB", "SSIM"].map(String::from).to_vec();
+        let rows = views.map(|v| vec![v.name.clone(), measure(v.psnr, 2), measure(v.ssim, 4)]);
+        page::table(&std::iter::once(head).chain(rows).collect::<Vec<_>>(), false)
+    };
+    let (worst, best) = (ordered[0], ordered[ordered.len() - 1]);
+    let mut html = list("worst", &mut ordered.iter().take(count));
+    let mut figures = figure(images, worst, "worst: ")?;
+    if ordered.len() > 1 {
+        html += &list("best", &mut ordered.iter().rev().take(count));
+        figures += &figure(images, best, "best: ")?;
+    }
+    if !figures.is_empty() {
+        figures = format!("<div class=\"wide extremes\">{figures}</div>");
+    }
+    let scale = match worst.scale {
+        1 => "full size".to_string(),
+        scale => format!("scale {}", scale_name(scale)),
+    };
+    Ok(format!(
+        "<section><h2>Worst and best views</h2><p class=\"lead\">At {scale}, of {} evaluated. The difference is the mean of \
+         the absolute differences in red, green and blue, in parts of the full range.</p><div class=\"pair\">{html}</div>\
+         {figures}</section>\n",
+        ordered.len()
+    ))
+}
+
+fn measure(value: Option<f64>, digits: usize) -> String {
+    value.map_or("no number".into(), |value| format!("{value:.digits$}"))
+}
+
+/// A figure of rendering, photograph and difference, `title` before its caption; empty where the picture is gone.
+fn figure(images: &Path, view: &ViewRecord, title: &str) -> Result<String> {
+    let Some([rendered, photograph]) = compared(images, view) else { return Ok(String::new()) };
+    let heat = difference::map(&rendered, &photograph);
+    let scale =
+        if view.scale == 1 { "full size".into() } else { format!("scale {}", scale_name(view.scale)) };
+    let caption = format!(
+        "{title}{} <b>·</b> {scale} <b>·</b> {} dB <b>·</b> SSIM {}",
+        escape(&view.name),
         measure(view.psnr, 2),
         measure(view.ssim, 4)
     );
-    Ok(figure)
+    Ok(format!(
+        "<figure class=\"view\"><div class=\"panes\"><div class=\"pane\">{}<span>rendered</span></div>\
+         <div class=\"pane\">{}<span>photograph</span></div><div class=\"pane\">{}<span>difference</span>{}</div></div>\
+         <figcaption>{caption}</figcaption></figure>",
+        embedded(rendered, "rendered")?,
+        embedded(photograph, "photograph")?,
+        embedded(heat, "difference")?,
+        difference::bar(),
+    ))
 }
 
-/// A panel no wider than [`PANEL`], and the class that tells the browser to show a small one's pixels as squares.
-fn fitted(panel: RgbImage) -> (RgbImage, &'static str) {
-    let (width, height) = panel.dimensions();
-    if width <= PANEL {
-        return (panel, if width < PANEL / 2 { "pixels" } else { "" });
+/// Rendering and photograph of a view, where its comparison is there.
+pub fn compared(images: &Path, view: &ViewRecord) -> Option<[RgbImage; 2]> {
+    let sheet = image::open(images.join(view.comparison.as_ref()?)).ok()?;
+    let [rendered, photograph, _] = pictures::panels(&sheet.to_rgb8());
+    (rendered.width() > 0).then_some([rendered, photograph])
+}
+
+/// A picture as an element that holds its bytes.
+pub fn embedded(picture: RgbImage, what: &str) -> Result<String> {
+    let picture = fitted(picture);
+    let (width, height) = picture.dimensions();
+    let class = if width < SQUARES { " class=\"pixels\"" } else { "" };
+    let (mut kind, mut bytes) = ("png", pictures::png(picture.clone())?);
+    if bytes.len() > MOST_PNG_BYTES {
+        (kind, bytes) = ("jpeg", Vec::new());
+        JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
+            .encode_image(&picture)
+            .map_err(|error| Error::run(format!("cannot encode a JPEG: {error}")))?;
     }
-    let height = (u64::from(height) * u64::from(PANEL) / u64::from(width)).max(1) as u32;
+    let data = BASE64_STANDARD.encode(bytes);
+    Ok(format!(
+        "<img{class} alt=\"{what}\" width=\"{width}\" height=\"{height}\" src=\"data:image/{kind};base64,{data}\">"
+    ))
+}
+
+/// A picture whose sides are at most [`LONGEST`].
+fn fitted(picture: RgbImage) -> RgbImage {
+    let (width, height) = picture.dimensions();
+    let longest = width.max(height);
+    if longest <= LONGEST {
+        return picture;
+    }
+    let side = |side: u32| (u64::from(side) * u64::from(LONGEST) / u64::from(longest)).max(1) as u32;
     // Means of whole areas: a sharper filter would ring and flatter or blame the model.
-    (imageops::thumbnail(&panel, PANEL, height), "")
+    imageops::thumbnail(&picture, side(width), side(height))
 }
 
 /// The finest and the coarsest scale of every pictured frame, in that order.
-pub fn shown(views: &[ViewRecord]) -> Vec<Vec<&ViewRecord>> {
+fn shown(views: &[ViewRecord]) -> Vec<Vec<&ViewRecord>> {
     let mut frames: Vec<Vec<&ViewRecord>> = Vec::new();
     for view in views.iter().filter(|view| view.comparison.is_some()) {
         match frames.iter_mut().find(|frame| frame[0].index == view.index) {
@@ -68,26 +169,64 @@ pub fn shown(views: &[ViewRecord]) -> Vec<Vec<&ViewRecord>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use image::Rgb;
+
+    fn view(index: usize, scale: u32, psnr: Option<f64>, picked: bool) -> ViewRecord {
+        let comparison = picked.then(|| "a.png".into());
+        ViewRecord { index, name: format!("r_{index}"), scale, psnr, ssim: Some(0.5), comparison }
+    }
 
     #[test]
     fn the_finest_and_the_coarsest_scale_are_shown() {
-        let view = |index, scale, picked: bool| ViewRecord {
-            index,
-            name: "r".into(),
-            scale,
-            psnr: None,
-            ssim: None,
-            comparison: picked.then(|| "a.png".into()),
-        };
-        let views =
-            [view(0, 1, false), view(1, 1, true), view(1, 2, true), view(1, 4, true), view(2, 1, true)];
+        let views = [(0, 1, false), (1, 1, true), (1, 2, true), (1, 4, true), (2, 1, true)]
+            .map(|(index, scale, picked)| view(index, scale, None, picked));
         let shown: Vec<Vec<_>> = shown(&views).iter().map(|f| f.iter().map(|v| v.scale).collect()).collect();
         assert_eq!(shown, [vec![1, 4], vec![1]]);
     }
 
     #[test]
-    fn large_panels_shrink_and_small_ones_keep_their_pixels() {
-        assert_eq!(fitted(RgbImage::new(800, 600)).0.dimensions(), (400, 300));
-        assert_eq!(fitted(RgbImage::new(16, 16)), (RgbImage::new(16, 16), "pixels"));
+    fn large_pictures_shrink_and_small_ones_keep_their_pixels() {
+        assert_eq!(fitted(RgbImage::new(1536, 2048)).dimensions(), (768, 1024));
+        assert_eq!(fitted(RgbImage::new(16, 16)), RgbImage::new(16, 16));
+        assert!(embedded(RgbImage::new(16, 16), "x").unwrap().contains("class=\"pixels\""));
+    }
+
+    #[test]
+    fn pictures_of_noise_are_kept_small() {
+        let noise = |x: u32, y: u32| (x * x * 7919 + y * y * 104_729 + x * y * 31) as u8;
+        let picture =
+            RgbImage::from_fn(600, 600, |x, y| Rgb([noise(x, y), noise(y, x + 1), noise(x + y, y)]));
+        assert!(embedded(picture, "x").unwrap().contains("image/jpeg"));
+    }
+
+    #[test]
+    fn the_worst_and_the_best_are_named_and_shown_where_pictured() {
+        let folder = tempfile::tempdir().unwrap();
+        let sheet = pictures::side_by_side(2, 1, &[[0.0; 3]; 2], &[[1.0; 3]; 2]);
+        pictures::write_png(&folder.path().join("a.png"), sheet).unwrap();
+        super::super::example(|report| {
+            let psnr = [Some(20.0), None, Some(31.0), Some(25.0)];
+            let views = (0..4).map(|i| view(i, 1, psnr[i], i == 2)).collect();
+            let report = Report { views, run: report.run.clone(), ..example_of(report) };
+            let html = sections(&report, folder.path()).unwrap();
+            assert!(html.contains("<td>r_1</td><td class=\"n\">no number</td>"), "{html}");
+            assert!(html.contains("best: r_2") && !html.contains("worst: r_"), "{html}");
+            assert_eq!(html.matches("<img").count(), 3);
+        });
+    }
+
+    /// The same report once more.
+    fn example_of<'a>(report: &Report<'a>) -> Report<'a> {
+        Report {
+            status: report.status.clone(),
+            run: report.run.clone(),
+            scene: report.scene.clone(),
+            config: report.config,
+            settings: report.settings,
+            history: report.history,
+            machine: report.machine.clone(),
+            model_bytes: report.model_bytes,
+            views: Vec::new(),
+        }
     }
 }

@@ -2,6 +2,7 @@
 //! seconds to the right, linear or logarithmic. A report draws one line per scale and one for their mean; a comparison
 //! one line per run.
 
+use super::{page::escape, scale_name};
 use crate::{history::Evaluation, terminal};
 
 const WIDTH: f64 = 960.0;
@@ -75,7 +76,7 @@ impl Point {
 /// Points that belong together.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// In the legend of a comparison.
+    /// In the legend; lines of one name stand there once.
     pub name: String,
     /// A CSS colour.
     pub color: String,
@@ -107,11 +108,11 @@ fn axes(lines: &[Line], logarithmic: bool) -> Option<(Axis, Axis)> {
     Some((Axis { low: first, high: last, logarithmic, start: LEFT, end: WIDTH - RIGHT }, vertical))
 }
 
-/// The plot of a run; `None` where there is nothing to draw. `whole` is the evaluation on all views that ended the run,
+/// The lines of a run: one per scale and one for their mean. `whole` is the evaluation on all views that ended the run,
 /// drawn as a ring because it is measured on other views than the curve.
-pub fn plot(curve: &[&Evaluation], whole: Option<&Evaluation>, logarithmic: bool) -> Option<String> {
+pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
     let whole = whole.filter(|w| !curve.contains(w));
-    let line = |class, color: &str, value: &dyn Fn(&Evaluation) -> f64| {
+    let line = |class, name: String, color: &str, value: &dyn Fn(&Evaluation) -> f64| {
         let point = |e: &Evaluation| Point {
             seconds: e.totals.seconds,
             psnr: value(e),
@@ -123,20 +124,46 @@ pub fn plot(curve: &[&Evaluation], whole: Option<&Evaluation>, logarithmic: bool
             ),
         };
         let points = curve.iter().map(|e| point(e)).collect();
-        Line { name: String::new(), color: color.into(), class, points, ring: whole.map(point) }
+        Line { name, color: color.into(), class, points, ring: whole.map(point) }
     };
-    let scales = curve.iter().copied().chain(whole).map(|e| e.scales.len()).max().unwrap_or(0);
-    let mut lines: Vec<Line> = (0..scales)
-        .map(|scale| {
-            let value = |e: &Evaluation| e.scales.get(scale).map_or(f64::NAN, |q| q.psnr);
-            line("scale", COLORS[scale % COLORS.len()], &value)
+    let evaluations = || curve.iter().copied().chain(whole);
+    let scales = evaluations().map(|e| &e.scales).max_by_key(|scales| scales.len());
+    let mut lines: Vec<Line> = scales
+        .into_iter()
+        .flatten()
+        .enumerate()
+        .map(|(i, quality)| {
+            let value = move |e: &Evaluation| e.scales.get(i).map_or(f64::NAN, |q| q.psnr);
+            line("scale", scale_name(quality.scale), COLORS[i % COLORS.len()], &value)
         })
         .collect();
-    lines.push(line("mean", "currentColor", &|e| e.psnr));
+    lines.push(line("mean", "mean of the scales".into(), "currentColor", &|e| e.psnr));
+    lines
+}
+
+/// A plot for a page, which gives it colours and a [`legend`]; `None` where there is nothing to draw.
+pub fn plot(lines: &[Line], logarithmic: bool) -> Option<String> {
     Some(format!(
         "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against training time\">{}</svg>",
-        draw(&lines, logarithmic)?
+        draw(lines, logarithmic)?
     ))
+}
+
+/// The legend of a plot as HTML.
+pub fn legend(lines: &[Line]) -> String {
+    let entry =
+        |line: &&Line| format!("<span><i style=\"color:{}\"></i>{}</span>", line.color, escape(&line.name));
+    let mut legend: String = named(lines).iter().map(entry).collect();
+    if lines.iter().any(|line| line.ring.is_some()) {
+        legend += "<span><i class=\"ring\"></i>final</span>";
+    }
+    legend
+}
+
+/// The first line of each name.
+fn named(lines: &[Line]) -> Vec<&Line> {
+    let first = |(i, line): &(usize, &Line)| !lines[..*i].iter().any(|other| other.name == line.name);
+    lines.iter().enumerate().filter(first).map(|(_, line)| line).collect()
 }
 
 /// A plot that stands alone, with a legend, on logarithmic time; `None` where there is nothing to draw.
@@ -146,7 +173,7 @@ pub fn alone(lines: &[Line]) -> Option<String> {
                  polyline { fill: none; stroke: currentColor; stroke-width: 2.2; stroke-linejoin: round; } \
                  .dot { fill: currentColor; } .ring { fill: none; stroke: currentColor; stroke-width: 2; }";
     let mut legend = String::new();
-    for (i, line) in lines.iter().enumerate() {
+    for (i, line) in named(lines).into_iter().enumerate() {
         let y = TOP + 16.0 + 20.0 * i as f64;
         legend += &format!(
             "<g style=\"color:{}\"><polyline points=\"{:.0},{y:.0} {:.0},{y:.0}\"/></g><text x=\"{:.0}\" y=\"{:.1}\">{}</text>",
@@ -155,7 +182,7 @@ pub fn alone(lines: &[Line]) -> Option<String> {
             LEFT + 40.0,
             LEFT + 48.0,
             y + 4.5,
-            super::html::escape(&line.name)
+            escape(&line.name)
         );
     }
     Some(format!(
@@ -212,7 +239,7 @@ fn draw(lines: &[Line], logarithmic: bool) -> Option<String> {
 
 fn group(line: &Line, x: Axis, y: Axis) -> String {
     let at = |p: &Point| (x.place(p.seconds), y.place(p.psnr));
-    let hint = |p: &Point| format!("<title>{}</title>", super::html::escape(&p.hint));
+    let hint = |p: &Point| format!("<title>{}</title>", escape(&p.hint));
     let points: Vec<_> = line.points.iter().filter(|p| p.drawn()).collect();
     let path: Vec<_> = points.iter().map(|p| at(p)).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
     let mut svg = format!(
@@ -258,7 +285,7 @@ mod tests {
     fn every_point_lies_inside_the_frame() {
         super::super::example(|report| {
             for logarithmic in [false, true] {
-                let svg = plot(&report.curve(), report.history.last(), logarithmic).unwrap();
+                let svg = plot(&lines(&report.curve(), report.history.last()), logarithmic).unwrap();
                 assert_eq!(svg.matches("<polyline").count(), 3);
                 assert_eq!(svg.matches("class=\"ring\"").count(), 3);
                 for part in svg.split("cx=\"").skip(1) {
@@ -271,14 +298,14 @@ mod tests {
 
     #[test]
     fn degenerate_curves_draw_nothing_or_stay_finite() {
-        assert!(plot(&[], None, true).is_none());
+        assert!(plot(&lines(&[], None), true).is_none());
         super::super::example(|report| {
-            let one = plot(&report.curve()[..1], None, true).unwrap();
+            let one = plot(&lines(&report.curve()[..1], None), true).unwrap();
             assert!(!one.contains("NaN") && !one.contains("inf"));
             let mut broken = report.curve()[0].clone();
             broken.psnr = f64::NAN;
             broken.scales[0].psnr = f64::INFINITY;
-            let svg = plot(&[&broken], None, false).unwrap();
+            let svg = plot(&lines(&[&broken], None), false).unwrap();
             assert!(!svg.contains("NaN") && !svg.contains("inf"));
         });
     }
@@ -296,6 +323,10 @@ mod tests {
         assert!(svg.contains("one &amp; two") && svg.contains("a &lt; b") && svg.contains("xmlns"));
         assert_eq!(svg.matches("class=\"dot\"").count(), 1);
         assert!(alone(&[line("nothing", f64::NAN)]).is_none() && alone(&[]).is_none());
+        // Seeds of a variant share its name.
+        let seeds = [line("same", 20.0), line("same", 21.0)];
+        assert_eq!(alone(&seeds).unwrap().matches(">same<").count(), 1);
+        assert_eq!(legend(&seeds).matches(">same<").count(), 1);
     }
 
     #[test]

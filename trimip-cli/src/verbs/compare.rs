@@ -1,10 +1,13 @@
 //! `compare`: curves of error against time beside each other, from run folders or anybody's CSV: a table of the times at
-//! which each reaches given PSNRs, and a plot.
+//! which each reaches given PSNRs, a plot, and a page with the pictures of the runs.
 
 use crate::args::CompareArguments;
-use crate::curves::{Curve, table};
+use crate::curves::{Curve, rows, table};
+use crate::report::beside::{self, Entry};
+use crate::report::page;
 use crate::report::svg::{self, Line};
 use crate::terminal;
+use std::path::Path;
 use trimip_core::{Error, Result, tensors::write_atomically};
 
 /// Curves that are told apart by colour.
@@ -23,9 +26,8 @@ pub fn run(arguments: &CompareArguments) -> Result<u8> {
     let mut reach: Vec<f64> = arguments.reach.iter().copied().filter(|psnr| psnr.is_finite()).collect();
     reach.sort_by(f64::total_cmp);
     terminal::line(table(&curves, &reach));
+    let lines: Vec<Line> = curves.iter().zip(svg::COLORS).map(|(curve, color)| curve.line(color)).collect();
     if let Some(path) = &arguments.svg {
-        let lines: Vec<Line> =
-            curves.iter().zip(svg::COLORS).map(|(curve, color)| curve.line(color)).collect();
         let text = svg::alone(&lines).ok_or_else(|| {
             Error::input(
                 "compare",
@@ -33,11 +35,83 @@ pub fn run(arguments: &CompareArguments) -> Result<u8> {
                 "name runs that were evaluated on the way",
             )
         })?;
-        write_atomically(path, text.as_bytes())?;
+        write(path, &text)?;
+    }
+    if let Some(path) = &arguments.html {
+        write(path, &html(&curves, &lines, &reach)?)?;
     }
     if let Some(path) = &arguments.json {
         let rows: Vec<_> = curves.iter().map(|curve| curve.json(&reach)).collect();
-        write_atomically(path, serde_json::to_string_pretty(&rows).map_err(Error::run)?.as_bytes())?;
+        write(path, &serde_json::to_string_pretty(&rows).map_err(Error::run)?)?;
     }
     Ok(0)
+}
+
+/// Writes a file, its folder first where that is not there.
+fn write(path: &Path, text: &str) -> Result<()> {
+    let refused = |error: &dyn std::fmt::Display| {
+        Error::input(path.display(), error, "name a file in a folder that can be written")
+    };
+    if let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+        std::fs::create_dir_all(parent).map_err(|error| refused(&format!("cannot write: {error}")))?;
+    }
+    if path.is_dir() {
+        return Err(refused(&"this is a folder"));
+    }
+    write_atomically(path, text.as_bytes())
+}
+
+/// The page.
+fn html(curves: &[Curve], lines: &[Line], reach: &[f64]) -> Result<String> {
+    let entries: Vec<Entry> = curves
+        .iter()
+        .zip(lines)
+        .map(|(curve, line)| Entry {
+            name: curve.name.clone(),
+            color: line.color.clone(),
+            folder: curve.folder.clone(),
+        })
+        .collect();
+    let names: Vec<&str> = curves.iter().map(|curve| curve.name.as_str()).collect();
+    let content = [
+        format!("<header><h1>{}</h1></header>\n", page::escape(&names.join(", "))),
+        page::plot("Error against time", lines, "One line for each curve, on its own test views."),
+        format!(
+            "<section><h2>Times to given PSNRs</h2>{}<p class=\"lead\">Between two measures the time is read from a \
+             straight line over its logarithm. ≤ stands where the first measure is already above: the curve was there \
+             earlier, nobody knows when.</p></section>\n",
+            page::table(&rows(curves, reach), false)
+        ),
+        beside::outcomes(&entries),
+        beside::views(&entries)?,
+        beside::differences(&entries),
+    ];
+    Ok(page::whole(&format!("{} – Tri-MipRF comparison", names.join(", ")), &content.concat()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_is_whole_and_its_legend_names_each_curve_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let csv = folder.path().join("peer.csv");
+        std::fs::write(&csv, "seconds,psnr_mean\n10,20\n40,30\n").unwrap();
+        let path = folder.path().join("new/page.html");
+        let arguments = CompareArguments {
+            curves: vec![format!("a<b={}", csv.display()), format!("other={}", csv.display())],
+            reach: vec![15.0, 25.0],
+            svg: None,
+            html: Some(path.clone()),
+            json: None,
+        };
+        assert_eq!(run(&arguments).unwrap(), 0);
+        let page = std::fs::read_to_string(&path).unwrap();
+        page::expect_whole(&page);
+        assert_eq!(page.matches("</i>a&lt;b</span>").count(), 1);
+        assert!(page.contains("≤ 10.0 s") && page.contains("<td class=\"n\">20.0 s</td>"));
+        let wrong = CompareArguments { html: Some(csv.join("page.html")), ..arguments };
+        assert_eq!(run(&wrong).unwrap_err().exit_code(), 2);
+    }
 }

@@ -8,7 +8,7 @@ pub fn run(arguments: &ConfigArguments) -> Result<u8> {
     if arguments.defaults {
         terminal::line(DEFAULTS.trim_end());
     } else {
-        let (settings, _) = settings::load(&arguments.settings)?;
+        let (settings, _) = settings::load_scene(&arguments.scene, &arguments.settings)?;
         terminal::line(settings::text(&settings).trim_end());
     }
     Ok(0)

@@ -12,7 +12,7 @@ pub fn run(arguments: &DataArguments) -> Result<u8> {
     match &arguments.action {
         DataAction::Inspect { root, settings } => {
             let config = with_root(settings, root.as_deref())?;
-            trimip_data::inspect(&config.data)?.iter().for_each(terminal::line);
+            trimip_data::inspect(&config.data)?.iter().for_each(terminal::prose);
         }
         DataAction::Multiscale { out, root, settings } => {
             let config = with_root(settings, root.as_deref())?;

@@ -3,15 +3,16 @@
 use crate::{
     args::EvalArguments,
     backends, interrupt,
-    progress::{bar, table},
+    progress::{bar, open, table},
     run_folder, settings, terminal,
 };
+use indicatif::ProgressBar;
 use serde_json::json;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use trimip_core::{
     Error, Result,
-    evaluate::{evaluate, mean_quality, per_scale},
+    evaluate::{ViewResult, Watch, evaluate_frame, mean_quality, per_scale},
     tensors::write_atomically,
 };
 
@@ -25,7 +26,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         run_folder::create_writable(if parent.as_os_str().is_empty() { ".".as_ref() } else { parent })?;
     }
     let stop = interrupt::install()?;
-    let scene = trimip_data::open(&config.data)?;
+    let scene = open(&config.data)?;
     for warning in &scene.warnings {
         terminal::note(format!("warning: {warning}"));
     }
@@ -41,23 +42,22 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
             "name another data.test",
         ));
     }
-    let bar = bar("{bar:30} view {pos} of {len}  {msg}", total as u64);
-    let mut whole = true;
-    let qualities =
-        evaluate(session.as_mut(), scene.test.as_ref(), stride, config.data.background, |view| {
-            bar.set_position((view.index / stride) as u64 + 1);
-            bar.set_message(format!("{} 1/{}: {:.2} dB", view.name, view.scale, view.psnr));
-            whole = !stop.load(Ordering::Relaxed);
-            Ok(whole)
-        })?;
-    bar.finish_and_clear();
-    if !whole {
-        return Ok(interrupt::EXIT_CODE);
+    let bar = bar("{bar:20} {percent:>3} %  {wide_msg}", 1000);
+    let mut watch = OnBar { bar: &bar, stop: &stop, total, done: 0 };
+    let mut qualities = Vec::new();
+    for index in (0..scene.test.len()).step_by(stride) {
+        let (frames, background) = (scene.test.as_ref(), config.data.background);
+        if !evaluate_frame(session.as_mut(), frames, index, 1, background, &mut watch, &mut qualities)? {
+            bar.finish_and_clear();
+            return Ok(interrupt::EXIT_CODE);
+        }
+        watch.done += 1;
     }
+    bar.finish_and_clear();
 
     let scales = per_scale(&qualities, 1);
     let mean = mean_quality(&scales);
-    table(&scales).iter().for_each(terminal::line);
+    table(&scales).iter().for_each(terminal::prose);
     if let Some(path) = &arguments.json {
         let views: Vec<_> = qualities
             .iter()
@@ -76,26 +76,33 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         });
         write_atomically(path, serde_json::to_string_pretty(&report).map_err(Error::run)?.as_bytes())?;
     }
-    floor(mean.psnr, config.eval.min_psnr)?;
+    mean.judge(&config.eval)?;
     Ok(0)
 }
 
-/// Fails when a floor is stated and missed; a NaN misses every floor.
-pub fn floor(psnr: f64, floor: f64) -> Result<()> {
-    if floor <= 0.0 || psnr >= floor {
-        return Ok(());
-    }
-    Err(Error::run(format!("mean PSNR {psnr:.2} dB is below the floor eval.min_psnr = {floor}")))
+/// Moves a bar with the rows that are rendered.
+struct OnBar<'a> {
+    bar: &'a ProgressBar,
+    stop: &'a AtomicBool,
+    /// Frames in all.
+    total: usize,
+    /// Frames done.
+    done: usize,
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+impl Watch for OnBar<'_> {
+    fn rows(&mut self, rows: u32, of: u32) -> bool {
+        let part = self.done as f64 + f64::from(rows) / f64::from(of.max(1));
+        self.bar.set_position((1000.0 * part / self.total.max(1) as f64) as u64);
+        !self.stop.load(Ordering::Relaxed)
+    }
 
-    #[test]
-    fn a_floor_is_missed_from_below_and_by_nan_and_by_nothing_when_unset() {
-        assert!(floor(20.0, 0.0).is_ok() && floor(f64::NAN, 0.0).is_ok() && floor(20.0, 20.0).is_ok());
-        assert_eq!(floor(19.9, 20.0).unwrap_err().exit_code(), 1);
-        assert!(floor(f64::NAN, 20.0).is_err());
+    fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {
+        let (at, name) = (self.done + 1, view.name);
+        self.bar.set_message(format!(
+            "view {at} of {}  {name} 1/{}: {:.2} dB",
+            self.total, view.scale, view.psnr
+        ));
+        Ok(!self.stop.load(Ordering::Relaxed))
     }
 }

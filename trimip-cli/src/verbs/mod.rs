@@ -13,11 +13,24 @@ mod strip;
 mod train;
 
 use crate::args::{Arguments, Verb};
+use crate::terminal;
 use trimip_core::Result;
+
+/// What to type next, for whoever typed nothing.
+const NEXT: &str = "\
+nothing to train on; type one of
+  trimip-cli FOLDER                             photographs with transforms.json: trains 5 minutes, then reports
+  trimip-cli FOLDER --minutes 30                the same for longer
+  trimip-cli --config configs/quickstart.toml   the built-in scene, nothing to download
+  trimip-cli --help                             every verb and option";
 
 /// Does what the command line asks for.
 pub fn run(arguments: Arguments) -> Result<u8> {
     match arguments.verb {
+        None if arguments.train.is_bare() => {
+            terminal::aside(NEXT);
+            Ok(2)
+        }
         None => train::run(&arguments.train),
         Some(Verb::Train(train)) => train::run(&train),
         Some(Verb::Plan(plan)) => plan::run(&plan),

@@ -3,8 +3,9 @@
 
 use crate::args::{BenchArguments, PlanArguments, SettingsArguments};
 use crate::curves::aligned;
+use crate::progress::open;
 use crate::verbs::bench;
-use crate::{settings, terminal};
+use crate::{backends, settings, terminal};
 use serde_json::{Value, json};
 use trimip_core::config::PlanChoice;
 use trimip_core::scene_plan::{self, Facts, Finding};
@@ -21,21 +22,26 @@ const CHANCE: f64 = 0.05;
 
 /// Prints a line for every decision, and measures where asked to.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
-    let (mut settings, configured) = settings::load(&arguments.settings)?;
-    let scene = trimip_data::open(&configured.data)?;
-    let facts = Facts { train: &scene.train, test: &scene.test.cameras() };
+    let (mut settings, configured) = settings::load_scene(&arguments.scene, &arguments.settings)?;
+    let scene = open(&configured.data)?;
+    let compute = backends::compute(&configured)?;
+    let test = scene.test.cameras();
+    let facts = Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };
     let findings = scene_plan::make(&mut settings, &facts)?;
     terminal::line(format!("scene plan of {}", scene.name));
     for finding in &findings {
-        terminal::line(finding);
+        terminal::prose(finding);
         for change in &finding.changes {
-            terminal::line(format!("    {} = {} (was {})", change.path, change.to, change.from));
+            terminal::prose(format!("    {} = {} (was {})", change.path, change.to, change.from));
         }
     }
     let planned = Config::from_settings(&settings)?;
+    for warning in scene_plan::warnings(&planned, &facts) {
+        terminal::line(format!("warning: {warning}"));
+    }
     let mut report = json!({ "scene": scene.name, "findings": findings, "config": planned.to_toml() });
     if arguments.measure {
-        let shared = shared(arguments, &configured, &scene.train)?;
+        let shared = shared(arguments, &planned, &scene.train)?;
         drop(scene);
         let code = bench::training::run(&bench_arguments(arguments, shared, &findings))?;
         if code != 0 {
@@ -45,7 +51,7 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
         terminal::line(table(&rows));
         report["effects"] = json!(rows);
         if let Some(verdict) = verdict(&rows) {
-            terminal::line(&verdict.text);
+            terminal::prose(&verdict.text);
             report["directions_needed"] = json!(verdict.needed);
         }
     }
@@ -57,7 +63,7 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
 }
 
 /// The settings of all trainings: brief ones of equal samples, measured at their end on training views kept back.
-fn shared(arguments: &PlanArguments, configured: &Config, train: &ViewSet) -> Result<SettingsArguments> {
+fn shared(arguments: &PlanArguments, planned: &Config, train: &ViewSet) -> Result<SettingsArguments> {
     if !(arguments.samples.is_finite() && arguments.samples > 0.0) {
         return Err(Error::input(
             "--samples",
@@ -65,12 +71,15 @@ fn shared(arguments: &PlanArguments, configured: &Config, train: &ViewSet) -> Re
             "give a number above 0, in millions",
         ));
     }
-    let steps = (arguments.samples * 1e6 / f64::from(configured.train.samples_per_step)).ceil();
+    let steps = (arguments.samples * 1e6 / f64::from(planned.train.samples_per_step)).ceil();
     let frames = train.views.len() / train.scales.len().max(1);
     let mut settings = arguments.settings.clone();
     settings.set.extend([
         format!("train.steps={steps:.0}"),
-        "train.seconds=0".into(),
+        format!("data.root={}", toml::Value::String(planned.data.root.clone())),
+        format!("train.samples_per_step={}", planned.train.samples_per_step),
+        "eval.share=0".into(),
+        "eval.min_gain=0".into(),
         "train.checkpoint_seconds=0".into(),
         format!("data.holdout={}", (frames / KEPT_BACK).max(2)),
         "eval.points=0".into(),

@@ -44,19 +44,25 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let ranged = arguments.what.contains(&Quantity::Depth).then_some(&config.scene);
     write_cameras(&out.join("cameras.json"), &cameras, ranged)?;
 
-    let bar = bar("{bar:30} view {pos} of {len}  {eta} left", cameras.len() as u64);
+    let rows = |camera: &Camera| u64::from(camera.intrinsics.height);
+    let bar =
+        bar("{bar:30} {percent:>3} %  {eta} left", cameras.iter().map(|(_, camera)| rows(camera)).sum());
     let mut seconds = Vec::new();
     for (name, camera) in &cameras {
-        if stop.load(Ordering::Relaxed) {
-            return Ok(interrupt::EXIT_CODE);
-        }
         let started = Instant::now();
-        let frame = session.render(camera)?;
+        let before = bar.position();
+        let watch = &mut |done: u32, _: u32| {
+            bar.set_position(before + u64::from(done));
+            !stop.load(Ordering::Relaxed)
+        };
+        let Some(frame) = session.render_watched(camera, watch)? else {
+            return Ok(interrupt::EXIT_CODE);
+        };
         seconds.push(started.elapsed().as_secs_f64());
         for path in write(&out, name, &frame, camera, arguments, &config.scene)? {
             bar.suspend(|| terminal::line(path.display()));
         }
-        bar.inc(1);
+        bar.set_position(before + rows(camera));
     }
     bar.finish_and_clear();
     if let Some(line) = speed(seconds) {

@@ -1,12 +1,17 @@
-//! The scene plan: what a scene does not need is left out before training begins. Each decision looks at the cameras and
-//! the silhouettes, has a setting in `[plan]`, and changes other settings, never what they mean: a texel, a step and a
-//! cell stay as wide as configured.
+//! The scene plan: what follows the data and the budget is decided before training begins. Each decision looks at the
+//! cameras, the photographs and the machine, has a switch in `[plan]`, changes other settings, never what they mean, and
+//! says why. Some find what to train, others how; the last ones leave out what the scene does not need.
 
+mod aabb;
+mod detail;
+mod leave_out;
 pub mod radii;
+mod recipe;
 pub mod silhouettes;
 
-use crate::config::{FilePrecision, PlanChoice, PlaneShape};
-use crate::tri_mip::{CHANNELS, Pyramid};
+pub use aabb::warnings;
+
+use crate::config::PlanChoice;
 use crate::{Aabb, Camera, Config, Error, Origin, Result, Settings, ViewSet};
 use serde::{Deserialize, Serialize};
 use toml::Value;
@@ -18,6 +23,39 @@ pub struct Facts<'a> {
     pub train: &'a ViewSet,
     /// Cameras that will be rendered, at every scale.
     pub test: &'a [Camera],
+    /// Where the data say that the subject is.
+    pub stated: Option<&'a StatedBox>,
+    /// What will compute.
+    pub compute: &'a Compute,
+}
+
+/// A box that comes with the data.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StatedBox {
+    /// World units.
+    pub aabb: Aabb<f64>,
+    /// What states it, in words.
+    pub source: String,
+}
+
+/// What a run computes with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compute {
+    /// In words.
+    pub name: String,
+    /// Kept samples a second that networks of 64 units may be trained with.
+    pub samples_per_second: f64,
+    /// True where products of bf16 are faster than those of f32.
+    pub bf16: bool,
+    /// True for a device that is idle below some 100,000 samples a step.
+    pub wide: bool,
+}
+
+impl Compute {
+    /// One thread of a processor with wide vectors: what tests and documentation plan for.
+    pub fn one_thread() -> Self {
+        Self { name: "one thread".into(), samples_per_second: 3e5, bf16: false, wide: false }
+    }
 }
 
 /// A setting that a decision changed.
@@ -48,26 +86,48 @@ pub struct Finding {
 
 impl std::fmt::Display for Finding {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let verdict = if self.left_out { "left out" } else { "kept" };
+        let verdict = match (self.left_out, self.changes.is_empty()) {
+            (true, _) => "left out",
+            (false, false) => "set",
+            (false, true) => "kept",
+        };
         write!(f, "plan.{}: {verdict}: {}", self.decision, self.reason)
+    }
+}
+
+/// What a decision is taken from.
+struct Context<'a> {
+    /// The settings with what was decided so far.
+    now: &'a Config,
+    /// The settings as the user gave them.
+    configured: &'a Config,
+    facts: &'a Facts<'a>,
+    settings: &'a Settings,
+}
+
+impl Context<'_> {
+    /// True for a setting that the user gave.
+    fn given(&self, path: &str) -> bool {
+        !matches!(self.settings.origin(path), Origin::Default | Origin::Plan)
     }
 }
 
 /// What a decision proposes.
 enum Proposal {
-    /// Everything is needed; why.
+    /// Everything stays; why.
     Keep(String),
-    /// It cannot be known what is needed; why, and what to do.
+    /// It cannot be known; why, and what to do.
     Unknown(String, &'static str),
+    /// These settings follow the data or the budget.
+    Set { reason: String, changes: Vec<(&'static str, Value)> },
     /// This much is not needed.
     LeaveOut { reason: String, changes: Vec<(&'static str, Value)> },
 }
 
-type Decide = fn(&Config, &Config, &Facts<'_>) -> Proposal;
+type Decide = fn(&Context<'_>) -> Proposal;
 
 /// A decision: its key, the settings that are its own (`auto` leaves the decision alone where the user gave one of them),
-/// and its rule. Rules also lower `encoder.plane_size`, `renderer.steps_per_diagonal` and `occupancy.resolution`, given or
-/// not, with the box that they divide: a texel, a step and a cell stay as wide as configured.
+/// and its rule.
 struct Decision {
     key: &'static str,
     owns: &'static [&'static str],
@@ -76,31 +136,50 @@ struct Decision {
 }
 
 /// In the order in which they are taken: each sees what those before it changed.
-const DECISIONS: [Decision; 5] = [
+const DECISIONS: [Decision; 9] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
         choice: |config| config.plan.aabb,
-        decide: fit_box,
+        decide: aabb::find,
     },
+    Decision {
+        key: "background",
+        owns: &["data.background"],
+        choice: |config| config.plan.background,
+        decide: recipe::background,
+    },
+    Decision {
+        key: "solids",
+        owns: &["loss.opacity", "train.background"],
+        choice: |config| config.plan.solids,
+        decide: recipe::solids,
+    },
+    Decision { key: "schedule", owns: &[], choice: |config| config.plan.schedule, decide: recipe::schedule },
+    Decision { key: "detail", owns: &[], choice: |config| config.plan.detail, decide: detail::decide },
     Decision {
         key: "levels",
         owns: &["encoder.levels"],
         choice: |config| config.plan.levels,
-        decide: reached_levels,
+        decide: leave_out::levels,
     },
-    Decision { key: "occupancy", owns: &[], choice: |config| config.plan.occupancy, decide: cells_as_wide },
+    Decision {
+        key: "occupancy",
+        owns: &[],
+        choice: |config| config.plan.occupancy,
+        decide: leave_out::occupancy,
+    },
     Decision {
         key: "directions",
         owns: &["field.directions"],
         choice: |config| config.plan.directions,
-        decide: view_dependence,
+        decide: leave_out::directions,
     },
     Decision {
         key: "file",
         owns: &["file.planes"],
         choice: |config| config.plan.file,
-        decide: half_precision,
+        decide: leave_out::half_precision,
     },
 ];
 
@@ -115,6 +194,13 @@ pub fn keys() -> impl Iterator<Item = &'static str> {
 /// When a decision is `on` and cannot be taken.
 pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> {
     let configured = Config::from_settings(settings)?;
+    if configured.loss.opacity > 0.0 && !recipe::has_alpha(facts.train) {
+        return Err(Error::input(
+            settings.place("loss.opacity"),
+            "the photographs have no alpha to compare opacity with",
+            "set it to 0, or use photographs with alpha",
+        ));
+    }
     DECISIONS.iter().map(|decision| take(decision, settings, &configured, facts)).collect()
 }
 
@@ -141,13 +227,15 @@ fn take(
         return Ok(finding(false, format!("{path} is set by {}", settings.origin(path)), Vec::new()));
     }
     let now = Config::from_settings(settings)?;
-    match (decision.decide)(&now, configured, facts) {
+    let proposal = (decision.decide)(&Context { now: &now, configured, facts, settings });
+    let left_out = matches!(proposal, Proposal::LeaveOut { .. });
+    match proposal {
         Proposal::Keep(reason) => Ok(finding(false, reason, Vec::new())),
         Proposal::Unknown(reason, advice) if choice == PlanChoice::On => {
             Err(Error::input(format!("plan.{}", decision.key), reason, advice))
         }
         Proposal::Unknown(reason, _) => Ok(finding(false, reason, Vec::new())),
-        Proposal::LeaveOut { reason, changes } => {
+        Proposal::Set { reason, changes } | Proposal::LeaveOut { reason, changes } => {
             let mut told = Vec::new();
             for (path, value) in changes {
                 let from = settings.value(path);
@@ -157,7 +245,7 @@ fn take(
                     told.push(Change { path: path.into(), from, to });
                 }
             }
-            Ok(finding(true, reason, told))
+            Ok(finding(left_out, reason, told))
         }
     }
 }
@@ -181,171 +269,11 @@ pub fn adopt(settings: &mut Settings, findings: &[Finding]) -> Result<()> {
     Ok(())
 }
 
-fn megabytes(floats: usize) -> String {
-    format!("{:.1} MB", floats as f64 * 4e-6)
-}
-
-/// The smallest number of texels along the longest side that is no coarser than `texel`, at most `most`.
-fn plane_size(config: &Config, texel: f64, most: u32) -> u32 {
-    let unit = config.encoder.texel_unit();
-    let longest = Aabb::<f64>::new(&config.scene).longest();
-    // One part in a thousand less is the same texel.
-    let enough = (longest / texel * 0.999).ceil() as u32;
-    enough.next_multiple_of(unit).clamp(unit.max(4), most.next_multiple_of(unit))
-}
-
-/// World width of a texel of the configured planes, along the longest side.
-fn texel(configured: &Config) -> f64 {
-    Aabb::<f64>::new(&configured.scene).longest() / f64::from(configured.encoder.plane_size)
-}
-
-fn fit_box(now: &Config, configured: &Config, facts: &Facts<'_>) -> Proposal {
-    const WORTH: f64 = 0.8;
-    let whole = Aabb::<f64>::new(&now.scene);
-    let Some(hull) = silhouettes::bounds(facts.train, &whole) else {
-        return Proposal::Unknown(
-            "the photographs have no silhouettes: the box stays as configured".into(),
-            "use photographs with alpha, or set scene.aabb_min and scene.aabb_max and plan.aabb=\"off\"",
-        );
-    };
-    // Few digits, rounded outwards.
-    let quantum = 10_f64.powf(hull.longest().log10().floor() - 2.0);
-    let fitted = Aabb {
-        min: hull.min.map(|x| (x / quantum).floor() * quantum),
-        max: hull.max.map(|x| (x / quantum).ceil() * quantum),
-    };
-    let fitted = Aabb {
-        min: std::array::from_fn(|axis| fitted.min[axis].max(whole.min[axis])),
-        max: std::array::from_fn(|axis| fitted.max[axis].min(whole.max[axis])),
-    };
-    let volume = |aabb: &Aabb<f64>| aabb.extent().iter().product::<f64>();
-    let share = volume(&fitted) / volume(&whole);
-    let percent = 100.0 * share;
-    if share > WORTH {
-        return Proposal::Keep(format!("the silhouettes fill {percent:.0} % of the box"));
-    }
-    let mut smaller = now.clone();
-    (smaller.scene.aabb_min, smaller.scene.aabb_max) =
-        (fitted.min.map(|x| x as f32), fitted.max.map(|x| x as f32));
-    smaller.encoder.shape = PlaneShape::Box;
-    smaller.encoder.plane_size = plane_size(&smaller, texel(configured), now.encoder.plane_size);
-    let steps = f64::from(now.renderer.steps_per_diagonal) * fitted.longest() / whole.longest();
-    let [before, after] =
-        [now, &smaller].map(|config| Pyramid::new(&config.encoder, &Aabb::new(&config.scene)).base_len());
-    let corner = |corner: [f32; 3]| Value::Array(corner.map(|x| Value::Float(shortest(x))).to_vec());
-    Proposal::LeaveOut {
-        reason: format!(
-            "the silhouettes fill {percent:.0} % of the box; planes of {} instead of {} with the same texels",
-            megabytes(after),
-            megabytes(before)
-        ),
-        changes: vec![
-            ("scene.aabb_min", corner(smaller.scene.aabb_min)),
-            ("scene.aabb_max", corner(smaller.scene.aabb_max)),
-            ("encoder.shape", Value::String("box".into())),
-            ("encoder.plane_size", Value::Integer(smaller.encoder.plane_size.into())),
-            ("renderer.steps_per_diagonal", Value::Integer(steps.ceil().max(16.0) as i64)),
-        ],
-    }
-}
-
-/// The f64 with the fewest digits that is this f32.
-fn shortest(value: f32) -> f64 {
-    value.to_string().parse().unwrap_or_else(|_| value.into())
-}
-
-fn reached_levels(now: &Config, configured: &Config, facts: &Facts<'_>) -> Proposal {
-    if !now.encoder.mipmap || now.encoder.halvings.values().any(|halvings| halvings > 0.0) {
-        return Proposal::Keep("the levels are what the configuration is about".into());
-    }
-    let aabb = Aabb::<f64>::new(&now.scene);
-    let train = facts.train.views.iter().map(|view| &view.camera);
-    let Some([least, most]) = radii::range(train.chain(facts.test), &aabb) else {
-        return Proposal::Keep("there is no camera".into());
-    };
-    let level = |radius: f64| {
-        let base = Pyramid::new(&now.encoder, &aabb).log2_base_radius;
-        base.map(|base| radius.log2() - base)
-    };
-    let lowest = level(least).into_iter().fold(f64::INFINITY, f64::min);
-    let highest = level(most).into_iter().fold(f64::NEG_INFINITY, f64::max);
-    let levels = now.encoder.levels;
-    // The finest levels that every sphere lies above, and one level more than any sphere reaches, for whoever steps back.
-    let below = (lowest.floor().max(0.0) as u32).min(levels - 1);
-    let above = (highest.ceil().max(0.0) as u32 + 2).min(levels);
-    let reach = format!("spheres lie between the levels {lowest:.1} and {highest:.1} of {levels}");
-    if below == 0 && above == levels {
-        return Proposal::Keep(reach);
-    }
-    let mut smaller = now.clone();
-    smaller.encoder.levels = (above - below).max(1);
-    let texel = texel(configured) * f64::from(1_u32 << below);
-    smaller.encoder.plane_size = plane_size(&smaller, texel, now.encoder.plane_size);
-    let sizes = [now, &smaller].map(|config| {
-        let pyramid = Pyramid::new(&config.encoder, &aabb);
-        pyramid.base_len() + pyramid.derived_len()
-    });
-    Proposal::LeaveOut {
-        reason: format!(
-            "{reach}; {} of planes and levels instead of {}",
-            megabytes(sizes[1]),
-            megabytes(sizes[0])
-        ),
-        changes: vec![
-            ("encoder.levels", Value::Integer(smaller.encoder.levels.into())),
-            ("encoder.plane_size", Value::Integer(smaller.encoder.plane_size.into())),
-        ],
-    }
-}
-
-fn cells_as_wide(now: &Config, configured: &Config, _: &Facts<'_>) -> Proposal {
-    let volume = |config: &Config| Aabb::<f64>::new(&config.scene).extent().iter().product::<f64>();
-    let resolution = f64::from(configured.occupancy.resolution);
-    let needed = resolution * (volume(now) / volume(configured)).cbrt();
-    let needed = (needed.ceil().max(16.0) as u32).next_multiple_of(8);
-    if needed >= now.occupancy.resolution {
-        return Proposal::Keep(format!("cells are as wide as configured at {}³", now.occupancy.resolution));
-    }
-    Proposal::LeaveOut {
-        reason: format!(
-            "cells as large as configured are {needed}³ in the fitted box: {:.1} times fewer",
-            (resolution / f64::from(needed)).powi(3)
-        ),
-        changes: vec![("occupancy.resolution", Value::Integer(needed.into()))],
-    }
-}
-
-fn view_dependence(now: &Config, configured: &Config, _: &Facts<'_>) -> Proposal {
-    if configured.plan.directions == PlanChoice::Auto || !now.field.directions {
-        return Proposal::Keep(
-            "the photographs alone do not tell whether colours change with the view".into(),
-        );
-    }
-    Proposal::LeaveOut {
-        reason: "colours depend on the place alone".into(),
-        changes: vec![("field.directions", Value::Boolean(false))],
-    }
-}
-
-fn half_precision(now: &Config, _: &Config, _: &Facts<'_>) -> Proposal {
-    if now.file.planes == FilePrecision::F16 {
-        return Proposal::Keep("texels are written as f16 already".into());
-    }
-    let floats = Pyramid::new(&now.encoder, &Aabb::new(&now.scene)).base_len();
-    Proposal::LeaveOut {
-        reason: format!(
-            "texels are written as f16: {} instead of {} ({} texels of {CHANNELS} channels)",
-            megabytes(floats / 2),
-            megabytes(floats),
-            floats / CHANNELS
-        ),
-        changes: vec![("file.planes", Value::String("f16".into()))],
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::FilePrecision;
+    use crate::tri_mip::Pyramid;
     use crate::{Alpha, Intrinsics, Scale, View};
     use glam::DVec3;
 
@@ -383,16 +311,25 @@ mod tests {
         let mut settings = Settings::defaults();
         set.iter().for_each(|assignment| settings.apply_assignment(assignment).unwrap());
         let test: Vec<Camera> = train.views.iter().map(|view| view.camera).collect();
-        let findings = make(&mut settings, &Facts { train, test: &test })?;
+        let compute = Compute::one_thread();
+        let facts = Facts { train, test: &test, stated: None, compute: &compute };
+        let findings = make(&mut settings, &facts)?;
         Ok((Config::from_settings(&settings)?, findings))
     }
 
+    /// The finding of a decision.
+    fn of<'a>(findings: &'a [Finding], decision: &str) -> &'a Finding {
+        findings.iter().find(|finding| finding.decision == decision).unwrap()
+    }
+
     #[test]
-    fn a_small_object_needs_a_small_box_and_texels_steps_and_cells_stay_as_wide() {
+    fn a_small_object_needs_a_small_box_and_given_texels_steps_and_cells_stay_as_wide() {
         let before = Config::default();
-        let (config, findings) = planned(&views(true), &["encoder.levels=5"]).unwrap();
-        let kept = ["levels", "directions"];
-        assert!(findings.iter().all(|f| f.left_out != kept.contains(&f.decision.as_str())), "{findings:?}");
+        let (config, findings) =
+            planned(&views(true), &["encoder.levels=5", "plan.detail=off", "plan.schedule=off"]).unwrap();
+        for decision in ["aabb", "occupancy", "file"] {
+            assert!(of(&findings, decision).left_out, "{findings:?}");
+        }
         let aabb = Aabb::<f64>::new(&config.scene);
         for (axis, centre) in [0.5, 0.0, 0.0].into_iter().enumerate() {
             assert!(aabb.min[axis] <= centre - 0.39 && aabb.min[axis] > centre - 0.6, "{aabb:?}");
@@ -407,12 +344,78 @@ mod tests {
         assert_eq!(config.file.planes, FilePrecision::F16);
     }
 
+    /// The same scene in other units, somewhere else: box, texels and steps follow.
+    #[test]
+    fn the_box_and_its_detail_do_not_depend_on_units_or_place() {
+        let near = views(true);
+        let (scale, shift) = (250.0, DVec3::new(-3000.0, 500.0, 40.0));
+        let mut far = near.clone();
+        for view in &mut far.views {
+            view.camera.origin = scale * view.camera.origin + shift;
+        }
+        let [(one, _), (other, findings)] = [&near, &far].map(|train| planned(train, &[]).unwrap());
+        let [small, large] = [&one, &other].map(|config| Aabb::<f64>::new(&config.scene));
+        for axis in 0..3 {
+            let moved = scale * small.min[axis] + shift[axis];
+            // Boxes are rounded to a hundredth of their size.
+            assert!((large.min[axis] - moved).abs() < 0.03 * large.longest(), "{large:?} {findings:?}");
+        }
+        let alike = |a: u32, b: u32| (0.9..1.12).contains(&(f64::from(a) / f64::from(b)));
+        assert!(alike(one.encoder.plane_size, other.encoder.plane_size), "{findings:?}");
+        assert!(alike(one.renderer.steps_per_diagonal, other.renderer.steps_per_diagonal), "{findings:?}");
+        assert!(warnings_of(&other, &far).is_empty());
+    }
+
+    fn warnings_of(config: &Config, train: &ViewSet) -> Vec<String> {
+        let compute = Compute::one_thread();
+        warnings(config, &Facts { train, test: &[], stated: None, compute: &compute })
+    }
+
+    #[test]
+    fn a_box_beside_the_subject_is_told() {
+        let train = views(true);
+        let beside = ["scene.aabb_min=[5.0, 5.0, 5.0]", "scene.aabb_max=[6.0, 6.0, 6.0]", "plan.aabb=off"];
+        let (config, _) = planned(&train, &beside).unwrap();
+        let told = warnings_of(&config, &train);
+        assert!(told.iter().any(|text| text.contains("covers only 0 %")), "{told:?}");
+    }
+
+    #[test]
+    fn photographs_say_whether_models_are_solids_and_what_is_behind_them() {
+        let (config, _) = planned(&views(true), &[]).unwrap();
+        assert_eq!((config.loss.opacity, config.data.background), (0.1, [1.0; 3]));
+        let (config, findings) = planned(&views(false), &[]).unwrap();
+        assert_eq!((config.loss.opacity, config.data.background), (0.0, [1.0, 0.0, 0.0]), "{findings:?}");
+        let error = planned(&views(false), &["loss.opacity=0.1"]).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("no alpha"), "{error}");
+        let (config, _) = planned(&views(true), &["loss.opacity=0.0"]).unwrap();
+        assert_eq!(config.loss.opacity, 0.0, "what is given stays");
+    }
+
+    #[test]
+    fn networks_and_steps_follow_the_budget() {
+        let of = |set: &[&str]| planned(&views(true), set).unwrap().0;
+        let hidden = |seconds: &str| of(&[seconds]).field.hidden;
+        assert_eq!(
+            ["train.seconds=60", "train.seconds=1000", "train.seconds=10000"].map(hidden),
+            [32, 64, 128]
+        );
+        assert_eq!(of(&["train.seconds=1000", "field.hidden=96"]).field.hidden, 96, "what is given stays");
+        let steps = of(&["train.steps=100", "train.samples_per_step=4096"]);
+        assert_eq!((steps.train.samples_per_step, steps.field.hidden), (4096, 32));
+        let small = of(&["train.seconds=1"]).train.samples_per_step;
+        assert!((4096..32_768).contains(&small), "{small}");
+    }
+
     #[test]
     fn no_sphere_of_any_camera_reaches_a_level_that_is_left_out() {
         let train = views(true);
-        for set in
-            [&[][..], &["plan.aabb=off"], &["encoder.plane_size=4096", "encoder.levels=9", "plan.levels=on"]]
-        {
+        for set in [
+            &["plan.detail=off"][..],
+            &[],
+            &["plan.aabb=off", "plan.detail=off"],
+            &["encoder.plane_size=4096", "encoder.levels=9", "plan.levels=on"],
+        ] {
             let (config, _) = planned(&train, set).unwrap();
             let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
             let [least, most] =
@@ -433,22 +436,42 @@ mod tests {
         assert!(!findings[0].left_out && findings[0].reason.contains("--set"), "{findings:?}");
         assert_eq!(config.scene.aabb_max, [1.5; 3]);
         let (config, findings) = planned(&views(false), &[]).unwrap();
-        assert!(!findings[0].left_out && findings[0].reason.contains("no silhouettes"), "{findings:?}");
-        assert!(!findings[2].left_out, "{findings:?}");
-        assert_eq!(config.scene, Config::default().scene);
-        let error = planned(&views(false), &["plan.aabb=on"]).unwrap_err();
+        assert!(findings[0].reason.contains("no silhouettes"), "{findings:?}");
+        let aabb = Aabb::<f64>::new(&config.scene);
+        assert!(aabb.min[0] < -4.0 && aabb.max[0] > 4.0, "the surroundings are in it: {aabb:?}");
+        let given = ["scene.aabb_max=[1.0, 1.0, 1.0]", "plan.aabb=on"];
+        let error = planned(&views(false), &given).unwrap_err();
         assert!(error.message.contains("plan.aabb") && error.exit_code() == 2, "{error}");
         let off: Vec<String> = keys().map(|key| format!("plan.{key}=off")).collect();
         let off: Vec<&str> = off.iter().map(String::as_str).collect();
         let (config, findings) = planned(&views(true), &off).unwrap();
-        assert!(findings.iter().all(|finding| !finding.left_out && finding.changes.is_empty()));
+        assert!(findings.iter().all(|finding| finding.changes.is_empty()));
         assert_eq!(Config { plan: Config::default().plan, ..config }, Config::default());
+    }
+
+    #[test]
+    fn a_saving_is_told_where_there_is_one() {
+        assert_eq!(
+            leave_out::saved("planes", 10_000_000, 20_000_000),
+            "; planes of 40.0 MB instead of 80.0 MB"
+        );
+        // Two sizes that read the same, the same size, and a larger one.
+        for (after, before) in [(16_775_000, 16_777_216), (5, 5), (20_000_000, 10_000_000)] {
+            assert_eq!(leave_out::saved("planes", after, before), "");
+        }
+        for set in [&[][..], &["encoder.plane_size=16", "encoder.levels=3"]] {
+            for finding in planned(&views(true), set).unwrap().1 {
+                if let Some((before, after)) = finding.reason.split_once(" instead of ") {
+                    assert!(!before.ends_with(after), "{}", finding.reason);
+                }
+            }
+        }
     }
 
     #[test]
     fn directions_go_when_asked() {
         let (config, findings) = planned(&views(true), &["plan.directions=on"]).unwrap();
-        assert!(!config.field.directions && findings[3].left_out, "{findings:?}");
+        assert!(!config.field.directions && of(&findings, "directions").left_out, "{findings:?}");
         assert_eq!(crate::params::color_layers(&config)[0][0], 15);
     }
 

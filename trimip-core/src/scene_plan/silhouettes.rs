@@ -83,9 +83,15 @@ impl Silhouette {
     }
 }
 
-/// Bounds of what the photographs may show within `aabb`: never less than the object. `None` where no photograph has a
-/// silhouette, or where they leave nothing.
-pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>) -> Option<Aabb<f64>> {
+/// True where some photograph has a clear pixel.
+pub fn any(views: &ViewSet) -> bool {
+    let Some(coarsest) = views.scales.last() else { return false };
+    views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] == 0)
+}
+
+/// Bounds of what the photographs may show within `aabb`, of places that at least `share` of them see (0: any one): never
+/// less than the object there. `None` where no photograph has a silhouette, or where they leave nothing.
+pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, share: f64) -> Option<Aabb<f64>> {
     let fine_enough = |scale: &&Scale| {
         let sides = scale.views.clone().map(|i| views.views[i].camera.intrinsics);
         sides.map(|k| k.width.min(k.height)).min().is_some_and(|side| side >= FINE_ENOUGH)
@@ -106,11 +112,12 @@ pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>) -> Option<Aabb<f64>> {
     if silhouettes.first().is_none_or(|silhouette| silhouette.sums.is_none()) {
         return None;
     }
-    CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells))
+    let least = ((share * silhouettes.len() as f64).ceil() as usize).max(1);
+    CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells, least))
 }
 
 /// Bounds of the cells of a grid over `aabb` that are not carved.
-fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize) -> Option<Aabb<f64>> {
+fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, least: usize) -> Option<Aabb<f64>> {
     let cell = aabb.extent().map(|side| side / cells as f64);
     let radius = 0.5 * DVec3::from_array(cell).length();
     let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
@@ -121,7 +128,7 @@ fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize) -> Option<Aa
             continue;
         }
         let centre = std::array::from_fn(|axis| aabb.min[axis] + (index[axis] as f64 + 0.5) * cell[axis]);
-        if kept(silhouettes, DVec3::from_array(centre), radius) {
+        if kept(silhouettes, DVec3::from_array(centre), radius, least) {
             for axis in 0..3 {
                 low[axis] = low[axis].min(index[axis]);
                 high[axis] = high[axis].max(index[axis] + 1);
@@ -132,20 +139,20 @@ fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize) -> Option<Aa
     (high[0] > 0).then(|| Aabb { min: corner(low), max: corner(high) })
 }
 
-/// True unless a view shows background there, or none sees it at all: what no ray meets is never learnt.
-fn kept(silhouettes: &[Silhouette], centre: DVec3, radius: f64) -> bool {
-    let mut seen = false;
+/// True unless a view shows background there, or fewer than `least` see it: what no ray meets is never learnt.
+fn kept(silhouettes: &[Silhouette], centre: DVec3, radius: f64, least: usize) -> bool {
+    let mut seen = 0;
     for silhouette in silhouettes {
-        if seen && silhouette.sums.is_none() {
+        if seen >= least && silhouette.sums.is_none() {
             break;
         }
         match silhouette.verdict(centre, radius) {
             Verdict::Unseen => {}
-            Verdict::Maybe => seen = true,
+            Verdict::Maybe => seen += 1,
             Verdict::Empty => return false,
         }
     }
-    seen
+    seen >= least
 }
 
 #[cfg(test)]
@@ -179,7 +186,7 @@ mod tests {
             Aabb { min: [-0.3, -0.9, -0.2], max: [0.4, 0.6, 0.5] },
             Aabb { min: [0.1, 0.1, 0.1], max: [0.2, 0.3, 0.9] },
         ] {
-            let found = bounds(&photographs(&object, false), &whole).unwrap();
+            let found = bounds(&photographs(&object, false), &whole, 0.0).unwrap();
             for axis in 0..3 {
                 // Two pixels of 0.02 units and a cell of the finer grid.
                 let (below, above) = (object.min[axis] - found.min[axis], found.max[axis] - object.max[axis]);
@@ -211,13 +218,13 @@ mod tests {
             }
         }
         views.scales[0].views = 0..2;
-        let without = bounds(&views, &whole).unwrap();
+        let without = bounds(&views, &whole, 0.0).unwrap();
         let close = Camera::look_at(narrow, DVec3::new(1.1, 0.0, 3.0), DVec3::new(1.1, 0.0, 0.0), DVec3::Y);
         let offset = views.pixels.len();
         views.pixels.extend(vec![[200, 200, 200, 255]; 160 * 160]);
         views.views.push(View { name: "close".into(), camera: close, offset });
         views.scales[0].views = 0..3;
-        let with = bounds(&views, &whole).unwrap();
+        let with = bounds(&views, &whole, 0.0).unwrap();
         assert!(without.max[0] < 0.5, "{without:?}");
         assert!(with.max[0] > 1.1 && with.min[0] <= without.min[0], "{with:?}");
     }
@@ -226,8 +233,8 @@ mod tests {
     fn opaque_photographs_tell_nothing_and_an_object_larger_than_the_box_leaves_it() {
         let whole = Aabb { min: [-0.5; 3], max: [0.5; 3] };
         let large = Aabb { min: [-0.8; 3], max: [0.8; 3] };
-        assert_eq!(bounds(&photographs(&large, true), &whole), None);
-        let found = bounds(&photographs(&large, false), &whole).unwrap();
+        assert_eq!(bounds(&photographs(&large, true), &whole, 0.0), None);
+        let found = bounds(&photographs(&large, false), &whole, 0.0).unwrap();
         assert!((0..3).all(|axis| found.min[axis] <= -0.5 + 1e-9 && found.max[axis] >= 0.5 - 1e-9));
     }
 }

@@ -142,7 +142,7 @@ pub(crate) fn split(config: &DataConfig, split: &str) -> Result<Split> {
             Source::averaged(format!("r_{i}"), camera, config.scales, "data.builtin_size", pixels())
         })
         .collect::<Result<_>>()?;
-    Ok(Split { sources, warnings: Vec::new() })
+    Ok(Split { sources, warnings: Vec::new(), stated: None })
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! `bench`: error against time, of training over a set of configurations, or of rendering over the shortcuts of a model.
 
+mod page;
 mod rendering;
 pub mod stages;
 pub mod training;

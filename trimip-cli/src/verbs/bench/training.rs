@@ -1,16 +1,16 @@
 //! Error against seconds of training of a set of configurations, several seeds each, on one plot and in one table, with the
-//! variants marked that no other beats in both. Runs that are finished in the folder are not run again.
+//! variants marked that no other beats in both. Runs that are finished in the folder are not run again; `page.rs` writes
+//! what came out.
 
+use super::page;
 use crate::args::{BenchArguments, ProgressStyle, SettingsArguments, TrainArguments};
-use crate::curves::{Curve, Measure, aligned};
+use crate::curves::{Curve, Measure, Reach, aligned};
 use crate::interrupt::EXIT_CODE;
-use crate::machine::Machine;
-use crate::report::{html::escape, svg};
+use crate::report::svg;
 use crate::{run_folder, settings, terminal, verbs::train};
-use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::path::{Path, PathBuf};
-use trimip_core::{Config, Error, Result, tensors::write_atomically};
+use trimip_core::{Error, Result};
 
 /// A configuration to be tried.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,24 +27,35 @@ struct Outcome {
 }
 
 /// A variant's figures over its seeds.
-#[derive(Debug, Serialize)]
-struct Row {
-    name: String,
-    settings: Vec<String>,
-    seeds: usize,
-    seconds: f64,
-    psnr: f64,
+#[derive(Debug, serde::Serialize)]
+pub struct Row {
+    /// What it is called.
+    pub name: String,
+    /// What it sets.
+    pub settings: Vec<String>,
+    /// Number of its runs.
+    pub seeds: usize,
+    /// Of training.
+    pub seconds: f64,
+    /// Mean of the scales, dB.
+    pub psnr: f64,
     /// Largest less smallest of the seeds, dB.
-    spread: f64,
-    ssim: f64,
-    samples: f64,
-    model_bytes: f64,
-    peak_memory_bytes: Option<f64>,
+    pub spread: f64,
+    /// Mean of the scales.
+    pub ssim: f64,
+    /// Samples kept.
+    pub samples: f64,
+    /// Size of the model file.
+    pub model_bytes: f64,
+    /// Largest resident memory, where known.
+    pub peak_memory_bytes: Option<f64>,
     /// No other variant is both faster and better.
-    pareto: bool,
-    /// Mean time at which the seeds reach each PSNR, where all do.
-    reaches: Vec<Option<f64>>,
-    runs: Vec<PathBuf>,
+    pub pareto: bool,
+    /// Mean time at which the seeds reach each PSNR, where all do; at most that where one was there before its first
+    /// measure.
+    pub reaches: Vec<Option<Reach>>,
+    /// Folders of its runs.
+    pub runs: Vec<PathBuf>,
 }
 
 /// Trains what is not trained yet, then lays everything beside each other.
@@ -91,9 +102,8 @@ pub fn run(arguments: &BenchArguments) -> Result<u8> {
         rows.push(row(variant, &outcomes, &reach));
     }
     mark_front(&mut rows);
-    let table = table(&rows, &reach);
-    terminal::line(&table);
-    write(arguments, &rows, &lines, &reach, &table)?;
+    terminal::line(aligned(&cells(&rows, &reach)));
+    page::write(arguments, &rows, &lines, &reach)?;
     terminal::aside(format!("report: {}", arguments.out.join("bench.html").display()));
     Ok(0)
 }
@@ -174,8 +184,11 @@ fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> Row {
     let smallest = psnr.iter().copied().fold(f64::INFINITY, f64::min);
     let memory = values(&|report| &report["peak_memory_bytes"]);
     let reaches = reach.iter().map(|&psnr| {
-        let times: Option<Vec<f64>> = outcomes.iter().map(|outcome| outcome.curve.reaches(psnr)).collect();
-        times.map(|times| mean(&times))
+        let times: Option<Vec<Reach>> = outcomes.iter().map(|outcome| outcome.curve.reaches(psnr)).collect();
+        times.map(|times| Reach {
+            seconds: mean(&times.iter().map(|reach| reach.seconds).collect::<Vec<_>>()),
+            at_most: times.iter().any(|reach| reach.at_most),
+        })
     });
     Row {
         name: variant.name.clone(),
@@ -204,7 +217,8 @@ fn mark_front(rows: &mut [Row]) {
     }
 }
 
-fn table(rows: &[Row], reach: &[f64]) -> String {
+/// A head, then one row per variant.
+pub fn cells(rows: &[Row], reach: &[f64]) -> Vec<Vec<String>> {
     let mut cells = vec![vec![
         "variant".to_string(),
         "seeds".into(),
@@ -229,62 +243,10 @@ fn table(rows: &[Row], reach: &[f64]) -> String {
             terminal::bytes(row.model_bytes as u64),
             if row.pareto { "*".into() } else { String::new() },
         ];
-        line.extend(row.reaches.iter().map(|time| time.map_or("–".into(), |t| format!("{t:.1} s"))));
+        line.extend(row.reaches.iter().map(|time| time.map_or("–".into(), |reach| reach.to_string())));
         cells.push(line);
     }
-    aligned(&cells)
-}
-
-fn write(
-    arguments: &BenchArguments,
-    rows: &[Row],
-    lines: &[svg::Line],
-    reach: &[f64],
-    table: &str,
-) -> Result<()> {
-    let base: Config = settings::load(&arguments.settings)?.1;
-    let machine = Machine::detect();
-    let file = |name: &str| arguments.out.join(name);
-    let report = json!({
-        "machine": machine,
-        "version": crate::machine::version(),
-        "measures": "PSNR of unrounded colours on the configured background, mean of the scales; seconds of training alone",
-        "shared": base.to_toml(),
-        "reach": reach,
-        "variants": rows,
-    });
-    let text = serde_json::to_string_pretty(&report).map_err(Error::run)?;
-    write_atomically(&file("bench.json"), text.as_bytes())?;
-    let mut csv =
-        "variant,seeds,seconds,psnr_mean,psnr_spread,ssim_mean,samples,model_bytes,pareto\n".to_string();
-    for row in rows {
-        let name = row.name.replace('"', "\"\"");
-        csv += &format!(
-            "\"{name}\",{},{:.3},{:.4},{:.4},{:.6},{:.0},{:.0},{}\n",
-            row.seeds, row.seconds, row.psnr, row.spread, row.ssim, row.samples, row.model_bytes, row.pareto
-        );
-    }
-    write_atomically(&file("bench.csv"), csv.as_bytes())?;
-    // A run measured once has no line, but its end.
-    let plot = svg::alone(lines).unwrap_or_default();
-    write_atomically(&file("bench.svg"), plot.as_bytes())?;
-    let settings: String = rows
-        .iter()
-        .map(|row| format!("<li><b>{}</b>: {}</li>", escape(&row.name), escape(&row.settings.join(", "))))
-        .collect();
-    let page = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Bench</title>\
-         <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:70em;margin:2em auto;padding:0 1em}}\
-         svg{{max-width:100%;height:auto}}pre{{overflow-x:auto}}</style>\
-         <h1>Error against time</h1><p>{}, {} threads at most. One line a run; variants that no other beats in both time \
-         and error have a star.</p>{plot}<pre>{}</pre><h2>Variants</h2><ul>{settings}</ul>\
-         <h2>Shared settings</h2><pre>{}</pre></html>\n",
-        escape(&machine.cpu),
-        machine.cores,
-        escape(table),
-        escape(&base.to_toml()),
-    );
-    write_atomically(&file("bench.html"), page.as_bytes())
+    cells
 }
 
 #[cfg(test)]

@@ -1,0 +1,198 @@
+//! The first hour of a user as a script of commands whose answers are checked: a folder of photographs, nothing else set.
+
+use serde_json::Value;
+use std::{fs, path::Path, time::Instant};
+use trimip_tests::binary::{Answer, run};
+
+/// A scene of 16 training and 4 test photographs of 64 pixels in `folder`/scene.
+fn scene(folder: &Path) {
+    let sets = [
+        "data.builtin_size=64",
+        "data.builtin_train=16",
+        "data.builtin_test=4",
+        "data.builtin_supersampling=2",
+    ];
+    let mut arguments = vec!["data", "builtin", "scene"];
+    sets.iter().for_each(|set| arguments.extend(["--set", set]));
+    done(&run(folder, &arguments));
+}
+
+fn done(answer: &Answer) {
+    assert_eq!(answer.code, Some(0), "{answer:?}");
+}
+
+/// The program refuses with exit code 2, in one line that names each of `parts`.
+fn refused(answer: &Answer, parts: &[&str]) {
+    assert_eq!(answer.code, Some(2), "{answer:?}");
+    assert_eq!(answer.err.trim_end().lines().count(), 1, "{}", answer.err);
+    for part in parts {
+        assert!(answer.err.contains(part), "`{part}` in {}", answer.err);
+    }
+}
+
+fn report(folder: &Path) -> Value {
+    let bytes = fs::read(folder.join("report.json")).expect("a report");
+    serde_json::from_slice(&bytes).expect("a report that is JSON")
+}
+
+fn psnr(report: &Value) -> f64 {
+    report["mean"]["psnr"].as_f64().expect("a mean PSNR")
+}
+
+#[test]
+fn a_folder_is_all_that_a_user_types() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    // Nothing typed, or something that is no scene: the next thing to type.
+    let bare = run(folder, &[]);
+    assert_eq!(bare.code, Some(2));
+    for next in ["trimip-cli FOLDER", "configs/quickstart.toml", "--help"] {
+        assert!(bare.err.contains(next), "{}", bare.err);
+    }
+    refused(&run(folder, &["scene"]), &["scene: ", "neither a verb nor a folder", "--help"]);
+    fs::create_dir(folder.join("empty")).unwrap();
+    refused(&run(folder, &["empty"]), &["empty", "transforms"]);
+    refused(&run(folder, &["empty", "--minutes", "0"]), &["--minutes 0"]);
+    assert!(!folder.join("runs/empty/metrics.jsonl").exists());
+
+    scene(folder);
+    // A folder within a folder is found out about, a file of the scene is as good as its folder.
+    fs::create_dir(folder.join("outer")).unwrap();
+    fs::rename(folder.join("scene"), folder.join("outer/scene")).unwrap();
+    refused(&run(folder, &["outer"]), &["outer/scene"]);
+    fs::rename(folder.join("outer/scene"), folder.join("scene")).unwrap();
+
+    // Eight seconds of training: wall time, pictures and a model that learned.
+    let started = Instant::now();
+    let answer = run(folder, &["scene/transforms_train.json", "--minutes", "0.1333"]);
+    done(&answer);
+    let wall = started.elapsed().as_secs_f64();
+    assert!(wall <= 1.4 * 8.0 + 60.0, "{wall} s for 8 s of training");
+    let path = folder.join("runs/scene");
+    let first = report(&path);
+    assert!((8.0..12.0).contains(&first["train_seconds"].as_f64().unwrap()), "{}", first["train_seconds"]);
+    let constant = first["mean"]["psnr_constant"].as_f64().unwrap();
+    assert!(psnr(&first) > constant + 3.0, "{} where a mean colour has {constant}", psnr(&first));
+    for file in
+        ["report.html", "report.md", "report.tex", "metrics.csv", "error_vs_time.csv", "model.safetensors"]
+    {
+        assert!(fs::metadata(path.join(file)).is_ok_and(|data| data.len() > 0), "{file}");
+    }
+    for decision in ["aabb", "solids", "schedule", "detail"] {
+        assert!(answer.out.contains(&format!("plan.{decision}: ")), "{decision}");
+    }
+
+    // The same again is finished; another length names the ways out; a longer one goes on.
+    let again = run(folder, &["scene", "--minutes", "0.1333"]);
+    done(&again);
+    assert!(again.out.contains("finished") && again.out.contains("--fresh"), "{}", again.out);
+    let ways = ["train.seconds", "--continue-for", "--fresh", "--out"];
+    refused(&run(folder, &["scene", "--minutes", "0.3"]), &ways);
+    refused(&run(folder, &["scene", "--continue-for", "soon"]), &["--continue-for", "5m"]);
+    refused(&run(folder, &["--out", "runs/other", "--continue-for", "1m"]), &["runs/other"]);
+    let longer = run(folder, &["scene", "--continue-for", "4s"]);
+    done(&longer);
+    assert!(
+        longer.out.contains("extended: ") && longer.out.contains("the schedule stretches"),
+        "{}",
+        longer.out
+    );
+    let second = report(&path);
+    assert!(
+        second["train_seconds"].as_f64().unwrap() >= 12.0
+            && second["steps"].as_u64() > first["steps"].as_u64()
+    );
+    assert!(psnr(&second) > psnr(&first) - 1.0, "{} after {}", psnr(&second), psnr(&first));
+    refused(&run(folder, &["runs/scene"]), &["holds a run", "eval", "render"]);
+
+    // What is there is measured, shown and compared.
+    done(&run(folder, &["eval", "runs/scene", "--json", "eval.json"]));
+    let one = run(folder, &["render", "runs/scene", "--views", "1"]);
+    done(&one);
+    assert!(one.err.contains("1 view rendered"), "{}", one.err);
+    let circle =
+        run(folder, &["render", "runs/scene", "--turntable", "3", "--width", "40", "--height", "24"]);
+    done(&circle);
+    assert!(circle.err.contains("3 views rendered"), "{}", circle.err);
+    done(&run(folder, &["compare", "runs/scene", "--reach", "5,99"]));
+}
+
+#[test]
+fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    scene(folder);
+    for entry in fs::read_dir(folder.join("scene/train"))
+        .unwrap()
+        .chain(fs::read_dir(folder.join("scene/test")).unwrap())
+    {
+        let path = entry.unwrap().path();
+        image::open(&path).unwrap().to_rgb8().save(&path).unwrap();
+    }
+    let answer = run(folder, &["scene", "--minutes", "0.1"]);
+    done(&answer);
+    for part in ["no alpha", "plan.background: set", "no silhouettes"] {
+        assert!(answer.out.contains(part), "{part}: {}", answer.out);
+    }
+    refused(&run(folder, &["scene", "--out", "b", "--set", "loss.opacity=0.1"]), &["loss.opacity", "alpha"]);
+    // A box beside everything is told before, and nothing is learned in it.
+    let beside = ["scene.aabb_min=[50.0,50.0,50.0]", "scene.aabb_max=[51.0,51.0,51.0]"];
+    let mut arguments = vec!["scene", "--out", "beside", "--minutes", "0.1"];
+    beside.iter().for_each(|set| arguments.extend(["--set", set]));
+    let answer = run(folder, &arguments);
+    assert_eq!(answer.code, Some(1), "{answer:?}");
+    assert!(
+        answer.out.contains("covers only 0 %") && answer.err.contains("no ray sees anything"),
+        "{answer:?}"
+    );
+    assert_ne!(report(&folder.join("beside"))["status"], "finished");
+}
+
+#[test]
+fn a_model_that_shows_nothing_is_not_finished() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    scene(folder);
+    let arguments = ["scene", "--set", "train.steps=2", "--set", "optimizer.learning_rate=1e-9"];
+    for _ in 0..2 {
+        let answer = run(folder, &arguments);
+        assert_eq!(answer.code, Some(1), "{answer:?}");
+        assert!(
+            answer.err.contains("failed to learn") && answer.err.contains("mean colour"),
+            "{}",
+            answer.err
+        );
+        assert_ne!(report(&folder.join("runs/scene"))["status"], "finished");
+    }
+}
+
+#[test]
+fn training_views_are_kept_back_where_there_is_no_test_split() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    scene(folder);
+    fs::remove_file(folder.join("scene/transforms_test.json")).unwrap();
+    let answer = run(folder, &["scene", "--set", "train.steps=20", "--set", "eval.min_gain=0"]);
+    done(&answer);
+    assert!(answer.out.contains("every 8th training frame is kept back"), "{}", answer.out);
+    let data = report(&folder.join("runs/scene"));
+    assert_eq!(data["scales"][0]["images"], 2, "of 16 views");
+}
+
+#[test]
+fn photographs_that_are_too_many_are_halved_aloud() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    scene(folder);
+    let small = ["--set", "data.most_pixels=30000", "--set", "train.steps=20", "--set", "eval.min_gain=0"];
+    let answer = run(folder, &[&["scene"], &small[..]].concat());
+    done(&answer);
+    assert!(answer.out.contains("1/2 of their width"), "{}", answer.out);
+    let images = fs::read_dir(folder.join("runs/scene/images")).unwrap();
+    let sizes: Vec<u32> = images
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.to_string_lossy().ends_with("scale1.png"))
+        .map(|path| image::open(path).unwrap().width())
+        .collect();
+    assert!(!sizes.is_empty() && sizes.iter().all(|&width| width == 32), "{sizes:?}");
+}

@@ -1,0 +1,101 @@
+//! What a bench of training leaves in its folder: `bench.json`, `bench.csv`, `bench.svg`, and `bench.html` for people.
+
+use super::training::{Row, cells};
+use crate::args::BenchArguments;
+use crate::curves::reach_json;
+use crate::machine::{Machine, version};
+use crate::report::beside::{self, Entry};
+use crate::report::{page, svg};
+use crate::settings;
+use serde_json::{Value, json};
+use trimip_core::{Config, Error, Result, tensors::write_atomically};
+
+/// Writes all four; `lines` are those of all runs, by variant.
+pub fn write(arguments: &BenchArguments, rows: &[Row], lines: &[svg::Line], reach: &[f64]) -> Result<()> {
+    let base: Config = settings::load(&arguments.settings)?.1;
+    let machine = Machine::detect();
+    let keep = |name: &str, text: &str| write_atomically(&arguments.out.join(name), text.as_bytes());
+    keep("bench.json", &json(rows, reach, &machine, &base)?)?;
+    keep("bench.csv", &csv(rows))?;
+    // A run measured once has no line, but its end.
+    keep("bench.svg", &svg::alone(lines).unwrap_or_default())?;
+    keep("bench.html", &html(rows, lines, reach, &machine, &base)?)
+}
+
+fn json(rows: &[Row], reach: &[f64], machine: &Machine, base: &Config) -> Result<String> {
+    let mut variants = json!(rows);
+    for (variant, row) in variants.as_array_mut().into_iter().flatten().zip(rows) {
+        let times = reach.iter().zip(&row.reaches).map(|(&psnr, &time)| reach_json(psnr, time));
+        variant["reaches"] = Value::Array(times.collect());
+    }
+    serde_json::to_string_pretty(&json!({
+        "machine": machine,
+        "version": version(),
+        "measures": "PSNR of unrounded colours on the configured background, mean of the scales; seconds of training alone",
+        "shared": base.to_toml(),
+        "reach": reach,
+        "variants": variants,
+    }))
+    .map_err(Error::run)
+}
+
+fn csv(rows: &[Row]) -> String {
+    let mut csv =
+        "variant,seeds,seconds,psnr_mean,psnr_spread,ssim_mean,samples,model_bytes,pareto\n".to_string();
+    for row in rows {
+        let name = row.name.replace('"', "\"\"");
+        csv += &format!(
+            "\"{name}\",{},{:.3},{:.4},{:.4},{:.6},{:.0},{:.0},{}\n",
+            row.seeds, row.seconds, row.psnr, row.spread, row.ssim, row.samples, row.model_bytes, row.pareto
+        );
+    }
+    csv
+}
+
+fn html(
+    rows: &[Row],
+    lines: &[svg::Line],
+    reach: &[f64],
+    machine: &Machine,
+    base: &Config,
+) -> Result<String> {
+    // The first seed of a variant speaks for it where one picture must.
+    let entries: Vec<Entry> = rows
+        .iter()
+        .zip(svg::COLORS)
+        .map(|(row, color)| Entry {
+            name: row.name.clone(),
+            color: color.into(),
+            folder: row.runs.first().cloned(),
+        })
+        .collect();
+    let settings = rows.iter().map(|row| {
+        let sets =
+            if row.settings.is_empty() { "the shared settings".into() } else { row.settings.join(", ") };
+        format!("<li><b>{}</b>: {}</li>", page::escape(&row.name), page::escape(&sets))
+    });
+    let content = [
+        format!(
+            "<header><h1>Bench of {} variants</h1><p class=\"lead\">{}, {} threads at most.</p></header>\n",
+            rows.len(),
+            page::escape(&machine.cpu),
+            machine.cores
+        ),
+        page::plot("Error against time", lines, "One line for each run, one colour for each variant."),
+        format!(
+            "<section><h2>Variants</h2>{}<p class=\"lead\">Means over the seeds; the spread is the largest less the \
+             smallest PSNR. Variants that no other beats in both time and error have a star. ≤ stands where a first \
+             measure is already above.</p><ul>{}</ul></section>\n",
+            page::table(&cells(rows, reach), false),
+            settings.collect::<String>()
+        ),
+        beside::outcomes(&entries),
+        beside::views(&entries)?,
+        beside::differences(&entries),
+        format!(
+            "<section><details><summary>Shared settings</summary><pre>{}</pre></details></section>\n",
+            page::escape(&base.to_toml())
+        ),
+    ];
+    Ok(page::whole("Bench – Tri-MipRF", &content.concat()))
+}

@@ -1,0 +1,119 @@
+//! How a scene is trained: what is behind it, whether models are solids, and how large networks and steps are for the
+//! samples that the budget of time buys on this machine.
+
+use super::{Context, Proposal};
+use crate::config::Precision;
+use crate::{Config, ViewSet};
+use toml::Value;
+
+/// Weight of the loss of opacity where photographs have alpha: solids that hide any background.
+const OPACITY: f64 = 0.1;
+
+/// Photographs looked at for alpha and for their mean colour, pixels of the coarsest scale.
+const EDGE: u8 = 255;
+
+/// Samples of a budget below which each size of networks serves best, and the size; the last has no end.
+const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
+
+/// Samples of a budget from which marching steps end at the uniform step, and from which at half of it.
+const FINE_STEPS: [f64; 2] = [1.5e9, 4e9];
+
+/// Steps that a run has at least, so that its schedules have room.
+const LEAST_STEPS: f64 = 1500.0;
+
+/// True where some pixel of the training photographs is not opaque.
+pub(super) fn has_alpha(views: &ViewSet) -> bool {
+    let Some(coarsest) = views.scales.last() else { return false };
+    views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] < EDGE)
+}
+
+pub(super) fn background(context: &Context<'_>) -> Proposal {
+    let views = context.facts.train;
+    if has_alpha(views) {
+        return Proposal::Keep("the photographs have alpha: theirs is the configured one".into());
+    }
+    let Some(coarsest) = views.scales.last().filter(|scale| !scale.pixels.is_empty()) else {
+        return Proposal::Keep("there is no photograph".into());
+    };
+    let pixels = &views.pixels[coarsest.pixels.clone()];
+    let mean: [f64; 3] = std::array::from_fn(|c| {
+        let sum: f64 = pixels.iter().map(|pixel| f64::from(pixel[c])).sum();
+        (sum / (255.0 * pixels.len() as f64) * 1000.0).round() / 1000.0
+    });
+    Proposal::Set {
+        reason: "the photographs have no alpha: behind the box is their mean colour".into(),
+        changes: vec![("data.background", Value::Array(mean.map(Value::Float).to_vec()))],
+    }
+}
+
+pub(super) fn solids(context: &Context<'_>) -> Proposal {
+    if !has_alpha(context.facts.train) {
+        return Proposal::Keep("the photographs have no alpha that opacity could be compared with".into());
+    }
+    Proposal::Set {
+        reason: "the photographs have alpha: opacity is compared with it, so that nothing shines through"
+            .into(),
+        changes: vec![("loss.opacity", Value::Float(OPACITY))],
+    }
+}
+
+/// Samples that the run may keep: of a budget of steps those it aims at, else what this machine trains in the time.
+fn budget(config: &Config, samples_per_second: f64) -> f64 {
+    match config.train.steps {
+        0 => config.train.seconds * samples_per_second,
+        steps => steps as f64 * f64::from(config.train.samples_per_step),
+    }
+}
+
+pub(super) fn schedule(context: &Context<'_>) -> Proposal {
+    let (config, compute) = (context.now, context.facts.compute);
+    let samples = budget(config, compute.samples_per_second);
+    let long = samples >= FINE_STEPS[0];
+    let hidden = WIDTHS.iter().find(|(most, _)| samples < *most).map_or(128, |(_, hidden)| *hidden);
+    let per_step = match samples {
+        _ if compute.wide => 262_144,
+        _ if long => 65_536,
+        _ => ((samples / LEAST_STEPS).max(1.0) as u64).next_power_of_two().clamp(4096, 32_768) as i64,
+    };
+    let pieces = |pieces: &[[f64; 2]]| {
+        Value::Array(pieces.iter().map(|pair| Value::Array(pair.map(Value::Float).to_vec())).collect())
+    };
+    let step_scale: &[[f64; 2]] = match samples {
+        _ if samples >= FINE_STEPS[1] => {
+            &[[0.0, 8.0], [0.0146, 4.0], [0.0583, 2.0], [0.292, 1.0], [0.972, 0.5]]
+        }
+        _ if long => &[[0.0, 8.0], [0.1, 4.0], [0.4, 2.0], [0.7, 1.0]],
+        _ => &[[0.0, 8.0], [0.1, 4.0], [0.5, 2.0]],
+    };
+    let mut changes =
+        vec![("field.hidden", Value::Integer(hidden.into())), ("renderer.step_scale", pieces(step_scale))];
+    if config.train.steps == 0 {
+        changes.push(("train.samples_per_step", Value::Integer(per_step)));
+    }
+    if compute.bf16 && config.field.precision == Precision::F32 {
+        changes.push(("field.precision", Value::String("bf16".into())));
+    }
+    if long && !compute.wide {
+        changes.push(("train.batch_scale", pieces(&[[0.0, 0.5], [0.292, 1.0]])));
+    }
+    if samples >= FINE_STEPS[1] {
+        let milestones = [0.437, 0.583, 0.68, 0.758, 0.816, 0.865, 0.904, 0.933, 0.98];
+        changes.push(("optimizer.milestones", Value::Array(milestones.map(Value::Float).to_vec())));
+        changes.push(("encoder.level_bias", Value::Float(-0.5)));
+    }
+    changes.retain(|(path, _)| !context.given(path));
+    if changes.is_empty() {
+        return Proposal::Keep("all that follows the budget is given".into());
+    }
+    let bought = match config.train.steps {
+        0 => format!(
+            "{:.0} s on {} buy about {:.0} M samples",
+            config.train.seconds,
+            compute.name,
+            1e-6 * samples
+        ),
+        steps => format!("{steps} steps are {:.0} M samples", 1e-6 * samples),
+    };
+    let told: Vec<String> = changes.iter().map(|(path, value)| format!("{path} {value}")).collect();
+    Proposal::Set { reason: format!("{bought}: {}", told.join(", ")), changes }
+}

@@ -1,0 +1,157 @@
+//! How long evaluations may take: a share of the training time. Seconds a pixel are predicted from what a training ray
+//! takes now and from what the last evaluation took; which views fit is decided while they are rendered.
+
+/// Part of the evaluations' share that those on the way may spend; the rest is for the end.
+const ON_THE_WAY: f64 = 0.6;
+
+/// Seconds that the evaluation at the end may take on top of its share: a short run is measured too.
+const AT_THE_END: f64 = 20.0;
+
+/// Seconds of a rendered pixel in those of a training ray, before any was measured: one pass of three.
+const FORWARD: f64 = 0.5;
+
+/// Bounds the time of a run's evaluations.
+#[derive(Clone, Debug)]
+pub struct Timekeeper {
+    share: f64,
+    points: f64,
+    passed: f64,
+    spent: f64,
+    ray: f64,
+    /// Seconds of a pixel in the last evaluation, and of a training ray then.
+    measured: Option<[f64; 2]>,
+}
+
+impl Timekeeper {
+    /// Bounds `points` evaluations on the way, and one at the end, by `share` of the training time; 0 sets no bound.
+    pub fn new(share: f64, points: u32) -> Self {
+        Self { share, points: points.max(1).into(), passed: 0.0, spent: 0.0, ray: 0.0, measured: None }
+    }
+
+    /// Takes note of `seconds` of training with `rays` rays.
+    pub fn trained(&mut self, seconds: f64, rays: u64) {
+        if rays > 0 {
+            self.ray = seconds / rays as f64;
+        }
+    }
+
+    /// Takes note of `seconds` of evaluation on the way.
+    pub fn spend(&mut self, seconds: f64) {
+        self.spent += seconds;
+    }
+
+    /// Takes note of `seconds` in which an evaluation rendered `pixels`.
+    pub fn rendered(&mut self, seconds: f64, pixels: f64) {
+        if pixels > 0.0 {
+            self.measured = Some([seconds / pixels, self.ray]);
+        }
+    }
+
+    /// Seconds that a pixel is expected to take.
+    pub fn pixel(&self) -> f64 {
+        match self.measured {
+            Some([pixel, ray]) if ray > 0.0 => pixel * self.ray / ray,
+            Some([pixel, _]) => pixel,
+            None => FORWARD * self.ray,
+        }
+    }
+
+    /// Seconds for the next evaluation on the way of a run of `total` seconds of training: its part of the share and
+    /// what those before left over.
+    pub fn on_the_way(&mut self, total: f64) -> f64 {
+        self.passed += 1.0;
+        self.bounded(ON_THE_WAY * self.share * total * self.passed / self.points - self.spent)
+    }
+
+    /// Seconds for the evaluation at the end.
+    pub fn at_the_end(&self, total: f64) -> f64 {
+        self.bounded((1.0 - ON_THE_WAY) * self.share * total + AT_THE_END)
+    }
+
+    /// Seconds that evaluations will still take in a run of `total` seconds, where all views of the test set hold `pixels`
+    /// and one evaluation on the way looks at `part` of them.
+    pub fn left(&self, total: f64, pixels: f64, part: f64) -> f64 {
+        let whole = self.pixel() * pixels;
+        let each = (part * whole).min(self.bounded(ON_THE_WAY * self.share * total / self.points));
+        // The last of the points is part of the evaluation at the end.
+        each * (self.points - 1.0 - self.passed).max(0.0) + whole.min(self.at_the_end(total))
+    }
+
+    fn bounded(&self, seconds: f64) -> f64 {
+        if self.share > 0.0 { seconds } else { f64::INFINITY }
+    }
+}
+
+/// Strides over `frames` views from few views to every `wanted`-th, each a multiple of the next: an evaluation that has to
+/// end early ends with evenly spread views. `curve` is among them where it is a multiple of `wanted`.
+pub fn strides(frames: usize, curve: usize, wanted: usize) -> Vec<usize> {
+    let mut chain = vec![wanted.max(1)];
+    let mut last = wanted.max(1);
+    if curve.is_multiple_of(last) {
+        let mut rest = curve / last;
+        let mut factor = 2;
+        while rest > 1 {
+            if rest.is_multiple_of(factor) {
+                rest /= factor;
+                last *= factor;
+                chain.push(last);
+            } else {
+                factor += 1;
+            }
+        }
+    }
+    while last < frames {
+        last *= 2;
+        chain.push(last);
+    }
+    chain.reverse();
+    chain
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_stride_is_a_multiple_of_the_next() {
+        assert_eq!(strides(200, 25, 1), [200, 100, 50, 25, 5, 1]);
+        assert_eq!(strides(7, 1, 1), [8, 4, 2, 1]);
+        assert_eq!(strides(12, 3, 2), [16, 8, 4, 2], "the curve's own views are not among them");
+        assert_eq!(strides(1, 25, 25), [25]);
+        for (frames, curve, wanted) in [(1, 1, 1), (30, 7, 3), (1000, 125, 1), (0, 1, 1)] {
+            let chain = strides(frames, curve, wanted);
+            assert!(chain.windows(2).all(|pair| pair[0].is_multiple_of(pair[1]) && pair[0] > pair[1]));
+            assert!(chain[0] >= frames && chain.last() == Some(&wanted));
+        }
+    }
+
+    #[test]
+    fn evaluations_stay_within_their_share() {
+        let mut keeper = Timekeeper::new(0.25, 6);
+        let (total, mut sum) = (300.0, 0.0);
+        for _ in 0..6 {
+            let allowed = keeper.on_the_way(total);
+            keeper.spend(allowed);
+            sum += allowed;
+        }
+        assert!((sum - 0.6 * 0.25 * total).abs() < 1e-9);
+        assert!(sum + keeper.at_the_end(total) <= 0.25 * total + AT_THE_END + 1e-9);
+        // What one leaves the next may use.
+        let mut keeper = Timekeeper::new(0.25, 6);
+        keeper.on_the_way(total);
+        assert!((keeper.on_the_way(total) - 15.0).abs() < 1e-9);
+        assert!(Timekeeper::new(0.0, 6).at_the_end(total).is_infinite());
+    }
+
+    #[test]
+    fn a_pixel_follows_the_training_rays() {
+        let mut keeper = Timekeeper::new(0.25, 6);
+        keeper.trained(2.0, 1000);
+        assert_eq!(keeper.pixel(), FORWARD * 2e-3);
+        keeper.rendered(3.0, 1000.0);
+        assert_eq!(keeper.pixel(), 3e-3);
+        // Fog that clears makes both cheaper.
+        keeper.trained(1.0, 1000);
+        assert!((keeper.pixel() - 1.5e-3).abs() < 1e-12);
+    }
+}
