@@ -16,7 +16,7 @@ const AMBIENT: (f64, f64) = (0.32, 0.14);
 
 const GROUND_TOP: f64 = -0.44;
 /// A surface that mirrors as much as this mirrors the other objects too, not the surroundings alone.
-const MIRROR: f64 = 0.6;
+const MIRROR: f64 = 0.5;
 
 struct Object {
     shape: Shape,
@@ -56,7 +56,7 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
         ),
         Object {
             shape: ball(0.42, 0.44, 0.36),
-            paint: Paint::Plain(rgb(0.10, 0.09, 0.12)),
+            paint: Paint::Plain(rgb(0.14, 0.14, 0.18)),
             mirror: MIRROR,
             highlight: (0.8, 60),
         },
@@ -74,7 +74,9 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
     let heads = [rgb(0.90, 0.22, 0.16), rgb(0.98, 0.76, 0.18), rgb(0.10, 0.58, 0.62)];
     for (i, head) in (0..9).zip(heads.into_iter().cycle()) {
         let turn = TAU * f64::from(i) / 9.0;
-        let tip = rgb(0.46 * (turn + 1.1).cos(), 0.46 * (turn + 1.1).sin(), 0.78);
+        // The golden ratio spreads the heights: heads of one height would share a row of a feature plane.
+        let height = 0.62 + 0.22 * (0.618_034 * f64::from(i)).fract();
+        let tip = rgb(0.46 * (turn + 1.1).cos(), 0.46 * (turn + 1.1).sin(), height);
         objects.push(matt(
             Shape::Capsule {
                 start: rgb(0.10 * turn.cos(), 0.10 * turn.sin(), GROUND_TOP),
