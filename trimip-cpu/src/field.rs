@@ -4,7 +4,7 @@
 
 use crate::buffer::Buffer;
 use crate::gemm::padded;
-use crate::mlp::{Activations, Mlp, MlpGradient, Shared};
+use crate::mlp::{Activations, Mlp, MlpGradient, Passing, Shared};
 use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
 use trimip_core::activation::{density, density_derivative, sigmoid, sigmoid_derivative};
@@ -36,6 +36,7 @@ pub struct Tape {
     /// Gradients of the colour logits and of the density network's output.
     color_gradient: Buffer<f32>,
     output_gradient: Buffer<f32>,
+    passing: Passing,
 }
 
 /// Spherical harmonics of the rays that have samples.
@@ -136,6 +137,7 @@ impl Field<CpuBackend> for CpuField {
             directions: Directions::default(),
             color_gradient: Buffer::zeros(0),
             output_gradient: Buffer::zeros(0),
+            passing: Passing::default(),
         }
     }
 
@@ -204,7 +206,7 @@ impl Field<CpuBackend> for CpuField {
         gradient: &mut FieldGradient,
     ) {
         let (simd, rows) = (self.simd, samples.spheres.len());
-        let Tape { density, color, directions, color_gradient, output_gradient } = tape;
+        let Tape { density, color, directions, color_gradient, output_gradient, passing } = tape;
         let width = self.color.outputs();
         color_gradient.resize(padded(rows) * width);
         color_gradient.fill(0.0);
@@ -222,6 +224,7 @@ impl Field<CpuBackend> for CpuField {
             color,
             color_gradient,
             output_gradient,
+            passing,
             &mut gradient.color,
         );
         let outputs = density.output().chunks_exact(OUTPUTS).zip(radiance_gradients.iter());
@@ -237,6 +240,7 @@ impl Field<CpuBackend> for CpuField {
             density,
             output_gradient,
             feature_gradients,
+            passing,
             weights,
         );
     }

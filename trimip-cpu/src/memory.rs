@@ -1,42 +1,74 @@
-//! What a training run will need, by parts, before anything of it is allocated.
+//! What a training run will need, by parts, before anything of it is allocated: resident bytes at the worst moment.
 
+use crate::backend::SAMPLES_AT_ONCE;
+use crate::mlp::BLOCK;
 use crate::scatter::BANDS;
 use trimip_core::batch::{Interval, Radiance, Sphere};
 use trimip_core::params::{Kind, color_layers, density_layers};
 use trimip_core::tri_mip::{FEATURES, Pyramid};
-use trimip_core::{Aabb, Config, Layout, ViewSet};
+use trimip_core::{Aabb, Config, Layout, Pixel, ViewSet};
 
-/// Rows of the largest span: a few rays through a grid that is still occupied everywhere.
-const LARGEST_SPAN: usize = 4 * 1024;
+/// The program itself with its libraries, and the threads' own allocators, on Linux.
+const PROGRAM: u64 = 16_000_000;
+
+/// Room that a worker's buffers take for what they hold: they grow by doubling, and leave behind what they outgrew.
+const GROWN: f64 = 2.5;
+
+/// The same of deposits, whose fill varies from step to step besides.
+const DEPOSITS_GROWN: f64 = 2.5;
 
 /// Name and bytes of each part; `threads` workers.
 pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
     let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
     let floats = |count: usize| 4 * count as u64;
+    let grown = |bytes: usize, factor: f64| (bytes as f64 * factor) as u64;
     let weights: usize = layout.slots.iter().filter(|s| s.kind == Kind::Network).map(|s| s.range.len()).sum();
     let cells = (config.occupancy.resolution as usize).pow(3);
-    let sample = 4 * FEATURES + size_of::<Sphere>() + 4 * 3 * 2;
-    // Activations of both networks, features and gradients there and back.
-    let widths: usize = density_layers(config).iter().chain(&color_layers(config)).map(|[_, n]| n).sum();
-    let widest = 2 * config.field.hidden as usize;
-    let row = 4 * (2 * FEATURES + 32 + widths + widest)
-        + size_of::<Sphere>()
-        + size_of::<Interval>()
-        + 2 * size_of::<Radiance>()
-        + 8;
-    // Deposits are filled unevenly, up to twice their share, and their lists grow by doubling.
-    let grown = |bytes: usize| 4 * bytes as u64;
+    // A sample's gradient, its place, and its number in the lists of the bands that it touches.
+    let deposit = 4 * FEATURES + size_of::<Sphere>() + 4 * 3 * 2;
+    let copies = floats(4 * layout.len() + cells);
     vec![
+        ("program".into(), PROGRAM),
         ("training images".into(), views.bytes() as u64),
         ("parameters".into(), floats(layout.len())),
         ("gradient".into(), floats(layout.len())),
         ("AdamW moments".into(), floats(2 * layout.len())),
         ("mip levels and their gradient".into(), floats(2 * pyramid.derived_len())),
-        ("feature gradients of a step".into(), grown(sample * config.train.samples_per_step as usize)),
+        (
+            "feature gradients of a step".into(),
+            grown(deposit * config.train.samples_per_step as usize, DEPOSITS_GROWN),
+        ),
         ("network gradients".into(), floats(deposits * weights) + (deposits * 3 * BANDS * 24) as u64),
-        ("occupancy grid".into(), (cells * (4 + 4 + size_of::<Radiance>()) + cells / 8) as u64),
-        ("activations of all workers".into(), (threads * LARGEST_SPAN * row) as u64),
-        ("copies while a checkpoint is written".into(), floats(4 * layout.len() + cells)),
+        (
+            "occupancy grid and its probes".into(),
+            (cells * (4 + 2 * 4 + size_of::<Radiance>()) + cells / 8) as u64,
+        ),
+        ("activations of all workers".into(), grown(threads * worker(config), GROWN)),
+        ("copies for a checkpoint, or a view being measured".into(), copies.max(measured(views))),
     ]
+}
+
+/// Bytes that a worker holds while it renders rays through fog, which is more than while it trains.
+fn worker(config: &Config) -> usize {
+    let outputs = |layers: &[[usize; 2]]| layers.iter().map(|[_, n]| n.next_multiple_of(4)).sum::<usize>();
+    let sample = size_of::<Sphere>() + size_of::<Interval>() + size_of::<Radiance>() + size_of::<u32>();
+    let seen = sample + 4 * (FEATURES + outputs(&density_layers(config)));
+    // What is seen is there twice: front to back over all rays, and ray by ray, where the colour network follows.
+    let row = 2 * seen + 4 * outputs(&color_layers(config));
+    // A block's gradients above and below a layer, in f32 and as pairs of bf16.
+    let passing = 4 * 4 * BLOCK * config.field.hidden as usize;
+    SAMPLES_AT_ONCE * row + passing
+}
+
+/// Bytes of a view while it is measured: rendered as the device's pixels and the frame's, then six pictures of f32 RGB (two
+/// backgrounds of either, the store's copy, the difference), the photograph at all scales, and the sheet of three pictures.
+fn measured(views: &ViewSet) -> u64 {
+    let sizes = views
+        .views
+        .iter()
+        .map(|view| view.camera.intrinsics)
+        .map(|k| u64::from(k.width) * u64::from(k.height));
+    let pixel = 2 * size_of::<Pixel>() + 6 * size_of::<[f32; 3]>() + 4 * 4 / 3 + 3 * 3 + 3;
+    sizes.max().unwrap_or(0) * pixel as u64
 }

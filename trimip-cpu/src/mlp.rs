@@ -9,7 +9,7 @@ use crate::simd::Simd;
 use trimip_core::config::Precision;
 
 /// Rows that go through all layers together: their activations and a layer's weights fit into half of a 1 MiB L2.
-const BLOCK: usize = 21 * ROWS;
+pub const BLOCK: usize = 21 * ROWS;
 
 /// Outputs up to which a last layer is computed by dot products.
 const FEW: usize = 4;
@@ -64,10 +64,15 @@ pub struct Activations {
     pairs: Buffer<f32>,
 }
 
-/// Weight gradients, padded like the packed weights, and buffers for gradients on their way back.
+/// Weight gradients, padded like the packed weights.
 pub struct MlpGradient {
     layers: Vec<Buffer<f32>>,
     shared: Buffer<f32>,
+}
+
+/// Buffers for gradients on their way back: a worker's, for whichever network is at work.
+#[derive(Default)]
+pub struct Passing {
     /// A block's gradients above and below a layer.
     scratch: [Buffer<f32>; 2],
     /// Gradients of the first layer's outputs, summed over each group.
@@ -250,9 +255,6 @@ impl Mlp {
         MlpGradient {
             layers: self.layers.iter().map(|layer| Buffer::zeros(size(&layer.inputs, layer.n()))).collect(),
             shared: Buffer::zeros(self.shared.as_ref().map_or(0, |s| size(s, self.layers[0].n()))),
-            scratch: [Buffer::zeros(0), Buffer::zeros(0)],
-            sums: Buffer::zeros(0),
-            pairs: Pairs::default(),
         }
     }
 
@@ -315,11 +317,12 @@ impl Mlp {
         activations: &Activations,
         output_gradient: &[f32],
         input_gradient: &mut Buffer<f32>,
+        passing: &mut Passing,
         gradient: &mut MlpGradient,
     ) {
         input_gradient.resize(padded(rows) * self.inputs());
-        let MlpGradient { layers: weights, shared: shared_weights, scratch: [above, below], sums, pairs } =
-            gradient;
+        let MlpGradient { layers: weights, shared: shared_weights } = gradient;
+        let Passing { scratch: [above, below], sums, pairs } = passing;
         let width = self.layers[0].n();
         if let Some(shared) = shared {
             sums.resize(shared.groups * width);

@@ -1,0 +1,137 @@
+//! A run folder comes to no harm: files of others are refused, two processes are kept apart, a stale report is rebuilt.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::Stdio,
+    time::{Duration, SystemTime},
+};
+use trimip_tests::binary::{command, run, tiny_and};
+
+/// Every file below a folder with its bytes.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else {
+            found.insert(path.clone(), fs::read(&path).unwrap());
+        }
+    }
+    found
+}
+
+/// The program refuses in one line that holds `parts`, and the folder stays as it is.
+fn refuses(here: &Path, arguments: &[&str], parts: &[&str]) {
+    let before = files(here);
+    let answer = run(here, arguments);
+    assert_eq!((answer.code, answer.out.as_str()), (Some(2), ""), "{}", answer.err);
+    assert_eq!(answer.err.lines().count(), 1, "{}", answer.err);
+    assert!(parts.iter().all(|part| answer.err.contains(part)), "{parts:?} in {}", answer.err);
+    assert!(files(here) == before, "{arguments:?} touched the folder");
+}
+
+#[test]
+fn a_folder_that_no_run_wrote_keeps_its_files() {
+    for name in
+        ["config.toml", "report.html", "model.safetensors", "metrics.jsonl", "images/0000_r_0_scale1.png"]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        fs::create_dir(here.join("images")).unwrap();
+        fs::write(here.join(name), "mine").unwrap();
+        fs::write(here.join("notes.txt"), "mine too").unwrap();
+        for more in [&[][..], &["--fresh"]] {
+            refuses(here, &tiny_and(&[&["--out", "."], more].concat()), &[name, "no run wrote", "--out"]);
+        }
+    }
+}
+
+#[test]
+fn a_folder_without_files_of_a_runs_names_becomes_a_run_folder_and_is_used_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    fs::write(here.join("notes.txt"), "mine").unwrap();
+    for more in [&[][..], &["--fresh"], &["--fresh", "--set", "seed=3"]] {
+        let answer = run(here, &tiny_and(&[&["--out", "."], more].concat()));
+        assert_eq!(answer.code, Some(0), "{more:?}: {}", answer.err);
+    }
+    assert_eq!(fs::read_to_string(here.join("notes.txt")).unwrap(), "mine");
+    assert!(!here.join("run.lock").exists(), "the lock goes with its process");
+}
+
+#[test]
+fn two_processes_are_kept_apart_and_a_killed_one_leaves_no_lock() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let long = ["--out", "run", "--set", "train.seconds=120", "--set", "train.checkpoint_seconds=0.02"];
+    let long = tiny_and(&[&long[..], &["--set", "eval.points=0"]].concat());
+    let mut first = command(here, &long).stdout(Stdio::null()).spawn().unwrap();
+    let checkpoint = here.join("run/checkpoint.safetensors");
+    for _ in 0..6000 {
+        if checkpoint.exists() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let plan = fs::read(here.join("run/plan.json")).unwrap();
+    for more in [&[][..], &["--fresh"]] {
+        let answer = run(here, &[&long[..], more].concat());
+        assert_eq!((answer.code, answer.out.as_str()), (Some(2), ""), "{}", answer.err);
+        assert_eq!(answer.err.lines().count(), 1, "{}", answer.err);
+        for part in ["run", "another process", "--out"] {
+            assert!(answer.err.contains(part), "{part} in {}", answer.err);
+        }
+    }
+    assert_eq!(fs::read(here.join("run/plan.json")).unwrap(), plan);
+    // Who only reads needs no lock.
+    let eval = run(here, &["eval", "run"]);
+    assert_eq!(eval.code, Some(0), "{}", eval.err);
+    assert!(first.try_wait().unwrap().is_none(), "the first process goes on");
+    first.kill().unwrap();
+    first.wait().unwrap();
+    let answer = run(here, &tiny_and(&["--out", "run", "--fresh"]));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+}
+
+#[test]
+fn a_stale_report_of_a_finished_run_is_rebuilt_and_a_fresh_one_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let arguments = tiny_and(&["--out", "run"]);
+    let again = || {
+        let answer = run(here, &arguments);
+        assert_eq!(answer.code, Some(0), "{}", answer.err);
+    };
+    again();
+    let [html, json] = ["report.html", "report.json"].map(|name| here.join("run").join(name));
+    let read = |path: &Path| fs::read_to_string(path).unwrap();
+    let whole = || read(&html).trim_end().ends_with("</html>") && read(&json).trim_end().ends_with('}');
+    // Some moment before the run.
+    let aged = |path: &Path| {
+        let past = SystemTime::now() - Duration::from_secs(3600);
+        fs::File::options().append(true).open(path).unwrap().set_modified(past).unwrap();
+    };
+    let modified = |path: &Path| fs::metadata(path).unwrap().modified().unwrap();
+
+    let before = modified(&html);
+    again();
+    assert_eq!(modified(&html), before, "a fresh report is not written again");
+    for path in [&html, &json] {
+        let text = read(path);
+        fs::write(path, &text[..text.len() / 2]).unwrap();
+        again();
+        assert!(whole(), "{} was torn", path.display());
+        fs::remove_file(path).unwrap();
+        again();
+        assert!(whole(), "{} was missing", path.display());
+        aged(path);
+        again();
+        assert!(modified(path) >= before, "{} was older than its run", path.display());
+        fs::write(path, read(path).replace(env!("CARGO_PKG_VERSION"), "0.0.0")).unwrap();
+        again();
+        assert!(!read(path).contains("0.0.0"), "{} was another version's", path.display());
+    }
+}
