@@ -9,8 +9,8 @@ use toml::Value;
 /// Weight of the loss of opacity where photographs have alpha: solids that hide any background.
 const OPACITY: f64 = 0.1;
 
-/// Photographs looked at for alpha and for their mean colour, pixels of the coarsest scale.
-const EDGE: u8 = 255;
+/// Alpha of an opaque pixel.
+const OPAQUE: u8 = 255;
 
 /// Samples of a budget below which each size of networks serves best, and the size; the last has no end.
 const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
@@ -24,7 +24,7 @@ const LEAST_STEPS: f64 = 1500.0;
 /// True where some pixel of the training photographs is not opaque.
 pub(super) fn has_alpha(views: &ViewSet) -> bool {
     let Some(coarsest) = views.scales.last() else { return false };
-    views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] < EDGE)
+    views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] < OPAQUE)
 }
 
 pub(super) fn background(context: &Context<'_>) -> Proposal {
