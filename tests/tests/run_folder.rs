@@ -1,4 +1,5 @@
-//! A run folder comes to no harm: files of others are refused, two processes are kept apart, a stale report is rebuilt.
+//! A run folder comes to no harm: files of others are refused, two processes are kept apart, a stale report is rebuilt; and a
+//! run takes the memory that its plan says.
 
 use std::{
     collections::BTreeMap,
@@ -133,5 +134,42 @@ fn a_stale_report_of_a_finished_run_is_rebuilt_and_a_fresh_one_stays() {
         fs::write(path, read(path).replace(env!("CARGO_PKG_VERSION"), "0.0.0")).unwrap();
         again();
         assert!(!read(path).contains("0.0.0"), "{} was another version's", path.display());
+    }
+}
+
+/// What the plan says a run will need, held against the most that its process had resident, on a scene of middle size.
+#[test]
+fn predicted_memory_is_within_a_quarter_of_what_is_used() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let settings = [
+        "data.format=builtin",
+        "data.builtin_size=96",
+        "data.builtin_train=24",
+        "data.builtin_test=2",
+        "data.builtin_supersampling=1",
+        "encoder.levels=6",
+        "occupancy.resolution=64",
+        "train.steps=25",
+        "eval.points=0",
+        "eval.final=1",
+        "threads=2",
+    ];
+    for size in [
+        &["encoder.plane_size=128", "train.samples_per_step=16384"][..],
+        &["encoder.plane_size=256", "train.samples_per_step=65536", "field.hidden=64"],
+    ] {
+        let set: Vec<&str> = settings.iter().chain(size).flat_map(|setting| ["--set", setting]).collect();
+        let answer = run(here, &[&["--out", "run", "--fresh"], &set[..]].concat());
+        assert_eq!(answer.code, Some(0), "{}", answer.err);
+        let report: serde_json::Value =
+            serde_json::from_slice(&fs::read(here.join("run/report.json")).unwrap()).unwrap();
+        let Some(used) = report["peak_memory_bytes"].as_f64() else {
+            println!("skipped: this system does not tell the peak of a process");
+            return;
+        };
+        let predicted = report["predicted_memory_bytes"].as_f64().unwrap();
+        println!("{size:?}: predicted {:.0} MB, used {:.0} MB", predicted * 1e-6, used * 1e-6);
+        assert!((0.75..=1.25).contains(&(predicted / used)), "{predicted} predicted, {used} used");
     }
 }
