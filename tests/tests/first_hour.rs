@@ -103,6 +103,10 @@ fn a_folder_is_all_that_a_user_types() {
             && second["steps"].as_u64() > first["steps"].as_u64()
     );
     assert!(psnr(&second) > psnr(&first) - 1.0, "{} after {}", psnr(&second), psnr(&first));
+    let again = run(folder, &["scene", "--minutes", "0.1333"]);
+    done(&again);
+    assert!(again.out.contains("finished"), "the command that began it finds it finished: {}", again.out);
+    refused(&run(folder, &["scene", "--minutes", "1"]), &ways);
     refused(&run(folder, &["runs/scene"]), &["holds a run", "eval", "render"]);
 
     // What is there is measured, shown and compared.

@@ -193,7 +193,7 @@ proptest! {
         let origins: Vec<DVec3> = directions.iter().map(|d| 4.0 * *d).collect();
         let views = photographs(&object, &origins);
         let whole = Aabb { min: [-1.5; 3], max: [1.5; 3] };
-        let fitted = silhouettes::bounds(&views, &whole).expect("silhouettes");
+        let fitted = silhouettes::bounds(&views, &whole, 0.0).expect("silhouettes");
         for axis in 0..3 {
             prop_assert!(fitted.min[axis] <= object.min[axis] + 1e-9, "{fitted:?} for {object:?}");
             prop_assert!(fitted.max[axis] >= object.max[axis] - 1e-9, "{fitted:?} for {object:?}");

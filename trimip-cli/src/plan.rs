@@ -159,7 +159,7 @@ mod tests {
         assert!(train_line(&config, 0).contains("1 step of 1 sample, 1 sample in all"));
         assert!(model_line(&config).contains("1 mip level,"));
         let line = evaluation_line(&config, 1);
-        assert!(line.contains("1 time on the way on 1 of 1 test view,"), "{line}");
+        assert!(line.contains("1 time on the way on up to 1 of 1 test view,"), "{line}");
     }
 
     #[test]

@@ -189,7 +189,10 @@ impl EventSink for Recorder {
     fn emit(&mut self, event: &Event) {
         self.history.take(event);
         // A full disk must not end hours of training before its last checkpoint is tried.
-        if let Err(error) = self.write(event) {
+        // How far an evaluation is says nothing once it is over.
+        if !matches!(event, Event::EvaluationProgress { .. })
+            && let Err(error) = self.write(event)
+        {
             self.failure.get_or_insert(error);
         }
         self.display.show(event);

@@ -249,7 +249,7 @@ impl DataConfig {
 }
 
 /// Test views of an evaluation on the way, where `eval.stride` is 0.
-const CURVE_VIEWS: usize = 8;
+const CURVE_VIEWS: usize = 4;
 
 impl EvalConfig {
     /// Stride of the final evaluation over the test views, `None` when there is none.

@@ -88,15 +88,13 @@ pub fn strides(frames: usize, curve: usize, wanted: usize) -> Vec<usize> {
     let mut chain = vec![wanted.max(1)];
     let mut last = wanted.max(1);
     if curve.is_multiple_of(last) {
+        // The largest factors first: what an evaluation at the end adds to the curve's views begins with few.
         let mut rest = curve / last;
-        let mut factor = 2;
-        while rest > 1 {
-            if rest.is_multiple_of(factor) {
+        for factor in (2..=rest).rev() {
+            while rest.is_multiple_of(factor) && is_prime(factor) {
                 rest /= factor;
                 last *= factor;
                 chain.push(last);
-            } else {
-                factor += 1;
             }
         }
     }
@@ -108,17 +106,21 @@ pub fn strides(frames: usize, curve: usize, wanted: usize) -> Vec<usize> {
     chain
 }
 
+fn is_prime(number: usize) -> bool {
+    number > 1 && (2..).take_while(|divisor| divisor * divisor <= number).all(|d| !number.is_multiple_of(d))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn each_stride_is_a_multiple_of_the_next() {
-        assert_eq!(strides(200, 25, 1), [200, 100, 50, 25, 5, 1]);
+        assert_eq!(strides(200, 50, 1), [200, 100, 50, 25, 5, 1]);
         assert_eq!(strides(7, 1, 1), [8, 4, 2, 1]);
         assert_eq!(strides(12, 3, 2), [16, 8, 4, 2], "the curve's own views are not among them");
         assert_eq!(strides(1, 25, 25), [25]);
-        for (frames, curve, wanted) in [(1, 1, 1), (30, 7, 3), (1000, 125, 1), (0, 1, 1)] {
+        for (frames, curve, wanted) in [(1, 1, 1), (30, 7, 3), (1000, 125, 1), (0, 1, 1), (3000, 720, 2)] {
             let chain = strides(frames, curve, wanted);
             assert!(chain.windows(2).all(|pair| pair[0].is_multiple_of(pair[1]) && pair[0] > pair[1]));
             assert!(chain[0] >= frames && chain.last() == Some(&wanted));

@@ -53,6 +53,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     if let Some(earlier) = earlier {
         scene_plan::adopt(&mut settings, &earlier)?;
         findings = earlier;
+        keep_extension(&mut settings, &folder)?;
     }
     let config = Config::from_settings(&settings)?;
     let checkpoint = if arguments.fresh { None } else { folder.resume_point(&config)? };
@@ -64,6 +65,24 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     let begin =
         Beginning { settings: if checkpoint.is_some() { settings } else { given }, findings, checkpoint };
     go(arguments, &folder, begin, None, started)
+}
+
+/// Keeps the budget to which an earlier `--continue-for` extended the folder's run, where the given one is no longer: the
+/// command that began a run goes on with it, and finds it finished.
+fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
+    let extended = || folder.events().iter().any(|event| matches!(event, Event::Extended { .. }));
+    let Ok(text) = std::fs::read_to_string(folder.config()) else { return Ok(()) };
+    if !extended() {
+        return Ok(());
+    }
+    let kept = Config::from_toml(&folder.config().display().to_string(), &text)?.train;
+    let given = Config::from_settings(settings)?.train;
+    if given.steps > 0 && given.steps < kept.steps {
+        settings.decide("train.steps", &kept.steps.to_string())?;
+    } else if given.steps == 0 && kept.steps == 0 && given.seconds < kept.seconds {
+        settings.decide("train.seconds", &format!("{:?}", kept.seconds))?;
+    }
+    Ok(())
 }
 
 /// What a run begins with.
@@ -91,7 +110,7 @@ fn extend(arguments: &TrainArguments, folder: &RunFolder, time: &str, started: I
         return Err(Error::input(
             folder.root().display(),
             format!("its run is not finished ({:.0} %)", 100.0 * progress(&checkpoint.config, &totals)),
-            "finish it first: leave --continue-for out",
+            "finish it first: leave --continue-for out, and give the folder or configuration that it was begun with",
         ));
     }
     let mut settings = Settings::defaults();

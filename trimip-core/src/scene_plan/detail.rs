@@ -44,7 +44,7 @@ pub(super) fn texel(context: &Context<'_>) -> f64 {
     match footprint(context.facts.train, &Aabb::new(&context.now.scene)).filter(|_| sets_planes(context)) {
         Some(footprint) => {
             let most = f64::from(context.configured.encoder.plane_size);
-            (TEXEL * footprint).clamp(longest / most, longest / LEAST_TEXELS)
+            (TEXEL * footprint).clamp(longest / most, longest / LEAST_TEXELS.min(most))
         }
         None => configured_texel(context.configured),
     }

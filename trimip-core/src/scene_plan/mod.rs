@@ -102,13 +102,14 @@ struct Context<'a> {
     /// The settings as the user gave them.
     configured: &'a Config,
     facts: &'a Facts<'a>,
-    settings: &'a Settings,
+    /// The settings as layers, as the user gave them.
+    given: &'a Settings,
 }
 
 impl Context<'_> {
     /// True for a setting that the user gave.
     fn given(&self, path: &str) -> bool {
-        !matches!(self.settings.origin(path), Origin::Default | Origin::Plan)
+        *self.given.origin(path) != Origin::Default
     }
 }
 
@@ -201,12 +202,14 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
             "set it to 0, or use photographs with alpha",
         ));
     }
-    DECISIONS.iter().map(|decision| take(decision, settings, &configured, facts)).collect()
+    let given = settings.clone();
+    DECISIONS.iter().map(|decision| take(decision, settings, &given, &configured, facts)).collect()
 }
 
 fn take(
     decision: &Decision,
     settings: &mut Settings,
+    given: &Settings,
     configured: &Config,
     facts: &Facts<'_>,
 ) -> Result<Finding> {
@@ -221,13 +224,12 @@ fn take(
     if choice == PlanChoice::Off {
         return Ok(finding(false, "switched off".into(), Vec::new()));
     }
-    let own =
-        decision.owns.iter().find(|path| !matches!(settings.origin(path), Origin::Default | Origin::Plan));
+    let own = decision.owns.iter().find(|path| *given.origin(path) != Origin::Default);
     if let (PlanChoice::Auto, Some(path)) = (choice, own) {
-        return Ok(finding(false, format!("{path} is set by {}", settings.origin(path)), Vec::new()));
+        return Ok(finding(false, format!("{path} is set by {}", given.origin(path)), Vec::new()));
     }
     let now = Config::from_settings(settings)?;
-    let proposal = (decision.decide)(&Context { now: &now, configured, facts, settings });
+    let proposal = (decision.decide)(&Context { now: &now, configured, facts, given });
     let left_out = matches!(proposal, Proposal::LeaveOut { .. });
     match proposal {
         Proposal::Keep(reason) => Ok(finding(false, reason, Vec::new())),
@@ -390,6 +392,15 @@ mod tests {
         assert!(error.exit_code() == 2 && error.message.contains("no alpha"), "{error}");
         let (config, _) = planned(&views(true), &["loss.opacity=0.0"]).unwrap();
         assert_eq!(config.loss.opacity, 0.0, "what is given stays");
+    }
+
+    #[test]
+    fn texels_that_are_given_stay_given_when_the_box_shrinks() {
+        let (config, findings) =
+            planned(&views(true), &["encoder.plane_size=16", "encoder.levels=3"]).unwrap();
+        assert!(config.encoder.plane_size <= 16 && of(&findings, "aabb").left_out, "{findings:?}");
+        let changed = |f: &Finding| f.changes.iter().any(|change| change.path == "encoder.plane_size");
+        assert!(!changed(of(&findings, "detail")), "{findings:?}");
     }
 
     #[test]
