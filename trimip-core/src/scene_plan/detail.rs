@@ -1,19 +1,20 @@
 //! How fine a scene is resolved: texels, marching steps and occupancy cells follow what a pixel of the photographs sees at
 //! the distance of the box, as far as the budget goes.
 
-use super::{Context, Proposal};
+use super::{Context, Proposal, recipe};
 use crate::config::PlanChoice;
 use crate::{Aabb, Config, ViewSet};
 use toml::Value;
 
-/// Width of a texel in widths of what a pixel sees.
-const TEXEL: f64 = 1.6;
+/// Samples of a budget below which each width of a texel serves best, and the width in widths of what a pixel sees: finer
+/// texels are met by fewer rays, and every step passes over all of them.
+const TEXELS: [(f64, f64); 3] = [(1e8, 2.4), (1e9, 2.1), (f64::INFINITY, 1.6)];
 
 /// Length of a uniform marching step in widths of what a pixel sees.
 const STEP: f64 = 1.4;
 
-/// Width of an occupancy cell in texels.
-const CELL: f64 = 4.0;
+/// Width of an occupancy cell in widths of what a pixel sees.
+const CELL: f64 = 6.4;
 
 /// Steps along the diagonal at least, for photographs of few pixels, and at most: more are shorter than texels.
 const STEPS: [f64; 2] = [512.0, 1024.0];
@@ -44,17 +45,23 @@ pub(super) fn texel(context: &Context<'_>) -> f64 {
     match footprint(context.facts.train, &Aabb::new(&context.now.scene)).filter(|_| sets_planes(context)) {
         Some(footprint) => {
             let most = f64::from(context.configured.encoder.plane_size);
-            (TEXEL * footprint).clamp(longest / most, longest / LEAST_TEXELS.min(most))
+            (texel_in_pixels(context) * footprint).clamp(longest / most, longest / LEAST_TEXELS.min(most))
         }
         None => configured_texel(context.configured),
     }
 }
 
+/// Width of a texel in widths of what a pixel sees, for the budget.
+fn texel_in_pixels(context: &Context<'_>) -> f64 {
+    let samples = recipe::budget(context.now, context.facts.compute.samples_per_second);
+    TEXELS.iter().find(|(most, _)| samples < *most).map_or(1.6, |(_, width)| *width)
+}
+
 /// World width of an occupancy cell that the settings or this decision ask for.
 pub(super) fn cell(context: &Context<'_>) -> f64 {
-    if acts(context, "occupancy.resolution") {
-        let side = box_side(context.now);
-        return (CELL * texel(context)).min(side / f64::from(LEAST_CELLS));
+    let pixel = footprint(context.facts.train, &Aabb::new(&context.now.scene));
+    if let Some(pixel) = pixel.filter(|_| acts(context, "occupancy.resolution")) {
+        return (CELL * pixel).min(box_side(context.now) / f64::from(LEAST_CELLS));
     }
     box_side(context.configured) / f64::from(context.configured.occupancy.resolution)
 }

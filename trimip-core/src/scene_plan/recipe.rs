@@ -58,7 +58,7 @@ pub(super) fn solids(context: &Context<'_>) -> Proposal {
 }
 
 /// Samples that the run may keep: of a budget of steps those it aims at, else what this machine trains in the time.
-fn budget(config: &Config, samples_per_second: f64) -> f64 {
+pub(super) fn budget(config: &Config, samples_per_second: f64) -> f64 {
     match config.train.steps {
         0 => config.train.seconds * samples_per_second,
         steps => steps as f64 * f64::from(config.train.samples_per_step),
