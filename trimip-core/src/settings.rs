@@ -138,7 +138,7 @@ impl Settings {
         // A run has one budget, that which was given last.
         let other = BUDGETS.iter().find(|pair| pair[0] == path).map(|pair| pair[1]);
         if let Some(other) = other.filter(|_| given).and_then(|other| self.entries.get_mut(other)) {
-            other.0 = fit(&other.0, Value::Integer(0)).unwrap_or_else(|_| Value::Integer(0));
+            other.0 = fit(&other.0, Value::Integer(0)).unwrap_or(Value::Integer(0));
             other.1 = origin;
         }
         Ok(())
