@@ -261,8 +261,7 @@ impl EvalConfig {
         }
     }
 
-    /// Stride of the evaluations on the way over `frames` test views: as given, or the one that leaves about
-    /// [`CURVE_VIEWS`].
+    /// Stride of the evaluations on the way over `frames` test views: as given, or the one that leaves about four.
     pub fn stride_of(&self, frames: usize) -> usize {
         match self.stride {
             0 => (frames / CURVE_VIEWS).max(1),
