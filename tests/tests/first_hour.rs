@@ -133,7 +133,7 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
         let path = entry.unwrap().path();
         image::open(&path).unwrap().to_rgb8().save(&path).unwrap();
     }
-    let answer = run(folder, &["scene", "--minutes", "0.1"]);
+    let answer = run(folder, &["scene", "--set", "train.steps=30", "--set", "eval.min_gain=0"]);
     done(&answer);
     for part in ["no alpha", "plan.background: set", "no silhouettes"] {
         assert!(answer.out.contains(part), "{part}: {}", answer.out);
