@@ -159,7 +159,7 @@ fn predicted_memory_is_within_a_quarter_of_what_is_used() {
         "threads=2",
     ];
     for size in [
-        &["encoder.plane_size=128", "train.samples_per_step=16384"][..],
+        &["encoder.plane_size=512", "train.samples_per_step=16384", "field.hidden=64"][..],
         &["encoder.plane_size=256", "train.samples_per_step=65536", "field.hidden=64"],
     ] {
         let set: Vec<&str> = settings.iter().chain(size).flat_map(|setting| ["--set", setting]).collect();

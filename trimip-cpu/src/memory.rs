@@ -12,7 +12,7 @@ use trimip_core::{Aabb, Config, Layout, Pixel, ViewSet};
 const PROGRAM: u64 = 16_000_000;
 
 /// Room that a worker's buffers take for what they hold: they grow by doubling, and leave behind what they outgrew.
-const GROWN: f64 = 2.5;
+const GROWN: f64 = 1.8;
 
 /// The same of deposits, whose fill varies from step to step besides.
 const DEPOSITS_GROWN: f64 = 2.5;

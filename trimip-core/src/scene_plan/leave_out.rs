@@ -2,9 +2,9 @@
 //! directions of view, half of the model file's bits.
 
 use super::{Context, Proposal, detail, radii};
-use crate::Aabb;
 use crate::config::{FilePrecision, PlanChoice};
 use crate::tri_mip::{CHANNELS, Pyramid};
+use crate::{Aabb, Config};
 use toml::Value;
 
 fn megabytes(floats: usize) -> String {
@@ -31,13 +31,15 @@ pub(super) fn levels(context: &Context<'_>) -> Proposal {
     let Some([least, most]) = radii::range(train.chain(facts.test), &aabb) else {
         return Proposal::Keep("there is no camera".into());
     };
-    let level = |radius: f64| {
-        let base = Pyramid::new(&now.encoder, &aabb).log2_base_radius;
-        base.map(|base| radius.log2() - base)
-    };
-    let lowest = level(least).into_iter().fold(f64::INFINITY, f64::min);
-    let highest = level(most).into_iter().fold(f64::NEG_INFINITY, f64::max);
     let levels = now.encoder.levels;
+    // The range of levels over the planes of a configuration.
+    let range = |config: &Config| {
+        let base = Pyramid::new(&config.encoder, &aabb).log2_base_radius;
+        let lowest = base.map(|base| least.log2() - base).into_iter().fold(f64::INFINITY, f64::min);
+        let highest = base.map(|base| most.log2() - base).into_iter().fold(f64::NEG_INFINITY, f64::max);
+        [lowest, highest]
+    };
+    let [lowest, highest] = range(now);
     // The finest levels that every sphere lies above, and one level more than any sphere reaches, for whoever steps back.
     let below = (lowest.floor().max(0.0) as u32).min(levels - 1);
     let above = (highest.ceil().max(0.0) as u32 + 2).min(levels);
@@ -51,7 +53,15 @@ pub(super) fn levels(context: &Context<'_>) -> Proposal {
     let mut smaller = now.clone();
     smaller.encoder.levels = (above - below).max(1);
     let texel = detail::texel(context) * f64::from(1_u32 << below);
-    smaller.encoder.plane_size = detail::plane_size(&smaller, texel).min(now.encoder.plane_size);
+    // Fewer levels let planes be as coarse as asked for, and coarser planes need fewer levels.
+    loop {
+        smaller.encoder.plane_size = detail::plane_size(&smaller, texel).min(now.encoder.plane_size);
+        let needed = (range(&smaller)[1].ceil().max(0.0) as u32 + 2).min(smaller.encoder.levels);
+        if needed == smaller.encoder.levels {
+            break;
+        }
+        smaller.encoder.levels = needed;
+    }
     let sizes = [now, &smaller].map(|config| {
         let pyramid = Pyramid::new(&config.encoder, &aabb);
         pyramid.base_len() + pyramid.derived_len()
