@@ -62,7 +62,7 @@ fn a_folder_is_all_that_a_user_types() {
     refused(&run(folder, &["outer"]), &["outer/scene"]);
     fs::rename(folder.join("outer/scene"), folder.join("scene")).unwrap();
 
-    // Eight seconds of training: wall time, pictures and a model that learned.
+    // 7.998 seconds of training: wall time, pictures and a model that learned.
     let started = Instant::now();
     let answer = run(folder, &["scene/transforms_train.json", "--minutes", "0.1333"]);
     done(&answer);
@@ -70,7 +70,7 @@ fn a_folder_is_all_that_a_user_types() {
     assert!(wall <= 1.4 * 8.0 + 60.0, "{wall} s for 8 s of training");
     let path = folder.join("runs/scene");
     let first = report(&path);
-    assert!((8.0..12.0).contains(&first["train_seconds"].as_f64().unwrap()), "{}", first["train_seconds"]);
+    assert!((7.998..12.0).contains(&first["train_seconds"].as_f64().unwrap()), "{}", first["train_seconds"]);
     let constant = first["mean"]["psnr_constant"].as_f64().unwrap();
     assert!(psnr(&first) > constant + 3.0, "{} where a mean colour has {constant}", psnr(&first));
     for file in

@@ -1,10 +1,12 @@
 //! The one place that knows which backends this build has; a configuration picks one by name.
 
-use crate::check::{self, Finding};
+use crate::check::{self, Tell};
 #[cfg(feature = "wgpu")]
 use crate::terminal;
 use crate::verbs::bench::stages::{self, StageError};
 use trimip_core::{Camera, Config, Error, Result, Session, ViewSet, model::Model, scene_plan::Compute};
+#[cfg(feature = "wgpu")]
+use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND};
 
 /// Backends of this build.
 pub fn names() -> &'static [&'static str] {
@@ -97,30 +99,34 @@ pub fn compute(config: &Config) -> Result<Compute> {
     Ok(trimip_cpu::compute(config.threads))
 }
 
-/// Kept samples a second that training reaches on a software adapter: llvmpipe of Mesa 22.3 with two cores of an AMD EPYC
-/// (Zen 4), AVX2, the quickstart's model, 7.2 processor seconds a step of 3,600 samples.
-#[cfg(feature = "wgpu")]
-const SOFTWARE_SAMPLES_PER_SECOND: f64 = 1_000.0;
-
-/// Cells of the occupancy grid that are asked for their density in a second on the same adapter.
-#[cfg(feature = "wgpu")]
-const SOFTWARE_CELLS_PER_SECOND: f64 = 12_000.0;
-
-/// What to know before the first step where the adapter picked is software: its name, how long a step takes, what to do.
-#[cfg(feature = "wgpu")]
-pub fn software_warning(config: &Config) -> Option<String> {
-    let name = (config.backend == "wgpu").then(|| trimip_wgpu::software(&config.wgpu.adapter)).flatten()?;
-    let cells = f64::from(config.occupancy.resolution).powi(3);
-    Some(software_text(
-        &name,
-        config.train.samples_per_step,
-        cells * f64::from(config.occupancy.warmup_fraction),
-    ))
+/// Full name of the configured adapter where it is software: the processor in a GPU's place.
+fn software(config: &Config) -> Option<String> {
+    #[cfg(feature = "wgpu")]
+    if config.backend == "wgpu" {
+        return trimip_wgpu::software(&config.wgpu.adapter);
+    }
+    let _ = config;
+    None
 }
 
-/// What to know before the first step where the adapter picked is software: this build picks none.
-#[cfg(not(feature = "wgpu"))]
-pub fn software_warning(_config: &Config) -> Option<String> {
+/// What to know before a view is rendered where the adapter picked is software.
+pub fn software_remark(config: &Config) -> Option<String> {
+    software(config).map(|name| {
+        format!(
+            "the adapter {name} is software, the processor in a GPU's place: --set backend=cpu is many times as fast"
+        )
+    })
+}
+
+/// What to know before the first step where the adapter picked is software: its name, how long a step takes, what to do.
+pub fn software_warning(config: &Config) -> Option<String> {
+    #[cfg(feature = "wgpu")]
+    if let Some(name) = software(config) {
+        let cells = f64::from(config.occupancy.resolution).powi(3);
+        let cells = cells * f64::from(config.occupancy.warmup_fraction);
+        return Some(software_text(&name, config.train.samples_per_step, cells));
+    }
+    let _ = config;
     None
 }
 
@@ -147,13 +153,7 @@ pub fn usable() -> Vec<String> {
 }
 
 /// The catalogue of stiff and extreme cases on a backend.
-pub fn catalogue(
-    name: &str,
-    adapter: &str,
-    threads: u32,
-    long: bool,
-    tell: &mut dyn FnMut(&Finding),
-) -> Result<Vec<Finding>> {
+pub fn catalogue(name: &str, adapter: &str, threads: u32, long: bool, tell: Tell<'_>) -> Result<()> {
     check(name)?;
     #[cfg(feature = "wgpu")]
     if name == "wgpu" {
@@ -190,7 +190,8 @@ mod tests {
         for part in ["llvmpipe", "software", "about 10 s", "about 20 s", "backend = \"cpu\""] {
             assert!(text.contains(part), "{part} in {text}");
         }
-        assert_eq!(software_warning(&Config::default()), None, "the CPU is no adapter");
+        let cpu = Config::default();
+        assert!(software_warning(&cpu).is_none() && software_remark(&cpu).is_none(), "the CPU is no adapter");
     }
 
     #[test]

@@ -5,13 +5,14 @@ use crate::{args::ProgressStyle, history::History, report::csv, run_folder::RunF
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::fs::File;
 use std::io::Write;
+use std::time::Duration;
 use trimip_core::evaluate::mean_quality;
 use trimip_core::{
     Error, Result,
     config::DataConfig,
     events::{Event, EventSink, ScaleQuality},
 };
-use trimip_data::Scene;
+use trimip_data::{Scene, Watch};
 
 /// The bar of a training, in parts of a thousand: the message has what is left of the terminal's width.
 const TRAINING: &str = "{bar:12} {percent:>3} %  {wide_msg}";
@@ -53,21 +54,38 @@ pub fn bar(template: &str, length: u64) -> ProgressBar {
     ProgressBar::new(length).with_style(style.progress_chars("━╸─"))
 }
 
-/// Opens a scene; on a terminal a bar tells how many photographs are read.
+/// A sign on standard error that work of unknown length goes on; silent where nobody watches.
+pub fn spinner() -> ProgressBar {
+    if !terminal::watched() {
+        return ProgressBar::hidden();
+    }
+    let template = "{spinner} {elapsed} {wide_msg}";
+    let style = BarStyle::with_template(template).unwrap_or_else(|_| BarStyle::default_spinner());
+    let spinner = ProgressBar::new_spinner().with_style(style);
+    spinner.enable_steady_tick(Duration::from_millis(200));
+    spinner
+}
+
+/// Does work that tells its progress in rows; on a terminal a bar shows it beside what is being done.
+pub fn by_rows<T>(doing: &'static str, work: impl FnOnce(Watch<'_>) -> T) -> T {
+    if !terminal::watched() {
+        return work(&trimip_data::unwatched);
+    }
+    let bar = bar("{bar:20} {percent:>3} %  {msg}, {eta} left", 0).with_message(doing);
+    let result = work(&|done, total| {
+        bar.set_length(total);
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    result
+}
+
+/// Opens a scene, with a bar on a terminal.
 ///
 /// # Errors
 /// As [`trimip_data::open`].
 pub fn open(config: &DataConfig) -> Result<Scene> {
-    if !terminal::watched() {
-        return trimip_data::open(config);
-    }
-    let bar = bar("{bar:30} reading photograph {pos} of {len}", 0);
-    let scene = trimip_data::open_watched(config, &|done, total| {
-        bar.set_length(total as u64);
-        bar.set_position(done as u64);
-    });
-    bar.finish_and_clear();
-    scene
+    by_rows("reading photographs", |watch| trimip_data::open_watched(config, watch))
 }
 
 fn show_on_bar(bar: &ProgressBar, event: &Event) {

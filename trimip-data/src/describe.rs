@@ -3,6 +3,7 @@
 use crate::{
     scene::Survey,
     source::{Source, assemble},
+    watch::{Meter, Watch},
 };
 use trimip_core::{
     Result, ViewSet,
@@ -38,13 +39,13 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
     ]
 }
 
-/// Everything about a scene that can be told without training on it.
+/// Everything about a scene that can be told without training on it; `watch` is told how much of it is read.
 ///
 /// # Errors
 /// As [`open`](crate::open).
-pub fn inspect(config: &DataConfig) -> Result<Vec<String>> {
+pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, config.convention, &|_, _| {})?;
+    let train = assemble(&survey.train, config.convention, &Meter::new(&survey.train, watch))?;
     let mut lines = description(&survey, config, &train);
     for (name, sources) in [("train", &survey.train), ("test", &survey.test)] {
         let cameras = || sources.iter().filter_map(|source| source.views.first().map(|(_, camera)| camera));
@@ -86,7 +87,7 @@ pub fn inspect(config: &DataConfig) -> Result<Vec<String>> {
 }
 
 /// "1 view", "12 views".
-fn count(count: usize, thing: &str) -> String {
+pub(crate) fn count(count: usize, thing: &str) -> String {
     format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 

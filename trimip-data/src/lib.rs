@@ -26,8 +26,10 @@ pub mod pyramid;
 mod scene;
 mod source;
 mod stated;
+mod watch;
 mod write;
 
 pub use describe::inspect;
 pub use scene::{Scene, open, open_watched};
+pub use watch::{Watch, unwatched};
 pub use write::{Summary, write_builtin, write_multiscale};

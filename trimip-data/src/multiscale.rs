@@ -63,8 +63,12 @@ impl Metadata {
             map_in_order(&wanted, |_, &index| Ok((levels[index], table.entry(&self.root, index)?)))?;
         let sources = frames(&table.node.place, entries)?;
         let found = sources.first().map_or(0, |source| source.views.len());
-        let warnings = (found < scales as usize)
-            .then(|| format!("{} has {found} scales, data.scales asks for {scales}", table.node.place));
+        let warnings = (found < scales as usize).then(|| {
+            format!(
+                "{} has images of {found} of the {scales} scales that data.scales asks for",
+                table.node.place
+            )
+        });
         Ok(Split { sources, warnings: warnings.into_iter().collect(), stated: None })
     }
 }

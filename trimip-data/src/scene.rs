@@ -5,6 +5,7 @@ use crate::{
     builtin, describe,
     multiscale::{METADATA, Metadata},
     source::{FrameList, Source, assemble},
+    watch::{Meter, Watch, unwatched},
 };
 use std::path::Path;
 use trimip_core::{
@@ -40,16 +41,16 @@ impl std::fmt::Debug for Scene {
 /// # Errors
 /// Of kind `Input`, one line each: what is wrong, in which file and frame, and what to do.
 pub fn open(config: &DataConfig) -> Result<Scene> {
-    open_watched(config, &|_, _| {})
+    open_watched(config, &unwatched)
 }
 
-/// As [`open`]; `watch` is told, from any thread, how many training frames of how many are read.
+/// As [`open`]; `watch` is told how much of the training views is read.
 ///
 /// # Errors
 /// As [`open`].
-pub fn open_watched(config: &DataConfig, watch: &(dyn Fn(usize, usize) + Sync)) -> Result<Scene> {
+pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, config.convention, watch)?;
+    let train = assemble(&survey.train, config.convention, &Meter::new(&survey.train, watch))?;
     let description = describe::description(&survey, config, &train);
     Ok(Scene {
         name: survey.name,
@@ -258,9 +259,10 @@ fn alpha_warning(train: &[Source]) -> Option<String> {
     let (total, masked) = (files().count(), files().filter(|file| file.alpha).count());
     (masked < total).then(|| {
         format!(
-            "{} of {total} training images have no alpha: all they show is taken for the object; mask what lies \
+            "{} of {total} training images {} no alpha: all that is seen is taken for the object; mask what lies \
              outside of the scene's box",
-            total - masked
+            total - masked,
+            if total - masked == 1 { "has" } else { "have" }
         )
     })
 }

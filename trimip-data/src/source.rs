@@ -1,10 +1,14 @@
 //! Frames and their pixels: where each frame's images come from, and the sets they are assembled to. Pixels are
 //! allocated once and filled in parallel; the same code serves all training views and one test frame.
 
-use crate::{builtin, photograph::Photograph, pyramid};
+use crate::{
+    builtin,
+    photograph::Photograph,
+    pyramid,
+    watch::{Meter, unwatched},
+};
 use rayon::prelude::*;
 use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use trimip_core::config::{Convention, Finish};
 use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
 
@@ -87,6 +91,11 @@ impl Source {
         self
     }
 
+    /// Rows of its finest view: what progress is counted in.
+    pub(crate) fn rows(&self) -> u64 {
+        self.views.first().map_or(0, |(_, camera)| camera.intrinsics.height.into())
+    }
+
     /// Files that the frame is read from.
     pub(crate) fn files(&self) -> &[Photograph] {
         match &self.pixels {
@@ -97,7 +106,7 @@ impl Source {
     }
 
     /// Writes the pixels of each view to its slice.
-    fn fill(&self, convention: Convention, slots: &mut [&mut [[u8; 4]]]) -> Result<()> {
+    fn fill(&self, convention: Convention, slots: &mut [&mut [[u8; 4]]], meter: &Meter<'_>) -> Result<()> {
         let Some((_, camera)) = self.views.first() else { return Ok(()) };
         let size = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
         match &self.pixels {
@@ -111,27 +120,25 @@ impl Source {
                 let mut levels: Vec<&mut [[u8; 4]]> = above.iter_mut().map(Vec::as_mut_slice).collect();
                 levels.extend(slots.iter_mut().map(|slot| &mut **slot));
                 pyramid::fill(pixels.as_chunks().0, width, height, convention, &mut levels);
+                meter.add(self.rows());
             }
             Pixels::Rendered { supersampling, finish } => {
-                let pixels = builtin::render(camera, *supersampling, *finish);
+                let pixels = builtin::render(camera, *supersampling, *finish, &|| meter.add(1));
                 pyramid::fill(&pixels, size.0, size.1, convention, slots);
             }
             Pixels::Stored(files) => {
                 for (file, slot) in files.iter().zip(slots) {
                     slot.copy_from_slice(file.decode()?.as_chunks().0);
                 }
+                meter.add(self.rows());
             }
         }
         Ok(())
     }
 }
 
-/// All views of `sources`, sorted by scale, then by frame; `watch` is told how many frames of how many are read.
-pub(crate) fn assemble(
-    sources: &[Source],
-    convention: Convention,
-    watch: &(dyn Fn(usize, usize) + Sync),
-) -> Result<ViewSet> {
+/// All views of `sources`, sorted by scale, then by frame; `meter` counts their rows.
+pub(crate) fn assemble(sources: &[Source], convention: Convention, meter: &Meter<'_>) -> Result<ViewSet> {
     let mut levels: Vec<u32> =
         sources.iter().flat_map(|source| source.views.iter().map(|(level, _)| *level)).collect();
     levels.sort_unstable();
@@ -167,16 +174,10 @@ pub(crate) fn assemble(
         slots[index].push(slot);
         rest = tail;
     }
-    let read = AtomicUsize::new(0);
-    watch(0, sources.len());
     let failure = sources
         .par_iter()
         .zip(slots)
-        .map(|(source, mut slots)| {
-            source.fill(convention, &mut slots)?;
-            watch(read.fetch_add(1, Ordering::Relaxed) + 1, sources.len());
-            Ok(())
-        })
+        .map(|(source, mut slots)| source.fill(convention, &mut slots, meter))
         .find_map_first(Result::err);
     match failure {
         Some(error) => Err(error),
@@ -211,7 +212,7 @@ impl Frames for FrameList {
         let source = self.sources.get(index..=index).ok_or_else(|| {
             Error::run(format!("frame {index} was asked for, there are {}", self.sources.len()))
         })?;
-        assemble(source, self.convention, &|_, _| {})
+        assemble(source, self.convention, &Meter::new(source, &unwatched))
     }
 }
 

@@ -27,7 +27,7 @@ pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Option<StatedBox>> {
         let named = value.as_str().ok_or_else(|| file.unexpected("ply_file_path", "a text", value))?;
         let points = points(&root.join(named), &file.place)?;
         if points.len() >= LEAST_POINTS {
-            let source = format!("around {} points of {named}", points.len());
+            let source = format!("around the points of {named} ({})", points.len());
             return Ok(Some(StatedBox { aabb: around(&points), source }));
         }
     }

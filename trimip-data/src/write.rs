@@ -3,9 +3,11 @@
 
 use crate::{
     builtin,
+    describe::count,
     multiscale::METADATA,
     scene::Survey,
     source::{Source, assemble, map_in_order},
+    watch::{Meter, Watch},
 };
 use serde_json::{Value, json};
 use std::{
@@ -37,9 +39,9 @@ impl Display for Summary {
             self.splits.iter().map(|(split, count)| format!("{split} {count}")).collect();
         write!(
             f,
-            "{}: {} images of {} frames, {:.1} MB",
+            "{}: {} of {} frames, {:.1} MB",
             self.folder.display(),
-            self.images,
+            count(self.images, "image"),
             splits.join(" + "),
             self.bytes as f64 / 1e6
         )
@@ -48,12 +50,12 @@ impl Display for Summary {
 
 /// Writes the training and test splits as the public converter does: `metadata.json`, `images_train/000_d0.png` ..
 /// near 2 and far 6 stand for every view, as in the public set. A split with a camera that is not plain (square pixels,
-/// centred principal point) has the arrays `fl_y`, `cx`, `cy` beside `pix2cam`.
+/// centred principal point) has the arrays `fl_y`, `cx`, `cy` beside `pix2cam`. `watch` is told how much is read.
 ///
 /// # Errors
 /// Those of reading; a folder that cannot be written or holds a set already; the premultiplied convention, which PNG
 /// does not have.
-pub fn write_multiscale(config: &DataConfig, folder: &Path) -> Result<Summary> {
+pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Result<Summary> {
     if config.convention != Convention::Public {
         return Err(Error::input(
             "data.convention",
@@ -74,12 +76,13 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path) -> Result<Summary> {
     if !config.train.contains(&config.test) {
         splits.push((&config.test, &survey.test));
     }
+    let meter = Meter::new(splits.iter().flat_map(|(_, sources)| *sources), watch);
     let mut metadata = serde_json::Map::new();
     let mut summary = Summary { folder: folder.into(), splits: Vec::new(), images: 0, bytes: 0 };
     for (split, sources) in splits {
         create_folder(&folder.join(format!("images_{split}")))?;
         let written = map_in_order(sources, |index, source| {
-            let set = assemble(std::slice::from_ref(source), config.convention, &|_, _| {})?;
+            let set = assemble(std::slice::from_ref(source), config.convention, &meter)?;
             let mut bytes = 0;
             for view in 0..set.views.len() {
                 let path = folder.join(image_path(split, index, source.views[view].0));
@@ -136,21 +139,24 @@ fn columns(split: &str, sources: &[Source]) -> Value {
     table
 }
 
-/// Renders the built-in scene and writes it as `transforms_{train,test}.json` with PNG files.
+/// Renders the built-in scene and writes it as `transforms_{train,test}.json` with PNG files; `watch` is told how much is
+/// rendered.
 ///
 /// # Errors
 /// Settings out of range; a folder that cannot be written or holds a scene already.
-pub fn write_builtin(config: &DataConfig, folder: &Path) -> Result<Summary> {
+pub fn write_builtin(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Result<Summary> {
     let mut summary = Summary { folder: folder.into(), splits: Vec::new(), images: 0, bytes: 0 };
     for split in ["train", "test"] {
         refuse_existing(&folder.join(format!("transforms_{split}.json")))?;
     }
-    for split in ["train", "test"] {
-        let single = DataConfig { scales: 1, format: Format::Builtin, ..config.clone() };
-        let sources = builtin::split(&single, split)?.sources;
+    let single = DataConfig { scales: 1, format: Format::Builtin, ..config.clone() };
+    let splits = ["train", "test"].map(|split| Ok((split, builtin::split(&single, split)?.sources)));
+    let splits = splits.into_iter().collect::<Result<Vec<_>>>()?;
+    let meter = Meter::new(splits.iter().flat_map(|(_, sources)| sources), watch);
+    for (split, sources) in splits {
         create_folder(&folder.join(split))?;
         let bytes = map_in_order(&sources, |_, source| {
-            let set = assemble(std::slice::from_ref(source), Convention::Public, &|_, _| {})?;
+            let set = assemble(std::slice::from_ref(source), Convention::Public, &meter)?;
             let path = folder.join(split).join(format!("{}.png", source.name));
             save(&path, set.pixels_of(0), &set.views[0].camera.intrinsics)
         })?;

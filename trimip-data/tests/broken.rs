@@ -227,7 +227,7 @@ fn with_replaced_value(document: &Value, nth: usize, with: &Value) -> Value {
 }
 
 fn opens_or_tells(root: &Path) {
-    if let Err(error) = inspect(&settings(root, 2)) {
+    if let Err(error) = inspect(&settings(root, 2), &trimip_data::unwatched) {
         assert!(!error.message.is_empty() && !error.message.contains('\n'), "{error}");
     }
 }
@@ -237,7 +237,7 @@ fn wrong_kinds_of_values_never_panic() {
     let folder = tempfile::tempdir().unwrap();
     blender_scene(folder.path());
     let set = tempfile::tempdir().unwrap();
-    trimip_data::write_multiscale(&settings(folder.path(), 2), set.path()).unwrap();
+    trimip_data::write_multiscale(&settings(folder.path(), 2), set.path(), &trimip_data::unwatched).unwrap();
     for (root, name) in [(folder.path(), TRAIN), (set.path(), "metadata.json")] {
         let path = root.join(name);
         let document: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
@@ -275,6 +275,6 @@ fn common_text(name: &str) -> String {
     if name == TRAIN {
         return fs::read_to_string(folder.path().join(name)).unwrap();
     }
-    trimip_data::write_multiscale(&settings(folder.path(), 2), set.path()).unwrap();
+    trimip_data::write_multiscale(&settings(folder.path(), 2), set.path(), &trimip_data::unwatched).unwrap();
     fs::read_to_string(set.path().join(name)).unwrap()
 }

@@ -6,10 +6,10 @@ use common::{assert_same, blender_scene, frame, save_image, settings, write};
 use serde_json::{Value, json};
 use std::fs;
 use trimip_core::{
-    Alpha,
+    Alpha, ViewSet,
     config::{Convention, Format},
 };
-use trimip_data::{builtin, inspect, open, write_builtin, write_multiscale};
+use trimip_data::{Watch, builtin, inspect, open, open_watched, unwatched, write_builtin, write_multiscale};
 
 #[test]
 fn frames_override_the_file_and_defaults_fill_in() {
@@ -130,7 +130,7 @@ fn a_written_multiscale_set_reads_back_the_same() {
     (builtin.builtin_size, builtin.builtin_train, builtin.builtin_test) = (17, 5, 3);
     for config in [settings(folder.path(), 3), builtin] {
         let written = tempfile::tempdir().unwrap();
-        let summary = write_multiscale(&config, written.path()).unwrap();
+        let summary = write_multiscale(&config, written.path(), &unwatched).unwrap();
         let (ours, theirs) =
             (open(&config).unwrap(), open(&settings(written.path(), config.scales)).unwrap());
         assert_same(&ours.train, &theirs.train);
@@ -142,9 +142,14 @@ fn a_written_multiscale_set_reads_back_the_same() {
         // Frames kept back belong to the set as all others do.
         let again = tempfile::tempdir().unwrap();
         let held = trimip_core::config::DataConfig { holdout: 2, ..config.clone() };
-        assert_eq!(write_multiscale(&held, again.path()).unwrap().images, summary.images);
+        assert_eq!(write_multiscale(&held, again.path(), &unwatched).unwrap().images, summary.images);
         // A set is never written over.
-        assert!(write_multiscale(&config, written.path()).unwrap_err().message.contains("exists already"));
+        assert!(
+            write_multiscale(&config, written.path(), &unwatched)
+                .unwrap_err()
+                .message
+                .contains("exists already")
+        );
         // Fewer scales of it are the same as fewer scales of the source.
         let mut fewer = config.clone();
         fewer.scales = 2;
@@ -156,7 +161,7 @@ fn a_written_multiscale_set_reads_back_the_same() {
 fn the_public_layout_has_its_columns() {
     let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     blender_scene(folder.path());
-    let summary = write_multiscale(&settings(folder.path(), 2), set.path()).unwrap();
+    let summary = write_multiscale(&settings(folder.path(), 2), set.path(), &unwatched).unwrap();
     assert_eq!((summary.images, &summary.splits[1]), (8, &("test".to_string(), 2)));
     let document: Value =
         serde_json::from_slice(&fs::read(set.path().join("metadata.json")).unwrap()).unwrap();
@@ -181,7 +186,7 @@ fn the_built_in_scene_written_as_files_is_the_same_scene() {
     for convention in [Convention::Public, Convention::Premultiplied] {
         config.convention = convention;
         let folder = tempfile::tempdir().unwrap();
-        let summary = write_builtin(&config, folder.path()).unwrap();
+        let summary = write_builtin(&config, folder.path(), &unwatched).unwrap();
         assert_eq!(summary.images, 5);
         let mut files = settings(folder.path(), 3);
         files.convention = convention;
@@ -195,31 +200,68 @@ fn the_built_in_scene_written_as_files_is_the_same_scene() {
         if convention == Convention::Public {
             assert_eq!(
                 ours.train.pixels_of(0),
-                builtin::render(&camera, config.builtin_supersampling, config.builtin_finish)
+                builtin::render(&camera, config.builtin_supersampling, config.builtin_finish, &|| ())
             );
         }
-        assert!(write_builtin(&config, folder.path()).is_err());
+        assert!(write_builtin(&config, folder.path(), &unwatched).is_err());
     }
+}
+
+#[test]
+fn progress_begins_at_nothing_rises_and_ends_with_every_row() {
+    let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    blender_scene(folder.path());
+    let mut rendered = settings(std::path::Path::new(""), 2);
+    rendered.format = Format::Builtin;
+    (rendered.builtin_size, rendered.builtin_train, rendered.builtin_test) = (24, 3, 2);
+    let photographs = settings(folder.path(), 2);
+    let rows = |views: &ViewSet| {
+        let finest = views.scales[0].views.clone();
+        finest.map(|view| u64::from(views.views[view].camera.intrinsics.height)).sum::<u64>()
+    };
+    let train = rows(&open(&photographs).unwrap().train);
+    let watched = |work: &dyn Fn(Watch<'_>)| {
+        let told = std::sync::Mutex::new(Vec::new());
+        work(&|done, total| told.lock().unwrap().push((done, total)));
+        let mut told = told.into_inner().unwrap();
+        assert_eq!(told[0].0, 0);
+        // Threads tell in the order they come.
+        told.sort_unstable();
+        told.dedup();
+        (told.len(), *told.last().unwrap())
+    };
+    let read = watched(&|watch| drop(open_watched(&photographs, watch).unwrap()));
+    assert_eq!(read, (1 + open(&photographs).unwrap().train.scales[0].views.len(), (train, train)));
+    assert_eq!(watched(&|watch| drop(inspect(&photographs, watch).unwrap())), read);
+    // Every row that is rendered is told of: three views, then those and two more.
+    assert_eq!(watched(&|watch| drop(open_watched(&rendered, watch).unwrap())), (73, (72, 72)));
+    let built = set.path().join("built");
+    assert_eq!(watched(&|watch| drop(write_builtin(&rendered, &built, watch).unwrap())), (121, (120, 120)));
+    let written = watched(&|watch| drop(write_multiscale(&photographs, set.path(), watch).unwrap()));
+    assert!(written.1.0 == written.1.1 && written.1.0 > train, "{written:?}");
 }
 
 #[test]
 fn a_multiscale_set_cannot_be_premultiplied_after_the_fact() {
     let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     blender_scene(folder.path());
-    write_multiscale(&settings(folder.path(), 2), set.path()).unwrap();
+    write_multiscale(&settings(folder.path(), 2), set.path(), &unwatched).unwrap();
     let mut config = settings(set.path(), 2);
     config.convention = Convention::Premultiplied;
     assert!(open(&config).unwrap_err().message.starts_with("data.convention: "));
     config.convention = Convention::Public;
     config.scales = 4;
-    assert!(open(&config).unwrap().warnings[0].contains("has 2 scales, data.scales asks for 4"));
+    assert!(
+        open(&config).unwrap().warnings[0]
+            .contains("has images of 2 of the 4 scales that data.scales asks for")
+    );
 }
 
 #[test]
 fn inspection_names_splits_sizes_cameras_and_warnings() {
     let folder = tempfile::tempdir().unwrap();
     blender_scene(folder.path());
-    let lines = inspect(&settings(folder.path(), 2)).unwrap().join("\n");
+    let lines = inspect(&settings(folder.path(), 2), &unwatched).unwrap().join("\n");
     for expected in [
         "2 training views (train 2), 2 test views (test)",
         "16x12",

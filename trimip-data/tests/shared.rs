@@ -83,7 +83,7 @@ fn photographs_with_their_own_cameras_are_read() {
     let k = scene.train.views[0].camera.intrinsics;
     assert!(k.fx != k.fy && k.cx != 200.0);
 
-    let lines = inspect(&settings(&fox, 1)).unwrap().join("\n");
+    let lines = inspect(&settings(&fox, 1), &trimip_data::unwatched).unwrap().join("\n");
     for expected in
         ["train 43", "7 test views", "1080x1920", "no alpha", "distortion (k1 = 0.0578421", "every 8th frame"]
     {

@@ -21,7 +21,9 @@ mod renderer;
 mod rows;
 mod sampler;
 
-pub use adapter::{AdapterFacts, adapters, compute, software};
+pub use adapter::{
+    AdapterFacts, SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, adapters, compute, software,
+};
 pub use backend::{Lane, WgpuBackend};
 pub use buffer::Buffer;
 pub use ceilings::Ceilings;

@@ -1,7 +1,7 @@
 //! Extreme geometry: spheres without size and beyond all size, rays along edges, cameras and boxes of every shape.
 
 use super::bench::{Bench, small};
-use super::{Finding, Make, apart, not_finite, relative, worst};
+use super::{Finding, Make, Tell, apart, not_finite, relative, worst};
 use glam::{DMat3, DVec3};
 use trimip_core::backend::Sampler;
 use trimip_core::batch::{Ray, Sphere};
@@ -17,16 +17,16 @@ fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> 
 }
 
 /// The cases of this part.
-pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let mut findings = spheres(make)?;
-    findings.extend(rays(make)?);
-    findings.extend(cameras(make)?);
-    findings.extend(boxes(make)?);
-    Ok(findings)
+pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
+    spheres(make, tell)?;
+    rays(make, tell)?;
+    cameras(make, tell)?;
+    boxes(make, tell)?;
+    Ok(())
 }
 
 /// Radii from nothing to no number: the finest level below, the coarsest above.
-fn spheres<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn spheres<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut bench = Bench::new(make, &small())?;
     let at = |radius| Sphere { position: [0.3, 0.7, 0.51], radius };
     let mut features = |radii: &[f32]| -> Vec<Vec<f32>> {
@@ -39,7 +39,7 @@ fn spheres<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     let finest = features(&[1e-6, 0.0, -0.0, 1e-40, f32::MIN_POSITIVE, f32::NAN, -1.0]);
     let coarsest = features(&[1e3, 1e30, f32::MAX, f32::INFINITY]);
     let apart = worst(finest[0].iter().zip(&coarsest[0]).map(|(a, b)| f64::from((a - b).abs())));
-    Ok(vec![
+    [
         found(
             "radius 0, denormal, negative, not a number",
             "the features of the finest level",
@@ -48,7 +48,10 @@ fn spheres<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         ),
         found("radius 1e3 to infinite", "the features of the coarsest level", same(&coarsest), 0.0),
         found("smallest and largest radius", "are told apart", if apart > 0.0 { 0.0 } else { 1.0 }, 0.0),
-    ])
+    ]
+    .into_iter()
+    .for_each(tell);
+    Ok(())
 }
 
 /// Rays of all directions, from outside, from within, on faces and on edges.
@@ -77,7 +80,7 @@ fn directions() -> Vec<Ray> {
     ]
 }
 
-fn rays<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let mut bench = Bench::new(make, &config)?;
     let rays = directions();
@@ -97,7 +100,7 @@ fn rays<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         .map(|(ray, marched)| (apart(marched.len() as f64, length(ray) / step) - slack(ray)).max(0.0));
     let ascending = marched.iter().flat_map(|ts| ts.windows(2)).filter(|pair| !(pair[0] < pair[1])).count();
     let outside = |sphere: &Sphere| worst(sphere.position.map(|x| f64::from((x - 1.0).max(-x))));
-    Ok(vec![
+    [
         found(
             "rays along axes, diagonals, faces and edges",
             "samples cover the ray within the box, to a step",
@@ -106,11 +109,14 @@ fn rays<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         ),
         found("the same", "distances ascend", ascending as f64, 0.0),
         found("the same", "samples lie within the box", worst(spheres.iter().map(outside)), 1e-6),
-    ])
+    ]
+    .into_iter()
+    .for_each(tell);
+    Ok(())
 }
 
 /// Camera rays beside those in f64.
-fn cameras<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut bench = Bench::new(make, &small())?;
     let mut cases: Vec<(String, Intrinsics)> = [0.001_f64, 0.1, 40.0, 120.0, 179.0]
         .into_iter()
@@ -127,7 +133,6 @@ fn cameras<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         ("a principal point far outside".into(), k(64, 64, 100.0, 100.0, -900.0, 2000.0)),
         ("16,384 pixels across".into(), k(16_384, 2, 20_000.0, 20_000.0, 8_192.0, 1.0)),
     ]);
-    let mut findings = Vec::new();
     for (name, intrinsics) in cases {
         let camera = Camera::look_at(intrinsics, DVec3::new(2.0, -3.0, 1.0), DVec3::ZERO, DVec3::Z);
         let count = intrinsics.width * intrinsics.height;
@@ -140,10 +145,10 @@ fn cameras<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
             errors.extend((0..3).map(|c| apart(ray.direction[c], exact.direction[c])));
             slopes.push(relative(ray.slope, exact.slope));
         }
-        findings.push(found(name.clone(), "directions as in f64", worst(errors), 1e-6));
-        findings.push(found(name, "radii as in f64, relative", worst(slopes), 4e-6));
+        tell(found(name.clone(), "directions as in f64", worst(errors), 1e-6));
+        tell(found(name, "radii as in f64, relative", worst(slopes), 4e-6));
     }
-    Ok(findings)
+    Ok(())
 }
 
 /// Steps along the diagonal of a box: few enough for a long one, enough to see a place lost.
@@ -151,8 +156,7 @@ const STEPS: u32 = 2048;
 
 /// Boxes of all sizes and shapes, filled with one medium whose upper halves are cut away along an axis: a ray along the axis
 /// goes through half of the box.
-fn boxes<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let mut findings = Vec::new();
+fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (name, centre, sides) in [
         ("a flat box, 1:1000", 0.0, [3.0, 3.0, 0.003]),
         ("a long box, 1000:1", 0.0, [3.0, 0.003, 0.003]),
@@ -184,15 +188,10 @@ fn boxes<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
             let covered = -(1.0 - f64::from(pixel.opacity)).ln() / density;
             errors.push((apart(covered, 0.5 * sides[axis]) - 2.0 * step).max(0.0) / sides[axis]);
         }
-        findings.push(found(
-            name,
-            "half a box is seen as half, to two steps and 1e-4 of a side",
-            worst(errors),
-            1e-4,
-        ));
-        findings.push(found(name, "all numbers are finite", strange, 0.0));
+        tell(found(name, "half a box is seen as half, to two steps and 1e-4 of a side", worst(errors), 1e-4));
+        tell(found(name, "all numbers are finite", strange, 0.0));
     }
-    Ok(findings)
+    Ok(())
 }
 
 /// A model of one density, occupied where `axis` has its lower half.

@@ -54,27 +54,19 @@ fn not_finite<'a>(values: impl IntoIterator<Item = &'a f32>) -> f64 {
 /// Makes a backend of its own for a case.
 pub type Make<'a, B> = &'a dyn Fn() -> Result<B>;
 
-/// All cases on one backend, told one by one; with those that take minutes where they are wanted.
+/// Is told of every finding as soon as there is one.
+pub type Tell<'a> = &'a mut dyn FnMut(Finding);
+
+/// All cases on one backend; with those that take minutes where they are wanted.
 ///
 /// # Errors
 /// When the backend cannot be opened, or fails.
-pub fn catalogue<B: Backend>(
-    make: Make<'_, B>,
-    long: bool,
-    tell: &mut dyn FnMut(&Finding),
-) -> Result<Vec<Finding>> {
-    let mut findings = Vec::new();
-    let mut parts = vec![optics::cases::<B>, geometry::cases::<B>, training::cases::<B>, numbers::cases::<B>];
-    if long {
-        parts.push(training::long::<B>);
-    }
-    for part in parts {
-        for finding in part(make)? {
-            tell(&finding);
-            findings.push(finding);
-        }
-    }
-    Ok(findings)
+pub fn catalogue<B: Backend>(make: Make<'_, B>, long: bool, tell: Tell<'_>) -> Result<()> {
+    optics::cases(make, tell)?;
+    geometry::cases(make, tell)?;
+    training::cases(make, tell)?;
+    numbers::cases(make, tell)?;
+    if long { training::long(make, tell) } else { Ok(()) }
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Numbers at the end of their range: densities, gradients and hidden units that f32 or f16 can hardly hold, or cannot.
 
 use super::bench::{camera, hash, photographs, small};
-use super::{Finding, Make, not_finite, worst};
+use super::{Finding, Make, Tell, not_finite, worst};
 use trimip_core::adamw::Rule;
 use trimip_core::config::{OptimizerConfig, Precision};
 use trimip_core::params::Kind;
@@ -14,19 +14,18 @@ fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> 
 }
 
 /// The cases of this part.
-pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let mut findings = logits(make)?;
-    findings.extend(gradients());
-    findings.extend(steep(make)?);
-    findings.extend(beyond_half(make)?);
-    Ok(findings)
+pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
+    logits(make, tell)?;
+    gradients().into_iter().for_each(&mut *tell);
+    steep(make, tell)?;
+    beyond_half(make, tell)?;
+    Ok(())
 }
 
 /// Density logits of ±1e4: nothing and everything.
-fn logits<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);
-    let mut findings = Vec::new();
     for (name, logit) in [("density logits of 1e4", 1e4_f32), ("density logits of -1e4", -1e4)] {
         let views = photographs(&[camera(8, 0)], 1, hash);
         let view = views.views[0].camera;
@@ -51,7 +50,7 @@ fn logits<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         let opacity = if logit > 0.0 { 1.0 } else { 0.0 };
         // The middle of the picture looks through the box.
         let middle = &frame.pixels[frame.pixels.len() / 2 + 4];
-        findings.push(found(
+        tell(found(
             name,
             "the box is solid, or is not there",
             (f64::from(middle.opacity) - opacity).abs(),
@@ -59,12 +58,12 @@ fn logits<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         ));
         let numbers: Vec<f32> =
             frame.pixels.iter().flat_map(|p| [p.rgb[0], p.rgb[1], p.rgb[2], p.opacity, p.depth]).collect();
-        findings.push(found(name, "the picture is finite", not_finite(&numbers), 0.0));
+        tell(found(name, "the picture is finite", not_finite(&numbers), 0.0));
         trainer.step(0.1)?;
         let strange = not_finite(&trainer.parameters());
-        findings.push(found(name, "a step leaves finite parameters", strange, 0.0));
+        tell(found(name, "a step leaves finite parameters", strange, 0.0));
     }
-    Ok(findings)
+    Ok(())
 }
 
 /// The optimiser's rule at gradients that f32 can hardly hold, or whose squares it cannot.
@@ -100,7 +99,7 @@ fn gradients() -> Vec<Finding> {
 
 /// Texels of 1e-30 behind weights of 1e30: the gradients of the texels are some 1e30, those of the weights some 1e-30. A
 /// gradient that no second moment can hold leaves its parameter and its moments as they were, and is counted.
-fn steep<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn steep<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);
     let trainer = || Trainer::new(make()?, &config, photographs(&[camera(16, 0)], 1, hash));
@@ -130,16 +129,19 @@ fn steep<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     resumed.step(0.1)?;
     let after = resumed.checkpoint()?.state.totals.non_finite;
     let unless = |holds: bool| if holds { 0.0 } else { 1.0 };
-    Ok(vec![
+    [
         found(case, "parameters and moments stay finite", not_finite(numbers), 0.0),
         found(case, "are counted where no second moment holds them", unless(before > 0), 0.0),
         found(case, "are counted on after a resume", unless(after > before), 0.0),
-    ])
+    ]
+    .into_iter()
+    .for_each(tell);
+    Ok(())
 }
 
 /// Numbers between the layers that f16 cannot hold: in whatever precision, the picture is that of f32 to the rounding of
 /// its factors; a backend that meets them in f16 goes on in f32.
-fn beyond_half<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn beyond_half<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let layout = Layout::new(&small());
     let picture = |precision| -> Result<Frame> {
         let mut config = small();
@@ -167,17 +169,16 @@ fn beyond_half<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         trainer.render(&view)
     };
     let exact = picture(Precision::F32)?;
-    let mut findings = Vec::new();
     for (name, precision) in [("bf16", Precision::Bf16), ("f16", Precision::F16)] {
         let found_picture = picture(precision)?;
         let colors = found_picture.pixels.iter().zip(&exact.pixels);
         let errors = colors.flat_map(|(a, b)| (0..3).map(|c| f64::from((a.rgb[c] - b.rgb[c]).abs())));
-        findings.push(found(
+        tell(found(
             format!("hidden units beyond f16's range, \"{name}\""),
             "the picture is that of f32",
             worst(errors),
             0.02,
         ));
     }
-    Ok(findings)
+    Ok(())
 }

@@ -1,7 +1,7 @@
 //! Stiff optics: samples from hardly there to opaque, one to a hundred thousand on a ray. Letters: x = σδ optical depth.
 
 use super::bench::{Bench, small};
-use super::{Finding, Make, apart, relative, worst};
+use super::{Finding, Make, Tell, apart, relative, worst};
 use trimip_core::batch::{Interval, Radiance};
 use trimip_core::compositing::{composite, composite_gradient};
 use trimip_core::{Backend, Result};
@@ -28,24 +28,23 @@ fn depth((interval, radiance): &Sample) -> f64 {
 }
 
 /// The cases of this part.
-pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut bench = Bench::new(make, &small())?;
     let found =
         |case: &str, law, worst, bound| Finding { part: "optics", case: case.into(), law, worst, bound };
-    let mut findings = Vec::new();
 
     // One sample each, all sizes.
     let thin: Vec<Vec<Sample>> =
         (-48..=48).map(|quarter| vec![sample(0, 10_f64.powf(f64::from(quarter) / 4.0), [1.0; 3])]).collect();
     let (pixels, gradients) = bench.composite(&thin, [1.0, 1.0, 1.0, 0.0]);
     let alpha = |ray: &Vec<Sample>| -(-depth(&ray[0])).exp_m1();
-    findings.push(found(
+    tell(found(
         "one sample, depth 1e-12 to 1e12",
         "opacity is 1 - exp(-x), relative",
         worst(pixels.iter().zip(&thin).map(|(pixel, ray)| relative(pixel.opacity, alpha(ray)))),
         EXPONENTIAL,
     ));
-    findings.push(found(
+    tell(found(
         "one sample, depth 1e-12 to 1e12",
         "opacity within 0 and 1",
         worst(pixels.iter().map(|p| (f64::from(p.opacity) - 1.0).max(-f64::from(p.opacity)))),
@@ -58,7 +57,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         let shade: f64 = (0..3).map(|c| 1.0 - background[c]).sum();
         f64::from(LENGTH) * (-x).exp() * shade
     };
-    findings.push(found(
+    tell(found(
         "one sample, depth 1e-12 to 1e12",
         "gradient by the density, of the length",
         worst(
@@ -73,7 +72,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         let total: f64 = ray.iter().map(depth).sum();
         let (pixels, _) = bench.composite(&[ray], [1.0, 1.0, 1.0, 0.0]);
         let opacity = -(-total).exp_m1();
-        findings.push(found(
+        tell(found(
             &format!("a medium of depth 1 in {count} samples"),
             "opacity is that of the whole",
             apart(pixels[0].opacity, opacity),
@@ -81,7 +80,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
             ROUNDING + count as f64 * 6e-8,
         ));
         let weights = f64::from(pixels[0].rgb[2]) - (1.0 - opacity) * background[2];
-        findings.push(found(
+        tell(found(
             &format!("a medium of depth 1 in {count} samples"),
             "weights sum to the opacity",
             apart(pixels[0].opacity, weights),
@@ -123,7 +122,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         let all = (0..ray.len()).map(|i| (wide(i).0, wide(i).1, f64::from(ray[i].0.t)));
         let exact = composite(all, background);
         let values = (0..3).map(|c| apart(pixel.rgb[c], exact.rgb[c]));
-        findings.push(found(
+        tell(found(
             name,
             "colour, opacity and distance as in f64",
             worst(
@@ -138,7 +137,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
             errors.push(apart(found.density, by_depth * f64::from(LENGTH)) / f64::from(LENGTH));
             errors.extend((0..3).map(|c| apart(found.rgb[c], by_color[c])));
         });
-        findings.push(found(
+        tell(found(
             name,
             "gradients as in f64, of the length",
             worst(errors),
@@ -147,5 +146,5 @@ pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
         first += ray.len();
     }
     bench.backend.health()?;
-    Ok(findings)
+    Ok(())
 }

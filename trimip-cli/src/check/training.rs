@@ -2,7 +2,7 @@
 //! batches gone empty, runs of many steps.
 
 use super::bench::{camera, hash, photographs, small};
-use super::{Finding, Make, not_finite, worst};
+use super::{Finding, Make, Tell, not_finite, worst};
 use crate::machine::peak_memory;
 use glam::DVec3;
 use trimip_core::config::Untouched;
@@ -16,12 +16,12 @@ fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> 
 }
 
 /// The cases of this part.
-pub fn cases<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let mut findings = photographs_of_all_kinds(make)?;
-    findings.extend(rates_and_weights(make)?);
-    findings.extend(untouched(make)?);
-    findings.extend(empty(make)?);
-    Ok(findings)
+pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
+    photographs_of_all_kinds(make, tell)?;
+    rates_and_weights(make, tell)?;
+    untouched(make, tell)?;
+    empty(make, tell)?;
+    Ok(())
 }
 
 /// Trains `steps` steps; the number of values that are not finite in parameters, loss and a picture, and how far the
@@ -49,7 +49,7 @@ fn told(case: &str, [strange, beyond]: [f64; 2]) -> [Finding; 2] {
     ]
 }
 
-fn photographs_of_all_kinds<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn photographs_of_all_kinds<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let few: Vec<Camera> = (0..3).map(|i| camera(16, i)).collect();
     let same = vec![camera(16, 0); 3];
     let gray = |x: bool| if x { [255; 4] } else { [0, 0, 0, 255] };
@@ -68,32 +68,32 @@ fn photographs_of_all_kinds<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding
         ("checkers of 0 and 1 at every pixel", photographs(&few, 2, |_, x, y| gray((x + y) % 2 == 0))),
         ("area weights 1 to 4096", photographs(&[camera(64, 0)], 7, hash)),
     ];
-    let mut findings = Vec::new();
     for (name, views) in cases {
-        findings.extend(told(name, train(make, &small(), views, 24)?));
+        told(name, train(make, &small(), views, 24)?).into_iter().for_each(&mut *tell);
     }
-    Ok(findings)
+    Ok(())
 }
 
-fn rates_and_weights<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn rates_and_weights<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let views = || photographs(&[camera(16, 0), camera(16, 2)], 2, hash);
     let mut hot = small();
     hot.optimizer.learning_rate *= 100.0;
-    let mut findings = told("learning rates x 100", train(make, &hot, views(), 24)?).to_vec();
+    told("learning rates x 100", train(make, &hot, views(), 24)?).into_iter().for_each(&mut *tell);
     let mut cold = small();
     cold.optimizer.learning_rate = 1e-12;
-    findings.extend(told("learning rates of 1e-12", train(make, &cold, views(), 8)?));
+    told("learning rates of 1e-12", train(make, &cold, views(), 8)?).into_iter().for_each(&mut *tell);
     // One ray may hold the whole batch: a long box of many steps and few samples a step.
     let mut one = small();
     (one.renderer.steps_per_diagonal, one.train.samples_per_step) = (4096, 256);
-    findings.extend(told("a ray with more samples than a step", train(make, &one, views(), 12)?));
-    Ok(findings)
+    told("a ray with more samples than a step", train(make, &one, views(), 12)?)
+        .into_iter()
+        .for_each(&mut *tell);
+    Ok(())
 }
 
 /// Texels without a gradient: with "skip" they stay to the bit, with "decay" they shrink by the written factor, whatever
 /// an epsilon of 1e-15 makes of moments of zero.
-fn untouched<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
-    let mut findings = Vec::new();
+fn untouched<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (name, way) in [("skip", Untouched::Skip), ("decay", Untouched::Decay)] {
         let mut config = small();
         // A corner of the planes is out of every view.
@@ -124,25 +124,25 @@ fn untouched<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
                 / f64::from(before[i]).abs().max(1e-30)
         });
         let bound = if way == Untouched::Skip { 0.0 } else { 1e-6 };
-        findings.push(found(
+        tell(found(
             format!("texels without a gradient, \"{name}\""),
             "move by the written rule alone",
             worst(moved),
             bound,
         ));
         let share = still.len() as f64 / after.len() as f64;
-        findings.push(found(
+        tell(found(
             format!("texels without a gradient, \"{name}\""),
             "there are such",
             if share > 0.1 { 0.0 } else { 1.0 },
             0.0,
         ));
     }
-    Ok(findings)
+    Ok(())
 }
 
 /// A batch without a sample moves nothing and is counted; a grid gone empty is filled by its next refresh.
-fn empty<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+fn empty<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let away = Camera::look_at(
         Intrinsics::from_angle(8, 8, 0.7),
@@ -157,10 +157,12 @@ fn empty<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     }
     let moved = before.iter().zip(trainer.parameters()).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
     let counted = trainer.checkpoint()?.state.totals.empty_batches;
-    let mut findings = vec![
+    [
         found("batches without a sample", "no parameter moves", moved as f64, 0.0),
         found("batches without a sample", "are counted", if counted >= 1 { 0.0 } else { 1.0 }, 0.0),
-    ];
+    ]
+    .into_iter()
+    .for_each(&mut *tell);
 
     let views = photographs(&[camera(16, 0), camera(16, 1)], 1, hash);
     let mut trainer = Trainer::new(make()?, &config, views)?;
@@ -182,13 +184,13 @@ fn empty<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     }
     let after = trainer.checkpoint()?.state.totals;
     let recovers = after.samples > kept && after.empty_batches >= 1;
-    findings.push(found(
+    tell(found(
         "an occupancy grid gone empty",
         "recovers, and says so",
         if recovers { 0.0 } else { 1.0 },
         0.0,
     ));
-    Ok(findings)
+    Ok(())
 }
 
 /// Steps of a long run.
@@ -196,7 +198,7 @@ const LONG: u64 = 100_000;
 
 /// A run of a hundred thousand steps on a small scene: it learns and does not unlearn, no number leaves its range, the
 /// schedule ends where it is written to, and memory does not grow.
-pub fn long<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
+pub fn long<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut config = small();
     config.train.steps = LONG;
     config.train.samples_per_step = 256;
@@ -218,14 +220,16 @@ pub fn long<B: Backend>(make: Make<'_, B>) -> Result<Vec<Finding>> {
     let optimizer = &config.optimizer;
     let written = optimizer.learning_rate * optimizer.decay_factor.powi(optimizer.milestones.len() as i32);
     let case = "100,000 steps on a small scene";
-    let mut findings = vec![
+    [
         found(case, "losses and parameters stay finite", strange, 0.0),
         found(case, "the last loss in parts of that after a tenth", late / early, 1.0),
         found(case, "the learning rate ends as written", (rate - written).abs() / written, 1e-12),
-    ];
+    ]
+    .into_iter()
+    .for_each(&mut *tell);
     if let Some((before, after)) = memory.zip(peak_memory()) {
         let growth = (after - before) as f64 / before as f64;
-        findings.push(found(case, "memory grows by nothing after a tenth, in parts", growth, 0.02));
+        tell(found(case, "memory grows by nothing after a tenth, in parts", growth, 0.02));
     }
-    Ok(findings)
+    Ok(())
 }

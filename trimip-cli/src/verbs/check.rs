@@ -1,6 +1,6 @@
 //! `check`: the catalogue of stiff and extreme cases on the backends of this build, as one table.
 
-use crate::{args::CheckArguments, backends, check::Finding, terminal};
+use crate::{args::CheckArguments, backends, check::Finding, progress::spinner, terminal};
 use serde_json::json;
 use trimip_core::{Error, Result, tensors::write_atomically};
 
@@ -14,21 +14,33 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
         true => backends::usable(),
         false => arguments.backend.clone(),
     };
-    terminal::line(format!(
-        "{:<9} {:<8} {:<46} {:<62} {:>10} {:>10}",
-        "part", "backend", "case", "law", "worst", "bound"
-    ));
+    let watched = terminal::watched();
+    if !watched {
+        let [worst, bound] = ["worst", "bound"];
+        terminal::line(row(["part", "backend", "case", "law"], &format!("{worst:>10} {bound:>10}")));
+    }
     for name in &chosen {
-        let mut tell = |finding: &Finding| {
+        // Cases of a software adapter take seconds each: something moves from the first on.
+        let bar = spinner();
+        bar.set_message(name.clone());
+        let mut tell = |finding: Finding| {
+            let Finding { part, case, law, worst, bound } = &finding;
             let verdict = if finding.holds() { "" } else { "  BROKEN" };
-            terminal::line(format!(
-                "{:<9} {name:<8} {:<46} {:<62} {:>10.1e} {:>10.1e}{verdict}",
-                finding.part, finding.case, finding.law, finding.worst, finding.bound
-            ));
+            if watched {
+                bar.suspend(|| {
+                    terminal::prose(format!(
+                        "{part}, {case}: {law}: {worst:.1e}, at most {bound:.1e}{verdict}"
+                    ))
+                });
+            } else {
+                let numbers = format!("{worst:>10.1e} {bound:>10.1e}{verdict}");
+                terminal::line(row([part, name, case, law], &numbers));
+            }
+            all.push((name.clone(), finding));
+            bar.set_message(format!("{name}, {}", terminal::count(all.len() as u64, "law")));
         };
-        let findings =
-            backends::catalogue(name, &arguments.adapter, arguments.threads, arguments.long, &mut tell)?;
-        all.extend(findings.into_iter().map(|finding| (name.clone(), finding)));
+        backends::catalogue(name, &arguments.adapter, arguments.threads, arguments.long, &mut tell)?;
+        bar.finish_and_clear();
     }
     let broken = all.iter().filter(|(_, finding)| !finding.holds()).count();
     if let Some(path) = &arguments.json {
@@ -44,9 +56,22 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
             serde_json::to_string_pretty(&json!({ "cases": cases, "broken": broken })).map_err(Error::run)?;
         write_atomically(path, text.as_bytes())?;
     }
-    terminal::line(format!("{} laws on {}: {broken} broken", all.len(), chosen.join(", ")));
+    terminal::line(format!(
+        "{} on {}: {broken} broken",
+        terminal::count(all.len() as u64, "law"),
+        chosen.join(", ")
+    ));
     match broken {
         0 => Ok(0),
-        _ => Err(Error::run(format!("{broken} of {} laws are broken", all.len()))),
+        _ => Err(Error::run(format!(
+            "{broken} of {} {} broken",
+            terminal::count(all.len() as u64, "law"),
+            if broken == 1 { "is" } else { "are" }
+        ))),
     }
+}
+
+/// A line of the table that no terminal is wide enough for.
+fn row([part, backend, case, law]: [&str; 4], numbers: &str) -> String {
+    format!("{part:<9} {backend:<8} {case:<46} {law:<62} {numbers}")
 }

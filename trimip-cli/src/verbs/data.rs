@@ -2,27 +2,32 @@
 
 use crate::{
     args::{DataAction, DataArguments, SettingsArguments},
+    progress::by_rows,
     run_folder, settings, terminal,
 };
 use std::path::Path;
 use trimip_core::{Config, Error, Result};
+use trimip_data::Watch;
 
 /// Does one thing with a data set.
 pub fn run(arguments: &DataArguments) -> Result<u8> {
     match &arguments.action {
         DataAction::Inspect { root, settings } => {
             let config = with_root(settings, root.as_deref())?;
-            trimip_data::inspect(&config.data)?.iter().for_each(terminal::prose);
+            let lines = by_rows("reading photographs", |watch| trimip_data::inspect(&config.data, watch))?;
+            lines.iter().for_each(terminal::prose);
         }
         DataAction::Multiscale { out, root, settings } => {
             let config = with_root(settings, root.as_deref())?;
             run_folder::create_writable(out)?;
-            terminal::line(trimip_data::write_multiscale(&config.data, out)?);
+            let write = |watch: Watch<'_>| trimip_data::write_multiscale(&config.data, out, watch);
+            terminal::line(by_rows("writing photographs", write)?);
         }
         DataAction::Builtin { out, settings } => {
             let (_, config) = settings::load(settings)?;
             run_folder::create_writable(out)?;
-            terminal::line(trimip_data::write_builtin(&config.data, out)?);
+            let write = |watch: Watch<'_>| trimip_data::write_builtin(&config.data, out, watch);
+            terminal::line(by_rows("rendering photographs", write)?);
         }
     }
     Ok(0)

@@ -31,6 +31,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         terminal::note(format!("warning: {warning}"));
     }
     let mut session = backends::load(&model)?;
+    backends::software_remark(&config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
 
     let (started, stride) = (Instant::now(), arguments.stride as usize);

@@ -40,6 +40,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     run_folder::create_writable(&out)?;
     let stop = interrupt::install()?;
     let mut session = backends::load(&model)?;
+    backends::software_remark(&config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
     let ranged = arguments.what.contains(&Quantity::Depth).then_some(&config.scene);
     write_cameras(&out.join("cameras.json"), &cameras, ranged)?;

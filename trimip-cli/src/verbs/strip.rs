@@ -100,7 +100,7 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
     let background = config.data.background;
     if config.data.format == Format::Builtin {
         let DataConfig { builtin_supersampling, builtin_finish, .. } = config.data;
-        let pixels = trimip_data::builtin::render(camera, builtin_supersampling, builtin_finish);
+        let pixels = trimip_data::builtin::render(camera, builtin_supersampling, builtin_finish, &|| ());
         let rgb =
             pixels.into_iter().map(|pixel| composite_pixel(pixel, Alpha::Straight, background)).collect();
         return Ok(Some(Picture { width: camera.intrinsics.width, height: camera.intrinsics.height, rgb }));

@@ -65,15 +65,16 @@ pub fn test_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
 
 /// Straight 8-bit RGBA of the scene, row by row: the mean over `supersampling`² rays per pixel at the centres of a
 /// regular grid. Colour is the mean over the rays that hit, alpha their share; both are rounded. `finish` says which
-/// surfaces mirror and shine.
-pub fn render(camera: &Camera, supersampling: u32, finish: Finish) -> Vec<[u8; 4]> {
+/// surfaces mirror and shine. `row` is called after each row, from any thread.
+pub fn render(camera: &Camera, supersampling: u32, finish: Finish, row: &(dyn Fn() + Sync)) -> Vec<[u8; 4]> {
     let k = camera.intrinsics;
     let n = supersampling.max(1);
     let mut pixels = vec![[0; 4]; k.width as usize * k.height as usize];
-    pixels.par_chunks_mut(k.width.max(1) as usize).enumerate().for_each(|(y, row)| {
-        for (x, pixel) in row.iter_mut().enumerate() {
+    pixels.par_chunks_mut(k.width.max(1) as usize).enumerate().for_each(|(y, pixels)| {
+        for (x, pixel) in pixels.iter_mut().enumerate() {
             *pixel = render_pixel(camera, x as f64, y as f64, n, finish);
         }
+        row();
     });
     pixels
 }
@@ -166,8 +167,8 @@ mod tests {
     #[test]
     fn more_rays_converge() {
         let camera = orbit(Intrinsics::from_angle(48, 48, CAMERA_ANGLE_X), CAMERA_RADIUS, 0.5, 0.7);
-        let truth = render(&camera, 64, Finish::Mixed);
-        let errors = [1, 2, 4, 8, 16].map(|n| difference(&render(&camera, n, Finish::Mixed), &truth));
+        let truth = render(&camera, 64, Finish::Mixed, &|| ());
+        let errors = [1, 2, 4, 8, 16].map(|n| difference(&render(&camera, n, Finish::Mixed, &|| ()), &truth));
         assert!(errors.windows(2).all(|pair| pair[1] < 0.7 * pair[0]), "{errors:?}");
         assert!(errors[3] < 0.01, "{errors:?}");
     }
@@ -176,7 +177,7 @@ mod tests {
     fn leaving_out_far_shapes_changes_no_pixel() {
         let camera = orbit(Intrinsics::from_angle(40, 30, CAMERA_ANGLE_X), 2.5, 0.4, 2.0);
         let k = camera.intrinsics;
-        let pixels = render(&camera, 1, Finish::Mixed);
+        let pixels = render(&camera, 1, Finish::Mixed, &|| ());
         for y in 0..k.height {
             for x in 0..k.width {
                 let cone = camera.cone::<f64>(x, y);
@@ -198,7 +199,7 @@ mod tests {
         let (train, test) = (train_cameras(k, 48), test_cameras(k, 12));
         for camera in train.iter().chain(&test) {
             assert!((camera.origin.length() - CAMERA_RADIUS).abs() < 1e-12 && camera.origin.z > 0.0);
-            let pixels = render(camera, 1, Finish::Mixed);
+            let pixels = render(camera, 1, Finish::Mixed, &|| ());
             let border = (0..64).flat_map(|i| [i, 63 * 64 + i, 64 * i, 64 * i + 63]);
             assert!(border.into_iter().all(|i| pixels[i][3] == 0));
             assert!(pixels.iter().filter(|pixel| pixel[3] > 0).count() > 64 * 64 / 8);

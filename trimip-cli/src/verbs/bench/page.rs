@@ -6,7 +6,7 @@ use crate::curves::reach_json;
 use crate::machine::{Machine, version};
 use crate::report::beside::{self, Entry};
 use crate::report::{page, svg};
-use crate::settings;
+use crate::{settings, terminal};
 use serde_json::{Value, json};
 use trimip_core::{Config, Error, Result, tensors::write_atomically};
 
@@ -76,10 +76,10 @@ fn html(
     });
     let content = [
         format!(
-            "<header><h1>Bench of {} variants</h1><p class=\"lead\">{}, {} threads at most.</p></header>\n",
-            rows.len(),
+            "<header><h1>Bench of {}</h1><p class=\"lead\">{}, {} at most.</p></header>\n",
+            terminal::count(rows.len() as u64, "variant"),
             page::escape(&machine.cpu),
-            machine.cores
+            terminal::count(machine.cores as u64, "thread")
         ),
         page::plot("Error against time", lines, "One line for each run, one colour for each variant."),
         format!(

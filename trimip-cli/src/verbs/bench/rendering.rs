@@ -7,10 +7,12 @@ use super::stages::{self, StageError};
 use crate::args::BenchArguments;
 use crate::curves::aligned;
 use crate::machine::Machine;
+use crate::progress::{by_rows, spinner};
 use crate::{backends, run_folder, settings, terminal};
 use serde::Serialize;
 use serde_json::json;
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 use trimip_core::config::Precision;
 use trimip_core::exact::Exact;
@@ -19,6 +21,7 @@ use trimip_core::model::{Model, OCCUPANCY};
 use trimip_core::occupancy;
 use trimip_core::tensors::{Tensor, write_atomically};
 use trimip_core::{Camera, Error, Result};
+use trimip_data::Watch;
 
 /// Steps along the diagonal of the reference; half as many show how far it is from its own limit.
 const REFERENCE_STEPS: u32 = 16_384;
@@ -52,9 +55,15 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     terminal::aside(format!("the reference: {width}x{height} pixels in f64, {REFERENCE_STEPS} steps"));
     let exact = Exact::new(&model)?;
-    let reference = picture(&exact, &camera, REFERENCE_STEPS);
-    let own = distance(&picture(&exact, &camera, REFERENCE_STEPS / 2), &reference);
+    let exactly = |doing, steps| by_rows(doing, |watch| picture(&exact, &camera, steps, watch));
+    let reference = exactly("the reference", REFERENCE_STEPS);
+    let own = distance(&exactly("the reference with half the steps", REFERENCE_STEPS / 2), &reference);
 
+    let bar = spinner();
+    let measure = |model: &Model, across: u32, varied: &'static str, value: String| {
+        bar.set_message(format!("{varied}: {value}"));
+        measure(model, &camera, across, &reference, varied, value)
+    };
     let mut rows: Vec<Row> = Vec::new();
     let mut before: Option<f64> = None;
     for steps in [64, 128, 256, 512, 1024, 2048, 4096] {
@@ -64,7 +73,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         (other.config.renderer.min_transmittance, other.config.renderer.min_weight) = (1e-9, 0.0);
         other.config.renderer.step_scale = trimip_core::schedule::Schedule::new(vec![[0.0, 1.0]]);
         other.config.renderer.step_per_radius = 0.0;
-        let mut row = measure(&other, &camera, &reference, "steps along the diagonal", steps.to_string())?;
+        let mut row = measure(&other, 1, "steps along the diagonal", steps.to_string())?;
         row.order = before.map(|before| (before / row.error).log2());
         before = Some(row.error);
         rows.push(row);
@@ -72,17 +81,17 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     for least in [0.1_f32, 1e-2, 1e-3, 1e-4, 1e-6, 1e-9] {
         let mut other = model.clone();
         other.config.renderer.min_transmittance = least;
-        rows.push(measure(&other, &camera, &reference, "least transmittance", format!("{least:e}"))?);
+        rows.push(measure(&other, 1, "least transmittance", format!("{least:e}"))?);
     }
     for least in [0.0_f32, 1e-5, 1e-4, 1e-3, 1e-2] {
         let mut other = model.clone();
         other.config.renderer.min_weight = least;
-        rows.push(measure(&other, &camera, &reference, "least weight", format!("{least:e}"))?);
+        rows.push(measure(&other, 1, "least weight", format!("{least:e}"))?);
     }
     let mut coarser = model.clone();
     loop {
         let cells = coarser.config.occupancy.resolution;
-        rows.push(measure(&coarser, &camera, &reference, "occupancy cells a side", cells.to_string())?);
+        rows.push(measure(&coarser, 1, "occupancy cells a side", cells.to_string())?);
         if !cells.is_multiple_of(8) || cells <= 16 {
             break;
         }
@@ -96,22 +105,24 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         other.config.field.precision = precision;
         let session = backends::load(&other)?;
         if session.notes().is_empty() {
-            rows.push(measure(&other, &camera, &reference, "precision", name.into())?);
+            rows.push(measure(&other, 1, "precision", name.into())?);
         }
     }
     for across in [1, 2, 4] {
         let rays = (across * across).to_string();
-        rows.push(measure_supersampled(&model, &camera, across, &reference, "rays a pixel", rays)?);
+        rows.push(measure(&model, across, "rays a pixel", rays)?);
     }
-    let text = table(&rows);
-    terminal::line(&text);
-    terminal::line(format!(
+    bar.suspend(|| terminal::line(table(&rows)));
+    let remark = format!(
         "the reference itself is {own:.1e} from that of half its steps; order to be expected: 1, for the grid's cells begin \
          and end the medium, 2 within it; {} backend, {}",
         model.config.backend,
         Machine::detect().cpu
-    ));
+    );
+    bar.suspend(|| terminal::prose(remark));
+    bar.set_message("stages");
     let stages = stages::measure(&model, &camera)?;
+    bar.finish_and_clear();
     terminal::line(stage_table(&stages));
     run_folder::create_writable(&arguments.out)?;
     let report = json!({
@@ -165,11 +176,12 @@ fn resize(camera: &mut Camera, width: u32, height: u32, scale: f64) {
     }
 }
 
-/// A whole picture in f64, on all cores.
-fn picture(exact: &Exact, camera: &Camera, steps: u32) -> Picture {
+/// A whole picture in f64, on all cores; `watch` is told of its rows.
+fn picture(exact: &Exact, camera: &Camera, steps: u32, watch: Watch<'_>) -> Picture {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let mut pixels = vec![[0.0; 3]; (width * height) as usize];
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let done = AtomicU64::new(0);
     let next = std::sync::Mutex::new(pixels.chunks_mut(width as usize).enumerate());
     std::thread::scope(|scope| {
         for _ in 0..threads {
@@ -179,6 +191,7 @@ fn picture(exact: &Exact, camera: &Camera, steps: u32) -> Picture {
                     for (x, pixel) in row.iter_mut().enumerate() {
                         *pixel = exact.pixel(camera, x as u32, y as u32, steps);
                     }
+                    watch(1 + done.fetch_add(1, Ordering::Relaxed), height.into());
                 }
             });
         }
@@ -191,18 +204,8 @@ fn distance(a: &Picture, b: &Picture) -> f64 {
     (squares.sum::<f64>() / (3 * a.len()) as f64).sqrt()
 }
 
+/// Error and time of a model's picture with `across`² cones in each pixel, as much narrower, whose mean it is.
 fn measure(
-    model: &Model,
-    camera: &Camera,
-    reference: &Picture,
-    varied: &'static str,
-    value: String,
-) -> Result<Row> {
-    measure_supersampled(model, camera, 1, reference, varied, value)
-}
-
-/// The same with `across`² cones in each pixel, as much narrower, whose mean it is.
-fn measure_supersampled(
     model: &Model,
     camera: &Camera,
     across: u32,
