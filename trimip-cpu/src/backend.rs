@@ -21,7 +21,7 @@ use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Field, Layout, Pixel, Result, ViewSet};
 
 /// Samples that the rays rendered at once have at most, about: what bounds the memory of a worker.
-pub const SAMPLES_AT_ONCE: usize = 4096;
+pub const SAMPLES_AT_ONCE: usize = 1536;
 
 /// Samples of a ray of which nothing is known yet.
 const UNKNOWN_RAY: f32 = 256.0;
@@ -81,6 +81,14 @@ impl CpuBackend {
         self.pool.current_num_threads()
     }
 
+    /// Precision of the networks' products: that of the settings where it pays.
+    fn precision(&self, config: &Config) -> Precision {
+        match config.field.precision {
+            Precision::Bf16 if self.simd.has_bf16() => Precision::Bf16,
+            Precision::F32 | Precision::Bf16 | Precision::F16 => Precision::F32,
+        }
+    }
+
     /// Runs `work` with a workspace that no other worker has.
     fn with_workspace(&self, field: &CpuField, work: impl FnOnce(&mut Workspace<Self>)) {
         let pooled = self.workspaces.lock().ok().and_then(|mut pool| pool.pop());
@@ -117,6 +125,11 @@ impl Backend for CpuBackend {
     fn notes(&self, config: &Config) -> Vec<String> {
         match config.field.precision {
             Precision::F16 => vec!["field.precision = \"f16\" is a GPU's: the CPU computes in f32".into()],
+            Precision::Bf16 if !self.simd.has_bf16() => vec![
+                "field.precision = \"bf16\" is faster with AVX-512 BF16 alone, which this processor lacks: it computes in \
+                 f32"
+                    .into(),
+            ],
             Precision::F32 | Precision::Bf16 => Vec::new(),
         }
     }
@@ -134,7 +147,7 @@ impl Backend for CpuBackend {
         }
         Ok(Stages {
             encoder: CpuEncoder::new(self.simd, config, training),
-            field: CpuField::new(self.simd, config, &layout),
+            field: CpuField::new(self.simd, config, &layout, self.precision(config)),
             renderer: CpuRenderer::new(self.simd, config),
             optimizer: CpuOptimizer::new(self.simd, config, &layout, training),
             sampler: CpuSampler::new(config, views),

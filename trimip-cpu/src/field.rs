@@ -9,6 +9,7 @@ use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
 use trimip_core::activation::{density, density_derivative, sigmoid, sigmoid_derivative};
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
+use trimip_core::config::Precision;
 use trimip_core::params::{GEOMETRY, Kind, Slot, color_layers, density_layers};
 use trimip_core::sh::{self, spherical_harmonics};
 use trimip_core::tri_mip::FEATURES;
@@ -82,25 +83,20 @@ pub struct FieldGradient {
 }
 
 impl CpuField {
-    /// The networks of a configuration.
-    pub fn new(simd: Simd, config: &Config, layout: &Layout) -> Self {
+    /// The networks of a configuration, with products in `precision`.
+    pub fn new(simd: Simd, config: &Config, layout: &Layout, precision: Precision) -> Self {
         let density_shapes = density_layers(config);
         // The density logit is no input of the colour network.
         let harmonics = if config.field.directions { sh::COUNT } else { 0 };
         let geometry_rows = std::iter::once(None).chain((harmonics..harmonics + GEOMETRY).map(Some));
         Self {
             simd,
-            density: Mlp::new(
-                &density_shapes,
-                (0..FEATURES).map(Some).collect(),
-                Vec::new(),
-                config.field.precision,
-            ),
+            density: Mlp::new(&density_shapes, (0..FEATURES).map(Some).collect(), Vec::new(), precision),
             color: Mlp::new(
                 &color_layers(config),
                 geometry_rows.collect(),
                 (0..harmonics).map(Some).collect(),
-                config.field.precision,
+                precision,
             ),
             slots: layout.slots.iter().filter(|slot| slot.kind == Kind::Network).cloned().collect(),
             density_layers: density_shapes.len(),

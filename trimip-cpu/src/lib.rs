@@ -90,7 +90,7 @@ pub fn compute(threads: u32) -> Compute {
     Compute {
         name: format!("{threads} {} of {simd:?}", if threads == 1 { "thread" } else { "threads" }),
         samples_per_second: threads as f64 * samples_per_second(simd),
-        bf16: simd == Simd::Avx512Bf16,
+        bf16: simd.has_bf16(),
         wide: false,
     }
 }

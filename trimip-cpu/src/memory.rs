@@ -9,12 +9,14 @@ use trimip_core::tri_mip::{FEATURES, Pyramid};
 use trimip_core::{Aabb, Config, Layout, Pixel, ViewSet};
 
 /// The program itself with its libraries, and the threads' own allocators, on Linux.
-const PROGRAM: u64 = 16_000_000;
+const PROGRAM: u64 = 10_000_000;
 
-/// Room that a worker's buffers take for what they hold: they grow by doubling, and leave behind what they outgrew.
-const GROWN: f64 = 1.8;
+/// Samples of the rays that a worker renders at once, in parts of what they should have: the longest ray is guessed from
+/// the rays before.
+const AT_ONCE: f64 = 1.3;
 
-/// The same of deposits, whose fill varies from step to step besides.
+/// Room that deposits take for the samples that a step aims at: their fill varies from step to step, and they grow by
+/// doubling.
 const DEPOSITS_GROWN: f64 = 2.5;
 
 /// Name and bytes of each part; `threads` workers.
@@ -28,6 +30,10 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
     // A sample's gradient, its place, and its number in the lists of the bands that it touches.
     let deposit = 4 * FEATURES + size_of::<Sphere>() + 4 * 3 * 2;
     let copies = floats(4 * layout.len() + cells);
+    // Numbers of the cells that are asked at once, gathered by doubling, and their densities.
+    let probe = 2 * 4 + size_of::<Radiance>();
+    let asked = config.occupancy.warmup_fraction.max(2.0 * config.occupancy.fraction);
+    let probes = (asked.min(1.0) * (cells * probe) as f32) as usize;
     vec![
         ("program".into(), PROGRAM),
         ("training images".into(), views.bytes() as u64),
@@ -40,11 +46,8 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
             grown(deposit * config.train.samples_per_step as usize, DEPOSITS_GROWN),
         ),
         ("network gradients".into(), floats(deposits * weights) + (deposits * 3 * BANDS * 24) as u64),
-        (
-            "occupancy grid and its probes".into(),
-            (cells * (4 + 2 * 4 + size_of::<Radiance>()) + cells / 8) as u64,
-        ),
-        ("activations of all workers".into(), grown(threads * worker(config), GROWN)),
+        ("occupancy grid and its probes".into(), (cells * 4 + cells / 8 + probes) as u64),
+        ("activations of all workers".into(), grown(threads * worker(config), AT_ONCE)),
         ("copies for a checkpoint, or a view being measured".into(), copies.max(measured(views))),
     ]
 }

@@ -20,6 +20,11 @@ impl Simd {
         Self::available()[0]
     }
 
+    /// True where products of bf16 have instructions of their own, and are faster than those of f32.
+    pub fn has_bf16(self) -> bool {
+        self == Self::Avx512Bf16
+    }
+
     /// All sets of this processor, widest first.
     pub fn available() -> Vec<Self> {
         #[allow(unused_mut)]

@@ -18,6 +18,9 @@ const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
 /// Samples of a budget from which marching steps end at the uniform step, and from which at half of it.
 const FINE_STEPS: [f64; 2] = [1.5e9, 4e9];
 
+/// Levels that every sphere is sharper by: what coarse views win is more than what the finest ones lose.
+const LEVEL_BIAS: f64 = -0.5;
+
 /// Steps that a run has at least, so that its schedules have room.
 const LEAST_STEPS: f64 = 1500.0;
 
@@ -85,8 +88,11 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
         _ if long => &[[0.0, 8.0], [0.1, 4.0], [0.4, 2.0], [0.7, 1.0]],
         _ => &[[0.0, 8.0], [0.1, 4.0], [0.5, 2.0]],
     };
-    let mut changes =
-        vec![("field.hidden", Value::Integer(hidden.into())), ("renderer.step_scale", pieces(step_scale))];
+    let mut changes = vec![
+        ("field.hidden", Value::Integer(hidden.into())),
+        ("renderer.step_scale", pieces(step_scale)),
+        ("encoder.level_bias", Value::Float(LEVEL_BIAS)),
+    ];
     if config.train.steps == 0 {
         changes.push(("train.samples_per_step", Value::Integer(per_step)));
     }
@@ -99,7 +105,6 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     if samples >= FINE_STEPS[1] {
         let milestones = [0.437, 0.583, 0.68, 0.758, 0.816, 0.865, 0.904, 0.933, 0.98];
         changes.push(("optimizer.milestones", Value::Array(milestones.map(Value::Float).to_vec())));
-        changes.push(("encoder.level_bias", Value::Float(-0.5)));
     }
     changes.retain(|(path, _)| !context.given(path));
     if changes.is_empty() {
