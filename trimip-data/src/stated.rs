@@ -1,7 +1,7 @@
 //! Where a transforms file says that the scene is: points from structure from motion (`ply_file_path`, nerfstudio), or
 //! Instant-NGP's `aabb_scale` with its `scale` and `offset`. World units of the file's poses.
 
-use crate::json::Node;
+use crate::{describe::count, json::Node};
 use ply_rs_bw::{
     parser::Parser,
     ply::{DefaultElement, Property},
@@ -27,7 +27,7 @@ pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Option<StatedBox>> {
         let named = value.as_str().ok_or_else(|| file.unexpected("ply_file_path", "a text", value))?;
         let points = points(&root.join(named), &file.place)?;
         if points.len() >= LEAST_POINTS {
-            let source = format!("around the points of {named} ({})", points.len());
+            let source = format!("around {} of {named}", count(points.len(), "point"));
             return Ok(Some(StatedBox { aabb: around(&points), source }));
         }
     }
