@@ -63,6 +63,8 @@ pub fn deposits(samples: u32) -> usize {
 pub struct CpuBackend {
     pool: rayon::ThreadPool,
     simd: Simd,
+    /// Products of bf16 are computed where the processor has no instructions for them too.
+    emulates_bf16: bool,
     workspaces: Mutex<Vec<Workspace<Self>>>,
 }
 
@@ -73,7 +75,13 @@ impl CpuBackend {
             .num_threads(threads as usize)
             .build()
             .map_err(|error| Error::device(format!("cannot start {threads} threads: {error}")))?;
-        Ok(Self { pool, simd, workspaces: Mutex::new(Vec::new()) })
+        Ok(Self { pool, simd, emulates_bf16: true, workspaces: Mutex::new(Vec::new()) })
+    }
+
+    /// The same, but what is set to bf16 is computed in f32 where bf16 has no instructions: it would be slower and rounded.
+    pub fn without_emulation(mut self) -> Self {
+        self.emulates_bf16 = false;
+        self
     }
 
     /// Threads at work.
@@ -84,7 +92,7 @@ impl CpuBackend {
     /// Precision of the networks' products: that of the settings where it pays.
     fn precision(&self, config: &Config) -> Precision {
         match config.field.precision {
-            Precision::Bf16 if self.simd.has_bf16() => Precision::Bf16,
+            Precision::Bf16 if self.emulates_bf16 || self.simd.has_bf16() => Precision::Bf16,
             Precision::F32 | Precision::Bf16 | Precision::F16 => Precision::F32,
         }
     }
@@ -125,7 +133,7 @@ impl Backend for CpuBackend {
     fn notes(&self, config: &Config) -> Vec<String> {
         match config.field.precision {
             Precision::F16 => vec!["field.precision = \"f16\" is a GPU's: the CPU computes in f32".into()],
-            Precision::Bf16 if !self.simd.has_bf16() => vec![
+            Precision::Bf16 if self.precision(config) == Precision::F32 => vec![
                 "field.precision = \"bf16\" is faster with AVX-512 BF16 alone, which this processor lacks: it computes in \
                  f32"
                     .into(),

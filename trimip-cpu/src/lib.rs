@@ -55,7 +55,7 @@ use trimip_core::{Config, Result, Session, ViewSet};
 
 /// A fresh model to be trained on `views`, with the configured number of threads.
 pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
-    let backend = CpuBackend::new(config.threads, Simd::detect())?;
+    let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
@@ -102,6 +102,6 @@ pub fn features() -> String {
 
 /// A finished model to render, with `threads` threads (0: all cores).
 pub fn load(model: &Model, threads: u32) -> Result<Box<dyn Session>> {
-    let backend = CpuBackend::new(threads, Simd::detect())?;
+    let backend = CpuBackend::new(threads, Simd::detect())?.without_emulation();
     Ok(Box::new(Trainer::from_model(backend, model)?))
 }
