@@ -45,14 +45,20 @@ pub(super) fn texel(context: &Context<'_>) -> f64 {
     match footprint(context.facts.train, &Aabb::new(&context.now.scene)).filter(|_| sets_planes(context)) {
         Some(footprint) => {
             let most = f64::from(context.configured.encoder.plane_size);
-            (texel_in_pixels(context) * footprint).clamp(longest / most, longest / LEAST_TEXELS.min(most))
+            (width_for_budget(context) * footprint).clamp(longest / most, longest / LEAST_TEXELS.min(most))
         }
         None => configured_texel(context.configured),
     }
 }
 
+/// Width of the texels to be, in widths of what a pixel sees; `None` where there is no photograph.
+pub(super) fn texel_in_pixels(context: &Context<'_>) -> Option<f64> {
+    let footprint = footprint(context.facts.train, &Aabb::new(&context.now.scene))?;
+    Some(texel(context) / footprint)
+}
+
 /// Width of a texel in widths of what a pixel sees, for the budget.
-fn texel_in_pixels(context: &Context<'_>) -> f64 {
+fn width_for_budget(context: &Context<'_>) -> f64 {
     let samples = recipe::budget(context.now, context.facts.compute.samples_per_second);
     TEXELS.iter().find(|(most, _)| samples < *most).map_or(1.6, |(_, width)| *width)
 }

@@ -325,6 +325,15 @@ mod tests {
     }
 
     #[test]
+    fn levels_are_sharper_where_texels_are_as_fine_as_pixels_see() {
+        let bias = |set: &[&str]| planned(&views(true), set).unwrap().0.encoder.level_bias;
+        assert_eq!(bias(&[]), -0.5);
+        // Planes of 16 texels over the ball: each is as wide as some five pixels.
+        assert_eq!(bias(&["encoder.plane_size=16", "encoder.levels=3"]), 0.0);
+        assert_eq!(bias(&["encoder.level_bias=0.25"]), 0.25, "a setting that is given stays");
+    }
+
+    #[test]
     fn a_small_object_needs_a_small_box_and_given_texels_steps_and_cells_stay_as_wide() {
         let before = Config::default();
         let (config, findings) =

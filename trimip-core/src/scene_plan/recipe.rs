@@ -1,7 +1,7 @@
 //! How a scene is trained: what is behind it, whether models are solids, and how large networks and steps are for the
 //! samples that the budget of time buys on this machine.
 
-use super::{Context, Proposal};
+use super::{Context, Proposal, detail};
 use crate::config::Precision;
 use crate::{Config, ViewSet};
 use toml::Value;
@@ -18,8 +18,12 @@ const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
 /// Samples of a budget from which marching steps end at the uniform step, and from which at half of it.
 const FINE_STEPS: [f64; 2] = [1.5e9, 4e9];
 
-/// Levels that every sphere is sharper by: what coarse views win is more than what the finest ones lose.
+/// Levels that every sphere is sharper by where texels are fine: what coarse views win is more than what the finest ones lose.
 const LEVEL_BIAS: f64 = -0.5;
+
+/// Texels up to this many times as wide as what a pixel sees are fine. Wider ones are all that spheres read, and blur helps
+/// to learn them.
+const FINE_TEXELS: f64 = 3.0;
 
 /// Steps that a run has at least, so that its schedules have room.
 const LEAST_STEPS: f64 = 1500.0;
@@ -88,11 +92,11 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
         _ if long => &[[0.0, 8.0], [0.1, 4.0], [0.4, 2.0], [0.7, 1.0]],
         _ => &[[0.0, 8.0], [0.1, 4.0], [0.5, 2.0]],
     };
-    let mut changes = vec![
-        ("field.hidden", Value::Integer(hidden.into())),
-        ("renderer.step_scale", pieces(step_scale)),
-        ("encoder.level_bias", Value::Float(LEVEL_BIAS)),
-    ];
+    let mut changes =
+        vec![("field.hidden", Value::Integer(hidden.into())), ("renderer.step_scale", pieces(step_scale))];
+    if detail::texel_in_pixels(context).is_some_and(|width| width <= FINE_TEXELS) {
+        changes.push(("encoder.level_bias", Value::Float(LEVEL_BIAS)));
+    }
     if config.train.steps == 0 {
         changes.push(("train.samples_per_step", Value::Integer(per_step)));
     }
