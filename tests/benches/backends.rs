@@ -96,38 +96,45 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         stages.sampler.training_rays(&mut space.lane, 1, rays, 0..rays, &mut space.rays);
     });
     stages.sampler.training_rays(&mut space.lane, 1, rays, 0..rays, &mut space.rays);
-    let Workspace { lane, rays: origins, samples, features, tape, radiance, .. } = &mut space;
+    let Workspace { lane, rays: origins, samples, encoding, features, tape, radiance, .. } = &mut space;
     stages.renderer.march(lane, origins, &stages.occupancy, Some(1), samples);
     let marched = backend.read(&samples.spheres).len() as u64;
     bench("march", marched, &mut || {
         stages.renderer.march(lane, origins, &stages.occupancy, Some(1), samples);
     });
-    bench("encode", marched, &mut || stages.encoder.forward(lane, &parameters, samples, features));
+    bench("encode", marched, &mut || {
+        stages.encoder.forward(lane, &parameters, origins, samples, encoding, features);
+    });
     bench("density", marched, &mut || stages.field.density(lane, samples, features, tape, radiance));
     bench("march to density, pruned", marched, &mut || {
-        backend.see(&stages, &parameters, &mut space, Some(1));
+        stages.renderer.see(&stages, &parameters, &mut space, Some(1));
     });
     let Workspace {
         lane,
         rays: origins,
         samples,
+        encoding,
         features,
         feature_gradients,
         tape,
         radiance,
         radiance_gradients,
+        cones,
         pixels,
         pixel_gradients,
         ..
     } = &mut space;
     let kept = backend.read(&samples.spheres).len() as u64;
     bench("color", kept, &mut || stages.field.color(lane, origins, samples, tape, radiance));
-    bench("composite", kept, &mut || stages.renderer.composite(lane, origins, samples, radiance, pixels));
+    bench("composite", kept, &mut || {
+        stages.renderer.composite(lane, origins, samples, radiance, cones, pixels);
+    });
     bench("loss", kept, &mut || {
         stages.loss.evaluate(lane, origins, samples, pixels, pixel_gradients, &mut deposits[0].sums);
     });
     bench("composite backward", kept, &mut || {
-        stages.renderer.backward(lane, samples, radiance, pixels, pixel_gradients, radiance_gradients);
+        let gradients = &mut *radiance_gradients;
+        stages.renderer.backward(lane, origins, samples, radiance, cones, pixel_gradients, gradients);
     });
     bench("field backward", kept, &mut || {
         stages.field.backward(
@@ -142,8 +149,11 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         );
     });
     bench("scatter and end of step", kept, &mut || {
-        stages.encoder.backward(lane, samples, feature_gradients, &mut deposits[0].encoder);
-        backend.update(&mut stages, &mut parameters, &mut gradient, &mut deposits, 1e-3, 1);
+        let deposit = &mut deposits[0].encoder;
+        let gradients = &*feature_gradients;
+        stages.encoder.backward(lane, &parameters, origins, samples, encoding, gradients, deposit);
+        stages.flush(&mut deposits, &parameters, &mut gradient);
+        backend.update(&mut stages, &mut parameters, &gradient, &deposits, 1e-3, 1);
     });
     backend.health().expect("the device works");
 }

@@ -4,8 +4,8 @@
 use glam::DVec3;
 use trimip_core::{
     Alpha, Camera, Config, Intrinsics, Layout, Scale, View, ViewSet,
-    config::{LevelFormula, Untouched},
-    params::{Kind, Slot},
+    config::{LevelFormula, OptimizerConfig, Untouched},
+    params::Slot,
 };
 
 /// SplitMix64 (Steele et al. 2014): the tests' own random numbers.
@@ -71,18 +71,34 @@ pub fn small() -> Config {
     config
 }
 
+/// The same configuration with the encoder of another one, and the settings that belong to it.
+pub fn encoded(config: Config, by: &Config) -> Config {
+    let optimizer = OptimizerConfig { plane_scale: by.optimizer.plane_scale, ..config.optimizer };
+    Config { encoder: by.encoder.clone(), optimizer, ..config }
+}
+
+/// A small configuration of every encoder.
+pub fn every_encoder() -> Vec<Config> {
+    vec![small()]
+}
+
+/// The same, and variants of them that compute their features another way.
+pub fn every_variant() -> Vec<Config> {
+    every_encoder()
+}
+
 /// Parameters far from their small initial values: texels in ±1, layers 1.5 times Glorot's bound, so that densities run
 /// from nearly nothing to nearly opaque and no ReLU layer is dead.
 pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
     let mut draw = Draw::new(seed);
-    let bound = |slot: &Slot| match slot.kind {
-        Kind::Planes => 1.0,
-        Kind::Network => 1.5 * (6.0 / (slot.shape[0] + slot.shape[1]) as f64).sqrt(),
+    let bound = |slot: &Slot| match slot.name.as_str() {
+        "planes" | "table" => 1.0,
+        _ => 1.5 * (6.0 / (slot.shape[0] + slot.shape[1]) as f64).sqrt(),
     };
-    let mut values = Vec::new();
+    let mut values = vec![0.0; layout.len()];
     for slot in &layout.slots {
         let bound = bound(slot);
-        values.extend(slot.range.clone().map(|_| draw.between(-bound, bound) as f32));
+        values[slot.range.clone()].fill_with(|| draw.between(-bound, bound) as f32);
     }
     values
 }
@@ -136,7 +152,7 @@ pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -
     let last_color = format!("color.{}.weight", config.field.color_layers);
     for slot in &layout.slots {
         let part = &mut values[slot.range.clone()];
-        if slot.kind == Kind::Planes {
+        if slot.name == "planes" {
             part.fill(1.0);
             continue;
         }

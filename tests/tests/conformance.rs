@@ -47,6 +47,26 @@ fn bf16_gradients_are_near_those_of_f32() {
 }
 
 #[test]
+fn a_pixel_is_the_mean_of_its_cones() {
+    on_every_cpu(|make| suite::cones::parts(make));
+}
+
+#[test]
+fn equal_cones_are_one() {
+    on_every_cpu(|make| suite::cones::equal(make));
+}
+
+#[test]
+fn probes_lie_on_their_rays() {
+    with_threads(&[1], |make| suite::probes::on_their_rays(make));
+}
+
+#[test]
+fn bf16_gradients_are_those_of_the_rounded_factors() {
+    with_threads(&[2], |make| suite::gradients::rounded_as_written(make));
+}
+
+#[test]
 fn marching_is_asking_every_step() {
     on_every_cpu(|make| suite::marching::brute_force(make));
 }
@@ -62,8 +82,25 @@ fn a_step_moves_parameters_by_the_written_rule() {
 }
 
 #[test]
+fn a_twin_machine_with_the_same_rays_changes_no_bit() {
+    with_threads(&[2], |make| suite::exchange::twin(make));
+}
+
+#[test]
+fn two_machines_keep_the_same_parameters() {
+    for simd in Simd::available() {
+        suite::exchange::together(|| CpuBackend::new(1, simd).expect("threads start")).expect("both train");
+    }
+}
+
+#[test]
 fn jitter_moves_rays_by_parts_of_a_step() {
     on_every_cpu(|make| suite::marching::jitter(make));
+}
+
+#[test]
+fn what_is_seen_is_what_the_literal_rule_keeps() {
+    with_threads(&[1], |make| suite::seeing::kept(make));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! the samples, to the bit, that asking every step gives.
 
 use trimip_core::{
-    Aabb, Layout, Session,
+    Aabb, Layout, Session, Viewer,
     backend::Occupancy,
     batch::Ray,
     checkpoint::Checkpoint,
@@ -13,9 +13,15 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};
 
-/// What training leaves after some steps with `threads` threads, and a picture of it.
-fn trained(simd: Simd, precision: Precision, threads: u32, seed: u64) -> (Checkpoint, trimip_core::Frame) {
-    let mut config = suite::training::configuration();
+/// What training an encoder leaves after some steps with `threads` threads, and a picture of it.
+fn trained(
+    encoder: &trimip_core::Config,
+    simd: Simd,
+    precision: Precision,
+    threads: u32,
+    seed: u64,
+) -> (Checkpoint, trimip_core::Frame) {
+    let mut config = fixtures::encoded(suite::training::configuration(), encoder);
     (config.seed, config.field.precision) = (seed, precision);
     // The number of deposits is at least 16: several spans share one, and workers race for them.
     config.train.samples_per_step = 4096;
@@ -30,12 +36,16 @@ fn trained(simd: Simd, precision: Precision, threads: u32, seed: u64) -> (Checkp
 #[test]
 fn threads_change_no_bit() {
     let sets = Simd::available().into_iter();
-    for (simd, precision) in sets.flat_map(|simd| [Precision::F32, Precision::Bf16].map(|p| (simd, p))) {
-        let (expected, picture) = trained(simd, precision, 1, 42);
+    let sets: Vec<_> =
+        sets.flat_map(|simd| [Precision::F32, Precision::Bf16].map(|precision| (simd, precision))).collect();
+    for (encoder, (simd, precision)) in
+        fixtures::every_encoder().iter().flat_map(|encoder| sets.iter().map(move |&set| (encoder, set)))
+    {
+        let (expected, picture) = trained(encoder, simd, precision, 1, 42);
         assert!(expected.state.totals.samples > 20_000, "the steps are not empty");
         for threads in [2, 3, 5] {
-            let (found, same) = trained(simd, precision, threads, 42);
-            let name = format!("{simd:?}, {precision:?}, {threads} threads");
+            let (found, same) = trained(encoder, simd, precision, threads, 42);
+            let name = format!("{:?}, {simd:?}, {precision:?}, {threads} threads", encoder.encoder.kind);
             assert_eq!(found.state, expected.state, "{name}");
             for (tensor, value) in &expected.file.tensors {
                 assert!(found.file.tensors.get(tensor) == Some(value), "{name}: `{tensor}` differs");
@@ -47,7 +57,7 @@ fn threads_change_no_bit() {
 
 #[test]
 fn another_seed_gives_another_run() {
-    let run = |seed| trained(Simd::detect(), Precision::F32, 2, seed).0;
+    let run = |seed| trained(&fixtures::small(), Simd::detect(), Precision::F32, 2, seed).0;
     let (first, second) = (run(1), run(2));
     for (name, tensor) in first.file.tensors.iter().filter(|(name, _)| !name.starts_with("occupancy")) {
         assert!(second.file.tensors.get(name) != Some(tensor), "`{name}` is the same");

@@ -183,7 +183,7 @@ fn training_views_are_kept_back_where_there_is_no_test_split() {
     fs::remove_file(folder.join("scene/transforms_test.json")).unwrap();
     let answer = run(folder, &["scene", "--set", "train.steps=20", "--set", "eval.min_gain=0"]);
     done(&answer);
-    assert!(answer.out.contains("every 8th training frame is kept back"), "{}", answer.out);
+    assert!(answer.out.contains("every 8th training frame is held out"), "{}", answer.out);
     let data = report(&folder.join("runs/scene"));
     assert_eq!(data["scales"][0]["images"], 2, "of 16 views");
 }

@@ -1,7 +1,7 @@
 //! The suite that every backend passes, on the GPU, with every way to add texel gradients. What crosses backends stands in
 //! `gpu_and_cpu.rs`.
 
-use trimip_core::{Backend, Layout, Result, Session, config::Precision, trainer::Trainer};
+use trimip_core::{Backend, Layout, Result, Viewer, config::Precision, trainer::Trainer};
 use trimip_tests::{
     fixtures,
     gpu::{ADDITIONS, reproducibly, with},
@@ -27,6 +27,21 @@ fn compositing_is_the_literal_sum() {
 #[test]
 fn whole_pixels_are_the_literal_ones() {
     reproducibly(|make| suite::stages::pixels(make));
+}
+
+#[test]
+fn a_pixel_is_the_mean_of_its_cones() {
+    reproducibly(|make| suite::cones::parts(make));
+}
+
+#[test]
+fn equal_cones_are_one() {
+    reproducibly(|make| suite::cones::equal(make));
+}
+
+#[test]
+fn probes_lie_on_their_rays() {
+    reproducibly(|make| suite::probes::on_their_rays(make));
 }
 
 #[test]
@@ -95,13 +110,18 @@ fn a_step_moves_parameters_by_the_written_rule() {
 }
 
 #[test]
+fn a_twin_machine_with_the_same_rays_changes_no_bit() {
+    reproducibly(|make| suite::exchange::twin(make));
+}
+
+#[test]
 fn jitter_moves_rays_by_parts_of_a_step() {
     reproducibly(|make| suite::marching::jitter(make));
 }
 
 #[test]
-fn seeing_in_pieces_keeps_what_asking_everything_keeps() {
-    reproducibly(|make| suite::seeing::pieces(make));
+fn what_is_seen_is_what_the_literal_rule_keeps() {
+    reproducibly(|make| suite::seeing::kept(make));
 }
 
 #[test]

@@ -178,6 +178,16 @@ pub enum Quantity {
     Opacity,
 }
 
+impl From<Quantity> for trimip::view::Quantity {
+    fn from(quantity: Quantity) -> Self {
+        match quantity {
+            Quantity::Color => Self::Color,
+            Quantity::Depth => Self::Depth,
+            Quantity::Opacity => Self::Opacity,
+        }
+    }
+}
+
 /// Options of `render`.
 #[derive(Args, Debug)]
 #[command(group(clap::ArgGroup::new("cameras").args(["views", "pose", "look_at", "path", "turntable"])))]

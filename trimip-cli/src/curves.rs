@@ -4,7 +4,7 @@ use crate::report::svg::{Line, Point};
 use crate::terminal;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use trimip_core::{Error, Result};
+use trimip::{Error, Result, run::history::History};
 
 /// A curve of error against time.
 #[derive(Debug)]
@@ -57,6 +57,22 @@ impl Curve {
         })?;
         let (points, last) = parse(&path.display().to_string(), &text)?;
         Ok(Self { name, points, last, folder })
+    }
+
+    /// The curve of a run whose history is at hand.
+    ///
+    /// # Errors
+    /// When the run was never evaluated.
+    pub fn of_run(folder: &Path, history: &History) -> Result<Self> {
+        let rows = history.evaluations.iter().map(|e| Evaluated {
+            measure: Measure { seconds: e.totals.seconds, psnr: e.psnr },
+            ends: e.last,
+            views: Some(e.stride.to_string()),
+        });
+        let (points, last) = curve(rows).ok_or_else(|| {
+            Error::input(folder.display(), "the run was not evaluated", "set eval.final = 1")
+        })?;
+        Ok(Self { name: folder.display().to_string(), points, last, folder: Some(folder.to_path_buf()) })
     }
 
     /// When the curve first reaches `psnr`, between two measures by straight lines over the logarithm of time, over time
@@ -129,7 +145,7 @@ fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
     let seconds = column("seconds").ok_or_else(|| missing("seconds"))?;
     let psnr = column("psnr_mean").ok_or_else(|| missing("psnr_mean"))?;
     let (is_last, stride) = (column("last"), column("stride"));
-    let (mut points, mut last, mut views) = (Vec::new(), None, None);
+    let mut rows = Vec::new();
     for (line, number) in lines {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         let value = |column: usize| {
@@ -144,24 +160,39 @@ fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
         };
         let measure = Measure { seconds: value(seconds)?, psnr: value(psnr)? };
         let ends = is_last.is_some_and(|column| cells.get(column) == Some(&"true"));
-        let own = stride.and_then(|column| cells.get(column)).map(|cell| (*cell).to_string());
+        let views = stride.and_then(|column| cells.get(column)).map(|cell| (*cell).to_string());
+        rows.push(Evaluated { measure, ends, views });
+    }
+    curve(rows.into_iter()).ok_or_else(|| Error::input(file, "no measures", "name a run that was evaluated"))
+}
+
+/// One evaluation of a run.
+struct Evaluated {
+    measure: Measure,
+    /// It ended the run.
+    ends: bool,
+    /// Which views it looked at, where that is known.
+    views: Option<String>,
+}
+
+/// The points of a curve by time, and the measure that ended the run on other views; `None` where there is no measure.
+fn curve(rows: impl Iterator<Item = Evaluated>) -> Option<(Vec<Measure>, Option<Measure>)> {
+    let (mut points, mut last, mut before) = (Vec::new(), None, None);
+    for Evaluated { measure, ends, views } in rows {
         if ends {
             last = Some(measure);
         }
         // The last measure belongs to the curve too where it was made on the curve's own views.
-        if !ends || (own.is_some() && own == views) {
+        if !ends || (views.is_some() && views == before) {
             points.push(measure);
-            views = own;
+            before = views;
         }
     }
     points.sort_by(|a: &Measure, b| a.seconds.total_cmp(&b.seconds));
     if points.is_empty() {
         points.extend(last.take());
     }
-    if points.is_empty() {
-        return Err(Error::input(file, "no measures", "name a run that was evaluated"));
-    }
-    Ok((points, last))
+    (!points.is_empty()).then_some((points, last))
 }
 
 /// The [`rows`] for a terminal.
@@ -205,16 +236,16 @@ pub fn aligned(rows: &[Vec<String>]) -> String {
 mod tests {
     use super::*;
 
-    fn curve(text: &str) -> Curve {
+    fn read(text: &str) -> Curve {
         let (points, last) = parse("x.csv", text).unwrap();
         Curve { name: "x".into(), points, last, folder: None }
     }
 
     #[test]
     fn a_curve_reaches_what_lies_between_its_measures() {
-        let from_the_start = curve("seconds,psnr_mean\n0,10\n40,20\n");
+        let from_the_start = read("seconds,psnr_mean\n0,10\n40,20\n");
         let curve =
-            curve("seconds,psnr_mean,last\n100,30,false\n10,20,false\n1000,29,false\n1000,28.5,true\n");
+            read("seconds,psnr_mean,last\n100,30,false\n10,20,false\n1000,29,false\n1000,28.5,true\n");
         assert_eq!(curve.last, Some(Measure { seconds: 1000.0, psnr: 28.5 }));
         // Half way in dB is half way in the logarithm of time.
         assert!((curve.reaches(25.0).unwrap().seconds - 1000_f64.sqrt()).abs() < 1e-9);
@@ -230,12 +261,12 @@ mod tests {
     #[test]
     fn a_last_measure_on_the_same_views_ends_the_curve() {
         let text = |stride| format!("seconds,psnr_mean,stride,last\n10,20,25,false\n20,30,{stride},true\n");
-        assert_eq!((curve(&text(25)).points.len(), curve(&text(1)).points.len()), (2, 1));
+        assert_eq!((read(&text(25)).points.len(), read(&text(1)).points.len()), (2, 1));
     }
 
     #[test]
     fn a_run_measured_at_its_end_alone_is_a_point() {
-        let curve = curve("seconds,psnr_mean,last\n100,30,true\n");
+        let curve = read("seconds,psnr_mean,last\n100,30,true\n");
         assert_eq!((curve.points.len(), curve.last), (1, None));
     }
 

@@ -1,9 +1,9 @@
 //! Whether the report in a run folder is whole, of this version of the program, and no older than what it tells of.
 
-use crate::{machine, run_folder::RunFolder};
 use serde_json::Value;
 use std::path::Path;
 use std::time::SystemTime;
+use trimip::{RunFolder, machine};
 
 /// True when nothing would change in the report if it were written again.
 pub fn report_is_fresh(folder: &RunFolder) -> bool {

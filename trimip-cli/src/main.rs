@@ -2,26 +2,16 @@
 //! its quality floor, 2 the user's input is wrong, 3 the device failed, 130 stopped by Ctrl-C (what was done is saved).
 
 mod args;
-mod backends;
 mod cameras;
 mod check;
 mod curves;
 mod fresh;
-mod guard;
-mod history;
 mod interrupt;
-mod machine;
-mod pictures;
-mod plan;
 mod progress;
 mod report;
-mod run_folder;
 mod settings;
-mod store;
 mod terminal;
-mod turntable;
 mod verbs;
-mod verdict;
 
 use clap::{Parser, error::ErrorKind};
 use std::process::ExitCode;

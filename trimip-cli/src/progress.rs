@@ -1,14 +1,12 @@
-//! Who listens to a run: the history for the report, `metrics.jsonl`, and the user, by a bar on a terminal or by the
-//! same JSON lines on standard output.
+//! What the user sees of a run: a bar on a terminal, or one JSON object an event on standard output.
 
-use crate::{args::ProgressStyle, history::History, report::csv, run_folder::RunFolder, terminal};
+use crate::{args::ProgressStyle, terminal};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
-use std::fs::File;
-use std::io::Write;
+use std::sync::OnceLock;
 use std::time::Duration;
 use trimip_core::evaluate::mean_quality;
 use trimip_core::{
-    Error, Result,
+    Result,
     config::DataConfig,
     events::{Event, EventSink, ScaleQuality},
 };
@@ -16,6 +14,9 @@ use trimip_data::{Scene, Watch};
 
 /// The bar of a training, in parts of a thousand: the message has what is left of the terminal's width.
 const TRAINING: &str = "{bar:12} {percent:>3} %  {wide_msg}";
+
+/// What is done while a scene is opened.
+const READING: &str = "reading photographs";
 
 /// Shows events to the user.
 pub enum Display {
@@ -45,6 +46,12 @@ impl Display {
             }
             Self::Bar(bar) => show_on_bar(bar, event),
         }
+    }
+}
+
+impl EventSink for Display {
+    fn emit(&mut self, event: &Event) {
+        self.show(event);
     }
 }
 
@@ -80,12 +87,37 @@ pub fn by_rows<T>(doing: &'static str, work: impl FnOnce(Watch<'_>) -> T) -> T {
     result
 }
 
+/// A bar of rows that are read, shown from the first word on until it is finished; none where nobody watches.
+#[derive(Default)]
+pub struct Reading {
+    bar: OnceLock<ProgressBar>,
+}
+
+impl Reading {
+    /// `done` of `total` rows are read.
+    pub fn rows(&self, done: u64, total: u64) {
+        let bar = self.bar.get_or_init(|| match terminal::watched() {
+            true => bar("{bar:20} {percent:>3} %  {msg}, {eta} left", 0).with_message(READING),
+            false => ProgressBar::hidden(),
+        });
+        bar.set_length(total);
+        bar.set_position(done);
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        if let Some(bar) = self.bar.get().filter(|bar| !bar.is_finished()) {
+            bar.finish_and_clear();
+        }
+    }
+}
+
 /// Opens a scene, with a bar on a terminal.
 ///
 /// # Errors
 /// As [`trimip_data::open`].
 pub fn open(config: &DataConfig) -> Result<Scene> {
-    by_rows("reading photographs", |watch| trimip_data::open_watched(config, watch))
+    by_rows(READING, |watch| trimip_data::open_watched(config, watch))
 }
 
 fn show_on_bar(bar: &ProgressBar, event: &Event) {
@@ -160,61 +192,6 @@ pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
     lines.push(line("mean", images, [mean.psnr, mean.psnr_8bit, mean.psnr_opposite, mean.ssim]));
     lines.extend(mean.remark());
     lines
-}
-
-/// The run's event sink.
-pub struct Recorder {
-    /// What the events add up to.
-    pub history: History,
-    display: Display,
-    metrics: File,
-    folder: RunFolder,
-    failure: Option<Error>,
-}
-
-impl Recorder {
-    /// Listens on, after the events that the folder already holds and the run keeps.
-    pub fn new(folder: &RunFolder, kept: &[Event], display: Display) -> Result<Self> {
-        Ok(Self {
-            history: History::of(kept),
-            display,
-            metrics: folder.restart_events(kept)?,
-            folder: folder.clone(),
-            failure: None,
-        })
-    }
-
-    /// The first failure to write metrics, told once.
-    pub fn take_failure(&mut self) -> Option<Error> {
-        self.failure.take()
-    }
-
-    fn write(&mut self, event: &Event) -> Result<()> {
-        let mut line = serde_json::to_string(event).map_err(Error::run)?;
-        line.push('\n');
-        let place = self.folder.metrics();
-        self.metrics.write_all(line.as_bytes()).map_err(|error| {
-            Error::input(place.display(), format!("cannot write: {error}"), "free some disk space")
-        })?;
-        if matches!(event, Event::Evaluation { .. }) {
-            csv::write(&self.folder.curve(), &self.history)?;
-        }
-        Ok(())
-    }
-}
-
-impl EventSink for Recorder {
-    fn emit(&mut self, event: &Event) {
-        self.history.take(event);
-        // A full disk must not end hours of training before its last checkpoint is tried.
-        // How far an evaluation is says nothing once it is over.
-        if !matches!(event, Event::EvaluationProgress { .. })
-            && let Err(error) = self.write(event)
-        {
-            self.failure.get_or_insert(error);
-        }
-        self.display.show(event);
-    }
 }
 
 #[cfg(test)]

@@ -1,22 +1,22 @@
-//! From network outputs to physics: density = exp(logit − 1), colour = sigmoid(logit), and their derivatives.
+//! Activations of the network outputs: density = exp(logit − 1), colour = sigmoid(logit), and their derivatives.
 
 use crate::scalar::Real;
 
-/// Density per world unit of a density logit.
+/// Density per world unit from its logit.
 #[inline]
 pub fn density<R: Real>(logit: R) -> R {
     (logit - R::one()).exp()
 }
 
-/// Derivative of the density used in training: exp(clamp(logit − 1, −15, 15)) (code), so that a very opaque or a very
-/// empty sample can still move.
+/// Derivative of the density used in training: exp(clamp(logit − 1, −15, 15)) (code). The clamp keeps the
+/// gradient of very opaque and very empty samples finite and above zero.
 #[inline]
 pub fn density_derivative<R: Real>(logit: R) -> R {
     let limit = R::from_f64(15.0);
     (logit - R::one()).max(-limit).min(limit).exp()
 }
 
-/// Logistic function, in the form that never overflows.
+/// Logistic function without overflow.
 #[inline]
 pub fn sigmoid<R: Real>(logit: R) -> R {
     let e = (-logit.abs()).exp();
@@ -24,7 +24,7 @@ pub fn sigmoid<R: Real>(logit: R) -> R {
     if logit >= R::zero() { positive } else { e * positive }
 }
 
-/// Derivative of the logistic function by its own value.
+/// Derivative of the logistic function, from its value.
 #[inline]
 pub fn sigmoid_derivative<R: Real>(value: R) -> R {
     value * (R::one() - value)

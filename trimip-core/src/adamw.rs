@@ -2,6 +2,7 @@
 
 use crate::{
     config::{OptimizerConfig, RateSchedule},
+    params::Slot,
     scalar::Real,
 };
 
@@ -14,7 +15,7 @@ pub struct Rule<R> {
     pub beta2: R,
     /// 1 − β1, rounded once.
     pub share1: R,
-    /// 1 − β2, rounded once: taken from β2 in f32 it would be 1.3e-5 off.
+    /// 1 − β2, rounded once: computed from β2 in f32 it would have an error of 1.3e-5.
     pub share2: R,
     /// Added to the root of the second moment.
     pub epsilon: R,
@@ -40,6 +41,13 @@ impl<R: Real> Rule<R> {
             root_correction: R::from_f64(power(config.beta2).sqrt().recip()),
             shrink: R::from_f64(1.0 - learning_rate * config.weight_decay),
         }
+    }
+
+    /// The rule of a slot at step `step`; `learning_rate` is that of the networks.
+    pub fn of(config: &OptimizerConfig, slot: &Slot, learning_rate: f64, step: u64) -> Self {
+        let rate = learning_rate * slot.rate;
+        let shrink = R::from_f64(1.0 - rate * slot.decay * config.weight_decay);
+        Self { shrink, ..Self::new(config, rate, step) }
     }
 
     /// Updates parameter and moments by `gradient`.

@@ -5,6 +5,7 @@
 use crate::{
     Camera, Config, Pixel, Result, ViewSet,
     batch::{Deposit, Radiance, Rays, Samples, StepSums, Workspace},
+    model::Assets,
 };
 use bytemuck::Pod;
 use std::ops::Range;
@@ -59,6 +60,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Copies the buffer's values out; waits for the device.
     fn read<T: Pod + Send + Sync>(&self, buffer: &Self::Buffer<T>) -> Vec<T>;
 
+    /// As [`Backend::read`], without blocking: the future is pending while the device works.
+    fn read_async<T: Pod + Send + Sync>(&self, buffer: &Self::Buffer<T>) -> impl Future<Output = Vec<T>> {
+        async { self.read(buffer) }
+    }
+
     /// Runs `work` with the device's workers at hand; whole-array work inside uses them.
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
 
@@ -85,31 +91,55 @@ pub trait Backend: Sized + Send + Sync + 'static {
         result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
     );
 
-    /// From rays to the density of the samples that can be seen, ready for their colour. A backend may walk each ray
-    /// front to back in pieces and stop where it is opaque, if it keeps the same samples as [`see_all`].
-    fn see(
+    /// As [`Backend::map_spans`], without blocking: the future is pending while the device works.
+    fn map_spans_async<T: Pod + Send + Sync>(
         &self,
-        stages: &Stages<Self>,
-        parameters: &Self::Buffer<f32>,
-        space: &mut Workspace<Self>,
-        jitter: Option<u64>,
-    ) {
-        see_all(stages, parameters, space, jitter);
+        field: &Self::Field,
+        count: u32,
+        per_span: u32,
+        out: &mut Self::Buffer<T>,
+        work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
+        result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
+    ) -> impl Future<Output = ()> {
+        async move { self.install(|| self.map_spans(field, count, per_span, out, work, result)) }
     }
 
-    /// From full deposits to new parameters with all that derives from them; empties the deposits. Where the sum of the
-    /// weights is zero nothing moves. A backend may do it in other passes if the parameters get the same bits as from [`update_all`].
+    /// From the complete gradient of this machine's rays ([`Stages::flush`]) to new parameters, with all that derives from
+    /// them. Where the sum of the weights is zero nothing moves. A backend may pass over what its own rays did not touch,
+    /// if the parameters get the same bits as from [`Backend::update_all`].
     fn update(
         &self,
         stages: &mut Stages<Self>,
         parameters: &mut Self::Buffer<f32>,
-        gradient: &mut Self::Buffer<f32>,
-        deposits: &mut [Deposit<Self>],
+        gradient: &Self::Buffer<f32>,
+        deposits: &[Deposit<Self>],
         learning_rate: f64,
         step: u64,
     ) {
-        update_all(stages, parameters, gradient, deposits, learning_rate, step);
+        self.update_all(stages, parameters, gradient, deposits, learning_rate, step);
     }
+
+    /// As [`Backend::update`], for a gradient that may differ from zero anywhere.
+    fn update_all(
+        &self,
+        stages: &mut Stages<Self>,
+        parameters: &mut Self::Buffer<f32>,
+        gradient: &Self::Buffer<f32>,
+        deposits: &[Deposit<Self>],
+        learning_rate: f64,
+        step: u64,
+    ) {
+        stages.optimizer.step(parameters, gradient, deposits, learning_rate, step);
+        stages.encoder.refresh(parameters);
+        stages.field.refresh(parameters);
+    }
+
+    /// Sum of the weights of the step's rays over all deposits, by which the optimiser divides the gradient; waits for the
+    /// device.
+    fn weight(&self, deposits: &[Deposit<Self>]) -> f64;
+
+    /// Makes `weight` the sum of the weights over all deposits.
+    fn set_weight(&self, deposits: &mut [Deposit<Self>], weight: f64);
 
     /// Number of deposits that suits steps of `samples` samples: 1 where a step is one span.
     fn deposits(&self, samples: u32) -> usize;
@@ -155,28 +185,13 @@ pub fn see_all<B: Backend>(
     space: &mut Workspace<B>,
     jitter: Option<u64>,
 ) {
-    let Workspace { lane, rays, samples, features, tape, radiance, kept, .. } = space;
+    let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, .. } = space;
     stages.renderer.march(lane, rays, &stages.occupancy, jitter, samples);
-    stages.encoder.forward(lane, parameters, samples, features);
+    stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
     stages.field.density(lane, samples, features, tape, radiance);
     stages.renderer.prune(lane, radiance, samples, kept);
-    stages.encoder.keep(lane, kept, features);
+    stages.encoder.keep(lane, kept, encoding, features);
     stages.field.keep(lane, kept, tape, radiance);
-}
-
-/// Joins the deposits, moves every parameter, then rebuilds what derives from them.
-pub fn update_all<B: Backend>(
-    stages: &mut Stages<B>,
-    parameters: &mut B::Buffer<f32>,
-    gradient: &mut B::Buffer<f32>,
-    deposits: &mut [Deposit<B>],
-    learning_rate: f64,
-    step: u64,
-) {
-    stages.flush(deposits, gradient);
-    stages.optimizer.step(parameters, gradient, deposits, learning_rate, step);
-    stages.encoder.refresh(parameters);
-    stages.field.refresh(parameters);
 }
 
 /// Work on one span of a training step.
@@ -202,13 +217,19 @@ pub struct Stages<B: Backend> {
 
 impl<B: Backend> Stages<B> {
     /// Joins the deposits to a gradient of all parameters, not yet divided by the sum of the weights, and empties them.
-    pub fn flush(&mut self, deposits: &mut [Deposit<B>], gradient: &mut B::Buffer<f32>) {
+    pub fn flush(
+        &mut self,
+        deposits: &mut [Deposit<B>],
+        parameters: &B::Buffer<f32>,
+        gradient: &mut B::Buffer<f32>,
+    ) {
         self.field.flush(deposits, gradient);
-        self.encoder.flush(deposits, gradient);
+        self.encoder.flush(deposits, parameters, gradient);
     }
 }
 
-/// Spheres to features (tri-mip encoding, Tri-MipRF Eq. 3 to 5).
+/// Samples to features. A sample is a sphere on a cone's axis; with its ray and its interval an encoder has the whole
+/// geometry and may take a Gaussian along the cone, or several points in it.
 pub trait Encoder<B: Backend>: Send + Sync {
     /// What spans leave behind: feature gradients and where they belong.
     type Gradient: Send;
@@ -216,37 +237,54 @@ pub trait Encoder<B: Backend>: Send + Sync {
     /// An empty gradient.
     fn gradient(&self) -> Self::Gradient;
 
-    /// Lets the planes have `halvings` times half the configured texels along a side: they are the front part of the
-    /// parameters, [3, N', N', 16]. The parameters change first ([`crate::tri_mip::grow`]), a refresh follows.
-    fn halve(&mut self, halvings: u32);
+    /// Uses its parameters as far as they have grown at `stage` ([`crate::encoders::Definition::stage`]). The parameters
+    /// change first, a refresh follows.
+    fn grow(&mut self, stage: u32);
 
-    /// Rebuilds what derives from the parameters: the mip levels. Once per change of the parameters.
+    /// Rebuilds what derives from the parameters, such as mip levels. Once per change of the parameters.
     fn refresh(&mut self, parameters: &B::Buffer<f32>);
 
-    /// Encodes every sample: `features` becomes [samples, 48].
+    /// Encodes every sample: `features` becomes [samples, [`stride`](crate::encoders::stride)], and `tape` [samples, [`tape`](crate::encoders::Definition::tape)], what backward needs of the sample.
     fn forward(
         &self,
         lane: &mut B::Lane,
         parameters: &B::Buffer<f32>,
+        rays: &Rays<B>,
         samples: &Samples<B>,
+        tape: &mut B::Buffer<f32>,
         features: &mut B::Buffer<f32>,
     );
 
-    /// Drops the feature rows that pruning dropped.
-    fn keep(&self, lane: &mut B::Lane, kept: &B::Buffer<u32>, features: &mut B::Buffer<f32>);
+    /// Drops the rows of tape and features that pruning dropped.
+    fn keep(
+        &self,
+        lane: &mut B::Lane,
+        kept: &B::Buffer<u32>,
+        tape: &mut B::Buffer<f32>,
+        features: &mut B::Buffer<f32>,
+    );
 
     /// Deposits the gradient of the span's features.
+    #[allow(clippy::too_many_arguments)]
     fn backward(
         &self,
         lane: &mut B::Lane,
+        parameters: &B::Buffer<f32>,
+        rays: &Rays<B>,
         samples: &Samples<B>,
+        tape: &B::Buffer<f32>,
         feature_gradients: &B::Buffer<f32>,
         gradient: &mut Self::Gradient,
     );
 
-    /// Spreads all deposits over the texels and pulls the levels' gradients to the base: overwrites the planes' part of
-    /// `parameter_gradient` and empties the deposits. Once per step.
-    fn flush(&mut self, deposits: &mut [Deposit<B>], parameter_gradient: &mut B::Buffer<f32>);
+    /// Joins all deposits in a fixed order: overwrites the encoder's part of `parameter_gradient` and empties the
+    /// deposits. Once per step, before the parameters move.
+    fn flush(
+        &mut self,
+        deposits: &mut [Deposit<B>],
+        parameters: &B::Buffer<f32>,
+        parameter_gradient: &mut B::Buffer<f32>,
+    );
 }
 
 /// Features to density, then colour (two small networks). Density apart from colour: occupancy and pruning
@@ -313,8 +351,17 @@ pub trait Field<B: Backend>: Send + Sync {
     fn flush(&mut self, deposits: &mut [Deposit<B>], parameter_gradient: &mut B::Buffer<f32>);
 }
 
-/// Rays to samples and samples to pixels (cones in uniform steps; volume rendering, NeRF Eq. 3).
+/// Rays to samples and samples to pixels (cones in uniform steps; volume rendering, NeRF Eq. 3). A pixel is the mean of
+/// its group of cones.
 pub trait Renderer<B: Backend>: Send + Sync {
+    /// Takes the assets of the model's scene: once, before it renders.
+    ///
+    /// # Errors
+    /// When an asset that the renderer needs is missing or broken.
+    fn equip(&mut self, _assets: &Assets) -> Result<()> {
+        Ok(())
+    }
+
     /// Follows the schedules of a run: the marching step at `progress` in [0, 1].
     fn follow(&mut self, progress: f64);
 
@@ -338,23 +385,41 @@ pub trait Renderer<B: Backend>: Send + Sync {
         kept: &mut B::Buffer<u32>,
     );
 
-    /// Composites each ray on its target's background, or on the configured one where there are no targets.
+    /// From rays to the density of the samples that can be seen, ready for their colour. A renderer may walk each ray
+    /// front to back in pieces and stop where it is opaque, if it keeps the same samples as [`see_all`], or place samples
+    /// by a rule of its own.
+    fn see(
+        &self,
+        stages: &Stages<B>,
+        parameters: &B::Buffer<f32>,
+        space: &mut Workspace<B>,
+        jitter: Option<u64>,
+    ) {
+        see_all(stages, parameters, space, jitter);
+    }
+
+    /// Composites each cone on its pixel's target's background, or on the configured one where there are no targets:
+    /// `cones` becomes [rays], `pixels` [groups], the means over each group.
     fn composite(
         &self,
         lane: &mut B::Lane,
         rays: &Rays<B>,
         samples: &Samples<B>,
         radiance: &B::Buffer<Radiance>,
+        cones: &mut B::Buffer<Pixel>,
         pixels: &mut B::Buffer<Pixel>,
     );
 
-    /// From gradients of pixels to gradients of density and colour.
+    /// From gradients of pixels to gradients of density and colour. `cones` are those that
+    /// [`composite`](Self::composite) gave.
+    #[allow(clippy::too_many_arguments)]
     fn backward(
         &self,
         lane: &mut B::Lane,
+        rays: &Rays<B>,
         samples: &Samples<B>,
         radiance: &B::Buffer<Radiance>,
-        pixels: &B::Buffer<Pixel>,
+        cones: &B::Buffer<Pixel>,
         pixel_gradients: &B::Buffer<[f32; 4]>,
         radiance_gradients: &mut B::Buffer<Radiance>,
     );
@@ -373,8 +438,8 @@ pub trait Optimizer<B: Backend>: Send + Sync {
         step: u64,
     );
 
-    /// Lets the planes be the front part of their parameters, see [`Encoder::halve`].
-    fn halve(&mut self, halvings: u32);
+    /// Moves these parts of the slots alone, one for each slot: a slot that grows is in use in part.
+    fn restrict(&mut self, parts: &[Range<usize>]);
 
     /// First and second moments.
     fn moments(&self) -> [&B::Buffer<f32>; 2];
@@ -393,10 +458,10 @@ pub trait Sampler<B: Backend>: Send + Sync {
     /// Shares the rays of later steps among the scales as the schedule says at `progress` in [0, 1]; see [`Balance`](crate::balance::Balance).
     fn follow(&mut self, progress: f64);
 
-    /// Rays `range` of a training step that has `total` rays: each scale gets its share, pixels uniform.
+    /// Cones of the pixels `range` of a training step that has `total` pixels: each scale gets its share, pixels uniform.
     fn training_rays(&self, lane: &mut B::Lane, step: u64, total: u32, range: Range<u32>, rays: &mut Rays<B>);
 
-    /// Rays of the pixels `range` of a camera, row by row.
+    /// Cones of the pixels `range` of a camera, row by row.
     fn camera_rays(&self, lane: &mut B::Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);
 }
 
@@ -405,8 +470,16 @@ pub trait Occupancy<B: Backend>: Send + Sync {
     /// Chooses the cells that a refresh at `step` asks; returns their number.
     fn choose(&mut self, step: u64) -> u32;
 
-    /// One random point in each of the chosen cells `range`, with a radius that fits the cell.
-    fn probes(&self, lane: &mut B::Lane, step: u64, range: Range<u32>, samples: &mut Samples<B>);
+    /// One random point in each of the chosen cells `range`, with a radius that fits the cell: a sample of a ray of its
+    /// own, which comes from a random direction.
+    fn probes(
+        &self,
+        lane: &mut B::Lane,
+        step: u64,
+        range: Range<u32>,
+        rays: &mut Rays<B>,
+        samples: &mut Samples<B>,
+    );
 
     /// Takes the densities of all chosen cells and renews the bits.
     fn absorb(&mut self, radiance: &B::Buffer<Radiance>);
@@ -426,7 +499,7 @@ pub trait Occupancy<B: Backend>: Send + Sync {
 
 /// Pixels to loss (smooth-L1, weighted by area).
 pub trait Loss<B: Backend>: Send + Sync {
-    /// Area-weighted smooth-L1 of each ray, its gradient with respect to the pixel (not yet divided by the sum of the
+    /// Area-weighted smooth-L1 of each pixel, its gradient with respect to the pixel (not yet divided by the sum of the
     /// weights), and the sums.
     fn evaluate(
         &self,

@@ -1,13 +1,13 @@
-//! How a step's rays are shared among the scales of a set, and what each then weighs in the loss.
+//! Distribution of a step's rays over the scales of a set, and the loss weight of a ray of each scale.
 
 use crate::Scale;
 
 /// Rays and loss weight of each scale.
 ///
 /// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b its share of the rays is ∝ w^(b−1)
-/// and each of them weighs w^(1−b): the loss has the same expectation at every b, each scale counting alike. At 0 every
-/// pixel is as likely as any other (the paper; the coarse scales' part of the gradient then rests on few rays), at 1 every
-/// scale has as many rays as any other, which among all shares has the least variance where the scales' own are equal.
+/// and each ray has weight w^(1−b). The expected loss is the same at every b, with equal weight for all scales. At 0 all
+/// pixels are equally likely (paper), and the gradient of coarse scales comes from few rays. At 1 all scales get equally
+/// many rays, which minimises the variance if the scales have equal variance.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Balance {
     shares: Vec<f64>,
@@ -15,7 +15,7 @@ pub struct Balance {
 }
 
 impl Balance {
-    /// The balance `balance` in [0, 1] of `scales`, fine to coarse. A scale without pixels has no share.
+    /// Balance `balance` in [0, 1] over `scales`, fine to coarse. A scale without pixels gets no rays.
     pub fn new(scales: &[Scale], balance: f64) -> Self {
         let weight = |scale: &Scale| f64::from(scale.weight);
         let share = |scale: &Scale| match scale.pixels.is_empty() {

@@ -4,6 +4,7 @@
 use crate::{Backend, Cone, Field, Pixel, backend::Encoder};
 use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// The axis of a pixel's cone.
 #[repr(C)]
@@ -43,20 +44,28 @@ pub struct Target {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Sphere {
-    /// Centre, in coordinates of the unit box.
+    /// Centre, in coordinates of the unit cube.
     pub position: [f32; 3],
-    /// Radius, world units.
+    /// Radius, in the units of [`Space::aabb`](crate::Space::aabb).
     pub radius: f32,
 }
 
-/// A ray's samples: `start .. start + count`.
+/// A ray's samples, or a pixel's cones: `start .. start + count`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct Segment {
-    /// First sample.
+    /// The first of them.
     pub start: u32,
-    /// Number of samples.
+    /// Their number.
     pub count: u32,
+}
+
+impl Segment {
+    /// Its indices.
+    #[inline]
+    pub fn range(&self) -> Range<usize> {
+        self.start as usize..(self.start + self.count) as usize
+    }
 }
 
 /// A sample's place on its ray.
@@ -79,17 +88,35 @@ pub struct Radiance {
     pub density: f32,
 }
 
-/// Rays of a span.
+/// Cones of a span. The cones of a pixel follow each other.
 pub struct Rays<B: Backend> {
-    /// One per pixel.
+    /// One per cone.
     pub rays: B::Buffer<Ray>,
-    /// One per ray in training; empty otherwise.
+    /// One per pixel: its cones.
+    pub groups: B::Buffer<Segment>,
+    /// One per pixel in training; empty otherwise.
     pub targets: B::Buffer<Target>,
     /// Index within the step of the span's first ray: what random numbers are drawn by.
     pub first: u32,
 }
 
-/// Samples of a span.
+impl<B: Backend> Rays<B> {
+    /// No rays.
+    pub fn new(backend: &B) -> Self {
+        Self { rays: backend.zeros(0), groups: backend.zeros(0), targets: backend.zeros(0), first: 0 }
+    }
+
+    /// Replaces all by these rays: pixels of one cone each, without targets.
+    pub fn place(&mut self, backend: &B, rays: &[Ray]) {
+        let group = |start: usize| Segment { start: start as u32, count: 1 };
+        backend.write(&mut self.rays, rays);
+        backend.write(&mut self.groups, &(0..rays.len()).map(group).collect::<Vec<_>>());
+        backend.write(&mut self.targets, &[]);
+        self.first = 0;
+    }
+}
+
+/// Samples of a span. With their rays they are the whole geometry: ray, direction, distance, length, radius.
 pub struct Samples<B: Backend> {
     /// One per ray.
     pub segments: B::Buffer<Segment>,
@@ -111,7 +138,9 @@ pub struct Workspace<B: Backend> {
     pub rays: Rays<B>,
     /// Samples along them.
     pub samples: Samples<B>,
-    /// Encoded samples, [samples, 48].
+    /// What the encoder keeps of each sample between forward and backward.
+    pub encoding: B::Buffer<f32>,
+    /// Encoded samples, [samples, stride].
     pub features: B::Buffer<f32>,
     /// Gradient of the same.
     pub feature_gradients: B::Buffer<f32>,
@@ -123,7 +152,9 @@ pub struct Workspace<B: Backend> {
     pub radiance_gradients: B::Buffer<Radiance>,
     /// Rows that pruning kept.
     pub kept: B::Buffer<u32>,
-    /// One per ray.
+    /// Composited cones, one per ray.
+    pub cones: B::Buffer<Pixel>,
+    /// One per pixel: the mean of its cones.
     pub pixels: B::Buffer<Pixel>,
     /// Gradient with respect to each pixel's [r, g, b, opacity].
     pub pixel_gradients: B::Buffer<[f32; 4]>,
@@ -134,7 +165,7 @@ impl<B: Backend> Workspace<B> {
     pub fn new(backend: &B, field: &B::Field) -> Self {
         Self {
             lane: backend.lane(),
-            rays: Rays { rays: backend.zeros(0), targets: backend.zeros(0), first: 0 },
+            rays: Rays::new(backend),
             samples: Samples {
                 segments: backend.zeros(0),
                 rays: backend.zeros(0),
@@ -142,12 +173,14 @@ impl<B: Backend> Workspace<B> {
                 spheres: backend.zeros(0),
                 counts: backend.zeros(1),
             },
+            encoding: backend.zeros(0),
             features: backend.zeros(0),
             feature_gradients: backend.zeros(0),
             tape: field.tape(),
             radiance: backend.zeros(0),
             radiance_gradients: backend.zeros(0),
             kept: backend.zeros(0),
+            cones: backend.zeros(0),
             pixels: backend.zeros(0),
             pixel_gradients: backend.zeros(0),
         }
@@ -173,7 +206,7 @@ pub struct StepSums {
     pub weight: f64,
     /// Σ squared error over channels.
     pub squared_error: f64,
-    /// Rays.
+    /// Pixels.
     pub rays: u64,
     /// Samples marched.
     pub marched: u64,

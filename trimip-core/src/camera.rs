@@ -1,5 +1,6 @@
-//! A pinhole camera and the cone of a pixel. OpenGL axes: x right, y up, the camera looks along −z; pixel (0, 0) is the
-//! upper left one and its centre lies at (0.5, 0.5).
+//! Cameras and the cones of their pixels. OpenGL axes: x right, y up, the camera looks along −z; pixel (0, 0) is the
+//! upper left one and its centre lies at (0.5, 0.5). A camera model is a [`Projection`] here, in f32 and f64, and its twin
+//! in WGSL; today's is the pinhole.
 
 use crate::scalar::Real;
 use glam::{DMat3, DVec3};
@@ -68,6 +69,46 @@ pub struct Cone<R> {
     pub cosine: R,
 }
 
+/// A camera model: from a place in the image to a cone in the camera's own axes.
+pub trait Projection {
+    /// The cone of a square part of a pixel: its centre `at` in pixels, its side in pixels.
+    fn cone<R: Real>(&self, at: [R; 2], side: R) -> LocalCone<R>;
+}
+
+/// A cone in the axes of its camera, with its apex at the origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LocalCone<R> {
+    /// Direction of the axis, of any length.
+    pub axis: [R; 3],
+    /// One over that length.
+    pub inverse_length: R,
+    /// Radius of the inscribed sphere per unit of distance along the axis (Eq. 3).
+    pub slope: R,
+    /// Cosine of the angle between axis and optical axis.
+    pub cosine: R,
+}
+
+impl Projection for Intrinsics {
+    /// The disc of the part on the plane at distance 1 has radius side · sqrt(Δx·Δy/π) with Δx = 1/fx, Δy = 1/fy. The
+    /// tangent of the angle to the optical axis is carried from the pixel: taken from the cosine it would lose 8.5 % of
+    /// its value near the centre of an 800-pixel image in f32.
+    #[inline]
+    fn cone<R: Real>(&self, at: [R; 2], side: R) -> LocalCone<R> {
+        let real = |value: f64| R::from_f64(value);
+        let u = (at[0] - real(self.cx)) / real(self.fx);
+        let v = -(at[1] - real(self.cy)) / real(self.fy);
+        let tangent = (u * u + v * v).sqrt();
+        let cosine = (R::one() + tangent * tangent).sqrt().recip();
+        let disc = side * real((std::f64::consts::PI * self.fx * self.fy).sqrt().recip());
+        LocalCone {
+            axis: [u, v, -R::one()],
+            inverse_length: cosine,
+            slope: sphere_slope(disc, tangent, cosine),
+            cosine,
+        }
+    }
+}
+
 impl Camera {
     /// A camera at `origin` that looks at `target` with `up` upwards in the image.
     pub fn look_at(intrinsics: Intrinsics, origin: DVec3, target: DVec3, up: DVec3) -> Self {
@@ -77,29 +118,31 @@ impl Camera {
     }
 
     /// The cone through the centre of pixel (`x`, `y`).
-    ///
-    /// The disc of the pixel on the plane at distance 1 has radius sqrt(Δx·Δy/π) with Δx = 1/fx, Δy = 1/fy. The tangent
-    /// of the angle to the optical axis is carried from the pixel: taken from the cosine it would lose 8.5 % of its
-    /// value near the centre of an 800-pixel image in f32.
+    #[inline]
     pub fn cone<R: Real>(&self, x: u32, y: u32) -> Cone<R> {
+        self.cone_in(x, y, 0, 1)
+    }
+
+    /// Cone number `index` of the `side` · `side` that a pixel is divided into, row by row.
+    #[inline]
+    pub fn cone_in<R: Real>(&self, x: u32, y: u32, index: u32, side: u32) -> Cone<R> {
+        let part = R::from_u32(side).recip();
+        let place = |pixel: u32, i: u32| R::from_u32(pixel) + (R::from_u32(i) + R::from_f64(0.5)) * part;
+        self.cone_at([place(x, index % side), place(y, index / side)], part)
+    }
+
+    /// The cone of a square part of a pixel: its centre in pixels, its side in pixels.
+    #[inline]
+    pub fn cone_at<R: Real>(&self, at: [R; 2], side: R) -> Cone<R> {
+        let LocalCone { axis, inverse_length, slope, cosine } = self.intrinsics.cone(at, side);
         let real = |value: f64| R::from_f64(value);
-        let k = &self.intrinsics;
-        let half = real(0.5);
-        let u = (R::from_u32(x) + half - real(k.cx)) / real(k.fx);
-        let v = -(R::from_u32(y) + half - real(k.cy)) / real(k.fy);
-        let tangent = (u * u + v * v).sqrt();
-        let cosine = (R::one() + tangent * tangent).sqrt().recip();
         let axes = self.rotation.to_cols_array_2d();
         let direction = std::array::from_fn(|i| {
-            (real(axes[0][i]) * u + real(axes[1][i]) * v - real(axes[2][i])) * cosine
+            let along = |axis: usize| real(axes[axis][i]);
+            (along(0) * axis[0] + along(1) * axis[1] + along(2) * axis[2]) * inverse_length
         });
-        let disc = (std::f64::consts::PI * k.fx * k.fy).sqrt().recip();
-        Cone {
-            origin: [real(self.origin.x), real(self.origin.y), real(self.origin.z)],
-            direction,
-            slope: sphere_slope(real(disc), tangent, cosine),
-            cosine,
-        }
+        let origin = [real(self.origin.x), real(self.origin.y), real(self.origin.z)];
+        Cone { origin, direction, slope, cosine }
     }
 }
 
@@ -169,6 +212,19 @@ mod tests {
             assert!((mean - coarse[axis]).abs() < 1e-12);
         }
         assert_eq!((k.reduced(1).width, k.reduced(1).height), (6, 4));
+    }
+
+    #[test]
+    fn parts_of_a_pixel_are_the_pixels_of_a_finer_camera() {
+        // A pixel in 2×2 parts is four pixels of a camera of twice the resolution.
+        let fine = Intrinsics { width: 26, height: 16, fx: 40.0, fy: 36.0, cx: 12.2, cy: 8.4 };
+        let camera = |intrinsics| Camera { intrinsics, rotation: DMat3::IDENTITY, origin: DVec3::ONE };
+        for index in 0..4 {
+            let part: Cone<f64> = camera(fine.reduced(1)).cone_in(7, 3, index, 2);
+            let whole: Cone<f64> = camera(fine).cone(14 + index % 2, 6 + index / 2);
+            let apart = (DVec3::from(part.direction) - DVec3::from(whole.direction)).length();
+            assert!(apart < 1e-15 && (part.slope / whole.slope - 1.0).abs() < 1e-12, "{index}: {apart}");
+        }
     }
 
     #[test]

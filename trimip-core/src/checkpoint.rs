@@ -1,13 +1,13 @@
-//! Everything training needs to go on with the same bits: parameters, moments, occupancy, counters. Random numbers are
-//! hashes of (seed, step, index), so the step is all the random state there is.
+//! Everything that training needs to continue with the same bits: parameters, moments, occupancy, counters. Random
+//! numbers are hashes of (seed, step, index), so the step is the whole random state.
 
 use crate::{
-    Aabb, Config, Error, Result,
+    Config, Error, Result,
     batch::StepSums,
+    encoders,
     events::Totals,
-    model::{Model, PLANES, expect_format},
+    model::{Model, expect_format},
     tensors::{TensorFile, Values},
-    tri_mip::{Pyramid, grow},
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -18,17 +18,17 @@ pub const FORMAT: &str = "trimip-checkpoint-1";
 /// Name of the tensor of the grid's running maximum of densities.
 pub const OCCUPANCY_DENSITY: &str = "occupancy.density";
 
-/// Steps whose sums may be under way.
+/// Largest number of steps whose sums are not read back yet.
 pub const MOST_PENDING: usize = 2;
 
-/// State beside the tensors.
+/// State that is not in tensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrainState {
     /// Counters of the run.
     pub totals: Totals,
-    /// How often the planes' side is halved.
-    #[serde(default)]
-    pub halvings: u32,
+    /// Stage of growth of the encoder's parameters, see [`crate::encoders::Definition::stage`].
+    #[serde(default, rename = "halvings")]
+    pub stage: u32,
     /// The marching step of the last step, in uniform steps; 0 before the first.
     #[serde(default)]
     pub step_scale: f64,
@@ -42,7 +42,7 @@ pub struct TrainState {
     pub marched_per_ray: f32,
 }
 
-/// A training run, frozen.
+/// The state of a training run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
     /// The configuration of the run.
@@ -65,14 +65,18 @@ impl Checkpoint {
         })
     }
 
-    /// The model as it stands, its planes in full size; what only training needs is left out.
+    /// The current model at full size, without the state that only training needs.
     pub fn into_model(self) -> Model {
         let Self { config, state, mut file } = self;
         file.tensors
             .retain(|name, _| !(name.ends_with(".m") || name.ends_with(".v") || name == OCCUPANCY_DENSITY));
-        if let Some(Values::F32(planes)) = file.tensors.get_mut(PLANES).map(|planes| &mut planes.values) {
-            let whole = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
-            grow(planes, &whole, state.halvings, 0);
+        let encoder = encoders::of(&config);
+        for slot in encoder.slots(&config).iter().filter(|slot| slot.grows) {
+            if let Some(Values::F32(values)) =
+                file.tensors.get_mut(&slot.name).map(|tensor| &mut tensor.values)
+            {
+                encoder.grow(&config, values, state.stage, 0);
+            }
         }
         Model::new(config, file)
     }
@@ -84,7 +88,7 @@ impl Checkpoint {
         self.file.write(path, &metadata)
     }
 
-    /// Reads a checkpoint and checks that it is one.
+    /// Reads a checkpoint and checks its format.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let file = TensorFile::read(path)?;
@@ -96,7 +100,7 @@ impl Checkpoint {
         Ok(Self { config, state, file })
     }
 
-    /// Refuses a checkpoint that was made with other settings than `config`.
+    /// Refuses a checkpoint whose settings differ from `config`.
     pub fn expect_config(&self, place: &str, config: &Config) -> Result<()> {
         let differences = config.differences(&self.config);
         if differences.is_empty() {

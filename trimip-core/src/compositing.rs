@@ -30,40 +30,40 @@ pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
     (transmittance * alpha, transmittance * (-depth).exp())
 }
 
-/// Which samples are dropped before their colour is asked: those that can hardly be seen.
+/// Which samples are dropped before their colour is computed: those that hardly contribute.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pruning<R> {
-    /// Optical depth before a sample above which it is dropped: −ln of the least transmittance.
+    /// Samples behind more optical depth than this are dropped: −ln of the minimum transmittance.
     pub max_depth: R,
-    /// Weight T·α below which a sample is dropped, as if it were empty.
+    /// Samples of less weight T·α than this are dropped, as if they were empty.
     pub min_weight: R,
 }
 
-/// What becomes of a sample.
+/// Decision about a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Seen {
     /// It is kept.
     Yes,
-    /// It is dropped, what lies behind it is seen.
+    /// It is dropped; samples behind it may be kept.
     No,
-    /// It is dropped with all that lies behind it.
+    /// It is dropped with all samples behind it.
     Hidden,
 }
 
 impl<R: Real> Pruning<R> {
-    /// The rule for a least transmittance and a least weight.
+    /// The rule for a minimum transmittance and a minimum weight.
     pub fn new(min_transmittance: R, min_weight: R) -> Self {
         Self { max_depth: -min_transmittance.ln(), min_weight }
     }
 
-    /// Decides about a sample of optical depth `depth`; `before` is the optical depth of those kept before it, which a
-    /// kept sample adds to.
+    /// Decides about a sample of optical depth `depth`; `before` is the optical depth of the samples kept so far. A kept
+    /// sample adds to it.
     #[inline]
     pub fn see(&self, before: &mut R, depth: R) -> Seen {
         if *before > self.max_depth {
             return Seen::Hidden;
         }
-        // The comparison is false for NaN: such a sample is kept, and the step that meets it reports it.
+        // The comparison is false for NaN: such a sample is kept, and the step reports it.
         if self.min_weight > R::zero() && weight((-*before).exp(), depth).0 < self.min_weight {
             return Seen::No;
         }
@@ -97,7 +97,7 @@ pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, backgro
 /// Gradient of a loss with respect to each sample, given its gradient with respect to the `pixel` [r, g, b, opacity]:
 /// calls `out(i, ∂L/∂x_i, ∂L/∂c_i)` front to back, for samples (x_i, c_i) given by index.
 ///
-/// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides. Opacity is a
+/// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides. Opacity is the
 /// fourth channel, 1 for every sample and 0 for the background.
 #[inline]
 pub fn composite_gradient<R: Real>(
@@ -109,7 +109,7 @@ pub fn composite_gradient<R: Real>(
 ) {
     let [r, g, b, opacity] = gradient;
     let shade = |[red, green, blue]: [R; 3], share: R| red * r + green * g + blue * b + share * opacity;
-    // Everything behind the sample, background included: starts as the whole pixel.
+    // The contribution of everything behind the sample, including the background; at first the whole pixel.
     let mut behind = shade([pixel[0], pixel[1], pixel[2]], pixel[3]);
     let mut transmittance = R::one();
     let mut depth_before = R::zero();

@@ -1,28 +1,28 @@
-//! The one error of the workspace, sorted by who must act: the user (input), the program's run, or the device.
+//! The error type of the workspace. Its kind tells the cause: the user's input, the run, or the device.
 //! A message is one line: what was found, where, and what to do.
 
-/// Who must act on an [`Error`]; decides the exit code of the binary.
+/// Cause of an [`Error`]; determines the exit code of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorKind {
     /// The user's files, settings or arguments are wrong (exit code 2).
     Input,
-    /// The run itself failed, or missed a stated quality floor (exit code 1).
+    /// The run failed, or missed its quality floor (exit code 1).
     Run,
     /// The device is missing, too small or lost (exit code 3).
     Device,
 }
 
-/// An error with the party that can mend it and one line of text.
+/// An error: its cause and one line of text.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct Error {
-    /// Who must act.
+    /// The cause.
     pub kind: ErrorKind,
     /// What, where, what to do.
     pub message: String,
 }
 
-/// Result of anything in the workspace that can fail.
+/// Result type of the workspace.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
@@ -35,7 +35,7 @@ impl Error {
         Self { kind: ErrorKind::Input, message: one_line(format!("{place}: {what}; {advice}")) }
     }
 
-    /// The run failed though its input was right.
+    /// The run failed with valid input.
     pub fn run(message: impl std::fmt::Display) -> Self {
         Self { kind: ErrorKind::Run, message: one_line(message.to_string()) }
     }
@@ -55,7 +55,7 @@ impl Error {
     }
 }
 
-/// Messages of other libraries may span lines; ours never do.
+/// Messages of other libraries may span lines; errors here are one line.
 fn one_line(text: String) -> String {
     text.split('\n').map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }

@@ -1,17 +1,17 @@
 //! Evaluation: test frames rendered at every scale and compared with their photographs.
 
 use crate::{
-    Error, Frame, Frames, Result, Session,
+    Error, Frame, Frames, Result, Viewer,
     config::EvalConfig,
     events::ScaleQuality,
     metrics::{psnr, psnr_8bit, psnr_of_constant, psnr_of_error, ssim},
 };
 use serde::Serialize;
 
-/// PSNR that a model may lose on the opposite background before it is said, dB.
+/// Loss of PSNR on the opposite background above which a warning is given, dB.
 const SHINES_THROUGH: f64 = 1.0;
 
-/// PSNR of a view that equals its photograph, dB: one blank view must not make a mean infinite.
+/// Upper limit for the PSNR of a view, dB: a view that equals its photograph must not make the mean infinite.
 pub const MOST_PSNR: f64 = 100.0;
 
 /// One rendered test view and its measures.
@@ -67,15 +67,15 @@ pub struct MeanQuality {
 }
 
 impl MeanQuality {
-    /// False for a model that shows nothing: less than `gain` dB better than each photograph's mean colour, or no number.
+    /// False for a model that failed to learn: its PSNR is NaN, or less than `gain` dB above that of the mean colours.
     pub fn learned(&self, gain: f64) -> bool {
         self.psnr >= MOST_PSNR || (self.psnr.is_finite() && !(self.psnr < self.psnr_constant + gain))
     }
 
-    /// Fails where the model learned nothing, or misses the floor that is set.
+    /// Fails if the model learned nothing or misses the configured quality floor.
     ///
     /// # Errors
-    /// Of kind `Run`: what was measured, and what it was held against.
+    /// Of kind `Run`, with the measured value and the limit.
     pub fn judge(&self, eval: &EvalConfig) -> Result<()> {
         if eval.min_gain != 0.0 && !self.learned(eval.min_gain) {
             return Err(Error::run(format!(
@@ -84,7 +84,7 @@ impl MeanQuality {
                 self.psnr, self.psnr_constant
             )));
         }
-        // A NaN misses every floor.
+        // NaN is below every floor.
         if eval.min_psnr > 0.0 && (self.psnr.is_nan() || self.psnr < eval.min_psnr) {
             return Err(Error::run(format!(
                 "mean PSNR {:.2} dB is below the floor eval.min_psnr = {}",
@@ -94,7 +94,7 @@ impl MeanQuality {
         Ok(())
     }
 
-    /// What to say of a model that lets its background shine through where the photographs do not.
+    /// A warning about a model that is transparent where the photographs are opaque.
     pub fn remark(&self) -> Option<String> {
         (self.psnr - self.psnr_opposite > SHINES_THROUGH).then(|| {
             format!(
@@ -106,17 +106,17 @@ impl MeanQuality {
     }
 }
 
-/// The background that shows best what shines through: black for what is bright, white for what is dark, per channel.
+/// The background that makes transparency most visible: per channel, black if the colour is bright and white if it is dark.
 pub fn opposite(background: [f32; 3]) -> [f32; 3] {
     background.map(|channel| if channel < 0.5 { 1.0 } else { 0.0 })
 }
 
-/// A PSNR of at most [`MOST_PSNR`]; what is no number stays none.
+/// The PSNR, limited to [`MOST_PSNR`]; NaN stays NaN.
 fn capped(psnr: f64) -> f64 {
     if psnr > MOST_PSNR { MOST_PSNR } else { psnr }
 }
 
-/// Who watches an evaluation; each method returns false to end it at once.
+/// Callbacks of an evaluation; each returns false to stop it.
 pub trait Watch {
     /// `rows` of the `of` rows of a frame, over all its scales, are rendered.
     fn rows(&mut self, rows: u32, of: u32) -> bool {
@@ -127,7 +127,7 @@ pub trait Watch {
     fn view(&mut self, view: &ViewResult<'_>) -> Result<bool>;
 }
 
-/// Watches views alone.
+/// A watch for views only.
 struct OnView<F>(F);
 
 impl<F: FnMut(&ViewResult<'_>) -> Result<bool>> Watch for OnView<F> {
@@ -138,7 +138,7 @@ impl<F: FnMut(&ViewResult<'_>) -> Result<bool>> Watch for OnView<F> {
 
 /// Renders every `stride`-th frame at every scale; `on_view` sees each result and returns false to stop early.
 pub fn evaluate(
-    session: &mut dyn Session,
+    viewer: &mut dyn Viewer,
     frames: &dyn Frames,
     stride: usize,
     background: [f32; 3],
@@ -146,7 +146,7 @@ pub fn evaluate(
 ) -> Result<Vec<ViewQuality>> {
     let (mut qualities, mut watch) = (Vec::new(), OnView(on_view));
     for index in (0..frames.len()).step_by(stride.max(1)) {
-        if !evaluate_frame(session, frames, index, 1, background, &mut watch, &mut qualities)? {
+        if !evaluate_frame(viewer, frames, index, 1, background, &mut watch, &mut qualities)? {
             break;
         }
     }
@@ -154,12 +154,12 @@ pub fn evaluate(
 }
 
 /// Renders frame `index` at its scales from `finest` on (1, 2, 4, ..; where it has none so coarse, at its coarsest) and
-/// adds their measures to `qualities`. False when `watch` ended it: the view under way is not among them.
+/// adds their measures to `qualities`. False if `watch` stopped it; the current view is then not included.
 ///
 /// # Errors
 /// When a photograph cannot be read, the device fails, or `watch` fails.
 pub fn evaluate_frame(
-    session: &mut dyn Session,
+    viewer: &mut dyn Viewer,
     frames: &dyn Frames,
     index: usize,
     finest: u32,
@@ -176,7 +176,7 @@ pub fn evaluate_frame(
     for (factor, view) in views() {
         let target = set.composited(view, background);
         let camera = &set.views[view].camera;
-        let Some(rendered) = session.render_watched(camera, &mut |done, _| watch.rows(before + done, all))?
+        let Some(rendered) = viewer.render_watched(camera, &mut |done, _| watch.rows(before + done, all))?
         else {
             return Ok(false);
         };
@@ -229,7 +229,7 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
                 psnr: mean(&|q| q.psnr),
                 psnr_8bit: mean(&|q| q.psnr_8bit),
                 psnr_opposite: mean(&|q| q.psnr_opposite),
-                // Errors are averaged here: a blank view, which a constant equals, must not stand for all others.
+                // Errors are averaged, not PSNRs: a blank view, which a constant image matches, must not dominate the mean.
                 psnr_constant: capped(psnr_of_error(mean(&|q| 10_f64.powf(-0.1 * q.psnr_constant)))),
                 ssim: mean(&|q| q.ssim),
             }
@@ -237,7 +237,7 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
         .collect()
 }
 
-/// Means over the scales, each counting once.
+/// Means over the scales, with equal weight.
 pub fn mean_quality(scales: &[ScaleQuality]) -> MeanQuality {
     let mean =
         |f: &dyn Fn(&ScaleQuality) -> f64| scales.iter().map(f).sum::<f64>() / scales.len().max(1) as f64;

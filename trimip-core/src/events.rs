@@ -1,13 +1,13 @@
-//! The one stream of what happens in a run. Progress bars, logs, CSV and reports all read it; nothing else tells them.
+//! The event stream of a run, the only source of progress bars, logs, CSV files and reports.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// A float that JSON could not hold: infinite or NaN values are written as `null` and read back as NaN.
+/// Floats for JSON: infinite and NaN values are written as `null` and read back as NaN.
 fn float_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
-/// What was not measured.
+/// A value that was not measured.
 fn unknown() -> f64 {
     f64::NAN
 }
@@ -25,10 +25,10 @@ pub struct ScaleQuality {
     /// The same on colours rounded to 8 bits.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_8bit: f64,
-    /// The same of unrounded colours on the opposite background: what shines through the model lowers it.
+    /// The same for unrounded colours on the opposite background; transparency lowers it.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_opposite: f64,
-    /// PSNR of each photograph's mean colour, from the mean of their errors: what a model that learned nothing reaches.
+    /// PSNR of each photograph's mean colour, from the mean of their errors: the level of a model that learned nothing.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_constant: f64,
     /// Mean over the images of the structural similarity.
@@ -36,7 +36,7 @@ pub struct ScaleQuality {
     pub ssim: f64,
 }
 
-/// Counters of a run; they go on over a resume.
+/// Counters of a run; they continue after a resume.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Totals {
     /// Optimiser steps done.
@@ -55,11 +55,11 @@ pub struct Totals {
     pub non_finite: u64,
 }
 
-/// Where one process's part of a run came from; what an older run did not tell is `None`.
+/// Origin of the part of a run that one process did; `None` for values that older versions did not record.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Provenance {
-    /// The command line as it was typed, the program by its name alone.
+    /// The command line, with the program by its name alone.
     pub command: Option<String>,
     /// Version of the program, with its commit where that is known.
     pub version: Option<String>,
@@ -69,23 +69,23 @@ pub struct Provenance {
     pub test_views: Option<usize>,
 }
 
-/// Something that happened. Serialised with a `kind` field, one JSON object a line in `metrics.jsonl`.
+/// An event. Serialised with a `kind` field, one JSON object a line in `metrics.jsonl`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Event {
-    /// What is going to be done.
+    /// The overview of a run, before it starts.
     Plan {
         /// One line each.
         lines: Vec<String>,
         /// Predicted peak memory.
         memory_bytes: u64,
     },
-    /// Training goes on from a checkpoint.
+    /// Training continues from a checkpoint.
     Resumed {
         /// Where it stands.
         totals: Totals,
     },
-    /// A finished run goes on with a longer budget.
+    /// A finished run continues with a longer budget.
     Extended {
         /// Where it stands.
         totals: Totals,
@@ -125,10 +125,10 @@ pub enum Event {
         totals: Totals,
         /// Every n-th test view was used.
         stride: usize,
-        /// Test views there are; 0 where an earlier version wrote the event.
+        /// Number of test views; 0 in events of earlier versions.
         #[serde(default)]
         frames: usize,
-        /// True where more views or scales were asked for than `eval.share` had time for.
+        /// True if `eval.share` left no time for all requested views or scales.
         #[serde(default)]
         bounded: bool,
         /// True for the evaluation that ends the run.
@@ -148,9 +148,9 @@ pub enum Event {
     EvaluationProgress {
         /// Views done.
         done: usize,
-        /// Views that this evaluation looks at, as far as is decided.
+        /// Number of views of this evaluation, as far as known.
         total: usize,
-        /// Part of the view under way that is rendered, 0 to 1.
+        /// Rendered share of the current view, 0 to 1.
         #[serde(default)]
         part: f64,
     },

@@ -1,31 +1,31 @@
-//! A model in f64, one ray at a time: what the stages approximate. Slow, and free of all their shortcuts but the occupancy
-//! grid, which belongs to the model; made to measure errors by.
+//! A model in f64, one ray at a time: the reference for errors of rendering. It is slow and takes no shortcuts except the
+//! occupancy grid, which is part of the model.
 
 use crate::activation::{density, sigmoid};
+use crate::encoders::{self, Place, Twin};
 use crate::model::{Model, OCCUPANCY};
 use crate::occupancy::cell_of;
+use crate::params::harmonics;
 use crate::sh::spherical_harmonics;
-use crate::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
-use crate::{Aabb, Camera, Error, Layout, Result};
+use crate::{Camera, Cone, Layout, Result, Space};
 use glam::DVec3;
 
-/// Transmittance behind which nothing can be seen in f64.
+/// Transmittance below which nothing is visible in f64.
 const OPAQUE: f64 = 1e-13;
 
 /// A model ready to be evaluated.
 pub struct Exact {
-    aabb: Aabb<f64>,
+    space: Space<f64>,
     centre: DVec3,
-    pyramid: Pyramid,
-    /// Level 0, then the levels above it in one array.
-    base: Vec<f64>,
-    derived: Vec<f64>,
+    encoder: Box<dyn Twin>,
     density: Vec<Layer>,
     color: Vec<Layer>,
-    /// The colour network sees the direction.
-    directions: bool,
+    /// Spherical harmonics that the colour network sees.
+    harmonics: usize,
     occupancy: Vec<u8>,
     resolution: u32,
+    /// Cones along a side of a pixel.
+    cones: u32,
     background: [f64; 3],
     /// Longest side · √3: what a run's steps divide.
     diagonal: f64,
@@ -38,7 +38,7 @@ struct Layer {
 }
 
 impl Exact {
-    /// Takes a model apart.
+    /// Prepares a model.
     ///
     /// # Errors
     /// When a tensor is missing or has another shape.
@@ -47,28 +47,9 @@ impl Exact {
         let layout = Layout::new(&config);
         let values: Vec<f64> =
             layout.from_tensors(&model.file, "model", "")?.into_iter().map(f64::from).collect();
-        let aabb = Aabb::<f64>::new(&config.scene);
-        let pyramid = Pyramid::new(&config.encoder, &aabb);
-        let base =
-            values.get(..pyramid.base_len()).ok_or_else(|| Error::run("a model without planes"))?.to_vec();
-        let mut derived = vec![0.0; pyramid.derived_len()];
-        for level in 1..pyramid.levels {
-            for plane in 0..3 {
-                let (shape, to) = (pyramid.shape(level, plane), pyramid.offset(level, plane));
-                let from = pyramid.offset(level - 1, plane);
-                for i in 0..shape.texels() * CHANNELS {
-                    let (texel, channel) = (i / CHANNELS, i % CHANNELS);
-                    let (row, column) = (texel / shape.columns, texel % shape.columns);
-                    let child = |j: usize, k: usize| {
-                        let at = (2 * row + j) * 2 * shape.columns + 2 * column + k;
-                        let finer = if level == 1 { &base } else { &derived };
-                        finer[from + at * CHANNELS + channel]
-                    };
-                    let mean = 0.25 * (child(0, 0) + child(0, 1) + child(1, 0) + child(1, 1));
-                    derived[to + i] = mean;
-                }
-            }
-        }
+        let space = Space::<f64>::new(&config.scene);
+        let own = layout.encoder().iter().map(|slot| values[slot.range.clone()].to_vec()).collect();
+        let encoder = encoders::of(&config).twin(&config, own);
         let network = |name: &str| {
             let layer = |slot: &crate::params::Slot| Layer {
                 outputs: slot.shape[1],
@@ -83,36 +64,43 @@ impl Exact {
             centre,
             density: network("density"),
             color: network("color"),
-            directions: config.field.directions,
-            base,
-            derived,
+            harmonics: harmonics(&config),
             occupancy,
             resolution,
+            cones: config.renderer.cones,
             background: config.data.background.map(f64::from),
-            diagonal: aabb.longest() * 3_f64.sqrt(),
-            aabb,
-            pyramid,
+            diagonal: space.aabb().longest() * 3_f64.sqrt(),
+            space,
+            encoder,
         })
     }
 
-    /// Colour of pixel (`x`, `y`) on the configured background, marched with `steps` steps along the diagonal.
+    /// Colour of pixel (`x`, `y`) on the configured background, the mean of its cones, each marched with `steps` steps
+    /// along the diagonal.
     pub fn pixel(&self, camera: &Camera, x: u32, y: u32, steps: u32) -> [f64; 3] {
         let camera = Camera { origin: camera.origin - self.centre, ..*camera };
-        let cone = camera.cone::<f64>(x, y);
-        let (enter, leave) = self.aabb.intersect(cone.origin, cone.direction);
-        let (step, extent) = (self.diagonal / f64::from(steps), self.aabb.extent());
+        let count = self.cones * self.cones;
+        let cones = (0..count).map(|i| self.cone(&camera.cone_in(x, y, i, self.cones), steps));
+        cones.fold([0.0; 3], |sum, rgb| std::array::from_fn(|c| sum[c] + rgb[c] / f64::from(count)))
+    }
+
+    /// Colour of one cone, its apex relative to the centre of the box.
+    fn cone(&self, cone: &Cone<f64>, steps: u32) -> [f64; 3] {
+        let (enter, leave) = self.space.intersect(cone.origin, cone.direction);
+        let step = self.diagonal / f64::from(steps);
         let harmonics = spherical_harmonics(cone.direction);
         let (mut rgb, mut depth) = ([0.0; 3], 0.0_f64);
         let count = ((leave - enter) / step + 0.5).floor().max(0.0) as u64;
         for i in 0..count {
             let t = enter + (i as f64 + 0.5) * step;
-            let position: [f64; 3] = std::array::from_fn(|axis| {
-                (cone.origin[axis] + t * cone.direction[axis] - self.aabb.min[axis]) / extent[axis]
-            });
+            let point = std::array::from_fn(|axis| cone.origin[axis] + t * cone.direction[axis]);
+            let position = self.space.to_cube(point);
             if t >= leave || !self.occupied(position) {
                 continue;
             }
-            let geometry = run(&self.density, self.features(position, cone.slope * t));
+            let radius = cone.slope * t * self.space.scale(point);
+            let at = Place { position, radius, direction: cone.direction, t, length: step };
+            let geometry = run(&self.density, self.features(&at));
             let own = density(geometry[0]) * step;
             let before = (-depth).exp();
             depth += own;
@@ -134,42 +122,22 @@ impl Exact {
         self.occupancy[cell / 8] >> (cell % 8) & 1 == 1
     }
 
-    /// Density per world unit and colour of a sample with these 48 features, seen along a unit direction.
+    /// Density per world unit and colour of a sample with these features, seen along a unit direction.
     pub fn radiance(&self, features: &[f64], direction: [f64; 3]) -> (f64, [f64; 3]) {
         let geometry = run(&self.density, features.to_vec());
         (density(geometry[0]), self.color(&spherical_harmonics(direction), &geometry))
     }
 
     fn color(&self, harmonics: &[f64], geometry: &[f64]) -> [f64; 3] {
-        let mut input = if self.directions { harmonics.to_vec() } else { Vec::new() };
+        let mut input = harmonics[..self.harmonics].to_vec();
         input.extend_from_slice(&geometry[1..]);
         let logits = run(&self.color, input);
         [0, 1, 2].map(|c| sigmoid(logits[c]))
     }
 
-    /// The 48 features of a sphere: its centre in coordinates of the unit box, its radius in world units.
-    pub fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64> {
-        let mut features = vec![0.0; FEATURES];
-        for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
-            let blend = self.pyramid.blend(plane, radius.log2());
-            for (level, share) in [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)] {
-                if share == 0.0 {
-                    continue;
-                }
-                let shape = self.pyramid.shape(level, plane);
-                let levels = if level == 0 { &self.base } else { &self.derived };
-                let texels = &levels[self.pyramid.range(level, plane)];
-                let taps = taps(shape, position[a], position[b]);
-                for (row, weights) in taps.rows.into_iter().zip(taps.weights) {
-                    for (column, weight) in taps.columns.into_iter().zip(weights) {
-                        let texel = &texels[(row * shape.columns + column) * CHANNELS..][..CHANNELS];
-                        let out = &mut features[plane * CHANNELS..][..CHANNELS];
-                        out.iter_mut().zip(texel).for_each(|(sum, value)| *sum += share * weight * value);
-                    }
-                }
-            }
-        }
-        features
+    /// Features of a sample.
+    pub fn features(&self, at: &Place) -> Vec<f64> {
+        self.encoder.features(at)
     }
 }
 

@@ -15,7 +15,7 @@ pub struct Frame {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Pixel {
-    /// RGB on the background, in the values of the training images.
+    /// RGB on the background, in the colour values of the training images.
     pub rgb: [f32; 3],
     /// 1 − transmittance of the whole ray, in [0, 1].
     pub opacity: f32,
@@ -24,6 +24,21 @@ pub struct Pixel {
 }
 
 impl Pixel {
+    /// The mean of a pixel's cones.
+    #[inline]
+    pub fn mean(cones: &[Self]) -> Self {
+        if let [one] = cones {
+            return *one;
+        }
+        let share = (cones.len() as f32).recip();
+        let mean = |pick: fn(&Self) -> f32| cones.iter().map(pick).sum::<f32>() * share;
+        Self {
+            rgb: [mean(|cone| cone.rgb[0]), mean(|cone| cone.rgb[1]), mean(|cone| cone.rgb[2])],
+            opacity: mean(|cone| cone.opacity),
+            depth: mean(|cone| cone.depth),
+        }
+    }
+
     /// [r, g, b, opacity].
     pub fn channels(&self) -> [f32; 4] {
         let [r, g, b] = self.rgb;

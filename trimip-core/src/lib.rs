@@ -1,7 +1,8 @@
 //! The words, mathematics, traits and training loop of Tri-MipRF (Hu et al., ICCV 2023), free of any device.
 //!
 //! Data flows one way: images and cameras → cones → spheres along the cone → features → density and colour →
-//! composited pixels → loss, and back. [`Session`] is the door a program uses; [`run::Run`] drives it.
+//! composited pixels → loss, and back. [`Viewer`] and [`Session`] are the doors
+//! a program uses: what renders, and what trains; [`run::Run`] drives the latter.
 //!
 //! ```
 //! use glam::DVec3;
@@ -24,11 +25,15 @@ pub mod camera;
 pub mod checkpoint;
 pub mod compositing;
 pub mod config;
+mod defaults;
+pub mod encoders;
 mod error;
 pub mod evaluate;
 pub mod events;
 pub mod exact;
+pub mod exchange;
 pub mod frame;
+pub mod loaded;
 pub mod loss;
 pub mod metrics;
 pub mod model;
@@ -42,19 +47,21 @@ pub mod schedule;
 mod session;
 mod settings;
 pub mod sh;
+pub mod space;
 pub mod tensors;
 mod timekeeper;
 pub mod trainer;
-pub mod tri_mip;
 pub mod views;
 
 pub use aabb::Aabb;
 pub use backend::{Backend, Encoder, Field, Optimizer, Renderer};
 pub use camera::{Camera, Cone, Intrinsics};
 pub use config::Config;
+pub use defaults::{DEFAULTS, DocumentedSection, DocumentedSetting, documented, settings_page};
 pub use error::{Error, ErrorKind, Result};
 pub use frame::{Frame, Pixel};
-pub use params::Layout;
-pub use session::{Session, StepReport};
-pub use settings::{DEFAULTS, Origin, Settings};
+pub use params::{Layout, Slot};
+pub use session::{Session, StepReport, Viewer};
+pub use settings::{Origin, Settings};
+pub use space::Space;
 pub use views::{Alpha, Frames, Scale, View, ViewSet};

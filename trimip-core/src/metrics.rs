@@ -1,4 +1,4 @@
-//! Image measures on RGB values in [0, 1]: PSNR, and SSIM of Wang et al. 2004 (Gaussian window 11, σ = 1.5, K1 = 0.01,
+//! Image metrics on RGB values in [0, 1]: PSNR, and SSIM of Wang et al. 2004 (Gaussian window 11, σ = 1.5, K1 = 0.01,
 //! K2 = 0.03, channels averaged, borders left out as in the original).
 
 const WINDOW: usize = 11;
@@ -12,15 +12,14 @@ pub fn psnr(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     psnr_of_error(mean_squared_error(image, target))
 }
 
-/// The same of colours rounded to 8 bits, as a picture file holds them.
+/// The same for colours rounded to 8 bits, as in a picture file.
 pub fn psnr_8bit(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     let rounded: Vec<[f32; 3]> =
         image.iter().map(|rgb| rgb.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() / 255.0)).collect();
     psnr(&rounded, target)
 }
 
-/// PSNR of the constant picture that is closest to `target`, its mean colour: what a model that learned nothing but the
-/// overall colour reaches, dB.
+/// PSNR of the best constant image for `target`, its mean colour, dB: the level of a model that learned nothing else.
 pub fn psnr_of_constant(target: &[[f32; 3]]) -> f64 {
     let count = target.len().max(1) as f64;
     let values = |c: usize| target.iter().map(move |rgb| f64::from(rgb[c].clamp(0.0, 1.0)));

@@ -1,29 +1,43 @@
-//! A finished model: the parameters by name, the occupancy grid, and the configuration they belong to. Self-contained:
-//! its file is all that rendering needs.
+//! A finished model: the parameters by name, the occupancy grid, and the configuration they belong to. Its
+//! file is all that rendering needs.
 
-use crate::{Config, Error, Result, config::FilePrecision, tensors::TensorFile};
-use std::path::Path;
+use crate::{
+    Config, Error, Layout, Result,
+    config::FilePrecision,
+    tensors::{Tensor, TensorFile},
+};
+use std::{collections::BTreeMap, path::Path};
 
 /// Value of the metadata `format` of a model file.
 const FORMAT: &str = "trimip-model-1";
 
-/// Name of the planes' tensor.
-pub(crate) const PLANES: &str = "planes";
-
 /// Name of the occupancy grid's tensor: one bit per cell, cell order, lowest bit first.
 pub const OCCUPANCY: &str = "occupancy";
+
+/// Prefix of the names of scene assets: tensors that a renderer holds beside the parameters, such as a mesh or a
+/// hierarchy. Assets are saved with the model; a renderer ignores assets that it does not know.
+pub const ASSET: &str = "asset.";
+
+/// Assets of a scene by their names in the file.
+pub type Assets = BTreeMap<String, Tensor>;
+
+/// The assets of a model or checkpoint.
+pub fn assets(file: &TensorFile) -> Assets {
+    let own = file.tensors.iter().filter(|(name, _)| name.starts_with(ASSET));
+    own.map(|(name, tensor)| (name.clone(), tensor.clone())).collect()
+}
 
 /// Named tensors (see [`crate::params::Layout`]), the occupancy bits as tensor `occupancy` and the configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
     /// The configuration the model was trained with.
     pub config: Config,
-    /// Tensors and metadata as they stand in the file.
+    /// Tensors and metadata as in the file.
     pub file: TensorFile,
 }
 
 impl Model {
-    /// Puts tensors and configuration together.
+    /// A model from a configuration and tensors.
     pub fn new(config: Config, mut file: TensorFile) -> Self {
         file.metadata.insert("format".into(), FORMAT.into());
         file.metadata.insert("config".into(), config.to_toml());
@@ -32,35 +46,45 @@ impl Model {
         Self { config, file }
     }
 
-    /// The same model with its planes rounded as its file will hold them.
+    /// Names of the tensors that the file holds as f16.
+    fn in_f16(&self) -> impl Iterator<Item = String> + use<> {
+        let slots = Layout::new(&self.config).slots.into_iter();
+        slots.filter(|slot| slot.precision == FilePrecision::F16).map(|slot| slot.name)
+    }
+
+    /// The same model, rounded as in its file.
     pub fn rounded(mut self) -> Self {
-        if self.config.file.planes == FilePrecision::F16
-            && let Some(planes) = self.file.tensors.remove(PLANES)
-        {
-            self.file.tensors.insert(PLANES.into(), planes.halved().widened());
+        for name in self.in_f16() {
+            if let Some(tensor) = self.file.tensors.get_mut(&name) {
+                *tensor = tensor.to_f16();
+                tensor.widen();
+            }
         }
         self
     }
 
-    /// Writes the model, atomically, its planes in the precision of `file.planes`; returns its size in bytes.
+    /// Writes the model, atomically, each tensor in the precision that its slot declares; returns its size in bytes.
     pub fn write(&self, path: &Path) -> Result<u64> {
-        match (self.config.file.planes, self.file.tensors.get(PLANES)) {
-            (FilePrecision::F16, Some(planes)) => {
-                let mut file = self.file.clone();
-                file.tensors.insert(PLANES.into(), planes.halved());
-                file.write(path, &[])
-            }
-            _ => self.file.write(path, &[]),
+        let mut names = self.in_f16().peekable();
+        if names.peek().is_none() {
+            return self.file.write(path, &[]);
         }
+        let mut file = self.file.clone();
+        for name in names {
+            if let Some(tensor) = file.tensors.get_mut(&name) {
+                *tensor = tensor.to_f16();
+            }
+        }
+        file.write(path, &[])
     }
 
-    /// Reads a model and checks that it is one.
+    /// Reads a model and checks its format.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let mut file = TensorFile::read(path)?;
         expect_format(&name, &file, FORMAT)?;
-        if let Some(planes) = file.tensors.remove(PLANES) {
-            file.tensors.insert(PLANES.into(), planes.widened());
+        for tensor in file.tensors.values_mut() {
+            tensor.widen();
         }
         let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
         Ok(Self { config, file })

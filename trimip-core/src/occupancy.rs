@@ -1,12 +1,13 @@
-//! The binary occupancy grid's rules (instant-ngp, Appendix C): which cells a refresh asks, how they decay, where the
-//! threshold lies. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
+//! Rules of the binary occupancy grid (instant-ngp, Appendix C): the cells of an update, their decay and the threshold. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
 
 use crate::{
+    Space,
+    batch::{Interval, Ray, Sphere},
     config::OccupancyConfig,
     rng::{Draws, Random, Stream, unit},
 };
 
-/// Cell that holds a position of the unit box; positions outside belong to the nearest cell.
+/// Cell of a position in the unit box; positions outside belong to the nearest cell.
 #[inline]
 pub fn cell_of(position: [f32; 3], resolution: u32) -> u32 {
     let [x, y, z] = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
@@ -27,8 +28,38 @@ pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32;
     std::array::from_fn(|axis| (corner[axis] as f32 + offset[axis]) / resolution as f32)
 }
 
-/// Which cells one refresh asks. Every cell decides by its own hash: a share `fraction` is drawn uniformly, and every
-/// occupied cell with the probability that makes at most the same share of the grid; no cell is asked twice.
+/// What a refresh asks of a cell: a sample at a random point of it, one marching step long, on a ray from a random
+/// direction whose sphere there has the given `radius`. The ray begins a longest side of the space before the point.
+#[inline]
+pub fn probe(
+    cell: u32,
+    resolution: u32,
+    random: &Random,
+    step: u64,
+    space: &Space<f32>,
+    radius: f32,
+    length: f32,
+) -> (Ray, Interval, Sphere) {
+    let position = point_in(cell, resolution, random, step);
+    let direction = direction_of(random.bits(Stream::Point, step, cell)[3]);
+    let (point, t) = (space.to_world(position), space.aabb().longest());
+    let origin = std::array::from_fn(|axis| point[axis] - t * direction[axis]);
+    let ray = Ray { origin, slope: radius / t, direction, cosine: 1.0 };
+    (ray, Interval { t, length }, Sphere { position, radius })
+}
+
+/// A unit direction from 32 random bits, uniform on the sphere: the upper half is the height, the lower half the angle.
+#[inline]
+pub fn direction_of(bits: u32) -> [f32; 3] {
+    let part = |half: u32| (half as f32 + 0.5) / 65_536.0;
+    let height = 2.0 * part(bits >> 16) - 1.0;
+    let (sine, cosine) = (std::f32::consts::TAU * part(bits & 0xffff)).sin_cos();
+    let radius = (1.0 - height * height).sqrt();
+    [radius * cosine, radius * sine, height]
+}
+
+/// The cells of one update. Each cell decides by its own hash: a share `fraction` of all cells is drawn uniformly, plus
+/// occupied cells up to the same share of the grid. No cell is drawn twice.
 #[derive(Clone, Copy, Debug)]
 pub struct Choice {
     draws: Draws,
@@ -37,7 +68,7 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// The choice at `step`, when `occupied` of `cells` cells are occupied. Warm-up steps have a share of their own.
+    /// The choice at `step`, with `occupied` of `cells` cells occupied. Warm-up steps have their own share.
     pub fn new(config: &OccupancyConfig, seed: u64, step: u64, occupied: usize, cells: usize) -> Self {
         let warm = step < u64::from(config.warmup);
         let fraction = if warm { config.warmup_fraction } else { config.fraction };
@@ -45,7 +76,7 @@ impl Choice {
         Self { draws: Random::new(seed).at(Stream::Cell, step), fraction, occupied_probability }
     }
 
-    /// True when `cell` is asked.
+    /// True if `cell` is updated.
     #[inline]
     pub fn includes(&self, cell: u32, occupied: bool) -> bool {
         if self.fraction >= 1.0 {
@@ -56,7 +87,7 @@ impl Choice {
     }
 }
 
-/// A cell's running maximum of density·step after it was asked: max(decay·old, new).
+/// A cell's running maximum of density·step after an update: max(decay·old, new).
 #[inline]
 pub fn decayed(old: f32, new: f32, decay: f32) -> f32 {
     (decay * old).max(new)
@@ -67,7 +98,7 @@ pub fn threshold(mean: f64, config: &OccupancyConfig) -> f32 {
     (mean as f32).min(config.threshold)
 }
 
-/// The bits of a grid of half the resolution (an even one): a cell is occupied where one of its eight is.
+/// The bits of a grid of half the (even) resolution: a cell is occupied if any of its eight children is.
 pub fn coarsened(bits: &[u8], resolution: u32) -> Vec<u8> {
     let half = resolution / 2;
     let mut coarse = vec![0; (half as usize).pow(3).div_ceil(8)];

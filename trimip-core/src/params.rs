@@ -1,26 +1,17 @@
-//! The parameters: one flat array with named slots, so that the optimiser makes one pass, a checkpoint one read, and two
-//! backends are compared by name.
+//! The parameters: one flat array with named slots. Encoders and networks declare their slots; optimiser, checkpoints,
+//! model files and memory prediction use the declarations alone.
 
 use crate::{
-    Aabb, Config, Result,
+    Config, Result,
+    config::FilePrecision,
+    encoders,
     rng::{Random, Stream, unit},
-    sh,
     tensors::{Tensor, TensorFile},
-    tri_mip::{CHANNELS, FEATURES, sides},
 };
 use std::ops::Range;
 
-/// Geometry features that the density network hands to the colour network, beside its density logit.
-pub const GEOMETRY: usize = 15;
-
-/// What a slot holds; decides its learning rate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Base level of the feature planes.
-    Planes,
-    /// Weights of a network layer, [inputs, outputs].
-    Network,
-}
+/// Floats that slots are aligned to: one vector register, one cache line. The padding between slots is zero.
+pub const ALIGNMENT: usize = 16;
 
 /// A named part of the flat array.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,27 +22,74 @@ pub struct Slot {
     pub shape: Vec<usize>,
     /// Place in the flat array.
     pub range: Range<usize>,
-    /// What it holds.
-    pub kind: Kind,
+    /// Initial values are uniform in [-bound, bound].
+    pub bound: f32,
+    /// Learning rate as a multiple of `optimizer.learning_rate`.
+    pub rate: f64,
+    /// Weight decay as a multiple of `optimizer.weight_decay`.
+    pub decay: f64,
+    /// Sparse: groups of this many values, a divisor of [`ALIGNMENT`]. `optimizer.untouched` decides about
+    /// groups without a gradient in a step. `None`: every value is updated in every step.
+    pub group: Option<usize>,
+    /// Precision in model files; checkpoints are f32.
+    pub precision: FilePrecision,
+    /// True if early stages of training use only the first part, see [`encoders::Definition::stage`].
+    pub grows: bool,
 }
 
-/// All slots, in order: planes, density network, colour network. Layers have no biases.
+impl Slot {
+    /// A slot that is dense, has the networks' rate and decay, f32 in files, and does not grow.
+    pub fn new(name: impl Into<String>, shape: Vec<usize>, bound: f32) -> Self {
+        let range = 0..shape.iter().product::<usize>();
+        Self {
+            name: name.into(),
+            shape,
+            range,
+            bound,
+            rate: 1.0,
+            decay: 1.0,
+            group: None,
+            precision: FilePrecision::F32,
+            grows: false,
+        }
+    }
+
+    /// Its range including the padding behind it.
+    pub fn padded(&self) -> Range<usize> {
+        self.range.start..self.range.end.next_multiple_of(ALIGNMENT)
+    }
+}
+
+/// All slots, in order: the encoder's, density network, colour network. Layers have no biases.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
     /// The slots.
     pub slots: Vec<Slot>,
+    /// Number of slots of the encoder; they come first.
+    encoder: usize,
 }
 
-/// Inputs and outputs of each layer of the density network: 48 → hidden … → 1 logit + 15 geometry features.
+/// Inputs and outputs of each layer of the density network: the encoder's features → hidden … → 1 logit and the geometry features.
 pub fn density_layers(config: &Config) -> Vec<[usize; 2]> {
-    layers(FEATURES, config.field.hidden as usize, config.field.density_layers, 1 + GEOMETRY)
+    let width = encoders::of(config).width(config);
+    layers(
+        width,
+        config.field.hidden as usize,
+        config.field.density_layers,
+        1 + config.field.geometry as usize,
+    )
 }
 
-/// Inputs and outputs of each layer of the colour network: 16 spherical harmonics (none without directions) + 15 geometry
+/// Inputs and outputs of each layer of the colour network: spherical harmonics (none without directions) and geometry
 /// features → hidden … → 3.
 pub fn color_layers(config: &Config) -> Vec<[usize; 2]> {
-    let harmonics = if config.field.directions { sh::COUNT } else { 0 };
-    layers(harmonics + GEOMETRY, config.field.hidden as usize, config.field.color_layers, 3)
+    let inputs = harmonics(config) + config.field.geometry as usize;
+    layers(inputs, config.field.hidden as usize, config.field.color_layers, 3)
+}
+
+/// Number of spherical harmonics that the colour network gets: degree², 0 without directions.
+pub fn harmonics(config: &Config) -> usize {
+    if config.field.directions { (config.field.harmonics as usize).pow(2) } else { 0 }
 }
 
 fn layers(inputs: usize, hidden: usize, count: u32, outputs: usize) -> Vec<[usize; 2]> {
@@ -64,31 +102,45 @@ fn layers(inputs: usize, hidden: usize, count: u32, outputs: usize) -> Vec<[usiz
 impl Layout {
     /// The slots of a configuration.
     pub fn new(config: &Config) -> Self {
-        let mut layout = Self { slots: Vec::new() };
-        let sides = sides(&config.encoder, &Aabb::new(&config.scene));
-        let shape = match sides {
-            [x, y, z] if x == y && y == z => vec![3, x, x, CHANNELS],
-            // Planes YZ, XZ and XY, one after the other, each row by row.
-            [x, y, z] => vec![y * z + x * z + x * y, CHANNELS],
-        };
-        layout.push("planes".into(), shape, Kind::Planes);
+        let mut layout = Self { slots: Vec::new(), encoder: 0 };
+        encoders::of(config).slots(config).into_iter().for_each(|slot| layout.push(slot));
+        layout.encoder = layout.slots.len();
         for (network, layers) in [("density", density_layers(config)), ("color", color_layers(config))] {
-            for (i, shape) in layers.into_iter().enumerate() {
-                layout.push(format!("{network}.{i}.weight"), shape.to_vec(), Kind::Network);
+            for (i, [inputs, outputs]) in layers.into_iter().enumerate() {
+                // Glorot's uniform rule (paper).
+                let bound = (6.0 / (inputs + outputs) as f32).sqrt();
+                layout.push(Slot::new(format!("{network}.{i}.weight"), vec![inputs, outputs], bound));
             }
         }
         layout
     }
 
-    fn push(&mut self, name: String, shape: Vec<usize>, kind: Kind) {
-        let start = self.len();
-        let range = start..start + shape.iter().product::<usize>();
-        self.slots.push(Slot { name, shape, range, kind });
+    /// A layout of these slots, one after the other.
+    pub fn of(slots: impl IntoIterator<Item = Slot>) -> Self {
+        let mut layout = Self { slots: Vec::new(), encoder: 0 };
+        slots.into_iter().for_each(|slot| layout.push(slot));
+        layout
     }
 
-    /// Floats in all.
+    fn push(&mut self, mut slot: Slot) {
+        let start = self.len();
+        slot.range = start..start + slot.range.len();
+        self.slots.push(slot);
+    }
+
+    /// Number of floats, including padding.
     pub fn len(&self) -> usize {
-        self.slots.last().map_or(0, |slot| slot.range.end)
+        self.slots.last().map_or(0, |slot| slot.padded().end)
+    }
+
+    /// Slots of the encoder.
+    pub fn encoder(&self) -> &[Slot] {
+        &self.slots[..self.encoder]
+    }
+
+    /// Slots of both networks.
+    pub fn networks(&self) -> &[Slot] {
+        &self.slots[self.encoder..]
     }
 
     /// True when there is no slot.
@@ -102,24 +154,20 @@ impl Layout {
         self.slots.iter().filter(move |slot| slot.name.starts_with(&prefix))
     }
 
-    /// Initial values: planes U(−r, r), layers by Glorot's uniform rule ±sqrt(6/(inputs + outputs)) (paper).
+    /// Initial values: each slot uniform within its bound.
     pub fn initial(&self, config: &Config) -> Vec<f32> {
         let random = Random::new(config.seed);
-        let mut values = Vec::with_capacity(self.len());
+        let mut values = vec![0.0; self.len()];
         for slot in &self.slots {
-            let bound = match slot.kind {
-                Kind::Planes => config.encoder.init_range,
-                Kind::Network => (6.0 / (slot.shape[0] + slot.shape[1]) as f32).sqrt(),
-            };
-            values.extend(slot.range.clone().map(|i| {
+            for (value, i) in values[slot.range.clone()].iter_mut().zip(slot.range.clone()) {
                 let bits = random.bits(Stream::Initial, 0, (i / 4) as u32)[i % 4];
-                (2.0 * unit(bits) - 1.0) * bound
-            }));
+                *value = (2.0 * unit(bits) - 1.0) * slot.bound;
+            }
         }
         values
     }
 
-    /// Cuts flat values into named tensors; each name gets `suffix`.
+    /// Splits flat values into named tensors; `suffix` is appended to each name.
     pub fn to_tensors(&self, values: &[f32], suffix: &str, file: &mut TensorFile) {
         for slot in &self.slots {
             let tensor = Tensor::f32(&slot.shape, values[slot.range.clone()].to_vec());
@@ -127,11 +175,12 @@ impl Layout {
         }
     }
 
-    /// Collects named tensors into flat values; a missing tensor or another shape is an error that names it.
+    /// Joins named tensors into flat values; a missing tensor or a wrong shape is an error that names it.
     pub fn from_tensors(&self, file: &TensorFile, name: &str, suffix: &str) -> Result<Vec<f32>> {
-        let mut values = Vec::with_capacity(self.len());
+        let mut values = vec![0.0; self.len()];
         for slot in &self.slots {
-            values.extend_from_slice(file.f32(name, &format!("{}{suffix}", slot.name), &slot.shape)?);
+            let tensor = file.f32(name, &format!("{}{suffix}", slot.name), &slot.shape)?;
+            values[slot.range.clone()].copy_from_slice(tensor);
         }
         Ok(values)
     }
@@ -144,8 +193,7 @@ mod tests {
     #[test]
     fn the_paper_has_29_thousand_weights_and_12_million_texel_values() {
         let layout = Layout::new(&Config::default());
-        let network: usize =
-            layout.slots.iter().filter(|s| s.kind == Kind::Network).map(|s| s.range.len()).sum();
+        let network: usize = layout.networks().iter().map(|slot| slot.range.len()).sum();
         assert_eq!(network, 48 * 128 + 128 * 16 + 31 * 128 + 128 * 128 + 128 * 3);
         assert_eq!(layout.slots[0].range.len(), 3 * 512 * 512 * 16);
         assert_eq!(layout.network("color").count(), 3);
@@ -164,15 +212,29 @@ mod tests {
     }
 
     #[test]
+    fn slots_of_any_length_begin_on_a_line_and_leave_zeros_between_them() {
+        let slots = [("a", vec![3, 5]), ("b", vec![1]), ("c", vec![2, 16])];
+        let layout = Layout::of(slots.map(|(name, shape)| Slot::new(name, shape, 1.0)));
+        let ranges: Vec<_> = layout.slots.iter().map(|slot| slot.range.clone()).collect();
+        assert_eq!((ranges, layout.len()), (vec![0..15, 16..17, 32..64], 64));
+        let values = layout.initial(&Config::default());
+        let zeros = |range: Range<usize>| values[range].iter().all(|&value| value == 0.0);
+        assert!(zeros(15..16) && zeros(17..32) && values[16] != 0.0);
+        let mut file = TensorFile::default();
+        layout.to_tensors(&values, "", &mut file);
+        assert_eq!(layout.from_tensors(&file, "x", "").unwrap(), values);
+    }
+
+    #[test]
     fn initial_values_fill_their_ranges() {
         let mut config = Config::default();
         config.encoder.plane_size = 64;
         let layout = Layout::new(&config);
         let values = layout.initial(&config);
         for slot in &layout.slots {
-            let bound = match slot.kind {
-                Kind::Planes => 0.01,
-                Kind::Network => (6.0 / (slot.shape[0] + slot.shape[1]) as f64).sqrt(),
+            let bound = match slot.name.as_str() {
+                "planes" => 0.01,
+                _ => (6.0 / (slot.shape[0] + slot.shape[1]) as f64).sqrt(),
             };
             let part = &values[slot.range.clone()];
             let mean = part.iter().map(|&x| f64::from(x)).sum::<f64>() / part.len() as f64;

@@ -1,7 +1,7 @@
 //! Counter-based random numbers: a hash of (seed, stream, step, index) and nothing else. There is no state to save, any
 //! thread or GPU lane draws the number it needs, and 32-bit integer arithmetic gives the same bits everywhere.
 
-/// What a random number is for; streams never meet.
+/// Purpose of a random number; streams are independent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Stream {
@@ -31,7 +31,7 @@ impl Random {
         Self { seed: [seed as u32, (seed >> 32) as u32] }
     }
 
-    /// The numbers of a stream at a step: the part of the hash that all indices share.
+    /// The numbers of a stream at a step: the part of the hash that is common to all indices.
     #[inline]
     pub fn at(&self, stream: Stream, step: u64) -> Draws {
         let key = self.seed[1].wrapping_mul(0x9e37_79b9) ^ (stream as u32).wrapping_mul(0x85eb_ca6b);

@@ -11,7 +11,7 @@ use crate::{
     timekeeper::{Timekeeper, strides},
 };
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use web_time::{Duration, Instant};
 
 /// Time between two words of an evaluation on how far it is.
 const TELL_EVERY: Duration = Duration::from_millis(500);

@@ -1,4 +1,4 @@
-//! The scalar the mathematics is written over: f32 in production, f64 in references.
+//! The scalar type of the mathematics: f32 in production, f64 in references.
 
 use num_traits::Float;
 

@@ -1,8 +1,8 @@
-//! Settings that change in the course of a run: constant pieces, each from a fraction of the run on.
+//! Settings that change during a run: piecewise constant functions of the fraction of the run.
 
 use serde::{Deserialize, Serialize};
 
-/// Pieces `[fraction, value]`, rising in the fraction; the first begins at 0. `[[0.0, 4.0], [0.5, 1.0]]` is 4 in the first
+/// Pieces `[fraction, value]` with rising fractions; the first starts at 0. `[[0.0, 4.0], [0.5, 1.0]]` is 4 in the first
 /// half of a run and 1 in the second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -25,7 +25,7 @@ impl Schedule {
         self.0.iter().map(|[_, value]| *value)
     }
 
-    /// True when the pieces cover a run: the first begins at 0, the others follow it in order.
+    /// True if the pieces cover a run: the first starts at 0, the others follow in order.
     pub fn is_whole(&self) -> bool {
         let fractions = || self.0.iter().map(|[fraction, _]| *fraction);
         fractions().next() == Some(0.0)

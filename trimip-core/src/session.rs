@@ -1,4 +1,4 @@
-//! The one door between static backends and a program that picks one by name.
+//! The two doors between static backends and a program that picks one by name: what renders, and what trains as well.
 
 use crate::{Camera, Frame, Result, checkpoint::Checkpoint, events::Totals, model::Model};
 
@@ -17,30 +17,28 @@ pub struct StepReport {
     pub occupied: f64,
 }
 
-/// A model in training, or a finished one to render, on some backend.
-pub trait Session: Send {
+/// A model that renders views on some backend. It may be a finished one or one in training; it cannot be trained through
+/// this trait.
+pub trait Viewer: Send {
     /// Name of the backend.
     fn backend(&self) -> &str;
 
-    /// The device that stands behind that name.
+    /// The device behind that name.
     fn device_name(&self) -> String;
 
-    /// Settings that the device takes otherwise than they read, one line each: a run says them.
+    /// Settings that the device does not follow as they are written, one line each. A program shows them.
     fn notes(&self) -> Vec<String> {
         Vec::new()
     }
 
-    /// One optimiser step; `progress` in [0, 1] drives the schedules. `totals.seconds` is the caller's to keep.
+    /// Renders one view on the configured background.
     ///
     /// # Errors
-    /// When a loss or gradient is no longer finite, or the device fails; the parameters are then those before the step.
-    fn step(&mut self, progress: f64) -> Result<StepReport>;
-
-    /// Renders one view on the configured background.
+    /// When the picture has more than 2^32 pixels, or the device fails.
     fn render(&mut self, camera: &Camera) -> Result<Frame>;
 
-    /// As [`render`](Self::render); `watch` is told how many rows of how many are done, first none, and returns false to
-    /// give the view up, which makes it `None`.
+    /// As [`render`](Self::render). `watch` is called with the number of finished rows and the number of all rows, first
+    /// with none finished. Where it returns false the view is given up and the result is `None`.
     ///
     /// # Errors
     /// As [`render`](Self::render).
@@ -49,19 +47,37 @@ pub trait Session: Send {
         camera: &Camera,
         watch: &mut dyn FnMut(u32, u32) -> bool,
     ) -> Result<Option<Frame>>;
+}
 
-    /// Everything `render` needs.
+/// A model in training on some backend; it renders as well.
+pub trait Session: Viewer {
+    /// One optimiser step; `progress` in [0, 1] drives the schedules. `totals.seconds` is the caller's to keep.
+    ///
+    /// # Errors
+    /// When a loss or gradient is no longer finite, or the device fails; the parameters are then those before the step.
+    fn step(&mut self, progress: f64) -> Result<StepReport>;
+
+    /// Everything that rendering needs.
+    ///
+    /// # Errors
+    /// When the device failed.
     fn model(&mut self) -> Result<Model>;
 
-    /// The model as its file will hold it, which this session renders from now on: training is over.
+    /// The model as its file will hold it. The session renders this model from now on: training is over.
     ///
     /// # Errors
     /// When the device failed.
     fn finish(&mut self) -> Result<Model>;
 
-    /// Everything training needs to go on with the same bits.
+    /// Everything that training needs to go on with the same bits.
+    ///
+    /// # Errors
+    /// When the device failed, or a step under way was not finite.
     fn checkpoint(&mut self) -> Result<Checkpoint>;
 
     /// Goes on from a checkpoint.
+    ///
+    /// # Errors
+    /// When its tensors do not fit the configuration, or the device failed.
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()>;
 }

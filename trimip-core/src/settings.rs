@@ -1,13 +1,15 @@
-//! Layers of settings: defaults, then a configuration file, then `--set a.b=c`. Each effective value remembers where it
-//! came from; a key that the defaults do not list is refused with its file, line and column.
+//! Layers of settings: defaults, then a configuration file, then `--set a.b=c`. Each value keeps its origin. Keys that are
+//! not in the defaults are refused with file, line and column.
 
-use crate::{Error, Result};
+use crate::{Error, Result, defaults::DEFAULTS};
 use std::collections::BTreeMap;
 use toml::de::{DeTable, DeValue};
 use toml::{Spanned, Table, Value};
 
-/// The documented table of every setting and its default (`defaults.toml`).
-pub const DEFAULTS: &str = include_str!("defaults.toml");
+/// Settings of earlier versions that had one value only, and why. That value is accepted and ignored, so that old files
+/// load; any other is refused.
+const RETIRED: [(&str, i64, &str); 1] =
+    [("encoder.channels", 16, "16, or leave it out: a texel of the tri-mip planes has 16 features")];
 
 /// Where an effective value came from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,6 +20,8 @@ pub enum Origin {
     File(String),
     /// `--set` on the command line.
     CommandLine,
+    /// A program that uses the library.
+    Code,
     /// The scene plan.
     Plan,
 }
@@ -28,6 +32,7 @@ impl std::fmt::Display for Origin {
             Self::Default => f.write_str("default"),
             Self::File(place) => f.write_str(place),
             Self::CommandLine => f.write_str("--set"),
+            Self::Code => f.write_str("code"),
             Self::Plan => f.write_str("scene plan"),
         }
     }
@@ -60,7 +65,7 @@ impl Settings {
         Self { entries }
     }
 
-    /// Lays the text of a configuration file over what is there; `name` stands in errors.
+    /// Applies the text of a configuration file; `name` is used in errors.
     pub fn apply_file(&mut self, name: &str, text: &str) -> Result<()> {
         let table = DeTable::parse(text).map_err(|error| {
             let place = error.span().map_or(name.to_string(), |span| place(name, text, span.start));
@@ -88,7 +93,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Lays one `a.b=c` of the command line over what is there. A value that is no TOML is taken as a string.
+    /// Applies one `a.b=c` of the command line. A value that is not valid TOML is taken as a string.
     pub fn apply_assignment(&mut self, assignment: &str) -> Result<()> {
         let place = format!("--set {assignment}");
         let Some((path, text)) = assignment.split_once('=') else {
@@ -97,7 +102,24 @@ impl Settings {
         self.put(path.trim(), parsed(text), &place, Origin::CommandLine)
     }
 
-    /// Lays a decision of the scene plan over what is there; `value` is TOML text.
+    /// Applies a value set in code; for chaining.
+    ///
+    /// # Errors
+    /// When there is no such setting or the value has another type.
+    pub fn with(mut self, path: &str, value: impl Into<Value>) -> Result<Self> {
+        self.set(path, value)?;
+        Ok(self)
+    }
+
+    /// Applies a value set in code.
+    ///
+    /// # Errors
+    /// When there is no such setting or the value has another type.
+    pub fn set(&mut self, path: &str, value: impl Into<Value>) -> Result<()> {
+        self.put(path, value.into(), "code", Origin::Code)
+    }
+
+    /// Applies a decision of the scene plan; `value` is TOML text.
     ///
     /// # Errors
     /// When there is no such setting or the value has another type.
@@ -105,7 +127,7 @@ impl Settings {
         self.put(path, parsed(value), "scene plan", Origin::Plan)
     }
 
-    /// The effective value of a setting as TOML text; empty where there is no such setting.
+    /// The effective value of a setting as TOML text; empty if there is no such setting.
     pub fn value(&self, path: &str) -> String {
         self.entries.get(path).map_or_else(String::new, |(value, _)| value.to_string())
     }
@@ -116,6 +138,14 @@ impl Settings {
     }
 
     fn put(&mut self, path: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
+        if let Some((_, only, expected)) = RETIRED.iter().find(|(retired, ..)| *retired == path) {
+            return match value.as_integer() == Some(*only) {
+                true => Ok(()),
+                false => {
+                    Err(Error::input(place, format!("`{path}` is {value}"), format!("expected {expected}")))
+                }
+            };
+        }
         let Some(entry) = self.entries.get_mut(path) else {
             let section = path.rsplit_once('.').map_or("", |(section, _)| section);
             let mut known: Vec<&str> =
@@ -135,7 +165,7 @@ impl Settings {
         })?;
         let given = positive(&entry.0);
         entry.1 = origin.clone();
-        // A run has one budget, that which was given last.
+        // A run has one budget: the one given last.
         let other = BUDGETS.iter().find(|pair| pair[0] == path).map(|pair| pair[1]);
         if let Some(other) = other.filter(|_| given).and_then(|other| self.entries.get_mut(other)) {
             other.0 = fit(&other.0, Value::Integer(0)).unwrap_or(Value::Integer(0));
@@ -219,7 +249,7 @@ fn plain(value: &Spanned<DeValue<'_>>) -> Value {
     }
 }
 
-/// A value as TOML; what is none is a string.
+/// A value as TOML; text that is not valid TOML becomes a string.
 fn parsed(text: &str) -> Value {
     toml::from_str::<Table>(&format!("value = {text}"))
         .ok()
@@ -227,7 +257,7 @@ fn parsed(text: &str) -> Value {
         .unwrap_or_else(|| Value::String(text.to_string()))
 }
 
-/// `value` in the type of the default; an integer serves where a float is expected. `Err` names found and expected.
+/// `value` in the type of the default; integers are accepted for floats. `Err` holds what was found and what is expected.
 fn fit(default: &Value, value: Value) -> std::result::Result<Value, (String, &'static str)> {
     let found = format!("{value}");
     match (default, value) {
@@ -297,6 +327,20 @@ mod tests {
         let error = settings.apply_file("run.toml", "[train\n").unwrap_err();
         assert!(error.message.starts_with("run.toml:1:"), "{error}");
         assert!(settings.apply_assignment("train.steps").is_err());
+    }
+
+    #[test]
+    fn a_retired_setting_is_read_at_its_only_value_and_refused_at_others() {
+        let mut settings = Settings::defaults();
+        let before = settings.table();
+        settings.apply_file("old.toml", "[encoder]\nchannels = 16\nlevels = 8\n").unwrap();
+        settings.apply_assignment("encoder.channels=16").unwrap();
+        assert_eq!(settings.table(), before);
+        let error = settings.apply_file("old.toml", "[encoder]\nchannels = 8\n").unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        for part in ["old.toml:2:1", "`encoder.channels` is 8", "expected 16"] {
+            assert!(error.message.contains(part), "{part} in {error}");
+        }
     }
 
     #[test]

@@ -5,29 +5,45 @@ use crate::scalar::Real;
 /// Number of values: bands 0 to 3.
 pub const COUNT: usize = 16;
 
+/// Factors of the basis functions, in the order of their first use.
+pub const FACTORS: [f64; 11] = [
+    0.282_094_791_773_878_14,
+    0.488_602_511_902_919_9,
+    1.092_548_430_592_079_2,
+    0.946_174_695_757_56,
+    0.315_391_565_252_52,
+    0.546_274_215_296_039_6,
+    0.590_043_589_926_643_5,
+    2.890_611_442_640_554,
+    0.457_045_799_464_465_7,
+    0.373_176_332_590_115_4,
+    1.445_305_721_320_277,
+];
+
 /// The 16 basis functions at a unit direction, in the order and sign common in the field (l from 0, m from −l).
 #[inline]
 pub fn spherical_harmonics<R: Real>(direction: [R; 3]) -> [R; COUNT] {
     let [x, y, z] = direction;
-    let c = R::from_f64;
+    let f = |factor: usize| R::from_f64(FACTORS[factor]);
+    let [one, three, five] = [1.0, 3.0, 5.0].map(R::from_f64);
     let (xx, yy, zz, xy, yz, xz) = (x * x, y * y, z * z, x * y, y * z, x * z);
     [
-        c(0.282_094_791_773_878_14),
-        c(-0.488_602_511_902_919_9) * y,
-        c(0.488_602_511_902_919_9) * z,
-        c(-0.488_602_511_902_919_9) * x,
-        c(1.092_548_430_592_079_2) * xy,
-        c(-1.092_548_430_592_079_2) * yz,
-        c(0.946_174_695_757_56) * zz - c(0.315_391_565_252_52),
-        c(-1.092_548_430_592_079_2) * xz,
-        c(0.546_274_215_296_039_6) * (xx - yy),
-        c(0.590_043_589_926_643_5) * y * (yy - c(3.0) * xx),
-        c(2.890_611_442_640_554) * xy * z,
-        c(0.457_045_799_464_465_7) * y * (R::one() - c(5.0) * zz),
-        c(0.373_176_332_590_115_4) * z * (c(5.0) * zz - c(3.0)),
-        c(0.457_045_799_464_465_7) * x * (R::one() - c(5.0) * zz),
-        c(1.445_305_721_320_277) * z * (xx - yy),
-        c(0.590_043_589_926_643_5) * x * (c(3.0) * yy - xx),
+        f(0),
+        -f(1) * y,
+        f(1) * z,
+        -f(1) * x,
+        f(2) * xy,
+        -f(2) * yz,
+        f(3) * zz - f(4),
+        -f(2) * xz,
+        f(5) * (xx - yy),
+        f(6) * y * (yy - three * xx),
+        f(7) * xy * z,
+        f(8) * y * (one - five * zz),
+        f(9) * z * (five * zz - three),
+        f(8) * x * (one - five * zz),
+        f(10) * z * (xx - yy),
+        f(6) * x * (three * yy - xx),
     ]
 }
 

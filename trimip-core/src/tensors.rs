@@ -1,5 +1,5 @@
 //! Named tensors and their files. The format is safetensors, which every backend and Python read; files are written to
-//! a temporary name and renamed, so a killed run never leaves half a file behind.
+//! a temporary name and renamed: a killed run leaves no partial file.
 
 use crate::{Error, Result};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::Path;
 
-/// Key of the file format's own metadata under which ours stand as one JSON object: its keys have no order, and the same
-/// run should write the same file.
+/// Metadata key of the file format that holds our metadata as one JSON object. The format's own keys have no order, and
+/// the same run must write the same file.
 const METADATA: &str = "trimip";
 
 /// Values of a tensor.
@@ -44,8 +44,8 @@ impl Tensor {
         Self { shape: shape.to_vec(), values: Values::U8(values) }
     }
 
-    /// The same numbers rounded to f16, where all of them stay finite; else as they are.
-    pub fn halved(&self) -> Self {
+    /// The values rounded to f16, or unchanged if one of them would become infinite.
+    pub fn to_f16(&self) -> Self {
         match &self.values {
             Values::F32(values) if values.iter().all(|value| value.abs() < 65_504.0) => {
                 let values = values.iter().map(|&value| half::f16::from_f32(value)).collect();
@@ -55,13 +55,10 @@ impl Tensor {
         }
     }
 
-    /// The same numbers as f32, where they are f16.
-    pub fn widened(self) -> Self {
-        match self.values {
-            Values::F16(values) => {
-                Self::f32(&self.shape, values.into_iter().map(half::f16::to_f32).collect())
-            }
-            _ => self,
+    /// Turns f16 into f32 in place.
+    pub fn widen(&mut self) {
+        if let Values::F16(values) = &self.values {
+            self.values = Values::F32(values.iter().map(|value| value.to_f32()).collect());
         }
     }
 
@@ -74,7 +71,7 @@ impl Tensor {
     }
 }
 
-/// Tensors by name, and text beside them.
+/// Tensors by name, with metadata.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TensorFile {
     /// Tensors by name.
@@ -108,7 +105,7 @@ impl TensorFile {
     }
 
     /// Writes the file at `path`, atomically, with `metadata` beside its own; returns its size in bytes. Tensors go
-    /// straight to the disk: the file is never a second copy in memory.
+    /// directly to the disk, without a second copy in memory.
     pub fn write(&self, path: &Path, metadata: &[(&str, String)]) -> Result<u64> {
         let views = self
             .tensors
@@ -123,7 +120,7 @@ impl TensorFile {
         let header =
             HashMap::from([(METADATA.to_string(), serde_json::to_string(&all).map_err(Error::run)?)]);
         replace_atomically(path, |temporary| {
-            // The writer makes its file readable by its owner alone; keep what the user's mask says.
+            // The writer makes its file readable by the owner only; restore the permissions of the user's mask.
             let permissions = std::fs::File::create(temporary)?.metadata()?.permissions();
             safetensors::serialize_to_file(views, Some(header), temporary).map_err(std::io::Error::other)?;
             std::fs::set_permissions(temporary, permissions)?;
@@ -131,7 +128,7 @@ impl TensorFile {
         })
     }
 
-    /// Reads a file's bytes; `file` stands in errors.
+    /// Parses the bytes of a file; `file` is used in errors.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self> {
         let broken = |error: safetensors::SafeTensorError| {
             Error::input(
@@ -185,13 +182,13 @@ fn wrong_tensor(file: &str, name: &str, kind: &str, shape: &[usize], found: Opti
     )
 }
 
-/// Writes `bytes` beside `path` and renames: readers see the old file or the whole new one.
+/// Writes `bytes` to a temporary file and renames it: readers see the old file or the complete new one.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace_atomically(path, |temporary| std::fs::File::create(temporary)?.write_all(bytes))
 }
 
-/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it; whatever fails, the old file
-/// stays and no other.
+/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it. On failure the old file
+/// stays and the temporary one is removed.
 fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&Path) -> std::io::Result<T>) -> Result<T> {
     let mut temporary = path.as_os_str().to_owned();
     temporary.push(".tmp");
@@ -203,7 +200,7 @@ fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&Path) -> std::io::Resul
         Ok(result)
     };
     write().map_err(|error: std::io::Error| {
-        // What was written of it only takes room, on a disk that may be full.
+        // A partial file only takes space, on a disk that may be full.
         let _ = std::fs::remove_file(temporary);
         Error::input(
             path.display(),

@@ -1,13 +1,13 @@
-//! How long evaluations may take: a share of the training time. Seconds a pixel are predicted from what a training ray
-//! takes now and from what the last evaluation took; which views fit is decided while they are rendered.
+//! Time limits of evaluations, as a share of the training time. The time per pixel is predicted from the current time of
+//! a training ray and from the last evaluation; the number of views is decided while they are rendered.
 
-/// Part of the evaluations' share that those on the way may spend; the rest is for the end.
+/// Part of the evaluations' share for those during training; the rest is for the final one.
 const ON_THE_WAY: f64 = 0.6;
 
-/// Seconds that the evaluation at the end may take on top of its share: a short run is measured too.
+/// Extra seconds for the final evaluation, so that short runs are measured too.
 const AT_THE_END: f64 = 20.0;
 
-/// Seconds of a rendered pixel in those of a training ray, before any was measured: one pass of three.
+/// Time of a rendered pixel relative to a training ray before the first measurement: one pass of three.
 const FORWARD: f64 = 0.5;
 
 /// Bounds the time of a run's evaluations.
@@ -18,36 +18,36 @@ pub struct Timekeeper {
     passed: f64,
     spent: f64,
     ray: f64,
-    /// Seconds of a pixel in the last evaluation, and of a training ray then.
+    /// Seconds per pixel in the last evaluation, and per training ray at that time.
     measured: Option<[f64; 2]>,
 }
 
 impl Timekeeper {
-    /// Bounds `points` evaluations on the way, and one at the end, by `share` of the training time; 0 sets no bound.
+    /// Limits `points` evaluations during training and a final one to `share` of the training time; 0 means no limit.
     pub fn new(share: f64, points: u32) -> Self {
         Self { share, points: points.max(1).into(), passed: 0.0, spent: 0.0, ray: 0.0, measured: None }
     }
 
-    /// Takes note of `seconds` of training with `rays` rays.
+    /// Records `seconds` of training with `rays` rays.
     pub fn trained(&mut self, seconds: f64, rays: u64) {
         if rays > 0 {
             self.ray = seconds / rays as f64;
         }
     }
 
-    /// Takes note of `seconds` of evaluation on the way.
+    /// Records `seconds` of evaluation during training.
     pub fn spend(&mut self, seconds: f64) {
         self.spent += seconds;
     }
 
-    /// Takes note of `seconds` in which an evaluation rendered `pixels`.
+    /// Records `seconds` in which an evaluation rendered `pixels`.
     pub fn rendered(&mut self, seconds: f64, pixels: f64) {
         if pixels > 0.0 {
             self.measured = Some([seconds / pixels, self.ray]);
         }
     }
 
-    /// Seconds that a pixel is expected to take.
+    /// Expected seconds per pixel.
     pub fn pixel(&self) -> f64 {
         match self.measured {
             Some([pixel, ray]) if ray > 0.0 => pixel * self.ray / ray,
@@ -56,14 +56,14 @@ impl Timekeeper {
         }
     }
 
-    /// Seconds for the next evaluation on the way of a run of `total` seconds of training: its part of the share and
-    /// what those before left over.
+    /// Seconds for the next evaluation during a run of `total` seconds of training: its part of the share and what earlier
+    /// ones left.
     pub fn on_the_way(&mut self, total: f64) -> f64 {
         self.passed += 1.0;
         self.bounded(ON_THE_WAY * self.share * total * self.passed / self.points - self.spent)
     }
 
-    /// Seconds for the evaluation at the end.
+    /// Seconds for the final evaluation.
     pub fn at_the_end(&self, total: f64) -> f64 {
         self.bounded((1.0 - ON_THE_WAY) * self.share * total + AT_THE_END)
     }

@@ -1,5 +1,4 @@
-//! Photographs as the training and the evaluation see them: 8-bit RGBA pixels in one flat array, cut into views, views
-//! grouped by scale. Scale j holds images reduced by 2^j; the area weight of its pixels is 4^j (the paper's area loss).
+//! Photographs for training and evaluation: 8-bit RGBA pixels in one flat array, divided into views, grouped by scale. Scale j holds images reduced by 2^j; the area weight of its pixels is 4^j (the paper's area loss).
 
 use crate::{Camera, Result, config::Convention};
 use std::ops::Range;
@@ -11,7 +10,7 @@ pub struct View {
     pub name: String,
     /// Camera of this scale's pixels.
     pub camera: Camera,
-    /// Index of the first pixel in [`ViewSet::pixels`]; rows follow each other without gap.
+    /// Index of the first pixel in [`ViewSet::pixels`]; rows are contiguous.
     pub offset: usize,
 }
 
@@ -89,7 +88,7 @@ pub fn composite_pixel(pixel: [u8; 4], alpha: Alpha, background: [f32; 3]) -> [f
     std::array::from_fn(|c| [r, g, b][c] * coverage + (1.0 - a) * background[c])
 }
 
-/// Photographs to evaluate on, decoded one frame at a time so that a large test set needs no memory.
+/// Photographs for evaluation, decoded one frame at a time, so that a large test set needs little memory.
 pub trait Frames: Send + Sync {
     /// Number of frames.
     fn len(&self) -> usize;
@@ -97,7 +96,7 @@ pub trait Frames: Send + Sync {
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
-    /// Cameras of all frames at every scale, without a look at the photographs.
+    /// Cameras of all frames at every scale; no photograph is decoded.
     fn cameras(&self) -> Vec<Camera>;
     /// Frame `index` at every scale: a set of one view per scale, fine to coarse.
     fn load(&self, index: usize) -> Result<ViewSet>;

@@ -67,7 +67,8 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
     stages.occupancy.restore(&ball(config.occupancy.resolution), None);
 
     let mut space = Workspace::<CpuBackend>::new(&backend, &stages.field);
-    let Workspace { lane, rays, samples, features, tape, radiance, kept, pixels, .. } = &mut space;
+    let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, cones, pixels, .. } =
+        &mut space;
     let mut deposit = Deposit {
         field: stages.field.gradient(),
         encoder: stages.encoder.gradient(),
@@ -88,20 +89,20 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
         b.iter(|| stages.renderer.march(lane, black_box(rays), &stages.occupancy, Some(1), samples));
     });
     group.bench_function("encode", |b| {
-        b.iter(|| stages.encoder.forward(lane, &parameters, black_box(samples), features));
+        b.iter(|| stages.encoder.forward(lane, &parameters, rays, black_box(samples), encoding, features));
     });
     group.bench_function("density", |b| {
         b.iter(|| stages.field.density(lane, samples, black_box(features), tape, radiance));
     });
     stages.renderer.prune(lane, radiance, samples, kept);
-    stages.encoder.keep(lane, kept, features);
+    stages.encoder.keep(lane, kept, encoding, features);
     stages.field.keep(lane, kept, tape, radiance);
     group.throughput(Throughput::Elements(samples.spheres.len() as u64));
     group.bench_function("color", |b| {
         b.iter(|| stages.field.color(lane, black_box(rays), samples, tape, radiance));
     });
     group.bench_function("composite", |b| {
-        b.iter(|| stages.renderer.composite(lane, black_box(rays), samples, radiance, pixels));
+        b.iter(|| stages.renderer.composite(lane, black_box(rays), samples, radiance, cones, pixels));
     });
     let (mut pixel_gradients, mut radiance_gradients) = (backend.zeros(0), backend.zeros::<Radiance>(0));
     group.bench_function("loss", |b| {
@@ -114,7 +115,7 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
         b.iter(|| {
             let pixel_gradients = black_box(&pixel_gradients);
             let out = &mut radiance_gradients;
-            stages.renderer.backward(lane, samples, radiance, pixels, pixel_gradients, out);
+            stages.renderer.backward(lane, rays, samples, radiance, cones, pixel_gradients, out);
         });
     });
     let mut feature_gradients = backend.zeros(0);
@@ -139,9 +140,11 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
         let mut time = Duration::ZERO;
         for step in 0..count {
             let start = Instant::now();
-            stages.encoder.backward(lane, samples, &feature_gradients, &mut deposits[0].encoder);
+            let deposit = &mut deposits[0].encoder;
+            let gradients = &feature_gradients;
+            stages.encoder.backward(lane, &parameters, rays, samples, encoding, gradients, deposit);
             let deposited = start.elapsed();
-            stages.flush(&mut deposits, &mut gradient);
+            stages.flush(&mut deposits, &parameters, &mut gradient);
             if end_of_step {
                 stages.optimizer.step(&mut parameters, &gradient, &deposits, 1e-3, step + 1);
                 stages.encoder.refresh(&parameters);

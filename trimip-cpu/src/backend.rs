@@ -1,24 +1,24 @@
 //! The CPU as a backend: buffers are plain memory, spans run on rayon workers, deposits are joined in their order.
 
 use crate::buffer::{Buffer, take_mut};
-use crate::encoder::CpuEncoder;
+use crate::encoders::CpuEncoder;
 use crate::field::CpuField;
 use crate::loss::CpuLoss;
 use crate::occupancy::CpuOccupancy;
 use crate::optimizer::CpuOptimizer;
 use crate::renderer::CpuRenderer;
 use crate::sampler::CpuSampler;
-use crate::see::{Scratch, see};
+use crate::see::Scratch;
 use crate::simd::Simd;
 use bytemuck::Pod;
 use rayon::prelude::*;
 use std::any::TypeId;
 use std::ops::Range;
 use std::sync::Mutex;
-use trimip_core::backend::{Stages, TrainWork, update_all};
+use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::{Backend, Config, Error, Field, Layout, Pixel, Result, ViewSet};
+use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
 
 /// Samples that the rays rendered at once have at most, about: what bounds the memory of a worker.
 pub const SAMPLES_AT_ONCE: usize = 1536;
@@ -236,36 +236,48 @@ impl Backend for CpuBackend {
         });
     }
 
-    fn see(
-        &self,
-        stages: &Stages<Self>,
-        parameters: &Buffer<f32>,
-        space: &mut Workspace<Self>,
-        jitter: Option<u64>,
-    ) {
-        see(self, stages, parameters, space, jitter);
-    }
-
     fn update(
         &self,
         stages: &mut Stages<Self>,
         parameters: &mut Buffer<f32>,
-        gradient: &mut Buffer<f32>,
-        deposits: &mut [Deposit<Self>],
+        gradient: &Buffer<f32>,
+        deposits: &[Deposit<Self>],
         learning_rate: f64,
         step: u64,
     ) {
-        if !deposits.iter().any(|deposit| deposit.sums.weight > 0.0) {
-            return stages.flush(deposits, gradient);
+        if !stages.optimizer.skips_untouched() || self.weight(deposits) <= 0.0 {
+            return self.update_all(stages, parameters, gradient, deposits, learning_rate, step);
         }
-        if !stages.optimizer.skips_untouched() {
-            return update_all(stages, parameters, gradient, deposits, learning_rate, step);
-        }
-        stages.flush(deposits, gradient);
-        let touched = Some(stages.encoder.touched());
+        let touched = stages.encoder.touched();
         stages.optimizer.step_within(parameters, gradient, deposits, learning_rate, step, touched);
         stages.encoder.refresh_touched(parameters);
         stages.field.refresh(parameters);
+    }
+
+    fn update_all(
+        &self,
+        stages: &mut Stages<Self>,
+        parameters: &mut Buffer<f32>,
+        gradient: &Buffer<f32>,
+        deposits: &[Deposit<Self>],
+        learning_rate: f64,
+        step: u64,
+    ) {
+        if self.weight(deposits) > 0.0 {
+            stages.optimizer.step(parameters, gradient, deposits, learning_rate, step);
+            stages.encoder.refresh(parameters);
+            stages.field.refresh(parameters);
+        }
+    }
+
+    fn weight(&self, deposits: &[Deposit<Self>]) -> f64 {
+        deposits.iter().map(|deposit| deposit.sums.weight).sum()
+    }
+
+    fn set_weight(&self, deposits: &mut [Deposit<Self>], weight: f64) {
+        for (i, deposit) in deposits.iter_mut().enumerate() {
+            deposit.sums.weight = if i == 0 { weight } else { 0.0 };
+        }
     }
 
     fn deposits(&self, samples: u32) -> usize {

@@ -78,6 +78,9 @@ impl<T: Pod> Buffer<T> {
 }
 
 fn copy_rows<T: Copy>(to: &mut [T], from: &[T], rows: &[u32], width: usize) {
+    if width == 0 {
+        return;
+    }
     for (to, &row) in to.chunks_exact_mut(width).zip(rows) {
         to.copy_from_slice(&from[row as usize * width..][..width]);
     }

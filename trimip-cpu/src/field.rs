@@ -1,8 +1,9 @@
-//! Density and colour networks on the CPU. The density network's 16 outputs are 1 logit and 15 geometry features; the
-//! colour network reads them with a zero weight on the logit, and 16 spherical harmonics, which go through the first
-//! layer once for each ray.
+//! Density and colour networks on the CPU. The density network's outputs are a logit and the geometry features; the
+//! colour network reads them with a zero weight on the logit, and spherical harmonics, which go through the first layer
+//! once for each ray.
 
 use crate::buffer::Buffer;
+
 use crate::gemm::padded;
 use crate::mlp::{Activations, Mlp, MlpGradient, Passing, Shared};
 use crate::simd::Simd;
@@ -10,13 +11,9 @@ use crate::{CpuBackend, Lane};
 use trimip_core::activation::{density, density_derivative, sigmoid, sigmoid_derivative};
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
 use trimip_core::config::Precision;
-use trimip_core::params::{GEOMETRY, Kind, Slot, color_layers, density_layers};
+use trimip_core::params::{ALIGNMENT, Slot, color_layers, density_layers, harmonics};
 use trimip_core::sh::{self, spherical_harmonics};
-use trimip_core::tri_mip::FEATURES;
-use trimip_core::{Config, Field, Layout};
-
-/// Outputs of the density network.
-const OUTPUTS: usize = 1 + GEOMETRY;
+use trimip_core::{Config, Field, Layout, encoders};
 
 /// Both networks.
 pub struct CpuField {
@@ -86,19 +83,22 @@ impl CpuField {
     /// The networks of a configuration, with products in `precision`.
     pub fn new(simd: Simd, config: &Config, layout: &Layout, precision: Precision) -> Self {
         let density_shapes = density_layers(config);
+        let width = density_shapes[0][0];
+        let features = (0..encoders::stride(config)).map(|row| (row < width).then_some(row)).collect();
         // The density logit is no input of the colour network.
-        let harmonics = if config.field.directions { sh::COUNT } else { 0 };
-        let geometry_rows = std::iter::once(None).chain((harmonics..harmonics + GEOMETRY).map(Some));
+        let (harmonics, outputs) = (harmonics(config), 1 + config.field.geometry as usize);
+        let geometry = |output: usize| (1..outputs).contains(&output).then(|| harmonics + output - 1);
+        let directions = if config.field.directions { sh::COUNT } else { 0 };
         Self {
             simd,
-            density: Mlp::new(&density_shapes, (0..FEATURES).map(Some).collect(), Vec::new(), precision),
+            density: Mlp::new(&density_shapes, features, Vec::new(), precision),
             color: Mlp::new(
                 &color_layers(config),
-                geometry_rows.collect(),
-                (0..harmonics).map(Some).collect(),
+                (0..outputs.next_multiple_of(ALIGNMENT)).map(geometry).collect(),
+                (0..directions).map(|i| (i < harmonics).then_some(i)).collect(),
                 precision,
             ),
-            slots: layout.slots.iter().filter(|slot| slot.kind == Kind::Network).cloned().collect(),
+            slots: layout.networks().to_vec(),
             density_layers: density_shapes.len(),
             directed: config.field.directions,
         }
@@ -159,7 +159,9 @@ impl Field<CpuBackend> for CpuField {
         let rows = samples.spheres.len();
         self.density.forward(self.simd, rows, features, None, &mut tape.density);
         radiance.resize(rows);
-        for (radiance, output) in radiance.iter_mut().zip(tape.density.output().chunks_exact(OUTPUTS)) {
+        for (radiance, output) in
+            radiance.iter_mut().zip(tape.density.output().chunks_exact(self.density.outputs()))
+        {
             *radiance = Radiance { rgb: [0.0; 3], density: density(output[0]) };
         }
     }
@@ -223,8 +225,9 @@ impl Field<CpuBackend> for CpuField {
             passing,
             &mut gradient.color,
         );
-        let outputs = density.output().chunks_exact(OUTPUTS).zip(radiance_gradients.iter());
-        for (out, (output, by_value)) in output_gradient.chunks_exact_mut(OUTPUTS).zip(outputs) {
+        let width = self.density.outputs();
+        let outputs = density.output().chunks_exact(width).zip(radiance_gradients.iter());
+        for (out, (output, by_value)) in output_gradient.chunks_exact_mut(width).zip(outputs) {
             out[0] = by_value.density * density_derivative(output[0]);
         }
         let weights = &mut gradient.density;

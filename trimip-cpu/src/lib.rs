@@ -25,8 +25,7 @@
 
 mod backend;
 mod buffer;
-mod encoder;
-mod extents;
+pub mod encoders;
 mod field;
 pub mod gemm;
 mod loss;
@@ -36,24 +35,27 @@ mod occupancy;
 mod optimizer;
 mod renderer;
 mod sampler;
-mod scatter;
 mod see;
 pub mod simd;
 
 pub use backend::{CpuBackend, Lane};
 pub use buffer::Buffer;
-pub use encoder::CpuEncoder;
+pub use encoders::CpuEncoder;
 pub use field::CpuField;
 pub use occupancy::CpuOccupancy;
 pub use renderer::CpuRenderer;
 
 use simd::Simd;
+use trimip_core::loaded::LoadedModel;
 use trimip_core::model::Model;
 use trimip_core::scene_plan::Compute;
 use trimip_core::trainer::Trainer;
-use trimip_core::{Config, Result, Session, ViewSet};
+use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 
 /// A fresh model to be trained on `views`, with the configured number of threads.
+///
+/// # Errors
+/// When the threads cannot be started, or the views hold no pixel.
 pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
     Ok(Box::new(Trainer::new(backend, config, views)?))
@@ -101,7 +103,10 @@ pub fn features() -> String {
 }
 
 /// A finished model to render, with `threads` threads (0: all cores).
-pub fn load(model: &Model, threads: u32) -> Result<Box<dyn Session>> {
+///
+/// # Errors
+/// When the threads cannot be started, or the model's tensors do not fit its configuration.
+pub fn load(model: &Model, threads: u32) -> Result<Box<dyn Viewer>> {
     let backend = CpuBackend::new(threads, Simd::detect())?.without_emulation();
-    Ok(Box::new(Trainer::from_model(backend, model)?))
+    Ok(Box::new(LoadedModel::new(backend, model)?))
 }

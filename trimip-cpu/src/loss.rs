@@ -35,8 +35,8 @@ impl Loss<CpuBackend> for CpuLoss {
         sums.rays += pixels.len() as u64;
         sums.marched += u64::from(marched);
         sums.kept += u64::from(kept);
-        let rows = pixels.iter().zip(rays.targets.iter()).zip(samples.segments.iter());
-        for (gradient, ((pixel, target), segment)) in pixel_gradients.iter_mut().zip(rows) {
+        let rows = pixels.iter().zip(rays.targets.iter()).zip(rays.groups.iter());
+        for (gradient, ((pixel, target), group)) in pixel_gradients.iter_mut().zip(rows) {
             *gradient = [0.0; 4];
             let difference: [f32; 3] = std::array::from_fn(|c| pixel.rgb[c] - target.rgb[c]);
             sums.squared_error += difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
@@ -44,7 +44,8 @@ impl Loss<CpuBackend> for CpuLoss {
                 sums.non_finite += 1;
                 continue;
             }
-            if self.config.rays == LossRays::Live && segment.count == 0 {
+            let live = || samples.segments[group.range()].iter().any(|segment| segment.count > 0);
+            if self.config.rays == LossRays::Live && !live() {
                 continue;
             }
             sums.weight += f64::from(target.weight);

@@ -1,38 +1,56 @@
-//! What a training run will need, by parts, before anything of it is allocated: resident bytes at the worst moment.
+//! Predicted memory of a training run by parts, before anything is allocated: the peak of the resident bytes.
 
 use crate::backend::SAMPLES_AT_ONCE;
+use crate::encoders::left;
 use crate::mlp::BLOCK;
-use crate::scatter::BANDS;
 use trimip_core::batch::{Interval, Radiance, Sphere};
-use trimip_core::params::{Kind, color_layers, density_layers};
-use trimip_core::tri_mip::{FEATURES, Pyramid};
-use trimip_core::{Aabb, Config, Layout, Pixel, ViewSet};
+use trimip_core::params::{color_layers, density_layers};
+use trimip_core::{Config, Layout, Pixel, ViewSet, encoders};
 
-/// The program itself with its libraries, and the threads' own allocators, on Linux.
+/// The program with its libraries and the allocators of its threads, on Linux.
 const PROGRAM: u64 = 10_000_000;
 
-/// Samples of the rays that a worker renders at once, in parts of what they should have: the longest ray is guessed from
-/// the rays before.
+/// Samples that a worker renders at once, relative to their target number: the length of rays is estimated from earlier
+/// rays.
 const AT_ONCE: f64 = 1.3;
 
-/// Room that deposits take for the samples that a step aims at: their fill varies from step to step, and they grow by
-/// doubling.
+/// Capacity of deposits relative to the target number of samples: their fill varies, and they grow by doubling.
 const DEPOSITS_GROWN: f64 = 2.5;
+
+/// Bytes of a float or an index.
+const WORD: usize = 4;
+
+/// Capacity of an array that grows by doubling, relative to its length, at worst.
+const DOUBLED: usize = 2;
+
+/// Share of the cells that an update samples, relative to `occupancy.fraction`: uniformly drawn and occupied ones.
+const DRAWN_TWICE: f32 = 2.0;
+
+/// Copies of a block's gradients in a backward pass: above and below a layer, in f32 and as pairs of bf16.
+const BLOCK_COPIES: usize = 4;
+
+/// Copies of a view's pixels while it is measured: those of the device and of the frame.
+const RENDERED_COPIES: usize = 2;
+
+/// Pictures of f32 RGB while a view is measured: two backgrounds of the rendering and of the photograph, the copy for
+/// its file, and the difference.
+const PICTURES: usize = 6;
+
+/// Pictures of a sheet, 8-bit RGB: rendering, photograph, difference.
+const SHEET_PICTURES: usize = 3;
 
 /// Name and bytes of each part; `threads` workers.
 pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
-    let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
-    let floats = |count: usize| 4 * count as u64;
+    let floats = |count: usize| (WORD * count) as u64;
     let grown = |bytes: usize, factor: f64| (bytes as f64 * factor) as u64;
-    let weights: usize = layout.slots.iter().filter(|s| s.kind == Kind::Network).map(|s| s.range.len()).sum();
+    let weights: usize = layout.networks().iter().map(|slot| slot.range.len()).sum();
     let cells = (config.occupancy.resolution as usize).pow(3);
-    // A sample's gradient, its place, and its number in the lists of the bands that it touches.
-    let deposit = 4 * FEATURES + size_of::<Sphere>() + 4 * 3 * 2;
+    let left = left(config);
     let copies = floats(4 * layout.len() + cells);
-    // Numbers of the cells that are asked at once, gathered by doubling, and their densities.
-    let probe = 2 * 4 + size_of::<Radiance>();
-    let asked = config.occupancy.warmup_fraction.max(2.0 * config.occupancy.fraction);
+    // Indices of the sampled cells, in an array that grows by doubling, and their densities.
+    let probe = DOUBLED * WORD + size_of::<Radiance>();
+    let asked = config.occupancy.warmup_fraction.max(DRAWN_TWICE * config.occupancy.fraction);
     let probes = (asked.min(1.0) * (cells * probe) as f32) as usize;
     vec![
         ("program".into(), PROGRAM),
@@ -40,13 +58,16 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
         ("parameters".into(), floats(layout.len())),
         ("gradient".into(), floats(layout.len())),
         ("AdamW moments".into(), floats(2 * layout.len())),
-        ("mip levels and their gradient".into(), floats(2 * pyramid.derived_len())),
+        (
+            "what derives from the parameters, and its gradient".into(),
+            encoders::of(config).derived_bytes(config),
+        ),
         (
             "feature gradients of a step".into(),
-            grown(deposit * config.train.samples_per_step as usize, DEPOSITS_GROWN),
+            grown(left.by_sample * config.train.samples_per_step as usize, DEPOSITS_GROWN),
         ),
-        ("network gradients".into(), floats(deposits * weights) + (deposits * 3 * BANDS * 24) as u64),
-        ("occupancy grid and its probes".into(), (cells * 4 + cells / 8 + probes) as u64),
+        ("network gradients".into(), floats(deposits * weights) + (deposits * left.by_deposit) as u64),
+        ("occupancy grid and its probes".into(), (cells * WORD + cells / 8 + probes) as u64),
         ("activations of all workers".into(), grown(threads * worker(config), AT_ONCE)),
         ("copies for a checkpoint, or a view being measured".into(), copies.max(measured(views))),
     ]
@@ -56,11 +77,12 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
 fn worker(config: &Config) -> usize {
     let outputs = |layers: &[[usize; 2]]| layers.iter().map(|[_, n]| n.next_multiple_of(4)).sum::<usize>();
     let sample = size_of::<Sphere>() + size_of::<Interval>() + size_of::<Radiance>() + size_of::<u32>();
-    let seen = sample + 4 * (FEATURES + outputs(&density_layers(config)));
+    let encoding = encoders::stride(config) + encoders::of(config).tape(config);
+    let seen = sample + WORD * (encoding + outputs(&density_layers(config)));
     // What is seen is there twice: front to back over all rays, and ray by ray, where the colour network follows.
-    let row = 2 * seen + 4 * outputs(&color_layers(config));
+    let row = 2 * seen + WORD * outputs(&color_layers(config));
     // A block's gradients above and below a layer, in f32 and as pairs of bf16.
-    let passing = 4 * 4 * BLOCK * config.field.hidden as usize;
+    let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden as usize;
     SAMPLES_AT_ONCE * row + passing
 }
 
@@ -72,6 +94,9 @@ fn measured(views: &ViewSet) -> u64 {
         .iter()
         .map(|view| view.camera.intrinsics)
         .map(|k| u64::from(k.width) * u64::from(k.height));
-    let pixel = 2 * size_of::<Pixel>() + 6 * size_of::<[f32; 3]>() + 4 * 4 / 3 + 3 * 3 + 3;
+    // The photograph at all scales is 4/3 of its finest one, 4 bytes a pixel.
+    let photograph = 4 * 4 / 3;
+    let sheets = SHEET_PICTURES * 3 + 3;
+    let pixel = RENDERED_COPIES * size_of::<Pixel>() + PICTURES * size_of::<[f32; 3]>() + photograph + sheets;
     sizes.max().unwrap_or(0) * pixel as u64
 }

@@ -121,7 +121,7 @@ fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a m
     match w.precision() {
         Precision::F32 | Precision::F16 => values,
         Precision::Bf16 => {
-            let count = padded(rows) * w.k;
+            let count = padded(rows) * w.k();
             pairs.resize(count / 2);
             pair_columns(simd, &values[..count], pairs);
             pairs
@@ -158,7 +158,7 @@ impl Inputs {
             let Some(row) = row else { continue };
             for column in 0..outputs {
                 let place = match &self.forward {
-                    Forward::Wide(packed) => padded_row * packed.n + column,
+                    Forward::Wide(packed) => padded_row * packed.n() + column,
                     Forward::Few(_) => column * self.rows.len() + padded_row,
                 };
                 parameters[row * outputs + column] += gradient[place];
@@ -183,8 +183,7 @@ impl Layer {
 
     /// Padded outputs: the rows of the matrix for the way back.
     fn n(&self) -> usize {
-        let Packed { k, .. } = &self.backward;
-        *k
+        self.backward.k()
     }
 }
 
@@ -208,7 +207,7 @@ impl Mlp {
                 let k = rows.len();
                 let inputs = Inputs::new(std::mem::take(&mut rows), outputs, i + 1 == count, precision);
                 let (n, precision) = match &inputs.forward {
-                    Forward::Wide(packed) => (packed.n, precision),
+                    Forward::Wide(packed) => (packed.n(), precision),
                     Forward::Few(_) => (FEW, Precision::F32),
                 };
                 rows = (0..n).map(|column| (column < outputs).then_some(column)).collect();
@@ -276,7 +275,7 @@ impl Mlp {
         }
         assert_eq!(self.shared.is_some(), shared.is_some(), "shared inputs");
         if let (Some(Inputs { forward: Forward::Wide(weights), .. }), Some(shared)) = (&self.shared, shared) {
-            group_rows.resize(padded(shared.groups) * weights.n);
+            group_rows.resize(padded(shared.groups) * weights.n());
             let input = left(simd, shared.groups, shared.input, weights, pairs);
             multiply(simd, shared.groups, input, weights, group_rows, Start::Zero, Finish::Store);
         }

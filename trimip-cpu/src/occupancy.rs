@@ -6,11 +6,11 @@ use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::backend::Occupancy;
-use trimip_core::batch::{Radiance, Samples, Sphere};
+use trimip_core::batch::{Radiance, Rays, Samples};
 use trimip_core::config::OccupancyConfig;
-use trimip_core::occupancy::{Choice, coordinates, decayed, point_in, threshold};
+use trimip_core::occupancy::{Choice, coordinates, decayed, probe, threshold};
 use trimip_core::rng::Random;
-use trimip_core::{Aabb, Config};
+use trimip_core::{Config, Space};
 
 /// Cells along a side of a block.
 const BLOCK: u32 = 4;
@@ -19,6 +19,7 @@ const BLOCK: u32 = 4;
 pub struct CpuOccupancy {
     config: OccupancyConfig,
     seed: u64,
+    space: Space<f32>,
     /// World length of one marching step.
     step_length: f32,
     /// Radius of a sphere whose disc has the area of a cell's face, world units.
@@ -35,16 +36,15 @@ pub struct CpuOccupancy {
 impl CpuOccupancy {
     /// A grid that is occupied everywhere.
     pub fn new(config: &Config) -> Self {
-        let aabb = Aabb::<f32>::new(&config.scene);
+        let space = Space::new(&config.scene);
         let resolution = config.occupancy.resolution;
-        let [x, y, z] = aabb.extent();
-        let cell = (x * y * z).cbrt() / resolution as f32;
         let cells = (resolution as usize).pow(3);
         let mut grid = Self {
             config: config.occupancy.clone(),
             seed: config.seed,
+            space,
             step_length: config.step_length(),
-            radius: cell / std::f32::consts::PI.sqrt(),
+            radius: space.cell(resolution) / std::f32::consts::PI.sqrt(),
             densities: vec![0.0; cells],
             blocks: vec![0; cells / (BLOCK * BLOCK * BLOCK) as usize],
             supers: Vec::new(),
@@ -141,13 +141,25 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
         self.chosen.len() as u32
     }
 
-    fn probes(&self, _: &mut Lane, step: u64, range: Range<u32>, samples: &mut Samples<CpuBackend>) {
-        let random = Random::new(self.seed);
+    fn probes(
+        &self,
+        _: &mut Lane,
+        step: u64,
+        range: Range<u32>,
+        rays: &mut Rays<CpuBackend>,
+        samples: &mut Samples<CpuBackend>,
+    ) {
+        let (random, resolution) = (Random::new(self.seed), self.config.resolution);
         let cells = &self.chosen[range.start as usize..range.end as usize];
+        rays.rays.resize(cells.len());
+        samples.rays.resize(cells.len());
+        samples.intervals.resize(cells.len());
         samples.spheres.resize(cells.len());
-        for (sphere, &cell) in samples.spheres.iter_mut().zip(cells) {
-            let position = point_in(cell, self.config.resolution, &random, step);
-            *sphere = Sphere { position, radius: self.radius };
+        for (i, &cell) in cells.iter().enumerate() {
+            let (ray, interval, sphere) =
+                probe(cell, resolution, &random, step, &self.space, self.radius, self.step_length);
+            samples.rays[i] = i as u32;
+            (rays.rays[i], samples.intervals[i], samples.spheres[i]) = (ray, interval, sphere);
         }
     }
 

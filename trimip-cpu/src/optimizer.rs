@@ -1,8 +1,8 @@
 //! AdamW on the CPU: one pass over all parameters, in chunks that do not depend on the number of threads.
 
 use crate::CpuBackend;
-use crate::buffer::{Buffer, take};
-use crate::extents::Touched;
+use crate::buffer::Buffer;
+use crate::encoders::Piece;
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -10,8 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use trimip_core::adamw::Rule;
 use trimip_core::batch::Deposit;
 use trimip_core::config::{OptimizerConfig, Untouched};
-use trimip_core::params::{Kind, Slot};
-use trimip_core::tri_mip::CHANNELS;
+use trimip_core::params::{ALIGNMENT, Slot};
 use trimip_core::{Config, Layout, Optimizer};
 
 /// Parameters of one task.
@@ -25,7 +24,8 @@ pub struct CpuOptimizer {
     m: Buffer<f32>,
     v: Buffer<f32>,
     non_finite: AtomicU64,
-    halvings: u32,
+    /// Part of each slot that is in use, up to the next alignment.
+    parts: Vec<Range<usize>>,
 }
 
 impl CpuOptimizer {
@@ -39,7 +39,7 @@ impl CpuOptimizer {
             m: Buffer::zeros(length),
             v: Buffer::zeros(length),
             non_finite: AtomicU64::new(0),
-            halvings: 0,
+            parts: layout.slots.iter().map(Slot::padded).collect(),
         }
     }
 }
@@ -50,7 +50,7 @@ impl CpuOptimizer {
         self.config.untouched == Untouched::Skip
     }
 
-    /// As [`Optimizer::step`], for planes whose gradient is zero outside of `touched`.
+    /// As [`Optimizer::step`], for an encoder whose first slot has a gradient of zero outside of `touched`.
     pub(crate) fn step_within(
         &mut self,
         parameters: &mut Buffer<f32>,
@@ -58,32 +58,26 @@ impl CpuOptimizer {
         deposits: &[Deposit<CpuBackend>],
         learning_rate: f64,
         step: u64,
-        touched: Option<Touched<'_>>,
+        touched: Option<Vec<Piece<'_>>>,
     ) {
         let weight: f64 = deposits.iter().map(|deposit| deposit.sums.weight).sum();
         let scale = (1.0 / weight) as f32;
-        let Self { simd, config, slots, m, v, non_finite, halvings } = self;
-        for slot in slots.iter() {
-            let planes = slot.kind == Kind::Planes;
-            let rate = if planes { learning_rate * config.plane_scale } else { learning_rate };
-            let rule = Rule::new(config, rate, step);
-            let skip = planes && config.untouched == Untouched::Skip;
-            let mut whole = slot.range.clone();
-            if planes {
-                whole.end = whole.start + (whole.len() >> (2 * *halvings));
-            }
-            // Plane by plane and row by row where rows say what they touched.
-            let pieces = match touched {
-                Some(Touched { shapes, mut rows }) if planes => {
+        let Self { simd, config, slots, m, v, non_finite, parts } = self;
+        for (index, (slot, whole)) in slots.iter().zip(parts).enumerate() {
+            let rule = Rule::of(config, slot, learning_rate, step);
+            let group = slot.group.filter(|_| config.untouched == Untouched::Skip);
+            // Row by row where rows say what they touched.
+            let mut pieces = Vec::new();
+            match touched.as_deref() {
+                Some(rows) if index == 0 => {
                     let mut start = whole.start;
-                    Vec::from(shapes.map(|shape| {
-                        let range = start..start + shape.rows * shape.row();
-                        start = range.end;
-                        (range, shape.row(), Some(take(&mut rows, shape.rows)))
-                    }))
+                    for piece in rows {
+                        pieces.push((start..start + piece.length, piece.row, Some(&piece.within)));
+                        start += piece.length;
+                    }
                 }
-                _ => vec![(whole, CHUNK, None)],
-            };
+                _ => pieces.push((whole.clone(), CHUNK, None)),
+            }
             for (range, chunk, rows) in pieces {
                 let chunks = parameters[range.clone()]
                     .par_chunks_mut(chunk)
@@ -91,14 +85,11 @@ impl CpuOptimizer {
                     .zip(v[range.clone()].par_chunks_mut(chunk))
                     .zip(gradient[range].par_chunks(chunk));
                 chunks.enumerate().with_min_len(4).for_each(|(i, (((parameters, m), v), gradient))| {
-                    let within = rows.map_or(0..parameters.len(), |rows| {
-                        let Range { start, end } = rows[i].texels();
-                        start * CHANNELS..end * CHANNELS
-                    });
+                    let within = rows.map_or(0..parameters.len(), |within| within(i));
                     let skipped = simd.run(Update {
                         rule,
                         scale,
-                        skip,
+                        group,
                         parameters: &mut parameters[within.clone()],
                         m: &mut m[within.clone()],
                         v: &mut v[within.clone()],
@@ -125,8 +116,9 @@ impl Optimizer<CpuBackend> for CpuOptimizer {
         self.step_within(parameters, gradient, deposits, learning_rate, step, None);
     }
 
-    fn halve(&mut self, halvings: u32) {
-        self.halvings = halvings;
+    fn restrict(&mut self, parts: &[Range<usize>]) {
+        let padded = |part: &Range<usize>| part.start..part.end.next_multiple_of(ALIGNMENT);
+        self.parts = parts.iter().map(padded).collect();
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {
@@ -145,8 +137,8 @@ impl Optimizer<CpuBackend> for CpuOptimizer {
 struct Update<'a> {
     rule: Rule<f32>,
     scale: f32,
-    /// Leave texels without any gradient as they are.
-    skip: bool,
+    /// Groups of this many values without any gradient stay as they are.
+    group: Option<usize>,
     parameters: &'a mut [f32],
     m: &'a mut [f32],
     v: &'a mut [f32],
@@ -158,26 +150,132 @@ impl Kernel for Update<'_> {
     type Output = u64;
     #[inline(always)]
     fn run<L: Lanes>(self) -> u64 {
-        let Self { rule, scale, skip, parameters, m, v, gradient } = self;
+        let Self { rule, scale, group, parameters, m, v, gradient } = self;
         // One pass that looks, so that the pass that writes has no branch and becomes vectors.
         let square = |g: f32| (g * scale) * (g * scale);
         let finite = gradient.iter().fold(0.0_f32, |sum, &g| sum + square(g) * 0.0) == 0.0;
-        // Every slot holds a multiple of 16 values; arrays of known length become vectors.
-        let moments = m.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(v.as_chunks_mut::<CHANNELS>().0);
-        let texels = parameters.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(moments);
+        // Slots are padded to whole lines; arrays of known length become vectors.
+        let moments = m.as_chunks_mut::<ALIGNMENT>().0.iter_mut().zip(v.as_chunks_mut::<ALIGNMENT>().0);
+        let lines = parameters.as_chunks_mut::<ALIGNMENT>().0.iter_mut().zip(moments);
         let mut skipped = 0;
-        for ((parameters, (m, v)), gradient) in texels.zip(gradient.as_chunks::<CHANNELS>().0) {
-            if skip && gradient.iter().all(|g| *g == 0.0) {
+        for ((parameters, (m, v)), gradient) in lines.zip(gradient.as_chunks::<ALIGNMENT>().0) {
+            if group.is_some() && gradient.iter().all(|g| *g == 0.0) {
                 continue;
             }
-            for i in 0..CHANNELS {
+            let mut update = |i: usize| {
                 if finite || square(gradient[i]).is_finite() {
                     rule.apply(&mut parameters[i], &mut m[i], &mut v[i], gradient[i] * scale);
                 } else {
                     skipped += 1;
                 }
+            };
+            match group {
+                Some(group) if group < ALIGNMENT => {
+                    for first in (0..ALIGNMENT).step_by(group) {
+                        if gradient[first..first + group].iter().any(|g| *g != 0.0) {
+                            (first..first + group).for_each(&mut update);
+                        }
+                    }
+                }
+                _ => (0..ALIGNMENT).for_each(update),
             }
         }
         skipped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trimip_core::Backend;
+    use trimip_core::batch::StepSums;
+    use trimip_core::config::FilePrecision;
+
+    /// Slots of lengths that no register divides, dense and sparse in groups, each with a rate and a decay of its own.
+    fn odd() -> Layout {
+        let slot = |name: &str, shape: &[usize], rate, decay, group| Slot {
+            rate,
+            decay,
+            group,
+            precision: FilePrecision::F32,
+            ..Slot::new(name, shape.to_vec(), 1.0)
+        };
+        Layout::of([
+            slot("weights", &[3, 5], 1.0, 1.0, None),
+            slot("bias", &[1], 2.0, 0.0, None),
+            slot("pairs", &[21, 2], 10.0, 0.5, Some(2)),
+            slot("singles", &[19], 3.0, 1.0, Some(1)),
+            slot("texels", &[3, 16], 10.0, 1.0, Some(16)),
+            slot("last", &[7], 1.0, 1.0, None),
+        ])
+    }
+
+    /// Algorithm 2 of Loshchilov and Hutter as it is printed: value and moments after step `step` at a learning rate of 1e-2.
+    fn printed(config: &Config, slot: &Slot, step: u64, [x, m, v]: [f64; 3], gradient: f64) -> [f64; 3] {
+        let c = &config.optimizer;
+        let m = c.beta1 * m + (1.0 - c.beta1) * gradient;
+        let v = c.beta2 * v + (1.0 - c.beta2) * gradient * gradient;
+        let m_hat = m / (1.0 - c.beta1.powf(step as f64));
+        let v_hat = v / (1.0 - c.beta2.powf(step as f64));
+        let rate = 1e-2 * slot.rate;
+        let decay = rate * slot.decay * c.weight_decay * x;
+        [x - rate * m_hat / (v_hat.sqrt() + c.epsilon) - decay, m, v]
+    }
+
+    #[test]
+    fn slots_of_any_length_and_group_follow_the_printed_rule() {
+        let mut config = Config::default();
+        (config.encoder.plane_size, config.encoder.levels, config.field.hidden) = (4, 1, 16);
+        (config.optimizer.weight_decay, config.optimizer.untouched) = (0.1, Untouched::Skip);
+        let layout = odd();
+        for simd in Simd::available() {
+            let backend = CpuBackend::new(2, simd).unwrap();
+            let stages = backend.stages(&config, None).unwrap();
+            let sums = StepSums { weight: 4.0, ..StepSums::default() };
+            let (field, encoder) = (
+                trimip_core::Field::gradient(&stages.field),
+                trimip_core::Encoder::gradient(&stages.encoder),
+            );
+            let deposits = [Deposit { field, encoder, sums }];
+            let mut optimizer = CpuOptimizer::new(simd, &config, &layout, true);
+            let mut parameters = Buffer::zeros(layout.len());
+            parameters.copy_from_slice(&layout.initial(&config));
+            let mut exact: Vec<[f64; 3]> = parameters.iter().map(|&x| [x.into(), 0.0, 0.0]).collect();
+            for step in 1..=4 {
+                let mut gradient = Buffer::zeros(layout.len());
+                for slot in &layout.slots {
+                    for i in slot.range.clone() {
+                        // Every third group has no gradient at this step.
+                        let group = (i - slot.range.start) / slot.group.unwrap_or(1);
+                        let idle = (group as u64 + step).is_multiple_of(3);
+                        gradient[i] =
+                            if idle { 0.0 } else { ((i as u64 * 37 + step * 11) % 17) as f32 - 7.5 };
+                    }
+                }
+                optimizer.step(&mut parameters, &gradient, &deposits, 1e-2, step);
+                for slot in &layout.slots {
+                    for i in slot.range.clone() {
+                        let group = (i - slot.range.start) / slot.group.unwrap_or(1);
+                        if slot.group.is_some() && (group as u64 + step).is_multiple_of(3) {
+                            continue;
+                        }
+                        exact[i] = printed(&config, slot, step, exact[i], f64::from(gradient[i]) / 4.0);
+                    }
+                }
+                for slot in &layout.slots {
+                    for i in slot.range.clone() {
+                        let [x, m, v] = exact[i];
+                        let found = [parameters[i], optimizer.m[i], optimizer.v[i]].map(f64::from);
+                        for (found, expected) in found.into_iter().zip([x, m, v]) {
+                            // Values are of order one; what cancels keeps the rounding of what it came from.
+                            let bound = 1e-6 * expected.abs().max(1.0);
+                            assert!((found - expected).abs() <= bound, "{simd:?} {}[{i}] {found}", slot.name);
+                        }
+                    }
+                    let between = slot.range.end..slot.padded().end;
+                    assert!(parameters[between].iter().all(|x| x.to_bits() == 0), "{simd:?} {}", slot.name);
+                }
+            }
+        }
     }
 }

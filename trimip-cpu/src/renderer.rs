@@ -2,13 +2,15 @@
 
 use crate::buffer::Buffer;
 use crate::occupancy::CpuOccupancy;
+use crate::see::see;
 use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
-use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere};
+use trimip_core::backend::Stages;
+use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Workspace};
 use trimip_core::compositing::{Pruning, Seen, composite, composite_gradient};
 use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
-use trimip_core::{Aabb, Config, Pixel, Renderer};
+use trimip_core::{Config, Pixel, Renderer, Space};
 
 /// How far a ray has been marched.
 #[derive(Clone, Copy, Debug)]
@@ -23,10 +25,10 @@ pub(crate) struct Cursor {
     index: f32,
 }
 
-/// Box, step and background.
+/// Space, step and background.
 pub struct CpuRenderer {
     pub(crate) simd: Simd,
-    aabb: Aabb<f32>,
+    space: Space<f32>,
     /// Length of a step of the schedule's scale 1.
     uniform_step: f32,
     step_scale: Schedule,
@@ -46,7 +48,7 @@ impl CpuRenderer {
         let step_scale = config.renderer.step_scale.clone();
         Self {
             simd,
-            aabb: Aabb::new(&config.scene),
+            space: Space::new(&config.scene),
             uniform_step,
             step_length: uniform_step * step_scale.at(0.0) as f32,
             step_scale,
@@ -60,7 +62,7 @@ impl CpuRenderer {
     /// Where a ray begins in the box: before its first step, which `jitter` moves by a random part of a step; `index` is
     /// the ray's number within the training step.
     pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
-        let (enter, leave) = self.aabb.intersect(ray.origin, ray.direction);
+        let (enter, leave) = self.space.intersect(ray.origin, ray.direction);
         let offset = jitter.map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, index)[0]);
         let by_radius = self.step_per_radius * ray.slope * 0.5 * (enter + leave);
         // A comparison with NaN is false: the uniform step.
@@ -68,12 +70,6 @@ impl CpuRenderer {
         let first = enter + offset * step;
         let hits = leave > first && leave.is_finite();
         Cursor { first, leave: if hits { leave } else { f32::NEG_INFINITY }, step, index: 0.0 }
-    }
-
-    /// Steps that fit into the box along any ray, and one for rounding.
-    fn most_samples(&self) -> usize {
-        let [x, y, z] = self.aabb.extent().map(f64::from);
-        ((x * x + y * y + z * z).sqrt() / f64::from(self.step_length)).ceil() as usize + 2
     }
 
     /// Calls `place` for the middle of every step from the cursor on that lies in an occupied cell, at most `limit`
@@ -89,10 +85,7 @@ impl CpuRenderer {
         limit: usize,
         mut place: impl FnMut(Interval, Sphere),
     ) -> bool {
-        let resolution = occupancy.resolution();
-        let inverse_extent = self.aabb.extent().map(f32::recip);
-        let cell_extent = self.aabb.extent().map(|side| side / resolution as f32);
-        let inverse_direction = ray.direction.map(f32::recip);
+        let way = self.space.way(ray, occupancy.resolution());
         let Cursor { first, leave, step, mut index } = *cursor;
         let inverse_step = step.recip();
         let mut placed = 0;
@@ -105,27 +98,15 @@ impl CpuRenderer {
                 cursor.index = index;
                 return false;
             }
-            let position: [f32; 3] = std::array::from_fn(|i| {
-                (ray.origin[i] + t * ray.direction[i] - self.aabb.min[i]) * inverse_extent[i]
-            });
-            let cell = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
+            let position = way.position(t);
+            let cell = way.cell(position);
             let Some(size) = occupancy.empty_around(cell) else {
-                place(Interval { t, length: step }, Sphere { position, radius: ray.slope * t });
+                place(Interval { t, length: step }, Sphere { position, radius: way.radius(t) });
                 placed += 1;
                 index += 1.0;
                 continue;
             };
-            let mut exit = f32::INFINITY;
-            for axis in 0..3 {
-                let lower = cell[axis] / size * size;
-                let edge = if ray.direction[axis] > 0.0 { lower + size } else { lower };
-                let edge = edge as f32 * cell_extent[axis] + self.aabb.min[axis];
-                let distance = (edge - ray.origin[axis]) * inverse_direction[axis];
-                // An axis the ray does not move along gives ±∞ or NaN: no exit there.
-                if distance > t && distance < exit {
-                    exit = distance;
-                }
-            }
+            let exit = way.exit(t, cell, size);
             // The first step whose middle is not before the exit. What rounding may move is a few 1e-7 of the distance;
             // a step that close to the exit is asked rather than skipped.
             let steps = (exit - first) * inverse_step - 0.5;
@@ -141,6 +122,16 @@ impl Renderer<CpuBackend> for CpuRenderer {
         self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
     }
 
+    fn see(
+        &self,
+        stages: &Stages<CpuBackend>,
+        parameters: &Buffer<f32>,
+        space: &mut Workspace<CpuBackend>,
+        jitter: Option<u64>,
+    ) {
+        see(stages, parameters, space, jitter);
+    }
+
     fn march(
         &self,
         _: &mut Lane,
@@ -150,7 +141,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
         samples: &mut Samples<CpuBackend>,
     ) {
         samples.segments.resize(rays.rays.len());
-        let most_samples = self.most_samples();
+        let most_samples = self.space.most_steps(self.step_length);
         let mut count = 0;
         for (i, ray) in rays.rays.iter().enumerate() {
             let start = count;
@@ -209,54 +200,60 @@ impl Renderer<CpuBackend> for CpuRenderer {
         rays: &Rays<CpuBackend>,
         samples: &Samples<CpuBackend>,
         radiance: &Buffer<Radiance>,
+        cones: &mut Buffer<Pixel>,
         pixels: &mut Buffer<Pixel>,
     ) {
-        pixels.resize(rays.rays.len());
-        let rows = pixels.iter_mut().zip(samples.segments.iter()).zip(rays.rays.iter());
-        for (i, ((pixel, segment), ray)) in rows.enumerate() {
-            let result = composite(
-                range(segment).map(|i| {
-                    let Interval { t, length } = samples.intervals[i];
-                    (radiance[i].density * length, radiance[i].rgb, t)
-                }),
-                rays.targets.get(i).map_or(self.background, |target| target.background),
-            );
-            *pixel = Pixel { rgb: result.rgb, opacity: result.opacity, depth: result.distance * ray.cosine };
+        cones.resize(rays.rays.len());
+        pixels.resize(rays.groups.len());
+        for (i, (pixel, group)) in pixels.iter_mut().zip(rays.groups.iter()).enumerate() {
+            let background = rays.targets.get(i).map_or(self.background, |target| target.background);
+            let group = group.range();
+            for index in group.clone() {
+                let result = composite(
+                    samples.segments[index].range().map(|i| {
+                        let Interval { t, length } = samples.intervals[i];
+                        (radiance[i].density * length, radiance[i].rgb, t)
+                    }),
+                    background,
+                );
+                let depth = result.distance * rays.rays[index].cosine;
+                cones[index] = Pixel { rgb: result.rgb, opacity: result.opacity, depth };
+            }
+            *pixel = Pixel::mean(&cones[group]);
         }
     }
 
     fn backward(
         &self,
         _: &mut Lane,
+        rays: &Rays<CpuBackend>,
         samples: &Samples<CpuBackend>,
         radiance: &Buffer<Radiance>,
-        pixels: &Buffer<Pixel>,
+        cones: &Buffer<Pixel>,
         pixel_gradients: &Buffer<[f32; 4]>,
         radiance_gradients: &mut Buffer<Radiance>,
     ) {
         radiance_gradients.resize(radiance.len());
-        for ((pixel, segment), &gradient) in
-            pixels.iter().zip(samples.segments.iter()).zip(pixel_gradients.iter())
-        {
-            let first = segment.start as usize;
-            composite_gradient(
-                segment.count as usize,
-                |i| {
-                    let i = first + i;
-                    (radiance[i].density * samples.intervals[i].length, radiance[i].rgb)
-                },
-                pixel.channels(),
-                gradient,
-                |i, by_depth, rgb| {
-                    let i = first + i;
-                    radiance_gradients[i] = Radiance { rgb, density: by_depth * samples.intervals[i].length };
-                },
-            );
+        for (group, &gradient) in rays.groups.iter().zip(pixel_gradients.iter()) {
+            let share = (group.count as f32).recip();
+            let gradient = gradient.map(|g| g * share);
+            for (cone, segment) in cones[group.range()].iter().zip(&samples.segments[group.range()]) {
+                let first = segment.start as usize;
+                composite_gradient(
+                    segment.count as usize,
+                    |i| {
+                        let i = first + i;
+                        (radiance[i].density * samples.intervals[i].length, radiance[i].rgb)
+                    },
+                    cone.channels(),
+                    gradient,
+                    |i, by_depth, rgb| {
+                        let i = first + i;
+                        radiance_gradients[i] =
+                            Radiance { rgb, density: by_depth * samples.intervals[i].length };
+                    },
+                );
+            }
         }
     }
-}
-
-/// Indices of a segment's samples.
-fn range(segment: &Segment) -> std::ops::Range<usize> {
-    segment.start as usize..(segment.start + segment.count) as usize
 }

@@ -5,7 +5,7 @@ use crate::{CpuBackend, Lane};
 use std::ops::Range;
 use trimip_core::backend::Sampler;
 use trimip_core::balance::Balance;
-use trimip_core::batch::{Rays, Target};
+use trimip_core::batch::{Rays, Segment, Target};
 use trimip_core::config::TrainConfig;
 use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::composite_pixel;
@@ -20,8 +20,10 @@ pub struct CpuSampler {
     balance: Balance,
     background: [f32; 3],
     train: TrainConfig,
-    /// Share of the rays that have a random background.
+    /// Share of the pixels that have a random background.
     random_share: f32,
+    /// Cones along a side of a pixel.
+    side: u32,
     random: Random,
 }
 
@@ -34,10 +36,32 @@ impl CpuSampler {
             background: config.data.background,
             train: config.train.clone(),
             random_share: 0.0,
+            side: config.renderer.cones,
             random: Random::new(config.seed),
         };
         sampler.follow(0.0);
         sampler
+    }
+
+    /// Gives each of the pixels `range` its group of cones.
+    fn group(&self, range: &Range<u32>, rays: &mut Rays<CpuBackend>) {
+        let count = self.side * self.side;
+        rays.first = range.start * count;
+        rays.rays.resize(range.len() * count as usize);
+        rays.groups.resize(range.len());
+        for (group, i) in rays.groups.iter_mut().zip(0..) {
+            *group = Segment { start: i * count, count };
+        }
+    }
+
+    /// Makes the cones of a pixel, the span's number `slot`.
+    #[inline]
+    fn cones(&self, camera: &Camera, [x, y]: [u32; 2], rays: &mut Rays<CpuBackend>, slot: usize) {
+        let count = (self.side * self.side) as usize;
+        let own = &mut rays.rays[slot * count..][..count];
+        for (ray, index) in own.iter_mut().zip(0..) {
+            *ray = camera.cone_in(x, y, index, self.side).into();
+        }
     }
 }
 
@@ -57,11 +81,11 @@ impl Sampler<CpuBackend> for CpuSampler {
         range: Range<u32>,
         rays: &mut Rays<CpuBackend>,
     ) {
-        rays.first = range.start;
-        rays.rays.resize(range.len());
         rays.targets.resize(range.len());
+        self.group(&range, rays);
         let Some(views) = &self.views else {
             rays.rays.clear();
+            rays.groups.clear();
             rays.targets.clear();
             return;
         };
@@ -85,7 +109,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             let view = &in_scale[in_scale.partition_point(|view| view.offset <= pixel) - 1];
             let within = (pixel - view.offset) as u32;
             let width = view.camera.intrinsics.width;
-            rays.rays[slot] = view.camera.cone(within % width, within / width).into();
+            self.cones(&view.camera, [within % width, within / width], rays, slot);
             let mut background = self.background;
             if self.random_share > 0.0 {
                 let [r, g, b, chance] = self.random.uniform(Stream::Background, step, index);
@@ -103,12 +127,11 @@ impl Sampler<CpuBackend> for CpuSampler {
     }
 
     fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<CpuBackend>) {
-        rays.first = range.start;
         rays.targets.clear();
-        rays.rays.resize(range.len());
+        self.group(&range, rays);
         let width = camera.intrinsics.width;
-        for (ray, index) in rays.rays.iter_mut().zip(range) {
-            *ray = camera.cone(index % width, index / width).into();
+        for (slot, index) in range.enumerate() {
+            self.cones(camera, [index % width, index / width], rays, slot);
         }
     }
 }

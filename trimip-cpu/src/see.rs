@@ -10,7 +10,6 @@ use crate::{CpuBackend, CpuField, Lane};
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Workspace};
 use trimip_core::compositing::{Pruning, Seen};
-use trimip_core::tri_mip::FEATURES;
 use trimip_core::{Encoder, Field};
 
 /// Samples of a ray that are asked at once: few, so that little is asked behind the surface.
@@ -42,38 +41,45 @@ pub(crate) struct Scratch {
 /// Samples with what is known of them.
 struct Rows {
     samples: Samples<CpuBackend>,
+    encoding: Buffer<f32>,
     features: Buffer<f32>,
     tape: Tape,
     radiance: Buffer<Radiance>,
 }
 
 impl Rows {
-    fn new(backend: &CpuBackend, field: &CpuField) -> Self {
-        // A fresh workspace knows how to make its parts.
-        let Workspace { samples, features, tape, radiance, .. } = Workspace::new(backend, field);
-        Self { samples, features, tape, radiance }
+    fn new(field: &CpuField) -> Self {
+        let samples = Samples {
+            segments: Buffer::zeros(0),
+            rays: Buffer::zeros(0),
+            intervals: Buffer::zeros(0),
+            spheres: Buffer::zeros(0),
+            counts: Buffer::zeros(1),
+        };
+        let (encoding, features) = (Buffer::zeros(0), Buffer::zeros(0));
+        Self { samples, encoding, features, tape: field.tape(), radiance: Buffer::zeros(0) }
     }
 
     fn clear(&mut self, field: &CpuField) {
         self.samples.rays.clear();
         self.samples.intervals.clear();
         self.samples.spheres.clear();
+        self.encoding.clear();
         self.features.clear();
         self.radiance.clear();
         field.clear(&mut self.tape);
     }
 }
 
-/// See [`trimip_core::Backend::see`].
+/// See [`trimip_core::Renderer::see`].
 pub(crate) fn see(
-    backend: &CpuBackend,
     stages: &Stages<CpuBackend>,
     parameters: &Buffer<f32>,
     space: &mut Workspace<CpuBackend>,
     jitter: Option<u64>,
 ) {
     let mut scratch = space.lane.scratch.take().unwrap_or_else(|| {
-        let rows = || Rows::new(backend, &stages.field);
+        let rows = || Rows::new(&stages.field);
         let (piece, staged) = (rows(), rows());
         Box::new(Scratch { walkers: Vec::new(), piece, seen: Buffer::zeros(0), staged, order: Vec::new() })
     });
@@ -109,13 +115,15 @@ impl Scratch {
             renderer.simd.run(Place { walkers, stages, rays, samples: &mut piece.samples });
             let samples = &piece.samples;
             marched += samples.spheres.len();
-            stages.encoder.forward(lane, parameters, samples, &mut piece.features);
+            let (encoding, features) = (&mut piece.encoding, &mut piece.features);
+            stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
             stages.field.density(lane, samples, &piece.features, &mut piece.tape, &mut piece.radiance);
             look(walkers, samples, &piece.radiance, &renderer.pruning, seen);
             staged.samples.rays.append_rows(&samples.rays, seen, 1);
             staged.samples.intervals.append_rows(&samples.intervals, seen, 1);
             staged.samples.spheres.append_rows(&samples.spheres, seen, 1);
-            staged.features.append_rows(&piece.features, seen, FEATURES);
+            staged.encoding.append_rows(&piece.encoding, seen, stages.encoder.tape());
+            staged.features.append_rows(&piece.features, seen, stages.encoder.stride());
             staged.radiance.append_rows(&piece.radiance, seen, 1);
             stages.field.append(&mut staged.tape, &piece.tape, seen);
         }
@@ -125,7 +133,7 @@ impl Scratch {
     /// Brings what was seen into the workspace, ray by ray.
     fn sort_by_ray(&mut self, stages: &Stages<CpuBackend>, space: &mut Workspace<CpuBackend>) {
         let Self { staged, order, .. } = self;
-        let Workspace { rays, samples, features, tape, radiance, .. } = space;
+        let Workspace { rays, samples, encoding, features, tape, radiance, .. } = space;
         let segments = &mut samples.segments;
         segments.resize(rays.rays.len());
         segments.fill(Segment::default());
@@ -148,7 +156,8 @@ impl Scratch {
         samples.intervals.gather_rows(&staged.samples.intervals, order, 1, count);
         samples.spheres.gather_rows(&staged.samples.spheres, order, 1, count);
         radiance.gather_rows(&staged.radiance, order, 1, count);
-        features.gather_rows(&staged.features, order, FEATURES, padded(count));
+        encoding.gather_rows(&staged.encoding, order, stages.encoder.tape(), count);
+        features.gather_rows(&staged.features, order, stages.encoder.stride(), padded(count));
         stages.field.gather(tape, &staged.tape, order);
     }
 }

@@ -11,20 +11,20 @@ use crate::{
 use std::path::{Path, PathBuf};
 use trimip_core::{Camera, Error, Intrinsics, Result, scene_plan::StatedBox};
 
-/// Every n-th frame of an undivided file is tested on (mip-NeRF 360's and Instant-NGP's habit for photographs).
+/// Every n-th frame of a file without splits is a test frame, as in mip-NeRF 360 and Instant-NGP.
 pub(crate) const HOLD_OUT: usize = 8;
 /// Keys of lens models that a pinhole camera does not have.
 const DISTORTION: [&str; 6] = ["k1", "k2", "k3", "k4", "p1", "p2"];
 
-/// Frames of a split, and what is odd about them.
+/// The frames of a split, with warnings about them.
 pub(crate) struct Split {
     pub(crate) sources: Vec<Source>,
     pub(crate) warnings: Vec<String>,
-    /// Where the file says that the scene is.
+    /// The bounding box that the file states.
     pub(crate) stated: Option<StatedBox>,
 }
 
-/// Names of the splits that have a file of their own.
+/// Names of the splits with a file of their own.
 pub(crate) fn splits(root: &Path) -> Vec<String> {
     let Ok(entries) = root.read_dir() else { return Vec::new() };
     let mut names: Vec<String> = entries
@@ -38,18 +38,18 @@ pub(crate) fn splits(root: &Path) -> Vec<String> {
     names
 }
 
-/// True where a folder has frames of a split.
+/// True if a folder has frames of a split.
 pub(crate) fn has_split(root: &Path, split: &str) -> bool {
     let found = splits(root);
     if found.is_empty() { undivided(root).is_file() } else { found.iter().any(|name| name == split) }
 }
 
-/// The undivided file of a folder.
+/// The file of a folder that holds all frames.
 pub(crate) fn undivided(root: &Path) -> PathBuf {
     root.join("transforms.json")
 }
 
-/// Which frames of a file make a split.
+/// The frames of a file that belong to a split.
 #[derive(Clone, Copy, PartialEq)]
 enum Part {
     All,
@@ -128,7 +128,7 @@ fn locate(root: &Path, split: &str) -> Result<(PathBuf, Part)> {
     ))
 }
 
-/// Image size stated under `w` and `h`.
+/// Image size from `w` and `h`.
 #[derive(Clone, Copy, Default)]
 struct Size {
     width: Option<u32>,
@@ -156,7 +156,7 @@ impl Size {
         Self { width: self.width.or(other.width), height: self.height.or(other.height) }
     }
 
-    /// Refuses an image of another size.
+    /// Refuses an image whose size differs.
     fn check(self, image: &Photograph) -> Result<()> {
         let (width, height) = (self.width.unwrap_or(image.width), self.height.unwrap_or(image.height));
         if (width, height) == (image.width, image.height) {
@@ -165,7 +165,7 @@ impl Size {
         Err(Error::input(
             &image.place,
             format!(
-                "image {} is {}x{} pixels, but {width}x{height} are stated",
+                "image {} is {}x{} pixels, but the file states {width}x{height}",
                 image.path.display(),
                 image.width,
                 image.height
@@ -187,7 +187,7 @@ fn read_frame(root: &Path, file: &Node<'_>, stated: Size, frame: &Node<'_>, scal
 }
 
 fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: u32) -> Result<Intrinsics> {
-    // A frame's own focal length wins over the file's, however either is stated.
+    // The focal length of a frame overrides that of the file, in whichever form.
     let (fx, fy) = match focal(frame, width, height)? {
         Some(focal) => focal,
         None => focal(file, width, height)?.ok_or_else(|| {
@@ -204,7 +204,7 @@ fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: u32) -> Res
     Ok(Intrinsics { width, height, fx, fy, cx: centre("cx", width)?, cy: centre("cy", height)? })
 }
 
-/// Focal lengths stated by one node: `fl_x`, `fl_y`, else half the side over the tangent of half the angle of view.
+/// Focal lengths from one node: `fl_x` and `fl_y`, otherwise half the side over the tangent of half the field of view.
 fn focal(node: &Node<'_>, width: u32, height: u32) -> Result<Option<(f64, f64)>> {
     let length = |key: &str, angle_key: &str, side: u32| -> Result<Option<f64>> {
         let (key, stated, focal) = match (node.number(key)?, node.number(angle_key)?) {
@@ -229,7 +229,7 @@ fn focal(node: &Node<'_>, width: u32, height: u32) -> Result<Option<(f64, f64)>>
     Ok(x.or(y).map(|x| (x, y.unwrap_or(x))))
 }
 
-/// A focal length in pixels that is stated once holds for one image size only.
+/// A focal length in pixels that is given once for the file is valid for one image size only.
 fn check_shared_focal(
     file: &Node<'_>,
     entries: &[serde_json::Value],
@@ -248,7 +248,7 @@ fn check_shared_focal(
     shared.try_for_each(|image| expected.check(image))
 }
 
-/// A warning where a lens model is given that is not a pinhole's.
+/// A warning if the file describes a lens that is not a pinhole.
 fn distortion(file: &Node<'_>, entries: &[serde_json::Value]) -> Result<Option<String>> {
     let stated = |node: &Node<'_>| -> Result<Vec<String>> {
         let mut terms = Vec::new();

@@ -1,4 +1,4 @@
-//! Scenes in words: the few lines that travel with a run, and the longer report of `data inspect`.
+//! Descriptions of scenes: the few lines that are kept with a run, and the longer report of `data inspect`.
 
 use crate::{
     scene::Survey,
@@ -10,7 +10,7 @@ use trimip_core::{
     config::{Convention, DataConfig},
 };
 
-/// What stands at the head of a run: layout, views, sizes, scales, convention, memory.
+/// The first lines of a run: layout, views, sizes, scales, convention, memory.
 pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet) -> Vec<String> {
     let splits: Vec<String> =
         survey.train_splits.iter().map(|(split, count)| format!("{split} {count}")).collect();
@@ -39,7 +39,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
     ]
 }
 
-/// Everything about a scene that can be told without training on it; `watch` is told how much of it is read.
+/// Everything that is known about a scene without training. Progress of reading goes to `watch`.
 ///
 /// # Errors
 /// As [`open`](crate::open).

@@ -1,4 +1,4 @@
-//! JSON documents whose errors name their place: `file:line:column` for syntax, `file: frame 17 (path)` for content.
+//! JSON documents with errors that name their place: `file:line:column` for syntax, `file: frame 17 (path)` for content.
 
 use serde_json::{Map, Value};
 use std::{fmt::Display, fs, path::Path};
@@ -33,7 +33,7 @@ fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
     })
 }
 
-/// The word at which a parser stopped, if it is one of those that Python writes for numbers that are not finite.
+/// The word at which a parser stopped, if Python writes it for a number that is not finite.
 fn not_a_number(bytes: &[u8], line: usize, column: usize) -> Option<String> {
     let line = bytes.split(|&byte| byte == b'\n').nth(line.checked_sub(1)?)?;
     let is_word = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-.".contains(byte);
@@ -45,7 +45,7 @@ fn not_a_number(bytes: &[u8], line: usize, column: usize) -> Option<String> {
     (!number.is_finite()).then_some(word)
 }
 
-/// A JSON object and the place that errors about it name.
+/// A JSON object, and its place for errors.
 pub(crate) struct Node<'a> {
     pub(crate) place: String,
     object: &'a Map<String, Value>,
@@ -64,7 +64,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// The value of a key, `None` where it is absent or null.
+    /// The value of a key; `None` if it is absent or null.
     pub(crate) fn get(&self, key: &str) -> Option<&'a Value> {
         self.object.get(key).filter(|value| !value.is_null())
     }
@@ -73,20 +73,20 @@ impl<'a> Node<'a> {
         self.object.keys().map(String::as_str)
     }
 
-    /// The value of a key that must be there.
+    /// The value of a required key.
     pub(crate) fn required(&self, key: &str) -> Result<&'a Value> {
         self.get(key).ok_or_else(|| {
             Error::input(&self.place, format!("has no \"{key}\""), "add the key or export the file again")
         })
     }
 
-    /// The array under a key that must be there.
+    /// The array under a required key.
     pub(crate) fn array(&self, key: &str) -> Result<&'a [Value]> {
         let value = self.required(key)?;
         value.as_array().map(Vec::as_slice).ok_or_else(|| self.unexpected(key, "an array", value))
     }
 
-    /// The number under a key, `None` where it is absent or null.
+    /// The number under a key; `None` if it is absent or null.
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>> {
         self.get(key)
             .map(|value| value.as_f64().ok_or_else(|| self.unexpected(key, "a number", value)))
@@ -103,7 +103,7 @@ impl<'a> Node<'a> {
     }
 }
 
-/// A value named in a message, short whatever it holds.
+/// A value as text for a message, shortened if it is long.
 fn kind(value: &Value) -> String {
     match value {
         Value::Null => "null".into(),

@@ -1,5 +1,5 @@
 //! The public multi-scale layout: `metadata.json` with, per split, the arrays file_path, cam2world, width, height,
-//! focal, lossmult (4^level) and, where given, pix2cam. One image file per view; nothing is averaged.
+//! focal, lossmult (4^level) and optionally pix2cam. There is one image file per view; nothing is averaged.
 
 use crate::{
     blender::Split,
@@ -12,9 +12,9 @@ use serde_json::Value;
 use std::path::{Path, PathBuf};
 use trimip_core::{Camera, Error, Intrinsics, Result};
 
-/// Name of the file that makes a folder a multi-scale set.
+/// Name of the file that describes a multi-scale set.
 pub(crate) const METADATA: &str = "metadata.json";
-/// pix2cam of the public set is written in f32: what it says is known to about a thousandth of a pixel.
+/// The public set stores pix2cam in f32: its values are accurate to about a thousandth of a pixel.
 const PIXEL_TOLERANCE: f64 = 1e-3;
 
 /// The parsed file.
@@ -80,7 +80,7 @@ struct Entry {
     image: Photograph,
 }
 
-/// The arrays of a split, all of one length.
+/// The arrays of a split, all of the same length.
 struct Table<'a> {
     node: Node<'a>,
     paths: &'a [Value],
@@ -151,7 +151,7 @@ impl<'a> Table<'a> {
             return Err(Error::input(
                 &image.place,
                 format!(
-                    "image {} is {}x{} pixels, but {width}x{height} are stated",
+                    "image {} is {}x{} pixels, but the file states {width}x{height}",
                     image.path.display(),
                     image.width,
                     image.height
@@ -185,7 +185,7 @@ impl<'a> Table<'a> {
             if (found[0] - fx).abs() > PIXEL_TOLERANCE * fx {
                 return Err(wrong(format!("has the focal length {:.2}, \"focal\" is {fx:.2}", found[0])));
             }
-            // Its own value counts only where it says more than the rounding of what `focal` and the size say.
+            // pix2cam is used only where it differs from `focal` and the size by more than rounding.
             let differing = |plain: f64, found: f64| {
                 if (found - plain).abs() > PIXEL_TOLERANCE { found } else { plain }
             };
@@ -196,9 +196,9 @@ impl<'a> Table<'a> {
                 ..k
             };
         }
-        // Written beside pix2cam where a camera is not the plain one, because a quotient does not come back exactly.
+        // These keys are written beside pix2cam for cameras that are not plain: the inverse of an inverse is not exact.
         let length = if self.node.get("fl_y").is_none() { k.fy } else { self.positive("fl_y", index)? };
-        // A crop may leave the principal point outside of the picture.
+        // After a crop the principal point may lie outside the image.
         let point = |key: &str, otherwise: f64| -> Result<f64> {
             if self.node.get(key).is_none() { Ok(otherwise) } else { self.value(key, index) }
         };
@@ -206,7 +206,7 @@ impl<'a> Table<'a> {
     }
 }
 
-/// Groups entries to frames: the k-th entry of every scale belongs to frame k.
+/// Groups entries into frames: entry k of every scale belongs to frame k.
 fn frames(place: &str, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
     let mut levels: Vec<u32> = entries.iter().map(|(level, _)| *level).collect();
     levels.sort_unstable();
@@ -242,7 +242,10 @@ fn frames(place: &str, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
         if (first.rotation, first.origin) != (camera.rotation, camera.origin) {
             return Err(Error::input(
                 &image.place,
-                format!("has another pose than frame {} of its place in the finest scale", source.name),
+                format!(
+                    "has another pose than frame {} at the same position of the finest scale",
+                    source.name
+                ),
                 "list the frames of every scale in the same order",
             ));
         }
@@ -254,7 +257,7 @@ fn frames(place: &str, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
     Ok(sources)
 }
 
-/// A value as it stands in the file, cut to the length of a message.
+/// A value as in the file, shortened for a message.
 fn short(value: &Value) -> String {
     let text = value.to_string();
     if text.chars().count() <= 40 { text } else { text.chars().take(40).collect::<String>() + ".." }

@@ -10,18 +10,18 @@ use std::{
 };
 use trimip_core::{Error, Result};
 
-/// Largest number of pixels of one image: 1 GiB of RGBA, above any photograph's and below any address space's end.
+/// Largest number of pixels of an image (1 GiB of RGBA): more than any photograph, and addressable everywhere.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// An image file that exists, and what its header says.
+/// An image file and its header.
 #[derive(Debug)]
 pub(crate) struct Photograph {
     pub(crate) path: PathBuf,
-    /// Who names the image, for errors: `file: frame 17 (./train/r_17)`.
+    /// The entry that names the image, for errors: `file: frame 17 (./train/r_17)`.
     pub(crate) place: String,
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// True where the file has an alpha channel.
+    /// True if the file has an alpha channel.
     pub(crate) alpha: bool,
 }
 
@@ -47,7 +47,7 @@ impl Photograph {
     pub(crate) fn decode(&self) -> Result<Vec<u8>> {
         let wrong = |error: &dyn Display| undecodable(&self.place, &self.path, error);
         let bytes = fs::read(&self.path).map_err(|error| wrong(&error))?;
-        // The decoder paints what is missing of a JPEG grey.
+        // The decoder fills the missing part of a JPEG with grey.
         if is_truncated_jpeg(&bytes) {
             return Err(wrong(&"the file ends before the image does"));
         }
@@ -63,9 +63,9 @@ impl Photograph {
     }
 }
 
-/// True for a JPEG that ends before its image does. Segments are stepped over by their length; within coded data a byte
-/// FF is followed by 00 or a restart marker, else it is the next segment's (ITU T.81, B.1.1). What follows the end of the
-/// image, as the film of a moving photograph does, is not looked at.
+/// True for a truncated JPEG. Segments are skipped by their length; within coded data a byte
+/// FF is followed by 00 or a restart marker, otherwise it starts the next segment (ITU T.81, B.1.1). Data behind the end of the
+/// image, such as the video of a motion photo, is ignored.
 fn is_truncated_jpeg(bytes: &[u8]) -> bool {
     let Some(mut rest) = bytes.strip_prefix(&[0xff, 0xd8]) else { return false };
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0x00 | 0x01 | 0xff | 0xd0..=0xd8);
@@ -82,7 +82,7 @@ fn is_truncated_jpeg(bytes: &[u8]) -> bool {
 }
 
 fn reader(path: &Path) -> image::ImageResult<ImageReader<BufReader<File>>> {
-    // The content decides the format, not the name: JPEGs called .png are common.
+    // The content determines the format, not the name: JPEGs named .png are common.
     Ok(ImageReader::open(path)?.with_guessed_format()?)
 }
 
@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn palettes_are_looked_up() {
-        // A 2x1 PNG of colour type 3: entries (10, 20, 30) and, half clear, (40, 50, 60).
+        // A 2x1 PNG of colour type 3: entries (10, 20, 30), and (40, 50, 60) with alpha 128.
         let bytes: &[u8] = &[
             0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a, 0x00, 0x00, 0x00, 0x0d, 0x49, 0x48, 0x44, 0x52,
             0x00, 0x00, 0x00, 0x02, 0x00, 0x00, 0x00, 0x01, 0x08, 0x03, 0x00, 0x00, 0x00, 0xc3, 0xfc, 0x8f,
@@ -164,7 +164,7 @@ mod tests {
             DynamicImage::from(image).save(&path).unwrap();
             let whole = fs::read(&path).unwrap();
             Photograph::open(path.clone(), "here".into()).unwrap().decode().unwrap();
-            // A PNG's last 12 bytes are its empty end chunk: without it the pixels are still whole.
+            // The last 12 bytes of a PNG are its empty end chunk: the pixels are complete without it.
             let end = if name.ends_with("png") { whole.len() - 12 } else { whole.len() };
             for length in (0..end).step_by(7) {
                 fs::write(&path, &whole[..length]).unwrap();
@@ -175,15 +175,17 @@ mod tests {
         }
     }
 
-    /// As a moving photograph has its film behind the picture.
+    /// As in a motion photo, whose video follows the image.
     #[test]
     fn what_follows_the_end_of_the_image_is_not_looked_at() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.jpg");
         DynamicImage::from(ImageBuffer::from_pixel(9, 5, Rgb([9_u8, 99, 199]))).save(&path).unwrap();
         let whole = fs::read(&path).unwrap();
+        let decoded = || Photograph::open(path.clone(), "here".into()).unwrap().decode().unwrap();
+        let before = decoded();
         fs::write(&path, [&whole[..], &[0xff, 0xda, 0x00, 0x7f]].concat()).unwrap();
-        Photograph::open(path, "here".into()).unwrap().decode().unwrap();
+        assert_eq!(decoded(), before);
     }
 
     #[test]

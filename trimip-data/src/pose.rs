@@ -1,4 +1,4 @@
-//! Camera-to-world matrices from JSON: 4×4 or 3×4 rows, checked to be a rotation and a translation.
+//! Camera-to-world matrices from JSON: 4×4 or 3×4 rows that must be a rotation and a translation.
 
 use crate::json::Node;
 use glam::{DMat3, DVec3};
@@ -7,7 +7,7 @@ use trimip_core::{Error, Result};
 
 /// Largest |R·Rᵀ − I| that counts as a rotation written with few digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
-/// Deviations above this are corrected; below lies what storing in f32 leaves, which is kept bit for bit.
+/// Larger deviations are corrected. Smaller ones come from storage in f32 and are kept bit for bit.
 const CORRECTED_ABOVE: f64 = 1e-5;
 
 /// Rotation and camera centre under `key`.
@@ -49,7 +49,7 @@ pub(crate) fn parse(place: &str, key: &str, value: &Value) -> Result<(DMat3, DVe
     Ok((if deviation > CORRECTED_ABOVE { nearest_rotation(rotation) } else { rotation }, column(3)))
 }
 
-/// Rows of numbers, `None` where something else stands.
+/// Rows of numbers; `None` if an entry is something else.
 pub(crate) fn matrix(value: &Value) -> Option<Vec<Vec<f64>>> {
     let row = |row: &Value| row.as_array()?.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>();
     value.as_array()?.iter().map(row).collect()

@@ -1,10 +1,10 @@
-//! An image at 1, 1/2, 1/4, ..: repeated 2×2 means of RGBA in f32 of value/255, each level from the unrounded level
-//! before. A last row or column that fills no 2×2 block is cropped at each level.
+//! An image at 1, 1/2, 1/4, ..: repeated 2×2 means of RGBA in f32 of value/255. Each level is made from the unrounded
+//! level before it. An odd last row or column is cropped at each level.
 
 use trimip_core::config::Convention;
 
 /// `scales` levels of an image of `width` × `height` pixels, stored as `convention` says: straight RGBA truncated to
-/// 8 bits, or premultiplied RGBA rounded to 8 bits. A level that has no pixel left is empty.
+/// 8 bits, or premultiplied RGBA rounded to 8 bits. A level without pixels is empty.
 pub fn build(
     base: &[[u8; 4]],
     width: usize,
@@ -23,7 +23,7 @@ pub fn build(
     levels
 }
 
-/// [`build`] into slices that lie elsewhere; `levels[j]` holds (width >> j)·(height >> j) pixels.
+/// [`build`] into given slices; `levels[j]` holds (width >> j)·(height >> j) pixels.
 pub(crate) fn fill(
     base: &[[u8; 4]],
     width: usize,
@@ -55,7 +55,7 @@ pub(crate) fn fill(
     }
 }
 
-/// 2×2 means, added in reading order: another order rounds differently and is not the public converter's bit for bit.
+/// 2×2 means, added in reading order: another order rounds differently from the public converter.
 fn halve<P>(pixels: &[P], width: usize, height: usize, value: impl Fn(&P) -> [f32; 4]) -> Vec<[f32; 4]> {
     let mut means = Vec::with_capacity((width / 2) * (height / 2));
     for y in 0..height / 2 {
@@ -109,9 +109,9 @@ mod tests {
     #[test]
     fn the_public_convention_truncates_straight_means() {
         let base = [[255, 1, 0, 255], [0, 0, 0, 0], [0, 0, 3, 0], [0, 0, 0, 0]];
-        // 255/4 = 63.75, 1/4 and 3/4 are cut, not rounded; colour is not weighted by alpha.
+        // 255/4 = 63.75, 1/4 and 3/4 are truncated, not rounded; colour is not weighted by alpha.
         assert_eq!(build(&base, 2, 2, 2, Convention::Public)[1], [[63, 0, 0, 63]]);
-        // Premultiplied: only the opaque pixel has colour to give; 63.75 rounds to 64.
+        // Premultiplied: only the opaque pixel contributes colour; 63.75 rounds to 64.
         assert_eq!(build(&base, 2, 2, 2, Convention::Premultiplied)[1], [[64, 0, 0, 64]]);
     }
 
@@ -141,8 +141,8 @@ mod tests {
     }
 
     proptest! {
-        /// What the premultiplied pyramid is for: on any background the mean of the composited image is that of
-        /// every level, up to the 8 bits it is stored in.
+        /// The purpose of the premultiplied pyramid: on any background every level has the mean of the composited
+        /// image, up to its 8 bits.
         #[test]
         fn premultiplied_levels_keep_the_composited_mean(
             base in prop::collection::vec(any::<[u8; 4]>(), 64),

@@ -1,4 +1,4 @@
-//! Opening a scene: which layout a folder has, its training views in memory, its test frames one at a time.
+//! Opening a scene: finds the layout of a folder, loads its training views, and gives access to its test frames.
 
 use crate::{
     blender::{self, Split},
@@ -20,13 +20,13 @@ pub struct Scene {
     pub name: String,
     /// All training views at all scales.
     pub train: ViewSet,
-    /// Test frames, each a set with one view per scale, decoded or rendered when asked for.
+    /// Test frames, each a set with one view per scale, decoded or rendered on request.
     pub test: Box<dyn Frames>,
-    /// Where the data say that the subject is.
+    /// The bounding box that the data state.
     pub stated: Option<StatedBox>,
-    /// What is odd about the data; a reader should see it beside every result.
+    /// Warnings about the data, to be shown beside every result.
     pub warnings: Vec<String>,
-    /// A few lines for people: layout, views, sizes, scales, memory.
+    /// A description in a few lines: layout, views, sizes, scales, memory.
     pub description: Vec<String>,
 }
 
@@ -44,7 +44,7 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
     open_watched(config, &unwatched)
 }
 
-/// As [`open`]; `watch` is told how much of the training views is read.
+/// As [`open`]; progress of reading the training views goes to `watch`.
 ///
 /// # Errors
 /// As [`open`].
@@ -65,10 +65,10 @@ pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
 /// Reads a split by name.
 type ReadSplit<'a> = Box<dyn Fn(&str) -> Result<Split> + 'a>;
 
-/// What is known of a scene before an image is decoded.
+/// A scene before any image is decoded.
 pub(crate) struct Survey {
     pub(crate) name: String,
-    /// The layout in words.
+    /// Description of the layout.
     pub(crate) layout: &'static str,
     /// Training splits by name.
     pub(crate) train_splits: Vec<(String, usize)>,
@@ -116,13 +116,13 @@ impl Survey {
             stated = stated.or(part.stated);
         }
         let every = match config.holdout {
-            // A folder with photographs to train on alone is measured on some of them.
+            // A folder without a test split is tested on some of its training frames.
             0 if format == Format::Blender
                 && !blender::has_split(root, &config.test)
                 && config.test == TEST =>
             {
                 warnings.push(format!(
-                    "{} has no split \"{TEST}\": every {}th training frame is kept back and tested on",
+                    "{} has no split \"{TEST}\": every {}th training frame is held out for testing",
                     root.display(),
                     blender::HOLD_OUT
                 ));
@@ -149,10 +149,10 @@ impl Survey {
     }
 }
 
-/// The split that is tested on where no other is named.
+/// The test split if no other is named.
 const TEST: &str = "test";
 
-/// Halves the photographs until all that are trained on fit into `data.most_pixels`; the test views are halved along.
+/// Halves all photographs until those for training fit into `data.most_pixels`.
 fn shrink(
     train: Vec<Source>,
     test: Vec<Source>,
@@ -177,7 +177,7 @@ fn shrink(
     (shrunk(train), shrunk(test))
 }
 
-/// Takes every n-th frame out of `train`, the first among them.
+/// Removes every n-th frame from `train`, beginning with the first.
 fn hold_out(train: &mut Vec<Source>, every: usize) -> Result<Vec<Source>> {
     let (mut held, mut kept) = (Vec::new(), Vec::new());
     for (index, source) in train.drain(..).enumerate() {
@@ -194,7 +194,7 @@ fn hold_out(train: &mut Vec<Source>, every: usize) -> Result<Vec<Source>> {
     Ok(held)
 }
 
-/// The layout of the configured folder; refuses folders that have none.
+/// The layout of the configured folder; an error if it has none.
 fn detect(config: &DataConfig) -> Result<Format> {
     if config.format == Format::Builtin {
         return Ok(Format::Builtin);
@@ -224,7 +224,7 @@ fn detect(config: &DataConfig) -> Result<Format> {
     Err(Error::input(root.display(), what, instead(root)))
 }
 
-/// What to do with a folder that holds no scene.
+/// Advice for a folder without a scene.
 fn instead(root: &Path) -> String {
     let entries = || root.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
     let scene = |path: &std::path::PathBuf| {
@@ -247,13 +247,13 @@ fn instead(root: &Path) -> String {
     }
 }
 
-/// The last part of a path, whatever way it is written.
+/// The last part of a path.
 fn folder_name(root: &Path) -> String {
     let whole = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
     whole.file_name().map_or_else(|| root.display().to_string(), |name| name.to_string_lossy().into_owned())
 }
 
-/// Photographs without a mask show their surroundings, which a bounded field cannot hold.
+/// A warning for photographs without a mask: they show surroundings outside the bounding box.
 fn alpha_warning(train: &[Source]) -> Option<String> {
     let files = || train.iter().flat_map(|source| source.files());
     let (total, masked) = (files().count(), files().filter(|file| file.alpha).count());

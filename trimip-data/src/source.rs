@@ -1,5 +1,5 @@
-//! Frames and their pixels: where each frame's images come from, and the sets they are assembled to. Pixels are
-//! allocated once and filled in parallel; the same code serves all training views and one test frame.
+//! Frames and their pixels: the images of each frame, and the view sets assembled from them. Pixels are allocated once
+//! and filled in parallel. Training views and single test frames use the same code.
 
 use crate::{
     builtin,
@@ -12,21 +12,21 @@ use std::path::Path;
 use trimip_core::config::{Convention, Finish};
 use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
 
-/// One frame: a camera per scale and what its pixels are made from.
+/// One frame: a camera per scale, and the source of its pixels.
 #[derive(Debug)]
 pub(crate) struct Source {
     pub(crate) name: String,
     /// Level (log2 of the reduction) and camera of each view, fine to coarse.
     pub(crate) views: Vec<(u32, Camera)>,
-    /// How often the photograph is halved before its first view.
+    /// How many times the photograph is halved before its first view.
     pub(crate) halvings: u32,
     pub(crate) pixels: Pixels,
 }
 
-/// What the pixels of a frame are made from.
+/// The source of a frame's pixels.
 #[derive(Debug)]
 pub(crate) enum Pixels {
-    /// One file for the finest view, from which the others are averaged.
+    /// One file for the finest view; the other views are averaged from it.
     Photograph(Photograph),
     /// A file for each view.
     Stored(Vec<Photograph>),
@@ -34,7 +34,7 @@ pub(crate) enum Pixels {
     Rendered {
         /// n.
         supersampling: u32,
-        /// Which of its surfaces mirror and shine.
+        /// Its glossy surfaces.
         finish: Finish,
     },
 }
@@ -66,12 +66,12 @@ impl Source {
         Ok(Self { name, views, halvings: 0, pixels })
     }
 
-    /// Pixels of all its views.
+    /// Number of pixels of all its views.
     pub(crate) fn pixels_in_memory(&self) -> f64 {
         self.views.iter().filter_map(|(_, camera)| area(camera)).map(|area| area as f64).sum()
     }
 
-    /// How often it can be halved and still has all its scales. Files of a multi-scale set stay as they are.
+    /// How many times the frame can be halved without losing a scale; 0 for files of a multi-scale set.
     pub(crate) fn halvings_possible(&self) -> u32 {
         let Some((_, coarsest)) = self.views.last() else { return 0 };
         match self.pixels {
@@ -82,7 +82,7 @@ impl Source {
         }
     }
 
-    /// The same frame from a photograph halved `halvings` times first.
+    /// The same frame with its photograph halved `halvings` times first.
     pub(crate) fn shrunk(mut self, halvings: u32) -> Self {
         self.halvings += halvings;
         for (_, camera) in &mut self.views {
@@ -91,12 +91,12 @@ impl Source {
         self
     }
 
-    /// Rows of its finest view: what progress is counted in.
+    /// Rows of its finest view, the unit of progress.
     pub(crate) fn rows(&self) -> u64 {
         self.views.first().map_or(0, |(_, camera)| camera.intrinsics.height.into())
     }
 
-    /// Files that the frame is read from.
+    /// The files of the frame.
     pub(crate) fn files(&self) -> &[Photograph] {
         match &self.pixels {
             Pixels::Photograph(file) => std::slice::from_ref(file),
@@ -113,7 +113,7 @@ impl Source {
             Pixels::Photograph(file) => {
                 let pixels = file.decode()?;
                 let (width, height) = (file.width as usize, file.height as usize);
-                // The levels above the first view are made and dropped.
+                // Levels finer than the first view are computed and dropped.
                 let mut above: Vec<Vec<[u8; 4]>> = (0..self.halvings)
                     .map(|level| vec![[0; 4]; (width >> level) * (height >> level)])
                     .collect();
@@ -145,7 +145,7 @@ pub(crate) fn assemble(sources: &[Source], convention: Convention, meter: &Meter
     levels.dedup();
 
     let (mut views, mut scales, mut end) = (Vec::new(), Vec::new(), 0_usize);
-    // Which frame each view belongs to, in the order of the views.
+    // The frame of each view, in the order of the views.
     let mut owners = Vec::new();
     for level in levels {
         let (first_view, first_pixel) = (views.len(), end);
@@ -210,13 +210,13 @@ impl Frames for FrameList {
 
     fn load(&self, index: usize) -> Result<ViewSet> {
         let source = self.sources.get(index..=index).ok_or_else(|| {
-            Error::run(format!("frame {index} was asked for, there are {}", self.sources.len()))
+            Error::run(format!("there is no frame {index}: there are {}", self.sources.len()))
         })?;
         assemble(source, self.convention, &Meter::new(source, &unwatched))
     }
 }
 
-/// Maps in parallel; of several errors the first in order is told, whichever thread meets its own first.
+/// Maps in parallel. Of several errors the first in order is returned, independently of the threads.
 pub(crate) fn map_in_order<T: Sync, R: Send>(
     items: &[T],
     map: impl Fn(usize, &T) -> Result<R> + Sync,
@@ -225,7 +225,7 @@ pub(crate) fn map_in_order<T: Sync, R: Send>(
     results.into_iter().collect()
 }
 
-/// The file an entry names: as written, or with one of the usual extensions added.
+/// The file that an entry names: as written, or with one of the usual extensions.
 pub(crate) fn find_image(root: &Path, named: &str, place: &str) -> Result<std::path::PathBuf> {
     let candidates = ["", ".png", ".jpg", ".jpeg"].map(|extension| root.join(format!("{named}{extension}")));
     if let Some(path) = candidates.iter().find(|path| path.is_file()) {

@@ -1,5 +1,5 @@
-//! Where a transforms file says that the scene is: points from structure from motion (`ply_file_path`, nerfstudio), or
-//! Instant-NGP's `aabb_scale` with its `scale` and `offset`. World units of the file's poses.
+//! The bounding box that a transforms file states: points from structure from motion (`ply_file_path`, nerfstudio), or
+//! Instant-NGP's `aabb_scale` with `scale` and `offset`. World units of the file's poses.
 
 use crate::{describe::count, json::Node};
 use ply_rs_bw::{
@@ -9,19 +9,19 @@ use ply_rs_bw::{
 use std::{fs::File, io::BufReader, path::Path};
 use trimip_core::{Aabb, Error, Result, scene_plan::StatedBox};
 
-/// Instant-NGP's unit cube in world units: `scale` and `offset` where a file has none.
+/// Defaults of `scale` and `offset`: Instant-NGP's unit cube in world units.
 const NGP: (f64, f64) = (0.33, 0.5);
 
-/// Share of the points that are left out at either end of an axis: structure from motion has outliers.
+/// Share of the points dropped as outliers at each end of an axis.
 const OUTLIERS: f64 = 0.02;
 
-/// Part of the points' extent that is added at either end.
+/// Margin at each end, as a share of the points' extent.
 const MARGIN: f64 = 0.05;
 
-/// Points below which they tell nothing.
+/// Fewest points from which a box is made.
 const LEAST_POINTS: usize = 100;
 
-/// The box that `file` in `root` states; points first.
+/// The box that `file` in `root` states; points take precedence.
 pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Option<StatedBox>> {
     if let Some(value) = file.get("ply_file_path") {
         let named = value.as_str().ok_or_else(|| file.unexpected("ply_file_path", "a text", value))?;
@@ -56,7 +56,11 @@ pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Option<StatedBox>> {
 }
 
 fn wrong(file: &Node<'_>, key: &str, expected: &str) -> Error {
-    Error::input(&file.place, format!("\"{key}\" is none"), format!("expected {expected}, or no such key"))
+    Error::input(
+        &file.place,
+        format!("\"{key}\" has no valid value"),
+        format!("expected {expected}, or no such key"),
+    )
 }
 
 /// Positions of the vertices of a PLY file.
@@ -86,7 +90,7 @@ fn points(path: &Path, place: &str) -> Result<Vec<[f64; 3]>> {
     Ok(points.collect())
 }
 
-/// The box around all points but outliers, and a margin.
+/// The box around all points except outliers, with a margin.
 fn around(points: &[[f64; 3]]) -> Aabb<f64> {
     let range = |axis: usize| {
         let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();

@@ -1,12 +1,12 @@
-//! How far reading or rendering a scene is, in rows of pixels.
+//! Progress of reading or rendering a scene, in rows of pixels.
 
 use crate::source::Source;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Is told, from any thread, how many rows of the finest views are done, and of how many.
+/// Receives, from any thread, how many rows of the finest views are done, and their total.
 pub type Watch<'a> = &'a (dyn Fn(u64, u64) + Sync);
 
-/// A [`Watch`] that nobody reads.
+/// A [`Watch`] that does nothing.
 pub fn unwatched(_: u64, _: u64) {}
 
 /// Counts rows for a watch.
@@ -17,7 +17,7 @@ pub(crate) struct Meter<'a> {
 }
 
 impl<'a> Meter<'a> {
-    /// A meter over all rows of `sources`, which tells the watch that none is done.
+    /// A meter over all rows of `sources`; reports 0 rows to the watch.
     pub(crate) fn new<'s>(sources: impl IntoIterator<Item = &'s Source>, watch: Watch<'a>) -> Self {
         let total = sources.into_iter().map(Source::rows).sum();
         watch(0, total);

@@ -1,5 +1,5 @@
 //! Writing scenes: any scene as the public multi-scale layout, and the built-in scene as a Blender-layout folder.
-//! The JSON file is written last, so a folder that has one is whole.
+//! The JSON file is written last: a folder that has one is complete.
 
 use crate::{
     builtin,
@@ -20,7 +20,7 @@ use trimip_core::{
     config::{Convention, DataConfig, Format},
 };
 
-/// What was written.
+/// Result of writing a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
     /// The folder.
@@ -49,8 +49,8 @@ impl Display for Summary {
 }
 
 /// Writes the training and test splits as the public converter does: `metadata.json`, `images_train/000_d0.png` ..
-/// near 2 and far 6 stand for every view, as in the public set. A split with a camera that is not plain (square pixels,
-/// centred principal point) has the arrays `fl_y`, `cx`, `cy` beside `pix2cam`. `watch` is told how much is read.
+/// near 2 and far 6 are written for every view, as in the public set. A split with a camera that is not plain (square pixels,
+/// centred principal point) also has the arrays `fl_y`, `cx`, `cy`. Progress of reading goes to `watch`.
 ///
 /// # Errors
 /// Those of reading; a folder that cannot be written or holds a set already; the premultiplied convention, which PNG
@@ -63,7 +63,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
             "set it to \"public\"",
         ));
     }
-    // The set has all frames, whatever is kept back of them in training.
+    // The set contains all frames, including those held out of training.
     let survey = Survey::new(&DataConfig { holdout: 0, ..config.clone() })?;
     refuse_existing(&folder.join(METADATA))?;
     let mut splits: Vec<(&str, &[Source])> = Vec::new();
@@ -139,8 +139,7 @@ fn columns(split: &str, sources: &[Source]) -> Value {
     table
 }
 
-/// Renders the built-in scene and writes it as `transforms_{train,test}.json` with PNG files; `watch` is told how much is
-/// rendered.
+/// Renders the built-in scene and writes it as `transforms_{train,test}.json` with PNG files. Progress goes to `watch`.
 ///
 /// # Errors
 /// Settings out of range; a folder that cannot be written or holds a scene already.

@@ -54,7 +54,7 @@ fn each_broken_frame_is_named() {
         (|d| d["camera_angle_x"] = json!("wide"), file, "is the text \"wide\"; expected a number"),
         (|d| d["fl_x"] = json!(-3.0), file, "\"fl_x\" is -3, which makes no positive focal length"),
         (|d| d["frames"][1]["fl_x"] = json!(0.0), second, "\"fl_x\" is 0"),
-        (|d| d["frames"][1]["w"] = json!(17), second, "16x12 pixels, but 17x12 are stated"),
+        (|d| d["frames"][1]["w"] = json!(17), second, "16x12 pixels, but the file states 17x12"),
         (|d| d["h"] = json!(12.5), file, "\"h\" is 12.5"),
         (|d| d["frames"][1]["h"] = json!(0), second, "\"h\" is 0"),
         (|d| d["frames"][1] = json!(7), "ROOT/transforms_train.json: frame 1: ", "found 7"),
@@ -123,7 +123,10 @@ fn broken_images_are_named() {
         save_image(&image(root), 20, 12);
         edit(root, |document| document["fl_x"] = json!(20.0));
     });
-    assert!(message.starts_with(second) && message.contains("20x12 pixels, but 16x12"), "{message}");
+    assert!(
+        message.starts_with(second) && message.contains("20x12 pixels, but the file states 16x12"),
+        "{message}"
+    );
 }
 
 #[test]

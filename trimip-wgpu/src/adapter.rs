@@ -1,6 +1,6 @@
 //! The adapters of this machine: what they offer, and which one is meant.
 
-use crate::kernel::{COOPERATING, Matrices};
+use crate::products::{COOPERATING, Matrices};
 use trimip_core::{Error, Result, scene_plan::Compute};
 
 /// What an adapter is and offers.
@@ -19,7 +19,11 @@ fn instance() -> wgpu::Instance {
 }
 
 fn all_adapters() -> Vec<wgpu::Adapter> {
-    pollster::block_on(instance().enumerate_adapters(wgpu::Backends::all()))
+    pollster::block_on(all_adapters_async())
+}
+
+async fn all_adapters_async() -> Vec<wgpu::Adapter> {
+    instance().enumerate_adapters(wgpu::Backends::all()).await
 }
 
 /// All adapters of this machine.
@@ -86,7 +90,15 @@ fn rank(info: &wgpu::AdapterInfo) -> u32 {
 
 /// The adapter whose name contains `name` (case does not matter), or the best one when it is empty.
 pub fn choose(name: &str) -> Result<wgpu::Adapter> {
-    let mut adapters = all_adapters();
+    choose_among(all_adapters(), name)
+}
+
+/// As [`choose`], without blocking.
+pub async fn choose_async(name: &str) -> Result<wgpu::Adapter> {
+    choose_among(all_adapters_async().await, name)
+}
+
+fn choose_among(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Result<wgpu::Adapter> {
     let names: Vec<String> = adapters.iter().map(|a| format!("`{}`", a.get_info().name)).collect();
     adapters.retain(|a| a.get_info().name.to_lowercase().contains(&name.to_lowercase()));
     adapters.sort_by_key(|a| rank(&a.get_info()));

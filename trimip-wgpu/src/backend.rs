@@ -2,16 +2,18 @@
 
 use crate::buffer::Buffer;
 use crate::ceilings::Ceilings;
-use crate::device::{Bind, Counts, GROUP, Gpu, Receipt, Size};
-use crate::encoder::WgpuEncoder;
-use crate::field::{WgpuField, padded};
+use crate::device::{Bind, Counts, GROUP, Gpu, Size};
+use crate::encoders::WgpuEncoder;
+use crate::field::WgpuField;
 use crate::kernel::{Addition, GATHERING};
 use crate::loss::{Sums, WgpuLoss};
 use crate::occupancy::{OCCUPIED_AT, WgpuOccupancy};
 use crate::optimizer::WgpuOptimizer;
+use crate::read_back::Receipt;
 use crate::renderer::WgpuRenderer;
-use crate::rows::BLOCK;
+use crate::rooms::{LEAST_ROOM, VIEW_SAMPLES, rooms};
 use crate::sampler::WgpuSampler;
+use crate::spans::Spans;
 use bytemuck::Pod;
 use std::collections::HashMap;
 use std::ops::Range;
@@ -20,26 +22,19 @@ use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::tri_mip::FEATURES;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
-
-/// Marched samples that a training step has room for, for each sample it aims to keep.
-const MARCHED_PER_AIM: usize = 4;
-
-/// Kept samples that a training step has room for, for each that it aims to keep.
-const KEPT_PER_AIM: usize = 2;
 
 /// Rounds after which llvmpipe ends the loops of an invocation, less some for the other loops.
 const SOFTWARE_ROUNDS: usize = 60_000;
 
-/// Samples of a span of a view.
-const VIEW_SAMPLES: usize = 1 << 20;
-
-/// Samples that a span must have room for: one ray through the whole box.
-const LEAST_ROOM: usize = 4096;
+/// Byte of the sum of the weights within the sums of a step.
+const WEIGHT_AT: u64 = 4;
 
 /// Marched samples for which a span of the training loop is made.
 const SAMPLES_PER_SPAN: usize = 512;
+
+/// Pixels or probes of a first span at most, before it is known how many samples they have.
+const MOST_AT_FIRST: usize = 1 << 18;
 
 /// A GPU.
 pub struct WgpuBackend {
@@ -117,13 +112,24 @@ impl WgpuBackend {
     /// # Errors
     /// When there is no such adapter, or it opens no device.
     pub fn new(adapter: &str, deterministic: bool) -> Result<Self> {
-        let gpu = Gpu::open(adapter)?;
+        Ok(Self::of(Gpu::open(adapter)?, deterministic))
+    }
+
+    /// As [`WgpuBackend::new`], without blocking, for a page in a browser.
+    ///
+    /// # Errors
+    /// As [`WgpuBackend::new`].
+    pub async fn new_async(adapter: &str, deterministic: bool) -> Result<Self> {
+        Ok(Self::of(Gpu::open_async(adapter).await?, deterministic))
+    }
+
+    fn of(gpu: Arc<Gpu>, deterministic: bool) -> Self {
         let addition = match (deterministic, gpu.adds_floats()) {
             (true, _) => Addition::Fixed,
             (false, true) => Addition::Atomic,
             (false, false) => Addition::Exchange,
         };
-        Ok(Self::with(gpu, addition))
+        Self::with(gpu, addition)
     }
 
     /// The adapter whose name contains `adapter`, adding texel gradients in one of the ways that `deterministic` decides
@@ -168,8 +174,8 @@ impl WgpuBackend {
         self.addition
     }
 
-    /// Gives the device up when it is called, as a reset of the driver does: for tests of what happens then.
-    pub fn loss(&self) -> impl Fn() + Send + use<> {
+    /// A function that destroys the device, as a reset of the driver does: for tests of what happens then.
+    pub fn destroyer(&self) -> impl Fn() + Send + use<> {
         let gpu = Arc::clone(&self.gpu);
         move || gpu.destroy()
     }
@@ -180,24 +186,33 @@ impl WgpuBackend {
     }
 
     fn with_workspace(&self, field: &WgpuField, work: impl FnOnce(&mut Workspace<Self>)) {
-        let pooled = self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).pop();
-        let mut workspace = pooled.unwrap_or_else(|| Workspace::new(self, field));
+        let mut workspace = self.take_workspace(field);
         work(&mut workspace);
+        self.keep_workspace(workspace);
+    }
+
+    fn take_workspace(&self, field: &WgpuField) -> Workspace<Self> {
+        let pooled = self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        pooled.unwrap_or_else(|| Workspace::new(self, field))
+    }
+
+    fn keep_workspace(&self, workspace: Workspace<Self>) {
         self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).push(workspace);
     }
-}
 
-/// Samples that a span has room for, and those of them that it has room to keep, on a device that binds at most `binding`
-/// bytes at once.
-pub fn rooms(config: &Config, training: bool, binding: u64) -> (usize, usize) {
-    let widest = (size_of::<f32>() * FEATURES.max(padded(config.field.hidden as usize))) as u64;
-    // Whole blocks, as arrays have them.
-    let most = usize::try_from(binding / widest).unwrap_or(usize::MAX) / BLOCK * BLOCK;
-    let wanted = config.train.samples_per_step as usize;
-    let marched = if training { (MARCHED_PER_AIM * wanted).max(LEAST_ROOM) } else { VIEW_SAMPLES }.min(most);
-    let kept =
-        if training { (KEPT_PER_AIM * wanted).clamp(LEAST_ROOM, marched.max(LEAST_ROOM)) } else { marched };
-    (marched, kept.min(marched))
+    /// The spans of a map over `count` items.
+    fn spans(&self, count: u32, per_span: u32) -> Spans {
+        let room = *self.room.lock().unwrap_or_else(PoisonError::into_inner);
+        let chunk = (per_span as usize * (room / SAMPLES_PER_SPAN).max(1)).min(count as usize);
+        let chunk = chunk.min(MOST_AT_FIRST) as u32;
+        Spans::new(count, chunk, room)
+    }
+
+    /// Copies a span's results to their place.
+    fn gather<T: Pod + Send + Sync>(&self, from: &Buffer<T>, span: Range<u32>, to: &Buffer<T>) {
+        let bytes = |values: u32| u64::from(values) * size_of::<T>() as u64;
+        self.gpu.copy(from.raw(), 0, to.raw(), bytes(span.start), bytes(span.end - span.start));
+    }
 }
 
 /// A step's sums on their way to the host.
@@ -319,6 +334,10 @@ impl Backend for WgpuBackend {
         buffer.read()
     }
 
+    async fn read_async<T: Pod + Send + Sync>(&self, buffer: &Buffer<T>) -> Vec<T> {
+        buffer.read_async().await
+    }
+
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         work()
     }
@@ -345,30 +364,54 @@ impl Backend for WgpuBackend {
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
         out.resize(count as usize);
-        let room = *self.room.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut chunk = (per_span as usize * (room / SAMPLES_PER_SPAN).max(1)).min(count as usize) as u32;
+        let mut spans = self.spans(count, per_span);
         self.with_workspace(field, |workspace| {
-            let mut start = 0;
-            while start < count {
-                let span = chunk.clamp(1, count - start);
+            while let Some(span) = spans.next() {
                 workspace.lane.marched = false;
-                work(workspace, start..start + span);
-                if workspace.lane.marched {
-                    let counts = workspace.samples.counts.read();
-                    let (marched, dropped) = (counts[0][0], counts[1][0] + counts[1][1]);
-                    if dropped > 0 && span > 1 {
-                        chunk = span / 2;
-                        continue;
-                    }
-                    let mean = (marched as usize / span as usize).max(1);
-                    // A view's next rows may hold more than its last.
-                    chunk = (room / mean / 2).min(1 << 20) as u32;
+                work(workspace, span.clone());
+                let marched = workspace.lane.marched;
+                if spans.fits(&span, marched.then(|| workspace.samples.counts.read())) {
+                    self.gather(result(workspace), span, out);
                 }
-                let bytes = |values: u32| u64::from(values) * size_of::<T>() as u64;
-                self.gpu.copy(result(workspace).raw(), 0, out.raw(), bytes(start), bytes(span));
-                start += span;
             }
         });
+    }
+
+    async fn map_spans_async<T: Pod + Send + Sync>(
+        &self,
+        field: &WgpuField,
+        count: u32,
+        per_span: u32,
+        out: &mut Buffer<T>,
+        work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
+        result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
+    ) {
+        out.resize(count as usize);
+        let mut spans = self.spans(count, per_span);
+        let mut workspace = self.take_workspace(field);
+        while let Some(span) = spans.next() {
+            workspace.lane.marched = false;
+            work(&mut workspace, span.clone());
+            let counts = match workspace.lane.marched {
+                true => Some(workspace.samples.counts.read_async().await),
+                false => None,
+            };
+            if spans.fits(&span, counts) {
+                self.gather(result(&workspace), span, out);
+            }
+        }
+        self.keep_workspace(workspace);
+    }
+
+    fn weight(&self, deposits: &[Deposit<Self>]) -> f64 {
+        let sums = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref());
+        sums.map_or(0.0, |sums| self.gpu.redeem(self.gpu.send::<f32>(&sums.buffer, WEIGHT_AT, 1))[0].into())
+    }
+
+    fn set_weight(&self, deposits: &mut [Deposit<Self>], weight: f64) {
+        if let Some(sums) = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref()) {
+            self.gpu.write_at(&sums.buffer, WEIGHT_AT, &[weight as f32]);
+        }
     }
 
     fn deposits(&self, _: u32) -> usize {
@@ -413,27 +456,5 @@ impl Backend for WgpuBackend {
 
     fn health(&self) -> Result<()> {
         self.gpu.check("reading the model back")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Arrays end with whole blocks of rows, and these too have to lie within what the device binds.
-    #[test]
-    fn rooms_fit_a_binding() {
-        let mut config = Config::default();
-        for binding in [128 << 20, (1 << 31) - 4, u64::from(u32::MAX)] {
-            for hidden in (16..=512).step_by(16) {
-                config.field.hidden = hidden;
-                for (samples, training) in [(262_144, true), (1 << 20, true), (1024, false)] {
-                    config.train.samples_per_step = samples;
-                    let (marched, kept) = rooms(&config, training, binding);
-                    let bytes = marched.next_multiple_of(BLOCK) * padded(hidden as usize).max(FEATURES) * 4;
-                    assert!(bytes as u64 <= binding && kept <= marched, "{hidden} {samples} {binding}");
-                }
-            }
-        }
     }
 }

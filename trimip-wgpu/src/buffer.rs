@@ -2,6 +2,7 @@
 //! step has is never waited for.
 
 use crate::device::{Bind, Gpu};
+use crate::read_back::Receipt;
 use bytemuck::Pod;
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -113,14 +114,33 @@ impl<T: Pod> Buffer<T> {
 
     /// Copies the values out; waits for the device.
     pub fn read(&self) -> Vec<T> {
-        let length = match &self.length {
-            Length::Known(length) => *length,
-            Length::Counted { counts, counter, width, most } => {
-                let count = self.gpu.redeem(self.gpu.send::<u32>(counts, u64::from(*counter) * 4, 1));
-                (count[0] as usize * width).min(*most)
-            }
+        let count = self.count_receipt().map(|receipt| self.gpu.redeem(receipt));
+        self.gpu.redeem(self.gpu.send(&self.raw, 0, self.length_of(count)))
+    }
+
+    /// Copies the values out; the future is pending while the device works.
+    pub async fn read_async(&self) -> Vec<T> {
+        let count = match self.count_receipt() {
+            Some(receipt) => Some(self.gpu.redeem_async(receipt).await),
+            None => None,
         };
-        self.gpu.redeem(self.gpu.send(&self.raw, 0, length))
+        self.gpu.redeem_async(self.gpu.send(&self.raw, 0, self.length_of(count))).await
+    }
+
+    /// The counter that says how many rows there are, on its way to the host.
+    fn count_receipt(&self) -> Option<Receipt<u32>> {
+        self.counter().map(|(counts, counter)| self.gpu.send(counts, u64::from(counter) * 4, 1))
+    }
+
+    /// Number of values, once the counter is read where the device counted them.
+    fn length_of(&self, count: Option<Vec<u32>>) -> usize {
+        match (&self.length, count.as_deref()) {
+            (Length::Counted { width, most, .. }, Some(&[count])) => (count as usize * width).min(*most),
+            (length, _) => match length {
+                Length::Known(length) => *length,
+                Length::Counted { .. } => 0,
+            },
+        }
     }
 
     /// The buffer on the device.

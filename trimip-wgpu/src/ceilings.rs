@@ -5,7 +5,7 @@ use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
 use crate::kernel::PEAK;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use web_time::{Duration, Instant};
 
 /// Measured ceilings of a device.
 #[derive(Clone, Copy, Debug)]

@@ -1,9 +1,10 @@
 //! The device: which adapter, with which limits, and the recorder into which a whole step's dispatches go before they are
 //! submitted once.
 
-use crate::adapter::{COOPERATION, choose, matrices};
-use crate::kernel::{Access, Kernel, Matrices};
+use crate::adapter::{COOPERATION, choose, choose_async, matrices};
+use crate::kernel::{Access, Kernel};
 use crate::pipelines::Pipelines;
+use crate::products::Matrices;
 use bytemuck::Pod;
 use std::collections::VecDeque;
 use std::num::NonZeroU64;
@@ -29,20 +30,20 @@ pub const GROUP: u32 = 64;
 
 /// A device, its pipelines and its recorder.
 pub struct Gpu {
-    device: wgpu::Device,
+    pub(crate) device: wgpu::Device,
     queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
     limits: wgpu::Limits,
     matrices: Option<Matrices>,
     pipelines: Pipelines,
     recorder: Mutex<Recorder>,
-    counters: Counters,
+    pub(crate) counters: Counters,
     /// Why the device went away, or what it refused, first cause first.
-    failure: Arc<Mutex<Option<String>>>,
+    pub(crate) failure: Arc<Mutex<Option<String>>>,
 }
 
 /// What is recorded and not yet submitted.
-struct Recorder {
+pub(crate) struct Recorder {
     encoder: Option<wgpu::CommandEncoder>,
     /// Parameters of the dispatches, one stride each.
     parameters: Vec<u8>,
@@ -51,9 +52,9 @@ struct Recorder {
     sizes: wgpu::Buffer,
     indirect: u32,
     /// Number of the submission that is recorded.
-    number: u64,
+    pub number: u64,
     /// The last submissions, newest last.
-    submitted: VecDeque<(u64, wgpu::SubmissionIndex)>,
+    pub submitted: VecDeque<(u64, wgpu::SubmissionIndex)>,
 }
 
 /// Submissions that are remembered, to wait for one and not for those behind it.
@@ -61,11 +62,11 @@ const REMEMBERED: usize = 16;
 
 /// What crossed between host and device, and how often the host waited.
 #[derive(Default)]
-struct Counters {
+pub(crate) struct Counters {
     written: AtomicU64,
-    read: AtomicU64,
+    pub read: AtomicU64,
     submissions: AtomicU64,
-    stalls: AtomicU64,
+    pub stalls: AtomicU64,
     held: AtomicU64,
     most_held: AtomicU64,
     largest: AtomicU64,
@@ -123,7 +124,19 @@ impl Gpu {
     /// # Errors
     /// When there is no such adapter, or it opens no device.
     pub fn open(name: &str) -> Result<Arc<Self>> {
-        let adapter = choose(name)?;
+        pollster::block_on(Self::of(choose(name)?))
+    }
+
+    /// As [`Gpu::open`], without blocking.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub async fn open_async(name: &str) -> Result<Arc<Self>> {
+        Self::of(choose_async(name).await?).await
+    }
+
+    /// Opens an adapter.
+    async fn of(adapter: wgpu::Adapter) -> Result<Arc<Self>> {
         let info = adapter.get_info();
         // All that the adapter has, asked for by name: the default would be the least of all adapters.
         let limits = adapter.limits();
@@ -141,7 +154,9 @@ impl Gpu {
             experimental_features: unsafe { wgpu::ExperimentalFeatures::enabled() },
             ..Default::default()
         };
-        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+        let (device, queue) = adapter
+            .request_device(&descriptor)
+            .await
             .map_err(|error| Error::device(format!("`{}` opens no device: {error}", info.name)))?;
         let failure = Arc::new(Mutex::new(None));
         let note = |failure: &Arc<Mutex<Option<String>>>| {
@@ -259,68 +274,17 @@ impl Gpu {
 
     /// Writes values to the front of a buffer, after all that was recorded before.
     pub fn write<T: Pod>(&self, buffer: &wgpu::Buffer, values: &[T]) {
+        self.write_at(buffer, 0, values);
+    }
+
+    /// The same at a byte of the buffer, a multiple of 4.
+    pub fn write_at<T: Pod>(&self, buffer: &wgpu::Buffer, offset: u64, values: &[T]) {
         if values.is_empty() {
             return;
         }
         self.submit();
-        self.queue.write_buffer(buffer, 0, bytemuck::cast_slice(values));
+        self.queue.write_buffer(buffer, offset, bytemuck::cast_slice(values));
         self.counters.written.fetch_add(size_of_val(values) as u64, Ordering::Relaxed);
-    }
-
-    /// Copies the front of a buffer to a place from which the host can read it, when the device has come so far.
-    pub fn send<T: Pod>(&self, buffer: &wgpu::Buffer, offset: u64, count: usize) -> Receipt<T> {
-        let bytes = (count * size_of::<T>()) as u64;
-        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("read back"),
-            size: bytes.next_multiple_of(4).max(4),
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        let mut recorder = self.recorder();
-        if bytes > 0 {
-            self.encoder(&mut recorder).copy_buffer_to_buffer(
-                buffer,
-                offset,
-                &staging,
-                0,
-                bytes.next_multiple_of(4),
-            );
-        }
-        Receipt { staging, count, number: recorder.number, kind: std::marker::PhantomData }
-    }
-
-    /// What a receipt stands for; waits until the device has come so far, and no further.
-    pub fn redeem<T: Pod>(&self, receipt: Receipt<T>) -> Vec<T> {
-        let wait = {
-            let mut recorder = self.recorder();
-            if recorder.number == receipt.number {
-                self.submit_recorder(&mut recorder);
-            }
-            let newest = recorder.submitted.back().is_none_or(|(number, _)| *number <= receipt.number);
-            self.counters.stalls.fetch_add(newest.into(), Ordering::Relaxed);
-            recorder
-                .submitted
-                .iter()
-                .find(|(number, _)| *number == receipt.number)
-                .map(|(_, index)| index.clone())
-        };
-        let done = Arc::new(Mutex::new(None));
-        let slot = Arc::clone(&done);
-        receipt.staging.map_async(wgpu::MapMode::Read, .., move |result| *lock(&slot) = Some(result));
-        let polled = self.poll(wgpu::PollType::Wait { submission_index: wait, timeout: None });
-        let mapped = lock(&done).take();
-        let (true, Some(Ok(()))) = (polled, mapped) else {
-            lock(&self.failure).get_or_insert_with(|| "a buffer could not be read back".into());
-            return vec![T::zeroed(); receipt.count];
-        };
-        let bytes = receipt.count * size_of::<T>();
-        self.counters.read.fetch_add(bytes as u64, Ordering::Relaxed);
-        let values = match receipt.staging.get_mapped_range(..) {
-            Ok(view) => bytemuck::pod_collect_to_vec(&view[..bytes]),
-            Err(_) => vec![T::zeroed(); receipt.count],
-        };
-        receipt.staging.unmap();
-        values
     }
 
     /// Zeroes bytes of a buffer.
@@ -431,7 +395,7 @@ impl Gpu {
         self.submit_recorder(&mut self.recorder());
     }
 
-    fn submit_recorder(&self, recorder: &mut Recorder) {
+    pub(crate) fn submit_recorder(&self, recorder: &mut Recorder) {
         let Some(encoder) = recorder.encoder.take() else { return };
         if !recorder.parameters.is_empty() {
             self.queue.write_buffer(&recorder.uniforms, 0, &recorder.parameters);
@@ -472,7 +436,7 @@ impl Gpu {
 
     /// Lets the device answer; false when it failed. wgpu panics where a driver gives its device up while it is waited for:
     /// that panic ends here, as a failure like any other.
-    fn poll(&self, how: wgpu::PollType) -> bool {
+    pub(crate) fn poll(&self, how: wgpu::PollType) -> bool {
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(how))) {
             Ok(polled) => polled.is_ok(),
             Err(panic) => {
@@ -485,22 +449,13 @@ impl Gpu {
         }
     }
 
-    fn recorder(&self) -> MutexGuard<'_, Recorder> {
+    pub(crate) fn recorder(&self) -> MutexGuard<'_, Recorder> {
         lock(&self.recorder)
     }
 
-    fn encoder<'a>(&self, recorder: &'a mut Recorder) -> &'a mut wgpu::CommandEncoder {
+    pub(crate) fn encoder<'a>(&self, recorder: &'a mut Recorder) -> &'a mut wgpu::CommandEncoder {
         recorder.encoder.get_or_insert_with(|| self.device.create_command_encoder(&Default::default()))
     }
-}
-
-/// A copy on its way to the host.
-pub struct Receipt<T> {
-    staging: wgpu::Buffer,
-    count: usize,
-    /// The submission that fills it.
-    number: u64,
-    kind: std::marker::PhantomData<T>,
 }
 
 /// A lock; a thread that panicked under it left nothing half done.

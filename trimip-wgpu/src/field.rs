@@ -5,16 +5,16 @@ use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{Bind, GROUP, Gpu, Size};
 use crate::kernel::{
-    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, Finish, GRADIENT_SCALE, Kernel,
-    Matrices, PACK, PACK_HALF, REDUCE, accumulate, multiply, tile,
+    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, Kernel, PACK, PACK_HALF, REDUCE,
 };
+use crate::products::{Finish, GRADIENT_SCALE, Matrices, accumulate, multiply, tile};
 use crate::rows::Rows;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
 use trimip_core::config::Precision;
-use trimip_core::params::{Kind, Slot, color_layers, density_layers};
+use trimip_core::params::{Slot, color_layers, harmonics};
 use trimip_core::{Config, Field, Layout};
 
 /// Rows of a tile of a product.
@@ -23,8 +23,18 @@ const TILE_ROWS: u32 = 64;
 /// Parts of a weight gradient, each over a run of samples; joined in their order.
 pub const CHUNKS: u32 = 64;
 
-/// Width of the density network's output: a logit and 15 geometry features.
-const OUTPUTS: usize = 16;
+/// What the kernels between the networks know.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct FieldParams {
+    counter: u32,
+    /// Width of the colour network's input.
+    width: u32,
+    /// Spherical harmonics of a direction, geometry features, and the width of the density network's output.
+    harmonics: u32,
+    geometry: u32,
+    outputs: u32,
+}
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -181,8 +191,10 @@ pub struct WgpuField {
     gpu: Arc<Gpu>,
     density: Mlp,
     color: Mlp,
-    /// Width of the colour network's input: 16 harmonics, where it sees directions, 15 geometry features, zero.
+    /// Width of the colour network's input: harmonics where it sees directions, geometry features, zeros.
     width: usize,
+    harmonics: usize,
+    geometry: usize,
     overflows: Buffer<u32>,
     known: Arc<Known>,
 }
@@ -212,15 +224,25 @@ impl WgpuField {
         let network = |name| Mlp {
             layers: layout.network(name).map(|slot| Layer::new(gpu, slot, matrices, &overflows)).collect(),
         };
-        debug_assert!(layout.slots.iter().filter(|s| s.kind == Kind::Network).count() > 1);
-        debug_assert_eq!(density_layers(config).last().map(|l| l[1]), Some(OUTPUTS));
-        let width = padded(color_layers(config)[0][0]);
+        let (width, harmonics) = (padded(color_layers(config)[0][0]), harmonics(config));
+        let geometry = config.field.geometry as usize;
         let (density, color) = (network("density"), network("color"));
-        Self { gpu: Arc::clone(gpu), density, color, width, overflows, known }
+        Self { gpu: Arc::clone(gpu), density, color, width, harmonics, geometry, overflows, known }
     }
 
-    fn params(&self, rows: &Rows) -> [u32; 2] {
-        [rows.counter, self.width as u32]
+    /// Width of the density network's output: a logit, geometry features, zeros.
+    fn outputs(&self) -> usize {
+        padded(1 + self.geometry)
+    }
+
+    fn params(&self, rows: &Rows) -> FieldParams {
+        FieldParams {
+            counter: rows.counter,
+            width: self.width as u32,
+            harmonics: self.harmonics as u32,
+            geometry: self.geometry as u32,
+            outputs: self.outputs() as u32,
+        }
     }
 
     /// Where factors that did not fit into f16 are counted.
@@ -343,7 +365,7 @@ impl Field<WgpuBackend> for WgpuField {
             input_gradient,
             &gradient.color,
         );
-        rows.size(output_gradient, OUTPUTS);
+        rows.size(output_gradient, self.outputs());
         let outputs = &density[density.len() - 1];
         let binds = [
             outputs.bind(),

@@ -7,19 +7,25 @@ mod backend;
 mod buffer;
 mod ceilings;
 mod device;
-mod encoder;
+mod encoders;
 mod field;
 mod kernel;
 mod loss;
+mod mapping;
 mod memory;
 mod occupancy;
 mod optimizer;
 mod pipelines;
 #[cfg(test)]
 mod probe;
+mod products;
+mod read_back;
 mod renderer;
+mod rooms;
 mod rows;
 mod sampler;
+mod space;
+mod spans;
 
 pub use adapter::{
     AdapterFacts, SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, adapters, compute, software,
@@ -31,9 +37,10 @@ pub use device::Counts;
 pub use kernel::Addition;
 pub use memory::memory;
 
+use trimip_core::loaded::LoadedModel;
 use trimip_core::model::Model;
 use trimip_core::trainer::Trainer;
-use trimip_core::{Config, Result, Session, ViewSet};
+use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 
 /// A fresh model to be trained on `views`, on the configured adapter.
 ///
@@ -48,7 +55,16 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
 ///
 /// # Errors
 /// When there is no such adapter, or the model does not fit it.
-pub fn load(model: &Model, adapter: &str) -> Result<Box<dyn Session>> {
+pub fn load(model: &Model, adapter: &str) -> Result<Box<dyn Viewer>> {
     let backend = WgpuBackend::new(adapter, true)?;
-    Ok(Box::new(Trainer::from_model(backend, model)?))
+    Ok(Box::new(LoadedModel::new(backend, model)?))
+}
+
+/// As [`load`], without blocking: the door for a page in a browser. The model renders by
+/// [`render_async`](LoadedModel::render_async).
+///
+/// # Errors
+/// As [`load`].
+pub async fn load_async(model: &Model, adapter: &str) -> Result<LoadedModel<WgpuBackend>> {
+    LoadedModel::new(WgpuBackend::new_async(adapter, true).await?, model)
 }

@@ -30,7 +30,7 @@ pub struct Sums(pub Option<DeviceSums>);
 pub struct DeviceSums {
     /// Eight words: the bits of four floats, and four counts.
     pub buffer: wgpu::Buffer,
-    /// Rays of the step.
+    /// Pixels of the step.
     pub rays: u32,
 }
 
@@ -77,6 +77,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
             rays.targets.bind(),
             lane.sums.bind(),
             samples.segments.bind(),
+            rays.groups.bind(),
         ];
         self.gpu.dispatch(&EVALUATE, &binds, &params, Size::Items(count.into()));
         let binds = [lane.sums.bind(), self.sums.bind(), samples.counts.bind()];

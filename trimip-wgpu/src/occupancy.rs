@@ -4,19 +4,20 @@ use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
 use crate::kernel::{ABSORB, CHOOSE, FILL_IF_EMPTY, PROBES, SET_BITS, SET_OUTER_BITS, SETTLE, SUM_DENSITIES};
+use crate::space::GpuSpace;
 use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use trimip_core::backend::Occupancy;
-use trimip_core::batch::{Radiance, Samples};
+use trimip_core::batch::{Radiance, Rays, Samples};
 use trimip_core::config::OccupancyConfig;
 use trimip_core::occupancy::coordinates;
 use trimip_core::rng::{Random, Stream};
-use trimip_core::{Aabb, Config};
+use trimip_core::{Config, Space};
 
 /// Cells along a side of a block, and blocks along a side of a block of blocks.
-const SIDE: u32 = 4;
+pub const SIDE: u32 = 4;
 
 /// Places in the state: cells chosen, cells occupied, cells asked in a span.
 const CHOSEN: u32 = 0;
@@ -26,9 +27,9 @@ const ASKED: u32 = 2;
 #[repr(C)]
 #[derive(Clone, Copy, Default, Pod, Zeroable)]
 struct Params {
+    space: GpuSpace,
     cell_draws: [u32; 4],
     point_draws: [u32; 4],
-    resolution: u32,
     cells: u32,
     fraction: f32,
     first: u32,
@@ -38,6 +39,7 @@ struct Params {
     decay: f32,
     threshold: f32,
     blocks: u32,
+    padding: [u32; 3],
 }
 
 /// Grid, bits and running densities.
@@ -60,15 +62,12 @@ pub struct WgpuOccupancy {
 impl WgpuOccupancy {
     /// A grid that is occupied everywhere.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, room: usize, known: Arc<Known>) -> Self {
-        let aabb = Aabb::<f32>::new(&config.scene);
-        let resolution = config.occupancy.resolution;
-        let [x, y, z] = aabb.extent();
-        let cell = (x * y * z).cbrt() / resolution as f32;
+        let (space, resolution) = (Space::new(&config.scene), config.occupancy.resolution);
         let cells = resolution.pow(3);
         let params = Params {
-            resolution,
+            space: GpuSpace::new(&space, resolution),
             cells,
-            radius: cell / std::f32::consts::PI.sqrt(),
+            radius: space.cell(resolution) / std::f32::consts::PI.sqrt(),
             step_length: config.step_length(),
             decay: config.occupancy.decay,
             threshold: config.occupancy.threshold,
@@ -95,7 +94,7 @@ impl WgpuOccupancy {
 
     /// Cells along a side.
     pub fn resolution(&self) -> u32 {
-        self.params.resolution
+        self.params.space.resolution
     }
 
     /// The bits, for marching.
@@ -110,12 +109,12 @@ impl WgpuOccupancy {
 
     /// Place of a cell: block and bit.
     fn place(&self, cell: u32) -> (usize, u32) {
-        place(coordinates(cell, self.params.resolution), self.params.resolution / SIDE)
+        place(coordinates(cell, self.params.space.resolution), self.params.space.resolution / SIDE)
     }
 
     /// Sets every cell's bit by `occupied(cell)`.
     fn set_bits(&mut self, occupied: impl Fn(u32) -> bool) {
-        let blocks = self.params.resolution / SIDE;
+        let blocks = self.params.space.resolution / SIDE;
         let outer = blocks.div_ceil(SIDE);
         let inner_words = 2 * (blocks as usize).pow(3);
         let mut words = vec![0_u32; inner_words + 2 * (outer as usize).pow(3)];
@@ -152,16 +151,33 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         self.params.cells
     }
 
-    fn probes(&self, _: &mut Lane, step: u64, range: Range<u32>, samples: &mut Samples<WgpuBackend>) {
-        let room = range.len().min(self.room);
-        samples.spheres.count_by(room, self.state.raw(), ASKED, 1);
+    fn probes(
+        &self,
+        _: &mut Lane,
+        step: u64,
+        range: Range<u32>,
+        rays: &mut Rays<WgpuBackend>,
+        samples: &mut Samples<WgpuBackend>,
+    ) {
+        let (room, state) = (range.len().min(self.room), self.state.raw());
+        rays.rays.count_by(room, state, ASKED, 1);
+        samples.rays.count_by(room, state, ASKED, 1);
+        samples.intervals.count_by(room, state, ASKED, 1);
+        samples.spheres.count_by(room, state, ASKED, 1);
         let params = Params {
             point_draws: self.random.at(Stream::Point, step).words(),
             first: range.start,
             capacity: room as u32,
             ..self.params
         };
-        let binds = [self.state.bind(), self.chosen.bind(), samples.spheres.bind()];
+        let binds = [
+            self.state.bind(),
+            self.chosen.bind(),
+            samples.spheres.bind(),
+            rays.rays.bind(),
+            samples.rays.bind(),
+            samples.intervals.bind(),
+        ];
         self.gpu.dispatch(&PROBES, &binds, &params, Size::Items(room as u64));
     }
 
@@ -172,7 +188,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         gpu.dispatch(&ABSORB, &binds, params, cells);
         gpu.dispatch(&SUM_DENSITIES, &[densities.bind(), partial.bind()], params, cells);
         gpu.dispatch(&SETTLE, &[state.bind(), partial.bind()], params, Size::Groups(1));
-        let blocks = u64::from(params.resolution / SIDE).pow(3);
+        let blocks = u64::from(params.space.resolution / SIDE).pow(3);
         let binds = [state.bind(), grid.bind(), densities.bind(), partial.bind()];
         gpu.dispatch(&SET_BITS, &binds, params, Size::Items(blocks));
         let binds = [state.bind(), grid.bind()];

@@ -2,15 +2,16 @@
 
 use crate::backend::WgpuBackend;
 use crate::buffer::Buffer;
-use crate::device::{Gpu, Size};
+use crate::device::{Bind, Gpu, Size};
 use crate::kernel::UPDATE;
 use bytemuck::{Pod, Zeroable};
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trimip_core::adamw::Rule;
 use trimip_core::batch::Deposit;
 use trimip_core::config::{OptimizerConfig, Untouched};
-use trimip_core::params::{Kind, Slot};
+use trimip_core::params::{ALIGNMENT, Slot};
 use trimip_core::{Config, Layout, Optimizer};
 
 #[repr(C)]
@@ -26,7 +27,7 @@ struct Params {
     shrink: f32,
     start: u32,
     count: u32,
-    skip: u32,
+    group: u32,
 }
 
 /// Moments of all parameters.
@@ -39,7 +40,8 @@ pub struct WgpuOptimizer {
     skipped: Buffer<u32>,
     /// What `skipped` held when it was last read.
     known: AtomicU64,
-    halvings: u32,
+    /// Part of each slot that is in use, up to the next alignment.
+    parts: Vec<Range<usize>>,
 }
 
 impl WgpuOptimizer {
@@ -60,7 +62,7 @@ impl WgpuOptimizer {
             v: Buffer::zeros(gpu, length),
             skipped,
             known: AtomicU64::new(0),
-            halvings: 0,
+            parts: layout.slots.iter().map(Slot::padded).collect(),
         }
     }
 }
@@ -75,34 +77,12 @@ impl Optimizer<WgpuBackend> for WgpuOptimizer {
         step: u64,
     ) {
         let Some(sums) = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref()) else { return };
-        for slot in &self.slots {
-            let planes = slot.kind == Kind::Planes;
-            let rate = if planes { learning_rate * self.config.plane_scale } else { learning_rate };
-            let rule = Rule::<f32>::new(&self.config, rate, step);
-            let length = if planes { slot.range.len() >> (2 * self.halvings) } else { slot.range.len() };
-            let count = (length / 4) as u32;
-            let params = Params {
-                beta1: rule.beta1,
-                beta2: rule.beta2,
-                share1: rule.share1,
-                share2: rule.share2,
-                epsilon: rule.epsilon,
-                rate: rule.rate,
-                root_correction: rule.root_correction,
-                shrink: rule.shrink,
-                start: (slot.range.start / 4) as u32,
-                count,
-                skip: u32::from(planes && self.config.untouched == Untouched::Skip),
-            };
-            let sums = crate::device::Bind { buffer: &sums.buffer, offset: 0, size: None };
-            let binds =
-                [parameters.bind(), gradient.bind(), self.m.bind(), self.v.bind(), sums, self.skipped.bind()];
-            self.gpu.dispatch(&UPDATE, &binds, &params, Size::Items(count.into()));
-        }
+        self.move_all(parameters, gradient, &sums.buffer, learning_rate, step);
     }
 
-    fn halve(&mut self, halvings: u32) {
-        self.halvings = halvings;
+    fn restrict(&mut self, parts: &[Range<usize>]) {
+        let padded = |part: &Range<usize>| part.start..part.end.next_multiple_of(ALIGNMENT);
+        self.parts = parts.iter().map(padded).collect();
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {
@@ -117,5 +97,110 @@ impl Optimizer<WgpuBackend> for WgpuOptimizer {
 
     fn non_finite(&self) -> u64 {
         self.known.load(Ordering::Relaxed)
+    }
+}
+
+impl WgpuOptimizer {
+    /// Moves all slots; the second of `sums` is the sum of the weights.
+    fn move_all(
+        &mut self,
+        parameters: &Buffer<f32>,
+        gradient: &Buffer<f32>,
+        sums: &wgpu::Buffer,
+        learning_rate: f64,
+        step: u64,
+    ) {
+        for (slot, part) in self.slots.iter().zip(&self.parts) {
+            let rule = Rule::<f32>::of(&self.config, slot, learning_rate, step);
+            let count = (part.len() / 4) as u32;
+            let group = slot.group.filter(|_| self.config.untouched == Untouched::Skip);
+            let params = Params {
+                beta1: rule.beta1,
+                beta2: rule.beta2,
+                share1: rule.share1,
+                share2: rule.share2,
+                epsilon: rule.epsilon,
+                rate: rule.rate,
+                root_correction: rule.root_correction,
+                shrink: rule.shrink,
+                start: (part.start / 4) as u32,
+                count,
+                group: group.unwrap_or(0) as u32,
+            };
+            let sums = Bind { buffer: sums, offset: 0, size: None };
+            let [m, v, skipped] = [self.m.bind(), self.v.bind(), self.skipped.bind()];
+            let binds = [parameters.bind(), gradient.bind(), m, v, sums, skipped];
+            self.gpu.dispatch(&UPDATE, &binds, &params, Size::Items(count.into()));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::probe::gpu;
+
+    /// Algorithm 2 of Loshchilov and Hutter as it is printed: value and moments after step `step` at a learning rate of 1e-3.
+    fn printed(config: &Config, slot: &Slot, step: u64, [x, m, v]: [f64; 3], gradient: f64) -> [f64; 3] {
+        let c = &config.optimizer;
+        let m = c.beta1 * m + (1.0 - c.beta1) * gradient;
+        let v = c.beta2 * v + (1.0 - c.beta2) * gradient * gradient;
+        let m_hat = m / (1.0 - c.beta1.powf(step as f64));
+        let v_hat = v / (1.0 - c.beta2.powf(step as f64));
+        let rate = 1e-3 * slot.rate;
+        let decay = rate * slot.decay * c.weight_decay * x;
+        [x - rate * m_hat / (v_hat.sqrt() + c.epsilon) - decay, m, v]
+    }
+
+    #[test]
+    fn slots_of_any_length_and_group_follow_the_printed_rule() {
+        let Some(gpu) = gpu() else { return };
+        let slot =
+            |name: &str, length, group| Slot { group, rate: 10.0, ..Slot::new(name, vec![length], 1.0) };
+        let layout = Layout::of([
+            slot("weights", 15, None),
+            slot("bias", 1, None),
+            slot("pairs", 42, Some(2)),
+            slot("singles", 19, Some(1)),
+            slot("fours", 20, Some(4)),
+            slot("texels", 48, Some(16)),
+            slot("last", 7, None),
+        ]);
+        let mut config = Config::default();
+        (config.optimizer.weight_decay, config.optimizer.untouched) = (0.1, Untouched::Skip);
+        let mut optimizer = WgpuOptimizer::new(&gpu, &config, &layout, true, Buffer::zeros(&gpu, 1));
+        let (mut parameters, mut sums) = (Buffer::zeros(&gpu, 0), Buffer::<f32>::zeros(&gpu, 0));
+        let initial = layout.initial(&config);
+        parameters.write(&initial);
+        sums.write(&[0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let mut exact: Vec<[f64; 3]> = initial.iter().map(|&x| [x.into(), 0.0, 0.0]).collect();
+        for step in 1..=4 {
+            let mut values = vec![0.0; layout.len()];
+            for slot in &layout.slots {
+                for i in slot.range.clone() {
+                    // Every third group has no gradient at this step.
+                    let group = (i - slot.range.start) / slot.group.unwrap_or(1);
+                    let idle = (group as u64 + step).is_multiple_of(3);
+                    values[i] = if idle { 0.0 } else { ((i as u64 * 37 + step * 11) % 17) as f32 - 7.5 };
+                    if !(idle && slot.group.is_some()) {
+                        exact[i] = printed(&config, slot, step, exact[i], f64::from(values[i]) / 4.0);
+                    }
+                }
+            }
+            let mut gradient = Buffer::zeros(&gpu, 0);
+            gradient.write(&values);
+            optimizer.move_all(&parameters, &gradient, sums.bind().buffer, 1e-3, step);
+        }
+        let found = [parameters.read(), optimizer.m.read(), optimizer.v.read()];
+        gpu.check("AdamW").expect("the kernel compiles");
+        for slot in &layout.slots {
+            for i in slot.range.clone() {
+                for (found, expected) in found.iter().map(|values| f64::from(values[i])).zip(exact[i]) {
+                    let bound = 2e-6 * expected.abs().max(1.0);
+                    assert!((found - expected).abs() <= bound, "{}[{i}]: {found}, not {expected}", slot.name);
+                }
+            }
+            assert!(found[0][slot.range.end..slot.padded().end].iter().all(|&x| x == 0.0), "{}", slot.name);
+        }
     }
 }

@@ -2,10 +2,13 @@
 
 use crate::buffer::Buffer;
 use crate::device::{Gpu, Size};
-use crate::kernel::{Access, Finish, GRADIENT_SCALE, Kernel, accumulate, multiply, tile};
+use crate::kernel::{Access, Kernel};
+use crate::products::{Finish, GRADIENT_SCALE, accumulate, multiply, tile};
+use glam::{DMat3, DVec3};
 use std::sync::Arc;
-use trimip_core::tri_mip::{Pyramid, Shape, taps};
-use trimip_core::{activation, camera, compositing, loss, rng, sh};
+use trimip_core::batch::Ray;
+use trimip_core::encoders::tri_mip::{Pyramid, Shape, taps};
+use trimip_core::{Aabb, Camera, Cone, Intrinsics, Space, activation, camera, compositing, loss, rng, sh};
 
 /// Calls `probe`, which a probe's own text defines, on every input.
 const SHELL: &str = "
@@ -33,7 +36,7 @@ macro_rules! files {
 }
 
 /// The adapter's device; `None` where there is none and none is required.
-fn gpu() -> Option<Arc<Gpu>> {
+pub(crate) fn gpu() -> Option<Arc<Gpu>> {
     if crate::adapters().is_empty() {
         assert!(std::env::var_os("TRIMIP_REQUIRE_GPU").is_none(), "a GPU is required, there is no adapter");
         println!("skipped: this machine has no adapter for wgpu");
@@ -150,22 +153,81 @@ fn spheres_in_cones() {
         .flat_map(|disc| [0.0_f32, 1e-3, 0.5, 4.0].map(|t| [disc, t, (1.0 + t * t).sqrt().recip(), 0.0]))
         .collect();
     compare(
-        files!("grid.wgsl", "random.wgsl", "rays.wgsl"; "return vec4<f32>(sphere_slope(x.x, x.y, x.z), 0.0, 0.0, 0.0);"),
+        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; "return vec4<f32>(sphere_slope(x.x, x.y, x.z), 0.0, 0.0, 0.0);"),
         &inputs,
         |[disc, tangent, cosine, _]| [camera::sphere_slope(disc, tangent, cosine), 0.0, 0.0, 0.0],
         (0.0, 1e-6),
     );
 }
 
+/// Unit directions all over the sphere.
+fn directions() -> Vec<[f32; 4]> {
+    let direction = |i: u8| {
+        let (z, angle) = (1.0 - (f32::from(i) + 0.5) / 50.0, 2.4 * f32::from(i));
+        let r = (1.0 - z * z).sqrt();
+        [r * angle.cos(), r * angle.sin(), z, 0.0]
+    };
+    (0..100).map(direction).collect()
+}
+
+#[test]
+fn cones_of_pixels() {
+    // The view has a rotation with all entries in use; x is pixel x, y, the number of the part and the parts along a side.
+    let intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 50.0, cx: 31.0, cy: 25.5 };
+    let rotation = DMat3::from_cols_array(&[0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6]);
+    let camera = Camera { intrinsics, rotation, origin: DVec3::new(1.0, -2.0, 0.5) };
+    let inputs: Vec<[f32; 4]> = [[0.0, 0.0], [31.0, 25.0], [63.0, 47.0], [5.0, 40.0]]
+        .into_iter()
+        .flat_map(|[x, y]| [[0.0, 1.0], [3.0, 2.0], [5.0, 3.0]].map(|[index, side]| [x, y, index, side]))
+        .collect();
+    let cone = |x: [f64; 4]| camera.cone_in::<f64>(x[0] as u32, x[1] as u32, x[2] as u32, x[3] as u32);
+    compare(
+        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; "let rows = array<vec4<f32>, 3>(vec4<f32>(0.36, -0.8, 0.48, 1.0), vec4<f32>(0.48, 0.6, 0.64, -2.0), vec4<f32>(-0.8, 0.0, 0.6, 0.5)); let view = View(rows, vec4<f32>(60.0, 50.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 3000.0), 64u, 0u, 0u); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        &inputs,
+        |x| {
+            let Cone { direction: [u, v, w], slope, .. } = cone(x);
+            [u, v, w, slope]
+        },
+        (2e-7, 2e-6),
+    );
+}
+
+#[test]
+fn rays_through_the_space() {
+    let space = Space::of(Aabb { min: [-1.0, 2.0, 0.5], max: [3.0, 4.0, 1.5] });
+    let origin = [0.1, 2.9, 0.8];
+    let inputs: Vec<[f32; 4]> = directions().into_iter().map(|[x, y, z, _]| [x, y, z, 0.17]).collect();
+    compare(
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); return sphere_at(space, Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0), x.w);"),
+        &inputs,
+        |[x, y, z, t]| {
+            let [direction, origin] = [[x, y, z], origin.map(|o: f32| f64::from(o))];
+            let point = std::array::from_fn(|i| origin[i] + t * direction[i]);
+            let [u, v, w] = space.to_cube(point);
+            [u, v, w, f64::from(0.03_f32) * t * space.scale(point)]
+        },
+        (3e-7, 2e-6),
+    );
+    // Enter, leave, and where a block of four cells ends, all by dividing by a direction's component.
+    let near = Space::of(Aabb { min: [-1.0_f32, 2.0, 0.5], max: [3.0, 4.0, 1.5] });
+    compare(
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); let ray = Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0); let cell = cell_of(space, sphere_at(space, ray, x.w).xyz); return vec4<f32>(intersect(space, ray), cells_exit(space, ray, x.w, cell, 4u), 0.0);"),
+        &inputs,
+        |x| {
+            let [u, v, w, t] = x.map(|x| x as f32);
+            let ray = Ray { origin, slope: 0.03, direction: [u, v, w], cosine: 1.0 };
+            let way = near.way(&ray, 16);
+            let exit = way.exit(t, way.cell(way.position(t)), 4);
+            let (enter, leave) = near.intersect(ray.origin, ray.direction);
+            [enter, leave, exit, 0.0].map(f64::from)
+        },
+        (1e-6, 1e-5),
+    );
+}
+
 #[test]
 fn harmonics() {
-    let directions: Vec<[f32; 4]> = (0..100_u8)
-        .map(|i| {
-            let (z, angle) = (1.0 - (f32::from(i) + 0.5) / 50.0, 2.4 * f32::from(i));
-            let r = (1.0 - z * z).sqrt();
-            [r * angle.cos(), r * angle.sin(), z, 0.0]
-        })
-        .collect();
+    let directions = directions();
     let expected = |first: usize| {
         move |[x, y, z, _]: [f64; 4]| {
             let all = sh::spherical_harmonics([x, y, z]);
@@ -174,25 +236,25 @@ fn harmonics() {
     };
     let bound = (5e-7, 1e-6);
     compare(
-        files!("grid.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[0], h[1], h[2], h[3]);"),
+        files!("grid.wgsl", "ray.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[0], h[1], h[2], h[3]);"),
         &directions,
         expected(0),
         bound,
     );
     compare(
-        files!("grid.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[4], h[5], h[6], h[7]);"),
+        files!("grid.wgsl", "ray.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[4], h[5], h[6], h[7]);"),
         &directions,
         expected(4),
         bound,
     );
     compare(
-        files!("grid.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[8], h[9], h[10], h[11]);"),
+        files!("grid.wgsl", "ray.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[8], h[9], h[10], h[11]);"),
         &directions,
         expected(8),
         bound,
     );
     compare(
-        files!("grid.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[12], h[13], h[14], h[15]);"),
+        files!("grid.wgsl", "ray.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[12], h[13], h[14], h[15]);"),
         &directions,
         expected(12),
         bound,
@@ -205,12 +267,12 @@ fn levels_and_texels() {
     let radii: Vec<[f32; 4]> =
         (-40..20).flat_map(|i| [0.0, 1.0, 2.0].map(|p| [i as f32 / 4.0, p, 0.0, 0.0])).collect();
     compare(
-        files!("planes.wgsl", "tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 5u, vec3<u32>(64u, 32u, 96u), 0u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), 0.0);"),
+        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 5u, vec3<u32>(64u, 32u, 96u), 0u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), 0.0);"),
         &radii,
         |[radius, plane, ..]| {
             let plane = plane as usize;
             let blend = pyramid.blend(plane, radius);
-            let start = pyramid.offset(blend.lower, plane) / trimip_core::tri_mip::CHANNELS;
+            let start = pyramid.offset(blend.lower, plane) / trimip_core::encoders::tri_mip::CHANNELS;
             [blend.lower as f64, blend.fraction, start as f64, 0.0]
         },
         (1e-6, 0.0),
@@ -221,7 +283,7 @@ fn levels_and_texels() {
         .flat_map(|a| [0.0_f32, 0.12, 0.999, 1.0].map(|b| [a, b, 0.0, 0.0]))
         .collect();
     compare(
-        files!("planes.wgsl", "tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(f32(t.columns.x), f32(t.columns.y), f32(t.rows.x), f32(t.rows.y));"),
+        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(f32(t.columns.x), f32(t.columns.y), f32(t.rows.x), f32(t.rows.y));"),
         &places,
         |[a, b, ..]| {
             let taps = taps(Shape { rows: 48, columns: 32 }, a, b);
@@ -230,7 +292,7 @@ fn levels_and_texels() {
         (0.0, 0.0),
     );
     compare(
-        files!("planes.wgsl", "tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(tap_weight(t, 0u, 0u), tap_weight(t, 0u, 1u), tap_weight(t, 1u, 0u), tap_weight(t, 1u, 1u));"),
+        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(tap_weight(t, 0u, 0u), tap_weight(t, 0u, 1u), tap_weight(t, 1u, 0u), tap_weight(t, 1u, 1u));"),
         &places,
         |[a, b, ..]| {
             let [below, above] = taps(Shape { rows: 48, columns: 32 }, a, b).weights;

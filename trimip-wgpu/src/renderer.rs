@@ -7,13 +7,14 @@ use crate::kernel::{
     COMPOSITING_GRADIENT, COMPOSITING_RAYS, LIST, MARCHING, PLACING, SEE, START_SEGMENTS, SUM_ALL, SUM_BLOCKS,
 };
 use crate::occupancy::WgpuOccupancy;
+use crate::space::GpuSpace;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use trimip_core::batch::{Radiance, Rays, Samples, Segment};
 use trimip_core::compositing::Pruning;
 use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
-use trimip_core::{Aabb, Config, Pixel, Renderer};
+use trimip_core::{Config, Pixel, Renderer, Space};
 
 /// Segments that a workgroup of the sums takes.
 const BLOCK: u32 = 4 * GROUP;
@@ -25,21 +26,16 @@ const KEPT: u32 = 1;
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct MarchParams {
-    aabb_min: [f32; 3],
-    step_length: f32,
-    aabb_max: [f32; 3],
-    step_per_radius: f32,
-    inverse_extent: [f32; 3],
-    padding: f32,
-    cell_extent: [f32; 3],
-    more_padding: f32,
+    space: GpuSpace,
     draws: [u32; 4],
+    step_length: f32,
+    step_per_radius: f32,
     jitter: u32,
     first: u32,
     count: u32,
-    resolution: u32,
     words: u32,
     capacity: u32,
+    padding: u32,
 }
 
 #[repr(C)]
@@ -59,10 +55,10 @@ struct CompositeParams {
     targets: u32,
 }
 
-/// Box, step and background.
+/// Space, step and background.
 pub struct WgpuRenderer {
     gpu: Arc<Gpu>,
-    aabb: Aabb<f32>,
+    space: Space<f32>,
     /// Length of a step of the schedule's scale 1.
     uniform_step: f32,
     step_scale: Schedule,
@@ -84,7 +80,7 @@ impl WgpuRenderer {
         let step_scale = config.renderer.step_scale.clone();
         Self {
             gpu: Arc::clone(gpu),
-            aabb: Aabb::new(&config.scene),
+            space: Space::new(&config.scene),
             uniform_step,
             step_length: uniform_step * step_scale.at(0.0) as f32,
             step_scale,
@@ -96,12 +92,6 @@ impl WgpuRenderer {
             room,
             kept_room,
         }
-    }
-
-    /// Steps that fit into the box along any ray, and one for rounding.
-    fn most_samples(&self) -> usize {
-        let [x, y, z] = self.aabb.extent().map(f64::from);
-        ((x * x + y * y + z * z).sqrt() / f64::from(self.step_length)).ceil() as usize + 2
     }
 
     /// Gives every segment its start; the total goes to a counter.
@@ -139,29 +129,25 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         samples: &mut Samples<WgpuBackend>,
     ) {
         let count = rays.rays.known_len().unwrap_or(0);
-        let words = self.most_samples().div_ceil(32);
+        let most_samples = self.space.most_steps(self.step_length);
+        let words = most_samples.div_ceil(32);
         // A small view needs little; in training arrays have their size from the first step on.
-        let room = if self.training { self.room } else { self.room.min(count * self.most_samples()).max(1) };
+        let room = if self.training { self.room } else { self.room.min(count * most_samples).max(1) };
         samples.segments.resize(count);
         samples.counts.resize(2);
         lane.bits.resize(count * words);
         lane.marched = true;
         let params = MarchParams {
-            aabb_min: self.aabb.min,
-            step_length: self.step_length,
-            aabb_max: self.aabb.max,
-            step_per_radius: self.step_per_radius,
-            inverse_extent: self.aabb.extent().map(f32::recip),
-            padding: 0.0,
-            cell_extent: self.aabb.extent().map(|side| side / occupancy.resolution() as f32),
-            more_padding: 0.0,
+            space: GpuSpace::new(&self.space, occupancy.resolution()),
             draws: jitter.map_or([0; 4], |step| self.random.at(Stream::Jitter, step).words()),
+            step_length: self.step_length,
+            step_per_radius: self.step_per_radius,
             jitter: u32::from(jitter.is_some()),
             first: rays.first,
             count: count as u32,
-            resolution: occupancy.resolution(),
             words: words as u32,
             capacity: room as u32,
+            padding: 0,
         };
         let items = Size::Items(count as u64);
         let binds = [rays.rays.bind(), lane.bits.bind(), samples.segments.bind(), occupancy.grid().bind()];
@@ -227,9 +213,11 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         rays: &Rays<WgpuBackend>,
         samples: &Samples<WgpuBackend>,
         radiance: &Buffer<Radiance>,
+        cones: &mut Buffer<Pixel>,
         pixels: &mut Buffer<Pixel>,
     ) {
-        let count = rays.rays.known_len().unwrap_or(0);
+        let count = rays.groups.known_len().unwrap_or(0);
+        cones.resize(rays.rays.known_len().unwrap_or(0));
         pixels.resize(count);
         let targets = rays.targets.known_len().unwrap_or(0) > 0;
         let params =
@@ -241,6 +229,8 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             samples.intervals.bind(),
             rays.rays.bind(),
             rays.targets.bind(),
+            rays.groups.bind(),
+            cones.bind(),
         ];
         self.gpu.dispatch(&COMPOSITING_RAYS, &binds, &params, Size::Items(count as u64));
     }
@@ -248,13 +238,14 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
     fn backward(
         &self,
         _: &mut Lane,
+        rays: &Rays<WgpuBackend>,
         samples: &Samples<WgpuBackend>,
         radiance: &Buffer<Radiance>,
-        pixels: &Buffer<Pixel>,
+        cones: &Buffer<Pixel>,
         pixel_gradients: &Buffer<[f32; 4]>,
         radiance_gradients: &mut Buffer<Radiance>,
     ) {
-        let count = pixels.known_len().unwrap_or(0);
+        let count = rays.groups.known_len().unwrap_or(0);
         match radiance.counter() {
             Some((counts, counter)) => radiance_gradients.count_by(radiance.most(), counts, counter, 1),
             None => radiance_gradients.resize(radiance.known_len().unwrap_or(0)),
@@ -264,8 +255,9 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             radiance_gradients.bind(),
             radiance.bind(),
             samples.intervals.bind(),
-            pixels.bind(),
+            cones.bind(),
             pixel_gradients.bind(),
+            rays.groups.bind(),
         ];
         self.gpu.dispatch(&COMPOSITING_GRADIENT, &binds, &(count as u32), Size::Items(count as u64));
     }

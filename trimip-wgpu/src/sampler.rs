@@ -69,9 +69,11 @@ struct Params {
     count: u32,
     scales: u32,
     premultiplied: u32,
-    /// Pixels come in the order of the rays.
+    /// Photographs come as the pixels drawn, in their order.
     streamed: u32,
-    padding: [u32; 2],
+    /// Cones along a side of a pixel.
+    side: u32,
+    padding: u32,
     begins: [u32; MOST_SCALES],
     weights: [f32; MOST_SCALES],
 }
@@ -104,7 +106,8 @@ impl WgpuSampler {
     /// # Errors
     /// When the photographs do not fit into a binding of the device.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, views: Option<ViewSet>) -> Result<Self> {
-        let mut params = Params { background: config.data.background, ..Params::default() };
+        let (background, side) = (config.data.background, config.renderer.cones);
+        let mut params = Params { background, side, ..Params::default() };
         let training = match views {
             None => None,
             Some(views) => {
@@ -121,6 +124,14 @@ impl WgpuSampler {
             Self { gpu: Arc::clone(gpu), train, training, camera: Buffer::zeros(gpu, 1), random, params };
         sampler.follow(0.0);
         Ok(sampler)
+    }
+
+    /// Makes room for the cones of the pixels `range`.
+    fn group(&self, range: &Range<u32>, rays: &mut Rays<WgpuBackend>) {
+        let count = self.params.side * self.params.side;
+        rays.first = range.start * count;
+        rays.rays.resize(range.len() * count as usize);
+        rays.groups.resize(range.len());
     }
 }
 
@@ -219,11 +230,11 @@ impl Sampler<WgpuBackend> for WgpuSampler {
         range: Range<u32>,
         rays: &mut Rays<WgpuBackend>,
     ) {
-        rays.first = range.start;
-        rays.rays.resize(range.len());
         rays.targets.resize(range.len());
+        self.group(&range, rays);
         let Some(training) = &self.training else {
             rays.rays.resize(0);
+            rays.groups.resize(0);
             rays.targets.resize(0);
             return;
         };
@@ -242,17 +253,23 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             pixels.write(&training.draw(host, &self.random, step, total, range.clone()));
         }
         let Training { views, scales, .. } = training;
-        let binds = [views.bind(), rays.rays.bind(), pixels.bind(), scales.bind(), rays.targets.bind()];
+        let binds = [
+            views.bind(),
+            rays.rays.bind(),
+            pixels.bind(),
+            scales.bind(),
+            rays.targets.bind(),
+            rays.groups.bind(),
+        ];
         self.gpu.dispatch(&TRAINING_RAYS, &binds, &params, Size::Items(range.len() as u64));
     }
 
     fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {
-        rays.first = range.start;
         rays.targets.resize(0);
-        rays.rays.resize(range.len());
+        self.group(&range, rays);
         self.gpu.write(self.camera.raw(), &[GpuView::new(camera, 0)]);
         let params = Params { first: range.start, count: range.len() as u32, ..self.params };
-        let binds = [self.camera.bind(), rays.rays.bind()];
+        let binds = [self.camera.bind(), rays.rays.bind(), rays.groups.bind()];
         self.gpu.dispatch(&CAMERA_RAYS, &binds, &params, Size::Items(range.len() as u64));
     }
 }

@@ -1,6 +1,6 @@
 //! Marching with its skipping of empty space against asking every step, on random occupancy and difficult rays.
 
-use super::{Bench, stages::write_rays};
+use super::Bench;
 use crate::{
     fixtures::{Draw, lively, small},
     reference,
@@ -82,7 +82,7 @@ pub fn configuration(resolution: u32) -> Config {
 /// The samples of each ray, by their distance.
 pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u64>) -> Vec<Vec<f32>> {
     let Bench { backend, stages, space, .. } = bench;
-    write_rays(backend, &mut space.rays, rays);
+    space.rays.place(backend, rays);
     stages.renderer.march(&mut space.lane, &space.rays, &stages.occupancy, jitter, &mut space.samples);
     let (segments, intervals) =
         (backend.read(&space.samples.segments), backend.read(&space.samples.intervals));

@@ -1,8 +1,11 @@
 //! What every backend must satisfy, through the traits alone. Each part takes a function that makes a fresh backend, so
 //! that a new backend is tested by one more line.
 
+pub mod cones;
+pub mod exchange;
 pub mod gradients;
 pub mod marching;
+pub mod probes;
 pub mod pyramid;
 pub mod sampling;
 pub mod scenes;
@@ -13,7 +16,7 @@ pub mod training;
 use trimip_core::{
     Backend, Config, Encoder, Field, Layout, Result, ViewSet,
     backend::Stages,
-    batch::{Samples, Segment, Sphere, Workspace},
+    batch::{Interval, Ray, Samples, Segment, Sphere, Workspace},
 };
 
 /// A backend, the stages of a configuration with parameters in place, and a workspace.
@@ -49,17 +52,26 @@ impl<B: Backend> Bench<B> {
     /// Makes `spheres` the samples of one ray.
     pub fn place(&mut self, spheres: &[Sphere]) {
         let count = spheres.len() as u32;
-        let Samples { segments, rays, spheres: buffer, counts, .. } = &mut self.space.samples;
+        let Samples { segments, rays, intervals, spheres: buffer, counts } = &mut self.space.samples;
+        self.space.rays.place(&self.backend, &[Ray::default()]);
+        self.backend.write(intervals, &vec![Interval::default(); spheres.len()]);
         self.backend.write(segments, &[Segment { start: 0, count }]);
         self.backend.write(rays, &vec![0; spheres.len()]);
         self.backend.write(buffer, spheres);
         self.backend.write(counts, &[[count, count]]);
     }
 
-    /// Features of the samples in place, 48 each.
+    /// Features of the samples in place, rows of the encoder's stride.
     pub fn features(&mut self) -> Vec<f32> {
         let space = &mut self.space;
-        self.stages.encoder.forward(&mut space.lane, &self.parameters, &space.samples, &mut space.features);
+        self.stages.encoder.forward(
+            &mut space.lane,
+            &self.parameters,
+            &space.rays,
+            &space.samples,
+            &mut space.encoding,
+            &mut space.features,
+        );
         self.backend.read(&space.features)
     }
 }

@@ -108,7 +108,7 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
         let features = bench.features();
         // Rows of padding, where a backend has them, hold what no sample has: they must not count.
         let upstream: Vec<f32> = features.iter().map(|_| draw.between(-1.0, 1.0) as f32).collect();
-        let Bench { backend, stages, space, .. } = &mut bench;
+        let Bench { backend, stages, space, parameters: values } = &mut bench;
         backend.write(&mut space.feature_gradients, &upstream);
         let mut deposits = [Deposit {
             field: stages.field.gradient(),
@@ -116,9 +116,17 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
             sums: B::Sums::default(),
         }];
         let deposit = &mut deposits[0].encoder;
-        stages.encoder.backward(&mut space.lane, &space.samples, &space.feature_gradients, deposit);
+        stages.encoder.backward(
+            &mut space.lane,
+            values,
+            &space.rays,
+            &space.samples,
+            &space.encoding,
+            &space.feature_gradients,
+            deposit,
+        );
         let mut gradient = backend.zeros(layout.len());
-        backend.install(|| stages.encoder.flush(&mut deposits, &mut gradient));
+        backend.install(|| stages.encoder.flush(&mut deposits, values, &mut gradient));
         let gradient = wide(&backend.read(&gradient)[..base]);
 
         let counted = 48 * spheres.len();
@@ -142,7 +150,7 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
         assert!((forward - backward).abs() < 1e-3, "level {level}: {forward} forward, {backward} backward");
         // Flushing empties the deposits: a second flush finds nothing.
         let mut again = backend.zeros(layout.len());
-        backend.install(|| stages.encoder.flush(&mut deposits, &mut again));
+        backend.install(|| stages.encoder.flush(&mut deposits, values, &mut again));
         assert!(
             backend.read(&again)[..base].iter().all(|&g| g == 0.0),
             "level {level}: deposits are emptied"

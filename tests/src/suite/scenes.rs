@@ -4,11 +4,11 @@
 use crate::{fixtures, reference};
 use glam::DVec3;
 use trimip_core::{
-    Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Session,
+    Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Viewer,
     batch::Ray,
+    loaded::LoadedModel,
     model::Model,
     tensors::{Tensor, TensorFile},
-    trainer::Trainer,
 };
 
 /// Rounding of some hundred f32 additions.
@@ -25,7 +25,7 @@ fn render<B: Backend>(
     let mut file = TensorFile::default();
     Layout::new(config).to_tensors(parameters, "", &mut file);
     file.tensors.insert("occupancy".into(), Tensor::u8(&[bits.len()], bits));
-    Trainer::from_model(backend, &Model::new(config.clone(), file))?.render(camera)
+    LoadedModel::new(backend, &Model::new(config.clone(), file))?.render(camera)
 }
 
 /// Density e⁻¹ and grey 1/2 everywhere: what logits of zero mean. Every pixel has the analytic opacity, colour and depth.

@@ -2,14 +2,15 @@
 
 use super::{Bench, wide};
 use crate::{
-    fixtures::{Draw, lively, noise, small},
+    fixtures::{Draw, every_variant, lively, noise, small},
     reference::{Composited, Reference, Sample, composite, kept, march},
 };
 use glam::DVec3;
 use trimip_core::{
-    Backend, Camera, Config, Field, Intrinsics, Layout, Pixel, Renderer, Result, Session,
-    batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere},
+    Backend, Camera, Config, Field, Intrinsics, Layout, Pixel, Renderer, Result, Viewer,
+    batch::{Interval, Radiance, Ray, Samples, Segment, Sphere},
     config::{LevelFormula, PlaneShape},
+    encoders,
     trainer::Trainer,
 };
 
@@ -30,7 +31,6 @@ const PIXEL_TOLERANCE: f64 = 5e-4;
 const PRUNING_MARGIN: f64 = 1e-3;
 
 fn configurations() -> Vec<Config> {
-    let paper = small();
     let mut code = small();
     code.encoder.level = LevelFormula::Code;
     (code.encoder.plane_size, code.encoder.levels) = (64, 7);
@@ -45,7 +45,7 @@ fn configurations() -> Vec<Config> {
     (fitted.encoder.plane_size, fitted.encoder.levels) = (64, 4);
     fitted.encoder.shape = PlaneShape::Box;
     fitted.scene = code.scene.clone();
-    vec![paper, code, flat, fitted]
+    [vec![code, flat, fitted], every_variant()].concat()
 }
 
 /// Spheres all over the box and on its border, with radii from nothing to far beyond the coarsest level.
@@ -85,10 +85,13 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let spheres = spheres(5, 37 * 5);
         bench.place(&spheres);
         let features = bench.features();
+        // Rows are whole registers or tiles.
+        let width = encoders::of(&config).width(&config);
+        let stride = width.next_multiple_of(16);
         for (i, sphere) in spheres.iter().enumerate() {
             let expected = reference.features(sphere.position.map(f64::from), sphere.radius.into());
             for (k, expected) in expected.into_iter().enumerate() {
-                let found = f64::from(features[48 * i + k]);
+                let found = f64::from(features[stride * i + k]);
                 assert!(
                     close(found, expected, FEATURE_TOLERANCE),
                     "{sphere:?}, feature {k}: {found}, not {expected}"
@@ -99,13 +102,13 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let Bench { backend, stages, space, .. } = &mut bench;
         let direction = DVec3::new(0.48, -0.6, 0.64);
         let ray = Ray { direction: direction.to_array().map(|x| x as f32), ..Ray::default() };
-        backend.write(&mut space.rays.rays, &[ray]);
+        space.rays.place(backend, &[ray]);
         let (lane, samples, tape) = (&mut space.lane, &space.samples, &mut space.tape);
         stages.field.density(lane, samples, &space.features, tape, &mut space.radiance);
         stages.field.color(lane, &space.rays, samples, tape, &mut space.radiance);
         let radiance = backend.read(&space.radiance);
         for (i, found) in radiance.iter().enumerate().take(spheres.len()) {
-            let geometry = reference.geometry(&wide(&features[48 * i..][..48]));
+            let geometry = reference.geometry(&wide(&features[stride * i..][..width]));
             let density = reference.density(&geometry);
             assert!(
                 close(f64::from(found.density) / density, 1.0, FIELD_TOLERANCE),
@@ -147,7 +150,7 @@ pub fn compositing<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     }
     let rays = [Ray { cosine: 0.8, ..Ray::default() }; 6];
     let total = intervals.len() as u32;
-    backend.write(&mut space.rays.rays, &rays);
+    space.rays.place(&backend, &rays);
     let Samples { segments: s, rays: r, intervals: v, spheres, counts: c } = &mut space.samples;
     backend.write(s, &segments);
     backend.write(r, &owners);
@@ -155,8 +158,8 @@ pub fn compositing<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     backend.write(spheres, &vec![Sphere::default(); total as usize]);
     backend.write(c, &[[total, total]]);
     backend.write(&mut space.radiance, &radiance);
-    let (lane, pixels) = (&mut space.lane, &mut space.pixels);
-    stages.renderer.composite(lane, &space.rays, &space.samples, &space.radiance, pixels);
+    let (lane, cones, pixels) = (&mut space.lane, &mut space.cones, &mut space.pixels);
+    stages.renderer.composite(lane, &space.rays, &space.samples, &space.radiance, cones, pixels);
     for (pixel, segment) in backend.read(pixels).iter().zip(&segments) {
         let range = segment.start as usize..(segment.start + segment.count) as usize;
         let sample = |interval: &Interval| Sample {
@@ -216,11 +219,4 @@ pub fn pixels<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     }
     assert!(pruned > 0, "some samples are pruned");
     Ok(())
-}
-
-/// Rays written for a stage that reads no targets.
-pub fn write_rays<B: Backend>(backend: &B, rays: &mut Rays<B>, values: &[Ray]) {
-    backend.write(&mut rays.rays, values);
-    backend.write(&mut rays.targets, &[]);
-    rays.first = 0;
 }

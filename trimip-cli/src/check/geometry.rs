@@ -1,16 +1,14 @@
 //! Extreme geometry: spheres without size and beyond all size, rays along edges, cameras and boxes of every shape.
 
-use super::bench::{Bench, small};
+use super::rig::{Rig, small};
 use super::{Finding, Make, Tell, apart, not_finite, relative, worst};
 use glam::{DMat3, DVec3};
 use trimip_core::backend::Sampler;
 use trimip_core::batch::{Ray, Sphere};
+use trimip_core::encoders::tri_mip::FEATURES;
 use trimip_core::model::Model;
-use trimip_core::params::Kind;
 use trimip_core::tensors::{Tensor, TensorFile};
-use trimip_core::trainer::Trainer;
-use trimip_core::tri_mip::FEATURES;
-use trimip_core::{Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Session};
+use trimip_core::{Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Viewer, loaded::LoadedModel};
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {
     Finding { part: "geometry", case: case.into(), law, worst, bound }
@@ -27,11 +25,11 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
 
 /// Radii from nothing to no number: the finest level below, the coarsest above.
 fn spheres<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
-    let mut bench = Bench::new(make, &small())?;
+    let mut rig = Rig::new(make, &small())?;
     let at = |radius| Sphere { position: [0.3, 0.7, 0.51], radius };
     let mut features = |radii: &[f32]| -> Vec<Vec<f32>> {
         let spheres: Vec<Sphere> = radii.iter().map(|&radius| at(radius)).collect();
-        bench.features(&spheres).chunks(FEATURES).take(radii.len()).map(<[f32]>::to_vec).collect()
+        rig.features(&spheres).chunks(FEATURES).take(radii.len()).map(<[f32]>::to_vec).collect()
     };
     let same = |all: &[Vec<f32>]| {
         worst(all.iter().flat_map(|row| row.iter().zip(&all[0]).map(|(a, b)| apart(*a, f64::from(*b)))))
@@ -82,9 +80,9 @@ fn directions() -> Vec<Ray> {
 
 fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
-    let mut bench = Bench::new(make, &config)?;
+    let mut rig = Rig::new(make, &config)?;
     let rays = directions();
-    let (marched, spheres) = bench.march(&rays);
+    let (marched, spheres) = rig.march(&rays);
     let aabb = Aabb::<f64>::new(&config.scene);
     let step = f64::from(config.step_length());
     let length = |ray: &Ray| {
@@ -117,7 +115,7 @@ fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
 
 /// Camera rays beside those in f64.
 fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
-    let mut bench = Bench::new(make, &small())?;
+    let mut rig = Rig::new(make, &small())?;
     let mut cases: Vec<(String, Intrinsics)> = [0.001_f64, 0.1, 40.0, 120.0, 179.0]
         .into_iter()
         .map(|degrees| {
@@ -136,9 +134,9 @@ fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (name, intrinsics) in cases {
         let camera = Camera::look_at(intrinsics, DVec3::new(2.0, -3.0, 1.0), DVec3::ZERO, DVec3::Z);
         let count = intrinsics.width * intrinsics.height;
-        let space = &mut bench.space;
-        bench.stages.sampler.camera_rays(&mut space.lane, &camera, 0..count, &mut space.rays);
-        let rays = bench.backend.read(&space.rays.rays);
+        let space = &mut rig.space;
+        rig.stages.sampler.camera_rays(&mut space.lane, &camera, 0..count, &mut space.rays);
+        let rays = rig.backend.read(&space.rays.rays);
         let (mut errors, mut slopes) = (Vec::new(), Vec::new());
         for (i, ray) in rays.iter().enumerate() {
             let exact = camera.cone::<f64>(i as u32 % intrinsics.width, i as u32 / intrinsics.width);
@@ -173,7 +171,7 @@ fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         for axis in 0..3_usize {
             // Depth 2 along the whole side, so that one of half the side shows well.
             let density = 2.0 / sides[axis];
-            let mut trainer = Trainer::from_model(make()?, &medium(&config, density, axis))?;
+            let mut trainer = LoadedModel::new(make()?, &medium(&config, density, axis))?;
             let mut along = DVec3::ZERO;
             along[axis] = 1.0;
             let corner = DVec3::splat(centre) - 0.5 * DVec3::from_array(sides);
@@ -202,7 +200,7 @@ fn medium(config: &Config, density: f64, axis: usize) -> Model {
     for slot in &layout.slots {
         let part = &mut values[slot.range.clone()];
         let inputs = slot.shape[0] as f64;
-        if slot.kind == Kind::Planes {
+        if slot.name == "planes" {
             part.fill(1.0);
         } else if slot.name == last {
             // Density = exp(logit - 1) of hidden units that are 1.

@@ -1,12 +1,13 @@
 //! `check`: a catalogue of stiff and extreme cases, each with the law that it must satisfy, on any backend.
 
-mod bench;
 mod geometry;
 mod numbers;
 mod optics;
+mod rig;
 mod training;
 
-use trimip_core::{Backend, Result};
+use trimip::backends::Visitor;
+use trimip::{Backend, Result};
 
 /// What a case came to.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,16 +58,25 @@ pub type Make<'a, B> = &'a dyn Fn() -> Result<B>;
 /// Is told of every finding as soon as there is one.
 pub type Tell<'a> = &'a mut dyn FnMut(Finding);
 
-/// All cases on one backend; with those that take minutes where they are wanted.
-///
-/// # Errors
-/// When the backend cannot be opened, or fails.
-pub fn catalogue<B: Backend>(make: Make<'_, B>, long: bool, tell: Tell<'_>) -> Result<()> {
-    optics::cases(make, tell)?;
-    geometry::cases(make, tell)?;
-    training::cases(make, tell)?;
-    numbers::cases(make, tell)?;
-    if long { training::long(make, tell) } else { Ok(()) }
+/// All cases on one backend.
+pub struct Catalogue<'a> {
+    /// Also the cases that take minutes.
+    pub long: bool,
+    /// Takes every finding.
+    pub tell: Tell<'a>,
+}
+
+impl Visitor for Catalogue<'_> {
+    type Output = ();
+
+    fn visit<B: Backend>(self, make: Make<'_, B>) -> Result<()> {
+        let Self { long, tell } = self;
+        optics::cases(make, tell)?;
+        geometry::cases(make, tell)?;
+        training::cases(make, tell)?;
+        numbers::cases(make, tell)?;
+        if long { training::long(make, tell) } else { Ok(()) }
+    }
 }
 
 #[cfg(test)]

@@ -1,13 +1,12 @@
 //! Numbers at the end of their range: densities, gradients and hidden units that f32 or f16 can hardly hold, or cannot.
 
-use super::bench::{camera, hash, photographs, small};
+use super::rig::{camera, hash, photographs, small};
 use super::{Finding, Make, Tell, not_finite, worst};
 use trimip_core::adamw::Rule;
 use trimip_core::config::{OptimizerConfig, Precision};
-use trimip_core::params::Kind;
 use trimip_core::tensors::Values;
 use trimip_core::trainer::Trainer;
-use trimip_core::{Backend, Config, Frame, Layout, Result, Session};
+use trimip_core::{Backend, Config, Frame, Layout, Result, Session, Viewer};
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {
     Finding { part: "numbers", case: case.into(), law, worst, bound }
@@ -35,7 +34,7 @@ fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         for slot in &layout.slots {
             let part = &mut values[slot.range.clone()];
             let inputs = slot.shape[0] as f32;
-            if slot.kind == Kind::Planes {
+            if slot.name == "planes" {
                 part.fill(1.0);
             } else if slot.name == last {
                 // Hidden units are 1: their sum is the logit.
@@ -107,7 +106,7 @@ fn steep<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut values = trainer.parameters();
     for slot in &layout.slots {
         let part = &mut values[slot.range.clone()];
-        if slot.kind == Kind::Planes {
+        if slot.name == "planes" {
             part.iter_mut().for_each(|texel| *texel = texel.signum() * 1e-30);
         } else if slot.name == "density.0.weight" {
             part.iter_mut().for_each(|weight| *weight *= 1e30);
@@ -153,10 +152,10 @@ fn beyond_half<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let mut trainer = Trainer::new(make()?, &config, views)?;
         let mut values = trainer.parameters();
         for slot in &layout.slots {
-            let factor = match (slot.kind, slot.name.as_str()) {
-                (Kind::Planes, _) => 100.0,
-                (_, "density.0.weight") => 1e7,
-                (_, "density.1.weight") => 1e-7,
+            let factor = match slot.name.as_str() {
+                "planes" => 100.0,
+                "density.0.weight" => 1e7,
+                "density.1.weight" => 1e-7,
                 _ => 1.0,
             };
             values[slot.range.clone()].iter_mut().for_each(|value| *value *= factor);

@@ -1,6 +1,6 @@
 //! Stiff optics: samples from hardly there to opaque, one to a hundred thousand on a ray. Letters: x = σδ optical depth.
 
-use super::bench::{Bench, small};
+use super::rig::{Rig, small};
 use super::{Finding, Make, Tell, apart, relative, worst};
 use trimip_core::batch::{Interval, Radiance};
 use trimip_core::compositing::{composite, composite_gradient};
@@ -29,14 +29,14 @@ fn depth((interval, radiance): &Sample) -> f64 {
 
 /// The cases of this part.
 pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
-    let mut bench = Bench::new(make, &small())?;
+    let mut rig = Rig::new(make, &small())?;
     let found =
         |case: &str, law, worst, bound| Finding { part: "optics", case: case.into(), law, worst, bound };
 
     // One sample each, all sizes.
     let thin: Vec<Vec<Sample>> =
         (-48..=48).map(|quarter| vec![sample(0, 10_f64.powf(f64::from(quarter) / 4.0), [1.0; 3])]).collect();
-    let (pixels, gradients) = bench.composite(&thin, [1.0, 1.0, 1.0, 0.0]);
+    let (pixels, gradients) = rig.composite(&thin, [1.0, 1.0, 1.0, 0.0]);
     let alpha = |ray: &Vec<Sample>| -(-depth(&ray[0])).exp_m1();
     tell(found(
         "one sample, depth 1e-12 to 1e12",
@@ -67,10 +67,10 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     ));
 
     // Many samples of one medium: total depth 1, however it is cut.
-    for count in [1_usize, 10, 1000, bench.backend.longest_ray().min(100_000)] {
+    for count in [1_usize, 10, 1000, rig.backend.longest_ray().min(100_000)] {
         let ray: Vec<Sample> = (0..count).map(|i| sample(i, 1.0 / count as f64, [0.25, 0.5, 1.0])).collect();
         let total: f64 = ray.iter().map(depth).sum();
-        let (pixels, _) = bench.composite(&[ray], [1.0, 1.0, 1.0, 0.0]);
+        let (pixels, _) = rig.composite(&[ray], [1.0, 1.0, 1.0, 0.0]);
         let opacity = -(-total).exp_m1();
         tell(found(
             &format!("a medium of depth 1 in {count} samples"),
@@ -109,7 +109,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             .collect(),
     ];
     let by_pixel = [0.7_f32, -0.4, 1.0, -0.6];
-    let (pixels, gradients) = bench.composite(&mixed, by_pixel);
+    let (pixels, gradients) = rig.composite(&mixed, by_pixel);
     let names = [
         "an opaque shell one step thick",
         "vacuum and wall by turns",
@@ -145,6 +145,6 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         ));
         first += ray.len();
     }
-    bench.backend.health()?;
+    rig.backend.health()?;
     Ok(())
 }

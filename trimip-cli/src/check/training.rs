@@ -1,15 +1,14 @@
 //! Stiff training: photographs that contradict each other or teach nothing, rates and weights of all sizes, grids and
 //! batches gone empty, runs of many steps.
 
-use super::bench::{camera, hash, photographs, small};
+use super::rig::{camera, hash, photographs, small};
 use super::{Finding, Make, Tell, not_finite, worst};
-use crate::machine::peak_memory;
 use glam::DVec3;
+use trimip::machine::peak_memory;
 use trimip_core::config::Untouched;
-use trimip_core::params::Kind;
 use trimip_core::tensors::Values;
 use trimip_core::trainer::Trainer;
-use trimip_core::{Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet};
+use trimip_core::{Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet, Viewer};
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {
     Finding { part: "training", case: case.into(), law, worst, bound }
@@ -104,8 +103,7 @@ fn untouched<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let mut trainer = Trainer::new(make()?, &config, photographs(&[camera], 1, hash))?;
         let before = trainer.parameters();
         let layout = Layout::new(&config);
-        let planes =
-            layout.slots.iter().find(|slot| slot.kind == Kind::Planes).map_or(0..0, |s| s.range.clone());
+        let planes = layout.slots.iter().find(|slot| slot.name == "planes").map_or(0..0, |s| s.range.clone());
         let steps = 5;
         for _ in 0..steps {
             trainer.step(0.0)?;

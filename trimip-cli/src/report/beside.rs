@@ -2,15 +2,12 @@
 //! of them pictured, each beside its photograph. A curve without a run folder has its name alone.
 
 use super::{page::escape, page::table, pictures};
-use crate::{
-    run_folder::RunFolder,
-    store::{FileStore, ViewRecord},
-    terminal,
-};
+use crate::terminal;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use trimip_core::Result;
+use trimip::run::store::{FileStore, ViewRecord};
+use trimip::{Result, RunFolder};
 
 /// Views that are shown.
 const VIEWS: usize = 4;
@@ -156,9 +153,9 @@ fn shot(picture: image::RgbImage, caption: &str, color: &str) -> Result<String> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pictures::{side_by_side, write_png};
     use serde_json::json;
     use std::path::Path;
+    use trimip::view::pictures::{side_by_side, write_png};
 
     /// A run folder with pictures of the frames `pictured`, at two scales.
     fn run(root: &Path, name: &str, pictured: &[usize], hidden: u32) -> Entry {

@@ -1,11 +1,13 @@
 //! `report.html`: the report for people, one file without anything to fetch.
 
 use super::page::{escape, pairs, plot, table};
-use super::{Report, Status, page, pictures, provenance, settings, svg, text};
-use crate::{machine, terminal};
+use super::{page, pictures, settings, svg};
+use crate::terminal;
 use std::path::Path;
+use trimip::report::{Report, Status, text};
+use trimip::{machine, run::provenance};
 use trimip_core::evaluate::{MOST_PSNR, mean_quality};
-use trimip_core::{Aabb, Result, config::Convention, run::progress, tri_mip::Pyramid};
+use trimip_core::{Result, config::Convention, encoders, run::progress};
 
 /// The whole page; `images` is the folder of the comparisons.
 pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
@@ -50,12 +52,11 @@ fn head(report: &Report<'_>) -> String {
     tiles.push((report.model_bytes.map_or("not yet".into(), terminal::bytes), "model file"));
     let tiles: String =
         tiles.iter().map(|(value, name)| format!("<div><b>{value}</b><span>{name}</span></div>")).collect();
-    let [x, y, z] = Pyramid::new(&report.config.encoder, &Aabb::new(&report.config.scene)).sides;
-    let size = if x == y && y == z { format!("{x}×{x}") } else { format!("{x}×{y}×{z}") };
+    let encoder = encoders::of(report.config).describe(report.config);
     let verdict = report.verdict();
     format!(
         "<header><h1>{} <span class=\"scene\">on {}</span></h1>\n\
-         <p class=\"lead\">Tri-MipRF, planes {size}, {} steps, backend {} <b class=\"badge {class}\">{status}</b></p>\n\
+         <p class=\"lead\">{encoder}, {} steps, backend {} <b class=\"badge {class}\">{status}</b></p>\n\
          <p class=\"verdict\"><b class=\"badge {}\">{}</b> {}.</p>\n<div class=\"tiles\">{tiles}</div>\n{}</header>\n",
         escape(&report.run),
         escape(&report.scene),
@@ -200,7 +201,7 @@ mod tests {
 
     #[test]
     fn the_page_is_whole_fetches_nothing_and_escapes_what_others_wrote() {
-        super::super::example(|report| {
+        super::super::example::example(|report| {
             let page = page(report, Path::new("nowhere")).unwrap();
             page::expect_whole(&page);
             assert!(page.contains("lego &amp; co") && page.contains("a &lt;dark&gt; image"));
@@ -210,7 +211,7 @@ mod tests {
 
     #[test]
     fn the_page_says_where_the_run_came_from_and_what_it_came_to() {
-        super::super::example(|report| {
+        super::super::example::example(|report| {
             let page = page(report, Path::new("nowhere")).unwrap();
             for part in ["config a&amp;b.toml", "0.1.0 (abc)", "1970-01-01", "8 of 200 test views"] {
                 assert!(page.contains(part), "{part}");

@@ -1,169 +1,24 @@
-//! The report of a run: one self-contained HTML page for people, JSON for programs, CSV for plots, Markdown and LaTeX for
-//! texts. All are made from the run folder and the history of events, so that they can be made again at any time.
+//! The pages of the program: the report of a run for people, one self-contained HTML file, and what it shares with the pages
+//! of `bench` and `compare`.
 
 pub mod beside;
-pub mod csv;
 mod difference;
+#[cfg(test)]
+mod example;
 mod html;
-mod json;
 pub mod page;
 mod pictures;
-pub mod provenance;
 mod settings;
 pub mod svg;
-mod text;
 
-use crate::{
-    history::{Evaluation, History},
-    machine::Machine,
-    run_folder::RunFolder,
-    store::{FileStore, ViewRecord},
-    verdict::Verdict,
-};
-use trimip_core::{Config, Result, Settings, tensors::write_atomically};
+use trimip::{Result, RunFolder, report::Report};
+use trimip_core::tensors::write_atomically;
 
-/// How far the run came, for the head of the report.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Status {
-    /// Trained and evaluated.
-    Finished,
-    /// Stopped by the user; it can go on.
-    Stopped,
-    /// It failed, or missed its quality floor: one line.
-    Failed(String),
-}
-
-/// Everything a report shows.
-pub struct Report<'a> {
-    /// How far the run came.
-    pub status: Status,
-    /// Name of the run: its folder's.
-    pub run: String,
-    /// Name of the scene.
-    pub scene: String,
-    /// The effective configuration.
-    pub config: &'a Config,
-    /// The same with origins.
-    pub settings: &'a Settings,
-    /// The course of the run.
-    pub history: &'a History,
-    /// Where it ran.
-    pub machine: Machine,
-    /// Size of the model file.
-    pub model_bytes: Option<u64>,
-    /// Every view of the final evaluation.
-    pub views: Vec<ViewRecord>,
-}
-
-impl<'a> Report<'a> {
-    /// Gathers what the run folder and the history hold.
-    pub fn gather(
-        folder: &RunFolder,
-        status: Status,
-        scene: &str,
-        config: &'a Config,
-        settings: &'a Settings,
-        history: &'a History,
-    ) -> Self {
-        let ended = history.last().is_some();
-        Self {
-            status,
-            run: folder_name(folder),
-            scene: scene.to_string(),
-            config,
-            settings,
-            history,
-            machine: Machine::detect(),
-            model_bytes: std::fs::metadata(folder.model()).ok().map(|metadata| metadata.len()),
-            views: if ended { FileStore::read(folder) } else { Vec::new() },
-        }
-    }
-
-    /// Writes every file of the report.
-    pub fn write(&self, folder: &RunFolder) -> Result<()> {
-        csv::write(&folder.curve(), self.history)?;
-        csv::write_steps(&folder.steps(), &folder.events())?;
-        write_atomically(&folder.markdown(), text::markdown(self).as_bytes())?;
-        write_atomically(&folder.latex(), text::latex(self).as_bytes())?;
-        write_atomically(&folder.json(), json::text(self)?.as_bytes())?;
-        write_atomically(&folder.html(), html::page(self, &folder.images())?.as_bytes())
-    }
-
-    /// What the run came to.
-    pub fn verdict(&self) -> Verdict {
-        Verdict::judge(self.history, &self.views)
-    }
-
-    /// Which views the headline is measured on: `8 of 200 test views`.
-    fn views_measured(&self) -> String {
-        let Some(e) = self.headline() else { return "not evaluated".into() };
-        let of = self.history.test_views().map_or(String::new(), |all| format!(" of {all}"));
-        let which = if e.last { "" } else { ", on the way" };
-        format!("{}{of} test views{which}", e.views())
-    }
-
-    /// The measures the report leads with: the final ones, else the latest.
-    fn headline(&self) -> Option<&Evaluation> {
-        self.history.best_known()
-    }
-
-    /// The evaluations of the curve.
-    fn curve(&self) -> Vec<&Evaluation> {
-        self.history.curve()
-    }
-
-    /// Kept samples per second of training.
-    fn samples_per_second(&self) -> Option<f64> {
-        let totals = &self.history.totals;
-        (totals.seconds > 0.0).then(|| totals.samples as f64 / totals.seconds)
-    }
-}
-
-/// What the folder is called, also where it is named as `.`.
-fn folder_name(folder: &RunFolder) -> String {
-    let root = std::fs::canonicalize(folder.root()).unwrap_or_else(|_| folder.root().to_path_buf());
-    root.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned())
-}
-
-/// What a scale is called: `full`, `1/2`, ..
-pub fn scale_name(scale: u32) -> String {
-    if scale == 1 { "full".into() } else { format!("1/{scale}") }
-}
-
-/// A report of two evaluations on a small curve, for tests of the writers.
-#[cfg(test)]
-fn example(test: impl FnOnce(&Report<'_>)) {
-    use crate::history::tests::evaluation;
-    use trimip_core::events::{Event, Provenance};
-    let settings = Settings::defaults();
-    let config = Config::default();
-    let history = History::of(&[
-        Event::Warning { message: "a <dark> image".into() },
-        evaluation(10, 25, false, 20.0),
-        evaluation(100, 25, false, 25.0),
-        evaluation(100, 1, true, 24.5),
-        Event::SessionEnded {
-            device: "two cores".into(),
-            backend: "cpu".into(),
-            wall_seconds: 20.0,
-            peak_memory_bytes: None,
-            provenance: Provenance {
-                command: Some("trimip-cli --config a&b.toml".into()),
-                version: Some("0.1.0 (abc)".into()),
-                ended_unix: Some(0),
-                test_views: Some(200),
-            },
-        },
-    ]);
-    test(&Report {
-        status: Status::Finished,
-        run: "first_run".into(),
-        scene: "lego & co".into(),
-        config: &config,
-        settings: &settings,
-        history: &history,
-        machine: Machine::detect(),
-        model_bytes: Some(1_000),
-        views: Vec::new(),
-    });
+/// Writes every file of the report, the page last.
+///
+/// # Errors
+/// When one of them cannot be written.
+pub fn write(report: &Report<'_>, folder: &RunFolder) -> Result<()> {
+    report.write(folder)?;
+    write_atomically(&folder.html(), html::page(report, &folder.images())?.as_bytes())
 }

@@ -2,7 +2,7 @@
 //! plot with its legend and its two axes.
 
 use super::svg::{self, Line};
-use crate::machine;
+use trimip::machine;
 
 /// A whole page around the content of its `main`.
 pub fn whole(title: &str, content: &str) -> String {

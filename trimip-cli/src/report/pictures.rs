@@ -1,12 +1,12 @@
 //! Pictures of test views in the report: the worst and the best, then those evenly spread. A figure holds rendering,
 //! photograph and difference; the page's script lays a slider over the first two.
 
-use super::{Report, difference, page, page::escape, scale_name};
-use crate::{pictures, store::ViewRecord};
+use super::{difference, page, page::escape};
 use base64::{Engine, prelude::BASE64_STANDARD};
 use image::{RgbImage, codecs::jpeg::JpegEncoder, imageops};
 use std::path::Path;
-use trimip_core::{Error, Result};
+use trimip::report::{Report, scale_name};
+use trimip::{Error, Result, run::store::ViewRecord, view::pictures};
 
 /// Longest side of a picture in a page, pixels.
 const LONGEST: u32 = 1024;
@@ -204,7 +204,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let sheet = pictures::side_by_side(2, 1, &[[0.0; 3]; 2], &[[1.0; 3]; 2]);
         pictures::write_png(&folder.path().join("a.png"), sheet).unwrap();
-        super::super::example(|report| {
+        super::super::example::example(|report| {
             let psnr = [Some(20.0), None, Some(31.0), Some(25.0)];
             let views = (0..4).map(|i| view(i, 1, psnr[i], i == 2)).collect();
             let report = Report { views, run: report.run.clone(), ..example_of(report) };

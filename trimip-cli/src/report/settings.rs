@@ -1,8 +1,8 @@
 //! The settings in the report: those that somebody chose, then, folded, those with their defaults.
 
 use super::page::escape;
-use crate::settings::{Row, rows};
-use trimip_core::{Origin, Settings};
+use trimip::settings::{Row, rows};
+use trimip::{Origin, Settings};
 
 /// The section.
 pub fn section(settings: &Settings) -> String {

@@ -2,8 +2,9 @@
 //! seconds to the right, linear or logarithmic. A report draws one line per scale and one for their mean; a comparison
 //! one line per run.
 
-use super::{page::escape, scale_name};
-use crate::{history::Evaluation, terminal};
+use super::page::escape;
+use crate::terminal;
+use trimip::{report::scale_name, run::history::Evaluation};
 
 const WIDTH: f64 = 960.0;
 const HEIGHT: f64 = 440.0;
@@ -283,7 +284,7 @@ mod tests {
 
     #[test]
     fn every_point_lies_inside_the_frame() {
-        super::super::example(|report| {
+        super::super::example::example(|report| {
             for logarithmic in [false, true] {
                 let svg = plot(&lines(&report.curve(), report.history.last()), logarithmic).unwrap();
                 assert_eq!(svg.matches("<polyline").count(), 3);
@@ -299,7 +300,7 @@ mod tests {
     #[test]
     fn degenerate_curves_draw_nothing_or_stay_finite() {
         assert!(plot(&lines(&[], None), true).is_none());
-        super::super::example(|report| {
+        super::super::example::example(|report| {
             let one = plot(&lines(&report.curve()[..1], None), true).unwrap();
             assert!(!one.contains("NaN") && !one.contains("inf"));
             let mut broken = report.curve()[0].clone();

@@ -1,8 +1,10 @@
 //! `check`: the catalogue of stiff and extreme cases on the backends of this build, as one table.
 
-use crate::{args::CheckArguments, backends, check::Finding, progress::spinner, terminal};
+use crate::check::{Catalogue, Finding};
+use crate::{args::CheckArguments, progress::spinner, terminal};
 use serde_json::json;
-use trimip_core::{Error, Result, tensors::write_atomically};
+use trimip::{Error, Result, backends};
+use trimip_core::tensors::write_atomically;
 
 /// Prints a line for every case; exit code 1 when a law is broken.
 pub fn run(arguments: &CheckArguments) -> Result<u8> {
@@ -39,7 +41,8 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
             all.push((name.clone(), finding));
             bar.set_message(format!("{name}, {}", terminal::count(all.len() as u64, "law")));
         };
-        backends::catalogue(name, &arguments.adapter, arguments.threads, arguments.long, &mut tell)?;
+        let catalogue = Catalogue { long: arguments.long, tell: &mut tell };
+        backends::visit(name, &arguments.adapter, arguments.threads, catalogue)?;
         bar.finish_and_clear();
     }
     let broken = all.iter().filter(|(_, finding)| !finding.holds()).count();

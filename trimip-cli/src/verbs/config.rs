@@ -1,7 +1,8 @@
 //! `config`: the effective settings with their origins, or the documented table of defaults.
 
 use crate::{args::ConfigArguments, settings, terminal};
-use trimip_core::{DEFAULTS, Result};
+use trimip::Result;
+use trimip_core::DEFAULTS;
 
 /// Prints settings as TOML.
 pub fn run(arguments: &ConfigArguments) -> Result<u8> {
@@ -9,7 +10,7 @@ pub fn run(arguments: &ConfigArguments) -> Result<u8> {
         terminal::line(DEFAULTS.trim_end());
     } else {
         let (settings, _) = settings::load_scene(&arguments.scene, &arguments.settings)?;
-        terminal::line(settings::text(&settings).trim_end());
+        terminal::line(trimip::settings::text(&settings).trim_end());
     }
     Ok(0)
 }

@@ -3,10 +3,10 @@
 use crate::{
     args::{DataAction, DataArguments, SettingsArguments},
     progress::by_rows,
-    run_folder, settings, terminal,
+    settings, terminal,
 };
 use std::path::Path;
-use trimip_core::{Config, Error, Result};
+use trimip::{Config, Error, Result, run::folder as run_folder};
 use trimip_data::Watch;
 
 /// Does one thing with a data set.

@@ -1,8 +1,8 @@
 //! `doctor`: what this machine and this build offer, for a look before a long run and for bug reports.
 
-use crate::{backends, machine, machine::Machine, terminal};
+use crate::terminal;
 use std::path::Path;
-use trimip_core::Result;
+use trimip::{Result, backends, machine, machine::Machine};
 
 /// Prints one aligned line per fact.
 pub fn run() -> Result<u8> {

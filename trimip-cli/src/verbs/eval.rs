@@ -2,19 +2,17 @@
 
 use crate::{
     args::EvalArguments,
-    backends, interrupt,
+    interrupt,
     progress::{bar, open, table},
-    run_folder, settings, terminal,
+    terminal,
 };
 use indicatif::ProgressBar;
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
-use trimip_core::{
-    Error, Result,
-    evaluate::{ViewResult, Watch, evaluate_frame, mean_quality, per_scale},
-    tensors::write_atomically,
-};
+use trimip::run::folder as run_folder;
+use trimip::view::{Watching, evaluate};
+use trimip::{Error, Result, backends, settings};
+use trimip_core::{evaluate::ViewResult, tensors::write_atomically};
 
 /// Measures a model; exit code 1 when it misses `eval.min_psnr`.
 pub fn run(arguments: &EvalArguments) -> Result<u8> {
@@ -34,9 +32,8 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     backends::software_remark(&config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
 
-    let (started, stride) = (Instant::now(), arguments.stride as usize);
-    let total = scene.test.len().div_ceil(stride);
-    if total == 0 {
+    let stride = arguments.stride as usize;
+    if scene.test.is_empty() {
         return Err(Error::input(
             &config.data.test,
             "the test split holds no view",
@@ -44,23 +41,16 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         ));
     }
     let bar = bar("{bar:20} {percent:>3} %  {wide_msg}", 1000);
-    let mut watch = OnBar { bar: &bar, stop: &stop, total, done: 0 };
-    let mut qualities = Vec::new();
-    for index in (0..scene.test.len()).step_by(stride) {
-        let (frames, background) = (scene.test.as_ref(), config.data.background);
-        if !evaluate_frame(session.as_mut(), frames, index, 1, background, &mut watch, &mut qualities)? {
-            bar.finish_and_clear();
-            return Ok(interrupt::EXIT_CODE);
-        }
-        watch.done += 1;
-    }
+    let mut watch = OnBar { bar: &bar, stop: &stop };
+    let background = config.data.background;
+    let measured = evaluate(session.as_mut(), scene.test.as_ref(), background, stride, &mut watch)?;
     bar.finish_and_clear();
+    let Some(measured) = measured else { return Ok(interrupt::EXIT_CODE) };
 
-    let scales = per_scale(&qualities, 1);
-    let mean = mean_quality(&scales);
-    table(&scales).iter().for_each(terminal::prose);
+    table(&measured.scales).iter().for_each(terminal::prose);
     if let Some(path) = &arguments.json {
-        let views: Vec<_> = qualities
+        let views: Vec<_> = measured
+            .views
             .iter()
             .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "psnr_8bit": q.psnr_8bit, "psnr_opposite": q.psnr_opposite, "psnr_constant": q.psnr_constant, "ssim": q.ssim }))
             .collect();
@@ -69,15 +59,15 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
             "scene": scene.name,
             "backend": session.backend(),
             "stride": stride,
-            "seconds": started.elapsed().as_secs_f64(),
-            "background": config.data.background,
-            "scales": scales,
-            "mean": mean,
+            "seconds": measured.seconds,
+            "background": background,
+            "scales": measured.scales,
+            "mean": measured.mean,
             "views": views,
         });
         write_atomically(path, serde_json::to_string_pretty(&report).map_err(Error::run)?.as_bytes())?;
     }
-    mean.judge(&config.eval)?;
+    measured.mean.judge(&config.eval)?;
     Ok(0)
 }
 
@@ -85,25 +75,17 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
 struct OnBar<'a> {
     bar: &'a ProgressBar,
     stop: &'a AtomicBool,
-    /// Frames in all.
-    total: usize,
-    /// Frames done.
-    done: usize,
 }
 
-impl Watch for OnBar<'_> {
-    fn rows(&mut self, rows: u32, of: u32) -> bool {
-        let part = self.done as f64 + f64::from(rows) / f64::from(of.max(1));
-        self.bar.set_position((1000.0 * part / self.total.max(1) as f64) as u64);
+impl Watching for OnBar<'_> {
+    fn rendering(&mut self, done: usize, total: usize, part: f64) -> bool {
+        self.bar.set_position((1000.0 * (done as f64 + part) / total.max(1) as f64) as u64);
         !self.stop.load(Ordering::Relaxed)
     }
 
-    fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {
-        let (at, name) = (self.done + 1, view.name);
-        self.bar.set_message(format!(
-            "view {at} of {}  {name} 1/{}: {:.2} dB",
-            self.total, view.scale, view.psnr
-        ));
-        Ok(!self.stop.load(Ordering::Relaxed))
+    fn view(&mut self, view: &ViewResult<'_>, done: usize, total: usize) -> bool {
+        let (at, name) = (done + 1, view.name);
+        self.bar.set_message(format!("view {at} of {total}  {name} 1/{}: {:.2} dB", view.scale, view.psnr));
+        !self.stop.load(Ordering::Relaxed)
     }
 }

@@ -1,12 +1,15 @@
 //! `plan`: what the scene does not need and why; with `--measure`, what leaving it out costs in dB and saves in seconds and
 //! bytes, each decision on top of those before it, at equal samples, on training views kept back.
 
-use crate::args::{BenchArguments, PlanArguments, SettingsArguments};
+use crate::args::PlanArguments;
 use crate::curves::aligned;
+use crate::interrupt::EXIT_CODE;
 use crate::progress::open;
-use crate::verbs::bench;
-use crate::{backends, settings, terminal};
-use serde_json::{Value, json};
+use crate::verbs::bench::training::{self, Bench, Row, Variant};
+use crate::{settings, terminal};
+use serde::Serialize;
+use serde_json::json;
+use trimip::backends;
 use trimip_core::config::PlanChoice;
 use trimip_core::scene_plan::{self, Facts, Finding};
 use trimip_core::{Config, Error, Result, ViewSet, tensors::write_atomically};
@@ -41,13 +44,10 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
     }
     let mut report = json!({ "scene": scene.name, "findings": findings, "config": planned.to_toml() });
     if arguments.measure {
-        let shared = shared(arguments, &planned, &scene.train)?;
+        let bench = bench(arguments, &planned, &scene.train, &findings)?;
         drop(scene);
-        let code = bench::training::run(&bench_arguments(arguments, shared, &findings))?;
-        if code != 0 {
-            return Ok(code);
-        }
-        let rows = effects(arguments)?;
+        let Some(rows) = training::measure(&bench)? else { return Ok(EXIT_CODE) };
+        let rows = effects(&rows);
         terminal::line(table(&rows));
         report["effects"] = json!(rows);
         if let Some(verdict) = verdict(&rows) {
@@ -62,8 +62,14 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// The settings of all trainings: brief ones of equal samples, measured at their end on training views kept back.
-fn shared(arguments: &PlanArguments, planned: &Config, train: &ViewSet) -> Result<SettingsArguments> {
+/// What is trained: brief runs of equal samples, measured at their end on training views kept back. One with nothing left
+/// out, then one more for each decision that leaves something out.
+fn bench(
+    arguments: &PlanArguments,
+    planned: &Config,
+    train: &ViewSet,
+    findings: &[Finding],
+) -> Result<Bench> {
     if !(arguments.samples.is_finite() && arguments.samples > 0.0) {
         return Err(Error::input(
             "--samples",
@@ -73,29 +79,19 @@ fn shared(arguments: &PlanArguments, planned: &Config, train: &ViewSet) -> Resul
     }
     let steps = (arguments.samples * 1e6 / f64::from(planned.train.samples_per_step)).ceil();
     let frames = train.views.len() / train.scales.len().max(1);
-    let mut settings = arguments.settings.clone();
-    settings.set.extend([
-        format!("train.steps={steps:.0}"),
-        format!("data.root={}", toml::Value::String(planned.data.root.clone())),
-        format!("train.samples_per_step={}", planned.train.samples_per_step),
-        "eval.share=0".into(),
-        "eval.min_gain=0".into(),
-        "train.checkpoint_seconds=0".into(),
-        format!("data.holdout={}", (frames / KEPT_BACK).max(2)),
-        "eval.points=0".into(),
-        "eval.final=1".into(),
-        "eval.images=0".into(),
-        "eval.min_psnr=0".into(),
-    ]);
-    Ok(settings)
-}
-
-/// One training with nothing left out, then one more for each decision that leaves something out.
-fn bench_arguments(
-    arguments: &PlanArguments,
-    settings: SettingsArguments,
-    findings: &[Finding],
-) -> BenchArguments {
+    let base = settings::load(&arguments.settings)?
+        .0
+        .with("train.steps", steps as i64)?
+        .with("data.root", planned.data.root.as_str())?
+        .with("train.samples_per_step", i64::from(planned.train.samples_per_step))?
+        .with("eval.share", 0)?
+        .with("eval.min_gain", 0)?
+        .with("train.checkpoint_seconds", 0)?
+        .with("data.holdout", (frames / KEPT_BACK).max(2) as i64)?
+        .with("eval.points", 0)?
+        .with("eval.final", 1)?
+        .with("eval.images", 0)?
+        .with("eval.min_psnr", 0)?;
     let mut taken: Vec<&str> =
         findings.iter().filter(|f| f.left_out && f.decision != BLIND).map(|f| f.decision.as_str()).collect();
     // Whether directions are needed the data do not tell; a training does.
@@ -108,46 +104,49 @@ fn bench_arguments(
             true => format!("plan.{key}={}", if forced(key) { "on" } else { "auto" }),
             false => format!("plan.{key}=off"),
         });
-        format!("{name}: {}", choices.collect::<Vec<_>>().join("; "))
+        Variant { name, assignments: choices.collect() }
     };
-    BenchArguments {
-        render: None,
-        width: 48,
-        settings,
+    Ok(Bench {
+        base,
         variants: (0..=taken.len()).map(variant).collect(),
-        vary: Vec::new(),
-        no_base: true,
         seeds: arguments.seeds,
         reach: Vec::new(),
         out: arguments.out.clone(),
-    }
+    })
 }
 
-/// What the bench wrote: its variants in their order.
-fn effects(arguments: &PlanArguments) -> Result<Vec<Value>> {
-    let path = arguments.out.join("bench.json");
-    let broken = |error: &dyn std::fmt::Display| Error::run(format!("{}: {error}", path.display()));
-    let text = std::fs::read(&path).map_err(|error| broken(&error))?;
-    let report: Value = serde_json::from_slice(&text).map_err(|error| broken(&error))?;
-    let rows = report["variants"].as_array().cloned().unwrap_or_default();
-    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
-    let first = rows.first().cloned().unwrap_or_default();
-    let mut before = first.clone();
-    let mut effects = Vec::new();
-    for row in &rows {
-        effects.push(json!({
-            "plan": row["name"],
-            "psnr": number(row, "psnr"),
-            "psnr_change": number(row, "psnr") - number(&before, "psnr"),
-            // The larger of both that are compared.
-            "psnr_spread": number(row, "spread").max(number(&before, "spread")),
-            "seconds": number(row, "seconds"),
-            "seconds_share": number(row, "seconds") / number(&first, "seconds"),
-            "model_bytes": number(row, "model_bytes"),
-        }));
-        before = row.clone();
-    }
-    Ok(effects)
+/// What one more decision costs and saves.
+#[derive(Debug, Serialize)]
+struct Effect {
+    plan: String,
+    psnr: f64,
+    /// Against the training before it, dB.
+    psnr_change: f64,
+    /// Between seeds, the larger of both that are compared, dB.
+    psnr_spread: f64,
+    seconds: f64,
+    /// Of the first training's.
+    seconds_share: f64,
+    model_bytes: f64,
+}
+
+/// The effects of the trainings in their order.
+fn effects(rows: &[Row]) -> Vec<Effect> {
+    rows.iter()
+        .enumerate()
+        .map(|(i, row)| {
+            let before = &rows[i.saturating_sub(1)];
+            Effect {
+                plan: row.name.clone(),
+                psnr: row.psnr,
+                psnr_change: row.psnr - before.psnr,
+                psnr_spread: row.spread.max(before.spread),
+                seconds: row.seconds,
+                seconds_share: row.seconds / rows[0].seconds,
+                model_bytes: row.model_bytes,
+            }
+        })
+        .collect()
 }
 
 /// What the trainings say of directions.
@@ -157,9 +156,10 @@ struct Verdict {
     text: String,
 }
 
-fn verdict(rows: &[Value]) -> Option<Verdict> {
-    let row = rows.iter().find(|row| row["plan"] == format!("and {BLIND}"))?;
-    let (change, spread) = (row["psnr_change"].as_f64()?, row["psnr_spread"].as_f64()?);
+fn verdict(effects: &[Effect]) -> Option<Verdict> {
+    let name = format!("and {BLIND}");
+    let effect = effects.iter().find(|effect| effect.plan == name && effect.psnr_change.is_finite())?;
+    let (change, spread) = (effect.psnr_change, effect.psnr_spread);
     let needed = (change.abs() > spread.max(CHANCE)).then_some(change < 0.0);
     let verdict = match needed {
         Some(true) => "needed",
@@ -170,18 +170,17 @@ fn verdict(rows: &[Value]) -> Option<Verdict> {
     Some(Verdict { needed, text })
 }
 
-fn table(rows: &[Value]) -> String {
+fn table(effects: &[Effect]) -> String {
     let mut cells =
         vec![["plan", "PSNR / dB", "change", "seconds", "of all", "model"].map(String::from).to_vec()];
-    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or(f64::NAN);
-    for row in rows {
+    for effect in effects {
         cells.push(vec![
-            row["plan"].as_str().unwrap_or_default().into(),
-            format!("{:.2}", number(row, "psnr")),
-            format!("{:+.2}", number(row, "psnr_change")),
-            format!("{:.1}", number(row, "seconds")),
-            format!("{:.0} %", 100.0 * number(row, "seconds_share")),
-            terminal::bytes(number(row, "model_bytes") as u64),
+            effect.plan.clone(),
+            format!("{:.2}", effect.psnr),
+            format!("{:+.2}", effect.psnr_change),
+            format!("{:.1}", effect.seconds),
+            format!("{:.0} %", 100.0 * effect.seconds_share),
+            terminal::bytes(effect.model_bytes as u64),
         ]);
     }
     aligned(&cells)
@@ -191,17 +190,19 @@ fn table(rows: &[Value]) -> String {
 mod tests {
     use super::*;
 
+    fn effect(plan: &str, psnr_change: f64) -> Effect {
+        let (psnr, seconds, seconds_share, model_bytes) = (25.0, 1.0, 1.0, 1e6);
+        Effect { plan: plan.into(), psnr, psnr_change, psnr_spread: 0.1, seconds, seconds_share, model_bytes }
+    }
+
     #[test]
     fn directions_are_needed_where_leaving_them_out_costs() {
         let verdict = |change: f64| {
-            let rows = [
-                json!({ "plan": "nothing left out", "psnr_change": 0.0, "psnr_spread": 0.1 }),
-                json!({ "plan": "and directions", "psnr_change": change, "psnr_spread": 0.1 }),
-            ];
-            verdict(&rows).map(|verdict| verdict.needed)
+            verdict(&[effect("nothing left out", 0.0), effect("and directions", change)])
+                .map(|verdict| verdict.needed)
         };
         assert_eq!([-0.41, -0.09, 0.2].map(verdict), [Some(Some(true)), Some(None), Some(Some(false))]);
-        assert_eq!(verdict(f64::NAN), None, "JSON has no such number");
-        assert!(super::verdict(&[json!({ "plan": "nothing left out" })]).is_none());
+        assert_eq!(verdict(f64::NAN), None, "nothing was measured");
+        assert!(super::verdict(&[effect("nothing left out", 0.0)]).is_none());
     }
 }

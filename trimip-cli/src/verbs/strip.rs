@@ -2,9 +2,12 @@
 //! A row for each model, the original below where there is one, and every picture's PSNR against it in dB.
 
 use super::render;
-use crate::{args::RenderArguments, backends, cameras, interrupt, pictures, run_folder, settings, terminal};
+use crate::{args::RenderArguments, interrupt, terminal};
 use image::{GenericImage, RgbImage, imageops};
 use std::sync::atomic::Ordering;
+use trimip::run::folder as run_folder;
+use trimip::view::{cameras, pictures};
+use trimip::{backends, settings};
 use trimip_core::{
     Alpha, Camera, Config, Error, Result,
     config::{DataConfig, Format},

@@ -1,37 +1,41 @@
-//! How fine a scene is resolved: texels, marching steps and occupancy cells follow what a pixel of the photographs sees at
-//! the distance of the box, as far as the budget goes.
+//! Resolution of a scene: texels, marching steps and occupancy cells follow the footprint of a pixel of the photographs at
+//! the distance of the box, within the budget.
 
-use super::{Context, Proposal, recipe};
-use crate::config::PlanChoice;
+use super::{Context, Proposal, tri_mip};
+use crate::config::{EncoderKind, PlanChoice};
 use crate::{Aabb, Config, ViewSet};
 use toml::Value;
 
-/// Samples of a budget below which each width of a texel serves best, and the width in widths of what a pixel sees: finer
-/// texels are met by fewer rays, and every step passes over all of them.
-const TEXELS: [(f64, f64); 3] = [(1e8, 2.4), (1e9, 2.1), (f64::INFINITY, 1.6)];
-
-/// Length of a uniform marching step in widths of what a pixel sees.
+/// Length of a uniform marching step in pixel footprints.
 const STEP: f64 = 1.4;
 
-/// Width of an occupancy cell in widths of what a pixel sees.
+/// Width of an occupancy cell in pixel footprints.
 const CELL: f64 = 6.4;
 
-/// Steps along the diagonal at least, for photographs of few pixels, and at most: more are shorter than texels.
+/// Fewest steps along the diagonal, for photographs of few pixels, and most: more are shorter than texels.
 const STEPS: [f64; 2] = [512.0, 1024.0];
 
-/// Occupancy cells along a side at least, for photographs of few pixels.
+/// Fewest occupancy cells along a side, for photographs of few pixels.
 const LEAST_CELLS: u32 = 64;
 
-/// Texels along a side at least: a plane of fewer is smaller than its mip levels are good for.
-const LEAST_TEXELS: f64 = 64.0;
-
-/// True where this decision sets the planes' size.
-pub(super) fn sets_planes(context: &Context<'_>) -> bool {
-    acts(context, "encoder.plane_size")
+/// How fine an encoder resolves the scene.
+pub(super) struct Fineness {
+    /// Name of its smallest parts.
+    pub(super) what: &'static str,
+    /// World width of one.
+    pub(super) width: f64,
+    /// Settings of the encoder that follow.
+    pub(super) changes: Vec<(&'static str, Value)>,
 }
 
-/// True where this decision sets `path`.
-fn acts(context: &Context<'_>, path: &str) -> bool {
+/// Decides how fine an encoder resolves the scene.
+type Detail = fn(&Context<'_>) -> Fineness;
+
+/// The decision of each encoder about its own detail.
+const ENCODERS: &[(EncoderKind, Detail)] = &[(EncoderKind::TriMip, tri_mip::detail)];
+
+/// True if this decision sets `path`.
+pub(super) fn acts(context: &Context<'_>, path: &str) -> bool {
     match context.configured.plan.detail {
         PlanChoice::Off => false,
         PlanChoice::Auto => !context.given(path),
@@ -39,31 +43,7 @@ fn acts(context: &Context<'_>, path: &str) -> bool {
     }
 }
 
-/// World width of a texel of the planes, along the box's longest side, that the settings or this decision ask for.
-pub(super) fn texel(context: &Context<'_>) -> f64 {
-    let longest = Aabb::<f64>::new(&context.now.scene).longest();
-    match footprint(context.facts.train, &Aabb::new(&context.now.scene)).filter(|_| sets_planes(context)) {
-        Some(footprint) => {
-            let most = f64::from(context.configured.encoder.plane_size);
-            (width_for_budget(context) * footprint).clamp(longest / most, longest / LEAST_TEXELS.min(most))
-        }
-        None => configured_texel(context.configured),
-    }
-}
-
-/// Width of the texels to be, in widths of what a pixel sees; `None` where there is no photograph.
-pub(super) fn texel_in_pixels(context: &Context<'_>) -> Option<f64> {
-    let footprint = footprint(context.facts.train, &Aabb::new(&context.now.scene))?;
-    Some(texel(context) / footprint)
-}
-
-/// Width of a texel in widths of what a pixel sees, for the budget.
-fn width_for_budget(context: &Context<'_>) -> f64 {
-    let samples = recipe::budget(context.now, context.facts.compute.samples_per_second);
-    TEXELS.iter().find(|(most, _)| samples < *most).map_or(1.6, |(_, width)| *width)
-}
-
-/// World width of an occupancy cell that the settings or this decision ask for.
+/// World width of an occupancy cell, from the settings or this decision.
 pub(super) fn cell(context: &Context<'_>) -> f64 {
     let pixel = footprint(context.facts.train, &Aabb::new(&context.now.scene));
     if let Some(pixel) = pixel.filter(|_| acts(context, "occupancy.resolution")) {
@@ -72,23 +52,9 @@ pub(super) fn cell(context: &Context<'_>) -> f64 {
     box_side(context.configured) / f64::from(context.configured.occupancy.resolution)
 }
 
-/// Side of the cube that is as large as the box.
+/// Side of a cube with the volume of the box.
 pub(super) fn box_side(config: &Config) -> f64 {
     Aabb::<f64>::new(&config.scene).extent().iter().product::<f64>().cbrt()
-}
-
-/// World width of a texel of the configured planes, along the longest side.
-pub(super) fn configured_texel(configured: &Config) -> f64 {
-    Aabb::<f64>::new(&configured.scene).longest() / f64::from(configured.encoder.plane_size)
-}
-
-/// The smallest number of texels along the longest side that is no coarser than `texel`.
-pub(super) fn plane_size(config: &Config, texel: f64) -> u32 {
-    let unit = config.encoder.texel_unit();
-    let longest = Aabb::<f64>::new(&config.scene).longest();
-    // One part in a thousand less is the same texel.
-    let enough = (longest / texel * 0.999).ceil().clamp(1.0, 4096.0) as u32;
-    enough.next_multiple_of(unit).clamp(unit.max(4), 4096 / unit * unit)
 }
 
 pub(super) fn decide(context: &Context<'_>) -> Proposal {
@@ -96,24 +62,21 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     let Some(footprint) = footprint(context.facts.train, &aabb) else {
         return Proposal::Keep("there is no photograph".into());
     };
-    let mut changes = Vec::new();
-    let texel = texel(context);
-    if sets_planes(context) {
-        let size = plane_size(context.now, texel);
-        changes.push(("encoder.plane_size", Value::Integer(size.into())));
-    }
+    let own = ENCODERS.iter().find(|(kind, _)| *kind == context.now.encoder.kind);
+    let Some((_, own)) = own else { return Proposal::Keep("the encoder has a detail of its own".into()) };
+    let Fineness { what, width, mut changes } = own(context);
     if acts(context, "renderer.steps_per_diagonal") {
-        // The configured box may be any: what counts is the step.
+        // The configured box is arbitrary: only the step matters.
         let steps = (aabb.longest() * 3_f64.sqrt() / (STEP * footprint)).clamp(STEPS[0], STEPS[1]);
         changes.push(("renderer.steps_per_diagonal", Value::Integer(steps.ceil() as i64)));
     }
     if changes.is_empty() {
-        return Proposal::Keep("planes and steps are given".into());
+        return Proposal::Keep("the encoder's detail and the steps are given".into());
     }
     let reason = format!(
-        "a pixel sees {} units at the distance of the box; texels are {:.1} and steps {:.1} times as wide",
+        "a pixel sees {} units at the distance of the box; {what} are {:.1} and steps {:.1} times as wide",
         significant(footprint),
-        texel / footprint,
+        width / footprint,
         changes.iter().find(|(path, _)| path.starts_with("renderer")).map_or(
             f64::from(context.now.step_length()) / footprint,
             |(_, steps)| aabb.longest() * 3_f64.sqrt() / steps.as_integer().unwrap_or(1) as f64 / footprint
@@ -122,8 +85,8 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     Proposal::Set { reason, changes }
 }
 
-/// World width of what a pixel of the finest photographs sees at the centre of the box: the median over the views.
-fn footprint(views: &ViewSet, aabb: &Aabb<f64>) -> Option<f64> {
+/// World width of the footprint of a pixel of the finest photographs at the centre of the box: the median over the views.
+pub(super) fn footprint(views: &ViewSet, aabb: &Aabb<f64>) -> Option<f64> {
     let centre = glam::DVec3::from_array(std::array::from_fn(|axis| 0.5 * (aabb.min[axis] + aabb.max[axis])));
     let mut widths: Vec<f64> = views
         .scales
@@ -131,7 +94,7 @@ fn footprint(views: &ViewSet, aabb: &Aabb<f64>) -> Option<f64> {
         .views
         .clone()
         .map(|view| &views.views[view].camera)
-        // A camera within the box sees what is half a box away.
+        // A camera within the box looks at points half a box away.
         .map(|camera| {
             let distance = (camera.origin - centre).length().max(0.25 * aabb.longest());
             distance / (camera.intrinsics.fx * camera.intrinsics.fy).sqrt()

@@ -1,10 +1,10 @@
-//! The radii of the spheres that a set of cameras can ask for.
+//! The range of sphere radii for a set of cameras.
 
 use crate::{Aabb, Camera};
 use glam::DVec3;
 
-/// Smallest and largest radius, world units, of any sphere of any pixel of `cameras` in `aabb`; none is smaller or larger,
-/// and a camera inside of the box begins at 0. `None` without cameras.
+/// Bounds of the radii, in world units, of the spheres of all pixels of `cameras` in `aabb`; 0 is the lower bound for a
+/// camera inside the box. `None` without cameras.
 pub fn range<'a>(cameras: impl IntoIterator<Item = &'a Camera>, aabb: &Aabb<f64>) -> Option<[f64; 2]> {
     let (min, max) = (DVec3::from_array(aabb.min), DVec3::from_array(aabb.max));
     let of = |camera: &Camera| {

@@ -1,34 +1,47 @@
-//! How a scene is trained: what is behind it, whether models are solids, and how large networks and steps are for the
-//! samples that the budget of time buys on this machine.
+//! Training recipe of a scene: its background, whether models are solid, and the size of networks and steps for the number
+//! of samples that the time budget allows on this machine.
 
-use super::{Context, Proposal, detail};
+use super::{Context, Proposal, tri_mip};
 use crate::config::Precision;
 use crate::{Config, ViewSet};
 use toml::Value;
 
-/// Weight of the loss of opacity where photographs have alpha: solids that hide any background.
+/// Weight of the opacity loss for photographs with alpha: it makes models solid.
 const OPACITY: f64 = 0.1;
 
 /// Alpha of an opaque pixel.
 const OPAQUE: u8 = 255;
 
-/// Samples of a budget below which each size of networks serves best, and the size; the last has no end.
+/// Best size of the networks for budgets of fewer samples than the first number; the last has no limit.
 const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
 
-/// Samples of a budget from which marching steps end at the uniform step, and from which at half of it.
+/// Budgets in samples from which the final marching step is the uniform step, and half of it.
 const FINE_STEPS: [f64; 2] = [1.5e9, 4e9];
 
-/// Levels that every sphere is sharper by where texels are fine: what coarse views win is more than what the finest ones lose.
-const LEVEL_BIAS: f64 = -0.5;
-
-/// Texels up to this many times as wide as what a pixel sees are fine. Wider ones are all that spheres read, and blur helps
-/// to learn them.
-const FINE_TEXELS: f64 = 3.0;
-
-/// Steps that a run has at least, so that its schedules have room.
+/// Fewest steps of a run, so that its schedules have an effect.
 const LEAST_STEPS: f64 = 1500.0;
 
-/// True where some pixel of the training photographs is not opaque.
+/// Samples per step for a device that needs large batches, for a long run, and the range for short runs.
+const WIDE_BATCH: i64 = 262_144;
+const LONG_BATCH: i64 = 65_536;
+const SHORT_BATCHES: [u64; 2] = [4096, 32_768];
+
+/// Marching steps over a run, for budgets below both of [`FINE_STEPS`], between them, and above: long steps learn the
+/// rough shape from few samples.
+const SHORT_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.1, 4.0], [0.5, 2.0]];
+const LONG_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.1, 4.0], [0.4, 2.0], [0.7, 1.0]];
+const LONGEST_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.0146, 4.0], [0.0583, 2.0], [0.292, 1.0], [0.972, 0.5]];
+
+/// Batch size over a long run: half at first, where samples are alike.
+const LONG_BATCH_SCALE: &[[f64; 2]] = &[[0.0, 0.5], [0.292, 1.0]];
+
+/// Milestones of the learning rate for the longest runs: it falls to a hundredth.
+const MILESTONES: [f64; 9] = [0.437, 0.583, 0.68, 0.758, 0.816, 0.865, 0.904, 0.933, 0.98];
+
+/// Width of the hidden layers for the largest budgets (paper).
+const WIDEST: u32 = 128;
+
+/// True if any pixel of the training photographs is not opaque.
 pub(super) fn has_alpha(views: &ViewSet) -> bool {
     let Some(coarsest) = views.scales.last() else { return false };
     views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] < OPAQUE)
@@ -64,7 +77,7 @@ pub(super) fn solids(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// Samples that the run may keep: of a budget of steps those it aims at, else what this machine trains in the time.
+/// Expected number of kept samples: the target for a budget in steps, otherwise what this machine trains in the time.
 pub(super) fn budget(config: &Config, samples_per_second: f64) -> f64 {
     match config.train.steps {
         0 => config.train.seconds * samples_per_second,
@@ -76,27 +89,26 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     let (config, compute) = (context.now, context.facts.compute);
     let samples = budget(config, compute.samples_per_second);
     let long = samples >= FINE_STEPS[0];
-    let hidden = WIDTHS.iter().find(|(most, _)| samples < *most).map_or(128, |(_, hidden)| *hidden);
+    let hidden = WIDTHS.iter().find(|(most, _)| samples < *most).map_or(WIDEST, |(_, hidden)| *hidden);
     let per_step = match samples {
-        _ if compute.wide => 262_144,
-        _ if long => 65_536,
-        _ => ((samples / LEAST_STEPS).max(1.0) as u64).next_power_of_two().clamp(4096, 32_768) as i64,
+        _ if compute.wide => WIDE_BATCH,
+        _ if long => LONG_BATCH,
+        _ => {
+            let [least, most] = SHORT_BATCHES;
+            ((samples / LEAST_STEPS).max(1.0) as u64).next_power_of_two().clamp(least, most) as i64
+        }
     };
     let pieces = |pieces: &[[f64; 2]]| {
         Value::Array(pieces.iter().map(|pair| Value::Array(pair.map(Value::Float).to_vec())).collect())
     };
     let step_scale: &[[f64; 2]] = match samples {
-        _ if samples >= FINE_STEPS[1] => {
-            &[[0.0, 8.0], [0.0146, 4.0], [0.0583, 2.0], [0.292, 1.0], [0.972, 0.5]]
-        }
-        _ if long => &[[0.0, 8.0], [0.1, 4.0], [0.4, 2.0], [0.7, 1.0]],
-        _ => &[[0.0, 8.0], [0.1, 4.0], [0.5, 2.0]],
+        _ if samples >= FINE_STEPS[1] => LONGEST_STEPS,
+        _ if long => LONG_STEPS,
+        _ => SHORT_STEPS,
     };
     let mut changes =
         vec![("field.hidden", Value::Integer(hidden.into())), ("renderer.step_scale", pieces(step_scale))];
-    if detail::texel_in_pixels(context).is_some_and(|width| width <= FINE_TEXELS) {
-        changes.push(("encoder.level_bias", Value::Float(LEVEL_BIAS)));
-    }
+    changes.extend(tri_mip::level_bias(context));
     if config.train.steps == 0 {
         changes.push(("train.samples_per_step", Value::Integer(per_step)));
     }
@@ -104,11 +116,10 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
         changes.push(("field.precision", Value::String("bf16".into())));
     }
     if long && !compute.wide {
-        changes.push(("train.batch_scale", pieces(&[[0.0, 0.5], [0.292, 1.0]])));
+        changes.push(("train.batch_scale", pieces(LONG_BATCH_SCALE)));
     }
     if samples >= FINE_STEPS[1] {
-        let milestones = [0.437, 0.583, 0.68, 0.758, 0.816, 0.865, 0.904, 0.933, 0.98];
-        changes.push(("optimizer.milestones", Value::Array(milestones.map(Value::Float).to_vec())));
+        changes.push(("optimizer.milestones", Value::Array(MILESTONES.map(Value::Float).to_vec())));
     }
     changes.retain(|(path, _)| !context.given(path));
     if changes.is_empty() {

@@ -1,5 +1,5 @@
-//! The box that holds an object, from its silhouettes: a coarse visual hull. Cells are carved where a photograph shows
-//! nothing but background; what no photograph can tell stays.
+//! The box that holds an object, from its silhouettes: a coarse visual hull. Cells are carved if a photograph shows
+//! only background there; cells that no photograph decides are kept.
 
 use crate::{Aabb, Camera, Scale, ViewSet};
 use glam::DVec3;
@@ -7,26 +7,26 @@ use glam::DVec3;
 /// Cells along each side of the first pass, over the whole box, and of the second, over what the first left.
 const CELLS: [usize; 2] = [48, 96];
 
-/// Silhouettes looked at, at most: fewer only leave a larger hull, since the other views still say what they see.
+/// Largest number of silhouettes used: fewer only give a larger hull.
 const MOST_VIEWS: usize = 128;
 
-/// Width or height in pixels below which a scale is too coarse, where there is a finer one.
+/// Smallest width or height in pixels of a scale that is used, if there is a finer one.
 const FINE_ENOUGH: u32 = 128;
 
-/// Where a view shows something: sums of pixels with any opacity over every rectangle from the upper left corner.
+/// The silhouette of a view: sums of pixels with any opacity over every rectangle from the upper left corner.
 struct Silhouette {
     camera: Camera,
-    /// `None` for a photograph without any clear pixel: it sees, but tells nothing.
+    /// `None` for a photograph without transparent pixels: it carves nothing.
     sums: Option<Vec<u32>>,
 }
 
-/// What a view says of a cell.
+/// Relation of a cell to a view.
 enum Verdict {
     /// It lies outside of the photograph.
     Unseen,
-    /// Something may be there.
+    /// The object may be there.
     Maybe,
-    /// Background alone.
+    /// Only background.
     Empty,
 }
 
@@ -48,13 +48,13 @@ impl Silhouette {
         Self { camera, sums: Some(sums) }
     }
 
-    /// Pixels that show something in columns and rows `low` to `high`, the last excluded.
+    /// Number of object pixels in columns and rows `low` to `high`, the last excluded.
     fn count(&self, sums: &[u32], low: [usize; 2], high: [usize; 2]) -> u32 {
         let at = |x: usize, y: usize| sums[y * (self.camera.intrinsics.width as usize + 1) + x];
         at(high[0], high[1]) + at(low[0], low[1]) - at(low[0], high[1]) - at(high[0], low[1])
     }
 
-    /// What it says of a ball around `centre`.
+    /// Relation of a ball around `centre` to the view.
     fn verdict(&self, centre: DVec3, radius: f64) -> Verdict {
         let k = &self.camera.intrinsics;
         let at = self.camera.rotation.transpose() * (centre - self.camera.origin);
@@ -83,7 +83,7 @@ impl Silhouette {
     }
 }
 
-/// True where some photograph has a clear pixel.
+/// True if any photograph has a transparent pixel.
 pub fn any(views: &ViewSet) -> bool {
     let Some(coarsest) = views.scales.last() else { return false };
     views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] == 0)
@@ -107,7 +107,7 @@ pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, share: f64) -> Option<Aabb<f64>
             _ => Silhouette { camera: views.views[index].camera, sums: None },
         })
         .collect();
-    // Those that tell something first: most cells are carved before the others are asked.
+    // Views with silhouettes first: most cells are carved before the others are used.
     silhouettes.sort_by_key(|silhouette| silhouette.sums.is_none());
     if silhouettes.first().is_none_or(|silhouette| silhouette.sums.is_none()) {
         return None;
@@ -123,7 +123,7 @@ fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, least: usize
     let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
     for i in 0..cells.pow(3) {
         let index = [i % cells, i / cells % cells, i / cells / cells];
-        // Inside of what is already known to be kept there is nothing to learn.
+        // Cells within the bounds found so far need no test.
         if (0..3).all(|axis| low[axis] <= index[axis] && index[axis] < high[axis]) {
             continue;
         }
@@ -139,7 +139,7 @@ fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, least: usize
     (high[0] > 0).then(|| Aabb { min: corner(low), max: corner(high) })
 }
 
-/// True unless a view shows background there, or fewer than `least` see it: what no ray meets is never learnt.
+/// True unless a view shows background there or fewer than `least` views see it: unseen cells cannot be learned.
 fn kept(silhouettes: &[Silhouette], centre: DVec3, radius: f64, least: usize) -> bool {
     let mut seen = 0;
     for silhouette in silhouettes {

@@ -22,11 +22,11 @@ use trimip_core::{Camera, Error, Intrinsics, Result};
 pub const CAMERA_ANGLE_X: f64 = 0.691_111_207_008_361_8;
 /// Distance of the cameras from the origin, about that of NeRF-synthetic.
 pub const CAMERA_RADIUS: f64 = 4.03;
-/// π·(3 − √5): the turn that spreads points evenly, however many there are.
+/// π·(3 − √5), the golden angle: it spreads any number of points evenly.
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 
 /// A camera that looks at the origin from `radius`, `elevation` above the plane z = 0 and turned by `azimuth` from the
-/// x axis towards y (radians); z is up in the image. Elevations of ±π/2 and beyond have no upright view.
+/// x axis towards y (radians); z is up in the image. Elevations of ±π/2 and beyond have no upright orientation.
 pub fn orbit(intrinsics: Intrinsics, radius: f64, elevation: f64, azimuth: f64) -> Camera {
     let (up, out) = elevation.sin_cos();
     let origin = radius * DVec3::new(out * azimuth.cos(), out * azimuth.sin(), up);
@@ -38,7 +38,7 @@ pub fn turntable(intrinsics: Intrinsics, radius: f64, elevation: f64, count: usi
     (0..count).map(|i| orbit(intrinsics, radius, elevation, TAU * i as f64 / count as f64)).collect()
 }
 
-/// Training cameras: a golden-angle spiral, even in area over the upper hemisphere.
+/// Training cameras: a golden-angle spiral, uniform in area over the upper hemisphere.
 pub fn train_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
     (0..count)
         .map(|i| {
@@ -64,8 +64,8 @@ pub fn test_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
 }
 
 /// Straight 8-bit RGBA of the scene, row by row: the mean over `supersampling`² rays per pixel at the centres of a
-/// regular grid. Colour is the mean over the rays that hit, alpha their share; both are rounded. `finish` says which
-/// surfaces mirror and shine. `row` is called after each row, from any thread.
+/// regular grid. Colour is the mean over the rays that hit, alpha their share; both are rounded. `finish` selects
+/// the glossy surfaces. `row` is called after each row, from any thread.
 pub fn render(camera: &Camera, supersampling: u32, finish: Finish, row: &(dyn Fn() + Sync)) -> Vec<[u8; 4]> {
     let k = camera.intrinsics;
     let n = supersampling.max(1);
@@ -84,7 +84,7 @@ fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, finish: Finish) -> [u8;
     let direction = |x: f64, y: f64| {
         (camera.rotation * DVec3::new((x - k.cx) / k.fx, -(y - k.cy) / k.fy, -1.0)).normalize()
     };
-    // Half the pixel's diagonal at unit depth bounds the angle of its rays to the central one.
+    // Half the pixel's diagonal at unit depth bounds the angle between its rays and the central one.
     let spread = 0.5 * k.fx.recip().hypot(k.fy.recip());
     let near = scene::near_line(camera.origin, direction(x + 0.5, y + 0.5), spread);
     if near == 0 {
@@ -109,7 +109,7 @@ fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, finish: Finish) -> [u8;
     [r, g, b, byte(f64::from(hits) * step * step)]
 }
 
-/// Frames of a split, to be rendered when their pixels are asked for.
+/// Frames of a split, rendered on request.
 pub(crate) fn split(config: &DataConfig, split: &str) -> Result<Split> {
     for (key, value, range) in [
         ("data.builtin_size", config.builtin_size, 1..=16_384),
@@ -152,7 +152,7 @@ mod tests {
     use std::f64::consts::PI;
 
     fn difference(a: &[[u8; 4]], b: &[[u8; 4]]) -> f64 {
-        // On white, where neither colour nor alpha of a clear pixel matters alone.
+        // On white, where the colour of a transparent pixel does not matter.
         let white = |p: &[u8; 4]| {
             let a = f64::from(p[3]) / 255.0;
             [0, 1, 2].map(|c| f64::from(p[c]) / 255.0 * a + 1.0 - a)

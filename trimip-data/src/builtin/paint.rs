@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 #[derive(Clone, Copy)]
 pub(super) enum Paint {
     Plain(DVec3),
-    /// Squares of a side, seen from above; the wall of a drum is striped.
+    /// Checkers of a given side, seen from above; the wall of a drum is striped.
     Checker(DVec3, DVec3, f64),
     /// Rings around the z axis, a pair of them per period.
     Rings(DVec3, DVec3, f64),
@@ -23,7 +23,7 @@ pub(super) enum Paint {
     },
 }
 
-/// What is written, five columns a letter; a column's lowest bit is its top. An empty column follows each letter.
+/// The text, five columns per letter, an empty column after each. The lowest bit of a column is at the top.
 const WORD: [[u8; 5]; 10] = [
     [0x01, 0x01, 0x7f, 0x01, 0x01], // T
     [0x7f, 0x09, 0x19, 0x29, 0x46], // R
@@ -38,7 +38,7 @@ const WORD: [[u8; 5]; 10] = [
 ];
 /// Dots around the wall that one word takes.
 const WORD_DOTS: f64 = 60.0;
-/// How often the word stands around the wall, line by line from the top.
+/// Repetitions of the word around the wall, line by line from the top.
 const LINES: [f64; 6] = [1.0, 2.0, 3.0, 4.0, 6.0, 8.0];
 /// Dots from a line's top to the next one's: seven of a letter and the gap.
 const LINE_DOTS: f64 = 9.0;
@@ -47,7 +47,7 @@ impl Paint {
     /// Colour at a point of a surface with this normal.
     pub(super) fn color(&self, point: DVec3, normal: DVec3) -> DVec3 {
         let odd = |value: f64| value.floor().rem_euclid(2.0) == 1.0;
-        // On the axis of a round shape the angle is that of its normal.
+        // On the axis of a round shape the angle comes from the normal.
         let turn = normal.y.atan2(normal.x) / TAU;
         match *self {
             Self::Plain(color) => color,
@@ -89,7 +89,7 @@ fn letters(turn: f64, down: f64) -> bool {
         let (row, column) = ((down - start) * words, turn.rem_euclid(1.0) * words * WORD_DOTS % WORD_DOTS);
         if row < LINE_DOTS {
             let letter = WORD[(column / 6.0) as usize % WORD.len()];
-            // The sixth column and the rows above and below the letter are paper.
+            // The sixth column and the rows above and below a letter are paper.
             let bits = letter.get((column % 6.0) as usize).copied().unwrap_or(0);
             return (0.0..7.0).contains(&row) && bits >> (row as u32) & 1 == 1;
         }

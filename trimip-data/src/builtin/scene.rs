@@ -1,5 +1,5 @@
-//! What stands in the built-in scene and how it is lit: patterns finer than a coarse pixel, lines of letters, pins down
-//! to half a pixel's width, a ball that mirrors the others. Colours in [0, 1], image values.
+//! The objects and lights of the built-in scene: patterns finer than a coarse pixel, lines of text, pins down to half a
+//! pixel, and a mirroring ball. Colours are image values in [0, 1].
 
 use super::{Shape, paint::Paint};
 use glam::DVec3;
@@ -11,19 +11,19 @@ static LIGHTS: LazyLock<[(DVec3, f64); 2]> = LazyLock::new(|| {
     let light = |toward: [f64; 3], strength| (DVec3::from(toward).normalize(), strength);
     [light([0.55, -0.4, 0.85], 0.58), light([-0.7, 0.35, 0.4], 0.20)]
 });
-/// Light from below and what the sky adds to it.
+/// Ambient light from below, and what the sky adds to it.
 const AMBIENT: (f64, f64) = (0.32, 0.14);
 
 const GROUND_TOP: f64 = -0.44;
-/// A surface that mirrors as much as this mirrors the other objects too, not the surroundings alone.
+/// Reflectance above which a surface also reflects the other objects, not the environment alone.
 const MIRROR: f64 = 0.5;
 
 struct Object {
     shape: Shape,
     paint: Paint,
-    /// Share of the mirrored surroundings at a right angle to the surface.
+    /// Reflectance at normal incidence.
     mirror: f64,
-    /// Strength and exponent of the lights' highlight (Phong).
+    /// Strength and exponent of the specular highlight (Phong).
     highlight: (f64, i32),
 }
 
@@ -70,11 +70,11 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
             highlight: (0.35, 18),
         },
     ];
-    // A sheaf of pins, thinner and thinner: at 192 pixels the thinnest is half a pixel wide.
+    // A row of ever thinner pins: at 192 pixels the thinnest is half a pixel wide.
     let heads = [rgb(0.90, 0.22, 0.16), rgb(0.98, 0.76, 0.18), rgb(0.10, 0.58, 0.62)];
     for (i, head) in (0..9).zip(heads.into_iter().cycle()) {
         let turn = TAU * f64::from(i) / 9.0;
-        // The golden ratio spreads the heights: heads of one height would share a row of a feature plane.
+        // The golden ratio spreads the heights: pins of equal height would share a row of a feature plane.
         let height = 0.62 + 0.22 * (0.618_034 * f64::from(i)).fract();
         let tip = rgb(0.46 * (turn + 1.1).cos(), 0.46 * (turn + 1.1).sin(), height);
         objects.push(matt(
@@ -105,8 +105,7 @@ pub fn shapes() -> impl Iterator<Item = Shape> {
     OBJECTS.iter().map(|object| object.shape)
 }
 
-/// Colour that arrives from where a ray enters the scene, `None` where it meets nothing; `origin` must lie outside of
-/// every solid.
+/// Colour seen along a ray, `None` if it hits nothing; `origin` must lie outside every solid.
 pub fn radiance(origin: DVec3, direction: DVec3) -> Option<[f64; 3]> {
     radiance_of(u32::MAX, origin, direction.try_normalize()?, Finish::Mixed).map(|color| color.to_array())
 }
@@ -172,7 +171,7 @@ impl Object {
         if mirror > 0.0 {
             // Schlick's approximation of Fresnel's reflectance.
             let share = mirror + (1.0 - mirror) * (1.0 + direction.dot(normal)).clamp(0.0, 1.0).powi(5);
-            // The ball is convex: a reflected ray never meets it again.
+            // The ball is convex: a reflected ray never hits it again.
             let others =
                 (mirror >= MIRROR).then(|| radiance_of(u32::MAX, point + 1e-6 * normal, reflected, finish));
             color = color.lerp(others.flatten().unwrap_or_else(|| surroundings(reflected)), share);
@@ -181,7 +180,7 @@ impl Object {
     }
 }
 
-/// Which objects can lie between a point and the first light, by where the point is seen from the light.
+/// Shadow map of the first light: the objects that can lie between a point and the light.
 static SHADOWS: LazyLock<ShadowMap> = LazyLock::new(ShadowMap::new);
 
 struct ShadowMap {
@@ -215,7 +214,7 @@ impl ShadowMap {
         Self { right, up, toward, cells }
     }
 
-    /// True where an object keeps the light from a point.
+    /// True if a point is in shadow.
     fn covers(&self, point: DVec3) -> bool {
         let index = |along: DVec3| {
             let share = (point.dot(along) / Self::REACH + 1.0) * 0.5;
@@ -226,7 +225,7 @@ impl ShadowMap {
     }
 }
 
-/// What a mirror sees: a sky that brightens upwards, a warm floor, two soft windows.
+/// The environment for reflections: a sky that brightens upwards, a warm floor, two soft windows.
 fn surroundings(direction: DVec3) -> DVec3 {
     let sky = DVec3::new(0.45, 0.62, 0.88).lerp(DVec3::new(0.92, 0.95, 1.0), direction.z.max(0.0));
     let floor = DVec3::new(0.42, 0.36, 0.30);
@@ -243,7 +242,7 @@ mod tests {
 
     #[test]
     fn the_scene_lies_well_inside_its_box() {
-        // Rays across the box outside of radius 1.2 meet nothing.
+        // Rays across the box outside radius 1.2 hit nothing.
         for i in 0..400 {
             let turn = 0.1 * f64::from(i);
             let side = DVec3::new(turn.cos(), turn.sin(), (0.37 * turn).sin()).normalize();
@@ -260,7 +259,7 @@ mod tests {
         let seen = |from: DVec3| DVec3::from(radiance(from, point - from).expect("the ball is there"));
         let (a, b) = (seen(DVec3::new(2.0, 3.0, 2.0)), seen(DVec3::new(1.0, 3.0, 3.0)));
         assert!((a - b).length() > 0.03, "{a} {b}");
-        // A matt point has one colour, a lacquered one of the ground more than one.
+        // A matt point has one colour, a lacquered point of the ground has several.
         let eyes = [DVec3::new(2.0, 3.0, 2.0), DVec3::new(1.0, 3.0, 3.0)];
         let change = |point: DVec3, finish| {
             let seen = |from: DVec3| radiance_of(u32::MAX, from, (point - from).normalize(), finish);
@@ -292,7 +291,7 @@ mod tests {
         for i in 0..4000 {
             let i = f64::from(i);
             let point = DVec3::new((0.7 * i).sin(), (1.1 * i).cos(), 0.6 * (0.3 * i).sin());
-            // Points outside of all objects; inside, where a ray leaves, no answer is asked for.
+            // Points outside all objects; the map is never queried inside.
             if shapes().any(|shape| shape.implicit(point) < 1e-6) || point.length() > 1.2 {
                 continue;
             }

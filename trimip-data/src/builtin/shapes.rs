@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-/// Hits nearer than this are the surface a ray starts from.
+/// Closer hits are the surface that a ray starts from.
 const SELF_HIT: f64 = 1e-9;
 
 /// A solid.
@@ -10,16 +10,16 @@ const SELF_HIT: f64 = 1e-9;
 pub enum Shape {
     /// Points whose offset from `center`, divided by `radii`, is shorter than 1.
     Ellipsoid {
-        /// Middle.
+        /// Its centre.
         center: DVec3,
         /// Half axes along x, y, z.
         radii: DVec3,
     },
     /// An upright cylinder with flat ends.
     Drum {
-        /// Middle.
+        /// Its centre.
         center: DVec3,
-        /// Of its circle.
+        /// Radius of its circle.
         radius: f64,
         /// Half its extent along z.
         half_height: f64,
@@ -30,7 +30,7 @@ pub enum Shape {
         start: DVec3,
         /// The other end.
         end: DVec3,
-        /// Of its round.
+        /// Its radius.
         radius: f64,
     },
 }
@@ -51,7 +51,7 @@ impl Shape {
                     o.truncate().length_squared() - radius * radius,
                 )
                 .filter(|t| (o.z + t * direction.z).abs() <= half_height);
-                // The end that faces the ray; a level ray meets neither (its t is not finite).
+                // The end that faces the ray; a horizontal ray hits neither (t is not finite).
                 let t = (-half_height.copysign(direction.z) - o.z) / direction.z;
                 let end = Some(t).filter(|&t| {
                     t > SELF_HIT && (o + t * direction).truncate().length_squared() <= radius * radius
@@ -65,7 +65,7 @@ impl Shape {
                 let a = length - along * along;
                 let b = length * o.dot(direction) - axis.dot(o) * along;
                 let c = length * (o.length_squared() - radius * radius) - axis.dot(o).powi(2);
-                // The ends lie within the endless cylinder too; only a ray along the axis, a = 0, knows no distance to it.
+                // The ends lie within the infinite cylinder too; only a ray along the axis, a = 0, has no distance to it.
                 if a > 1e-9 * length && b * b < a * c {
                     return None;
                 }
@@ -108,14 +108,14 @@ impl Shape {
         }
     }
 
-    /// False only where no ray from `origin` within the angle `spread` (its tangent) of `direction` can hit.
+    /// False only if no ray from `origin` within the angle `spread` (its tangent) of `direction` can hit.
     pub fn near_line(&self, origin: DVec3, direction: DVec3, spread: f64) -> bool {
         let (start, end, radius) = self.bound();
         let farthest = start.distance(origin).max(end.distance(origin)) + radius;
         self.line_distance(origin, direction) <= 1.001 * spread * farthest
     }
 
-    /// At most the distance of the surface to a line; negative where the line may meet the shape.
+    /// Lower bound of the distance between the surface and a line; negative if the line may hit the shape.
     pub fn line_distance(&self, origin: DVec3, direction: DVec3) -> f64 {
         let (start, end, radius) = self.bound();
         // The segment seen along the line: its point nearest to the line, on the plane across it.
@@ -137,7 +137,7 @@ impl Shape {
     }
 }
 
-/// Smaller root of a·t² + 2·b·t + c = 0 that lies ahead.
+/// The smallest positive root of a·t² + 2·b·t + c = 0.
 fn entry(a: f64, b: f64, c: f64) -> Option<f64> {
     let discriminant = b * b - a * c;
     // A NaN fails both comparisons.

@@ -12,8 +12,8 @@ struct Params {
     // In fours: first and number of parameters.
     start: u32,
     count: u32,
-    // Texels without any gradient stay as they are.
-    skip: u32,
+    // Groups of this many parameters, a power of two up to 16, stay as they are where none has a gradient; 0: all move.
+    group: u32,
 }
 
 @group(0) @binding(0) var<storage, read_write> parameters: array<vec4<f32>>;
@@ -37,21 +37,31 @@ fn update(
     }
     let at = params.start + i;
     let raw = gradients[at];
-    if params.skip != 0u && all(raw == vec4<f32>(0.0)) {
-        let texel = params.start + i / 4u * 4u;
+    var moves = vec4<bool>(true);
+    if params.group >= 4u && all(raw == vec4<f32>(0.0)) {
+        let fours = params.group / 4u;
+        let first = params.start + i / fours * fours;
         var none = true;
-        for (var j = 0u; j < 4u; j++) {
-            none = none && all(gradients[texel + j] == vec4<f32>(0.0));
+        for (var j = 0u; j < fours; j++) {
+            none = none && all(gradients[first + j] == vec4<f32>(0.0));
         }
         if none {
             return;
         }
+    } else if params.group == 2u {
+        let pairs = vec2<bool>(any(raw.xy != vec2<f32>(0.0)), any(raw.zw != vec2<f32>(0.0)));
+        moves = pairs.xxyy;
+    } else if params.group == 1u {
+        moves = raw != vec4<f32>(0.0);
     }
     let gradient = raw / sums[1];
     var parameter = parameters[at];
     var m = first_moments[at];
     var v = second_moments[at];
     for (var c = 0u; c < 4u; c++) {
+        if !moves[c] {
+            continue;
+        }
         let g = gradient[c];
         // Beyond f32, or not a number.
         if (bitcast<u32>(g * g) & 0x7f800000u) == 0x7f800000u {

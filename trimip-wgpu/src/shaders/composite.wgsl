@@ -1,34 +1,30 @@
-// Volume rendering along each ray, and its gradient.
+// Volume rendering along each cone, and the mean of the cones of each pixel.
 
 struct Params {
     background: vec3<f32>,
     count: u32,
-    // Rays have targets with backgrounds of their own.
+    // Pixels have targets with backgrounds of their own.
     targets: u32,
 }
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
-// Five floats a ray: colour, opacity, depth.
+// Five floats a pixel: colour, opacity, depth.
 @group(0) @binding(1) var<storage, read_write> pixels: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
 // Eight floats a ray, of which the last is the cosine.
 @group(0) @binding(5) var<storage, read> rays: array<f32>;
-// Eight floats a ray: colour, weight, background, opacity.
+// Eight floats a pixel: colour, weight, background, opacity.
 @group(0) @binding(6) var<storage, read> targets: array<f32>;
+// First cone and number of cones of each pixel.
+@group(0) @binding(7) var<storage, read> pixel_groups: array<vec2<u32>>;
+// Five floats a cone.
+@group(0) @binding(8) var<storage, read_write> cones: array<f32>;
 
-@compute @workgroup_size(GROUP)
-fn composite(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let i = index_of(group, groups, local);
-    if i >= params.count {
-        return;
-    }
-    let segment = segments[i];
+// Colour on the background, opacity and depth of a cone.
+fn composite_cone(cone: u32, background: vec3<f32>) -> array<f32, 5> {
+    let segment = segments[cone];
     var rgb = vec3<f32>(0.0);
     var opacity = 0.0;
     var distance = 0.0;
@@ -43,14 +39,35 @@ fn composite(
         depth_before += depth;
         transmittance = exp(-depth_before);
     }
+    rgb += transmittance * background;
+    return array<f32, 5>(rgb.r, rgb.g, rgb.b, min(opacity, 1.0), distance * rays[8u * cone + 7u]);
+}
+
+@compute @workgroup_size(GROUP)
+fn composite(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count {
+        return;
+    }
     var background = params.background;
     if params.targets != 0u {
         background = vec3<f32>(targets[8u * i + 4u], targets[8u * i + 5u], targets[8u * i + 6u]);
     }
-    rgb += transmittance * background;
-    pixels[5u * i] = rgb.r;
-    pixels[5u * i + 1u] = rgb.g;
-    pixels[5u * i + 2u] = rgb.b;
-    pixels[5u * i + 3u] = min(opacity, 1.0);
-    pixels[5u * i + 4u] = distance * rays[8u * i + 7u];
+    let own = pixel_groups[i];
+    var sum: array<f32, 5>;
+    for (var cone = own.x; cone < own.x + own.y; cone++) {
+        let values = composite_cone(cone, background);
+        for (var c = 0u; c < 5u; c++) {
+            cones[5u * cone + c] = values[c];
+            sum[c] += values[c];
+        }
+    }
+    let share = 1.0 / f32(own.y);
+    for (var c = 0u; c < 5u; c++) {
+        pixels[5u * i + c] = sum[c] * share;
+    }
 }

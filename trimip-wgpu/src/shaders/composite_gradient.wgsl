@@ -9,25 +9,16 @@ struct Params {
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
-@group(0) @binding(5) var<storage, read> pixels: array<f32>;
+@group(0) @binding(5) var<storage, read> cones: array<f32>;
 @group(0) @binding(6) var<storage, read> pixel_gradients: array<vec4<f32>>;
+// First cone and number of cones of each pixel.
+@group(0) @binding(7) var<storage, read> pixel_groups: array<vec2<u32>>;
 
-@compute @workgroup_size(GROUP)
-fn composite_gradient(
-    @builtin(workgroup_id) group: vec3<u32>,
-    @builtin(num_workgroups) groups: vec3<u32>,
-    @builtin(local_invocation_index) local: u32,
-) {
-    let i = index_of(group, groups, local);
-    if i >= params.count {
-        return;
-    }
-    let segment = segments[i];
-    // Opacity is a fourth channel: 1 for every sample, 0 for the background.
-    let gradient = pixel_gradients[i];
-    // Everything behind the sample, background included: starts as the whole pixel.
-    let pixel = vec4<f32>(pixels[5u * i], pixels[5u * i + 1u], pixels[5u * i + 2u], pixels[5u * i + 3u]);
-    var behind = dot(pixel, gradient);
+fn cone_gradient(cone: u32, gradient: vec4<f32>) {
+    let segment = segments[cone];
+    // Everything behind the sample, background included: starts as the whole cone.
+    let whole = vec4<f32>(cones[5u * cone], cones[5u * cone + 1u], cones[5u * cone + 2u], cones[5u * cone + 3u]);
+    var behind = dot(whole, gradient);
     var transmittance = 1.0;
     var depth_before = 0.0;
     for (var j = segment.x; j < segment.x + segment.y; j++) {
@@ -39,5 +30,23 @@ fn composite_gradient(
         transmittance = exp(-depth_before);
         behind -= weight * shade;
         gradients[j] = vec4<f32>(gradient.rgb * weight, (transmittance * shade - behind) * length);
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn composite_gradient(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count {
+        return;
+    }
+    let own = pixel_groups[i];
+    // Opacity is a fourth channel: 1 for every sample, 0 for the background.
+    let gradient = pixel_gradients[i] * (1.0 / f32(own.y));
+    for (var cone = own.x; cone < own.x + own.y; cone++) {
+        cone_gradient(cone, gradient);
     }
 }

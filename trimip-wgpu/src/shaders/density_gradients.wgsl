@@ -1,9 +1,14 @@
-// Gradients of the density network's outputs, [samples, 16]: the logit's from the density, the geometry features' from
+// Gradients of the density network's outputs, [samples, outputs]: the logit's from the density, the geometry features' from
 // the colour network's input [samples, width].
 
 struct Params {
     counter: u32,
+    // Width of the colour network's input: harmonics where it sees directions, geometry features, zeros.
     width: u32,
+    harmonics: u32,
+    geometry: u32,
+    // Width of the density network's output: a logit, geometry features, zeros.
+    outputs: u32,
 }
 
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
@@ -23,9 +28,13 @@ fn density_gradients(
     if i >= counts[params.counter] {
         return;
     }
-    rows[16u * i] = gradients[i].w * density_derivative(outputs[16u * i]);
-    let geometry = params.width * (i + 1u) - 16u;
-    for (var j = 1u; j < 16u; j++) {
-        rows[16u * i + j] = inputs[geometry + j - 1u];
+    let start = params.outputs * i;
+    rows[start] = gradients[i].w * density_derivative(outputs[start]);
+    for (var j = 0u; j < params.outputs - 1u; j++) {
+        var value = 0.0;
+        if j < params.geometry {
+            value = inputs[params.width * i + params.harmonics + j];
+        }
+        rows[start + 1u + j] = value;
     }
 }

@@ -1,17 +1,14 @@
 // What lies between the layers of the two networks: densities, the colour network's input, colours, and the gradients
-// there and back. Density outputs are [samples, 16]: one logit and 15 geometry features.
-
-struct Ray {
-    origin: vec3<f32>,
-    slope: f32,
-    direction: vec3<f32>,
-    cosine: f32,
-}
+// there and back.
 
 struct Params {
     counter: u32,
-    // Width of the colour network's input: 16 harmonics, where it sees directions, 15 geometry features, zero.
+    // Width of the colour network's input: harmonics where it sees directions, geometry features, zeros.
     width: u32,
+    harmonics: u32,
+    geometry: u32,
+    // Width of the density network's output: a logit, geometry features, zeros.
+    outputs: u32,
 }
 
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
@@ -23,7 +20,7 @@ struct Params {
 @group(0) @binding(6) var<storage, read_write> rows: array<f32>;
 @group(0) @binding(7) var<storage, read> gradients: array<vec4<f32>>;
 
-// Real spherical harmonics up to degree 4 of a unit direction; twin of `trimip_core::sh`.
+// Real spherical harmonics up to degree 4 of a unit direction; twin of `trimip_core::sh`, whose factors are `SH`.
 fn spherical_harmonics(d: vec3<f32>) -> array<f32, 16> {
     let x = d.x;
     let y = d.y;
@@ -32,22 +29,22 @@ fn spherical_harmonics(d: vec3<f32>) -> array<f32, 16> {
     let yy = y * y;
     let zz = z * z;
     return array<f32, 16>(
-        0.28209479177387814,
-        -0.4886025119029199 * y,
-        0.4886025119029199 * z,
-        -0.4886025119029199 * x,
-        1.0925484305920792 * x * y,
-        -1.0925484305920792 * y * z,
-        0.94617469575756 * zz - 0.31539156525252,
-        -1.0925484305920792 * x * z,
-        0.5462742152960396 * (xx - yy),
-        0.5900435899266435 * y * (yy - 3.0 * xx),
-        2.890611442640554 * x * y * z,
-        0.4570457994644657 * y * (1.0 - 5.0 * zz),
-        0.3731763325901154 * z * (5.0 * zz - 3.0),
-        0.4570457994644657 * x * (1.0 - 5.0 * zz),
-        1.445305721320277 * z * (xx - yy),
-        0.5900435899266435 * x * (3.0 * yy - xx),
+        SH[0],
+        -SH[1] * y,
+        SH[1] * z,
+        -SH[1] * x,
+        SH[2] * x * y,
+        -SH[2] * y * z,
+        SH[3] * zz - SH[4],
+        -SH[2] * x * z,
+        SH[5] * (xx - yy),
+        SH[6] * y * (yy - 3.0 * xx),
+        SH[7] * x * y * z,
+        SH[8] * y * (1.0 - 5.0 * zz),
+        SH[9] * z * (5.0 * zz - 3.0),
+        SH[8] * x * (1.0 - 5.0 * zz),
+        SH[10] * z * (xx - yy),
+        SH[6] * x * (3.0 * yy - xx),
     );
 }
 
@@ -59,7 +56,7 @@ fn densities(
 ) {
     let i = index_of(group, groups, local);
     if i < counts[params.counter] {
-        radiance[i] = vec4<f32>(0.0, 0.0, 0.0, density_of(outputs[16u * i]));
+        radiance[i] = vec4<f32>(0.0, 0.0, 0.0, density_of(outputs[params.outputs * i]));
     }
 }
 
@@ -75,17 +72,19 @@ fn color_inputs(
         return;
     }
     let start = params.width * i;
-    let geometry = start + params.width - 16u;
-    if params.width > 16u {
+    if params.harmonics > 0u {
         var harmonics = spherical_harmonics(rays[owners[i]].direction);
-        for (var j = 0u; j < 16u; j++) {
+        for (var j = 0u; j < params.harmonics; j++) {
             rows[start + j] = harmonics[j];
         }
     }
-    for (var j = 1u; j < 16u; j++) {
-        rows[geometry + j - 1u] = outputs[16u * i + j];
+    for (var j = 0u; j < params.width - params.harmonics; j++) {
+        var value = 0.0;
+        if j < params.geometry {
+            value = outputs[params.outputs * i + 1u + j];
+        }
+        rows[start + params.harmonics + j] = value;
     }
-    rows[geometry + 15u] = 0.0;
 }
 
 // Colours of the colour network's outputs, [samples, 16] of which three count.

@@ -1,11 +1,11 @@
-// Area-weighted smooth-L1 of each ray and its gradient with respect to the pixel; sums of a workgroup's rays go to
+// Area-weighted smooth-L1 of each pixel and its gradient with respect to the pixel; sums of a workgroup's pixels go to
 // `partial`, and `add_up` joins them in their order.
 
 struct Params {
     count: u32,
     blocks: u32,
     beta: f32,
-    // Average over rays with samples alone.
+    // Average over pixels with samples alone.
     live: u32,
     // Weight of the opacity beside the colour.
     opacity: f32,
@@ -22,6 +22,8 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> sums: array<u32>;
 @group(0) @binding(6) var<storage, read> counts: array<u32>;
 @group(0) @binding(7) var<storage, read> segments: array<vec2<u32>>;
+// First cone and number of cones of each pixel.
+@group(0) @binding(8) var<storage, read> pixel_groups: array<vec2<u32>>;
 
 var<workgroup> shared_sums: array<vec4<f32>, GROUP>;
 
@@ -51,6 +53,14 @@ fn total(local: u32, own: vec4<f32>) -> vec4<f32> {
     return shared_sums[0];
 }
 
+fn has_samples(own: vec2<u32>) -> bool {
+    var samples = 0u;
+    for (var cone = own.x; cone < own.x + own.y; cone++) {
+        samples += segments[cone].y;
+    }
+    return samples > 0u;
+}
+
 @compute @workgroup_size(GROUP)
 fn evaluate(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -61,7 +71,7 @@ fn evaluate(
     var own = vec4<f32>(0.0);
     if i < params.count {
         let weight = targets[8u * i + 3u];
-        let counted = params.live == 0u || segments[i].y > 0u;
+        let counted = params.live == 0u || has_samples(pixel_groups[i]);
         var loss = 0.0;
         var squared = 0.0;
         var finite = true;

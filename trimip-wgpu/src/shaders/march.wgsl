@@ -1,29 +1,15 @@
 // Marching: `march` decides once, as one bit per step, which steps lie in occupied cells, and counts them; after the
 // counts are summed `place` turns bits into samples. Twin of the CPU's renderer.
 
-struct Ray {
-    origin: vec3<f32>,
-    slope: f32,
-    direction: vec3<f32>,
-    cosine: f32,
-}
-
 struct Params {
-    aabb_min: vec3<f32>,
-    step_length: f32,
-    aabb_max: vec3<f32>,
-    step_per_radius: f32,
-    // Quotients are made where they are exact to half an ulp: a device's own division may be off by more.
-    inverse_extent: vec3<f32>,
-    padding: f32,
-    cell_extent: vec3<f32>,
-    more_padding: f32,
+    space: Space,
     draws: vec4<u32>,
+    step_length: f32,
+    step_per_radius: f32,
     jitter: u32,
     // Index of the span's first ray within the step.
     first: u32,
     count: u32,
-    resolution: u32,
     // Words of bits of a ray.
     words: u32,
     // Samples that there is room for.
@@ -40,8 +26,6 @@ struct Params {
 @group(0) @binding(6) var<storage, read_write> intervals: array<vec2<f32>>;
 @group(0) @binding(7) var<storage, read_write> spheres: array<vec4<f32>>;
 
-const FAR: f32 = 3.0e38;
-
 // How a ray is marched: distance of the first step's beginning, where the ray leaves the box, length of a step.
 struct March {
     first: f32,
@@ -49,28 +33,8 @@ struct March {
     step: f32,
 }
 
-// Distances at which a ray enters (not before 0) and leaves the box; enter >= leave when it misses.
-fn intersect(ray: Ray) -> vec2<f32> {
-    var enter = 0.0;
-    var leave = FAR;
-    for (var i = 0u; i < 3u; i++) {
-        let below = params.aabb_min[i] - ray.origin[i];
-        let above = params.aabb_max[i] - ray.origin[i];
-        if ray.direction[i] == 0.0 {
-            if below > 0.0 || above < 0.0 {
-                return vec2<f32>(0.0);
-            }
-        } else {
-            let inverse = 1.0 / ray.direction[i];
-            enter = max(enter, min(below * inverse, above * inverse));
-            leave = min(leave, max(below * inverse, above * inverse));
-        }
-    }
-    return vec2<f32>(enter, leave);
-}
-
 fn start(ray: Ray, index: u32) -> March {
-    let hit = intersect(ray);
+    let hit = intersect(params.space, ray);
     var offset = 0.0;
     if params.jitter != 0u {
         offset = unit(random_bits(params.draws, index).x);
@@ -82,28 +46,22 @@ fn start(ray: Ray, index: u32) -> March {
     return March(first, select(-FAR, hit.y, hits), step);
 }
 
-// Side, in cells, of the largest empty cube of the hierarchy that holds a cell; 0 when the cell is occupied.
-fn empty_around(cell: vec3<u32>) -> u32 {
-    let blocks = params.resolution / 4u;
-    let supers = (blocks + 3u) / 4u;
-    let block = cell / 4u;
-    let outer = block / 4u;
-    let words = 2u * blocks * blocks * blocks;
-    let at = words + 2u * (outer.x + supers * (outer.y + supers * outer.z));
-    if (grid[at] | grid[at + 1u]) == 0u {
-        return 16u;
-    }
-    let word = 2u * (block.x + blocks * (block.y + blocks * block.z));
-    if (grid[word] | grid[word + 1u]) == 0u {
-        return 4u;
-    }
-    let within = cell % 4u;
-    let bit = within.x + 4u * (within.y + 4u * within.z);
-    return select(1u, 0u, ((grid[word + bit / 32u] >> (bit % 32u)) & 1u) == 1u);
+fn is_empty(word: u32) -> bool {
+    return (grid[word] | grid[word + 1u]) == 0u;
 }
 
-fn position_at(ray: Ray, t: f32) -> vec3<f32> {
-    return (ray.origin + t * ray.direction - params.aabb_min) * params.inverse_extent;
+// Side, in cells, of the largest empty cube of the hierarchy that holds a cell; 0 when the cell is occupied.
+fn empty_around(cell: vec3<u32>) -> u32 {
+    let blocks = params.space.resolution / SIDE;
+    let outer = bit_of(cell / SIDE, (blocks + SIDE - 1u) / SIDE);
+    if is_empty((2u * blocks * blocks * blocks + outer.word) & ~1u) {
+        return SIDE * SIDE;
+    }
+    let own = bit_of(cell, blocks);
+    if is_empty(own.word & ~1u) {
+        return SIDE;
+    }
+    return select(1u, 0u, ((grid[own.word] >> own.bit) & 1u) == 1u);
 }
 
 @compute @workgroup_size(GROUP)
@@ -129,8 +87,7 @@ fn march(
         if !(t < m.leave) || step >= 32u * params.words {
             break;
         }
-        let scaled = position_at(ray, t) * f32(params.resolution);
-        let cell = min(vec3<u32>(max(scaled, vec3<f32>(0.0))), vec3<u32>(params.resolution - 1u));
+        let cell = cell_of(params.space, sphere_at(params.space, ray, t).xyz);
         let size = empty_around(cell);
         if size == 0u {
             while word < step / 32u {
@@ -143,19 +100,7 @@ fn march(
             index += 1.0;
             continue;
         }
-        var leave = FAR;
-        for (var axis = 0u; axis < 3u; axis++) {
-            if ray.direction[axis] == 0.0 {
-                continue;
-            }
-            let lower = cell[axis] / size * size;
-            let edge = f32(select(lower, lower + size, ray.direction[axis] > 0.0));
-            let place = edge * params.cell_extent[axis] + params.aabb_min[axis];
-            let distance = (place - ray.origin[axis]) / ray.direction[axis];
-            if distance > t && distance < leave {
-                leave = distance;
-            }
-        }
+        let leave = cells_exit(params.space, ray, t, cell, size);
         // The first step whose middle is not before the exit; what rounding may move is asked rather than skipped.
         let steps = (leave - m.first) / m.step - 0.5;
         let next = ceil(steps * (1.0 - 1e-6) - 0.01);
@@ -196,7 +141,7 @@ fn place(
             let t = m.first + (f32(32u * word + bit) + 0.5) * m.step;
             owners[at] = i;
             intervals[at] = vec2<f32>(t, m.step);
-            spheres[at] = vec4<f32>(position_at(ray, t), ray.slope * t);
+            spheres[at] = sphere_at(params.space, ray, t);
             at += 1u;
         }
     }

@@ -2,9 +2,9 @@
 // of the CPU's grid. `state` holds: cells chosen, cells occupied, cells asked in this span.
 
 struct Params {
+    space: Space,
     cell_draws: vec4<u32>,
     point_draws: vec4<u32>,
-    resolution: u32,
     cells: u32,
     fraction: f32,
     // First of the chosen cells of this span, and how many it has at most.
@@ -25,18 +25,26 @@ struct Params {
 @group(0) @binding(5) var<storage, read> radiance: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> densities: array<f32>;
 @group(0) @binding(7) var<storage, read_write> partial: array<f32>;
+@group(0) @binding(8) var<storage, read_write> rays: array<Ray>;
+@group(0) @binding(9) var<storage, read_write> owners: array<u32>;
+@group(0) @binding(10) var<storage, read_write> intervals: array<vec2<f32>>;
 
 fn is_occupied(cell: vec3<u32>) -> bool {
-    let blocks = params.resolution / 4u;
-    let block = cell / 4u;
-    let within = cell % 4u;
-    let bit = within.x + 4u * (within.y + 4u * within.z);
-    let word = 2u * (block.x + blocks * (block.y + blocks * block.z));
-    return ((grid[word + bit / 32u] >> (bit % 32u)) & 1u) == 1u;
+    let own = bit_of(cell, params.space.resolution / SIDE);
+    return ((grid[own.word] >> own.bit) & 1u) == 1u;
 }
 
 fn coordinates(cell: u32, side: u32) -> vec3<u32> {
     return vec3<u32>(cell % side, cell / side % side, cell / (side * side));
+}
+
+// A unit direction from 32 random bits: the upper half is the height, the lower half the angle.
+fn direction_of(bits: u32) -> vec3<f32> {
+    let part = (vec2<f32>(f32(bits >> 16u), f32(bits & 0xffffu)) + 0.5) / 65536.0;
+    let height = 2.0 * part.x - 1.0;
+    let angle = 6.283185307179586 * part.y;
+    let radius = sqrt(1.0 - height * height);
+    return vec3<f32>(radius * cos(angle), radius * sin(angle), height);
 }
 
 // Cells are listed in any order: each answers for itself.
@@ -55,7 +63,7 @@ fn choose(
         let bits = random_bits(params.cell_draws, cell);
         let probability = params.fraction * f32(params.cells) / f32(max(atomicLoad(&state[1]), 1u));
         asked = unit(bits.x) < params.fraction
-            || (is_occupied(coordinates(cell, params.resolution)) && unit(bits.y) < probability);
+            || (is_occupied(coordinates(cell, params.space.resolution)) && unit(bits.y) < probability);
     }
     if asked {
         chosen[atomicAdd(&state[0], 1u)] = cell;
@@ -80,8 +88,14 @@ fn probes(
     let cell = chosen[params.first + i];
     let bits = random_bits(params.point_draws, cell);
     let offset = vec3<f32>(unit(bits.x), unit(bits.y), unit(bits.z));
-    let corner = vec3<f32>(coordinates(cell, params.resolution));
-    spheres[i] = vec4<f32>((corner + offset) / f32(params.resolution), params.radius);
+    let corner = vec3<f32>(coordinates(cell, params.space.resolution));
+    let position = (corner + offset) / f32(params.space.resolution);
+    let direction = direction_of(bits.w);
+    let t = params.space.longest;
+    rays[i] = Ray(to_world(params.space, position) - t * direction, params.radius / t, direction, 1.0);
+    owners[i] = i;
+    intervals[i] = vec2<f32>(t, params.step_length);
+    spheres[i] = vec4<f32>(position, params.radius);
 }
 
 @compute @workgroup_size(GROUP)
@@ -152,15 +166,15 @@ fn set_bits(
     @builtin(local_invocation_index) local: u32,
 ) {
     let block = index_of(group, groups, local);
-    let side = params.resolution / 4u;
+    let side = params.space.resolution / SIDE;
     if block >= side * side * side {
         return;
     }
-    let corner = coordinates(block, side) * 4u;
+    let corner = coordinates(block, side) * SIDE;
     var words = vec2<u32>(0u);
-    for (var bit = 0u; bit < 64u; bit++) {
-        let cell = corner + coordinates(bit, 4u);
-        let index = cell.x + params.resolution * (cell.y + params.resolution * cell.z);
+    for (var bit = 0u; bit < SIDE * SIDE * SIDE; bit++) {
+        let cell = corner + coordinates(bit, SIDE);
+        let index = cell.x + params.space.resolution * (cell.y + params.space.resolution * cell.z);
         if densities[index] > partial[0] {
             words[bit / 32u] |= 1u << (bit % 32u);
         }
@@ -178,7 +192,7 @@ fn fill_if_empty(
     @builtin(local_invocation_index) local: u32,
 ) {
     let block = index_of(group, groups, local);
-    let side = params.resolution / 4u;
+    let side = params.space.resolution / SIDE;
     if block < side * side * side && atomicLoad(&state[1]) == 0u {
         grid[2u * block] = 0xffffffffu;
         grid[2u * block + 1u] = 0xffffffffu;
@@ -193,15 +207,15 @@ fn set_outer_bits(
     @builtin(local_invocation_index) local: u32,
 ) {
     let outer = index_of(group, groups, local);
-    let side = params.resolution / 4u;
-    let outer_side = (side + 3u) / 4u;
+    let side = params.space.resolution / SIDE;
+    let outer_side = (side + SIDE - 1u) / SIDE;
     if outer >= outer_side * outer_side * outer_side {
         return;
     }
-    let corner = coordinates(outer, outer_side) * 4u;
+    let corner = coordinates(outer, outer_side) * SIDE;
     var words = vec2<u32>(0u);
-    for (var bit = 0u; bit < 64u; bit++) {
-        let block = corner + coordinates(bit, 4u);
+    for (var bit = 0u; bit < SIDE * SIDE * SIDE; bit++) {
+        let block = corner + coordinates(bit, SIDE);
         if any(block >= vec3<u32>(side)) {
             continue;
         }

@@ -1,25 +1,4 @@
-// Where rays come from: random pixels of the training views, or all pixels of a camera. Twin of `Camera::cone` and of
-// the CPU's sampler.
-
-struct Ray {
-    origin: vec3<f32>,
-    slope: f32,
-    direction: vec3<f32>,
-    cosine: f32,
-}
-
-struct View {
-    // Rows of the rotation (camera to world), each with a part of the origin.
-    pose: array<vec4<f32>, 3>,
-    // fx, fy, cx, cy.
-    intrinsics: vec4<f32>,
-    // Radius of the pixel's disc on the plane at distance 1.
-    disc: f32,
-    width: u32,
-    // First pixel.
-    offset: u32,
-    padding: u32,
-}
+// Where rays come from: random pixels of the training views, or all pixels of a camera. Twin of the CPU's sampler.
 
 struct Params {
     draws: vec4<u32>,
@@ -27,14 +6,16 @@ struct Params {
     background: vec3<f32>,
     // Share of the rays that have a random background.
     random_share: f32,
-    // Rays of the step; first ray and number of rays of this span.
+    // Pixels of the step; first pixel and number of pixels of this span.
     total: u32,
     first: u32,
     count: u32,
     scales: u32,
     premultiplied: u32,
-    // Pixels come in the order of this span's rays.
+    // Photographs come as this span's pixels, in their order.
     streamed: u32,
+    // Cones along a side of a pixel.
+    side: u32,
     // Rays from this index of the step on belong to this scale or a coarser one.
     begins: array<vec4<u32>, 2>,
     // Loss weight of a ray of each scale.
@@ -54,27 +35,16 @@ struct Scale {
 @group(0) @binding(3) var<storage, read> pixels: array<u32>;
 @group(0) @binding(4) var<storage, read> scales: array<Scale>;
 @group(0) @binding(5) var<storage, read_write> targets: array<f32>;
+// First cone and number of cones of each pixel.
+@group(0) @binding(6) var<storage, read_write> pixel_groups: array<vec2<u32>>;
 
-// Radius of the sphere inscribed in a cone per unit of distance along its axis (Eq. 3 with f = 1).
-fn sphere_slope(disc: f32, tangent: f32, cosine: f32) -> f32 {
-    let inner = tangent - disc;
-    return disc * cosine / sqrt(inner * inner + 1.0);
-}
-
-fn cone(view: View, x: u32, y: u32) -> Ray {
-    let u = (f32(x) + 0.5 - view.intrinsics.z) / view.intrinsics.x;
-    let v = -(f32(y) + 0.5 - view.intrinsics.w) / view.intrinsics.y;
-    let tangent = sqrt(u * u + v * v);
-    let cosine = 1.0 / sqrt(1.0 + tangent * tangent);
-    var ray: Ray;
-    for (var i = 0u; i < 3u; i++) {
-        let row = view.pose[i];
-        ray.direction[i] = (row.x * u + row.y * v - row.z) * cosine;
-        ray.origin[i] = row.w;
+// The cones of a pixel, the span's number `i`.
+fn cones_of(i: u32, view: View, x: u32, y: u32) {
+    let count = params.side * params.side;
+    pixel_groups[i] = vec2<u32>(i * count, count);
+    for (var index = 0u; index < count; index++) {
+        rays[i * count + index] = cone_in(view, x, y, index, params.side);
     }
-    ray.slope = sphere_slope(view.disc, tangent, cosine);
-    ray.cosine = cosine;
-    return ray;
 }
 
 @compute @workgroup_size(GROUP)
@@ -88,7 +58,7 @@ fn camera_rays(
         return;
     }
     let pixel = params.first + i;
-    rays[i] = cone(views[0], pixel % views[0].width, pixel / views[0].width);
+    cones_of(i, views[0], pixel % views[0].width, pixel / views[0].width);
 }
 
 @compute @workgroup_size(GROUP)
@@ -123,7 +93,7 @@ fn training_rays(
     }
     let view = views[low];
     let within = pixel - view.offset;
-    rays[i] = cone(view, within % view.width, within / view.width);
+    cones_of(i, view, within % view.width, within / view.width);
 
     var background = params.background;
     if params.random_share > 0.0 {

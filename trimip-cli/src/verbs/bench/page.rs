@@ -1,20 +1,20 @@
 //! What a bench of training leaves in its folder: `bench.json`, `bench.csv`, `bench.svg`, and `bench.html` for people.
 
-use super::training::{Row, cells};
-use crate::args::BenchArguments;
+use super::training::{Bench, Row, cells};
 use crate::curves::reach_json;
-use crate::machine::{Machine, version};
 use crate::report::beside::{self, Entry};
 use crate::report::{page, svg};
-use crate::{settings, terminal};
+use crate::terminal;
 use serde_json::{Value, json};
-use trimip_core::{Config, Error, Result, tensors::write_atomically};
+use trimip::machine::{Machine, version};
+use trimip::{Config, Error, Result};
+use trimip_core::tensors::write_atomically;
 
 /// Writes all four; `lines` are those of all runs, by variant.
-pub fn write(arguments: &BenchArguments, rows: &[Row], lines: &[svg::Line], reach: &[f64]) -> Result<()> {
-    let base: Config = settings::load(&arguments.settings)?.1;
+pub fn write(bench: &Bench, rows: &[Row], lines: &[svg::Line]) -> Result<()> {
+    let (base, reach) = (Config::from_settings(&bench.base)?, &bench.reach[..]);
     let machine = Machine::detect();
-    let keep = |name: &str, text: &str| write_atomically(&arguments.out.join(name), text.as_bytes());
+    let keep = |name: &str, text: &str| write_atomically(&bench.out.join(name), text.as_bytes());
     keep("bench.json", &json(rows, reach, &machine, &base)?)?;
     keep("bench.csv", &csv(rows))?;
     // A run measured once has no line, but its end.

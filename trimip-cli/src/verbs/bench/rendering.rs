@@ -6,14 +6,16 @@
 use super::stages::{self, StageError};
 use crate::args::BenchArguments;
 use crate::curves::aligned;
-use crate::machine::Machine;
 use crate::progress::{by_rows, spinner};
-use crate::{backends, run_folder, settings, terminal};
+use crate::terminal;
 use serde::Serialize;
 use serde_json::json;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
+use trimip::machine::{self, Machine};
+use trimip::run::folder as run_folder;
+use trimip::{backends, settings};
 use trimip_core::config::Precision;
 use trimip_core::exact::Exact;
 use trimip_core::metrics::psnr_of_error;
@@ -130,7 +132,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         "machine": Machine::detect(),
         "backend": model.config.backend,
         "device": backends::load(&model)?.device_name(),
-        "version": crate::machine::version(),
+        "version": machine::version(),
         "width": width,
         "height": height,
         "background": model.config.data.background,

@@ -2,14 +2,15 @@
 //! each row is the stage's own rounding. Errors in units in the last place of the f64 result's f32, and relative to the
 //! largest value of the stage.
 
-use crate::backends;
 use serde::Serialize;
 use std::time::Instant;
+use trimip::backends::{self, Visitor};
 use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
 use trimip_core::config::Precision;
+use trimip_core::encoders::{self, Place};
 use trimip_core::exact::Exact;
 use trimip_core::model::Model;
-use trimip_core::{Aabb, Backend, Camera, Encoder, Field, Layout, Renderer, Result, backend::Occupancy};
+use trimip_core::{Backend, Camera, Encoder, Field, Layout, Renderer, Result, Space, backend::Occupancy};
 
 /// Rays along each side of the picture.
 const SIDE: u32 = 16;
@@ -43,7 +44,9 @@ pub fn measure(model: &Model, camera: &Camera) -> Result<Vec<StageError>> {
         let mut other = model.clone();
         other.config.field.precision = precision;
         if backends::load(&other)?.notes().is_empty() {
-            let found = backends::stage_errors(&other, camera, name)?;
+            let config = &other.config;
+            let work = OnBackend { model: &other, camera, precision: name };
+            let found = backends::visit(&config.backend, &config.wgpu.adapter, config.threads, work)?;
             // Without layers a stage has one precision alone.
             rows.extend(found.into_iter().filter(|row| precision == Precision::F32 || layered(row.stage)));
         }
@@ -55,11 +58,23 @@ fn layered(stage: &str) -> bool {
     ["density", "colour"].contains(&stage)
 }
 
+/// The errors of a model's stages on one backend.
+struct OnBackend<'a> {
+    model: &'a Model,
+    camera: &'a Camera,
+    precision: &'static str,
+}
+
+impl Visitor for OnBackend<'_> {
+    type Output = Vec<StageError>;
+
+    fn visit<B: Backend>(self, open: &dyn Fn() -> Result<B>) -> Result<Vec<StageError>> {
+        on(&open()?, self.model, self.camera, self.precision)
+    }
+}
+
 /// The stages of a model on a backend.
-///
-/// # Errors
-/// When the model does not fit the backend.
-pub fn on<B: Backend>(
+fn on<B: Backend>(
     backend: &B,
     model: &Model,
     camera: &Camera,
@@ -85,11 +100,10 @@ pub fn on<B: Backend>(
         .collect();
 
     let mut space = Workspace::new(backend, &stages.field);
-    backend.write(&mut space.rays.rays, &rays);
-    backend.write(&mut space.rays.targets, &[]);
-    space.rays.first = 0;
+    space.rays.place(backend, &rays);
     let wait = || drop(backend.read(&backend.zeros::<u32>(1)));
-    let Workspace { lane, rays: own, samples, features, tape, radiance, pixels, .. } = &mut space;
+    let Workspace { lane, rays: own, samples, encoding, features, tape, radiance, cones, pixels, .. } =
+        &mut space;
     let marching = timed(backend, || {
         stages.renderer.march(lane, own, &stages.occupancy, None, samples);
         wait();
@@ -101,7 +115,7 @@ pub fn on<B: Backend>(
     let owners: Vec<u32> = backend.read(&samples.rays)[..count].to_vec();
     place(backend, samples, &segments, &intervals, &spheres, &owners);
     let encoding = timed(backend, || {
-        stages.encoder.forward(lane, &parameters, samples, features);
+        stages.encoder.forward(lane, &parameters, own, samples, encoding, features);
         wait();
     });
     let density = timed(backend, || {
@@ -113,7 +127,7 @@ pub fn on<B: Backend>(
         wait();
     });
     let composing = timed(backend, || {
-        stages.renderer.composite(lane, own, samples, radiance, pixels);
+        stages.renderer.composite(lane, own, samples, radiance, cones, pixels);
         wait();
     });
     let features = backend.read(features);
@@ -121,17 +135,16 @@ pub fn on<B: Backend>(
     let pixels = backend.read(pixels);
     backend.health()?;
 
-    let aabb = Aabb::<f64>::new(&config.scene);
+    let space = Space::<f64>::new(&config.scene);
+    let (stride, width) = (encoders::stride(&config), encoders::of(&config).width(&config));
     let mut errors: [Vec<(f64, f64)>; 5] = Default::default();
     for (i, sphere) in spheres.iter().enumerate() {
         let (ray, t) = (&rays[owners[i] as usize], f64::from(intervals[i].t));
-        for axis in 0..3 {
-            let at = f64::from(ray.origin[axis]) + t * f64::from(ray.direction[axis]);
-            let expected = (at - aabb.min[axis]) / (aabb.max[axis] - aabb.min[axis]);
-            errors[0].push((sphere.position[axis].into(), expected));
-        }
-        let own = &features[48 * i..][..48];
-        let expected = exact.features(sphere.position.map(f64::from), sphere.radius.into());
+        let on_ray = |axis: usize| f64::from(ray.origin[axis]) + t * f64::from(ray.direction[axis]);
+        let expected = space.to_cube([0, 1, 2].map(on_ray));
+        errors[0].extend(sphere.position.map(f64::from).into_iter().zip(expected));
+        let own = &features[stride * i..][..width];
+        let expected = exact.features(&Place::new(ray, &intervals[i], sphere));
         errors[1].extend(own.iter().map(|&x| f64::from(x)).zip(expected));
         let own: Vec<f64> = own.iter().map(|&x| x.into()).collect();
         let (density, rgb) = exact.radiance(&own, ray.direction.map(f64::from));

@@ -3,26 +3,48 @@
 //! what came out.
 
 use super::page;
-use crate::args::{BenchArguments, ProgressStyle, SettingsArguments, TrainArguments};
+use crate::args::{BenchArguments, ProgressStyle};
 use crate::curves::{Curve, Measure, Reach, aligned};
 use crate::interrupt::EXIT_CODE;
 use crate::report::svg;
-use crate::{run_folder, settings, terminal, verbs::train};
-use serde_json::Value;
-use std::path::{Path, PathBuf};
-use trimip_core::{Error, Result};
+use crate::{settings, terminal, verbs::train};
+use std::path::PathBuf;
+use trimip::evaluate::{MeanQuality, mean_quality};
+use trimip::events::Totals;
+use trimip::run::folder as run_folder;
+use trimip::{Config, Error, Result, Settings, Trained, Training};
 
 /// A configuration to be tried.
 #[derive(Clone, Debug, PartialEq)]
-struct Variant {
-    name: String,
-    assignments: Vec<String>,
+pub struct Variant {
+    /// What it is called; its runs' folders are named after it.
+    pub name: String,
+    /// What it sets, `section.key=value` each.
+    pub assignments: Vec<String>,
+}
+
+/// What is to be trained.
+#[derive(Clone, Debug)]
+pub struct Bench {
+    /// Settings that all variants share.
+    pub base: Settings,
+    /// What is tried.
+    pub variants: Vec<Variant>,
+    /// Seeds of each variant.
+    pub seeds: u32,
+    /// PSNR in dB whose times are asked for, rising.
+    pub reach: Vec<f64>,
+    /// Folder of the runs.
+    pub out: PathBuf,
 }
 
 /// What came of a run.
 struct Outcome {
     folder: PathBuf,
-    report: Value,
+    mean: MeanQuality,
+    totals: Totals,
+    model_bytes: Option<u64>,
+    peak_memory_bytes: Option<u64>,
     curve: Curve,
 }
 
@@ -60,10 +82,28 @@ pub struct Row {
 
 /// Trains what is not trained yet, then lays everything beside each other.
 pub fn run(arguments: &BenchArguments) -> Result<u8> {
-    let variants = variants(arguments)?;
+    let mut reach: Vec<f64> = arguments.reach.iter().copied().filter(|psnr| psnr.is_finite()).collect();
+    reach.sort_by(f64::total_cmp);
+    let bench = Bench {
+        variants: variants(arguments)?,
+        base: settings::load(&arguments.settings)?.0,
+        seeds: arguments.seeds,
+        reach,
+        out: arguments.out.clone(),
+    };
+    Ok(if measure(&bench)?.is_some() { 0 } else { EXIT_CODE })
+}
+
+/// Trains every variant with every seed, prints the table and writes the pages of the bench; `None` where the user stopped
+/// it. A run that is finished in its folder is not run again.
+///
+/// # Errors
+/// When a variant's settings are wrong, or a run fails.
+pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
+    let Bench { base, variants, seeds, reach, out } = bench;
     // Every setting is checked before the first run begins.
-    for variant in &variants {
-        settings::load(&with(&arguments.settings, variant, 0)?)?;
+    for variant in variants {
+        Config::from_settings(&with(base, variant, 0)?)?;
     }
     let most = svg::COLORS.len();
     if variants.len() > most {
@@ -73,39 +113,32 @@ pub fn run(arguments: &BenchArguments) -> Result<u8> {
             format!("try at most {most} at once"),
         ));
     }
-    run_folder::create_writable(&arguments.out)?;
-    let mut reach: Vec<f64> = arguments.reach.iter().copied().filter(|psnr| psnr.is_finite()).collect();
-    reach.sort_by(f64::total_cmp);
-    let mut rows = Vec::new();
-    let mut lines = Vec::new();
+    run_folder::create_writable(out)?;
+    let style = if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json };
+    let (mut rows, mut lines) = (Vec::new(), Vec::new());
     for (variant, color) in variants.iter().zip(svg::COLORS) {
         let mut outcomes = Vec::new();
-        for seed in 0..arguments.seeds {
-            terminal::aside(format!("{}, seed {} of {}", variant.name, seed + 1, arguments.seeds));
-            let folder = arguments.out.join(format!("{}-{seed}", slug(&variant.name)));
-            let code = train::run(&TrainArguments {
-                settings: with(&arguments.settings, variant, seed)?,
-                out: Some(folder.clone()),
-                progress: if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json },
-                ..TrainArguments::default()
-            })?;
-            if code != 0 {
-                return Ok(if code == EXIT_CODE { EXIT_CODE } else { code });
+        for seed in 0..*seeds {
+            terminal::aside(format!("{}, seed {} of {seeds}", variant.name, seed + 1));
+            let folder = out.join(format!("{}-{seed}", slug(&variant.name)));
+            let trained = train::train(Training::new(with(base, variant, seed)?, &folder), style)?;
+            if train::conclude(&trained, style)? != 0 {
+                return Ok(None);
             }
-            outcomes.push(outcome(&folder)?);
+            outcomes.push(outcome(&trained)?);
         }
         lines.extend(outcomes.iter().map(|outcome| {
             let mut line = outcome.curve.line(color);
             line.name.clone_from(&variant.name);
             line
         }));
-        rows.push(row(variant, &outcomes, &reach));
+        rows.push(row(variant, &outcomes, reach));
     }
     mark_front(&mut rows);
-    terminal::line(aligned(&cells(&rows, &reach)));
-    page::write(arguments, &rows, &lines, &reach)?;
-    terminal::aside(format!("report: {}", arguments.out.join("bench.html").display()));
-    Ok(0)
+    terminal::line(aligned(&cells(&rows, reach)));
+    page::write(bench, &rows, &lines)?;
+    terminal::aside(format!("report: {}", out.join("bench.html").display()));
+    Ok(Some(rows))
 }
 
 /// The variants that the arguments name, the shared settings first.
@@ -152,37 +185,34 @@ fn slug(name: &str) -> String {
 }
 
 /// Settings of a variant's run; later assignments win. The seeds of a bench follow the configured one.
-fn with(shared: &SettingsArguments, variant: &Variant, seed: u32) -> Result<SettingsArguments> {
-    let mut settings = shared.clone();
-    settings.set.extend(variant.assignments.iter().cloned());
-    let configured = settings::load(&settings)?.1.seed;
-    settings.set.push(format!("seed={}", configured + u64::from(seed)));
-    Ok(settings)
+fn with(base: &Settings, variant: &Variant, seed: u32) -> Result<Settings> {
+    let mut settings = base.clone();
+    variant.assignments.iter().try_for_each(|assignment| settings.apply_assignment(assignment))?;
+    let configured = Config::from_settings(&settings)?.seed;
+    settings.with("seed", (configured + u64::from(seed)).cast_signed())
 }
 
-fn outcome(folder: &Path) -> Result<Outcome> {
-    let path = folder.join("report.json");
-    let unreadable = |error: &dyn std::fmt::Display| {
-        Error::input(path.display(), error, "remove the run's folder to run it again")
-    };
-    let text = std::fs::read(&path).map_err(|error| unreadable(&error))?;
-    let report: Value = serde_json::from_slice(&text).map_err(|error| unreadable(&error))?;
-    if !report["mean"]["psnr"].is_f64() {
-        return Err(Error::input(path.display(), "the run was not evaluated", "set eval.final = 1"));
-    }
-    let curve = Curve::read(&folder.display().to_string())?;
-    Ok(Outcome { folder: folder.to_path_buf(), report, curve })
+fn outcome(trained: &Trained) -> Result<Outcome> {
+    let (folder, history) = (trained.folder.root().to_path_buf(), &trained.history);
+    let curve = Curve::of_run(&folder, history)?;
+    let scales = history.best_known().map_or(&[][..], |evaluation| &evaluation.scales);
+    Ok(Outcome {
+        mean: mean_quality(scales),
+        totals: history.totals,
+        model_bytes: trained.model_bytes(),
+        peak_memory_bytes: history.peak_memory_bytes(),
+        curve,
+        folder,
+    })
 }
 
 fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> Row {
-    let values = |pick: &dyn Fn(&Value) -> &Value| -> Vec<f64> {
-        outcomes.iter().filter_map(|outcome| pick(&outcome.report).as_f64()).collect()
-    };
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
-    let psnr = values(&|report| &report["mean"]["psnr"]);
+    let of = |pick: &dyn Fn(&Outcome) -> Option<f64>| outcomes.iter().filter_map(pick).collect::<Vec<_>>();
+    let psnr = of(&|outcome| Some(outcome.mean.psnr));
     let largest = psnr.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let smallest = psnr.iter().copied().fold(f64::INFINITY, f64::min);
-    let memory = values(&|report| &report["peak_memory_bytes"]);
+    let memory = of(&|outcome| outcome.peak_memory_bytes.map(|bytes| bytes as f64));
     let reaches = reach.iter().map(|&psnr| {
         let times: Option<Vec<Reach>> = outcomes.iter().map(|outcome| outcome.curve.reaches(psnr)).collect();
         times.map(|times| Reach {
@@ -194,12 +224,12 @@ fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> Row {
         name: variant.name.clone(),
         settings: variant.assignments.clone(),
         seeds: outcomes.len(),
-        seconds: mean(&values(&|report| &report["train_seconds"])),
+        seconds: mean(&of(&|outcome| Some(outcome.totals.seconds))),
         psnr: mean(&psnr),
         spread: largest - smallest,
-        ssim: mean(&values(&|report| &report["mean"]["ssim"])),
-        samples: mean(&values(&|report| &report["samples"])),
-        model_bytes: mean(&values(&|report| &report["model_bytes"])),
+        ssim: mean(&of(&|outcome| Some(outcome.mean.ssim))),
+        samples: mean(&of(&|outcome| Some(outcome.totals.samples as f64))),
+        model_bytes: mean(&of(&|outcome| outcome.model_bytes.map(|bytes| bytes as f64))),
         peak_memory_bytes: (!memory.is_empty()).then(|| mean(&memory)),
         pareto: false,
         reaches: reaches.collect(),
@@ -252,6 +282,7 @@ pub fn cells(rows: &[Row], reach: &[f64]) -> Vec<Vec<String>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::args::SettingsArguments;
 
     fn arguments(variants: &[&str], vary: &[&str]) -> BenchArguments {
         BenchArguments {
@@ -287,8 +318,8 @@ mod tests {
     #[test]
     fn seeds_follow_the_configured_one() {
         let variant = Variant { name: String::new(), assignments: vec!["seed=5".into()] };
-        let settings = with(&SettingsArguments::default(), &variant, 2).unwrap();
-        assert_eq!(settings::load(&settings).unwrap().1.seed, 7);
+        let settings = with(&Settings::defaults(), &variant, 2).unwrap();
+        assert_eq!(Config::from_settings(&settings).unwrap().seed, 7);
     }
 
     #[test]

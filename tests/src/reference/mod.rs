@@ -1,0 +1,292 @@
+//! A model as its equations, in f64, slow and plain: no packing, no skipping, no fused form. Positions are those of
+//! the unit box, radii and distances world units. Letters: σ density, δ interval, T transmittance, α opacity of a sample.
+
+mod adamw;
+mod harmonics;
+mod rounded;
+mod tri_mip;
+
+pub use adamw::{changes, moments};
+pub use harmonics::harmonics;
+pub use rounded::{Gradient, bf16};
+pub use tri_mip::{AXES, TriMip, sides};
+
+use trimip_core::{
+    Config, Layout,
+    batch::{Ray, Target},
+    config::{EncoderKind, LossRays},
+};
+
+/// An encoder as its equations.
+pub trait Literal {
+    /// Features of a sphere: its centre in the unit box, its radius in world units.
+    fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64>;
+}
+
+/// The model with parameters of its own.
+pub struct Reference {
+    config: Config,
+    encoder: Box<dyn Literal>,
+    density: Vec<Layer>,
+    color: Vec<Layer>,
+}
+
+/// A linear layer without bias, weights [inputs, outputs].
+struct Layer {
+    outputs: usize,
+    weights: Vec<f64>,
+}
+
+/// A sample of a ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Distance along the ray.
+    pub t: f64,
+    /// Length of its interval, δ.
+    pub length: f64,
+    /// Centre of its sphere, unit box.
+    pub position: [f64; 3],
+    /// Radius of its sphere.
+    pub radius: f64,
+}
+
+/// A cone with the samples that are kept of it.
+pub type Seen = (Ray, Vec<Sample>);
+
+/// A composited ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Composited {
+    /// Colour on the background.
+    pub rgb: [f64; 3],
+    /// Σ w.
+    pub opacity: f64,
+    /// Σ w·t·cosθ.
+    pub depth: f64,
+}
+
+impl Reference {
+    /// The model of a configuration with flat parameters.
+    pub fn new(config: &Config, layout: &Layout, parameters: &[f64]) -> Self {
+        let mut own = layout.encoder().iter().map(|slot| parameters[slot.range.clone()].to_vec());
+        let first = own.next().unwrap_or_default();
+        let encoder: Box<dyn Literal> = match config.encoder.kind {
+            EncoderKind::TriMip => Box::new(TriMip::new(config, first)),
+        };
+        let network = |name: &str| {
+            let layer = |slot: &trimip_core::params::Slot| Layer {
+                outputs: slot.shape[1],
+                weights: parameters[slot.range.clone()].to_vec(),
+            };
+            layout.network(name).map(layer).collect::<Vec<_>>()
+        };
+        Self { encoder, density: network("density"), color: network("color"), config: config.clone() }
+    }
+
+    /// Features of a sphere.
+    pub fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64> {
+        self.encoder.features(position, radius)
+    }
+
+    /// The density network's outputs: the logit, then the geometry features.
+    pub fn geometry(&self, features: &[f64]) -> Vec<f64> {
+        network(&self.density, features)
+    }
+
+    /// Density of a logit.
+    pub fn density(&self, geometry: &[f64]) -> f64 {
+        (geometry[0] - 1.0).exp()
+    }
+
+    /// Colour seen along a unit direction.
+    pub fn color(&self, geometry: &[f64], direction: [f64; 3]) -> [f64; 3] {
+        let mut input = if self.config.field.directions { harmonics(direction).to_vec() } else { Vec::new() };
+        input.truncate((self.config.field.harmonics as usize).pow(2));
+        input.extend_from_slice(&geometry[1..]);
+        let logits = network(&self.color, &input);
+        [0, 1, 2].map(|c| 1.0 / (1.0 + (-logits[c]).exp()))
+    }
+
+    /// Density of each of a ray's samples.
+    pub fn densities(&self, samples: &[Sample]) -> Vec<f64> {
+        let density = |s: &Sample| self.density(&self.geometry(&self.features(s.position, s.radius)));
+        samples.iter().map(density).collect()
+    }
+
+    /// Composites the samples of a ray on the configured background.
+    pub fn pixel(&self, ray: &Ray, samples: &[Sample]) -> Composited {
+        self.pixel_on(ray, samples, self.config.data.background)
+    }
+
+    /// Composites the samples of a ray on a background.
+    pub fn pixel_on(&self, ray: &Ray, samples: &[Sample], background: [f32; 3]) -> Composited {
+        let direction = ray.direction.map(f64::from);
+        let radiance: Vec<_> = samples
+            .iter()
+            .map(|sample| {
+                let geometry = self.geometry(&self.features(sample.position, sample.radius));
+                (self.density(&geometry), self.color(&geometry, direction))
+            })
+            .collect();
+        composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
+    }
+
+    /// The loss over pixels whose cones and samples (kept ones only) are given: Σ weight·(mean of smooth-L1 + that of
+    /// opacity), over Σ weight of the pixels that count. A pixel is the mean of its cones.
+    pub fn loss(&self, pixels: &[(Target, Vec<Seen>)]) -> f64 {
+        let (beta, mut loss, mut weights) = (f64::from(self.config.loss.beta), 0.0, 0.0);
+        let smooth_l1 = |d: f64| if d < beta { d * d / (2.0 * beta) } else { d - beta / 2.0 };
+        for (target, cones) in pixels {
+            if self.config.loss.rays == LossRays::Live && cones.iter().all(|(_, samples)| samples.is_empty())
+            {
+                continue;
+            }
+            let cones: Vec<_> =
+                cones.iter().map(|(ray, samples)| self.pixel_on(ray, samples, target.background)).collect();
+            let mean =
+                |pick: &dyn Fn(&Composited) -> f64| cones.iter().map(pick).sum::<f64>() / cones.len() as f64;
+            let (rgb, opacity) = ([0, 1, 2].map(|c| mean(&|cone| cone.rgb[c])), mean(&|cone| cone.opacity));
+            let weight = f64::from(target.weight);
+            weights += weight;
+            for c in 0..3 {
+                let d = (rgb[c] - f64::from(target.rgb[c])).abs();
+                loss += weight / 3.0 * smooth_l1(d);
+            }
+            let share = f64::from(self.config.loss.opacity);
+            loss += weight * share * smooth_l1((opacity - f64::from(target.opacity)).abs());
+        }
+        loss / weights
+    }
+}
+
+/// Linear layers with ReLU between them.
+fn network(layers: &[Layer], input: &[f64]) -> Vec<f64> {
+    let mut values = input.to_vec();
+    for (i, layer) in layers.iter().enumerate() {
+        let sum = |j: usize| -> f64 {
+            values.iter().zip(layer.weights.iter().skip(j).step_by(layer.outputs)).map(|(x, w)| x * w).sum()
+        };
+        let outputs = (0..layer.outputs).map(sum).collect::<Vec<_>>();
+        let last = i + 1 == layers.len();
+        values = outputs.into_iter().map(|x| if last { x } else { x.max(0.0) }).collect();
+    }
+    values
+}
+
+/// C = Σ T·α·c + (1 − Σ T·α)·background with T_i = exp(−Σ_{k<i} σ_k·δ_k), α = 1 − exp(−σ·δ).
+pub fn composite(
+    samples: &[Sample],
+    radiance: &[(f64, [f64; 3])],
+    background: [f64; 3],
+    cosine: f64,
+) -> Composited {
+    let mut result = Composited { rgb: [0.0; 3], opacity: 0.0, depth: 0.0 };
+    for i in 0..samples.len() {
+        let before: f64 = (0..i).map(|k| radiance[k].0 * samples[k].length).sum();
+        let weight = (-before).exp() * (1.0 - (-radiance[i].0 * samples[i].length).exp());
+        for c in 0..3 {
+            result.rgb[c] += weight * radiance[i].1[c];
+        }
+        result.opacity += weight;
+        result.depth += weight * samples[i].t * cosine;
+    }
+    for c in 0..3 {
+        result.rgb[c] += (1.0 - result.opacity) * background[c];
+    }
+    result
+}
+
+/// Distances at which a ray enters (not before its origin) and leaves the box.
+pub fn span(config: &Config, origin: [f64; 3], direction: [f64; 3]) -> Option<(f64, f64)> {
+    let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
+    for axis in 0..3 {
+        let below = f64::from(config.scene.aabb_min[axis]) - origin[axis];
+        let above = f64::from(config.scene.aabb_max[axis]) - origin[axis];
+        if direction[axis] == 0.0 {
+            if below > 0.0 || above < 0.0 {
+                return None;
+            }
+            continue;
+        }
+        let (a, b) = (below / direction[axis], above / direction[axis]);
+        enter = enter.max(a.min(b));
+        leave = leave.min(a.max(b));
+    }
+    (enter < leave).then_some((enter, leave))
+}
+
+/// World length of a marching step: longest side · √3 / steps.
+pub fn step_length(config: &Config) -> f64 {
+    let scene = &config.scene;
+    let side = |axis: usize| f64::from(scene.aabb_max[axis]) - f64::from(scene.aabb_min[axis]);
+    side(0).max(side(1)).max(side(2)) * 3.0_f64.sqrt() / f64::from(config.renderer.steps_per_diagonal)
+}
+
+/// World length of a ray's step: the uniform step times its scale at `progress`, and at least so many radii of the
+/// sphere (slope · t) in the middle between entering and leaving the box.
+pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
+    let uniform = step_length(config) * config.renderer.step_scale.at(progress);
+    let (enter, leave) =
+        span(config, ray.origin.map(f64::from), ray.direction.map(f64::from)).unwrap_or((0.0, 0.0));
+    let radius = f64::from(ray.slope) * (enter + leave) / 2.0;
+    uniform.max(f64::from(config.renderer.step_per_radius) * radius)
+}
+
+/// The middles of all uniform steps in the box, `offset` of a step late; `occupied` is asked at every one of them.
+pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]) -> bool) -> Vec<Sample> {
+    let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
+    let mut samples = Vec::new();
+    let Some((enter, leave)) = span(config, origin, direction) else { return samples };
+    let length = ray_step(config, ray, 0.0);
+    for i in 0.. {
+        let t = enter + (offset + f64::from(i) + 0.5) * length;
+        if t >= leave {
+            return samples;
+        }
+        let position = [0, 1, 2].map(|axis| {
+            let [low, high] = [config.scene.aabb_min[axis], config.scene.aabb_max[axis]].map(f64::from);
+            (origin[axis] + t * direction[axis] - low) / (high - low)
+        });
+        if occupied(position) {
+            samples.push(Sample { t, length, position, radius: f64::from(ray.slope) * t });
+        }
+    }
+    samples
+}
+
+/// Which samples of a ray are kept (transmittance before them at least the configured minimum, weight at least the
+/// configured one), and how close the closest decision was: the smallest |ln T − ln T_min| or |ln w − ln w_min|.
+/// A dropped sample hides nothing.
+pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<usize>, f64) {
+    let [least, lightest] =
+        [config.renderer.min_transmittance, config.renderer.min_weight].map(|limit| f64::from(limit).ln());
+    let (mut log_transmittance, mut margin, mut kept) = (0.0_f64, f64::INFINITY, Vec::new());
+    for (i, (sample, density)) in samples.iter().zip(densities).enumerate() {
+        let depth = density * sample.length;
+        margin = margin.min((log_transmittance - least).abs());
+        if log_transmittance < least {
+            break;
+        }
+        let log_weight = log_transmittance + (1.0 - (-depth).exp()).ln();
+        margin = margin.min((log_weight - lightest).abs());
+        if log_weight >= lightest {
+            kept.push(i);
+            log_transmittance -= depth;
+        }
+    }
+    (kept, margin)
+}
+
+/// Samples in front of which the transmittance is at least the configured minimum, and how close the decision was: the
+/// smallest |ln T − ln T_min| over the samples.
+pub fn kept(config: &Config, samples: &[Sample], densities: &[f64]) -> (usize, f64) {
+    let limit = f64::from(config.renderer.min_transmittance).ln();
+    let (mut log_transmittance, mut margin) = (0.0_f64, f64::INFINITY);
+    for (i, (sample, density)) in samples.iter().zip(densities).enumerate() {
+        margin = margin.min((log_transmittance - limit).abs());
+        if log_transmittance < limit {
+            return (i, margin);
+        }
+        log_transmittance -= density * sample.length;
+    }
+    (samples.len(), margin)
+}

@@ -1,0 +1,124 @@
+//! Pixels that are groups of cones: a pixel is the mean of its cones, and equal cones are one.
+
+use super::Bench;
+use crate::fixtures::{Draw, lively, noise, small};
+use glam::DVec3;
+use trimip_core::{
+    Backend, Camera, Intrinsics, Layout, Renderer, Result, Viewer,
+    batch::{Interval, Radiance, Ray, Samples, Segment, Sphere},
+    trainer::Trainer,
+};
+
+/// Cones of a part of a pixel and those of a finer camera's pixel differ by roundings of 6e-8, which the networks' slope
+/// amplifies, over some twenty samples.
+const PIXEL_TOLERANCE: f32 = 5e-4;
+
+/// A pixel in n·n cones is the mean of the n·n pixels of a camera of n times the resolution.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn parts<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let intrinsics = Intrinsics { width: 7, height: 6, fx: 6.0, fy: 5.5, cx: 3.3, cy: 3.1 };
+    let camera = |n: u32| {
+        let k = f64::from(n);
+        let fine = Intrinsics {
+            width: n * intrinsics.width,
+            height: n * intrinsics.height,
+            fx: k * intrinsics.fx,
+            fy: k * intrinsics.fy,
+            cx: k * intrinsics.cx,
+            cy: k * intrinsics.cy,
+        };
+        Camera::look_at(fine, DVec3::new(2.0, -3.0, 1.5), DVec3::ZERO, DVec3::Z)
+    };
+    let mut config = small();
+    let parameters = lively(&Layout::new(&config), 9);
+    let mut render = |cones: u32, camera: &Camera| {
+        config.renderer.cones = cones;
+        let mut trainer = Trainer::new(make(), &config, noise(1, 8, 1, 1))?;
+        trainer.set_parameters(&parameters);
+        trainer.occupy_all();
+        trainer.render(camera)
+    };
+    for n in [2, 3] {
+        let (coarse, fine) = (render(n, &camera(1))?, render(1, &camera(n))?);
+        for (i, pixel) in coarse.pixels.iter().enumerate() {
+            let (x, y) = (i as u32 % coarse.width, i as u32 / coarse.width);
+            let parts = (0..n * n).map(|j| ((n * y + j / n) * fine.width + n * x + j % n) as usize);
+            let parts: Vec<_> = parts.map(|j| fine.pixels[j]).collect();
+            let mean = |pick: &dyn Fn(usize) -> f32| (0..parts.len()).map(pick).sum::<f32>() / (n * n) as f32;
+            let pairs = [
+                (pixel.rgb[0], mean(&|j| parts[j].rgb[0])),
+                (pixel.rgb[1], mean(&|j| parts[j].rgb[1])),
+                (pixel.rgb[2], mean(&|j| parts[j].rgb[2])),
+                (pixel.opacity, mean(&|j| parts[j].opacity)),
+                (pixel.depth, mean(&|j| parts[j].depth)),
+            ];
+            for (found, expected) in pairs {
+                let bound = PIXEL_TOLERANCE * expected.abs().max(1.0);
+                assert!((found - expected).abs() < bound, "{n}, pixel {i}: {found}, not {expected}");
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A group of equal cones shows what one of them shows, and each of n has an n-th of its gradient.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn equal<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = small();
+    let parameters = lively(&Layout::new(&config), 3);
+    let mut bench = Bench::new(make(), &config, None, &parameters)?;
+    let mut draw = Draw::new(23);
+    let cone: Vec<(Interval, Radiance)> = (0..9)
+        .map(|i| {
+            let rgb = [0; 3].map(|_| draw.between(0.0, 1.0) as f32);
+            let density = draw.between(-2.0, 3.0).exp() as f32;
+            (Interval { t: 2.0 + 0.1 * i as f32, length: 0.1 }, Radiance { rgb, density })
+        })
+        .collect();
+    let mut run = |count: u32| {
+        let Bench { backend, stages, space, .. } = &mut bench;
+        let all: Vec<_> = (0..count).flat_map(|_| cone.clone()).collect();
+        let each = cone.len() as u32;
+        space.rays.place(backend, &vec![Ray { cosine: 0.8, ..Ray::default() }; count as usize]);
+        backend.write(&mut space.rays.groups, &[Segment { start: 0, count }]);
+        let Samples { segments, rays, intervals, spheres, counts } = &mut space.samples;
+        let own: Vec<_> = (0..count).map(|i| Segment { start: i * each, count: each }).collect();
+        backend.write(segments, &own);
+        backend.write(rays, &(0..count * each).map(|i| i / each).collect::<Vec<_>>());
+        backend.write(intervals, &all.iter().map(|(interval, _)| *interval).collect::<Vec<_>>());
+        backend.write(spheres, &vec![Sphere::default(); all.len()]);
+        backend.write(counts, &[[count * each; 2]]);
+        backend.write(&mut space.radiance, &all.iter().map(|(_, value)| *value).collect::<Vec<_>>());
+        let (lane, rays, samples) = (&mut space.lane, &space.rays, &space.samples);
+        let (cones, pixels) = (&mut space.cones, &mut space.pixels);
+        stages.renderer.composite(lane, rays, samples, &space.radiance, cones, pixels);
+        backend.write(&mut space.pixel_gradients, &[[0.3, -0.7, 1.1, 0.4]]);
+        let (by_pixel, gradients) = (&space.pixel_gradients, &mut space.radiance_gradients);
+        stages.renderer.backward(lane, rays, samples, &space.radiance, &space.cones, by_pixel, gradients);
+        (backend.read(&space.pixels)[0], backend.read(&space.radiance_gradients))
+    };
+    let (one, gradient) = run(1);
+    let close = |found: f32, expected: f32| (found - expected).abs() <= 1e-6 * expected.abs().max(0.1);
+    for count in [2, 4, 9] {
+        let (pixel, gradients) = run(count);
+        let channels = pixel.channels().into_iter().zip(one.channels());
+        assert!(
+            channels.into_iter().all(|(a, b)| close(a, b)) && close(pixel.depth, one.depth),
+            "{count}: {pixel:?}"
+        );
+        for (i, found) in gradients.iter().enumerate() {
+            let expected = gradient[i % cone.len()];
+            let share = |value: f32| value / count as f32;
+            assert!(
+                close(found.density, share(expected.density))
+                    && (0..3).all(|c| close(found.rgb[c], share(expected.rgb[c]))),
+                "{count} cones, sample {i}: {found:?}, not a {count}th of {expected:?}"
+            );
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,159 @@
+//! A backend with the stages of a small configuration, and photographs made up for a case.
+
+use super::Make;
+use glam::DVec3;
+use trimip_core::backend::Stages;
+use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
+use trimip_core::{
+    Alpha, Backend, Camera, Config, Encoder, Field, Intrinsics, Layout, Pixel, Renderer, Result, Scale, View,
+    ViewSet,
+};
+
+/// A small model: 16² planes, 16 hidden units.
+pub fn small() -> Config {
+    let mut config = Config::default();
+    (config.encoder.plane_size, config.encoder.levels) = (16, 4);
+    config.field.hidden = 16;
+    config.renderer.steps_per_diagonal = 64;
+    config.occupancy.resolution = 16;
+    (config.occupancy.warmup, config.occupancy.every) = (8, 4);
+    config.train.samples_per_step = 512;
+    config.train.steps = 40;
+    config
+}
+
+/// A backend and its stages.
+pub struct Rig<B: Backend> {
+    pub backend: B,
+    pub stages: Stages<B>,
+    pub space: Workspace<B>,
+    pub parameters: B::Buffer<f32>,
+}
+
+impl<B: Backend> Rig<B> {
+    /// The stages of a configuration with its initial parameters, for rendering.
+    pub fn new(make: Make<'_, B>, config: &Config) -> Result<Self> {
+        let backend = make()?;
+        let layout = Layout::new(config);
+        let mut stages = backend.stages(config, None)?;
+        let mut parameters = backend.zeros(layout.len());
+        backend.write(&mut parameters, &layout.initial(config));
+        backend.install(|| {
+            stages.encoder.refresh(&parameters);
+            stages.field.refresh(&parameters);
+        });
+        let space = Workspace::new(&backend, &stages.field);
+        Ok(Self { backend, stages, space, parameters })
+    }
+
+    /// Makes these the rays of the span.
+    pub fn rays(&mut self, rays: &[Ray]) {
+        self.space.rays.place(&self.backend, rays);
+    }
+
+    /// Composites rays of given samples, and pulls the gradient `by_pixel` of every pixel back to them.
+    pub fn composite(
+        &mut self,
+        rays: &[Vec<(Interval, Radiance)>],
+        by_pixel: [f32; 4],
+    ) -> (Vec<Pixel>, Vec<Radiance>) {
+        let (mut segments, mut owners, mut intervals, mut radiance) = (vec![], vec![], vec![], vec![]);
+        for (owner, samples) in rays.iter().enumerate() {
+            segments.push(Segment { start: intervals.len() as u32, count: samples.len() as u32 });
+            for (interval, value) in samples {
+                owners.push(owner as u32);
+                intervals.push(*interval);
+                radiance.push(*value);
+            }
+        }
+        let total = intervals.len() as u32;
+        self.rays(&vec![Ray { cosine: 1.0, ..Ray::default() }; rays.len()]);
+        let Self { backend, stages, space, .. } = self;
+        let Samples { segments: s, rays: r, intervals: v, spheres, counts } = &mut space.samples;
+        backend.write(s, &segments);
+        backend.write(r, &owners);
+        backend.write(v, &intervals);
+        backend.write(spheres, &vec![Sphere::default(); intervals.len()]);
+        backend.write(counts, &[[total, total]]);
+        backend.write(&mut space.radiance, &radiance);
+        let (lane, samples) = (&mut space.lane, &space.samples);
+        let cones = &mut space.cones;
+        stages.renderer.composite(lane, &space.rays, samples, &space.radiance, cones, &mut space.pixels);
+        backend.write(&mut space.pixel_gradients, &vec![by_pixel; rays.len()]);
+        let (by_pixel, gradients) = (&space.pixel_gradients, &mut space.radiance_gradients);
+        let (rays, radiance) = (&space.rays, &space.radiance);
+        stages.renderer.backward(lane, rays, samples, radiance, &space.cones, by_pixel, gradients);
+        (backend.read(&space.pixels), backend.read(&space.radiance_gradients))
+    }
+
+    /// Marches rays; the distances of each ray's samples, and the spheres of all.
+    pub fn march(&mut self, rays: &[Ray]) -> (Vec<Vec<f32>>, Vec<Sphere>) {
+        self.rays(rays);
+        let Self { backend, stages, space, .. } = self;
+        stages.renderer.march(&mut space.lane, &space.rays, &stages.occupancy, None, &mut space.samples);
+        let intervals = backend.read(&space.samples.intervals);
+        let of = |s: &Segment| {
+            intervals[s.start as usize..(s.start + s.count) as usize].iter().map(|i| i.t).collect()
+        };
+        let distances = backend.read(&space.samples.segments).iter().map(of).collect();
+        (distances, backend.read(&space.samples.spheres))
+    }
+
+    /// Features of spheres, 48 each.
+    pub fn features(&mut self, spheres: &[Sphere]) -> Vec<f32> {
+        let count = spheres.len() as u32;
+        let Self { backend, stages, space, parameters } = self;
+        space.rays.place(backend, &[Ray::default()]);
+        let Samples { segments, rays, intervals, spheres: buffer, counts } = &mut space.samples;
+        backend.write(intervals, &vec![Interval::default(); spheres.len()]);
+        backend.write(segments, &[Segment { start: 0, count }]);
+        backend.write(rays, &vec![0; spheres.len()]);
+        backend.write(buffer, spheres);
+        backend.write(counts, &[[count, count]]);
+        let (encoding, features) = (&mut space.encoding, &mut space.features);
+        stages.encoder.forward(&mut space.lane, parameters, &space.rays, &space.samples, encoding, features);
+        backend.read(&space.features)
+    }
+}
+
+/// A square camera of `size` pixels on a circle around the box.
+pub fn camera(size: u32, i: u32) -> Camera {
+    let angle = f64::from(i);
+    let origin = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0);
+    Camera::look_at(Intrinsics::from_angle(size, size, 0.7), origin, DVec3::ZERO, DVec3::Z)
+}
+
+/// A number that looks random.
+pub fn hash(view: usize, x: usize, y: usize) -> [u8; 4] {
+    let mut word = (view * 7919 + x * 104_729 + y * 1_299_709 + 17) as u32;
+    word = (word ^ (word >> 15)).wrapping_mul(0x2c1b_3c6d);
+    word = (word ^ (word >> 12)).wrapping_mul(0x297a_2d39);
+    (word ^ (word >> 15)).to_le_bytes()
+}
+
+/// Photographs of `cameras` at `scales` scales; `pixel(view, x, y)` gives straight RGBA at every scale.
+pub fn photographs(
+    cameras: &[Camera],
+    scales: u32,
+    pixel: impl Fn(usize, usize, usize) -> [u8; 4],
+) -> ViewSet {
+    let mut set = ViewSet { views: vec![], pixels: vec![], alpha: Alpha::Straight, scales: vec![] };
+    for level in 0..scales {
+        let (first_view, first_pixel) = (set.views.len(), set.pixels.len());
+        for (i, camera) in cameras.iter().enumerate() {
+            let intrinsics = camera.intrinsics.reduced(level);
+            let offset = set.pixels.len();
+            let name = format!("view {i}");
+            set.views.push(View { name, camera: Camera { intrinsics, ..*camera }, offset });
+            let (width, height) = (intrinsics.width as usize, intrinsics.height as usize);
+            set.pixels.extend((0..width * height).map(|p| pixel(i, p % width, p / width)));
+        }
+        set.scales.push(Scale {
+            factor: 1 << level,
+            weight: 4_f32.powi(level as i32),
+            views: first_view..set.views.len(),
+            pixels: first_pixel..set.pixels.len(),
+        });
+    }
+    set
+}

@@ -1,0 +1,161 @@
+//! Settings that are one of a few named values.
+
+use serde::{Deserialize, Serialize};
+
+/// Declares a named choice, written in lower case.
+macro_rules! choice {
+    ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident),* $(,)? }) => {
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(rename_all = "lowercase")]
+        pub enum $name { $($(#[$doc])* $variant),* }
+    };
+}
+
+choice!(
+    /// Layout of a scene folder.
+    Format {
+        /// Detected from the files in the folder.
+        Auto,
+        /// `transforms_{split}.json` or `transforms.json`.
+        Blender,
+        /// The public multi-scale set's `metadata.json`.
+        Multiscale,
+        /// The procedural scene, rendered when it is opened.
+        Builtin,
+    }
+);
+choice!(
+    /// How RGBA is averaged to coarser scales.
+    Convention {
+        /// Means of straight RGBA, truncated to 8 bits, as in the public multi-scale set.
+        Public,
+        /// Means of premultiplied RGBA, correct at silhouettes.
+        Premultiplied,
+    }
+);
+choice!(
+    /// The renderers by name.
+    RendererKind {
+        /// Ray marching in uniform steps, and volume rendering.
+        Volume,
+    }
+);
+choice!(
+    /// Texels of a plane.
+    PlaneShape {
+        /// `plane_size` along both sides, whatever the box: the planes are stretched over it (paper).
+        Square,
+        /// `plane_size` along the longest side of the box, fewer along the others, so that texels are square.
+        Box,
+    }
+);
+choice!(
+    /// Whether a decision of the scene plan is taken.
+    PlanChoice {
+        /// Unless the user set the value.
+        Auto,
+        /// Always, even for values that the user set; an error if it cannot be decided.
+        On,
+        /// Never.
+        Off,
+    }
+);
+choice!(
+    /// Precision of the planes in a model file.
+    FilePrecision {
+        /// 32 bits, as trained.
+        F32,
+        /// 16 bits.
+        F16,
+    }
+);
+choice!(
+    /// Base radius in the mip level's formula (Tri-MipRF Eq. 5).
+    LevelFormula {
+        /// texel/√π, the radius of a disc with the texel's area.
+        Paper,
+        /// texel/2.
+        Code,
+    }
+);
+choice!(
+    /// Precision of the factors of the matrix products; sums and parameters are f32.
+    Precision {
+        /// 24 significant bits.
+        F32,
+        /// 8 significant bits, for CPUs; twice as fast with AVX-512 BF16.
+        Bf16,
+        /// 11 significant bits, up to 65,504, for GPUs with cooperative matrices.
+        F16,
+    }
+);
+choice!(
+    /// Rays over which the loss is averaged.
+    LossRays {
+        /// Rays with at least one kept sample.
+        Live,
+        /// Every ray of the batch.
+        All,
+    }
+);
+
+choice!(
+    /// View dependence of the built-in scene.
+    Finish {
+        /// Some surfaces are glossy.
+        Mixed,
+        /// No surface is glossy: every point has one colour.
+        Matt,
+        /// All surfaces are glossy.
+        Lacquered,
+    }
+);
+choice!(
+    /// Background that training rays are composited on.
+    TrainBackground {
+        /// `data.background`.
+        Fixed,
+        /// A colour drawn for each ray.
+        Random,
+    }
+);
+choice!(
+    /// Where a GPU backend keeps the training photographs.
+    Photographs {
+        /// On the device if they fit into one binding, otherwise on the host.
+        Auto,
+        /// On the device.
+        Device,
+        /// On the host; the pixels of each step are uploaded.
+        Host,
+    }
+);
+choice!(
+    /// How the learning rate falls.
+    RateSchedule {
+        /// By a factor at each milestone.
+        Milestones,
+        /// Along half a cosine.
+        Cosine,
+    }
+);
+choice!(
+    /// AdamW for texels without a gradient in a step.
+    Untouched {
+        /// As for all others: the moments decay and the parameter is updated.
+        Decay,
+        /// They are left unchanged.
+        Skip,
+    }
+);
+
+/// The final evaluation: a stride over the test views, or a flag.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum FinalEval {
+    /// `true`: every `eval.stride`-th view; `false`: none.
+    Flag(bool),
+    /// Every n-th view; 0: none.
+    Stride(u32),
+}

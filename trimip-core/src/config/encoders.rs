@@ -1,0 +1,76 @@
+//! Settings of the encoders: their names, the sections that belong to each, and the accepted ranges.
+
+use super::checks::{Checker, finite_from_zero};
+use super::choices::{LevelFormula, PlaneShape};
+use super::sections::section;
+use crate::{Result, schedule::Schedule};
+use serde::{Deserialize, Serialize};
+
+/// The encoders by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EncoderKind {
+    /// Three mip-mapped feature planes (Tri-MipRF), settings in `[encoder]`.
+    TriMip,
+}
+
+impl EncoderKind {
+    /// Its name as in a configuration, in quotation marks.
+    pub fn name(self) -> String {
+        toml::Value::try_from(self).map_or_else(|_| format!("{self:?}"), |name| name.to_string())
+    }
+
+    /// True for settings, by dotted path, that do not belong to another encoder.
+    pub fn takes(self, path: &str) -> bool {
+        Self::owner(path).is_none_or(|owner| owner == self)
+    }
+
+    /// The encoder that a setting belongs to, by dotted path; `None` for the settings of all.
+    pub(super) fn owner(path: &str) -> Option<Self> {
+        match path.split_once('.') {
+            Some(("encoder", "kind")) => None,
+            Some(("encoder", _)) | Some(("optimizer", "plane_scale")) => Some(Self::TriMip),
+            _ => None,
+        }
+    }
+}
+
+section!(
+    /// The encoder, and the planes of the tri-mip encoder.
+    EncoderConfig, "encoder" {
+        kind: EncoderKind, plane_size: u32, shape: PlaneShape, levels: u32, mipmap: bool, level: LevelFormula,
+        level_bias: f32, init_range: f32, halvings: Schedule,
+    }
+);
+impl EncoderConfig {
+    pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.check(finite_from_zero(self.init_range.into()), "encoder.init_range", "0 or more")?;
+        to.check(
+            self.level_bias.is_finite() && self.level_bias.abs() <= 8.0,
+            "encoder.level_bias",
+            "-8 (sharper) to 8 (blurrier)",
+        )?;
+        let halvings = || self.halvings.values();
+        to.check(
+            self.halvings.is_whole()
+                && halvings().all(|h| h.fract() == 0.0 && (0.0..=10.0).contains(&h))
+                && halvings().is_sorted_by(|a, b| a > b)
+                && halvings().last() == Some(0.0),
+            "encoder.halvings",
+            "[[0.0, n], ... [fraction, 0]] with rising fractions below 1 and falling whole numbers",
+        )?;
+        to.check((1..=13).contains(&self.levels), "encoder.levels", "1 to 13")?;
+        let unit = self.texel_unit();
+        to.check(
+            (4..=4096).contains(&self.plane_size) && self.plane_size.is_multiple_of(unit),
+            "encoder.plane_size",
+            &format!("a multiple of {unit} from 4 to 4096, so that {} levels halve evenly", self.levels),
+        )
+    }
+
+    /// The number that `plane_size` must be a multiple of, so that every mip level and every halving is even.
+    pub fn texel_unit(&self) -> u32 {
+        let halvings = self.halvings.values().fold(0.0, f64::max) as u32;
+        1 << self.levels.saturating_sub(1).max(halvings).min(31)
+    }
+}

@@ -1,0 +1,141 @@
+//! The sections of the configuration, and what follows from the settings of one section alone.
+
+use super::choices::{
+    Convention, FilePrecision, FinalEval, Finish, Format, LossRays, Photographs, PlanChoice, Precision,
+    RateSchedule, RendererKind, TrainBackground, Untouched,
+};
+use crate::schedule::Schedule;
+use serde::{Deserialize, Serialize};
+
+/// Declares a section of the configuration: plain public fields, unknown keys refused. The meaning of each field is in the
+/// table of defaults, from which `tables/` is generated.
+macro_rules! section {
+    ($(#[$meta:meta])* $name:ident, $table:literal { $($field:ident: $kind:ty),* $(,)? }) => {
+        $(#[$meta])*
+        #[doc = ""]
+        #[doc = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/src/config/tables/", $table, ".md"))]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct $name {
+            $(
+                #[doc = concat!("The setting `", stringify!($field), "` of the table above.")]
+                pub $field: $kind,
+            )*
+        }
+    };
+}
+
+pub(super) use section;
+
+section!(
+    /// Where the photographs are and how they are read.
+    DataConfig, "data" {
+        root: String, format: Format, train: Vec<String>, test: String, holdout: u32, scales: u32, convention: Convention,
+        background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
+        builtin_finish: Finish, most_pixels: f64,
+    }
+);
+section!(
+    /// The bounding box of the scene.
+    SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3] }
+);
+section!(
+    /// What the scene plan may derive from the data and the budget, and what it may leave out.
+    PlanConfig, "plan" {
+        aabb: PlanChoice, background: PlanChoice, solids: PlanChoice, schedule: PlanChoice, detail: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
+    }
+);
+section!(
+    /// The model file.
+    FileConfig, "file" { planes: FilePrecision }
+);
+section!(
+    /// The density and colour networks.
+    FieldConfig, "field" {
+        hidden: u32, density_layers: u32, color_layers: u32, geometry: u32, directions: bool, harmonics: u32, precision: Precision,
+    }
+);
+section!(
+    /// Ray marching and compositing.
+    RendererConfig, "renderer" {
+        kind: RendererKind, cones: u32, steps_per_diagonal: u32, step_scale: Schedule, step_per_radius: f32, min_transmittance: f32,
+        min_weight: f32,
+    }
+);
+section!(
+    /// The occupancy grid.
+    OccupancyConfig, "occupancy" {
+        resolution: u32, every: u32, warmup: u32, warmup_fraction: f32, fraction: f32, decay: f32,
+        threshold: f32,
+    }
+);
+section!(
+    /// The photometric loss.
+    LossConfig, "loss" { beta: f32, opacity: f32, rays: LossRays }
+);
+section!(
+    /// AdamW and its learning rate.
+    OptimizerConfig, "optimizer" {
+        learning_rate: f64, plane_scale: f64, beta1: f64, beta2: f64, epsilon: f64, weight_decay: f64,
+        schedule: RateSchedule, decay_factor: f64, milestones: Vec<f64>, final_factor: f64, untouched: Untouched,
+    }
+);
+section!(
+    /// Length of the run and size of a step.
+    TrainConfig, "train" {
+        steps: u64, seconds: f64, samples_per_step: u32, batch_scale: Schedule, scale_balance: Schedule, background: TrainBackground,
+        background_share: Schedule,
+        checkpoint_seconds: f64, log_seconds: f64,
+    }
+);
+section!(
+    /// When and on which views the model is evaluated.
+    EvalConfig, "eval" { points: u32, stride: u32, r#final: FinalEval, share: f64, images: u32, min_psnr: f64, min_gain: f64 }
+);
+
+section!(
+    /// The GPU.
+    WgpuConfig, "wgpu" { adapter: String, deterministic: bool, photographs: Photographs }
+);
+
+impl DataConfig {
+    /// The frames that a model is tested on, in words.
+    pub fn tested_on(&self) -> String {
+        match self.holdout {
+            0 => self.test.clone(),
+            every => format!("one frame in {every} of {}, held out", self.train.join(" + ")),
+        }
+    }
+}
+
+/// Number of test views of an evaluation during training, for `eval.stride = 0`.
+const CURVE_VIEWS: usize = 4;
+
+impl EvalConfig {
+    /// Stride of the final evaluation over the test views, `None` when there is none.
+    pub fn final_stride(&self, frames: usize) -> Option<usize> {
+        match self.r#final {
+            FinalEval::Flag(true) => Some(self.stride_of(frames)),
+            FinalEval::Flag(false) | FinalEval::Stride(0) => None,
+            FinalEval::Stride(stride) => Some(stride as usize),
+        }
+    }
+
+    /// Stride of the evaluations during training over `frames` test views: as configured, or one that gives about four.
+    pub fn stride_of(&self, frames: usize) -> usize {
+        match self.stride {
+            0 => (frames / CURVE_VIEWS).max(1),
+            stride => stride as usize,
+        }
+    }
+}
+
+impl TrainConfig {
+    /// Share of the training rays with a random background at `progress` in [0, 1].
+    pub fn random_share(&self, progress: f64) -> f32 {
+        match self.background {
+            TrainBackground::Fixed => 0.0,
+            TrainBackground::Random => self.background_share.at(progress) as f32,
+        }
+    }
+}

@@ -1,0 +1,287 @@
+//! A model on a device, ready to render. Written once over the traits, for every backend: each is a [`Viewer`].
+
+use crate::{
+    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Pixel, Renderer, Result, ViewSet, Viewer,
+    backend::{Occupancy, Sampler, Stages},
+    batch::Workspace,
+    model::{Assets, Model, OCCUPANCY, assets},
+    tensors::{Tensor, TensorFile},
+};
+use glam::DVec3;
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Rays of a span of a view.
+const RAYS_PER_SPAN: u32 = 64;
+
+/// A model on a device: parameters, and the stages that render them. [`Trainer`](crate::trainer::Trainer) adds what
+/// training needs.
+pub struct LoadedModel<B: Backend> {
+    pub(crate) backend: Arc<B>,
+    pub(crate) config: Config,
+    /// Centre of the scene's box: the origin of what the stages see.
+    centre: DVec3,
+    pub(crate) layout: Layout,
+    pub(crate) stages: Stages<B>,
+    pub(crate) parameters: B::Buffer<f32>,
+    frame: B::Buffer<Pixel>,
+    /// What the renderer holds beside the parameters.
+    assets: Assets,
+}
+
+impl<B: Backend> LoadedModel<B> {
+    /// Loads a finished model.
+    ///
+    /// # Errors
+    /// When its tensors do not fit its configuration, or the configuration does not fit the device.
+    pub fn new(backend: B, model: &Model) -> Result<Self> {
+        let mut loaded = Self::build(backend, &model.config, None)?;
+        loaded.restore_model("model", &model.file, None)?;
+        loaded.stages.renderer.follow(1.0);
+        Ok(loaded)
+    }
+
+    /// Initial parameters, with stages that train where there are views to train on. Nothing derived from the parameters
+    /// is built yet.
+    pub(crate) fn build(backend: B, config: &Config, views: Option<ViewSet>) -> Result<Self> {
+        let (centred, centre) = config.centred();
+        let layout = Layout::new(&centred);
+        let views = views.map(|mut views| {
+            views.views.iter_mut().for_each(|view| view.camera.origin -= centre);
+            views
+        });
+        let stages = backend.stages(&centred, views)?;
+        let mut parameters = backend.zeros(layout.len());
+        backend.write(&mut parameters, &layout.initial(config));
+        Ok(Self {
+            frame: backend.zeros(0),
+            assets: Assets::new(),
+            backend: Arc::new(backend),
+            config: config.clone(),
+            centre,
+            layout,
+            stages,
+            parameters,
+        })
+    }
+
+    /// The backend, for its counters.
+    pub fn device(&self) -> &B {
+        &self.backend
+    }
+
+    /// Names and places of the parameters.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// All parameters, flat.
+    pub fn parameters(&self) -> Vec<f32> {
+        self.backend.read(&self.parameters)
+    }
+
+    /// Replaces all parameters.
+    pub fn set_parameters(&mut self, values: &[f32]) {
+        self.backend.write(&mut self.parameters, values);
+        self.refresh();
+    }
+
+    /// Marks every cell of the occupancy grid as occupied.
+    pub fn occupy_all(&mut self) {
+        let cells = self.cells();
+        self.stages.occupancy.restore(&vec![0xff; cells.div_ceil(8)], Some(&vec![1.0; cells]));
+    }
+
+    /// As [`Viewer::render`], without ever blocking: where the device has to be waited for, the future is pending. This is
+    /// the door for a page in a browser.
+    ///
+    /// # Errors
+    /// As [`Viewer::render`].
+    pub async fn render_async(&mut self, camera: &Camera) -> Result<Frame> {
+        let bands = Bands::of(camera, B::RAYS_OF_A_BAND)?;
+        let mut pixels = Vec::with_capacity(bands.pixels());
+        for (_, range) in bands.clone() {
+            let Self { backend, stages, parameters, frame, .. } = self;
+            let (backend, stages, parameters) = (&**backend, &*stages, &*parameters);
+            let camera = &Camera { origin: camera.origin - self.centre, ..*camera };
+            let count = range.len() as u32;
+            let work = |space: &mut Workspace<B>, span: Range<u32>| {
+                camera_span(stages, parameters, space, camera, range.start, span);
+            };
+            backend
+                .map_spans_async(&stages.field, count, RAYS_PER_SPAN, frame, &work, &|space| &space.pixels)
+                .await;
+            pixels.extend(backend.read_async(frame).await);
+            backend.health()?;
+        }
+        Ok(bands.frame(pixels))
+    }
+
+    fn render_view(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Frame>> {
+        let bands = Bands::of(camera, B::RAYS_OF_A_BAND)?;
+        let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
+        let camera = &Camera { origin: camera.origin - self.centre, ..*camera };
+        let mut pixels = Vec::with_capacity(bands.pixels());
+        for (row, range) in bands.clone() {
+            if !watch(row, bands.height) {
+                return Ok(None);
+            }
+            let frame = &mut self.frame;
+            backend.install(|| {
+                backend.map_spans(
+                    &stages.field,
+                    range.len() as u32,
+                    RAYS_PER_SPAN,
+                    frame,
+                    &|space, span| {
+                        camera_span(stages, parameters, space, camera, range.start, span);
+                    },
+                    &|space| &space.pixels,
+                );
+            });
+            pixels.extend(self.backend.read(&self.frame));
+            self.backend.health()?;
+        }
+        Ok(Some(bands.frame(pixels)))
+    }
+
+    /// Rebuilds what derives from the parameters.
+    pub(crate) fn refresh(&mut self) {
+        let Self { backend, stages, parameters, .. } = self;
+        backend.install(|| {
+            stages.encoder.refresh(parameters);
+            stages.field.refresh(parameters);
+        });
+    }
+
+    pub(crate) fn restore_model(
+        &mut self,
+        name: &str,
+        file: &TensorFile,
+        densities: Option<&[f32]>,
+    ) -> Result<()> {
+        let values = self.layout.from_tensors(file, name, "")?;
+        let bits = file.u8(name, OCCUPANCY, &[self.cells().div_ceil(8)])?;
+        self.assets = assets(file);
+        self.stages.renderer.equip(&self.assets)?;
+        self.stages.occupancy.restore(bits, densities);
+        self.set_parameters(&values);
+        Ok(())
+    }
+
+    /// These parameters by name, the bits of the occupancy grid, and the assets.
+    pub(crate) fn tensors(&self, values: &[f32]) -> TensorFile {
+        let mut file = TensorFile::default();
+        self.layout.to_tensors(values, "", &mut file);
+        let bits = self.stages.occupancy.bits();
+        file.tensors.insert(OCCUPANCY.into(), Tensor::u8(&[bits.len()], bits));
+        file.tensors.extend(self.assets.clone());
+        file
+    }
+
+    /// Cells of the occupancy grid.
+    pub(crate) fn cells(&self) -> usize {
+        (self.config.occupancy.resolution as usize).pow(3)
+    }
+}
+
+/// The bands of rows in which a view is rendered: first row and range of pixels of each.
+#[derive(Clone)]
+struct Bands {
+    width: u32,
+    height: u32,
+    rows: u32,
+    next: u32,
+}
+
+impl Bands {
+    /// Bands of about `rays` pixels.
+    fn of(camera: &Camera, rays: u32) -> Result<Self> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        if width.checked_mul(height).is_none() {
+            return Err(Error::input(
+                "camera",
+                format!("{width} x {height} pixels"),
+                "render at most 2^32 pixels at once",
+            ));
+        }
+        Ok(Self { width, height, rows: (rays / width.max(1)).clamp(1, height.max(1)), next: 0 })
+    }
+
+    fn pixels(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    fn frame(&self, pixels: Vec<Pixel>) -> Frame {
+        Frame { width: self.width, height: self.height, pixels }
+    }
+}
+
+impl Iterator for Bands {
+    type Item = (u32, Range<u32>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let (first, last) = (self.next, (self.next + self.rows).min(self.height));
+        self.next = last;
+        (first < last).then(|| (first, first * self.width..last * self.width))
+    }
+}
+
+/// Renders the pixels `span` of the band that begins at pixel `first`.
+fn camera_span<B: Backend>(
+    stages: &Stages<B>,
+    parameters: &B::Buffer<f32>,
+    space: &mut Workspace<B>,
+    camera: &Camera,
+    first: u32,
+    span: Range<u32>,
+) {
+    let range = first + span.start..first + span.end;
+    stages.sampler.camera_rays(&mut space.lane, camera, range, &mut space.rays);
+    forward(stages, parameters, space, None);
+}
+
+/// Rays to pixels: the part that training and rendering share.
+pub(crate) fn forward<B: Backend>(
+    stages: &Stages<B>,
+    parameters: &B::Buffer<f32>,
+    space: &mut Workspace<B>,
+    jitter: Option<u64>,
+) {
+    stages.renderer.see(stages, parameters, space, jitter);
+    let Workspace { lane, rays, samples, tape, radiance, cones, pixels, .. } = space;
+    stages.field.color(lane, rays, samples, tape, radiance);
+    stages.renderer.composite(lane, rays, samples, radiance, cones, pixels);
+}
+
+impl<B: Backend> Viewer for LoadedModel<B> {
+    fn backend(&self) -> &str {
+        self.backend.name()
+    }
+
+    fn device_name(&self) -> String {
+        self.backend.device_name()
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.backend.notes(&self.config)
+    }
+
+    fn render(&mut self, camera: &Camera) -> Result<Frame> {
+        let frame = self.render_view(camera, &mut |_, _| true)?;
+        // Nobody gave the view up.
+        frame.ok_or_else(|| Error::run("a view was not rendered"))
+    }
+
+    fn render_watched(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Frame>> {
+        self.render_view(camera, watch)
+    }
+}

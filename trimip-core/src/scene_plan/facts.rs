@@ -1,0 +1,45 @@
+//! Inputs of the scene plan.
+
+use crate::{Aabb, Camera, ViewSet};
+
+/// Inputs of the plan.
+#[derive(Clone, Copy, Debug)]
+pub struct Facts<'a> {
+    /// The training views.
+    pub train: &'a ViewSet,
+    /// Cameras that will be rendered, at every scale.
+    pub test: &'a [Camera],
+    /// The bounding box that the data state.
+    pub stated: Option<&'a StatedBox>,
+    /// The device.
+    pub compute: &'a Compute,
+}
+
+/// A bounding box stated by the data.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StatedBox {
+    /// World units.
+    pub aabb: Aabb<f64>,
+    /// Description of its source.
+    pub source: String,
+}
+
+/// The device of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compute {
+    /// Description.
+    pub name: String,
+    /// Expected kept samples per second for networks of 64 units.
+    pub samples_per_second: f64,
+    /// True if bf16 products are faster than f32 products.
+    pub bf16: bool,
+    /// True for a device that needs about 100,000 samples per step to be busy.
+    pub wide: bool,
+}
+
+impl Compute {
+    /// One CPU thread with wide vectors, for tests and documentation.
+    pub fn one_thread() -> Self {
+        Self { name: "one thread".into(), samples_per_second: 3e5, bf16: false, wide: false }
+    }
+}

@@ -1,0 +1,231 @@
+//! Whole plans of small scenes.
+
+use super::*;
+use crate::config::FilePrecision;
+use crate::encoders::tri_mip::Pyramid;
+use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
+use glam::DVec3;
+
+/// Views of a ball of radius 0.4 around (0.5, 0, 0), at two scales.
+fn views(alpha: bool) -> ViewSet {
+    let mut set =
+        ViewSet { views: Vec::new(), pixels: Vec::new(), alpha: Alpha::Straight, scales: Vec::new() };
+    for level in 0..2_u32 {
+        let k = Intrinsics::from_angle(256, 256, 0.7).reduced(level);
+        let (first, first_pixel) = (set.views.len(), set.pixels.len());
+        for i in 0..16 {
+            let turn = f64::from(i) * 2.4;
+            let origin = 4.0 * DVec3::new(turn.cos(), turn.sin(), 0.5 - f64::from(i % 3) * 0.5);
+            let camera = Camera::look_at(k, origin, DVec3::ZERO, DVec3::Z);
+            set.views.push(View { name: i.to_string(), camera, offset: set.pixels.len() });
+            for (y, x) in (0..k.height).flat_map(|y| (0..k.width).map(move |x| (y, x))) {
+                let cone = camera.cone::<f64>(x, y);
+                let to = DVec3::new(0.5, 0.0, 0.0) - DVec3::from_array(cone.origin);
+                let along = to.dot(DVec3::from_array(cone.direction));
+                let hit = to.length_squared() - along * along < 0.16;
+                set.pixels.push([255, 0, 0, if hit || !alpha { 255 } else { 0 }]);
+            }
+        }
+        set.scales.push(Scale {
+            factor: 1 << level,
+            weight: (1 << (2 * level)) as f32,
+            views: first..set.views.len(),
+            pixels: first_pixel..set.pixels.len(),
+        });
+    }
+    set
+}
+
+fn planned(train: &ViewSet, set: &[&str]) -> Result<(Config, Vec<Finding>)> {
+    let mut settings = Settings::defaults();
+    set.iter().for_each(|assignment| settings.apply_assignment(assignment).unwrap());
+    let test: Vec<Camera> = train.views.iter().map(|view| view.camera).collect();
+    let compute = Compute::one_thread();
+    let facts = Facts { train, test: &test, stated: None, compute: &compute };
+    let findings = make(&mut settings, &facts)?;
+    Ok((Config::from_settings(&settings)?, findings))
+}
+
+/// The finding of a decision.
+fn of<'a>(findings: &'a [Finding], decision: &str) -> &'a Finding {
+    findings.iter().find(|finding| finding.decision == decision).unwrap()
+}
+
+#[test]
+fn levels_are_sharper_where_texels_are_as_fine_as_pixels_see() {
+    let bias = |set: &[&str]| planned(&views(true), set).unwrap().0.encoder.level_bias;
+    assert_eq!(bias(&[]), -0.5);
+    // Planes of 16 texels over the ball: each is as wide as some five pixels.
+    assert_eq!(bias(&["encoder.plane_size=16", "encoder.levels=3"]), 0.0);
+    assert_eq!(bias(&["encoder.level_bias=0.25"]), 0.25, "a setting that is given stays");
+}
+
+#[test]
+fn a_small_object_needs_a_small_box_and_given_texels_steps_and_cells_stay_as_wide() {
+    let before = Config::default();
+    let (config, findings) =
+        planned(&views(true), &["encoder.levels=5", "plan.detail=off", "plan.schedule=off"]).unwrap();
+    for decision in ["aabb", "occupancy", "file"] {
+        assert!(of(&findings, decision).left_out, "{findings:?}");
+    }
+    let aabb = Aabb::<f64>::new(&config.scene);
+    for (axis, centre) in [0.5, 0.0, 0.0].into_iter().enumerate() {
+        assert!(aabb.min[axis] <= centre - 0.39 && aabb.min[axis] > centre - 0.6, "{aabb:?}");
+        assert!(aabb.max[axis] >= centre + 0.39 && aabb.max[axis] < centre + 0.6, "{aabb:?}");
+    }
+    let texel = aabb.longest() / f64::from(config.encoder.plane_size);
+    assert!((0.8..=1.002).contains(&(texel / (3.0 / 512.0))), "{texel}");
+    let step = f64::from(config.step_length() / before.step_length());
+    assert!((0.98..1.0001).contains(&step), "{step}");
+    let cell = aabb.extent().iter().product::<f64>().cbrt() / f64::from(config.occupancy.resolution);
+    assert!((0.75..=1.0).contains(&(cell / (3.0 / 128.0))), "{cell}");
+    assert_eq!(config.file.planes, FilePrecision::F16);
+}
+
+/// The same scene in other units, somewhere else: box, texels and steps follow.
+#[test]
+fn the_box_and_its_detail_do_not_depend_on_units_or_place() {
+    let near = views(true);
+    let (scale, shift) = (250.0, DVec3::new(-3000.0, 500.0, 40.0));
+    let mut far = near.clone();
+    for view in &mut far.views {
+        view.camera.origin = scale * view.camera.origin + shift;
+    }
+    let [(one, _), (other, findings)] = [&near, &far].map(|train| planned(train, &[]).unwrap());
+    let [small, large] = [&one, &other].map(|config| Aabb::<f64>::new(&config.scene));
+    for axis in 0..3 {
+        let moved = scale * small.min[axis] + shift[axis];
+        // Boxes are rounded to a hundredth of their size.
+        assert!((large.min[axis] - moved).abs() < 0.03 * large.longest(), "{large:?} {findings:?}");
+    }
+    let alike = |a: u32, b: u32| (0.9..1.12).contains(&(f64::from(a) / f64::from(b)));
+    assert!(alike(one.encoder.plane_size, other.encoder.plane_size), "{findings:?}");
+    assert!(alike(one.renderer.steps_per_diagonal, other.renderer.steps_per_diagonal), "{findings:?}");
+    assert!(warnings_of(&other, &far).is_empty());
+}
+
+fn warnings_of(config: &Config, train: &ViewSet) -> Vec<String> {
+    let compute = Compute::one_thread();
+    warnings(config, &Facts { train, test: &[], stated: None, compute: &compute })
+}
+
+#[test]
+fn a_box_beside_the_subject_is_told() {
+    let train = views(true);
+    let beside = ["scene.aabb_min=[5.0, 5.0, 5.0]", "scene.aabb_max=[6.0, 6.0, 6.0]", "plan.aabb=off"];
+    let (config, _) = planned(&train, &beside).unwrap();
+    let told = warnings_of(&config, &train);
+    assert!(told.iter().any(|text| text.contains("covers only 0 %")), "{told:?}");
+}
+
+#[test]
+fn photographs_say_whether_models_are_solids_and_what_is_behind_them() {
+    let (config, _) = planned(&views(true), &[]).unwrap();
+    assert_eq!((config.loss.opacity, config.data.background), (0.1, [1.0; 3]));
+    let (config, findings) = planned(&views(false), &[]).unwrap();
+    assert_eq!((config.loss.opacity, config.data.background), (0.0, [1.0, 0.0, 0.0]), "{findings:?}");
+    let error = planned(&views(false), &["loss.opacity=0.1"]).unwrap_err();
+    assert!(error.exit_code() == 2 && error.message.contains("no alpha"), "{error}");
+    let (config, _) = planned(&views(true), &["loss.opacity=0.0"]).unwrap();
+    assert_eq!(config.loss.opacity, 0.0, "what is given stays");
+}
+
+#[test]
+fn texels_that_are_given_stay_given_when_the_box_shrinks() {
+    let (config, findings) = planned(&views(true), &["encoder.plane_size=16", "encoder.levels=3"]).unwrap();
+    assert!(config.encoder.plane_size <= 16 && of(&findings, "aabb").left_out, "{findings:?}");
+    let changed = |f: &Finding| f.changes.iter().any(|change| change.path == "encoder.plane_size");
+    assert!(!changed(of(&findings, "detail")), "{findings:?}");
+}
+
+#[test]
+fn networks_and_steps_follow_the_budget() {
+    let of = |set: &[&str]| planned(&views(true), set).unwrap().0;
+    let hidden = |seconds: &str| of(&[seconds]).field.hidden;
+    assert_eq!(["train.seconds=60", "train.seconds=1000", "train.seconds=10000"].map(hidden), [32, 64, 128]);
+    assert_eq!(of(&["train.seconds=1000", "field.hidden=96"]).field.hidden, 96, "what is given stays");
+    let steps = of(&["train.steps=100", "train.samples_per_step=4096"]);
+    assert_eq!((steps.train.samples_per_step, steps.field.hidden), (4096, 32));
+    let small = of(&["train.seconds=1"]).train.samples_per_step;
+    assert!((4096..32_768).contains(&small), "{small}");
+}
+
+#[test]
+fn no_sphere_of_any_camera_reaches_a_level_that_is_left_out() {
+    let train = views(true);
+    for set in [
+        &["plan.detail=off"][..],
+        &[],
+        &["plan.aabb=off", "plan.detail=off"],
+        &["encoder.plane_size=4096", "encoder.levels=9", "plan.levels=on"],
+    ] {
+        let (config, _) = planned(&train, set).unwrap();
+        let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
+        let [least, most] =
+            radii::range(train.views.iter().map(|v| &v.camera), &Aabb::new(&config.scene)).unwrap();
+        for plane in 0..3 {
+            let top = most.log2() - pyramid.log2_base_radius[plane];
+            assert!(top <= (pyramid.levels - 1) as f64, "{set:?}: level {top} of {}", pyramid.levels);
+            assert!(pyramid.levels < 8, "{set:?}");
+            // Whatever was left out below, spheres still lie near the base or under it.
+            assert!(least.log2() - pyramid.log2_base_radius[plane] < 1.5, "{set:?}");
+        }
+    }
+}
+
+#[test]
+fn what_the_user_set_and_what_cannot_be_known_stays() {
+    let (config, findings) = planned(&views(true), &["scene.aabb_min=[-1.0, -1.0, -1.0]"]).unwrap();
+    assert!(!findings[0].left_out && findings[0].reason.contains("--set"), "{findings:?}");
+    assert_eq!(config.scene.aabb_max, [1.5; 3]);
+    let (config, findings) = planned(&views(false), &[]).unwrap();
+    assert!(findings[0].reason.contains("no silhouettes"), "{findings:?}");
+    let aabb = Aabb::<f64>::new(&config.scene);
+    assert!(aabb.min[0] < -4.0 && aabb.max[0] > 4.0, "the surroundings are in it: {aabb:?}");
+    let given = ["scene.aabb_max=[1.0, 1.0, 1.0]", "plan.aabb=on"];
+    let error = planned(&views(false), &given).unwrap_err();
+    assert!(error.message.contains("plan.aabb") && error.exit_code() == 2, "{error}");
+    let off: Vec<String> = keys().map(|key| format!("plan.{key}=off")).collect();
+    let off: Vec<&str> = off.iter().map(String::as_str).collect();
+    let (config, findings) = planned(&views(true), &off).unwrap();
+    assert!(findings.iter().all(|finding| finding.changes.is_empty()));
+    assert_eq!(Config { plan: Config::default().plan, ..config }, Config::default());
+}
+
+#[test]
+fn a_saving_is_told_where_there_is_one() {
+    assert_eq!(leave_out::saved("planes", 10_000_000, 20_000_000), "; planes of 40.0 MB instead of 80.0 MB");
+    // Two sizes that read the same, the same size, and a larger one.
+    for (after, before) in [(16_775_000, 16_777_216), (5, 5), (20_000_000, 10_000_000)] {
+        assert_eq!(leave_out::saved("planes", after, before), "");
+    }
+    for set in [&[][..], &["encoder.plane_size=16", "encoder.levels=3"]] {
+        for finding in planned(&views(true), set).unwrap().1 {
+            if let Some((before, after)) = finding.reason.split_once(" instead of ") {
+                assert!(!before.ends_with(after), "{}", finding.reason);
+            }
+        }
+    }
+}
+
+#[test]
+fn directions_go_when_asked() {
+    let (config, findings) = planned(&views(true), &["plan.directions=on"]).unwrap();
+    assert!(!config.field.directions && of(&findings, "directions").left_out, "{findings:?}");
+    assert_eq!(crate::params::color_layers(&config)[0][0], 15);
+}
+
+#[test]
+fn a_run_goes_on_with_the_plan_it_began_with() {
+    let (began, findings) = planned(&views(true), &["encoder.plane_size=256"]).unwrap();
+    let again = |set: &[&str]| {
+        let mut settings = Settings::defaults();
+        set.iter().for_each(|assignment| settings.apply_assignment(assignment).unwrap());
+        adopt(&mut settings, &findings).unwrap();
+        Config::from_settings(&settings).unwrap()
+    };
+    assert_eq!(again(&["encoder.plane_size=256"]), began);
+    // Other settings, or no plan, make another run.
+    assert!(!again(&["encoder.plane_size=512"]).differences(&began).is_empty());
+    assert!(!again(&["encoder.plane_size=256", "plan.aabb=off"]).differences(&began).is_empty());
+}

@@ -1,0 +1,56 @@
+//! What changes in the course of a run: schedules of the stages, and parameters that grow.
+
+use super::{LEAST_RAYS, Trainer};
+use crate::{Backend, Encoder, Optimizer, Renderer, Slot, backend::Sampler, encoders};
+
+impl<B: Backend> Trainer<B> {
+    /// Lets every stage follow the schedules to `progress`; where parameters grow, moments grow along, and where the
+    /// marching step shrinks, the batch has fewer rays of more samples.
+    pub(super) fn follow(&mut self, progress: f64) {
+        self.loaded.stages.renderer.follow(progress);
+        self.loaded.stages.sampler.follow(progress);
+        let scale = self.loaded.config.renderer.step_scale.at(progress);
+        if self.state.step_scale > 0.0 && self.state.step_scale != scale {
+            let ratio = scale / self.state.step_scale;
+            self.state.rays_per_step = ((f64::from(self.state.rays_per_step) * ratio) as u32).max(LEAST_RAYS);
+            self.state.marched_per_ray /= ratio as f32;
+        }
+        self.state.step_scale = scale;
+        let stage = encoders::of(&self.loaded.config).stage(&self.loaded.config, progress);
+        if stage >= self.state.stage {
+            return;
+        }
+        let mut values = self.parameters();
+        self.grow(&mut values, stage);
+        self.loaded.backend.write(&mut self.loaded.parameters, &values);
+        for moment in 0..2 {
+            let mut values = self.device().read(self.loaded.stages.optimizer.moments()[moment]);
+            self.grow(&mut values, stage);
+            let buffer = &mut self.loaded.stages.optimizer.moments_mut()[moment];
+            self.loaded.backend.write(buffer, &values);
+        }
+        self.enter(stage);
+        self.loaded.refresh();
+    }
+
+    /// Grows the slots that grow, within flat `values`, to `stage`.
+    pub(super) fn grow(&self, values: &mut [f32], stage: u32) {
+        let (config, _) = self.loaded.config.centred();
+        for slot in self.layout().slots.iter().filter(|slot| slot.grows) {
+            encoders::of(&config).grow(&config, &mut values[slot.range.clone()], self.state.stage, stage);
+        }
+    }
+
+    /// Lets encoder and optimiser use the parameters of `stage`.
+    pub(super) fn enter(&mut self, stage: u32) {
+        self.state.stage = stage;
+        let encoder = encoders::of(&self.loaded.config);
+        let part = |slot: &Slot| match slot.grows {
+            true => slot.range.start..slot.range.start + encoder.length(slot, stage),
+            false => slot.range.clone(),
+        };
+        let parts: Vec<_> = self.layout().slots.iter().map(part).collect();
+        self.loaded.stages.encoder.grow(stage);
+        self.loaded.stages.optimizer.restrict(&parts);
+    }
+}

@@ -1,0 +1,195 @@
+//! Training, written once over the traits: any backend's model in training is a [`Session`].
+
+mod growth;
+mod state;
+mod step;
+mod sums;
+
+use crate::{
+    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Result, Session, StepReport, ViewSet,
+    Viewer,
+    backend::Optimizer,
+    batch::{Deposit, Radiance, StepSums},
+    checkpoint::{Checkpoint, TrainState},
+    encoders,
+    exchange::{Alone, Exchange},
+    loaded::LoadedModel,
+    model::Model,
+};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Mean number of marched samples of a ray before the first step: the grid's cells are occupied by chance, about every
+/// second one.
+const FIRST_MARCHED_PER_RAY: f32 = 128.0;
+
+/// Mean number of kept samples of a ray that sizes the first batch.
+const FIRST_KEPT_PER_RAY: u32 = 256;
+
+/// Least number of rays of a step.
+const LEAST_RAYS: u32 = 16;
+
+/// A model in training on a backend.
+pub struct Trainer<B: Backend> {
+    loaded: LoadedModel<B>,
+    gradient: B::Buffer<f32>,
+    deposits: Vec<Deposit<B>>,
+    probes: B::Buffer<Radiance>,
+    state: TrainState,
+    /// Gradients left out before the optimiser began to count.
+    left_out_before: u64,
+    /// Sums of the last steps that are not used yet, oldest first.
+    pending: VecDeque<sums::Pending<B>>,
+    exchange: Box<dyn Exchange<B>>,
+}
+
+impl<B: Backend> Trainer<B> {
+    /// A fresh model, to be trained on `views`.
+    ///
+    /// # Errors
+    /// When the views hold no pixel, or the configuration does not fit the device.
+    pub fn new(backend: B, config: &Config, views: ViewSet) -> Result<Self> {
+        if views.pixels.is_empty() {
+            return Err(Error::input("training views", "no pixels", "name a data set with training images"));
+        }
+        let loaded = LoadedModel::build(backend, config, Some(views))?;
+        let (backend, stages) = (&loaded.backend, &loaded.stages);
+        let deposits = (0..backend.deposits(config.train.samples_per_step))
+            .map(|_| Deposit {
+                field: stages.field.gradient(),
+                encoder: stages.encoder.gradient(),
+                sums: B::Sums::default(),
+            })
+            .collect();
+        let mut trainer = Self {
+            gradient: backend.zeros(loaded.layout.len()),
+            probes: backend.zeros(0),
+            state: TrainState {
+                rays_per_step: (config.train.samples_per_step / FIRST_KEPT_PER_RAY).max(LEAST_RAYS),
+                marched_per_ray: FIRST_MARCHED_PER_RAY,
+                ..TrainState::default()
+            },
+            loaded,
+            deposits,
+            left_out_before: 0,
+            pending: VecDeque::new(),
+            exchange: Box::new(Alone),
+        };
+        trainer.enter(encoders::of(config).stage(config, 0.0));
+        trainer.loaded.refresh();
+        Ok(trainer)
+    }
+
+    /// Joins the gradient of every later step with those of other machines. Losses and counts stay this machine's.
+    pub fn exchange_by(&mut self, exchange: impl Exchange<B> + 'static) {
+        self.exchange = Box::new(exchange);
+    }
+
+    /// The backend, for its counters.
+    pub fn device(&self) -> &B {
+        self.loaded.device()
+    }
+
+    /// Waits for all that was recorded, and says whether the device still works.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub fn health(&self) -> Result<()> {
+        let backend = self.device();
+        backend.read(&backend.zeros::<u32>(1));
+        backend.health()
+    }
+
+    /// Names and places of the parameters.
+    pub fn layout(&self) -> &Layout {
+        self.loaded.layout()
+    }
+
+    /// All parameters, flat.
+    pub fn parameters(&self) -> Vec<f32> {
+        self.loaded.parameters()
+    }
+
+    /// Replaces all parameters.
+    pub fn set_parameters(&mut self, values: &[f32]) {
+        self.loaded.set_parameters(values);
+    }
+
+    /// Marks every cell of the occupancy grid as occupied.
+    pub fn occupy_all(&mut self) {
+        self.loaded.occupy_all();
+    }
+
+    fn count_left_out(&mut self) {
+        self.state.totals.non_finite = self.left_out_before + self.loaded.stages.optimizer.non_finite();
+    }
+
+    /// Loss and gradient of the current parameters on the rays of step `step`, without moving them; the gradient is
+    /// flat and divided by the sum of the weights.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<f32>)> {
+        self.state.totals.step = step;
+        let backend = Arc::clone(&self.loaded.backend);
+        let receipt = backend.install(|| {
+            self.gradients(rays);
+            let receipt = backend.post(&self.deposits);
+            self.loaded.stages.flush(&mut self.deposits, &self.loaded.parameters, &mut self.gradient);
+            receipt
+        });
+        let sums = backend.redeem(receipt)?;
+        let gradient =
+            backend.read(&self.gradient).iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect();
+        Ok((sums, gradient))
+    }
+}
+
+impl<B: Backend> Viewer for Trainer<B> {
+    fn backend(&self) -> &str {
+        self.loaded.backend()
+    }
+
+    fn device_name(&self) -> String {
+        self.loaded.device_name()
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.loaded.notes()
+    }
+
+    fn render(&mut self, camera: &Camera) -> Result<Frame> {
+        self.loaded.render(camera)
+    }
+
+    fn render_watched(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Frame>> {
+        self.loaded.render_watched(camera, watch)
+    }
+}
+
+impl<B: Backend> Session for Trainer<B> {
+    fn step(&mut self, progress: f64) -> Result<StepReport> {
+        let backend = Arc::clone(&self.loaded.backend);
+        backend.install(|| self.train_step(progress))
+    }
+
+    fn model(&mut self) -> Result<Model> {
+        self.full_model()
+    }
+
+    fn finish(&mut self) -> Result<Model> {
+        self.finished_model()
+    }
+
+    fn checkpoint(&mut self) -> Result<Checkpoint> {
+        self.freeze()
+    }
+
+    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+        self.thaw(checkpoint)
+    }
+}

@@ -1,0 +1,76 @@
+//! What leaves a training and comes back: models and checkpoints.
+
+use super::{Trainer, sums::Arrival, sums::Pending};
+use crate::{
+    Backend, Optimizer, Renderer, Result,
+    backend::{Occupancy, Sampler},
+    checkpoint::{Checkpoint, OCCUPANCY_DENSITY},
+    config::FilePrecision,
+    model::Model,
+    run::progress,
+    tensors::Tensor,
+};
+
+impl<B: Backend> Trainer<B> {
+    /// The model in its full size, whatever it has grown to in training.
+    pub(super) fn full_model(&mut self) -> Result<Model> {
+        let mut values = self.parameters();
+        self.grow(&mut values, 0);
+        let tensors = self.loaded.tensors(&values);
+        self.device().health()?;
+        Ok(Model::new(self.loaded.config.clone(), tensors))
+    }
+
+    /// The model as its file will hold it. What follows renders as the file does, by the end of the schedule.
+    pub(super) fn finished_model(&mut self) -> Result<Model> {
+        let model = self.full_model()?.rounded();
+        self.loaded.stages.renderer.follow(1.0);
+        if self.layout().slots.iter().any(|slot| slot.precision != FilePrecision::F32) {
+            // The model has its full size, also where the run ended before it had grown to it.
+            self.enter(0);
+            self.loaded.restore_model("model", &model.file, None)?;
+        }
+        Ok(model)
+    }
+
+    pub(super) fn freeze(&mut self) -> Result<Checkpoint> {
+        self.settle()?;
+        let mut file = self.loaded.tensors(&self.parameters());
+        for (suffix, moments) in [".m", ".v"].into_iter().zip(self.loaded.stages.optimizer.moments()) {
+            self.layout().to_tensors(&self.device().read(moments), suffix, &mut file);
+        }
+        // A device's count is as new as its moments.
+        self.count_left_out();
+        let densities = self.loaded.stages.occupancy.densities();
+        file.tensors.insert(OCCUPANCY_DENSITY.into(), Tensor::f32(&[densities.len()], densities));
+        self.device().health()?;
+        Ok(Checkpoint { config: self.loaded.config.clone(), state: self.state, file })
+    }
+
+    pub(super) fn thaw(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+        let name = "checkpoint";
+        let densities = checkpoint.file.f32(name, OCCUPANCY_DENSITY, &[self.loaded.cells()])?;
+        let first = self.layout().from_tensors(&checkpoint.file, name, ".m")?;
+        let second = self.layout().from_tensors(&checkpoint.file, name, ".v")?;
+        self.loaded.restore_model(name, &checkpoint.file, Some(densities))?;
+        for (buffer, values) in self.loaded.stages.optimizer.moments_mut().into_iter().zip([first, second]) {
+            self.loaded.backend.write(buffer, &values);
+        }
+        self.state = checkpoint.state;
+        self.left_out_before =
+            self.state.totals.non_finite.saturating_sub(self.loaded.stages.optimizer.non_finite());
+        let counted = |(scale, sums)| Pending { scale, sums: Arrival::Counted(sums) };
+        self.pending = self.state.pending.into_iter().flatten().map(counted).collect();
+        self.enter(self.state.stage);
+        self.loaded.refresh();
+        let progress = progress(&self.loaded.config, &self.state.totals);
+        // A backend with less lag than the one that stopped has used these by now.
+        while self.pending.len() > B::LAG {
+            let Some((scale, sums)) = self.oldest_sums()? else { break };
+            self.adapt_batch(&sums, scale, progress);
+        }
+        self.loaded.stages.renderer.follow(progress);
+        self.loaded.stages.sampler.follow(progress);
+        Ok(())
+    }
+}

@@ -1,0 +1,166 @@
+//! One training step: refresh of the occupancy grid, rays to gradients, the seam for several machines, the parameters.
+
+use super::{
+    LEAST_RAYS, Trainer,
+    sums::{Arrival, Pending, finite},
+};
+use crate::{
+    Backend, Encoder, Field, Renderer, Result, StepReport,
+    adamw::learning_rate,
+    backend::{Loss, Occupancy, Sampler},
+    batch::{StepSums, Workspace},
+    exchange::Exchanged,
+    loaded::forward,
+    metrics::psnr_of_error,
+};
+
+/// Marched samples that a span aims at: what its activations leave of a core's L2.
+const SAMPLES_PER_SPAN: f32 = 512.0;
+
+/// Rays of a span at most: rays through empty space have no samples.
+const MAX_RAYS_PER_SPAN: u32 = 256;
+
+/// Occupancy cells of a span.
+const CELLS_PER_SPAN: u32 = 512;
+
+impl<B: Backend> Trainer<B> {
+    fn rays_per_span(&self) -> u32 {
+        ((SAMPLES_PER_SPAN / self.state.marched_per_ray.max(1.0)) as u32).clamp(1, MAX_RAYS_PER_SPAN)
+    }
+
+    /// Forward and backward over `rays` pixels; leaves the deposits full.
+    pub(super) fn gradients(&mut self, rays: u32) {
+        let step = self.state.totals.step;
+        for deposit in &mut self.deposits {
+            deposit.sums = B::Sums::default();
+        }
+        let per_span = self.rays_per_span();
+        let (backend, stages, parameters) =
+            (&*self.loaded.backend, &self.loaded.stages, &self.loaded.parameters);
+        backend.train_spans(&stages.field, rays, per_span, &mut self.deposits, &|space, deposit, range| {
+            stages.sampler.training_rays(&mut space.lane, step, rays, range, &mut space.rays);
+            forward(stages, parameters, space, Some(step));
+            let Workspace { lane, rays, samples, encoding, features, tape, radiance, cones, pixels, .. } =
+                space;
+            stages.loss.evaluate(lane, rays, samples, pixels, &mut space.pixel_gradients, &mut deposit.sums);
+            let radiance_gradients = &mut space.radiance_gradients;
+            stages.renderer.backward(
+                lane,
+                rays,
+                samples,
+                radiance,
+                cones,
+                &space.pixel_gradients,
+                radiance_gradients,
+            );
+            let (feature_gradients, weights) = (&mut space.feature_gradients, &mut deposit.field);
+            stages.field.backward(
+                lane,
+                samples,
+                features,
+                tape,
+                radiance,
+                radiance_gradients,
+                feature_gradients,
+                weights,
+            );
+            stages.encoder.backward(
+                lane,
+                parameters,
+                rays,
+                samples,
+                encoding,
+                feature_gradients,
+                &mut deposit.encoder,
+            );
+        });
+    }
+
+    /// Asks the occupancy grid's chosen cells for their density.
+    fn refresh_occupancy(&mut self) {
+        let step = self.state.totals.step;
+        let count = self.loaded.stages.occupancy.choose(step);
+        let (stages, parameters) = (&self.loaded.stages, &self.loaded.parameters);
+        self.loaded.backend.map_spans(
+            &stages.field,
+            count,
+            CELLS_PER_SPAN,
+            &mut self.probes,
+            &|space, range| {
+                let Workspace { lane, rays, samples, encoding, features, tape, radiance, .. } = space;
+                stages.occupancy.probes(lane, step, range, rays, samples);
+                stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
+                stages.field.density(lane, samples, features, tape, radiance);
+            },
+            &|space| &space.radiance,
+        );
+        self.loaded.stages.occupancy.absorb(&self.probes);
+    }
+
+    /// Scales the next step's rays so that its kept samples stay near the target (dynamic batch); `scale` is the marching
+    /// step that the sums were made with.
+    pub(super) fn adapt_batch(&mut self, sums: &StepSums, scale: f64, progress: f64) {
+        let train = &self.loaded.config.train;
+        let target = (f64::from(train.samples_per_step) * train.batch_scale.at(progress)) as u64;
+        let mut next = sums.rays * target / sums.kept.max(1) + 1;
+        if scale != self.state.step_scale {
+            next = (next as f64 * self.state.step_scale / scale) as u64;
+        }
+        // At most doubled, so that one thin batch does not make the next one enormous.
+        let most = 2 * u64::from(self.state.rays_per_step);
+        self.state.rays_per_step = next.min(most).clamp(LEAST_RAYS.into(), 8 * target) as u32;
+        self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
+    }
+
+    /// From full deposits to new parameters. Between the two stands the one place where machines that train together
+    /// exchange gradient and weight.
+    fn update(&mut self, rate: f64, step: u64) {
+        let Self { loaded, gradient, deposits, exchange, .. } = self;
+        let (backend, stages, parameters) = (&*loaded.backend, &mut loaded.stages, &mut loaded.parameters);
+        stages.flush(deposits, parameters, gradient);
+        match exchange.exchange(backend, gradient, deposits) {
+            Exchanged::Nothing => backend.update(stages, parameters, gradient, deposits, rate, step),
+            Exchanged::Everything => backend.update_all(stages, parameters, gradient, deposits, rate, step),
+        }
+    }
+
+    pub(super) fn train_step(&mut self, progress: f64) -> Result<StepReport> {
+        let step = self.state.totals.step;
+        self.follow(progress);
+        if step.is_multiple_of(u64::from(self.loaded.config.occupancy.every)) {
+            self.refresh_occupancy();
+        }
+        self.gradients(self.state.rays_per_step);
+        let posted = Arrival::Posted(self.device().post(&self.deposits));
+        self.pending.push_back(Pending { scale: self.state.step_scale, sums: posted });
+        // A backend without lag is asked before anything moves.
+        let early = if B::LAG == 0 { self.oldest_sums()? } else { None };
+        if let Some((_, sums)) = &early
+            && let Err(error) = finite(step, sums)
+        {
+            self.loaded.stages.flush(&mut self.deposits, &self.loaded.parameters, &mut self.gradient);
+            return Err(error);
+        }
+        let rate = learning_rate(&self.loaded.config.optimizer, progress);
+        self.update(rate, step + 1);
+        self.device().submit();
+        let late = if B::LAG > 0 { self.oldest_sums()? } else { None };
+        if let Some((_, sums)) = &late {
+            finite(step.saturating_sub(B::LAG as u64), sums)?;
+        }
+        self.state.totals.step += 1;
+        let sums = early.or(late);
+        if let Some((scale, sums)) = &sums {
+            self.adapt_batch(sums, *scale, progress);
+        }
+        self.count_left_out();
+        let sums = sums.map_or_else(StepSums::default, |(_, sums)| sums);
+        Ok(StepReport {
+            totals: self.state.totals,
+            loss: sums.loss / sums.weight.max(f64::MIN_POSITIVE),
+            batch_psnr: psnr_of_error(sums.squared_error / (3 * sums.rays.max(1)) as f64),
+            learning_rate: rate,
+            occupied: self.loaded.stages.occupancy.occupied(),
+        })
+    }
+}

@@ -1,0 +1,76 @@
+//! Sums of the last steps. A device runs ahead of the host, so that a step's sums are used some steps later: always as
+//! many, whatever the timing.
+
+use super::Trainer;
+use crate::{Backend, Error, Result, batch::StepSums, checkpoint::MOST_PENDING};
+
+/// Sums of a step that no later one has used.
+pub(super) struct Pending<B: Backend> {
+    /// The marching step then, in uniform steps.
+    pub scale: f64,
+    pub sums: Arrival<B>,
+}
+
+/// Sums of a step.
+pub(super) enum Arrival<B: Backend> {
+    /// On their way from the device.
+    Posted(B::Receipt),
+    /// Read and counted, because a checkpoint was taken since.
+    Counted(StepSums),
+}
+
+impl<B: Backend> Trainer<B> {
+    /// Adds the sums of a step to the totals.
+    fn count(&mut self, sums: &StepSums) {
+        let totals = &mut self.state.totals;
+        totals.samples += sums.kept;
+        totals.marched += sums.marched;
+        totals.rays += sums.rays;
+        totals.empty_batches += u64::from(sums.kept == 0);
+    }
+
+    /// The oldest sums that no step has used, counted, with their marching step; once there are more than the lag.
+    pub(super) fn oldest_sums(&mut self) -> Result<Option<(f64, StepSums)>> {
+        if self.pending.len() <= B::LAG {
+            return Ok(None);
+        }
+        let Some(Pending { scale, sums }) = self.pending.pop_front() else { return Ok(None) };
+        Ok(Some((scale, self.arrived(sums)?)))
+    }
+
+    /// Waits for sums and counts them.
+    fn arrived(&mut self, sums: Arrival<B>) -> Result<StepSums> {
+        match sums {
+            Arrival::Counted(sums) => Ok(sums),
+            Arrival::Posted(receipt) => {
+                let sums = self.device().redeem(receipt)?;
+                self.count(&sums);
+                Ok(sums)
+            }
+        }
+    }
+
+    /// Reads all sums that are under way: what a checkpoint holds.
+    pub(super) fn settle(&mut self) -> Result<()> {
+        self.state.pending = [None; MOST_PENDING];
+        let first = self.state.totals.step.saturating_sub(self.pending.len() as u64);
+        for (place, Pending { scale, sums }) in std::mem::take(&mut self.pending).into_iter().enumerate() {
+            let sums = self.arrived(sums)?;
+            finite(first + place as u64, &sums)?;
+            self.pending.push_back(Pending { scale, sums: Arrival::Counted(sums) });
+            self.state.pending[place] = Some((scale, sums));
+        }
+        Ok(())
+    }
+}
+
+/// Refuses the sums of a step that are not finite.
+pub(super) fn finite(step: u64, sums: &StepSums) -> Result<()> {
+    if sums.non_finite == 0 && sums.loss.is_finite() {
+        return Ok(());
+    }
+    Err(Error::run(format!(
+        "step {step}: {} of {} pixels are not finite (loss {}); lower optimizer.learning_rate",
+        sums.non_finite, sums.rays, sums.loss
+    )))
+}

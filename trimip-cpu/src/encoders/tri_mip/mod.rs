@@ -1,0 +1,341 @@
+//! Tri-mip encoding on the CPU: a texel's 16 channels are one vector register; a query adds up to 24 of them.
+
+mod extents;
+mod scatter;
+
+use self::extents::{Extent, Extents};
+use self::scatter::{BANDS, Sort, spread};
+use super::{Encoding, Left, Piece, Places};
+use crate::buffer::{Buffer, take, take_mut};
+use crate::simd::{Kernel, Lanes, Simd, fetch};
+use rayon::prelude::*;
+use std::ops::Range;
+use trimip_core::batch::Sphere;
+use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, taps};
+use trimip_core::{Aabb, Config};
+
+/// Planes and their mip levels.
+pub(crate) struct Planes {
+    simd: Simd,
+    pyramid: Pyramid,
+    /// The pyramid of planes of full size.
+    whole: Pyramid,
+    /// Where the gradient may differ from zero.
+    touched: Extents,
+    /// Levels above the base, see [`Pyramid::offset`].
+    derived: Buffer<f32>,
+    /// Gradient of the same.
+    derived_gradient: Buffer<f32>,
+}
+
+/// Feature gradients of some spans, and for each plane and band of rows the samples that touch it.
+pub(crate) struct Gradient {
+    /// Where each sample lies.
+    pub spheres: Buffer<Sphere>,
+    /// Its gradient, [samples, 48].
+    pub rows: Buffer<f32>,
+    /// Samples by plane and band, in sample order.
+    pub bands: Vec<Vec<u32>>,
+}
+
+impl Encoding for Planes {
+    type Gradient = Gradient;
+
+    fn new(simd: Simd, config: &Config, training: bool) -> Self {
+        let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
+        let derived = Buffer::zeros(pyramid.derived_len());
+        let derived_gradient = Buffer::zeros(if training { pyramid.derived_len() } else { 0 });
+        let touched = Extents::whole(&pyramid);
+        Self { simd, whole: pyramid.clone(), pyramid, touched, derived, derived_gradient }
+    }
+
+    fn gradient(&self) -> Gradient {
+        Gradient { spheres: Buffer::zeros(0), rows: Buffer::zeros(0), bands: vec![Vec::new(); 3 * BANDS] }
+    }
+
+    fn grow(&mut self, stage: u32) {
+        self.pyramid = self.whole.halved(stage);
+        self.touched = Extents::whole(&self.pyramid);
+    }
+
+    fn refresh(&mut self, parameters: &[f32], all: bool) {
+        if all {
+            return self.average(parameters, &Extents::whole(&self.pyramid));
+        }
+        let touched = std::mem::take(&mut self.touched);
+        self.average(parameters, &touched);
+        self.touched = touched;
+    }
+
+    fn forward(&self, parameters: &[f32], at: Places<'_>, _: &mut [f32], features: &mut [f32], _: usize) {
+        let spheres = at.spheres;
+        let base = &parameters[..self.pyramid.base_len()];
+        self.simd.run(Gather { pyramid: &self.pyramid, base, derived: &self.derived, spheres, features });
+    }
+
+    fn backward(
+        &self,
+        _: &[f32],
+        at: Places<'_>,
+        _: &[f32],
+        rows: &[f32],
+        _: usize,
+        gradient: &mut Gradient,
+    ) {
+        let spheres = at.spheres;
+        let (first, count) = (gradient.spheres.len(), spheres.len());
+        gradient.spheres.resize(first + count);
+        gradient.spheres[first..].copy_from_slice(spheres);
+        gradient.rows.resize((first + count) * FEATURES);
+        gradient.rows[first * FEATURES..].copy_from_slice(rows);
+        let (pyramid, bands) = (&self.pyramid, &mut gradient.bands);
+        self.simd.run(Sort { pyramid, spheres, first: first as u32, bands });
+    }
+
+    fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
+        let base = &mut parameter_gradient[..self.pyramid.base_len()];
+        spread(self.simd, &self.pyramid, gradients, base, &mut self.derived_gradient, &mut self.touched);
+        // Pull from coarse to fine: each texel of a level carries a quarter of its parent's gradient.
+        let Self { simd, pyramid, derived_gradient, touched, .. } = self;
+        for level in (1..pyramid.levels).rev() {
+            let (derived, coarser) = derived_gradient.split_at_mut(pyramid.offset(level, 0));
+            let mut finer =
+                if level == 1 { &mut base[..] } else { &mut derived[pyramid.offset(level - 1, 0)..] };
+            let mut coarser = &coarser[..];
+            let (mut fine_extents, mut extents) = touched.levels_mut(level - 1);
+            for plane in 0..3 {
+                let Shape { rows, .. } = pyramid.shape(level, plane);
+                let row = pyramid.shape(level, plane).row();
+                let coarse = take(&mut coarser, rows * row);
+                let fine = take_mut(&mut finer, 4 * rows * row).par_chunks_mut(4 * row);
+                let fine_rows = fine.zip(take_mut(&mut fine_extents, 2 * rows).par_chunks_mut(2));
+                let rows = fine_rows.zip(take(&mut extents, rows)).enumerate().with_min_len(4);
+                rows.for_each(|(r, ((fine, fine_extents), extent))| {
+                    if extent.is_empty() {
+                        return;
+                    }
+                    let columns = extent.texels();
+                    simd.run(PullRow { coarse: &coarse[r * row..][..row], fine, columns });
+                    fine_extents.iter_mut().for_each(|fine| *fine = fine.union(extent.doubled()));
+                });
+            }
+        }
+        for gradient in gradients {
+            gradient.spheres.clear();
+            gradient.rows.clear();
+            gradient.bands.iter_mut().for_each(Vec::clear);
+        }
+    }
+
+    fn left(_: &Config) -> Left {
+        // A sample's gradient, its place, and its number in the lists of the bands that it touches.
+        let by_sample = size_of::<[f32; FEATURES]>() + size_of::<Sphere>() + 3 * 2 * size_of::<u32>();
+        Left { by_sample, by_deposit: 3 * BANDS * size_of::<Vec<u32>>() }
+    }
+
+    fn touched(&self) -> Option<Vec<Piece<'_>>> {
+        let mut extents = self.touched.level(0);
+        let piece = |plane| {
+            let shape = self.pyramid.shape(0, plane);
+            let rows = take(&mut extents, shape.rows);
+            let within = Box::new(|row: usize| {
+                let Range { start, end } = rows[row].texels();
+                start * CHANNELS..end * CHANNELS
+            });
+            Piece { length: shape.rows * shape.row(), row: shape.row(), within }
+        };
+        Some([0, 1, 2].map(piece).into())
+    }
+}
+
+impl Planes {
+    /// Rebuilds the mip levels above the base texels `changed`.
+    fn average(&mut self, parameters: &[f32], changed: &Extents) {
+        let Self { simd, pyramid, derived, .. } = self;
+        let mut below = changed.level(0).to_vec();
+        for level in 1..pyramid.levels {
+            let (derived, mut coarser) = derived.split_at_mut(pyramid.offset(level, 0));
+            let mut finer = if level == 1 {
+                &parameters[..pyramid.base_len()]
+            } else {
+                &derived[pyramid.offset(level - 1, 0)..]
+            };
+            // Every plane has an even number of rows below its rows: pairs stay within their plane.
+            let above: Vec<Extent> =
+                below.chunks_exact(2).map(|rows| rows[0].union(rows[1]).halved()).collect();
+            let mut extents = &above[..];
+            for plane in 0..3 {
+                // Row r of this level lies over rows 2r and 2r + 1 of the finer one.
+                let Shape { rows, .. } = pyramid.shape(level, plane);
+                let row = pyramid.shape(level, plane).row();
+                let fine = take(&mut finer, 4 * rows * row).par_chunks(4 * row);
+                let out = take_mut(&mut coarser, rows * row).par_chunks_mut(row);
+                let rows = out.zip(fine).zip(take(&mut extents, rows)).with_min_len(4);
+                rows.for_each(|((out, fine), extent)| {
+                    simd.run(AverageRow { fine, out, columns: extent.texels() });
+                });
+            }
+            below = above;
+        }
+    }
+}
+
+/// Some texels of a row of 2×2 box averages; `fine` holds the two rows below it.
+struct AverageRow<'a> {
+    fine: &'a [f32],
+    out: &'a mut [f32],
+    columns: Range<usize>,
+}
+
+impl Kernel for AverageRow<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let (lower, upper) = self.fine.split_at(self.fine.len() / 2);
+        let Range { start, end } = self.columns;
+        let below = 2 * CHANNELS * start..2 * CHANNELS * end;
+        let pairs =
+            lower[below.clone()].chunks_exact(2 * CHANNELS).zip(upper[below].chunks_exact(2 * CHANNELS));
+        let out = &mut self.out[CHANNELS * start..CHANNELS * end];
+        for (out, (lower, upper)) in out.chunks_exact_mut(CHANNELS).zip(pairs) {
+            // SAFETY: `lower` and `upper` hold two texels of 16 values, `out` one. Written with lanes because the
+            // compiler's own vectors run across texels and gather.
+            unsafe {
+                let pair = |row: &[f32]| L::load(row.as_ptr()).add(L::load(row.as_ptr().add(CHANNELS)));
+                let sum = pair(lower).add(pair(upper));
+                sum.mul_add(L::splat(0.25), L::splat(0.0)).store(out.as_mut_ptr());
+            }
+        }
+    }
+}
+
+/// Adds a quarter of some coarse texels' gradient to their four children each.
+struct PullRow<'a> {
+    coarse: &'a [f32],
+    fine: &'a mut [f32],
+    columns: Range<usize>,
+}
+
+impl Kernel for PullRow<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let half = self.fine.len() / 2;
+        let Range { start, end } = self.columns;
+        let parents = &self.coarse[CHANNELS * start..CHANNELS * end];
+        for row in self.fine.chunks_exact_mut(half) {
+            let children = &mut row[2 * CHANNELS * start..2 * CHANNELS * end];
+            for (children, parent) in
+                children.chunks_exact_mut(2 * CHANNELS).zip(parents.chunks_exact(CHANNELS))
+            {
+                // SAFETY: `children` holds two texels of 16 values, `parent` one.
+                unsafe {
+                    let parent = L::load(parent.as_ptr());
+                    for child in [children.as_mut_ptr(), children.as_mut_ptr().add(CHANNELS)] {
+                        parent.mul_add(L::splat(0.25), L::load(child)).store(child);
+                    }
+                }
+            }
+        }
+    }
+}
+
+struct Gather<'a> {
+    pyramid: &'a Pyramid,
+    base: &'a [f32],
+    derived: &'a [f32],
+    spheres: &'a [Sphere],
+    features: &'a mut [f32],
+}
+
+/// Samples whose texels are fetched into the caches before the first of them is summed.
+const AHEAD: usize = 8;
+
+/// Levels a pyramid can have: plane sizes go up to 4096.
+const MOST_LEVELS: usize = 16;
+
+/// One bilinear read: where its texels are, and their weights with the level's share.
+#[derive(Clone, Copy)]
+struct Read {
+    texels: [*const f32; 4],
+    weights: [f32; 4],
+}
+
+/// What a sample reads: on each plane one level or two.
+#[derive(Clone, Copy)]
+struct Reads {
+    reads: [[Read; 2]; 3],
+    two: [bool; 3],
+}
+
+impl Gather<'_> {
+    /// First texel of every level and plane.
+    #[inline(always)]
+    fn places(&self) -> [[*const f32; 3]; MOST_LEVELS] {
+        let mut places = [[std::ptr::null(); 3]; MOST_LEVELS];
+        for (level, planes) in places.iter_mut().enumerate().take(self.pyramid.levels) {
+            for (plane, place) in planes.iter_mut().enumerate() {
+                let values = if level == 0 { self.base } else { self.derived };
+                *place = values[self.pyramid.range(level, plane)].as_ptr();
+            }
+        }
+        places
+    }
+
+    /// Finds what a sample reads, and fetches it.
+    #[inline(always)]
+    fn find(&self, places: &[[*const f32; 3]; MOST_LEVELS], sphere: &Sphere, to: &mut Reads) {
+        let log2_radius = sphere.radius.log2();
+        for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
+            let blend = self.pyramid.blend(plane, log2_radius);
+            to.two[plane] = blend.fraction != 0.0;
+            let shares = [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)];
+            for (read, (level, share)) in to.reads[plane].iter_mut().zip(shares) {
+                if share == 0.0 {
+                    continue;
+                }
+                let shape = self.pyramid.shape(level, plane);
+                let taps = taps(shape, sphere.position[a], sphere.position[b]);
+                for i in 0..2 {
+                    for j in 0..2 {
+                        let texel = (taps.rows[i] * shape.columns + taps.columns[j]) * CHANNELS;
+                        // SAFETY: taps clamps rows and columns to the shape; the level holds all its texels.
+                        let texel = unsafe { places[level][plane].add(texel) };
+                        fetch(texel);
+                        read.texels[2 * i + j] = texel;
+                        read.weights[2 * i + j] = share * taps.weights[i][j];
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl Kernel for Gather<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let places = self.places();
+        let nothing = Read { texels: [std::ptr::null(); 4], weights: [0.0; 4] };
+        let mut ahead = [Reads { reads: [[nothing; 2]; 3], two: [false; 3] }; AHEAD];
+        for (first, spheres) in self.spheres.chunks(AHEAD).enumerate() {
+            for (sphere, reads) in spheres.iter().zip(&mut ahead) {
+                self.find(&places, sphere, reads);
+            }
+            let out = &mut self.features[first * AHEAD * FEATURES..][..spheres.len() * FEATURES];
+            for (reads, out) in ahead.iter().zip(out.chunks_exact_mut(FEATURES)) {
+                for plane in 0..3 {
+                    let mut sum = L::splat(0.0);
+                    for read in &reads.reads[plane][..1 + usize::from(reads.two[plane])] {
+                        for (texel, weight) in read.texels.into_iter().zip(read.weights) {
+                            // SAFETY: `find` made the pointer from texels that this kernel borrows.
+                            sum = L::splat(weight).mul_add(unsafe { L::load(texel) }, sum);
+                        }
+                    }
+                    // SAFETY: `out` holds 48 values.
+                    unsafe { sum.store(out.as_mut_ptr().add(plane * CHANNELS)) };
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,188 @@
+//! From feature gradients to texel gradients, with the same bits for any number of threads and without atomics: each
+//! plane is cut into bands of rows, a sample is listed in every band it touches, and one worker adds up a band in sample
+//! order. A row of a level belongs to exactly one band.
+
+use super::Gradient;
+use super::extents::{Extent, Extents};
+use crate::buffer::take_mut;
+use crate::simd::{Kernel, Lanes, Simd};
+use rayon::prelude::*;
+use std::ops::Range;
+use trimip_core::batch::Sphere;
+use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
+
+/// Bands of a plane.
+pub const BANDS: usize = 16;
+
+/// The rows of one band of one plane, of all levels.
+pub struct Band<'a> {
+    plane: usize,
+    band: usize,
+    levels: Vec<LevelBand<'a>>,
+}
+
+/// The rows of a band that belong to one level.
+struct LevelBand<'a> {
+    first_row: usize,
+    texels: &'a mut [f32],
+    /// What is touched of each row.
+    extents: &'a mut [Extent],
+}
+
+/// Band that owns a row of a plane's level that has `rows`.
+#[inline(always)]
+fn owner(row: usize, rows: usize) -> usize {
+    row * BANDS / rows
+}
+
+/// First row of a band.
+fn first_row(band: usize, rows: usize) -> usize {
+    (band * rows).div_ceil(BANDS)
+}
+
+/// The up to two reads of a sphere on a plane: level and weight.
+#[inline(always)]
+fn reads(pyramid: &Pyramid, plane: usize, log2_radius: f32) -> [(usize, f32); 2] {
+    let blend = pyramid.blend(plane, log2_radius);
+    [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
+}
+
+/// Lists samples in every band they touch.
+pub struct Sort<'a> {
+    /// The planes.
+    pub pyramid: &'a Pyramid,
+    /// Where the samples lie.
+    pub spheres: &'a [Sphere],
+    /// Number of the first sample.
+    pub first: u32,
+    /// Lists by plane and band.
+    pub bands: &'a mut [Vec<u32>],
+}
+
+impl Kernel for Sort<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { pyramid, spheres, first, bands } = self;
+        for (sphere, index) in spheres.iter().zip(first..) {
+            let log2_radius = sphere.radius.log2();
+            for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
+                let mut touched = 0_u32;
+                for (level, share) in reads(pyramid, plane, log2_radius) {
+                    if share != 0.0 {
+                        let shape = pyramid.shape(level, plane);
+                        let [lower, upper] = taps(shape, sphere.position[a], sphere.position[b]).rows;
+                        touched |= 1 << owner(lower, shape.rows) | 1 << owner(upper, shape.rows);
+                    }
+                }
+                while touched != 0 {
+                    bands[plane * BANDS + touched.trailing_zeros() as usize].push(index);
+                    touched &= touched - 1;
+                }
+            }
+        }
+    }
+}
+
+/// Overwrites `base` and `derived` with the sums of all deposits; both are zero outside of `touched`, before and after.
+pub fn spread(
+    simd: Simd,
+    pyramid: &Pyramid,
+    gradients: &[&mut Gradient],
+    base: &mut [f32],
+    derived: &mut [f32],
+    touched: &mut Extents,
+) {
+    let mut bands: Vec<Band<'_>> = (0..3 * BANDS)
+        .map(|i| Band { plane: i / BANDS, band: i % BANDS, levels: Vec::with_capacity(pyramid.levels) })
+        .collect();
+    let mut rest = [base, derived];
+    for (level, extents) in touched.iter_mut().enumerate() {
+        let mut extents = extents.as_mut_slice();
+        let texels = &mut rest[usize::from(level > 0)];
+        for band in &mut bands {
+            let shape = pyramid.shape(level, band.plane);
+            let (from, to) = (first_row(band.band, shape.rows), first_row(band.band + 1, shape.rows));
+            band.levels.push(LevelBand {
+                first_row: from,
+                texels: take_mut(texels, (to - from) * shape.row()),
+                extents: take_mut(&mut extents, to - from),
+            });
+        }
+    }
+    bands.into_par_iter().with_max_len(1).for_each(|band| simd.run(SpreadBand { pyramid, gradients, band }));
+}
+
+struct SpreadBand<'a> {
+    pyramid: &'a Pyramid,
+    gradients: &'a [&'a mut Gradient],
+    band: Band<'a>,
+}
+
+impl Kernel for SpreadBand<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Band { plane, band, mut levels } = self.band;
+        for (level, LevelBand { texels, extents, .. }) in levels.iter_mut().enumerate() {
+            let rows = texels.chunks_exact_mut(self.pyramid.shape(level, plane).row());
+            for (row, extent) in rows.zip(extents.iter_mut()) {
+                let Range { start, end } = extent.texels();
+                row[start * CHANNELS..end * CHANNELS].fill(0.0);
+                *extent = Extent::EMPTY;
+            }
+        }
+        let [a, b] = PLANE_AXES[plane];
+        for gradient in self.gradients {
+            for &index in &gradient.bands[plane * BANDS + band] {
+                let sphere = &gradient.spheres[index as usize];
+                let row = &gradient.rows[index as usize * FEATURES + plane * CHANNELS..][..CHANNELS];
+                // SAFETY: `row` holds 16 values.
+                let values = unsafe { L::load(row.as_ptr()) };
+                for (level, share) in reads(self.pyramid, plane, sphere.radius.log2()) {
+                    if share == 0.0 {
+                        continue;
+                    }
+                    let shape = self.pyramid.shape(level, plane);
+                    let taps = taps(shape, sphere.position[a], sphere.position[b]);
+                    let LevelBand { first_row, texels, extents } = &mut levels[level];
+                    for i in 0..2 {
+                        if owner(taps.rows[i], shape.rows) != band {
+                            continue;
+                        }
+                        extents[taps.rows[i] - *first_row].add(taps.columns[0], taps.columns[1]);
+                        for j in 0..2 {
+                            let row = (taps.rows[i] - *first_row) * shape.columns;
+                            let texel = (row + taps.columns[j]) * CHANNELS;
+                            let texel = texels[texel..][..CHANNELS].as_mut_ptr();
+                            // SAFETY: the slice holds 16 values.
+                            unsafe {
+                                let weight = L::splat(share * taps.weights[i][j]);
+                                values.mul_add(weight, L::load(texel)).store(texel);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_has_one_owner_and_bands_meet() {
+        for side in [1, 2, 8, 16, 24, 40, 336, 512] {
+            let mut rows = 0;
+            for band in 0..BANDS {
+                for row in first_row(band, side)..first_row(band + 1, side) {
+                    assert_eq!(owner(row, side), band, "row {row} of {side}");
+                    rows += 1;
+                }
+            }
+            assert_eq!(rows, side);
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! Products with few columns, as dot products.
+
+use crate::simd::{Kernel, Lanes, Simd};
+
+/// C[row, j] = Σ_p A[row, p]·W[j, p] for the few rows of W, [outputs, k]; C has `width` columns, zero beyond `outputs`.
+pub fn dots(simd: Simd, rows: usize, k: usize, a: &[f32], w: &[f32], c: &mut [f32], width: usize) {
+    assert!(k.is_multiple_of(16) && w.len().is_multiple_of(k) && w.len() / k <= width, "padded widths");
+    assert!(a.len() >= rows * k && c.len() >= rows * width, "whole matrices");
+    simd.run(Dots { rows, k, a, w, c, width });
+}
+
+struct Dots<'a> {
+    rows: usize,
+    k: usize,
+    a: &'a [f32],
+    w: &'a [f32],
+    c: &'a mut [f32],
+    width: usize,
+}
+
+impl Kernel for Dots<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { rows, k, a, w, c, width } = self;
+        for (a, c) in a.chunks_exact(k).zip(c.chunks_exact_mut(width)).take(rows) {
+            c.fill(0.0);
+            for (c, w) in c.iter_mut().zip(w.chunks_exact(k)) {
+                let mut sum = L::splat(0.0);
+                for p in (0..k).step_by(16) {
+                    // SAFETY: both slices hold k values, a multiple of 16.
+                    unsafe { sum = L::load(a.as_ptr().add(p)).mul_add(L::load(w.as_ptr().add(p)), sum) };
+                }
+                *c = sum.sum();
+            }
+        }
+    }
+}

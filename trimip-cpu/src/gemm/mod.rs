@@ -1,0 +1,45 @@
+//! Matrix products of the small networks over blocks of rows that stay in a core's L2. Activations are row-major with
+//! rows padded to [`ROWS`]; weights are packed in column panels of 32 (the last may have 16), so that a panel streams.
+//! Letters: C[m, n] = A[m, k]·W[k, n]; G[k, n] += Aᵀ·D.
+//!
+//! At [`Precision::Bf16`] the factors are words of two bf16 that are neighbours in the direction summed over, made by
+//! [`pair_columns`] and [`pair_rows`]; sums stay in f32. The kernels are the same, over half as many words.
+
+mod accumulate;
+mod dots;
+mod multiply;
+mod packed;
+mod pairs;
+#[cfg(test)]
+mod tests;
+
+pub use accumulate::accumulate;
+pub use dots::dots;
+pub use multiply::{Finish, Start, multiply};
+pub use packed::Packed;
+pub use pairs::{pair_columns, pair_rows};
+
+use crate::simd::Lanes;
+use trimip_core::config::Precision;
+
+/// Rows of a register tile; activation buffers hold a multiple of it.
+pub const ROWS: usize = 12;
+
+/// Rows rounded up to whole tiles.
+pub fn padded(rows: usize) -> usize {
+    rows.next_multiple_of(ROWS)
+}
+
+/// Words of `count` values that are summed over.
+fn words(count: usize, precision: Precision) -> usize {
+    match precision {
+        Precision::F32 | Precision::F16 => count,
+        Precision::Bf16 => count.div_ceil(2),
+    }
+}
+
+/// `a` · `b` + `sum`, of values or of words of pairs.
+#[inline(always)]
+fn add_product<L: Lanes, const PAIRS: bool>(a: L, b: L, sum: L) -> L {
+    if PAIRS { a.dot_add(b, sum) } else { a.mul_add(b, sum) }
+}

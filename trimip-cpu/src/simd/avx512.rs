@@ -1,0 +1,139 @@
+//! Lanes of one AVX-512 register.
+
+use super::{Kernel, Lanes};
+use std::arch::x86_64::*;
+
+#[target_feature(enable = "avx512f,avx512bw,avx512bf16,avx2,fma")]
+pub unsafe fn run_bf16<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Zmm<true>>()
+}
+
+#[target_feature(enable = "avx512f,avx2,fma")]
+pub unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
+    kernel.run::<Zmm<false>>()
+}
+
+/// One AVX-512 register; with the instructions of BF16 or without.
+#[derive(Clone, Copy)]
+pub struct Zmm<const BF16: bool>(__m512);
+
+// SAFETY of all intrinsics below: reached only through `run` and `run_bf16`, whose caller checked the processor.
+#[allow(clippy::undocumented_unsafe_blocks)]
+impl<const BF16: bool> Lanes for Zmm<BF16> {
+    const WIDE: bool = true;
+    #[inline(always)]
+    fn splat(value: f32) -> Self {
+        Self(unsafe { _mm512_set1_ps(value) })
+    }
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> Self {
+        Self(unsafe { _mm512_loadu_ps(from) })
+    }
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32) {
+        unsafe { _mm512_storeu_ps(to, self.0) }
+    }
+    #[inline(always)]
+    fn mul_add(self, factor: Self, addend: Self) -> Self {
+        Self(unsafe { _mm512_fmadd_ps(self.0, factor.0, addend.0) })
+    }
+    #[inline(always)]
+    fn relu(self) -> Self {
+        Self(unsafe { _mm512_max_ps(self.0, _mm512_setzero_ps()) })
+    }
+    #[inline(always)]
+    fn where_positive(self, mask: Self) -> Self {
+        unsafe {
+            let positive = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(mask.0, _mm512_setzero_ps());
+            Self(_mm512_maskz_mov_ps(positive, self.0))
+        }
+    }
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self(unsafe { _mm512_add_ps(self.0, other.0) })
+    }
+    #[inline(always)]
+    fn sum(self) -> f32 {
+        unsafe { _mm512_reduce_add_ps(self.0) }
+    }
+    #[inline(always)]
+    fn first(self) -> Self {
+        unsafe { Self(_mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_castps_si512(self.0)))) }
+    }
+    #[inline(always)]
+    fn second(self) -> Self {
+        unsafe {
+            let upper = _mm512_set1_epi32(0xffff_0000_u32 as i32);
+            Self(_mm512_castsi512_ps(_mm512_and_si512(_mm512_castps_si512(self.0), upper)))
+        }
+    }
+    #[inline(always)]
+    fn dot_add(self, factor: Self, addend: Self) -> Self {
+        if BF16 {
+            Self(unsafe { _mm512_dpbf16_ps(addend.0, words(self.0), words(factor.0)) })
+        } else {
+            self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
+        }
+    }
+    #[inline(always)]
+    fn pair(self, second: Self) -> Self {
+        if !BF16 {
+            return Self(unsafe { round(self.0, second.0) });
+        }
+        unsafe {
+            // The lower half of the words holds `self`, the upper `second`.
+            let halves: __m512i = std::mem::transmute(_mm512_cvtne2ps_pbh(second.0, self.0));
+            let firsts = _mm512_cvtepu16_epi32(_mm512_castsi512_si256(halves));
+            let seconds = _mm512_cvtepu16_epi32(_mm512_extracti64x4_epi64::<1>(halves));
+            Self(_mm512_castsi512_ps(_mm512_or_si512(firsts, _mm512_slli_epi32::<16>(seconds))))
+        }
+    }
+    #[inline(always)]
+    fn pair_neighbours(self, next: Self) -> Self {
+        unsafe {
+            if BF16 {
+                return Self(std::mem::transmute::<__m512bh, __m512>(_mm512_cvtne2ps_pbh(next.0, self.0)));
+            }
+            let lanes = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+            let even = _mm512_permutex2var_ps(self.0, lanes, next.0);
+            let odd = _mm512_add_epi32(lanes, _mm512_set1_epi32(1));
+            Self(round(even, _mm512_permutex2var_ps(self.0, odd, next.0)))
+        }
+    }
+}
+
+/// The same bits as pairs of bf16.
+#[inline(always)]
+unsafe fn words(bits: __m512) -> __m512bh {
+    // SAFETY: both are 512 bits of anything.
+    unsafe { std::mem::transmute(bits) }
+}
+
+/// Words of pairs without the instructions of BF16: what [`super::pair`] does.
+#[inline(always)]
+unsafe fn round(first: __m512, second: __m512) -> __m512 {
+    // SAFETY: the caller runs with AVX-512F, as `Zmm` does.
+    unsafe {
+        let first = _mm512_srli_epi32::<16>(round_up(first));
+        let second = _mm512_and_si512(round_up(second), _mm512_set1_epi32(0xffff_0000_u32 as i32));
+        _mm512_castsi512_ps(_mm512_or_si512(first, second))
+    }
+}
+
+/// Values whose upper halves are the nearest bf16: what [`super::bf16`] does.
+#[inline(always)]
+unsafe fn round_up(value: __m512) -> __m512i {
+    // SAFETY: as above.
+    unsafe {
+        let bits = _mm512_castps_si512(value);
+        let odd = _mm512_and_si512(_mm512_srli_epi32::<16>(bits), _mm512_set1_epi32(1));
+        let rounded = _mm512_add_epi32(bits, _mm512_add_epi32(odd, _mm512_set1_epi32(0x7fff)));
+        let quiet = _mm512_or_si512(bits, _mm512_set1_epi32(0x40_0000));
+        let nan = _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(value, value);
+        let sign = _mm512_set1_epi32(i32::MIN);
+        let size = _mm512_castsi512_ps(_mm512_andnot_si512(sign, bits));
+        let normal = _mm512_cmp_ps_mask::<_CMP_NLT_UQ>(size, _mm512_set1_ps(f32::MIN_POSITIVE));
+        let kept = _mm512_mask_mov_epi32(_mm512_and_si512(bits, sign), normal, rounded);
+        _mm512_mask_mov_epi32(kept, nan, quiet)
+    }
+}

@@ -1,0 +1,178 @@
+//! Sixteen f32 lanes as AVX-512, AVX2 or plain Rust, chosen at run time. A [`Kernel`] is written once over [`Lanes`];
+//! [`Simd::run`] compiles it for each instruction set. The sets differ in rounding alone (fused or not).
+
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod bf16;
+mod plain;
+#[cfg(test)]
+mod tests;
+
+pub use bf16::{bf16, pair};
+pub use plain::Plain;
+
+/// An instruction set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Simd {
+    /// x86-64 with AVX-512F, BW and BF16: one register, and dot products of bf16 pairs at twice the rate.
+    Avx512Bf16,
+    /// x86-64 with AVX-512F: one register.
+    Avx512,
+    /// x86-64 with AVX2 and FMA: two registers.
+    Avx2,
+    /// Any processor.
+    Portable,
+}
+
+impl Simd {
+    /// The widest set of this processor.
+    pub fn detect() -> Self {
+        Self::available()[0]
+    }
+
+    /// True where products of bf16 have instructions of their own, and are faster than those of f32.
+    pub fn has_bf16(self) -> bool {
+        self == Self::Avx512Bf16
+    }
+
+    /// All sets of this processor, widest first.
+    pub fn available() -> Vec<Self> {
+        #[allow(unused_mut)]
+        let mut sets = vec![];
+        #[cfg(target_arch = "x86_64")]
+        {
+            let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+            let avx512 = avx2 && is_x86_feature_detected!("avx512f");
+            if avx512 && is_x86_feature_detected!("avx512bw") && is_x86_feature_detected!("avx512bf16") {
+                sets.push(Self::Avx512Bf16);
+            }
+            if avx512 {
+                sets.push(Self::Avx512);
+            }
+            if avx2 {
+                sets.push(Self::Avx2);
+            }
+        }
+        sets.push(Self::Portable);
+        sets
+    }
+
+    /// Runs a kernel with this set.
+    ///
+    /// # Panics
+    /// When the processor lacks the set.
+    #[inline]
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512Bf16 => {
+                let wide = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw");
+                let fused = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+                assert!(wide && fused && is_x86_feature_detected!("avx512bf16"));
+                // SAFETY: the processor has all that the set uses, or the line above has panicked.
+                unsafe { avx512::run_bf16(kernel) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => {
+                let fused = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+                assert!(fused && is_x86_feature_detected!("avx512f"));
+                // SAFETY: as above.
+                unsafe { avx512::run(kernel) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => {
+                assert!(is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"));
+                // SAFETY: as above.
+                unsafe { avx2::run(kernel) }
+            }
+            #[allow(unreachable_patterns)]
+            _ => kernel.run::<Plain>(),
+        }
+    }
+}
+
+/// Asks for the cache line at `from`, which need not be valid.
+#[inline(always)]
+pub fn fetch<T>(from: *const T) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: a prefetch reads nothing; every x86-64 has it.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = from;
+}
+
+/// A computation written over lanes. `run` and all it calls must be `#[inline(always)]`: only then is it compiled with
+/// the instruction set's features.
+pub trait Kernel {
+    /// What it returns.
+    type Output;
+    /// Computes.
+    fn run<L: Lanes>(self) -> Self::Output;
+}
+
+/// Sixteen f32; or sixteen words, each a pair of bf16 (the first in the low half) in the bits of an f32.
+pub trait Lanes: Copy {
+    /// True when 24 accumulators fit in registers.
+    const WIDE: bool;
+    /// All lanes alike.
+    fn splat(value: f32) -> Self;
+    /// Reads 16 values.
+    ///
+    /// # Safety
+    /// `from` is valid for 16 values.
+    unsafe fn load(from: *const f32) -> Self;
+    /// Writes 16 values.
+    ///
+    /// # Safety
+    /// `to` is valid for 16 values.
+    unsafe fn store(self, to: *mut f32);
+    /// self · factor + addend.
+    fn mul_add(self, factor: Self, addend: Self) -> Self;
+    /// Lanes below zero become zero.
+    fn relu(self) -> Self;
+    /// Lanes where `mask` is above zero; zero elsewhere.
+    fn where_positive(self, mask: Self) -> Self;
+    /// Sum.
+    fn add(self, other: Self) -> Self;
+    /// Sum of all lanes.
+    fn sum(self) -> f32;
+    /// The first of each pair as f32.
+    fn first(self) -> Self;
+    /// The second of each pair as f32.
+    fn second(self) -> Self;
+    /// Of words of pairs: self.0 · factor.0 + self.1 · factor.1 + addend, in f32.
+    #[inline(always)]
+    fn dot_add(self, factor: Self, addend: Self) -> Self {
+        self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
+    }
+    /// Words of the pairs `(self[i], second[i])`, rounded to bf16.
+    #[inline(always)]
+    fn pair(self, second: Self) -> Self {
+        let (first, second) = (self.array(), second.array());
+        let words: [f32; 16] = std::array::from_fn(|i| pair(first[i], second[i]));
+        // SAFETY: 16 values.
+        unsafe { Self::load(words.as_ptr()) }
+    }
+    /// Words of the pairs of neighbours in the 32 values of `self` and `next`, rounded to bf16.
+    #[inline(always)]
+    fn pair_neighbours(self, next: Self) -> Self {
+        let values = [self.array(), next.array()];
+        let at = |i: usize| values[i / 16][i % 16];
+        let words: [f32; 16] = std::array::from_fn(|i| pair(at(2 * i), at(2 * i + 1)));
+        // SAFETY: 16 values.
+        unsafe { Self::load(words.as_ptr()) }
+    }
+    /// The 16 values.
+    #[inline(always)]
+    fn array(self) -> [f32; 16] {
+        let mut values = [0.0; 16];
+        // SAFETY: 16 values.
+        unsafe { self.store(values.as_mut_ptr()) };
+        values
+    }
+}

@@ -1,0 +1,89 @@
+//! From the device to the host: copies that are sent on their way with the recorded work, and redeemed when the device has
+//! come so far.
+
+use crate::device::{Gpu, lock};
+use crate::mapping::Mapping;
+use bytemuck::Pod;
+use std::sync::atomic::Ordering;
+
+/// A copy on its way to the host.
+pub struct Receipt<T> {
+    staging: wgpu::Buffer,
+    count: usize,
+    /// The submission that fills it.
+    number: u64,
+    kind: std::marker::PhantomData<T>,
+}
+
+impl Gpu {
+    /// Copies the front of a buffer to a place from which the host can read it, when the device has come so far.
+    pub fn send<T: Pod>(&self, buffer: &wgpu::Buffer, offset: u64, count: usize) -> Receipt<T> {
+        let bytes = (count * size_of::<T>()) as u64;
+        let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("read back"),
+            size: bytes.next_multiple_of(4).max(4),
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut recorder = self.recorder();
+        if bytes > 0 {
+            self.encoder(&mut recorder).copy_buffer_to_buffer(
+                buffer,
+                offset,
+                &staging,
+                0,
+                bytes.next_multiple_of(4),
+            );
+        }
+        Receipt { staging, count, number: recorder.number, kind: std::marker::PhantomData }
+    }
+
+    /// What a receipt stands for; waits until the device has come so far, and no further.
+    pub fn redeem<T: Pod>(&self, receipt: Receipt<T>) -> Vec<T> {
+        let wait = {
+            let mut recorder = self.recorder();
+            if recorder.number == receipt.number {
+                self.submit_recorder(&mut recorder);
+            }
+            let newest = recorder.submitted.back().is_none_or(|(number, _)| *number <= receipt.number);
+            self.counters.stalls.fetch_add(newest.into(), Ordering::Relaxed);
+            recorder
+                .submitted
+                .iter()
+                .find(|(number, _)| *number == receipt.number)
+                .map(|(_, index)| index.clone())
+        };
+        let mapping = Mapping::of(&receipt.staging);
+        let polled = self.poll(wgpu::PollType::Wait { submission_index: wait, timeout: None });
+        self.collect(&receipt, polled && mapping.result() == Some(true))
+    }
+
+    /// As [`Gpu::redeem`], without blocking: the future is pending until the device has come so far.
+    pub async fn redeem_async<T: Pod>(&self, receipt: Receipt<T>) -> Vec<T> {
+        {
+            let mut recorder = self.recorder();
+            if recorder.number == receipt.number {
+                self.submit_recorder(&mut recorder);
+            }
+        }
+        let mapping = Mapping::of(&receipt.staging);
+        let mapped = mapping.wait(|| self.poll(wgpu::PollType::Poll)).await;
+        self.collect(&receipt, mapped)
+    }
+
+    /// Copies the values out of a buffer that is mapped, or could not be.
+    fn collect<T: Pod>(&self, receipt: &Receipt<T>, mapped: bool) -> Vec<T> {
+        if !mapped {
+            lock(&self.failure).get_or_insert_with(|| "a buffer could not be read back".into());
+            return vec![T::zeroed(); receipt.count];
+        }
+        let bytes = receipt.count * size_of::<T>();
+        self.counters.read.fetch_add(bytes as u64, Ordering::Relaxed);
+        let values = match receipt.staging.get_mapped_range(..) {
+            Ok(view) => bytemuck::pod_collect_to_vec(&view[..bytes]),
+            Err(_) => vec![T::zeroed(); receipt.count],
+        };
+        receipt.staging.unmap();
+        values
+    }
+}

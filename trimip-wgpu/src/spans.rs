@@ -1,0 +1,65 @@
+//! How a picture, or the cells of a grid, are cut into spans whose samples have room.
+
+use std::ops::Range;
+
+/// The spans of a map: as many rays at once as their samples have room for.
+pub struct Spans {
+    /// Samples that a span has room for.
+    room: usize,
+    chunk: u32,
+    start: u32,
+    count: u32,
+}
+
+impl Spans {
+    /// Spans over `count` rays, of `chunk` rays at first, with room for `room` samples each.
+    pub fn new(count: u32, chunk: u32, room: usize) -> Self {
+        Self { room, chunk, start: 0, count }
+    }
+
+    /// The next span; the same again in a smaller part after one that did not fit.
+    pub fn next(&mut self) -> Option<Range<u32>> {
+        (self.start < self.count)
+            .then(|| self.start..self.start + self.chunk.clamp(1, self.count - self.start))
+    }
+
+    /// Whether the samples of a span had room. `counts` are those of a span whose rays were marched.
+    pub fn fits(&mut self, span: &Range<u32>, counts: Option<Vec<[u32; 2]>>) -> bool {
+        let length = span.end - span.start;
+        if let Some(counts) = counts {
+            let (marched, dropped) = (counts[0][0], counts[1][0] + counts[1][1]);
+            if dropped > 0 && length > 1 {
+                self.chunk = length / 2;
+                return false;
+            }
+            let mean = (marched as usize / length as usize).max(1);
+            // A view's next rows may hold more than its last.
+            self.chunk = (self.room / mean / 2).min(1 << 20) as u32;
+        }
+        self.start = span.end;
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_span_without_room_is_halved_and_all_are_covered_once() {
+        // Every ray has 10 samples, and a span has room for 100.
+        let mut spans = Spans::new(95, 40, 100);
+        let mut done = Vec::new();
+        while let Some(span) = spans.next() {
+            let marched = 10 * (span.end - span.start);
+            let dropped = marched.saturating_sub(100);
+            if spans.fits(&span, Some(vec![[marched, marched], [dropped, 0]])) {
+                done.extend(span);
+            }
+        }
+        assert_eq!(done, (0..95).collect::<Vec<_>>());
+        let mut whole = Spans::new(3, 8, 100);
+        assert_eq!(whole.next(), Some(0..3));
+        assert!(whole.fits(&(0..3), None) && whole.next().is_none());
+    }
+}

@@ -1,0 +1,229 @@
+//! The registry of backends: the one place that knows which of them this build has. A configuration picks one by name.
+
+use crate::units;
+use trimip_core::{
+    Backend, Config, Error, Result, Session, ViewSet, Viewer, model::Model, scene_plan::Compute,
+};
+#[cfg(feature = "wgpu")]
+use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND};
+
+/// What the registry knows of a backend.
+struct Entry {
+    name: &'static str,
+    describe: fn() -> String,
+    usable: fn() -> bool,
+    train: fn(&Config, ViewSet) -> Result<Box<dyn Session>>,
+    load: fn(&Model) -> Result<Box<dyn Viewer>>,
+    memory: fn(&Config, &ViewSet) -> Vec<(String, u64)>,
+    compute: fn(&Config) -> Result<Compute>,
+    /// Full name of the configured device where it is software: the processor in a GPU's place.
+    software: fn(&Config) -> Option<String>,
+}
+
+/// Backends of this build.
+const ENTRIES: &[Entry] = &[
+    Entry {
+        name: "cpu",
+        describe: trimip_cpu::features,
+        usable: || true,
+        train: trimip_cpu::open,
+        load: |model| trimip_cpu::load(model, model.config.threads),
+        memory: trimip_cpu::memory,
+        compute: |config| Ok(trimip_cpu::compute(config.threads)),
+        software: |_| None,
+    },
+    #[cfg(feature = "wgpu")]
+    Entry {
+        name: "wgpu",
+        describe: || "any of the adapters below".into(),
+        usable: || !trimip_wgpu::adapters().is_empty(),
+        train: trimip_wgpu::open,
+        load: |model| trimip_wgpu::load(model, &model.config.wgpu.adapter),
+        memory: trimip_wgpu::memory,
+        compute: |config| trimip_wgpu::compute(&config.wgpu.adapter),
+        software: |config| trimip_wgpu::software(&config.wgpu.adapter),
+    },
+];
+
+/// The backend of this name.
+fn entry(name: &str) -> Result<&'static Entry> {
+    ENTRIES.iter().find(|entry| entry.name == name).ok_or_else(|| match name {
+        "wgpu" => Error::input(
+            "backend = \"wgpu\"",
+            "this build has no wgpu backend",
+            "build with the feature `wgpu`, or use backend = \"cpu\"",
+        ),
+        _ => Error::input(
+            format!("backend = \"{name}\""),
+            "unknown backend",
+            format!("this build knows: {}", names().join(", ")),
+        ),
+    })
+}
+
+/// Names of the backends of this build.
+pub fn names() -> Vec<&'static str> {
+    ENTRIES.iter().map(|entry| entry.name).collect()
+}
+
+/// Names of the backends that this machine can run.
+pub fn usable() -> Vec<String> {
+    ENTRIES.iter().filter(|entry| (entry.usable)()).map(|entry| entry.name.to_string()).collect()
+}
+
+/// Each backend of this build in one line.
+pub fn describe() -> Vec<String> {
+    ENTRIES.iter().map(|entry| format!("{}: {}", entry.name, (entry.describe)())).collect()
+}
+
+/// Graphics adapters that a backend of this build could use, one line each.
+#[cfg(feature = "wgpu")]
+pub fn adapters() -> Vec<String> {
+    let mut lines = Vec::new();
+    for adapter in trimip_wgpu::adapters() {
+        lines.push(format!("{} ({})", adapter.name, adapter.about));
+        lines.extend(adapter.offers.iter().map(|(name, value)| format!("  {name}: {value}")));
+    }
+    if lines.is_empty() {
+        lines.push("none: install a Vulkan, Metal or Direct3D 12 driver to use backend = \"wgpu\"".into());
+    }
+    lines
+}
+
+/// Graphics adapters that a backend of this build could use, one line each.
+#[cfg(not(feature = "wgpu"))]
+pub fn adapters() -> Vec<String> {
+    vec!["none: this build has no wgpu backend".into()]
+}
+
+/// Refuses a name that this build has no backend for.
+///
+/// # Errors
+/// With the names that there are.
+pub fn check(name: &str) -> Result<()> {
+    entry(name).map(drop)
+}
+
+/// A new model in training on the configured backend.
+///
+/// # Errors
+/// When there is no such backend or device, or the configuration does not fit it.
+pub fn train(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
+    (entry(&config.backend)?.train)(config, views)
+}
+
+/// A finished model to render on the backend that its configuration names now.
+///
+/// # Errors
+/// When there is no such backend or device, or the model does not fit it.
+pub fn load(model: &Model) -> Result<Box<dyn Viewer>> {
+    (entry(&model.config.backend)?.load)(model)
+}
+
+/// Bytes that training will need, by part, the photographs included; empty for an unknown backend.
+pub fn predict_memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
+    entry(&config.backend).map_or_else(|_| Vec::new(), |entry| (entry.memory)(config, views))
+}
+
+/// What the configured backend computes with.
+///
+/// # Errors
+/// When there is no such backend or device.
+pub fn compute(config: &Config) -> Result<Compute> {
+    (entry(&config.backend)?.compute)(config)
+}
+
+/// Work that needs a backend's own type.
+pub trait Visitor {
+    /// What it gives.
+    type Output;
+
+    /// Does the work; `open` makes a fresh backend each time.
+    ///
+    /// # Errors
+    /// When the backend cannot be opened, or the work fails.
+    fn visit<B: Backend>(self, open: &dyn Fn() -> Result<B>) -> Result<Self::Output>;
+}
+
+/// Does work on the backend `name`, on the adapter whose name contains `adapter` or with `threads` threads (0: all cores).
+///
+/// # Errors
+/// When there is no such backend, or the work fails.
+pub fn visit<V: Visitor>(name: &str, adapter: &str, threads: u32, visitor: V) -> Result<V::Output> {
+    check(name)?;
+    #[cfg(feature = "wgpu")]
+    if name == "wgpu" {
+        return visitor.visit(&|| trimip_wgpu::WgpuBackend::new(adapter, true));
+    }
+    let _ = adapter;
+    let simd = trimip_cpu::simd::Simd::detect();
+    visitor.visit(&|| trimip_cpu::CpuBackend::new(threads, simd))
+}
+
+/// Full name of the configured device where it is software.
+fn software(config: &Config) -> Option<String> {
+    (entry(&config.backend).ok()?.software)(config)
+}
+
+/// What to know before a view is rendered where the adapter picked is software.
+pub fn software_remark(config: &Config) -> Option<String> {
+    software(config).map(|name| {
+        format!(
+            "the adapter {name} is software, the processor in a GPU's place: --set backend=cpu is many times as fast"
+        )
+    })
+}
+
+/// What to know before the first step where the adapter picked is software: its name, how long a step takes, what to do.
+pub fn software_warning(config: &Config) -> Option<String> {
+    #[cfg(feature = "wgpu")]
+    if let Some(name) = software(config) {
+        let cells = f64::from(config.occupancy.resolution).powi(3);
+        let cells = cells * f64::from(config.occupancy.warmup_fraction);
+        return Some(software_text(&name, config.train.samples_per_step, cells));
+    }
+    let _ = config;
+    None
+}
+
+/// `cells` are asked in the first step, and in every step that refreshes the occupancy grid while it warms up.
+#[cfg(feature = "wgpu")]
+fn software_text(name: &str, samples_per_step: u32, cells: f64) -> String {
+    let step = f64::from(samples_per_step) / SOFTWARE_SAMPLES_PER_SECOND;
+    format!(
+        "the adapter {name} is software, the processor in a GPU's place: a step of {} takes about {} on two cores, the \
+         first about {}; use backend = \"cpu\"",
+        units::many(samples_per_step.into(), "sample"),
+        units::duration(step),
+        units::duration(step + cells / SOFTWARE_CELLS_PER_SECOND)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[cfg(feature = "wgpu")]
+    #[test]
+    fn software_is_named_with_the_time_of_a_step_and_what_to_do() {
+        let [samples, cells] =
+            [SOFTWARE_SAMPLES_PER_SECOND, SOFTWARE_CELLS_PER_SECOND].map(|rate| 10.0 * rate);
+        let text = software_text("llvmpipe", samples as u32, cells);
+        for part in ["llvmpipe", "software", "about 10 s", "about 20 s", "backend = \"cpu\""] {
+            assert!(text.contains(part), "{part} in {text}");
+        }
+        let cpu = Config::default();
+        assert!(software_warning(&cpu).is_none() && software_remark(&cpu).is_none(), "the CPU is no adapter");
+    }
+
+    #[test]
+    fn an_unknown_backend_is_the_users_to_mend() {
+        for name in ["cpu", "wgpu", "cuda", ""] {
+            match check(name) {
+                Ok(()) => assert!(names().contains(&name)),
+                Err(error) => assert!(error.exit_code() == 2 && error.message.contains("cpu"), "{error}"),
+            }
+        }
+        assert!(check("cuda").is_err() && check("cpu").is_ok());
+    }
+}

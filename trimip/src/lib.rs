@@ -1,0 +1,54 @@
+//! Tri-MipRF (Hu et al., ICCV 2023) as a library: anti-aliased radiance fields from photographs, on the CPU or a GPU.
+//!
+//! - settings: [`Settings`] lays values over the documented defaults, [`Config`] is their typed form;
+//! - data: [`data::open`] reads a folder of photographs, or makes the built-in scene;
+//! - training: [`Training`] trains into a run folder with callbacks, and goes on with what is there; [`backends::train`]
+//!   opens a bare [`Session`] for a loop of one's own;
+//! - models: [`read_model`] and [`model::Model::write`] load and save, [`backends::load`] opens a [`Viewer`];
+//! - pictures: [`Viewer::render`] gives a [`Frame`], [`view::write`] writes it as PNG or EXR;
+//! - measures: [`view::evaluate`] compares a model with its test photographs.
+//!
+//! ```
+//! # fn main() -> trimip::Result<()> {
+//! use trimip::{Settings, Training, backends, data};
+//!
+//! // The built-in scene at 16 pixels, and a model of the smallest useful size.
+//! let settings = Settings::defaults()
+//!     .with("data.format", "builtin")?
+//!     .with("data.builtin_size", 16)?
+//!     .with("data.builtin_train", 4)?
+//!     .with("encoder.plane_size", 32)?
+//!     .with("encoder.levels", 4)?
+//!     .with("train.steps", 8)?
+//!     .with("train.samples_per_step", 512)?
+//!     .with("eval.final", false)?;
+//! let folder = std::env::temp_dir().join(format!("trimip-{}", std::process::id()));
+//! let trained = Training::new(settings, &folder).run(&mut |event: &trimip::events::Event| drop(event.clone()))?;
+//!
+//! let camera = data::open(&trained.config.data)?.train.views[0].camera;
+//! let frame = backends::load(&trained.model()?)?.render(&camera)?;
+//! assert_eq!((frame.width, frame.height), (16, 16));
+//! # std::fs::remove_dir_all(folder).unwrap();
+//! # Ok(())
+//! # }
+//! ```
+
+pub mod backends;
+pub mod machine;
+pub mod report;
+pub mod run;
+pub mod settings;
+pub mod units;
+pub mod view;
+
+pub use run::folder::{RunFolder, read_model};
+pub use run::train::{Ended, Listeners, Trained, Training};
+/// Readers of data sets, and the built-in scene.
+pub use trimip_data as data;
+
+#[doc(no_inline)]
+pub use trimip_core::{
+    Alpha, Backend, Camera, Config, Error, ErrorKind, Frame, Frames, Intrinsics, Origin, Pixel, Result,
+    Session, Settings, StepReport, View, ViewSet, Viewer, checkpoint, config, evaluate, events, exchange,
+    metrics, model, scene_plan,
+};

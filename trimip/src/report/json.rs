@@ -1,0 +1,132 @@
+//! `report.json`: the report for programs. Sizes in bytes, times in seconds, PSNR in dB; what is unknown is `null`.
+
+use super::{Report, Status};
+use crate::run::history::Evaluation;
+use serde_json::{Value, json};
+use trimip_core::evaluate::mean_quality;
+use trimip_core::{Error, Result};
+
+/// The report as JSON text.
+///
+/// # Errors
+/// When a value cannot be written as JSON.
+pub fn text(report: &Report<'_>) -> Result<String> {
+    serde_json::to_string_pretty(&value(report)).map_err(Error::run)
+}
+
+fn value(report: &Report<'_>) -> Value {
+    let (history, config) = (report.history, report.config);
+    let (status, failure) = match &report.status {
+        Status::Finished => ("finished", None),
+        Status::Stopped => ("stopped", None),
+        Status::Failed(message) => ("failed", Some(message)),
+    };
+    let headline = report.headline();
+    let origins: serde_json::Map<String, Value> = report
+        .settings
+        .iter()
+        .map(|(path, value, origin)| {
+            (path.to_string(), json!({ "value": value, "origin": origin.to_string() }))
+        })
+        .collect();
+    let verdict = report.verdict();
+    let last = history.parts.last().map(|part| &part.provenance);
+    json!({
+        "version": crate::machine::version(),
+        "status": status,
+        "failure": failure,
+        "verdict": verdict.label(),
+        "verdict_reasons": verdict.reasons(),
+        "run": report.run,
+        "command": last.and_then(|last| last.command.as_ref()),
+        "ended_unix": last.and_then(|last| last.ended_unix),
+        "backend": config.backend,
+        "devices": history.devices(),
+        "scene": report.scene,
+        "steps": history.totals.step,
+        "samples": history.totals.samples,
+        "rays": history.totals.rays,
+        "marched_samples": history.totals.marched,
+        "empty_batches": history.totals.empty_batches,
+        "non_finite": history.totals.non_finite,
+        "train_seconds": history.totals.seconds,
+        "evaluation_seconds": history.evaluation_seconds(),
+        "wall_seconds": history.parts.iter().map(|part| part.wall_seconds).sum::<f64>(),
+        "sessions": history.parts.len(),
+        "samples_per_second": report.samples_per_second(),
+        "peak_memory_bytes": history.peak_memory_bytes(),
+        "predicted_memory_bytes": history.predicted_memory_bytes,
+        "model_bytes": report.model_bytes,
+        "measure": {
+            "psnr": "-10 log10(mean squared error) per image, mean over images, then over scales; unrounded sRGB values",
+            "psnr_8bit": "the same of values rounded to 8 bits",
+            "psnr_opposite": "the same of unrounded values on black where the background is bright, on white where it is dark",
+            "psnr_constant": "of each photograph's mean colour in place of the rendering, from the mean of their errors",
+            "background": config.data.background,
+            "convention": config.data.convention,
+            "split": config.data.tested_on(),
+            "stride": headline.map(|e| e.stride),
+            "views": headline.map(Evaluation::views),
+            "test_views": history.test_views(),
+            "complete": history.last().is_some(),
+        },
+        "scales": headline.map_or(json!([]), |e| json!(e.scales)),
+        "mean": headline.map_or(Value::Null, |e| json!(mean_quality(&e.scales))),
+        "curve": report.curve().into_iter().map(point).collect::<Vec<_>>(),
+        "views": report.views,
+        "warnings": history.warnings,
+        "machine": report.machine,
+        "settings": origins,
+    })
+}
+
+fn point(evaluation: &Evaluation) -> Value {
+    let totals = &evaluation.totals;
+    json!({
+        "seconds": totals.seconds,
+        "step": totals.step,
+        "samples": totals.samples,
+        "rays": totals.rays,
+        "psnr": evaluation.scales.iter().map(|q| q.psnr).collect::<Vec<_>>(),
+        "ssim": evaluation.scales.iter().map(|q| q.ssim).collect::<Vec<_>>(),
+        "mean_psnr": evaluation.psnr,
+        "mean_ssim": evaluation.ssim,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_fields_that_programs_rely_on_are_there() {
+        super::super::example(|report| {
+            let json = value(report);
+            for key in [
+                "verdict",
+                "verdict_reasons",
+                "run",
+                "command",
+                "backend",
+                "scene",
+                "train_seconds",
+                "peak_memory_bytes",
+                "model_bytes",
+                "settings",
+            ] {
+                assert!(json.get(key).is_some(), "{key}");
+            }
+            assert_eq!((&json["verdict"], &json["measure"]["test_views"]), (&json!("fair"), &json!(200)));
+            assert_eq!(json["steps"], 100);
+            assert_eq!(json["samples"], 100_000);
+            assert_eq!(json["rays"], 1000);
+            assert_eq!(json["mean"]["psnr"], 24.5);
+            assert_eq!(
+                json["scales"][1],
+                json!({ "scale": 2, "images": 8, "psnr": 25.5, "psnr_8bit": 25.5, "psnr_opposite": 25.5, "psnr_constant": 12.0, "ssim": 0.9 })
+            );
+            assert_eq!(json["curve"].as_array().unwrap().len(), 2);
+            assert_eq!(json["curve"][0]["psnr"], json!([19.0, 21.0]));
+        });
+    }
+}

@@ -1,0 +1,138 @@
+//! `report.md` and `report.tex`: the verdict and the table of measures for texts, as Markdown and as a LaTeX `tabular`
+//! that needs no package. PSNR in dB.
+
+use super::{Report, scale_name};
+use crate::units;
+use trimip_core::evaluate::mean_quality;
+
+/// Head and rows of the table of measures, one row per scale and one for their mean; empty where nothing is measured.
+pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
+    let Some(e) = report.headline() else { return Vec::new() };
+    let head = [
+        "scale",
+        "images",
+        "PSNR / dB",
+        "least – greatest",
+        "at 8 bits",
+        "on opposite",
+        "mean colour",
+        "SSIM",
+    ];
+    let mut rows = vec![head.map(String::from).to_vec()];
+    let row = |name: String, images: usize, range: String, psnr: [f64; 4], ssim: f64| {
+        let [psnr, rounded, opposite, constant] =
+            psnr.map(|psnr| if psnr.is_nan() { "–".into() } else { format!("{psnr:.2}") });
+        vec![name, images.to_string(), psnr, range, rounded, opposite, constant, format!("{ssim:.4}")]
+    };
+    for q in &e.scales {
+        let of = || report.views.iter().filter(|v| v.scale == q.scale).filter_map(|v| v.psnr);
+        let range = of().reduce(f64::min).zip(of().reduce(f64::max));
+        let range = range.map_or("–".into(), |(low, high)| format!("{low:.2} – {high:.2}"));
+        let psnr = [q.psnr, q.psnr_8bit, q.psnr_opposite, q.psnr_constant];
+        rows.push(row(scale_name(q.scale), q.images, range, psnr, q.ssim));
+    }
+    let mean = mean_quality(&e.scales);
+    let psnr = [mean.psnr, mean.psnr_8bit, mean.psnr_opposite, mean.psnr_constant];
+    let images = e.scales.iter().map(|q| q.images).sum();
+    rows.push(row("mean".into(), images, String::new(), psnr, mean.ssim));
+    rows
+}
+
+/// What the figures are of, in one line.
+fn caption(report: &Report<'_>) -> String {
+    let totals = &report.history.totals;
+    format!(
+        "{} on {}: {} steps, {} of training, backend {}, {}",
+        report.run,
+        report.scene,
+        totals.step,
+        units::duration(totals.seconds),
+        report.config.backend,
+        report.views_measured()
+    )
+}
+
+/// The report's table as Markdown.
+pub fn markdown(report: &Report<'_>) -> String {
+    let safe = |text: &str| text.replace('|', "\\|").replace('<', "&lt;");
+    let mut text = format!(
+        "# {}\n\n{}.\n\nVerdict: {}.\n",
+        safe(&report.run),
+        safe(&caption(report)),
+        safe(&report.verdict().words())
+    );
+    for (i, row) in measures(report).iter().enumerate() {
+        let cells: Vec<_> = row.iter().map(|cell| safe(cell)).collect();
+        if i == 0 {
+            text.push('\n');
+        }
+        text += &format!("| {} |\n", cells.join(" | "));
+        if i == 0 {
+            text += &format!("|---|{}\n", "---:|".repeat(row.len() - 1));
+        }
+    }
+    text
+}
+
+/// The report's table as LaTeX.
+pub fn latex(report: &Report<'_>) -> String {
+    let rows = measures(report);
+    let mut text = format!("% {}\n% Verdict: {}\n", caption(report), report.verdict().words());
+    let Some(head) = rows.first() else { return text };
+    text += &format!("\\begin{{tabular}}{{l{}}}\n\\hline\n", "r".repeat(head.len() - 1));
+    for (i, row) in rows.iter().enumerate() {
+        let cells: Vec<_> = row.iter().map(|cell| tex(cell)).collect();
+        if i + 1 == rows.len() {
+            text += "\\hline\n";
+        }
+        text += &format!("{} \\\\\n", cells.join(" & "));
+        if i == 0 {
+            text += "\\hline\n";
+        }
+    }
+    text + "\\hline\n\\end{tabular}\n"
+}
+
+/// Text that is safe inside LaTeX; dashes as it writes them.
+fn tex(text: &str) -> String {
+    let mut safe = String::new();
+    for c in text.chars() {
+        match c {
+            '\\' => safe += "\\textbackslash{}",
+            '~' => safe += "\\textasciitilde{}",
+            '^' => safe += "\\textasciicircum{}",
+            '–' => safe += "--",
+            '&' | '%' | '$' | '#' | '_' | '{' | '}' => safe.extend(['\\', c]),
+            c => safe.push(c),
+        }
+    }
+    safe
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_markdown_table_has_a_row_per_scale_and_their_mean() {
+        super::super::example(|report| {
+            let text = markdown(report);
+            let rows: Vec<_> = text.lines().filter(|line| line.starts_with('|')).collect();
+            assert_eq!(rows.len(), 5);
+            assert!(rows.iter().all(|row| row.matches('|').count() == rows[0].matches('|').count()));
+            assert!(rows[4].contains("| 24.50 |") && text.contains("Verdict: fair: 24.50 dB"), "{text}");
+            assert!(text.contains("8 of 200 test views"), "{text}");
+        });
+    }
+
+    #[test]
+    fn the_latex_table_has_as_many_columns_as_it_says() {
+        super::super::example(|report| {
+            let text = latex(report);
+            assert!(text.contains("\\begin{tabular}{lrrrrrrr}") && text.ends_with("\\end{tabular}\n"));
+            let rows: Vec<_> = text.lines().filter(|line| line.ends_with("\\\\")).collect();
+            assert!(rows.len() == 4 && rows.iter().all(|row| row.matches('&').count() == 7), "{text}");
+        });
+        assert_eq!(tex("a_b & 50 %"), "a\\_b \\& 50 \\%");
+    }
+}

@@ -1,0 +1,306 @@
+//! What a run came to, in words: a pure function of its final evaluation, its last figures of training and the spread of
+//! its test views. PSNR in dB, shares from 0 to 1.
+
+use crate::run::{
+    history::{History, Training},
+    store::ViewRecord,
+};
+use trimip_core::evaluate::{MOST_PSNR, MeanQuality, mean_quality};
+
+/// Least mean PSNR of a good model: an error of 5.6 % of the range, below which edges are no longer blurred at a glance.
+const GOOD: f64 = 25.0;
+/// Least PSNR above that of each photograph's mean colour of a good model: a sixteenth of the squared error is left.
+const GOOD_ABOVE: f64 = 12.0;
+/// Least mean PSNR of a fair model: an error of a tenth of the range.
+const FAIR: f64 = 20.0;
+/// Least PSNR above the mean colours' of a fair model: a quarter of the squared error is left.
+const FAIR_ABOVE: f64 = 6.0;
+/// Least PSNR above the mean colours' of a model that learned anything, the default of `eval.min_gain`.
+const GAIN: f64 = 1.0;
+/// From here on an error of 1 % of the range is left, good whatever a constant picture has: scenes may be almost blank.
+const BEYOND_DOUBT: f64 = 40.0;
+/// What a grey picture has of pixels that are spread evenly over the range (variance 1/12): the bound of a model that
+/// learned nothing where the mean colours' PSNR is not known.
+const GREY: f64 = 10.8;
+/// Least share of occupied cells of a fog: surfaces and what lies just behind them fill an eighth of a box and less, and
+/// a box is full when training begins.
+const FOG_OCCUPIED: f64 = 0.25;
+/// Least share of the marched samples that a fog keeps: behind a surface rays are left and samples dropped, and solid
+/// models keep 0.8 to 0.94.
+const FOG_KEPT: f64 = 0.95;
+/// dB by which a view must lie below the median of its scale to suggest floaters, six times its squared error: a floater
+/// hides the scene from few cameras. Reflections that no training view shows cost up to 6 dB.
+const FLOATER: f64 = 8.0;
+/// Views that a median needs.
+const VIEWS: usize = 4;
+
+/// How good a model is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grade {
+    /// There is no final evaluation.
+    NotEvaluated,
+    /// Hardly better than each photograph's mean colour.
+    FailedToLearn,
+    /// Density everywhere, surfaces nowhere.
+    Fog,
+    /// Worse than fair for another reason.
+    Poor,
+    /// Recognisable, not sharp.
+    Fair,
+    /// As wanted.
+    Good,
+}
+
+/// What a run is judged by.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Figures {
+    /// Of the final evaluation.
+    pub mean: Option<MeanQuality>,
+    /// The last of training.
+    pub training: Training,
+    /// dB of the worst view of the finest scale below the median of that scale; `None` below four views.
+    pub below_median: Option<f64>,
+}
+
+/// The judgement and what it rests on.
+///
+/// The rules, first to last; the constants above say each threshold with its reason:
+///
+/// 1. *not evaluated*: there is no final evaluation.
+/// 2. *failed to learn*: PSNR is not [`MeanQuality::learned`], 1 dB above that of each photograph's mean colour; where
+///    that is not known, PSNR below 10.8 dB, that of grey.
+/// 3. *good*: PSNR of 25 dB and 12 dB above the mean colours, or 40 dB.
+/// 4. *fog*: not good, at least 25 % of the cells are occupied and at least 95 % of the marched samples are kept.
+/// 5. *fair*: PSNR of 20 dB and 6 dB above the mean colours.
+/// 6. *poor*: the rest.
+///
+/// A model that learned and is no fog may have two faults beside its grade: *floaters suspected* where a test view has
+/// 8 dB less than the median of its scale, and *the background shines through* where [`MeanQuality::remark`] says so.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Verdict {
+    /// How good it is.
+    pub grade: Grade,
+    /// Some views are far worse than most.
+    pub floaters: bool,
+    /// It has less PSNR on another background.
+    pub shines_through: bool,
+    figures: Figures,
+}
+
+impl Verdict {
+    /// The verdict on a run; `views` are those of its final evaluation.
+    pub fn judge(history: &History, views: &[ViewRecord]) -> Self {
+        Self::of(Figures {
+            mean: history.last().map(|evaluation| mean_quality(&evaluation.scales)),
+            training: history.training,
+            below_median: below_median(views),
+        })
+    }
+
+    /// The verdict on figures.
+    pub fn of(figures: Figures) -> Self {
+        let grade = figures.mean.map_or(Grade::NotEvaluated, |mean| grade(&mean, &figures.training));
+        let shows = matches!(grade, Grade::Poor | Grade::Fair | Grade::Good);
+        Self {
+            grade,
+            floaters: shows && figures.below_median.is_some_and(|below| below >= FLOATER),
+            shines_through: shows && figures.mean.is_some_and(|mean| mean.remark().is_some()),
+            figures,
+        }
+    }
+
+    /// The verdict in few words: a grade, and the faults beside it.
+    pub fn label(&self) -> String {
+        let mut label = match self.grade {
+            Grade::NotEvaluated => "not evaluated",
+            Grade::FailedToLearn => "failed to learn",
+            Grade::Fog => "fog",
+            Grade::Poor => "poor",
+            Grade::Fair => "fair",
+            Grade::Good => "good",
+        }
+        .to_string();
+        if self.floaters {
+            label += ", floaters suspected";
+        }
+        if self.shines_through {
+            label += ", the background shines through";
+        }
+        label
+    }
+
+    /// Class of the badge: `good` is for a good model without a fault alone.
+    pub fn class(&self) -> &'static str {
+        match self.grade {
+            Grade::NotEvaluated => "plain",
+            Grade::FailedToLearn | Grade::Fog | Grade::Poor => "bad",
+            Grade::Good if !self.floaters && !self.shines_through => "good",
+            Grade::Fair | Grade::Good => "doubtful",
+        }
+    }
+
+    /// What the verdict rests on, and what may help; one line each.
+    pub fn reasons(&self) -> Vec<String> {
+        let Some(mean) = self.figures.mean else {
+            return vec![
+                "there is no final evaluation yet; eval.final says on which test views it is made".into(),
+            ];
+        };
+        let mut reasons = vec![match mean.psnr_constant {
+            constant if constant.is_nan() => format!("{:.2} dB", mean.psnr),
+            constant => {
+                format!("{:.2} dB, where each photograph's mean colour has {constant:.2} dB", mean.psnr)
+            }
+        }];
+        let training = &self.figures.training;
+        match self.grade {
+            Grade::FailedToLearn => reasons.push(
+                "look at the pictures, the cameras (data inspect) and the box (scene.aabb), or lower \
+                 optimizer.learning_rate"
+                    .into(),
+            ),
+            Grade::Fog => reasons.push(format!(
+                "{:.0} % of the cells are occupied and rays keep {:.1} of {:.1} marched samples: surfaces have not \
+                 formed; train for longer",
+                100.0 * training.occupied,
+                training.kept_per_ray,
+                training.marched_per_ray
+            )),
+            _ => {}
+        }
+        if let Some(below) = self.figures.below_median.filter(|_| self.floaters) {
+            reasons.push(format!(
+                "the worst view lies {below:.1} dB below the median: look there for floaters near the camera"
+            ));
+        }
+        reasons.extend(mean.remark().filter(|_| self.shines_through));
+        reasons
+    }
+
+    /// One line for a terminal.
+    pub fn words(&self) -> String {
+        format!("{}: {}", self.label(), self.reasons().join("; "))
+    }
+}
+
+fn grade(mean: &MeanQuality, training: &Training) -> Grade {
+    let known = mean.psnr_constant.is_finite();
+    if !mean.learned(GAIN) || (!known && mean.psnr < GREY) {
+        return Grade::FailedToLearn;
+    }
+    let above = if known { mean.psnr - mean.psnr_constant } else { MOST_PSNR };
+    if (mean.psnr >= GOOD && above >= GOOD_ABOVE) || mean.psnr >= BEYOND_DOUBT {
+        return Grade::Good;
+    }
+    // Where nothing was marched there is nothing to say.
+    let kept = training.kept_per_ray / training.marched_per_ray;
+    if training.occupied >= FOG_OCCUPIED && kept >= FOG_KEPT {
+        return Grade::Fog;
+    }
+    if mean.psnr >= FAIR && above >= FAIR_ABOVE { Grade::Fair } else { Grade::Poor }
+}
+
+/// dB of the worst view of the finest scale below the median of that scale.
+fn below_median(views: &[ViewRecord]) -> Option<f64> {
+    let finest = views.iter().map(|view| view.scale).min()?;
+    let mut psnr: Vec<f64> = views.iter().filter(|v| v.scale == finest).filter_map(|v| v.psnr).collect();
+    psnr.sort_by(f64::total_cmp);
+    (psnr.len() >= VIEWS).then(|| psnr[psnr.len() / 2] - psnr[0])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mean(psnr: f64, psnr_opposite: f64, psnr_constant: f64) -> Option<MeanQuality> {
+        Some(MeanQuality { psnr, psnr_8bit: psnr, psnr_opposite, psnr_constant, ssim: 0.9 })
+    }
+
+    /// Figures of a solid model with `psnr`, where a constant picture has 11 dB.
+    fn solid(psnr: f64) -> Figures {
+        let training = Training { loss: 0.1, occupied: 0.1, marched_per_ray: 30.0, kept_per_ray: 27.0 };
+        Figures { mean: mean(psnr, psnr, 11.0), training, below_median: Some(3.0) }
+    }
+
+    fn foggy(psnr: f64) -> Figures {
+        let training = Training { loss: 0.1, occupied: 0.4, marched_per_ray: 80.0, kept_per_ray: 79.0 };
+        Figures { training, ..solid(psnr) }
+    }
+
+    fn label(figures: Figures) -> String {
+        Verdict::of(figures).label()
+    }
+
+    #[test]
+    fn solid_models_are_graded_by_their_error() {
+        assert_eq!(
+            [31.0, 25.0, 24.9, 20.0, 15.0, 11.5].map(|psnr| label(solid(psnr))),
+            ["good", "good", "fair", "fair", "poor", "failed to learn"]
+        );
+    }
+
+    #[test]
+    fn nothing_is_good_that_a_constant_picture_almost_has() {
+        let dull = |psnr| label(Figures { mean: mean(psnr, psnr, 22.0), ..solid(psnr) });
+        assert_eq!(
+            [22.5, 26.0, 30.0, 35.0, 41.0].map(dull),
+            ["failed to learn", "poor", "fair", "good", "good"]
+        );
+        assert_eq!(label(Figures { mean: mean(MOST_PSNR, MOST_PSNR, MOST_PSNR), ..solid(0.0) }), "good");
+    }
+
+    #[test]
+    fn seven_decibels_are_never_green() {
+        for constant in [f64::NAN, 4.0, 11.0] {
+            let verdict = Verdict::of(Figures { mean: mean(7.0, 7.0, constant), ..solid(0.0) });
+            assert_eq!(verdict.class(), "bad", "{}", verdict.words());
+        }
+        assert_eq!(label(Figures { mean: mean(f64::NAN, 7.0, 11.0), ..solid(0.0) }), "failed to learn");
+    }
+
+    #[test]
+    fn a_fog_fills_its_box_and_keeps_what_it_marches() {
+        assert_eq!(label(foggy(18.0)), "fog");
+        assert_eq!(label(foggy(28.0)), "good", "a good picture is no fog");
+        assert_eq!(label(foggy(11.5)), "failed to learn", "a fog of the right colour");
+        let unknown = Figures { training: Training { occupied: 1.0, ..Training::default() }, ..solid(21.0) };
+        assert_eq!(label(unknown), "fair", "nothing was marched");
+        let words = Verdict::of(foggy(18.0)).words();
+        assert!(words.starts_with("fog: 18.00 dB") && words.contains("40 %"), "{words}");
+    }
+
+    #[test]
+    fn faults_stand_beside_the_grade_and_take_its_green() {
+        let floaters = Verdict::of(Figures { below_median: Some(9.0), ..solid(30.0) });
+        assert_eq!((floaters.label().as_str(), floaters.class()), ("good, floaters suspected", "doubtful"));
+        let shines = Verdict::of(Figures { mean: mean(30.0, 25.0, 11.0), ..solid(30.0) });
+        assert_eq!(shines.label(), "good, the background shines through");
+        assert!(shines.class() == "doubtful" && shines.words().contains("25.00 dB on the opposite"));
+        assert_eq!(Verdict::of(solid(30.0)).class(), "good");
+        let failed = Figures { below_median: Some(9.0), ..solid(11.2) };
+        assert_eq!(label(failed), "failed to learn", "the spread of what shows nothing says nothing");
+    }
+
+    #[test]
+    fn what_was_not_evaluated_is_not_judged() {
+        let verdict = Verdict::judge(&History::default(), &[]);
+        assert_eq!((verdict.label().as_str(), verdict.class()), ("not evaluated", "plain"));
+        assert!(verdict.words().contains("eval.final"));
+    }
+
+    #[test]
+    fn the_worst_view_is_told_from_the_median_of_the_finest_scale() {
+        let view = |scale, psnr| ViewRecord {
+            index: 0,
+            name: String::new(),
+            scale,
+            psnr: Some(psnr),
+            ssim: None,
+            comparison: None,
+        };
+        let mut views = vec![view(1, 20.0), view(1, 31.0), view(1, 30.0), view(2, 5.0)];
+        assert_eq!(below_median(&views), None, "three views have no median worth the name");
+        views.push(view(1, 32.0));
+        assert_eq!(below_median(&views), Some(11.0));
+    }
+}

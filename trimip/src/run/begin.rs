@@ -1,0 +1,154 @@
+//! What a run begins with: fresh settings, the checkpoint of its folder, or a finished run with a longer budget.
+
+use super::{folder::RunFolder, history::Evaluation, history::History};
+use crate::units;
+use trimip_core::{
+    Config, Error, Result, Settings, adamw,
+    checkpoint::Checkpoint,
+    config::TrainConfig,
+    events::{Event, Totals},
+    run::progress,
+    scene_plan::{self, Finding},
+};
+
+/// What a run begins with.
+pub struct Beginning {
+    pub settings: Settings,
+    /// What the plan decided, where the run goes on.
+    pub findings: Vec<Finding>,
+    pub checkpoint: Option<Checkpoint>,
+    /// How a finished run goes on, one line.
+    pub extended: Option<String>,
+}
+
+impl Beginning {
+    /// A run of `given` settings in a folder that is held; goes on with what is there unless it is to be `fresh`. A run
+    /// that goes on keeps the plan it began with; another one is planned when its scene is known.
+    ///
+    /// # Errors
+    /// When the folder holds another run, or the settings are wrong.
+    pub fn of(given: Settings, folder: &RunFolder, fresh: bool) -> Result<Self> {
+        let (mut settings, mut findings) = (given.clone(), Vec::new());
+        let earlier = if fresh { None } else { folder.findings()? };
+        if let Some(earlier) = earlier {
+            scene_plan::adopt(&mut settings, &earlier)?;
+            findings = earlier;
+            keep_extension(&mut settings, folder)?;
+        }
+        let config = Config::from_settings(&settings)?;
+        let checkpoint = if fresh { None } else { folder.resume_point(&config)? };
+        let settings = if checkpoint.is_some() { settings } else { given };
+        Ok(Self { settings, findings, checkpoint, extended: None })
+    }
+
+    /// The finished run of a folder that is held, for `more` seconds longer, with the settings that it was trained with and
+    /// `assignments` over them.
+    ///
+    /// # Errors
+    /// When the run is not finished, or an assignment changes its model.
+    pub fn extend(folder: &RunFolder, more: f64, assignments: &[String]) -> Result<Self> {
+        let checkpoint = Checkpoint::read(&folder.checkpoint())?;
+        let totals = checkpoint.state.totals;
+        if progress(&checkpoint.config, &totals) < 1.0 {
+            return Err(Error::input(
+                folder.root().display(),
+                format!("its run is not finished ({:.0} %)", 100.0 * progress(&checkpoint.config, &totals)),
+                "finish it first: leave --continue-for out, and give the folder or configuration that it was begun with",
+            ));
+        }
+        let mut settings = Settings::defaults();
+        settings.apply_file(&folder.config().display().to_string(), &checkpoint.config.to_toml())?;
+        let findings = folder.findings()?.unwrap_or_default();
+        for change in findings.iter().flat_map(|finding| &finding.changes) {
+            let now = settings.value(&change.path);
+            settings.decide(&change.path, &now)?;
+        }
+        assignments.iter().try_for_each(|set| settings.apply_assignment(set))?;
+        let old = &checkpoint.config.train;
+        // Of a run of steps, as many more as take the time.
+        let budget = match old.steps {
+            0 => format!("train.seconds={:?}", old.seconds.max(totals.seconds) + more),
+            steps => {
+                let rate = totals.step as f64 / totals.seconds.max(f64::MIN_POSITIVE);
+                format!("train.steps={}", steps + (rate * more).ceil().max(1.0) as u64)
+            }
+        };
+        settings.apply_assignment(&budget)?;
+        let config = Config::from_settings(&settings)?;
+        let train = TrainConfig { steps: old.steps, seconds: old.seconds, ..config.train.clone() };
+        let place = folder.checkpoint().display().to_string();
+        checkpoint.expect_config(&place, &Config { train, ..config.clone() })?;
+        let at = progress(&config, &totals);
+        let extended = format!(
+            "extended: goes on for {} after {}; the schedule stretches to the new length and stands at {:.0} % of it: \
+             learning rate {:.1e}, marching step {}",
+            units::duration(more),
+            units::duration(totals.seconds),
+            100.0 * at,
+            adamw::learning_rate(&config.optimizer, at),
+            config.renderer.step_scale.at(at)
+        );
+        Ok(Self { settings, findings, checkpoint: Some(checkpoint), extended: Some(extended) })
+    }
+
+    /// The history of the folder's run where that is this very run, trained and evaluated.
+    ///
+    /// # Errors
+    /// When the settings are wrong.
+    pub fn finished(&self, folder: &RunFolder) -> Result<Option<History>> {
+        let Some(checkpoint) = self.checkpoint.as_ref().filter(|_| self.extended.is_none()) else {
+            return Ok(None);
+        };
+        let (config, totals) = (Config::from_settings(&self.settings)?, checkpoint.state.totals);
+        let history = History::of(&super::history::up_to(folder.events(), totals.step));
+        let done = progress(&config, &totals) >= 1.0 && folder.model().exists();
+        Ok((done && evaluated(&config, &history, &totals)).then_some(history))
+    }
+}
+
+/// Keeps the budget to which an earlier extension brought the folder's run, where the given one is no longer: the settings
+/// that began a run go on with it, and find it finished.
+fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
+    let extended = || folder.events().iter().any(|event| matches!(event, Event::Extended { .. }));
+    let Ok(text) = std::fs::read_to_string(folder.config()) else { return Ok(()) };
+    if !extended() {
+        return Ok(());
+    }
+    let kept = Config::from_toml(&folder.config().display().to_string(), &text)?.train;
+    let given = Config::from_settings(settings)?.train;
+    if given.steps > 0 && given.steps < kept.steps {
+        settings.decide("train.steps", &kept.steps.to_string())?;
+    } else if given.steps == 0 && kept.steps == 0 && given.seconds < kept.seconds {
+        settings.decide("train.seconds", &format!("{:?}", kept.seconds))?;
+    }
+    Ok(())
+}
+
+/// True when the history holds the final evaluation that the configuration asks for.
+fn evaluated(config: &Config, history: &History, totals: &Totals) -> bool {
+    let bounded = config.eval.share > 0.0;
+    let asked = |e: &Evaluation| e.bounded && bounded || config.eval.final_stride(e.frames) == Some(e.stride);
+    config.eval.final_stride(1).is_none()
+        || history.last().is_some_and(|e| e.totals.step == totals.step && asked(e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::history::tests::evaluation;
+
+    #[test]
+    fn a_run_is_finished_when_the_evaluation_asked_for_is_there() {
+        let mut config = Config::default();
+        config.train.steps = 40;
+        let totals = Totals { step: 40, ..Totals::default() };
+        assert_eq!(progress(&config, &totals), 1.0);
+        let history = History::of(&[evaluation(40, 1, true, 25.0)]);
+        assert!(evaluated(&config, &history, &totals));
+        assert!(!evaluated(&config, &History::default(), &totals));
+        config.eval.r#final = trimip_core::config::FinalEval::Stride(2);
+        assert!(!evaluated(&config, &history, &totals));
+        config.eval.r#final = trimip_core::config::FinalEval::Flag(false);
+        assert!(evaluated(&config, &History::default(), &totals));
+    }
+}

@@ -1,0 +1,381 @@
+//! The folder of a run: names of its files, what state it is in, reading and writing its events.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use trimip_core::{
+    Config, Error, Result, checkpoint::Checkpoint, events::Event, model::Model, scene_plan::Finding,
+    tensors::write_atomically,
+};
+
+/// The files of a run.
+#[derive(Clone, Debug)]
+pub struct RunFolder {
+    root: PathBuf,
+}
+
+/// Names of everything that a run writes, `images/` aside. Its events come last: they are the mark of a run.
+const FILES: [&str; 12] = [
+    "config.toml",
+    "plan.json",
+    "metrics.csv",
+    "model.safetensors",
+    "checkpoint.safetensors",
+    "views.json",
+    "error_vs_time.csv",
+    "report.html",
+    "report.json",
+    "report.md",
+    "report.tex",
+    "metrics.jsonl",
+];
+
+impl RunFolder {
+    /// Names a folder; touches nothing.
+    pub fn new(root: &Path) -> Self {
+        Self { root: root.to_path_buf() }
+    }
+
+    /// The folder itself.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The effective configuration.
+    pub fn config(&self) -> PathBuf {
+        self.root.join("config.toml")
+    }
+
+    /// One event a line.
+    pub fn metrics(&self) -> PathBuf {
+        self.root.join("metrics.jsonl")
+    }
+
+    /// The finished model.
+    pub fn model(&self) -> PathBuf {
+        self.root.join("model.safetensors")
+    }
+
+    /// The state to go on from.
+    pub fn checkpoint(&self) -> PathBuf {
+        self.root.join("checkpoint.safetensors")
+    }
+
+    /// Measures of every view of the final evaluation.
+    pub fn views(&self) -> PathBuf {
+        self.root.join("views.json")
+    }
+
+    /// What the scene plan decided.
+    pub fn plan(&self) -> PathBuf {
+        self.root.join("plan.json")
+    }
+
+    /// What the scene plan decided when the run began; `None` where there is no such file.
+    ///
+    /// # Errors
+    /// When the file is not what was written.
+    pub fn findings(&self) -> Result<Option<Vec<Finding>>> {
+        let Ok(bytes) = std::fs::read(self.plan()) else { return Ok(None) };
+        serde_json::from_slice(&bytes)
+            .map(Some)
+            .map_err(|error| Error::input(self.plan().display(), error, "give --fresh to start the run anew"))
+    }
+
+    /// Keeps what the scene plan decided.
+    ///
+    /// # Errors
+    /// When the folder cannot be written.
+    pub fn write_findings(&self, findings: &[Finding]) -> Result<()> {
+        let text = serde_json::to_string_pretty(findings).map_err(Error::run)?;
+        write_atomically(&self.plan(), text.as_bytes())
+    }
+
+    /// The curve.
+    pub fn curve(&self) -> PathBuf {
+        self.root.join("error_vs_time.csv")
+    }
+
+    /// The report for people.
+    pub fn html(&self) -> PathBuf {
+        self.root.join("report.html")
+    }
+
+    /// The report for programs.
+    pub fn json(&self) -> PathBuf {
+        self.root.join("report.json")
+    }
+
+    /// The report's table as Markdown.
+    pub fn markdown(&self) -> PathBuf {
+        self.root.join("report.md")
+    }
+
+    /// The report's table as LaTeX.
+    pub fn latex(&self) -> PathBuf {
+        self.root.join("report.tex")
+    }
+
+    /// Step events as a table.
+    pub fn steps(&self) -> PathBuf {
+        self.root.join("metrics.csv")
+    }
+
+    /// Pictures of test views.
+    pub fn images(&self) -> PathBuf {
+        self.root.join("images")
+    }
+
+    /// Creates the folder and proves that it can be written, before anything long begins.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn prepare(&self) -> Result<()> {
+        create_writable(&self.root)
+    }
+
+    /// Creates the folder of pictures.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn prepare_images(&self) -> Result<()> {
+        create_writable(&self.images())
+    }
+
+    /// The checkpoint in the folder, refused where it belongs to another configuration.
+    ///
+    /// # Errors
+    /// When the folder holds a run of other settings, or files that are not whole.
+    pub fn resume_point(&self, config: &Config) -> Result<Option<Checkpoint>> {
+        let path = self.checkpoint();
+        if path.exists() {
+            let checkpoint = Checkpoint::read(&path)?;
+            let differences = config.differences(&checkpoint.config);
+            if !differences.is_empty() {
+                let budget =
+                    |text: &String| text.starts_with("train.seconds") || text.starts_with("train.steps");
+                let longer = match differences.iter().all(budget) {
+                    true => ", --continue-for 5m to train a finished one longer",
+                    false => "",
+                };
+                return Err(Error::input(
+                    self.root.display(),
+                    format!("holds a run with other settings ({})", differences.join(", ")),
+                    format!(
+                        "give the same settings to go on with it{longer}, --fresh to replace it, or another --out folder to \
+                         keep both"
+                    ),
+                ));
+            }
+            return Ok(Some(checkpoint));
+        }
+        if self.model().exists() {
+            return Err(Error::input(
+                self.model().display(),
+                "a model without the checkpoint of its run",
+                "choose another --out folder, or --fresh to replace it",
+            ));
+        }
+        Ok(None)
+    }
+
+    /// Everything that a run writes, pictures aside, whether it is there or not; the events last.
+    pub fn files(&self) -> Vec<PathBuf> {
+        FILES.iter().map(|name| self.root.join(name)).collect()
+    }
+
+    /// Removes what an earlier run left; files of others stay.
+    ///
+    /// # Errors
+    /// When a file cannot be removed.
+    pub fn clear(&self) -> Result<()> {
+        for path in self.pictures().into_iter().chain(self.files()) {
+            match std::fs::remove_file(&path) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Error::input(
+                        path.display(),
+                        format!("cannot remove: {error}"),
+                        "choose another --out folder",
+                    ));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Pictures in `images/` that runs wrote, by their names: whatever else lies there is somebody's.
+    pub fn pictures(&self) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(self.images()).into_iter().flatten().flatten();
+        let ours = entries.filter(|entry| is_picture(&entry.file_name().to_string_lossy()));
+        ours.map(|entry| entry.path()).collect()
+    }
+
+    /// Refuses a configuration file that the effective settings of a new run would replace.
+    ///
+    /// # Errors
+    /// When `given` is the folder's `config.toml`, and no run wrote it.
+    pub fn spare(&self, given: &Path) -> Result<()> {
+        let same = std::fs::canonicalize(given).ok();
+        if same.is_none() || same != std::fs::canonicalize(self.config()).ok() || self.is_ours() {
+            return Ok(());
+        }
+        Err(Error::input(
+            given.display(),
+            "the run would write its effective settings over this file",
+            "choose another --out folder, or another name for the file",
+        ))
+    }
+
+    /// Events written so far. A line that a killed run left half written is passed over.
+    pub fn events(&self) -> Vec<Event> {
+        // A line may end within a character.
+        let bytes = std::fs::read(self.metrics()).unwrap_or_default();
+        String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+    }
+
+    /// Replaces the events by `events` and opens the file to append more.
+    ///
+    /// # Errors
+    /// When the folder cannot be written.
+    pub fn restart_events(&self, events: &[Event]) -> Result<File> {
+        let mut text = String::new();
+        for event in events {
+            text += &serde_json::to_string(event).map_err(Error::run)?;
+            text.push('\n');
+        }
+        write_atomically(&self.metrics(), text.as_bytes())?;
+        File::options().append(true).open(self.metrics()).map_err(|error| {
+            Error::input(self.metrics().display(), error, "choose a folder that can be written with --out")
+        })
+    }
+}
+
+/// The model of a run folder or file; of a run that is not finished, its checkpoint's.
+///
+/// # Errors
+/// When there is no model, or it is not whole.
+pub fn read_model(path: &Path) -> Result<Model> {
+    if !path.is_dir() {
+        return Model::read(path);
+    }
+    let folder = RunFolder::new(path);
+    if folder.model().exists() {
+        return Model::read(&folder.model());
+    }
+    if !folder.checkpoint().exists() {
+        return Err(Error::input(
+            path.display(),
+            "neither model.safetensors nor checkpoint.safetensors in this folder",
+            "name a run folder or a model file",
+        ));
+    }
+    Ok(Checkpoint::read(&folder.checkpoint())?.into_model())
+}
+
+/// True for names that [`picture_stem`] makes, of a picture or a comparison.
+fn is_picture(name: &str) -> bool {
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let Some(stem) = name.strip_suffix(".png") else { return false };
+    let stem = stem.strip_suffix("_compare").unwrap_or(stem);
+    let Some((front, scale)) = stem.rsplit_once("_scale") else { return false };
+    front.split_once('_').is_some_and(|(index, _)| index.len() >= 4 && digits(index)) && digits(scale)
+}
+
+/// Name of the picture of a test view, without extension.
+pub fn picture_stem(index: usize, photograph: &str, scale: u32) -> String {
+    format!("{index:04}_{photograph}_scale{scale}")
+}
+
+/// Creates a folder with its parents and proves that files can be written there.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn create_writable(folder: &Path) -> Result<()> {
+    let probe = folder.join(format!("probe-{}.tmp", std::process::id()));
+    let attempt = || {
+        std::fs::create_dir_all(folder)?;
+        std::fs::write(&probe, b"x")?;
+        std::fs::remove_file(&probe)
+    };
+    attempt().map_err(|error| {
+        Error::input(
+            folder.display(),
+            format!("cannot write there: {error}"),
+            "choose a folder that can be written with --out",
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::history::tests::evaluation;
+    use trimip_core::checkpoint::TrainState;
+
+    fn folder() -> (tempfile::TempDir, RunFolder) {
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = RunFolder::new(&temporary.path().join("a/run"));
+        folder.prepare().unwrap();
+        (temporary, folder)
+    }
+
+    #[test]
+    fn a_torn_last_line_of_events_is_passed_over() {
+        let (_keep, folder) = folder();
+        drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
+        let whole = std::fs::read(folder.metrics()).unwrap();
+        // Half a line, and half a character.
+        let torn = [&whole[..], &whole[..whole.len() / 2], &"×".as_bytes()[..1]].concat();
+        std::fs::write(folder.metrics(), torn).unwrap();
+        assert_eq!(folder.events().len(), 1);
+    }
+
+    #[test]
+    fn files_of_others_stay() {
+        let (_keep, folder) = folder();
+        folder.prepare_images().unwrap();
+        let ours = [picture_stem(3, "r_3", 1), format!("{}_compare", picture_stem(12345, "a_scale_b", 16))];
+        let theirs = ["r_3", "0001", "0001_scale", "a_0001_scale2", "0001_scale2_more"];
+        let path = |stem: &str| folder.images().join(format!("{stem}.png"));
+        for stem in ours.iter().map(String::as_str).chain(theirs) {
+            std::fs::write(path(stem), "x").unwrap();
+        }
+        folder.clear().unwrap();
+        assert!(ours.iter().all(|stem| !path(stem).exists()));
+        assert!(theirs.iter().all(|stem| path(stem).exists()));
+
+        std::fs::write(folder.config(), "seed = 1").unwrap();
+        let error = folder.spare(&folder.config()).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("--out"), "{}", error.message);
+        assert!(folder.spare(&folder.root().join("other.toml")).is_ok());
+        drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
+        assert!(folder.spare(&folder.config()).is_ok(), "a run wrote it");
+    }
+
+    #[test]
+    fn a_checkpoint_of_other_settings_is_refused_and_kept() {
+        let (_keep, folder) = folder();
+        let config = Config::default();
+        assert!(folder.resume_point(&config).unwrap().is_none());
+        let checkpoint =
+            Checkpoint { config: config.clone(), state: TrainState::default(), file: Default::default() };
+        checkpoint.write(&folder.checkpoint()).unwrap();
+        assert!(folder.resume_point(&config).unwrap().is_some());
+        let other = Config { seed: 1, ..config };
+        let error = folder.resume_point(&other).unwrap_err();
+        assert!(
+            error.exit_code() == 2 && error.message.contains("seed") && error.message.contains("--fresh")
+        );
+        assert!(folder.checkpoint().exists());
+        folder.clear().unwrap();
+        assert!(folder.resume_point(&other).unwrap().is_none());
+    }
+
+    #[test]
+    fn a_place_that_cannot_be_written_is_found_at_once() {
+        let temporary = tempfile::tempdir().unwrap();
+        let file = temporary.path().join("file");
+        std::fs::write(&file, "x").unwrap();
+        assert_eq!(RunFolder::new(&file.join("run")).prepare().unwrap_err().exit_code(), 2);
+    }
+}

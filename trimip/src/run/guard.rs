@@ -1,0 +1,182 @@
+//! What keeps a run folder from harm: a folder with files that no run wrote is refused before anything is written, and a lock
+//! keeps two processes on one folder apart. A run's mark is an event in `metrics.jsonl`, which it writes first and removes
+//! last, or the head of a checkpoint.
+
+use super::folder::RunFolder;
+use std::fs::{File, TryLockError};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use trimip_core::{Error, Result, checkpoint::FORMAT, events::Event};
+
+/// Bytes of a checkpoint's head that are searched for its format.
+const HEAD: u64 = 1 << 16;
+
+impl RunFolder {
+    /// True when a run of this program wrote the folder.
+    pub fn is_ours(&self) -> bool {
+        has_event(&self.metrics()) || is_checkpoint(&self.checkpoint())
+    }
+
+    /// Refuses a folder that no run wrote but whose files a run would replace or remove; looks, and writes nothing.
+    ///
+    /// # Errors
+    /// Names one of these files.
+    pub fn expect_no_others(&self) -> Result<()> {
+        if self.is_ours() {
+            return Ok(());
+        }
+        let mut others: Vec<PathBuf> = self.files().into_iter().chain(self.pictures()).collect();
+        // An empty file of events holds nothing to lose: a run that was killed in its first moment leaves one.
+        let empty = |path: &Path| std::fs::metadata(path).is_ok_and(|metadata| metadata.len() == 0);
+        others.retain(|path| path.exists() && !(*path == self.metrics() && empty(path)));
+        let Some(first) = others.first() else { return Ok(()) };
+        let more = match others.len() - 1 {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        Err(Error::input(
+            format!("{}{more}", first.display()),
+            "no run wrote this folder, and a run would replace what is there",
+            "choose another --out folder, or move these files away",
+        ))
+    }
+
+    /// Holds the folder for this process until the lock is dropped or the process ends, however it ends.
+    ///
+    /// # Errors
+    /// When another process holds it, or the lock's file cannot be written.
+    pub fn lock(&self) -> Result<Lock> {
+        let path = self.root().join("run.lock");
+        loop {
+            let file = File::options().create(true).append(true).open(&path).map_err(|error| {
+                Error::input(path.display(), error, "choose a folder that can be written with --out")
+            })?;
+            match file.try_lock() {
+                Ok(()) if is_at(&file, &path) => return Ok(Lock { path, _file: file }),
+                // Who held the lock has removed its file meanwhile: what is locked now is no longer there.
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => {
+                    return Err(Error::input(
+                        self.root().display(),
+                        "another process works on this run",
+                        "wait until it has ended, stop it, or choose another --out folder",
+                    ));
+                }
+                // A file system without locks keeps nobody apart.
+                Err(TryLockError::Error(_)) => return Ok(Lock { path, _file: file }),
+            }
+        }
+    }
+}
+
+/// A folder held; its file goes with it.
+#[derive(Debug)]
+pub struct Lock {
+    path: PathBuf,
+    /// Locked as long as it is open.
+    _file: File,
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // Left behind, it holds nobody up: the lock is the system's, not the file. Ours is empty.
+        if std::fs::metadata(&self.path).is_ok_and(|metadata| metadata.len() == 0) {
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+/// True when the open file is the one at `path`.
+#[cfg(unix)]
+fn is_at(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let place = |metadata: std::fs::Metadata| (metadata.dev(), metadata.ino());
+    let (open, there) = (file.metadata().map(place), std::fs::metadata(path).map(place));
+    matches!((open, there), (Ok(open), Ok(there)) if open == there)
+}
+
+/// True when the open file is the one at `path`: not to be told here.
+#[cfg(not(unix))]
+fn is_at(_file: &File, _path: &Path) -> bool {
+    true
+}
+
+/// True when some line is an event of a run.
+fn has_event(path: &Path) -> bool {
+    let bytes = std::fs::read(path).unwrap_or_default();
+    String::from_utf8_lossy(&bytes).lines().any(|line| serde_json::from_str::<Event>(line).is_ok())
+}
+
+/// True when the file begins as a checkpoint does, whole or not.
+fn is_checkpoint(path: &Path) -> bool {
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+    read.is_ok() && head.windows(FORMAT.len()).any(|part| part == FORMAT.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::run::folder::picture_stem;
+    use crate::run::history::tests::evaluation;
+    use trimip_core::{Config, checkpoint::Checkpoint, checkpoint::TrainState};
+
+    fn folder() -> (tempfile::TempDir, RunFolder) {
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = RunFolder::new(temporary.path());
+        (temporary, folder)
+    }
+
+    #[test]
+    fn every_file_that_a_run_would_replace_is_spared() {
+        let (_keep, folder) = folder();
+        folder.prepare_images().unwrap();
+        folder.expect_no_others().unwrap();
+        let picture = folder.images().join(format!("{}.png", picture_stem(0, "r_0", 1)));
+        for path in folder.files().into_iter().chain([picture]) {
+            std::fs::write(&path, "mine").unwrap();
+            let error = folder.expect_no_others().unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(
+                error.message.contains(&path.display().to_string()) && error.message.contains("--out"),
+                "{error}"
+            );
+            std::fs::remove_file(&path).unwrap();
+        }
+        for name in ["notes.txt", "images/0001.png", "run.lock"] {
+            std::fs::write(folder.root().join(name), "mine").unwrap();
+        }
+        folder.expect_no_others().unwrap();
+    }
+
+    #[test]
+    fn events_or_a_checkpoint_make_a_folder_a_runs_own() {
+        let (_keep, folder) = folder();
+        std::fs::write(folder.config(), "seed = 1").unwrap();
+        for (text, ours) in [("", false), ("{\"kind\":\"mine\"}\n", false), ("{\"kind\":\"st", false)] {
+            std::fs::write(folder.metrics(), text).unwrap();
+            assert_eq!(folder.is_ours(), ours, "{text}");
+        }
+        drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
+        assert!(folder.is_ours() && folder.expect_no_others().is_ok());
+        std::fs::remove_file(folder.metrics()).unwrap();
+        assert!(folder.expect_no_others().is_err());
+        let (config, state) = (Config::default(), TrainState::default());
+        Checkpoint { config, state, file: Default::default() }.write(&folder.checkpoint()).unwrap();
+        assert!(folder.is_ours() && folder.expect_no_others().is_ok());
+    }
+
+    #[test]
+    fn a_lock_holds_until_it_is_dropped_and_leaves_nothing() {
+        let (_keep, folder) = folder();
+        let lock = folder.lock().unwrap();
+        let error = folder.lock().unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("another process"), "{error}");
+        drop(lock);
+        drop(folder.lock().unwrap());
+        assert_eq!(std::fs::read_dir(folder.root()).unwrap().count(), 0);
+        // What a killed process leaves behind keeps nobody out.
+        std::fs::write(folder.root().join("run.lock"), "").unwrap();
+        folder.lock().unwrap();
+    }
+}

@@ -1,0 +1,328 @@
+//! What a run's events add up to: the curve of error against time, the final measures, warnings, counters. Built from
+//! the stream as it flows and, on resume, from `metrics.jsonl`; nothing else feeds the report.
+
+use trimip_core::events::{Event, Provenance, ScaleQuality, Totals};
+
+/// One evaluation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evaluation {
+    /// Where the run stood.
+    pub totals: Totals,
+    /// Every n-th test view was used.
+    pub stride: usize,
+    /// Test views there are; 0 where that is not known.
+    pub frames: usize,
+    /// True where there was no time for all views or scales that were asked for.
+    pub bounded: bool,
+    /// True for the evaluation that ends the run.
+    pub last: bool,
+    /// Per scale, fine to coarse.
+    pub scales: Vec<ScaleQuality>,
+    /// Mean of the scales' PSNR, dB.
+    pub psnr: f64,
+    /// Mean of the scales' SSIM.
+    pub ssim: f64,
+    /// Seconds it took.
+    pub seconds: f64,
+}
+
+impl Evaluation {
+    /// Test views that were evaluated, each at all of its scales.
+    pub fn views(&self) -> usize {
+        self.scales.iter().map(|quality| quality.images).max().unwrap_or(0)
+    }
+}
+
+/// One process's part of the run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// Backend.
+    pub backend: String,
+    /// Its device.
+    pub device: String,
+    /// Seconds from the program's start, everything included.
+    pub wall_seconds: f64,
+    /// Largest resident memory, where known.
+    pub peak_memory_bytes: Option<u64>,
+    /// Command line, version, date.
+    pub provenance: Provenance,
+}
+
+/// Latest figures of training.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Training {
+    /// Mean loss of the latest step.
+    pub loss: f64,
+    /// Share of occupied cells.
+    pub occupied: f64,
+    /// Samples marched per ray since the event before; 0 where no ray was cast.
+    pub marched_per_ray: f64,
+    /// Samples kept per ray since the event before.
+    pub kept_per_ray: f64,
+}
+
+/// Everything the report tells about the course of a run.
+#[derive(Clone, Debug, Default)]
+pub struct History {
+    /// Evaluations in the order of steps, one per step and stride.
+    pub evaluations: Vec<Evaluation>,
+    /// One line each, none twice.
+    pub warnings: Vec<String>,
+    /// Processes that worked on the run, first to last.
+    pub parts: Vec<Part>,
+    /// Counters.
+    pub totals: Totals,
+    /// Latest figures of training.
+    pub training: Training,
+    /// True once the schedule is done.
+    pub finished: bool,
+    /// Predicted peak memory of the latest plan.
+    pub predicted_memory_bytes: Option<u64>,
+    /// Counters of the latest step event, which the next one counts from.
+    logged: Totals,
+}
+
+impl History {
+    /// The history of events read from a file.
+    pub fn of(events: &[Event]) -> Self {
+        let mut history = Self::default();
+        events.iter().for_each(|event| history.take(event));
+        history
+    }
+
+    /// Takes the next event.
+    pub fn take(&mut self, event: &Event) {
+        if let Some(totals) = totals(event) {
+            self.totals = *totals;
+        }
+        match event {
+            Event::Plan { memory_bytes, .. } => self.predicted_memory_bytes = Some(*memory_bytes),
+            Event::Resumed { totals } => self.logged = *totals,
+            Event::Step { totals, loss, occupied, .. } => {
+                let rays = totals.rays.saturating_sub(self.logged.rays).max(1) as f64;
+                self.training = Training {
+                    loss: *loss,
+                    occupied: *occupied,
+                    marched_per_ray: totals.marched.saturating_sub(self.logged.marched) as f64 / rays,
+                    kept_per_ray: totals.samples.saturating_sub(self.logged.samples) as f64 / rays,
+                };
+                self.logged = *totals;
+            }
+            Event::Evaluation { totals, stride, frames, bounded, last, scales, psnr, ssim, seconds } => {
+                // A step that is evaluated again, after a resume, replaces what was measured there.
+                self.evaluations.retain(|other| {
+                    (other.totals.step, other.stride) != (totals.step, *stride) && !(*last && other.last)
+                });
+                self.evaluations.push(Evaluation {
+                    totals: *totals,
+                    stride: *stride,
+                    frames: *frames,
+                    bounded: *bounded,
+                    last: *last,
+                    scales: scales.clone(),
+                    psnr: *psnr,
+                    ssim: *ssim,
+                    seconds: *seconds,
+                });
+            }
+            Event::Warning { message } if !self.warnings.contains(message) => {
+                self.warnings.push(message.clone())
+            }
+            Event::Finished { .. } => self.finished = true,
+            Event::Extended { .. } => {
+                self.finished = false;
+                self.evaluations.iter_mut().for_each(|evaluation| evaluation.last = false);
+            }
+            Event::SessionEnded { backend, device, wall_seconds, peak_memory_bytes, provenance } => {
+                self.parts.push(Part {
+                    backend: backend.clone(),
+                    device: device.clone(),
+                    wall_seconds: *wall_seconds,
+                    peak_memory_bytes: *peak_memory_bytes,
+                    provenance: provenance.clone(),
+                })
+            }
+            _ => {}
+        }
+    }
+
+    /// The evaluation that ends the run.
+    pub fn last(&self) -> Option<&Evaluation> {
+        self.evaluations.iter().find(|evaluation| evaluation.last)
+    }
+
+    /// The newest evaluation there is, the final one first.
+    pub fn best_known(&self) -> Option<&Evaluation> {
+        self.last().or(self.evaluations.last())
+    }
+
+    /// Evaluations that may be drawn as one line: the most that are on the same test views at the same scales, in the order
+    /// of steps.
+    pub fn curve(&self) -> Vec<&Evaluation> {
+        let views = |e: &Evaluation| (e.stride, e.scales.first().map_or(0, |scale| scale.scale));
+        let alike = |e: &Evaluation| self.evaluations.iter().filter(|other| views(other) == views(e)).count();
+        // Of two as many the finer, which is the smaller key.
+        let Some(best) =
+            self.evaluations.iter().max_by_key(|e| (alike(e), std::cmp::Reverse(views(e)))).map(views)
+        else {
+            return Vec::new();
+        };
+        let mut curve: Vec<_> = self.evaluations.iter().filter(|e| views(e) == best).collect();
+        curve.sort_by_key(|evaluation| evaluation.totals.step);
+        curve
+    }
+
+    /// Backends and devices that worked on the run, none twice.
+    pub fn devices(&self) -> Vec<String> {
+        let mut devices: Vec<String> = Vec::new();
+        for part in self.parts.iter().filter(|part| !part.device.is_empty()) {
+            let device = format!("{}: {}", part.backend, part.device);
+            if !devices.contains(&device) {
+                devices.push(device);
+            }
+        }
+        devices
+    }
+
+    /// Views of the test split, evaluated or not, where a part told.
+    pub fn test_views(&self) -> Option<usize> {
+        self.parts.iter().rev().find_map(|part| part.provenance.test_views)
+    }
+
+    /// Largest resident memory of all parts, where any is known.
+    pub fn peak_memory_bytes(&self) -> Option<u64> {
+        self.parts.iter().filter_map(|part| part.peak_memory_bytes).max()
+    }
+
+    /// Seconds spent in evaluations; two that share a step share their rendering.
+    pub fn evaluation_seconds(&self) -> f64 {
+        let mut steps: Vec<(u64, f64)> = Vec::new();
+        for evaluation in &self.evaluations {
+            match steps.iter_mut().find(|(step, _)| *step == evaluation.totals.step) {
+                Some((_, seconds)) => *seconds = seconds.max(evaluation.seconds),
+                None => steps.push((evaluation.totals.step, evaluation.seconds)),
+            }
+        }
+        steps.iter().map(|(_, seconds)| seconds).sum()
+    }
+}
+
+/// The counters an event carries.
+pub fn totals(event: &Event) -> Option<&Totals> {
+    match event {
+        Event::Resumed { totals }
+        | Event::Extended { totals, .. }
+        | Event::Step { totals, .. }
+        | Event::Evaluation { totals, .. }
+        | Event::Stopped { totals }
+        | Event::Finished { totals } => Some(totals),
+        _ => None,
+    }
+}
+
+/// Events up to `step`: what a run resumed there keeps. Later ones are done again and would stand twice.
+pub fn up_to(events: Vec<Event>, step: u64) -> Vec<Event> {
+    events.into_iter().filter(|event| totals(event).is_none_or(|totals| totals.step <= step)).collect()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// An evaluation event at `step` with `psnr` at two scales.
+    pub fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
+        let scale = |scale, psnr| ScaleQuality {
+            scale,
+            images: 8,
+            psnr,
+            psnr_8bit: psnr,
+            psnr_opposite: psnr,
+            psnr_constant: 12.0,
+            ssim: 0.9,
+        };
+        Event::Evaluation {
+            totals: Totals {
+                step,
+                seconds: step as f64 / 10.0,
+                samples: step * 1000,
+                rays: step * 10,
+                ..Totals::default()
+            },
+            stride,
+            frames: 8 * stride,
+            bounded: false,
+            last,
+            scales: vec![scale(1, psnr - 1.0), scale(2, psnr + 1.0)],
+            psnr,
+            ssim: 0.9,
+            seconds: 2.0,
+        }
+    }
+
+    #[test]
+    fn a_resumed_run_keeps_its_curve_and_repeats_nothing() {
+        let before = vec![
+            evaluation(10, 5, false, 20.0),
+            Event::Warning { message: "dark".into() },
+            evaluation(30, 5, false, 24.0),
+        ];
+        let kept = up_to(before, 20);
+        assert_eq!(kept.len(), 2);
+        let mut history = History::of(&kept);
+        for event in [
+            Event::Warning { message: "dark".into() },
+            evaluation(30, 5, false, 24.5),
+            evaluation(40, 5, false, 26.0),
+            evaluation(40, 1, true, 25.0),
+        ] {
+            history.take(&event);
+        }
+        let steps: Vec<_> = history.curve().iter().map(|e| (e.totals.step, e.psnr)).collect();
+        assert_eq!(steps, [(10, 20.0), (30, 24.5), (40, 26.0)]);
+        assert_eq!(history.warnings, ["dark"]);
+        assert_eq!(history.last().unwrap().psnr, 25.0);
+        assert_eq!(history.evaluation_seconds(), 6.0);
+    }
+
+    /// A step event at `step` with these counters.
+    pub fn step(step: u64, rays: u64, marched: u64, samples: u64) -> Event {
+        Event::Step {
+            totals: Totals { step, rays, marched, samples, seconds: step as f64, ..Totals::default() },
+            progress: 0.5,
+            loss: 0.25,
+            batch_psnr: f64::INFINITY,
+            learning_rate: 0.002,
+            samples_per_second: 1000.0,
+            rays_per_second: 10.0,
+            occupied: 0.125,
+            seconds_left: 1.0,
+        }
+    }
+
+    #[test]
+    fn samples_per_ray_are_those_since_the_event_before() {
+        let mut history = History::of(&[step(1, 10, 1000, 900), step(2, 20, 1400, 1000)]);
+        assert_eq!((history.training.marched_per_ray, history.training.kept_per_ray), (40.0, 10.0));
+        let totals = Totals { step: 2, rays: 20, marched: 1400, samples: 1000, ..Totals::default() };
+        history.take(&Event::Resumed { totals });
+        history.take(&step(3, 20, 1400, 1000));
+        assert_eq!(history.training.marched_per_ray, 0.0);
+    }
+
+    #[test]
+    fn a_run_that_is_extended_is_not_finished() {
+        let finished = Event::Finished { totals: Totals { step: 40, ..Totals::default() } };
+        let mut history = History::of(&[evaluation(40, 1, true, 25.0), finished]);
+        assert!(history.finished && history.last().is_some());
+        let totals = history.totals;
+        history.take(&Event::Extended { totals, message: String::new() });
+        assert!(!history.finished && history.last().is_none() && history.evaluations.len() == 1);
+    }
+
+    #[test]
+    fn the_final_evaluation_done_again_replaces_the_first() {
+        let history = History::of(&[evaluation(40, 1, true, 25.0), evaluation(40, 2, true, 26.0)]);
+        assert_eq!(history.evaluations.len(), 1);
+        assert_eq!(history.last().unwrap().stride, 2);
+    }
+}

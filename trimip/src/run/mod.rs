@@ -1,0 +1,14 @@
+//! A run in a folder: its files, its history of events, and the training that writes both.
+
+mod begin;
+pub mod csv;
+pub mod folder;
+mod guard;
+pub mod history;
+pub mod overview;
+pub mod provenance;
+mod recorder;
+pub mod store;
+pub mod train;
+
+pub use guard::Lock;

@@ -1,0 +1,170 @@
+//! What a run is going to do and how much memory it will need, as lines that are printed before it starts.
+
+use crate::{machine::Machine, units};
+use std::path::Path;
+use trimip_core::{Config, Frames, Layout, Slot, ViewSet, encoders, scene_plan::Finding};
+
+/// What a run is going to do. The scene plan is a part of it.
+#[derive(Clone, Debug)]
+pub struct Overview {
+    /// One line each: a subject, a colon, what will be done.
+    pub lines: Vec<String>,
+    /// Predicted peak memory.
+    pub memory_bytes: u64,
+}
+
+/// What is known about the scene before training.
+pub struct Subject<'a> {
+    /// Name of the scene.
+    pub name: &'a str,
+    /// What the reader says about the data.
+    pub description: &'a [String],
+    /// Training views.
+    pub train: &'a ViewSet,
+    /// Test frames.
+    pub test: &'a dyn Frames,
+}
+
+impl Overview {
+    /// The overview of a run that starts at `step` and writes to `folder`; `findings` are the scene plan's.
+    pub fn new(
+        config: &Config,
+        subject: &Subject<'_>,
+        findings: &[Finding],
+        memory: &[(String, u64)],
+        folder: &Path,
+        step: u64,
+    ) -> Self {
+        let memory_bytes = memory.iter().map(|(_, bytes)| bytes).sum();
+        let mut lines = vec![format!("scene: {}", subject.name)];
+        lines.extend(subject.description.iter().map(|line| format!("data: {line}")));
+        lines.extend(subject.train.scales.iter().map(|scale| {
+            // A balance of b draws a pixel weight^b times as often and its ray weighs weight^(1 - b).
+            let drawn = scale.weight.powf(config.train.scale_balance.at(0.0) as f32);
+            format!(
+                "scale 1/{}: {}, {}, drawn {drawn:.3} times as often at loss weight {:.3}",
+                scale.factor,
+                units::count(scale.views.len() as u64, "training view"),
+                units::many(scale.pixels.len() as u64, "pixel"),
+                scale.weight / drawn
+            )
+        }));
+        lines.extend(findings.iter().map(ToString::to_string));
+        lines.push(model_line(config));
+        lines.push(train_line(config, step));
+        lines.push(evaluation_line(config, subject.test.len()));
+        let parts: Vec<_> =
+            memory.iter().map(|(part, bytes)| format!("{part} {}", units::bytes(*bytes))).collect();
+        lines.push(format!("memory: {} ({})", units::bytes(memory_bytes), parts.join(", ")));
+        lines.push(format!("folder: {}", folder.display()));
+        Self { lines, memory_bytes }
+    }
+
+    /// A warning when the machine has less memory than the plan needs.
+    pub fn memory_warning(&self, machine: &Machine) -> Option<String> {
+        let available = machine.memory_available_bytes?;
+        (self.memory_bytes > available).then(|| {
+            format!(
+                "the run needs about {} but only {} of memory is available; lower encoder.plane_size, data.scales or \
+                 train.samples_per_step",
+                units::bytes(self.memory_bytes),
+                units::bytes(available)
+            )
+        })
+    }
+}
+
+fn model_line(config: &Config) -> String {
+    let (layout, field) = (Layout::new(config), &config.field);
+    let [hidden, density, color] = [field.hidden, field.density_layers, field.color_layers].map(u64::from);
+    let values = |slots: &[Slot]| slots.iter().map(|slot| slot.range.len() as u64).sum::<u64>();
+    let blind = if field.directions { "" } else { ", which sees no directions" };
+    format!(
+        "model: {}, {}; hidden layers {hidden}×{density} for density and {hidden}×{color} for colour{blind}, {}",
+        encoders::of(config).describe(config),
+        units::many(values(layout.encoder()), "value"),
+        units::many(values(layout.networks()), "weight"),
+    )
+}
+
+fn train_line(config: &Config, step: u64) -> String {
+    let train = &config.train;
+    let per_step = units::many(train.samples_per_step.into(), "sample");
+    let length = if train.steps > 0 {
+        let total = train.steps.saturating_mul(train.samples_per_step.into());
+        let steps = units::count(train.steps, "step");
+        format!("{steps} of {per_step}, {} in all", units::many(total, "sample"))
+    } else {
+        format!("{} at {per_step} a step", units::duration(train.seconds))
+    };
+    let from = if step > 0 { format!(", going on from step {step}") } else { String::new() };
+    format!("training: {length}{from}; backend {}, seed {}", config.backend, config.seed)
+}
+
+fn evaluation_line(config: &Config, views: usize) -> String {
+    let eval = &config.eval;
+    let all = units::count(views as u64, "test view");
+    let on = |stride: usize| match (views.div_ceil(stride.max(1)), eval.share > 0.0) {
+        (count, false) => format!("{count} of {all}"),
+        (count, true) => format!("up to {count} of {all}"),
+    };
+    let way = match eval.points {
+        0 => "none on the way".to_string(),
+        points => {
+            let times = units::count(points.into(), "time");
+            format!("{times} on the way on {}", on(eval.stride_of(views)))
+        }
+    };
+    let end = eval
+        .final_stride(views)
+        .map_or("none at the end".into(), |stride| format!("at the end on {}", on(stride)));
+    let floor = if eval.min_psnr > 0.0 {
+        format!("; fails below a mean PSNR of {} dB", eval.min_psnr)
+    } else {
+        String::new()
+    };
+    let bound = match eval.share {
+        0.0 => String::new(),
+        share => format!("; at most {:.0} % of the training time and 20 s", 100.0 * share),
+    };
+    format!("evaluation: {way}, {end}{bound}{floor}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_model_is_counted() {
+        let line = model_line(&Config::default());
+        assert!(line.contains("512×512×16") && line.contains("12.6 M values"), "{line}");
+        // 48·128 + 128·16 + 31·128 + 128·128 + 128·3
+        assert!(line.contains("128×1 for density and 128×2") && line.contains("28.9 k weights"), "{line}");
+    }
+
+    #[test]
+    fn one_of_a_thing_has_no_s() {
+        let mut config = Config::default();
+        (config.train.steps, config.train.samples_per_step, config.encoder.levels) = (1, 1, 1);
+        (config.eval.points, config.eval.stride) = (1, 1);
+        assert!(train_line(&config, 0).contains("1 step of 1 sample, 1 sample in all"));
+        assert!(model_line(&config).contains("1 mip level,"));
+        let line = evaluation_line(&config, 1);
+        assert!(line.contains("1 time on the way on up to 1 of 1 test view,"), "{line}");
+    }
+
+    #[test]
+    fn a_budget_of_time_replaces_steps() {
+        let mut config = Config::default();
+        (config.train.steps, config.train.samples_per_step) = (25_000, 262_144);
+        assert!(
+            train_line(&config, 5).contains("25000 steps") && train_line(&config, 5).contains("from step 5")
+        );
+        config.train.steps = 0;
+        assert!(
+            train_line(&config, 0).starts_with("training: 5 min 00 s at 262 k samples"),
+            "{}",
+            train_line(&config, 0)
+        );
+    }
+}

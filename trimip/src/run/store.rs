@@ -1,0 +1,193 @@
+//! Where a run keeps its checkpoint, model and test pictures: files of its run folder. Pictures are those of some test
+//! views evenly spread, and of the worst and the best view of the finest scale.
+
+use super::folder::{RunFolder, picture_stem};
+use crate::view::pictures;
+use image::RgbImage;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use trimip_core::{
+    Error, Result, checkpoint::Checkpoint, evaluate::ViewResult, model::Model, run::Store,
+    tensors::write_atomically,
+};
+
+/// One view of the final evaluation, as kept in `views.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewRecord {
+    /// Index of the frame in the test split.
+    pub index: usize,
+    /// Name of the photograph.
+    pub name: String,
+    /// Reduction of the view.
+    pub scale: u32,
+    /// dB; `None` where it is no number.
+    pub psnr: Option<f64>,
+    /// Structural similarity.
+    pub ssim: Option<f64>,
+    /// File in `images/` with rendered | photograph | difference, where the view was picked for a picture.
+    pub comparison: Option<String>,
+}
+
+/// Pictures of a view that may turn out to be the worst or the best: kept until all are seen.
+struct Extreme {
+    /// Its place among the records.
+    record: usize,
+    /// dB; what is no number is worse than anything.
+    psnr: f64,
+    stem: String,
+    rendered: RgbImage,
+    sheet: RgbImage,
+}
+
+/// Files of a run folder as the run's store.
+pub struct FileStore<'a> {
+    folder: &'a RunFolder,
+    /// Test frames that are pictured, and how many may be.
+    picked: Vec<usize>,
+    images: usize,
+    records: Vec<ViewRecord>,
+    worst: Option<Extreme>,
+    best: Option<Extreme>,
+}
+
+impl<'a> FileStore<'a> {
+    /// The first `images` test frames that it sees will be written as pictures: evaluations begin with evenly spread ones.
+    pub fn new(folder: &'a RunFolder, images: usize) -> Self {
+        Self { folder, picked: Vec::new(), images, records: Vec::new(), worst: None, best: None }
+    }
+
+    /// Writes the worst and the best view and `views.json`, and removes pictures of an earlier evaluation; call when the
+    /// final evaluation is whole. Without wanted pictures (`eval.images = 0`) there are none of these two either.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn finish(&mut self) -> Result<()> {
+        if self.records.is_empty() {
+            return Ok(());
+        }
+        for extreme in [self.worst.take(), self.best.take()].into_iter().flatten() {
+            self.records[extreme.record].comparison =
+                Some(self.write(&extreme.stem, extreme.rendered, extreme.sheet)?);
+        }
+        let kept: Vec<_> = self.records.iter().filter_map(|record| record.comparison.as_deref()).collect();
+        for path in self.folder.pictures() {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if !kept.iter().any(|keep| *keep == name || keep.replace("_compare", "") == name) {
+                // A picture that cannot be removed does no harm: nothing refers to it.
+                let _ = std::fs::remove_file(path);
+            }
+        }
+        let mut records = self.records.clone();
+        records.sort_by_key(|record| (record.index, record.scale));
+        let text = serde_json::to_string_pretty(&records).map_err(Error::run)?;
+        write_atomically(&self.folder.views(), text.as_bytes())
+    }
+
+    /// Writes a view's picture and its comparison; returns the name of the comparison.
+    fn write(&self, stem: &str, rendered: RgbImage, sheet: RgbImage) -> Result<String> {
+        let (images, name) = (self.folder.images(), format!("{stem}_compare.png"));
+        pictures::write_png(&images.join(format!("{stem}.png")), rendered)?;
+        pictures::write_png(&images.join(&name), sheet)?;
+        Ok(name)
+    }
+
+    /// The views of the final evaluation that `finish` wrote; none where there was none.
+    pub fn read(folder: &RunFolder) -> Vec<ViewRecord> {
+        let text = std::fs::read_to_string(folder.views()).unwrap_or_default();
+        serde_json::from_str(&text).unwrap_or_default()
+    }
+}
+
+impl Store for FileStore<'_> {
+    fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<u64> {
+        checkpoint.write(&self.folder.checkpoint())
+    }
+
+    fn model(&mut self, model: &Model) -> Result<u64> {
+        model.write(&self.folder.model())
+    }
+
+    fn view(&mut self, view: &ViewResult<'_>) -> Result<()> {
+        let psnr = finite(view.psnr).unwrap_or(f64::NEG_INFINITY);
+        let finest = self.records.first().is_none_or(|first| first.scale == view.scale);
+        let wanted = finest && self.images > 0;
+        let worst = wanted && self.worst.as_ref().is_none_or(|extreme| psnr < extreme.psnr);
+        let best = wanted && self.best.as_ref().is_none_or(|extreme| psnr > extreme.psnr);
+        let mut comparison = None;
+        if self.picked.len() < self.images && !self.picked.contains(&view.index) {
+            self.picked.push(view.index);
+        }
+        if worst || best || self.picked.contains(&view.index) {
+            let stem = picture_stem(view.index, &file_stem(view.name), view.scale);
+            let (width, height, rgb) = (view.rendered.width, view.rendered.height, view.rendered.rgb());
+            let rendered = pictures::rgb_image(width, height, &rgb);
+            let sheet = pictures::side_by_side(width, height, &rgb, view.target);
+            let record = self.records.len();
+            for (place, _) in [(&mut self.worst, worst), (&mut self.best, best)].into_iter().filter(|p| p.1) {
+                let (rendered, sheet, stem) = (rendered.clone(), sheet.clone(), stem.clone());
+                *place = Some(Extreme { record, psnr, stem, rendered, sheet });
+            }
+            if self.picked.contains(&view.index) {
+                comparison = Some(self.write(&stem, rendered, sheet)?);
+            }
+        }
+        self.records.push(ViewRecord {
+            index: view.index,
+            name: view.name.to_string(),
+            scale: view.scale,
+            psnr: finite(view.psnr),
+            ssim: finite(view.ssim),
+            comparison,
+        });
+        Ok(())
+    }
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+/// The last part of a photograph's name without extension, safe as a file name.
+pub fn file_stem(name: &str) -> String {
+    let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
+    stem.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trimip_core::Frame;
+
+    #[test]
+    fn the_worst_and_the_best_view_have_pictures_too() {
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = RunFolder::new(temporary.path());
+        folder.prepare_images().unwrap();
+        let mut store = FileStore::new(&folder, 1);
+        let rendered = Frame { width: 2, height: 1, pixels: vec![Default::default(); 2] };
+        let target = [[0.5; 3]; 2];
+        // Frame 0 is the one picked; scale 2 has the least and the greatest PSNR of all.
+        for (index, psnr) in [20.0, 30.0, 25.0, 10.0, 22.0].into_iter().enumerate() {
+            for (scale, psnr) in [(1, psnr), (2, if index == 0 { 1.0 } else { 50.0 })] {
+                let name = format!("r_{index}");
+                let (rendered, target, ssim) = (&rendered, &target[..], 0.5);
+                store.view(&ViewResult { index, name: &name, scale, rendered, target, psnr, ssim }).unwrap();
+            }
+        }
+        store.finish().unwrap();
+        let pictured: Vec<_> = FileStore::read(&folder)
+            .into_iter()
+            .filter_map(|view| view.comparison.map(|file| (view.index, view.scale, file)))
+            .collect();
+        let places: Vec<_> = pictured.iter().map(|(index, scale, _)| (*index, *scale)).collect();
+        assert_eq!(places, [(0, 1), (0, 2), (1, 1), (3, 1)]);
+        assert!(pictured.iter().all(|(_, _, file)| folder.images().join(file).exists()));
+        assert_eq!(folder.pictures().len(), 8);
+    }
+
+    #[test]
+    fn names_of_photographs_become_safe_file_names() {
+        assert_eq!(file_stem("./test/r 0.png"), "r_0");
+        assert_eq!(file_stem("../../etc/pass:wd"), "pass_wd");
+    }
+}

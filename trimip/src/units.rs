@@ -1,0 +1,78 @@
+//! Numbers for people: counts with their things, bytes and large numbers with a prefix, durations.
+
+/// `1 view`, `25000 views`: a count of things whose name takes an s.
+pub fn count(count: u64, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
+}
+
+/// `1 pixel`, `92.5 M pixels`: the same of a large count.
+pub fn many(count: u64, thing: &str) -> String {
+    if count == 1 { format!("1 {thing}") } else { number(count as f64, &format!("{thing}s")) }
+}
+
+/// `1.5 GB`: bytes in decimal units, as disks and papers count.
+pub fn bytes(count: u64) -> String {
+    number(count as f64, "B")
+}
+
+/// `92.5 M`: a large count with a decimal prefix and a unit.
+pub fn number(value: f64, unit: &str) -> String {
+    let (mut value, mut prefix) = (value, "");
+    for next in ["k", "M", "G", "T"] {
+        if value.abs() < 999.5 {
+            break;
+        }
+        (value, prefix) = (value / 1e3, next);
+    }
+    let digits = if prefix.is_empty() || value.abs() >= 99.95 {
+        0
+    } else if value.abs() >= 9.995 {
+        1
+    } else {
+        2
+    };
+    // A symbol joins its prefix (MB), a word stands apart (M samples).
+    let gap = if unit.len() > 1 && !prefix.is_empty() { " " } else { "" };
+    format!("{value:.digits$} {prefix}{gap}{unit}").trim_end().to_string()
+}
+
+/// `4 min 03 s`: a duration for people.
+pub fn duration(seconds: f64) -> String {
+    if !seconds.is_finite() {
+        return "unknown".into();
+    }
+    let whole = seconds.round() as u64;
+    match whole {
+        0..10 => format!("{seconds:.1} s"),
+        10..60 => format!("{whole} s"),
+        60..3600 => format!("{} min {:02} s", whole / 60, whole % 60),
+        _ => format!("{} h {:02} min", whole / 3600, whole / 60 % 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_three_figures() {
+        assert_eq!(bytes(48_200_000), "48.2 MB");
+        assert_eq!(bytes(0), "0 B");
+        assert_eq!(number(999_999.0, ""), "1.00 M");
+        assert_eq!(number(123.0, "samples/s"), "123 samples/s");
+    }
+
+    #[test]
+    fn one_thing_has_no_s() {
+        assert_eq!([0, 1, 2].map(|n| count(n, "view")), ["0 views", "1 view", "2 views"]);
+        assert_eq!([1, 1_000_000].map(|n| many(n, "pixel")), ["1 pixel", "1.00 M pixels"]);
+    }
+
+    #[test]
+    fn durations_are_read_at_a_glance() {
+        assert_eq!(duration(3.26), "3.3 s");
+        assert_eq!(duration(243.2), "4 min 03 s");
+        assert_eq!(duration(7260.0), "2 h 01 min");
+        assert_eq!(duration(f64::NAN), "unknown");
+    }
+}

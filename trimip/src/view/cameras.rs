@@ -1,0 +1,200 @@
+//! Cameras from a matrix, a position and its target, or a path file. World units, OpenGL axes; what is not a rigid pose or a
+//! sane projection is refused with its place.
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+use serde_json::Value;
+use std::path::Path;
+use trimip_core::{Camera, Error, Intrinsics, Result};
+
+/// Largest width or height of a rendered picture, pixels.
+const MAX_SIDE: f64 = 16_384.0;
+
+/// A camera and the name its pictures carry.
+pub type Named = (String, Camera);
+
+/// A camera at `eye` that looks at `target`; refused where the two and `up` leave its turn open.
+///
+/// # Errors
+/// When `up` and the line of sight leave the camera's turn open; `place` stands in the message.
+pub fn aimed(place: &str, eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> {
+    let back = eye - target;
+    if up.cross(back).length() <= 1e-9 * up.length() * back.length() {
+        return Err(Error::input(
+            place,
+            "the camera looks along --up, or stands on its target",
+            "choose another --up, such as --up 0,1,0",
+        ));
+    }
+    Ok(Camera::look_at(intrinsics, eye, target, up))
+}
+
+/// Every number in a JSON value, in order; of an object, those of its `transform_matrix`.
+pub fn flatten(json: &Value) -> Option<Vec<f64>> {
+    match json {
+        Value::Number(number) => Some(vec![number.as_f64()?]),
+        Value::Array(items) => {
+            items.iter().map(flatten).collect::<Option<Vec<_>>>().map(|parts| parts.concat())
+        }
+        Value::Object(fields) => flatten(fields.get("transform_matrix")?),
+        _ => None,
+    }
+}
+
+/// A camera from 12 or 16 numbers, row by row; the rotation must be one.
+///
+/// # Errors
+/// When these are not 12 or 16 finite numbers with a rotation; `place` stands in the message.
+pub fn posed(place: &str, matrix: &[f64], intrinsics: Intrinsics) -> Result<Camera> {
+    let refuse = |what: String| {
+        Err(Error::input(
+            place,
+            what,
+            "expected a camera-to-world matrix [R|t] with a rotation R, OpenGL axes",
+        ))
+    };
+    if ![12, 16].contains(&matrix.len()) {
+        return refuse(format!("{} numbers instead of 12 or 16", matrix.len()));
+    }
+    if matrix.iter().any(|value| !value.is_finite()) {
+        return refuse("a number that is not finite".into());
+    }
+    let column = |c: usize| DVec3::new(matrix[c], matrix[4 + c], matrix[8 + c]);
+    let rotation = DMat3::from_cols(column(0), column(1), column(2));
+    let error = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array();
+    if error.iter().any(|e| e.abs() > 1e-3) || rotation.determinant() < 0.0 {
+        return refuse("the upper left 3×3 block is no rotation".into());
+    }
+    Ok(Camera { intrinsics, rotation, origin: column(3) })
+}
+
+/// Projection fields of a path file, at its head or in a frame.
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+struct Projection {
+    w: Option<f64>,
+    h: Option<f64>,
+    camera_angle_x: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+}
+
+/// Cameras of a file like `transforms_test.json`; what it leaves out comes from `fallback`.
+///
+/// # Errors
+/// When the file cannot be read, or a frame has no sane camera.
+pub fn path(file: &Path, fallback: Intrinsics) -> Result<Vec<Named>> {
+    let place = file.display().to_string();
+    let broken = |error: serde_json::Error| {
+        Error::input(&place, format!("not a camera path: {error}"), "expected JSON like transforms_test.json")
+    };
+    let json: Value = serde_json::from_str(&read(file)?).map_err(broken)?;
+    let head: Projection = Projection::deserialize(&json).map_err(broken)?;
+    let Some(frames) = json.get("frames").and_then(Value::as_array).filter(|frames| !frames.is_empty())
+    else {
+        return Err(Error::input(place, "no `frames`", "expected JSON like transforms_test.json"));
+    };
+    let mut cameras = Vec::new();
+    for (i, frame) in frames.iter().enumerate() {
+        let place = format!("{place}: frames[{i}]");
+        let own = Projection::deserialize(frame).map_err(broken)?;
+        let Some(matrix) = frame.get("transform_matrix").and_then(flatten) else {
+            return Err(Error::input(place, "no `transform_matrix`", "add a 4×4 camera-to-world matrix"));
+        };
+        cameras.push((format!("{i:04}"), posed(&place, &matrix, projected(&place, own, head, fallback)?)?));
+    }
+    Ok(cameras)
+}
+
+fn projected(place: &str, own: Projection, head: Projection, fallback: Intrinsics) -> Result<Intrinsics> {
+    let pick = |f: fn(&Projection) -> Option<f64>| f(&own).or(f(&head));
+    let width = pick(|p| p.w).unwrap_or(fallback.width.into());
+    let height = pick(|p| p.h).unwrap_or(fallback.height.into());
+    // A frame's own focal length counts before the file's, however either is stated.
+    let focal = |p: &Projection| {
+        let x = p.fl_x.or(p.camera_angle_x.map(|angle| 0.5 * width / (0.5 * angle).tan()));
+        x.or(p.fl_y).map(|x| (x, p.fl_y.unwrap_or(x)))
+    };
+    let fallback_focal = fallback.fx * width / f64::from(fallback.width);
+    let (fx, fy) = focal(&own).or(focal(&head)).unwrap_or((fallback_focal, fallback_focal));
+    let sane = [width, height].iter().all(|side| (1.0..=MAX_SIDE).contains(side));
+    let (cx, cy) = (pick(|p| p.cx).unwrap_or(0.5 * width), pick(|p| p.cy).unwrap_or(0.5 * height));
+    if !(sane && fx > 0.0 && fy > 0.0 && [fx, fy, cx, cy].iter().all(|value| value.is_finite())) {
+        return Err(Error::input(
+            place,
+            format!("{width}×{height} pixels with focal length {fx}, {fy}"),
+            "expected 1 to 16384 pixels and a focal length above 0",
+        ));
+    }
+    Ok(Intrinsics { width: width as u32, height: height as u32, fx, fy, cx, cy })
+}
+
+/// The same view with `factor` times as many pixels along each side.
+///
+/// # Errors
+/// When a side would have less than one or more than 16384 pixels.
+pub fn resized(k: Intrinsics, factor: f64) -> Result<Intrinsics> {
+    let side = |pixels: u32| (f64::from(pixels) * factor).round().max(1.0);
+    let (width, height) = (side(k.width), side(k.height));
+    if !(factor.is_finite() && factor > 0.0 && width <= MAX_SIDE && height <= MAX_SIDE) {
+        return Err(Error::input(
+            format!("--scale {factor}"),
+            "out of range",
+            "expected a number above 0 that keeps the pictures within 16384 pixels",
+        ));
+    }
+    let (x, y) = (width / f64::from(k.width), height / f64::from(k.height));
+    Ok(Intrinsics {
+        width: width as u32,
+        height: height as u32,
+        fx: k.fx * x,
+        fy: k.fy * y,
+        cx: k.cx * x,
+        cy: k.cy * y,
+    })
+}
+
+fn read(file: &Path) -> Result<String> {
+    std::fs::read_to_string(file)
+        .map_err(|error| Error::input(file.display(), error, "name an existing file of cameras"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn intrinsics() -> Intrinsics {
+        Intrinsics::from_angle(80, 60, 0.7)
+    }
+
+    #[test]
+    fn a_path_uses_its_own_projection_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("path.json");
+        let matrix = "[[1,0,0,3],[0,1,0,4],[0,0,1,5],[0,0,0,1]]";
+        let text = format!(
+            "{{\"w\": 100, \"h\": 50, \"fl_x\": 120, \"fl_y\": 110, \"frames\": [{{\"transform_matrix\": {matrix}}},
+              {{\"transform_matrix\": {matrix}, \"fl_x\": 60}},
+              {{\"transform_matrix\": {matrix}, \"camera_angle_x\": {}}}]}}",
+            std::f64::consts::FRAC_PI_2
+        );
+        std::fs::write(&file, text).unwrap();
+        let cameras = path(&file, intrinsics()).unwrap();
+        let k = cameras[1].1.intrinsics;
+        assert_eq!((cameras.len(), k.width, k.height, k.fx, k.fy, k.cx), (3, 100, 50, 60.0, 60.0, 50.0));
+        let [first, last] = [0, 2].map(|at: usize| cameras[at].1.intrinsics);
+        assert_eq!((first.fx, first.fy), (120.0, 110.0));
+        assert!((last.fx - 50.0).abs() < 1e-9 && last.fy == last.fx, "{last:?}");
+        std::fs::write(&file, "{\"frames\": [{\"transform_matrix\": [1]}]}").unwrap();
+        assert!(path(&file, intrinsics()).unwrap_err().message.contains("frames[0]"));
+    }
+
+    #[test]
+    fn resizing_keeps_the_field_of_view() {
+        let k = resized(intrinsics(), 0.5).unwrap();
+        assert_eq!((k.width, k.height, k.cx), (40, 30, 20.0));
+        assert!((k.fx * 2.0 - intrinsics().fx).abs() < 1e-12);
+        assert!(resized(intrinsics(), -1.0).is_err() && resized(intrinsics(), 1e9).is_err());
+    }
+}

@@ -1,0 +1,182 @@
+//! Rendered views as files: colour, depth and opacity as PNG or EXR, and the cameras beside them.
+
+use super::{
+    cameras,
+    pictures::{self, DepthRange},
+    turntable,
+};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use trimip_core::{Camera, Error, Frame, Result, config::SceneConfig, tensors::write_atomically};
+
+/// File format of rendered views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureFormat {
+    /// Colour as 8-bit sRGB; depth (the file states its range) and opacity as 16-bit grey. One file each.
+    Png,
+    /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity.
+    Exr,
+}
+
+/// What of a view is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// Colour on the configured background.
+    Color,
+    /// Distance along the optical axis.
+    Depth,
+    /// 1 - transmittance.
+    Opacity,
+}
+
+/// Writes the asked quantities of one view into the folder `out` and returns the files: `name.exr`, or `name_color.png`,
+/// `name_depth.png` and `name_opacity.png`. `scene` is the box that the range of depths follows.
+///
+/// # Errors
+/// When a file cannot be written, or the build has no EXR.
+#[allow(clippy::too_many_arguments)]
+pub fn write(
+    out: &Path,
+    name: &str,
+    frame: &Frame,
+    camera: &Camera,
+    what: &[Quantity],
+    format: PictureFormat,
+    scene: &SceneConfig,
+) -> Result<Vec<PathBuf>> {
+    let (width, height) = (frame.width, frame.height);
+    if format == PictureFormat::Exr {
+        let mut channels = Vec::new();
+        for quantity in what {
+            match quantity {
+                Quantity::Color => {
+                    channels.extend(["R", "G", "B"].into_iter().enumerate().map(|(c, name)| {
+                        (name, frame.pixels.iter().map(|pixel| pictures::linear(pixel.rgb[c])).collect())
+                    }))
+                }
+                // Infinite where nothing is seen, as compositing programs expect of Z.
+                Quantity::Depth => channels.push(("Z", pictures::depth(frame, f32::INFINITY))),
+                Quantity::Opacity => channels.push(("opacity", pictures::opacity(frame))),
+            }
+        }
+        let path = out.join(format!("{name}.exr"));
+        let range = what.contains(&Quantity::Depth).then(|| depth_range(scene, camera));
+        pictures::write_exr(&path, width, height, channels, range)?;
+        return Ok(vec![path]);
+    }
+    let mut paths = Vec::new();
+    for quantity in what {
+        let path = out.join(format!("{name}_{}.png", suffix(*quantity)));
+        match quantity {
+            Quantity::Color => {
+                pictures::write_png(&path, pictures::rgb_image(width, height, &frame.rgb()))?;
+            }
+            Quantity::Depth => {
+                let range = depth_range(scene, camera);
+                pictures::write_depth_png(&path, width, height, &pictures::depth(frame, range.far), range)?;
+            }
+            Quantity::Opacity => {
+                pictures::write_png(
+                    &path,
+                    pictures::grey(width, height, &pictures::opacity(frame), 0.0, 1.0),
+                )?;
+            }
+        }
+        paths.push(path);
+    }
+    Ok(paths)
+}
+
+fn suffix(quantity: Quantity) -> &'static str {
+    match quantity {
+        Quantity::Color => "color",
+        Quantity::Depth => "depth",
+        Quantity::Opacity => "opacity",
+    }
+}
+
+/// Depths of the ball around the scene's box, so that neighbouring views of a turntable share one range.
+pub fn depth_range(scene: &SceneConfig, camera: &Camera) -> DepthRange {
+    let (centre, half) = turntable::middle(scene);
+    let (depth, radius) = ((camera.origin - centre).dot(camera.rotation.z_axis), half.length());
+    let near = (depth - radius).max(0.0);
+    // Behind the camera there is no depth; the range stays one of numbers that differ.
+    DepthRange { near: near as f32, far: (depth + radius).max(near + radius) as f32 }
+}
+
+/// The cameras beside their pictures, in the layout that `--path` reads; with `scene`, each with its range of depths in
+/// world units.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_cameras(path: &Path, cameras: &[cameras::Named], scene: Option<&SceneConfig>) -> Result<()> {
+    let frames: Vec<_> = cameras
+        .iter()
+        .map(|(name, camera)| {
+            let (k, m, o) = (camera.intrinsics, camera.rotation.transpose().to_cols_array_2d(), camera.origin);
+            let row = |i: usize| [m[i][0], m[i][1], m[i][2], o[i]];
+            let mut frame = json!({
+                "file_path": name, "w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy,
+                "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+            });
+            if let Some(scene) = scene {
+                let range = depth_range(scene, camera);
+                (frame["depth_near"], frame["depth_far"]) = (json!(range.near), json!(range.far));
+            }
+            frame
+        })
+        .collect();
+    let text = serde_json::to_string_pretty(&json!({ "frames": frames })).map_err(Error::run)?;
+    write_atomically(path, text.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use serde_json::Value;
+    use trimip_core::Intrinsics;
+
+    /// `eye/target` as a camera.
+    fn look_at(text: &str, intrinsics: Intrinsics) -> Camera {
+        let numbers: Vec<f64> = text.split([',', '/']).map(|number| number.parse().unwrap()).collect();
+        let at = |first: usize| DVec3::new(numbers[first], numbers[first + 1], numbers[first + 2]);
+        Camera::look_at(intrinsics, at(0), at(3), DVec3::Z)
+    }
+
+    #[test]
+    fn written_cameras_are_read_back_as_they_were() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("cameras.json");
+        let intrinsics = Intrinsics { width: 50, height: 40, fx: 60.0, fy: 61.0, cx: 24.0, cy: 21.0 };
+        let camera = look_at("3,1,2/0,0.5,0", intrinsics);
+        let scene = SceneConfig { aabb_min: [-1.0; 3], aabb_max: [1.0; 3] };
+        for ranged in [None, Some(&scene)] {
+            write_cameras(&path, &[("a".into(), camera)], ranged).unwrap();
+            let read = cameras::path(&path, Intrinsics::from_angle(1, 1, 1.0)).unwrap();
+            assert_eq!(read[0].1, camera);
+            let json: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+            let stated =
+                ["depth_near", "depth_far"].map(|key| json["frames"][0][key].as_f64().map(|v| v as f32));
+            let range = ranged.map(|scene| depth_range(scene, &camera));
+            assert_eq!(stated, [range.map(|range| range.near), range.map(|range| range.far)]);
+        }
+    }
+
+    #[test]
+    fn the_range_of_depths_holds_the_box_wherever_the_camera_looks() {
+        let scene = SceneConfig { aabb_min: [-1.0, -2.0, 0.0], aabb_max: [1.0, 0.5, 3.0] };
+        let k = Intrinsics::from_angle(8, 8, 0.7);
+        for text in ["9,0,2/0,0,1", "9,0,2/0,9,1", "0.5,0,1/3,3,3", "9,0,2/99,0,3"] {
+            let camera = look_at(text, k);
+            let range = depth_range(&scene, &camera);
+            assert!(0.0 <= range.near && range.near < range.far, "{text}");
+            for i in 0..8 {
+                let corner = |axis: usize| [scene.aabb_min, scene.aabb_max][i >> axis & 1][axis].into();
+                let corner = DVec3::new(corner(0), corner(1), corner(2));
+                let depth = (camera.origin - corner).dot(camera.rotation.z_axis);
+                assert!(depth < 0.0 || (range.near..=range.far).contains(&(depth as f32)), "{text}: {depth}");
+            }
+        }
+    }
+}

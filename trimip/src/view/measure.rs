@@ -1,0 +1,82 @@
+//! A model's PSNR and SSIM per scale on a set of test photographs.
+
+use std::time::Instant;
+use trimip_core::{
+    Frames, Result, Viewer,
+    evaluate::{MeanQuality, ViewQuality, ViewResult, Watch, evaluate_frame, mean_quality, per_scale},
+    events::ScaleQuality,
+};
+
+/// What was measured.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// Every view, each at all of its scales.
+    pub views: Vec<ViewQuality>,
+    /// Means per scale, fine to coarse.
+    pub scales: Vec<ScaleQuality>,
+    /// Means over the scales.
+    pub mean: MeanQuality,
+    /// Time of rendering and measuring, seconds.
+    pub seconds: f64,
+}
+
+/// Watches an evaluation. Each method returns false to end it.
+pub trait Watching {
+    /// `done` of `total` test views are rendered, and `part` (0 to 1) of the next one.
+    fn rendering(&mut self, done: usize, total: usize, part: f64) -> bool {
+        let _ = (done, total, part);
+        true
+    }
+
+    /// A view is rendered and measured; `done` of `total` were before it.
+    fn view(&mut self, view: &ViewResult<'_>, done: usize, total: usize) -> bool {
+        let _ = (view, done, total);
+        true
+    }
+}
+
+/// Nobody watches.
+impl Watching for () {}
+
+/// Renders every `stride`-th test view at every scale on `background` and compares it with its photograph. `None` where
+/// `watch` ended it.
+///
+/// # Errors
+/// When a photograph cannot be read, or the device fails.
+pub fn evaluate(
+    viewer: &mut dyn Viewer,
+    frames: &dyn Frames,
+    background: [f32; 3],
+    stride: usize,
+    watch: &mut dyn Watching,
+) -> Result<Option<Measured>> {
+    let (started, stride) = (Instant::now(), stride.max(1));
+    let mut progress = Progress { watch, done: 0, total: frames.len().div_ceil(stride) };
+    let mut views = Vec::new();
+    for index in (0..frames.len()).step_by(stride) {
+        if !evaluate_frame(viewer, frames, index, 1, background, &mut progress, &mut views)? {
+            return Ok(None);
+        }
+        progress.done += 1;
+    }
+    let scales = per_scale(&views, 1);
+    let mean = mean_quality(&scales);
+    Ok(Some(Measured { views, scales, mean, seconds: started.elapsed().as_secs_f64() }))
+}
+
+/// Counts views.
+struct Progress<'a> {
+    watch: &'a mut dyn Watching,
+    done: usize,
+    total: usize,
+}
+
+impl Watch for Progress<'_> {
+    fn rows(&mut self, rows: u32, of: u32) -> bool {
+        self.watch.rendering(self.done, self.total, f64::from(rows) / f64::from(of.max(1)))
+    }
+
+    fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {
+        Ok(self.watch.view(view, self.done, self.total))
+    }
+}

@@ -1,0 +1,55 @@
+//! The examples do what they say: one trains and writes a picture, the other renders the model that the first left.
+
+#[allow(dead_code)]
+#[path = "../examples/render.rs"]
+mod render;
+#[allow(dead_code)]
+#[path = "../examples/train.rs"]
+mod train;
+
+use std::path::Path;
+
+/// A run of a tenth of a second.
+const TINY: [&str; 9] = [
+    "data.builtin_size=16",
+    "data.builtin_train=4",
+    "data.builtin_test=1",
+    "encoder.plane_size=16",
+    "encoder.levels=3",
+    "field.hidden=16",
+    "train.samples_per_step=512",
+    "train.steps=40",
+    "eval.min_gain=0",
+];
+
+/// The picture has this size and shows something.
+fn expect_picture(path: &Path, size: (u32, u32)) {
+    let picture = image::open(path).unwrap().into_rgb8();
+    assert_eq!(picture.dimensions(), size);
+    let first = picture.get_pixel(0, 0);
+    assert!(picture.pixels().any(|pixel| pixel != first), "{} has one colour", path.display());
+}
+
+#[test]
+fn one_example_trains_and_the_other_renders() {
+    let temporary = tempfile::tempdir().unwrap();
+    let arguments: Vec<String> = TINY.map(String::from).into();
+    let folder = temporary.path().join("run");
+    train::run(&arguments, &folder).unwrap();
+    expect_picture(&folder.join("view.png"), (16, 16));
+
+    let picture = temporary.path().join("other.png");
+    render::run(&[&folder, &picture].map(|path| path.display().to_string())).unwrap();
+    expect_picture(&picture, (64, 48));
+    assert_eq!(render::run(&[]).unwrap_err().exit_code(), 2);
+
+    // A folder of photographs, here those of the built-in scene, is an argument of its own.
+    let photographs = temporary.path().join("photographs");
+    let config = trimip::Settings::defaults().with("data.builtin_size", 16).unwrap();
+    let config = config.with("data.builtin_train", 4).unwrap().with("data.builtin_test", 1).unwrap();
+    let config = trimip::Config::from_settings(&config).unwrap();
+    trimip::data::write_builtin(&config.data, &photographs, &trimip::data::unwatched).unwrap();
+    let again = temporary.path().join("again");
+    train::run(&[vec![photographs.display().to_string()], arguments].concat(), &again).unwrap();
+    expect_picture(&again.join("view.png"), (16, 16));
+}
