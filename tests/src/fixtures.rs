@@ -4,7 +4,7 @@
 use glam::DVec3;
 use trimip_core::{
     Alpha, Camera, Config, Intrinsics, Layout, Scale, View, ViewSet,
-    config::{LevelFormula, OptimizerConfig, Untouched},
+    config::{EncoderConfig, EncoderKind, HashGridConfig, LevelFormula, OptimizerConfig, Untouched},
     params::Slot,
 };
 
@@ -71,20 +71,46 @@ pub fn small() -> Config {
     config
 }
 
+/// The same with a hash grid of four levels, of which the last two are hashed and the rows of features are padded.
+fn small_hash_grid() -> Config {
+    let (mut config, defaults) = (small(), Config::default());
+    // Settings of the planes are refused beside a hash grid.
+    config.encoder = EncoderConfig { kind: EncoderKind::HashGrid, ..defaults.encoder };
+    config.optimizer.plane_scale = defaults.optimizer.plane_scale;
+    config.hash_grid = HashGridConfig {
+        levels: 4,
+        features: 2,
+        log2_entries: 9,
+        coarsest: 4,
+        finest: 23,
+        ..config.hash_grid
+    };
+    config
+}
+
+/// The same with entries of four features.
+fn wide_hash_grid() -> Config {
+    let mut config = small_hash_grid();
+    (config.hash_grid.features, config.hash_grid.levels) = (4, 5);
+    config
+}
+
 /// The same configuration with the encoder of another one, and the settings that belong to it.
 pub fn encoded(config: Config, by: &Config) -> Config {
     let optimizer = OptimizerConfig { plane_scale: by.optimizer.plane_scale, ..config.optimizer };
-    Config { encoder: by.encoder.clone(), optimizer, ..config }
+    Config { encoder: by.encoder.clone(), hash_grid: by.hash_grid.clone(), optimizer, ..config }
 }
 
 /// A small configuration of every encoder.
 pub fn every_encoder() -> Vec<Config> {
-    vec![small()]
+    vec![small(), small_hash_grid()]
 }
 
 /// The same, and variants of them that compute their features another way.
 pub fn every_variant() -> Vec<Config> {
-    every_encoder()
+    let mut all = every_encoder();
+    all.push(wide_hash_grid());
+    all
 }
 
 /// Parameters far from their small initial values: texels in ±1, layers 1.5 times Glorot's bound, so that densities run

@@ -10,7 +10,7 @@ pub use choices::{
     Convention, FilePrecision, FinalEval, Finish, Format, LevelFormula, LossRays, Photographs, PlanChoice,
     PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
 };
-pub use encoders::{EncoderConfig, EncoderKind};
+pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig};
 pub use sections::{
     DataConfig, EvalConfig, FieldConfig, FileConfig, LossConfig, OccupancyConfig, OptimizerConfig,
     PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
@@ -40,6 +40,8 @@ pub struct Config {
     pub file: FileConfig,
     /// The encoder, and the planes of the tri-mip encoder.
     pub encoder: EncoderConfig,
+    /// The hash grid.
+    pub hash_grid: HashGridConfig,
     /// The networks.
     pub field: FieldConfig,
     /// Marching and compositing.
@@ -210,6 +212,20 @@ mod tests {
             let error = Config::from_settings(&settings).unwrap_err();
             assert_eq!(error.exit_code(), 2);
             assert!(error.message.contains(expected), "{assignment}: {error}");
+        }
+    }
+
+    #[test]
+    fn settings_of_another_encoder_are_refused_by_name() {
+        for (assignments, expected) in [
+            (&["hash_grid.levels=8"][..], "encoder.kind = \"hash-grid\""),
+            (&["encoder.kind=hash-grid", "encoder.levels=5"], "encoder.kind = \"tri-mip\""),
+            (&["encoder.kind=plenoxels"], "expected"),
+        ] {
+            let mut settings = Settings::defaults();
+            assignments.iter().for_each(|assignment| settings.apply_assignment(assignment).unwrap());
+            let error = Config::from_settings(&settings).unwrap_err();
+            assert!(error.exit_code() == 2 && error.message.contains(expected), "{error}");
         }
     }
 

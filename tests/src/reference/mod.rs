@@ -3,11 +3,13 @@
 
 mod adamw;
 mod harmonics;
+mod hash_grid;
 mod rounded;
 mod tri_mip;
 
 pub use adamw::{changes, moments};
 pub use harmonics::harmonics;
+pub use hash_grid::HashGrid;
 pub use rounded::{Gradient, bf16};
 pub use tri_mip::{AXES, TriMip, sides};
 
@@ -71,6 +73,7 @@ impl Reference {
         let first = own.next().unwrap_or_default();
         let encoder: Box<dyn Literal> = match config.encoder.kind {
             EncoderKind::TriMip => Box::new(TriMip::new(config, first)),
+            EncoderKind::HashGrid => Box::new(HashGrid::new(config, first)),
         };
         let network = |name: &str| {
             let layer = |slot: &trimip_core::params::Slot| Layer {

@@ -186,6 +186,7 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
             // Rate in parts of the networks', weight decay, and values that are skipped together.
             let (factor, decays, group) = match slot.name.as_str() {
                 "planes" => (config.optimizer.plane_scale, true, Some(CHANNELS)),
+                "table" => (config.hash_grid.rate, false, Some(config.hash_grid.features as usize)),
                 _ => (1.0, true, None),
             };
             let rate = config.optimizer.learning_rate * factor;

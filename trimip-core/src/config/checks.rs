@@ -52,6 +52,7 @@ impl Config {
         self.data.check(&checker)?;
         self.scene.check(&checker)?;
         self.encoder.check(&checker)?;
+        self.hash_grid.check(&checker)?;
         self.field.check(&checker)?;
         self.renderer.check(&checker)?;
         self.occupancy.check(&checker)?;

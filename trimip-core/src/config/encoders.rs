@@ -1,6 +1,6 @@
 //! Settings of the encoders: their names, the sections that belong to each, and the accepted ranges.
 
-use super::checks::{Checker, finite_from_zero};
+use super::checks::{Checker, finite_from_zero, positive};
 use super::choices::{LevelFormula, PlaneShape};
 use super::sections::section;
 use crate::{Result, schedule::Schedule};
@@ -12,6 +12,8 @@ use serde::{Deserialize, Serialize};
 pub enum EncoderKind {
     /// Three mip-mapped feature planes (Tri-MipRF), settings in `[encoder]`.
     TriMip,
+    /// Multiresolution hash grid (instant-ngp), settings in `[hash_grid]`.
+    HashGrid,
 }
 
 impl EncoderKind {
@@ -30,6 +32,7 @@ impl EncoderKind {
         match path.split_once('.') {
             Some(("encoder", "kind")) => None,
             Some(("encoder", _)) | Some(("optimizer", "plane_scale")) => Some(Self::TriMip),
+            Some(("hash_grid", _)) => Some(Self::HashGrid),
             _ => None,
         }
     }
@@ -40,6 +43,12 @@ section!(
     EncoderConfig, "encoder" {
         kind: EncoderKind, plane_size: u32, shape: PlaneShape, levels: u32, mipmap: bool, level: LevelFormula,
         level_bias: f32, init_range: f32, halvings: Schedule,
+    }
+);
+section!(
+    /// The multiresolution hash grid.
+    HashGridConfig, "hash_grid" {
+        levels: u32, features: u32, log2_entries: u32, coarsest: u32, finest: u32, init_range: f32, rate: f64,
     }
 );
 impl EncoderConfig {
@@ -72,5 +81,21 @@ impl EncoderConfig {
     pub fn texel_unit(&self) -> u32 {
         let halvings = self.halvings.values().fold(0.0, f64::max) as u32;
         1 << self.levels.saturating_sub(1).max(halvings).min(31)
+    }
+}
+
+impl HashGridConfig {
+    pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.check((1..=32).contains(&self.levels), "hash_grid.levels", "1 to 32")?;
+        to.check([1, 2, 4, 8].contains(&self.features), "hash_grid.features", "1, 2, 4 or 8")?;
+        to.check((8..=24).contains(&self.log2_entries), "hash_grid.log2_entries", "8 to 24")?;
+        to.check((2..=4096).contains(&self.coarsest), "hash_grid.coarsest", "2 to 4096")?;
+        to.check(
+            (self.coarsest..=65_536).contains(&self.finest),
+            "hash_grid.finest",
+            "hash_grid.coarsest to 65536",
+        )?;
+        to.check(finite_from_zero(self.init_range.into()), "hash_grid.init_range", "0 or more")?;
+        to.check(positive(self.rate), "hash_grid.rate", "a number above 0")
     }
 }

@@ -1,6 +1,7 @@
 //! The encoders by name: what core knows of each before a backend computes it. An encoder is a folder or file here (what it
 //! declares, its mathematics, its twin in f64), a file on each backend, and a line in [`of`].
 
+pub mod hash_grid;
 pub mod tri_mip;
 
 use crate::{
@@ -83,7 +84,8 @@ impl Place {
 }
 
 /// All encoders.
-const ALL: &[(EncoderKind, &dyn Definition)] = &[(EncoderKind::TriMip, &tri_mip::Planes)];
+const ALL: &[(EncoderKind, &dyn Definition)] =
+    &[(EncoderKind::TriMip, &tri_mip::Planes), (EncoderKind::HashGrid, &hash_grid::HashGrid)];
 
 /// The configured encoder.
 pub fn of(config: &Config) -> &'static dyn Definition {

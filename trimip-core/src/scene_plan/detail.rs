@@ -1,7 +1,7 @@
 //! Resolution of a scene: texels, marching steps and occupancy cells follow the footprint of a pixel of the photographs at
 //! the distance of the box, within the budget.
 
-use super::{Context, Proposal, tri_mip};
+use super::{Context, Proposal, hash_grid, tri_mip};
 use crate::config::{EncoderKind, PlanChoice};
 use crate::{Aabb, Config, ViewSet};
 use toml::Value;
@@ -32,7 +32,8 @@ pub(super) struct Fineness {
 type Detail = fn(&Context<'_>) -> Fineness;
 
 /// The decision of each encoder about its own detail.
-const ENCODERS: &[(EncoderKind, Detail)] = &[(EncoderKind::TriMip, tri_mip::detail)];
+const ENCODERS: &[(EncoderKind, Detail)] =
+    &[(EncoderKind::TriMip, tri_mip::detail), (EncoderKind::HashGrid, hash_grid::detail)];
 
 /// True if this decision sets `path`.
 pub(super) fn acts(context: &Context<'_>, path: &str) -> bool {

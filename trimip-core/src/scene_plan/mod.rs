@@ -9,6 +9,7 @@ mod decisions;
 mod detail;
 mod facts;
 mod finding;
+mod hash_grid;
 mod leave_out;
 pub mod radii;
 mod recipe;

@@ -61,6 +61,21 @@ fn levels_are_sharper_where_texels_are_as_fine_as_pixels_see() {
 }
 
 #[test]
+fn a_hash_grid_is_as_fine_as_pixels_see_and_has_no_settings_of_planes() {
+    let train = views(true);
+    let (config, findings) = planned(&train, &["encoder.kind=hash-grid"]).unwrap();
+    let aabb = Aabb::<f64>::new(&config.scene);
+    let footprint = detail::footprint(&train, &aabb).unwrap();
+    let width = aabb.longest() / f64::from(config.hash_grid.finest) / footprint;
+    assert!((1.2..=1.3).contains(&width), "{width}");
+    let changes = || findings.iter().flat_map(|finding| &finding.changes);
+    assert!(changes().any(|change| change.path == "hash_grid.finest"));
+    assert!(changes().all(|change| !change.path.starts_with("encoder.")), "{findings:?}");
+    let given = planned(&train, &["encoder.kind=hash-grid", "hash_grid.finest=1024"]).unwrap().0;
+    assert_eq!(given.hash_grid.finest, 1024, "a setting that is given stays");
+}
+
+#[test]
 fn a_small_object_needs_a_small_box_and_given_texels_steps_and_cells_stay_as_wide() {
     let before = Config::default();
     let (config, findings) =

@@ -1,6 +1,7 @@
 //! The encoders on the CPU. Each is a file or folder here with an [`Encoding`], and a line in the list at the end; which one is
 //! at work is asked once a span.
 
+pub mod hash_grid;
 pub mod tri_mip;
 
 use crate::buffer::Buffer;
@@ -250,4 +251,5 @@ macro_rules! encoders {
 
 encoders! {
     TriMip => tri_mip::Planes,
+    HashGrid => hash_grid::Grid,
 }

@@ -1,6 +1,7 @@
 //! The encoders on the GPU. Each is a file here with an [`Encoding`] and its WGSL in `shaders`, and a line in the list at the
 //! end; which one is at work is asked once a span.
 
+pub mod hash_grid;
 pub mod tri_mip;
 
 use crate::backend::{Lane, WgpuBackend};
@@ -211,4 +212,5 @@ macro_rules! encoders {
 
 encoders! {
     TriMip => tri_mip::Planes,
+    HashGrid => hash_grid::Grid,
 }

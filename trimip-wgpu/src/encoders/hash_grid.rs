@@ -1,0 +1,169 @@
+//! The hash grid on the GPU: one invocation a sample and level, forward and back.
+
+use super::{Encoding, Left, Places, whole};
+use crate::buffer::Buffer;
+use crate::device::{GROUP, Gpu, Size};
+use crate::kernel::Access::{self, Parameters, Read, Write};
+use crate::kernel::{ADD_ATOMIC, ADD_EXCHANGE, ADD_FIXED, Addition, FIXED, GRID, Kernel, OWN_FIXED};
+use bytemuck::{Pod, Zeroable};
+use std::sync::Arc;
+use trimip_core::encoders::hash_grid::{Levels, PRIMES};
+use trimip_core::params::ALIGNMENT;
+use trimip_core::{Config, encoders};
+
+const HASH: &str = include_str!("shaders/hash_grid.wgsl");
+const READING: &[&str] = &[GRID, HASH, include_str!("shaders/hash_read.wgsl")];
+const ADDING: &str = include_str!("shaders/hash_add.wgsl");
+const ADDING_FIXED: &[&str] = &[GRID, HASH, FIXED, ADD_FIXED, ADDING];
+const ADDING_ATOMIC: &[&str] = &[GRID, HASH, ADD_ATOMIC, ADDING];
+const ADDING_EXCHANGE: &[&str] = &[GRID, HASH, ADD_EXCHANGE, ADDING];
+
+/// Gradients of entries from fixed point to f32.
+static HASH_SETTLE: Kernel = Kernel::new(
+    "hash_settle",
+    &[GRID, FIXED, OWN_FIXED, include_str!("shaders/hash_settle.wgsl")],
+    &[(0, Write), (2, Parameters), (3, Write)],
+);
+
+/// Constants of the kernels, for entries of `features` floats.
+fn constants(features: u32) -> [(&'static str, u32); 3] {
+    let [_, y, z] = PRIMES;
+    [("FEATURES", features), ("PRIME_Y", y), ("PRIME_Z", z)]
+}
+
+/// Trilinear reads.
+fn read(features: u32) -> Kernel {
+    let bindings = &[(0, Read), (1, Read), (2, Parameters), (4, Write), (5, Read), (9, Read)];
+    Kernel::new("hash_read", READING, bindings).with(&constants(features))
+}
+
+/// Gradients of entries.
+fn add(features: u32, addition: Addition) -> Kernel {
+    const FLOATS: &[(u32, Access)] =
+        &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (9, Read)];
+    const WORDS: &[(u32, Access)] =
+        &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (6, Write), (8, Write), (9, Read)];
+    let kernel = match addition {
+        Addition::Fixed => Kernel::new("hash_add", ADDING_FIXED, WORDS),
+        Addition::Atomic => Kernel::new("hash_add", ADDING_ATOMIC, FLOATS),
+        Addition::Exchange => Kernel::new("hash_add", ADDING_EXCHANGE, FLOATS),
+    };
+    kernel.with(&constants(features))
+}
+
+/// A level as the shaders have it.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Level {
+    scale: f32,
+    /// 0 where corners share entries by their hash.
+    side: u32,
+    first: u32,
+    entries: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Params {
+    levels: u32,
+    stride: u32,
+    counter: u32,
+}
+
+/// Levels, and room for gradients in fixed point.
+pub(crate) struct Grid {
+    gpu: Arc<Gpu>,
+    features: u32,
+    levels: Buffer<Level>,
+    count: u32,
+    stride: u32,
+    /// Floats of the table, up to the next slot.
+    length: usize,
+    addition: Addition,
+    /// High words of the gradient in fixed point.
+    high: Buffer<f32>,
+    /// Counts the terms that fixed point cannot hold.
+    skipped: wgpu::Buffer,
+}
+
+impl Grid {
+    fn params(&self, counter: u32) -> Params {
+        Params { levels: self.count, stride: self.stride, counter }
+    }
+}
+
+impl Encoding for Grid {
+    fn new(
+        gpu: &Arc<Gpu>,
+        config: &Config,
+        training: bool,
+        addition: Addition,
+        skipped: &Buffer<u32>,
+    ) -> Self {
+        let grid = Levels::new(&config.hash_grid);
+        let length = (grid.entries() * grid.features).next_multiple_of(ALIGNMENT);
+        let own = grid.levels.iter().map(|level| Level {
+            scale: level.scale,
+            side: if level.hashed { 0 } else { level.side },
+            first: level.first,
+            entries: level.entries,
+        });
+        let mut levels = Buffer::zeros(gpu, 0);
+        levels.write(&own.collect::<Vec<_>>());
+        let fixed = training && addition == Addition::Fixed;
+        Self {
+            gpu: Arc::clone(gpu),
+            features: grid.features as u32,
+            levels,
+            count: grid.levels.len() as u32,
+            stride: encoders::stride(config) as u32,
+            length,
+            addition,
+            high: Buffer::zeros(gpu, if fixed { length } else { ALIGNMENT }),
+            skipped: skipped.raw().clone(),
+        }
+    }
+
+    fn forward(&self, parameters: &Buffer<f32>, at: &Places, _: &Buffer<f32>, features: &Buffer<f32>) {
+        let (table, rows) = (parameters.part(0, self.length), &at.rows);
+        let binds = [table, whole(&at.spheres), features.bind(), rows.bind(), self.levels.bind()];
+        let size = rows.dispatch(self.count, GROUP);
+        self.gpu.dispatch(&read(self.features), &binds, &self.params(rows.counter), size);
+    }
+
+    fn flush(
+        &mut self,
+        deposits: impl Iterator<Item = Left>,
+        _: &Buffer<f32>,
+        parameter_gradient: &Buffer<f32>,
+    ) {
+        let bytes = |count: usize| (count * size_of::<f32>()) as u64;
+        self.gpu.clear(parameter_gradient.raw(), 0, bytes(self.length));
+        self.gpu.clear(self.high.raw(), 0, bytes(self.high.capacity()));
+        let fixed = self.addition == Addition::Fixed;
+        for left in deposits {
+            let (table, rows) = (parameter_gradient.part(0, self.length), &left.at.rows);
+            let mut binds = vec![whole(&left.gradients), whole(&left.at.spheres), table, rows.bind()];
+            if fixed {
+                binds.push(self.high.bind());
+                binds.push(whole(&self.skipped));
+            }
+            binds.push(self.levels.bind());
+            let kernel = add(self.features, self.addition);
+            let size = rows.dispatch(self.count, GROUP);
+            self.gpu.dispatch(&kernel, &binds, &self.params(rows.counter), size);
+        }
+        if fixed {
+            let count = self.length as u32 / 4;
+            let binds = [parameter_gradient.part(0, self.length), self.high.part(0, self.length)];
+            self.gpu.dispatch(&HASH_SETTLE, &binds, &count, Size::Items(count.into()));
+        }
+    }
+
+    #[cfg(test)]
+    fn kernels() -> Vec<Kernel> {
+        let features = [1, 2, 4, 8].into_iter();
+        let of = |f| [read(f), add(f, Addition::Fixed), add(f, Addition::Atomic), add(f, Addition::Exchange)];
+        features.flat_map(of).chain([HASH_SETTLE.clone()]).collect()
+    }
+}

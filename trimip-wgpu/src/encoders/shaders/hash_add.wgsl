@@ -1,0 +1,28 @@
+// Feature gradients to gradients of entries: one invocation adds one level of one sample. `add_base` decides how.
+
+@group(0) @binding(0) var<storage, read> gradients: array<f32>;
+@group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> counts: array<u32>;
+
+@compute @workgroup_size(GROUP)
+fn hash_add(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    let sample = i / params.levels;
+    if sample >= counts[params.counter] {
+        return;
+    }
+    let level = i % params.levels;
+    let cell = cell_around(levels[level].scale, spheres[sample].xyz);
+    let row = sample * params.stride + level * FEATURES;
+    for (var corner = 0u; corner < 8u; corner++) {
+        let weight = corner_weight(cell, corner);
+        let entry = corner_entry(levels[level], cell, corner);
+        for (var f = 0u; f < FEATURES; f++) {
+            add_base(entry * FEATURES + f, weight * gradients[row + f]);
+        }
+    }
+}

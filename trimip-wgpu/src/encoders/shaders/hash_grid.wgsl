@@ -1,0 +1,51 @@
+// Twin of `trimip_core::encoders::hash_grid`.
+
+struct Level {
+    // Cells across the box, less one.
+    scale: f32,
+    // Corners along a side; 0 where corners share entries by their hash.
+    side: u32,
+    // First entry, and number of entries.
+    first: u32,
+    entries: u32,
+}
+
+struct Params {
+    levels: u32,
+    // Floats of a row of features.
+    stride: u32,
+    counter: u32,
+}
+
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(9) var<storage, read> levels: array<Level>;
+
+// The cell around a place: its lower corner, and the place within it.
+struct Cell {
+    lower: vec3<u32>,
+    fraction: vec3<f32>,
+}
+
+fn cell_around(scale: f32, position: vec3<f32>) -> Cell {
+    let place = position * scale + 0.5;
+    let lower = floor(place);
+    return Cell(vec3<u32>(lower), place - lower);
+}
+
+fn is_upper(corner: u32) -> vec3<bool> {
+    return vec3<bool>((corner & 1u) != 0u, (corner & 2u) != 0u, (corner & 4u) != 0u);
+}
+
+fn corner_weight(cell: Cell, corner: u32) -> f32 {
+    let along = select(1.0 - cell.fraction, cell.fraction, is_upper(corner));
+    return along.x * along.y * along.z;
+}
+
+// Entry of a corner of the cell, within all levels.
+fn corner_entry(level: Level, cell: Cell, corner: u32) -> u32 {
+    let at = cell.lower + select(vec3<u32>(0u), vec3<u32>(1u), is_upper(corner));
+    if level.side == 0u {
+        return level.first + ((at.x ^ (at.y * PRIME_Y) ^ (at.z * PRIME_Z)) & (level.entries - 1u));
+    }
+    return level.first + (at.x + level.side * (at.y + level.side * at.z)) % level.entries;
+}

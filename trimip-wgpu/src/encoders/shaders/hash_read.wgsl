@@ -1,0 +1,39 @@
+// Trilinear reads: one invocation reads one level for one sample.
+
+@group(0) @binding(0) var<storage, read> entries: array<f32>;
+@group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> features: array<f32>;
+@group(0) @binding(5) var<storage, read> counts: array<u32>;
+
+@compute @workgroup_size(GROUP)
+fn hash_read(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    let sample = i / params.levels;
+    if sample >= counts[params.counter] {
+        return;
+    }
+    let level = i % params.levels;
+    let cell = cell_around(levels[level].scale, spheres[sample].xyz);
+    var sum: array<f32, FEATURES>;
+    for (var corner = 0u; corner < 8u; corner++) {
+        let weight = corner_weight(cell, corner);
+        let entry = corner_entry(levels[level], cell, corner);
+        for (var f = 0u; f < FEATURES; f++) {
+            sum[f] += weight * entries[entry * FEATURES + f];
+        }
+    }
+    let row = sample * params.stride;
+    for (var f = 0u; f < FEATURES; f++) {
+        features[row + level * FEATURES + f] = sum[f];
+    }
+    // What lies behind the width is zero.
+    if level + 1u == params.levels {
+        for (var at = params.levels * FEATURES; at < params.stride; at++) {
+            features[row + at] = 0.0;
+        }
+    }
+}
