@@ -1,4 +1,4 @@
-//! Tells the program which commit it is built from, for the figures it reports. Without git it is told nothing.
+//! Passes the commit to the program, for the reports. Without git it passes nothing.
 
 use std::path::Path;
 use std::process::Command;
@@ -6,11 +6,11 @@ use std::process::Command;
 fn main() {
     let repository = Path::new("../.git");
     println!("cargo::rerun-if-changed=build.rs");
-    // Unpacked inside of somebody else's repository, that one's commit would be a wrong answer.
+    // Inside another repository, that repository's commit would be wrong.
     if !repository.exists() {
         return;
     }
-    // Whatever moves when a commit is made or a file is staged; a path that is not there would mean "always".
+    // Files that change when a commit is made or a file is staged. A missing path would rerun the script always.
     for path in ["HEAD", "refs/heads", "packed-refs", "index"] {
         if repository.join(path).exists() {
             println!("cargo::rerun-if-changed=../.git/{path}");

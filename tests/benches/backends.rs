@@ -1,6 +1,6 @@
-//! Criterion: every stage and a whole training step, on the CPU and on the GPU, and one table of both at the end. Stages run
-//! over one span, which the CPU gives to one thread; the step has all cores. `TRIMIP_BENCH_SAMPLES` is the size of a step
-//! (a software driver wants few, a graphics card many).
+//! Criterion benchmarks of every stage and of a whole training step, on the CPU and on the GPU, with one table of both
+//! at the end. Stages run over one span, which the CPU gives to one thread; the step uses all cores.
+//! `TRIMIP_BENCH_SAMPLES` is the number of samples of a step (small for a software driver, large for a graphics card).
 
 use criterion::{Criterion, Throughput};
 use std::path::Path;
@@ -13,7 +13,7 @@ use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, Vi
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_wgpu::{Addition, WgpuBackend};
 
-/// Steps before the step that is timed: the first meet a grid that is occupied everywhere.
+/// Steps before the timed step: at first, the occupancy grid is full.
 const WARM: usize = 24;
 
 fn samples() -> u32 {
@@ -33,7 +33,7 @@ fn scene(precision: Precision) -> (Config, ViewSet) {
     (config, views)
 }
 
-/// Occupied where the built-in scene is, roughly: a ball.
+/// Occupancy that approximates the built-in scene: a ball.
 fn ball(resolution: u32) -> Vec<u8> {
     let cells = resolution.pow(3);
     let mut bits = vec![0; cells as usize / 8];
@@ -46,14 +46,14 @@ fn ball(resolution: u32) -> Vec<u8> {
     bits
 }
 
-/// A backend by name.
+/// A named backend.
 struct Way<'a, B> {
     name: &'a str,
     make: &'a dyn Fn() -> B,
     precision: Precision,
 }
 
-/// Times every stage; each is issued many times and waited for once.
+/// Times every stage. Each is submitted many times and waited for once.
 fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     let (config, views) = scene(way.precision);
     let backend = (way.make)();
@@ -158,7 +158,7 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     backend.health().expect("the device works");
 }
 
-/// Times a whole step in a state past the first steps.
+/// Times a whole step after the first steps.
 fn step<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     let (config, views) = scene(way.precision);
     let mut trainer = Trainer::new((way.make)(), &config, views).expect("views that fit");
@@ -186,7 +186,7 @@ fn both<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     step(criterion, way);
 }
 
-/// Nanoseconds of an element, by group and name, as criterion keeps them.
+/// Nanoseconds per element, by group and name, from criterion's files.
 fn estimate(folder: &Path, group: &str, name: &str) -> Option<f64> {
     let base = folder.join(group.replace(' ', "_")).join(name).join("new");
     let base = if base.exists() { base } else { folder.join(group).join(name).join("new") };
@@ -240,11 +240,11 @@ fn main() {
     }
 }
 
-/// Operations and bytes of memory of a sample in each stage, of the paper's networks; none where a stage is too mixed to
-/// say. Texels count as if no cache held them, arrays of samples as read and written once.
+/// Operations and bytes of memory per sample in each stage, for the paper's networks; `None` for stages of mixed work.
+/// Texels count as uncached, arrays of samples as read and written once.
 fn work() -> [(&'static str, Option<[f64; 2]>); 12] {
     let products = |layers: &[[f64; 2]]| layers.iter().map(|[k, n]| 2.0 * k * n).sum::<f64>();
-    // What a layer reads and writes, in bytes.
+    // Bytes that a layer reads and writes.
     let rows = |layers: &[[f64; 2]]| layers.iter().map(|[k, n]| 4.0 * (k + n)).sum::<f64>();
     let (density, color) = ([[48.0, 128.0], [128.0, 16.0]], [[32.0, 128.0], [128.0, 128.0], [128.0, 16.0]]);
     let taps = 3.0 * 8.0 * 16.0;
@@ -259,14 +259,14 @@ fn work() -> [(&'static str, Option<[f64; 2]>); 12] {
         ("composite", Some([30.0, 16.0 + 8.0])),
         ("loss", None),
         ("composite backward", Some([40.0, 16.0 + 8.0 + 16.0])),
-        // Each layer's product is made twice more: by its input and by its weights.
+        // Each layer's product is computed twice more: for its input and for its weights.
         ("field backward", Some([2.0 * forward[0], 2.0 * forward[1]])),
         ("scatter and end of step", None),
         ("training step", Some([3.0 * forward[0] + 4.0 * taps, 3.0 * forward[1] + 8.0 * taps])),
     ]
 }
 
-/// Each stage's share of what the device reaches at best.
+/// Each stage as a fraction of the device's peak performance.
 fn roofline(folder: &Path, names: &[&str], ceilings: &trimip_wgpu::Ceilings) {
     let (operations, bytes) = (ceilings.operations / 1e9, ceilings.bytes / 1e9);
     println!("\nmeasured ceilings: {operations:.1} GFLOP/s of f32 multiply-adds, {bytes:.1} GB/s of copies");

@@ -1,13 +1,13 @@
-//! The program itself, built once and run as a user runs it, on a scene and a model of the smallest useful size.
+//! Builds the program once and runs it as a user does, on the smallest useful scene and model.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
-/// What a process said and how it ended.
+/// Output and exit code of a process.
 #[derive(Debug)]
 pub struct Answer {
-    /// Exit code; `None` where a signal ended it.
+    /// Exit code; `None` if a signal ended the process.
     pub code: Option<i32>,
     /// Standard output.
     pub out: String,
@@ -15,10 +15,10 @@ pub struct Answer {
     pub err: String,
 }
 
-/// Path of `trimip-cli`, built in the profile and the target folder of the running test.
+/// Path of `trimip-cli`, built in the profile and target folder of the running test.
 ///
 /// # Panics
-/// When the program does not build.
+/// If the program does not build.
 pub fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
@@ -45,18 +45,18 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The program with arguments, in a working directory.
+/// The program with arguments and a working directory.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(program());
-    // A software driver of Vulkan writes to standard error where this is not set.
+    // Without this variable, a software Vulkan driver writes to standard error.
     command.args(arguments).current_dir(folder).env("XDG_RUNTIME_DIR", folder);
     command
 }
 
-/// Runs the program to its end. Whatever happens, it does not panic.
+/// Runs the program to its end and asserts that it does not panic.
 ///
 /// # Panics
-/// When it cannot be started, or when it panicked.
+/// If it cannot be started, or if it panicked.
 pub fn run(folder: &Path, arguments: &[&str]) -> Answer {
     let Output { status, stdout, stderr } = command(folder, arguments).output().expect("the program starts");
     let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
@@ -96,7 +96,7 @@ pub fn tiny() -> Vec<&'static str> {
     .collect()
 }
 
-/// [`tiny`] with more arguments.
+/// [`tiny`] with additional arguments.
 pub fn tiny_and<'a>(more: &[&'a str]) -> Vec<&'a str> {
     [&tiny()[..], more].concat()
 }

@@ -1,5 +1,5 @@
-//! Small problems on which the tests run: random numbers, configurations, parameters that make interesting densities,
-//! photographs of noise at several scales, cameras.
+//! Small test problems: random numbers, configurations, parameters with varied densities, photographs of noise at
+//! several scales, cameras.
 
 use glam::DVec3;
 use trimip_core::{
@@ -8,11 +8,11 @@ use trimip_core::{
     params::Slot,
 };
 
-/// SplitMix64 (Steele et al. 2014): the tests' own random numbers.
+/// SplitMix64 (Steele et al. 2014): the random numbers of the tests.
 pub struct Draw(u64);
 
 impl Draw {
-    /// The sequence of a seed.
+    /// The sequence for a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -31,7 +31,7 @@ impl Draw {
         low + (high - low) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Uniform below `count`.
+    /// Uniform integer below `count`.
     pub fn below(&mut self, count: usize) -> usize {
         (self.bits() % count as u64) as usize
     }
@@ -47,7 +47,7 @@ impl Draw {
     }
 }
 
-/// The optimiser, the occupancy grid and the budget as the authors' code has them, on the defaults of all else.
+/// The optimiser, the occupancy grid and the budget of the authors' code; defaults for the rest.
 pub fn as_code() -> Config {
     let mut config = Config::default();
     (config.optimizer.plane_scale, config.optimizer.beta2) = (10.0, 0.999);
@@ -58,7 +58,7 @@ pub fn as_code() -> Config {
     config
 }
 
-/// A configuration small enough for the literal reference: 16² planes, 16 hidden units, about twenty steps a ray.
+/// A configuration small enough for the reference: 16² planes, 16 hidden units, about twenty steps per ray.
 pub fn small() -> Config {
     let mut config = Config { threads: 1, ..as_code() };
     (config.encoder.plane_size, config.encoder.levels) = (16, 5);
@@ -71,10 +71,10 @@ pub fn small() -> Config {
     config
 }
 
-/// The same with a hash grid of four levels, of which the last two are hashed and the rows of features are padded.
+/// The same with a hash grid of four levels. The last two levels are hashed, and feature rows are padded.
 fn small_hash_grid() -> Config {
     let (mut config, defaults) = (small(), Config::default());
-    // Settings of the planes are refused beside a hash grid.
+    // A hash grid refuses settings of the planes.
     config.encoder = EncoderConfig { kind: EncoderKind::HashGrid, ..defaults.encoder };
     config.optimizer.plane_scale = defaults.optimizer.plane_scale;
     config.hash_grid = HashGridConfig {
@@ -95,13 +95,13 @@ fn wide_hash_grid() -> Config {
     config
 }
 
-/// The same configuration with the encoder of another one, and the settings that belong to it.
+/// `config` with the encoder of `by` and the settings that belong to that encoder.
 pub fn encoded(config: Config, by: &Config) -> Config {
     let optimizer = OptimizerConfig { plane_scale: by.optimizer.plane_scale, ..config.optimizer };
     Config { encoder: by.encoder.clone(), hash_grid: by.hash_grid.clone(), optimizer, ..config }
 }
 
-/// A small configuration of every encoder.
+/// A small configuration for each encoder.
 pub fn every_encoder() -> Vec<Config> {
     vec![small(), small_hash_grid()]
 }
@@ -113,8 +113,8 @@ pub fn every_variant() -> Vec<Config> {
     all
 }
 
-/// Parameters far from their small initial values: texels in ±1, layers 1.5 times Glorot's bound, so that densities run
-/// from nearly nothing to nearly opaque and no ReLU layer is dead.
+/// Parameters far from their small initial values: texels in ±1, layers 1.5 times Glorot's bound. Densities range from
+/// nearly transparent to nearly opaque, and no ReLU layer is dead.
 pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
     let mut draw = Draw::new(seed);
     let bound = |slot: &Slot| match slot.name.as_str() {
@@ -129,8 +129,8 @@ pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
     values
 }
 
-/// Photographs of noise: `count` square views of `size` pixels, looking at the origin from 4 units away through an angle
-/// that leaves the box at the corners, at `scales` scales.
+/// Photographs of noise at `scales` scales: `count` square views of `size` pixels that look at the origin from 4 units
+/// away. The corners of a picture look past the box.
 pub fn noise(count: usize, size: u32, scales: u32, seed: u64) -> ViewSet {
     let mut draw = Draw::new(seed);
     let cameras: Vec<Camera> = (0..count)
@@ -171,7 +171,7 @@ pub fn photographs(
     set
 }
 
-/// Parameters of a field that is the same everywhere: texels 1, one density, one colour from every direction.
+/// Parameters of a uniform field: texels 1, one density, one colour in every direction.
 pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -> Vec<f32> {
     let mut values = vec![0.0_f32; layout.len()];
     let last_density = format!("density.{}.weight", config.field.density_layers);
@@ -184,7 +184,7 @@ pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -
         }
         let [inputs, outputs] = [slot.shape[0], slot.shape[1]];
         if slot.name == last_density {
-            // Density = exp(logit − 1) of hidden units that are 1; the geometry features stay 0.
+            // Density = exp(logit − 1) with hidden units of 1; the geometry features stay 0.
             let weight = (density.ln() + 1.0) / inputs as f64;
             part.iter_mut().step_by(outputs).for_each(|w| *w = weight as f32);
         } else if slot.name == last_color {
@@ -194,7 +194,7 @@ pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -
                 }
             }
         } else if slot.name == "color.0.weight" {
-            // The first spherical harmonic is the constant 1/(2√π): every hidden unit becomes 1.
+            // The first spherical harmonic is the constant 1/(2√π), so every hidden unit becomes 1.
             part[..outputs].fill(2.0 * std::f32::consts::PI.sqrt());
         } else {
             part.fill(1.0 / inputs as f32);

@@ -1,16 +1,16 @@
-//! Adapters for the tests. Where a machine has none, tests are skipped and say so, unless `TRIMIP_REQUIRE_GPU` is set:
-//! then they fail.
+//! Adapters for the tests. On a machine without one, tests are skipped with a message. If `TRIMIP_REQUIRE_GPU` is set,
+//! they fail instead.
 
 use trimip_core::Result;
 use trimip_wgpu::{Addition, WgpuBackend};
 
-/// All ways to add texel gradients.
+/// All methods of adding texel gradients.
 pub const ADDITIONS: [Addition; 3] = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
 
-/// Runs `part` on the best adapter with each of the `additions` that it has.
+/// Runs `part` on the best adapter with each of the `additions` that it supports.
 ///
 /// # Panics
-/// When `part` fails, or there is no adapter where one is required.
+/// If `part` fails, or if an adapter is required and there is none.
 pub fn with(additions: &[Addition], part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
     if trimip_wgpu::adapters().is_empty() {
         assert!(
@@ -32,7 +32,7 @@ pub fn with(additions: &[Addition], part: impl Fn(&dyn Fn() -> WgpuBackend) -> R
     }
 }
 
-/// Runs a part that needs the same bits every time.
+/// Runs a test that needs bitwise reproducible results.
 pub fn reproducibly(part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
     with(&[Addition::Fixed], part);
 }

@@ -1,5 +1,5 @@
-//! What the tests across crates share: the whole model written literally in f64 ([`mod@reference`]), small problems with a
-//! purpose ([`fixtures`]), the program to run ([`binary`]), and the truths that every backend must satisfy ([`suite`]).
+//! Shared parts of the tests across crates: the whole model in f64 ([`mod@reference`]), small test problems
+//! ([`fixtures`]), the program under test ([`binary`]), and the tests that every backend must pass ([`suite`]).
 
 pub mod binary;
 pub mod fixtures;

@@ -1,4 +1,5 @@
-//! The asynchronous door of a GPU: a view is rendered without a blocking wait, with the bits of the blocking door.
+//! The asynchronous interface of a GPU: it renders a view without a blocking wait, with the same bits as the blocking
+//! one.
 
 use std::future::{Future, poll_fn};
 use std::pin::pin;
@@ -10,7 +11,7 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, gpu, suite};
 use trimip_wgpu::WgpuBackend;
 
-/// Waits for a future; gives how often it was pending as well.
+/// Waits for a future; also returns how often it was pending.
 fn waited<T>(future: impl Future<Output = T>) -> (T, usize) {
     let mut future = pin!(future);
     let mut pending = 0;
@@ -22,7 +23,7 @@ fn waited<T>(future: impl Future<Output = T>) -> (T, usize) {
     (value, pending)
 }
 
-/// A model of every encoder: one that was trained a little, and one of fog.
+/// Models for every encoder: one trained briefly, and one of fog.
 fn models() -> Vec<Model> {
     let mut models = Vec::new();
     for encoder in fixtures::every_encoder() {

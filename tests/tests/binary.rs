@@ -10,7 +10,7 @@ fn json(path: &Path) -> Value {
         .unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// The fields that the report promises to programs.
+/// Asserts the documented fields of the JSON report.
 fn assert_report(report: &Value, steps: u64, scales: usize) {
     for key in ["backend", "scene"] {
         assert!(report[key].is_string(), "{key}: {}", report[key]);
@@ -20,7 +20,7 @@ fn assert_report(report: &Value, steps: u64, scales: usize) {
     }
     assert_eq!(report["steps"], steps);
     assert!(report["train_seconds"].as_f64().is_some_and(|s| s > 0.0));
-    // Where the system does not tell the peak, it is null.
+    // If the system does not report the peak memory, it is null.
     assert!(report["peak_memory_bytes"].is_u64() || report["peak_memory_bytes"].is_null());
     let list = |key: &str| report[key].as_array().unwrap_or_else(|| panic!("{key}: {}", report[key])).clone();
     assert_eq!(list("scales").len(), scales);
@@ -134,7 +134,7 @@ fn a_missed_floor_fails_with_its_report_written() {
 #[test]
 fn a_killed_run_leaves_a_whole_checkpoint_and_the_same_command_finishes_it() {
     let folder = tempfile::tempdir().unwrap();
-    // A budget of time: the run is as long on any machine.
+    // A time budget: the run takes equally long on any machine.
     let more = ["--out", "run", "--set", "train.seconds=3", "--set", "train.checkpoint_seconds=0.02"];
     let arguments = tiny_and(&[&more[..], &["--set", "eval.points=0"]].concat());
     let checkpoint = folder.path().join("run/checkpoint.safetensors");
@@ -170,7 +170,7 @@ fn verbs_answer() {
     let good = |arguments: &[&str]| {
         let answer = run(here, arguments);
         assert_eq!(answer.code, Some(0), "{arguments:?}: {}", answer.err);
-        // `render` says how fast it was beside its list of files; the other verbs have nothing to add.
+        // `render` also prints its speed; the other verbs print nothing on standard error.
         let mut aside = answer.err.lines();
         if arguments[0] == "render" {
             assert!(aside.next().is_some_and(|line| line.ends_with("frames/s")), "{}", answer.err);
@@ -259,7 +259,7 @@ fn verbs_answer() {
     assert!(inspected.contains("4 ") && inspected.contains("16x16"), "{inspected}");
     good(&["data", "multiscale", "scales", "--root", "scene", "--set", "data.scales=2"]);
     assert!(json(&here.join("scales/metadata.json")).is_object());
-    // A model trained from the written files is the model trained from the scene itself, at the same settings.
+    // Training on the written files and on the scene itself gives the same model at the same settings.
     good(&tiny_and(&["--out", "written", "--set", "data.format=multiscale", "--set", "data.root=scales"]));
     let parameters =
         |name: &str| Model::read(&here.join(name).join("model.safetensors")).unwrap().file.tensors;
@@ -300,14 +300,14 @@ fn a_bench_lays_variants_and_seeds_beside_each_other() {
         assert!(row["psnr"].is_f64() && row["seconds"].as_f64().is_some_and(|s| s > 0.0));
     }
     assert!(rows.iter().any(|row| row["pareto"] == true), "some variant is on the front");
-    // The base is hidden = 16 by another name: the same bits, the same figures.
+    // The base is hidden = 16 under another name: the same bits and figures.
     assert_eq!(rows[0]["psnr"], rows[2]["psnr"]);
     let csv = fs::read_to_string(folder.path().join("b/bench.csv")).unwrap();
     assert_eq!(csv.lines().count(), 5);
     assert!(fs::read_to_string(folder.path().join("b/bench.svg")).unwrap().starts_with("<svg"));
     let page = fs::read_to_string(folder.path().join("b/bench.html")).unwrap();
     assert!(page.starts_with("<!doctype html>") && page.contains("<svg") && page.contains("no mip"));
-    // What is finished is not run again.
+    // Finished runs are not repeated.
     let model = folder.path().join("b/no-mip-1/model.safetensors");
     let before = fs::metadata(&model).unwrap().modified().unwrap();
     assert_eq!(bench(&variants).code, Some(0));
@@ -331,7 +331,7 @@ fn a_bench_of_rendering_converges_to_the_picture_in_f64() {
         .map(|row| row["error"].as_f64().unwrap())
         .collect();
     assert_eq!(errors.len(), 7);
-    // Sixty-four times shorter steps, and what f32 leaves: the errors of a model that was hardly trained.
+    // Sixty-four times shorter steps leave only the error of f32, for a barely trained model.
     assert!(errors[6] < 0.1 * errors[0] && errors[6] < 1e-3, "{errors:?}");
     let precisions = 1 + usize::from(trimip_cpu::simd::Simd::detect().has_bf16());
     assert_eq!(rows.iter().filter(|row| row["varied"] == "precision").count(), precisions, "f32, and bf16");

@@ -1,4 +1,5 @@
-//! The program on broken input: exit code 2, one line that begins with `error:` and names the place, nothing overwritten.
+//! The program on broken input: exit code 2, one line that begins with `error:` and names the location, nothing
+//! overwritten.
 
 use serde_json::{Value, json};
 use std::{
@@ -9,7 +10,7 @@ use std::{
 use tempfile::TempDir;
 use trimip_tests::binary::{run, tiny, tiny_and};
 
-/// Every file below a folder with its bytes.
+/// All files below a folder with their bytes.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -23,7 +24,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// The program refuses, names `places`, and leaves every file as it was.
+/// Asserts that the program refuses, names `places`, and leaves every file unchanged.
 fn refuses(folder: &Path, arguments: &[&str], places: &[&str]) {
     let before = files(folder);
     let answer = run(folder, arguments);
@@ -160,7 +161,7 @@ fn wrong_settings_and_arguments_are_refused() {
         refuses(here, arguments, places);
     }
     refuses(here, &["config", "--config", "wrong.toml"], &["wrong.toml:3:3"]);
-    // Nothing asked for is answered by what to type next, whose lines are no error.
+    // Without arguments the program suggests commands; these lines are not an error.
     let answer = run(here, &[]);
     assert!(answer.code == Some(2) && answer.err.contains("trimip-cli FOLDER") && answer.out.is_empty());
 }
@@ -212,15 +213,15 @@ fn files_of_a_run_that_do_not_fit_are_refused() {
             &["model.safetensors"],
         );
     }
-    // A checkpoint where a model belongs, and the other way round.
+    // A checkpoint in place of a model, and vice versa.
     fs::write(&path, &whole).unwrap();
     refuses(here, &["eval", "run"], &["model.safetensors", "trimip-checkpoint"]);
     fs::write(here.join("run/checkpoint.safetensors"), &model).unwrap();
     refuses(here, &tiny_and(&["--out", "run"]), &["checkpoint.safetensors", "trimip-model"]);
-    // A model whose run is gone is not overwritten.
+    // A model without its run is not overwritten.
     fs::remove_file(here.join("run/checkpoint.safetensors")).unwrap();
     refuses(here, &tiny_and(&["--out", "run"]), &["model.safetensors", "--fresh"]);
     assert_eq!(run(here, &tiny_and(&["--out", "run", "--fresh"])).code, Some(0));
-    // What belongs to a trained model cannot be changed afterwards.
+    // Settings of a trained model cannot be changed afterwards.
     refuses(here, &["eval", "run", "--set", "encoder.plane_size=32"], &["encoder.plane_size"]);
 }

@@ -1,4 +1,4 @@
-//! The program's own catalogue of stiff and extreme cases holds, on every backend of this machine.
+//! The program's catalogue of stiff and extreme cases passes on every backend of this machine.
 
 use serde_json::Value;
 use trimip_tests::binary::run;

@@ -1,15 +1,15 @@
-//! The suite that every backend passes, on the CPU with each instruction set and several numbers of threads.
+//! The suite for every backend, on the CPU with each instruction set and several numbers of threads.
 
 use trimip_core::{Result, config::Precision};
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::suite;
 
-/// Runs a part of the suite on every CPU backend that this processor offers.
+/// Runs a test of the suite on every CPU backend that this processor supports.
 fn on_every_cpu(part: impl Fn(&dyn Fn() -> CpuBackend) -> Result<()>) {
     with_threads(&[1, 2, 3], part);
 }
 
-/// Runs a part of the suite with every instruction set and these numbers of threads.
+/// Runs a test of the suite with every instruction set and the given numbers of threads.
 fn with_threads(threads: &[u32], part: impl Fn(&dyn Fn() -> CpuBackend) -> Result<()>) {
     for simd in Simd::available() {
         for &threads in threads {
@@ -37,7 +37,7 @@ fn whole_pixels_are_the_literal_ones() {
 
 #[test]
 fn gradients_are_finite_differences() {
-    // The literal loss is slow, and `determinism.rs` proves that threads change no bit.
+    // The reference loss is slow, and `determinism.rs` proves that threads change no bit.
     with_threads(&[2], |make| suite::gradients::finite_differences(make));
 }
 

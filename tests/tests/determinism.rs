@@ -1,5 +1,5 @@
-//! The same seed gives the same bits for any number of threads; another seed gives others. Skipping of empty space gives
-//! the samples, to the bit, that asking every step gives.
+//! The same seed gives the same bits for any number of threads; another seed gives others. Empty-space skipping gives
+//! bitwise the same samples as querying every step.
 
 use trimip_core::{
     Aabb, Layout, Session, Viewer,
@@ -13,7 +13,7 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};
 
-/// What training an encoder leaves after some steps with `threads` threads, and a picture of it.
+/// The state of an encoder after some training steps with `threads` threads, and a picture of it.
 fn trained(
     encoder: &trimip_core::Config,
     simd: Simd,
@@ -23,7 +23,7 @@ fn trained(
 ) -> (Checkpoint, trimip_core::Frame) {
     let mut config = fixtures::encoded(suite::training::configuration(), encoder);
     (config.seed, config.field.precision) = (seed, precision);
-    // The number of deposits is at least 16: several spans share one, and workers race for them.
+    // There are at least 16 deposits, so several spans share one and workers compete for them.
     config.train.samples_per_step = 4096;
     let views = fixtures::noise(4, 16, 3, 30);
     let camera = views.views[0].camera;
@@ -64,7 +64,7 @@ fn another_seed_gives_another_run() {
     }
 }
 
-/// The distances of asking every step in the marcher's own precision.
+/// Sample distances from querying every step in the marcher's own precision.
 fn every_step(config: &trimip_core::Config, ray: &Ray, offset: f32, bits: &[u8]) -> Vec<f32> {
     let aabb = Aabb::<f32>::new(&config.scene);
     let (enter, leave) = aabb.intersect(ray.origin, ray.direction);

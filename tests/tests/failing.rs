@@ -1,4 +1,4 @@
-//! A run whose numbers leave their range stops, says which and when, and leaves the last good checkpoint.
+//! A run with non-finite values stops, reports which and when, and keeps the last good checkpoint.
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
@@ -13,7 +13,7 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite};
 
-/// Remembers the steps of the checkpoints.
+/// Records the steps of the checkpoints.
 #[derive(Default)]
 struct Shelf(Vec<u64>);
 
@@ -33,7 +33,7 @@ impl Store for Shelf {
     }
 }
 
-/// So many test frames, none of which can be read.
+/// The given number of test frames, none of which can be read.
 struct Unreadable(usize);
 
 impl Frames for Unreadable {
@@ -86,7 +86,7 @@ fn a_test_view_that_cannot_be_read_costs_no_step() {
     assert_eq!(shelf.0, [trainer.checkpoint().expect("a checkpoint").state.totals.step]);
 }
 
-/// What a run says that goes on after step 6 with one number broken, and which checkpoints it writes.
+/// The error of a run that continues after step 6 with one NaN parameter, and the steps of its checkpoints.
 fn broken(slot: &str, checkpoint_seconds: f64) -> (trimip_core::Error, Vec<u64>) {
     let mut config = suite::training::configuration();
     config.train.checkpoint_seconds = checkpoint_seconds;

@@ -1,10 +1,10 @@
-//! The first hour of a user as a script of commands whose answers are checked: a folder of photographs, nothing else set.
+//! The first hour of a user as a script of commands with checked answers: a folder of photographs, default settings.
 
 use serde_json::Value;
 use std::{fs, path::Path, time::Instant};
 use trimip_tests::binary::{Answer, run};
 
-/// A scene of 16 training and 4 test photographs of 64 pixels in `folder`/scene.
+/// Writes a scene of 16 training and 4 test photographs of 64 pixels to `folder`/scene.
 fn scene(folder: &Path) {
     let sets = [
         "data.builtin_size=64",
@@ -21,7 +21,7 @@ fn done(answer: &Answer) {
     assert_eq!(answer.code, Some(0), "{answer:?}");
 }
 
-/// The program refuses with exit code 2, in one line that names each of `parts`.
+/// Asserts that the program refuses with exit code 2, in one line that contains each of `parts`.
 fn refused(answer: &Answer, parts: &[&str]) {
     assert_eq!(answer.code, Some(2), "{answer:?}");
     assert_eq!(answer.err.trim_end().lines().count(), 1, "{}", answer.err);
@@ -43,7 +43,7 @@ fn psnr(report: &Value) -> f64 {
 fn a_folder_is_all_that_a_user_types() {
     let temporary = tempfile::tempdir().unwrap();
     let folder = temporary.path();
-    // Nothing typed, or something that is no scene: the next thing to type.
+    // Without arguments, or with an argument that is no scene, the program suggests the next command.
     let bare = run(folder, &[]);
     assert_eq!(bare.code, Some(2));
     for next in ["trimip-cli FOLDER", "configs/quickstart.toml", "--help"] {
@@ -56,13 +56,13 @@ fn a_folder_is_all_that_a_user_types() {
     assert!(!folder.join("runs/empty/metrics.jsonl").exists());
 
     scene(folder);
-    // A folder within a folder is found out about, a file of the scene is as good as its folder.
+    // A folder within a folder is detected. A file of the scene is accepted like its folder.
     fs::create_dir(folder.join("outer")).unwrap();
     fs::rename(folder.join("scene"), folder.join("outer/scene")).unwrap();
     refused(&run(folder, &["outer"]), &["outer/scene"]);
     fs::rename(folder.join("outer/scene"), folder.join("scene")).unwrap();
 
-    // 7.998 seconds of training: wall time, pictures and a model that learned.
+    // 7.998 seconds of training: wall time, pictures, and a model that learned.
     let started = Instant::now();
     let answer = run(folder, &["scene/transforms_train.json", "--minutes", "0.1333"]);
     done(&answer);
@@ -82,7 +82,7 @@ fn a_folder_is_all_that_a_user_types() {
         assert!(answer.out.contains(&format!("plan.{decision}: ")), "{decision}");
     }
 
-    // The same again is finished; another length names the ways out; a longer one goes on.
+    // The same command again finds the run finished; another duration lists the options; a longer one continues.
     let again = run(folder, &["scene", "--minutes", "0.1333"]);
     done(&again);
     assert!(again.out.contains("finished") && again.out.contains("--fresh"), "{}", again.out);
@@ -109,7 +109,7 @@ fn a_folder_is_all_that_a_user_types() {
     refused(&run(folder, &["scene", "--minutes", "1"]), &ways);
     refused(&run(folder, &["runs/scene"]), &["holds a run", "eval", "render"]);
 
-    // What is there is measured, shown and compared.
+    // Evaluate, render and compare the existing run.
     done(&run(folder, &["eval", "runs/scene", "--json", "eval.json"]));
     let one = run(folder, &["render", "runs/scene", "--views", "1"]);
     done(&one);
@@ -133,7 +133,7 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
         let path = entry.unwrap().path();
         image::open(&path).unwrap().to_rgb8().save(&path).unwrap();
     }
-    // Steps, not seconds: what comes out is the same however busy the machine is.
+    // A budget of steps, not seconds: the result does not depend on the load of the machine.
     let steps = ["--set", "train.steps=150", "--set", "train.samples_per_step=16384"];
     let answer = run(folder, &[&["scene"], &steps[..]].concat());
     done(&answer);
@@ -144,7 +144,7 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
         assert!(answer.out.contains(part), "{part}: {}", answer.out);
     }
     refused(&run(folder, &["scene", "--out", "b", "--set", "loss.opacity=0.1"]), &["loss.opacity", "alpha"]);
-    // A box beside everything is told before, and nothing is learned in it.
+    // A box that misses the scene gives a warning in advance, and nothing is learned in it.
     let beside = ["scene.aabb_min=[50.0,50.0,50.0]", "scene.aabb_max=[51.0,51.0,51.0]"];
     let mut arguments = vec!["scene", "--out", "beside", "--minutes", "0.1"];
     beside.iter().for_each(|set| arguments.extend(["--set", set]));

@@ -1,4 +1,4 @@
-//! The suite that every backend passes, on the GPU, with every way to add texel gradients. What crosses backends stands in
+//! The suite for every backend, on the GPU, with every method of adding texel gradients. Tests across backends are in
 //! `gpu_and_cpu.rs`.
 
 use trimip_core::{Backend, Layout, Result, Viewer, config::Precision, trainer::Trainer};
@@ -9,7 +9,7 @@ use trimip_tests::{
 };
 use trimip_wgpu::{Addition, WgpuBackend};
 
-/// Runs a part of the suite on the best adapter, with the reproducible way to add and the fastest one.
+/// Runs a test of the suite on the best adapter, with the reproducible method of addition and the fastest one.
 fn on_the_gpu(part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
     with(&[Addition::Fixed, Addition::Atomic], part);
 }
@@ -76,7 +76,8 @@ fn numbers_beyond_f16_are_counted_and_the_run_goes_on_in_f32() {
         let mut trainer = Trainer::new(make(), &config, fixtures::noise(2, 16, 1, 6))?;
         suite::training::steps(&mut trainer, &config, 6)?;
         assert!(trainer.notes().is_empty(), "{:?}", trainer.notes());
-        // Weights of the colour network's first layer that make hidden units of a million, and small ones behind them.
+        // Weights of the colour network's first layer that give hidden units of a million, and small weights after
+        // them.
         let mut values = trainer.parameters();
         for slot in &Layout::new(&config).slots {
             match slot.name.as_str() {
@@ -167,7 +168,7 @@ fn a_run_that_ends_early_is_its_model() {
 #[test]
 fn a_resumed_run_is_the_run_that_never_stopped() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    // In f32 the order of additions is the device's own affair, and with it the last bits.
+    // In f32 the device chooses the order of additions, and so the last bits.
     reproducibly(|make| suite::training::resume(make, &folder.path().join("checkpoint")));
 }
 

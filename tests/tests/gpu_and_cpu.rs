@@ -1,4 +1,4 @@
-//! The GPU beside the CPU: what crosses the bus, models and runs that change the backend, and what a lost device leaves.
+//! The GPU against the CPU: transfers, models and runs that change the backend, and the state after a device loss.
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
@@ -31,7 +31,7 @@ fn a_step_is_one_submission_and_moves_no_parameters() {
         let mut trainer = Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2))?;
         suite::training::steps(&mut trainer, &config, 5)?;
         let before = trainer.device().counts();
-        // Refreshes of the occupancy grid among them.
+        // These steps include refreshes of the occupancy grid.
         for step in 5..17 {
             trainer.step(f64::from(step) / config.train.steps as f64)?;
         }
@@ -44,7 +44,7 @@ fn a_step_is_one_submission_and_moves_no_parameters() {
     });
 }
 
-/// Root of the mean squared difference of two pictures.
+/// Root-mean-square difference of two pictures.
 fn difference(a: &trimip_core::Frame, b: &trimip_core::Frame) -> f64 {
     let squares = a.pixels.iter().zip(&b.pixels).flat_map(|(a, b)| [0, 1, 2].map(|c| a.rgb[c] - b.rgb[c]));
     let sum: f64 = squares.map(|d| f64::from(d) * f64::from(d)).sum();
@@ -70,7 +70,7 @@ fn models_are_the_same_pictures_on_both_backends() {
                 LoadedModel::new(cpu(), model)?.render(&camera)?,
                 LoadedModel::new(make(), model)?.render(&camera)?,
             ];
-            // 90 dB: a sample at the border of an occupied cell may fall to either side.
+            // 90 dB: a sample at the border of an occupied cell may fall on either side.
             for picture in [&on_cpu, &on_gpu] {
                 let error = difference(picture, own);
                 assert!(error < 3e-5, "{name}: pictures differ by {error}");
@@ -98,7 +98,7 @@ fn a_run_goes_on_on_the_other_backend_as_on_its_own() {
             assert!(values(&taken, suffix)? == values(&checkpoint, suffix)?, "`{suffix}` is taken over");
         }
         assert_eq!(taken.state, checkpoint.state);
-        // The next step sees the same rays and samples.
+        // The next step uses the same rays and samples.
         let rays = checkpoint.state.rays_per_step;
         let ((own_sums, own), (sums, other)) =
             (began.loss_and_gradient(20, rays)?, changed.loss_and_gradient(20, rays)?);
@@ -121,14 +121,15 @@ fn a_run_goes_on_on_the_other_backend_as_on_its_own() {
         let [own, other] = [began.checkpoint()?.state.totals, changed.checkpoint()?.state.totals];
         assert_eq!((own.step, other.step), (24, 24));
         let (own, other) = (began.render(&camera)?, changed.render(&camera)?);
-        // AdamW moves a parameter by its rate however small the gradient is: where that is rounding alone, backends part.
+        // AdamW moves a parameter by its learning rate however small the gradient is. Where the gradient is only
+        // rounding, backends diverge.
         let (moved, apart) = (difference(&own, &before), difference(&own, &other));
         assert!(apart < 0.4 * moved, "the picture moves by {moved}, backends differ by {apart}");
         Ok(())
     });
 }
 
-/// Every tensor of a run of `steps` steps.
+/// All tensors of a run of `steps` steps.
 fn tensors(
     trainer: &mut Trainer<impl trimip_core::Backend>,
     config: &Config,
@@ -181,7 +182,7 @@ fn memory_is_predicted_within_a_tenth() {
     });
 }
 
-/// Keeps the step of the last checkpoint and destroys the device when it is asked to keep the second.
+/// Records the steps of the checkpoints, and destroys the device at the second one.
 struct Shelf<'a> {
     kept: Vec<u64>,
     lose: &'a dyn Fn(),
@@ -242,7 +243,7 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
     });
 }
 
-/// The built-in scene, small.
+/// The built-in scene at a small size.
 fn builtin() -> Config {
     let mut config = fixtures::as_code();
     config.data.format = Format::Builtin;
@@ -270,7 +271,7 @@ fn both_backends_learn_the_built_in_scene_alike() {
     reproducibly(|make| {
         let config = builtin();
         let train = || Ok::<_, Error>(trimip_data::open(&config.data)?.train);
-        // From scratch, runs of two seeds differ by more than a tenth of a decibel; from a common start they may not.
+        // Runs of two seeds from scratch differ by more than a tenth of a decibel; from a common start they must not.
         let mut on_cpu = Trainer::new(cpu(), &config, train()?)?;
         suite::training::steps(&mut on_cpu, &config, 90)?;
         let (start, before) = (on_cpu.checkpoint()?, held_out(&mut on_cpu, &config)?);
@@ -282,7 +283,7 @@ fn both_backends_learn_the_built_in_scene_alike() {
         println!("{before:.3} dB, then trained on the CPU {by_cpu:.3} dB, on the GPU {by_gpu:.3} dB");
         assert!(by_cpu > before + 0.5, "there is something to learn");
         assert!((by_cpu - by_gpu).abs() < 0.1, "CPU {by_cpu:.3} dB, GPU {by_gpu:.3} dB");
-        // A model is as good on the other backend.
+        // A model has the same quality on the other backend.
         let crossed = [
             (by_cpu, held_out(&mut LoadedModel::new(make(), &on_cpu.model()?)?, &config)?),
             (by_gpu, held_out(&mut LoadedModel::new(cpu(), &on_gpu.model()?)?, &config)?),

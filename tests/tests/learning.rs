@@ -1,13 +1,13 @@
-//! Training on the built-in scene learns it: held-out views are rendered better than any constant colour could be.
+//! Training on the built-in scene: held-out views are rendered better than any constant colour.
 
 use trimip_core::{Config, Session, config::Format, evaluate::evaluate, metrics::psnr, trainer::Trainer};
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::fixtures::as_code;
 
-/// dB by which the model must beat the best constant colour, which knows the held-out image's own mean.
+/// Minimum gain in dB over the best constant colour, the mean of the held-out image itself.
 const MARGIN: f64 = 6.0;
 
-/// Steps of training.
+/// Number of training steps.
 const STEPS: u64 = 150;
 
 fn configuration() -> Config {
@@ -25,7 +25,7 @@ fn configuration() -> Config {
     config
 }
 
-/// Mean PSNR on the held-out views, and that of the best constant colour of each.
+/// Mean PSNR on the held-out views, and that of the best constant colour of each view.
 fn held_out(config: &Config) -> (f64, f64) {
     let scene = trimip_data::open(&config.data).unwrap();
     let mut trainer = Trainer::new(CpuBackend::new(2, Simd::detect()).unwrap(), config, scene.train).unwrap();

@@ -1,4 +1,4 @@
-//! Laws on cases that nobody chose: what `trimip-cli check` holds for a catalogue, here for fresh draws.
+//! Property tests: the laws of `trimip-cli check` on random cases.
 
 use glam::DVec3;
 use proptest::prelude::*;
@@ -8,13 +8,13 @@ use trimip_core::encoders::tri_mip::{CHANNELS, PLANE_AXES, Pyramid, grow, taps};
 use trimip_core::scene_plan::{radii, silhouettes};
 use trimip_core::{Aabb, Alpha, Camera, Config, Intrinsics, Scale, View, ViewSet};
 
-/// Optical depths from 1e-12 to 1e12, colours and distances of a ray.
+/// Optical depths from 1e-12 to 1e12, colours and distances of a ray's samples.
 fn ray() -> impl Strategy<Value = Vec<(f64, [f64; 3], f64)>> {
     let sample = (-12.0..12.0_f64, prop::array::uniform3(0.0..1.0_f64), 0.1..10.0_f64);
     prop::collection::vec(sample.prop_map(|(depth, rgb, t)| (10_f64.powf(depth), rgb, t)), 0..60)
 }
 
-/// A box somewhere, its sides up to 1 : 1000.
+/// A box at a random position, with side ratios up to 1 : 1000.
 fn aabb() -> impl Strategy<Value = Aabb<f64>> {
     let sides = prop::array::uniform3((-3.0..0.0_f64).prop_map(|log| 10_f64.powf(log)));
     (sides, prop::array::uniform3(-5.0..5.0_f64))
@@ -31,7 +31,7 @@ fn direction() -> impl Strategy<Value = DVec3> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// A pixel is a mean of what lies along its ray and behind it, in f32 as in f64.
+    /// A pixel is a mean of the samples along its ray and the background, in f32 and in f64.
     #[test]
     fn a_pixel_lies_between_its_samples_and_its_background(samples in ray(), background in 0.0..1.0_f64) {
         let wide = composite(samples.iter().copied(), [background; 3]);
@@ -46,7 +46,8 @@ proptest! {
         }
     }
 
-    /// The gradient of a pixel is finite whatever the media, and that of central differences where those can tell.
+    /// The gradient of a pixel is finite for any media, and matches central differences where these are accurate
+    /// enough.
     #[test]
     fn gradients_are_finite_and_true(
         depths in prop::collection::vec(1e-3..2.0_f64, 1..12),
@@ -76,7 +77,7 @@ proptest! {
         prop_assert!(found.iter().all(|(x, rgb)| x.is_finite() && rgb.iter().all(|c| c.is_finite())));
     }
 
-    /// Between entering and leaving a box a ray is inside, and outside before and after.
+    /// A ray is inside the box between entering and leaving it, and outside before and after.
     #[test]
     fn a_ray_is_in_the_box_from_entering_to_leaving(
         aabb in aabb(), from in direction(), at in prop::array::uniform3(-0.2..1.2_f64), distance in 0.0..20.0_f64,
@@ -100,7 +101,7 @@ proptest! {
         }
     }
 
-    /// Planes of any box: texels nearly square, levels that halve evenly, weights that are a partition of one.
+    /// Planes for any box: nearly square texels, levels that halve evenly, weights that are a partition of one.
     #[test]
     fn planes_fit_their_box(
         aabb in aabb(), levels in 1..7_u32, units in 1..20_u32, a in 0.0..1.0_f64, b in 0.0..1.0_f64,
@@ -115,7 +116,7 @@ proptest! {
         let texel = aabb.longest() / f64::from(config.plane_size);
         for axis in 0..3 {
             prop_assert!(fitted.sides[axis].is_multiple_of(1 << (levels - 1)));
-            // No coarser than asked for, and finer by less than one unit of texels.
+            // Not coarser than requested, and finer by less than one unit of texels.
             let own = aabb.extent()[axis] / fitted.sides[axis] as f64;
             prop_assert!(own <= texel * 1.02, "{own} for {texel}");
             let unit = (1 << (levels - 1)) as f64;
@@ -133,7 +134,7 @@ proptest! {
                 prop_assert!((sum - 1.0).abs() < 1e-12);
             }
         }
-        // Growing keeps every texel's mean.
+        // Growing preserves every texel's mean.
         if levels > 1 && fitted.base_len() < 200_000 {
             let half = fitted.halved(1);
             let mut values: Vec<f64> = (0..fitted.base_len()).map(|i| (i as f64 * 0.7).sin()).collect();
@@ -146,7 +147,7 @@ proptest! {
     }
 }
 
-/// Gradients of optical depths and colours.
+/// Gradients by optical depths and colours.
 fn gradient(
     samples: &[(f64, [f64; 3], f64)],
     background: [f64; 3],
@@ -179,7 +180,7 @@ fn photographs(object: &Aabb<f64>, origins: &[DVec3]) -> ViewSet {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// The fitted box holds whatever the photographs show, and no sphere is smaller or larger than was said.
+    /// The fitted box contains everything in the photographs, and every sphere's radius is within the predicted range.
     #[test]
     fn a_fitted_box_holds_the_object(
         centre in prop::array::uniform3(-0.5..0.5_f64),

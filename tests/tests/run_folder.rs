@@ -1,5 +1,5 @@
-//! A run folder comes to no harm: files of others are refused, two processes are kept apart, a stale report is rebuilt; and a
-//! run takes the memory that its plan says.
+//! Protection of a run folder: foreign files are refused, two processes are kept apart, a stale report is rebuilt. A
+//! run also uses the memory that its plan predicts.
 
 use std::{
     collections::BTreeMap,
@@ -10,7 +10,7 @@ use std::{
 };
 use trimip_tests::binary::{command, run, tiny_and};
 
-/// Every file below a folder with its bytes.
+/// All files below a folder with their bytes.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -24,7 +24,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// The program refuses in one line that holds `parts`, and the folder stays as it is.
+/// Asserts that the program refuses in one line that contains `parts`, and leaves the folder unchanged.
 fn refuses(here: &Path, arguments: &[&str], parts: &[&str]) {
     let before = files(here);
     let answer = run(here, arguments);
@@ -87,7 +87,7 @@ fn two_processes_are_kept_apart_and_a_killed_one_leaves_no_lock() {
         }
     }
     assert_eq!(fs::read(here.join("run/plan.json")).unwrap(), plan);
-    // Who only reads needs no lock.
+    // Reading needs no lock.
     let eval = run(here, &["eval", "run"]);
     assert_eq!(eval.code, Some(0), "{}", eval.err);
     assert!(first.try_wait().unwrap().is_none(), "the first process goes on");
@@ -110,7 +110,7 @@ fn a_stale_report_of_a_finished_run_is_rebuilt_and_a_fresh_one_stays() {
     let [html, json] = ["report.html", "report.json"].map(|name| here.join("run").join(name));
     let read = |path: &Path| fs::read_to_string(path).unwrap();
     let whole = || read(&html).trim_end().ends_with("</html>") && read(&json).trim_end().ends_with('}');
-    // Some moment before the run.
+    // A time before the run.
     let aged = |path: &Path| {
         let past = SystemTime::now() - Duration::from_secs(3600);
         fs::File::options().append(true).open(path).unwrap().set_modified(past).unwrap();
@@ -137,7 +137,7 @@ fn a_stale_report_of_a_finished_run_is_rebuilt_and_a_fresh_one_stays() {
     }
 }
 
-/// What the plan says a run will need, held against the most that its process had resident, on a scene of middle size.
+/// The plan's predicted memory against the peak resident memory of the process, on a scene of medium size.
 #[test]
 fn predicted_memory_is_within_a_quarter_of_what_is_used() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The scene plan of the program itself: what it leaves out, that a run keeps it, and what a model is worth without it.
+//! The scene plan of the program: what it leaves out, that a run keeps it, and the quality of a model without it.
 
 use serde_json::Value;
 use std::{fs, path::Path};
@@ -38,7 +38,7 @@ const OFF: [&str; 14] = [
 fn a_run_is_planned_once_and_its_model_is_what_was_measured() {
     let folder = tempfile::tempdir().unwrap();
     let wide = "--set=scene.aabb_min=[-4.0,-4.0,-4.0]";
-    // The user's own corner stands: nothing else of the box is fitted.
+    // A corner set by the user is kept, and the rest of the box is not fitted either.
     let answer = run(folder.path(), &tiny_and(&["--out", "own", wide]));
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     assert_eq!(left_out(&json(&folder.path().join("own/plan.json"))), ["file"]);
@@ -54,20 +54,20 @@ fn a_run_is_planned_once_and_its_model_is_what_was_measured() {
     let model = Model::read(&path.join("model.safetensors")).unwrap();
     assert_eq!(model.config, config);
     assert_eq!(config.file.planes, FilePrecision::F16);
-    // What `eval` reads from the file is what the run measured before it wrote it, f16 or not.
+    // `eval` on the model file gives the PSNR that the run measured before writing it, f16 or not.
     let answer = run(folder.path(), &["eval", "run", "--json", "eval.json"]);
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     let measured = json(&path.join("report.json"))["mean"]["psnr"].as_f64().unwrap();
     let read = json(&folder.path().join("eval.json"))["mean"]["psnr"].as_f64().unwrap();
     assert_eq!(measured, read, "what training reported, and what the file gives");
-    // A plan that cannot be read is named, and a fresh run needs none.
+    // An unreadable plan is named, and a fresh run needs none.
     fs::write(path.join("plan.json"), "[{").unwrap();
     let answer = run(folder.path(), &tiny_and(&["--out", "run"]));
     assert!(answer.code == Some(2) && answer.err.contains("--fresh"), "{answer:?}");
     let answer = run(folder.path(), &tiny_and(&["--out", "run", "--fresh"]));
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     assert_eq!(fs::read(path.join("plan.json")).unwrap(), plan);
-    // Other settings are another run, whatever was planned.
+    // Other settings are another run, whatever the plan.
     let answer = run(folder.path(), &tiny_and(&["--out", "run", "--set", "encoder.plane_size=32"]));
     assert_eq!(answer.code, Some(2), "{}", answer.err);
     assert!(answer.err.contains("encoder.plane_size"), "{}", answer.err);
@@ -128,7 +128,7 @@ fn a_plan_says_what_why_and_at_what_cost() {
     let told = change.abs() > spread.max(0.05);
     assert_eq!(report["directions_needed"].as_bool(), told.then_some(change < 0.0), "{last}");
     assert!(answer.out.contains("plan.directions: ") && answer.out.contains("dB apart"), "{}", answer.out);
-    // Half the bits of the texels are half of what they took.
+    // Half the bits per texel take half the bytes.
     let bytes = |name: &str| {
         let at = effects.iter().position(|effect| effect["plan"] == name).unwrap();
         (effects[at - 1]["model_bytes"].as_f64().unwrap(), effects[at]["model_bytes"].as_f64().unwrap())
@@ -143,8 +143,8 @@ fn a_plan_says_what_why_and_at_what_cost() {
     }
 }
 
-/// The built-in scene needs a part of the box that its cameras see, and all of the box that the plan gives it: a plan of what
-/// was planned leaves nothing out.
+/// The built-in scene needs only the part of the box that its cameras see, and all of the planned box: planning again
+/// leaves nothing out.
 #[test]
 fn a_plan_of_what_was_planned_leaves_nothing_out() {
     for scales in [4, 1] {
@@ -175,7 +175,8 @@ fn plan_twice(scales: u32, expected: &[&str]) {
     }
     assert_eq!(decided(&mut again), Vec::<String>::new(), "{scales}: {planned:?}");
 
-    // A model of the fitted box sees what one of the whole box sees: no test view shows anything outside of it.
+    // A model of the fitted box and one of the whole box look the same: no test view shows anything outside the fitted
+    // box.
     let aabb = trimip_core::Aabb::<f64>::new(&planned.scene);
     for index in 0..scene.test.len() {
         let view = scene.test.load(index).unwrap();

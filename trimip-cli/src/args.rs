@@ -14,7 +14,7 @@ use std::path::PathBuf;
                   2 wrong input, 3 the device failed, 130 stopped by Ctrl-C (saved; the same command resumes)."
 )]
 pub struct Arguments {
-    /// What to do; training when left out.
+    /// What to do; trains without one.
     #[command(subcommand)]
     pub verb: Option<Verb>,
     /// Options of training.
@@ -25,9 +25,9 @@ pub struct Arguments {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Plan, train, evaluate and report; resumes what is in the run folder
+    /// Plan, train, evaluate and report; resumes the run in the run folder
     Train(TrainArguments),
-    /// Say what the scene does not need, and measure what leaving it out costs and saves
+    /// Show what the scene does not need, and measure the cost and savings of leaving it out
     Plan(PlanArguments),
     /// Measure a model on its test set: PSNR and SSIM per scale
     Eval(EvalArguments),
@@ -35,22 +35,22 @@ pub enum Verb {
     Render(RenderArguments),
     /// Inspect a data set or write one
     Data(DataArguments),
-    /// Show the effective settings and where each came from
+    /// Show the effective settings and their origins
     Config(ConfigArguments),
-    /// Lay curves of error against time beside each other: runs, or anybody's CSV
+    /// Compare curves of error against time: runs, or CSV files of other programs
     Compare(CompareArguments),
-    /// Error against time: of training over a set of configurations and seeds, or of rendering a model in many ways
+    /// Error against time: training over a set of configurations and seeds, or rendering a model in many ways
     Bench(BenchArguments),
-    /// Run the catalogue of stiff and extreme cases; exit code 1 when a law is broken
+    /// Run the catalogue of stiff and extreme cases; exit code 1 if a law is violated
     Check(CheckArguments),
-    /// Show what this machine and this build offer
+    /// Show what this machine and this build support
     Doctor,
 }
 
-/// Where settings come from.
+/// Sources of settings.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SettingsArguments {
-    /// Configuration file (TOML); what it leaves out has its default
+    /// Configuration file (TOML); missing settings have their defaults
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Override one setting; may be given many times
@@ -58,13 +58,13 @@ pub struct SettingsArguments {
     pub set: Vec<String>,
 }
 
-/// What is trained on, and for how long.
+/// The scene and the duration of training.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SceneArguments {
     /// Folder of the scene: photographs with transforms*.json or metadata.json (data.root)
     #[arg(value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
-    /// Minutes of training; evaluation comes on top (train.seconds) [default: 5]
+    /// Minutes of training; evaluation takes extra time (train.seconds) [default: 5]
     #[arg(long, value_name = "N")]
     pub minutes: Option<f64>,
 }
@@ -72,12 +72,12 @@ pub struct SceneArguments {
 /// How progress is shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum ProgressStyle {
-    /// A bar on a terminal, JSON lines elsewhere
+    /// A bar on a terminal, JSON lines otherwise
     #[default]
     Auto,
     /// A bar and tables
     Bar,
-    /// One JSON object per event and line, on standard output
+    /// One JSON object per event, one per line, on standard output
     Json,
 }
 
@@ -93,13 +93,13 @@ pub struct TrainArguments {
     /// Run folder [default: runs/ and the name of the configuration file, or of FOLDER]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Start anew: replaces the run that is in the folder
+    /// Start over: replaces the run in the folder
     #[arg(long)]
     pub fresh: bool,
-    /// Go on with a finished run for this much longer, e.g. 90s, 5m, 1h: its schedule stretches to the new length
+    /// Continue a finished run for this time, e.g. 90s, 5m, 1h: its schedule stretches to the new length
     #[arg(long, value_name = "TIME", conflicts_with_all = ["fresh", "minutes", "config"])]
     pub continue_for: Option<String>,
-    /// Stop and save after this many steps, as if interrupted; the same command goes on from there
+    /// Stop and save after this many steps, as if interrupted; the same command resumes from there
     #[arg(long, value_name = "STEPS")]
     pub stop_after: Option<u64>,
     /// How progress is shown
@@ -108,7 +108,7 @@ pub struct TrainArguments {
 }
 
 impl TrainArguments {
-    /// True where nothing says what to train on.
+    /// True if no argument names data to train on.
     pub fn is_bare(&self) -> bool {
         let named =
             self.scene.folder.is_some() || self.settings.config.is_some() || self.continue_for.is_some();
@@ -125,16 +125,17 @@ pub struct PlanArguments {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Train both ways, briefly and at equal samples, on training views kept back: dB, seconds and bytes of each decision
+    /// Train with and without each decision, briefly and at equal samples, measured on held-out training views: dB,
+    /// seconds and bytes
     #[arg(long)]
     pub measure: bool,
-    /// Million samples of each of these trainings
+    /// Million samples of each of these runs
     #[arg(long, default_value_t = 16.0, value_name = "MILLION")]
     pub samples: f64,
-    /// Seeds of each of them
+    /// Seeds of each run
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
     pub seeds: u32,
-    /// Folder of these trainings
+    /// Folder of these runs
     #[arg(long, default_value = "runs/plan", value_name = "DIR")]
     pub out: PathBuf,
     /// Also write the decisions as JSON
@@ -161,13 +162,13 @@ pub struct EvalArguments {
 /// File format of rendered views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PictureFormat {
-    /// Colour as 8-bit sRGB, depth (its range stands in the file) and opacity as 16-bit grey, one file each
+    /// Colour as 8-bit sRGB, depth (the file stores its range) and opacity as 16-bit grey, one file each
     Png,
     /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity
     Exr,
 }
 
-/// What of a view is written.
+/// A quantity of a view that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Quantity {
     /// Colour on the configured background
@@ -200,7 +201,7 @@ pub struct RenderArguments {
     /// Test views by number, e.g. 0,25,50 (needs the data set) [default cameras: view 0]
     #[arg(long, value_name = "N,..", value_delimiter = ',')]
     pub views: Vec<usize>,
-    /// One camera-to-world matrix: 12 or 16 numbers row by row, or JSON, or a file with either
+    /// One camera-to-world matrix: 12 or 16 numbers in row-major order, or JSON, or a file with either
     #[arg(long, value_name = "NUMBERS|FILE", allow_hyphen_values = true)]
     pub pose: Option<String>,
     /// One camera by position and target, e.g. 4,0,2/0,0,0
@@ -213,31 +214,31 @@ pub struct RenderArguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub turntable: Option<u32>,
     /// Turntable: degrees above the horizon
-    // A requirement alone is waived where another camera excludes the turntable.
+    // `requires` alone is waived if another camera option conflicts with the turntable.
     #[arg(long, default_value_t = 30.0, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path"], allow_hyphen_values = true)]
     pub elevation: f64,
-    /// Turntable: distance from the box's centre [default: the least from which every picture holds the whole box]
+    /// Turntable: distance from the box's centre [default: the minimum at which every picture shows the whole box]
     #[arg(long, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path"], allow_hyphen_values = true)]
     pub distance: Option<f64>,
-    /// Direction that is upwards in the picture, for --look-at and --turntable
+    /// Up direction in the picture, for --look-at and --turntable
     #[arg(long, default_value = "0,0,1", value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub up: String,
-    /// Width in pixels, where the cameras do not say
+    /// Width in pixels, for cameras without one
     #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(1..=16_384))]
     pub width: u32,
-    /// Height in pixels, where the cameras do not say
+    /// Height in pixels, for cameras without one
     #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(1..=16_384))]
     pub height: u32,
-    /// Horizontal field of view in degrees, where the cameras do not say (39.6: the Blender scenes')
+    /// Horizontal field of view in degrees, for cameras without one (39.6: the Blender scenes')
     #[arg(long, default_value_t = 39.597_758_2, allow_hyphen_values = true)]
     pub fov: f64,
-    /// Resize the pictures, e.g. 0.5 for half the width; the field of view stays
+    /// Resize the pictures, e.g. 0.5 for half the width, with the same field of view
     #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
     pub scale: f64,
     /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, the original below
     #[arg(long, conflicts_with_all = ["format", "what"])]
     pub strip: bool,
-    /// Strip: another model, in a row of its own; may be given many times
+    /// Strip: another model, in a separate row; may be given many times
     #[arg(long, value_name = "RUN", requires = "strip")]
     pub against: Vec<PathBuf>,
     /// File format
@@ -260,28 +261,29 @@ pub struct RenderArguments {
 /// Options of `bench`.
 #[derive(Args, Debug)]
 pub struct BenchArguments {
-    /// Rendering instead of training: error of this model's pictures against time per frame (run folder or model file)
+    /// Benchmark rendering instead of training: error of this model's pictures against time per frame (run folder or
+    /// model file)
     #[arg(long, value_name = "RUN", conflicts_with_all = ["variants", "vary", "no_base", "seeds", "config"])]
     pub render: Option<PathBuf>,
-    /// Rendering: width of the picture (the f64 reference takes its time)
+    /// Rendering: width of the picture (the f64 reference is slow)
     #[arg(long, default_value_t = 48, value_parser = clap::value_parser!(u32).range(4..=800))]
     pub width: u32,
-    /// Settings that all variants share.
+    /// Settings shared by all variants.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// A variant: its name and what it sets, e.g. 'no mipmap: encoder.mipmap=false; train.seconds=60'
+    /// A variant: its name and its settings, e.g. 'no mipmap: encoder.mipmap=false; train.seconds=60'
     #[arg(long = "try", value_name = "NAME: KEY=VALUE; ..")]
     pub variants: Vec<String>,
     /// One variant for each value of a setting, e.g. 'field.hidden=32|64|128'
     #[arg(long, value_name = "KEY=VALUE|..")]
     pub vary: Vec<String>,
-    /// Leave out the shared settings as a variant of their own
+    /// Do not run the shared settings as a separate variant
     #[arg(long)]
     pub no_base: bool,
-    /// Seeds of each variant: the spread is that of chance
+    /// Seeds of each variant: their spread is the random variation
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub seeds: u32,
-    /// PSNR in dB whose times are asked for
+    /// PSNR levels in dB whose times are reported
     #[arg(long, value_name = "DB,..", value_delimiter = ',', default_value = "25,28,30,32,34")]
     pub reach: Vec<f64>,
     /// Folder of the runs and of bench.csv, bench.json, bench.svg and bench.html
@@ -292,13 +294,13 @@ pub struct BenchArguments {
 /// Options of `check`.
 #[derive(Args, Debug)]
 pub struct CheckArguments {
-    /// Backends to try [default: all that this machine has]
+    /// Backends to test [default: all that this machine has]
     #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
     pub backend: Vec<String>,
     /// Part of the adapter's name for the wgpu backend
     #[arg(long, default_value = "", hide_default_value = true)]
     pub adapter: String,
-    /// Also the cases that take minutes: 100,000 steps of training
+    /// Include the cases that take minutes: 100,000 steps of training
     #[arg(long)]
     pub long: bool,
     /// Threads of the CPU backend; 0 = all
@@ -312,10 +314,10 @@ pub struct CheckArguments {
 /// Options of `compare`.
 #[derive(Args, Debug)]
 pub struct CompareArguments {
-    /// Run folders or CSV files with the columns `seconds` and `psnr_mean`, each with a name if wanted
+    /// Run folders or CSV files with the columns `seconds` and `psnr_mean`, each with an optional name
     #[arg(required = true, value_name = "[NAME=]RUN|FILE")]
     pub curves: Vec<String>,
-    /// PSNR in dB whose times are asked for
+    /// PSNR levels in dB whose times are reported
     #[arg(long, value_name = "DB,..", value_delimiter = ',', default_value = "25,28,30,32,33,34,35,36")]
     pub reach: Vec<f64>,
     /// Write the plot as SVG
@@ -337,10 +339,10 @@ pub struct DataArguments {
     pub action: DataAction,
 }
 
-/// What `data` does.
+/// Actions of `data`.
 #[derive(Debug, Subcommand)]
 pub enum DataAction {
-    /// Say what is in a data set and whether it is sound
+    /// Describe a data set and check it
     Inspect {
         /// Folder of the scene; overrides data.root
         root: Option<PathBuf>,

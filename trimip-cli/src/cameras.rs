@@ -1,4 +1,4 @@
-//! Cameras as the command line names them: a matrix, or a position and its target.
+//! Cameras from command-line arguments: a matrix, or a position and its target.
 
 use glam::DVec3;
 use serde_json::Value;
@@ -6,7 +6,7 @@ use std::path::Path;
 use trimip::view::cameras::{aimed, flatten, posed};
 use trimip::{Camera, Error, Intrinsics, Result};
 
-/// Three numbers, separated by commas.
+/// Parses three numbers separated by commas.
 pub fn vector(place: &str, text: &str) -> Result<DVec3> {
     match numbers(text).as_deref() {
         Some(&[x, y, z]) if DVec3::new(x, y, z).is_finite() => Ok(DVec3::new(x, y, z)),
@@ -14,7 +14,7 @@ pub fn vector(place: &str, text: &str) -> Result<DVec3> {
     }
 }
 
-/// `eye/target` as a camera.
+/// Parses `eye/target` as a camera.
 pub fn look_at(text: &str, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> {
     let place = format!("--look-at {text}");
     let Some((eye, target)) = text.split_once('/') else {
@@ -24,7 +24,7 @@ pub fn look_at(text: &str, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> 
     aimed(&place, eye, target, up, intrinsics)
 }
 
-/// A camera-to-world matrix: numbers, JSON, or a file with either.
+/// Parses a camera-to-world matrix: numbers, JSON, or a file with either.
 pub fn pose(text: &str, intrinsics: Intrinsics) -> Result<Camera> {
     let as_file = Path::new(text);
     let content;

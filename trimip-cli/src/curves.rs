@@ -1,4 +1,4 @@
-//! Curves of error against time: read from run folders or anybody's CSV, and laid beside each other as a table.
+//! Curves of error against time: read from run folders or CSV files of other programs, and compared in a table.
 
 use crate::report::svg::{Line, Point};
 use crate::terminal;
@@ -9,31 +9,31 @@ use trimip::{Error, Result, run::history::History};
 /// A curve of error against time.
 #[derive(Debug)]
 pub struct Curve {
-    /// What it is called.
+    /// Display name.
     pub name: String,
-    /// Measures on the way, by time.
+    /// Measurements on the way, by time.
     pub points: Vec<Measure>,
-    /// The measure that ended the run, on other views than the curve.
+    /// The final measurement, if it uses other views than the curve.
     pub last: Option<Measure>,
-    /// The folder of its run, where it is a run's.
+    /// The run folder, if the curve is a run's.
     pub folder: Option<PathBuf>,
 }
 
-/// A row of a curve.
+/// A point of a curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measure {
-    /// Of training.
+    /// Seconds of training.
     pub seconds: f64,
-    /// Mean of the scales, dB.
+    /// Mean PSNR of the scales, dB.
     pub psnr: f64,
 }
 
-/// When a curve reaches a PSNR.
+/// The time at which a curve reaches a PSNR.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Reach {
-    /// Of training.
+    /// Seconds of training.
     pub seconds: f64,
-    /// The first measure is already above: it was there by then, nobody knows when.
+    /// The first measurement is already above: the PSNR was reached at this time or earlier.
     pub at_most: bool,
 }
 
@@ -44,7 +44,7 @@ impl std::fmt::Display for Reach {
 }
 
 impl Curve {
-    /// Reads `path` or `name=path`; a folder's curve is its `error_vs_time.csv`.
+    /// Reads `path` or `name=path`; the curve of a folder is its `error_vs_time.csv`.
     pub fn read(text: &str) -> Result<Self> {
         let (name, path) = match text.split_once('=') {
             Some((name, path)) if !Path::new(text).exists() => (name.to_string(), Path::new(path)),
@@ -59,7 +59,7 @@ impl Curve {
         Ok(Self { name, points, last, folder })
     }
 
-    /// The curve of a run whose history is at hand.
+    /// The curve of a run from its history.
     ///
     /// # Errors
     /// When the run was never evaluated.
@@ -75,8 +75,8 @@ impl Curve {
         Ok(Self { name: folder.display().to_string(), points, last, folder: Some(folder.to_path_buf()) })
     }
 
-    /// When the curve first reaches `psnr`, between two measures by straight lines over the logarithm of time, over time
-    /// itself from a measure at its beginning on; `None` where it never does.
+    /// The time at which the curve first reaches `psnr`; `None` if it never does. Interpolates linearly over the
+    /// logarithm of time, or over time after a measurement at time zero.
     pub fn reaches(&self, psnr: f64) -> Option<Reach> {
         let at = |seconds: f64| Some(Reach { seconds, at_most: false });
         let mut before: Option<&Measure> = None;
@@ -96,7 +96,7 @@ impl Curve {
         None
     }
 
-    /// As a line of a plot.
+    /// Converts the curve to a line of a plot.
     pub fn line(&self, color: &str) -> Line {
         let point = |m: &Measure| Point {
             seconds: m.seconds,
@@ -108,12 +108,12 @@ impl Curve {
             color: color.into(),
             class: "mean",
             points: self.points.iter().map(point).collect(),
-            // Where it ends the curve it is drawn already.
+            // If it is the end of the curve, it is already drawn.
             ring: self.last.as_ref().filter(|last| self.points.last() != Some(last)).map(point),
         }
     }
 
-    /// As JSON, with the times at which it reaches each PSNR.
+    /// Converts the curve to JSON, with the times at which it reaches each PSNR.
     pub fn json(&self, reach: &[f64]) -> serde_json::Value {
         let pair = |m: &Measure| serde_json::json!({ "seconds": m.seconds, "psnr": m.psnr });
         serde_json::json!({
@@ -125,7 +125,7 @@ impl Curve {
     }
 }
 
-/// A PSNR and when it is reached: `seconds` is null where it never is.
+/// A PSNR and the time at which it is reached; `seconds` is null if it never is.
 pub fn reach_json(psnr: f64, reach: Option<Reach>) -> serde_json::Value {
     serde_json::json!({
         "psnr": psnr,
@@ -134,7 +134,7 @@ pub fn reach_json(psnr: f64, reach: Option<Reach>) -> serde_json::Value {
     })
 }
 
-/// Measures of a CSV text by time, and the one that ended the run where a column `last` tells it apart.
+/// Parses the measurements of a CSV text, sorted by time, and the final one if a column `last` marks it.
 fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
     let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
     let header: Vec<&str> =
@@ -169,20 +169,20 @@ fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
 /// One evaluation of a run.
 struct Evaluated {
     measure: Measure,
-    /// It ended the run.
+    /// True for the evaluation at the end of the run.
     ends: bool,
-    /// Which views it looked at, where that is known.
+    /// The views evaluated, if known.
     views: Option<String>,
 }
 
-/// The points of a curve by time, and the measure that ended the run on other views; `None` where there is no measure.
+/// The points of a curve by time, and the final measurement if it uses other views; `None` without measurements.
 fn curve(rows: impl Iterator<Item = Evaluated>) -> Option<(Vec<Measure>, Option<Measure>)> {
     let (mut points, mut last, mut before) = (Vec::new(), None, None);
     for Evaluated { measure, ends, views } in rows {
         if ends {
             last = Some(measure);
         }
-        // The last measure belongs to the curve too where it was made on the curve's own views.
+        // The final measurement also belongs to the curve if it uses the curve's own views.
         if !ends || (views.is_some() && views == before) {
             points.push(measure);
             before = views;
@@ -200,7 +200,7 @@ pub fn table(curves: &[Curve], reach: &[f64]) -> String {
     aligned(&rows(curves, reach))
 }
 
-/// A head, then one row per curve: its end, and the time at which it reaches each PSNR.
+/// A header, then one row per curve: its end, and the time at which it reaches each PSNR.
 pub fn rows(curves: &[Curve], reach: &[f64]) -> Vec<Vec<String>> {
     let mut rows = vec![vec!["curve".to_string(), "seconds".into(), "PSNR / dB".into(), "final / dB".into()]];
     rows[0].extend(reach.iter().map(|psnr| format!("{psnr} dB after")));
@@ -216,7 +216,7 @@ pub fn rows(curves: &[Curve], reach: &[f64]) -> Vec<Vec<String>> {
     rows
 }
 
-/// Rows as lines of aligned columns: the first to the left, the others to the right.
+/// Rows as lines of aligned columns: the first column left-aligned, the others right-aligned.
 pub fn aligned(rows: &[Vec<String>]) -> String {
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let lines: Vec<String> = rows
@@ -247,12 +247,12 @@ mod tests {
         let curve =
             read("seconds,psnr_mean,last\n100,30,false\n10,20,false\n1000,29,false\n1000,28.5,true\n");
         assert_eq!(curve.last, Some(Measure { seconds: 1000.0, psnr: 28.5 }));
-        // Half way in dB is half way in the logarithm of time.
+        // Halfway in dB is halfway in the logarithm of time.
         assert!((curve.reaches(25.0).unwrap().seconds - 1000_f64.sqrt()).abs() < 1e-9);
         let at = |seconds, at_most| Some(Reach { seconds, at_most });
         assert_eq!((curve.reaches(30.0), curve.reaches(30.1)), (at(100.0, false), None));
         assert_eq!(from_the_start.reaches(15.0), at(20.0, false));
-        // What lies below the first measure was reached by then, but for a measure of the beginning itself.
+        // A PSNR below the first measurement was reached by then, unless that measurement is at time zero.
         assert_eq!((curve.reaches(15.0), from_the_start.reaches(5.0)), (at(10.0, true), at(0.0, false)));
         let table = table(&[curve], &[15.0, 25.0, 40.0]);
         assert!(table.contains("≤ 10.0 s") && table.contains(" 31.6 s") && table.ends_with('–'), "{table}");

@@ -1,11 +1,11 @@
-//! Whether the report in a run folder is whole, of this version of the program, and no older than what it tells of.
+//! Whether the report in a run folder is complete, written by this version of the program, and up to date.
 
 use serde_json::Value;
 use std::path::Path;
 use std::time::SystemTime;
 use trimip::{RunFolder, machine};
 
-/// True when nothing would change in the report if it were written again.
+/// True if writing the report again would change nothing.
 pub fn report_is_fresh(folder: &RunFolder) -> bool {
     let written = [folder.html(), folder.json(), folder.curve()];
     let told = [folder.metrics(), folder.config(), folder.model(), folder.views(), folder.plan()];
@@ -15,7 +15,7 @@ pub fn report_is_fresh(folder: &RunFolder) -> bool {
         && told.iter().filter_map(|path| modified(path)).all(|time| time <= oldest)
 }
 
-/// When the file was written; `None`, which is less than any time, where there is none.
+/// Modification time of a file; `None`, which is less than any time, if there is no file.
 fn modified(path: &Path) -> Option<SystemTime> {
     std::fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
 }

@@ -1,16 +1,16 @@
-//! Ctrl-C: the first asks the run to stop and save, a second ends the program at once.
+//! Ctrl-C: the first asks the run to stop and save, a second ends the program immediately.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use trimip_core::{Error, Result};
 
-/// Exit code of a run that was stopped by Ctrl-C: 128 + SIGINT, as shells have it.
+/// Exit code of a run that was stopped by Ctrl-C: 128 + SIGINT, the shell convention.
 pub const EXIT_CODE: u8 = 130;
 
-/// The flag of the program's one handler.
+/// The flag of the single signal handler.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Installs the handler, once; the flag it returns is set by the first signal (interrupt, terminate or hang-up).
+/// Installs the handler once. The first signal (interrupt, terminate or hang-up) sets the returned flag.
 pub fn install() -> Result<Arc<AtomicBool>> {
     if let Some(stop) = STOP.get() {
         return Ok(Arc::clone(stop));

@@ -1,5 +1,6 @@
-//! `trimip-cli`: plan, train, evaluate, render and report Tri-MipRF models. Exit codes: 0 done, 1 the run failed or missed
-//! its quality floor, 2 the user's input is wrong, 3 the device failed, 130 stopped by Ctrl-C (what was done is saved).
+//! `trimip-cli`: plan, train, evaluate, render and report Tri-MipRF models. Exit codes: 0 done, 1 the run failed or
+//! missed its quality floor, 2 the user's input is wrong, 3 the device failed, 130 stopped by Ctrl-C (progress is
+//! saved).
 
 mod args;
 mod cameras;
@@ -20,7 +21,7 @@ use trimip_core::Error;
 fn main() -> ExitCode {
     let arguments = match args::Arguments::try_parse() {
         Ok(arguments) => arguments,
-        // Help and version are answers, the rest are mistakes: one line, as every error.
+        // Help and version are not errors. Other parse results are, and are printed on one line like every error.
         Err(answer) if !answer.use_stderr() => answer.exit(),
         Err(mistake) if mistake.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             mistake.exit()

@@ -1,4 +1,4 @@
-//! What the user sees of a run: a bar on a terminal, or one JSON object an event on standard output.
+//! Progress of a run for the user: a bar on a terminal, or one JSON object per event on standard output.
 
 use crate::{args::ProgressStyle, terminal};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
@@ -12,22 +12,22 @@ use trimip_core::{
 };
 use trimip_data::{Scene, Watch};
 
-/// The bar of a training, in parts of a thousand: the message has what is left of the terminal's width.
+/// Template of the training bar, in thousandths; the message takes the rest of the terminal's width.
 const TRAINING: &str = "{bar:12} {percent:>3} %  {wide_msg}";
 
-/// What is done while a scene is opened.
+/// Message while a scene is opened.
 const READING: &str = "reading photographs";
 
 /// Shows events to the user.
 pub enum Display {
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
-    /// A bar, and lines above it.
+    /// A bar with lines above it.
     Bar(ProgressBar),
 }
 
 impl Display {
-    /// The display for a style; `Auto` asks whether a person watches.
+    /// Creates the display for a style; `Auto` selects the bar if a person watches.
     pub fn new(style: ProgressStyle) -> Self {
         match style {
             ProgressStyle::Json => Self::Json,
@@ -61,7 +61,7 @@ pub fn bar(template: &str, length: u64) -> ProgressBar {
     ProgressBar::new(length).with_style(style.progress_chars("━╸─"))
 }
 
-/// A sign on standard error that work of unknown length goes on; silent where nobody watches.
+/// A spinner on standard error for work of unknown length; hidden if nobody watches.
 pub fn spinner() -> ProgressBar {
     if !terminal::watched() {
         return ProgressBar::hidden();
@@ -73,7 +73,7 @@ pub fn spinner() -> ProgressBar {
     spinner
 }
 
-/// Does work that tells its progress in rows; on a terminal a bar shows it beside what is being done.
+/// Does work that reports its progress in rows. On a terminal, a bar shows the progress and `doing`.
 pub fn by_rows<T>(doing: &'static str, work: impl FnOnce(Watch<'_>) -> T) -> T {
     if !terminal::watched() {
         return work(&trimip_data::unwatched);
@@ -87,14 +87,14 @@ pub fn by_rows<T>(doing: &'static str, work: impl FnOnce(Watch<'_>) -> T) -> T {
     result
 }
 
-/// A bar of rows that are read, shown from the first word on until it is finished; none where nobody watches.
+/// A bar of the rows read. It appears with the first report and disappears at the end; hidden if nobody watches.
 #[derive(Default)]
 pub struct Reading {
     bar: OnceLock<ProgressBar>,
 }
 
 impl Reading {
-    /// `done` of `total` rows are read.
+    /// Reports that `done` of `total` rows are read.
     pub fn rows(&self, done: u64, total: u64) {
         let bar = self.bar.get_or_init(|| match terminal::watched() {
             true => bar("{bar:20} {percent:>3} %  {msg}, {eta} left", 0).with_message(READING),
@@ -104,7 +104,7 @@ impl Reading {
         bar.set_position(done);
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         if let Some(bar) = self.bar.get().filter(|bar| !bar.is_finished()) {
             bar.finish_and_clear();
@@ -168,13 +168,13 @@ fn show_on_bar(bar: &ProgressBar, event: &Event) {
     }
 }
 
-/// What stands beside the bar of a training: the step, PSNR of its own pixels in dB, kept samples a second, seconds left.
+/// Message beside the training bar: step, PSNR of the step's own pixels in dB, kept samples per second, seconds left.
 fn message(step: u64, psnr: f64, samples_per_second: f64, seconds_left: f64) -> String {
     let speed = terminal::number(samples_per_second, "samples/s");
     format!("step {step}  {psnr:.2} dB  {speed}  {} left", terminal::duration(seconds_left))
 }
 
-/// PSNR and SSIM per scale and their mean as aligned lines, and what there is to say of them.
+/// PSNR and SSIM per scale and their mean as aligned lines, followed by remarks.
 pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
     let line = |name: &str, images: usize, [psnr, rounded, opposite, ssim]: [f64; 4]| {
         format!("{name:>7}  {images:>6}  {psnr:>8.3}  {rounded:>8.3}  {opposite:>11.3}  {ssim:>6.4}")
@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn bar_and_message_fit_eighty_columns() {
-        // "{bar:12} {percent:>3} %  " comes before the message.
+        // "{bar:12} {percent:>3} %  " precedes the message.
         let before = 12 + 1 + 3 + 2 + 2;
         for (step, psnr, speed, left) in [
             (0, f64::NAN, f64::NAN, f64::NAN),

@@ -1,10 +1,10 @@
-//! From the command line to checked settings.
+//! Validated settings from the command line.
 
 use crate::args::{SceneArguments, SettingsArguments};
 use std::path::Path;
 use trimip::{Config, Error, Result, Settings};
 
-/// Settings of a configuration file and the command line, every range checked.
+/// Settings of a configuration file and the command line. Checks every range.
 pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     let mut settings = Settings::defaults();
     if let Some(path) = &arguments.config {
@@ -24,7 +24,7 @@ pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     Ok((settings, config))
 }
 
-/// As [`load`], with the folder and the minutes of the command line, which count more than the file and less than `--set`.
+/// Like [`load`], with the folder and the minutes of the command line. These override the file; `--set` overrides them.
 pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     let mut set = Vec::new();
     if let Some(folder) = &scene.folder {
@@ -40,7 +40,7 @@ pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Resu
     load(&SettingsArguments { config: arguments.config.clone(), set })
 }
 
-/// The folder of a scene as `data.root`; what is none is answered with what to type instead.
+/// The folder of a scene as `data.root`. An invalid folder gives an error that suggests what to type.
 pub fn scene_root(folder: &Path) -> Result<String> {
     let (place, name) = (folder.display(), folder.file_name().unwrap_or_default().to_string_lossy());
     let text = |path: &Path| {
@@ -78,7 +78,7 @@ pub fn scene_root(folder: &Path) -> Result<String> {
     Err(Error::input(&place, "is a file, not the folder of a scene", advice))
 }
 
-/// Seconds of a duration such as `90s`, `5m` or `1.5h`; a bare number is minutes.
+/// Parses a duration such as `90s`, `5m` or `1.5h` to seconds; a bare number is minutes.
 pub fn duration(place: &str, text: &str) -> Result<f64> {
     let text = text.trim();
     let end = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
@@ -94,7 +94,7 @@ pub fn duration(place: &str, text: &str) -> Result<f64> {
         .ok_or_else(|| Error::input(place, format!("`{text}` is no duration"), "write 90s, 5m or 1h"))
 }
 
-/// Name of the run folder when the user gives none: `runs/` and the stem of the configuration file, or the scene's folder.
+/// Default name of the run folder: `runs/` and the stem of the configuration file, or the scene's folder.
 pub fn default_folder(config: Option<&Path>, scene: Option<&Path>) -> std::path::PathBuf {
     let whole = scene.map(|scene| scene.canonicalize().unwrap_or_else(|_| scene.to_path_buf()));
     let folder =

@@ -1,17 +1,17 @@
-//! Lines to the user: wrapped to a terminal's width, whole elsewhere. A reader that goes away (`| head`) ends no run: failed
-//! writes to standard streams are dropped.
+//! Output to the user: wrapped to a terminal's width, unwrapped otherwise. Failed writes to standard streams are
+//! ignored, so a closed pipe (`| head`) does not end a run.
 
 use std::io::{IsTerminal, Write};
 use trimip::Error;
 pub use trimip::units::{bytes, count, duration, many, number};
 
-/// Columns of a terminal that does not tell its width.
+/// Assumed width of a terminal that does not report it, columns.
 const USUAL_WIDTH: usize = 80;
 
-/// Columns that text is wrapped to at least, however narrow the terminal.
+/// Minimum wrap width, columns.
 const LEAST_WIDTH: usize = 40;
 
-/// Columns that the further lines of a wrapped text begin at.
+/// Indentation of the continuation lines of wrapped text, columns.
 const INDENT: usize = 4;
 
 /// One line on standard output.
@@ -19,7 +19,7 @@ pub fn line(text: impl std::fmt::Display) {
     let _ = writeln!(std::io::stdout().lock(), "{text}");
 }
 
-/// Sentences on standard output, wrapped to the width of a terminal; one line elsewhere.
+/// Prints prose on standard output, wrapped to the width of a terminal; one line otherwise.
 pub fn prose(text: impl std::fmt::Display) {
     match width(&console::Term::stdout()) {
         Some(width) => line(wrapped(&text.to_string(), width)),
@@ -27,7 +27,7 @@ pub fn prose(text: impl std::fmt::Display) {
     }
 }
 
-/// Sentences on standard error for someone who watches; silent where nobody does.
+/// Prints prose on standard error if a person watches; silent otherwise.
 pub fn note(text: impl std::fmt::Display) {
     if watched() {
         let width = width(&console::Term::stderr()).unwrap_or(USUAL_WIDTH);
@@ -35,29 +35,29 @@ pub fn note(text: impl std::fmt::Display) {
     }
 }
 
-/// One line on standard error, for people and logs; standard output stays what a program reads.
+/// Prints one line on standard error, for people and logs. Standard output stays machine-readable.
 pub fn aside(text: impl std::fmt::Display) {
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
-/// The one line that says why the program failed.
+/// Prints the one line that states why the program failed.
 pub fn error(error: &Error) {
     let _ = writeln!(std::io::stderr().lock(), "error: {error}");
 }
 
-/// True when a person watches both streams: then a bar and tables, else one JSON object a line.
+/// True if both streams are terminals. The program then shows a bar and tables, otherwise one JSON object per line.
 pub fn watched() -> bool {
     std::io::stdout().is_terminal() && std::io::stderr().is_terminal()
 }
 
-/// Columns of a terminal; `None` where the stream is none.
+/// Width of a terminal in columns; `None` if the stream is not a terminal.
 fn width(terminal: &console::Term) -> Option<usize> {
     let told = || terminal.size_checked().map_or(USUAL_WIDTH, |(_, columns)| columns.into());
     terminal.is_term().then(|| told().max(LEAST_WIDTH))
 }
 
-/// Text in lines of at most `width` characters, broken between words, further lines indented. A word that no line holds
-/// (a path) is left whole; spaces within a line stay as they are.
+/// Wraps text to lines of at most `width` characters at word boundaries, with continuation lines indented. A longer
+/// word (a path) is not split; spaces within a line are kept.
 pub fn wrapped(text: &str, width: usize) -> String {
     let length = |text: &str| text.chars().count();
     let mut lines = vec![String::new()];
@@ -93,7 +93,7 @@ mod tests {
             assert!(lines.iter().all(|line| line.chars().count() <= width), "{width}: {wrapped}");
             assert!(lines[1..].iter().all(|line| line.starts_with("    ") && !line.starts_with("     ")));
             assert_eq!(lines.iter().map(|line| line.trim()).collect::<Vec<_>>().join(" "), text);
-            // A line is broken where the next word has no room, not before.
+            // A line breaks only if the next word does not fit.
             for pair in lines.windows(2) {
                 let word = pair[1].split_whitespace().next().unwrap();
                 assert!(pair[0].chars().count() + 1 + word.chars().count() > width, "{width}: {wrapped}");

@@ -1,5 +1,5 @@
-//! The batches that flow from stage to stage, each in its device's buffers. Samples are packed: a ray's samples follow
-//! each other, front to back, and a [`Segment`] says where.
+//! The batches that flow from stage to stage, each in its device's buffers. Samples are packed: the samples of a ray
+//! are consecutive, front to back, and a [`Segment`] holds their range.
 
 use crate::{Backend, Cone, Field, Pixel, backend::Encoder};
 use bytemuck::{Pod, Zeroable};
@@ -26,7 +26,7 @@ impl From<Cone<f32>> for Ray {
     }
 }
 
-/// What a training ray should show.
+/// The target of a training ray.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Target {
@@ -34,13 +34,13 @@ pub struct Target {
     pub rgb: [f32; 3],
     /// Area weight of the pixel, 4^level.
     pub weight: f32,
-    /// What lies behind the ray.
+    /// Background colour behind the ray.
     pub background: [f32; 3],
     /// Alpha of the photograph's pixel, in [0, 1].
     pub opacity: f32,
 }
 
-/// A sphere inscribed in a cone: what the field is asked for.
+/// A sphere inscribed in a cone: the input of a query of the field.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Sphere {
@@ -50,18 +50,18 @@ pub struct Sphere {
     pub radius: f32,
 }
 
-/// A ray's samples, or a pixel's cones: `start .. start + count`.
+/// The range of a ray's samples, or of a pixel's cones: `start .. start + count`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 pub struct Segment {
-    /// The first of them.
+    /// First index.
     pub start: u32,
-    /// Their number.
+    /// Number of indices.
     pub count: u32,
 }
 
 impl Segment {
-    /// Its indices.
+    /// The indices as a range.
     #[inline]
     pub fn range(&self) -> Range<usize> {
         self.start as usize..(self.start + self.count) as usize
@@ -72,13 +72,13 @@ impl Segment {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Interval {
-    /// Distance of its middle, in units of the unit direction.
+    /// Distance of its midpoint, in units of the unit direction.
     pub t: f32,
     /// Its length δ.
     pub length: f32,
 }
 
-/// Density and colour of a sample, or a loss's gradient with respect to them.
+/// Density and colour of a sample, or the gradient of the loss with respect to them.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Radiance {
@@ -88,25 +88,25 @@ pub struct Radiance {
     pub density: f32,
 }
 
-/// Cones of a span. The cones of a pixel follow each other.
+/// Cones of a span. The cones of a pixel are consecutive.
 pub struct Rays<B: Backend> {
     /// One per cone.
     pub rays: B::Buffer<Ray>,
-    /// One per pixel: its cones.
+    /// One per pixel: the range of its cones.
     pub groups: B::Buffer<Segment>,
     /// One per pixel in training; empty otherwise.
     pub targets: B::Buffer<Target>,
-    /// Index within the step of the span's first ray: what random numbers are drawn by.
+    /// Index of the span's first ray within the step; random numbers are drawn by it.
     pub first: u32,
 }
 
 impl<B: Backend> Rays<B> {
-    /// No rays.
+    /// Creates an empty batch.
     pub fn new(backend: &B) -> Self {
         Self { rays: backend.zeros(0), groups: backend.zeros(0), targets: backend.zeros(0), first: 0 }
     }
 
-    /// Replaces all by these rays: pixels of one cone each, without targets.
+    /// Replaces all rays by `rays`, one cone per pixel, without targets.
     pub fn place(&mut self, backend: &B, rays: &[Ray]) {
         let group = |start: usize| Segment { start: start as u32, count: 1 };
         backend.write(&mut self.rays, rays);
@@ -116,39 +116,39 @@ impl<B: Backend> Rays<B> {
     }
 }
 
-/// Samples of a span. With their rays they are the whole geometry: ray, direction, distance, length, radius.
+/// Samples of a span. With their rays they hold the full geometry: ray, direction, distance, length, radius.
 pub struct Samples<B: Backend> {
     /// One per ray.
     pub segments: B::Buffer<Segment>,
-    /// One per sample: its ray, counted within the span.
+    /// One per sample: the index of its ray within the span.
     pub rays: B::Buffer<u32>,
     /// One per sample.
     pub intervals: B::Buffer<Interval>,
     /// One per sample.
     pub spheres: B::Buffer<Sphere>,
-    /// Samples marched, and of those kept.
+    /// Number of samples marched, and number of those kept.
     pub counts: B::Buffer<[u32; 2]>,
 }
 
-/// Everything a span of rays needs from its rays to its gradients; used again by the next span.
+/// All buffers of a span, from its rays to its gradients; the next span reuses them.
 pub struct Workspace<B: Backend> {
-    /// Where the span's work is issued.
+    /// The lane on which the span's work is issued.
     pub lane: B::Lane,
     /// Rays.
     pub rays: Rays<B>,
     /// Samples along them.
     pub samples: Samples<B>,
-    /// What the encoder keeps of each sample between forward and backward.
+    /// What the encoder keeps of each sample from forward to backward.
     pub encoding: B::Buffer<f32>,
     /// Encoded samples, [samples, stride].
     pub features: B::Buffer<f32>,
-    /// Gradient of the same.
+    /// Gradient of the features, same shape.
     pub feature_gradients: B::Buffer<f32>,
-    /// What the field keeps between forward and backward.
+    /// What the field keeps from forward to backward.
     pub tape: <B::Field as Field<B>>::Tape,
     /// One per sample.
     pub radiance: B::Buffer<Radiance>,
-    /// Gradient of the same.
+    /// Gradient of `radiance`.
     pub radiance_gradients: B::Buffer<Radiance>,
     /// Rows that pruning kept.
     pub kept: B::Buffer<u32>,
@@ -161,7 +161,7 @@ pub struct Workspace<B: Backend> {
 }
 
 impl<B: Backend> Workspace<B> {
-    /// An empty workspace.
+    /// Creates an empty workspace.
     pub fn new(backend: &B, field: &B::Field) -> Self {
         Self {
             lane: backend.lane(),
@@ -187,11 +187,11 @@ impl<B: Backend> Workspace<B> {
     }
 }
 
-/// What spans leave behind for the end of the step; joined in a fixed order.
+/// Gradients and sums of some spans, kept until the end of the step and added up in a fixed order.
 pub struct Deposit<B: Backend> {
     /// Gradients of the networks.
     pub field: <B::Field as Field<B>>::Gradient,
-    /// Gradients of features, to be spread over texels.
+    /// Gradients of features, to be scattered to texels.
     pub encoder: <B::Encoder as Encoder<B>>::Gradient,
     /// Losses and counts.
     pub sums: B::Sums,

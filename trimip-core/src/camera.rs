@@ -1,6 +1,6 @@
-//! Cameras and the cones of their pixels. OpenGL axes: x right, y up, the camera looks along −z; pixel (0, 0) is the
-//! upper left one and its centre lies at (0.5, 0.5). A camera model is a [`Projection`] here, in f32 and f64, and its twin
-//! in WGSL; today's is the pinhole.
+//! Cameras and the cones of their pixels. OpenGL axes: x right, y up, the camera looks along −z. Pixel (0, 0) is the
+//! upper left one; its centre lies at (0.5, 0.5). A camera model is a [`Projection`], in f32 and f64, with a twin in
+//! WGSL; the present one is the pinhole.
 
 use crate::scalar::Real;
 use glam::{DMat3, DVec3};
@@ -24,13 +24,13 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Square pixels, principal point in the centre; `angle_x` is the horizontal field of view in radians.
+    /// Square pixels and a centred principal point; `angle_x` is the horizontal field of view in radians.
     pub fn from_angle(width: u32, height: u32, angle_x: f64) -> Self {
         let focal = 0.5 * f64::from(width) / (0.5 * angle_x).tan();
         Self { width, height, fx: focal, fy: focal, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height) }
     }
 
-    /// The same view with pixels `2^level` times larger; a row or column that does not fill a 2×2 block is cropped,
+    /// The same view with pixels `2^level` times larger. Rows and columns that do not fill a 2×2 block are cropped,
     /// which leaves the geometry of the other pixels exact.
     pub fn reduced(&self, level: u32) -> Self {
         let scale = f64::from(1_u32 << level);
@@ -56,7 +56,7 @@ pub struct Camera {
     pub origin: DVec3,
 }
 
-/// The cone of one pixel: apex, unit axis, and what Eq. 3 needs.
+/// The cone of one pixel: apex, unit axis, and the terms of Eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cone<R> {
     /// Apex: the centre of projection, world units.
@@ -69,18 +69,18 @@ pub struct Cone<R> {
     pub cosine: R,
 }
 
-/// A camera model: from a place in the image to a cone in the camera's own axes.
+/// A camera model: maps a position in the image to a cone in the camera's axes.
 pub trait Projection {
-    /// The cone of a square part of a pixel: its centre `at` in pixels, its side in pixels.
+    /// The cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
     fn cone<R: Real>(&self, at: [R; 2], side: R) -> LocalCone<R>;
 }
 
-/// A cone in the axes of its camera, with its apex at the origin.
+/// A cone in its camera's axes, with its apex at the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalCone<R> {
     /// Direction of the axis, of any length.
     pub axis: [R; 3],
-    /// One over that length.
+    /// One over the length of `axis`.
     pub inverse_length: R,
     /// Radius of the inscribed sphere per unit of distance along the axis (Eq. 3).
     pub slope: R,
@@ -89,9 +89,9 @@ pub struct LocalCone<R> {
 }
 
 impl Projection for Intrinsics {
-    /// The disc of the part on the plane at distance 1 has radius side · sqrt(Δx·Δy/π) with Δx = 1/fx, Δy = 1/fy. The
-    /// tangent of the angle to the optical axis is carried from the pixel: taken from the cosine it would lose 8.5 % of
-    /// its value near the centre of an 800-pixel image in f32.
+    /// The disc of the part, on the plane at distance 1, has radius side · sqrt(Δx·Δy/π) with Δx = 1/fx, Δy = 1/fy.
+    /// The tangent of the angle to the optical axis is computed from the pixel's position: derived from the cosine in
+    /// f32, it would lose 8.5 % of its value near the centre of an 800-pixel image.
     #[inline]
     fn cone<R: Real>(&self, at: [R; 2], side: R) -> LocalCone<R> {
         let real = |value: f64| R::from_f64(value);
@@ -110,7 +110,7 @@ impl Projection for Intrinsics {
 }
 
 impl Camera {
-    /// A camera at `origin` that looks at `target` with `up` upwards in the image.
+    /// A camera at `origin` that looks at `target`; `up` points upwards in the image.
     pub fn look_at(intrinsics: Intrinsics, origin: DVec3, target: DVec3, up: DVec3) -> Self {
         let back = (origin - target).normalize();
         let right = up.cross(back).normalize();
@@ -123,7 +123,7 @@ impl Camera {
         self.cone_in(x, y, 0, 1)
     }
 
-    /// Cone number `index` of the `side` · `side` that a pixel is divided into, row by row.
+    /// Cone number `index`, row by row, of the `side` × `side` parts of pixel (`x`, `y`).
     #[inline]
     pub fn cone_in<R: Real>(&self, x: u32, y: u32, index: u32, side: u32) -> Cone<R> {
         let part = R::from_u32(side).recip();
@@ -131,7 +131,7 @@ impl Camera {
         self.cone_at([place(x, index % side), place(y, index / side)], part)
     }
 
-    /// The cone of a square part of a pixel: its centre in pixels, its side in pixels.
+    /// The cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
     #[inline]
     pub fn cone_at<R: Real>(&self, at: [R; 2], side: R) -> Cone<R> {
         let LocalCone { axis, inverse_length, slope, cosine } = self.intrinsics.cone(at, side);
@@ -157,7 +157,8 @@ pub fn sphere_slope<R: Real>(disc_radius: R, tangent: R, cosine: R) -> R {
 mod tests {
     use super::*;
 
-    /// Eq. 3 as printed: r = ‖x−o‖·f·ṙ / (‖d‖·sqrt((sqrt(‖d‖²−f²) − ṙ)² + f²)), d un-normalised to the image plane.
+    /// Eq. 3 as printed: r = ‖x−o‖·f·ṙ / (‖d‖·sqrt((sqrt(‖d‖²−f²) − ṙ)² + f²)), with d un-normalised to the image
+    /// plane.
     fn equation_3(distance: f64, f: f64, disc: f64, d: f64) -> f64 {
         distance * f * disc / (d * (((d * d - f * f).max(0.0).sqrt() - disc).powi(2) + f * f).sqrt())
     }
@@ -183,8 +184,8 @@ mod tests {
 
     #[test]
     fn spheres_are_tangent_to_the_inner_edge_of_the_disc() {
-        // The line from the apex to the disc's point nearest the optical axis touches the sphere of Eq. 3: the
-        // distance of the sphere's centre to that line is its radius.
+        // The line from the apex to the point of the disc nearest the optical axis is tangent to the sphere of Eq. 3:
+        // its distance to the sphere's centre is the radius.
         for tangent in [0.0_f64, 0.01, 0.3, 2.0] {
             let disc = 4e-3;
             let cosine = (1.0 + tangent * tangent).sqrt().recip();
@@ -216,7 +217,7 @@ mod tests {
 
     #[test]
     fn parts_of_a_pixel_are_the_pixels_of_a_finer_camera() {
-        // A pixel in 2×2 parts is four pixels of a camera of twice the resolution.
+        // The 2×2 parts of a pixel are four pixels of a camera of twice the resolution.
         let fine = Intrinsics { width: 26, height: 16, fx: 40.0, fy: 36.0, cx: 12.2, cy: 8.4 };
         let camera = |intrinsics| Camera { intrinsics, rotation: DMat3::IDENTITY, origin: DVec3::ONE };
         for index in 0..4 {

@@ -115,9 +115,24 @@ impl Config {
         Self::from_settings(&settings)
     }
 
-    /// The whole configuration as TOML text.
+    /// The configuration as TOML text. Settings of encoders that are not at work are left out: a later version may have
+    /// other defaults for them.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).unwrap_or_else(|error| unreachable!("plain data: {error}"))
+        let text = self.whole_text();
+        let (mut section, mut head, mut own) = (String::new(), String::new(), String::new());
+        for line in text.lines().filter(|line| !line.is_empty()) {
+            if let Some(name) = line.strip_prefix('[').and_then(|line| line.strip_suffix(']')) {
+                (section, head) = (format!("{name}."), format!("\n{line}\n"));
+                continue;
+            }
+            let key = line.split(" = ").next().unwrap_or_default();
+            if self.encoder.kind.takes(&format!("{section}{key}")) {
+                own += &std::mem::take(&mut head);
+                own += line;
+                own.push('\n');
+            }
+        }
+        own
     }
 
     /// Differences in settings that affect the model: all settings except device, threads, logging, evaluation, scene plan
@@ -131,11 +146,16 @@ impl Config {
             .collect()
     }
 
+    /// Every setting as TOML text.
+    fn whole_text(&self) -> String {
+        toml::to_string(self).unwrap_or_else(|error| unreachable!("plain data: {error}"))
+    }
+
     /// Dotted path and value of every setting.
     fn settings(&self) -> Vec<(String, toml::Value)> {
         let mut settings = Settings::defaults();
         settings
-            .apply_file("config", &self.to_toml())
+            .apply_file("config", &self.whole_text())
             .unwrap_or_else(|error| unreachable!("our own text: {error}"));
         settings.iter().map(|(path, value, _)| (path.to_string(), value.clone())).collect()
     }
@@ -213,6 +233,17 @@ mod tests {
             assert_eq!(error.exit_code(), 2);
             assert!(error.message.contains(expected), "{assignment}: {error}");
         }
+    }
+
+    #[test]
+    fn text_holds_the_settings_of_the_encoder_at_work() {
+        let mut config = Config::default();
+        assert!(config.to_toml().contains("plane_size") && !config.to_toml().contains("log2_entries"));
+        config.encoder.kind = EncoderKind::HashGrid;
+        config.hash_grid.levels = 7;
+        let text = config.to_toml();
+        assert!(text.contains("log2_entries") && !text.contains("plane_size"), "{text}");
+        assert_eq!(Config::from_toml("text", &text).unwrap(), config);
     }
 
     #[test]

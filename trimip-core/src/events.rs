@@ -28,10 +28,11 @@ pub struct ScaleQuality {
     /// The same for unrounded colours on the opposite background; transparency lowers it.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_opposite: f64,
-    /// PSNR of each photograph's mean colour, from the mean of their errors: the level of a model that learned nothing.
+    /// PSNR of each photograph's mean colour, from the mean of the errors: the result of a model that has learned
+    /// nothing.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_constant: f64,
-    /// Mean over the images of the structural similarity.
+    /// Mean structural similarity over the images.
     #[serde(deserialize_with = "float_or_null")]
     pub ssim: f64,
 }
@@ -45,7 +46,7 @@ pub struct Totals {
     pub seconds: f64,
     /// Kept samples, summed over steps.
     pub samples: u64,
-    /// Samples marched and asked for density, summed over steps.
+    /// Samples marched, whose density was evaluated; summed over steps.
     pub marched: u64,
     /// Rays, summed over steps.
     pub rays: u64,
@@ -55,53 +56,53 @@ pub struct Totals {
     pub non_finite: u64,
 }
 
-/// Origin of the part of a run that one process did; `None` for values that older versions did not record.
+/// Origin of the part of a run that one process did; values that older versions did not record are `None`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Provenance {
-    /// The command line, with the program by its name alone.
+    /// The command line; the program appears without its path.
     pub command: Option<String>,
-    /// Version of the program, with its commit where that is known.
+    /// Version of the program, with its commit if known.
     pub version: Option<String>,
-    /// When it ended: seconds since the beginning of 1970, UTC.
+    /// End of the part: seconds since 1970-01-01, UTC.
     pub ended_unix: Option<u64>,
     /// Views of the test split, evaluated or not.
     pub test_views: Option<usize>,
 }
 
-/// An event. Serialised with a `kind` field, one JSON object a line in `metrics.jsonl`.
+/// An event. Serialised with a `kind` field, one JSON object per line of `metrics.jsonl`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Event {
-    /// The overview of a run, before it starts.
+    /// Overview of a run, before it starts.
     Plan {
-        /// One line each.
+        /// The overview, line by line.
         lines: Vec<String>,
         /// Predicted peak memory.
         memory_bytes: u64,
     },
     /// Training continues from a checkpoint.
     Resumed {
-        /// Where it stands.
+        /// Counters of the run at this point.
         totals: Totals,
     },
-    /// A finished run continues with a longer budget.
+    /// A finished run continues with a larger budget.
     Extended {
-        /// Where it stands.
+        /// Counters of the run at this point.
         totals: Totals,
-        /// One line: the budget before and after, and what the schedule does.
+        /// One line: the budget before and after, and the effect on the schedule.
         message: String,
     },
-    /// Steps done since the last such event.
+    /// Steps were done since the last event of this kind.
     Step {
-        /// Where the run stands.
+        /// Counters of the run at this point.
         totals: Totals,
-        /// Fraction of the run done, 0 to 1.
+        /// Fraction of the run that is done, 0 to 1.
         progress: f64,
         /// Mean loss of the latest step.
         #[serde(deserialize_with = "float_or_null")]
         loss: f64,
-        /// PSNR of the latest step's own pixels, dB (of all scales together).
+        /// PSNR of the latest step's own pixels over all scales, dB.
         #[serde(deserialize_with = "float_or_null")]
         batch_psnr: f64,
         /// Learning rate of the networks.
@@ -112,18 +113,18 @@ pub enum Event {
         /// Rays per second since the last event.
         #[serde(deserialize_with = "float_or_null")]
         rays_per_second: f64,
-        /// Share of occupied cells.
+        /// Fraction of cells that are occupied.
         #[serde(deserialize_with = "float_or_null")]
         occupied: f64,
-        /// Seconds of training and evaluation left, estimated.
+        /// Estimated seconds of training and evaluation that remain.
         #[serde(deserialize_with = "float_or_null")]
         seconds_left: f64,
     },
     /// The model was evaluated.
     Evaluation {
-        /// Where the run stands.
+        /// Counters of the run at this point.
         totals: Totals,
-        /// Every n-th test view was used.
+        /// Stride: every n-th test view was used.
         stride: usize,
         /// Number of test views; 0 in events of earlier versions.
         #[serde(default)]
@@ -133,7 +134,7 @@ pub enum Event {
         bounded: bool,
         /// True for the evaluation that ends the run.
         last: bool,
-        /// Per scale, fine to coarse.
+        /// Quality per scale, fine to coarse.
         scales: Vec<ScaleQuality>,
         /// Mean of the scales' PSNR.
         #[serde(deserialize_with = "float_or_null")]
@@ -146,37 +147,37 @@ pub enum Event {
     },
     /// Progress within an evaluation.
     EvaluationProgress {
-        /// Views done.
+        /// Number of finished views.
         done: usize,
         /// Number of views of this evaluation, as far as known.
         total: usize,
-        /// Rendered share of the current view, 0 to 1.
+        /// Fraction of the current view that is rendered, 0 to 1.
         #[serde(default)]
         part: f64,
     },
     /// A checkpoint was written.
     Checkpoint {
-        /// Step it holds.
+        /// Step of the checkpoint.
         step: u64,
-        /// Its size.
+        /// Size of its file.
         bytes: u64,
     },
-    /// Something the user should know that does not stop the run.
+    /// A message for the user; the run continues.
     Warning {
         /// One line.
         message: String,
     },
-    /// The run was asked to stop and did.
+    /// The run stopped on request.
     Stopped {
-        /// Where it stands.
+        /// Counters of the run at this point.
         totals: Totals,
     },
     /// Training is over.
     Finished {
-        /// Where it ended.
+        /// Counters at the end.
         totals: Totals,
     },
-    /// One process's part of the run is over, whatever its outcome.
+    /// One process's part of a run is over, whatever its outcome.
     SessionEnded {
         /// The device behind the backend's name.
         #[serde(default)]
@@ -185,17 +186,17 @@ pub enum Event {
         backend: String,
         /// Seconds from the program's start, everything included.
         wall_seconds: f64,
-        /// Largest resident memory of the process, where the system tells.
+        /// Peak resident memory of the process, if the system reports it.
         peak_memory_bytes: Option<u64>,
-        /// Where it came from.
+        /// Command and version of the process.
         #[serde(default)]
         provenance: Provenance,
     },
 }
 
-/// Receives every event in order.
+/// A receiver of all events, in order.
 pub trait EventSink {
-    /// Takes one event.
+    /// Receives one event.
     fn emit(&mut self, event: &Event);
 }
 

@@ -1,4 +1,4 @@
-//! A model on a device, ready to render. Written once over the traits, for every backend: each is a [`Viewer`].
+//! A model on a device, ready to render. It is written once over the traits, for every backend, and is a [`Viewer`].
 
 use crate::{
     Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Pixel, Renderer, Result, ViewSet, Viewer,
@@ -11,21 +11,21 @@ use glam::DVec3;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Rays of a span of a view.
+/// Rays per span when a view is rendered.
 const RAYS_PER_SPAN: u32 = 64;
 
-/// A model on a device: parameters, and the stages that render them. [`Trainer`](crate::trainer::Trainer) adds what
-/// training needs.
+/// A model on a device: its parameters and the stages that render them. [`Trainer`](crate::trainer::Trainer) adds
+/// what training needs.
 pub struct LoadedModel<B: Backend> {
     pub(crate) backend: Arc<B>,
     pub(crate) config: Config,
-    /// Centre of the scene's box: the origin of what the stages see.
+    /// Centre of the scene's box; the origin of the coordinates in which the stages work.
     centre: DVec3,
     pub(crate) layout: Layout,
     pub(crate) stages: Stages<B>,
     pub(crate) parameters: B::Buffer<f32>,
     frame: B::Buffer<Pixel>,
-    /// What the renderer holds beside the parameters.
+    /// Data that the renderer needs beside the parameters.
     assets: Assets,
 }
 
@@ -41,8 +41,8 @@ impl<B: Backend> LoadedModel<B> {
         Ok(loaded)
     }
 
-    /// Initial parameters, with stages that train where there are views to train on. Nothing derived from the parameters
-    /// is built yet.
+    /// Creates initial parameters, with stages that train if `views` is given. Data derived from the parameters is
+    /// not built yet.
     pub(crate) fn build(backend: B, config: &Config, views: Option<ViewSet>) -> Result<Self> {
         let (centred, centre) = config.centred();
         let layout = Layout::new(&centred);
@@ -65,12 +65,12 @@ impl<B: Backend> LoadedModel<B> {
         })
     }
 
-    /// The backend, for its counters.
+    /// The backend, to read its counters.
     pub fn device(&self) -> &B {
         &self.backend
     }
 
-    /// Names and places of the parameters.
+    /// Names and ranges of the parameters.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
@@ -92,8 +92,8 @@ impl<B: Backend> LoadedModel<B> {
         self.stages.occupancy.restore(&vec![0xff; cells.div_ceil(8)], Some(&vec![1.0; cells]));
     }
 
-    /// As [`Viewer::render`], without ever blocking: where the device has to be waited for, the future is pending. This is
-    /// the door for a page in a browser.
+    /// As [`Viewer::render`], but never blocks: the future is pending while the device works. A page in a browser
+    /// renders with this.
     ///
     /// # Errors
     /// As [`Viewer::render`].
@@ -149,7 +149,7 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Some(bands.frame(pixels)))
     }
 
-    /// Rebuilds what derives from the parameters.
+    /// Rebuilds all data derived from the parameters.
     pub(crate) fn refresh(&mut self) {
         let Self { backend, stages, parameters, .. } = self;
         backend.install(|| {
@@ -173,7 +173,7 @@ impl<B: Backend> LoadedModel<B> {
         Ok(())
     }
 
-    /// These parameters by name, the bits of the occupancy grid, and the assets.
+    /// The named tensors of the parameters `values`, the bits of the occupancy grid, and the assets.
     pub(crate) fn tensors(&self, values: &[f32]) -> TensorFile {
         let mut file = TensorFile::default();
         self.layout.to_tensors(values, "", &mut file);
@@ -183,13 +183,13 @@ impl<B: Backend> LoadedModel<B> {
         file
     }
 
-    /// Cells of the occupancy grid.
+    /// Number of cells of the occupancy grid.
     pub(crate) fn cells(&self) -> usize {
         (self.config.occupancy.resolution as usize).pow(3)
     }
 }
 
-/// The bands of rows in which a view is rendered: first row and range of pixels of each.
+/// The bands of rows in which a view is rendered: the first row and the range of pixels of each.
 #[derive(Clone)]
 struct Bands {
     width: u32,
@@ -245,7 +245,7 @@ fn camera_span<B: Backend>(
     forward(stages, parameters, space, None);
 }
 
-/// Rays to pixels: the part that training and rendering share.
+/// Maps rays to pixels. Training and rendering share this part.
 pub(crate) fn forward<B: Backend>(
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,
@@ -273,7 +273,7 @@ impl<B: Backend> Viewer for LoadedModel<B> {
 
     fn render(&mut self, camera: &Camera) -> Result<Frame> {
         let frame = self.render_view(camera, &mut |_, _| true)?;
-        // Nobody gave the view up.
+        // Rendering is cancelled only by a watcher, and this one never cancels.
         frame.ok_or_else(|| Error::run("a view was not rendered"))
     }
 

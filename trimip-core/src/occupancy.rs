@@ -1,4 +1,5 @@
-//! Rules of the binary occupancy grid (instant-ngp, Appendix C): the cells of an update, their decay and the threshold. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
+//! Rules of the binary occupancy grid (instant-ngp, Appendix C): the cells of an update, their decay and the
+//! threshold. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
 
 use crate::{
     Space,
@@ -7,7 +8,7 @@ use crate::{
     rng::{Draws, Random, Stream, unit},
 };
 
-/// Cell of a position in the unit box; positions outside belong to the nearest cell.
+/// Cell of a position in the unit box. A position outside is assigned to the nearest cell.
 #[inline]
 pub fn cell_of(position: [f32; 3], resolution: u32) -> u32 {
     let [x, y, z] = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
@@ -20,7 +21,7 @@ pub fn coordinates(cell: u32, resolution: u32) -> [u32; 3] {
     [cell % resolution, cell / resolution % resolution, cell / (resolution * resolution)]
 }
 
-/// A random point of a cell, unit box.
+/// A random point of a cell, in the unit box.
 #[inline]
 pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32; 3] {
     let offset = random.uniform(Stream::Point, step, cell);
@@ -28,8 +29,9 @@ pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32;
     std::array::from_fn(|axis| (corner[axis] as f32 + offset[axis]) / resolution as f32)
 }
 
-/// What a refresh asks of a cell: a sample at a random point of it, one marching step long, on a ray from a random
-/// direction whose sphere there has the given `radius`. The ray begins a longest side of the space before the point.
+/// The query of a refresh for one cell: a sample at a random point of the cell, one marching step long, on a ray from
+/// a random direction. The sphere at the sample has the given `radius`. The ray starts before the point, at a
+/// distance of the longest side of the space.
 #[inline]
 pub fn probe(
     cell: u32,
@@ -48,7 +50,8 @@ pub fn probe(
     (ray, Interval { t, length }, Sphere { position, radius })
 }
 
-/// A unit direction from 32 random bits, uniform on the sphere: the upper half is the height, the lower half the angle.
+/// A unit direction from 32 random bits, uniform on the sphere. The upper half of the bits gives the height, the
+/// lower half the angle.
 #[inline]
 pub fn direction_of(bits: u32) -> [f32; 3] {
     let part = |half: u32| (half as f32 + 0.5) / 65_536.0;
@@ -58,8 +61,8 @@ pub fn direction_of(bits: u32) -> [f32; 3] {
     [radius * cosine, radius * sine, height]
 }
 
-/// The cells of one update. Each cell decides by its own hash: a share `fraction` of all cells is drawn uniformly, plus
-/// occupied cells up to the same share of the grid. No cell is drawn twice.
+/// The cells of one update. Each cell is decided by its own hash. The fraction `fraction` of all cells is drawn
+/// uniformly, plus occupied cells up to the same fraction of the grid. No cell is drawn twice.
 #[derive(Clone, Copy, Debug)]
 pub struct Choice {
     draws: Draws,
@@ -68,7 +71,7 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// The choice at `step`, with `occupied` of `cells` cells occupied. Warm-up steps have their own share.
+    /// The choice at `step`, if `occupied` of `cells` cells are occupied. Warm-up steps use `warmup_fraction`.
     pub fn new(config: &OccupancyConfig, seed: u64, step: u64, occupied: usize, cells: usize) -> Self {
         let warm = step < u64::from(config.warmup);
         let fraction = if warm { config.warmup_fraction } else { config.fraction };
@@ -93,12 +96,12 @@ pub fn decayed(old: f32, new: f32, decay: f32) -> f32 {
     (decay * old).max(new)
 }
 
-/// Cells above this are occupied: min(mean over the grid, threshold).
+/// Occupancy threshold: min(mean over the grid, `threshold`). Cells above it are occupied.
 pub fn threshold(mean: f64, config: &OccupancyConfig) -> f32 {
     (mean as f32).min(config.threshold)
 }
 
-/// The bits of a grid of half the (even) resolution: a cell is occupied if any of its eight children is.
+/// The bits of a grid of half the resolution, which must be even. A cell is occupied if any of its eight children is.
 pub fn coarsened(bits: &[u8], resolution: u32) -> Vec<u8> {
     let half = resolution / 2;
     let mut coarse = vec![0; (half as usize).pow(3).div_ceil(8)];
@@ -164,11 +167,11 @@ mod tests {
         };
         let warm = Choice::new(&config, 1, 16, 0, cells as usize);
         assert_eq!(count(&warm, false), 1.0);
-        // Half the cells occupied: each occupied one is drawn uniformly (1/4) or from the occupied (1/2).
+        // Half the cells are occupied. An occupied cell is drawn uniformly (1/4) or among the occupied ones (1/2).
         let later = Choice::new(&config, 1, 512, cells as usize / 2, cells as usize);
         assert!((count(&later, false) - 0.25).abs() < 0.005);
         assert!((count(&later, true) - (1.0 - 0.75 * 0.5)).abs() < 0.005);
-        // Few occupied cells: all of them are asked.
+        // Few occupied cells: all of them are drawn.
         let sparse = Choice::new(&config, 1, 512, 100, cells as usize);
         assert_eq!(count(&sparse, true), 1.0);
     }

@@ -1,66 +1,14 @@
-//! The parameters: one flat array with named slots. Encoders and networks declare their slots; optimiser, checkpoints,
-//! model files and memory prediction use the declarations alone.
+//! The parameters: one flat array of named slots. Encoders and networks declare their slots. Optimiser, checkpoints,
+//! model files and memory prediction use only these declarations.
+
+pub use crate::slot::{ALIGNMENT, Slot};
 
 use crate::{
-    Config, Result,
-    config::FilePrecision,
-    encoders,
+    Config, Result, encoders,
     rng::{Random, Stream, unit},
     tensors::{Tensor, TensorFile},
 };
-use std::ops::Range;
-
-/// Floats that slots are aligned to: one vector register, one cache line. The padding between slots is zero.
-pub const ALIGNMENT: usize = 16;
-
-/// A named part of the flat array.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Slot {
-    /// Name in files: `planes`, `density.0.weight`, `color.2.weight`, ...
-    pub name: String,
-    /// Shape; the last axis is contiguous.
-    pub shape: Vec<usize>,
-    /// Place in the flat array.
-    pub range: Range<usize>,
-    /// Initial values are uniform in [-bound, bound].
-    pub bound: f32,
-    /// Learning rate as a multiple of `optimizer.learning_rate`.
-    pub rate: f64,
-    /// Weight decay as a multiple of `optimizer.weight_decay`.
-    pub decay: f64,
-    /// Sparse: groups of this many values, a divisor of [`ALIGNMENT`]. `optimizer.untouched` decides about
-    /// groups without a gradient in a step. `None`: every value is updated in every step.
-    pub group: Option<usize>,
-    /// Precision in model files; checkpoints are f32.
-    pub precision: FilePrecision,
-    /// True if early stages of training use only the first part, see [`encoders::Definition::stage`].
-    pub grows: bool,
-}
-
-impl Slot {
-    /// A slot that is dense, has the networks' rate and decay, f32 in files, and does not grow.
-    pub fn new(name: impl Into<String>, shape: Vec<usize>, bound: f32) -> Self {
-        let range = 0..shape.iter().product::<usize>();
-        Self {
-            name: name.into(),
-            shape,
-            range,
-            bound,
-            rate: 1.0,
-            decay: 1.0,
-            group: None,
-            precision: FilePrecision::F32,
-            grows: false,
-        }
-    }
-
-    /// Its range including the padding behind it.
-    pub fn padded(&self) -> Range<usize> {
-        self.range.start..self.range.end.next_multiple_of(ALIGNMENT)
-    }
-}
-
-/// All slots, in order: the encoder's, density network, colour network. Layers have no biases.
+/// All slots in order: encoder, density network, colour network. Layers have no biases.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
     /// The slots.
@@ -69,7 +17,8 @@ pub struct Layout {
     encoder: usize,
 }
 
-/// Inputs and outputs of each layer of the density network: the encoder's features → hidden … → 1 logit and the geometry features.
+/// [inputs, outputs] of each layer of the density network: the encoder's features → hidden … → 1 logit and the
+/// geometry features.
 pub fn density_layers(config: &Config) -> Vec<[usize; 2]> {
     let width = encoders::of(config).width(config);
     layers(
@@ -80,14 +29,14 @@ pub fn density_layers(config: &Config) -> Vec<[usize; 2]> {
     )
 }
 
-/// Inputs and outputs of each layer of the colour network: spherical harmonics (none without directions) and geometry
+/// [inputs, outputs] of each layer of the colour network: spherical harmonics (none without directions) and geometry
 /// features → hidden … → 3.
 pub fn color_layers(config: &Config) -> Vec<[usize; 2]> {
     let inputs = harmonics(config) + config.field.geometry as usize;
     layers(inputs, config.field.hidden as usize, config.field.color_layers, 3)
 }
 
-/// Number of spherical harmonics that the colour network gets: degree², 0 without directions.
+/// Number of spherical harmonics in the colour network's input: degree², or 0 without directions.
 pub fn harmonics(config: &Config) -> usize {
     if config.field.directions { (config.field.harmonics as usize).pow(2) } else { 0 }
 }
@@ -107,7 +56,7 @@ impl Layout {
         layout.encoder = layout.slots.len();
         for (network, layers) in [("density", density_layers(config)), ("color", color_layers(config))] {
             for (i, [inputs, outputs]) in layers.into_iter().enumerate() {
-                // Glorot's uniform rule (paper).
+                // Glorot's uniform rule, as in the paper.
                 let bound = (6.0 / (inputs + outputs) as f32).sqrt();
                 layout.push(Slot::new(format!("{network}.{i}.weight"), vec![inputs, outputs], bound));
             }
@@ -115,7 +64,7 @@ impl Layout {
         layout
     }
 
-    /// A layout of these slots, one after the other.
+    /// The layout of these slots, one after the other.
     pub fn of(slots: impl IntoIterator<Item = Slot>) -> Self {
         let mut layout = Self { slots: Vec::new(), encoder: 0 };
         slots.into_iter().for_each(|slot| layout.push(slot));
@@ -128,22 +77,22 @@ impl Layout {
         self.slots.push(slot);
     }
 
-    /// Number of floats, including padding.
+    /// Number of floats, including the padding.
     pub fn len(&self) -> usize {
         self.slots.last().map_or(0, |slot| slot.padded().end)
     }
 
-    /// Slots of the encoder.
+    /// The encoder's slots.
     pub fn encoder(&self) -> &[Slot] {
         &self.slots[..self.encoder]
     }
 
-    /// Slots of both networks.
+    /// The slots of both networks.
     pub fn networks(&self) -> &[Slot] {
         &self.slots[self.encoder..]
     }
 
-    /// True when there is no slot.
+    /// True if there are no slots.
     pub fn is_empty(&self) -> bool {
         self.slots.is_empty()
     }
@@ -154,7 +103,7 @@ impl Layout {
         self.slots.iter().filter(move |slot| slot.name.starts_with(&prefix))
     }
 
-    /// Initial values: each slot uniform within its bound.
+    /// Initial values, uniform within each slot's bound.
     pub fn initial(&self, config: &Config) -> Vec<f32> {
         let random = Random::new(config.seed);
         let mut values = vec![0.0; self.len()];
@@ -175,7 +124,10 @@ impl Layout {
         }
     }
 
-    /// Joins named tensors into flat values; a missing tensor or a wrong shape is an error that names it.
+    /// Joins named tensors into flat values.
+    ///
+    /// # Errors
+    /// When a tensor is missing or has the wrong shape; the error names it.
     pub fn from_tensors(&self, file: &TensorFile, name: &str, suffix: &str) -> Result<Vec<f32>> {
         let mut values = vec![0.0; self.len()];
         for slot in &self.slots {
@@ -218,7 +170,7 @@ mod tests {
         let ranges: Vec<_> = layout.slots.iter().map(|slot| slot.range.clone()).collect();
         assert_eq!((ranges, layout.len()), (vec![0..15, 16..17, 32..64], 64));
         let values = layout.initial(&Config::default());
-        let zeros = |range: Range<usize>| values[range].iter().all(|&value| value == 0.0);
+        let zeros = |range: std::ops::Range<usize>| values[range].iter().all(|&value| value == 0.0);
         assert!(zeros(15..16) && zeros(17..32) && values[16] != 0.0);
         let mut file = TensorFile::default();
         layout.to_tensors(&values, "", &mut file);
@@ -240,7 +192,7 @@ mod tests {
             let mean = part.iter().map(|&x| f64::from(x)).sum::<f64>() / part.len() as f64;
             let variance = part.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / part.len() as f64;
             assert!(part.iter().all(|x| f64::from(x.abs()) <= bound * 1.000_001));
-            // Uniform: variance bound²/3; four standard errors.
+            // A uniform distribution has variance bound²/3; the tolerance is four standard errors.
             let n = (part.len() as f64).sqrt();
             assert!(mean.abs() < 4.0 * bound / n, "{}", slot.name);
             assert!((variance / (bound * bound / 3.0) - 1.0).abs() < 4.0 / n, "{}", slot.name);

@@ -1,5 +1,5 @@
-//! A training run: steps, evaluations, checkpoints and events in their order. Knows a session and a place to store
-//! things, nothing of files, terminals or devices.
+//! A training run: steps, evaluations, checkpoints and events, in order. It uses a session and a store, and knows
+//! nothing of files, terminals or devices.
 
 use crate::{
     Config, Error, ErrorKind, Frames, Result, Session,
@@ -13,35 +13,44 @@ use crate::{
 use std::sync::atomic::{AtomicBool, Ordering};
 use web_time::{Duration, Instant};
 
-/// Time between two words of an evaluation on how far it is.
+/// Interval between two progress events of an evaluation.
 const TELL_EVERY: Duration = Duration::from_millis(500);
 
-/// Part of a run in which it is measured on at least half of the views of its curve, or not at all.
+/// Up to this progress, an evaluation covers at least half of the curve's views or is skipped.
 const EARLY: f64 = 0.3;
 
-/// Steps after which a run that kept no sample at all is over: nothing will ever be seen.
+/// Steps after which a run that has kept no sample fails: nothing will ever become visible.
 const BLIND_STEPS: u64 = 64;
 
-/// Where a run keeps its results.
+/// The place where a run stores its results.
 pub trait Store {
-    /// Keeps the checkpoint; returns its size in bytes.
+    /// Stores the checkpoint; returns its size in bytes.
+    ///
+    /// # Errors
+    /// When the checkpoint cannot be stored.
     fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<u64>;
-    /// Keeps the model; returns its size in bytes.
+    /// Stores the model; returns its size in bytes.
+    ///
+    /// # Errors
+    /// When the model cannot be stored.
     fn model(&mut self, model: &Model) -> Result<u64>;
-    /// Sees every view of the final evaluation.
+    /// Receives every view of the final evaluation.
+    ///
+    /// # Errors
+    /// When the view cannot be stored.
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()>;
 }
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// The schedule is done and the final evaluation made.
+    /// The schedule is complete and the final evaluation is done.
     Finished,
-    /// It was asked to stop; the checkpoint is written.
+    /// The run was asked to stop; its checkpoint is written.
     Stopped,
 }
 
-/// What a run works with.
+/// Everything a run works with.
 pub struct Run<'a> {
     /// The settings.
     pub config: &'a Config,
@@ -49,26 +58,26 @@ pub struct Run<'a> {
     pub session: &'a mut dyn Session,
     /// Test frames.
     pub frames: &'a dyn Frames,
-    /// Where results go.
+    /// Receives the results.
     pub store: &'a mut dyn Store,
-    /// Where events go.
+    /// Receives the events.
     pub events: &'a mut dyn EventSink,
-    /// Set from outside to stop after the current step.
+    /// Set by another thread to stop the run after the current step.
     pub stop: &'a AtomicBool,
 }
 
-/// What an evaluation looked at.
+/// The extent of an evaluation.
 struct Look {
     views: Vec<ViewQuality>,
-    /// Every n-th test view.
+    /// Stride: every n-th test view was measured.
     stride: usize,
-    /// True where scales finer than these were left out.
+    /// True if finer scales were left out.
     coarse: bool,
 }
 
-/// How an evaluation went.
+/// The outcome of an evaluation.
 enum Sight {
-    /// These views were measured.
+    /// Views were measured.
     Seen(Look),
     /// There was no time for a single view.
     NoTime,
@@ -77,15 +86,15 @@ enum Sight {
 }
 
 impl Run<'_> {
-    /// Trains from `totals` (those of a restored checkpoint, or zero) to the end of the schedule, then evaluates.
+    /// Trains from `totals` (of a restored checkpoint, or zero) to the end of the schedule, then evaluates.
     ///
     /// # Errors
-    /// When a step fails: the last good state is stored first.
+    /// When a step fails. The last good state is stored first.
     pub fn train(&mut self, totals: Totals) -> Result<Outcome> {
         self.train_until(totals, u64::MAX)
     }
 
-    /// As [`Run::train`], but stops as if it were asked to once step `last_step` is done and the schedule is not.
+    /// As [`Run::train`], but stops as if asked to after step `last_step`, unless the schedule ends there.
     ///
     /// # Errors
     /// As [`Run::train`].
@@ -95,7 +104,7 @@ impl Run<'_> {
         if let Err(error) = &outcome
             && error.kind == ErrorKind::Device
         {
-            // A device that failed gives nothing back: what was stored before is what there is.
+            // A failed device returns no state: only what was stored before remains.
             let message = match kept {
                 Some(step) => format!("the device failed: the checkpoint of step {step} is kept, the same command goes on from it"),
                 None => "the device failed before a checkpoint was written; train.checkpoint_seconds says how often".into(),
@@ -164,7 +173,8 @@ impl Run<'_> {
         progress(self.config, totals)
     }
 
-    /// Tells what the device takes otherwise than the settings read, once it is known; returns all that was told.
+    /// Emits a warning for each setting that the device cannot honour and that is not yet in `told`; returns all of
+    /// them.
     fn tell(&mut self, told: Vec<String>) -> Vec<String> {
         let notes = self.session.notes();
         for message in notes.iter().filter(|note| !told.contains(note)) {
@@ -197,10 +207,10 @@ impl Run<'_> {
         });
     }
 
-    /// Stores a checkpoint, and remembers its step.
+    /// Stores a checkpoint and records its step.
     ///
     /// # Errors
-    /// When a number of it is not finite: the last good one is not overwritten.
+    /// When a value in the checkpoint is not finite. The last good checkpoint is then not overwritten.
     fn save(&mut self, totals: &Totals, kept: &mut Option<u64>) -> Result<()> {
         let mut checkpoint = self.session.checkpoint()?;
         checkpoint.state.totals.seconds = totals.seconds;
@@ -219,7 +229,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Saves the state before a step that failed, if it is one to go on from; returns what the user must see.
+    /// Saves the state before a failed step, if it is usable; returns the error to report.
     fn save_after(&mut self, error: Error, totals: &Totals, kept: &mut Option<u64>) -> Error {
         match self.save(totals, kept) {
             Ok(()) => error,
@@ -227,7 +237,7 @@ impl Run<'_> {
         }
     }
 
-    /// Tells nothing when the run was asked to stop meanwhile, or when there is no time for a view.
+    /// Evaluates during training. Emits no result if the run was asked to stop or there is no time for a view.
     fn evaluate_on_the_way(&mut self, totals: &Totals, keeper: &mut Timekeeper) -> Result<()> {
         let started = Instant::now();
         let frames = self.frames.len();
@@ -235,7 +245,8 @@ impl Run<'_> {
         let allowed = keeper.on_the_way(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
         let mut chain = strides(frames, stride, stride);
         if self.progress(totals) < EARLY {
-            // A fog is slow to render: better no point than one on other views than those to come.
+            // Early in a run the scene is fog, which renders slowly. A missing point is better than one on other
+            // views than the later points.
             let few = chain.len().saturating_sub(2);
             chain.drain(..few);
         }
@@ -275,7 +286,7 @@ impl Run<'_> {
                 )));
             }
         };
-        // The curve's last point is taken on the same views as its other points.
+        // The last point of the curve uses the same views as the other points.
         if self.config.eval.points > 0 && curve != look.stride && curve.is_multiple_of(look.stride) {
             self.report(&look.views, curve, curve, look.coarse, totals, false, started);
         }
@@ -284,15 +295,15 @@ impl Run<'_> {
         Ok(Outcome::Finished)
     }
 
-    /// Mean number of pixels of a test frame, all scales together.
+    /// Mean number of pixels of a test frame, over all scales.
     fn pixels_of_a_view(&self) -> f64 {
         let area = |k: &crate::Intrinsics| f64::from(k.width) * f64::from(k.height);
         let pixels: f64 = self.frames.cameras().iter().map(|camera| area(&camera.intrinsics)).sum();
         pixels / self.frames.len().max(1) as f64
     }
 
-    /// Measures every n-th view of the finest of `strides` that `allowed` seconds are enough for, and coarse scales alone
-    /// where they are not enough for one whole view.
+    /// Measures every n-th view, where n is the finest of `strides` that fits into `allowed` seconds. If the time is
+    /// too short for one whole view, measures coarse scales only.
     fn look(
         &mut self,
         strides: &[usize],
@@ -305,7 +316,8 @@ impl Run<'_> {
         let (mut finest, mut of_a_view) = (1, whole);
         let coarsest = 1 << (self.config.data.scales - 1);
         let least = strides.first().map_or(0, |&stride| frames.div_ceil(stride)) as f64;
-        // Coarser scales alone are for one view that is too slow; more views than one are few enough to be left out.
+        // Finer scales are left out only if a single view is too slow. If several views are too slow, fewer are
+        // measured.
         while least <= 1.0 && keeper.pixel() * of_a_view > allowed && finest < coarsest {
             (finest, of_a_view) = (2 * finest, 0.25 * of_a_view);
         }
@@ -317,7 +329,7 @@ impl Run<'_> {
             store: last.then_some(&mut **store),
             events: &mut **events,
             stop,
-            // Predictions may be off; a view that takes this long says nothing worth it.
+            // Predictions may be wrong; a view that takes longer than this is not worth its time.
             deadline: Duration::try_from_secs_f64(4.0 * allowed.max(5.0))
                 .ok()
                 .and_then(|most| started.checked_add(most)),
@@ -354,7 +366,7 @@ impl Run<'_> {
         Ok(look.map_or(Sight::NoTime, Sight::Seen))
     }
 
-    /// Tells what was measured; `wanted` is the stride that was asked for.
+    /// Emits the results of an evaluation; `wanted` is the requested stride.
     #[allow(clippy::too_many_arguments)]
     fn report(
         &mut self,
@@ -383,7 +395,7 @@ impl Run<'_> {
     }
 }
 
-/// Passes on what an evaluation does, and ends it when asked to or when it takes too long.
+/// Reports the progress of an evaluation, and ends the evaluation on request or when it takes too long.
 struct Watcher<'a> {
     store: Option<&'a mut dyn Store>,
     events: &'a mut dyn EventSink,
@@ -418,7 +430,7 @@ impl Watch for Watcher<'_> {
     }
 }
 
-/// The error of a run whose rays met nothing.
+/// The error of a run whose rays hit nothing.
 fn blind(totals: &Totals) -> Error {
     Error::run(format!(
         "{} steps of {} rays kept no sample: no ray sees anything of the box from scene.aabb_min to scene.aabb_max; set them to \
@@ -427,13 +439,13 @@ fn blind(totals: &Totals) -> Error {
     ))
 }
 
-/// Fraction of the schedule done at `totals`; 1 or more at its end.
+/// Fraction of the schedule that is done at `totals`; 1 or more at its end.
 pub fn progress(config: &Config, totals: &Totals) -> f64 {
     let train = &config.train;
     if train.steps > 0 { totals.step as f64 / train.steps as f64 } else { totals.seconds / train.seconds }
 }
 
-/// Progress at which a run is evaluated: `count` points evenly spaced in the logarithm, from 1/32 (left out) to 1.
+/// Progress at which a run is evaluated: `count` points, evenly spaced in the logarithm, from 1/32 (excluded) to 1.
 pub fn evaluation_points(count: u32) -> Vec<f64> {
     (0..count).map(|i| 32_f64.powf(f64::from(i + 1) / f64::from(count) - 1.0)).collect()
 }

@@ -1,8 +1,9 @@
-//! The two doors between static backends and a program that picks one by name: what renders, and what trains as well.
+//! The two traits through which a program uses a backend that it picks by name: [`Viewer`] renders, [`Session`] also
+//! trains.
 
 use crate::{Camera, Frame, Result, checkpoint::Checkpoint, events::Totals, model::Model};
 
-/// What one training step did; on a device that runs ahead, what the latest finished one did.
+/// Report on one training step. A device that runs ahead reports the latest step that it has finished.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepReport {
     /// Counters of the run after the step.
@@ -17,16 +18,16 @@ pub struct StepReport {
     pub occupied: f64,
 }
 
-/// A model that renders views on some backend. It may be a finished one or one in training; it cannot be trained through
-/// this trait.
+/// A model that renders views on some backend. It may be finished or in training; it cannot be trained through this
+/// trait.
 pub trait Viewer: Send {
     /// Name of the backend.
     fn backend(&self) -> &str;
 
-    /// The device behind that name.
+    /// The device behind the backend's name.
     fn device_name(&self) -> String;
 
-    /// Settings that the device does not follow as they are written, one line each. A program shows them.
+    /// The settings that the device cannot honour as written, one line each. A program shows them.
     fn notes(&self) -> Vec<String> {
         Vec::new()
     }
@@ -37,8 +38,8 @@ pub trait Viewer: Send {
     /// When the picture has more than 2^32 pixels, or the device fails.
     fn render(&mut self, camera: &Camera) -> Result<Frame>;
 
-    /// As [`render`](Self::render). `watch` is called with the number of finished rows and the number of all rows, first
-    /// with none finished. Where it returns false the view is given up and the result is `None`.
+    /// As [`render`](Self::render). Calls `watch` with the number of finished rows and the number of all rows, the
+    /// first time with no finished row. If `watch` returns false, rendering stops and the result is `None`.
     ///
     /// # Errors
     /// As [`render`](Self::render).
@@ -49,12 +50,12 @@ pub trait Viewer: Send {
     ) -> Result<Option<Frame>>;
 }
 
-/// A model in training on some backend; it renders as well.
+/// A model in training on some backend; it also renders.
 pub trait Session: Viewer {
-    /// One optimiser step; `progress` in [0, 1] drives the schedules. `totals.seconds` is the caller's to keep.
+    /// Performs one optimiser step; `progress` in [0, 1] drives the schedules. The caller updates `totals.seconds`.
     ///
     /// # Errors
-    /// When a loss or gradient is no longer finite, or the device fails; the parameters are then those before the step.
+    /// When a loss or gradient is not finite, or the device fails. The parameters are then those before the step.
     fn step(&mut self, progress: f64) -> Result<StepReport>;
 
     /// Everything that rendering needs.
@@ -63,19 +64,19 @@ pub trait Session: Viewer {
     /// When the device failed.
     fn model(&mut self) -> Result<Model>;
 
-    /// The model as its file will hold it. The session renders this model from now on: training is over.
+    /// The model as its file will hold it. This ends the training: the session renders this model from now on.
     ///
     /// # Errors
     /// When the device failed.
     fn finish(&mut self) -> Result<Model>;
 
-    /// Everything that training needs to go on with the same bits.
+    /// Everything that is needed to continue the training with the same bits.
     ///
     /// # Errors
-    /// When the device failed, or a step under way was not finite.
+    /// When the device failed, or a pending step was not finite.
     fn checkpoint(&mut self) -> Result<Checkpoint>;
 
-    /// Goes on from a checkpoint.
+    /// Continues from a checkpoint.
     ///
     /// # Errors
     /// When its tensors do not fit the configuration, or the device failed.

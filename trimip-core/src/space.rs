@@ -1,5 +1,5 @@
-//! The map from the world to the encoder's unit cube. Everything that places a sample, skips empty cells or scales a
-//! radius asks a [`Space`]; its twin on a GPU is one WGSL file. Today's map is affine: the scene's box becomes the cube.
+//! The map from the world to the encoder's unit cube. All code that places samples, skips empty cells or scales radii
+//! uses a [`Space`]; the GPU's twin is one WGSL file. The present map is affine: it maps the scene's box to the cube.
 
 use crate::{Aabb, batch::Ray, config::SceneConfig, scalar::Real};
 
@@ -11,49 +11,50 @@ pub struct Space<R> {
 }
 
 impl<R: Real> Space<R> {
-    /// The configured space.
+    /// The space of a configuration.
     pub fn new(scene: &SceneConfig) -> Self {
         Self::of(Aabb::new(scene))
     }
 
-    /// The space whose cube is a box of the world.
+    /// The space that maps the box `aabb` of the world to the cube.
     pub fn of(aabb: Aabb<R>) -> Self {
         Self { aabb, inverse_extent: aabb.extent().map(R::recip) }
     }
 
-    /// The box that the cube is in the units of radii: for this map the scene's box in the world.
+    /// The cube as a box in the units of radii; for this map, the scene's box in the world.
     #[inline]
     pub fn aabb(&self) -> &Aabb<R> {
         &self.aabb
     }
 
-    /// Distances between which a ray can have samples; enter ≥ leave where it has none.
+    /// The distances (enter, leave) between which a ray can have samples; enter ≥ leave if there are none.
     #[inline]
     pub fn intersect(&self, origin: [R; 3], direction: [R; 3]) -> (R, R) {
         self.aabb.intersect(origin, direction)
     }
 
-    /// A point of the world in coordinates of the cube.
-    #[inline]
+    /// Maps a point of the world to coordinates of the cube.
+    #[inline(always)]
     pub fn to_cube(&self, point: [R; 3]) -> [R; 3] {
         std::array::from_fn(|i| (point[i] - self.aabb.min[i]) * self.inverse_extent[i])
     }
 
-    /// A position of the cube in the world: the inverse of [`to_cube`](Self::to_cube).
+    /// Maps a position in the cube to the world: the inverse of [`to_cube`](Self::to_cube).
     #[inline]
     pub fn to_world(&self, position: [R; 3]) -> [R; 3] {
         let extent = self.aabb.extent();
         std::array::from_fn(|i| self.aabb.min[i] + position[i] * extent[i])
     }
 
-    /// Factor of a sphere's radius at a point of the world: the cube root of the map's Jacobian determinant, in the units
-    /// of [`aabb`](Self::aabb). An affine map keeps radii.
-    #[inline]
+    /// Factor by which the map scales a sphere's radius at a point of the world: the cube root of the map's Jacobian
+    /// determinant, in the units of [`aabb`](Self::aabb). An affine map keeps radii.
+    #[inline(always)]
     pub fn scale(&self, _point: [R; 3]) -> R {
         R::one()
     }
 
-    /// Side of a cube with a cell's volume, for a grid of `resolution` cells along each side; units of radii.
+    /// Side of a cube with the volume of one cell, in units of radii, for a grid of `resolution` cells along each
+    /// side.
     pub fn cell(&self, resolution: u32) -> R {
         let [x, y, z] = self.aabb.extent();
         (x * y * z).cbrt() / R::from_u32(resolution)
@@ -61,19 +62,19 @@ impl<R: Real> Space<R> {
 }
 
 impl Space<f32> {
-    /// Most steps of this length that a ray can have, and one for rounding at each end.
+    /// Upper bound on the steps of length `step` along a ray: the diagonal, plus one step for rounding at each end.
     pub fn most_steps(&self, step: f32) -> usize {
         let [x, y, z] = self.aabb.extent().map(f64::from);
         ((x * x + y * y + z * z).sqrt() / f64::from(step)).ceil() as usize + 2
     }
 
-    /// The way of a ray through a grid of `resolution` cells along each side.
+    /// The path of a ray through a grid of `resolution` cells along each side.
     #[inline(always)]
-    pub fn way<'a>(&'a self, ray: &'a Ray, resolution: u32) -> Way<'a> {
+    pub fn way(&self, ray: &Ray, resolution: u32) -> Way {
         let cells = resolution as f32;
         Way {
-            space: self,
-            ray,
+            space: *self,
+            ray: *ray,
             cells,
             last: resolution - 1,
             cell_extent: self.aabb.extent().map(|side| side / cells),
@@ -82,17 +83,17 @@ impl Space<f32> {
     }
 }
 
-/// A ray's way through the cells of a grid over the cube.
-pub struct Way<'a> {
-    space: &'a Space<f32>,
-    ray: &'a Ray,
+/// A ray's path through the cells of a grid over the cube.
+pub struct Way {
+    space: Space<f32>,
+    ray: Ray,
     cells: f32,
     last: u32,
     cell_extent: [f32; 3],
     inverse_direction: [f32; 3],
 }
 
-impl Way<'_> {
+impl Way {
     /// Position in the cube at distance `t`.
     #[inline(always)]
     pub fn position(&self, t: f32) -> [f32; 3] {
@@ -111,17 +112,17 @@ impl Way<'_> {
         position.map(|p| ((p * self.cells) as u32).min(self.last))
     }
 
-    /// Distance at which the ray leaves the aligned cube of `size` cells around a cell, beyond `t`; infinite where that
-    /// cannot be told.
+    /// Distance beyond `t` at which the ray leaves the aligned cube of `size` cells that contains `cell`; infinite if
+    /// it cannot be computed.
     #[inline(always)]
     pub fn exit(&self, t: f32, cell: [u32; 3], size: u32) -> f32 {
         let mut exit = f32::INFINITY;
         for axis in 0..3 {
-            let lower = cell[axis] / size * size;
+            let lower = cell[axis] & !(size - 1);
             let edge = if self.ray.direction[axis] > 0.0 { lower + size } else { lower };
             let edge = edge as f32 * self.cell_extent[axis] + self.space.aabb.min[axis];
             let distance = (edge - self.ray.origin[axis]) * self.inverse_direction[axis];
-            // An axis the ray does not move along gives ±∞ or NaN: no exit there.
+            // An axis along which the ray does not move gives ±∞ or NaN: no exit there.
             if distance > t && distance < exit {
                 exit = distance;
             }
@@ -154,7 +155,7 @@ mod tests {
         }
     }
 
-    /// det J of the map to the cube times the box's volume is scale³, by central differences.
+    /// det J of the map to the cube, times the box's volume, equals scale³ (central differences).
     #[test]
     fn radii_scale_by_the_jacobian() {
         let (space, point, h) = (long(), [0.3, 3.1, 0.77], 1e-5);

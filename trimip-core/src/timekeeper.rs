@@ -1,16 +1,16 @@
-//! Time limits of evaluations, as a share of the training time. The time per pixel is predicted from the current time of
-//! a training ray and from the last evaluation; the number of views is decided while they are rendered.
+//! Limits the time of evaluations to a share of the training time. The time per pixel is predicted from the current
+//! time per training ray and from the last evaluation. The number of views is decided while they are rendered.
 
-/// Part of the evaluations' share for those during training; the rest is for the final one.
+/// Fraction of the evaluations' share that goes to those during training; the final evaluation gets the rest.
 const ON_THE_WAY: f64 = 0.6;
 
 /// Extra seconds for the final evaluation, so that short runs are measured too.
 const AT_THE_END: f64 = 20.0;
 
-/// Time of a rendered pixel relative to a training ray before the first measurement: one pass of three.
+/// Time of a rendered pixel relative to a training ray, assumed before the first measurement: one pass of three.
 const FORWARD: f64 = 0.5;
 
-/// Bounds the time of a run's evaluations.
+/// Limits the time that a run spends on evaluations.
 #[derive(Clone, Debug)]
 pub struct Timekeeper {
     share: f64,
@@ -18,7 +18,7 @@ pub struct Timekeeper {
     passed: f64,
     spent: f64,
     ray: f64,
-    /// Seconds per pixel in the last evaluation, and per training ray at that time.
+    /// Seconds per pixel in the last evaluation, and seconds per training ray at that time.
     measured: Option<[f64; 2]>,
 }
 
@@ -47,7 +47,7 @@ impl Timekeeper {
         }
     }
 
-    /// Expected seconds per pixel.
+    /// Predicted seconds per pixel.
     pub fn pixel(&self) -> f64 {
         match self.measured {
             Some([pixel, ray]) if ray > 0.0 => pixel * self.ray / ray,
@@ -56,8 +56,8 @@ impl Timekeeper {
         }
     }
 
-    /// Seconds for the next evaluation during a run of `total` seconds of training: its part of the share and what earlier
-    /// ones left.
+    /// Seconds for the next evaluation during a run of `total` seconds of training: its part of the share, plus what
+    /// earlier evaluations left.
     pub fn on_the_way(&mut self, total: f64) -> f64 {
         self.passed += 1.0;
         self.bounded(ON_THE_WAY * self.share * total * self.passed / self.points - self.spent)
@@ -68,12 +68,12 @@ impl Timekeeper {
         self.bounded((1.0 - ON_THE_WAY) * self.share * total + AT_THE_END)
     }
 
-    /// Seconds that evaluations will still take in a run of `total` seconds, where all views of the test set hold `pixels`
-    /// and one evaluation on the way looks at `part` of them.
+    /// Predicted seconds of the remaining evaluations in a run of `total` seconds. All views of the test set have
+    /// `pixels` pixels, and an evaluation during training covers the fraction `part` of them.
     pub fn left(&self, total: f64, pixels: f64, part: f64) -> f64 {
         let whole = self.pixel() * pixels;
         let each = (part * whole).min(self.bounded(ON_THE_WAY * self.share * total / self.points));
-        // The last of the points is part of the evaluation at the end.
+        // The last point is part of the final evaluation.
         each * (self.points - 1.0 - self.passed).max(0.0) + whole.min(self.at_the_end(total))
     }
 
@@ -82,13 +82,14 @@ impl Timekeeper {
     }
 }
 
-/// Strides over `frames` views from few views to every `wanted`-th, each a multiple of the next: an evaluation that has to
-/// end early ends with evenly spread views. `curve` is among them where it is a multiple of `wanted`.
+/// Strides over `frames` views, from few views to every `wanted`-th; each stride is a multiple of the next. An
+/// evaluation that has to end early thus ends with evenly spread views. If `curve` is a multiple of `wanted`, it is
+/// one of the strides.
 pub fn strides(frames: usize, curve: usize, wanted: usize) -> Vec<usize> {
     let mut chain = vec![wanted.max(1)];
     let mut last = wanted.max(1);
     if curve.is_multiple_of(last) {
-        // The largest factors first: what an evaluation at the end adds to the curve's views begins with few.
+        // Largest factors first: the final evaluation then adds only a few views to the curve's views at first.
         let mut rest = curve / last;
         for factor in (2..=rest).rev() {
             while rest.is_multiple_of(factor) && is_prime(factor) {
@@ -138,7 +139,7 @@ mod tests {
         }
         assert!((sum - 0.6 * 0.25 * total).abs() < 1e-9);
         assert!(sum + keeper.at_the_end(total) <= 0.25 * total + AT_THE_END + 1e-9);
-        // What one leaves the next may use.
+        // The next evaluation may use what this one left.
         let mut keeper = Timekeeper::new(0.25, 6);
         keeper.on_the_way(total);
         assert!((keeper.on_the_way(total) - 15.0).abs() < 1e-9);
@@ -152,7 +153,7 @@ mod tests {
         assert_eq!(keeper.pixel(), FORWARD * 2e-3);
         keeper.rendered(3.0, 1000.0);
         assert_eq!(keeper.pixel(), 3e-3);
-        // Fog that clears makes both cheaper.
+        // Clearing fog makes both cheaper.
         keeper.trained(1.0, 1000);
         assert!((keeper.pixel() - 1.5e-3).abs() < 1e-12);
     }

@@ -1,5 +1,5 @@
-//! Criterion: the matrix kernels on a block of rows that stays in L2, for every instruction set and in both precisions, and
-//! beside `matrixmultiply`. Throughput counts multiply-adds, so twice `elem/s` is FLOP/s.
+//! Criterion: the matrix kernels on a block of rows that stays in L2, for every instruction set and both precisions,
+//! next to `matrixmultiply`. Throughput counts multiply-adds; FLOP/s is twice `elem/s`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
@@ -18,10 +18,10 @@ fn values(count: usize) -> Buffer<f32> {
     buffer
 }
 
-/// Products of registers alone: the processor's limit.
+/// Multiply-adds on registers only: the processor's peak.
 struct Peak<const PAIRS: bool>;
 
-/// Products of a run of [`Peak`], in instructions.
+/// Multiply-adds of one run of [`Peak`], in instructions.
 const PEAK: usize = 24 * 1000;
 
 impl<const PAIRS: bool> Kernel for Peak<PAIRS> {
@@ -29,7 +29,7 @@ impl<const PAIRS: bool> Kernel for Peak<PAIRS> {
     #[inline(always)]
     fn run<L: Lanes>(self) -> f32 {
         let factor = L::splat(black_box(1.0));
-        // As many sums as hide the latency and stay in registers.
+        // Enough independent sums to hide the latency, few enough to stay in registers.
         let mut sums = [L::splat(0.0); 12];
         for _ in 0..PEAK / 12 {
             for i in 0..12 {
@@ -72,7 +72,7 @@ fn kernels(criterion: &mut Criterion) {
             group.bench_function(BenchmarkId::new("accumulate", format!("{simd:?}")), |b| {
                 b.iter(|| accumulate(simd, Precision::F32, ROWS, k, n, black_box(&a), &d, &mut g));
             });
-            // What is rounded to bf16 counts as part of the product.
+            // Rounding to bf16 is timed as part of the product.
             let mut columns = values(ROWS * k / 2);
             group.bench_function(BenchmarkId::new("multiply bf16", format!("{simd:?}")), |b| {
                 b.iter(|| {

@@ -1,6 +1,6 @@
-//! Criterion: each stage on one thread over one large span, with the widest instruction set and in plain Rust, and a whole
-//! training step on all cores. Throughput is in samples (rays for drawing rays, parameters for the end of a step), so
-//! `elem/s` compares stages with each other and with the step.
+//! Criterion: each stage on one thread over one large span, with the widest instruction set and in plain Rust, and a
+//! whole training step on all cores. Throughput is in samples (in rays for ray generation, in parameters for the end
+//! of a step), so `elem/s` compares stages with each other and with the step.
 
 use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterion_main};
@@ -26,7 +26,7 @@ fn scene(samples: u32) -> (Config, ViewSet) {
     (config, views)
 }
 
-/// Occupied where the built-in scene is, roughly: a ball.
+/// A ball: roughly the occupied cells of the built-in scene.
 fn ball(resolution: u32) -> Vec<u8> {
     let cells = resolution.pow(3);
     let mut bits = vec![0; cells as usize / 8];
@@ -55,7 +55,7 @@ fn stages(criterion: &mut Criterion) {
     }
 }
 
-/// Every stage of a step on one thread. `field` and `update` alone depend on the precision.
+/// Every stage of a step on one thread. Only `field` and `update` depend on the precision.
 fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: ViewSet, simd: Simd) {
     let backend = CpuBackend::new(1, simd).expect("one thread");
     let mut stages = backend.stages(config, Some(views)).expect("views that fit");
@@ -133,7 +133,7 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
             );
         });
     });
-    // What is left behind by a span is timed apart from what the end of the step makes of it.
+    // Accumulating a span's gradients is timed apart from joining them at the end of the step.
     let mut gradient = backend.zeros(layout.len());
     let mut deposits = [deposit];
     let mut timed = |stages: &mut Stages<CpuBackend>, count: u64, end_of_step: bool| {
@@ -169,7 +169,7 @@ fn step(criterion: &mut Criterion) {
         config.field.precision = precision;
         let backend = CpuBackend::new(0, Simd::detect()).expect("threads");
         let mut trainer = Trainer::new(backend, &config, views).expect("views that fit");
-        // Past the first steps, whose rays meet a grid that is occupied everywhere.
+        // Skips the first steps, whose rays meet a grid that is occupied everywhere.
         for _ in 0..24 {
             trainer.step(0.0).expect("a finite step");
         }

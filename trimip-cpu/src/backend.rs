@@ -1,4 +1,4 @@
-//! The CPU as a backend: buffers are plain memory, spans run on rayon workers, deposits are joined in their order.
+//! The CPU backend: buffers are plain memory, spans run on rayon workers, deposits are added up in order.
 
 use crate::buffer::{Buffer, take_mut};
 use crate::encoders::CpuEncoder;
@@ -20,29 +20,29 @@ use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
 
-/// Samples that the rays rendered at once have at most, about: what bounds the memory of a worker.
+/// Approximate maximum of samples in the rays that a worker renders at once; it bounds the worker's memory.
 pub const SAMPLES_AT_ONCE: usize = 1536;
 
-/// Samples of a ray of which nothing is known yet.
+/// Assumed samples of a ray before any ray was rendered.
 const UNKNOWN_RAY: f32 = 256.0;
 
-/// Part of what is known of the longest ray that still counts after the next rays: they lie beside each other.
+/// Decay of the longest ray's length from one group of rays to the next; neighbouring rays have similar lengths.
 const REMEMBERED: f32 = 0.98;
 
-/// Scratch of a worker beside its workspace.
+/// A worker's scratch memory beside its workspace.
 pub struct Lane {
     pub(crate) scratch: Option<Box<Scratch>>,
-    /// Samples of the longest ray rendered lately.
+    /// Samples of the longest ray rendered recently.
     longest_ray: f32,
 }
 
 impl Lane {
-    /// Rays to be rendered at once: many, but few through fog, where each has hundreds of samples.
+    /// Number of rays to render at once: many in general, few through fog, where each ray has hundreds of samples.
     fn rays_at_once(&self) -> usize {
         ((SAMPLES_AT_ONCE as f32 / self.longest_ray) as usize).max(1)
     }
 
-    /// Takes note of the samples of the rays just rendered; rays without any say nothing of their neighbours.
+    /// Records the samples of the rays just rendered. Rays without samples tell nothing about their neighbours.
     fn saw(&mut self, segments: &[Segment]) {
         let longest = segments.iter().map(|segment| segment.count).max().unwrap_or(0);
         if longest > 0 {
@@ -51,25 +51,29 @@ impl Lane {
     }
 }
 
-/// Samples that share a deposit, about; a deposit's weight gradients are joined at the end of a step.
+/// Approximate number of samples that share a deposit. A deposit's weight gradients are added up at the end of a
+/// step.
 const SAMPLES_PER_DEPOSIT: u32 = 1024;
 
-/// Deposits of a step of `samples` samples: many enough to balance the load of many cores.
+/// Number of deposits of a step of `samples` samples: enough to balance the load of many cores.
 pub fn deposits(samples: u32) -> usize {
     (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
 }
 
-/// The CPU with a number of threads and an instruction set.
+/// The CPU with a given number of threads and a given instruction set.
 pub struct CpuBackend {
     pool: rayon::ThreadPool,
     simd: Simd,
-    /// Products of bf16 are computed where the processor has no instructions for them too.
+    /// True if bf16 products are computed even on a processor without bf16 instructions.
     emulates_bf16: bool,
     workspaces: Mutex<Vec<Workspace<Self>>>,
 }
 
 impl CpuBackend {
-    /// `threads` workers (0: one per core) with the given instruction set.
+    /// Starts `threads` workers (0: one per core) that use the given instruction set.
+    ///
+    /// # Errors
+    /// When the threads cannot be started.
     pub fn new(threads: u32, simd: Simd) -> Result<Self> {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads as usize)
@@ -78,18 +82,20 @@ impl CpuBackend {
         Ok(Self { pool, simd, emulates_bf16: true, workspaces: Mutex::new(Vec::new()) })
     }
 
-    /// The same, but what is set to bf16 is computed in f32 where bf16 has no instructions: it would be slower and rounded.
+    /// The same, but computes in f32 what is configured as bf16 if the processor has no bf16 instructions. Emulation
+    /// would be slower and round more.
     pub fn without_emulation(mut self) -> Self {
         self.emulates_bf16 = false;
         self
     }
 
-    /// Threads at work.
+    /// Number of worker threads.
     pub fn threads(&self) -> usize {
         self.pool.current_num_threads()
     }
 
-    /// Precision of the networks' products: that of the settings where it pays.
+    /// Precision of the networks' products: the configured one, unless bf16 would have to be emulated and must not
+    /// be.
     fn precision(&self, config: &Config) -> Precision {
         match config.field.precision {
             Precision::Bf16 if self.emulates_bf16 || self.simd.has_bf16() => Precision::Bf16,
@@ -97,7 +103,7 @@ impl CpuBackend {
         }
     }
 
-    /// Runs `work` with a workspace that no other worker has.
+    /// Runs `work` with a workspace that no other worker uses.
     fn with_workspace(&self, field: &CpuField, work: impl FnOnce(&mut Workspace<Self>)) {
         let pooled = self.workspaces.lock().ok().and_then(|mut pool| pool.pop());
         let mut workspace = pooled.unwrap_or_else(|| Workspace::new(self, field));
@@ -214,7 +220,7 @@ impl Backend for CpuBackend {
         work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
-        // Rays have samples by the hundred, or none; a probe is one sample.
+        // A ray has hundreds of samples or none; a probe has exactly one.
         let rays = TypeId::of::<T>() == TypeId::of::<Pixel>();
         out.resize(count as usize);
         out.par_chunks_mut(per_span as usize).enumerate().with_max_len(8).for_each(|(i, mut out)| {

@@ -1,4 +1,4 @@
-//! A flat array that starts on a cache line, so that a row of 16 features is one line and one vector register.
+//! A flat array aligned to a cache line, so that a row of 16 features is one line and one vector register.
 
 use bytemuck::{Pod, Zeroable};
 use std::marker::PhantomData;
@@ -8,7 +8,7 @@ use std::ops::{Deref, DerefMut};
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Line([u8; 64]);
 
-/// Values on the CPU; grows and never shrinks its memory.
+/// Values on the CPU. The memory grows and never shrinks.
 pub struct Buffer<T> {
     lines: Vec<Line>,
     length: usize,
@@ -22,13 +22,13 @@ impl<T> Default for Buffer<T> {
 }
 
 impl<T: Pod> Buffer<T> {
-    /// `length` zeros.
+    /// Creates a buffer of `length` zeros.
     pub fn zeros(length: usize) -> Self {
         let lines = vec![Line([0; 64]); (length * size_of::<T>()).div_ceil(64)];
         Self { lines, length, values: PhantomData }
     }
 
-    /// Changes the length. Old values stay in front; new ones are whatever was there, or zero.
+    /// Changes the length. Old values are kept; new ones are arbitrary earlier values or zero.
     pub fn resize(&mut self, length: usize) {
         let lines = (length * size_of::<T>()).div_ceil(64);
         if lines > self.lines.len() {
@@ -47,12 +47,12 @@ impl<T: Pod> Buffer<T> {
         self[length] = value;
     }
 
-    /// Forgets all values, keeps the memory.
+    /// Removes all values and keeps the memory.
     pub fn clear(&mut self) {
         self.length = 0;
     }
 
-    /// Moves row `kept[i]` of `width` values to row i, for rising `kept`; the length becomes that of the rows kept.
+    /// Moves row `kept[i]` of `width` values to row i, for ascending `kept`. Only the kept rows remain.
     pub fn keep_rows(&mut self, kept: &[u32], width: usize) {
         for (to, &from) in kept.iter().enumerate() {
             let from = from as usize;
@@ -63,14 +63,14 @@ impl<T: Pod> Buffer<T> {
         self.length = kept.len() * width;
     }
 
-    /// Appends the rows `rows` of `from`.
+    /// Appends the rows `rows` of `from`, of `width` values each.
     pub fn append_rows(&mut self, from: &[T], rows: &[u32], width: usize) {
         let start = self.length;
         self.resize(start + rows.len() * width);
         copy_rows(&mut self[start..], from, rows, width);
     }
 
-    /// Becomes the rows `rows` of `from`, and has room for `padded` rows.
+    /// Replaces the values by the rows `rows` of `from`, of `width` values each, and makes room for `padded` rows.
     pub fn gather_rows(&mut self, from: &[T], rows: &[u32], width: usize, padded: usize) {
         self.resize(padded * width);
         copy_rows(self, from, rows, width);
@@ -103,14 +103,14 @@ impl<T: Pod> DerefMut for Buffer<T> {
     }
 }
 
-/// Cuts off the first `count` values and leaves the rest.
+/// Splits the first `count` values off the front of `from`.
 pub fn take<'a, T>(from: &mut &'a [T], count: usize) -> &'a [T] {
     let (first, rest) = from.split_at(count);
     *from = rest;
     first
 }
 
-/// Cuts off the first `count` values, to change, and leaves the rest.
+/// Splits the first `count` values off the front of `from`, mutably.
 pub fn take_mut<'a, T>(from: &mut &'a mut [T], count: usize) -> &'a mut [T] {
     let (first, rest) = std::mem::take(from).split_at_mut(count);
     *from = rest;

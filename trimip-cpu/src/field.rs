@@ -1,6 +1,6 @@
-//! Density and colour networks on the CPU. The density network's outputs are a logit and the geometry features; the
-//! colour network reads them with a zero weight on the logit, and spherical harmonics, which go through the first layer
-//! once for each ray.
+//! Density and colour networks on the CPU. The density network outputs a logit and the geometry features. The colour
+//! network reads this output with a zero weight on the logit, and spherical harmonics, which go through the first
+//! layer once per ray.
 
 use crate::buffer::Buffer;
 
@@ -15,14 +15,14 @@ use trimip_core::params::{ALIGNMENT, Slot, color_layers, density_layers, harmoni
 use trimip_core::sh::{self, spherical_harmonics};
 use trimip_core::{Config, Field, Layout, encoders};
 
-/// Both networks.
+/// The density and colour networks.
 pub struct CpuField {
     simd: Simd,
     density: Mlp,
     color: Mlp,
     slots: Vec<Slot>,
     density_layers: usize,
-    /// The colour network sees directions.
+    /// True if the colour network's input includes directions.
     directed: bool,
 }
 
@@ -40,11 +40,11 @@ pub struct Tape {
 /// Spherical harmonics of the rays that have samples.
 #[derive(Default)]
 struct Directions {
-    /// Rays with samples.
+    /// Number of rays with samples.
     count: usize,
-    /// [rays with samples (padded), 16].
+    /// Shape: [rays with samples (padded), 16].
     harmonics: Buffer<f32>,
-    /// Row of `harmonics` of each sample, padding samples included.
+    /// Row of `harmonics` for each sample, padding included.
     of: Vec<u32>,
 }
 
@@ -73,19 +73,19 @@ impl Directions {
     }
 }
 
-/// Weight gradients.
+/// Weight gradients of both networks.
 pub struct FieldGradient {
     density: MlpGradient,
     color: MlpGradient,
 }
 
 impl CpuField {
-    /// The networks of a configuration, with products in `precision`.
+    /// Creates the networks of a configuration, with products in `precision`.
     pub fn new(simd: Simd, config: &Config, layout: &Layout, precision: Precision) -> Self {
         let density_shapes = density_layers(config);
         let width = density_shapes[0][0];
         let features = (0..encoders::stride(config)).map(|row| (row < width).then_some(row)).collect();
-        // The density logit is no input of the colour network.
+        // The density logit is not an input of the colour network.
         let (harmonics, outputs) = (harmonics(config), 1 + config.field.geometry as usize);
         let geometry = |output: usize| (1..outputs).contains(&output).then(|| harmonics + output - 1);
         let directions = if config.field.directions { sh::COUNT } else { 0 };
@@ -106,17 +106,17 @@ impl CpuField {
 }
 
 impl CpuField {
-    /// Forgets all rows of a tape's density network.
+    /// Removes all rows of the density network from a tape.
     pub(crate) fn clear(&self, tape: &mut Tape) {
         tape.density.clear();
     }
 
-    /// Appends rows of another tape's density network.
+    /// Appends the rows `rows` of the density network from another tape.
     pub(crate) fn append(&self, tape: &mut Tape, from: &Tape, rows: &[u32]) {
         tape.density.append(&self.density, &from.density, rows);
     }
 
-    /// Becomes rows of another tape's density network.
+    /// Replaces the density network's rows by the rows `rows` of another tape.
     pub(crate) fn gather(&self, tape: &mut Tape, from: &Tape, rows: &[u32]) {
         tape.density.gather(&self.density, &from.density, rows);
     }

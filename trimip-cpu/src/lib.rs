@@ -52,16 +52,16 @@ use trimip_core::scene_plan::Compute;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 
-/// A fresh model to be trained on `views`, with the configured number of threads.
+/// Creates an untrained model, to be trained on `views` with the configured number of threads.
 ///
 /// # Errors
-/// When the threads cannot be started, or the views hold no pixel.
+/// When the threads cannot be started, or the views have no pixels.
 pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
-/// Name and bytes of what training with these settings and views will need.
+/// Predicts the memory of a training with these settings and views: name and bytes of each part.
 pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     let threads = match config.threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
@@ -70,9 +70,9 @@ pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     memory::predict(config, views, threads, backend::deposits(config.train.samples_per_step))
 }
 
-/// Kept samples a second of one thread that trains networks of 64 units on *lego*, by instruction set: measured with
-/// AVX-512 BF16 (327 M in 300 s on two threads of a Zen 4) and AVX2 (two threads of a Zen), the others between and below
-/// in proportion to the rates of the networks' products.
+/// Kept samples per second of one thread that trains networks of 64 units on *lego*, by instruction set. Measured
+/// with AVX-512 BF16 (327 M in 300 s on two threads of a Zen 4) and AVX2 (two threads of a Zen). The others, between
+/// and below, are scaled by the rates of the networks' products.
 fn samples_per_second(simd: Simd) -> f64 {
     match simd {
         Simd::Avx512Bf16 => 5.4e5,
@@ -82,7 +82,7 @@ fn samples_per_second(simd: Simd) -> f64 {
     }
 }
 
-/// What `threads` threads (0: all cores) of this processor train with.
+/// The training speed of `threads` threads (0: all cores) of this processor.
 pub fn compute(threads: u32) -> Compute {
     let threads = match threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
@@ -97,12 +97,12 @@ pub fn compute(threads: u32) -> Compute {
     }
 }
 
-/// The instruction sets this processor offers, widest (the one used) first.
+/// The instruction sets of this processor, widest first; the first is used.
 pub fn features() -> String {
     Simd::available().iter().map(|simd| format!("{simd:?}")).collect::<Vec<_>>().join(", ")
 }
 
-/// A finished model to render, with `threads` threads (0: all cores).
+/// Loads a finished model to render with `threads` threads (0: all cores).
 ///
 /// # Errors
 /// When the threads cannot be started, or the model's tensors do not fit its configuration.

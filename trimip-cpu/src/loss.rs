@@ -4,7 +4,7 @@ use crate::buffer::Buffer;
 use crate::{CpuBackend, Lane};
 use trimip_core::Pixel;
 use trimip_core::backend::Loss;
-use trimip_core::batch::{Rays, Samples, StepSums};
+use trimip_core::batch::{Rays, Samples, Segment, StepSums};
 use trimip_core::config::{LossConfig, LossRays};
 use trimip_core::loss::smooth_l1;
 
@@ -14,7 +14,7 @@ pub struct CpuLoss {
 }
 
 impl CpuLoss {
-    /// The configured loss.
+    /// Creates the configured loss.
     pub fn new(config: &LossConfig) -> Self {
         Self { config: config.clone() }
     }
@@ -35,6 +35,7 @@ impl Loss<CpuBackend> for CpuLoss {
         sums.rays += pixels.len() as u64;
         sums.marched += u64::from(marched);
         sums.kept += u64::from(kept);
+        let segments: &[Segment] = &samples.segments;
         let rows = pixels.iter().zip(rays.targets.iter()).zip(rays.groups.iter());
         for (gradient, ((pixel, target), group)) in pixel_gradients.iter_mut().zip(rows) {
             *gradient = [0.0; 4];
@@ -44,7 +45,10 @@ impl Loss<CpuBackend> for CpuLoss {
                 sums.non_finite += 1;
                 continue;
             }
-            let live = || samples.segments[group.range()].iter().any(|segment| segment.count > 0);
+            let live = || match group.count {
+                1 => segments[group.start as usize].count > 0,
+                _ => segments[group.range()].iter().any(|segment| segment.count > 0),
+            };
             if self.config.rays == LossRays::Live && !live() {
                 continue;
             }

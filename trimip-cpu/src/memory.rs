@@ -1,4 +1,4 @@
-//! Predicted memory of a training run by parts, before anything is allocated: the peak of the resident bytes.
+//! Predicts the peak resident memory of a training run, by parts, before anything is allocated.
 
 use crate::backend::SAMPLES_AT_ONCE;
 use crate::encoders::left;
@@ -7,39 +7,40 @@ use trimip_core::batch::{Interval, Radiance, Sphere};
 use trimip_core::params::{color_layers, density_layers};
 use trimip_core::{Config, Layout, Pixel, ViewSet, encoders};
 
-/// The program with its libraries and the allocators of its threads, on Linux.
+/// The program with its libraries and its threads' allocators, on Linux.
 const PROGRAM: u64 = 10_000_000;
 
-/// Samples that a worker renders at once, relative to their target number: the length of rays is estimated from earlier
-/// rays.
+/// Samples that a worker renders at once, relative to their target number. The length of rays is estimated from
+/// earlier rays.
 const AT_ONCE: f64 = 1.3;
 
-/// Capacity of deposits relative to the target number of samples: their fill varies, and they grow by doubling.
+/// Capacity of deposits relative to the target number of samples: their fill level varies, and they grow by doubling.
 const DEPOSITS_GROWN: f64 = 2.5;
 
 /// Bytes of a float or an index.
 const WORD: usize = 4;
 
-/// Capacity of an array that grows by doubling, relative to its length, at worst.
+/// Worst-case capacity of an array that grows by doubling, relative to its length.
 const DOUBLED: usize = 2;
 
-/// Share of the cells that an update samples, relative to `occupancy.fraction`: uniformly drawn and occupied ones.
+/// Fraction of the cells that an update samples, relative to `occupancy.fraction`: uniformly drawn cells plus
+/// occupied ones.
 const DRAWN_TWICE: f32 = 2.0;
 
 /// Copies of a block's gradients in a backward pass: above and below a layer, in f32 and as pairs of bf16.
 const BLOCK_COPIES: usize = 4;
 
-/// Copies of a view's pixels while it is measured: those of the device and of the frame.
+/// Copies of a view's pixels during its evaluation: the device's and the frame's.
 const RENDERED_COPIES: usize = 2;
 
-/// Pictures of f32 RGB while a view is measured: two backgrounds of the rendering and of the photograph, the copy for
-/// its file, and the difference.
+/// f32 RGB images during the evaluation of a view: rendering and photograph on two backgrounds each, the copy for the
+/// file, and the difference.
 const PICTURES: usize = 6;
 
-/// Pictures of a sheet, 8-bit RGB: rendering, photograph, difference.
+/// 8-bit RGB images on a sheet: rendering, photograph, difference.
 const SHEET_PICTURES: usize = 3;
 
-/// Name and bytes of each part; `threads` workers.
+/// Name and bytes of each part, for `threads` workers.
 pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
     let floats = |count: usize| (WORD * count) as u64;
@@ -48,7 +49,7 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
     let cells = (config.occupancy.resolution as usize).pow(3);
     let left = left(config);
     let copies = floats(4 * layout.len() + cells);
-    // Indices of the sampled cells, in an array that grows by doubling, and their densities.
+    // Indices of the sampled cells, in an array that grows by doubling, and the densities of these cells.
     let probe = DOUBLED * WORD + size_of::<Radiance>();
     let asked = config.occupancy.warmup_fraction.max(DRAWN_TWICE * config.occupancy.fraction);
     let probes = (asked.min(1.0) * (cells * probe) as f32) as usize;
@@ -73,28 +74,30 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
     ]
 }
 
-/// Bytes that a worker holds while it renders rays through fog, which is more than while it trains.
+/// Bytes that a worker holds while it renders rays through fog, which is more than during training.
 fn worker(config: &Config) -> usize {
     let outputs = |layers: &[[usize; 2]]| layers.iter().map(|[_, n]| n.next_multiple_of(4)).sum::<usize>();
     let sample = size_of::<Sphere>() + size_of::<Interval>() + size_of::<Radiance>() + size_of::<u32>();
     let encoding = encoders::stride(config) + encoders::of(config).tape(config);
     let seen = sample + WORD * (encoding + outputs(&density_layers(config)));
-    // What is seen is there twice: front to back over all rays, and ray by ray, where the colour network follows.
+    // Visible samples are stored twice: front to back over all rays, and ray by ray with the colour network's
+    // outputs.
     let row = 2 * seen + WORD * outputs(&color_layers(config));
     // A block's gradients above and below a layer, in f32 and as pairs of bf16.
     let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden as usize;
     SAMPLES_AT_ONCE * row + passing
 }
 
-/// Bytes of a view while it is measured: rendered as the device's pixels and the frame's, then six pictures of f32 RGB (two
-/// backgrounds of either, the store's copy, the difference), the photograph at all scales, and the sheet of three pictures.
+/// Bytes for the evaluation of a view: the device's pixels and the frame's; six f32 RGB images (rendering and
+/// photograph on two backgrounds each, the store's copy, the difference); the photograph at all scales; and the sheet
+/// of three images.
 fn measured(views: &ViewSet) -> u64 {
     let sizes = views
         .views
         .iter()
         .map(|view| view.camera.intrinsics)
         .map(|k| u64::from(k.width) * u64::from(k.height));
-    // The photograph at all scales is 4/3 of its finest one, 4 bytes a pixel.
+    // The photograph at all scales has 4/3 of the pixels of the finest one, at 4 bytes per pixel.
     let photograph = 4 * 4 / 3;
     let sheets = SHEET_PICTURES * 3 + 3;
     let pixel = RENDERED_COPIES * size_of::<Pixel>() + PICTURES * size_of::<[f32; 3]>() + photograph + sheets;

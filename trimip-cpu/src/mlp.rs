@@ -1,91 +1,91 @@
-//! A small ReLU network without biases over rows of a tile. Widths are padded to multiples of 16 with zero weights, and
-//! up to four outputs to four; the parameters know nothing of the padding. Inputs that many rows have in common (all
-//! samples of a ray) may go through the first layer once for each group of rows. Activations and gradients are f32; at
-//! bf16 the factors of a layer's products are rounded just before them, a last layer of few outputs excepted.
+//! A small ReLU network without biases, over rows of a tile. Widths are padded to multiples of 16 with zero weights,
+//! and up to four outputs to four; the parameters are not padded. Inputs that many rows share (all samples of a ray)
+//! may go through the first layer once per group of rows. Activations and gradients are f32. At bf16 the factors of a
+//! layer's products are rounded immediately before the product, except in a last layer of few outputs.
 
 use crate::buffer::Buffer;
 use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded, pair_columns, pair_rows};
 use crate::simd::Simd;
 use trimip_core::config::Precision;
 
-/// Rows that go through all layers together: their activations and a layer's weights fit into half of a 1 MiB L2.
+/// Rows that go through all layers together. Their activations and a layer's weights fit into half of a 1 MiB L2.
 pub const BLOCK: usize = 21 * ROWS;
 
-/// Outputs up to which a last layer is computed by dot products.
+/// Maximum number of outputs for which a last layer is computed by dot products.
 const FEW: usize = 4;
 
-/// Weights of the network, packed for both directions.
+/// Weights of the network, packed for the forward and the backward pass.
 pub struct Mlp {
     layers: Vec<Layer>,
-    /// The first layer's weights of the shared inputs, if there are any.
+    /// First-layer weights of the shared inputs, if there are any.
     shared: Option<Inputs>,
 }
 
 struct Layer {
     inputs: Inputs,
-    /// [outputs, inputs], for the gradient of the inputs.
+    /// The transpose, [outputs, inputs], for the gradient of the inputs.
     backward: Packed,
-    /// Outputs that have parameters.
+    /// Number of outputs without padding.
     outputs: usize,
 }
 
-/// Weights of some inputs of a layer.
+/// The weights of some inputs of a layer.
 struct Inputs {
     forward: Forward,
-    /// Parameter row of each padded input, if it has one.
+    /// Parameter row of each padded input; `None` for padding.
     rows: Vec<Option<usize>>,
 }
 
 enum Forward {
-    /// A product over panels of columns.
+    /// A product over column panels.
     Wide(Packed),
-    /// [outputs, inputs] for outputs that are few.
+    /// [outputs, inputs], for few outputs.
     Few(Buffer<f32>),
 }
 
-/// Inputs that groups of rows have in common.
+/// Inputs that groups of rows share.
 #[derive(Clone, Copy)]
 pub struct Shared<'a> {
     /// Number of groups.
     pub groups: usize,
-    /// [groups (padded), inputs].
+    /// Shape: [groups (padded), inputs].
     pub input: &'a [f32],
-    /// Group of each row, padding rows included.
+    /// Group of each row, padding included.
     pub of: &'a [u32],
 }
 
-/// Activations of every layer but the input: hidden layers after their ReLU, then the output.
+/// Activations of every layer except the input: hidden layers after their ReLU, then the output.
 #[derive(Default)]
 pub struct Activations {
     layers: Vec<Buffer<f32>>,
-    /// What the shared inputs add to the first layer, [groups (padded), its outputs].
+    /// Contribution of the shared inputs to the first layer, [groups (padded), outputs of that layer].
     shared: Buffer<f32>,
-    /// A block's rows as pairs of columns.
+    /// The rows of a block as pairs of columns.
     pairs: Buffer<f32>,
 }
 
-/// Weight gradients, padded like the packed weights.
+/// Weight gradients, padded as the packed weights are.
 pub struct MlpGradient {
     layers: Vec<Buffer<f32>>,
     shared: Buffer<f32>,
 }
 
-/// Buffers for gradients on their way back: a worker's, for whichever network is at work.
+/// A worker's buffers for a backward pass, used by one network at a time.
 #[derive(Default)]
 pub struct Passing {
-    /// A block's gradients above and below a layer.
+    /// The gradients above and below a layer, for one block.
     scratch: [Buffer<f32>; 2],
     /// Gradients of the first layer's outputs, summed over each group.
     sums: Buffer<f32>,
     pairs: Pairs,
 }
 
-/// A block's factors as pairs of bf16.
+/// The factors of a block as pairs of bf16.
 #[derive(Default)]
 struct Pairs {
-    /// Neighbouring columns of the gradient of a layer's outputs.
+    /// Gradient of a layer's outputs, in pairs of neighbouring columns.
     columns: Buffer<f32>,
-    /// Neighbouring rows of a layer's inputs, and of the gradient of its outputs.
+    /// A layer's inputs and the gradient of its outputs, in pairs of neighbouring rows.
     rows: [Buffer<f32>; 2],
 }
 
@@ -116,7 +116,7 @@ impl Pairs {
     }
 }
 
-/// Rows of `w.k` values as the left factor of a product with `w`; made in `pairs` where they have to be.
+/// Rows of `w.k` values as the left factor of a product with `w`; packed into `pairs` if `w` is bf16.
 fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a mut Buffer<f32>) -> &'a [f32] {
     match w.precision() {
         Precision::F32 | Precision::F16 => values,
@@ -167,7 +167,7 @@ impl Inputs {
     }
 }
 
-/// Weight at a padded place.
+/// The weight at a padded row and column.
 fn weight(rows: &[Option<usize>], outputs: usize, weights: &[f32], row: usize, column: usize) -> f32 {
     match rows[row] {
         Some(row) if column < outputs => weights[row * outputs + column],
@@ -176,20 +176,20 @@ fn weight(rows: &[Option<usize>], outputs: usize, weights: &[f32], row: usize, c
 }
 
 impl Layer {
-    /// Padded inputs.
+    /// Number of padded inputs.
     fn k(&self) -> usize {
         self.inputs.rows.len()
     }
 
-    /// Padded outputs: the rows of the matrix for the way back.
+    /// Number of padded outputs, which are the rows of the transpose.
     fn n(&self) -> usize {
         self.backward.k()
     }
 }
 
 impl Mlp {
-    /// A network of the given layers ([inputs, outputs] each); `input_rows` says which parameter row each padded input
-    /// of the first layer has, `shared_rows` the same of the inputs that groups of rows share.
+    /// A network of the given layers ([inputs, outputs] each). `input_rows` gives the parameter row of each padded
+    /// input of the first layer; `shared_rows` does the same for the inputs that groups of rows share.
     pub fn new(
         layers: &[[usize; 2]],
         input_rows: Vec<Option<usize>>,
@@ -239,7 +239,7 @@ impl Mlp {
         self.layers[self.layers.len() - 1].n()
     }
 
-    /// Room for activations.
+    /// Creates empty activations.
     pub fn activations(&self) -> Activations {
         Activations {
             layers: self.layers.iter().map(|_| Buffer::zeros(0)).collect(),
@@ -248,7 +248,7 @@ impl Mlp {
         }
     }
 
-    /// A zero gradient.
+    /// Creates a zero gradient.
     pub fn gradient(&self) -> MlpGradient {
         let size = |inputs: &Inputs, n: usize| inputs.rows.len() * n;
         MlpGradient {
@@ -257,10 +257,10 @@ impl Mlp {
         }
     }
 
-    /// Runs `rows` rows through the network, a block at a time through all layers: a block's activations stay in L2.
+    /// Runs `rows` rows through the network. Each block goes through all layers, so that its activations stay in L2.
     ///
     /// # Panics
-    /// When `shared` is there and the network has no shared inputs, or the other way round.
+    /// When `shared` is given and the network has no shared inputs, or the other way round.
     pub fn forward(
         &self,
         simd: Simd,
@@ -305,7 +305,8 @@ impl Mlp {
         }
     }
 
-    /// From the gradient of the output to `input_gradient`, both of padded rows and width; adds to the weight gradients.
+    /// Computes `input_gradient` from the gradient of the output, both with padded rows and width; adds to the weight
+    /// gradients.
     #[allow(clippy::too_many_arguments)]
     pub fn backward(
         &self,
@@ -349,7 +350,7 @@ impl Mlp {
                     if let Some(shared) = shared {
                         add_groups(sums, by_output, &shared.of[first..][..count], width);
                     }
-                    // Behind the input lies no ReLU of this network.
+                    // There is no ReLU of this network before its input.
                     let out = &mut input_gradient[first * k..];
                     let by_output = left(simd, count, by_output, &layer.backward, &mut pairs.columns);
                     multiply(simd, count, by_output, &layer.backward, out, Start::Zero, Finish::Store);
@@ -369,8 +370,8 @@ impl Mlp {
         }
     }
 
-    /// Sums the gradients of layer `layer` over the deposits in their order, into parameters [inputs, outputs], and
-    /// zeroes them.
+    /// Sums the gradients of layer `layer` over the deposits, in order, into parameters [inputs, outputs], and sets
+    /// the deposits to zero.
     pub fn flush<'a>(
         &self,
         layer: usize,
@@ -400,12 +401,12 @@ fn add_groups(sums: &mut [f32], rows: &[f32], of: &[u32], width: usize) {
 }
 
 impl Activations {
-    /// The output, padded width.
+    /// The output, with padded width.
     pub fn output(&self) -> &Buffer<f32> {
         &self.layers[self.layers.len() - 1]
     }
 
-    /// Drops rows.
+    /// Keeps the rows `kept` and drops the others.
     pub fn keep(&mut self, mlp: &Mlp, kept: &[u32]) {
         for (buffer, layer) in self.layers.iter_mut().zip(&mlp.layers) {
             let width = layer.n();
@@ -414,7 +415,7 @@ impl Activations {
         }
     }
 
-    /// Forgets all rows.
+    /// Removes all rows.
     pub fn clear(&mut self) {
         self.layers.iter_mut().for_each(Buffer::clear);
     }
@@ -426,7 +427,7 @@ impl Activations {
         }
     }
 
-    /// Becomes the rows `rows` of `from`.
+    /// Replaces all rows by the rows `rows` of `from`.
     pub fn gather(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
         for ((buffer, from), layer) in self.layers.iter_mut().zip(&from.layers).zip(&mlp.layers) {
             buffer.gather_rows(from, rows, layer.n(), padded(rows.len()));

@@ -1,5 +1,5 @@
-//! The occupancy grid on the CPU: one bit per cell, in blocks of 4×4×4 cells a word, so that empty space is skipped a
-//! block at a time.
+//! The occupancy grid on the CPU: one bit per cell, one word per block of 4×4×4 cells, so that empty space is skipped
+//! a block at a time.
 
 use crate::buffer::Buffer;
 use crate::{CpuBackend, Lane};
@@ -22,19 +22,19 @@ pub struct CpuOccupancy {
     space: Space<f32>,
     /// World length of one marching step.
     step_length: f32,
-    /// Radius of a sphere whose disc has the area of a cell's face, world units.
+    /// Radius of a sphere whose great circle has the area of a cell's face, world units.
     radius: f32,
     densities: Vec<f32>,
-    /// Blocks x + B·(y + B·z); bit x + 4·(y + 4·z) within.
+    /// Blocks in the order x + B·(y + B·z); within a block, bit x + 4·(y + 4·z).
     blocks: Vec<u64>,
-    /// Blocks of blocks, 16 cells a side: a bit says that its block is not empty.
+    /// Blocks of blocks, 16 cells along a side. A set bit means that its block is not empty.
     supers: Vec<u64>,
     occupied: usize,
     chosen: Vec<u32>,
 }
 
 impl CpuOccupancy {
-    /// A grid that is occupied everywhere.
+    /// A grid in which every cell is occupied.
     pub fn new(config: &Config) -> Self {
         let space = Space::new(&config.scene);
         let resolution = config.occupancy.resolution;
@@ -61,7 +61,8 @@ impl CpuOccupancy {
         self.config.resolution
     }
 
-    /// Side, in cells, of the largest empty cube of the hierarchy that holds a cell; `None` when the cell is occupied.
+    /// Side, in cells, of the largest empty cube of the hierarchy that contains a cell; `None` if the cell is
+    /// occupied.
     #[inline(always)]
     pub fn empty_around(&self, cell: [u32; 3]) -> Option<u32> {
         let block = cell.map(|c| c / BLOCK);
@@ -83,7 +84,7 @@ impl CpuOccupancy {
         (self.config.resolution / BLOCK).div_ceil(BLOCK)
     }
 
-    /// Place of a cell's bit: block index and bit.
+    /// Block index and bit index of a cell.
     fn place(&self, cell: u32) -> (usize, u32) {
         let blocks = self.config.resolution / BLOCK;
         let [x, y, z] = coordinates(cell, self.config.resolution);
@@ -100,7 +101,7 @@ impl CpuOccupancy {
         self.densities.len() as u32
     }
 
-    /// Sets every cell's bit by `occupied(cell)`.
+    /// Sets every cell's bit to `occupied(cell)`.
     fn set_bits(&mut self, occupied: impl Fn(u32) -> bool + Sync) {
         let (resolution, blocks) = (self.config.resolution, self.config.resolution / BLOCK);
         self.blocks.par_iter_mut().enumerate().for_each(|(i, word)| {
@@ -124,7 +125,7 @@ impl CpuOccupancy {
     }
 }
 
-/// Bit of a cell within its block, or of a block within its block of blocks.
+/// Bit index of a cell within its block, or of a block within its block of blocks.
 #[inline(always)]
 fn bit_of([x, y, z]: [u32; 3]) -> u32 {
     x % BLOCK + BLOCK * (y % BLOCK + BLOCK * (z % BLOCK))
@@ -173,7 +174,7 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
         let densities = std::mem::take(&mut self.densities);
         self.set_bits(|cell| densities[cell as usize] > limit);
         self.densities = densities;
-        // A grid whose cells all equal their mean has none above it: without this it would stay empty for ever.
+        // If all cells equal their mean, none is above it; without this rule such a grid would stay empty for ever.
         if self.occupied == 0 {
             self.set_bits(|_| true);
         }

@@ -13,7 +13,7 @@ use trimip_core::config::{OptimizerConfig, Untouched};
 use trimip_core::params::{ALIGNMENT, Slot};
 use trimip_core::{Config, Layout, Optimizer};
 
-/// Parameters of one task.
+/// Parameters per task.
 const CHUNK: usize = 1 << 15;
 
 /// Moments of all parameters.
@@ -24,12 +24,12 @@ pub struct CpuOptimizer {
     m: Buffer<f32>,
     v: Buffer<f32>,
     non_finite: AtomicU64,
-    /// Part of each slot that is in use, up to the next alignment.
+    /// The part of each slot that is in use, up to the next alignment.
     parts: Vec<Range<usize>>,
 }
 
 impl CpuOptimizer {
-    /// Zero moments; none at all unless `training`.
+    /// Zero moments; empty buffers unless `training`.
     pub fn new(simd: Simd, config: &Config, layout: &Layout, training: bool) -> Self {
         let length = if training { layout.len() } else { 0 };
         Self {
@@ -45,7 +45,7 @@ impl CpuOptimizer {
 }
 
 impl CpuOptimizer {
-    /// True when texels without a gradient stay as they are.
+    /// True if texels without a gradient are not updated.
     pub(crate) fn skips_untouched(&self) -> bool {
         self.config.untouched == Untouched::Skip
     }
@@ -66,7 +66,7 @@ impl CpuOptimizer {
         for (index, (slot, whole)) in slots.iter().zip(parts).enumerate() {
             let rule = Rule::of(config, slot, learning_rate, step);
             let group = slot.group.filter(|_| config.untouched == Untouched::Skip);
-            // Row by row where rows say what they touched.
+            // Row by row if the encoder reports the touched part of each row.
             let mut pieces = Vec::new();
             match touched.as_deref() {
                 Some(rows) if index == 0 => {
@@ -137,7 +137,7 @@ impl Optimizer<CpuBackend> for CpuOptimizer {
 struct Update<'a> {
     rule: Rule<f32>,
     scale: f32,
-    /// Groups of this many values without any gradient stay as they are.
+    /// Groups of this many values are skipped if they have no gradient.
     group: Option<usize>,
     parameters: &'a mut [f32],
     m: &'a mut [f32],
@@ -146,15 +146,15 @@ struct Update<'a> {
 }
 
 impl Kernel for Update<'_> {
-    /// Gradients whose square is beyond f32.
+    /// Number of gradients whose square overflows f32.
     type Output = u64;
     #[inline(always)]
     fn run<L: Lanes>(self) -> u64 {
         let Self { rule, scale, group, parameters, m, v, gradient } = self;
-        // One pass that looks, so that the pass that writes has no branch and becomes vectors.
+        // A first pass only checks, so that the pass that writes has no branch and is vectorised.
         let square = |g: f32| (g * scale) * (g * scale);
         let finite = gradient.iter().fold(0.0_f32, |sum, &g| sum + square(g) * 0.0) == 0.0;
-        // Slots are padded to whole lines; arrays of known length become vectors.
+        // Slots are padded to whole lines; arrays of fixed length are vectorised.
         let moments = m.as_chunks_mut::<ALIGNMENT>().0.iter_mut().zip(v.as_chunks_mut::<ALIGNMENT>().0);
         let lines = parameters.as_chunks_mut::<ALIGNMENT>().0.iter_mut().zip(moments);
         let mut skipped = 0;
@@ -191,7 +191,7 @@ mod tests {
     use trimip_core::batch::StepSums;
     use trimip_core::config::FilePrecision;
 
-    /// Slots of lengths that no register divides, dense and sparse in groups, each with a rate and a decay of its own.
+    /// Slots of lengths that no register divides: dense and sparse ones, each with its own rate and decay.
     fn odd() -> Layout {
         let slot = |name: &str, shape: &[usize], rate, decay, group| Slot {
             rate,
@@ -210,7 +210,8 @@ mod tests {
         ])
     }
 
-    /// Algorithm 2 of Loshchilov and Hutter as it is printed: value and moments after step `step` at a learning rate of 1e-2.
+    /// Algorithm 2 of Loshchilov and Hutter as printed: value and moments after step `step` at a learning rate of
+    /// 1e-2.
     fn printed(config: &Config, slot: &Slot, step: u64, [x, m, v]: [f64; 3], gradient: f64) -> [f64; 3] {
         let c = &config.optimizer;
         let m = c.beta1 * m + (1.0 - c.beta1) * gradient;
@@ -245,7 +246,7 @@ mod tests {
                 let mut gradient = Buffer::zeros(layout.len());
                 for slot in &layout.slots {
                     for i in slot.range.clone() {
-                        // Every third group has no gradient at this step.
+                        // Every third group has no gradient in this step.
                         let group = (i - slot.range.start) / slot.group.unwrap_or(1);
                         let idle = (group as u64 + step).is_multiple_of(3);
                         gradient[i] =
@@ -267,7 +268,7 @@ mod tests {
                         let [x, m, v] = exact[i];
                         let found = [parameters[i], optimizer.m[i], optimizer.v[i]].map(f64::from);
                         for (found, expected) in found.into_iter().zip([x, m, v]) {
-                            // Values are of order one; what cancels keeps the rounding of what it came from.
+                            // Values are of order one; after cancellation the rounding error of the operands remains.
                             let bound = 1e-6 * expected.abs().max(1.0);
                             assert!((found - expected).abs() <= bound, "{simd:?} {}[{i}] {found}", slot.name);
                         }

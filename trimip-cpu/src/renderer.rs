@@ -3,38 +3,38 @@
 use crate::buffer::Buffer;
 use crate::occupancy::CpuOccupancy;
 use crate::see::see;
-use crate::simd::Simd;
+use crate::simd::{Kernel, Lanes, Simd};
 use crate::{CpuBackend, Lane};
 use trimip_core::backend::Stages;
-use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Workspace};
+use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Target, Workspace};
 use trimip_core::compositing::{Pruning, Seen, composite, composite_gradient};
 use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
 use trimip_core::{Config, Pixel, Renderer, Space};
 
-/// How far a ray has been marched.
+/// The progress of marching along a ray.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cursor {
-    /// Distance of the first step's beginning.
+    /// Distance of the start of the first step.
     first: f32,
-    /// Distance at which the ray leaves the box; −∞ when it misses.
+    /// Distance at which the ray leaves the box; −∞ if it misses the box.
     leave: f32,
     /// Length of a step.
     step: f32,
-    /// Steps done.
+    /// Number of steps done.
     index: f32,
 }
 
-/// Space, step and background.
+/// Space, step and background of a renderer.
 pub struct CpuRenderer {
     pub(crate) simd: Simd,
     space: Space<f32>,
-    /// Length of a step of the schedule's scale 1.
+    /// Length of a step at scale 1 of the schedule.
     uniform_step: f32,
     step_scale: Schedule,
-    /// Length of a step as the schedule has it.
+    /// Current length of a step, by the schedule.
     step_length: f32,
-    /// Least length of a step in radii of the ray's sphere in the middle of the box.
+    /// Minimum length of a step, in radii of the ray's sphere in the middle of the box.
     step_per_radius: f32,
     pub(crate) pruning: Pruning<f32>,
     background: [f32; 3],
@@ -42,7 +42,7 @@ pub struct CpuRenderer {
 }
 
 impl CpuRenderer {
-    /// The renderer of a configuration.
+    /// Creates the renderer of a configuration.
     pub fn new(simd: Simd, config: &Config) -> Self {
         let uniform_step = config.step_length();
         let step_scale = config.renderer.step_scale.clone();
@@ -59,23 +59,23 @@ impl CpuRenderer {
         }
     }
 
-    /// Where a ray begins in the box: before its first step, which `jitter` moves by a random part of a step; `index` is
-    /// the ray's number within the training step.
+    /// The cursor of a ray at its entry into the box, before its first step. `jitter` moves the first step by a
+    /// random fraction of a step; `index` is the ray's index within the training step.
     pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
         let (enter, leave) = self.space.intersect(ray.origin, ray.direction);
         let offset = jitter.map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, index)[0]);
         let by_radius = self.step_per_radius * ray.slope * 0.5 * (enter + leave);
-        // A comparison with NaN is false: the uniform step.
+        // A comparison with NaN is false and selects the uniform step.
         let step = if by_radius > self.step_length { by_radius } else { self.step_length };
         let first = enter + offset * step;
         let hits = leave > first && leave.is_finite();
         Cursor { first, leave: if hits { leave } else { f32::NEG_INFINITY }, step, index: 0.0 }
     }
 
-    /// Calls `place` for the middle of every step from the cursor on that lies in an occupied cell, at most `limit`
-    /// times; returns true when the ray has left the box.
+    /// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, at most `limit`
+    /// times. Returns true if the ray has left the box.
     ///
-    /// Empty cubes of 16, 4 or 1 cells are skipped whole, so that the samples are exactly those of testing every step.
+    /// Skips empty cubes of 16, 4 or 1 cells as a whole; the samples are exactly those of testing every step.
     #[inline(always)]
     pub(crate) fn advance(
         &self,
@@ -107,11 +107,11 @@ impl CpuRenderer {
                 continue;
             };
             let exit = way.exit(t, cell, size);
-            // The first step whose middle is not before the exit. What rounding may move is a few 1e-7 of the distance;
-            // a step that close to the exit is asked rather than skipped.
+            // The first step whose midpoint is not before the exit. Rounding may move it by a few 1e-7 of the
+            // distance; a step that close to the exit is tested rather than skipped.
             let steps = (exit - first) * inverse_step - 0.5;
             let next = (steps * (1.0 - 1e-6) - 0.01).ceil();
-            // No exit, or NaN: one step.
+            // Without an exit, or with NaN: advance one step.
             index = if next.is_finite() { next.max(index + 1.0) } else { index + 1.0 };
         }
     }
@@ -140,31 +140,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
         jitter: Option<u64>,
         samples: &mut Samples<CpuBackend>,
     ) {
-        samples.segments.resize(rays.rays.len());
-        let most_samples = self.space.most_steps(self.step_length);
-        let mut count = 0;
-        for (i, ray) in rays.rays.iter().enumerate() {
-            let start = count;
-            // Room for a ray that is occupied all along, so that placing a sample is a plain store.
-            let most = start + most_samples;
-            samples.rays.resize(most);
-            samples.intervals.resize(most);
-            samples.spheres.resize(most);
-            let owners = &mut samples.rays[start..];
-            let (intervals, spheres) = (&mut samples.intervals[start..], &mut samples.spheres[start..]);
-            let mut cursor = self.start(ray, jitter, rays.first + i as u32);
-            self.advance(ray, occupancy, &mut cursor, usize::MAX, |interval, sphere| {
-                let place = count - start;
-                (owners[place], intervals[place], spheres[place]) = (i as u32, interval, sphere);
-                count += 1;
-            });
-            samples.segments[i] = Segment { start: start as u32, count: (count - start) as u32 };
-        }
-        samples.rays.resize(count);
-        samples.intervals.resize(count);
-        samples.spheres.resize(count);
-        samples.counts.resize(1);
-        samples.counts[0] = [count as u32; 2];
+        self.simd.run(March { renderer: self, rays, occupancy, jitter, samples });
     }
 
     fn prune(
@@ -205,19 +181,22 @@ impl Renderer<CpuBackend> for CpuRenderer {
     ) {
         cones.resize(rays.rays.len());
         pixels.resize(rays.groups.len());
+        let (segments, rays_of, targets): (&[Segment], &[Ray], &[Target]) =
+            (&samples.segments, &rays.rays, &rays.targets);
+        let (intervals, radiance): (&[Interval], &[Radiance]) = (&samples.intervals, radiance);
+        let cones: &mut [Pixel] = cones;
         for (i, (pixel, group)) in pixels.iter_mut().zip(rays.groups.iter()).enumerate() {
-            let background = rays.targets.get(i).map_or(self.background, |target| target.background);
+            let background = targets.get(i).map_or(self.background, |target| target.background);
             let group = group.range();
-            for index in group.clone() {
+            let parts = segments[group.clone()].iter().zip(&rays_of[group.clone()]);
+            for (cone, (segment, ray)) in cones[group.clone()].iter_mut().zip(parts) {
+                let own = intervals[segment.range()].iter().zip(&radiance[segment.range()]);
                 let result = composite(
-                    samples.segments[index].range().map(|i| {
-                        let Interval { t, length } = samples.intervals[i];
-                        (radiance[i].density * length, radiance[i].rgb, t)
-                    }),
+                    own.map(|(interval, own)| (own.density * interval.length, own.rgb, interval.t)),
                     background,
                 );
-                let depth = result.distance * rays.rays[index].cosine;
-                cones[index] = Pixel { rgb: result.rgb, opacity: result.opacity, depth };
+                let depth = result.distance * ray.cosine;
+                *cone = Pixel { rgb: result.rgb, opacity: result.opacity, depth };
             }
             *pixel = Pixel::mean(&cones[group]);
         }
@@ -255,5 +234,47 @@ impl Renderer<CpuBackend> for CpuRenderer {
                 );
             }
         }
+    }
+}
+
+/// Marches every ray of a span to its end.
+struct March<'a> {
+    renderer: &'a CpuRenderer,
+    rays: &'a Rays<CpuBackend>,
+    occupancy: &'a CpuOccupancy,
+    jitter: Option<u64>,
+    samples: &'a mut Samples<CpuBackend>,
+}
+
+impl Kernel for March<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { renderer, rays, occupancy, jitter, samples } = self;
+        samples.segments.resize(rays.rays.len());
+        let most_samples = renderer.space.most_steps(renderer.step_length);
+        let mut count = 0;
+        for (i, ray) in rays.rays.iter().enumerate() {
+            let start = count;
+            // Room for a ray that is occupied along its whole length, so that placing a sample is a plain store.
+            let most = start + most_samples;
+            samples.rays.resize(most);
+            samples.intervals.resize(most);
+            samples.spheres.resize(most);
+            let owners = &mut samples.rays[start..];
+            let (intervals, spheres) = (&mut samples.intervals[start..], &mut samples.spheres[start..]);
+            let mut cursor = renderer.start(ray, jitter, rays.first + i as u32);
+            renderer.advance(ray, occupancy, &mut cursor, usize::MAX, |interval, sphere| {
+                let place = count - start;
+                (owners[place], intervals[place], spheres[place]) = (i as u32, interval, sphere);
+                count += 1;
+            });
+            samples.segments[i] = Segment { start: start as u32, count: (count - start) as u32 };
+        }
+        samples.rays.resize(count);
+        samples.intervals.resize(count);
+        samples.spheres.resize(count);
+        samples.counts.resize(1);
+        samples.counts[0] = [count as u32; 2];
     }
 }

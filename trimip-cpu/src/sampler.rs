@@ -1,4 +1,4 @@
-//! Where rays come from on the CPU: random pixels of the training views, or all pixels of a camera.
+//! Ray generation on the CPU: random pixels of the training views, or all pixels of a camera.
 
 use crate::simd::fetch;
 use crate::{CpuBackend, Lane};
@@ -11,16 +11,16 @@ use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
 
-/// Pixels that are drawn before the first of them is read.
+/// Number of pixels that are drawn and prefetched before the first of them is read.
 const AHEAD: usize = 32;
 
-/// Training views and how rays are shared among their scales.
+/// The training views, and the distribution of rays among their scales.
 pub struct CpuSampler {
     views: Option<ViewSet>,
     balance: Balance,
     background: [f32; 3],
     train: TrainConfig,
-    /// Share of the pixels that have a random background.
+    /// Fraction of the pixels that get a random background.
     random_share: f32,
     /// Cones along a side of a pixel.
     side: u32,
@@ -28,7 +28,7 @@ pub struct CpuSampler {
 }
 
 impl CpuSampler {
-    /// A sampler over `views`; without them it makes camera rays only.
+    /// A sampler over `views`. Without views it generates camera rays only.
     pub fn new(config: &Config, views: Option<ViewSet>) -> Self {
         let mut sampler = Self {
             views,
@@ -43,7 +43,7 @@ impl CpuSampler {
         sampler
     }
 
-    /// Gives each of the pixels `range` its group of cones.
+    /// Assigns a group of cones to each of the pixels `range`.
     fn group(&self, range: &Range<u32>, rays: &mut Rays<CpuBackend>) {
         let count = self.side * self.side;
         rays.first = range.start * count;
@@ -54,9 +54,14 @@ impl CpuSampler {
         }
     }
 
-    /// Makes the cones of a pixel, the span's number `slot`.
+    /// Generates the cones of a pixel, which is number `slot` of the span.
     #[inline]
     fn cones(&self, camera: &Camera, [x, y]: [u32; 2], rays: &mut Rays<CpuBackend>, slot: usize) {
+        // The usual case, without divisions.
+        if self.side == 1 {
+            rays.rays[slot] = camera.cone(x, y).into();
+            return;
+        }
         let count = (self.side * self.side) as usize;
         let own = &mut rays.rays[slot * count..][..count];
         for (ray, index) in own.iter_mut().zip(0..) {
@@ -90,7 +95,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             return;
         };
         let begins: Vec<u32> = self.balance.begins(total).collect();
-        // Random pixels are out of every cache: some are asked for before the first is read.
+        // Random pixels are not in any cache: several are prefetched before the first is read.
         let mut drawn = [(0, 0); AHEAD];
         for (slot, index) in range.clone().enumerate() {
             if slot % AHEAD == 0 {

@@ -1,5 +1,6 @@
-//! Seeing front to back: rays are walked in pieces of a few samples, and a ray that has become opaque is left. The samples
-//! kept, and every bit of their features and densities, are those of asking all samples and pruning afterwards.
+//! Evaluates densities front to back. Rays are walked in pieces of a few samples, and a ray that has become opaque is
+//! dropped. The kept samples, and every bit of their features and densities, equal those of evaluating all samples
+//! and pruning afterwards.
 
 use crate::buffer::Buffer;
 use crate::field::Tape;
@@ -12,33 +13,33 @@ use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Wor
 use trimip_core::compositing::{Pruning, Seen};
 use trimip_core::{Encoder, Field};
 
-/// Samples of a ray that are asked at once: few, so that little is asked behind the surface.
+/// Samples per ray that are evaluated at once; few, so that little is evaluated behind the surface.
 const PIECE: usize = 16;
 
-/// A ray on its way.
+/// The state of a ray that is being walked.
 struct Walker {
     ray: u32,
     cursor: Cursor,
-    /// Optical depth of what was seen so far.
+    /// Optical depth accumulated so far.
     depth: f32,
-    /// True when it has left the box.
+    /// True if the ray has left the box.
     out: bool,
 }
 
-/// Scratch of a worker.
+/// A worker's scratch memory.
 pub(crate) struct Scratch {
     walkers: Vec<Walker>,
-    /// One piece of every walking ray.
+    /// One piece of every ray that is being walked.
     piece: Rows,
-    /// Rows of the piece that are seen.
+    /// Rows of the piece that are visible.
     seen: Buffer<u32>,
-    /// What was seen, piece by piece.
+    /// Visible samples, piece by piece.
     staged: Rows,
-    /// Rows of `staged`, ray by ray.
+    /// Rows of `staged` in ray order.
     order: Vec<u32>,
 }
 
-/// Samples with what is known of them.
+/// Samples with the values computed for them.
 struct Rows {
     samples: Samples<CpuBackend>,
     encoding: Buffer<f32>,
@@ -91,7 +92,7 @@ pub(crate) fn see(
 }
 
 impl Scratch {
-    /// Walks all rays to their end; leaves what is seen in `staged`. Returns the number of samples asked.
+    /// Walks all rays to their end and collects visible samples in `staged`. Returns the number of evaluated samples.
     fn walk(
         &mut self,
         lane: &mut Lane,
@@ -130,7 +131,7 @@ impl Scratch {
         marched
     }
 
-    /// Brings what was seen into the workspace, ray by ray.
+    /// Copies the visible samples into the workspace, ray by ray.
     fn sort_by_ray(&mut self, stages: &Stages<CpuBackend>, space: &mut Workspace<CpuBackend>) {
         let Self { staged, order, .. } = self;
         let Workspace { rays, samples, encoding, features, tape, radiance, .. } = space;
@@ -162,7 +163,7 @@ impl Scratch {
     }
 }
 
-/// Places the next piece of every walking ray, one segment each.
+/// Places the next piece of every ray that is being walked, one segment each.
 struct Place<'a> {
     walkers: &'a mut [Walker],
     stages: &'a Stages<CpuBackend>,
@@ -205,7 +206,7 @@ impl Kernel for Place<'_> {
     }
 }
 
-/// Lists the samples that are seen and leaves rays that have ended or become opaque.
+/// Lists the visible samples, and drops rays that have ended or become opaque.
 fn look(
     walkers: &mut Vec<Walker>,
     samples: &Samples<CpuBackend>,

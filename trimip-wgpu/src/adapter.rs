@@ -1,16 +1,16 @@
-//! The adapters of this machine: what they offer, and which one is meant.
+//! The adapters of this machine: their capabilities, and the choice among them.
 
 use crate::products::{COOPERATING, Matrices};
 use trimip_core::{Error, Result, scene_plan::Compute};
 
-/// What an adapter is and offers.
+/// An adapter and its capabilities.
 #[derive(Clone, Debug)]
 pub struct AdapterFacts {
     /// Its name.
     pub name: String,
     /// One line: kind, backend, driver.
     pub about: String,
-    /// Limits and features that matter here, name and value.
+    /// Relevant limits and features: name and value.
     pub offers: Vec<(&'static str, String)>,
 }
 
@@ -56,12 +56,12 @@ fn facts(adapter: &wgpu::Adapter) -> AdapterFacts {
     }
 }
 
-/// What cooperative matrices need.
+/// The features that cooperative matrices need.
 pub const COOPERATION: wgpu::Features = wgpu::Features::SHADER_F16
     .union(wgpu::Features::SUBGROUP)
     .union(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX);
 
-/// The cooperative matrices that the kernels are written for: square, of 8 or 16, factors of f16, sums of f32.
+/// The cooperative matrices that the kernels support: square, of side 8 or 16, with f16 factors and f32 sums.
 pub fn matrices(adapter: &wgpu::Adapter) -> Option<Matrices> {
     use wgpu::CooperativeScalarType::{F16, F32};
     if !adapter.features().contains(COOPERATION) {
@@ -77,7 +77,7 @@ pub fn matrices(adapter: &wgpu::Adapter) -> Option<Matrices> {
     Some(Matrices { side, subgroups: COOPERATING / largest })
 }
 
-/// Ranks adapters for a user who names none: real devices first, software last.
+/// Ranks adapters for a user who names none: hardware first, software last.
 fn rank(info: &wgpu::AdapterInfo) -> u32 {
     match info.device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
@@ -88,12 +88,18 @@ fn rank(info: &wgpu::AdapterInfo) -> u32 {
     }
 }
 
-/// The adapter whose name contains `name` (case does not matter), or the best one when it is empty.
+/// The adapter whose name contains `name` (ignoring case), or the best one if `name` is empty.
+///
+/// # Errors
+/// When there is no such adapter.
 pub fn choose(name: &str) -> Result<wgpu::Adapter> {
     choose_among(all_adapters(), name)
 }
 
 /// As [`choose`], without blocking.
+///
+/// # Errors
+/// As [`choose`].
 pub async fn choose_async(name: &str) -> Result<wgpu::Adapter> {
     choose_among(all_adapters_async().await, name)
 }
@@ -116,17 +122,20 @@ fn choose_among(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Result<wgpu::Ad
     })
 }
 
-/// Kept samples a second that a GPU is expected to train: what the paper reports for an A100. Not measured here.
+/// Kept samples per second expected of a GPU in training: the paper's figure for an A100. Not measured here.
 const EXPECTED: f64 = 2.2e7;
 
-/// Kept samples a second that training reaches on a software adapter: llvmpipe of Mesa 22.3 with two cores of an AMD EPYC
-/// (AVX2) and the quickstart's model.
+/// Kept samples per second of training on a software adapter: llvmpipe of Mesa 22.3 on two cores of an AMD EPYC
+/// (AVX2), with the quickstart's model.
 pub const SOFTWARE_SAMPLES_PER_SECOND: f64 = 1_000.0;
 
-/// Cells of the occupancy grid that are asked for their density in a second on the same adapter.
+/// Occupancy-grid cells whose density is evaluated per second on the same adapter.
 pub const SOFTWARE_CELLS_PER_SECOND: f64 = 12_000.0;
 
-/// What the adapter of this name trains with.
+/// The training speed of the adapter with this name.
+///
+/// # Errors
+/// When there is no such adapter.
 pub fn compute(name: &str) -> Result<Compute> {
     let info = choose(name)?.get_info();
     let software = info.device_type == wgpu::DeviceType::Cpu;
@@ -138,13 +147,13 @@ pub fn compute(name: &str) -> Result<Compute> {
     })
 }
 
-/// Full name of the adapter of this name where it is software: the processor in a GPU's place.
+/// Full name of the adapter with this name if it is a software adapter, which runs on the processor.
 pub fn software(name: &str) -> Option<String> {
     let info = choose(name).ok()?.get_info();
     (info.device_type == wgpu::DeviceType::Cpu).then_some(info.name)
 }
 
-/// Bytes that the adapter of this name binds at once, where there is one.
+/// Largest binding in bytes of the adapter with this name, if there is one.
 pub fn largest_binding(name: &str) -> Option<u64> {
     choose(name).ok().map(|adapter| adapter.limits().max_storage_buffer_binding_size)
 }

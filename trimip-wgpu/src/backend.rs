@@ -1,4 +1,5 @@
-//! The GPU as a backend: all stages record into one submission, a step is one span, and sums are read when they are there.
+//! The GPU backend. All stages record into one submission, a step is one span, and sums are read once they are
+//! available.
 
 use crate::buffer::Buffer;
 use crate::ceilings::Ceilings;
@@ -24,51 +25,51 @@ use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
-/// Rounds after which llvmpipe ends the loops of an invocation, less some for the other loops.
+/// Iterations after which llvmpipe ends the loops of an invocation, minus some for its other loops.
 const SOFTWARE_ROUNDS: usize = 60_000;
 
-/// Byte of the sum of the weights within the sums of a step.
+/// Byte offset of the sum of the weights within a step's sums.
 const WEIGHT_AT: u64 = 4;
 
-/// Marched samples for which a span of the training loop is made.
+/// Marched samples that the training loop plans for one span.
 const SAMPLES_PER_SPAN: usize = 512;
 
-/// Pixels or probes of a first span at most, before it is known how many samples they have.
+/// Maximum number of pixels or probes in a first span, before their number of samples is known.
 const MOST_AT_FIRST: usize = 1 << 18;
 
-/// A GPU.
+/// A GPU device with its workspaces and counters.
 pub struct WgpuBackend {
     gpu: Arc<Gpu>,
     addition: Addition,
     workspaces: Mutex<Vec<Workspace<Self>>>,
     known: Arc<Known>,
-    /// Counters of the model that is trained, to be read with the sums of a step: the grid's and the field's.
+    /// Counters of the model in training, read together with a step's sums: the occupancy grid's and the field's.
     watched: Mutex<Option<[wgpu::Buffer; 2]>>,
     room: Mutex<usize>,
 }
 
-/// Counts on the device as they were last read.
+/// The last values of the device's counters that were read.
 #[derive(Default)]
 pub struct Known {
-    /// Occupied cells.
+    /// Number of occupied cells.
     pub occupied: AtomicU64,
-    /// Factors that did not fit into f16.
+    /// Number of factors that f16 cannot hold.
     pub overflows: AtomicU64,
 }
 
-/// Scratch of a workspace.
+/// Scratch memory of a workspace.
 pub struct Lane {
     gpu: Arc<Gpu>,
-    /// A number of rows that the host knows.
+    /// A number of rows that is known to the host.
     pub(crate) count: Buffer<u32>,
     pub(crate) bits: Buffer<u32>,
     pub(crate) blocks: Buffer<u32>,
     pub(crate) old_segments: Buffer<Segment>,
     pub(crate) marks: Buffer<u32>,
     pub(crate) sums: Buffer<f32>,
-    /// Arrays that rows are gathered into, by their width in words.
+    /// Destination arrays for gathered rows, by row width in words.
     spares: HashMap<usize, Buffer<u32>>,
-    /// Rays were marched: there may have been too little room.
+    /// True if rays were marched, so that samples may have been dropped for lack of room.
     pub(crate) marched: bool,
 }
 
@@ -88,7 +89,7 @@ impl Lane {
         }
     }
 
-    /// Lets an array have the rows `kept`, of `width` words each.
+    /// Keeps the rows `kept` of an array, of `width` words each, and drops the others.
     pub(crate) fn keep<T: Pod>(&mut self, kept: &Buffer<u32>, array: &mut Buffer<T>, width: usize) {
         let spare = self.spares.entry(width).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
         let Some((counts, counter)) = kept.counter() else { return };
@@ -106,11 +107,11 @@ impl Lane {
 }
 
 impl WgpuBackend {
-    /// The adapter whose name contains `adapter`, or the best one when it is empty. `deterministic` adds texel gradients
-    /// in fixed point: the same bits every time.
+    /// Opens the adapter whose name contains `adapter`, or the best one if `adapter` is empty. `deterministic` sums
+    /// texel gradients in fixed point, which gives the same bits every time.
     ///
     /// # Errors
-    /// When there is no such adapter, or it opens no device.
+    /// When there is no such adapter, or it cannot open a device.
     pub fn new(adapter: &str, deterministic: bool) -> Result<Self> {
         Ok(Self::of(Gpu::open(adapter)?, deterministic))
     }
@@ -132,11 +133,11 @@ impl WgpuBackend {
         Self::with(gpu, addition)
     }
 
-    /// The adapter whose name contains `adapter`, adding texel gradients in one of the ways that `deterministic` decides
-    /// between; `None` where the device does not have it.
+    /// Opens an adapter as [`WgpuBackend::new`] does, but with the given way of adding texel gradients. Returns
+    /// `None` if the device does not support it.
     ///
     /// # Errors
-    /// When there is no such adapter, or it opens no device.
+    /// When there is no such adapter, or it cannot open a device.
     pub fn adding(adapter: &str, addition: Addition) -> Result<Option<Self>> {
         let gpu = Gpu::open(adapter)?;
         let can = addition != Addition::Atomic || gpu.adds_floats();
@@ -154,33 +155,33 @@ impl WgpuBackend {
         }
     }
 
-    /// What crossed between host and device, and how often the host waited.
+    /// Counts of transfers between host and device, and of the host's waits.
     pub fn counts(&self) -> Counts {
         self.gpu.counts()
     }
 
-    /// Measures what the device reaches at best.
+    /// Measures the peak rates of the device.
     pub fn ceilings(&self) -> Ceilings {
         Ceilings::measure(&self.gpu)
     }
 
-    /// True when the device has the cooperative matrices of `field.precision = "f16"`.
+    /// True if the device has the cooperative matrices that `field.precision = "f16"` needs.
     pub fn cooperates(&self) -> bool {
         self.gpu.matrices().is_some()
     }
 
-    /// How texel gradients are added.
+    /// The way in which texel gradients are added.
     pub fn addition(&self) -> Addition {
         self.addition
     }
 
-    /// A function that destroys the device, as a reset of the driver does: for tests of what happens then.
+    /// Returns a function that destroys the device, as a driver reset does. Tests use it to check what happens then.
     pub fn destroyer(&self) -> impl Fn() + Send + use<> {
         let gpu = Arc::clone(&self.gpu);
         move || gpu.destroy()
     }
 
-    /// The adapter's name and driver.
+    /// Name and driver of the adapter.
     pub fn adapter(&self) -> String {
         self.gpu.name()
     }
@@ -208,14 +209,14 @@ impl WgpuBackend {
         Spans::new(count, chunk, room)
     }
 
-    /// Copies a span's results to their place.
+    /// Copies a span's results into the result array.
     fn gather<T: Pod + Send + Sync>(&self, from: &Buffer<T>, span: Range<u32>, to: &Buffer<T>) {
         let bytes = |values: u32| u64::from(values) * size_of::<T>() as u64;
         self.gpu.copy(from.raw(), 0, to.raw(), bytes(span.start), bytes(span.end - span.start));
     }
 }
 
-/// A step's sums on their way to the host.
+/// A pending transfer of a step's sums to the host.
 pub struct StepReceipt {
     sums: Receipt<u32>,
     watched: Option<[Receipt<u32>; 2]>,

@@ -1,5 +1,5 @@
-//! A flat array on the device. Its length is known to the host, or stands in a counter on the device: how many samples a
-//! step has is never waited for.
+//! A flat array on the device. Its length is either known to the host or stored in a counter on the device, so that
+//! the host never waits for the number of samples of a step.
 
 use crate::device::{Bind, Gpu};
 use crate::read_back::Receipt;
@@ -7,21 +7,21 @@ use bytemuck::Pod;
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-/// Values on the device.
+/// An array of values on the device.
 pub struct Buffer<T> {
     gpu: Arc<Gpu>,
     raw: wgpu::Buffer,
-    /// Bytes that there is room for.
+    /// Size of the allocation in bytes.
     room: usize,
     length: Length,
     values: PhantomData<T>,
 }
 
-/// How many values there are.
+/// The number of values.
 #[derive(Clone)]
 enum Length {
     Known(usize),
-    /// As many as the counter says, times a width, and at most so many.
+    /// The counter times `width`, at most `most`.
     Counted {
         counts: wgpu::Buffer,
         counter: u32,
@@ -37,7 +37,7 @@ impl<T> Drop for Buffer<T> {
 }
 
 impl<T: Pod> Buffer<T> {
-    /// `length` zeros.
+    /// Creates a buffer of `length` zeros.
     pub fn zeros(gpu: &Arc<Gpu>, length: usize) -> Self {
         let raw = gpu.buffer(std::any::type_name::<T>(), (length * size_of::<T>()) as u64);
         Self {
@@ -49,8 +49,8 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Makes room for `capacity` values; what was there is lost if there was less. An array that grows gets a quarter
-    /// more than it needs, so that one that grows step by step seldom moves.
+    /// Makes room for `capacity` values. If there was less room, the old values are lost, and an array that was not
+    /// empty gets a quarter more than it needs, so that an array that grows step by step is seldom reallocated.
     pub fn reserve(&mut self, capacity: usize) {
         if capacity > self.capacity() {
             let spare = if self.room > 0 { capacity / 4 } else { 0 };
@@ -58,31 +58,31 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Has `length` values, whatever they are.
+    /// Sets the length to `length`; the values are arbitrary.
     pub fn resize(&mut self, length: usize) {
         self.reserve(length);
         self.length = Length::Known(length);
     }
 
-    /// Has room for `capacity` values, of which there are `width` for each that the device has counted.
+    /// Makes room for `capacity` values; the length is `width` times the given counter on the device.
     pub fn count_by(&mut self, capacity: usize, counts: &wgpu::Buffer, counter: u32, width: usize) {
         self.reserve(capacity);
         self.length = Length::Counted { counts: counts.clone(), counter, width, most: capacity };
     }
 
-    /// Changes places with an array of other values.
+    /// Swaps the contents with an array of another type.
     pub fn swap<U>(&mut self, other: &mut Buffer<U>) {
         std::mem::swap(&mut self.raw, &mut other.raw);
         std::mem::swap(&mut self.room, &mut other.room);
         std::mem::swap(&mut self.length, &mut other.length);
     }
 
-    /// Values that there is room for.
+    /// Number of values that fit into the allocation.
     pub fn capacity(&self) -> usize {
         self.room / size_of::<T>()
     }
 
-    /// Values that there are at most.
+    /// Maximum number of values.
     pub fn most(&self) -> usize {
         match self.length {
             Length::Known(length) => length,
@@ -90,7 +90,7 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Number of values where the host knows it.
+    /// Number of values, if the host knows it.
     pub fn known_len(&self) -> Option<usize> {
         match self.length {
             Length::Known(length) => Some(length),
@@ -98,7 +98,7 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// The counter that says how many rows there are, where the device counted them.
+    /// The counter that holds the number of rows, if it is on the device.
     pub fn counter(&self) -> Option<(&wgpu::Buffer, u32)> {
         match &self.length {
             Length::Known(_) => None,
@@ -112,13 +112,13 @@ impl<T: Pod> Buffer<T> {
         self.gpu.write(&self.raw, values);
     }
 
-    /// Copies the values out; waits for the device.
+    /// Copies the values to the host; waits for the device.
     pub fn read(&self) -> Vec<T> {
         let count = self.count_receipt().map(|receipt| self.gpu.redeem(receipt));
         self.gpu.redeem(self.gpu.send(&self.raw, 0, self.length_of(count)))
     }
 
-    /// Copies the values out; the future is pending while the device works.
+    /// Copies the values to the host; the future is pending while the device works.
     pub async fn read_async(&self) -> Vec<T> {
         let count = match self.count_receipt() {
             Some(receipt) => Some(self.gpu.redeem_async(receipt).await),
@@ -127,12 +127,12 @@ impl<T: Pod> Buffer<T> {
         self.gpu.redeem_async(self.gpu.send(&self.raw, 0, self.length_of(count))).await
     }
 
-    /// The counter that says how many rows there are, on its way to the host.
+    /// Starts the transfer of the counter to the host, if the number of rows is on the device.
     fn count_receipt(&self) -> Option<Receipt<u32>> {
         self.counter().map(|(counts, counter)| self.gpu.send(counts, u64::from(counter) * 4, 1))
     }
 
-    /// Number of values, once the counter is read where the device counted them.
+    /// Number of values, given the counter's value if the number of rows is on the device.
     fn length_of(&self, count: Option<Vec<u32>>) -> usize {
         match (&self.length, count.as_deref()) {
             (Length::Counted { width, most, .. }, Some(&[count])) => (count as usize * width).min(*most),
@@ -143,17 +143,17 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// The buffer on the device.
+    /// The underlying `wgpu` buffer.
     pub fn raw(&self) -> &wgpu::Buffer {
         &self.raw
     }
 
-    /// All of it, for a kernel.
+    /// Binds the whole buffer.
     pub fn bind(&self) -> Bind<'_> {
         Bind { buffer: &self.raw, offset: 0, size: None }
     }
 
-    /// A part of it; `first` is a multiple of 64 values of four bytes.
+    /// Binds `count` values from `first` on; `first` is a multiple of 64 values of four bytes.
     pub fn part(&self, first: usize, count: usize) -> Bind<'_> {
         let bytes = |count: usize| (count * size_of::<T>()) as u64;
         Bind { buffer: &self.raw, offset: bytes(first), size: Some(bytes(count)) }

@@ -1,5 +1,5 @@
-//! What a device reaches at best, measured: bytes that it copies and multiply-adds that it does in a second. The speed of
-//! a stage says something beside these.
+//! Measures the peak rates of a device: bytes copied and multiply-adds per second. They put the speed of a stage in
+//! relation to what the device can do.
 
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
@@ -7,27 +7,27 @@ use crate::kernel::PEAK;
 use std::sync::Arc;
 use web_time::{Duration, Instant};
 
-/// Measured ceilings of a device.
+/// Measured peak rates of a device.
 #[derive(Clone, Copy, Debug)]
 pub struct Ceilings {
-    /// Bytes read and written in a second by copies.
+    /// Bytes per second that copies read and write.
     pub bytes: f64,
-    /// Floating-point operations of f32 in a second, two a multiply-add.
+    /// f32 operations per second; a multiply-add counts as two.
     pub operations: f64,
 }
 
-/// Operations of an invocation and a round of `peak.wgsl`.
+/// Operations per invocation and round of `peak.wgsl`.
 const OPERATIONS: f64 = 8.0 * 4.0 * 2.0;
 
-/// Least time of a measurement.
+/// Minimum duration of a measurement.
 const LEAST: Duration = Duration::from_millis(100);
 
 impl Ceilings {
-    /// Measures a device: some tenths of a second.
+    /// Measures a device; takes some tenths of a second.
     pub(crate) fn measure(gpu: &Arc<Gpu>) -> Self {
         let mark: Buffer<u32> = Buffer::zeros(gpu, 1);
         let wait = || drop(mark.read());
-        // Doubles the work until it lasts long enough; the time of the last, longest one counts.
+        // Doubles the work until it takes long enough; only the last and longest run counts.
         let rate = |work: &dyn Fn(u64) -> f64| {
             let mut times = 1_u64;
             loop {

@@ -1,5 +1,5 @@
-//! The device: which adapter, with which limits, and the recorder into which a whole step's dispatches go before they are
-//! submitted once.
+//! The device: the choice of adapter and limits, and the recorder that collects the dispatches of a whole step for a
+//! single submission.
 
 use crate::adapter::{COOPERATION, choose, choose_async, matrices};
 use crate::kernel::{Access, Kernel};
@@ -13,19 +13,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use trimip_core::{Error, Result};
 
-/// Bytes between the parameters of two dispatches: what every device can align to.
+/// Bytes between the parameters of two dispatches: an alignment that every device supports.
 const PARAMETERS_STRIDE: usize = 256;
 
-/// Dispatches that fit into a submission; more are submitted in parts.
+/// Dispatches per submission. More are submitted in several parts.
 const DISPATCHES: usize = 2048;
 
-/// Bytes of the sizes of an indirect dispatch.
+/// Bytes of the arguments of an indirect dispatch.
 const SIZES: u64 = 16;
 
-/// Workgroups in a row of a dispatch: what every device takes.
+/// Maximum number of workgroups along x; every device supports it.
 const MOST_GROUPS: u64 = 65_535;
 
-/// Invocations of a workgroup of the kernels that work item by item.
+/// Workgroup size of the kernels that work item by item.
 pub const GROUP: u32 = 64;
 
 /// A device, its pipelines and its recorder.
@@ -38,29 +38,29 @@ pub struct Gpu {
     pipelines: Pipelines,
     recorder: Mutex<Recorder>,
     pub(crate) counters: Counters,
-    /// Why the device went away, or what it refused, first cause first.
+    /// The reason why the device was lost or refused work; the first cause is kept.
     pub(crate) failure: Arc<Mutex<Option<String>>>,
 }
 
-/// What is recorded and not yet submitted.
+/// Work that is recorded and not yet submitted.
 pub(crate) struct Recorder {
     encoder: Option<wgpu::CommandEncoder>,
-    /// Parameters of the dispatches, one stride each.
+    /// Parameters of the dispatches, one per stride.
     parameters: Vec<u8>,
     uniforms: wgpu::Buffer,
-    /// Sizes of indirect dispatches.
+    /// Arguments of indirect dispatches.
     sizes: wgpu::Buffer,
     indirect: u32,
-    /// Number of the submission that is recorded.
+    /// Number of the submission being recorded.
     pub number: u64,
-    /// The last submissions, newest last.
+    /// The latest submissions, newest last.
     pub submitted: VecDeque<(u64, wgpu::SubmissionIndex)>,
 }
 
-/// Submissions that are remembered, to wait for one and not for those behind it.
+/// Number of submissions that are remembered, so that the host can wait for one without waiting for later ones.
 const REMEMBERED: usize = 16;
 
-/// What crossed between host and device, and how often the host waited.
+/// Counters of transfers between host and device, and of the host's waits.
 #[derive(Default)]
 pub(crate) struct Counters {
     written: AtomicU64,
@@ -72,57 +72,57 @@ pub(crate) struct Counters {
     largest: AtomicU64,
 }
 
-/// What the counters stand at.
+/// Values of the counters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Bytes of buffers written by the host; parameters of dispatches are none of them.
+    /// Bytes that the host wrote to buffers, without the parameters of dispatches.
     pub written: u64,
     /// Bytes read back.
     pub read: u64,
     /// Submissions to the queue.
     pub submissions: u64,
-    /// Times that the host waited until the device had nothing left to do.
+    /// Times that the host waited until the device was idle.
     pub stalls: u64,
-    /// Most bytes that arrays on the device had at once.
+    /// Peak number of bytes held by arrays on the device.
     pub most_held: u64,
 }
 
-/// A part of a buffer that a kernel sees.
+/// A part of a buffer, bound to a kernel.
 #[derive(Clone, Copy)]
 pub struct Bind<'a> {
     /// The buffer.
     pub buffer: &'a wgpu::Buffer,
-    /// First byte; a multiple of 256.
+    /// Offset in bytes; a multiple of 256.
     pub offset: u64,
-    /// Bytes; `None` for all that follow.
+    /// Size in bytes; `None` for the rest of the buffer.
     pub size: Option<u64>,
 }
 
-/// How much work a dispatch has.
+/// The amount of work of a dispatch.
 #[derive(Clone, Copy)]
 pub enum Size<'a> {
-    /// Invocations, in workgroups of [`GROUP`].
+    /// Number of invocations, in workgroups of [`GROUP`].
     Items(u64),
-    /// Workgroups.
+    /// Number of workgroups.
     Groups(u64),
-    /// Groups of `group` items for `per` items for each that the device has counted.
+    /// A count on the device times `per` items, in workgroups of `group` items.
     Counted {
         /// Counters on the device.
         counts: &'a wgpu::Buffer,
-        /// Which of them.
+        /// Index of the counter.
         counter: u32,
-        /// Items of each.
+        /// Items per count.
         per: u32,
-        /// Items of a workgroup.
+        /// Items per workgroup.
         group: u32,
     },
 }
 
 impl Gpu {
-    /// Opens the adapter whose name contains `name` (case does not matter), or the best one when it is empty.
+    /// Opens the adapter whose name contains `name` (ignoring case), or the best one if `name` is empty.
     ///
     /// # Errors
-    /// When there is no such adapter, or it opens no device.
+    /// When there is no such adapter, or it cannot open a device.
     pub fn open(name: &str) -> Result<Arc<Self>> {
         pollster::block_on(Self::of(choose(name)?))
     }
@@ -138,7 +138,7 @@ impl Gpu {
     /// Opens an adapter.
     async fn of(adapter: wgpu::Adapter) -> Result<Arc<Self>> {
         let info = adapter.get_info();
-        // All that the adapter has, asked for by name: the default would be the least of all adapters.
+        // Requests the adapter's own limits: the defaults are those of the least capable adapter.
         let limits = adapter.limits();
         let matrices = matrices(&adapter);
         let mut wanted = wgpu::Features::SHADER_FLOAT32_ATOMIC | wgpu::Features::TIMESTAMP_QUERY;
@@ -149,8 +149,8 @@ impl Gpu {
             label: Some("trimip"),
             required_features: adapter.features() & wanted,
             required_limits: limits.clone(),
-            // SAFETY: cooperative matrices alone are asked for; every load and store of them lies within its array, whose
-            // rows end with a whole block.
+            // SAFETY: of the experimental features, only cooperative matrices are requested. Every load and store of
+            // them stays within its array, because arrays end with a whole block of rows.
             experimental_features: unsafe { wgpu::ExperimentalFeatures::enabled() },
             ..Default::default()
         };
@@ -167,7 +167,7 @@ impl Gpu {
         };
         let refused = note(&failure);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| refused(error.to_string())));
-        // The loss is the cause of whatever else was refused.
+        // A lost device is the cause of everything that was refused after it.
         let lost = Arc::clone(&failure);
         device.set_device_lost_callback(move |reason, message| {
             *lock(&lost) = Some(format!("the device was lost ({reason:?}): {message}"));
@@ -210,22 +210,22 @@ impl Gpu {
         }))
     }
 
-    /// The adapter's name and driver.
+    /// Name and driver of the adapter.
     pub fn name(&self) -> String {
         format!("{} ({:?}, {})", self.info.name, self.info.backend, self.info.driver_info)
     }
 
-    /// True when the device is a processor.
+    /// True if the device is a software adapter, which runs on the processor.
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
     }
 
-    /// True when the device adds f32 atomically.
+    /// True if the device supports atomic addition of f32.
     pub fn adds_floats(&self) -> bool {
         self.device.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC)
     }
 
-    /// Cooperative matrices of f16 with sums of f32, where the device has them.
+    /// Cooperative matrices with f16 factors and f32 sums, if the device has them.
     pub fn matrices(&self) -> Option<Matrices> {
         self.matrices
     }
@@ -235,7 +235,7 @@ impl Gpu {
         &self.limits
     }
 
-    /// What the counters stand at.
+    /// Values of the counters.
     pub fn counts(&self) -> Counts {
         let at = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let Counters { written, read, submissions, stalls, most_held, .. } = &self.counters;
@@ -248,12 +248,12 @@ impl Gpu {
         }
     }
 
-    /// Gives the device up, as a reset of the driver does: everything that follows fails.
+    /// Destroys the device, as a driver reset does; everything afterwards fails.
     pub fn destroy(&self) {
         self.device.destroy();
     }
 
-    /// A buffer of zeros. Who drops it says so by [`Gpu::released`].
+    /// Creates a buffer of zeros. Its owner calls [`Gpu::released`] when dropping it.
     pub fn buffer(&self, label: &str, bytes: u64) -> wgpu::Buffer {
         let Counters { held, most_held, largest, .. } = &self.counters;
         let now = held.fetch_add(bytes, Ordering::Relaxed) + bytes;
@@ -267,17 +267,17 @@ impl Gpu {
         })
     }
 
-    /// A buffer of so many bytes is no longer held.
+    /// Records that a buffer of `bytes` bytes was released.
     pub fn released(&self, bytes: u64) {
         self.counters.held.fetch_sub(bytes, Ordering::Relaxed);
     }
 
-    /// Writes values to the front of a buffer, after all that was recorded before.
+    /// Writes values to the front of a buffer, after all work recorded so far.
     pub fn write<T: Pod>(&self, buffer: &wgpu::Buffer, values: &[T]) {
         self.write_at(buffer, 0, values);
     }
 
-    /// The same at a byte of the buffer, a multiple of 4.
+    /// As [`Gpu::write`], at a byte offset that is a multiple of 4.
     pub fn write_at<T: Pod>(&self, buffer: &wgpu::Buffer, offset: u64, values: &[T]) {
         if values.is_empty() {
             return;
@@ -287,19 +287,19 @@ impl Gpu {
         self.counters.written.fetch_add(size_of_val(values) as u64, Ordering::Relaxed);
     }
 
-    /// Zeroes bytes of a buffer.
+    /// Sets a range of bytes of a buffer to zero.
     pub fn clear(&self, buffer: &wgpu::Buffer, offset: u64, size: u64) {
         let mut recorder = self.recorder();
         self.encoder(&mut recorder).clear_buffer(buffer, offset, Some(size));
     }
 
-    /// Copies bytes between buffers, from and to the byte given.
+    /// Copies bytes between buffers, from byte `first` of `from` to byte `place` of `to`.
     pub fn copy(&self, from: &wgpu::Buffer, first: u64, to: &wgpu::Buffer, place: u64, bytes: u64) {
         let mut recorder = self.recorder();
         self.encoder(&mut recorder).copy_buffer_to_buffer(from, first, to, place, bytes);
     }
 
-    /// Records a kernel with its bindings, in the order of [`Kernel::bindings`], and its parameters.
+    /// Records a dispatch of a kernel with its bindings, in the order of [`Kernel::bindings`], and its parameters.
     pub fn dispatch<P: Pod>(&self, kernel: &Kernel, binds: &[Bind<'_>], parameters: &P, size: Size<'_>) {
         let groups = match size {
             Size::Items(items) => items.div_ceil(GROUP.into()),
@@ -354,7 +354,7 @@ impl Gpu {
             offset: 0,
             size: NonZeroU64::new(PARAMETERS_STRIDE as u64),
         };
-        // Both are written side by side in this crate, and every kernel runs in the tests.
+        // Kernel and call are written side by side in this crate, and every kernel runs in the tests.
         let storage = kernel.bindings.iter().filter(|(_, access)| *access != Access::Parameters).count();
         assert_eq!(binds.len(), storage, "{}: bindings", kernel.entry);
         let mut binds = binds.iter();
@@ -390,7 +390,7 @@ impl Gpu {
         }
     }
 
-    /// Submits what is recorded.
+    /// Submits all recorded work.
     pub fn submit(&self) {
         self.submit_recorder(&mut self.recorder());
     }
@@ -411,15 +411,15 @@ impl Gpu {
         recorder.indirect = 0;
     }
 
-    /// Whether anything failed on the device so far.
+    /// Checks whether anything has failed on the device so far.
     ///
     /// # Errors
-    /// With the loss of the device, else the first failure; with the stage, the memory in use and the limits.
+    /// Reports the loss of the device or else the first failure, with the stage, the memory in use and the limits.
     pub fn check(&self, stage: &str) -> Result<()> {
         if lock(&self.failure).is_none() {
             return Ok(());
         }
-        // A loss is told when the device is polled, after whatever else was refused because of it.
+        // A loss is reported only when the device is polled, after the errors that it caused.
         self.poll(wgpu::PollType::Poll);
         let Some(message) = lock(&self.failure).clone() else { return Ok(()) };
         let mebibytes = |bytes: u64| bytes.div_ceil(1 << 20);
@@ -434,8 +434,8 @@ impl Gpu {
         )))
     }
 
-    /// Lets the device answer; false when it failed. wgpu panics where a driver gives its device up while it is waited for:
-    /// that panic ends here, as a failure like any other.
+    /// Polls the device; returns false if it failed. wgpu panics if a driver loses its device during a wait; this
+    /// catches the panic and records it as an ordinary failure.
     pub(crate) fn poll(&self, how: wgpu::PollType) -> bool {
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(how))) {
             Ok(polled) => polled.is_ok(),
@@ -458,7 +458,7 @@ impl Gpu {
     }
 }
 
-/// A lock; a thread that panicked under it left nothing half done.
+/// Locks a mutex. A poisoned mutex is used as it is: no thread leaves its data half changed.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,5 +1,5 @@
-//! Density and colour networks on the GPU, layer by layer: activations of a step stay on the device. Widths are padded to
-//! multiples of 16 with zero weights.
+//! Density and colour networks on the GPU, layer by layer. The activations of a step stay on the device. Widths are
+//! padded to multiples of 16 with zero weights.
 
 use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
@@ -17,20 +17,21 @@ use trimip_core::config::Precision;
 use trimip_core::params::{Slot, color_layers, harmonics};
 use trimip_core::{Config, Field, Layout};
 
-/// Rows of a tile of a product.
+/// Rows per tile of a product.
 const TILE_ROWS: u32 = 64;
 
-/// Parts of a weight gradient, each over a run of samples; joined in their order.
+/// Number of chunks of a weight gradient, each over a run of samples; the chunks are added in order.
 pub const CHUNKS: u32 = 64;
 
-/// What the kernels between the networks know.
+/// Parameters of the kernels between the networks.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct FieldParams {
     counter: u32,
     /// Width of the colour network's input.
     width: u32,
-    /// Spherical harmonics of a direction, geometry features, and the width of the density network's output.
+    /// Number of spherical harmonics of a direction, number of geometry features, and width of the density network's
+    /// output.
     harmonics: u32,
     geometry: u32,
     outputs: u32,
@@ -48,21 +49,21 @@ struct WeightParams {
     scale: f32,
 }
 
-/// Width of a matrix on the device.
+/// Padded width of a matrix on the device.
 pub fn padded(width: usize) -> usize {
     width.next_multiple_of(16)
 }
 
-/// One layer's matrices.
+/// The matrices of one layer.
 struct Layer {
     slot: Slot,
     k: usize,
     n: usize,
-    /// The matrix and its transpose, in words of f32 or of two f16.
+    /// The matrix and its transpose, in words of one f32 or two f16.
     forward: Buffer<u32>,
     backward: Buffer<u32>,
     matrices: Option<Matrices>,
-    /// Factors that did not fit into f16, of all layers.
+    /// Number of factors that f16 cannot hold, over all layers.
     overflows: wgpu::Buffer,
 }
 
@@ -81,7 +82,8 @@ impl Layer {
         }
     }
 
-    /// The bindings of a product or a weight gradient, and what the layer's own way needs beside them.
+    /// The bindings of a product or weight gradient, plus the overflow counter if the layer uses cooperative
+    /// matrices.
     fn with_overflows<'a>(&'a self, binds: &[Bind<'a>]) -> Vec<Bind<'a>> {
         let own = self.matrices.map(|_| Bind { buffer: &self.overflows, offset: 0, size: None });
         binds.iter().copied().chain(own).collect()
@@ -99,13 +101,13 @@ impl Layer {
         }
     }
 
-    /// Product with the matrix, or with its transpose where a `scale` for gradients is given.
+    /// The product with the matrix, or with its transpose if a `scale` for gradients is given.
     fn product(&self, finish: Finish, scale: Option<u32>) -> Kernel {
         let (k, n) = if scale.is_some() { (self.n, self.k) } else { (self.k, self.n) };
         multiply(k, n, finish, self.matrices, scale.unwrap_or(1))
     }
 
-    /// Workgroups of a product of rows of `k` columns with `n` columns.
+    /// Workgroups of a product of rows of `k` columns with a matrix of `n` columns.
     fn size<'a>(&self, rows: &'a Rows, k: usize, n: usize) -> Size<'a> {
         match self.matrices {
             None => rows.dispatch((n / (16 * tile(n) as usize)) as u32, TILE_ROWS),
@@ -113,7 +115,7 @@ impl Layer {
         }
     }
 
-    /// Workgroups for each chunk of the weight gradient.
+    /// Workgroups per chunk of the weight gradient.
     fn tiles(&self) -> u64 {
         let side = |width: usize| width / (16 * tile(width) as usize);
         match self.matrices {
@@ -146,7 +148,7 @@ impl Mlp {
         }
     }
 
-    /// From the gradient of the output to that of the input; weight gradients go to `partials`.
+    /// Computes the gradient of the input from that of the output; writes weight gradients to `partials`.
     #[allow(clippy::too_many_arguments)]
     fn backward(
         &self,
@@ -186,12 +188,12 @@ impl Mlp {
     }
 }
 
-/// Both networks.
+/// The density and colour networks.
 pub struct WgpuField {
     gpu: Arc<Gpu>,
     density: Mlp,
     color: Mlp,
-    /// Width of the colour network's input: harmonics where it sees directions, geometry features, zeros.
+    /// Width of the colour network's input: harmonics (if it uses directions), geometry features, zeros.
     width: usize,
     harmonics: usize,
     geometry: usize,
@@ -217,7 +219,7 @@ pub struct FieldGradient {
 }
 
 impl WgpuField {
-    /// The networks of a configuration.
+    /// Creates the networks of a configuration.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout, known: Arc<Known>) -> Self {
         let overflows = Buffer::zeros(gpu, 1);
         let matrices = if config.field.precision == Precision::F16 { gpu.matrices() } else { None };
@@ -245,12 +247,12 @@ impl WgpuField {
         }
     }
 
-    /// Where factors that did not fit into f16 are counted.
+    /// The counter of factors that f16 cannot hold.
     pub fn overflows(&self) -> &Buffer<u32> {
         &self.overflows
     }
 
-    /// Goes on in f32 once a factor did not fit into f16.
+    /// Switches to f32, once there was a factor that f16 cannot hold.
     fn fall_back(&mut self) {
         for layer in self.density.layers.iter_mut().chain(&mut self.color.layers) {
             *layer = Layer::new(&self.gpu, &layer.slot, None, &self.overflows);
@@ -388,7 +390,7 @@ impl Field<WgpuBackend> for WgpuField {
     }
 
     fn flush(&mut self, deposits: &mut [Deposit<WgpuBackend>], parameter_gradient: &mut Buffer<f32>) {
-        // A step is one span: one deposit, whose chunks are overwritten by the next.
+        // A step is one span and has one deposit; the next step overwrites its chunks.
         for deposit in deposits {
             let FieldGradient { density, color } = &deposit.field;
             let layers = self.density.layers.iter().chain(&self.color.layers);

@@ -1,5 +1,6 @@
-//! Kernels of the stages: an entry point in WGSL files with constants put in front, and the bindings it uses. Every constant comes from
-//! Rust; none is typed twice. Those of an encoder stand beside it.
+//! Kernels of the stages. A kernel is an entry point in WGSL files, preceded by constants, and the bindings that it
+//! uses. Every constant is generated from Rust, so that none is defined twice. The kernels of an encoder are in its
+//! file.
 
 use crate::device::GROUP;
 use crate::occupancy::SIDE;
@@ -21,15 +22,15 @@ use Access::{Parameters, Read, Write};
 /// A compute kernel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Kernel {
-    /// Entry point.
+    /// Name of the entry point.
     pub entry: &'static str,
-    /// WGSL texts, in order.
+    /// WGSL sources, in order.
     files: &'static [&'static str],
-    /// What stands before everything: extensions of the language.
+    /// `enable` directives, placed before everything else.
     enables: &'static str,
     /// Constants of this variant.
     constants: Vec<(&'static str, u32)>,
-    /// Binding numbers and their use.
+    /// Binding numbers and their access.
     pub bindings: &'static [(u32, Access)],
 }
 
@@ -42,24 +43,24 @@ impl Kernel {
         Self { entry, files, enables: "", constants: Vec::new(), bindings }
     }
 
-    /// The kernel with f16 and cooperative matrices.
+    /// The kernel with f16 and cooperative matrices enabled.
     pub const fn cooperative(mut self) -> Self {
         self.enables = "enable f16;\nenable wgpu_cooperative_matrix;\n";
         self
     }
 
-    /// The kernel with constants of its own.
+    /// The kernel with additional constants.
     pub fn with(mut self, constants: &[(&'static str, u32)]) -> Self {
         self.constants = constants.to_vec();
         self
     }
 
-    /// What tells variants apart.
+    /// Key that distinguishes the variants.
     pub fn key(&self) -> String {
         format!("{} {:p} {:?}", self.entry, self.files, self.constants)
     }
 
-    /// The whole WGSL text.
+    /// The complete WGSL source.
     pub fn source(&self) -> String {
         let constants = self.constants.iter().copied().chain([("GROUP", GROUP), ("SIDE", SIDE)]);
         let constants: String =
@@ -70,7 +71,7 @@ impl Kernel {
     }
 }
 
-/// Which invocation this is.
+/// Index of the invocation.
 pub const GRID: &str = include_str!("shaders/grid.wgsl");
 const RANDOM: &str = include_str!("shaders/random.wgsl");
 const RAY: &str = include_str!("shaders/ray.wgsl");
@@ -80,12 +81,12 @@ const RAYS: &[&str] =
 const BLOCKS: &str = include_str!("shaders/blocks.wgsl");
 const MARCH: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, include_str!("shaders/march.wgsl")];
 const SCAN: &[&str] = &[include_str!("shaders/scan.wgsl")];
-/// Fixed point of 64 bits.
+/// 64-bit fixed point.
 pub const FIXED: &str = include_str!("shaders/fixed.wgsl");
-/// Gradients from fixed point or f32.
+/// Gradients read from fixed point or f32.
 pub const OWN_FIXED: &str = include_str!("shaders/own_fixed.wgsl");
 pub const OWN_FLOAT: &str = include_str!("shaders/own_float.wgsl");
-/// Additions to gradients in each of three ways.
+/// The three ways of adding to gradients.
 pub const ADD_FIXED: &str = include_str!("shaders/add_fixed.wgsl");
 pub const ADD_ATOMIC: &str = include_str!("shaders/add_atomic.wgsl");
 pub const ADD_EXCHANGE: &str = include_str!("shaders/add_exchange.wgsl");
@@ -106,11 +107,11 @@ const LOSS: &[&str] = &[GRID, include_str!("shaders/loss.wgsl")];
 const ADAMW: &[&str] = &[GRID, include_str!("shaders/adamw.wgsl")];
 const OCCUPANCY: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, include_str!("shaders/occupancy.wgsl")];
 
-/// Sizes of an indirect dispatch.
+/// Computes the arguments of an indirect dispatch.
 pub static ARGUMENTS: Kernel =
     Kernel::new("size", &[include_str!("shaders/arguments.wgsl")], &[(0, Read), (1, Write), (2, Parameters)]);
 
-/// Multiply-adds without memory, to measure a device.
+/// Multiply-adds without memory accesses, to measure a device.
 pub static PEAK: Kernel =
     Kernel::new("peak", &[include_str!("shaders/peak.wgsl")], &[(0, Write), (1, Parameters)]);
 
@@ -209,14 +210,14 @@ pub static FILL_IF_EMPTY: Kernel =
 pub static SET_OUTER_BITS: Kernel =
     Kernel::new("set_outer_bits", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters)]);
 
-/// How texel gradients are added up.
+/// The way in which texel gradients are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Addition {
-    /// Fixed point of 64 bits: the same bits every time.
+    /// 64-bit fixed point: the same bits every time.
     Fixed,
-    /// Atomic additions of f32, where the device has them: half the memory.
+    /// Atomic f32 additions, if the device has them: half the memory.
     Atomic,
-    /// Compare and exchange of f32, which every device has: half the memory.
+    /// Compare-and-exchange of f32, which every device has: half the memory.
     Exchange,
 }
 
@@ -225,7 +226,7 @@ mod tests {
     use super::*;
     use crate::products::{Finish, GRADIENT_SCALE, Matrices, accumulate, multiply};
 
-    /// Every kernel in every variant that a configuration can ask for, or one like it.
+    /// Every kernel in every variant that a configuration can select, or a similar variant.
     fn all() -> Vec<Kernel> {
         let fixed = [
             &ARGUMENTS,
@@ -285,7 +286,7 @@ mod tests {
             let name = kernel.key();
             let module = naga::front::wgsl::parse_str(&kernel.source())
                 .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(&kernel.source())));
-            // Asked for where the adapter has it, and then alone.
+            // Capabilities beyond the default are allowed only to kernels that run on adapters with them.
             use naga::valid::Capabilities;
             let capabilities = match &kernel {
                 kernel if kernel.files.contains(&ADD_ATOMIC) => Capabilities::SHADER_FLOAT32_ATOMIC,
@@ -299,7 +300,7 @@ mod tests {
             let place = place.unwrap_or_else(|| panic!("{name}: no such entry point"));
             assert!(module.entry_points[place].workgroup_size[0] <= 256, "{name}");
 
-            // The bindings listed are those the entry point uses, with the access that they are declared with.
+            // The listed bindings are those that the entry point uses, with their declared access.
             let used = info.get_entry_point(place);
             let mut found: Vec<(u32, Access)> = Vec::new();
             let (mut storage, mut workgroup) = (0, 0);

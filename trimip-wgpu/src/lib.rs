@@ -1,6 +1,6 @@
 //! The stages of Tri-MipRF on any GPU through wgpu: one WGSL file per stage in `shaders/`, twins of `trimip-core`'s
-//! mathematics by the same names. A training step is one submission; no parameter crosses, and the sums of a step are
-//! read while later steps run.
+//! mathematics under the same names. A training step is one submission. No parameters are transferred, and the sums
+//! of a step are read while later steps run.
 
 mod adapter;
 mod backend;
@@ -42,7 +42,7 @@ use trimip_core::model::Model;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 
-/// A fresh model to be trained on `views`, on the configured adapter.
+/// Creates an untrained model, to be trained on `views` on the configured adapter.
 ///
 /// # Errors
 /// When there is no such adapter, or the configuration does not fit it.
@@ -51,7 +51,7 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
-/// A finished model to render, on the adapter whose name contains `adapter`.
+/// Loads a finished model to render on the adapter whose name contains `adapter`.
 ///
 /// # Errors
 /// When there is no such adapter, or the model does not fit it.
@@ -60,7 +60,7 @@ pub fn load(model: &Model, adapter: &str) -> Result<Box<dyn Viewer>> {
     Ok(Box::new(LoadedModel::new(backend, model)?))
 }
 
-/// As [`load`], without blocking: the door for a page in a browser. The model renders by
+/// As [`load`], without blocking, for a page in a browser. The model renders with
 /// [`render_async`](LoadedModel::render_async).
 ///
 /// # Errors

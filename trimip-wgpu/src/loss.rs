@@ -22,19 +22,19 @@ struct Params {
     padding: [u32; 3],
 }
 
-/// Sums of a step on the device: loss, weight, squared error, pixels that are not finite, then counts of samples.
+/// A step's sums on the device: loss, weight, squared error, number of non-finite pixels, then counts of samples.
 #[derive(Default)]
 pub struct Sums(pub Option<DeviceSums>);
 
-/// Where the sums are.
+/// The buffer that holds the sums.
 pub struct DeviceSums {
-    /// Eight words: the bits of four floats, and four counts.
+    /// Eight words: four floats as bits, and four counts.
     pub buffer: wgpu::Buffer,
-    /// Pixels of the step.
+    /// Number of pixels of the step.
     pub rays: u32,
 }
 
-/// Smooth-L1 of the pixels.
+/// Smooth-L1 loss of pixels.
 pub struct WgpuLoss {
     gpu: Arc<Gpu>,
     config: LossConfig,
@@ -42,7 +42,7 @@ pub struct WgpuLoss {
 }
 
 impl WgpuLoss {
-    /// The configured loss.
+    /// Creates the configured loss.
     pub fn new(gpu: &Arc<Gpu>, config: &LossConfig) -> Self {
         Self { gpu: Arc::clone(gpu), config: config.clone(), sums: Buffer::zeros(gpu, 8) }
     }

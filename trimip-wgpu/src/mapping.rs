@@ -1,22 +1,22 @@
-//! A buffer on its way into the host's memory, to be waited for by blocking or as a future.
+//! The mapping of a buffer into the host's memory, which can be awaited by blocking or as a future.
 
 use crate::device::lock;
 use std::future::poll_fn;
 use std::sync::{Arc, Mutex};
 use std::task::{Poll, Waker};
 
-/// The mapping of a buffer.
+/// A pending or finished mapping of a buffer.
 pub struct Mapping(Arc<Mutex<State>>);
 
 #[derive(Default)]
 struct State {
-    /// Whether it could be mapped, once that is known.
+    /// Whether the mapping succeeded; `None` while it is pending.
     result: Option<bool>,
     waker: Option<Waker>,
 }
 
 impl Mapping {
-    /// Asks for the whole of `staging` to be mapped for reading.
+    /// Requests a mapping of the whole of `staging` for reading.
     pub fn of(staging: &wgpu::Buffer) -> Self {
         let state = Arc::new(Mutex::new(State::default()));
         let told = Arc::clone(&state);
@@ -30,13 +30,14 @@ impl Mapping {
         Self(state)
     }
 
-    /// Whether the buffer could be mapped; `None` while that is not known.
+    /// Whether the mapping succeeded; `None` while it is pending.
     pub fn result(&self) -> Option<bool> {
         lock(&self.0).result
     }
 
-    /// Waits until the buffer is mapped; false when it could not be. `poll` lets the device answer and returns false when
-    /// it failed. A browser lets its device answer by itself and wakes the task; elsewhere the task asks again.
+    /// Waits until the buffer is mapped; returns false if the mapping failed. `poll` polls the device and returns
+    /// false if the device failed. A browser polls its device itself and wakes the task; elsewhere the task polls
+    /// again.
     pub async fn wait(&self, poll: impl Fn() -> bool) -> bool {
         poll_fn(|context| {
             let alive = poll();

@@ -1,4 +1,4 @@
-//! Predicted GPU memory of a training run by parts, before anything is allocated.
+//! Predicts the GPU memory of a training run, by parts, before anything is allocated.
 
 use crate::adapter::largest_binding;
 use crate::field::{CHUNKS, padded};
@@ -15,33 +15,33 @@ const FLOAT: usize = size_of::<f32>();
 /// Kept samples per ray of a trained model.
 const KEPT_PER_RAY: usize = 4;
 
-/// Capacity for rays relative to their expected number, as a fraction.
+/// Capacity for rays relative to their expected number, as a fraction: [numerator, denominator].
 const RAYS_SPARE: [usize; 2] = [5, 4];
 
-/// Parameters, gradient and two moments.
+/// Arrays of parameter size: parameters, gradient and two moments.
 const PARAMETER_COPIES: usize = 4;
 
-/// A layer's matrix and its transpose, beside the parts of its gradient.
+/// Copies of a layer's matrix: itself and its transpose, beside the chunks of its gradient.
 const MATRIX_COPIES: usize = 2;
 
 /// Name and bytes of each part, on the configured adapter.
 pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
-    // Without such an adapter the run does not begin, and its limits do not matter.
+    // If there is no such adapter, the run does not start and its limits do not matter.
     predict(config, views, largest_binding(&config.wgpu.adapter).unwrap_or(u64::MAX))
 }
 
-/// The same for a device that binds at most `binding` bytes at once.
+/// The same for a device whose largest binding has `binding` bytes.
 fn predict(config: &Config, views: &ViewSet, binding: u64) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
     let derived = encoders::of(config).derived_bytes(config) as usize;
     let parameters: usize = layout.encoder().iter().map(|slot| slot.padded().len()).sum();
     let (marched, kept) = rooms(config, true, binding);
-    // However many cones a pixel has, a step has as many samples.
+    // A step has the same number of samples, however many cones a pixel has.
     let rays = config.train.samples_per_step as usize / KEPT_PER_RAY * RAYS_SPARE[0] / RAYS_SPARE[1];
     let widths = |layers: &[[usize; 2]]| layers.iter().map(|[_, outputs]| padded(*outputs)).sum::<usize>();
     let (density, color) = (density_layers(config), color_layers(config));
 
-    // What is gathered is there twice: marched and kept.
+    // Arrays that are gathered exist twice: as marched and as kept.
     let samples = size_of::<Sphere>() + size_of::<Interval>() + size_of::<u32>();
     let encoding = encoders::stride(config) + encoders::of(config).tape(config);
     let asked = (encoding + widths(&density)) * FLOAT;

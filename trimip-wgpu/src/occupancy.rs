@@ -1,4 +1,5 @@
-//! The occupancy grid on the GPU: densities, bits and the list of asked cells never leave it but for checkpoints.
+//! The occupancy grid on the GPU. Densities, bits and the list of selected cells leave the device only for
+//! checkpoints.
 
 use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
@@ -19,7 +20,7 @@ use trimip_core::{Config, Space};
 /// Cells along a side of a block, and blocks along a side of a block of blocks.
 pub const SIDE: u32 = 4;
 
-/// Places in the state: cells chosen, cells occupied, cells asked in a span.
+/// Indices into the state: cells selected, cells occupied, cells queried in a span.
 const CHOSEN: u32 = 0;
 const OCCUPIED: u32 = 1;
 const ASKED: u32 = 2;
@@ -48,10 +49,10 @@ pub struct WgpuOccupancy {
     config: OccupancyConfig,
     random: Random,
     params: Params,
-    /// Samples that a span has room for.
+    /// Number of samples that a span has room for.
     room: usize,
     state: Buffer<u32>,
-    /// Two words a block, then two words a block of blocks.
+    /// Two words per block, then two words per block of blocks.
     grid: Buffer<u32>,
     chosen: Buffer<u32>,
     densities: Buffer<f32>,
@@ -60,7 +61,7 @@ pub struct WgpuOccupancy {
 }
 
 impl WgpuOccupancy {
-    /// A grid that is occupied everywhere.
+    /// Creates a grid in which every cell is occupied.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, room: usize, known: Arc<Known>) -> Self {
         let (space, resolution) = (Space::new(&config.scene), config.occupancy.resolution);
         let cells = resolution.pow(3);
@@ -107,12 +108,12 @@ impl WgpuOccupancy {
         &self.state
     }
 
-    /// Place of a cell: block and bit.
+    /// Block index and bit index of a cell.
     fn place(&self, cell: u32) -> (usize, u32) {
         place(coordinates(cell, self.params.space.resolution), self.params.space.resolution / SIDE)
     }
 
-    /// Sets every cell's bit by `occupied(cell)`.
+    /// Sets every cell's bit to `occupied(cell)`.
     fn set_bits(&mut self, occupied: impl Fn(u32) -> bool) {
         let blocks = self.params.space.resolution / SIDE;
         let outer = blocks.div_ceil(SIDE);
@@ -132,7 +133,7 @@ impl WgpuOccupancy {
     }
 }
 
-/// Block of four to a side, of `blocks` along a side, and bit within it.
+/// Block index, for blocks of side four with `blocks` blocks along each side, and bit index within the block.
 fn place(at: [u32; 3], blocks: u32) -> (usize, u32) {
     let [x, y, z] = at.map(|c| c / SIDE);
     let [bx, by, bz] = at.map(|c| c % SIDE);
@@ -147,7 +148,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         self.gpu.clear(self.state.raw(), u64::from(4 * CHOSEN), 4);
         let binds = [self.state.bind(), self.grid.bind(), self.chosen.bind()];
         self.gpu.dispatch(&CHOOSE, &binds, &self.params, Size::Items(self.params.cells.into()));
-        // How many were chosen only the device knows.
+        // Only the device knows how many cells were selected; this is the upper bound.
         self.params.cells
     }
 
@@ -223,5 +224,5 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
     }
 }
 
-/// Where the number of occupied cells stands in the state.
+/// Index of the number of occupied cells within the state.
 pub const OCCUPIED_AT: u32 = OCCUPIED;

@@ -1,4 +1,4 @@
-//! AdamW on the GPU: one dispatch for each slot. Where a step has no weight, nothing moves.
+//! AdamW on the GPU: one dispatch per slot. If the step has no weight, nothing changes.
 
 use crate::backend::WgpuBackend;
 use crate::buffer::Buffer;
@@ -38,14 +38,15 @@ pub struct WgpuOptimizer {
     m: Buffer<f32>,
     v: Buffer<f32>,
     skipped: Buffer<u32>,
-    /// What `skipped` held when it was last read.
+    /// Value of `skipped` when it was last read.
     known: AtomicU64,
-    /// Part of each slot that is in use, up to the next alignment.
+    /// The part of each slot that is in use, up to the next alignment.
     parts: Vec<Range<usize>>,
 }
 
 impl WgpuOptimizer {
-    /// Zero moments; none to speak of unless `training`. `skipped` counts what is left out for its size.
+    /// Zero moments; minimal buffers unless `training`. `skipped` counts the gradients, and terms of gradients, that
+    /// are left out because of their size.
     pub fn new(
         gpu: &Arc<Gpu>,
         config: &Config,
@@ -86,7 +87,7 @@ impl Optimizer<WgpuBackend> for WgpuOptimizer {
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {
-        // Whoever takes the moments waits for them anyway: the count is renewed beside.
+        // The caller is about to wait for the moments anyway, so the count is read here.
         self.known.store(self.skipped.read()[0].into(), Ordering::Relaxed);
         [&self.m, &self.v]
     }
@@ -101,7 +102,7 @@ impl Optimizer<WgpuBackend> for WgpuOptimizer {
 }
 
 impl WgpuOptimizer {
-    /// Moves all slots; the second of `sums` is the sum of the weights.
+    /// Updates all slots; the second value of `sums` is the sum of the weights.
     fn move_all(
         &mut self,
         parameters: &Buffer<f32>,
@@ -140,7 +141,8 @@ mod tests {
     use super::*;
     use crate::probe::gpu;
 
-    /// Algorithm 2 of Loshchilov and Hutter as it is printed: value and moments after step `step` at a learning rate of 1e-3.
+    /// Algorithm 2 of Loshchilov and Hutter as printed: value and moments after step `step` at a learning rate of
+    /// 1e-3.
     fn printed(config: &Config, slot: &Slot, step: u64, [x, m, v]: [f64; 3], gradient: f64) -> [f64; 3] {
         let c = &config.optimizer;
         let m = c.beta1 * m + (1.0 - c.beta1) * gradient;
@@ -178,7 +180,7 @@ mod tests {
             let mut values = vec![0.0; layout.len()];
             for slot in &layout.slots {
                 for i in slot.range.clone() {
-                    // Every third group has no gradient at this step.
+                    // Every third group has no gradient in this step.
                     let group = (i - slot.range.start) / slot.group.unwrap_or(1);
                     let idle = (group as u64 + step).is_multiple_of(3);
                     values[i] = if idle { 0.0 } else { ((i as u64 * 37 + step * 11) % 17) as f32 - 7.5 };

@@ -1,15 +1,15 @@
-//! Compute pipelines by kernel: each is compiled when it is first asked for.
+//! Compute pipelines by kernel; each is compiled on first use.
 
 use crate::device::lock;
 use crate::kernel::{Access, Kernel};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
-/// A compiled kernel and the layout of what it binds.
+/// A compiled kernel and its bind group layout.
 pub struct Pipeline {
-    /// The kernel.
+    /// The compute pipeline.
     pub pipeline: wgpu::ComputePipeline,
-    /// Its bindings.
+    /// The layout of its bindings.
     pub layout: wgpu::BindGroupLayout,
 }
 
@@ -20,12 +20,12 @@ pub struct Pipelines {
 }
 
 impl Pipelines {
-    /// None yet.
+    /// Creates an empty cache.
     pub fn new(device: wgpu::Device) -> Self {
         Self { device, made: Mutex::default() }
     }
 
-    /// The pipeline of a kernel.
+    /// The pipeline of a kernel, compiled if necessary.
     pub fn of(&self, kernel: &Kernel) -> Arc<Pipeline> {
         let mut made = lock(&self.made);
         Arc::clone(made.entry(kernel.key()).or_insert_with(|| Arc::new(self.compile(kernel))))

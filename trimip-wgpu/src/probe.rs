@@ -1,4 +1,4 @@
-//! Every scalar function of the shaders on one table of inputs, against the function of the same name in f64.
+//! Compares every scalar function of the shaders, on one table of inputs, with the function of the same name in f64.
 
 use crate::buffer::Buffer;
 use crate::device::{Gpu, Size};
@@ -10,7 +10,7 @@ use trimip_core::batch::Ray;
 use trimip_core::encoders::tri_mip::{Pyramid, Shape, taps};
 use trimip_core::{Aabb, Camera, Cone, Intrinsics, Space, activation, camera, compositing, loss, rng, sh};
 
-/// Calls `probe`, which a probe's own text defines, on every input.
+/// Calls the function `probe`, which each probe defines, on every input.
 const SHELL: &str = "
 @group(0) @binding(20) var<storage, read> probe_inputs: array<vec4<f32>>;
 @group(0) @binding(21) var<storage, read_write> probe_outputs: array<vec4<f32>>;
@@ -24,7 +24,7 @@ fn run_probe(@builtin(global_invocation_id) id: vec3<u32>) {
 
 const BINDINGS: &[(u32, Access)] = &[(20, Access::Read), (21, Access::Write), (22, Access::Parameters)];
 
-/// The files and the body of a probe.
+/// The WGSL files and the function body of a probe.
 macro_rules! files {
     ($($file:literal),+; $body:literal) => {
         &[
@@ -35,7 +35,7 @@ macro_rules! files {
     };
 }
 
-/// The adapter's device; `None` where there is none and none is required.
+/// The device for the tests; `None` if there is none and none is required.
 pub(crate) fn gpu() -> Option<Arc<Gpu>> {
     if crate::adapters().is_empty() {
         assert!(std::env::var_os("TRIMIP_REQUIRE_GPU").is_none(), "a GPU is required, there is no adapter");
@@ -56,8 +56,8 @@ fn run(gpu: &Arc<Gpu>, files: &'static [&'static str], inputs: &[[f32; 4]]) -> V
     found
 }
 
-/// Holds a function of floats against one in f64: |found − expected| ≤ absolute + relative · |expected|. Expectations are
-/// taken to f32 where they leave its range; where the expectation is not finite nothing is compared.
+/// Compares a function of floats with one in f64: |found − expected| ≤ absolute + relative · |expected|. Nothing is
+/// compared where the expected value is not finite in f32.
 fn compare(
     files: &'static [&'static str],
     inputs: &[[f32; 4]],
@@ -81,7 +81,7 @@ fn compare(
     }
 }
 
-/// Numbers of all sizes and both signs.
+/// Numbers of all magnitudes and both signs.
 fn numbers() -> Vec<f32> {
     let mut numbers = vec![0.0];
     for exponent in -30..=30 {
@@ -99,7 +99,7 @@ fn singles(keep: impl Fn(f32) -> bool) -> Vec<[f32; 4]> {
 
 #[test]
 fn activations() {
-    // Drivers' exp is good to some 17 ulp (2e-6) at 0 and loses with the size of its argument.
+    // The exp of drivers is accurate to about 17 ulp (2e-6) at 0 and less accurate for larger arguments.
     compare(
         files!("activation.wgsl"; "return vec4<f32>(density_of(x.x), density_derivative(x.x), sigmoid(x.x), sigmoid_derivative(x.x));"),
         &singles(|x| x.abs() < 80.0),
@@ -172,7 +172,8 @@ fn directions() -> Vec<[f32; 4]> {
 
 #[test]
 fn cones_of_pixels() {
-    // The view has a rotation with all entries in use; x is pixel x, y, the number of the part and the parts along a side.
+    // The view's rotation has no zero entries; x is pixel x, pixel y, the index of the part and the parts along a
+    // side.
     let intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 50.0, cx: 31.0, cy: 25.5 };
     let rotation = DMat3::from_cols_array(&[0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6]);
     let camera = Camera { intrinsics, rotation, origin: DVec3::new(1.0, -2.0, 0.5) };
@@ -208,7 +209,7 @@ fn rays_through_the_space() {
         },
         (3e-7, 2e-6),
     );
-    // Enter, leave, and where a block of four cells ends, all by dividing by a direction's component.
+    // Enter, leave, and the exit of a block of four cells; all divide by a component of the direction.
     let near = Space::of(Aabb { min: [-1.0_f32, 2.0, 0.5], max: [3.0, 4.0, 1.5] });
     compare(
         files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); let ray = Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0); let cell = cell_of(space, sphere_at(space, ray, x.w).xyz); return vec4<f32>(intersect(space, ray), cells_exit(space, ray, x.w, cell, 4u), 0.0);"),
@@ -277,7 +278,7 @@ fn levels_and_texels() {
         },
         (1e-6, 0.0),
     );
-    // At the border, between texels, and past either end.
+    // At the border, between texels, and beyond either end.
     let places: Vec<[f32; 4]> = [0.0, 0.003, 0.01, 0.3, 0.5, 0.77, 0.998, 1.0]
         .into_iter()
         .flat_map(|a| [0.0_f32, 0.12, 0.999, 1.0].map(|b| [a, b, 0.0, 0.0]))
@@ -304,7 +305,7 @@ fn levels_and_texels() {
 
 #[test]
 fn fixed_point_there_and_back() {
-    // 30 bits behind the point; a sum of two of both signs is right whichever words carry.
+    // 30 fractional bits. A sum of two values of either sign is right whichever words carry.
     compare(
         files!("fixed.wgsl"; "let a = to_fixed(x.x); let b = to_fixed(x.y); let low = a.x + b.x; let high = a.y + b.y + select(0u, 1u, low < a.x); return vec4<f32>(from_fixed(a), from_fixed(negated(a)), from_fixed(vec2<u32>(low, high)), 0.0);"),
         &numbers()
@@ -324,7 +325,7 @@ fn random_numbers_are_the_same_integers() {
     let inputs: Vec<[f32; 4]> = (0..200_u32)
         .map(|i| {
             let bits = draws.bits(i);
-            // Index, random bits and count travel as the bits of floats.
+            // Index, random bits and count are passed as the bits of floats.
             [i, bits[0], counts[i as usize % counts.len()], 0].map(f32::from_bits)
         })
         .collect();
@@ -339,7 +340,7 @@ fn random_numbers_are_the_same_integers() {
         assert_eq!(found[0] as u32 * 65_536 + found[1] as u32, expected, "below({bits}, {count})");
         assert_eq!(found[2], rng::unit(bits));
     }
-    // The hash itself, on words that travel the same way: the upper 24 bits of four numbers are exact floats.
+    // The hash itself, on words passed in the same way. The upper 24 bits of four numbers are exact floats.
     let words: Vec<[u32; 4]> =
         (0..50).map(|step| rng::Random::new(step).at(rng::Stream::Cell, step).words()).collect();
     let inputs: Vec<[f32; 4]> = words.iter().map(|words| words.map(f32::from_bits)).collect();
@@ -354,17 +355,17 @@ fn random_numbers_are_the_same_integers() {
     }
 }
 
-/// Small whole numbers, which f16 holds and whose products and sums f32 holds.
+/// Small whole numbers: f16 represents them exactly, and f32 their products and sums.
 fn whole(count: usize, seed: u64) -> Vec<f32> {
     let draws = rng::Random::new(seed).at(rng::Stream::Pixel, 0);
     (0..count as u32).map(|i| rng::below(draws.bits(i)[0], 17) as f32 - 8.0).collect()
 }
 
-/// Two numbers of f16 in a word: whole numbers of at most 8.
+/// Packs two f16 numbers into a word; the values are whole numbers of at most 8.
 fn halves(values: &[f32]) -> Vec<u32> {
     let half = |x: f32| {
         let bits = x.to_bits();
-        // Sign, exponent less 112, upper 10 of 23 bits; zero is zero.
+        // Sign, exponent minus 112, upper 10 of 23 mantissa bits; zero is zero.
         if x == 0.0 {
             0
         } else {
@@ -374,8 +375,8 @@ fn halves(values: &[f32]) -> Vec<u32> {
     values.chunks_exact(2).map(|pair| half(pair[0]) | half(pair[1]) << 16).collect()
 }
 
-/// Products and weight gradients of matrices, in f32 and by cooperative matrices where the device has them: on whole numbers
-/// both are exact.
+/// Products and weight gradients of matrices, in f32 and, if the device has them, with cooperative matrices. Both are
+/// exact on whole numbers.
 #[test]
 fn products_of_matrices_are_exact_on_whole_numbers() {
     let Some(gpu) = gpu() else { return };
@@ -453,7 +454,7 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
         }
     }
     let Some(matrices) = gpu.matrices() else { return };
-    // What f16 cannot hold is taken for its largest number, and counted: here two numbers and one that is none.
+    // A value that f16 cannot represent becomes the largest f16 and is counted: here two numbers and a NaN.
     let mut counts: Buffer<u32> = Buffer::zeros(&gpu, 0);
     counts.write(&[1]);
     let (mut left, mut ones): (Buffer<f32>, Buffer<u32>) = (Buffer::zeros(&gpu, 0), Buffer::zeros(&gpu, 0));
@@ -473,7 +474,7 @@ fn ceilings_are_numbers() {
     let Some(gpu) = gpu() else { return };
     let ceilings = crate::ceilings::Ceilings::measure(&gpu);
     println!("{ceilings:?}");
-    // A software driver on one slow core has more, no device has so much.
+    // A software driver on one slow core exceeds the lower bounds, and no device reaches the upper ones.
     assert!(
         (1e7..1e15).contains(&ceilings.bytes) && (1e7..1e17).contains(&ceilings.operations),
         "{ceilings:?}"

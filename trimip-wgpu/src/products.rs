@@ -1,4 +1,4 @@
-//! Kernels of matrix products, in f32 or by cooperative matrices of f16: what tiles they take and how rows are blocked.
+//! Kernels of matrix products, in f32 or with cooperative f16 matrices: sizes of their tiles and blocks of rows.
 
 use crate::kernel::Access::{self, Parameters, Read, Write};
 use crate::kernel::Kernel;
@@ -9,12 +9,12 @@ const RELU: &str = include_str!("shaders/finish_relu.wgsl");
 const MASK: &str = include_str!("shaders/finish_mask.wgsl");
 const MULTIPLY: [&[&str]; 3] = [&[STORE, PRODUCT], &[RELU, PRODUCT], &[MASK, PRODUCT]];
 const ACCUMULATE: &[&str] = &[include_str!("shaders/accumulate.wgsl")];
-/// Products in f16.
+/// Conversion to f16.
 pub const HALF: &str = include_str!("shaders/half.wgsl");
 const EIGHT: &str = include_str!("shaders/cooperative_8.wgsl");
 const SIXTEEN: &str = include_str!("shaders/cooperative_16.wgsl");
 const PRODUCT_HALF: &str = include_str!("shaders/multiply_cooperative.wgsl");
-/// By the side of the matrices, then by [`Finish`].
+/// By side of the matrices, then by [`Finish`].
 const MULTIPLY_COOPERATIVE: [[&[&str]; 3]; 2] = [
     [
         &[HALF, EIGHT, STORE, PRODUCT_HALF],
@@ -31,35 +31,35 @@ const ACCUMULATE_HALF: &str = include_str!("shaders/accumulate_cooperative.wgsl"
 const ACCUMULATE_COOPERATIVE: [&[&str]; 2] =
     [&[HALF, EIGHT, ACCUMULATE_HALF], &[HALF, SIXTEEN, ACCUMULATE_HALF]];
 
-/// What becomes of a product before it is stored.
+/// Operation on a product before it is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
-    /// Nothing.
+    /// None.
     Store,
-    /// Values below zero become zero.
+    /// ReLU: values below zero become zero.
     Relu,
-    /// Zero where the mask is not above zero.
+    /// Derivative of a ReLU: zero where the mask is not above zero.
     Mask,
 }
 
-/// Columns of a tile in units of 16 for matrices of `n` columns.
+/// Columns of a tile, in units of 16, for a matrix of `n` columns.
 pub fn tile(n: usize) -> u32 {
     (1..=4).rev().find(|t| n.is_multiple_of(16 * t)).unwrap_or(1) as u32
 }
 
-/// Cooperative matrices of a device: f16 factors, f32 sums.
+/// Cooperative matrices of a device, with f16 factors and f32 sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Matrices {
-    /// Rows and columns: 8 or 16.
+    /// Number of rows and columns: 8 or 16.
     pub side: u32,
-    /// Subgroups that a workgroup of [`COOPERATING`] invocations has at least.
+    /// Minimum number of subgroups in a workgroup of [`COOPERATING`] invocations.
     pub subgroups: u32,
 }
 
-/// Invocations of a workgroup that works on cooperative matrices.
+/// Workgroup size of the kernels that use cooperative matrices.
 pub const COOPERATING: u32 = 128;
 
-/// Factor that keeps small gradients within f16; the largest that it leaves room for is 255.
+/// Factor that keeps small gradients within the range of f16; it leaves room for gradients up to 255.
 pub const GRADIENT_SCALE: u32 = 256;
 
 /// Floats of a block of rows in workgroup memory: 16 KiB of f16.
@@ -70,13 +70,13 @@ impl Matrices {
         usize::from(self.side == 16)
     }
 
-    /// Matrices side by side for which a subgroup sums at once.
+    /// Number of adjacent matrices that a subgroup sums at once.
     fn across(self, n: usize) -> u32 {
         (1..=4).rev().find(|t| n.is_multiple_of((self.side * t) as usize)).unwrap_or(1)
     }
 
-    /// Rows of a block of `k` columns: they divide the rows that arrays end with ([`crate::rows::BLOCK`]), so that no block
-    /// reaches beyond its array.
+    /// Rows of a block of `k` columns. The number divides [`crate::rows::BLOCK`], to which arrays are padded, so that
+    /// no block exceeds its array.
     pub fn rows(self, k: usize) -> u32 {
         match BLOCK / k {
             64.. => 64,
@@ -85,7 +85,7 @@ impl Matrices {
         }
     }
 
-    /// Workgroups for each chunk of a weight gradient [k, n].
+    /// Workgroups per chunk of a weight gradient [k, n].
     pub fn tiles(self, k: usize, n: usize) -> u32 {
         (k as u32).div_ceil(self.side * self.subgroups) * (n as u32 / (self.side * self.across(n)))
     }
@@ -94,7 +94,7 @@ impl Matrices {
 const PLAIN: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read)];
 const MASKED: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (5, Read)];
 const SUMMED: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read)];
-// The same, and where overflows are counted.
+// The same bindings, and the counter of overflows.
 const PLAIN_HALF: &[(u32, Access)] =
     &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (6, Write)];
 const MASKED_HALF: &[(u32, Access)] =
@@ -102,8 +102,8 @@ const MASKED_HALF: &[(u32, Access)] =
 const SUMMED_HALF: &[(u32, Access)] =
     &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (6, Write)];
 
-/// Product of [rows, k] and [k, n], in f32 or by cooperative `matrices`; these take the left factor times `scale` and have
-/// one more binding, the count of overflows.
+/// The product of [rows, k] and [k, n], in f32 or with cooperative `matrices`. The latter multiply the left factor by
+/// `scale` and have one more binding, the counter of overflows.
 pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, scale: u32) -> Kernel {
     let bindings = match (finish == Finish::Mask, matrices.is_some()) {
         (false, false) => PLAIN,
@@ -125,8 +125,8 @@ pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, 
     }
 }
 
-/// Weight gradient [k, n] in `chunks` parts, in f32 or by cooperative `matrices`; these leave it times [`GRADIENT_SCALE`]
-/// and have one more binding, the count of overflows.
+/// The weight gradient [k, n] in `chunks` parts, in f32 or with cooperative `matrices`. The latter leave it
+/// multiplied by [`GRADIENT_SCALE`] and have one more binding, the counter of overflows.
 pub fn accumulate(k: usize, n: usize, chunks: u32, matrices: Option<Matrices>) -> Kernel {
     let mut constants = vec![("K", k as u32), ("N", n as u32), ("CHUNKS", chunks)];
     match matrices {
@@ -147,7 +147,7 @@ pub fn accumulate(k: usize, n: usize, chunks: u32, matrices: Option<Matrices>) -
 mod tests {
     use super::*;
 
-    /// Cooperative stores write whole blocks of rows: arrays have to end with one.
+    /// Cooperative stores write whole blocks of rows, so arrays have to end with a whole block.
     #[test]
     fn arrays_end_with_whole_blocks() {
         let matrices = Matrices { side: 16, subgroups: 4 };

@@ -1,22 +1,22 @@
-//! From the device to the host: copies that are sent on their way with the recorded work, and redeemed when the device has
-//! come so far.
+//! Transfers from the device to the host. A copy is recorded with the other work and read once the device has
+//! executed it.
 
 use crate::device::{Gpu, lock};
 use crate::mapping::Mapping;
 use bytemuck::Pod;
 use std::sync::atomic::Ordering;
 
-/// A copy on its way to the host.
+/// A pending copy to the host.
 pub struct Receipt<T> {
     staging: wgpu::Buffer,
     count: usize,
-    /// The submission that fills it.
+    /// Number of the submission that contains the copy.
     number: u64,
     kind: std::marker::PhantomData<T>,
 }
 
 impl Gpu {
-    /// Copies the front of a buffer to a place from which the host can read it, when the device has come so far.
+    /// Records a copy of `count` values from byte `offset` of a buffer to memory that the host can read.
     pub fn send<T: Pod>(&self, buffer: &wgpu::Buffer, offset: u64, count: usize) -> Receipt<T> {
         let bytes = (count * size_of::<T>()) as u64;
         let staging = self.device.create_buffer(&wgpu::BufferDescriptor {
@@ -38,7 +38,7 @@ impl Gpu {
         Receipt { staging, count, number: recorder.number, kind: std::marker::PhantomData }
     }
 
-    /// What a receipt stands for; waits until the device has come so far, and no further.
+    /// Returns the copied values. Waits until the device has executed the copy, but not for later work.
     pub fn redeem<T: Pod>(&self, receipt: Receipt<T>) -> Vec<T> {
         let wait = {
             let mut recorder = self.recorder();
@@ -58,7 +58,7 @@ impl Gpu {
         self.collect(&receipt, polled && mapping.result() == Some(true))
     }
 
-    /// As [`Gpu::redeem`], without blocking: the future is pending until the device has come so far.
+    /// As [`Gpu::redeem`], without blocking: the future is pending until the device has executed the copy.
     pub async fn redeem_async<T: Pod>(&self, receipt: Receipt<T>) -> Vec<T> {
         {
             let mut recorder = self.recorder();
@@ -71,7 +71,7 @@ impl Gpu {
         self.collect(&receipt, mapped)
     }
 
-    /// Copies the values out of a buffer that is mapped, or could not be.
+    /// Copies the values out of the receipt's buffer, if it was mapped.
     fn collect<T: Pod>(&self, receipt: &Receipt<T>, mapped: bool) -> Vec<T> {
         if !mapped {
             lock(&self.failure).get_or_insert_with(|| "a buffer could not be read back".into());

@@ -16,10 +16,10 @@ use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
 use trimip_core::{Config, Pixel, Renderer, Space};
 
-/// Segments that a workgroup of the sums takes.
+/// Segments per workgroup of the prefix sums.
 const BLOCK: u32 = 4 * GROUP;
 
-/// Places of the counters in [`Samples::counts`]; what is dropped for want of room stands two further.
+/// Indices of the counters in [`Samples::counts`]. The number of samples dropped for lack of room is two further.
 const MARCHED: u32 = 0;
 const KEPT: u32 = 1;
 
@@ -55,11 +55,11 @@ struct CompositeParams {
     targets: u32,
 }
 
-/// Space, step and background.
+/// Space, step and background of a renderer.
 pub struct WgpuRenderer {
     gpu: Arc<Gpu>,
     space: Space<f32>,
-    /// Length of a step of the schedule's scale 1.
+    /// Length of a step at scale 1 of the schedule.
     uniform_step: f32,
     step_scale: Schedule,
     step_length: f32,
@@ -68,13 +68,13 @@ pub struct WgpuRenderer {
     background: [f32; 3],
     random: Random,
     training: bool,
-    /// Samples that a span has room for, and those of them that it has room to keep.
+    /// Number of marched samples that a span has room for, and number of kept ones.
     room: usize,
     kept_room: usize,
 }
 
 impl WgpuRenderer {
-    /// The renderer of a configuration, with room for so many samples of a span, and for so many kept ones of them.
+    /// Creates the renderer of a configuration, with room for `room` marched and `kept_room` kept samples per span.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, [room, kept_room]: [usize; 2]) -> Self {
         let uniform_step = config.step_length();
         let step_scale = config.renderer.step_scale.clone();
@@ -94,7 +94,7 @@ impl WgpuRenderer {
         }
     }
 
-    /// Gives every segment its start; the total goes to a counter.
+    /// Computes the start of every segment and writes the total to a counter.
     fn scan(
         &self,
         lane: &mut Lane,
@@ -131,7 +131,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         let count = rays.rays.known_len().unwrap_or(0);
         let most_samples = self.space.most_steps(self.step_length);
         let words = most_samples.div_ceil(32);
-        // A small view needs little; in training arrays have their size from the first step on.
+        // A small view needs little room. In training, arrays have their full size from the first step on.
         let room = if self.training { self.room } else { self.room.min(count * most_samples).max(1) };
         samples.segments.resize(count);
         samples.counts.resize(2);
@@ -182,7 +182,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         lane.old_segments.resize(count);
         lane.marks.resize(room);
         let Pruning { max_depth, min_weight } = self.pruning;
-        // WGSL knows no infinity.
+        // WGSL cannot express infinity.
         let params = PruneParams {
             count: count as u32,
             max_depth: max_depth.min(f32::MAX),

@@ -1,27 +1,27 @@
-//! How many samples arrays have room for: fixed before the first step, so that memory can be predicted.
+//! The number of samples that arrays have room for. It is fixed before the first step, so that memory can be
+//! predicted.
 
 use crate::field::padded;
 use crate::rows::BLOCK;
 use trimip_core::params::{color_layers, density_layers};
 use trimip_core::{Config, encoders};
 
-/// Marched samples that a training step has room for, for each sample it aims to keep.
+/// Room for marched samples in a training step, per sample that the step aims to keep.
 const MARCHED_PER_AIM: usize = 4;
 
-/// Kept samples that a training step has room for, for each that it aims to keep.
+/// Room for kept samples in a training step, per sample that the step aims to keep.
 const KEPT_PER_AIM: usize = 2;
 
-/// Samples of a span of a view.
+/// Room for samples in a span of a view.
 pub const VIEW_SAMPLES: usize = 1 << 20;
 
-/// Samples that a span must have room for: one ray through the whole box.
+/// Minimum room for samples in a span: one ray through the whole box.
 pub const LEAST_ROOM: usize = 4096;
 
-/// Samples that a span has room for, and those of them that it has room to keep, on a device that binds at most `binding`
-/// bytes at once.
+/// Room for marched samples in a span, and for kept ones, on a device whose largest binding has `binding` bytes.
 pub fn rooms(config: &Config, training: bool, binding: u64) -> (usize, usize) {
     let widest = (size_of::<f32>() * widest_row(config)) as u64;
-    // Whole blocks, as arrays have them.
+    // Whole blocks, because arrays are padded to them.
     let most = usize::try_from(binding / widest).unwrap_or(usize::MAX) / BLOCK * BLOCK;
     let wanted = config.train.samples_per_step as usize;
     let marched = if training { (MARCHED_PER_AIM * wanted).max(LEAST_ROOM) } else { VIEW_SAMPLES }.min(most);
@@ -30,7 +30,7 @@ pub fn rooms(config: &Config, training: bool, binding: u64) -> (usize, usize) {
     (marched, kept.min(marched))
 }
 
-/// Floats of the widest row that a sample has.
+/// Floats in the widest row of a sample.
 fn widest_row(config: &Config) -> usize {
     let layers = [density_layers(config), color_layers(config)].concat();
     let widths = layers.into_iter().flatten().map(padded);
@@ -41,7 +41,7 @@ fn widest_row(config: &Config) -> usize {
 mod tests {
     use super::*;
 
-    /// Arrays end with whole blocks of rows, and these too have to lie within what the device binds.
+    /// Arrays are padded to whole blocks of rows; the padding too has to fit into the device's largest binding.
     #[test]
     fn rooms_fit_a_binding() {
         let mut config = Config::default();

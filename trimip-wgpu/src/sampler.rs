@@ -1,4 +1,4 @@
-//! Where rays come from on the GPU: views, pixels and scales live on the device.
+//! Ray generation on the GPU: views, pixels and scales are stored on the device.
 
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
@@ -15,10 +15,10 @@ use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::Alpha;
 use trimip_core::{Camera, Config, Error, Result, Scale, ViewSet};
 
-/// Threads that look up a step's pixels on the host.
+/// Maximum number of threads that look up a step's pixels on the host.
 const MOST_THREADS: usize = 8;
 
-/// Scales that a set may have.
+/// Maximum number of scales of a data set.
 const MOST_SCALES: usize = 8;
 
 #[repr(C)]
@@ -69,7 +69,7 @@ struct Params {
     count: u32,
     scales: u32,
     premultiplied: u32,
-    /// Photographs come as the pixels drawn, in their order.
+    /// 1 if `pixels` holds only the drawn pixels, in the order of the rays.
     streamed: u32,
     /// Cones along a side of a pixel.
     side: u32,
@@ -78,7 +78,7 @@ struct Params {
     weights: [f32; MOST_SCALES],
 }
 
-/// Training views on the device, and how rays are shared among their scales.
+/// The training views on the device, and the distribution of rays among their scales.
 pub struct WgpuSampler {
     gpu: Arc<Gpu>,
     train: TrainConfig,
@@ -90,21 +90,21 @@ pub struct WgpuSampler {
 
 struct Training {
     views: Buffer<GpuView>,
-    /// All pixels, or those of a step's rays.
+    /// All pixels, or only those of a step's rays.
     pixels: Mutex<Buffer<u32>>,
-    /// All pixels where they stay on the host.
+    /// All pixels, if they stay on the host.
     host: Option<Vec<[u8; 4]>>,
     scales: Buffer<GpuScale>,
-    /// The scales as the host knows them.
+    /// The scales, for the host.
     shared: Vec<Scale>,
     balance: Balance,
 }
 
 impl WgpuSampler {
-    /// A sampler over `views`; without them it makes camera rays only.
+    /// A sampler over `views`. Without views it generates camera rays only.
     ///
     /// # Errors
-    /// When the photographs do not fit into a binding of the device.
+    /// When the photographs exceed the device's largest binding.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, views: Option<ViewSet>) -> Result<Self> {
         let (background, side) = (config.data.background, config.renderer.cones);
         let mut params = Params { background, side, ..Params::default() };
@@ -183,7 +183,8 @@ impl Training {
         Ok(training)
     }
 
-    /// Pixels of the rays `range` of `total`, as the device draws them; each of a few threads looks up a part.
+    /// Looks up the pixels of the rays `range` of `total`, with the same random numbers as the device. A few threads
+    /// share the work.
     fn draw(&self, host: &[[u8; 4]], random: &Random, step: u64, total: u32, range: Range<u32>) -> Vec<u32> {
         let begins: Vec<u32> = self.balance.begins(total).collect();
         let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
@@ -207,7 +208,7 @@ impl Training {
     }
 }
 
-/// The values in front of others that nothing reads.
+/// The values, followed by `rest`, which nothing reads.
 fn padded<T: Copy>(values: impl Iterator<Item = T>, rest: T) -> [T; MOST_SCALES] {
     let mut all = [rest; MOST_SCALES];
     all.iter_mut().zip(values).for_each(|(place, value)| *place = value);

@@ -1,9 +1,9 @@
-//! The space as shaders have it.
+//! The space in the layout of the shaders.
 
 use bytemuck::{Pod, Zeroable};
 use trimip_core::Space;
 
-/// See `space.wgsl`.
+/// The twin of `Space` in `space.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 pub struct GpuSpace {
@@ -19,7 +19,7 @@ pub struct GpuSpace {
 }
 
 impl GpuSpace {
-    /// A space under a grid of `resolution` cells along each side.
+    /// Converts a space, with a grid of `resolution` cells along each side.
     pub fn new(space: &Space<f32>, resolution: u32) -> Self {
         let aabb = space.aabb();
         Self {

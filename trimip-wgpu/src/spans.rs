@@ -1,10 +1,10 @@
-//! How a picture, or the cells of a grid, are cut into spans whose samples have room.
+//! Cuts an image, or the cells of a grid, into spans whose samples fit into their arrays.
 
 use std::ops::Range;
 
-/// The spans of a map: as many rays at once as their samples have room for.
+/// The spans of a map: each has as many rays as its samples have room for.
 pub struct Spans {
-    /// Samples that a span has room for.
+    /// Number of samples that a span has room for.
     room: usize,
     chunk: u32,
     start: u32,
@@ -12,18 +12,18 @@ pub struct Spans {
 }
 
 impl Spans {
-    /// Spans over `count` rays, of `chunk` rays at first, with room for `room` samples each.
+    /// Spans over `count` rays, initially of `chunk` rays, with room for `room` samples each.
     pub fn new(count: u32, chunk: u32, room: usize) -> Self {
         Self { room, chunk, start: 0, count }
     }
 
-    /// The next span; the same again in a smaller part after one that did not fit.
+    /// The next span. After a span that did not fit, it starts at the same ray and is smaller.
     pub fn next(&mut self) -> Option<Range<u32>> {
         (self.start < self.count)
             .then(|| self.start..self.start + self.chunk.clamp(1, self.count - self.start))
     }
 
-    /// Whether the samples of a span had room. `counts` are those of a span whose rays were marched.
+    /// Whether the samples of a span fitted. `counts` are those of a span whose rays were marched.
     pub fn fits(&mut self, span: &Range<u32>, counts: Option<Vec<[u32; 2]>>) -> bool {
         let length = span.end - span.start;
         if let Some(counts) = counts {
@@ -33,7 +33,7 @@ impl Spans {
                 return false;
             }
             let mean = (marched as usize / length as usize).max(1);
-            // A view's next rows may hold more than its last.
+            // The next rows of a view may have more samples than the last ones.
             self.chunk = (self.room / mean / 2).min(1 << 20) as u32;
         }
         self.start = span.end;

@@ -9,7 +9,7 @@ fn main() -> trimip::Result<()> {
     run(&std::env::args().skip(1).collect::<Vec<_>>(), Path::new("runs/example"))
 }
 
-/// Trains what the arguments say into a run folder.
+/// Trains into the run folder `out` as the arguments specify.
 pub fn run(arguments: &[String], out: &Path) -> trimip::Result<()> {
     let mut settings = Settings::defaults().with("train.seconds", 60)?.with("data.format", "builtin")?;
     for argument in arguments {

@@ -1,4 +1,4 @@
-//! The registry of backends: the one place that knows which of them this build has. A configuration picks one by name.
+//! Registry of the backends compiled into this build. A configuration selects one by name.
 
 use crate::units;
 use trimip_core::{
@@ -7,7 +7,7 @@ use trimip_core::{
 #[cfg(feature = "wgpu")]
 use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND};
 
-/// What the registry knows of a backend.
+/// A registered backend.
 struct Entry {
     name: &'static str,
     describe: fn() -> String,
@@ -16,7 +16,7 @@ struct Entry {
     load: fn(&Model) -> Result<Box<dyn Viewer>>,
     memory: fn(&Config, &ViewSet) -> Vec<(String, u64)>,
     compute: fn(&Config) -> Result<Compute>,
-    /// Full name of the configured device where it is software: the processor in a GPU's place.
+    /// Full name of the configured device if it is a software renderer, `None` for a real GPU or the CPU backend.
     software: fn(&Config) -> Option<String>,
 }
 
@@ -45,7 +45,7 @@ const ENTRIES: &[Entry] = &[
     },
 ];
 
-/// The backend of this name.
+/// Looks up a backend by name.
 fn entry(name: &str) -> Result<&'static Entry> {
     ENTRIES.iter().find(|entry| entry.name == name).ok_or_else(|| match name {
         "wgpu" => Error::input(
@@ -71,12 +71,12 @@ pub fn usable() -> Vec<String> {
     ENTRIES.iter().filter(|entry| (entry.usable)()).map(|entry| entry.name.to_string()).collect()
 }
 
-/// Each backend of this build in one line.
+/// Describes each backend of this build in one line.
 pub fn describe() -> Vec<String> {
     ENTRIES.iter().map(|entry| format!("{}: {}", entry.name, (entry.describe)())).collect()
 }
 
-/// Graphics adapters that a backend of this build could use, one line each.
+/// Graphics adapters that a backend of this build can use, one line each.
 #[cfg(feature = "wgpu")]
 pub fn adapters() -> Vec<String> {
     let mut lines = Vec::new();
@@ -90,65 +90,66 @@ pub fn adapters() -> Vec<String> {
     lines
 }
 
-/// Graphics adapters that a backend of this build could use, one line each.
+/// Graphics adapters that a backend of this build can use: none without wgpu.
 #[cfg(not(feature = "wgpu"))]
 pub fn adapters() -> Vec<String> {
     vec!["none: this build has no wgpu backend".into()]
 }
 
-/// Refuses a name that this build has no backend for.
+/// Checks that this build has a backend named `name`.
 ///
 /// # Errors
-/// With the names that there are.
+/// When it has none; the message lists the available names.
 pub fn check(name: &str) -> Result<()> {
     entry(name).map(drop)
 }
 
-/// A new model in training on the configured backend.
+/// Creates a new model and opens a training session on the configured backend.
 ///
 /// # Errors
-/// When there is no such backend or device, or the configuration does not fit it.
+/// When the backend or its device does not exist, or the configuration does not fit it.
 pub fn train(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     (entry(&config.backend)?.train)(config, views)
 }
 
-/// A finished model to render on the backend that its configuration names now.
+/// Opens a trained model for rendering on the backend that its configuration names.
 ///
 /// # Errors
-/// When there is no such backend or device, or the model does not fit it.
+/// When the backend or its device does not exist, or the model does not fit it.
 pub fn load(model: &Model) -> Result<Box<dyn Viewer>> {
     (entry(&model.config.backend)?.load)(model)
 }
 
-/// Bytes that training will need, by part, the photographs included; empty for an unknown backend.
+/// Predicted memory for training in bytes, by part, photographs included; empty for an unknown backend.
 pub fn predict_memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     entry(&config.backend).map_or_else(|_| Vec::new(), |entry| (entry.memory)(config, views))
 }
 
-/// What the configured backend computes with.
+/// Describes the device and the instructions that the configured backend computes with.
 ///
 /// # Errors
-/// When there is no such backend or device.
+/// When the backend or its device does not exist.
 pub fn compute(config: &Config) -> Result<Compute> {
     (entry(&config.backend)?.compute)(config)
 }
 
-/// Work that needs a backend's own type.
+/// Work that is generic over the backend type.
 pub trait Visitor {
-    /// What it gives.
+    /// Result of the work.
     type Output;
 
-    /// Does the work; `open` makes a fresh backend each time.
+    /// Does the work; `open` creates a fresh backend on each call.
     ///
     /// # Errors
     /// When the backend cannot be opened, or the work fails.
     fn visit<B: Backend>(self, open: &dyn Fn() -> Result<B>) -> Result<Self::Output>;
 }
 
-/// Does work on the backend `name`, on the adapter whose name contains `adapter` or with `threads` threads (0: all cores).
+/// Runs `visitor` on the backend `name`, on the adapter whose name contains `adapter` or with `threads` threads (0: all
+/// cores).
 ///
 /// # Errors
-/// When there is no such backend, or the work fails.
+/// When the backend does not exist, or the work fails.
 pub fn visit<V: Visitor>(name: &str, adapter: &str, threads: u32, visitor: V) -> Result<V::Output> {
     check(name)?;
     #[cfg(feature = "wgpu")]
@@ -160,12 +161,12 @@ pub fn visit<V: Visitor>(name: &str, adapter: &str, threads: u32, visitor: V) ->
     visitor.visit(&|| trimip_cpu::CpuBackend::new(threads, simd))
 }
 
-/// Full name of the configured device where it is software.
+/// Full name of the configured device if it is a software renderer.
 fn software(config: &Config) -> Option<String> {
     (entry(&config.backend).ok()?.software)(config)
 }
 
-/// What to know before a view is rendered where the adapter picked is software.
+/// Remark printed before rendering if the selected adapter is a software renderer.
 pub fn software_remark(config: &Config) -> Option<String> {
     software(config).map(|name| {
         format!(
@@ -174,7 +175,8 @@ pub fn software_remark(config: &Config) -> Option<String> {
     })
 }
 
-/// What to know before the first step where the adapter picked is software: its name, how long a step takes, what to do.
+/// Warning printed before the first step if the selected adapter is a software renderer: its name, the time of a step,
+/// and what to do instead.
 pub fn software_warning(config: &Config) -> Option<String> {
     #[cfg(feature = "wgpu")]
     if let Some(name) = software(config) {
@@ -186,7 +188,7 @@ pub fn software_warning(config: &Config) -> Option<String> {
     None
 }
 
-/// `cells` are asked in the first step, and in every step that refreshes the occupancy grid while it warms up.
+/// `cells`: density queries of the first step, and of each step that refreshes the occupancy grid during its warm-up.
 #[cfg(feature = "wgpu")]
 fn software_text(name: &str, samples_per_step: u32, cells: f64) -> String {
     let step = f64::from(samples_per_step) / SOFTWARE_SAMPLES_PER_SECOND;

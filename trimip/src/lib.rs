@@ -1,12 +1,12 @@
 //! Tri-MipRF (Hu et al., ICCV 2023) as a library: anti-aliased radiance fields from photographs, on the CPU or a GPU.
 //!
-//! - settings: [`Settings`] lays values over the documented defaults, [`Config`] is their typed form;
-//! - data: [`data::open`] reads a folder of photographs, or makes the built-in scene;
-//! - training: [`Training`] trains into a run folder with callbacks, and goes on with what is there; [`backends::train`]
-//!   opens a bare [`Session`] for a loop of one's own;
-//! - models: [`read_model`] and [`model::Model::write`] load and save, [`backends::load`] opens a [`Viewer`];
-//! - pictures: [`Viewer::render`] gives a [`Frame`], [`view::write`] writes it as PNG or EXR;
-//! - measures: [`view::evaluate`] compares a model with its test photographs.
+//! - settings: [`Settings`] holds values set over the documented defaults, [`Config`] is their typed form;
+//! - data: [`data::open`] reads a folder of photographs or generates the built-in scene;
+//! - training: [`Training`] trains into a run folder with callbacks and resumes an existing run; [`backends::train`]
+//!   opens a bare [`Session`] for a custom training loop;
+//! - models: [`read_model`] and [`model::Model::write`] load and save a model, [`backends::load`] opens a [`Viewer`];
+//! - pictures: [`Viewer::render`] returns a [`Frame`], [`view::write`] writes it as PNG or EXR;
+//! - metrics: [`view::evaluate`] compares a model with its test photographs.
 //!
 //! ```
 //! # fn main() -> trimip::Result<()> {

@@ -1,10 +1,10 @@
-//! What the program runs on: processor, memory, system, disk. Read from Linux's own files; what another system does not
-//! tell is `None`, never a made-up zero.
+//! The machine that the program runs on: processor, memory, system, disk. Read from Linux's own files. A value that
+//! another system does not report is `None`, never zero.
 
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Version and, where the program was built in its repository, commit.
+/// Version of the program, with the commit if it was built in its repository.
 pub fn version() -> String {
     match option_env!("TRIMIP_COMMIT") {
         Some(commit) => format!("{} ({commit})", env!("CARGO_PKG_VERSION")),
@@ -19,18 +19,18 @@ pub struct Machine {
     pub cpu: String,
     /// Threads that this process may run at once.
     pub cores: usize,
-    /// Instruction sets found that training can use.
+    /// Instruction sets that training can use.
     pub simd: Vec<String>,
     /// Operating system and kernel.
     pub os: String,
-    /// Memory this process may use in all: the machine's, or a container's limit.
+    /// Total memory of this process in bytes: the machine's, or a container's limit.
     pub memory_total_bytes: Option<u64>,
-    /// Memory available when asked.
+    /// Memory available at the time of the call, bytes.
     pub memory_available_bytes: Option<u64>,
 }
 
 impl Machine {
-    /// Looks around.
+    /// Reads the properties of this machine.
     pub fn detect() -> Self {
         let meminfo = read("/proc/meminfo");
         let limit = read("/sys/fs/cgroup/memory.max").trim().parse().ok();
@@ -50,19 +50,19 @@ impl Machine {
     }
 }
 
-/// Largest resident memory of this process so far (`VmHWM`).
+/// Peak resident memory of this process so far (`VmHWM`), bytes.
 pub fn peak_memory() -> Option<u64> {
     kilobytes(&read("/proc/self/status"), "VmHWM:")
 }
 
-/// Bytes a user may still write on the disk that holds `path`.
+/// Free bytes, for an ordinary user, on the disk that holds `path`.
 #[cfg(unix)]
 pub fn disk_free(path: &Path) -> Option<u64> {
     let stat = rustix::fs::statvfs(path).ok()?;
     Some(stat.f_bavail * stat.f_frsize)
 }
 
-/// Bytes a user may still write on the disk that holds `path`: not known here.
+/// Free bytes on the disk that holds `path`: unknown on this system.
 #[cfg(not(unix))]
 pub fn disk_free(_path: &Path) -> Option<u64> {
     None

@@ -1,12 +1,12 @@
-//! Settings beyond their layers: what a finished model lets change, and the printed form: aligned `key = value` lines with
-//! what each means and where its value came from, in the order of the documented table of defaults.
+//! Settings of a trained model, and the printed form of settings: aligned `key = value` lines with the meaning and
+//! origin of each value, in the order of the table of defaults.
 
 use trimip_core::{Config, DEFAULTS, Error, Origin, Result, Settings, model::Model};
 
-/// The settings of a configuration that was built in code, every range checked.
+/// The settings of a configuration that was built in code. Checks every range.
 ///
 /// # Errors
-/// Names the first setting that is out of range.
+/// When a setting is out of range; the message names the first one.
 pub fn of(config: &Config) -> Result<Settings> {
     config.validate()?;
     let mut settings = Settings::defaults();
@@ -14,10 +14,10 @@ pub fn of(config: &Config) -> Result<Settings> {
     Ok(settings)
 }
 
-/// Lays assignments over the configuration of a finished model. What belongs to the model itself cannot be changed.
+/// Applies assignments to the configuration of a trained model. Settings that define the model cannot change.
 ///
 /// # Errors
-/// When there is no such setting, it is out of range, or it belongs to the trained model.
+/// When a setting does not exist, is out of range, or belongs to the trained model.
 pub fn override_model(model: &mut Model, assignments: &[String]) -> Result<()> {
     let mut settings = Settings::defaults();
     settings.apply_file("model", &model.config.to_toml())?;
@@ -37,22 +37,22 @@ pub fn override_model(model: &mut Model, assignments: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// A setting as it is shown.
+/// A setting as displayed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// Section, empty for the settings above all sections.
+    /// Section; empty for top-level settings.
     pub section: String,
     /// Key within the section.
     pub key: String,
     /// Value as TOML.
     pub value: String,
-    /// Where it came from.
+    /// Origin of the value.
     pub origin: Origin,
-    /// What it means: the comment of the table of defaults.
+    /// Meaning: the setting's comment in the table of defaults.
     pub meaning: String,
 }
 
-/// Every setting in the order of the table of defaults.
+/// All settings in the order of the table of defaults.
 pub fn rows(settings: &Settings) -> Vec<Row> {
     let mut rows = Vec::new();
     let mut section = String::new();
@@ -77,7 +77,7 @@ pub fn rows(settings: &Settings) -> Vec<Row> {
     rows
 }
 
-/// The settings as aligned TOML with the origin of each value as its comment.
+/// The settings as aligned TOML, with the origin of each value as a comment.
 pub fn text(settings: &Settings) -> String {
     let rows = rows(settings);
     let key_width = rows.iter().map(|row| row.key.len()).max().unwrap_or(0);

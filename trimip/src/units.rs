@@ -1,16 +1,16 @@
-//! Numbers for people: counts with their things, bytes and large numbers with a prefix, durations.
+//! Numbers formatted for people: counts, bytes and large numbers with a prefix, durations.
 
-/// `1 view`, `25000 views`: a count of things whose name takes an s.
+/// `1 view`, `25000 views`: a count with a noun whose plural ends in s.
 pub fn count(count: u64, thing: &str) -> String {
     format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
 }
 
-/// `1 pixel`, `92.5 M pixels`: the same of a large count.
+/// `1 pixel`, `92.5 M pixels`: a large count with a noun whose plural ends in s.
 pub fn many(count: u64, thing: &str) -> String {
     if count == 1 { format!("1 {thing}") } else { number(count as f64, &format!("{thing}s")) }
 }
 
-/// `1.5 GB`: bytes in decimal units, as disks and papers count.
+/// `1.5 GB`: bytes in decimal units, as on disks and in papers.
 pub fn bytes(count: u64) -> String {
     number(count as f64, "B")
 }
@@ -31,12 +31,12 @@ pub fn number(value: f64, unit: &str) -> String {
     } else {
         2
     };
-    // A symbol joins its prefix (MB), a word stands apart (M samples).
+    // A symbol joins its prefix (MB). A word is separated by a space (M samples).
     let gap = if unit.len() > 1 && !prefix.is_empty() { " " } else { "" };
     format!("{value:.digits$} {prefix}{gap}{unit}").trim_end().to_string()
 }
 
-/// `4 min 03 s`: a duration for people.
+/// `4 min 03 s`: a duration.
 pub fn duration(seconds: f64) -> String {
     if !seconds.is_finite() {
         return "unknown".into();

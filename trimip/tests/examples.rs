@@ -1,4 +1,4 @@
-//! The examples do what they say: one trains and writes a picture, the other renders the model that the first left.
+//! Runs the examples: one trains and writes a picture, the other renders the resulting model.
 
 #[allow(dead_code)]
 #[path = "../examples/render.rs"]
@@ -22,7 +22,7 @@ const TINY: [&str; 9] = [
     "eval.min_gain=0",
 ];
 
-/// The picture has this size and shows something.
+/// Asserts that the picture has this size and is not blank.
 fn expect_picture(path: &Path, size: (u32, u32)) {
     let picture = image::open(path).unwrap().into_rgb8();
     assert_eq!(picture.dimensions(), size);
@@ -43,7 +43,7 @@ fn one_example_trains_and_the_other_renders() {
     expect_picture(&picture, (64, 48));
     assert_eq!(render::run(&[]).unwrap_err().exit_code(), 2);
 
-    // A folder of photographs, here those of the built-in scene, is an argument of its own.
+    // A folder of photographs, here those of the built-in scene, is the first argument.
     let photographs = temporary.path().join("photographs");
     let config = trimip::Settings::defaults().with("data.builtin_size", 16).unwrap();
     let config = config.with("data.builtin_train", 4).unwrap().with("data.builtin_test", 1).unwrap();

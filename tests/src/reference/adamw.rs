@@ -1,4 +1,4 @@
-//! One step of AdamW as it is printed (Loshchilov and Hutter 2019, Algorithm 2).
+//! One step of AdamW as published (Loshchilov and Hutter 2019, Algorithm 2).
 
 use trimip_core::config::OptimizerConfig;
 
@@ -8,7 +8,7 @@ pub fn moments(config: &OptimizerConfig, [m, v]: [f64; 2], gradient: f64) -> [f6
     [beta1 * m + (1.0 - beta1) * gradient, beta2 * v + (1.0 - beta2) * gradient * gradient]
 }
 
-/// Lines 8 to 12: by how much the moments of step `step` (from 1) move a parameter, and by how much it decays.
+/// Lines 8 to 12: the change of a parameter due to the moments of step `step` (from 1), and its decay.
 pub fn changes(
     config: &OptimizerConfig,
     [rate, decay]: [f64; 2],

@@ -1,22 +1,22 @@
-//! The multiresolution hash grid as its equations (Müller et al. 2022): per level, the eight corners of the cell around a
-//! place, one after the other.
+//! The multiresolution hash grid written from its equations (Müller et al. 2022): per level, the eight corners of the
+//! cell around a position, one after the other.
 
 use super::Literal;
 use trimip_core::{Config, config::HashGridConfig};
 
-/// The grid with parameters of its own.
+/// A hash grid and its parameters.
 pub struct HashGrid {
     config: HashGridConfig,
     table: Vec<f64>,
 }
 
 impl HashGrid {
-    /// `table`: the entries of all levels, coarse to fine, each of `features` values.
+    /// `table`: the entries of all levels, coarse to fine, `features` values each.
     pub fn new(config: &Config, table: Vec<f64>) -> Self {
         Self { config: config.hash_grid.clone(), table }
     }
 
-    /// Cells across the box less one, corners along a side, and entries of a level.
+    /// Number of cells across the box minus one, corners along a side, and entries of a level.
     fn level(&self, level: u32) -> (f64, u64, u64) {
         let HashGridConfig { levels, coarsest, finest, log2_entries, .. } = self.config;
         let growth = if levels > 1 {
@@ -24,7 +24,7 @@ impl HashGrid {
         } else {
             1.0
         };
-        // The backends have the scale in f32.
+        // The backends store the scale in f32.
         let scale = f64::from((f64::from(coarsest) * growth.powi(level as i32) - 1.0) as f32);
         let side = (scale - 1e-4).ceil() as u64 + 1;
         let entries = (side.pow(3).div_ceil(8) * 8).min(1 << log2_entries);

@@ -1,5 +1,6 @@
-//! A model as its equations, in f64, slow and plain: no packing, no skipping, no fused form. Positions are those of
-//! the unit box, radii and distances world units. Letters: σ density, δ interval, T transmittance, α opacity of a sample.
+//! The model written from its equations, in f64, slow and simple: no packing, no skipping, no fused form. Positions are
+//! in the unit box, radii and distances in world units. σ is density, δ interval, T transmittance, α opacity of a
+//! sample.
 
 mod adamw;
 mod harmonics;
@@ -19,13 +20,13 @@ use trimip_core::{
     config::{EncoderKind, LossRays},
 };
 
-/// An encoder as its equations.
+/// An encoder written from its equations.
 pub trait Literal {
-    /// Features of a sphere: its centre in the unit box, its radius in world units.
+    /// Features of a sphere with its centre in the unit box and its radius in world units.
     fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64>;
 }
 
-/// The model with parameters of its own.
+/// The model and its parameters.
 pub struct Reference {
     config: Config,
     encoder: Box<dyn Literal>,
@@ -46,13 +47,13 @@ pub struct Sample {
     pub t: f64,
     /// Length of its interval, δ.
     pub length: f64,
-    /// Centre of its sphere, unit box.
+    /// Centre of its sphere in the unit box.
     pub position: [f64; 3],
-    /// Radius of its sphere.
+    /// Radius of its sphere, world units.
     pub radius: f64,
 }
 
-/// A cone with the samples that are kept of it.
+/// A cone and its kept samples.
 pub type Seen = (Ray, Vec<Sample>);
 
 /// A composited ray.
@@ -67,7 +68,7 @@ pub struct Composited {
 }
 
 impl Reference {
-    /// The model of a configuration with flat parameters.
+    /// Creates the model of a configuration from flat parameters.
     pub fn new(config: &Config, layout: &Layout, parameters: &[f64]) -> Self {
         let mut own = layout.encoder().iter().map(|slot| parameters[slot.range.clone()].to_vec());
         let first = own.next().unwrap_or_default();
@@ -95,12 +96,12 @@ impl Reference {
         network(&self.density, features)
     }
 
-    /// Density of a logit.
+    /// Density from the logit.
     pub fn density(&self, geometry: &[f64]) -> f64 {
         (geometry[0] - 1.0).exp()
     }
 
-    /// Colour seen along a unit direction.
+    /// Colour in a unit direction.
     pub fn color(&self, geometry: &[f64], direction: [f64; 3]) -> [f64; 3] {
         let mut input = if self.config.field.directions { harmonics(direction).to_vec() } else { Vec::new() };
         input.truncate((self.config.field.harmonics as usize).pow(2));
@@ -133,8 +134,8 @@ impl Reference {
         composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
     }
 
-    /// The loss over pixels whose cones and samples (kept ones only) are given: Σ weight·(mean of smooth-L1 + that of
-    /// opacity), over Σ weight of the pixels that count. A pixel is the mean of its cones.
+    /// The loss over pixels with the given cones and kept samples: Σ weight·(mean of smooth-L1 + that of opacity),
+    /// divided by Σ weight of the pixels that count. A pixel is the mean of its cones.
     pub fn loss(&self, pixels: &[(Target, Vec<Seen>)]) -> f64 {
         let (beta, mut loss, mut weights) = (f64::from(self.config.loss.beta), 0.0, 0.0);
         let smooth_l1 = |d: f64| if d < beta { d * d / (2.0 * beta) } else { d - beta / 2.0 };
@@ -198,7 +199,7 @@ pub fn composite(
     result
 }
 
-/// Distances at which a ray enters (not before its origin) and leaves the box.
+/// Distances at which a ray enters the box (not before its origin) and leaves it.
 pub fn span(config: &Config, origin: [f64; 3], direction: [f64; 3]) -> Option<(f64, f64)> {
     let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
     for axis in 0..3 {
@@ -224,8 +225,8 @@ pub fn step_length(config: &Config) -> f64 {
     side(0).max(side(1)).max(side(2)) * 3.0_f64.sqrt() / f64::from(config.renderer.steps_per_diagonal)
 }
 
-/// World length of a ray's step: the uniform step times its scale at `progress`, and at least so many radii of the
-/// sphere (slope · t) in the middle between entering and leaving the box.
+/// World length of a ray's step: the uniform step times its scale at `progress`, and at least the configured number of
+/// sphere radii (slope · t) at the midpoint between entering and leaving the box.
 pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
     let uniform = step_length(config) * config.renderer.step_scale.at(progress);
     let (enter, leave) =
@@ -234,7 +235,7 @@ pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
     uniform.max(f64::from(config.renderer.step_per_radius) * radius)
 }
 
-/// The middles of all uniform steps in the box, `offset` of a step late; `occupied` is asked at every one of them.
+/// The midpoints of all uniform steps in the box, delayed by `offset` of a step, at which `occupied` is true.
 pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]) -> bool) -> Vec<Sample> {
     let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
     let mut samples = Vec::new();
@@ -256,9 +257,9 @@ pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]
     samples
 }
 
-/// Which samples of a ray are kept (transmittance before them at least the configured minimum, weight at least the
-/// configured one), and how close the closest decision was: the smallest |ln T − ln T_min| or |ln w − ln w_min|.
-/// A dropped sample hides nothing.
+/// Indices of the kept samples of a ray (transmittance before them and their weight at least the configured minima),
+/// and the margin of the closest decision: the smallest |ln T − ln T_min| or |ln w − ln w_min|. A dropped sample does
+/// not attenuate the ray.
 pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<usize>, f64) {
     let [least, lightest] =
         [config.renderer.min_transmittance, config.renderer.min_weight].map(|limit| f64::from(limit).ln());
@@ -279,8 +280,8 @@ pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<u
     (kept, margin)
 }
 
-/// Samples in front of which the transmittance is at least the configured minimum, and how close the decision was: the
-/// smallest |ln T − ln T_min| over the samples.
+/// Number of leading samples with a transmittance before them of at least the configured minimum, and the margin of the
+/// decision: the smallest |ln T − ln T_min| over the samples.
 pub fn kept(config: &Config, samples: &[Sample], densities: &[f64]) -> (usize, f64) {
     let limit = f64::from(config.renderer.min_transmittance).ln();
     let (mut log_transmittance, mut margin) = (0.0_f64, f64::INFINITY);

@@ -1,11 +1,11 @@
-//! The gradient of the loss by the chain rule, with the factors of the layers' products rounded as a backend rounds them
-//! and everything else in f64. Rounding is part of the model here: a hidden unit that rounding switches off is off in the
-//! backend and in this twin alike, so that the two differ by no more than the order of f32 sums.
+//! The gradient of the loss by the chain rule. The factors of the layers' products are rounded as a backend rounds
+//! them; everything else is f64. A hidden unit that rounding switches off is off in the backend and in this reference
+//! alike, so the two differ only by the order of f32 sums.
 
 use super::{Layer, Reference, Sample, harmonics};
 use trimip_core::batch::{Ray, Target};
 
-/// The nearest bf16, ties to even, as the processors' instructions round: values below the smallest normal f32 are zero.
+/// The nearest bf16, ties to even, as processor instructions round; denormal f32 values become zero.
 pub fn bf16(value: f64) -> f64 {
     let bits = (value as f32).to_bits();
     if value.abs() < f64::from(f32::MIN_POSITIVE) {
@@ -14,33 +14,33 @@ pub fn bf16(value: f64) -> f64 {
     f64::from(f32::from_bits((bits + 0x7fff + (bits >> 16 & 1)) & 0xffff_0000))
 }
 
-/// Outputs up to which a last layer is not rounded.
+/// A last layer with at most this many outputs is not rounded.
 const FEW: usize = 4;
 
 /// The loss and its gradient.
 pub struct Gradient {
     /// Mean loss.
     pub loss: f64,
-    /// By the weights of each layer, density network first.
+    /// Gradient by the weights of each layer, density network first.
     pub layers: Vec<Vec<f64>>,
-    /// By the features of every sample.
+    /// Gradient by the features of every sample.
     pub features: Vec<(Sample, Vec<f64>)>,
 }
 
-/// A network on its way forward and back.
+/// A network with its rounding, for the forward and the backward pass.
 struct Network<'a> {
     layers: &'a [Layer],
     round: &'a dyn Fn(f64) -> f64,
 }
 
 impl Network<'_> {
-    /// How the factors of a layer are rounded.
+    /// The rounding of a layer's factors.
     fn rounding(&self, layer: usize) -> impl Fn(f64) -> f64 {
         let exact = layer + 1 == self.layers.len() && self.layers[layer].outputs <= FEW;
         move |value| if exact { value } else { (self.round)(value) }
     }
 
-    /// Inputs of every layer, and the output.
+    /// Inputs of every layer, then the output.
     fn forward(&self, input: Vec<f64>) -> Vec<Vec<f64>> {
         let mut values = vec![input];
         for (i, layer) in self.layers.iter().enumerate() {
@@ -57,7 +57,7 @@ impl Network<'_> {
         values
     }
 
-    /// Gradients of the outputs of every layer, and of the input, first.
+    /// Gradients of the input, then of the outputs of every layer.
     fn backward(&self, values: &[Vec<f64>], by_output: Vec<f64>) -> Vec<Vec<f64>> {
         let mut gradients = vec![by_output];
         for (i, layer) in self.layers.iter().enumerate().rev() {
@@ -74,7 +74,7 @@ impl Network<'_> {
         gradients
     }
 
-    /// Adds inputᵀ·gradient to the weight gradient of the rows from `first` on.
+    /// Adds inputᵀ·gradient to the weight gradient, from row `first` on.
     fn add(&self, layer: usize, first: usize, input: &[f64], by_output: &[f64], out: &mut [f64]) {
         let (round, outputs) = (self.rounding(layer), self.layers[layer].outputs);
         for (x, row) in input.iter().zip(out.chunks_exact_mut(outputs).skip(first)) {
@@ -84,10 +84,10 @@ impl Network<'_> {
 }
 
 impl Reference {
-    /// Loss and gradient of rays whose kept samples are given, with the features of all samples in order: those of a backend,
-    /// whose last bits decide how some of them round. `round` rounds the factors of products. The harmonics of a
-    /// ray meet the sum of its samples' gradients, as on the CPU. Of the configuration, `loss.opacity` is taken as 0 and
-    /// every ray counts that has a sample.
+    /// Loss and gradient of rays with given kept samples and the features of all samples in order. The features are
+    /// those of a backend, as their last bits decide how some of them round. `round` rounds the factors of products.
+    /// The harmonics of a ray are multiplied by the sum of its samples' gradients, as on the CPU. `loss.opacity` is
+    /// taken as 0, and every ray with a sample counts.
     pub fn gradient(
         &self,
         rays: &[(Ray, Target, Vec<Sample>)],
@@ -119,7 +119,7 @@ impl Reference {
                     ((output[0] - 1.0).exp() * sample.length, rgb, geometry, shade)
                 })
                 .collect();
-            // Transmittance before every sample and behind the last.
+            // Transmittance before each sample and behind the last.
             let mut transmittance = vec![1.0];
             seen.iter().for_each(|(depth, ..)| {
                 transmittance.push(transmittance[transmittance.len() - 1] * (-depth).exp());
@@ -162,7 +162,7 @@ impl Reference {
             }
             color.add(0, 0, &view, &by_view, &mut by_color[0]);
         }
-        // The division comes last, behind every rounding.
+        // The division comes last, after every rounding.
         let layers = [by_density, by_color].concat();
         let mut result = Gradient { loss: loss / weights, layers, features: by_features };
         let features = result.features.iter_mut().map(|(_, gradient)| gradient);

@@ -1,4 +1,4 @@
-//! The tri-mip encoding as its equations (Tri-MipRF, Eq. 3 to 5).
+//! The tri-mip encoding written from its equations (Tri-MipRF, Eq. 3 to 5).
 
 use super::Literal;
 use trimip_core::{
@@ -9,15 +9,15 @@ use trimip_core::{
 /// Channels of a texel.
 const CHANNELS: usize = 16;
 
-/// Axes of each plane: along a row of texels, and across.
+/// Axes of each plane: along a row of texels, and across rows.
 pub const AXES: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
 
-/// The planes with parameters of their own.
+/// The planes and their parameters.
 pub struct TriMip {
     config: Config,
-    /// Level by level: planes YZ, XZ, XY one after the other, [rows, columns, 16] each.
+    /// Per level: planes YZ, XZ, XY one after the other, [rows, columns, 16] each.
     levels: Vec<Vec<f64>>,
-    /// Texels along x, y and z at level 0.
+    /// Number of texels along x, y and z at level 0.
     sides: [usize; 3],
 }
 
@@ -76,7 +76,7 @@ impl Literal for TriMip {
     }
 }
 
-/// Every texel the mean of its 2×2 children; `sides` are the result's texels along x, y and z.
+/// Downsamples by means of 2×2 texels; `sides` are the result's texels along x, y and z.
 fn halved(fine: &[f64], sides: [usize; 3]) -> Vec<f64> {
     let mut coarse = Vec::new();
     let mut start = 0;
@@ -96,7 +96,7 @@ fn halved(fine: &[f64], sides: [usize; 3]) -> Vec<f64> {
     coarse
 }
 
-/// Texels along the box's axes at level 0: `plane_size` along each, or square ones, a multiple of what halves evenly.
+/// Texels along the box's axes at level 0: `plane_size` along each, or square texels in multiples that halve evenly.
 pub fn sides(config: &Config) -> [usize; 3] {
     let size = config.encoder.plane_size as usize;
     let extent =

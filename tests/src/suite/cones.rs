@@ -1,4 +1,4 @@
-//! Pixels that are groups of cones: a pixel is the mean of its cones, and equal cones are one.
+//! Pixels sampled by several cones: a pixel is the mean of its cones, and equal cones act as one.
 
 use super::Bench;
 use crate::fixtures::{Draw, lively, noise, small};
@@ -9,11 +9,11 @@ use trimip_core::{
     trainer::Trainer,
 };
 
-/// Cones of a part of a pixel and those of a finer camera's pixel differ by roundings of 6e-8, which the networks' slope
-/// amplifies, over some twenty samples.
+/// The cones of a subdivided pixel and those of a finer camera differ by roundings of 6e-8, which the networks' slope
+/// amplifies over about twenty samples.
 const PIXEL_TOLERANCE: f32 = 5e-4;
 
-/// A pixel in n·n cones is the mean of the n·n pixels of a camera of n times the resolution.
+/// A pixel with n·n cones is the mean of n·n pixels of a camera with n times the resolution.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -63,7 +63,7 @@ pub fn parts<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A group of equal cones shows what one of them shows, and each of n has an n-th of its gradient.
+/// A group of equal cones renders the same as one of them, and each of n has 1/n of its gradient.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

@@ -1,4 +1,5 @@
-//! Truths of the seam for several machines: it stands in every step, between the complete gradient and the parameters.
+//! Tests of the gradient exchange between machines: it runs in every step, between the complete gradient and the
+//! update.
 
 use super::training::{configuration, scheduled, steps};
 use crate::fixtures;
@@ -11,7 +12,7 @@ use trimip_core::{
     trainer::Trainer,
 };
 
-/// A second machine with the same rays: the sum of both gradients is twice the gradient, and so is the weight.
+/// A second machine with the same rays: the sum of gradients is twice the gradient, and so is the sum of weights.
 struct Twin;
 
 impl<B: Backend> Exchange<B> for Twin {
@@ -28,7 +29,7 @@ impl<B: Backend> Exchange<B> for Twin {
     }
 }
 
-/// Another machine's gradient in place of this one's, whose own rays count for nothing.
+/// An exchange that returns a zero gradient and zero weight.
 struct Nothing;
 
 impl<B: Backend> Exchange<B> for Nothing {
@@ -45,7 +46,7 @@ impl<B: Backend> Exchange<B> for Nothing {
     }
 }
 
-/// Configurations that take every way from the gradient to the parameters.
+/// Configurations that cover every path from the gradient to the parameters.
 fn configurations() -> Result<Vec<Config>> {
     let mut all = vec![scheduled()?];
     for encoder in fixtures::every_encoder() {
@@ -58,7 +59,7 @@ fn configurations() -> Result<Vec<Config>> {
     Ok(all)
 }
 
-/// Training beside a twin with the same rays moves the parameters by the same bits as training alone; without any weight
+/// Training next to a twin with the same rays moves the parameters by the same bits as training alone; with zero weight
 /// nothing moves.
 ///
 /// # Errors
@@ -82,7 +83,7 @@ pub fn twin<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Adds up gradients with one other machine.
+/// Sums gradients with one other machine.
 struct Link {
     to: Sender<(Vec<f32>, f64)>,
     from: Receiver<(Vec<f32>, f64)>,
@@ -98,7 +99,7 @@ impl<B: Backend> Exchange<B> for Link {
         let (mut sum, weight) = (backend.read(gradient), backend.weight(deposits));
         self.to.send((sum.clone(), weight)).expect("the other machine listens");
         let (other, its_weight) = self.from.recv().expect("the other machine answers");
-        // The sum of two has the same bits in either order.
+        // The sum of two values has the same bits in either order.
         sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
         backend.write(gradient, &sum);
         backend.set_weight(deposits, weight + its_weight);
@@ -106,8 +107,8 @@ impl<B: Backend> Exchange<B> for Link {
     }
 }
 
-/// Two machines with different photographs and the same initial parameters keep the same parameters, and neither has those
-/// that it would have alone.
+/// Two machines with different photographs and equal initial parameters keep equal parameters. These differ from what
+/// either machine reaches alone.
 ///
 /// # Errors
 /// When a step fails.

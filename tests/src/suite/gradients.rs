@@ -1,4 +1,4 @@
-//! Gradients of the whole step against central differences of the literal loss: every slot, through every level.
+//! Gradients of the whole step against central differences of the reference loss: every slot, through every level.
 
 use super::{Bench, wide};
 use crate::{
@@ -15,18 +15,18 @@ use trimip_core::{
     trainer::Trainer,
 };
 
-/// Error of an entry, relative to the root mean square of its slot's checked entries (and to itself where it is larger).
-/// Each of some 600 samples' terms is rounded to about 1e-6 and the roundings cancel in part; the rest is room for
-/// another device's exp and log. A wrong factor anywhere is far above.
+/// Error of an entry, relative to the root mean square of its slot's checked entries (or to the entry itself if
+/// larger). Each of about 600 samples' terms is rounded to about 1e-6, and the roundings partly cancel. The rest is
+/// margin for another device's exp and log. A wrong factor anywhere is far larger.
 const GRADIENT_TOLERANCE: f64 = 5e-5;
 
-/// Distance of a slot's gradient from its twin at bf16, relative to its size. Sums in f32 and f64 agree to 2e-7 (measured
-/// with AVX2 and without). A sum that lies within this of the middle between two bf16 may
-/// round to the other one, which is to be expected of one value in ten thousand, and moves one of some hundred terms by
-/// 2⁻⁸: 4e-5 of the slot for each; room for five of them.
+/// Distance of a slot's gradient from the bf16 reference's, relative to its size. Sums in f32 and f64 agree to 2e-7
+/// (measured with and without AVX2). A sum within this distance of the midpoint between two bf16 values may round to
+/// the other one. This is expected of one value in ten thousand, and moves one of several hundred terms by 2⁻⁸: 4e-5 of
+/// the slot for each. The tolerance allows five of them.
 const ROUNDED_TOLERANCE: f64 = 2e-4;
 
-/// Half width of a central difference: its own error is h² of the third derivative and 1e-16/h of rounding.
+/// Half width of a central difference: its error is h² of the third derivative, plus 1e-16/h of rounding.
 const STEP: f64 = 1e-5;
 
 /// Rays of the step.
@@ -67,12 +67,12 @@ fn configurations() -> Vec<(&'static str, Config)> {
     all
 }
 
-/// Pixels of the step and their cones, with the samples that are kept at the reference's densities.
+/// Pixels of the step and their cones, with the samples that the reference's densities keep.
 struct Batch {
     pixels: Vec<(Target, Vec<Seen>)>,
     marched: usize,
     kept: usize,
-    /// Rays where rounding may decide otherwise about a sample.
+    /// Number of rays where rounding may change the decision to keep a sample.
     doubtful: usize,
 }
 
@@ -108,7 +108,8 @@ fn batch<B: Backend>(bench: &mut Bench<B>, config: &Config, reference: &Referenc
     result
 }
 
-/// Entries of a slot to differentiate: texels that have a gradient, and for layers any; a few that may have none.
+/// Entries of a slot to differentiate: for texels those with a gradient, for layers any; and a few more that may have
+/// none.
 fn entries(gradient: &[f32], sparse: bool, draw: &mut Draw) -> Vec<usize> {
     let mut chosen: Vec<usize> = (0..4).map(|_| draw.below(gradient.len())).collect();
     let live: Vec<usize> = (0..gradient.len()).filter(|&i| gradient[i] != 0.0).collect();
@@ -118,8 +119,8 @@ fn entries(gradient: &[f32], sparse: bool, draw: &mut Draw) -> Vec<usize> {
     chosen
 }
 
-/// Central difference of a loss around 0. Where the slopes to the left and to the right differ, a ReLU switches in
-/// between: a smaller step leaves the switch outside.
+/// Central difference of a loss around 0. If the slopes to the left and right differ, a ReLU switches in between; a
+/// smaller step then excludes the switch.
 fn difference(at: &mut dyn FnMut(f64) -> f64) -> f64 {
     let here = at(0.0);
     let mut central = 0.0;
@@ -133,7 +134,7 @@ fn difference(at: &mut dyn FnMut(f64) -> f64) -> f64 {
     central
 }
 
-/// Every slot's gradient, and the loss itself.
+/// Compares the loss and every slot's gradient with central differences.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -155,7 +156,7 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         trainer.occupy_all();
         let (sums, gradient) = trainer.loss_and_gradient(TRAINING_STEP, RAYS)?;
         assert_eq!(sums.rays, u64::from(RAYS), "{name}");
-        // A backend that sees front to back asks fewer samples, never fewer than it keeps.
+        // A backend that evaluates front to back queries fewer samples, but never fewer than it keeps.
         assert!((sums.kept..=batch.marched as u64).contains(&sums.marched), "{name}: samples marched");
         assert!(sums.kept.abs_diff(batch.kept as u64) <= batch.doubtful as u64, "{name}: samples kept");
         let loss = reference.loss(&batch.pixels);
@@ -193,8 +194,9 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Loss and gradients at a precision whose rounding is known to the bit are those of the twin that rounds the same factors.
-/// What is left is the order of f32 sums, and factors so near the middle between two bf16 that this order decides.
+/// At a precision whose rounding is known exactly, loss and gradients match a reference that rounds the same factors.
+/// The remaining difference comes from the order of f32 sums, and from factors so close to the midpoint of two bf16
+/// values that this order decides.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -211,7 +213,7 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let (width, stride) = (encoders::of(&config).width(&config), encoders::stride(&config));
     let features: Vec<_> =
         wide(&bench.features()).chunks_exact(stride).map(|row| row[..width].to_vec()).collect();
-    // One cone a pixel.
+    // One cone per pixel.
     let rays: Vec<_> =
         batch.pixels.iter().map(|(target, cones)| (cones[0].0, *target, cones[0].1.clone())).collect();
     let expected = reference.gradient(&rays, &features, &bf16);
@@ -230,8 +232,8 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let error = (distance / square(&mut expected.iter().copied())).sqrt();
         assert!(error < ROUNDED_TOLERANCE, "{}: off by {error}", slot.name);
     }
-    // Features are linear in the encoder's parameters: the product of any direction with their gradient is that of the
-    // direction's features with the features' gradient. Random signs see an error of any kind.
+    // Features are linear in the encoder's parameters: the dot product of a direction with their gradient equals that
+    // of the direction's features with the features' gradient. Random signs detect any error.
     let own = layout.encoder()[0].range.clone();
     let size = wide(&gradient[own.clone()]).iter().map(|g| g * g).sum::<f64>().sqrt();
     let mut draw = Draw::new(23);
@@ -253,9 +255,9 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Rounding the factors of the layers' products to `bits` bits moves loss and gradients by as much as these roundings, and
-/// does move them, on networks whose hidden units are all on: no unit near zero can switch, which would move a gradient by
-/// far more than a rounding.
+/// Rounding the factors of the layers' products to `bits` bits changes loss and gradients by about these roundings, and
+/// does change them. All hidden units of the networks are on: a unit that switches would change a gradient by far more
+/// than a rounding.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -281,15 +283,15 @@ pub fn rounded<B: Backend>(make: impl Fn() -> B, precision: Precision, bits: i32
         let distance: f64 = pairs().map(|(a, b)| square(f64::from(a - b))).sum();
         let size: f64 = pairs().map(|(a, _)| square(f64::from(*a))).sum();
         let error = (distance / size).sqrt();
-        // At most four products forward and four back, each of two factors that are off by half a rounding (measured with
-        // bf16: 0.4 to 1.0 roundings), or by a whole one where a device rounds to either neighbour.
+        // At most four products forward and four back, each of two factors with an error of half a rounding (measured
+        // with bf16: 0.4 to 1.0 roundings), or of a whole one if a device rounds to either neighbour.
         assert!((0.1 * rounding..4.0 * rounding).contains(&error), "{}: off by {error}", slot.name);
     }
     Ok(())
 }
 
-/// Parameters for which the input of every ReLU is far above zero: texels and weights are positive, those of the harmonics
-/// but the constant one small. The last layer of the colours may have any sign.
+/// Parameters for which the input of every ReLU is far above zero: texels and weights are positive, and the weights of
+/// all harmonics but the constant are small. The last colour layer may have any sign.
 fn always_on(layout: &Layout) -> Vec<f32> {
     let mut draw = Draw::new(29);
     let mut values = vec![0.0; layout.len()];

@@ -1,4 +1,4 @@
-//! Marching with its skipping of empty space against asking every step, on random occupancy and difficult rays.
+//! Marching with empty-space skipping against querying every step, on random occupancy and difficult rays.
 
 use super::Bench;
 use crate::{
@@ -10,13 +10,13 @@ use trimip_core::schedule::Schedule;
 use trimip_core::{Backend, Config, Layout, Renderer, Result, backend::Occupancy, batch::Ray};
 
 /// Distance to a cell's border, in unit-box coordinates, and to the box's end, in steps, below which f32 and f64 may
-/// decide differently about a sample: positions of order 5 world units carry a rounding of 5e-7.
+/// decide differently about a sample. Positions of order 5 world units have a rounding error of 5e-7.
 const BORDER: f64 = 4e-6;
 
-/// Share of random samples that may lie so close to a border.
+/// Fraction of random samples that may lie this close to a border.
 const BORDER_SHARE: f64 = 0.005;
 
-/// Rays through, beside, along and from within the box; the first `AXIS_ALIGNED` are parallel to an axis.
+/// Rays through, beside, along and from inside the box; the first `AXIS_ALIGNED` are parallel to an axis.
 pub fn rays(seed: u64) -> Vec<Ray> {
     let mut draw = Draw::new(seed);
     let mut rays = Vec::new();
@@ -33,10 +33,10 @@ pub fn rays(seed: u64) -> Vec<Ray> {
         for sign in [1.0, -1.0] {
             push(-4.0 * sign * axis + 0.3 * aside, sign * axis);
             push(-4.0 * sign * axis, sign * axis);
-            // In a face, and past it.
+            // In a face, and outside it.
             push(-4.0 * sign * axis + 1.5 * aside, sign * axis);
             push(-4.0 * sign * axis + 1.6 * aside, sign * axis);
-            // From within.
+            // From inside.
             push(0.7 * aside, sign * axis);
         }
     }
@@ -45,15 +45,15 @@ pub fn rays(seed: u64) -> Vec<Ray> {
         let target = 2.2 * draw.direction() * draw.between(0.0, 1.0);
         push(target - 4.0 * direction, direction);
         push(draw.direction(), draw.direction());
-        // Nearly along an axis: one component tiny.
+        // Nearly parallel to an axis: one tiny component.
         push(DVec3::new(-4.0, draw.between(-1.4, 1.4), 0.2), DVec3::new(1.0, 1e-7, -3e-4).normalize());
-        // Away from the box.
+        // Pointing away from the box.
         push(4.0 * direction, direction);
     }
     rays
 }
 
-/// One bit per cell: `share` of all set, singly or in slabs that leave whole blocks empty.
+/// One bit per cell: a fraction `share` is set, singly or in slabs that leave whole blocks empty.
 pub fn bits(resolution: u32, share: f64, seed: u64) -> Vec<u8> {
     let mut draw = Draw::new(seed);
     let cells = resolution.pow(3);
@@ -71,7 +71,7 @@ pub fn bits(resolution: u32, share: f64, seed: u64) -> Vec<u8> {
     bits
 }
 
-/// A grid and steps fine enough that a cell holds several and a block many.
+/// A grid with several steps per cell, and many per block.
 pub fn configuration(resolution: u32) -> Config {
     let mut config = small();
     config.occupancy.resolution = resolution;
@@ -79,7 +79,7 @@ pub fn configuration(resolution: u32) -> Config {
     config
 }
 
-/// The samples of each ray, by their distance.
+/// The sample distances of each ray.
 pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u64>) -> Vec<Vec<f32>> {
     let Bench { backend, stages, space, .. } = bench;
     space.rays.place(backend, rays);
@@ -95,12 +95,12 @@ pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u6
     segments.iter().enumerate().map(of).collect()
 }
 
-/// Samples are those of the literal march, borders aside.
+/// Samples match those of the reference march, except near borders.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    // The steepest of the rays has a radius of 0.05 in the middle of the box: 0.2 are a few steps of the finer grids.
+    // The widest of the cones has a radius of 0.05 in the middle of the box; 0.2 is several steps of the finer grids.
     for (resolution, share, per_radius) in
         [(32, 0.02, 0.0), (32, 0.5, 0.0), (20, 0.9, 0.0), (8, 0.1, 0.0), (32, 0.5, 0.2), (20, 0.9, 0.7)]
     {
@@ -134,7 +134,7 @@ pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                     borderline += 1;
                 }
             }
-            // What is left lies behind the last literal step: at the very end of the box, if anywhere.
+            // Further samples lie behind the last reference step: at the very end of the box, if anywhere.
             assert!(found.all(|t| (leave - t).abs() < 1e-5), "{ray:?}: samples that no step has");
         }
         assert!(total > 500, "the rays meet {total} occupied steps");
@@ -143,7 +143,7 @@ pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// The schedule's scale is the ratio of steps, at the progress it names.
+/// The step length follows the schedule's scale at the given progress.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -162,7 +162,8 @@ pub fn scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Jitter moves each ray's first step by less than one step, differently for each ray and step, and by nothing else.
+/// Jitter moves each ray's first step by less than one step, differently for each ray and step, and changes nothing
+/// else.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -182,7 +183,7 @@ pub fn jitter<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         }
     }
     let mean = firsts.iter().sum::<f32>() / 400.0;
-    // Uniform in [0, 1): the standard error of 400 is 0.0144; four of them.
+    // Uniform in [0, 1): the standard error of 400 is 0.0144; the bound is four of them.
     assert!((mean - 0.5).abs() < 0.06, "mean offset {mean}");
     assert_ne!(firsts[..200], firsts[200..], "each step draws anew");
     Ok(())

@@ -1,5 +1,5 @@
-//! What every backend must satisfy, through the traits alone. Each part takes a function that makes a fresh backend, so
-//! that a new backend is tested by one more line.
+//! The tests that every backend must pass, written against the traits. Each test takes a function that creates a fresh
+//! backend, so a new backend is tested with one more line.
 
 pub mod cones;
 pub mod exchange;
@@ -19,7 +19,7 @@ use trimip_core::{
     batch::{Interval, Ray, Samples, Segment, Sphere, Workspace},
 };
 
-/// A backend, the stages of a configuration with parameters in place, and a workspace.
+/// A backend, the stages of a configuration with uploaded parameters, and a workspace.
 pub struct Bench<B: Backend> {
     /// The device.
     pub backend: B,
@@ -32,7 +32,7 @@ pub struct Bench<B: Backend> {
 }
 
 impl<B: Backend> Bench<B> {
-    /// Puts the parameters in place.
+    /// Creates the stages and uploads the parameters.
     ///
     /// # Errors
     /// When the backend refuses the configuration.
@@ -49,7 +49,7 @@ impl<B: Backend> Bench<B> {
         Ok(Self { backend, stages, space, parameters: buffer })
     }
 
-    /// Makes `spheres` the samples of one ray.
+    /// Places `spheres` as the samples of one ray.
     pub fn place(&mut self, spheres: &[Sphere]) {
         let count = spheres.len() as u32;
         let Samples { segments, rays, intervals, spheres: buffer, counts } = &mut self.space.samples;
@@ -61,7 +61,7 @@ impl<B: Backend> Bench<B> {
         self.backend.write(counts, &[[count, count]]);
     }
 
-    /// Features of the samples in place, rows of the encoder's stride.
+    /// Features of the placed samples, in rows of the encoder's stride.
     pub fn features(&mut self) -> Vec<f32> {
         let space = &mut self.space;
         self.stages.encoder.forward(
@@ -76,7 +76,7 @@ impl<B: Backend> Bench<B> {
     }
 }
 
-/// Parameters for the reference.
+/// Converts parameters to f64 for the reference.
 pub fn wide(parameters: &[f32]) -> Vec<f64> {
     parameters.iter().map(|&x| x.into()).collect()
 }

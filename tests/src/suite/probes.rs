@@ -1,14 +1,14 @@
-//! Probes of the occupancy grid are samples like any other: an encoder that looks at ray, interval and sphere finds the
-//! same place by each.
+//! Probes of the occupancy grid are ordinary samples: ray, interval and sphere of a probe all describe the same
+//! position.
 
 use super::Bench;
 use crate::fixtures::{lively, small};
 use trimip_core::{Backend, Layout, Result, Space, backend::Occupancy};
 
-/// Positions of the unit cube and directions in f32, made of some ten roundings of 6e-8 on values up to the box's size.
+/// Positions in the unit cube and directions in f32, after about ten roundings of 6e-8 on values up to the box's size.
 const TOLERANCE: f64 = 4e-6;
 
-/// Every probe lies in the box, on its ray, and has its ray's radius there; directions come from everywhere.
+/// Every probe lies in the box, on its ray, and has its ray's radius there. Directions are uniform.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -45,7 +45,7 @@ pub fn on_their_rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             square[axis] += direction[axis].powi(2) / spheres.len() as f64;
         });
     }
-    // Uniform directions: mean 0, mean square 1/3; four standard errors of 512 draws.
+    // Uniform directions have mean 0 and mean square 1/3; the bound is four standard errors of 512 draws.
     for axis in 0..3 {
         assert!(mean[axis].abs() < 4.0 * (1.0 / 3.0 / 512.0_f64).sqrt(), "{mean:?}");
         assert!((square[axis] - 1.0 / 3.0).abs() < 4.0 * (4.0 / 45.0 / 512.0_f64).sqrt(), "{square:?}");

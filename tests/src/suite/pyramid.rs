@@ -1,4 +1,4 @@
-//! Laws of the mip pyramid: every level has the mean of its base, a gradient loses nothing on its way to the base, and
+//! Invariants of the mip pyramid: every level has the mean of its base, gradients arrive at the base without loss, and
 //! backward is the transpose of forward.
 
 use super::{Bench, wide};
@@ -11,7 +11,7 @@ use trimip_core::{
     config::PlaneShape,
 };
 
-/// Means and sums of some thousand f32 values of order 1, relative to the sum of their sizes.
+/// Error of means and sums of several thousand f32 values of order 1, relative to the sum of their magnitudes.
 const SUM_TOLERANCE: f64 = 1e-6;
 
 /// Square planes over a cube, and planes of 48 × 64 × 16 texels over a box of these proportions.
@@ -25,7 +25,7 @@ fn configurations() -> [Config; 2] {
     [cube, long]
 }
 
-/// World radius whose level is exactly `level`, by the paper's formula.
+/// World radius with level exactly `level`, by the paper's formula.
 fn radius(config: &Config, level: f64) -> f32 {
     let texel = f64::from(config.scene.aabb_max[1] - config.scene.aabb_min[1]) / sides(config)[1] as f64;
     (texel / std::f64::consts::PI.sqrt() * level.exp2()) as f32
@@ -80,7 +80,7 @@ fn means_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
     Ok(())
 }
 
-/// What features' gradients hold in all arrives at the base, from every level; and ⟨forward(p), g⟩ = ⟨p, backward(g)⟩.
+/// The sum of the features' gradients arrives at the base from every level, and ⟨forward(p), g⟩ = ⟨p, backward(g)⟩.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -106,7 +106,7 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
             .collect();
         bench.place(&spheres);
         let features = bench.features();
-        // Rows of padding, where a backend has them, hold what no sample has: they must not count.
+        // Padding rows, if a backend has them, belong to no sample: they must not contribute.
         let upstream: Vec<f32> = features.iter().map(|_| draw.between(-1.0, 1.0) as f32).collect();
         let Bench { backend, stages, space, parameters: values } = &mut bench;
         backend.write(&mut space.feature_gradients, &upstream);
@@ -146,9 +146,9 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let forward = dot(&wide(&features[..counted]), &wide(&upstream[..counted]));
         let backward = dot(&wide(&parameters[..base]), &gradient);
-        // Both sum some 10,000 products of order 0.3 with errors of 1e-6 each, of random sign.
+        // Both sum about 10,000 products of order 0.3 with errors of 1e-6 each, of random sign.
         assert!((forward - backward).abs() < 1e-3, "level {level}: {forward} forward, {backward} backward");
-        // Flushing empties the deposits: a second flush finds nothing.
+        // Flushing empties the deposits: a second flush adds nothing.
         let mut again = backend.zeros(layout.len());
         backend.install(|| stages.encoder.flush(&mut deposits, values, &mut again));
         assert!(

@@ -1,11 +1,11 @@
-//! Where training rays come from: shares and weights of the scales.
+//! Selection of training rays: fractions and weights of the scales.
 
 use super::Bench;
 use crate::fixtures::{lively, noise, small};
 use trimip_core::{Backend, Layout, Result, backend::Sampler, config::TrainBackground, schedule::Schedule};
 
-/// Rays of a step are shared among the scales as the schedule says, and weigh what makes up for it. A ray's scale shows
-/// in the width of its cone.
+/// The rays of a step are distributed over the scales by the schedule, and their weights compensate. The width of a
+/// ray's cone reveals its scale.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -16,7 +16,7 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let finest = views.views[0].camera.intrinsics.fx.recip() / std::f64::consts::PI.sqrt();
     let parameters = lively(&Layout::new(&config), 1);
     let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
-    // 4^(b-1) of the rays a scale, rounded down for all but the finest; weights 4^(1-b).
+    // 4^(b-1) of the rays per scale, rounded down for all but the finest; weights 4^(1-b).
     let expected = [
         (0.0, [3_201, 800, 200], [1.0, 4.0, 16.0]),
         (0.49, [3_201, 800, 200], [1.0, 4.0, 16.0]),
@@ -40,8 +40,8 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// As many training rays have a background of their own as the schedule says, the others the configured one, and every
-/// target lies on its ray's background.
+/// The fraction of training rays with a random background follows the schedule, and the others have the configured one.
+/// Every target is composited on its ray's background.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -56,7 +56,7 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     {
         config.train.background = background;
         let mut views = noise(3, 32, 3, 4);
-        // Nothing is in the photographs: what is seen is the background.
+        // Transparent photographs: only the background is visible.
         views.pixels.iter_mut().for_each(|pixel| pixel[3] = 0);
         let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
         for (progress, share) in [0.2, 0.7, 0.95].into_iter().zip(shares) {

@@ -1,5 +1,5 @@
-//! Scenes with a known picture: a homogeneous medium (Beer and Lambert) and a box of one opaque colour.
-//! Letters: σ density, L length of a ray in the box, δ marching step.
+//! Scenes with an analytic picture: a homogeneous medium (Beer and Lambert) and a box of one opaque colour. σ is
+//! density, L the length of a ray in the box, δ the marching step.
 
 use crate::{fixtures, reference};
 use glam::DVec3;
@@ -11,10 +11,10 @@ use trimip_core::{
     tensors::{Tensor, TensorFile},
 };
 
-/// Rounding of some hundred f32 additions.
+/// Rounding error of several hundred f32 additions.
 const ROUNDING: f64 = 2e-5;
 
-/// A model of given parameters and occupancy, rendered.
+/// Renders a model with the given parameters and occupancy.
 fn render<B: Backend>(
     backend: B,
     config: &Config,
@@ -28,7 +28,8 @@ fn render<B: Backend>(
     LoadedModel::new(backend, &Model::new(config.clone(), file))?.render(camera)
 }
 
-/// Density e⁻¹ and grey 1/2 everywhere: what logits of zero mean. Every pixel has the analytic opacity, colour and depth.
+/// Density e⁻¹ and grey 1/2 everywhere, the values at logits of zero. Every pixel has the analytic opacity, colour and
+/// depth.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -40,8 +41,8 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let cells = config.occupancy.resolution.pow(3) as usize;
         let intrinsics = Intrinsics::from_angle(9, 7, 0.9);
         let camera = Camera::look_at(intrinsics, DVec3::new(3.1, -2.2, 1.7), DVec3::ZERO, DVec3::Z);
-        // Planes of zeros make density logits of 0 whatever the density network is; the colour network is zero too,
-        // or it would show the spherical harmonics.
+        // Planes of zeros give density logits of 0 for any density network. The colour network is zero too; otherwise
+        // the spherical harmonics would be visible.
         let mut parameters = fixtures::lively(&layout, 5);
         parameters[layout.slots[0].range.clone()].fill(0.0);
         for slot in layout.network("color") {
@@ -55,7 +56,7 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
             let (enter, leave) = reference::span(&config, origin, direction).unwrap_or((0.0, 0.0));
             misses += usize::from(enter == leave);
-            // Steps whose middle lies in the box: L/δ rounded, so that the quadrature covers L to half a step.
+            // Number of steps whose middle lies in the box: L/δ rounded, so the quadrature covers L to half a step.
             let count = ((leave - enter) / step).round();
             let covered = 1.0 - (-sigma * count * step).exp();
             let exact = 1.0 - (-sigma * (leave - enter)).exp();
@@ -69,7 +70,8 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 let expected = (1.0 - covered) * background + covered * 0.5;
                 assert!((f64::from(pixel.rgb[c]) - expected).abs() < tolerance, "pixel {i}: {pixel:?}");
             }
-            // ∫ σ·exp(−σ(t − t₀))·t dt over the box; a midpoint differs by half a step at the end of the box, weighted.
+            // ∫ σ·exp(−σ(t − t₀))·t dt over the box; the midpoint rule is off by half a step at the end of the box,
+            // weighted.
             let depth = f64::from(ray.cosine)
                 * ((enter + sigma.recip()) - (leave + sigma.recip()) * (-sigma * (leave - enter)).exp());
             let bound = 0.5 * step * sigma * (leave + step) + 8.0 * ROUNDING;
@@ -84,8 +86,8 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// One opaque colour in some cells only: pixels whose ray meets them by more than two steps have that colour, pixels
-/// whose ray passes have the background, and the depth is that of the first occupied face.
+/// One opaque colour in some cells only. Pixels whose ray crosses them for more than two steps have that colour, pixels
+/// whose ray misses them have the background, and the depth is that of the first occupied face.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -95,7 +97,7 @@ pub fn silhouette<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     config.occupancy.resolution = 12;
     let rgb = [0.1, 0.7, 0.4];
     let parameters = fixtures::constant(&config, &Layout::new(&config), 3000.0, rgb);
-    // Cells 4..7 × 5..8 × 3..10 of 12: a box that no block of four fits.
+    // Cells 4..7 × 5..8 × 3..10 of 12: a box that is not aligned with blocks of four.
     let (low, high) = ([4_u32, 5, 3], [7_u32, 8, 10]);
     let mut bits = vec![0_u8; 12 * 12 * 12 / 8];
     for cell in 0..12_u32.pow(3) {
@@ -120,7 +122,7 @@ pub fn silhouette<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 None => (config.data.background.map(f64::from), 0.0),
                 Some((enter, leave)) if leave - enter > 2.0 * step => {
                     let depth = f64::from(pixel.depth) / f64::from(ray.cosine);
-                    // The first middle lies within a step of the face; later samples weigh less than 1e-10.
+                    // The first midpoint lies within a step of the face; later samples weigh less than 1e-10.
                     assert!(
                         (depth - enter - 0.5 * step).abs() <= 0.6 * step,
                         "pixel {i}: {depth}, face at {enter}"

@@ -1,4 +1,4 @@
-//! What is seen of each ray's samples: those that the literal rule keeps, with their own features and densities.
+//! The samples kept of each ray, with their features and densities, against the reference.
 
 use super::{Bench, marching, wide};
 use crate::{
@@ -13,23 +13,23 @@ use trimip_core::{
 /// Limits of transmittance and weight that keep all, most and few samples.
 const LIMITS: [(f32, f32); 4] = [(0.0, 0.0), (1e-4, 0.0), (0.3, 0.0), (1e-3, 0.01)];
 
-/// Where a decision is this near to its limit, in logarithms, f32 may decide otherwise: an error of 4e-5 of the features,
-/// amplified by the density network, over some hundred samples of optical depth 0.1.
+/// If a decision is this close to its limit, in logarithms, f32 may decide otherwise: an error of 4e-5 in the features,
+/// amplified by the density network, over several hundred samples of optical depth 0.1.
 const MARGIN: f64 = 2e-3;
 
-/// Share of the rays that may have such a decision.
+/// Fraction of rays that may have such a decision.
 const DOUBTFUL_SHARE: f64 = 0.1;
 
-/// Features and densities: as in [`super::stages`], behind one another.
+/// Features and densities: the errors of both stages in [`super::stages`], compounded.
 const TOLERANCE: f64 = 5e-4;
 
-/// A backend with rays of all kinds and a half-empty grid, pruning as stated.
+/// A backend with varied rays and a half-empty grid, with the given pruning limits.
 fn bench<B: Backend>(backend: B, limits: (f32, f32)) -> Result<(Bench<B>, trimip_core::Config)> {
     let mut config = marching::configuration(32);
     (config.renderer.min_transmittance, config.renderer.min_weight) = limits;
     let layout = Layout::new(&config);
     let mut parameters = lively(&layout, 4);
-    // Densities from nothing to opaque within a few steps.
+    // Densities from nearly zero to opaque within a few steps.
     let last = layout.network("density").last().map_or(0..0, |slot| slot.range.clone());
     parameters[last].iter_mut().for_each(|weight| *weight *= 4.0);
     let mut bench = Bench::new(backend, &config, None, &parameters)?;
@@ -47,8 +47,8 @@ fn samples<B: Backend>(bench: &Bench<B>) -> Vec<Vec<(Interval, Sphere)>> {
     segments.iter().map(|s| pairs[s.start as usize..(s.start + s.count) as usize].to_vec()).collect()
 }
 
-/// Of the samples that marching places, seeing keeps those that the literal rule keeps at the literal densities, and leaves
-/// the features and densities of these.
+/// Of the marched samples, the `see` stage keeps those that the reference rule keeps at the reference densities, and
+/// stores their features and densities.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -104,7 +104,7 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Everything that seeing leaves for colour and compositing, as bytes: equal means equal bits.
+/// The complete output of the `see` stage for colour and compositing, as bytes for bitwise comparison.
 fn seen<B: Backend>(bench: &mut Bench<B>, stride: usize, jitter: Option<u64>, all: bool) -> Vec<Vec<u8>> {
     let Bench { backend, stages, space, parameters } = bench;
     if all {
@@ -127,8 +127,8 @@ fn seen<B: Backend>(bench: &mut Bench<B>, stride: usize, jitter: Option<u64>, al
     ]
 }
 
-/// A backend that sees in a way of its own leaves the bits that asking every sample leaves. It says nothing of a backend
-/// that has no such way.
+/// A backend with its own `see` implementation gives the same bits as evaluating every sample. The test is trivial for
+/// a backend without one.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

@@ -1,4 +1,4 @@
-//! Stage by stage against the literal reference: features, density and colour, compositing, whole pixels.
+//! Each stage against the reference: features, density and colour, compositing, whole pixels.
 
 use super::{Bench, wide};
 use crate::{
@@ -14,8 +14,8 @@ use trimip_core::{
     trainer::Trainer,
 };
 
-/// Features of texels in ±1 on planes up to 64 wide: a coordinate in texels is rounded to 64·2⁻²⁴ = 4e-6 and a texel
-/// differs from its neighbour by up to 2, on both axes; the blend of levels adds as much.
+/// Features of texels in ±1 on planes up to 64 wide. A coordinate in texels is rounded to 64·2⁻²⁴ = 4e-6, and a texel
+/// differs from its neighbour by up to 2, on both axes; blending the levels adds as much.
 const FEATURE_TOLERANCE: f64 = 4e-5;
 
 /// Colours and densities, absolute and relative: a logit of order 5 summed over 16 to 48 products in f32.
@@ -27,7 +27,8 @@ const COMPOSITE_TOLERANCE: f64 = 1e-5;
 /// A whole pixel: feature errors, amplified by the networks' slope of about 10, over some twenty samples.
 const PIXEL_TOLERANCE: f64 = 5e-4;
 
-/// Where ln T of a sample is this near to the limit, either decision of pruning is right: the densities' own error.
+/// If ln T of a sample is this close to the limit, either pruning decision is correct: this is the densities' own
+/// error.
 const PRUNING_MARGIN: f64 = 1e-3;
 
 fn configurations() -> Vec<Config> {
@@ -48,7 +49,7 @@ fn configurations() -> Vec<Config> {
     [vec![code, flat, fitted], every_variant()].concat()
 }
 
-/// Spheres all over the box and on its border, with radii from nothing to far beyond the coarsest level.
+/// Spheres all over the box and on its border, with radii from zero to far beyond the coarsest level.
 pub fn spheres(seed: u64, count: usize) -> Vec<Sphere> {
     let mut draw = Draw::new(seed);
     let radii = [0.0, 1e-30, 1e-3, 0.05, 0.2, 0.8, 3.0, 1e4, f32::INFINITY];
@@ -81,11 +82,11 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let parameters = lively(&layout, 3);
         let reference = Reference::new(&config, &layout, &wide(&parameters));
         let mut bench = Bench::new(make(), &config, None, &parameters)?;
-        // 37: no multiple of any tile.
+        // 37 is not a multiple of any tile size.
         let spheres = spheres(5, 37 * 5);
         bench.place(&spheres);
         let features = bench.features();
-        // Rows are whole registers or tiles.
+        // Rows are padded to whole registers or tiles.
         let width = encoders::of(&config).width(&config);
         let stride = width.next_multiple_of(16);
         for (i, sphere) in spheres.iter().enumerate() {
@@ -127,7 +128,7 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Compositing of given samples: none, thin ones, an opaque one in the middle, forty of all kinds.
+/// Compositing of given samples: no sample, thin ones, an opaque one in the middle, forty of all kinds.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -211,7 +212,8 @@ pub fn pixels<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 let (count, margin) = kept(&config, &samples, &reference.densities(&samples));
                 pruned += samples.len() - count;
                 let expected = reference.pixel(&ray, &samples[..count]);
-                // A sample kept or not at the limit changes the pixel by what is left behind it, times its distance.
+                // A sample at the limit, kept or not, changes the pixel by the transmittance left behind it times its
+                // distance.
                 let edge = if margin < PRUNING_MARGIN { 8.0 * f64::from(min_transmittance) } else { 0.0 };
                 assert_pixel(pixel, &expected, PIXEL_TOLERANCE + edge, &format!("pixel {i}"));
             }

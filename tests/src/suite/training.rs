@@ -1,4 +1,4 @@
-//! Truths of training: a run that stops and goes on is the run that never stopped, and poor data is no failure.
+//! Training: a resumed run equals an uninterrupted one, and poor data causes no failure.
 
 use crate::{
     fixtures::{self, photographs},
@@ -15,7 +15,7 @@ use trimip_core::{
     trainer::Trainer,
 };
 
-/// A configuration whose steps are short: warm-up of the occupancy ends at step 8, refreshes every 4.
+/// A configuration with short steps: the occupancy warm-up ends at step 8, with a refresh every 4 steps.
 pub fn configuration() -> Config {
     let mut config = fixtures::small();
     config.renderer.steps_per_diagonal = 64;
@@ -24,7 +24,7 @@ pub fn configuration() -> Config {
     config
 }
 
-/// Steps at the progress of the configured run.
+/// Runs `count` steps at the progress of the configured run.
 ///
 /// # Errors
 /// When a step fails.
@@ -36,8 +36,8 @@ pub fn steps<B: Backend>(trainer: &mut Trainer<B>, config: &Config, count: u64) 
     Ok(())
 }
 
-/// `stop` steps, a checkpoint written and read, and the rest in a new trainer equal all steps in one: every tensor and
-/// counter, bit for bit. `file` is where the checkpoint goes.
+/// `stop` steps, a checkpoint written and read, and the rest in a new trainer equal one uninterrupted run: every tensor
+/// and counter, bit for bit. `file` is the path of the checkpoint.
 ///
 /// # Errors
 /// When a step or the file fails.
@@ -48,7 +48,7 @@ pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Resul
     resume_with(&make, &scheduled()?, file)
 }
 
-/// Everything that changes in the course of a run: planes grow at steps 5 and 9, steps shorten, the batch grows.
+/// A schedule that changes everything during the run: planes grow at steps 5 and 9, steps shorten, the batch grows.
 ///
 /// # Errors
 /// When the settings are refused.
@@ -74,7 +74,7 @@ pub fn scheduled() -> Result<Config> {
     Ok(config)
 }
 
-/// A run that ends before its planes have grown to their full size renders what its model's file renders.
+/// A run that ends before its planes reach their full size renders the same as its model file.
 ///
 /// # Errors
 /// When the settings are refused or a step fails.
@@ -94,7 +94,7 @@ pub fn finish_early<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Where the marching step shrinks to a quarter, the batch keeps its samples, not its rays.
+/// When the marching step shrinks to a quarter, the batch keeps its number of samples, not of rays.
 ///
 /// # Errors
 /// When a step fails.
@@ -107,7 +107,7 @@ pub fn steady_batch<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     for step in 0..config.train.steps {
         let before = trainer.checkpoint()?.state.totals;
         trainer.step(step as f64 / config.train.steps as f64)?;
-        // A checkpoint counts what a device has still under way.
+        // A checkpoint includes the counts still pending on the device.
         let after = trainer.checkpoint()?.state.totals;
         samples.push((after.samples - before.samples) as f64);
         rays.push((after.rays - before.rays) as f64);
@@ -126,7 +126,7 @@ fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &std::p
     let mut whole = Trainer::new(make(), config, views())?;
     steps(&mut whole, config, 18)?;
     let expected = whole.checkpoint()?;
-    // Before, at and after a refresh and the end of the warm-up; right after the start.
+    // Right after the start; before, at and after a refresh and the end of the warm-up.
     for stop in [1, 4, 7, 8, 9, 16] {
         let mut first = Trainer::new(make(), config, views())?;
         steps(&mut first, config, stop)?;
@@ -148,13 +148,13 @@ fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &std::p
     Ok(())
 }
 
-/// One step moves both moments of every parameter by the printed rule applied to the gradient of its rays, and the
-/// parameter by the printed rule applied to these moments, whatever passes the backend makes of it: with "skip", texels
-/// without a gradient stay to the bit. What derives from the parameters follows.
+/// One step updates both moments of every parameter by the published rule with the gradient of its rays, and the
+/// parameter by the published rule with these moments, however the backend splits the work. With "skip", texels without
+/// a gradient stay bit-identical. Data derived from the parameters is updated.
 ///
-/// `spread` is the share of a tensor's largest gradient by which two sums of the same contributions may differ: 0 where
-/// the order of addition is fixed. A step where the spread exceeds the gradient itself would move a parameter anywhere,
-/// so the parameter is held against the moments that the backend wrote.
+/// `spread` is the share of a tensor's largest gradient by which two sums of the same contributions may differ: 0 if
+/// the order of addition is fixed. If the spread exceeds the gradient, the step may go in any direction; the parameter
+/// is therefore compared using the moments that the backend wrote.
 ///
 /// # Errors
 /// When a step fails.
@@ -183,7 +183,7 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
         let new = [values(&after, "")?, values(&after, ".m")?, values(&after, ".v")?];
         let mut still = 0;
         for slot in &layout.slots {
-            // Rate in parts of the networks', weight decay, and values that are skipped together.
+            // Learning rate relative to the networks', weight decay, and number of values that are skipped together.
             let (factor, decays, group) = match slot.name.as_str() {
                 "planes" => (config.optimizer.plane_scale, true, Some(CHANNELS)),
                 "table" => (config.hash_grid.rate, false, Some(config.hash_grid.features as usize)),
@@ -220,8 +220,7 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
                         "{what} of {name}[{i}]: {found}, not {expected}"
                     );
                 };
-                // Some eight roundings of 6e-8 each, on the terms that each value is made of; below the smallest normal
-                // number a device may round to zero.
+                // About eight roundings of 6e-8 each, on the terms of each value; a device may flush denormals to zero.
                 let (rounding, least) = (5e-7, f64::from(f32::MIN_POSITIVE));
                 let [first, second] = moments(&config.optimizer, [m, v], g);
                 let [terms, _] = moments(&config.optimizer, [m.abs(), v], g.abs());
@@ -242,7 +241,7 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
     Ok(())
 }
 
-/// Photographs that teach little: all white, all clear, one view, one pixel, one pixel per scale.
+/// Photographs with little information: all white, all clear, one view, one pixel, one pixel per scale.
 fn poor() -> Vec<(&'static str, ViewSet)> {
     let camera = |size, i: u32| {
         let origin = DVec3::new(4.0 * f64::from(i).cos(), 4.0 * f64::from(i).sin(), 1.0);
@@ -265,7 +264,7 @@ fn poor() -> Vec<(&'static str, ViewSet)> {
     ]
 }
 
-/// Training on poor photographs goes on, with finite parameters and pictures.
+/// Training on poor photographs continues, with finite parameters and pictures.
 ///
 /// # Errors
 /// When a step fails.
@@ -282,7 +281,7 @@ pub fn poor_photographs<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A grid whose cells were all emptied is filled by the next refresh, and training goes on.
+/// If all cells of a grid are emptied, the next refresh fills it, and training continues.
 ///
 /// # Errors
 /// When a step fails.

@@ -1,4 +1,4 @@
-//! Extreme geometry: spheres without size and beyond all size, rays along edges, cameras and boxes of every shape.
+//! Extreme geometry: spheres of zero and of huge radius, rays along edges, cameras and boxes of every shape.
 
 use super::rig::{Rig, small};
 use super::{Finding, Make, Tell, apart, not_finite, relative, worst};
@@ -14,7 +14,7 @@ fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> 
     Finding { part: "geometry", case: case.into(), law, worst, bound }
 }
 
-/// The cases of this part.
+/// Runs the cases of this part.
 pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     spheres(make, tell)?;
     rays(make, tell)?;
@@ -23,7 +23,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Radii from nothing to no number: the finest level below, the coarsest above.
+/// Radii of zero, below zero and NaN select the finest level, huge radii the coarsest.
 fn spheres<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut rig = Rig::new(make, &small())?;
     let at = |radius| Sphere { position: [0.3, 0.7, 0.51], radius };
@@ -52,7 +52,7 @@ fn spheres<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Rays of all directions, from outside, from within, on faces and on edges.
+/// Rays in all directions, from outside, from inside, on faces and on edges.
 fn directions() -> Vec<Ray> {
     let s = 0.5_f32.sqrt();
     let t = 3_f32.sqrt().recip();
@@ -65,11 +65,11 @@ fn directions() -> Vec<Ray> {
         ray([-3.0, 3.0, 0.4], [s, -s, 0.0]),
         ray([0.0, 0.0, 0.0], [s, 0.0, s]),
         ray([1.49, 1.49, 1.49], [-t, -t, -t]),
-        // On a face, outwards and along it; on an edge and along it.
+        // On a face, pointing outwards and along it; along an edge.
         ray([1.5, 0.0, 0.0], [1.0, 0.0, 0.0]),
         ray([1.5, 0.0, -4.0], [0.0, 0.0, 1.0]),
         ray([1.5, 1.5, -4.0], [0.0, 0.0, 1.0]),
-        // A component that is hardly there; grazing a corner; missing; pointing away.
+        // A tiny direction component; grazing a corner; missing the box; pointing away.
         ray([-4.0, 0.3, 0.3], [1.0, 1e-30, -1e-38]),
         ray([-4.0, 1.4999, 0.0], [1.0, 0.0, 0.0]),
         ray([-4.0, 1.6, 0.0], [1.0, 0.0, 0.0]),
@@ -89,7 +89,7 @@ fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let (enter, leave) = aabb.intersect(ray.origin.map(f64::from), ray.direction.map(f64::from));
         (leave - enter).max(0.0)
     };
-    // From a million units away f32 knows a distance to a sixteenth.
+    // At a distance of a million units, f32 resolves distances to 1/16.
     let slack =
         |ray: &Ray| 1.0 + ray.origin.iter().fold(0.0_f64, |m, x| m.max(x.abs().into())) * 1.2e-7 / step;
     let errors = rays
@@ -113,7 +113,7 @@ fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Camera rays beside those in f64.
+/// Camera rays against f64.
 fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut rig = Rig::new(make, &small())?;
     let mut cases: Vec<(String, Intrinsics)> = [0.001_f64, 0.1, 40.0, 120.0, 179.0]
@@ -149,11 +149,11 @@ fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Steps along the diagonal of a box: few enough for a long one, enough to see a place lost.
+/// Steps along the diagonal of a box: few enough for a long one, and enough to detect a lost position.
 const STEPS: u32 = 2048;
 
-/// Boxes of all sizes and shapes, filled with one medium whose upper halves are cut away along an axis: a ray along the axis
-/// goes through half of the box.
+/// Boxes of all sizes and shapes, filled with one medium whose upper half along an axis is empty. A ray along the axis
+/// passes through half of the box.
 fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (name, centre, sides) in [
         ("a flat box, 1:1000", 0.0, [3.0, 3.0, 0.003]),
@@ -169,7 +169,7 @@ fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let step = f64::from(config.step_length());
         let (mut errors, mut strange) = (Vec::new(), 0.0);
         for axis in 0..3_usize {
-            // Depth 2 along the whole side, so that one of half the side shows well.
+            // Optical depth 2 along the whole side, so that half the side is well measurable.
             let density = 2.0 / sides[axis];
             let mut trainer = LoadedModel::new(make()?, &medium(&config, density, axis))?;
             let mut along = DVec3::ZERO;
@@ -192,7 +192,7 @@ fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// A model of one density, occupied where `axis` has its lower half.
+/// A model of constant density, occupied in the lower half along `axis`.
 fn medium(config: &Config, density: f64, axis: usize) -> Model {
     let layout = Layout::new(config);
     let mut values = layout.initial(config);
@@ -203,7 +203,7 @@ fn medium(config: &Config, density: f64, axis: usize) -> Model {
         if slot.name == "planes" {
             part.fill(1.0);
         } else if slot.name == last {
-            // Density = exp(logit - 1) of hidden units that are 1.
+            // Density = exp(logit - 1) with hidden units of 1.
             part.iter_mut().step_by(slot.shape[1]).for_each(|w| *w = ((density.ln() + 1.0) / inputs) as f32);
         } else if slot.name.starts_with("density") {
             part.fill((1.0 / inputs) as f32);

@@ -1,4 +1,4 @@
-//! `check`: a catalogue of stiff and extreme cases, each with the law that it must satisfy, on any backend.
+//! `check`: a catalogue of stiff and extreme cases for any backend, each with the law that it must satisfy.
 
 mod geometry;
 mod numbers;
@@ -9,29 +9,29 @@ mod training;
 use trimip::backends::Visitor;
 use trimip::{Backend, Result};
 
-/// What a case came to.
+/// Result of a case.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
     /// Part of the catalogue.
     pub part: &'static str,
-    /// What was tried.
+    /// The case.
     pub case: String,
-    /// What must hold.
+    /// The law that must hold.
     pub law: &'static str,
-    /// The worst error found.
+    /// The largest error found.
     pub worst: f64,
-    /// The most that it may be.
+    /// The tolerance.
     pub bound: f64,
 }
 
 impl Finding {
-    /// True when the law holds; not a number breaks every law.
+    /// True if the law holds; NaN violates every law.
     pub fn holds(&self) -> bool {
         self.worst <= self.bound
     }
 }
 
-/// The largest of some errors; not a number if one of them is.
+/// The largest of the errors; NaN if one of them is.
 fn worst(errors: impl IntoIterator<Item = f64>) -> f64 {
     errors.into_iter().fold(0.0, |most, error| if error.is_nan() || error > most { error } else { most })
 }
@@ -41,28 +41,28 @@ fn apart(found: impl Into<f64>, expected: f64) -> f64 {
     (found.into() - expected).abs()
 }
 
-/// |found − expected| in parts of |expected|.
+/// |found − expected| / |expected|.
 fn relative(found: impl Into<f64>, expected: f64) -> f64 {
     let found = found.into();
     if found == expected { 0.0 } else { (found - expected).abs() / expected.abs() }
 }
 
-/// How many of the values are not finite.
+/// Number of values that are not finite.
 fn not_finite<'a>(values: impl IntoIterator<Item = &'a f32>) -> f64 {
     values.into_iter().filter(|value| !value.is_finite()).count() as f64
 }
 
-/// Makes a backend of its own for a case.
+/// Creates a fresh backend for a case.
 pub type Make<'a, B> = &'a dyn Fn() -> Result<B>;
 
-/// Is told of every finding as soon as there is one.
+/// Receives every finding as soon as it is made.
 pub type Tell<'a> = &'a mut dyn FnMut(Finding);
 
 /// All cases on one backend.
 pub struct Catalogue<'a> {
-    /// Also the cases that take minutes.
+    /// Include the cases that take minutes.
     pub long: bool,
-    /// Takes every finding.
+    /// Receives every finding.
     pub tell: Tell<'a>,
 }
 

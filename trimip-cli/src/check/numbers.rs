@@ -1,4 +1,4 @@
-//! Numbers at the end of their range: densities, gradients and hidden units that f32 or f16 can hardly hold, or cannot.
+//! Numbers at the end of their range: densities, gradients and hidden units that barely fit f32 or f16, or overflow.
 
 use super::rig::{camera, hash, photographs, small};
 use super::{Finding, Make, Tell, not_finite, worst};
@@ -12,7 +12,7 @@ fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> 
     Finding { part: "numbers", case: case.into(), law, worst, bound }
 }
 
-/// The cases of this part.
+/// Runs the cases of this part.
 pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     logits(make, tell)?;
     gradients().into_iter().for_each(&mut *tell);
@@ -21,7 +21,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Density logits of ±1e4: nothing and everything.
+/// Density logits of ±1e4: empty space and an opaque medium.
 fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);
@@ -37,7 +37,7 @@ fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             if slot.name == "planes" {
                 part.fill(1.0);
             } else if slot.name == last {
-                // Hidden units are 1: their sum is the logit.
+                // Hidden units are 1, so their weighted sum is the logit.
                 part.iter_mut().step_by(slot.shape[1]).for_each(|w| *w = logit / inputs);
             } else if slot.name.starts_with("density") {
                 part.fill(1.0 / inputs);
@@ -47,7 +47,7 @@ fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         trainer.occupy_all();
         let frame = trainer.render(&view)?;
         let opacity = if logit > 0.0 { 1.0 } else { 0.0 };
-        // The middle of the picture looks through the box.
+        // The rays at the middle of the picture pass through the box.
         let middle = &frame.pixels[frame.pixels.len() / 2 + 4];
         tell(found(
             name,
@@ -65,7 +65,7 @@ fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// The optimiser's rule at gradients that f32 can hardly hold, or whose squares it cannot.
+/// The optimiser's update at gradients near the limits of f32, and at gradients whose squares overflow or underflow.
 fn gradients() -> Vec<Finding> {
     let config = OptimizerConfig { weight_decay: 0.0, ..Config::default().optimizer };
     [1e-38_f32, 1e-30, 1e-20, 1e-8, 1.0, 1e8, 1e15, 1e19]
@@ -83,7 +83,7 @@ fn gradients() -> Vec<Finding> {
                     gradient.into(),
                 );
             }
-            // Twenty steps of at most the rate; where squares underflow, epsilon takes their place.
+            // Twenty steps of at most the learning rate. If squares underflow, epsilon takes their place.
             let strange = not_finite(&[x, m, v]);
             let error = if strange > 0.0 { f64::NAN } else { (f64::from(x) - wide).abs() / (20.0 * rate) };
             found(
@@ -96,8 +96,8 @@ fn gradients() -> Vec<Finding> {
         .collect()
 }
 
-/// Texels of 1e-30 behind weights of 1e30: the gradients of the texels are some 1e30, those of the weights some 1e-30. A
-/// gradient that no second moment can hold leaves its parameter and its moments as they were, and is counted.
+/// Texels of 1e-30 before weights of 1e30: the gradients of the texels are about 1e30, those of the weights about
+/// 1e-30. A gradient whose second moment overflows leaves its parameter and its moments unchanged, and is counted.
 fn steep<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);
@@ -138,14 +138,14 @@ fn steep<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Numbers between the layers that f16 cannot hold: in whatever precision, the picture is that of f32 to the rounding of
-/// its factors; a backend that meets them in f16 goes on in f32.
+/// Activations that overflow f16. In any precision, the picture matches f32 up to the rounding of the factors. A
+/// backend that meets such values in f16 continues in f32.
 fn beyond_half<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let layout = Layout::new(&small());
     let picture = |precision| -> Result<Frame> {
         let mut config = small();
         config.field.precision = precision;
-        // Steps that move nothing: what they count is what is looked for.
+        // A negligible learning rate: the steps only count overflows.
         config.optimizer.learning_rate = 1e-20;
         let views = photographs(&[camera(16, 0), camera(16, 1)], 1, hash);
         let view = views.views[0].camera;

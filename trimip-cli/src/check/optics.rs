@@ -1,4 +1,5 @@
-//! Stiff optics: samples from hardly there to opaque, one to a hundred thousand on a ray. Letters: x = σδ optical depth.
+//! Stiff optics: samples from nearly transparent to opaque, one to a hundred thousand per ray. x = σδ is the optical
+//! depth.
 
 use super::rig::{Rig, small};
 use super::{Finding, Make, Tell, apart, relative, worst};
@@ -6,13 +7,13 @@ use trimip_core::batch::{Interval, Radiance};
 use trimip_core::compositing::{composite, composite_gradient};
 use trimip_core::{Backend, Result};
 
-/// Length of a sample here: a step of a usual box.
+/// Length of a sample in these cases: a typical step.
 const LENGTH: f32 = 1.0 / 256.0;
 
-/// A few roundings of f32.
+/// Several roundings of f32.
 const ROUNDING: f64 = 1e-6;
 
-/// A driver's exp and a series of seven terms beside the exact exp_m1.
+/// A driver's exp and a seven-term series against the exact exp_m1.
 const EXPONENTIAL: f64 = 5e-6;
 
 type Sample = (Interval, Radiance);
@@ -22,18 +23,18 @@ fn sample(i: usize, depth: f64, rgb: [f32; 3]) -> Sample {
     (interval, Radiance { rgb, density: (depth / f64::from(LENGTH)) as f32 })
 }
 
-/// Optical depth of a sample as its f32 numbers have it.
+/// Optical depth of a sample, from its f32 values.
 fn depth((interval, radiance): &Sample) -> f64 {
     f64::from(interval.length) * f64::from(radiance.density)
 }
 
-/// The cases of this part.
+/// Runs the cases of this part.
 pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut rig = Rig::new(make, &small())?;
     let found =
         |case: &str, law, worst, bound| Finding { part: "optics", case: case.into(), law, worst, bound };
 
-    // One sample each, all sizes.
+    // One sample per ray, over all optical depths.
     let thin: Vec<Vec<Sample>> =
         (-48..=48).map(|quarter| vec![sample(0, 10_f64.powf(f64::from(quarter) / 4.0), [1.0; 3])]).collect();
     let (pixels, gradients) = rig.composite(&thin, [1.0, 1.0, 1.0, 0.0]);
@@ -66,7 +67,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         4.0 * ROUNDING,
     ));
 
-    // Many samples of one medium: total depth 1, however it is cut.
+    // Many samples of one medium: total depth 1 for any subdivision.
     for count in [1_usize, 10, 1000, rig.backend.longest_ray().min(100_000)] {
         let ray: Vec<Sample> = (0..count).map(|i| sample(i, 1.0 / count as f64, [0.25, 0.5, 1.0])).collect();
         let total: f64 = ray.iter().map(depth).sum();
@@ -76,7 +77,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             &format!("a medium of depth 1 in {count} samples"),
             "opacity is that of the whole",
             apart(pixels[0].opacity, opacity),
-            // Each addition may round by half of the last place of a sum of at most 1.
+            // Each addition rounds by at most half a unit in the last place of a sum of at most 1.
             ROUNDING + count as f64 * 6e-8,
         ));
         let weights = f64::from(pixels[0].rgb[2]) - (1.0 - opacity) * background[2];
@@ -95,13 +96,13 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
                 sample(i, if i == 17 { 1e6 } else { 0.0 }, if i == 17 { [0.2, 0.4, 0.6] } else { [1.0; 3] })
             })
             .collect(),
-        // Vacuum and wall by turns, from a vacuum on.
+        // Vacuum and wall alternate, beginning with vacuum.
         (0..40).map(|i| sample(i, if i % 2 == 1 { 1e9 } else { 0.0 }, [i as f32 / 40.0; 3])).collect(),
-        // A haze before a wall, behind it what nobody sees.
+        // A haze before a wall, and hidden samples behind it.
         (0..400)
             .map(|i| sample(i, if i == 300 { 1e12 } else { 1e-6 }, [0.5, 0.1, i as f32 / 400.0]))
             .collect(),
-        // Half-thick samples of all colours.
+        // Half-transparent samples of all colours.
         (0..64)
             .map(|i| {
                 sample(i, 0.05 + 0.1 * (i % 5) as f64, [(i % 3) as f32 / 2.0, 0.3, (i % 7) as f32 / 6.0])

@@ -1,4 +1,4 @@
-//! A backend with the stages of a small configuration, and photographs made up for a case.
+//! A backend with the stages of a small configuration, and synthetic photographs for a case.
 
 use super::Make;
 use glam::DVec3;
@@ -31,7 +31,7 @@ pub struct Rig<B: Backend> {
 }
 
 impl<B: Backend> Rig<B> {
-    /// The stages of a configuration with its initial parameters, for rendering.
+    /// Creates the stages of a configuration with its initial parameters, for rendering.
     pub fn new(make: Make<'_, B>, config: &Config) -> Result<Self> {
         let backend = make()?;
         let layout = Layout::new(config);
@@ -46,12 +46,12 @@ impl<B: Backend> Rig<B> {
         Ok(Self { backend, stages, space, parameters })
     }
 
-    /// Makes these the rays of the span.
+    /// Uploads the rays of the span.
     pub fn rays(&mut self, rays: &[Ray]) {
         self.space.rays.place(&self.backend, rays);
     }
 
-    /// Composites rays of given samples, and pulls the gradient `by_pixel` of every pixel back to them.
+    /// Composites rays of given samples, and backpropagates the gradient `by_pixel` of every pixel to them.
     pub fn composite(
         &mut self,
         rays: &[Vec<(Interval, Radiance)>],
@@ -86,7 +86,7 @@ impl<B: Backend> Rig<B> {
         (backend.read(&space.pixels), backend.read(&space.radiance_gradients))
     }
 
-    /// Marches rays; the distances of each ray's samples, and the spheres of all.
+    /// Marches rays. Returns the sample distances of each ray, and the spheres of all samples.
     pub fn march(&mut self, rays: &[Ray]) -> (Vec<Vec<f32>>, Vec<Sphere>) {
         self.rays(rays);
         let Self { backend, stages, space, .. } = self;
@@ -99,7 +99,7 @@ impl<B: Backend> Rig<B> {
         (distances, backend.read(&space.samples.spheres))
     }
 
-    /// Features of spheres, 48 each.
+    /// Features of spheres, 48 per sphere.
     pub fn features(&mut self, spheres: &[Sphere]) -> Vec<f32> {
         let count = spheres.len() as u32;
         let Self { backend, stages, space, parameters } = self;
@@ -123,7 +123,7 @@ pub fn camera(size: u32, i: u32) -> Camera {
     Camera::look_at(Intrinsics::from_angle(size, size, 0.7), origin, DVec3::ZERO, DVec3::Z)
 }
 
-/// A number that looks random.
+/// A pseudo-random colour.
 pub fn hash(view: usize, x: usize, y: usize) -> [u8; 4] {
     let mut word = (view * 7919 + x * 104_729 + y * 1_299_709 + 17) as u32;
     word = (word ^ (word >> 15)).wrapping_mul(0x2c1b_3c6d);

@@ -1,5 +1,5 @@
-//! Stiff training: photographs that contradict each other or teach nothing, rates and weights of all sizes, grids and
-//! batches gone empty, runs of many steps.
+//! Stiff training: photographs that contradict each other or carry no information, learning rates and weights of all
+//! sizes, empty grids and batches, runs of many steps.
 
 use super::rig::{camera, hash, photographs, small};
 use super::{Finding, Make, Tell, not_finite, worst};
@@ -14,7 +14,7 @@ fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> 
     Finding { part: "training", case: case.into(), law, worst, bound }
 }
 
-/// The cases of this part.
+/// Runs the cases of this part.
 pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     photographs_of_all_kinds(make, tell)?;
     rates_and_weights(make, tell)?;
@@ -23,8 +23,8 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Trains `steps` steps; the number of values that are not finite in parameters, loss and a picture, and how far the
-/// picture's colours leave [0, 1].
+/// Trains `steps` steps. Returns the number of values that are not finite in parameters, loss and a picture, and the
+/// distance of the picture's colours from [0, 1].
 fn train<B: Backend>(make: Make<'_, B>, config: &Config, views: ViewSet, steps: u64) -> Result<[f64; 2]> {
     let camera = views.views[0].camera;
     let mut trainer = Trainer::new(make()?, config, views)?;
@@ -43,7 +43,7 @@ fn train<B: Backend>(make: Make<'_, B>, config: &Config, views: ViewSet, steps: 
 fn told(case: &str, [strange, beyond]: [f64; 2]) -> [Finding; 2] {
     [
         found(case, "loss, parameters and pictures stay finite", strange, 0.0),
-        // A weighted mean of colours within 0 and 1, and a background that is.
+        // Weighted mean of colours in [0, 1] and a background in [0, 1].
         found(case, "colours stay within 0 and 1", beyond, 2e-6),
     ]
 }
@@ -81,7 +81,7 @@ fn rates_and_weights<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()
     let mut cold = small();
     cold.optimizer.learning_rate = 1e-12;
     told("learning rates of 1e-12", train(make, &cold, views(), 8)?).into_iter().for_each(&mut *tell);
-    // One ray may hold the whole batch: a long box of many steps and few samples a step.
+    // One ray may fill the whole batch: a long box with many steps, and few samples per step.
     let mut one = small();
     (one.renderer.steps_per_diagonal, one.train.samples_per_step) = (4096, 256);
     told("a ray with more samples than a step", train(make, &one, views(), 12)?)
@@ -90,12 +90,12 @@ fn rates_and_weights<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()
     Ok(())
 }
 
-/// Texels without a gradient: with "skip" they stay to the bit, with "decay" they shrink by the written factor, whatever
-/// an epsilon of 1e-15 makes of moments of zero.
+/// Texels without a gradient. With "skip" they stay bit-identical. With "decay" they shrink by the documented factor,
+/// even with an epsilon of 1e-15 and moments of zero.
 fn untouched<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (name, way) in [("skip", Untouched::Skip), ("decay", Untouched::Decay)] {
         let mut config = small();
-        // A corner of the planes is out of every view.
+        // One corner of the planes is outside every view.
         (config.encoder.plane_size, config.encoder.levels) = (64, 2);
         (config.optimizer.untouched, config.optimizer.weight_decay) = (way, 0.1);
         let narrow = Intrinsics::from_angle(4, 4, 0.05);
@@ -139,7 +139,7 @@ fn untouched<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// A batch without a sample moves nothing and is counted; a grid gone empty is filled by its next refresh.
+/// A batch without samples changes no parameter and is counted. An empty grid is filled by its next refresh.
 fn empty<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let away = Camera::look_at(
@@ -191,11 +191,11 @@ fn empty<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Steps of a long run.
+/// Number of steps of a long run.
 const LONG: u64 = 100_000;
 
-/// A run of a hundred thousand steps on a small scene: it learns and does not unlearn, no number leaves its range, the
-/// schedule ends where it is written to, and memory does not grow.
+/// A run of a hundred thousand steps on a small scene: it learns and does not regress, all numbers stay in range, the
+/// schedule ends at its configured values, and memory does not grow.
 pub fn long<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut config = small();
     config.train.steps = LONG;

@@ -1,5 +1,5 @@
-//! Runs beside each other on one page: what each came to, the settings in which they differ, and the test views that all
-//! of them pictured, each beside its photograph. A curve without a run folder has its name alone.
+//! Runs side by side on one page: their outcomes, the settings in which they differ, and the test views that all of
+//! them have pictures of, next to the photograph. A curve without a run folder contributes only its name.
 
 use super::{page::escape, page::table, pictures};
 use crate::terminal;
@@ -9,29 +9,29 @@ use std::path::PathBuf;
 use trimip::run::store::{FileStore, ViewRecord};
 use trimip::{Result, RunFolder};
 
-/// Views that are shown.
+/// Maximum number of views shown.
 const VIEWS: usize = 4;
 
-/// A run, or a curve that came without one.
+/// A run, or a curve without a run.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// What it is called.
+    /// Display name.
     pub name: String,
     /// Colour of its line.
     pub color: String,
-    /// Where its report and pictures are.
+    /// Folder of its report and pictures.
     pub folder: Option<PathBuf>,
 }
 
 impl Entry {
-    /// Its `report.json`; null where there is none to read.
+    /// Its `report.json`; null if it cannot be read.
     fn report(&self) -> Value {
         let text = self.folder.as_ref().and_then(|folder| std::fs::read(folder.join("report.json")).ok());
         text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
     }
 }
 
-/// A table of verdicts and figures of the entries that have a report; empty where none has.
+/// A table of verdicts and figures of the entries that have a report; empty if none has.
 pub fn outcomes(entries: &[Entry]) -> String {
     let head = ["run", "verdict", "scene", "views", "PSNR / dB", "SSIM", "samples", "model"];
     let mut rows = vec![head.map(String::from).to_vec()];
@@ -65,7 +65,7 @@ pub fn outcomes(entries: &[Entry]) -> String {
     format!("<section><h2>What each came to</h2>{}</section>\n", table(&rows, false))
 }
 
-/// A table of the settings that are not equal in all entries that have a report; empty below two.
+/// A table of the settings that differ between entries with a report; empty with fewer than two.
 pub fn differences(entries: &[Entry]) -> String {
     let known: Vec<_> = entries
         .iter()
@@ -97,8 +97,8 @@ pub fn differences(entries: &[Entry]) -> String {
     format!("<section><h2>Settings that differ</h2>{content}</section>\n")
 }
 
-/// Test views of the finest scale that all entries with pictures hold: the photograph, then each entry's rendering with
-/// its PSNR.
+/// Test views of the finest scale that all entries with pictures share: the photograph, then each entry's rendering
+/// with its PSNR.
 pub fn views(entries: &[Entry]) -> Result<String> {
     let pictured: Vec<(&Entry, PathBuf, Vec<ViewRecord>)> = entries
         .iter()

@@ -1,17 +1,18 @@
-//! The difference between a rendering and its photograph as a picture with a scale: the mean over red, green and blue of
-//! the absolute difference, in parts of the full range, from black (none) over red to pale yellow (a quarter and more).
+//! The difference between a rendering and its photograph as a picture with a scale. It is the mean absolute difference
+//! over red, green and blue, as a fraction of the full range, from black (zero) over red to pale yellow (a quarter or
+//! more).
 
 use image::{Rgb, RgbImage};
 
-/// Difference at the bright end of the scale, in parts of the full range.
+/// Difference at the bright end of the scale, as a fraction of the full range.
 const MOST: f32 = 0.25;
 
-/// Colours from none to [`MOST`], evenly spaced: brighter is worse, also for those who see no colours (six entries of
-/// matplotlib's `inferno`, by S. van der Walt and N. Smith).
+/// Colours from zero to [`MOST`], evenly spaced. Brighter is worse, so the scale also reads without colour vision (six
+/// entries of matplotlib's `inferno`, by S. van der Walt and N. Smith).
 const COLORS: [[u8; 3]; 6] =
     [[0, 0, 4], [66, 10, 104], [147, 38, 103], [221, 81, 58], [252, 165, 10], [252, 255, 164]];
 
-/// The difference of two pictures of one size.
+/// The difference map of two pictures of the same size.
 pub fn map(rendered: &RgbImage, photograph: &RgbImage) -> RgbImage {
     RgbImage::from_fn(rendered.width(), rendered.height(), |x, y| {
         let (a, b) = (rendered.get_pixel(x, y).0, photograph.get_pixel(x, y).0);
@@ -20,7 +21,7 @@ pub fn map(rendered: &RgbImage, photograph: &RgbImage) -> RgbImage {
     })
 }
 
-/// Colour of a difference, straight lines between [`COLORS`].
+/// Colour of a difference, interpolated linearly between [`COLORS`].
 fn color(difference: f32) -> [u8; 3] {
     let last = COLORS.len() - 1;
     let place = (difference / MOST).clamp(0.0, 1.0) * last as f32;
@@ -32,7 +33,7 @@ fn color(difference: f32) -> [u8; 3] {
     })
 }
 
-/// The scale as HTML: a bar of the colours with their differences beneath.
+/// The scale as HTML: a bar of the colours with their differences below.
 pub fn bar() -> String {
     let stops = COLORS.map(|[r, g, b]| format!("rgb({r},{g},{b})")).join(",");
     let steps = COLORS.len() - 1;

@@ -29,7 +29,7 @@ fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
     }
 }
 
-/// Hands the report to a test.
+/// Passes the report to a test.
 pub fn example(test: impl FnOnce(&Report<'_>)) {
     let (settings, config) = (Settings::defaults(), Config::default());
     let provenance = Provenance {

@@ -1,4 +1,4 @@
-//! `report.html`: the report for people, one file without anything to fetch.
+//! `report.html`: the report for people, one self-contained file.
 
 use super::page::{escape, pairs, plot, table};
 use super::{page, pictures, settings, svg};
@@ -69,7 +69,7 @@ fn head(report: &Report<'_>) -> String {
     )
 }
 
-/// What was measured, by which command, version and when: one row for each session that says something else.
+/// What was measured, by which command, version and when. One row for each session with different values.
 fn origin(report: &Report<'_>) -> String {
     let mut rows = vec![("measured on", report.views_measured())];
     let sessions: Vec<_> = report.history.parts.iter().map(|part| &part.provenance).collect();

@@ -1,5 +1,5 @@
-//! The pages of the program: the report of a run for people, one self-contained HTML file, and what it shares with the pages
-//! of `bench` and `compare`.
+//! The program's pages: the report of a run, one self-contained HTML file, and the parts it shares with the pages of
+//! `bench` and `compare`.
 
 pub mod beside;
 mod difference;
@@ -14,10 +14,10 @@ pub mod svg;
 use trimip::{Result, RunFolder, report::Report};
 use trimip_core::tensors::write_atomically;
 
-/// Writes every file of the report, the page last.
+/// Writes all files of the report, the page last.
 ///
 /// # Errors
-/// When one of them cannot be written.
+/// When a file cannot be written.
 pub fn write(report: &Report<'_>, folder: &RunFolder) -> Result<()> {
     report.write(folder)?;
     write_atomically(&folder.html(), html::page(report, &folder.images())?.as_bytes())

@@ -1,10 +1,10 @@
-//! What all pages share: one HTML file that holds its style and script and fetches nothing, text made safe, tables, the
-//! plot with its legend and its two axes.
+//! Shared parts of all pages: one self-contained HTML file with its style and script, escaped text, tables, and the
+//! plot with its legend and its two time axes.
 
 use super::svg::{self, Line};
 use trimip::machine;
 
-/// A whole page around the content of its `main`.
+/// A whole page around `content`, the inside of its `main`.
 pub fn whole(title: &str, content: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
@@ -18,13 +18,13 @@ pub fn whole(title: &str, content: &str) -> String {
     )
 }
 
-/// Text that is safe inside HTML.
+/// Escapes text for HTML.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Rows of text as a table that scrolls where it is wider than its window: the first row is the head, the first column
-/// stands to the left, the others, numbers, to the right. The last row is printed bold where it is a mean.
+/// Rows of text as a table that scrolls if it is wider than its window. The first row is the header. The first column
+/// is left-aligned; the others are numbers and right-aligned. With `ends_with_mean`, the last row is bold.
 pub fn table(rows: &[Vec<String>], ends_with_mean: bool) -> String {
     let last = rows.len().saturating_sub(1);
     let row = |(i, cells): (usize, &Vec<String>)| {
@@ -40,13 +40,13 @@ pub fn table(rows: &[Vec<String>], ends_with_mean: bool) -> String {
     format!("<div class=\"scroll\"><table>{body}</table></div>")
 }
 
-/// Names and values, one a row.
+/// Names and values, one pair per row.
 pub fn pairs(rows: &[(&str, String)]) -> String {
     let rows = rows.iter().map(|(name, value)| format!("<tr><td>{name}</td><td>{}</td></tr>", escape(value)));
     format!("<table class=\"pairs\">{}</table>", rows.collect::<String>())
 }
 
-/// A section with the plot of `lines` over logarithmic and linear time; empty where there is nothing to draw. `note` is
+/// A section with the plot of `lines` over logarithmic and linear time; empty if there is nothing to draw. `note` is
 /// HTML.
 pub fn plot(title: &str, lines: &[Line], note: &str) -> String {
     let Some((logarithmic, linear)) = svg::plot(lines, true).zip(svg::plot(lines, false)) else {
@@ -63,7 +63,7 @@ pub fn plot(title: &str, lines: &[Line], note: &str) -> String {
     )
 }
 
-/// Fails unless `page` is one file: it fetches nothing, and every element that is opened is closed.
+/// Asserts that `page` is self-contained: it fetches nothing, and every opened element is closed.
 #[cfg(test)]
 pub fn expect_whole(page: &str) {
     assert!(page.starts_with("<!doctype html>") && page.ends_with("</html>\n"));

@@ -1,5 +1,5 @@
-//! Pictures of test views in the report: the worst and the best, then those evenly spread. A figure holds rendering,
-//! photograph and difference; the page's script lays a slider over the first two.
+//! Pictures of test views in the report: the worst and the best, then evenly spaced ones. A figure holds rendering,
+//! photograph and difference; the page's script adds a slider to the first two.
 
 use super::{difference, page, page::escape};
 use base64::{Engine, prelude::BASE64_STANDARD};
@@ -10,23 +10,23 @@ use trimip::{Error, Result, run::store::ViewRecord, view::pictures};
 
 /// Longest side of a picture in a page, pixels.
 const LONGEST: u32 = 1024;
-/// Below this width a picture is shown with its pixels as squares.
+/// Below this width, pixels, a picture is enlarged without smoothing.
 const SQUARES: u32 = 200;
-/// A larger PNG becomes a JPEG: a page of six views has to fit into a letter.
+/// A larger PNG is embedded as JPEG, so that a page of six views stays small enough to mail.
 const MOST_PNG_BYTES: usize = 400_000;
-/// Quality of these JPEGs: their error stays about a tenth of that of good renderings.
+/// Quality of these JPEGs. Their error is about a tenth of that of good renderings.
 const JPEG_QUALITY: u8 = 92;
-/// Views named among the worst and the best.
+/// Number of views listed as the worst and as the best.
 const NAMED: usize = 5;
 
-/// Both sections; empty where no view was evaluated. `images` is the folder of the comparisons.
+/// Both sections; empty if no view was evaluated. `images` is the folder of the comparisons.
 pub fn sections(report: &Report<'_>, images: &Path) -> Result<String> {
     let ordered = by_error(&report.views);
     let (Some(worst), Some(best)) = (ordered.first(), ordered.last()) else { return Ok(String::new()) };
     let mut html = extremes(&ordered, images)?;
     let mut frames = String::new();
     for frame in shown(&report.views) {
-        // The worst and the best stand above.
+        // The worst and the best are already shown above.
         if [worst.index, best.index].contains(&frame[0].index) && ordered.len() > 1 {
             continue;
         }
@@ -44,7 +44,7 @@ pub fn sections(report: &Report<'_>, images: &Path) -> Result<String> {
     Ok(html)
 }
 
-/// Views of the finest scale from the worst to the best; what has no PSNR is worst.
+/// Views of the finest scale from the worst to the best; a view without PSNR is the worst.
 fn by_error(views: &[ViewRecord]) -> Vec<&ViewRecord> {
     let finest = views.iter().map(|view| view.scale).min();
     let mut ordered: Vec<_> = views.iter().filter(|view| Some(view.scale) == finest).collect();
@@ -53,7 +53,7 @@ fn by_error(views: &[ViewRecord]) -> Vec<&ViewRecord> {
     ordered
 }
 
-/// The worst and the best views: their names, and pictures where there are some.
+/// The worst and the best views: their names, and their pictures if there are any.
 fn extremes(ordered: &[&ViewRecord], images: &Path) -> Result<String> {
     let count = (ordered.len() / 2).clamp(1, NAMED);
     let list = |title: &str, views: &mut dyn Iterator<Item = &&ViewRecord>| {
@@ -87,7 +87,7 @@ fn measure(value: Option<f64>, digits: usize) -> String {
     value.map_or("no number".into(), |value| format!("{value:.digits$}"))
 }
 
-/// A figure of rendering, photograph and difference, `title` before its caption; empty where the picture is gone.
+/// A figure of rendering, photograph and difference, with `title` before its caption; empty if the picture is missing.
 fn figure(images: &Path, view: &ViewRecord, title: &str) -> Result<String> {
     let Some([rendered, photograph]) = compared(images, view) else { return Ok(String::new()) };
     let heat = difference::map(&rendered, &photograph);
@@ -110,14 +110,14 @@ fn figure(images: &Path, view: &ViewRecord, title: &str) -> Result<String> {
     ))
 }
 
-/// Rendering and photograph of a view, where its comparison is there.
+/// Rendering and photograph of a view, if its comparison exists.
 pub fn compared(images: &Path, view: &ViewRecord) -> Option<[RgbImage; 2]> {
     let sheet = image::open(images.join(view.comparison.as_ref()?)).ok()?;
     let [rendered, photograph, _] = pictures::panels(&sheet.to_rgb8());
     (rendered.width() > 0).then_some([rendered, photograph])
 }
 
-/// A picture as an element that holds its bytes.
+/// A picture as an HTML element with embedded data.
 pub fn embedded(picture: RgbImage, what: &str) -> Result<String> {
     let picture = fitted(picture);
     let (width, height) = picture.dimensions();
@@ -135,7 +135,7 @@ pub fn embedded(picture: RgbImage, what: &str) -> Result<String> {
     ))
 }
 
-/// A picture whose sides are at most [`LONGEST`].
+/// A picture reduced to sides of at most [`LONGEST`].
 fn fitted(picture: RgbImage) -> RgbImage {
     let (width, height) = picture.dimensions();
     let longest = width.max(height);
@@ -143,7 +143,7 @@ fn fitted(picture: RgbImage) -> RgbImage {
         return picture;
     }
     let side = |side: u32| (u64::from(side) * u64::from(LONGEST) / u64::from(longest)).max(1) as u32;
-    // Means of whole areas: a sharper filter would ring and flatter or blame the model.
+    // A box filter: a sharper filter would ring and distort the apparent quality of the model.
     imageops::thumbnail(&picture, side(width), side(height))
 }
 
@@ -215,7 +215,7 @@ mod tests {
         });
     }
 
-    /// The same report once more.
+    /// A copy of the report.
     fn example_of<'a>(report: &Report<'a>) -> Report<'a> {
         Report {
             status: report.status.clone(),

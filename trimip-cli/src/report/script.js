@@ -1,4 +1,4 @@
-// A slider between rendering and photograph, and pictures enlarged on a click. Without this script they stand side by side.
+// A slider between rendering and photograph, and pictures enlarged on a click. Without this script they appear side by side.
 "use strict";
 (() => {
   document.documentElement.classList.add("js");
@@ -57,7 +57,7 @@
     caption.textContent = item.text;
     if (light.open) return;
     light.showModal();
-    // Else the slider has the focus, and takes the arrow keys.
+    // Otherwise the slider has the focus and takes the arrow keys.
     bar.children[1].focus();
   }
   button("‹", "previous picture", () => enlarge(at - 1));
@@ -72,7 +72,7 @@
   });
   document.body.append(light);
 
-  // Adds what a click enlarges; returns the click.
+  // Registers a picture for the enlarged view; returns the click handler.
   function offer(image, text, build) {
     const i = shown.length;
     shown.push({ make: build, text, width: Number(image.getAttribute("width")), height: Number(image.getAttribute("height")) });

@@ -1,6 +1,6 @@
-//! Plots of error against time as SVG text: PSNR in dB upwards (the right axis names the same error as RMSE), training
-//! seconds to the right, linear or logarithmic. A report draws one line per scale and one for their mean; a comparison
-//! one line per run.
+//! Plots of error against time as SVG text. The vertical axis is PSNR in dB (the right axis labels the same error as
+//! RMSE), the horizontal axis training seconds, linear or logarithmic. A report draws one line per scale and one for
+//! their mean; a comparison one line per run.
 
 use super::page::escape;
 use crate::terminal;
@@ -13,7 +13,7 @@ const RIGHT: f64 = 66.0;
 const TOP: f64 = 14.0;
 const BOTTOM: f64 = 48.0;
 
-/// Line colours from fine to coarse (Okabe and Ito's set, told apart without colour vision too).
+/// Line colours from fine to coarse (Okabe and Ito's palette, distinguishable without colour vision).
 pub const COLORS: [&str; 8] =
     ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#a6761d"];
 
@@ -28,14 +28,14 @@ struct Axis {
 }
 
 impl Axis {
-    /// Pixel of a value.
+    /// Pixel position of a value.
     fn place(&self, value: f64) -> f64 {
         let f = |x: f64| if self.logarithmic { x.log10() } else { x };
         let fraction = (f(value) - f(self.low)) / (f(self.high) - f(self.low));
         self.start + fraction * (self.end - self.start)
     }
 
-    /// Round values to label.
+    /// Round values for the tick labels.
     fn ticks(&self) -> Vec<f64> {
         if self.logarithmic {
             let digits: &[f64] = if self.high / self.low > 2e3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
@@ -56,40 +56,40 @@ fn round_step(rough: f64) -> f64 {
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough * 0.999).unwrap_or(10.0 * power)
 }
 
-/// A measure on a line.
+/// A measurement on a line.
 #[derive(Clone, Debug)]
 pub struct Point {
     /// Seconds of training.
     pub seconds: f64,
     /// dB.
     pub psnr: f64,
-    /// What a pointer that rests on it is told.
+    /// Tooltip.
     pub hint: String,
 }
 
 impl Point {
-    /// False for what no axis can show.
+    /// False for values that no axis can show.
     fn drawn(&self) -> bool {
         self.psnr.is_finite() && self.seconds > 0.0 && self.seconds.is_finite()
     }
 }
 
-/// Points that belong together.
+/// A line of the plot.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// In the legend; lines of one name stand there once.
+    /// Name in the legend; lines with the same name share one entry.
     pub name: String,
     /// A CSS colour.
     pub color: String,
     /// Class of its group in the style sheet.
     pub class: &'static str,
-    /// In the order of time.
+    /// In time order.
     pub points: Vec<Point>,
-    /// A measure on other views than the line's.
+    /// A measurement on other views than the line's, drawn as a ring.
     pub ring: Option<Point>,
 }
 
-/// Axes that hold every point drawn, the vertical one widened to round values.
+/// Axes that contain every drawn point, the vertical one rounded outwards.
 fn axes(lines: &[Line], logarithmic: bool) -> Option<(Axis, Axis)> {
     let points = || lines.iter().flat_map(|line| line.points.iter().chain(&line.ring)).filter(|p| p.drawn());
     let range = |value: fn(&Point) -> f64| {
@@ -109,8 +109,8 @@ fn axes(lines: &[Line], logarithmic: bool) -> Option<(Axis, Axis)> {
     Some((Axis { low: first, high: last, logarithmic, start: LEFT, end: WIDTH - RIGHT }, vertical))
 }
 
-/// The lines of a run: one per scale and one for their mean. `whole` is the evaluation on all views that ended the run,
-/// drawn as a ring because it is measured on other views than the curve.
+/// The lines of a run: one per scale and one for their mean. `whole` is the final evaluation on all views, drawn as a
+/// ring because it uses other views than the curve.
 pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
     let whole = whole.filter(|w| !curve.contains(w));
     let line = |class, name: String, color: &str, value: &dyn Fn(&Evaluation) -> f64| {
@@ -142,7 +142,7 @@ pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
     lines
 }
 
-/// A plot for a page, which gives it colours and a [`legend`]; `None` where there is nothing to draw.
+/// A plot for a page, which adds colours and a [`legend`]; `None` if there is nothing to draw.
 pub fn plot(lines: &[Line], logarithmic: bool) -> Option<String> {
     Some(format!(
         "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against training time\">{}</svg>",
@@ -167,7 +167,7 @@ fn named(lines: &[Line]) -> Vec<&Line> {
     lines.iter().enumerate().filter(first).map(|(_, line)| line).collect()
 }
 
-/// A plot that stands alone, with a legend, on logarithmic time; `None` where there is nothing to draw.
+/// A standalone plot with a legend on logarithmic time; `None` if there is nothing to draw.
 pub fn alone(lines: &[Line]) -> Option<String> {
     let style = "text { font: 13px system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif; fill: #1b1f24; } \
                  text.faint { fill: #606a76; } .grid { stroke: #dde2e8; } \
@@ -194,7 +194,7 @@ pub fn alone(lines: &[Line]) -> Option<String> {
     ))
 }
 
-/// Axes, their labels and the lines.
+/// Draws axes, labels and lines.
 fn draw(lines: &[Line], logarithmic: bool) -> Option<String> {
     let (x, y) = axes(lines, logarithmic)?;
     let mut svg = String::new();

@@ -1,5 +1,5 @@
-//! `compare`: curves of error against time beside each other, from run folders or anybody's CSV: a table of the times at
-//! which each reaches given PSNRs, a plot, and a page with the pictures of the runs.
+//! `compare`: curves of error against time, from run folders or CSV files of other programs. Prints a table of the
+//! times at which each reaches given PSNRs, and writes a plot and a page with the pictures of the runs.
 
 use crate::args::CompareArguments;
 use crate::curves::{Curve, rows, table};
@@ -10,7 +10,7 @@ use crate::terminal;
 use std::path::Path;
 use trimip_core::{Error, Result, tensors::write_atomically};
 
-/// Curves that are told apart by colour.
+/// Maximum number of curves: one per colour.
 const MOST: usize = svg::COLORS.len();
 
 /// Runs the verb.
@@ -47,7 +47,7 @@ pub fn run(arguments: &CompareArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// Writes a file, its folder first where that is not there.
+/// Writes a file, and creates its folder if missing.
 fn write(path: &Path, text: &str) -> Result<()> {
     let refused = |error: &dyn std::fmt::Display| {
         Error::input(path.display(), error, "name a file in a folder that can be written")
@@ -61,7 +61,7 @@ fn write(path: &Path, text: &str) -> Result<()> {
     write_atomically(path, text.as_bytes())
 }
 
-/// The page.
+/// The HTML page.
 fn html(curves: &[Curve], lines: &[Line], reach: &[f64]) -> Result<String> {
     let entries: Vec<Entry> = curves
         .iter()

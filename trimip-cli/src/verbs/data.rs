@@ -1,4 +1,4 @@
-//! `data`: look into a data set, write it at several scales, write the built-in scene.
+//! `data`: inspect a data set, write it at several scales, write the built-in scene.
 
 use crate::{
     args::{DataAction, DataArguments, SettingsArguments},
@@ -9,7 +9,7 @@ use std::path::Path;
 use trimip::{Config, Error, Result, run::folder as run_folder};
 use trimip_data::Watch;
 
-/// Does one thing with a data set.
+/// Runs the selected action.
 pub fn run(arguments: &DataArguments) -> Result<u8> {
     match &arguments.action {
         DataAction::Inspect { root, settings } => {

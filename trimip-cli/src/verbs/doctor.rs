@@ -1,4 +1,4 @@
-//! `doctor`: what this machine and this build offer, for a look before a long run and for bug reports.
+//! `doctor`: capabilities of this machine and this build, to check before a long run and to attach to bug reports.
 
 use crate::terminal;
 use std::path::Path;

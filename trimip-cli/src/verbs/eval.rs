@@ -1,4 +1,4 @@
-//! `eval`: a model's PSNR and SSIM per scale on its test set.
+//! `eval`: PSNR and SSIM of a model per scale on its test set.
 
 use crate::{
     args::EvalArguments,
@@ -14,7 +14,7 @@ use trimip::view::{Watching, evaluate};
 use trimip::{Error, Result, backends, settings};
 use trimip_core::{evaluate::ViewResult, tensors::write_atomically};
 
-/// Measures a model; exit code 1 when it misses `eval.min_psnr`.
+/// Evaluates a model; exit code 1 if it misses `eval.min_psnr`.
 pub fn run(arguments: &EvalArguments) -> Result<u8> {
     let mut model = run_folder::read_model(&arguments.model)?;
     settings::override_model(&mut model, &arguments.set)?;
@@ -71,7 +71,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// Moves a bar with the rows that are rendered.
+/// Advances a bar with the rendered rows.
 struct OnBar<'a> {
     bar: &'a ProgressBar,
     stop: &'a AtomicBool,

@@ -16,7 +16,7 @@ use crate::args::{Arguments, Verb};
 use crate::terminal;
 use trimip_core::Result;
 
-/// What to type next, for whoever typed nothing.
+/// Suggested commands, printed if the user typed no arguments.
 const NEXT: &str = "\
 nothing to train on; type one of
   trimip-cli FOLDER                             photographs with transforms.json: trains 5 minutes, then reports
@@ -24,7 +24,7 @@ nothing to train on; type one of
   trimip-cli --config configs/quickstart.toml   the built-in scene, nothing to download
   trimip-cli --help                             every verb and option";
 
-/// Does what the command line asks for.
+/// Dispatches the command line to its verb.
 pub fn run(arguments: Arguments) -> Result<u8> {
     match arguments.verb {
         None if arguments.train.is_bare() => {

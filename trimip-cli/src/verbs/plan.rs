@@ -1,5 +1,5 @@
-//! `plan`: what the scene does not need and why; with `--measure`, what leaving it out costs in dB and saves in seconds and
-//! bytes, each decision on top of those before it, at equal samples, on training views kept back.
+//! `plan`: the parts of a scene that are not needed, and why. With `--measure`, what leaving them out costs in dB and
+//! saves in seconds and bytes, each decision on top of the previous ones, at equal samples, on held-out training views.
 
 use crate::args::PlanArguments;
 use crate::curves::aligned;
@@ -14,16 +14,16 @@ use trimip_core::config::PlanChoice;
 use trimip_core::scene_plan::{self, Facts, Finding};
 use trimip_core::{Config, Error, Result, ViewSet, tensors::write_atomically};
 
-/// Training views kept back to measure on.
+/// Number of held-out training views to measure on.
 const KEPT_BACK: usize = 4;
 
-/// The decision that only a training can take: the colour network without directions.
+/// The decision that only a training run can make: the colour network without directions.
 const BLIND: &str = "directions";
 
-/// Change of PSNR that says nothing of directions even where seeds agree, dB.
+/// Change of PSNR in dB that is inconclusive for directions even if the seeds agree.
 const CHANCE: f64 = 0.05;
 
-/// Prints a line for every decision, and measures where asked to.
+/// Prints a line for every decision, and measures them if requested.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
     let (mut settings, configured) = settings::load_scene(&arguments.scene, &arguments.settings)?;
     let scene = open(&configured.data)?;
@@ -62,8 +62,8 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// What is trained: brief runs of equal samples, measured at their end on training views kept back. One with nothing left
-/// out, then one more for each decision that leaves something out.
+/// The runs to compare: brief, at equal samples, evaluated at their end on held-out training views. The first leaves
+/// nothing out; each further run adds one decision that leaves something out.
 fn bench(
     arguments: &PlanArguments,
     planned: &Config,
@@ -94,7 +94,7 @@ fn bench(
         .with("eval.min_psnr", 0)?;
     let mut taken: Vec<&str> =
         findings.iter().filter(|f| f.left_out && f.decision != BLIND).map(|f| f.decision.as_str()).collect();
-    // Whether directions are needed the data do not tell; a training does.
+    // The data cannot show whether directions are needed; training can.
     taken.extend(findings.iter().find(|f| f.decision == BLIND && f.choice != PlanChoice::Off).map(|_| BLIND));
     let forced = |key: &str| findings.iter().any(|f| f.decision == key && f.choice == PlanChoice::On);
     let variant = |count: usize| {
@@ -115,22 +115,22 @@ fn bench(
     })
 }
 
-/// What one more decision costs and saves.
+/// Cost and savings of one more decision.
 #[derive(Debug, Serialize)]
 struct Effect {
     plan: String,
     psnr: f64,
-    /// Against the training before it, dB.
+    /// Change from the previous run, dB.
     psnr_change: f64,
-    /// Between seeds, the larger of both that are compared, dB.
+    /// Spread between seeds, the larger of the two compared runs, dB.
     psnr_spread: f64,
     seconds: f64,
-    /// Of the first training's.
+    /// Fraction of the first run's seconds.
     seconds_share: f64,
     model_bytes: f64,
 }
 
-/// The effects of the trainings in their order.
+/// The effects of the runs, in order.
 fn effects(rows: &[Row]) -> Vec<Effect> {
     rows.iter()
         .enumerate()
@@ -149,9 +149,9 @@ fn effects(rows: &[Row]) -> Vec<Effect> {
         .collect()
 }
 
-/// What the trainings say of directions.
+/// Conclusion of the runs on directions.
 struct Verdict {
-    /// `None` where the change is no larger than that between seeds.
+    /// `None` if the change is not larger than the spread between seeds.
     needed: Option<bool>,
     text: String,
 }

@@ -1,4 +1,4 @@
-//! `render`: views of a model as pictures, from test views, a pose, a camera path or a turntable.
+//! `render`: renders views of a model as pictures, from test views, a pose, a camera path or a turntable.
 
 use super::strip;
 use crate::{
@@ -14,7 +14,7 @@ use trimip::run::{folder as run_folder, store::file_stem};
 use trimip::view::{Named, Quantity, cameras::resized, turntable, turntable::Turntable, write_cameras};
 use trimip::{Camera, Config, Error, Intrinsics, Result, backends, settings, view};
 
-/// Renders every camera the arguments name.
+/// Renders every camera that the arguments select.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
     if arguments.strip {
         return strip::run(arguments);
@@ -72,7 +72,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// How fast the views were rendered, files and pictures aside.
+/// Rendering speed of the views, without writing files.
 fn speed(mut seconds: Vec<f64>) -> Option<String> {
     seconds.sort_by(f64::total_cmp);
     let median = *seconds.get(seconds.len() / 2)?;
@@ -89,7 +89,7 @@ pub fn beside(model: &Path) -> PathBuf {
     folder.join("renders")
 }
 
-/// The cameras that the arguments name.
+/// The cameras that the arguments select.
 pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>> {
     if !(arguments.fov > 0.0 && arguments.fov < 180.0) {
         return Err(Error::input(
@@ -116,14 +116,14 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
     test_views(config, &arguments.views)
 }
 
-/// The first test view that the arguments name, where they name no other camera; view 0 where they name none.
+/// The first test view that the arguments select, or view 0; `None` if they select another camera.
 pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
     let RenderArguments { pose, look_at, path, turntable, views, .. } = arguments;
     let other = pose.is_some() || look_at.is_some() || path.is_some() || turntable.is_some();
     (!other).then(|| views.first().copied().unwrap_or(0))
 }
 
-/// Cameras of test views at full size; view 0 when none is named.
+/// Cameras of test views at full size; view 0 if `views` is empty.
 fn test_views(config: &Config, views: &[usize]) -> Result<Vec<Named>> {
     let scene = trimip_data::open(&config.data)?;
     let views = if views.is_empty() { &[0] } else { views };

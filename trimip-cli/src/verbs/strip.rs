@@ -1,5 +1,5 @@
-//! `render --strip`: one camera at ever larger pixels, as if from ever further away, each picture enlarged to one size.
-//! A row for each model, the original below where there is one, and every picture's PSNR against it in dB.
+//! `render --strip`: one camera at increasing pixel sizes, as if from increasing distance, with every picture enlarged
+//! to one size. One row per model, the original below if there is one, and the PSNR of every picture against it in dB.
 
 use super::render;
 use crate::{args::RenderArguments, interrupt, terminal};
@@ -15,21 +15,21 @@ use trimip_core::{
     views::composite_pixel,
 };
 
-/// How many of the camera's pixels, along a side, make one pixel of each column.
+/// Width of each column's pixels, in pixels of the camera.
 const FACTORS: [u32; 5] = [1, 2, 4, 8, 16];
 /// White pixels between pictures.
 const GAP: u32 = 2;
 /// Largest width or height of a strip, pixels.
 const MAX_SIDE: u32 = 16_384;
 
-/// Colours in [0, 1] of a picture, row by row.
+/// A picture: colours in [0, 1] in row-major order.
 struct Picture {
     width: u32,
     height: u32,
     rgb: Vec<[f32; 3]>,
 }
 
-/// Renders the strip of the one camera that the arguments name.
+/// Renders the strip of the camera that the arguments select.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let mut models = Vec::new();
     for path in std::iter::once(&arguments.model).chain(&arguments.against) {
@@ -98,7 +98,7 @@ fn check_size(width: u32, height: u32, rows: u32) -> Result<()> {
     ))
 }
 
-/// What the camera should show: rays traced through the built-in scene, or the photograph of the test view.
+/// The ground truth for the camera: rays traced through the built-in scene, or the photograph of the test view.
 fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Result<Option<Picture>> {
     let background = config.data.background;
     if config.data.format == Format::Builtin {
@@ -119,7 +119,7 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
 }
 
 impl Picture {
-    /// The same view with other pixels: each is the mean over its area.
+    /// Resamples the view: each new pixel is the mean over its area.
     fn averaged(&self, width: u32, height: u32) -> Self {
         let (across, down) = (shares(self.width, width), shares(self.height, height));
         let mut rgb = Vec::with_capacity(width as usize * height as usize);
@@ -139,7 +139,7 @@ impl Picture {
     }
 }
 
-/// For each of `to` equal parts of a side: which of its `from` pixels it holds, and their shares of it.
+/// For each of `to` equal parts of a side: the indices of the `from` pixels it covers, and the fraction of each.
 fn shares(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     let size = f64::from(from) / f64::from(to);
     let part = |i: u32| {
@@ -166,7 +166,7 @@ fn sheet(width: u32, height: u32, rows: &[(String, Vec<Picture>)]) -> Result<Rgb
     Ok(sheet)
 }
 
-/// PSNR of every row's pictures against those of the last.
+/// PSNR of every row's pictures against those of the last row.
 fn table(rows: &[(String, Vec<Picture>)]) -> Vec<String> {
     let Some(((_, originals), models)) = rows.split_last() else {
         return Vec::new();
@@ -198,7 +198,7 @@ mod tests {
         let mean = |picture: &Picture| {
             picture.rgb.iter().map(|rgb| f64::from(rgb[0])).sum::<f64>() / picture.rgb.len() as f64
         };
-        // Sizes that do not divide share their pixels.
+        // If the sizes do not divide, output pixels share input pixels.
         for (width, height) in [(7, 5), (3, 2), (1, 1), (9, 11)] {
             assert!((mean(&ramp(7, 5).averaged(width, height)) - 17.0).abs() < 1e-5, "{width}×{height}");
         }

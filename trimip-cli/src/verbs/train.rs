@@ -13,7 +13,7 @@ use std::time::Instant;
 use trimip::report::{Report, Status};
 use trimip::{Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
 
-/// Trains what the settings say; everything that can be refused is refused before anything long begins.
+/// Trains with the given settings. All input is validated before any long work begins.
 pub fn run(arguments: &TrainArguments) -> Result<u8> {
     let started = Instant::now();
     let (scene, file) = (&arguments.scene.folder, &arguments.settings.config);
@@ -34,7 +34,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     conclude(&trained, arguments.progress)
 }
 
-/// The finished run of a folder, to go on for `time`.
+/// Continues the finished run of a folder for `time`.
 fn extension(arguments: &TrainArguments, root: &Path, time: &str) -> Result<Training> {
     let seconds = settings::duration("--continue-for", time)?;
     let mut sets = Vec::new();
@@ -45,7 +45,7 @@ fn extension(arguments: &TrainArguments, root: &Path, time: &str) -> Result<Trai
     Ok(Training::extend(root, seconds, sets))
 }
 
-/// Trains before the user's eyes; Ctrl-C stops it.
+/// Trains with progress on the terminal; Ctrl-C stops it.
 ///
 /// # Errors
 /// When the settings, the data, the folder or the device are refused.
@@ -63,10 +63,10 @@ pub fn train(training: Training, style: ProgressStyle) -> Result<Trained> {
     trained
 }
 
-/// Writes the report whatever the outcome was, then gives the exit code.
+/// Writes the report for any outcome, then returns the exit code.
 ///
 /// # Errors
-/// When the training failed, missed its floor, or could not be written.
+/// When the training failed, missed its quality floor, or could not be written.
 pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     let Trained { folder, scene, config, settings, history, .. } = trained;
     let gather = |status| Report::gather(folder, status, scene, config, settings, history);
@@ -99,7 +99,7 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     Ok(if ended == Ended::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
 }
 
-/// Says that the folder holds this very run, writes its report anew where that is stale, and gives its exit code.
+/// Reports that the folder already holds this run, rewrites its report if stale, and returns its exit code.
 fn already_finished<'a>(
     trained: &'a Trained,
     style: ProgressStyle,

@@ -1,5 +1,6 @@
-//! Multiresolution hash encoding (Müller et al. 2022, instant-ngp): levels of a grid, each finer by a constant factor, with
-//! features at their corners, read trilinearly; fine levels share their features by a hash. Radii play no part in it.
+//! Multiresolution hash encoding (Müller et al. 2022, instant-ngp). Each level is a grid, finer than the one before
+//! by a constant factor, with features at its corners, which are interpolated trilinearly. On fine levels several
+//! corners share an entry through a hash. Radii are not used.
 
 use super::{Definition, Place, Twin};
 use crate::config::HashGridConfig;
@@ -9,21 +10,21 @@ use crate::{Config, Slot};
 /// Factors of a corner's coordinates in its hash (instant-ngp, Eq. 4).
 pub const PRIMES: [u32; 3] = [1, 2_654_435_761, 805_459_861];
 
-/// The grid as an encoder.
+/// The hash grid as an encoder.
 pub struct HashGrid;
 
 /// A level of the grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Level {
-    /// Cells across the box, less one: coordinate x lies at x · scale + 1/2.
+    /// Cells across the box, minus one. Coordinate x maps to x · scale + 1/2.
     pub scale: f32,
     /// Corners along a side.
     pub side: u32,
-    /// First entry within all levels.
+    /// Index of the first entry within all levels.
     pub first: u32,
-    /// Entries.
+    /// Number of entries.
     pub entries: u32,
-    /// True where corners share entries by their hash; else each has its own.
+    /// True if corners share entries through the hash; otherwise each corner has its own.
     pub hashed: bool,
 }
 
@@ -32,12 +33,12 @@ pub struct Level {
 pub struct Levels {
     /// The levels.
     pub levels: Vec<Level>,
-    /// Features of an entry.
+    /// Features per entry.
     pub features: usize,
 }
 
 impl Levels {
-    /// The configured grid.
+    /// The levels of a configuration.
     pub fn new(config: &HashGridConfig) -> Self {
         let (count, most) = (config.levels, 1_u64 << config.log2_entries);
         let growth = match count {
@@ -47,7 +48,7 @@ impl Levels {
         let mut first = 0;
         let levels = (0..count).map(|level| {
             let scale = f64::from(config.coarsest) * (growth * f64::from(level)).exp() - 1.0;
-            // A whole number but for rounding is that number.
+            // A scale that is a whole number except for rounding counts as that number.
             let side = (scale - 1e-6).ceil() as u32 + 1;
             let corners = u64::from(side).pow(3);
             let entries = corners.next_multiple_of(8).min(most) as u32;
@@ -58,19 +59,20 @@ impl Levels {
         Self { levels: levels.collect(), features: config.features as usize }
     }
 
-    /// Entries of all levels.
+    /// Number of entries of all levels.
     pub fn entries(&self) -> usize {
         self.levels.iter().map(|level| level.entries as usize).sum()
     }
 
-    /// Features of a sample.
+    /// Number of features of a sample.
     pub fn width(&self) -> usize {
         self.levels.len() * self.features
     }
 }
 
 impl Level {
-    /// The eight entries around a place in the unit cube, within all levels, and their trilinear weights.
+    /// The eight entries around a position in the unit cube, as indices within all levels, and their trilinear
+    /// weights.
     #[inline(always)]
     pub fn corners<R: Real>(&self, position: [R; 3]) -> [(u32, R); 8] {
         let (half, one) = (R::from_f64(0.5), R::one());
@@ -86,7 +88,7 @@ impl Level {
         })
     }
 
-    /// Entry of a corner within the level.
+    /// Index of a corner's entry within the level.
     #[inline(always)]
     pub fn entry(&self, [x, y, z]: [u32; 3]) -> u32 {
         if self.hashed {
@@ -128,7 +130,7 @@ impl Definition for HashGrid {
     }
 }
 
-/// The grid in f64.
+/// The hash grid in f64.
 struct GridTwin {
     levels: Levels,
     table: Vec<f64>,
@@ -160,13 +162,13 @@ mod tests {
     fn the_paper_has_sixteen_levels_from_16_to_2048() {
         let levels = levels(19);
         let sides: Vec<u32> = levels.levels.iter().map(|level| level.side).collect();
-        // b = exp(ln(2048/16)/15) = 1.3819; the scale is 16 b^l − 1, the side its ceiling and one.
+        // b = exp(ln(2048/16)/15) = 1.3819. The scale is 16 b^l − 1; the side is its ceiling plus one.
         assert_eq!((sides[0], sides[1], sides[15]), (16, 23, 2048));
         // 16³ … 80³ corners fit into 2^19 entries, 111³ do not.
         let dense = levels.levels.iter().filter(|level| !level.hashed).count();
         assert!(levels.levels[..dense].iter().all(|level| u64::from(level.side).pow(3) <= 1 << 19));
         assert!(levels.levels[dense..].iter().all(|level| level.entries == 1 << 19));
-        // The published table of 12.2 M features.
+        // The published table has 12.2 M features.
         assert_eq!(levels.width(), 32);
         assert_eq!(levels.entries() * levels.features, 12_196_240);
     }

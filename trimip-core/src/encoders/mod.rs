@@ -1,5 +1,5 @@
-//! The encoders by name: what core knows of each before a backend computes it. An encoder is a folder or file here (what it
-//! declares, its mathematics, its twin in f64), a file on each backend, and a line in [`of`].
+//! The encoders by name, and what core knows of each without a backend. An encoder is a folder or file here (its
+//! declaration, its mathematics, its twin in f64), a file in each backend, and a line in [`of`].
 
 pub mod hash_grid;
 pub mod tri_mip;
@@ -8,54 +8,55 @@ use crate::{
     Config, Slot,
     batch::{Interval, Ray, Sphere},
     config::EncoderKind,
-    params::ALIGNMENT,
+    slot::ALIGNMENT,
 };
 
-/// What an encoder declares, without any device.
+/// The declaration of an encoder, independent of any device.
 pub trait Definition: Sync {
-    /// What it is, for people: "3 planes of 512×512×16 with 8 mip levels".
+    /// Description for the user: "3 planes of 512×512×16 with 8 mip levels".
     fn describe(&self, config: &Config) -> String;
 
-    /// Features of a sample.
+    /// Number of features of a sample.
     fn width(&self, config: &Config) -> usize;
 
-    /// Floats that it keeps of a sample between forward and backward: none where features are linear in the parameters.
+    /// Floats kept per sample from forward to backward; 0 if features are linear in the parameters.
     fn tape(&self, _config: &Config) -> usize {
         0
     }
 
-    /// Its parameters, in order; their ranges are set by whoever lays them out.
+    /// The encoder's slots, in order. Their ranges are set by the [`Layout`](crate::params::Layout).
     fn slots(&self, config: &Config) -> Vec<Slot>;
 
-    /// Bytes that a backend derives from the parameters and keeps beside them, gradients of them included.
+    /// Bytes that a backend derives from the parameters and keeps beside them, including their gradients.
     fn derived_bytes(&self, _config: &Config) -> u64 {
         0
     }
 
-    /// Stage of growth at `progress` in [0, 1]: 0 is full size; stages fall as a training proceeds.
+    /// Stage of growth at `progress` in [0, 1]. Stage 0 is full size; the stage decreases as training proceeds.
     fn stage(&self, _config: &Config, _progress: f64) -> u32 {
         0
     }
 
-    /// Floats at the front of a slot that grows which are in use at `stage`.
+    /// Number of floats at the front of a growing slot that are in use at `stage`.
     fn length(&self, slot: &Slot, _stage: u32) -> usize {
         slot.range.len()
     }
 
-    /// Grows the values of a slot in place, from stage `from` to the earlier stage `to`; optimiser moments alike.
+    /// Grows the values of a slot in place, from stage `from` to the lower stage `to`. Optimiser moments grow in the
+    /// same way.
     fn grow(&self, _config: &Config, _values: &mut [f32], _from: u32, _to: u32) {}
 
     /// The encoder in f64; `values` are its slots' values, in order.
     fn twin(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Twin>;
 }
 
-/// An encoder in f64, one sample at a time: what the backends approximate.
+/// An encoder in f64, one sample at a time: the reference that the backends approximate.
 pub trait Twin: Send + Sync {
-    /// Features of a sample.
+    /// The features of a sample.
     fn features(&self, at: &Place) -> Vec<f64>;
 }
 
-/// Where a sample is, in f64.
+/// The position of a sample, in f64.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Place {
     /// Centre of its sphere, in coordinates of the unit cube.
@@ -71,7 +72,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// A sample of a ray as the backends have it.
+    /// Converts a sample from the backends' representation.
     pub fn new(ray: &Ray, interval: &Interval, sphere: &Sphere) -> Self {
         Self {
             position: sphere.position.map(f64::from),
@@ -87,13 +88,13 @@ impl Place {
 const ALL: &[(EncoderKind, &dyn Definition)] =
     &[(EncoderKind::TriMip, &tri_mip::Planes), (EncoderKind::HashGrid, &hash_grid::HashGrid)];
 
-/// The configured encoder.
+/// The encoder of a configuration.
 pub fn of(config: &Config) -> &'static dyn Definition {
     let own = ALL.iter().find(|(kind, _)| *kind == config.encoder.kind);
     own.map_or(ALL[0].1, |(_, definition)| *definition)
 }
 
-/// Floats of a row of features: the encoder's width padded to whole registers and tiles.
+/// Floats in a row of features: the encoder's width, padded to whole registers and tiles.
 pub fn stride(config: &Config) -> usize {
     of(config).width(config).next_multiple_of(ALIGNMENT)
 }

@@ -1,11 +1,11 @@
-//! What changes in the course of a run: schedules of the stages, and parameters that grow.
+//! Changes in the course of a run: schedules of the stages, and parameters that grow.
 
 use super::{LEAST_RAYS, Trainer};
 use crate::{Backend, Encoder, Optimizer, Renderer, Slot, backend::Sampler, encoders};
 
 impl<B: Backend> Trainer<B> {
-    /// Lets every stage follow the schedules to `progress`; where parameters grow, moments grow along, and where the
-    /// marching step shrinks, the batch has fewer rays of more samples.
+    /// Updates every stage to the schedules at `progress`. Moments grow with their parameters. When the marching step
+    /// shrinks, rays have more samples, and the batch gets fewer rays.
     pub(super) fn follow(&mut self, progress: f64) {
         self.loaded.stages.renderer.follow(progress);
         self.loaded.stages.sampler.follow(progress);
@@ -33,7 +33,7 @@ impl<B: Backend> Trainer<B> {
         self.loaded.refresh();
     }
 
-    /// Grows the slots that grow, within flat `values`, to `stage`.
+    /// Grows the growing slots within flat `values` to `stage`.
     pub(super) fn grow(&self, values: &mut [f32], stage: u32) {
         let (config, _) = self.loaded.config.centred();
         for slot in self.layout().slots.iter().filter(|slot| slot.grows) {
@@ -41,7 +41,7 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// Lets encoder and optimiser use the parameters of `stage`.
+    /// Switches encoder and optimiser to the parameters of `stage`.
     pub(super) fn enter(&mut self, stage: u32) {
         self.state.stage = stage;
         let encoder = encoders::of(&self.loaded.config);

@@ -1,4 +1,4 @@
-//! Training, written once over the traits: any backend's model in training is a [`Session`].
+//! Training, written once over the traits. A model in training on any backend is a [`Session`].
 
 mod growth;
 mod state;
@@ -19,14 +19,14 @@ use crate::{
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Mean number of marched samples of a ray before the first step: the grid's cells are occupied by chance, about every
-/// second one.
+/// Expected marched samples per ray before the first step, when about every second cell of the grid is occupied at
+/// random.
 const FIRST_MARCHED_PER_RAY: f32 = 128.0;
 
-/// Mean number of kept samples of a ray that sizes the first batch.
+/// Expected kept samples per ray, from which the first batch is sized.
 const FIRST_KEPT_PER_RAY: u32 = 256;
 
-/// Least number of rays of a step.
+/// Minimum number of rays of a step.
 const LEAST_RAYS: u32 = 16;
 
 /// A model in training on a backend.
@@ -36,18 +36,18 @@ pub struct Trainer<B: Backend> {
     deposits: Vec<Deposit<B>>,
     probes: B::Buffer<Radiance>,
     state: TrainState,
-    /// Gradients left out before the optimiser began to count.
+    /// Number of gradients left out before the optimiser's counter started.
     left_out_before: u64,
-    /// Sums of the last steps that are not used yet, oldest first.
+    /// Sums of the last steps that are not yet used, oldest first.
     pending: VecDeque<sums::Pending<B>>,
     exchange: Box<dyn Exchange<B>>,
 }
 
 impl<B: Backend> Trainer<B> {
-    /// A fresh model, to be trained on `views`.
+    /// Creates an untrained model, to be trained on `views`.
     ///
     /// # Errors
-    /// When the views hold no pixel, or the configuration does not fit the device.
+    /// When the views have no pixels, or the configuration does not fit the device.
     pub fn new(backend: B, config: &Config, views: ViewSet) -> Result<Self> {
         if views.pixels.is_empty() {
             return Err(Error::input("training views", "no pixels", "name a data set with training images"));
@@ -80,27 +80,28 @@ impl<B: Backend> Trainer<B> {
         Ok(trainer)
     }
 
-    /// Joins the gradient of every later step with those of other machines. Losses and counts stay this machine's.
+    /// Sums the gradient of every later step with those of other machines. Losses and counts remain this machine's
+    /// own.
     pub fn exchange_by(&mut self, exchange: impl Exchange<B> + 'static) {
         self.exchange = Box::new(exchange);
     }
 
-    /// The backend, for its counters.
+    /// The backend, to read its counters.
     pub fn device(&self) -> &B {
         self.loaded.device()
     }
 
-    /// Waits for all that was recorded, and says whether the device still works.
+    /// Waits for all recorded work and checks that the device still works.
     ///
     /// # Errors
-    /// When it does not.
+    /// When the device has failed.
     pub fn health(&self) -> Result<()> {
         let backend = self.device();
         backend.read(&backend.zeros::<u32>(1));
         backend.health()
     }
 
-    /// Names and places of the parameters.
+    /// Names and ranges of the parameters.
     pub fn layout(&self) -> &Layout {
         self.loaded.layout()
     }
@@ -124,8 +125,8 @@ impl<B: Backend> Trainer<B> {
         self.state.totals.non_finite = self.left_out_before + self.loaded.stages.optimizer.non_finite();
     }
 
-    /// Loss and gradient of the current parameters on the rays of step `step`, without moving them; the gradient is
-    /// flat and divided by the sum of the weights.
+    /// Loss and gradient of the current parameters on the rays of step `step`; does not change the parameters. The
+    /// gradient is flat and divided by the sum of the weights.
     ///
     /// # Errors
     /// When the device fails.

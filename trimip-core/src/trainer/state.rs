@@ -1,4 +1,4 @@
-//! What leaves a training and comes back: models and checkpoints.
+//! State that leaves a training and is restored: models and checkpoints.
 
 use super::{Trainer, sums::Arrival, sums::Pending};
 use crate::{
@@ -12,7 +12,7 @@ use crate::{
 };
 
 impl<B: Backend> Trainer<B> {
-    /// The model in its full size, whatever it has grown to in training.
+    /// The model in full size, whatever size it has reached in training.
     pub(super) fn full_model(&mut self) -> Result<Model> {
         let mut values = self.parameters();
         self.grow(&mut values, 0);
@@ -21,12 +21,13 @@ impl<B: Backend> Trainer<B> {
         Ok(Model::new(self.loaded.config.clone(), tensors))
     }
 
-    /// The model as its file will hold it. What follows renders as the file does, by the end of the schedule.
+    /// The model as its file will hold it. From now on the session renders as the file does, with the schedule at its
+    /// end.
     pub(super) fn finished_model(&mut self) -> Result<Model> {
         let model = self.full_model()?.rounded();
         self.loaded.stages.renderer.follow(1.0);
         if self.layout().slots.iter().any(|slot| slot.precision != FilePrecision::F32) {
-            // The model has its full size, also where the run ended before it had grown to it.
+            // The model has full size, even if the run ended before it had grown to it.
             self.enter(0);
             self.loaded.restore_model("model", &model.file, None)?;
         }
@@ -39,7 +40,7 @@ impl<B: Backend> Trainer<B> {
         for (suffix, moments) in [".m", ".v"].into_iter().zip(self.loaded.stages.optimizer.moments()) {
             self.layout().to_tensors(&self.device().read(moments), suffix, &mut file);
         }
-        // A device's count is as new as its moments.
+        // Reading the moments has updated the device's count.
         self.count_left_out();
         let densities = self.loaded.stages.occupancy.densities();
         file.tensors.insert(OCCUPANCY_DENSITY.into(), Tensor::f32(&[densities.len()], densities));
@@ -64,7 +65,7 @@ impl<B: Backend> Trainer<B> {
         self.enter(self.state.stage);
         self.loaded.refresh();
         let progress = progress(&self.loaded.config, &self.state.totals);
-        // A backend with less lag than the one that stopped has used these by now.
+        // A backend with less lag than the one that wrote the checkpoint would have used these sums already.
         while self.pending.len() > B::LAG {
             let Some((scale, sums)) = self.oldest_sums()? else { break };
             self.adapt_batch(&sums, scale, progress);

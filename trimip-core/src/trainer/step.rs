@@ -1,4 +1,4 @@
-//! One training step: refresh of the occupancy grid, rays to gradients, the seam for several machines, the parameters.
+//! One training step: refresh of the occupancy grid, gradients, exchange between machines, update of the parameters.
 
 use super::{
     LEAST_RAYS, Trainer,
@@ -14,13 +14,13 @@ use crate::{
     metrics::psnr_of_error,
 };
 
-/// Marched samples that a span aims at: what its activations leave of a core's L2.
+/// Target number of marched samples per span: the activations of this many fit into a core's L2.
 const SAMPLES_PER_SPAN: f32 = 512.0;
 
-/// Rays of a span at most: rays through empty space have no samples.
+/// Maximum number of rays per span. Rays through empty space have no samples.
 const MAX_RAYS_PER_SPAN: u32 = 256;
 
-/// Occupancy cells of a span.
+/// Occupancy cells per span.
 const CELLS_PER_SPAN: u32 = 512;
 
 impl<B: Backend> Trainer<B> {
@@ -28,7 +28,7 @@ impl<B: Backend> Trainer<B> {
         ((SAMPLES_PER_SPAN / self.state.marched_per_ray.max(1.0)) as u32).clamp(1, MAX_RAYS_PER_SPAN)
     }
 
-    /// Forward and backward over `rays` pixels; leaves the deposits full.
+    /// Runs forward and backward over `rays` pixels; the deposits then hold the gradients.
     pub(super) fn gradients(&mut self, rays: u32) {
         let step = self.state.totals.step;
         for deposit in &mut self.deposits {
@@ -76,7 +76,7 @@ impl<B: Backend> Trainer<B> {
         });
     }
 
-    /// Asks the occupancy grid's chosen cells for their density.
+    /// Evaluates the density of the cells that the occupancy grid selected.
     fn refresh_occupancy(&mut self) {
         let step = self.state.totals.step;
         let count = self.loaded.stages.occupancy.choose(step);
@@ -97,8 +97,8 @@ impl<B: Backend> Trainer<B> {
         self.loaded.stages.occupancy.absorb(&self.probes);
     }
 
-    /// Scales the next step's rays so that its kept samples stay near the target (dynamic batch); `scale` is the marching
-    /// step that the sums were made with.
+    /// Adapts the number of rays so that the next step keeps about the target number of samples (dynamic batch).
+    /// `scale` is the marching step with which the sums were computed.
     pub(super) fn adapt_batch(&mut self, sums: &StepSums, scale: f64, progress: f64) {
         let train = &self.loaded.config.train;
         let target = (f64::from(train.samples_per_step) * train.batch_scale.at(progress)) as u64;
@@ -106,14 +106,14 @@ impl<B: Backend> Trainer<B> {
         if scale != self.state.step_scale {
             next = (next as f64 * self.state.step_scale / scale) as u64;
         }
-        // At most doubled, so that one thin batch does not make the next one enormous.
+        // At most doubled, so that one batch with few samples does not make the next one huge.
         let most = 2 * u64::from(self.state.rays_per_step);
         self.state.rays_per_step = next.min(most).clamp(LEAST_RAYS.into(), 8 * target) as u32;
         self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
     }
 
-    /// From full deposits to new parameters. Between the two stands the one place where machines that train together
-    /// exchange gradient and weight.
+    /// Computes new parameters from the deposits. Between the two is the one point at which machines that train
+    /// together exchange gradient and weight.
     fn update(&mut self, rate: f64, step: u64) {
         let Self { loaded, gradient, deposits, exchange, .. } = self;
         let (backend, stages, parameters) = (&*loaded.backend, &mut loaded.stages, &mut loaded.parameters);
@@ -133,7 +133,7 @@ impl<B: Backend> Trainer<B> {
         self.gradients(self.state.rays_per_step);
         let posted = Arrival::Posted(self.device().post(&self.deposits));
         self.pending.push_back(Pending { scale: self.state.step_scale, sums: posted });
-        // A backend without lag is asked before anything moves.
+        // Without lag, the sums are read before any parameter moves.
         let early = if B::LAG == 0 { self.oldest_sums()? } else { None };
         if let Some((_, sums)) = &early
             && let Err(error) = finite(step, sums)

@@ -1,19 +1,19 @@
-//! Sums of the last steps. A device runs ahead of the host, so that a step's sums are used some steps later: always as
-//! many, whatever the timing.
+//! Sums of the last steps. A device runs ahead of the host, so the sums of a step are used some steps later. The lag
+//! is always the same number of steps, whatever the timing.
 
 use super::Trainer;
 use crate::{Backend, Error, Result, batch::StepSums, checkpoint::MOST_PENDING};
 
-/// Sums of a step that no later one has used.
+/// Sums of a step that are not yet used.
 pub(super) struct Pending<B: Backend> {
-    /// The marching step then, in uniform steps.
+    /// The marching step at that time, in units of the uniform step.
     pub scale: f64,
     pub sums: Arrival<B>,
 }
 
-/// Sums of a step.
+/// The state of a step's sums.
 pub(super) enum Arrival<B: Backend> {
-    /// On their way from the device.
+    /// In transit from the device.
     Posted(B::Receipt),
     /// Read and counted, because a checkpoint was taken since.
     Counted(StepSums),
@@ -29,7 +29,7 @@ impl<B: Backend> Trainer<B> {
         totals.empty_batches += u64::from(sums.kept == 0);
     }
 
-    /// The oldest sums that no step has used, counted, with their marching step; once there are more than the lag.
+    /// Returns the oldest unused sums, counted, with their marching step, if more than the lag are pending.
     pub(super) fn oldest_sums(&mut self) -> Result<Option<(f64, StepSums)>> {
         if self.pending.len() <= B::LAG {
             return Ok(None);
@@ -50,7 +50,7 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// Reads all sums that are under way: what a checkpoint holds.
+    /// Reads all pending sums, as a checkpoint holds them.
     pub(super) fn settle(&mut self) -> Result<()> {
         self.state.pending = [None; MOST_PENDING];
         let first = self.state.totals.step.saturating_sub(self.pending.len() as u64);
@@ -64,7 +64,7 @@ impl<B: Backend> Trainer<B> {
     }
 }
 
-/// Refuses the sums of a step that are not finite.
+/// Returns an error if the sums of a step are not finite.
 pub(super) fn finite(step: u64, sums: &StepSums) -> Result<()> {
     if sums.non_finite == 0 && sums.loss.is_finite() {
         return Ok(());

@@ -1,4 +1,5 @@
-//! The hash grid on the CPU. A level belongs to one worker while gradients are added up: the same bits for any number of threads.
+//! The hash grid on the CPU. Each level's gradient is summed by a single worker, which gives the same bits for any
+//! number of threads.
 
 use super::{Encoding, Left, Places};
 use crate::buffer::{Buffer, take_mut};
@@ -8,13 +9,13 @@ use trimip_core::Config;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::hash_grid::{Level, Levels};
 
-/// Levels and instruction set.
+/// Levels of the grid and the instruction set.
 pub(crate) struct Grid {
     simd: Simd,
     levels: Levels,
 }
 
-/// Places of samples and gradients of their features, [samples, width].
+/// Positions of samples and the gradients of their features, [samples, width].
 pub(crate) struct Gradient {
     places: Buffer<[f32; 3]>,
     rows: Buffer<f32>,
@@ -96,7 +97,7 @@ impl Encoding for Grid {
     }
 }
 
-/// Trilinear reads of every level.
+/// Reads every level with trilinear interpolation.
 struct Read<'a, const F: usize> {
     levels: &'a Levels,
     table: &'a [f32],
@@ -126,13 +127,13 @@ impl<const F: usize> Kernel for Read<'_, F> {
     }
 }
 
-/// Adds the gradients of one level, deposit by deposit, sample by sample.
+/// Adds the gradients of one level, deposit by deposit and sample by sample.
 struct Add<'a, const F: usize> {
     level: Level,
     from: &'a [&'a mut Gradient],
-    /// First of the level's features in a row.
+    /// Column of the level's first feature in a row.
     column: usize,
-    /// Floats of a row.
+    /// Floats in a row.
     width: usize,
     table: &'a mut [f32],
 }

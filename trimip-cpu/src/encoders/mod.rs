@@ -1,5 +1,5 @@
-//! The encoders on the CPU. Each is a file or folder here with an [`Encoding`], and a line in the list at the end; which one is
-//! at work is asked once a span.
+//! The encoders on the CPU. Each is a file or folder here with an [`Encoding`], and a line in the list at the end.
+//! The dispatch to the configured encoder happens once per span.
 
 pub mod hash_grid;
 pub mod tri_mip;
@@ -13,25 +13,26 @@ use trimip_core::batch::{Deposit, Interval, Ray, Rays, Samples, Sphere};
 use trimip_core::config::EncoderKind;
 use trimip_core::{Config, Encoder, encoders};
 
-/// What an encoder does on the CPU.
+/// The interface of an encoder on the CPU.
 pub(crate) trait Encoding: Sized + Send + Sync {
-    /// What spans leave behind.
+    /// Feature gradients of some spans.
     type Gradient: Send + Sync;
 
-    /// The configured encoder; `training` adds room for gradients.
+    /// Creates the configured encoder; `training` adds room for gradients.
     fn new(simd: Simd, config: &Config, training: bool) -> Self;
 
-    /// An empty gradient.
+    /// Creates an empty gradient.
     fn gradient(&self) -> Self::Gradient;
 
-    /// Uses its parameters as far as they have grown at `stage`.
+    /// Switches to the parameters that are in use at growth stage `stage`.
     fn grow(&mut self, _stage: u32) {}
 
-    /// Rebuilds what derives from the parameters; where `all` is false, only what the last gradient touched has changed.
+    /// Rebuilds data derived from the parameters. If `all` is false, only parameters that the last gradient touched
+    /// have changed.
     fn refresh(&mut self, _parameters: &[f32], _all: bool) {}
 
-    /// Encodes every sample. Features are rows of `stride` floats, of which those behind the encoder's width stay zero;
-    /// the tape has rows of the definition's length.
+    /// Encodes every sample. Features are rows of `stride` floats; those beyond the encoder's width stay zero. The
+    /// tape has rows of the definition's length.
     fn forward(
         &self,
         parameters: &[f32],
@@ -41,7 +42,7 @@ pub(crate) trait Encoding: Sized + Send + Sync {
         stride: usize,
     );
 
-    /// Deposits the gradient of the features, rows of `stride` floats.
+    /// Adds the gradient of the features, in rows of `stride` floats, to the deposit.
     fn backward(
         &self,
         parameters: &[f32],
@@ -52,33 +53,33 @@ pub(crate) trait Encoding: Sized + Send + Sync {
         gradient: &mut Self::Gradient,
     );
 
-    /// Adds all deposits in their order: overwrites the encoder's part of `parameter_gradient`, and empties them.
+    /// Sums all deposits in order, overwrites the encoder's part of `parameter_gradient` and empties the deposits.
     fn flush(&mut self, gradients: &mut [&mut Self::Gradient], parameter_gradient: &mut [f32]);
 
-    /// Memory of what spans leave behind.
+    /// Memory of the deposited gradients.
     fn left(config: &Config) -> Left;
 
-    /// Pieces of the first slot outside of which the last gradient is zero; `None`: not known.
+    /// Pieces of the first slot outside of which the last gradient is zero; `None` if unknown.
     fn touched(&self) -> Option<Vec<Piece<'_>>> {
         None
     }
 }
 
-/// Memory of a gradient that gathers until the end of a step, in bytes.
+/// Memory in bytes of a gradient that is collected until the end of a step.
 pub(crate) struct Left {
-    /// For each sample.
+    /// Bytes per sample.
     pub by_sample: usize,
-    /// For each deposit, however many samples it has.
+    /// Bytes per deposit, however many samples it has.
     pub by_deposit: usize,
 }
 
-/// Where the samples of a span are.
+/// The geometry of a span's samples.
 #[derive(Clone, Copy)]
-#[allow(dead_code)] // No encoder of today asks for rays and intervals.
+#[allow(dead_code)] // No present encoder uses rays and intervals.
 pub(crate) struct Places<'a> {
     /// Rays of the span.
     pub rays: &'a [Ray],
-    /// Ray of each sample.
+    /// Index of each sample's ray.
     pub owners: &'a [u32],
     /// One per sample.
     pub intervals: &'a [Interval],
@@ -93,44 +94,44 @@ impl<'a> Places<'a> {
     }
 }
 
-/// A part of a slot as rows of `row` floats, of each of which some are touched.
+/// A part of a slot in rows of `row` floats; some floats of each row are touched.
 pub(crate) struct Piece<'a> {
-    /// Floats in all.
+    /// Number of floats.
     pub length: usize,
-    /// Floats of a row.
+    /// Floats in a row.
     pub row: usize,
-    /// Floats of each row that are touched.
+    /// The range of touched floats in each row.
     pub within: Box<dyn Fn(usize) -> Range<usize> + Sync + 'a>,
 }
 
-/// Makes the enumeration of all encoders and their dispatch from a list of them.
+/// Generates the enum of all encoders and its dispatch from a list.
 macro_rules! encoders {
     ($($name:ident => $encoding:ty),* $(,)?) => {
         /// The configured encoder.
         pub struct CpuEncoder {
             any: Any,
-            /// Floats of a row of features: the encoder's width, padded.
+            /// Floats in a row of features: the encoder's width, padded.
             stride: usize,
-            /// Floats of a row of the tape.
+            /// Floats in a row of the tape.
             tape: usize,
         }
 
         enum Any { $($name($encoding)),* }
 
-        /// Memory of what spans leave behind.
+        /// Memory of the deposited gradients.
         pub(crate) fn left(config: &Config) -> Left {
             match config.encoder.kind {
                 $(EncoderKind::$name => <$encoding as Encoding>::left(config)),*
             }
         }
 
-        /// What spans leave behind.
+        /// Feature gradients of some spans.
         pub struct EncoderGradient(AnyGradient);
 
         enum AnyGradient { $($name(<$encoding as Encoding>::Gradient)),* }
 
         impl CpuEncoder {
-            /// The encoder of a configuration; `training` adds room for gradients.
+            /// Creates the encoder of a configuration; `training` adds room for gradients.
             pub fn new(simd: Simd, config: &Config, training: bool) -> Self {
                 let any = match config.encoder.kind {
                     $(EncoderKind::$name => Any::$name(Encoding::new(simd, config, training))),*
@@ -138,12 +139,12 @@ macro_rules! encoders {
                 Self { any, stride: encoders::stride(config), tape: encoders::of(config).tape(config) }
             }
 
-            /// Floats of a row of features.
+            /// Floats in a row of features.
             pub(crate) fn stride(&self) -> usize {
                 self.stride
             }
 
-            /// Floats of a row of the tape.
+            /// Floats in a row of the tape.
             pub(crate) fn tape(&self) -> usize {
                 self.tape
             }
@@ -153,7 +154,7 @@ macro_rules! encoders {
                 match &self.any { $(Any::$name(encoding) => encoding.touched()),* }
             }
 
-            /// Rebuilds what derives from the parameters that the last gradient touched.
+            /// Rebuilds the data derived from the parameters that the last gradient touched.
             pub(crate) fn refresh_touched(&mut self, parameters: &Buffer<f32>) {
                 match &mut self.any { $(Any::$name(encoding) => encoding.refresh(parameters, false)),* }
             }

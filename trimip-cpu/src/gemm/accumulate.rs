@@ -4,10 +4,10 @@ use super::add_product;
 use crate::simd::{Kernel, Lanes, Simd};
 use trimip_core::config::Precision;
 
-/// Rows of one pass of a weight gradient: what leaves its two panels in L1.
+/// Rows per pass of a weight gradient, so that its two panels stay in L1.
 const GRADIENT_ROWS: usize = 64;
 
-/// G += Aᵀ·D over exactly `rows` rows of words, for A of `k` and D of `n` columns.
+/// G += Aᵀ·D over exactly `rows` rows of words; A has `k` columns, D has `n`.
 #[allow(clippy::too_many_arguments)]
 pub fn accumulate(
     simd: Simd,
@@ -55,7 +55,7 @@ impl<const PAIRS: bool> Kernel for Accumulate<'_, PAIRS> {
                         d: d[first * n + column..].as_ptr(),
                         g: g[row * n + column..].as_mut_ptr(),
                     };
-                    // SAFETY: `accumulate` checked the matrices; k is a multiple of 4, n of 16.
+                    // SAFETY: `accumulate` checked the matrices; k is a multiple of 4 and n of 16.
                     unsafe {
                         match (L::WIDE, wide, narrow) {
                             (true, true, false) => tile.run::<L, PAIRS, 8, 2>(0, 0),
@@ -88,10 +88,10 @@ struct AccumulateTile {
 }
 
 impl AccumulateTile {
-    /// `MR` rows of G from `row`, `NV`·16 columns from `column`.
+    /// Accumulates `MR` rows of G from `row` on, and `NV`·16 columns from `column` on.
     ///
     /// # Safety
-    /// `a` and `d` hold `count` rows of k and n, `g` the rows and columns named.
+    /// `a` and `d` hold `count` rows of k and n values; `g` holds these rows and columns.
     #[inline(always)]
     unsafe fn run<L: Lanes, const PAIRS: bool, const MR: usize, const NV: usize>(
         &self,
@@ -99,7 +99,7 @@ impl AccumulateTile {
         column: usize,
     ) {
         let mut sums = [[L::splat(0.0); NV]; MR];
-        // SAFETY: the caller's promise bounds every index.
+        // SAFETY: the caller guarantees that every index is in bounds.
         unsafe {
             for p in 0..self.count {
                 let mut d = [L::splat(0.0); NV];

@@ -1,8 +1,9 @@
-//! Products with few columns, as dot products.
+//! Matrix products with few columns, computed as dot products.
 
 use crate::simd::{Kernel, Lanes, Simd};
 
-/// C[row, j] = Σ_p A[row, p]·W[j, p] for the few rows of W, [outputs, k]; C has `width` columns, zero beyond `outputs`.
+/// C[row, j] = Σ_p A[row, p]·W[j, p] for the few rows of W, [outputs, k]. C has `width` columns; those beyond
+/// `outputs` are zero.
 pub fn dots(simd: Simd, rows: usize, k: usize, a: &[f32], w: &[f32], c: &mut [f32], width: usize) {
     assert!(k.is_multiple_of(16) && w.len().is_multiple_of(k) && w.len() / k <= width, "padded widths");
     assert!(a.len() >= rows * k && c.len() >= rows * width, "whole matrices");

@@ -1,35 +1,35 @@
-//! C = A·W with what comes before and after it: a layer forward, and its input's gradient.
+//! C = A·W with the operations before and after it: a layer's forward pass, and the gradient of its input.
 
 use super::{Packed, ROWS, add_product, padded};
 use crate::simd::{Kernel, Lanes, Simd};
 use trimip_core::config::Precision;
 
-/// What a product is added to.
+/// Initial value of a product.
 #[derive(Clone, Copy)]
 pub enum Start<'a> {
-    /// Nothing.
+    /// Zero.
     Zero,
-    /// To row i of the product, row `of[i]` of `rows`, which is as wide.
+    /// Row i of the product starts from row `of[i]` of `rows`, which has the same width.
     Rows {
-        /// The rows.
+        /// The rows to start from.
         rows: &'a [f32],
-        /// One index for each row of the product, padding rows included.
+        /// One index per row of the product, padding included.
         of: &'a [u32],
     },
 }
 
-/// What becomes of a product before it is stored.
+/// Operation on a product before it is stored.
 #[derive(Clone, Copy)]
 pub enum Finish<'a> {
-    /// Nothing.
+    /// None.
     Store,
-    /// Values below zero become zero.
+    /// ReLU: values below zero become zero.
     Relu,
-    /// Zero where this matrix of the same shape is not above zero: the derivative of a ReLU.
+    /// Derivative of a ReLU: zero where this matrix of the same shape is not above zero.
     Mask(&'a [f32]),
 }
 
-/// C = start + A·W for `rows` rows, padding rows included; A has the precision of W.
+/// C = start + A·W for `rows` rows, padding included. A has the precision of W.
 pub fn multiply(
     simd: Simd,
     rows: usize,
@@ -108,7 +108,7 @@ impl<const PAIRS: bool> Kernel for Multiply<'_, PAIRS> {
 }
 
 struct MultiplyTile {
-    /// Words.
+    /// Number of words along the summed dimension.
     k: usize,
     a: *const f32,
     w: *const f32,
@@ -117,19 +117,20 @@ struct MultiplyTile {
     n: usize,
     mask: *const f32,
     relu: bool,
-    /// Rows of n that are added, and which.
+    /// The rows of n values to start from, and the index for each row.
     start: Option<(*const f32, *const u32)>,
 }
 
 impl MultiplyTile {
-    /// `MR` rows times `NV`·16 columns from column `first` of the panel.
+    /// Computes `MR` rows and `NV`·16 columns, from column `first` of the panel on.
     ///
     /// # Safety
-    /// `a` holds MR rows of k, `w` k rows of `width`, `c` (and `mask` unless null) MR rows of n; `start` names MR rows.
+    /// `a` holds MR rows of k words, `w` k rows of `width`, `c` (and `mask` unless null) MR rows of n; `start` has MR
+    /// indices.
     #[inline(always)]
     unsafe fn run<L: Lanes, const PAIRS: bool, const MR: usize, const NV: usize>(&self, first: usize) {
         let mut sums = [[L::splat(0.0); NV]; MR];
-        // SAFETY: the caller's promise bounds every index.
+        // SAFETY: the caller guarantees that every index is in bounds.
         unsafe {
             if let Some((rows, of)) = self.start {
                 for (i, sums) in sums.iter_mut().enumerate() {

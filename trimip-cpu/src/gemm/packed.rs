@@ -1,21 +1,21 @@
-//! A weight matrix packed for the product's kernel.
+//! A weight matrix packed for the matrix-product kernels.
 
 use super::words;
 use crate::buffer::Buffer;
 use crate::simd::pair;
 use trimip_core::config::Precision;
 
-/// A weight matrix [k, n] in panels; n is a multiple of 16.
+/// A weight matrix [k, n] packed in panels; n is a multiple of 16.
 pub struct Packed {
     k: usize,
     n: usize,
     precision: Precision,
-    /// Words.
+    /// Words of all panels.
     data: Buffer<f32>,
 }
 
 impl Packed {
-    /// Room for a matrix of zeros; `k` is even.
+    /// Creates a matrix of zeros; `k` is even.
     pub fn zeros(k: usize, n: usize, precision: Precision) -> Self {
         assert!(n.is_multiple_of(16) && k.is_multiple_of(2), "padded widths");
         Self { k, n, precision, data: Buffer::zeros(words(k, precision) * n) }
@@ -36,29 +36,29 @@ impl Packed {
         }
     }
 
-    /// Rows of words, which a product sums over.
+    /// Number of rows of words, over which a product sums.
     #[inline(always)]
     pub(super) fn words(&self) -> usize {
         words(self.k, self.precision)
     }
 
-    /// The words from the panel of column `first` on.
+    /// The words from the panel that begins at column `first` on.
     #[inline(always)]
     pub(super) fn panel(&self, first: usize) -> &[f32] {
         &self.data[first * self.words()..]
     }
 
-    /// Rows: inputs.
+    /// Number of rows (inputs).
     pub fn k(&self) -> usize {
         self.k
     }
 
-    /// Columns: outputs.
+    /// Number of columns (outputs).
     pub fn n(&self) -> usize {
         self.n
     }
 
-    /// How the matrix is stored, and its left factor has to be.
+    /// Precision in which the matrix is stored. The left factor of a product must have the same.
     pub fn precision(&self) -> Precision {
         self.precision
     }

@@ -1,15 +1,17 @@
-//! Factors of a product as words of two bf16.
+//! Packs the factors of a product into words of two bf16.
 
 use crate::buffer::Buffer;
 use crate::simd::{Kernel, Lanes, Simd, pair};
 
-/// Neighbours `from[2 i]`, `from[2 i + 1]` become the pair `to[i]` in bf16: rows of k values become rows of k/2 words.
+/// Packs neighbours `from[2 i]`, `from[2 i + 1]` into the bf16 pair `to[i]`: rows of k values become rows of k/2
+/// words.
 pub fn pair_columns(simd: Simd, from: &[f32], to: &mut [f32]) {
     assert!(from.len() == 2 * to.len(), "whole pairs");
     simd.run(PairColumns { from, to });
 }
 
-/// Row i of `to` = the pairs of rows 2i and 2i + 1 of `from`, [rows, width], in bf16; an odd last row goes with zeros.
+/// Packs rows 2i and 2i + 1 of `from`, [rows, width], into row i of `to`, as bf16 pairs. An odd last row is paired
+/// with zeros.
 pub fn pair_rows(simd: Simd, rows: usize, width: usize, from: &[f32], to: &mut Buffer<f32>) {
     assert!(width.is_multiple_of(16) && from.len() >= rows * width, "padded width");
     to.resize(rows.div_ceil(2) * width);

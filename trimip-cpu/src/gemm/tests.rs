@@ -1,4 +1,4 @@
-//! Every product against its written sum in f64.
+//! Compares every product with its defining sum in f64.
 
 use super::*;
 use crate::buffer::Buffer;
@@ -13,14 +13,15 @@ fn matrix(rows: usize, columns: usize, seed: f32) -> Buffer<f32> {
 }
 
 fn close(found: f32, expected: f64, terms: usize) {
-    // A sum of `terms` products of size up to 1: each partial sum rounds to half an ulp of at most |expected| + terms.
+    // A sum of `terms` products of magnitude up to 1: each partial sum rounds to half an ulp of at most |expected| +
+    // terms.
     let tolerance = 6e-8 * (expected.abs() + (terms as f64).sqrt()) * (terms as f64).sqrt() + 1e-7;
     assert!((f64::from(found) - expected).abs() < tolerance, "{found} {expected}");
 }
 
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::Bf16];
 
-/// The values that a precision can hold.
+/// Rounds the values to what a precision can represent.
 fn hold(values: &mut [f32], precision: Precision) {
     if precision == Precision::Bf16 {
         values.iter_mut().for_each(|x| *x = f32::from_bits(u32::from(crate::simd::bf16(*x)) << 16));

@@ -13,7 +13,7 @@ pub unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Zmm<false>>()
 }
 
-/// One AVX-512 register; with the instructions of BF16 or without.
+/// One AVX-512 register, with or without BF16 instructions.
 #[derive(Clone, Copy)]
 pub struct Zmm<const BF16: bool>(__m512);
 
@@ -81,7 +81,7 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
             return Self(unsafe { round(self.0, second.0) });
         }
         unsafe {
-            // The lower half of the words holds `self`, the upper `second`.
+            // The low halves of the words hold `self`, the high halves `second`.
             let halves: __m512i = std::mem::transmute(_mm512_cvtne2ps_pbh(second.0, self.0));
             let firsts = _mm512_cvtepu16_epi32(_mm512_castsi512_si256(halves));
             let seconds = _mm512_cvtepu16_epi32(_mm512_extracti64x4_epi64::<1>(halves));
@@ -102,14 +102,14 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     }
 }
 
-/// The same bits as pairs of bf16.
+/// Reinterprets the bits as pairs of bf16.
 #[inline(always)]
 unsafe fn words(bits: __m512) -> __m512bh {
-    // SAFETY: both are 512 bits of anything.
+    // SAFETY: both types are 512 bits without invalid values.
     unsafe { std::mem::transmute(bits) }
 }
 
-/// Words of pairs without the instructions of BF16: what [`super::pair`] does.
+/// Packs words of pairs without BF16 instructions; equals [`super::pair`].
 #[inline(always)]
 unsafe fn round(first: __m512, second: __m512) -> __m512 {
     // SAFETY: the caller runs with AVX-512F, as `Zmm` does.
@@ -120,7 +120,7 @@ unsafe fn round(first: __m512, second: __m512) -> __m512 {
     }
 }
 
-/// Values whose upper halves are the nearest bf16: what [`super::bf16`] does.
+/// Values whose upper halves are the nearest bf16; equals [`super::bf16`].
 #[inline(always)]
 unsafe fn round_up(value: __m512) -> __m512i {
     // SAFETY: as above.

@@ -14,7 +14,7 @@ pub fn bf16(value: f32) -> u16 {
     }
 }
 
-/// Two values as a word of two bf16.
+/// Packs two values into a word of two bf16; the first is in the low half.
 #[inline(always)]
 pub fn pair(first: f32, second: f32) -> f32 {
     f32::from_bits(u32::from(bf16(first)) | u32::from(bf16(second)) << 16)

@@ -1,5 +1,6 @@
 //! Sixteen f32 lanes as AVX-512, AVX2 or plain Rust, chosen at run time. A [`Kernel`] is written once over [`Lanes`];
-//! [`Simd::run`] compiles it for each instruction set. The sets differ in rounding alone (fused or not).
+//! [`Simd::run`] compiles it for each instruction set. Results differ between the sets only in rounding (fused or
+//! not).
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -27,17 +28,17 @@ pub enum Simd {
 }
 
 impl Simd {
-    /// The widest set of this processor.
+    /// The widest set that this processor supports.
     pub fn detect() -> Self {
         Self::available()[0]
     }
 
-    /// True where products of bf16 have instructions of their own, and are faster than those of f32.
+    /// True if bf16 products have their own instructions and are faster than f32 products.
     pub fn has_bf16(self) -> bool {
         self == Self::Avx512Bf16
     }
 
-    /// All sets of this processor, widest first.
+    /// All sets that this processor supports, widest first.
     pub fn available() -> Vec<Self> {
         #[allow(unused_mut)]
         let mut sets = vec![];
@@ -62,7 +63,7 @@ impl Simd {
     /// Runs a kernel with this set.
     ///
     /// # Panics
-    /// When the processor lacks the set.
+    /// When the processor does not support the set.
     #[inline]
     pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
@@ -71,7 +72,7 @@ impl Simd {
                 let wide = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw");
                 let fused = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
                 assert!(wide && fused && is_x86_feature_detected!("avx512bf16"));
-                // SAFETY: the processor has all that the set uses, or the line above has panicked.
+                // SAFETY: the processor supports the whole set; otherwise the assertion above has panicked.
                 unsafe { avx512::run_bf16(kernel) }
             }
             #[cfg(target_arch = "x86_64")]
@@ -93,7 +94,7 @@ impl Simd {
     }
 }
 
-/// Asks for the cache line at `from`, which need not be valid.
+/// Prefetches the cache line at `from`, which need not be a valid address.
 #[inline(always)]
 pub fn fetch<T>(from: *const T) {
     #[cfg(target_arch = "x86_64")]
@@ -106,20 +107,20 @@ pub fn fetch<T>(from: *const T) {
     let _ = from;
 }
 
-/// A computation written over lanes. `run` and all it calls must be `#[inline(always)]`: only then is it compiled with
-/// the instruction set's features.
+/// A computation written over lanes. `run` and everything that it calls must be `#[inline(always)]`; only then is it
+/// compiled with the features of the instruction set.
 pub trait Kernel {
-    /// What it returns.
+    /// The result.
     type Output;
-    /// Computes.
+    /// Runs the computation.
     fn run<L: Lanes>(self) -> Self::Output;
 }
 
-/// Sixteen f32; or sixteen words, each a pair of bf16 (the first in the low half) in the bits of an f32.
+/// Sixteen f32, or sixteen words, each a pair of bf16 (the first in the low half) in the bits of an f32.
 pub trait Lanes: Copy {
-    /// True when 24 accumulators fit in registers.
+    /// True if 24 accumulators fit in registers.
     const WIDE: bool;
-    /// All lanes alike.
+    /// Sets all lanes to `value`.
     fn splat(value: f32) -> Self;
     /// Reads 16 values.
     ///
@@ -133,24 +134,24 @@ pub trait Lanes: Copy {
     unsafe fn store(self, to: *mut f32);
     /// self · factor + addend.
     fn mul_add(self, factor: Self, addend: Self) -> Self;
-    /// Lanes below zero become zero.
+    /// Sets lanes below zero to zero.
     fn relu(self) -> Self;
-    /// Lanes where `mask` is above zero; zero elsewhere.
+    /// Keeps the lanes where `mask` is above zero; the others become zero.
     fn where_positive(self, mask: Self) -> Self;
-    /// Sum.
+    /// Lane-wise sum.
     fn add(self, other: Self) -> Self;
     /// Sum of all lanes.
     fn sum(self) -> f32;
-    /// The first of each pair as f32.
+    /// First value of each pair, as f32.
     fn first(self) -> Self;
-    /// The second of each pair as f32.
+    /// Second value of each pair, as f32.
     fn second(self) -> Self;
-    /// Of words of pairs: self.0 · factor.0 + self.1 · factor.1 + addend, in f32.
+    /// For words of pairs: self.0 · factor.0 + self.1 · factor.1 + addend, in f32.
     #[inline(always)]
     fn dot_add(self, factor: Self, addend: Self) -> Self {
         self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
     }
-    /// Words of the pairs `(self[i], second[i])`, rounded to bf16.
+    /// Packs the pairs `(self[i], second[i])` into words, rounded to bf16.
     #[inline(always)]
     fn pair(self, second: Self) -> Self {
         let (first, second) = (self.array(), second.array());
@@ -158,7 +159,7 @@ pub trait Lanes: Copy {
         // SAFETY: 16 values.
         unsafe { Self::load(words.as_ptr()) }
     }
-    /// Words of the pairs of neighbours in the 32 values of `self` and `next`, rounded to bf16.
+    /// Packs neighbours among the 32 values of `self` and `next` into words of pairs, rounded to bf16.
     #[inline(always)]
     fn pair_neighbours(self, next: Self) -> Self {
         let values = [self.array(), next.array()];
@@ -167,7 +168,7 @@ pub trait Lanes: Copy {
         // SAFETY: 16 values.
         unsafe { Self::load(words.as_ptr()) }
     }
-    /// The 16 values.
+    /// The 16 values as an array.
     #[inline(always)]
     fn array(self) -> [f32; 16] {
         let mut values = [0.0; 16];

@@ -1,8 +1,8 @@
-//! Every instruction set against literal roundings and sums.
+//! Tests every instruction set against literal roundings and sums.
 
 use super::*;
 
-/// Pairs of 32 values and dot products with them.
+/// Pairs of 32 values, and dot products of these pairs.
 struct Pairs([f32; 32]);
 
 impl Kernel for Pairs {
@@ -21,7 +21,7 @@ impl Kernel for Pairs {
 #[test]
 fn pairs_are_the_nearest_bf16_and_their_dot_products() {
     let nearest = |x: f32| f32::from_bits(u32::from(bf16(x)) << 16);
-    // Literal roundings: exact, a tie to even below and above, up, and what has no nearest.
+    // Literal roundings: exact, a tie to even below and above, rounding up, and values without a nearest bf16.
     assert_eq!(
         [1.0, 1.0 + 1.0 / 256.0, 1.0 + 3.0 / 256.0, 1.005].map(nearest),
         [1.0, 1.0, 1.0 + 4.0 / 256.0, 1.0 + 1.0 / 128.0]

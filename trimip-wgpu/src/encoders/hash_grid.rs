@@ -1,4 +1,4 @@
-//! The hash grid on the GPU: one invocation a sample and level, forward and back.
+//! The hash grid on the GPU: one invocation per sample and level, forward and backward.
 
 use super::{Encoding, Left, Places, whole};
 use crate::buffer::Buffer;
@@ -18,26 +18,26 @@ const ADDING_FIXED: &[&str] = &[GRID, HASH, FIXED, ADD_FIXED, ADDING];
 const ADDING_ATOMIC: &[&str] = &[GRID, HASH, ADD_ATOMIC, ADDING];
 const ADDING_EXCHANGE: &[&str] = &[GRID, HASH, ADD_EXCHANGE, ADDING];
 
-/// Gradients of entries from fixed point to f32.
+/// Converts gradients of entries from fixed point to f32.
 static HASH_SETTLE: Kernel = Kernel::new(
     "hash_settle",
     &[GRID, FIXED, OWN_FIXED, include_str!("shaders/hash_settle.wgsl")],
     &[(0, Write), (2, Parameters), (3, Write)],
 );
 
-/// Constants of the kernels, for entries of `features` floats.
+/// Constants of the kernels for entries of `features` floats.
 fn constants(features: u32) -> [(&'static str, u32); 3] {
     let [_, y, z] = PRIMES;
     [("FEATURES", features), ("PRIME_Y", y), ("PRIME_Z", z)]
 }
 
-/// Trilinear reads.
+/// The kernel of trilinear reads.
 fn read(features: u32) -> Kernel {
     let bindings = &[(0, Read), (1, Read), (2, Parameters), (4, Write), (5, Read), (9, Read)];
     Kernel::new("hash_read", READING, bindings).with(&constants(features))
 }
 
-/// Gradients of entries.
+/// The kernel that adds gradients of entries.
 fn add(features: u32, addition: Addition) -> Kernel {
     const FLOATS: &[(u32, Access)] =
         &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (9, Read)];
@@ -51,12 +51,12 @@ fn add(features: u32, addition: Addition) -> Kernel {
     kernel.with(&constants(features))
 }
 
-/// A level as the shaders have it.
+/// A level in the layout of the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Level {
     scale: f32,
-    /// 0 where corners share entries by their hash.
+    /// 0 if corners share entries through the hash.
     side: u32,
     first: u32,
     entries: u32,
@@ -70,7 +70,7 @@ struct Params {
     counter: u32,
 }
 
-/// Levels, and room for gradients in fixed point.
+/// The levels, and room for gradients in fixed point.
 pub(crate) struct Grid {
     gpu: Arc<Gpu>,
     features: u32,
@@ -82,7 +82,7 @@ pub(crate) struct Grid {
     addition: Addition,
     /// High words of the gradient in fixed point.
     high: Buffer<f32>,
-    /// Counts the terms that fixed point cannot hold.
+    /// Counter of terms that do not fit into fixed point.
     skipped: wgpu::Buffer,
 }
 

@@ -1,5 +1,5 @@
-//! The encoders on the GPU. Each is a file here with an [`Encoding`] and its WGSL in `shaders`, and a line in the list at the
-//! end; which one is at work is asked once a span.
+//! The encoders on the GPU. Each is a file here with an [`Encoding`] and its WGSL in `shaders`, and a line in the
+//! list at the end. The dispatch to the configured encoder happens once per span.
 
 pub mod hash_grid;
 pub mod tri_mip;
@@ -16,9 +16,9 @@ use trimip_core::batch::{Deposit, Rays, Samples};
 use trimip_core::config::EncoderKind;
 use trimip_core::{Config, Encoder, encoders};
 
-/// What an encoder does on the GPU.
+/// The interface of an encoder on the GPU.
 pub(crate) trait Encoding: Sized + Send + Sync {
-    /// The configured encoder; `skipped` counts the terms of gradients that are left out.
+    /// Creates the configured encoder; `skipped` counts the gradient terms that are left out.
     fn new(
         gpu: &Arc<Gpu>,
         config: &Config,
@@ -27,17 +27,17 @@ pub(crate) trait Encoding: Sized + Send + Sync {
         skipped: &Buffer<u32>,
     ) -> Self;
 
-    /// Uses its parameters as far as they have grown at `stage`.
+    /// Switches to the parameters that are in use at growth stage `stage`.
     fn grow(&mut self, _stage: u32) {}
 
-    /// Rebuilds what derives from the parameters.
+    /// Rebuilds data derived from the parameters.
     fn refresh(&mut self, _parameters: &Buffer<f32>) {}
 
-    /// Encodes every sample. Features are rows of `stride` floats, of which those behind the encoder's width become zero;
-    /// the tape has rows of the definition's length.
+    /// Encodes every sample. Features are rows of `stride` floats; those beyond the encoder's width become zero. The
+    /// tape has rows of the definition's length.
     fn forward(&self, parameters: &Buffer<f32>, at: &Places, tape: &Buffer<f32>, features: &Buffer<f32>);
 
-    /// Adds the deposits: overwrites the encoder's part of `parameter_gradient`.
+    /// Sums the deposits and overwrites the encoder's part of `parameter_gradient`.
     fn flush(
         &mut self,
         deposits: impl Iterator<Item = Left>,
@@ -45,23 +45,23 @@ pub(crate) trait Encoding: Sized + Send + Sync {
         parameter_gradient: &Buffer<f32>,
     );
 
-    /// Its kernels in every variant, to be checked.
+    /// Its kernels in every variant, for validation.
     #[cfg(test)]
     fn kernels() -> Vec<Kernel>;
 }
 
-/// Where the samples of a span are: the workspace's own arrays, which nothing overwrites before the step is over.
-#[allow(dead_code)] // No encoder of today asks for rays and intervals.
+/// The geometry of a span's samples: the workspace's own arrays, which stay unchanged until the step is over.
+#[allow(dead_code)] // No present encoder uses rays and intervals.
 pub(crate) struct Places {
     /// Rays of the span.
     pub rays: wgpu::Buffer,
-    /// Ray of each sample.
+    /// Index of each sample's ray.
     pub owners: wgpu::Buffer,
     /// One per sample.
     pub intervals: wgpu::Buffer,
     /// One per sample.
     pub spheres: wgpu::Buffer,
-    /// How many samples there are.
+    /// The number of samples.
     pub rows: Rows,
 }
 
@@ -77,46 +77,46 @@ impl Places {
     }
 }
 
-/// Feature gradients of a step and where they belong.
+/// Feature gradients of a step, with the places they belong to.
 #[derive(Default)]
 pub struct EncoderGradient(Option<Left>);
 
 /// See [`EncoderGradient`].
-#[allow(dead_code)] // No encoder of today keeps a tape.
+#[allow(dead_code)] // No present encoder keeps a tape.
 pub(crate) struct Left {
     pub at: Places,
     pub tape: wgpu::Buffer,
     pub gradients: wgpu::Buffer,
 }
 
-/// A whole array, for a kernel.
+/// Binds a whole array.
 pub(crate) fn whole(buffer: &wgpu::Buffer) -> Bind<'_> {
     Bind { buffer, offset: 0, size: None }
 }
 
-/// Makes the enumeration of all encoders and their dispatch from a list of them.
+/// Generates the enum of all encoders and its dispatch from a list.
 macro_rules! encoders {
     ($($name:ident => $encoding:ty),* $(,)?) => {
         /// The configured encoder.
         pub struct WgpuEncoder {
             any: Any,
-            /// Floats of a row of features: the encoder's width, padded.
+            /// Floats in a row of features: the encoder's width, padded.
             stride: usize,
-            /// Floats of a row of the tape.
+            /// Floats in a row of the tape.
             tape: usize,
         }
 
-        /// Kernels of all encoders, to be checked.
+        /// Kernels of all encoders, for validation.
         #[cfg(test)]
         pub(crate) fn kernels() -> Vec<Kernel> {
             [$(<$encoding as Encoding>::kernels()),*].concat()
         }
 
-        #[allow(clippy::large_enum_variant)] // There is one of it.
+        #[allow(clippy::large_enum_variant)] // There is only one instance.
         enum Any { $($name($encoding)),* }
 
         impl WgpuEncoder {
-            /// The encoder of a configuration; `skipped` counts the terms of gradients that are left out.
+            /// Creates the encoder of a configuration; `skipped` counts the gradient terms that are left out.
             pub fn new(
                 gpu: &Arc<Gpu>,
                 config: &Config,

@@ -1,4 +1,5 @@
-//! Tri-mip encoding on the GPU: planes are the front of the parameters, the levels above them one derived array.
+//! Tri-mip encoding on the GPU. The planes are at the front of the parameters; the levels above them are one derived
+//! array.
 
 use super::{Encoding, Left, Places, whole};
 use crate::buffer::Buffer;
@@ -22,21 +23,21 @@ const PULL: &str = include_str!("shaders/pull.wgsl");
 const PULL_FIXED: &[&str] = &[GRID, PLANES, FIXED, OWN_FIXED, PULL];
 const PULL_FLOAT: &[&str] = &[GRID, PLANES, OWN_FLOAT, PULL];
 
-/// Features of samples.
+/// Computes the features of samples.
 static ENCODE: Kernel = Kernel::new(
     "encode",
     &[GRID, PLANES, TRI_MIP, include_str!("shaders/encode.wgsl")],
     &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read)],
 );
 
-/// A level from the finer one below it.
+/// Computes a level from the next finer one.
 static AVERAGE: Kernel = Kernel::new(
     "average",
     &[GRID, PLANES, include_str!("shaders/average.wgsl")],
     &[(0, Write), (1, Write), (2, Parameters)],
 );
 
-/// Texel gradients of feature gradients.
+/// The kernel that scatters feature gradients to texel gradients.
 fn scatter(addition: Addition) -> Kernel {
     const FLOATS: &[(u32, Access)] =
         &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read)];
@@ -58,7 +59,7 @@ fn scatter(addition: Addition) -> Kernel {
     }
 }
 
-/// Gradients from a coarse level to the finer one below it.
+/// The kernel that pulls gradients from a coarse level to the next finer one.
 fn pull(addition: Addition) -> Kernel {
     match addition {
         Addition::Fixed => {
@@ -86,18 +87,18 @@ struct LevelParams {
     has_coarse: u32,
 }
 
-/// Planes and their mip levels.
+/// The planes and their mip levels.
 pub(crate) struct Planes {
     gpu: Arc<Gpu>,
     pyramid: Pyramid,
-    /// The pyramid of planes of full size.
+    /// The pyramid of the planes in full size.
     whole: Pyramid,
     derived: Buffer<f32>,
     derived_gradient: Buffer<f32>,
     addition: Addition,
-    /// High words of the planes' and the levels' gradient in fixed point.
+    /// High words of the fixed-point gradients of the planes and of the derived levels.
     high: [Buffer<f32>; 2],
-    /// Counts the terms that fixed point cannot hold.
+    /// Counter of terms that do not fit into fixed point.
     skipped: wgpu::Buffer,
 }
 
@@ -112,18 +113,18 @@ impl Planes {
         }
     }
 
-    /// What a pass over `level` needs to know.
+    /// Parameters of a pass over `level`.
     fn level_params(&self, level: usize, has_coarse: bool) -> LevelParams {
         let sides = self.pyramid.sides.map(|side| (side >> level) as u32);
         LevelParams { sides, has_coarse: u32::from(has_coarse) }
     }
 
-    /// Invocations of a pass over `level`: one has four channels of a texel.
+    /// Invocations of a pass over `level`: one per four channels of a texel.
     fn items(&self, level: usize) -> Size<'static> {
         Size::Items((self.pyramid.texels(level) * CHANNELS / 4) as u64)
     }
 
-    /// A level of an array of levels above the base, or of the base array.
+    /// Binds `level` within the base array or the array of derived levels.
     fn level<'a>(&self, level: usize, base: &'a Buffer<f32>, derived: &'a Buffer<f32>) -> Bind<'a> {
         let count = self.pyramid.texels(level) * CHANNELS;
         match level {
@@ -142,7 +143,7 @@ impl Encoding for Planes {
         skipped: &Buffer<u32>,
     ) -> Self {
         let pyramid = Pyramid::new(&config.encoder, &Aabb::new(&config.scene));
-        // A binding has at least one value, also where there is a base level alone.
+        // A binding holds at least one value, even if there is only the base level.
         let derived = pyramid.derived_len().max(CHANNELS);
         let (base, fixed) = (pyramid.base_len(), training && addition == Addition::Fixed);
         Self {
@@ -206,10 +207,10 @@ impl Encoding for Planes {
             let size = rows.dispatch(FEATURES as u32 / 4, GROUP);
             self.gpu.dispatch(&scatter(self.addition), &binds, &self.params(rows.counter), size);
         }
-        // Pull from coarse to fine: each texel of a level carries a quarter of its parent's gradient.
+        // Pull from coarse to fine: each texel gets a quarter of its parent's gradient.
         for level in (0..self.pyramid.levels).rev() {
             let has_coarse = level + 1 < self.pyramid.levels;
-            // Where there is no coarser level, something else stands in its place and is not read.
+            // Without a coarser level, another buffer is bound in its place and not read.
             let coarse = match has_coarse {
                 true => self.level(level + 1, parameter_gradient, &self.derived_gradient),
                 false => self.derived.bind(),

@@ -1,8 +1,9 @@
-// Weight gradients: partial[chunk] = Aᵀ·D over the rows of a chunk, for A of K and D of N columns. A workgroup makes a
-// tile of 16·TK by 16·TN of one chunk; `reduce` adds the chunks in their order. No atomics: the same bits every time.
+// Weight gradients: partial[chunk] = Aᵀ·D over the rows of a chunk; A has K columns, D has N. A workgroup computes a
+// tile of 16·TK by 16·TN of one chunk; `reduce` adds the chunks in order. Without atomics, the result has the same
+// bits every time.
 
 struct Params {
-    // Rows: counts[counter].
+    // Index of the counter of rows: counts[counter].
     counter: u32,
 }
 

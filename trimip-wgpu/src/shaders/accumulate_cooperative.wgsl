@@ -1,9 +1,9 @@
-// Weight gradients by cooperative matrices: partial[chunk] = Aᵀ·D over the rows of a chunk, for A of K and D of N columns.
-// Each subgroup of a workgroup makes T rows by T·TN columns of one chunk; `reduce` adds the chunks in their order and takes
-// SCALE out again, by which D is multiplied so that small gradients survive in f16.
+// Weight gradients with cooperative matrices: partial[chunk] = Aᵀ·D over the rows of a chunk; A has K columns, D has
+// N. Each subgroup computes T rows by T·TN columns of one chunk. D is multiplied by SCALE so that small gradients do
+// not underflow in f16; `reduce` adds the chunks in order and divides by SCALE.
 
 struct Params {
-    // Rows: counts[counter].
+    // Index of the counter of rows: counts[counter].
     counter: u32,
 }
 
@@ -12,7 +12,7 @@ struct Params {
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read_write> partial: array<f32>;
 @group(0) @binding(4) var<storage, read> counts: array<u32>;
-// Factors that did not fit into f16.
+// Number of factors that f16 cannot hold.
 @group(0) @binding(6) var<storage, read_write> overflows: array<atomic<u32>>;
 
 const DEPTH: u32 = 32u;
@@ -38,7 +38,7 @@ fn accumulate(
     let per_chunk = (rows + CHUNKS * DEPTH - 1u) / (CHUNKS * DEPTH) * DEPTH;
     let begin = min(chunk * per_chunk, rows);
     let end = min(begin + per_chunk, rows);
-    // A subgroup without rows of its own has no depth and no matrices to go through; it is the same for all of it.
+    // A subgroup without rows of its own skips the loops over depth and matrices; the condition is subgroup-uniform.
     let works = subgroup < SUBGROUPS && first_k + subgroup * T < K;
     let depth = select(0u, DEPTH, works);
     let across = select(0u, TN, works);
@@ -66,7 +66,7 @@ fn accumulate(
         }
         workgroupBarrier();
         for (var p = 0u; p < depth; p += T) {
-            // Column by column: the transpose.
+            // Column-major load: the transpose.
             let a = coopLoad<Left>(&left_tile[p * HEIGHT + subgroup * T], HEIGHT);
             for (var j = 0u; j < TN; j++) {
                 let b = coopLoadT<Right>(&right_tile[p * WIDTH + j * T], WIDTH);

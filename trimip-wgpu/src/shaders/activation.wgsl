@@ -1,6 +1,6 @@
 // Twin of `trimip_core::activation`.
 
-// Density per world unit of a density logit.
+// Density per world unit from a density logit.
 fn density_of(logit: f32) -> f32 {
     return exp(logit - 1.0);
 }
@@ -9,7 +9,7 @@ fn density_derivative(logit: f32) -> f32 {
     return exp(clamp(logit - 1.0, -15.0, 15.0));
 }
 
-// Logistic function, in the form that never overflows.
+// Logistic function, in a form that never overflows.
 fn sigmoid(logit: f32) -> f32 {
     let e = exp(-abs(logit));
     let positive = 1.0 / (1.0 + e);

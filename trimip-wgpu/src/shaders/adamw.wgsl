@@ -1,4 +1,5 @@
-// AdamW: twin of `trimip_core::adamw::Rule`, four parameters an invocation. Where the step has no weight nothing moves.
+// AdamW: twin of `trimip_core::adamw::Rule`, four parameters per invocation. If the step has no weight, nothing
+// changes.
 
 struct Params {
     beta1: f32,
@@ -9,10 +10,11 @@ struct Params {
     rate: f32,
     root_correction: f32,
     shrink: f32,
-    // In fours: first and number of parameters.
+    // In units of four parameters: first and count.
     start: u32,
     count: u32,
-    // Groups of this many parameters, a power of two up to 16, stay as they are where none has a gradient; 0: all move.
+    // Groups of this many parameters, a power of two up to 16, are skipped if none has a gradient; 0: all are
+    // updated.
     group: u32,
 }
 
@@ -21,7 +23,7 @@ struct Params {
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read_write> first_moments: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> second_moments: array<vec4<f32>>;
-// The second is the sum of the weights.
+// The second value is the sum of the weights.
 @group(0) @binding(5) var<storage, read> sums: array<f32>;
 @group(0) @binding(6) var<storage, read_write> skipped: array<atomic<u32>>;
 
@@ -63,7 +65,7 @@ fn update(
             continue;
         }
         let g = gradient[c];
-        // Beyond f32, or not a number.
+        // The square overflows f32 or is NaN.
         if (bitcast<u32>(g * g) & 0x7f800000u) == 0x7f800000u {
             atomicAdd(&skipped[0], 1u);
             continue;

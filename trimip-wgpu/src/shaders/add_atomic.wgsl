@@ -1,4 +1,4 @@
-// Additions to texel gradients in f32 by the device's own atomics, in any order.
+// Adds to texel gradients with the device's f32 atomics, in any order.
 @group(0) @binding(3) var<storage, read_write> base: array<atomic<f32>>;
 @group(0) @binding(4) var<storage, read_write> derived: array<atomic<f32>>;
 

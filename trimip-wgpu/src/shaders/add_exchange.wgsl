@@ -1,4 +1,4 @@
-// Additions to texel gradients in f32, by comparing and exchanging their bits: every device can, in any order.
+// Adds to f32 texel gradients by compare-and-exchange of their bits, in any order. Every device supports it.
 @group(0) @binding(3) var<storage, read_write> base: array<atomic<u32>>;
 @group(0) @binding(4) var<storage, read_write> derived: array<atomic<u32>>;
 

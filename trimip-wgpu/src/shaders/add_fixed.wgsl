@@ -1,5 +1,5 @@
-// Additions to texel gradients in fixed point: the high word is touched where it changes. What does not fit
-// is left out and counted.
+// Adds to texel gradients in fixed point. The high word is written only if it changes. Values that do not fit are
+// left out and counted.
 @group(0) @binding(3) var<storage, read_write> base: array<atomic<u32>>;
 @group(0) @binding(4) var<storage, read_write> derived: array<atomic<u32>>;
 @group(0) @binding(6) var<storage, read_write> base_high: array<atomic<u32>>;

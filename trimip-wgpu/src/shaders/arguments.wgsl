@@ -1,11 +1,11 @@
-// Sizes of dispatches that depend on a count on the device: workgroups in rows of at most 65,535.
+// Arguments of dispatches whose size depends on a count on the device; at most 65,535 workgroups along x.
 
 struct Params {
-    // Items are counts[counter] · per; a workgroup takes `group` of them.
+    // The number of items is counts[counter] · per, with `group` items per workgroup.
     counter: u32,
     per: u32,
     group: u32,
-    // Which dispatch the sizes are for.
+    // Index of the dispatch.
     slot: u32,
 }
 

@@ -1,11 +1,11 @@
-// Where a cell's bit lies: blocks of SIDE cells along each side, two words a block.
+// Location of a cell's bit: blocks of SIDE cells along each side, two words per block.
 
 struct Bit {
     word: u32,
     bit: u32,
 }
 
-// Bit of an item in blocks of which there are `blocks` along each side.
+// Bit of an item in a grid of `blocks` blocks along each side.
 fn bit_of(item: vec3<u32>, blocks: u32) -> Bit {
     let block = item / SIDE;
     let within = item % SIDE;

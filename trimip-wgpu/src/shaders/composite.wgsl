@@ -3,23 +3,23 @@
 struct Params {
     background: vec3<f32>,
     count: u32,
-    // Pixels have targets with backgrounds of their own.
+    // 1 if pixels have targets with their own backgrounds.
     targets: u32,
 }
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
-// Five floats a pixel: colour, opacity, depth.
+// Five floats per pixel: colour, opacity, depth.
 @group(0) @binding(1) var<storage, read_write> pixels: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
-// Eight floats a ray, of which the last is the cosine.
+// Eight floats per ray; the last is the cosine.
 @group(0) @binding(5) var<storage, read> rays: array<f32>;
-// Eight floats a pixel: colour, weight, background, opacity.
+// Eight floats per pixel: colour, weight, background, opacity.
 @group(0) @binding(6) var<storage, read> targets: array<f32>;
 // First cone and number of cones of each pixel.
 @group(0) @binding(7) var<storage, read> pixel_groups: array<vec2<u32>>;
-// Five floats a cone.
+// Five floats per cone.
 @group(0) @binding(8) var<storage, read_write> cones: array<f32>;
 
 // Colour on the background, opacity and depth of a cone.

@@ -1,4 +1,4 @@
-// From gradients of pixels to gradients of density and colour: what a sample shows minus what it hides.
+// Maps gradients of pixels to gradients of density and colour: what a sample adds to its pixel minus what it hides.
 
 struct Params {
     count: u32,
@@ -16,7 +16,7 @@ struct Params {
 
 fn cone_gradient(cone: u32, gradient: vec4<f32>) {
     let segment = segments[cone];
-    // Everything behind the sample, background included: starts as the whole cone.
+    // The contribution of everything behind the sample, background included; initially the whole cone.
     let whole = vec4<f32>(cones[5u * cone], cones[5u * cone + 1u], cones[5u * cone + 2u], cones[5u * cone + 3u]);
     var behind = dot(whole, gradient);
     var transmittance = 1.0;

@@ -1,9 +1,9 @@
-// Gradients of the density network's outputs, [samples, outputs]: the logit's from the density, the geometry features' from
-// the colour network's input [samples, width].
+// Gradients of the density network's outputs, [samples, outputs]. The logit's gradient comes from the density, those
+// of the geometry features from the colour network's input, [samples, width].
 
 struct Params {
     counter: u32,
-    // Width of the colour network's input: harmonics where it sees directions, geometry features, zeros.
+    // Width of the colour network's input: harmonics (if it uses directions), geometry features, zeros.
     width: u32,
     harmonics: u32,
     geometry: u32,

@@ -1,9 +1,9 @@
-// What lies between the layers of the two networks: densities, the colour network's input, colours, and the gradients
-// there and back.
+// Operations between the layers of the two networks: densities, the colour network's input, colours, and their
+// gradients.
 
 struct Params {
     counter: u32,
-    // Width of the colour network's input: harmonics where it sees directions, geometry features, zeros.
+    // Width of the colour network's input: harmonics (if it uses directions), geometry features, zeros.
     width: u32,
     harmonics: u32,
     geometry: u32,
@@ -60,7 +60,7 @@ fn densities(
     }
 }
 
-// Rows of `width`.
+// One row of `width` floats per sample.
 @compute @workgroup_size(GROUP)
 fn color_inputs(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -87,7 +87,7 @@ fn color_inputs(
     }
 }
 
-// Colours of the colour network's outputs, [samples, 16] of which three count.
+// Colours from the colour network's outputs, [samples, 16], of which the first three are used.
 @compute @workgroup_size(GROUP)
 fn colors(
     @builtin(workgroup_id) group: vec3<u32>,

@@ -1,4 +1,4 @@
-// A product is stored as it is.
+// Stores a product unchanged.
 fn finish(value: f32, at: u32) -> f32 {
     return value;
 }

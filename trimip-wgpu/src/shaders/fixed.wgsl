@@ -1,9 +1,9 @@
-// Sums of texel gradients in fixed point of 64 bits, 30 of them behind the point, in two words: integers add up to the same
-// bits in any order. Not yet divided by the weight of a step, gradients stay below 2^33 and are as exact as in f32.
+// Sums of texel gradients in 64-bit fixed point with 30 fractional bits, as two words. Integer sums have the same
+// bits in any order. Before the division by the step's weight, gradients stay below 2^33 and are as exact as in f32.
 const POINT: f32 = 1073741824.0;
 const WORD: f32 = 4294967296.0;
 
-// True for numbers below 2^24, of which 512 may add up.
+// True for values of magnitude below 2^24; 512 of them can be added without overflow.
 fn fits(value: f32) -> bool {
     return (bitcast<u32>(value) & 0x7fffffffu) < 0x4b800000u;
 }

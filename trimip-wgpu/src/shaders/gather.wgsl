@@ -1,4 +1,4 @@
-// Rows `kept` of an array, one float an invocation.
+// Gathers the rows `kept` of an array, one float per invocation.
 
 struct Params {
     width: u32,

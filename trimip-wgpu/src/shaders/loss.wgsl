@@ -1,13 +1,13 @@
-// Area-weighted smooth-L1 of each pixel and its gradient with respect to the pixel; sums of a workgroup's pixels go to
-// `partial`, and `add_up` joins them in their order.
+// Area-weighted smooth-L1 of each pixel, and its gradient with respect to the pixel. The sums over a workgroup's
+// pixels go to `partial`; `add_up` adds them in order.
 
 struct Params {
     count: u32,
     blocks: u32,
     beta: f32,
-    // Average over pixels with samples alone.
+    // 1 to average only over pixels with samples.
     live: u32,
-    // Weight of the opacity beside the colour.
+    // Weight of the opacity relative to the colour.
     opacity: f32,
 }
 
@@ -15,10 +15,10 @@ struct Params {
 @group(0) @binding(1) var<storage, read_write> gradients: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> targets: array<f32>;
-// Loss, weight, squared error, pixels that are not finite.
+// Loss, weight, squared error, number of non-finite pixels.
 @group(0) @binding(4) var<storage, read_write> partial: array<vec4<f32>>;
-// The same of the step as bits, then samples marched and kept, and dropped from both for want of room. Not the reverse,
-// counts as floats: small ones would be denormal, which a device may take for zero.
+// The same sums over the step, as bits; then samples marched and kept, and samples dropped from both for lack of
+// room. Counts are not stored as floats: the bits of small counts are denormal, and a device may flush them to zero.
 @group(0) @binding(5) var<storage, read_write> sums: array<u32>;
 @group(0) @binding(6) var<storage, read> counts: array<u32>;
 @group(0) @binding(7) var<storage, read> segments: array<vec2<u32>>;
@@ -40,7 +40,7 @@ fn smooth_l1(difference: f32, beta: f32) -> vec2<f32> {
     return vec2<f32>(size - 0.5 * beta, sign(difference));
 }
 
-// Sum over the workgroup in a fixed order; valid for the first invocation.
+// Sum over the workgroup in a fixed order; valid in the first invocation.
 fn total(local: u32, own: vec4<f32>) -> vec4<f32> {
     shared_sums[local] = own;
     workgroupBarrier();

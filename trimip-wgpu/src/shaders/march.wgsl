@@ -1,5 +1,5 @@
-// Marching: `march` decides once, as one bit per step, which steps lie in occupied cells, and counts them; after the
-// counts are summed `place` turns bits into samples. Twin of the CPU's renderer.
+// Marching. `march` decides once, with one bit per step, which steps lie in occupied cells, and counts them. After
+// the counts are summed, `place` turns the bits into samples. Twin of the CPU's renderer.
 
 struct Params {
     space: Space,
@@ -10,9 +10,9 @@ struct Params {
     // Index of the span's first ray within the step.
     first: u32,
     count: u32,
-    // Words of bits of a ray.
+    // Words of bits per ray.
     words: u32,
-    // Samples that there is room for.
+    // Maximum number of samples.
     capacity: u32,
 }
 
@@ -20,13 +20,14 @@ struct Params {
 @group(0) @binding(1) var<storage, read_write> bits: array<u32>;
 @group(0) @binding(2) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(3) var<uniform> params: Params;
-// One bit per cell in blocks of 4x4x4 cells (two words), then one per block in blocks of blocks.
+// One bit per cell in blocks of 4x4x4 cells (two words per block), then one bit per block in blocks of blocks.
 @group(0) @binding(4) var<storage, read> grid: array<u32>;
 @group(0) @binding(5) var<storage, read_write> owners: array<u32>;
 @group(0) @binding(6) var<storage, read_write> intervals: array<vec2<f32>>;
 @group(0) @binding(7) var<storage, read_write> spheres: array<vec4<f32>>;
 
-// How a ray is marched: distance of the first step's beginning, where the ray leaves the box, length of a step.
+// March parameters of a ray: distance of the start of the first step, distance at which the ray leaves the box,
+// length of a step.
 struct March {
     first: f32,
     leave: f32,
@@ -50,7 +51,7 @@ fn is_empty(word: u32) -> bool {
     return (grid[word] | grid[word + 1u]) == 0u;
 }
 
-// Side, in cells, of the largest empty cube of the hierarchy that holds a cell; 0 when the cell is occupied.
+// Side, in cells, of the largest empty cube of the hierarchy that contains a cell; 0 if the cell is occupied.
 fn empty_around(cell: vec3<u32>) -> u32 {
     let blocks = params.space.resolution / SIDE;
     let outer = bit_of(cell / SIDE, (blocks + SIDE - 1u) / SIDE);
@@ -101,7 +102,7 @@ fn march(
             continue;
         }
         let leave = cells_exit(params.space, ray, t, cell, size);
-        // The first step whose middle is not before the exit; what rounding may move is asked rather than skipped.
+        // The first step whose midpoint is not before the exit. A step that rounding may move is tested, not skipped.
         let steps = (leave - m.first) / m.step - 0.5;
         let next = ceil(steps * (1.0 - 1e-6) - 0.01);
         index = select(index + 1.0, max(next, index + 1.0), leave < FAR);
@@ -125,7 +126,7 @@ fn place(
         return;
     }
     var segment = segments[i];
-    // What there is no room for is dropped from the end of the batch; the sums of the step count it.
+    // A batch larger than its buffer is truncated; the step's sums count the dropped samples.
     segment.x = min(segment.x, params.capacity);
     segment.y = min(segment.y, params.capacity - segment.x);
     segments[i] = segment;

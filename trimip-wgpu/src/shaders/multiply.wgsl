@@ -1,8 +1,8 @@
-// C[rows, N] = A[rows, K] · W[K, N]: a workgroup computes 64 rows by 16·TN columns, an invocation 4 by TN of them.
-// `finish` decides what is stored.
+// C[rows, N] = A[rows, K] · W[K, N]. A workgroup computes 64 rows by 16·TN columns, an invocation 4 rows by TN
+// columns. `finish` defines what is stored.
 
 struct Params {
-    // Rows: counts[counter].
+    // Index of the counter of rows: counts[counter].
     counter: u32,
 }
 
@@ -29,7 +29,7 @@ fn multiply(
     let tile = group.y * groups.x + group.x;
     let first_row = tile / (N / COLUMNS) * ROWS;
     let first_column = tile % (N / COLUMNS) * COLUMNS;
-    // The same for the whole workgroup.
+    // Uniform over the workgroup.
     if first_row >= rows {
         return;
     }

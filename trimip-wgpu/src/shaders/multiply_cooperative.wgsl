@@ -1,9 +1,10 @@
-// C[rows, N] = A[rows, K] · W[K, N] by cooperative matrices: a workgroup computes ROWS rows, each of its subgroups strips
-// of T rows by T·TN columns. A is taken times SCALE, so that small gradients survive in f16. `finish` decides what is
-// stored. Arrays end with whole blocks of rows: what lies behind the last row is overwritten and never read.
+// C[rows, N] = A[rows, K] · W[K, N] with cooperative matrices. A workgroup computes ROWS rows; each of its subgroups
+// computes strips of T rows by T·TN columns. A is multiplied by SCALE so that small gradients do not underflow in
+// f16. `finish` defines what is stored. Arrays are padded to whole blocks of rows: values after the last row are
+// overwritten and never read.
 
 struct Params {
-    // Rows: counts[counter].
+    // Index of the counter of rows: counts[counter].
     counter: u32,
 }
 
@@ -12,7 +13,7 @@ struct Params {
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read_write> product: array<f32>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
-// Factors that did not fit into f16.
+// Number of factors that f16 cannot hold.
 @group(0) @binding(6) var<storage, read_write> overflows: array<atomic<u32>>;
 
 const STRIPS: u32 = N / (T * TN);
@@ -29,7 +30,7 @@ fn multiply(
 ) {
     let rows = counts[params.counter];
     let first = (group.y * groups.x + group.x) * ROWS;
-    // The same for the whole workgroup.
+    // Uniform over the workgroup.
     if first >= rows {
         return;
     }

@@ -1,5 +1,5 @@
-// The occupancy grid: which cells are asked, what they answer, which are occupied. Twin of `trimip_core::occupancy` and
-// of the CPU's grid. `state` holds: cells chosen, cells occupied, cells asked in this span.
+// The occupancy grid: selection of cells, their densities, and the occupied bits. Twin of `trimip_core::occupancy`
+// and of the CPU's grid. `state` holds: cells selected, cells occupied, cells queried in this span.
 
 struct Params {
     space: Space,
@@ -7,7 +7,7 @@ struct Params {
     point_draws: vec4<u32>,
     cells: u32,
     fraction: f32,
-    // First of the chosen cells of this span, and how many it has at most.
+    // Index of the span's first selected cell, and maximum number of cells of the span.
     first: u32,
     capacity: u32,
     radius: f32,
@@ -38,7 +38,7 @@ fn coordinates(cell: u32, side: u32) -> vec3<u32> {
     return vec3<u32>(cell % side, cell / side % side, cell / (side * side));
 }
 
-// A unit direction from 32 random bits: the upper half is the height, the lower half the angle.
+// A unit direction from 32 random bits: the upper half gives the height, the lower half the angle.
 fn direction_of(bits: u32) -> vec3<f32> {
     let part = (vec2<f32>(f32(bits >> 16u), f32(bits & 0xffffu)) + 0.5) / 65536.0;
     let height = 2.0 * part.x - 1.0;
@@ -47,7 +47,7 @@ fn direction_of(bits: u32) -> vec3<f32> {
     return vec3<f32>(radius * cos(angle), radius * sin(angle), height);
 }
 
-// Cells are listed in any order: each answers for itself.
+// The order of the listed cells does not matter: each is evaluated on its own.
 @compute @workgroup_size(GROUP)
 fn choose(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -144,7 +144,7 @@ fn sum_densities(
     }
 }
 
-// The threshold of this refresh goes to `partial[0]`; nothing is counted as occupied yet.
+// Writes the threshold of this refresh to `partial[0]` and sets the count of occupied cells to zero.
 @compute @workgroup_size(GROUP)
 fn settle(@builtin(local_invocation_index) local: u32) {
     var own = 0.0;
@@ -158,7 +158,7 @@ fn settle(@builtin(local_invocation_index) local: u32) {
     }
 }
 
-// One block of 64 cells an invocation.
+// One invocation per block of 64 cells.
 @compute @workgroup_size(GROUP)
 fn set_bits(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -184,7 +184,7 @@ fn set_bits(
     atomicAdd(&state[1], countOneBits(words.x) + countOneBits(words.y));
 }
 
-// A grid whose cells all equal their mean has none above it: without this it would stay empty for ever.
+// If all cells equal their mean, none is above it; without this rule such a grid would stay empty for ever.
 @compute @workgroup_size(GROUP)
 fn fill_if_empty(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -199,7 +199,7 @@ fn fill_if_empty(
     }
 }
 
-// One block of blocks an invocation.
+// One invocation per block of blocks.
 @compute @workgroup_size(GROUP)
 fn set_outer_bits(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -227,7 +227,7 @@ fn set_outer_bits(
     let at = 2u * (side * side * side + outer);
     grid[at] = words.x;
     grid[at + 1u] = words.y;
-    // Filled blocks count as occupied.
+    // If `fill_if_empty` filled the grid, all cells count as occupied.
     if outer == 0u && atomicLoad(&state[1]) == 0u {
         atomicStore(&state[1], params.cells);
     }

@@ -1,4 +1,4 @@
-// A texel's own gradient as `add_fixed` left it.
+// Reads a texel's own gradient, as written by `add_fixed`.
 @group(0) @binding(3) var<storage, read_write> high: array<vec4<u32>>;
 
 fn own_gradient(at: u32) -> vec4<f32> {

@@ -1,4 +1,4 @@
-// As many multiply-adds as a device can do: eight chains of vectors that wait for no memory.
+// Peak rate of multiply-adds: eight chains of vectors without memory accesses.
 
 struct Params {
     rounds: u32,

@@ -1,11 +1,11 @@
-// Pruning: `see` walks each ray front to back and marks the samples that are kept; after the counts are summed `list`
+// Pruning. `see` walks each ray front to back and marks the samples to keep. After the counts are summed, `list`
 // writes their rows. Twin of `compositing::Pruning`.
 
 struct Params {
     count: u32,
     max_depth: f32,
     min_weight: f32,
-    // Samples that there is room to keep.
+    // Maximum number of kept samples.
     capacity: u32,
 }
 
@@ -37,7 +37,7 @@ fn see(
             continue;
         }
         let own = radiance[j].w * intervals[j].y;
-        // The comparison is false for NaN: such a sample is kept, and the step that meets it reports it.
+        // The comparison is false for NaN: the sample is kept, and the training step reports it.
         if params.min_weight > 0.0 && exp(-depth) * (1.0 - exp(-own)) < params.min_weight {
             marks[j] = 0u;
             continue;
@@ -59,7 +59,7 @@ fn list(
     if i >= params.count {
         return;
     }
-    // What there is no room for is dropped from the end of the batch.
+    // A batch larger than its buffer is truncated.
     var segment = segments[i];
     segment.x = min(segment.x, params.capacity);
     segment.y = min(segment.y, params.capacity - segment.x);

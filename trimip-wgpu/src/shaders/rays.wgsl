@@ -1,24 +1,24 @@
-// Where rays come from: random pixels of the training views, or all pixels of a camera. Twin of the CPU's sampler.
+// Ray generation: random pixels of the training views, or all pixels of a camera. Twin of the CPU's sampler.
 
 struct Params {
     draws: vec4<u32>,
     background_draws: vec4<u32>,
     background: vec3<f32>,
-    // Share of the rays that have a random background.
+    // Fraction of the pixels that get a random background.
     random_share: f32,
-    // Pixels of the step; first pixel and number of pixels of this span.
+    // Number of pixels of the step; index of the first pixel and number of pixels of this span.
     total: u32,
     first: u32,
     count: u32,
     scales: u32,
     premultiplied: u32,
-    // Photographs come as this span's pixels, in their order.
+    // 1 if `pixels` holds only this span's pixels, in order.
     streamed: u32,
     // Cones along a side of a pixel.
     side: u32,
-    // Rays from this index of the step on belong to this scale or a coarser one.
+    // Rays of the step from this index on belong to this scale or a coarser one.
     begins: array<vec4<u32>, 2>,
-    // Loss weight of a ray of each scale.
+    // Loss weight of a ray, by scale.
     weights: array<vec4<f32>, 2>,
 }
 
@@ -38,7 +38,7 @@ struct Scale {
 // First cone and number of cones of each pixel.
 @group(0) @binding(6) var<storage, read_write> pixel_groups: array<vec2<u32>>;
 
-// The cones of a pixel, the span's number `i`.
+// Generates the cones of a pixel, which is number `i` of the span.
 fn cones_of(i: u32, view: View, x: u32, y: u32) {
     let count = params.side * params.side;
     pixel_groups[i] = vec2<u32>(i * count, count);
@@ -80,7 +80,7 @@ fn training_rays(
     }
     let scale = scales[s];
     let pixel = scale.first_pixel + below(random_bits(params.draws, index).x, scale.pixels);
-    // The last view that does not begin behind the pixel.
+    // The last view that starts at or before the pixel.
     var low = scale.first_view;
     var high = scale.first_view + scale.views;
     while high - low > 1u {

@@ -1,15 +1,15 @@
-// Exclusive sums of the counts of segments: `sum_blocks` adds up blocks of BLOCK segments, `sum_all` the blocks, and
-// `start_segments` gives every segment its start. The order of all additions is fixed.
+// Exclusive prefix sums of the segments' counts. `sum_blocks` sums blocks of BLOCK segments, `sum_all` scans the
+// blocks, and `start_segments` writes the start of every segment. The order of all additions is fixed.
 
 struct Params {
     count: u32,
     blocks: u32,
-    // Which of the counters the total goes to, and what it is at most; what is dropped goes two further.
+    // Index of the counter for the total, and maximum of the total. The excess goes to the counter two further.
     counter: u32,
     capacity: u32,
 }
 
-// Segments of an invocation, and of a workgroup.
+// Segments per invocation, and per workgroup.
 const EACH: u32 = 4u;
 const BLOCK: u32 = EACH * GROUP;
 
@@ -20,7 +20,7 @@ const BLOCK: u32 = EACH * GROUP;
 
 var<workgroup> sums: array<u32, GROUP>;
 
-// Exclusive sum over the workgroup; afterwards `sums[GROUP - 1]` holds the total of all.
+// Exclusive prefix sum over the workgroup; afterwards `sums[GROUP - 1]` holds the total.
 fn exclusive(local: u32, own: u32) -> u32 {
     sums[local] = own;
     workgroupBarrier();

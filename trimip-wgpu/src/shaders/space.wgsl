@@ -7,16 +7,16 @@ struct Space {
     // Cells along each side of the occupancy grid.
     resolution: u32,
     aabb_max: vec3<f32>,
-    // Longest side.
+    // Longest side of the box.
     longest: f32,
-    // Quotients are made where they are exact to half an ulp: a device's own division may be off by more.
+    // Quotients are computed on the host, exact to half an ulp; a device's own division may be less accurate.
     inverse_extent: vec3<f32>,
     padding: f32,
     cell_extent: vec3<f32>,
     more_padding: f32,
 }
 
-// Distances between which a ray can have samples; enter >= leave where it has none.
+// The distances (enter, leave) between which a ray can have samples; enter >= leave if there are none.
 fn intersect(space: Space, ray: Ray) -> vec2<f32> {
     var enter = 0.0;
     var leave = FAR;
@@ -44,12 +44,12 @@ fn to_world(space: Space, position: vec3<f32>) -> vec3<f32> {
     return space.aabb_min + position * (space.aabb_max - space.aabb_min);
 }
 
-// Factor of a sphere's radius at a point.
+// Factor by which the map scales a sphere's radius at a point.
 fn radius_scale(space: Space, point: vec3<f32>) -> f32 {
     return 1.0;
 }
 
-// The sphere of a ray at a distance: its centre in the cube, its radius.
+// The sphere of a ray at distance `t`: its centre in the cube, and its radius.
 fn sphere_at(space: Space, ray: Ray, t: f32) -> vec4<f32> {
     let point = ray.origin + t * ray.direction;
     return vec4<f32>(to_cube(space, point), ray.slope * t * radius_scale(space, point));
@@ -61,7 +61,8 @@ fn cell_of(space: Space, position: vec3<f32>) -> vec3<u32> {
     return min(vec3<u32>(max(scaled, vec3<f32>(0.0))), vec3<u32>(space.resolution - 1u));
 }
 
-// Distance at which a ray leaves the aligned cube of `size` cells around a cell, beyond `t`; FAR where that cannot be told.
+// Distance beyond `t` at which a ray leaves the aligned cube of `size` cells that contains `cell`; FAR if it cannot
+// be computed.
 fn cells_exit(space: Space, ray: Ray, t: f32, cell: vec3<u32>, size: u32) -> f32 {
     var leave = FAR;
     for (var axis = 0u; axis < 3u; axis++) {

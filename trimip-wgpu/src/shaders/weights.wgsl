@@ -1,8 +1,8 @@
-// Between parameters [inputs, outputs] and padded matrices: `pack` makes the matrix of a layer and its transpose,
-// `reduce` adds the chunks of a weight gradient and drops the padding.
+// Conversion between parameters [inputs, outputs] and padded matrices. `pack` writes a layer's matrix and its
+// transpose; `reduce` adds the chunks of a weight gradient and drops the padding.
 
 struct Params {
-    // First float of the layer in the parameters.
+    // Index of the layer's first float in the parameters.
     start: u32,
     inputs: u32,
     outputs: u32,
@@ -10,7 +10,7 @@ struct Params {
     k: u32,
     n: u32,
     chunks: u32,
-    // What the sums of the chunks are multiplied by.
+    // Factor that the sum of the chunks is multiplied by.
     scale: f32,
 }
 

@@ -1,4 +1,4 @@
-//! `report.json`: the report for programs. Sizes in bytes, times in seconds, PSNR in dB; what is unknown is `null`.
+//! `report.json`: the report for programs. Sizes in bytes, times in seconds, PSNR in dB; unknown values are `null`.
 
 use super::{Report, Status};
 use crate::run::history::Evaluation;

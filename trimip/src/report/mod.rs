@@ -1,5 +1,5 @@
-//! The report of a run: what it shows, its verdict, and its forms for programs and texts: JSON, CSV, Markdown, LaTeX. All are
-//! made from the run folder and the history of events, so that they can be made again at any time.
+//! The report of a run: its content, its verdict, and its machine-readable and text forms: JSON, CSV, Markdown, LaTeX.
+//! All are generated from the run folder and the event history, so they can be regenerated at any time.
 
 mod json;
 pub mod text;
@@ -17,41 +17,41 @@ use crate::{
 use trimip_core::{Config, Result, Settings, tensors::write_atomically};
 use verdict::Verdict;
 
-/// How far the run came, for the head of the report.
+/// State of the run, shown at the head of the report.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Status {
     /// Trained and evaluated.
     Finished,
-    /// Stopped by the user; it can go on.
+    /// Stopped by the user; it can resume.
     Stopped,
-    /// It failed, or missed its quality floor: one line.
+    /// Failed, or missed its quality floor; one line.
     Failed(String),
 }
 
-/// Everything a report shows.
+/// The content of a report.
 pub struct Report<'a> {
-    /// How far the run came.
+    /// State of the run.
     pub status: Status,
-    /// Name of the run: its folder's.
+    /// Name of the run: the name of its folder.
     pub run: String,
     /// Name of the scene.
     pub scene: String,
     /// The effective configuration.
     pub config: &'a Config,
-    /// The same with origins.
+    /// The effective configuration with the origin of each value.
     pub settings: &'a Settings,
-    /// The course of the run.
+    /// The run's event history.
     pub history: &'a History,
-    /// Where it ran.
+    /// The machine that it ran on.
     pub machine: Machine,
-    /// Size of the model file.
+    /// Size of the model file, bytes.
     pub model_bytes: Option<u64>,
     /// Every view of the final evaluation.
     pub views: Vec<ViewRecord>,
 }
 
 impl<'a> Report<'a> {
-    /// Gathers what the run folder and the history hold.
+    /// Collects the content from the run folder and the history.
     pub fn gather(
         folder: &RunFolder,
         status: Status,
@@ -74,10 +74,11 @@ impl<'a> Report<'a> {
         }
     }
 
-    /// Writes the report's tables and its JSON: `error_vs_time.csv`, `metrics.csv`, `report.md`, `report.tex`, `report.json`.
+    /// Writes the report's tables and JSON: `error_vs_time.csv`, `metrics.csv`, `report.md`, `report.tex`,
+    /// `report.json`.
     ///
     /// # Errors
-    /// When one of them cannot be written.
+    /// When a file cannot be written.
     pub fn write(&self, folder: &RunFolder) -> Result<()> {
         csv::write(&folder.curve(), self.history)?;
         csv::write_steps(&folder.steps(), &folder.events())?;
@@ -86,12 +87,12 @@ impl<'a> Report<'a> {
         write_atomically(&folder.json(), json::text(self)?.as_bytes())
     }
 
-    /// What the run came to.
+    /// The verdict on the run.
     pub fn verdict(&self) -> Verdict {
         Verdict::judge(self.history, &self.views)
     }
 
-    /// Which views the headline is measured on: `8 of 200 test views`.
+    /// The views that the headline figures are measured on: `8 of 200 test views`.
     pub fn views_measured(&self) -> String {
         let Some(e) = self.headline() else { return "not evaluated".into() };
         let of = self.history.test_views().map_or(String::new(), |all| format!(" of {all}"));
@@ -99,7 +100,7 @@ impl<'a> Report<'a> {
         format!("{}{of} test views{which}", e.views())
     }
 
-    /// The measures the report leads with: the final ones, else the latest.
+    /// The headline figures: the final evaluation, or else the latest one.
     pub fn headline(&self) -> Option<&Evaluation> {
         self.history.best_known()
     }
@@ -116,18 +117,18 @@ impl<'a> Report<'a> {
     }
 }
 
-/// What the folder is called, also where it is named as `.`.
+/// Name of the folder, resolved if the path is `.`.
 fn folder_name(folder: &RunFolder) -> String {
     let root = std::fs::canonicalize(folder.root()).unwrap_or_else(|_| folder.root().to_path_buf());
     root.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned())
 }
 
-/// What a scale is called: `full`, `1/2`, ..
+/// Name of a scale: `full`, `1/2`, ..
 pub fn scale_name(scale: u32) -> String {
     if scale == 1 { "full".into() } else { format!("1/{scale}") }
 }
 
-/// A report of two evaluations on a small curve, for tests of the writers.
+/// Passes a report of two evaluations on a small curve to `test`. For tests of the writers.
 #[cfg(test)]
 fn example(test: impl FnOnce(&Report<'_>)) {
     use crate::run::history::tests::evaluation;

@@ -1,11 +1,11 @@
-//! `report.md` and `report.tex`: the verdict and the table of measures for texts, as Markdown and as a LaTeX `tabular`
-//! that needs no package. PSNR in dB.
+//! `report.md` and `report.tex`: the verdict and the table of metrics, as Markdown and as a LaTeX `tabular` that needs
+//! no package. PSNR in dB.
 
 use super::{Report, scale_name};
 use crate::units;
 use trimip_core::evaluate::mean_quality;
 
-/// Head and rows of the table of measures, one row per scale and one for their mean; empty where nothing is measured.
+/// Header and rows of the table of metrics: one row per scale and one for their mean. Empty if nothing was measured.
 pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
     let Some(e) = report.headline() else { return Vec::new() };
     let head = [
@@ -38,7 +38,7 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
     rows
 }
 
-/// What the figures are of, in one line.
+/// Caption of the figures, one line.
 fn caption(report: &Report<'_>) -> String {
     let totals = &report.history.totals;
     format!(
@@ -93,7 +93,7 @@ pub fn latex(report: &Report<'_>) -> String {
     text + "\\hline\n\\end{tabular}\n"
 }
 
-/// Text that is safe inside LaTeX; dashes as it writes them.
+/// Escapes text for LaTeX and converts dashes.
 fn tex(text: &str) -> String {
     let mut safe = String::new();
     for c in text.chars() {

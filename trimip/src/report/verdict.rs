@@ -1,4 +1,4 @@
-//! What a run came to, in words: a pure function of its final evaluation, its last figures of training and the spread of
+//! The verdict on a run in words: a pure function of its final evaluation, its last training figures and the spread of
 //! its test views. PSNR in dB, shares from 0 to 1.
 
 use crate::run::{
@@ -7,88 +7,89 @@ use crate::run::{
 };
 use trimip_core::evaluate::{MOST_PSNR, MeanQuality, mean_quality};
 
-/// Least mean PSNR of a good model: an error of 5.6 % of the range, below which edges are no longer blurred at a glance.
+/// Minimum mean PSNR of a good model: an error of 5.6 % of the range. Below it, edges are visibly blurred.
 const GOOD: f64 = 25.0;
-/// Least PSNR above that of each photograph's mean colour of a good model: a sixteenth of the squared error is left.
+/// Minimum gain of a good model over the PSNR of each photograph's mean colour: a sixteenth of its squared error.
 const GOOD_ABOVE: f64 = 12.0;
-/// Least mean PSNR of a fair model: an error of a tenth of the range.
+/// Minimum mean PSNR of a fair model: an error of a tenth of the range.
 const FAIR: f64 = 20.0;
-/// Least PSNR above the mean colours' of a fair model: a quarter of the squared error is left.
+/// Minimum gain of a fair model over the mean colour's PSNR: a quarter of its squared error.
 const FAIR_ABOVE: f64 = 6.0;
-/// Least PSNR above the mean colours' of a model that learned anything, the default of `eval.min_gain`.
+/// Minimum gain over the mean colour's PSNR of a model that learned anything; the default of `eval.min_gain`.
 const GAIN: f64 = 1.0;
-/// From here on an error of 1 % of the range is left, good whatever a constant picture has: scenes may be almost blank.
+/// From this PSNR on, the error is at most 1 % of the range. The model is good whatever its gain: scenes may be almost
+/// blank.
 const BEYOND_DOUBT: f64 = 40.0;
-/// What a grey picture has of pixels that are spread evenly over the range (variance 1/12): the bound of a model that
-/// learned nothing where the mean colours' PSNR is not known.
+/// PSNR of a grey picture against pixels spread evenly over the range (variance 1/12): the bound for a model that
+/// learned nothing if the mean colour's PSNR is unknown.
 const GREY: f64 = 10.8;
-/// Least share of occupied cells of a fog: surfaces and what lies just behind them fill an eighth of a box and less, and
+/// Minimum share of occupied cells in fog. Surfaces and the cells just behind them fill an eighth of a box or less, and
 /// a box is full when training begins.
 const FOG_OCCUPIED: f64 = 0.25;
-/// Least share of the marched samples that a fog keeps: behind a surface rays are left and samples dropped, and solid
-/// models keep 0.8 to 0.94.
+/// Minimum share of marched samples that fog keeps. In a solid model, rays end behind a surface and drop their
+/// remaining samples; it keeps 0.8 to 0.94.
 const FOG_KEPT: f64 = 0.95;
-/// dB by which a view must lie below the median of its scale to suggest floaters, six times its squared error: a floater
-/// hides the scene from few cameras. Reflections that no training view shows cost up to 6 dB.
+/// Distance in dB below the median of its scale at which a view suggests floaters: six times its squared error. A
+/// floater hides the scene from few cameras. Reflections that no training view shows cost up to 6 dB.
 const FLOATER: f64 = 8.0;
-/// Views that a median needs.
+/// Minimum number of views for a median.
 const VIEWS: usize = 4;
 
-/// How good a model is.
+/// Quality grade of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Grade {
     /// There is no final evaluation.
     NotEvaluated,
-    /// Hardly better than each photograph's mean colour.
+    /// Barely better than each photograph's mean colour.
     FailedToLearn,
-    /// Density everywhere, surfaces nowhere.
+    /// Density everywhere and no surfaces.
     Fog,
-    /// Worse than fair for another reason.
+    /// Below fair for another reason.
     Poor,
-    /// Recognisable, not sharp.
+    /// Recognisable but not sharp.
     Fair,
-    /// As wanted.
+    /// Good quality.
     Good,
 }
 
-/// What a run is judged by.
+/// The input of a verdict.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Figures {
-    /// Of the final evaluation.
+    /// Means of the final evaluation.
     pub mean: Option<MeanQuality>,
-    /// The last of training.
+    /// The last training figures.
     pub training: Training,
-    /// dB of the worst view of the finest scale below the median of that scale; `None` below four views.
+    /// Distance in dB of the worst view of the finest scale below the median of that scale; `None` below four views.
     pub below_median: Option<f64>,
 }
 
-/// The judgement and what it rests on.
+/// The verdict and the figures it is based on.
 ///
-/// The rules, first to last; the constants above say each threshold with its reason:
+/// The rules in order; the constants above give each threshold and its reason:
 ///
 /// 1. *not evaluated*: there is no final evaluation.
-/// 2. *failed to learn*: PSNR is not [`MeanQuality::learned`], 1 dB above that of each photograph's mean colour; where
-///    that is not known, PSNR below 10.8 dB, that of grey.
-/// 3. *good*: PSNR of 25 dB and 12 dB above the mean colours, or 40 dB.
+/// 2. *failed to learn*: PSNR is not [`MeanQuality::learned`], 1 dB above that of each photograph's mean colour; if
+///    that is unknown, PSNR is below 10.8 dB, that of grey.
+/// 3. *good*: PSNR is at least 25 dB and 12 dB above the mean colour's, or at least 40 dB.
 /// 4. *fog*: not good, at least 25 % of the cells are occupied and at least 95 % of the marched samples are kept.
-/// 5. *fair*: PSNR of 20 dB and 6 dB above the mean colours.
+/// 5. *fair*: PSNR is at least 20 dB and 6 dB above the mean colour's.
 /// 6. *poor*: the rest.
 ///
-/// A model that learned and is no fog may have two faults beside its grade: *floaters suspected* where a test view has
-/// 8 dB less than the median of its scale, and *the background shines through* where [`MeanQuality::remark`] says so.
+/// A model that learned and is not fog can have two more faults: *floaters suspected* if a test view is 8 dB below the
+/// median of its scale, and *the background shines through* if [`MeanQuality::remark`] reports it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Verdict {
-    /// How good it is.
+    /// Quality grade.
     pub grade: Grade,
     /// Some views are far worse than most.
     pub floaters: bool,
-    /// It has less PSNR on another background.
+    /// PSNR is lower on another background.
     pub shines_through: bool,
     figures: Figures,
 }
 
 impl Verdict {
-    /// The verdict on a run; `views` are those of its final evaluation.
+    /// Judges a run; `views` are those of its final evaluation.
     pub fn judge(history: &History, views: &[ViewRecord]) -> Self {
         Self::of(Figures {
             mean: history.last().map(|evaluation| mean_quality(&evaluation.scales)),
@@ -97,7 +98,7 @@ impl Verdict {
         })
     }
 
-    /// The verdict on figures.
+    /// Judges the given figures.
     pub fn of(figures: Figures) -> Self {
         let grade = figures.mean.map_or(Grade::NotEvaluated, |mean| grade(&mean, &figures.training));
         let shows = matches!(grade, Grade::Poor | Grade::Fair | Grade::Good);
@@ -109,7 +110,7 @@ impl Verdict {
         }
     }
 
-    /// The verdict in few words: a grade, and the faults beside it.
+    /// The verdict in a few words: the grade and the faults.
     pub fn label(&self) -> String {
         let mut label = match self.grade {
             Grade::NotEvaluated => "not evaluated",
@@ -129,7 +130,7 @@ impl Verdict {
         label
     }
 
-    /// Class of the badge: `good` is for a good model without a fault alone.
+    /// CSS class of the badge: `good` only for a good model without faults.
     pub fn class(&self) -> &'static str {
         match self.grade {
             Grade::NotEvaluated => "plain",
@@ -139,7 +140,7 @@ impl Verdict {
         }
     }
 
-    /// What the verdict rests on, and what may help; one line each.
+    /// Reasons for the verdict and possible remedies, one line each.
     pub fn reasons(&self) -> Vec<String> {
         let Some(mean) = self.figures.mean else {
             return vec![
@@ -177,7 +178,7 @@ impl Verdict {
         reasons
     }
 
-    /// One line for a terminal.
+    /// The verdict as one line for a terminal.
     pub fn words(&self) -> String {
         format!("{}: {}", self.label(), self.reasons().join("; "))
     }
@@ -192,7 +193,7 @@ fn grade(mean: &MeanQuality, training: &Training) -> Grade {
     if (mean.psnr >= GOOD && above >= GOOD_ABOVE) || mean.psnr >= BEYOND_DOUBT {
         return Grade::Good;
     }
-    // Where nothing was marched there is nothing to say.
+    // If nothing was marched there is no figure to judge.
     let kept = training.kept_per_ray / training.marched_per_ray;
     if training.occupied >= FOG_OCCUPIED && kept >= FOG_KEPT {
         return Grade::Fog;
@@ -200,7 +201,7 @@ fn grade(mean: &MeanQuality, training: &Training) -> Grade {
     if mean.psnr >= FAIR && above >= FAIR_ABOVE { Grade::Fair } else { Grade::Poor }
 }
 
-/// dB of the worst view of the finest scale below the median of that scale.
+/// Distance in dB of the worst view of the finest scale below the median of that scale.
 fn below_median(views: &[ViewRecord]) -> Option<f64> {
     let finest = views.iter().map(|view| view.scale).min()?;
     let mut psnr: Vec<f64> = views.iter().filter(|v| v.scale == finest).filter_map(|v| v.psnr).collect();
@@ -216,7 +217,7 @@ mod tests {
         Some(MeanQuality { psnr, psnr_8bit: psnr, psnr_opposite, psnr_constant, ssim: 0.9 })
     }
 
-    /// Figures of a solid model with `psnr`, where a constant picture has 11 dB.
+    /// Figures of a solid model with `psnr`; a constant picture has 11 dB.
     fn solid(psnr: f64) -> Figures {
         let training = Training { loss: 0.1, occupied: 0.1, marched_per_ray: 30.0, kept_per_ray: 27.0 };
         Figures { mean: mean(psnr, psnr, 11.0), training, below_median: Some(3.0) }

@@ -1,4 +1,4 @@
-//! What a run begins with: fresh settings, the checkpoint of its folder, or a finished run with a longer budget.
+//! The starting point of a run: fresh settings, the folder's checkpoint, or a finished run with a longer budget.
 
 use super::{folder::RunFolder, history::Evaluation, history::History};
 use crate::units;
@@ -11,22 +11,22 @@ use trimip_core::{
     scene_plan::{self, Finding},
 };
 
-/// What a run begins with.
+/// The starting point of a run.
 pub struct Beginning {
     pub settings: Settings,
-    /// What the plan decided, where the run goes on.
+    /// The plan's decisions, if the run resumes.
     pub findings: Vec<Finding>,
     pub checkpoint: Option<Checkpoint>,
-    /// How a finished run goes on, one line.
+    /// How a finished run continues, one line.
     pub extended: Option<String>,
 }
 
 impl Beginning {
-    /// A run of `given` settings in a folder that is held; goes on with what is there unless it is to be `fresh`. A run
-    /// that goes on keeps the plan it began with; another one is planned when its scene is known.
+    /// Starts or resumes a run of `given` settings in a locked folder; with `fresh`, always starts. A resumed run keeps
+    /// its plan. A new run is planned once its scene is known.
     ///
     /// # Errors
-    /// When the folder holds another run, or the settings are wrong.
+    /// When the folder holds another run, or the settings are invalid.
     pub fn of(given: Settings, folder: &RunFolder, fresh: bool) -> Result<Self> {
         let (mut settings, mut findings) = (given.clone(), Vec::new());
         let earlier = if fresh { None } else { folder.findings()? };
@@ -41,8 +41,8 @@ impl Beginning {
         Ok(Self { settings, findings, checkpoint, extended: None })
     }
 
-    /// The finished run of a folder that is held, for `more` seconds longer, with the settings that it was trained with and
-    /// `assignments` over them.
+    /// Extends the finished run of a locked folder by `more` seconds. Uses the settings that it was trained with, with
+    /// `assignments` applied.
     ///
     /// # Errors
     /// When the run is not finished, or an assignment changes its model.
@@ -65,7 +65,7 @@ impl Beginning {
         }
         assignments.iter().try_for_each(|set| settings.apply_assignment(set))?;
         let old = &checkpoint.config.train;
-        // Of a run of steps, as many more as take the time.
+        // A run limited by steps gets the number of steps that take this time.
         let budget = match old.steps {
             0 => format!("train.seconds={:?}", old.seconds.max(totals.seconds) + more),
             steps => {
@@ -91,10 +91,10 @@ impl Beginning {
         Ok(Self { settings, findings, checkpoint: Some(checkpoint), extended: Some(extended) })
     }
 
-    /// The history of the folder's run where that is this very run, trained and evaluated.
+    /// Returns the history of the folder's run if it is this run, trained and evaluated.
     ///
     /// # Errors
-    /// When the settings are wrong.
+    /// When the settings are invalid.
     pub fn finished(&self, folder: &RunFolder) -> Result<Option<History>> {
         let Some(checkpoint) = self.checkpoint.as_ref().filter(|_| self.extended.is_none()) else {
             return Ok(None);
@@ -106,8 +106,8 @@ impl Beginning {
     }
 }
 
-/// Keeps the budget to which an earlier extension brought the folder's run, where the given one is no longer: the settings
-/// that began a run go on with it, and find it finished.
+/// Keeps the budget of an earlier extension if the given budget is smaller. The settings that began a run then still
+/// match it, and find it finished.
 fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
     let extended = || folder.events().iter().any(|event| matches!(event, Event::Extended { .. }));
     let Ok(text) = std::fs::read_to_string(folder.config()) else { return Ok(()) };
@@ -124,7 +124,7 @@ fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
     Ok(())
 }
 
-/// True when the history holds the final evaluation that the configuration asks for.
+/// True if the history holds the final evaluation that the configuration asks for.
 fn evaluated(config: &Config, history: &History, totals: &Totals) -> bool {
     let bounded = config.eval.share > 0.0;
     let asked = |e: &Evaluation| e.bounded && bounded || config.eval.final_stride(e.frames) == Some(e.stride);

@@ -51,8 +51,8 @@ pub fn write_steps(path: &Path, events: &[Event]) -> Result<()> {
     write_atomically(path, steps(events).as_bytes())
 }
 
-/// Columns: step, seconds of training, samples kept and rays so far; loss and PSNR (dB) of the step's own pixels; learning
-/// rate; share of occupied cells; kept samples per second. What is no number is left empty.
+/// Columns: step, seconds of training, samples kept and rays so far; loss and PSNR (dB) of the step's own pixels;
+/// learning rate; share of occupied cells; kept samples per second. A value that is not finite is left empty.
 fn steps(events: &[Event]) -> String {
     let mut text =
         "step,seconds,samples,rays,loss,batch_psnr,learning_rate,occupied,samples_per_second\n".to_string();

@@ -1,4 +1,4 @@
-//! The folder of a run: names of its files, what state it is in, reading and writing its events.
+//! The folder of a run: names of its files, its state, reading and writing its events.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -7,13 +7,13 @@ use trimip_core::{
     tensors::write_atomically,
 };
 
-/// The files of a run.
+/// Paths of a run's files.
 #[derive(Clone, Debug)]
 pub struct RunFolder {
     root: PathBuf,
 }
 
-/// Names of everything that a run writes, `images/` aside. Its events come last: they are the mark of a run.
+/// Names of all files that a run writes, except `images/`. The events come last: they mark a folder as a run's.
 const FILES: [&str; 12] = [
     "config.toml",
     "plan.json",
@@ -30,7 +30,7 @@ const FILES: [&str; 12] = [
 ];
 
 impl RunFolder {
-    /// Names a folder; touches nothing.
+    /// Names a folder without touching the disk.
     pub fn new(root: &Path) -> Self {
         Self { root: root.to_path_buf() }
     }
@@ -45,7 +45,7 @@ impl RunFolder {
         self.root.join("config.toml")
     }
 
-    /// One event a line.
+    /// The events, one JSON object per line.
     pub fn metrics(&self) -> PathBuf {
         self.root.join("metrics.jsonl")
     }
@@ -55,25 +55,25 @@ impl RunFolder {
         self.root.join("model.safetensors")
     }
 
-    /// The state to go on from.
+    /// The state to resume from.
     pub fn checkpoint(&self) -> PathBuf {
         self.root.join("checkpoint.safetensors")
     }
 
-    /// Measures of every view of the final evaluation.
+    /// Metrics of every view of the final evaluation.
     pub fn views(&self) -> PathBuf {
         self.root.join("views.json")
     }
 
-    /// What the scene plan decided.
+    /// The decisions of the scene plan.
     pub fn plan(&self) -> PathBuf {
         self.root.join("plan.json")
     }
 
-    /// What the scene plan decided when the run began; `None` where there is no such file.
+    /// Reads the decisions that the scene plan made when the run began; `None` if the file does not exist.
     ///
     /// # Errors
-    /// When the file is not what was written.
+    /// When the file is not valid.
     pub fn findings(&self) -> Result<Option<Vec<Finding>>> {
         let Ok(bytes) = std::fs::read(self.plan()) else { return Ok(None) };
         serde_json::from_slice(&bytes)
@@ -81,7 +81,7 @@ impl RunFolder {
             .map_err(|error| Error::input(self.plan().display(), error, "give --fresh to start the run anew"))
     }
 
-    /// Keeps what the scene plan decided.
+    /// Writes the decisions of the scene plan.
     ///
     /// # Errors
     /// When the folder cannot be written.
@@ -90,7 +90,7 @@ impl RunFolder {
         write_atomically(&self.plan(), text.as_bytes())
     }
 
-    /// The curve.
+    /// The curve of error against time.
     pub fn curve(&self) -> PathBuf {
         self.root.join("error_vs_time.csv")
     }
@@ -115,7 +115,7 @@ impl RunFolder {
         self.root.join("report.tex")
     }
 
-    /// Step events as a table.
+    /// The step events as a table.
     pub fn steps(&self) -> PathBuf {
         self.root.join("metrics.csv")
     }
@@ -125,7 +125,7 @@ impl RunFolder {
         self.root.join("images")
     }
 
-    /// Creates the folder and proves that it can be written, before anything long begins.
+    /// Creates the folder and checks that it is writable, before any long work begins.
     ///
     /// # Errors
     /// When it cannot be written.
@@ -141,10 +141,10 @@ impl RunFolder {
         create_writable(&self.images())
     }
 
-    /// The checkpoint in the folder, refused where it belongs to another configuration.
+    /// Reads the folder's checkpoint, if any.
     ///
     /// # Errors
-    /// When the folder holds a run of other settings, or files that are not whole.
+    /// When the folder holds a run with other settings, or incomplete files.
     pub fn resume_point(&self, config: &Config) -> Result<Option<Checkpoint>> {
         let path = self.checkpoint();
         if path.exists() {
@@ -178,12 +178,12 @@ impl RunFolder {
         Ok(None)
     }
 
-    /// Everything that a run writes, pictures aside, whether it is there or not; the events last.
+    /// Paths of all files that a run writes, except pictures, whether they exist or not; the events last.
     pub fn files(&self) -> Vec<PathBuf> {
         FILES.iter().map(|name| self.root.join(name)).collect()
     }
 
-    /// Removes what an earlier run left; files of others stay.
+    /// Removes the files of an earlier run. Other files stay.
     ///
     /// # Errors
     /// When a file cannot be removed.
@@ -203,14 +203,14 @@ impl RunFolder {
         Ok(())
     }
 
-    /// Pictures in `images/` that runs wrote, by their names: whatever else lies there is somebody's.
+    /// Pictures in `images/` that runs wrote, recognised by name. Other files there belong to the user.
     pub fn pictures(&self) -> Vec<PathBuf> {
         let entries = std::fs::read_dir(self.images()).into_iter().flatten().flatten();
         let ours = entries.filter(|entry| is_picture(&entry.file_name().to_string_lossy()));
         ours.map(|entry| entry.path()).collect()
     }
 
-    /// Refuses a configuration file that the effective settings of a new run would replace.
+    /// Protects a configuration file that a new run would overwrite with its effective settings.
     ///
     /// # Errors
     /// When `given` is the folder's `config.toml`, and no run wrote it.
@@ -226,14 +226,14 @@ impl RunFolder {
         ))
     }
 
-    /// Events written so far. A line that a killed run left half written is passed over.
+    /// Events written so far. Skips a line that a killed run left incomplete.
     pub fn events(&self) -> Vec<Event> {
-        // A line may end within a character.
+        // A torn line may end within a UTF-8 character.
         let bytes = std::fs::read(self.metrics()).unwrap_or_default();
         String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
     }
 
-    /// Replaces the events by `events` and opens the file to append more.
+    /// Replaces the events with `events` and opens the file for appending.
     ///
     /// # Errors
     /// When the folder cannot be written.
@@ -250,10 +250,10 @@ impl RunFolder {
     }
 }
 
-/// The model of a run folder or file; of a run that is not finished, its checkpoint's.
+/// Reads the model of a run folder or a model file. For an unfinished run, reads the model of its checkpoint.
 ///
 /// # Errors
-/// When there is no model, or it is not whole.
+/// When there is no model, or it is incomplete.
 pub fn read_model(path: &Path) -> Result<Model> {
     if !path.is_dir() {
         return Model::read(path);
@@ -272,7 +272,7 @@ pub fn read_model(path: &Path) -> Result<Model> {
     Ok(Checkpoint::read(&folder.checkpoint())?.into_model())
 }
 
-/// True for names that [`picture_stem`] makes, of a picture or a comparison.
+/// True for names that [`picture_stem`] produces, of a picture or a comparison.
 fn is_picture(name: &str) -> bool {
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let Some(stem) = name.strip_suffix(".png") else { return false };
@@ -281,12 +281,12 @@ fn is_picture(name: &str) -> bool {
     front.split_once('_').is_some_and(|(index, _)| index.len() >= 4 && digits(index)) && digits(scale)
 }
 
-/// Name of the picture of a test view, without extension.
+/// Name of a test view's picture, without extension.
 pub fn picture_stem(index: usize, photograph: &str, scale: u32) -> String {
     format!("{index:04}_{photograph}_scale{scale}")
 }
 
-/// Creates a folder with its parents and proves that files can be written there.
+/// Creates a folder and its parents, and checks that files can be written there.
 ///
 /// # Errors
 /// When it cannot be written.
@@ -324,7 +324,7 @@ mod tests {
         let (_keep, folder) = folder();
         drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
         let whole = std::fs::read(folder.metrics()).unwrap();
-        // Half a line, and half a character.
+        // Half a line and half a character.
         let torn = [&whole[..], &whole[..whole.len() / 2], &"×".as_bytes()[..1]].concat();
         std::fs::write(folder.metrics(), torn).unwrap();
         assert_eq!(folder.events().len(), 1);

@@ -1,6 +1,6 @@
-//! What keeps a run folder from harm: a folder with files that no run wrote is refused before anything is written, and a lock
-//! keeps two processes on one folder apart. A run's mark is an event in `metrics.jsonl`, which it writes first and removes
-//! last, or the head of a checkpoint.
+//! Protects a run folder. A folder with files that no run wrote is refused before anything is written, and a lock keeps
+//! a second process out. A folder is a run's if `metrics.jsonl` holds an event, which the run writes first and removes
+//! last, or if it holds the header of a checkpoint.
 
 use super::folder::RunFolder;
 use std::fs::{File, TryLockError};
@@ -8,25 +8,25 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use trimip_core::{Error, Result, checkpoint::FORMAT, events::Event};
 
-/// Bytes of a checkpoint's head that are searched for its format.
+/// Number of leading bytes of a checkpoint that are searched for its format.
 const HEAD: u64 = 1 << 16;
 
 impl RunFolder {
-    /// True when a run of this program wrote the folder.
+    /// True if a run of this program wrote the folder.
     pub fn is_ours(&self) -> bool {
         has_event(&self.metrics()) || is_checkpoint(&self.checkpoint())
     }
 
-    /// Refuses a folder that no run wrote but whose files a run would replace or remove; looks, and writes nothing.
+    /// Refuses a folder that no run wrote but that holds files a run would replace or remove. Writes nothing.
     ///
     /// # Errors
-    /// Names one of these files.
+    /// When there is such a file; the message names one.
     pub fn expect_no_others(&self) -> Result<()> {
         if self.is_ours() {
             return Ok(());
         }
         let mut others: Vec<PathBuf> = self.files().into_iter().chain(self.pictures()).collect();
-        // An empty file of events holds nothing to lose: a run that was killed in its first moment leaves one.
+        // An empty event file holds no data: a run that was killed at its start leaves one.
         let empty = |path: &Path| std::fs::metadata(path).is_ok_and(|metadata| metadata.len() == 0);
         others.retain(|path| path.exists() && !(*path == self.metrics() && empty(path)));
         let Some(first) = others.first() else { return Ok(()) };
@@ -41,10 +41,10 @@ impl RunFolder {
         ))
     }
 
-    /// Holds the folder for this process until the lock is dropped or the process ends, however it ends.
+    /// Locks the folder for this process until the lock is dropped or the process ends, however it ends.
     ///
     /// # Errors
-    /// When another process holds it, or the lock's file cannot be written.
+    /// When another process holds the lock, or the lock file cannot be written.
     pub fn lock(&self) -> Result<Lock> {
         let path = self.root().join("run.lock");
         loop {
@@ -53,7 +53,7 @@ impl RunFolder {
             })?;
             match file.try_lock() {
                 Ok(()) if is_at(&file, &path) => return Ok(Lock { path, _file: file }),
-                // Who held the lock has removed its file meanwhile: what is locked now is no longer there.
+                // The previous holder has removed its file meanwhile, so this lock is on a deleted file: try again.
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => {
                     return Err(Error::input(
@@ -62,31 +62,31 @@ impl RunFolder {
                         "wait until it has ended, stop it, or choose another --out folder",
                     ));
                 }
-                // A file system without locks keeps nobody apart.
+                // A file system without locks cannot exclude other processes.
                 Err(TryLockError::Error(_)) => return Ok(Lock { path, _file: file }),
             }
         }
     }
 }
 
-/// A folder held; its file goes with it.
+/// A lock on a folder. Dropping it removes the lock file.
 #[derive(Debug)]
 pub struct Lock {
     path: PathBuf,
-    /// Locked as long as it is open.
+    /// The lock is held while the file is open.
     _file: File,
 }
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // Left behind, it holds nobody up: the lock is the system's, not the file. Ours is empty.
+        // A leftover file blocks nobody: the operating system holds the lock, not the file. The lock file is empty.
         if std::fs::metadata(&self.path).is_ok_and(|metadata| metadata.len() == 0) {
             let _ = std::fs::remove_file(&self.path);
         }
     }
 }
 
-/// True when the open file is the one at `path`.
+/// True if the open file is the one at `path`.
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -95,19 +95,19 @@ fn is_at(file: &File, path: &Path) -> bool {
     matches!((open, there), (Ok(open), Ok(there)) if open == there)
 }
 
-/// True when the open file is the one at `path`: not to be told here.
+/// True if the open file is the one at `path`: assumed on this system.
 #[cfg(not(unix))]
 fn is_at(_file: &File, _path: &Path) -> bool {
     true
 }
 
-/// True when some line is an event of a run.
+/// True if some line is an event of a run.
 fn has_event(path: &Path) -> bool {
     let bytes = std::fs::read(path).unwrap_or_default();
     String::from_utf8_lossy(&bytes).lines().any(|line| serde_json::from_str::<Event>(line).is_ok())
 }
 
-/// True when the file begins as a checkpoint does, whole or not.
+/// True if the file begins like a checkpoint, complete or not.
 fn is_checkpoint(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
@@ -175,7 +175,7 @@ mod tests {
         drop(lock);
         drop(folder.lock().unwrap());
         assert_eq!(std::fs::read_dir(folder.root()).unwrap().count(), 0);
-        // What a killed process leaves behind keeps nobody out.
+        // The leftover file of a killed process blocks nobody.
         std::fs::write(folder.root().join("run.lock"), "").unwrap();
         folder.lock().unwrap();
     }

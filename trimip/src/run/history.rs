@@ -1,18 +1,18 @@
-//! What a run's events add up to: the curve of error against time, the final measures, warnings, counters. Built from
-//! the stream as it flows and, on resume, from `metrics.jsonl`; nothing else feeds the report.
+//! The state accumulated from a run's events: the curve of error against time, the final metrics, warnings, counters.
+//! Built from the event stream and, on resume, from `metrics.jsonl`. The report has no other source.
 
 use trimip_core::events::{Event, Provenance, ScaleQuality, Totals};
 
 /// One evaluation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Evaluation {
-    /// Where the run stood.
+    /// Counters at the time of the evaluation.
     pub totals: Totals,
     /// Every n-th test view was used.
     pub stride: usize,
-    /// Test views there are; 0 where that is not known.
+    /// Number of test views; 0 if unknown.
     pub frames: usize,
-    /// True where there was no time for all views or scales that were asked for.
+    /// True if time ran out before all requested views and scales were evaluated.
     pub bounded: bool,
     /// True for the evaluation that ends the run.
     pub last: bool,
@@ -22,75 +22,75 @@ pub struct Evaluation {
     pub psnr: f64,
     /// Mean of the scales' SSIM.
     pub ssim: f64,
-    /// Seconds it took.
+    /// Duration of the evaluation, seconds.
     pub seconds: f64,
 }
 
 impl Evaluation {
-    /// Test views that were evaluated, each at all of its scales.
+    /// Number of test views that were evaluated, each at all of its scales.
     pub fn views(&self) -> usize {
         self.scales.iter().map(|quality| quality.images).max().unwrap_or(0)
     }
 }
 
-/// One process's part of the run.
+/// One process's share of the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
     /// Backend.
     pub backend: String,
-    /// Its device.
+    /// Device of the backend.
     pub device: String,
-    /// Seconds from the program's start, everything included.
+    /// Seconds since the program's start, everything included.
     pub wall_seconds: f64,
-    /// Largest resident memory, where known.
+    /// Peak resident memory in bytes, if known.
     pub peak_memory_bytes: Option<u64>,
     /// Command line, version, date.
     pub provenance: Provenance,
 }
 
-/// Latest figures of training.
+/// Latest training figures.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Training {
     /// Mean loss of the latest step.
     pub loss: f64,
     /// Share of occupied cells.
     pub occupied: f64,
-    /// Samples marched per ray since the event before; 0 where no ray was cast.
+    /// Samples marched per ray since the previous event; 0 if no ray was cast.
     pub marched_per_ray: f64,
-    /// Samples kept per ray since the event before.
+    /// Samples kept per ray since the previous event.
     pub kept_per_ray: f64,
 }
 
-/// Everything the report tells about the course of a run.
+/// The history of a run, the source of its report.
 #[derive(Clone, Debug, Default)]
 pub struct History {
-    /// Evaluations in the order of steps, one per step and stride.
+    /// Evaluations in step order, one per step and stride.
     pub evaluations: Vec<Evaluation>,
-    /// One line each, none twice.
+    /// Warnings, one line each, without duplicates.
     pub warnings: Vec<String>,
-    /// Processes that worked on the run, first to last.
+    /// Processes that worked on the run, in order.
     pub parts: Vec<Part>,
-    /// Counters.
+    /// Latest counters.
     pub totals: Totals,
-    /// Latest figures of training.
+    /// Latest training figures.
     pub training: Training,
-    /// True once the schedule is done.
+    /// True after the last step of the schedule.
     pub finished: bool,
-    /// Predicted peak memory of the latest plan.
+    /// Predicted peak memory of the latest plan, bytes.
     pub predicted_memory_bytes: Option<u64>,
-    /// Counters of the latest step event, which the next one counts from.
+    /// Counters of the latest step event; rates are differences from these.
     logged: Totals,
 }
 
 impl History {
-    /// The history of events read from a file.
+    /// Builds the history from events read from a file.
     pub fn of(events: &[Event]) -> Self {
         let mut history = Self::default();
         events.iter().for_each(|event| history.take(event));
         history
     }
 
-    /// Takes the next event.
+    /// Adds the next event.
     pub fn take(&mut self, event: &Event) {
         if let Some(totals) = totals(event) {
             self.totals = *totals;
@@ -109,7 +109,7 @@ impl History {
                 self.logged = *totals;
             }
             Event::Evaluation { totals, stride, frames, bounded, last, scales, psnr, ssim, seconds } => {
-                // A step that is evaluated again, after a resume, replaces what was measured there.
+                // A step that is evaluated again after a resume replaces its earlier evaluation.
                 self.evaluations.retain(|other| {
                     (other.totals.step, other.stride) != (totals.step, *stride) && !(*last && other.last)
                 });
@@ -146,22 +146,21 @@ impl History {
         }
     }
 
-    /// The evaluation that ends the run.
+    /// The evaluation at the end of the run.
     pub fn last(&self) -> Option<&Evaluation> {
         self.evaluations.iter().find(|evaluation| evaluation.last)
     }
 
-    /// The newest evaluation there is, the final one first.
+    /// The final evaluation, or else the latest one.
     pub fn best_known(&self) -> Option<&Evaluation> {
         self.last().or(self.evaluations.last())
     }
 
-    /// Evaluations that may be drawn as one line: the most that are on the same test views at the same scales, in the order
-    /// of steps.
+    /// The evaluations drawn as one line, in step order: the largest group on the same test views at the same scales.
     pub fn curve(&self) -> Vec<&Evaluation> {
         let views = |e: &Evaluation| (e.stride, e.scales.first().map_or(0, |scale| scale.scale));
         let alike = |e: &Evaluation| self.evaluations.iter().filter(|other| views(other) == views(e)).count();
-        // Of two as many the finer, which is the smaller key.
+        // On a tie, the finer group wins; it has the smaller key.
         let Some(best) =
             self.evaluations.iter().max_by_key(|e| (alike(e), std::cmp::Reverse(views(e)))).map(views)
         else {
@@ -172,7 +171,7 @@ impl History {
         curve
     }
 
-    /// Backends and devices that worked on the run, none twice.
+    /// Backends and devices that worked on the run, without duplicates.
     pub fn devices(&self) -> Vec<String> {
         let mut devices: Vec<String> = Vec::new();
         for part in self.parts.iter().filter(|part| !part.device.is_empty()) {
@@ -184,17 +183,17 @@ impl History {
         devices
     }
 
-    /// Views of the test split, evaluated or not, where a part told.
+    /// Number of views in the test split, evaluated or not, if a part recorded it.
     pub fn test_views(&self) -> Option<usize> {
         self.parts.iter().rev().find_map(|part| part.provenance.test_views)
     }
 
-    /// Largest resident memory of all parts, where any is known.
+    /// Peak resident memory over all parts in bytes, if known.
     pub fn peak_memory_bytes(&self) -> Option<u64> {
         self.parts.iter().filter_map(|part| part.peak_memory_bytes).max()
     }
 
-    /// Seconds spent in evaluations; two that share a step share their rendering.
+    /// Total time of evaluations in seconds. Two evaluations at the same step share one rendering.
     pub fn evaluation_seconds(&self) -> f64 {
         let mut steps: Vec<(u64, f64)> = Vec::new();
         for evaluation in &self.evaluations {
@@ -207,7 +206,7 @@ impl History {
     }
 }
 
-/// The counters an event carries.
+/// The counters of an event.
 pub fn totals(event: &Event) -> Option<&Totals> {
     match event {
         Event::Resumed { totals }
@@ -220,7 +219,8 @@ pub fn totals(event: &Event) -> Option<&Totals> {
     }
 }
 
-/// Events up to `step`: what a run resumed there keeps. Later ones are done again and would stand twice.
+/// Events up to `step`, which a run resumed there keeps. Later steps are repeated, and their events would be
+/// duplicates.
 pub fn up_to(events: Vec<Event>, step: u64) -> Vec<Event> {
     events.into_iter().filter(|event| totals(event).is_none_or(|totals| totals.step <= step)).collect()
 }

@@ -1,4 +1,4 @@
-//! A run in a folder: its files, its history of events, and the training that writes both.
+//! A run in a folder: its files, its event history, and the training that writes both.
 
 mod begin;
 pub mod csv;

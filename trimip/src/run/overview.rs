@@ -1,23 +1,23 @@
-//! What a run is going to do and how much memory it will need, as lines that are printed before it starts.
+//! What a run will do and how much memory it needs, as lines printed before it starts.
 
 use crate::{machine::Machine, units};
 use std::path::Path;
 use trimip_core::{Config, Frames, Layout, Slot, ViewSet, encoders, scene_plan::Finding};
 
-/// What a run is going to do. The scene plan is a part of it.
+/// Overview of a run, including the scene plan.
 #[derive(Clone, Debug)]
 pub struct Overview {
-    /// One line each: a subject, a colon, what will be done.
+    /// One line each, in the form "subject: action".
     pub lines: Vec<String>,
-    /// Predicted peak memory.
+    /// Predicted peak memory, bytes.
     pub memory_bytes: u64,
 }
 
-/// What is known about the scene before training.
+/// Properties of the scene that are known before training.
 pub struct Subject<'a> {
     /// Name of the scene.
     pub name: &'a str,
-    /// What the reader says about the data.
+    /// The reader's description of the data.
     pub description: &'a [String],
     /// Training views.
     pub train: &'a ViewSet,
@@ -26,7 +26,7 @@ pub struct Subject<'a> {
 }
 
 impl Overview {
-    /// The overview of a run that starts at `step` and writes to `folder`; `findings` are the scene plan's.
+    /// Overview of a run that starts at `step` and writes to `folder`; `findings` are the scene plan's.
     pub fn new(
         config: &Config,
         subject: &Subject<'_>,
@@ -39,7 +39,7 @@ impl Overview {
         let mut lines = vec![format!("scene: {}", subject.name)];
         lines.extend(subject.description.iter().map(|line| format!("data: {line}")));
         lines.extend(subject.train.scales.iter().map(|scale| {
-            // A balance of b draws a pixel weight^b times as often and its ray weighs weight^(1 - b).
+            // A balance of b draws a pixel weight^b times as often, and its ray has weight^(1 - b) in the loss.
             let drawn = scale.weight.powf(config.train.scale_balance.at(0.0) as f32);
             format!(
                 "scale 1/{}: {}, {}, drawn {drawn:.3} times as often at loss weight {:.3}",
@@ -60,7 +60,7 @@ impl Overview {
         Self { lines, memory_bytes }
     }
 
-    /// A warning when the machine has less memory than the plan needs.
+    /// Returns a warning if the machine has less memory than the plan needs.
     pub fn memory_warning(&self, machine: &Machine) -> Option<String> {
         let available = machine.memory_available_bytes?;
         (self.memory_bytes > available).then(|| {

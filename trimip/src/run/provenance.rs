@@ -1,4 +1,4 @@
-//! Where a run came from: its command line as it was typed, the version that ran it, and when it ended.
+//! The origin of a run: its command line, the version that ran it, and its end time.
 
 use crate::machine;
 use std::ffi::OsString;
@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 use trimip_core::events::Provenance;
 
-/// What is known of this process, which tests on `test_views` views.
+/// Provenance of this process, for a test split of `test_views` views.
 pub fn here_and_now(test_views: usize) -> Provenance {
     Provenance {
         command: Some(command(std::env::args_os())),
@@ -16,7 +16,7 @@ pub fn here_and_now(test_views: usize) -> Provenance {
     }
 }
 
-/// Arguments as a line that a shell takes apart again; of the program its name alone, wherever it lies.
+/// Arguments as a shell command line. The program is given by name, without its folder.
 fn command(arguments: impl Iterator<Item = OsString>) -> String {
     let words = arguments.enumerate().map(|(i, word)| match i {
         0 => quoted(&Path::new(&word).file_stem().unwrap_or(&word).to_string_lossy()),
@@ -25,7 +25,7 @@ fn command(arguments: impl Iterator<Item = OsString>) -> String {
     words.collect::<Vec<_>>().join(" ")
 }
 
-/// A word in single quotes where a shell would read it otherwise.
+/// Puts a word in single quotes if a shell would interpret it.
 fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "-_./=:,+@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
@@ -34,7 +34,7 @@ fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
-/// `2024-02-29 13:05 UTC` of seconds since the beginning of 1970 (days to civil date after H. Hinnant,
+/// `2024-02-29 13:05 UTC` from seconds since the beginning of 1970 (days to civil date after H. Hinnant,
 /// chrono-Compatible Low-Level Date Algorithms).
 pub fn date(unix: u64) -> String {
     let days = unix / 86_400 + 719_468;
@@ -42,7 +42,7 @@ pub fn date(unix: u64) -> String {
     let day_of_era = days % 146_097;
     let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
     let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    // Years begin with March here, so that the leap day is their last.
+    // The year begins in March, so the leap day is its last day.
     let march = (5 * day_of_year + 2) / 153;
     let day = day_of_year - (153 * march + 2) / 5 + 1;
     let month = if march < 10 { march + 3 } else { march - 9 };

@@ -1,4 +1,4 @@
-//! Who listens to a run: its history, `metrics.jsonl`, and whoever the program names.
+//! Distributes the events of a run: to its history, to `metrics.jsonl`, and to the program's listener.
 
 use super::{csv, folder::RunFolder, history::History};
 use std::fs::File;
@@ -10,7 +10,7 @@ use trimip_core::{
 
 /// The run's event sink.
 pub struct Recorder<'a> {
-    /// What the events add up to.
+    /// The history accumulated from the events.
     pub history: History,
     listener: &'a mut dyn EventSink,
     metrics: File,
@@ -19,7 +19,7 @@ pub struct Recorder<'a> {
 }
 
 impl<'a> Recorder<'a> {
-    /// Listens on, after the events that the folder already holds and the run keeps.
+    /// Starts recording. `kept` are the events of the folder that the resumed run keeps.
     ///
     /// # Errors
     /// When the folder cannot be written.
@@ -33,7 +33,7 @@ impl<'a> Recorder<'a> {
         })
     }
 
-    /// The history, and the first failure to write metrics.
+    /// Returns the history and the first failure to write events.
     pub fn into_parts(self) -> (History, Option<Error>) {
         (self.history, self.failure)
     }
@@ -55,8 +55,8 @@ impl<'a> Recorder<'a> {
 impl EventSink for Recorder<'_> {
     fn emit(&mut self, event: &Event) {
         self.history.take(event);
-        // A full disk must not end hours of training before its last checkpoint is tried.
-        // How far an evaluation is says nothing once it is over.
+        // A full disk must not end hours of training before the last checkpoint is attempted.
+        // The progress of an evaluation is of no use once it is over.
         if !matches!(event, Event::EvaluationProgress { .. })
             && let Err(error) = self.write(event)
         {

@@ -1,5 +1,5 @@
-//! Where a run keeps its checkpoint, model and test pictures: files of its run folder. Pictures are those of some test
-//! views evenly spread, and of the worst and the best view of the finest scale.
+//! Stores a run's checkpoint, model and test pictures as files of its run folder. Pictures show evenly spaced test
+//! views, and the worst and best view of the finest scale.
 
 use super::folder::{RunFolder, picture_stem};
 use crate::view::pictures;
@@ -11,38 +11,38 @@ use trimip_core::{
     tensors::write_atomically,
 };
 
-/// One view of the final evaluation, as kept in `views.json`.
+/// One view of the final evaluation, as stored in `views.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewRecord {
     /// Index of the frame in the test split.
     pub index: usize,
     /// Name of the photograph.
     pub name: String,
-    /// Reduction of the view.
+    /// Reduction factor of the view.
     pub scale: u32,
-    /// dB; `None` where it is no number.
+    /// PSNR in dB; `None` if it is not finite.
     pub psnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
-    /// File in `images/` with rendered | photograph | difference, where the view was picked for a picture.
+    /// File in `images/` with rendered | photograph | difference, if the view was selected for a picture.
     pub comparison: Option<String>,
 }
 
-/// Pictures of a view that may turn out to be the worst or the best: kept until all are seen.
+/// A candidate for the worst or the best view; its pictures are kept until all views are seen.
 struct Extreme {
-    /// Its place among the records.
+    /// Index of the view's record.
     record: usize,
-    /// dB; what is no number is worse than anything.
+    /// PSNR in dB; a value that is not finite counts as the worst.
     psnr: f64,
     stem: String,
     rendered: RgbImage,
     sheet: RgbImage,
 }
 
-/// Files of a run folder as the run's store.
+/// Stores a run in its folder.
 pub struct FileStore<'a> {
     folder: &'a RunFolder,
-    /// Test frames that are pictured, and how many may be.
+    /// Indices of the test frames with pictures, and their maximum number.
     picked: Vec<usize>,
     images: usize,
     records: Vec<ViewRecord>,
@@ -51,13 +51,14 @@ pub struct FileStore<'a> {
 }
 
 impl<'a> FileStore<'a> {
-    /// The first `images` test frames that it sees will be written as pictures: evaluations begin with evenly spread ones.
+    /// Stores pictures of the first `images` test frames that it sees. An evaluation renders evenly spaced frames
+    /// first.
     pub fn new(folder: &'a RunFolder, images: usize) -> Self {
         Self { folder, picked: Vec::new(), images, records: Vec::new(), worst: None, best: None }
     }
 
-    /// Writes the worst and the best view and `views.json`, and removes pictures of an earlier evaluation; call when the
-    /// final evaluation is whole. Without wanted pictures (`eval.images = 0`) there are none of these two either.
+    /// Writes the worst and the best view and `views.json`, and removes pictures of an earlier evaluation. Call it when
+    /// the final evaluation is complete. With `eval.images = 0` it writes no pictures.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -73,7 +74,7 @@ impl<'a> FileStore<'a> {
         for path in self.folder.pictures() {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if !kept.iter().any(|keep| *keep == name || keep.replace("_compare", "") == name) {
-                // A picture that cannot be removed does no harm: nothing refers to it.
+                // A picture that cannot be removed does no harm: no file refers to it.
                 let _ = std::fs::remove_file(path);
             }
         }
@@ -83,7 +84,7 @@ impl<'a> FileStore<'a> {
         write_atomically(&self.folder.views(), text.as_bytes())
     }
 
-    /// Writes a view's picture and its comparison; returns the name of the comparison.
+    /// Writes a view's picture and its comparison; returns the file name of the comparison.
     fn write(&self, stem: &str, rendered: RgbImage, sheet: RgbImage) -> Result<String> {
         let (images, name) = (self.folder.images(), format!("{stem}_compare.png"));
         pictures::write_png(&images.join(format!("{stem}.png")), rendered)?;
@@ -91,7 +92,7 @@ impl<'a> FileStore<'a> {
         Ok(name)
     }
 
-    /// The views of the final evaluation that `finish` wrote; none where there was none.
+    /// Reads the views of the final evaluation that `finish` wrote; empty if there was none.
     pub fn read(folder: &RunFolder) -> Vec<ViewRecord> {
         let text = std::fs::read_to_string(folder.views()).unwrap_or_default();
         serde_json::from_str(&text).unwrap_or_default()
@@ -147,7 +148,7 @@ fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// The last part of a photograph's name without extension, safe as a file name.
+/// The last component of a photograph's name without extension, safe as a file name.
 pub fn file_stem(name: &str) -> String {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
     stem.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
@@ -166,7 +167,7 @@ mod tests {
         let mut store = FileStore::new(&folder, 1);
         let rendered = Frame { width: 2, height: 1, pixels: vec![Default::default(); 2] };
         let target = [[0.5; 3]; 2];
-        // Frame 0 is the one picked; scale 2 has the least and the greatest PSNR of all.
+        // Frame 0 is selected; scale 2 has the lowest and the highest PSNR overall.
         for (index, psnr) in [20.0, 30.0, 25.0, 10.0, 22.0].into_iter().enumerate() {
             for (scale, psnr) in [(1, psnr), (2, if index == 0 { 1.0 } else { 50.0 })] {
                 let name = format!("r_{index}");

@@ -1,5 +1,5 @@
-//! Training into a run folder: plan, train or go on, evaluate. Everything that can be refused is refused before anything
-//! long begins, and nothing of an earlier run is touched before that.
+//! Training into a run folder: plan, train or resume, evaluate. All input is validated before any long work begins, and
+//! an earlier run stays untouched until then.
 
 use super::{
     begin::Beginning,
@@ -26,17 +26,17 @@ use trimip_core::{
 };
 use trimip_data::Watch;
 
-/// Who is told of a training, and who stops it.
+/// Observers of a training and its stop flag.
 pub struct Listeners<'a> {
-    /// Takes every event of the run.
+    /// Receives every event of the run.
     pub events: &'a mut dyn EventSink,
-    /// Is told how many rows of the photographs are read, and of how many.
+    /// Receives the number of photograph rows read, and their total.
     pub reading: Watch<'a>,
-    /// Once it is true the run stops after the current step and saves.
+    /// When set to true, the run stops after the current step and saves.
     pub stop: &'a AtomicBool,
 }
 
-/// A training to be run.
+/// A training, ready to run.
 #[derive(Clone, Debug)]
 pub struct Training {
     folder: RunFolder,
@@ -47,24 +47,24 @@ pub struct Training {
 
 #[derive(Clone, Debug)]
 enum Work {
-    /// Train these settings; replace an earlier run where it is to be fresh.
+    /// Trains with these settings; with `fresh`, replaces an earlier run.
     Train { settings: Box<Settings>, fresh: bool },
-    /// Train a finished run for these seconds longer, with these assignments over its settings.
+    /// Trains a finished run for `seconds` longer, with `assignments` applied to its settings.
     Extend { seconds: f64, assignments: Vec<String> },
 }
 
 /// How a training ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// The schedule is done and the final evaluation made.
+    /// The schedule and the final evaluation are complete.
     Finished,
-    /// It was asked to stop; the checkpoint is written.
+    /// Stopped on request; the checkpoint is written.
     Stopped,
-    /// The folder held this very run, trained and evaluated; nothing was done.
+    /// The folder already held this run, trained and evaluated; nothing was done.
     Before,
 }
 
-/// What came of a training. The folder is held for this process until it is dropped.
+/// Result of a training. This process holds the lock on the folder until the value is dropped.
 #[derive(Debug)]
 pub struct Trained {
     /// The run's folder.
@@ -73,11 +73,11 @@ pub struct Trained {
     pub scene: String,
     /// The effective configuration, scene plan included.
     pub config: Config,
-    /// The same with origins.
+    /// The effective configuration with the origin of each value.
     pub settings: Settings,
-    /// The course of the run.
+    /// The run's event history.
     pub history: History,
-    /// How it ended, or why it failed; what was trained before a failure is saved.
+    /// How the training ended, or why it failed. Progress before a failure is saved.
     pub outcome: Result<Ended>,
     /// The first failure to write events to the folder.
     pub unwritten: Option<Error>,
@@ -85,23 +85,23 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// The model as the folder holds it: the finished one, or that of the last checkpoint.
+    /// Reads the model from the folder: the finished one, or the one in the last checkpoint.
     ///
     /// # Errors
-    /// When the training failed before there was one.
+    /// When the training failed before it wrote a model.
     pub fn model(&self) -> Result<Model> {
         read_model(self.folder.root())
     }
 
-    /// Size of the model file, bytes; `None` where the run is not finished.
+    /// Size of the model file in bytes; `None` if the run is not finished.
     pub fn model_bytes(&self) -> Option<u64> {
         std::fs::metadata(self.folder.model()).ok().map(|metadata| metadata.len())
     }
 
-    /// Holds the final evaluation against `eval.min_psnr` and `eval.min_gain`.
+    /// Checks the final evaluation against `eval.min_psnr` and `eval.min_gain`.
     ///
     /// # Errors
-    /// When it misses one of them.
+    /// When it is below one of them.
     pub fn judge(&self) -> Result<()> {
         let last = self.history.last();
         last.map_or(Ok(()), |e| mean_quality(&e.scales).judge(&self.config.eval))
@@ -109,13 +109,13 @@ impl Trained {
 }
 
 impl Training {
-    /// Trains `settings` into a folder. A run of the same settings that is there goes on, and is not run again where it is
+    /// Trains `settings` into a folder. Resumes an existing run with the same settings; does nothing if that run is
     /// finished.
     pub fn new(settings: Settings, folder: &Path) -> Self {
         Self::of(folder, Work::Train { settings: Box::new(settings), fresh: false })
     }
 
-    /// Goes on with the finished run of a folder for `seconds` longer; `assignments`, each `section.key=value`, change
+    /// Continues the finished run of a folder for `seconds` longer. `assignments`, each `section.key=value`, change
     /// settings that do not belong to the model.
     pub fn extend(folder: &Path, seconds: f64, assignments: Vec<String>) -> Self {
         Self::of(folder, Work::Extend { seconds, assignments })
@@ -125,7 +125,7 @@ impl Training {
         Self { folder: RunFolder::new(folder), work, stop_after: None, started: Instant::now() }
     }
 
-    /// Replaces the run that is in the folder.
+    /// If `wanted`, replaces an existing run in the folder.
     #[must_use]
     pub fn fresh(mut self, wanted: bool) -> Self {
         if let Work::Train { fresh, .. } = &mut self.work {
@@ -134,24 +134,24 @@ impl Training {
         self
     }
 
-    /// Stops after this many steps and saves, as if asked to; the same training goes on from there.
+    /// Stops after this many steps and saves, as on a stop request; the same training resumes from there.
     #[must_use]
     pub fn stop_after(mut self, steps: Option<u64>) -> Self {
         self.stop_after = steps;
         self
     }
 
-    /// Counts the run's wall time from here; without this call from the making of the `Training`.
+    /// Counts the run's wall time from `started`; the default is the creation of the `Training`.
     #[must_use]
     pub fn since(mut self, started: Instant) -> Self {
         self.started = started;
         self
     }
 
-    /// Trains; `events` takes every event of the run.
+    /// Trains; `events` receives every event of the run.
     ///
     /// # Errors
-    /// When the settings, the data, the folder or the device are refused, or when the training fails.
+    /// When the settings, the data, the folder or the device are refused, or the training fails.
     pub fn run(self, events: &mut dyn EventSink) -> Result<Trained> {
         let stop = AtomicBool::new(false);
         let trained = self.run_with(Listeners { events, reading: &trimip_data::unwatched, stop: &stop })?;
@@ -159,7 +159,7 @@ impl Training {
         Ok(trained)
     }
 
-    /// Trains with listeners. A failure in the course of the training stands in [`Trained::outcome`].
+    /// Trains with listeners. A failure during training is returned in [`Trained::outcome`].
     ///
     /// # Errors
     /// When the settings, the data, the folder or the device are refused.
@@ -201,7 +201,7 @@ impl Training {
         self.go(begin, held, listeners)
     }
 
-    /// Opens the scene, plans where that is not done, and trains.
+    /// Opens the scene, plans unless a plan exists, and trains.
     fn go(&self, begin: Beginning, held: Lock, listeners: Listeners<'_>) -> Result<Trained> {
         let Beginning { mut settings, mut findings, checkpoint, extended } = begin;
         let folder = &self.folder;
@@ -225,7 +225,7 @@ impl Training {
         };
         let memory = backends::predict_memory(&config, &scene.train);
         let overview = Overview::new(&config, &subject, &findings, &memory, folder.root(), totals.step);
-        // A GPU has memory of its own, and says itself what it has no room for.
+        // A GPU has its own memory, and its backend reports what does not fit.
         let on_host = config.backend == "cpu";
         let mut warnings = scene.warnings.clone();
         warnings.extend(doubts);
@@ -233,19 +233,19 @@ impl Training {
         warnings.extend(backends::software_warning(&config));
         let mut session = backends::train(&config, scene.train)?;
         let resumed = checkpoint.is_some();
-        // What was read is not needed beside what it was read into.
+        // Drop the checkpoint once it is restored: both need not be in memory together.
         if let Some(checkpoint) = checkpoint {
             session.restore(&checkpoint)?;
         }
 
-        // Nothing of an earlier run is touched before everything that can be refused was refused.
+        // All input is valid from here on; only now is an earlier run removed.
         if matches!(self.work, Work::Train { fresh: true, .. }) {
             folder.clear()?;
         }
-        // Without a checkpoint the run begins at its beginning, and so do its events.
+        // Without a checkpoint the run and its events start from the beginning.
         let kept = if resumed { up_to(folder.events(), totals.step) } else { Vec::new() };
         let mut recorder = Recorder::new(folder, &kept, listeners.events)?;
-        // The first event is the run's mark on its folder: it stands before every other file.
+        // The first event marks the folder as a run's: it is written before every other file.
         recorder.emit(&Event::Plan { lines: overview.lines, memory_bytes: overview.memory_bytes });
         if !resumed {
             folder.write_findings(&findings)?;
@@ -292,7 +292,7 @@ impl Training {
     }
 }
 
-/// What the scene is called where its data is not opened: the data folder's name.
+/// Name of the scene without opening its data: the data folder's name.
 fn scene_name(config: &Config) -> String {
     let name = Path::new(&config.data.root).file_name();
     name.map_or_else(|| "builtin".to_string(), |name| name.to_string_lossy().into_owned())

@@ -1,5 +1,5 @@
-//! Cameras from a matrix, a position and its target, or a path file. World units, OpenGL axes; what is not a rigid pose or a
-//! sane projection is refused with its place.
+//! Cameras from a matrix, a position and target, or a path file. World units, OpenGL axes. A pose that is not rigid or
+//! an invalid projection is refused with its location.
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
@@ -10,13 +10,13 @@ use trimip_core::{Camera, Error, Intrinsics, Result};
 /// Largest width or height of a rendered picture, pixels.
 const MAX_SIDE: f64 = 16_384.0;
 
-/// A camera and the name its pictures carry.
+/// A camera and the name of its pictures.
 pub type Named = (String, Camera);
 
-/// A camera at `eye` that looks at `target`; refused where the two and `up` leave its turn open.
+/// A camera at `eye` that looks at `target`.
 ///
 /// # Errors
-/// When `up` and the line of sight leave the camera's turn open; `place` stands in the message.
+/// When the line of sight is parallel to `up`, so the camera's roll is undefined; `place` appears in the message.
 pub fn aimed(place: &str, eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> {
     let back = eye - target;
     if up.cross(back).length() <= 1e-9 * up.length() * back.length() {
@@ -29,7 +29,7 @@ pub fn aimed(place: &str, eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intr
     Ok(Camera::look_at(intrinsics, eye, target, up))
 }
 
-/// Every number in a JSON value, in order; of an object, those of its `transform_matrix`.
+/// All numbers in a JSON value, in order; for an object, those of its `transform_matrix`.
 pub fn flatten(json: &Value) -> Option<Vec<f64>> {
     match json {
         Value::Number(number) => Some(vec![number.as_f64()?]),
@@ -41,10 +41,10 @@ pub fn flatten(json: &Value) -> Option<Vec<f64>> {
     }
 }
 
-/// A camera from 12 or 16 numbers, row by row; the rotation must be one.
+/// A camera from 12 or 16 numbers in row-major order. The 3×3 block must be a rotation.
 ///
 /// # Errors
-/// When these are not 12 or 16 finite numbers with a rotation; `place` stands in the message.
+/// When there are not 12 or 16 finite numbers with a rotation; `place` appears in the message.
 pub fn posed(place: &str, matrix: &[f64], intrinsics: Intrinsics) -> Result<Camera> {
     let refuse = |what: String| {
         Err(Error::input(
@@ -68,7 +68,7 @@ pub fn posed(place: &str, matrix: &[f64], intrinsics: Intrinsics) -> Result<Came
     Ok(Camera { intrinsics, rotation, origin: column(3) })
 }
 
-/// Projection fields of a path file, at its head or in a frame.
+/// Projection fields of a path file, in its header or in a frame.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 struct Projection {
     w: Option<f64>,
@@ -80,10 +80,10 @@ struct Projection {
     cy: Option<f64>,
 }
 
-/// Cameras of a file like `transforms_test.json`; what it leaves out comes from `fallback`.
+/// Cameras of a file in the format of `transforms_test.json`; missing fields come from `fallback`.
 ///
 /// # Errors
-/// When the file cannot be read, or a frame has no sane camera.
+/// When the file cannot be read, or a frame has an invalid camera.
 pub fn path(file: &Path, fallback: Intrinsics) -> Result<Vec<Named>> {
     let place = file.display().to_string();
     let broken = |error: serde_json::Error| {
@@ -111,7 +111,7 @@ fn projected(place: &str, own: Projection, head: Projection, fallback: Intrinsic
     let pick = |f: fn(&Projection) -> Option<f64>| f(&own).or(f(&head));
     let width = pick(|p| p.w).unwrap_or(fallback.width.into());
     let height = pick(|p| p.h).unwrap_or(fallback.height.into());
-    // A frame's own focal length counts before the file's, however either is stated.
+    // A frame's focal length overrides the file's, in either form.
     let focal = |p: &Projection| {
         let x = p.fl_x.or(p.camera_angle_x.map(|angle| 0.5 * width / (0.5 * angle).tan()));
         x.or(p.fl_y).map(|x| (x, p.fl_y.unwrap_or(x)))
@@ -133,7 +133,7 @@ fn projected(place: &str, own: Projection, head: Projection, fallback: Intrinsic
 /// The same view with `factor` times as many pixels along each side.
 ///
 /// # Errors
-/// When a side would have less than one or more than 16384 pixels.
+/// When a side has less than one or more than 16384 pixels.
 pub fn resized(k: Intrinsics, factor: f64) -> Result<Intrinsics> {
     let side = |pixels: u32| (f64::from(pixels) * factor).round().max(1.0);
     let (width, height) = (side(k.width), side(k.height));

@@ -1,4 +1,4 @@
-//! Rendered views as files: colour, depth and opacity as PNG or EXR, and the cameras beside them.
+//! Writes rendered views as files: colour, depth and opacity as PNG or EXR, and their cameras.
 
 use super::{
     cameras,
@@ -12,13 +12,13 @@ use trimip_core::{Camera, Error, Frame, Result, config::SceneConfig, tensors::wr
 /// File format of rendered views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PictureFormat {
-    /// Colour as 8-bit sRGB; depth (the file states its range) and opacity as 16-bit grey. One file each.
+    /// Colour as 8-bit sRGB; depth (the file stores its range) and opacity as 16-bit grey. One file each.
     Png,
     /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity.
     Exr,
 }
 
-/// What of a view is written.
+/// A quantity of a view that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     /// Colour on the configured background.
@@ -29,8 +29,8 @@ pub enum Quantity {
     Opacity,
 }
 
-/// Writes the asked quantities of one view into the folder `out` and returns the files: `name.exr`, or `name_color.png`,
-/// `name_depth.png` and `name_opacity.png`. `scene` is the box that the range of depths follows.
+/// Writes the requested quantities of one view into the folder `out` and returns the paths: `name.exr`, or
+/// `name_color.png`, `name_depth.png` and `name_opacity.png`. `scene` is the box that the depth range is derived from.
 ///
 /// # Errors
 /// When a file cannot be written, or the build has no EXR.
@@ -54,7 +54,7 @@ pub fn write(
                         (name, frame.pixels.iter().map(|pixel| pictures::linear(pixel.rgb[c])).collect())
                     }))
                 }
-                // Infinite where nothing is seen, as compositing programs expect of Z.
+                // Infinite where the ray hits nothing, as compositing programs expect of Z.
                 Quantity::Depth => channels.push(("Z", pictures::depth(frame, f32::INFINITY))),
                 Quantity::Opacity => channels.push(("opacity", pictures::opacity(frame))),
             }
@@ -95,17 +95,16 @@ fn suffix(quantity: Quantity) -> &'static str {
     }
 }
 
-/// Depths of the ball around the scene's box, so that neighbouring views of a turntable share one range.
+/// Depth range of the sphere around the scene's box. Neighbouring views of a turntable share one range.
 pub fn depth_range(scene: &SceneConfig, camera: &Camera) -> DepthRange {
     let (centre, half) = turntable::middle(scene);
     let (depth, radius) = ((camera.origin - centre).dot(camera.rotation.z_axis), half.length());
     let near = (depth - radius).max(0.0);
-    // Behind the camera there is no depth; the range stays one of numbers that differ.
+    // Depth behind the camera is clamped to 0, and the range never collapses.
     DepthRange { near: near as f32, far: (depth + radius).max(near + radius) as f32 }
 }
 
-/// The cameras beside their pictures, in the layout that `--path` reads; with `scene`, each with its range of depths in
-/// world units.
+/// Writes the cameras in the layout that `--path` reads; with `scene`, each camera has its depth range in world units.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -137,7 +136,7 @@ mod tests {
     use serde_json::Value;
     use trimip_core::Intrinsics;
 
-    /// `eye/target` as a camera.
+    /// Parses `eye/target` as a camera.
     fn look_at(text: &str, intrinsics: Intrinsics) -> Camera {
         let numbers: Vec<f64> = text.split([',', '/']).map(|number| number.parse().unwrap()).collect();
         let at = |first: usize| DVec3::new(numbers[first], numbers[first + 1], numbers[first + 2]);

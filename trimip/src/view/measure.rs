@@ -1,4 +1,4 @@
-//! A model's PSNR and SSIM per scale on a set of test photographs.
+//! PSNR and SSIM of a model per scale on a set of test photographs.
 
 use std::time::Instant;
 use trimip_core::{
@@ -7,7 +7,7 @@ use trimip_core::{
     events::ScaleQuality,
 };
 
-/// What was measured.
+/// Result of an evaluation.
 #[derive(Clone, Debug)]
 pub struct Measured {
     /// Every view, each at all of its scales.
@@ -16,30 +16,30 @@ pub struct Measured {
     pub scales: Vec<ScaleQuality>,
     /// Means over the scales.
     pub mean: MeanQuality,
-    /// Time of rendering and measuring, seconds.
+    /// Time for rendering and measuring, seconds.
     pub seconds: f64,
 }
 
-/// Watches an evaluation. Each method returns false to end it.
+/// Observes an evaluation. Each method returns false to cancel it.
 pub trait Watching {
-    /// `done` of `total` test views are rendered, and `part` (0 to 1) of the next one.
+    /// Called while rendering: `done` of `total` test views are rendered, and `part` (0 to 1) of the next one.
     fn rendering(&mut self, done: usize, total: usize, part: f64) -> bool {
         let _ = (done, total, part);
         true
     }
 
-    /// A view is rendered and measured; `done` of `total` were before it.
+    /// Called after a view is rendered and measured; `done` of `total` views came before it.
     fn view(&mut self, view: &ViewResult<'_>, done: usize, total: usize) -> bool {
         let _ = (view, done, total);
         true
     }
 }
 
-/// Nobody watches.
+/// No observer.
 impl Watching for () {}
 
-/// Renders every `stride`-th test view at every scale on `background` and compares it with its photograph. `None` where
-/// `watch` ended it.
+/// Renders every `stride`-th test view at every scale on `background` and compares it with its photograph. Returns
+/// `None` if `watch` cancelled it.
 ///
 /// # Errors
 /// When a photograph cannot be read, or the device fails.

@@ -1,4 +1,4 @@
-//! From a model to pictures and measures: cameras, picture files, and the comparison with test photographs.
+//! Pictures and metrics of a model: cameras, picture files, and the comparison with test photographs.
 
 pub mod cameras;
 mod files;

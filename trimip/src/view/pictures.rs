@@ -1,15 +1,15 @@
-//! From rendered frames to picture files: 8-bit sRGB PNG for colour, 16-bit grey PNG for depth and opacity, 32-bit
-//! float EXR, and the comparison of a view with its photograph.
+//! Picture files of rendered frames: 8-bit sRGB PNG for colour, 16-bit grey PNG for depth and opacity, 32-bit float
+//! EXR, and the comparison of a view with its photograph.
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage, imageops};
 use std::io::Cursor;
 use std::path::Path;
 use trimip_core::{Error, Frame, Result, tensors::write_atomically};
 
-/// Factor on the absolute difference in comparisons: 1/4 of full range shows as full brightness.
+/// Gain of the absolute difference in comparisons: 1/4 of the range is shown at full brightness.
 pub const DIFFERENCE_GAIN: f32 = 4.0;
 
-/// Colours in [0, 1] as 8-bit pixels, rounded; a value that is no number is black.
+/// Colours in [0, 1] as 8-bit pixels, rounded; NaN becomes black.
 pub fn rgb_image(width: u32, height: u32, rgb: &[[f32; 3]]) -> RgbImage {
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
     ImageBuffer::from_fn(width, height, |x, y| {
@@ -22,7 +22,7 @@ pub fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Vec<[f32; 3]> {
     a.iter().zip(b).map(|(a, b)| std::array::from_fn(|c| (a[c] - b[c]).abs() * DIFFERENCE_GAIN)).collect()
 }
 
-/// Rendered, photograph and difference next to each other, 2 white pixels apart.
+/// Rendered view, photograph and difference side by side, 2 white pixels apart.
 pub fn side_by_side(width: u32, height: u32, rendered: &[[f32; 3]], photograph: &[[f32; 3]]) -> RgbImage {
     const GAP: u32 = 2;
     let mut sheet = RgbImage::from_pixel(3 * width + 2 * GAP, height, Rgb([255; 3]));
@@ -84,7 +84,7 @@ pub fn grey(
     })
 }
 
-/// Distance of what is seen along the optical axis: composited depth over opacity; `empty` where nothing is seen.
+/// Expected distance along the optical axis: composited depth over opacity; `empty` where the ray hits nothing.
 pub fn depth(frame: &Frame, empty: f32) -> Vec<f32> {
     let seen = |opacity: f32| opacity > 1e-3;
     frame.pixels.iter().map(|p| if seen(p.opacity) { p.depth / p.opacity } else { empty }).collect()
@@ -95,17 +95,17 @@ pub fn opacity(frame: &Frame) -> Vec<f32> {
     frame.pixels.iter().map(|pixel| pixel.opacity).collect()
 }
 
-/// Depths in world units that are black and white in a grey picture.
+/// Depths in world units that map to black and white in a grey picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthRange {
     /// Black.
     pub near: f32,
-    /// White; also where nothing is seen.
+    /// White; also where the ray hits nothing.
     pub far: f32,
 }
 
 impl DepthRange {
-    /// Keys and values that a picture file states.
+    /// Keys and values stored in a picture file.
     fn stated(self) -> [(&'static str, String); 3] {
         [
             ("depth_near", self.near.to_string()),
@@ -115,7 +115,7 @@ impl DepthRange {
     }
 }
 
-/// Writes depths as 16-bit grey PNG; text chunks state the range and how to read it.
+/// Writes depths as 16-bit grey PNG. Text chunks store the range and the decoding formula.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -133,7 +133,7 @@ pub fn write_depth_png(path: &Path, width: u32, height: u32, depth: &[f32], rang
             "depth = depth_near + value / 65535 * (depth_far - depth_near); depth_far or nothing is white";
         encoder.add_text_chunk("Description".into(), formula.into())?;
         let mut writer = encoder.write_header()?;
-        // PNG holds the high byte first.
+        // PNG stores 16-bit values big-endian.
         let samples: Vec<u8> = values.as_raw().iter().flat_map(|value| value.to_be_bytes()).collect();
         writer.write_image_data(&samples)?;
         writer.finish()
@@ -142,7 +142,7 @@ pub fn write_depth_png(path: &Path, width: u32, height: u32, depth: &[f32], rang
     write_atomically(path, &bytes)
 }
 
-/// Writes named 32-bit float channels as one EXR file; attributes state the range of its depths, where it has any.
+/// Writes named 32-bit float channels as one EXR file. Attributes store the depth range, if any.
 ///
 /// # Errors
 /// When the file cannot be written, or the build has no EXR.
@@ -173,10 +173,10 @@ pub fn write_exr(
     write_atomically(path, &bytes.into_inner())
 }
 
-/// This build leaves EXR out.
+/// Always fails: this build has no EXR support.
 ///
 /// # Errors
-/// When the file cannot be written, or the build has no EXR.
+/// Always.
 #[cfg(not(feature = "exr"))]
 pub fn write_exr(
     path: &Path,
@@ -192,7 +192,7 @@ pub fn write_exr(
     ))
 }
 
-/// An sRGB value as linear light (IEC 61966-2-1), what EXR holds by custom.
+/// Converts an sRGB value to linear light (IEC 61966-2-1), which EXR stores by convention.
 pub fn linear(value: f32) -> f32 {
     if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }

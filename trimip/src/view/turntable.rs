@@ -1,5 +1,5 @@
-//! A circle of cameras around the scene's box, at the distance from which each of them sees all of it. World units;
-//! x, y, z: a corner of the box in a camera's axes, seen from the box's centre.
+//! A circle of cameras around the scene's box, at the distance from which each camera sees the whole box. World units.
+//! x, y, z: a corner of the box in a camera's axes, relative to the box's centre.
 
 use super::cameras::{Named, aimed};
 use glam::{DMat3, DVec3};
@@ -7,21 +7,21 @@ use trimip_core::{Error, Intrinsics, Result, config::SceneConfig};
 
 /// Part of the picture, from its centre to a border, that the box may fill.
 const FILL: f64 = 0.95;
-/// A fitted camera stands at least this many times as far from the centre as the corner nearest to it.
+/// Minimum distance of a fitted camera from the centre, relative to the depth of the nearest corner.
 const CLEARANCE: f64 = 1.05;
-/// Largest distance, in half diagonals of the box: beyond, the box is less than a pixel of any picture.
+/// Maximum distance, in half diagonals of the box. Beyond it the box is smaller than a pixel of any picture.
 const FARTHEST: f64 = 1e9;
 
-/// Where the cameras of a turntable stand. By default one camera, level with the box's centre, z upwards.
+/// Camera positions of a turntable. The default is one camera, level with the box's centre, z up.
 #[derive(Clone, Copy, Debug)]
 pub struct Turntable {
-    /// How many.
+    /// Number of cameras.
     pub count: u32,
-    /// Degrees above the plane through the box's centre.
+    /// Elevation in degrees above the plane through the box's centre.
     pub elevation: f64,
-    /// From the box's centre; fitted when not given.
+    /// Distance from the box's centre in world units; fitted if `None`.
     pub distance: Option<f64>,
-    /// Axis of the circle, upwards in the pictures.
+    /// Axis of the circle; up in the pictures.
     pub up: DVec3,
 }
 
@@ -31,10 +31,10 @@ impl Default for Turntable {
     }
 }
 
-/// The cameras of a turntable, evenly on a circle; each looks at the centre of the scene's box.
+/// The cameras of a turntable, evenly spaced on a circle. Each looks at the centre of the scene's box.
 ///
 /// # Errors
-/// When the elevation, the distance or the axis leaves no upright view.
+/// When the elevation, the distance or the axis allows no upright view.
 pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -> Result<Vec<Named>> {
     let (centre, half) = middle(scene);
     let axis = table.up.normalize_or_zero();
@@ -45,7 +45,7 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
             "expected x,y,z that are not all 0, such as 0,0,1",
         ));
     }
-    // The positive comparison refuses NaN too.
+    // The negated comparison also refuses NaN.
     if !(table.elevation.abs() <= 89.999) {
         return Err(Error::input(
             format!("--elevation {}", table.elevation),
@@ -90,8 +90,8 @@ fn within(distance: f64, half: DVec3, place: String) -> Result<f64> {
     Err(Error::input(place, "is out of range", expected))
 }
 
-/// The least distance along `back` from which all corners of a box with these half extents lie within the picture: a
-/// corner at depth d − z is seen at x/(d − z)·f from the centre, and likewise y.
+/// The minimum distance d along `back` from which all corners of a box with these half extents lie within the picture.
+/// A corner at depth d − z projects to x/(d − z)·f from the centre, and likewise y.
 fn fitted(half: DVec3, back: DVec3, up: DVec3, k: &Intrinsics) -> f64 {
     let right = up.cross(back).normalize();
     let to_camera = DMat3::from_cols(right, back.cross(right), back).transpose();
@@ -155,14 +155,14 @@ mod tests {
                 }
             }
             prop_assert!(fullest <= FILL + 1e-6, "{fullest}");
-            // Only a box whose corner points at the camera is kept away by that corner instead.
+            // The clearance bounds the distance only if a corner of the box points at the camera.
             prop_assert!(fullest >= FILL - 1e-6 || kept_away, "{fullest}");
         }
     }
 
     #[test]
     fn a_cube_seen_along_an_axis_is_fitted_by_its_front() {
-        // Half a side 1: the front lies 1 before the centre and is seen under 90 degrees from 1/FILL before it.
+        // Half a side is 1: the front face lies 1 before the centre and subtends 90 degrees from 1/FILL before it.
         let k = Intrinsics::from_angle(100, 100, std::f64::consts::FRAC_PI_2);
         let table = Turntable { count: 1, elevation: 0.0, distance: None, up: DVec3::Z };
         let found = cameras(&scene([0.0; 3], [1.0; 3]), &table, k).unwrap();

@@ -1,4 +1,5 @@
-//! `bench`: error against time, of training over a set of configurations, or of rendering over the shortcuts of a model.
+//! `bench`: error against time, of training over a set of configurations, or of rendering over a model's
+//! approximations.
 
 mod page;
 mod rendering;
@@ -8,7 +9,7 @@ pub mod training;
 use crate::args::BenchArguments;
 use trimip_core::Result;
 
-/// Does what the arguments ask for.
+/// Runs the benchmark that the arguments select.
 pub fn run(arguments: &BenchArguments) -> Result<u8> {
     match &arguments.render {
         Some(model) => rendering::run(arguments, model),

@@ -1,4 +1,4 @@
-//! What a bench of training leaves in its folder: `bench.json`, `bench.csv`, `bench.svg`, and `bench.html` for people.
+//! Output files of a training benchmark: `bench.json`, `bench.csv`, `bench.svg`, and `bench.html` for people.
 
 use super::training::{Bench, Row, cells};
 use crate::curves::reach_json;
@@ -10,14 +10,14 @@ use trimip::machine::{Machine, version};
 use trimip::{Config, Error, Result};
 use trimip_core::tensors::write_atomically;
 
-/// Writes all four; `lines` are those of all runs, by variant.
+/// Writes all four files; `lines` are the curves of all runs, by variant.
 pub fn write(bench: &Bench, rows: &[Row], lines: &[svg::Line]) -> Result<()> {
     let (base, reach) = (Config::from_settings(&bench.base)?, &bench.reach[..]);
     let machine = Machine::detect();
     let keep = |name: &str, text: &str| write_atomically(&bench.out.join(name), text.as_bytes());
     keep("bench.json", &json(rows, reach, &machine, &base)?)?;
     keep("bench.csv", &csv(rows))?;
-    // A run measured once has no line, but its end.
+    // A run with a single evaluation has a point but no line.
     keep("bench.svg", &svg::alone(lines).unwrap_or_default())?;
     keep("bench.html", &html(rows, lines, reach, &machine, &base)?)
 }
@@ -59,7 +59,7 @@ fn html(
     machine: &Machine,
     base: &Config,
 ) -> Result<String> {
-    // The first seed of a variant speaks for it where one picture must.
+    // The first seed represents its variant in the pictures.
     let entries: Vec<Entry> = rows
         .iter()
         .zip(svg::COLORS)

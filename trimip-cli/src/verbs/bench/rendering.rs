@@ -1,7 +1,8 @@
-//! Error of rendering against time per frame: how far a picture is from the same model's picture in f64 with very short
-//! steps, over steps, early stops, pruning, occupancy cells, precision and rays per pixel. The field is as trained: this is
-//! the error of the quadrature and of f32 alone, and for several rays per pixel what prefiltering differs from them. Where steps are halved, the order of convergence is printed beside the one to be expected. Below it, each
-//! stage against f64 on samples of the same view.
+//! Error of rendering against time per frame: the difference between a picture and the same model's picture in f64 with
+//! very short steps, over steps, early termination, pruning, occupancy cells, precision and rays per pixel. The field
+//! is as trained, so the error is that of the quadrature and of f32 alone; for several rays per pixel it is the
+//! difference between them and prefiltering. If steps are halved, the order of convergence is printed next to the
+//! expected one. Below it, the error of each stage against f64 on samples of the same view.
 
 use super::stages::{self, StageError};
 use crate::args::BenchArguments;
@@ -25,30 +26,31 @@ use trimip_core::tensors::{Tensor, write_atomically};
 use trimip_core::{Camera, Error, Result};
 use trimip_data::Watch;
 
-/// Steps along the diagonal of the reference; half as many show how far it is from its own limit.
+/// Steps along the diagonal of the reference. A picture with half as many shows the reference's own distance from its
+/// limit.
 const REFERENCE_STEPS: u32 = 16_384;
 
-/// Frames of which the fastest counts.
+/// Number of frames; the fastest is reported.
 const FRAMES: usize = 3;
 
-/// A picture in f64, row by row.
+/// A picture in f64, row-major.
 type Picture = Vec<[f64; 3]>;
 
-/// A way to render and what it came to.
+/// A way to render, with its error and time.
 #[derive(Debug, Serialize)]
 struct Row {
     varied: &'static str,
     value: String,
-    /// Root of the mean squared difference from the reference, colours in [0, 1].
+    /// Root-mean-square difference from the reference, colours in [0, 1].
     error: f64,
     /// The same as PSNR, dB.
     psnr: f64,
     milliseconds: f64,
-    /// log2 of the error with twice the step over this one's.
+    /// log2 of the error at twice the step over the error at this step.
     order: Option<f64>,
 }
 
-/// Renders one view in many ways.
+/// Renders one view with many settings.
 pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let mut model = run_folder::read_model(path)?;
     settings::override_model(&mut model, &arguments.settings.set)?;
@@ -71,7 +73,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     for steps in [64, 128, 256, 512, 1024, 2048, 4096] {
         let mut other = model.clone();
         other.config.renderer.steps_per_diagonal = steps;
-        // The steps alone are in question: nothing is left out, and none is longer than another.
+        // Only the step length varies: no early termination, no pruning, uniform steps.
         (other.config.renderer.min_transmittance, other.config.renderer.min_weight) = (1e-9, 0.0);
         other.config.renderer.step_scale = trimip_core::schedule::Schedule::new(vec![[0.0, 1.0]]);
         other.config.renderer.step_per_radius = 0.0;
@@ -155,7 +157,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     Ok(0)
 }
 
-/// Test view 0, as small as is asked.
+/// Test view 0 at the requested size.
 fn camera(model: &Model, arguments: &BenchArguments) -> Result<Camera> {
     let scene = trimip_data::open(&model.config.data)?;
     if scene.test.is_empty() {
@@ -169,7 +171,7 @@ fn camera(model: &Model, arguments: &BenchArguments) -> Result<Camera> {
     Ok(camera)
 }
 
-/// Gives a camera other pixels over the same field of view.
+/// Changes the resolution of a camera at the same field of view.
 fn resize(camera: &mut Camera, width: u32, height: u32, scale: f64) {
     let k = &mut camera.intrinsics;
     (k.width, k.height) = (width, height);
@@ -178,7 +180,7 @@ fn resize(camera: &mut Camera, width: u32, height: u32, scale: f64) {
     }
 }
 
-/// A whole picture in f64, on all cores; `watch` is told of its rows.
+/// Renders a whole picture in f64 on all cores; `watch` receives the progress in rows.
 fn picture(exact: &Exact, camera: &Camera, steps: u32, watch: Watch<'_>) -> Picture {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let mut pixels = vec![[0.0; 3]; (width * height) as usize];
@@ -206,7 +208,7 @@ fn distance(a: &Picture, b: &Picture) -> f64 {
     (squares.sum::<f64>() / (3 * a.len()) as f64).sqrt()
 }
 
-/// Error and time of a model's picture with `across`² cones in each pixel, as much narrower, whose mean it is.
+/// Error and time of a model's picture. Each pixel is the mean of `across`² cones, narrower by the factor `across`.
 fn measure(
     model: &Model,
     camera: &Camera,

@@ -1,6 +1,6 @@
-//! Error of each stage against f64 on a model's own samples: what goes in is what the stage before it gave, in f32, so that
-//! each row is the stage's own rounding. Errors in units in the last place of the f64 result's f32, and relative to the
-//! largest value of the stage.
+//! Error of each stage against f64 on a model's own samples. The input of a stage is the f32 output of the stage before
+//! it, so each row is the stage's own rounding. Errors in units in the last place of the f64 result's f32, and relative
+//! to the largest value of the stage.
 
 use serde::Serialize;
 use std::time::Instant;
@@ -30,11 +30,11 @@ pub struct StageError {
     pub high_ulp: f64,
     /// Largest error over the largest value.
     pub relative: f64,
-    /// Time of the stage, over these samples, the device's answer included.
+    /// Time of the stage over these samples, the device's answer included.
     pub milliseconds: f64,
 }
 
-/// The stages of a model in every precision that its backend has.
+/// Measures the stages of a model in every precision that its backend supports.
 ///
 /// # Errors
 /// When the model does not fit its backend.
@@ -47,7 +47,7 @@ pub fn measure(model: &Model, camera: &Camera) -> Result<Vec<StageError>> {
             let config = &other.config;
             let work = OnBackend { model: &other, camera, precision: name };
             let found = backends::visit(&config.backend, &config.wgpu.adapter, config.threads, work)?;
-            // Without layers a stage has one precision alone.
+            // A stage without layers has only one precision.
             rows.extend(found.into_iter().filter(|row| precision == Precision::F32 || layered(row.stage)));
         }
     }
@@ -58,7 +58,7 @@ fn layered(stage: &str) -> bool {
     ["density", "colour"].contains(&stage)
 }
 
-/// The errors of a model's stages on one backend.
+/// Measures the errors of a model's stages on one backend.
 struct OnBackend<'a> {
     model: &'a Model,
     camera: &'a Camera,
@@ -73,7 +73,7 @@ impl Visitor for OnBackend<'_> {
     }
 }
 
-/// The stages of a model on a backend.
+/// Measures the stages of a model on a backend.
 fn on<B: Backend>(
     backend: &B,
     model: &Model,
@@ -162,7 +162,7 @@ fn on<B: Backend>(
     Ok(rows.map(|((stage, time), errors)| row(stage, precision, time, errors)).collect())
 }
 
-/// Milliseconds of a stage that has come into being by a run before.
+/// Milliseconds of a stage after one warm-up run.
 fn timed<B: Backend>(backend: &B, mut work: impl FnMut() + Send) -> f64 {
     backend.install(&mut work);
     let started = Instant::now();
@@ -170,7 +170,7 @@ fn timed<B: Backend>(backend: &B, mut work: impl FnMut() + Send) -> f64 {
     1e3 * started.elapsed().as_secs_f64()
 }
 
-/// Puts samples in place with all of them kept.
+/// Uploads samples with all of them kept.
 fn place<B: Backend>(
     backend: &B,
     samples: &mut Samples<B>,
@@ -205,7 +205,7 @@ fn ulp(value: f64) -> f64 {
     f64::from(near.next_up()) - f64::from(near)
 }
 
-/// `pairs` of found and expected.
+/// The errors of a stage; `pairs` are found and expected values.
 fn row(stage: &'static str, precision: &'static str, milliseconds: f64, pairs: &[(f64, f64)]) -> StageError {
     let mut ulps: Vec<f64> = pairs.iter().map(|(found, x)| (found - x).abs() / ulp(*x)).collect();
     ulps.sort_by(f64::total_cmp);

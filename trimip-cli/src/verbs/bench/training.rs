@@ -1,6 +1,6 @@
-//! Error against seconds of training of a set of configurations, several seeds each, on one plot and in one table, with the
-//! variants marked that no other beats in both. Runs that are finished in the folder are not run again; `page.rs` writes
-//! what came out.
+//! Error against seconds of training for a set of configurations, several seeds each, in one plot and one table. Marks
+//! the Pareto-optimal variants. Runs that are already finished in the folder are not repeated. `page.rs` writes the
+//! results.
 
 use super::page;
 use crate::args::{BenchArguments, ProgressStyle};
@@ -14,31 +14,31 @@ use trimip::events::Totals;
 use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
 
-/// A configuration to be tried.
+/// A configuration of the benchmark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variant {
-    /// What it is called; its runs' folders are named after it.
+    /// Name, also of the folders of its runs.
     pub name: String,
-    /// What it sets, `section.key=value` each.
+    /// Its assignments, `section.key=value` each.
     pub assignments: Vec<String>,
 }
 
-/// What is to be trained.
+/// Definition of a benchmark.
 #[derive(Clone, Debug)]
 pub struct Bench {
-    /// Settings that all variants share.
+    /// Settings shared by all variants.
     pub base: Settings,
-    /// What is tried.
+    /// Variants to train.
     pub variants: Vec<Variant>,
     /// Seeds of each variant.
     pub seeds: u32,
-    /// PSNR in dB whose times are asked for, rising.
+    /// PSNR levels in dB whose times are reported, ascending.
     pub reach: Vec<f64>,
     /// Folder of the runs.
     pub out: PathBuf,
 }
 
-/// What came of a run.
+/// Result of a run.
 struct Outcome {
     folder: PathBuf,
     mean: MeanQuality,
@@ -48,39 +48,39 @@ struct Outcome {
     curve: Curve,
 }
 
-/// A variant's figures over its seeds.
+/// Mean figures of a variant over its seeds.
 #[derive(Debug, serde::Serialize)]
 pub struct Row {
-    /// What it is called.
+    /// Name of the variant.
     pub name: String,
-    /// What it sets.
+    /// Its assignments.
     pub settings: Vec<String>,
     /// Number of its runs.
     pub seeds: usize,
-    /// Of training.
+    /// Seconds of training.
     pub seconds: f64,
-    /// Mean of the scales, dB.
+    /// Mean PSNR of the scales, dB.
     pub psnr: f64,
-    /// Largest less smallest of the seeds, dB.
+    /// Difference between the best and the worst seed, dB.
     pub spread: f64,
-    /// Mean of the scales.
+    /// Mean SSIM of the scales.
     pub ssim: f64,
     /// Samples kept.
     pub samples: f64,
-    /// Size of the model file.
+    /// Size of the model file, bytes.
     pub model_bytes: f64,
-    /// Largest resident memory, where known.
+    /// Peak resident memory in bytes, if known.
     pub peak_memory_bytes: Option<f64>,
     /// No other variant is both faster and better.
     pub pareto: bool,
-    /// Mean time at which the seeds reach each PSNR, where all do; at most that where one was there before its first
-    /// measure.
+    /// Mean time at which the seeds reach each PSNR, if all do. It is an upper bound if a seed reached it before its
+    /// first measurement.
     pub reaches: Vec<Option<Reach>>,
     /// Folders of its runs.
     pub runs: Vec<PathBuf>,
 }
 
-/// Trains what is not trained yet, then lays everything beside each other.
+/// Trains the runs that are not finished yet, then compares all of them.
 pub fn run(arguments: &BenchArguments) -> Result<u8> {
     let mut reach: Vec<f64> = arguments.reach.iter().copied().filter(|psnr| psnr.is_finite()).collect();
     reach.sort_by(f64::total_cmp);
@@ -94,14 +94,14 @@ pub fn run(arguments: &BenchArguments) -> Result<u8> {
     Ok(if measure(&bench)?.is_some() { 0 } else { EXIT_CODE })
 }
 
-/// Trains every variant with every seed, prints the table and writes the pages of the bench; `None` where the user stopped
-/// it. A run that is finished in its folder is not run again.
+/// Trains every variant with every seed, prints the table and writes the benchmark's pages; `None` if the user stopped
+/// it. A run that is already finished in its folder is not repeated.
 ///
 /// # Errors
-/// When a variant's settings are wrong, or a run fails.
+/// When a variant's settings are invalid, or a run fails.
 pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
     let Bench { base, variants, seeds, reach, out } = bench;
-    // Every setting is checked before the first run begins.
+    // Check every setting before the first run begins.
     for variant in variants {
         Config::from_settings(&with(base, variant, 0)?)?;
     }
@@ -141,7 +141,7 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
     Ok(Some(rows))
 }
 
-/// The variants that the arguments name, the shared settings first.
+/// The variants that the arguments define, the shared settings first.
 fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
     let mut variants = Vec::new();
     if !arguments.no_base {
@@ -178,13 +178,13 @@ fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
     }
 }
 
-/// A name as a folder's.
+/// Converts a name to a folder name.
 fn slug(name: &str) -> String {
     let letters = name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '.' { c } else { '-' });
     letters.collect::<String>().trim_matches('-').to_lowercase()
 }
 
-/// Settings of a variant's run; later assignments win. The seeds of a bench follow the configured one.
+/// Settings of a variant's run; later assignments win. Seeds count up from the configured one.
 fn with(base: &Settings, variant: &Variant, seed: u32) -> Result<Settings> {
     let mut settings = base.clone();
     variant.assignments.iter().try_for_each(|assignment| settings.apply_assignment(assignment))?;
@@ -237,7 +237,7 @@ fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> Row {
     }
 }
 
-/// Marks the variants that no other beats in both time and error.
+/// Marks the variants that no other variant beats in both time and error.
 fn mark_front(rows: &mut [Row]) {
     let points: Vec<Measure> =
         rows.iter().map(|row| Measure { seconds: row.seconds, psnr: row.psnr }).collect();
@@ -247,7 +247,7 @@ fn mark_front(rows: &mut [Row]) {
     }
 }
 
-/// A head, then one row per variant.
+/// A header, then one row per variant.
 pub fn cells(rows: &[Row], reach: &[f64]) -> Vec<Vec<String>> {
     let mut cells = vec![vec![
         "variant".to_string(),

@@ -1,10 +1,10 @@
-//! The tri-mip planes as an encoder: what they declare, and their twin in f64.
+//! The tri-mip planes as an encoder: their declaration and their twin in f64.
 
 use super::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, grow, sides, taps};
 use crate::encoders::{Definition, Place, Twin};
 use crate::{Aabb, Config, Slot};
 
-/// Three mip-mapped feature planes (Tri-MipRF); a stage of growth halves the planes' sides once more.
+/// Three mip-mapped feature planes (Tri-MipRF). Each stage of growth halves the planes' sides once more.
 pub struct Planes;
 
 fn pyramid(config: &Config) -> Pyramid {
@@ -76,7 +76,7 @@ struct PlanesTwin {
     derived: Vec<f64>,
 }
 
-/// The levels above the base: means of 2×2 texels.
+/// Computes the levels above the base: means of 2×2 texels.
 fn averages(pyramid: &Pyramid, base: &[f64]) -> Vec<f64> {
     let mut derived = vec![0.0; pyramid.derived_len()];
     for level in 1..pyramid.levels {

@@ -1,5 +1,6 @@
-//! Geometry of the tri-mip encoding: three feature planes with their mip levels, the level of a sphere (Eq. 5) and the
-//! texels a query reads. Plane 0 is YZ, 1 XZ, 2 XY; (a, b) are a plane's two axes, a along a row of texels.
+//! Geometry of the tri-mip encoding: three feature planes with mip levels, the level of a sphere (Eq. 5), and the
+//! texels that a query reads. Plane 0 is YZ, 1 is XZ, 2 is XY. A plane's two axes are (a, b); a runs along a row of
+//! texels.
 
 mod definition;
 
@@ -21,36 +22,36 @@ pub const CHANNELS: usize = 16;
 /// Features of a sample: the three planes' channels, concatenated.
 pub const FEATURES: usize = 3 * CHANNELS;
 
-/// Sizes and places of the planes' levels. Level 0 of the planes, one after the other, is the parameter `planes`,
-/// [texels, 16]; the levels above it are one derived array, level by level, plane by plane. A plane of level l has
-/// `sides[b] >> l` rows of `sides[a] >> l` texels.
+/// Sizes and offsets of the planes' levels. Level 0 of the three planes, one after the other, is the parameter
+/// `planes`, [texels, 16]. The levels above it are one derived array, level by level, plane by plane. On level l, a
+/// plane has `sides[b] >> l` rows of `sides[a] >> l` texels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pyramid {
     /// Texels along the box's x, y and z at level 0.
     pub sides: [usize; 3],
-    /// Number of levels, the base included; 1 without a mipmap.
+    /// Number of levels, including the base; 1 without a mipmap.
     pub levels: usize,
-    /// log2 of the world radius that belongs to level 0, per plane: r̈ less `encoder.level_bias` levels.
+    /// log2 of the world radius of level 0, per plane: r̈, minus `encoder.level_bias` levels.
     pub log2_base_radius: [f64; 3],
 }
 
-/// Texels of one plane of one level.
+/// Size in texels of one plane on one level.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Along axis b.
+    /// Number of texels along axis b.
     pub rows: usize,
-    /// Along axis a.
+    /// Number of texels along axis a.
     pub columns: usize,
 }
 
 impl Shape {
-    /// Texels in all.
+    /// Number of texels.
     #[inline(always)]
     pub fn texels(self) -> usize {
         self.rows * self.columns
     }
 
-    /// Floats of a row.
+    /// Floats in a row.
     #[inline(always)]
     pub fn row(self) -> usize {
         self.columns * CHANNELS
@@ -68,7 +69,7 @@ pub struct Taps<R> {
     pub weights: [[R; 2]; 2],
 }
 
-/// The two levels a query blends: weight 1 − `fraction` on `lower`, `fraction` on `lower + 1`.
+/// The two levels that a query blends: weight 1 − `fraction` on `lower`, `fraction` on `lower + 1`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LevelBlend<R> {
     /// Finer of the two levels.
@@ -77,22 +78,22 @@ pub struct LevelBlend<R> {
     pub fraction: R,
 }
 
-/// Texels along the box's axes at level 0: `plane_size` along each, or (shape `box`) along the longest, and along the
-/// others as many as make square texels, rounded up to what halves evenly on every level.
+/// Texels along the box's axes at level 0. There are `plane_size` along each axis or, with shape `box`, along the
+/// longest; the other axes get as many as make square texels, rounded up so that they halve evenly on every level.
 pub fn sides(config: &EncoderConfig, aabb: &Aabb<f64>) -> [usize; 3] {
     let size = config.plane_size as usize;
     match config.shape {
         PlaneShape::Square => [size; 3],
         PlaneShape::Box => {
             let (unit, texel) = (config.texel_unit() as usize, aabb.longest() / size as f64);
-            // A side that is a whole number of texels but for rounding stays that number.
+            // A side that is a whole number of texels except for rounding keeps that number.
             aabb.extent().map(|side| ((side / texel - 0.01).ceil().max(1.0) as usize).next_multiple_of(unit))
         }
     }
 }
 
 impl Pyramid {
-    /// The configured planes over a box.
+    /// The planes of a configuration over the box `aabb`.
     pub fn new(config: &EncoderConfig, aabb: &Aabb<f64>) -> Self {
         let (extent, sides) = (aabb.extent(), sides(config, aabb));
         let log2_base_radius = PLANE_AXES.map(|[a, b]| {
@@ -107,7 +108,7 @@ impl Pyramid {
         Self { sides, levels: if config.mipmap { config.levels as usize } else { 1 }, log2_base_radius }
     }
 
-    /// The same planes with `halvings` times half the texels along a side: the pyramid without its finest levels.
+    /// The same planes with their sides halved `halvings` times: the pyramid without its finest levels.
     pub fn halved(&self, halvings: u32) -> Self {
         Self {
             sides: self.sides.map(|side| side >> halvings),
@@ -123,17 +124,17 @@ impl Pyramid {
         Shape { rows: self.sides[b] >> level, columns: self.sides[a] >> level }
     }
 
-    /// Texels of all planes of `level`.
+    /// Texels of all planes on `level`.
     pub fn texels(&self, level: usize) -> usize {
         (0..3).map(|plane| self.shape(level, plane).texels()).sum()
     }
 
-    /// Floats of level 0 of all planes: the parameters.
+    /// Floats of level 0 of all planes, which are the parameters.
     pub fn base_len(&self) -> usize {
         self.texels(0) * CHANNELS
     }
 
-    /// First float of `level` of `plane`: level 0 in the parameters, the others in the derived array.
+    /// Index of the first float of `level` of `plane`, in the parameters for level 0, else in the derived array.
     #[inline]
     pub fn offset(&self, level: usize, plane: usize) -> usize {
         let below: usize = (1..level).map(|l| self.texels(l)).sum();
@@ -141,19 +142,19 @@ impl Pyramid {
         (below + before) * CHANNELS
     }
 
-    /// Floats of `level` of `plane`, see [`Pyramid::offset`].
+    /// Range of the floats of `level` of `plane`; see [`Pyramid::offset`].
     pub fn range(&self, level: usize, plane: usize) -> Range<usize> {
         let start = self.offset(level, plane);
         start..start + self.shape(level, plane).texels() * CHANNELS
     }
 
-    /// Floats of all derived levels.
+    /// Number of floats of all derived levels.
     pub fn derived_len(&self) -> usize {
         (1..self.levels).map(|l| self.texels(l)).sum::<usize>() * CHANNELS
     }
 
-    /// Levels of a sphere whose radius has the logarithm `log2_radius` (base 2, world units), on `plane` (Eq. 5):
-    /// l = log2(r / r̈), clamped to [0, levels − 1]. A zero or NaN radius reads level 0.
+    /// The levels that a sphere reads on `plane` (Eq. 5): l = log2(r / r̈), clamped to [0, levels − 1]. `log2_radius`
+    /// is log2 of the radius in world units. A zero or NaN radius reads level 0.
     #[inline]
     pub fn blend<R: Real>(&self, plane: usize, log2_radius: R) -> LevelBlend<R> {
         let level = log2_radius - R::from_f64(self.log2_base_radius[plane]);
@@ -170,17 +171,18 @@ impl Pyramid {
     }
 }
 
-/// Grows the planes of `whole` at the front of `values` in place, from `halvings` halvings of their sides to `fewer`.
+/// Grows the planes at the front of `values` in place. `whole` is the pyramid of full size; the sides are halved
+/// `halvings` times before and `fewer` times after.
 pub fn grow<T: Copy>(values: &mut [T], whole: &Pyramid, halvings: u32, fewer: u32) {
     for halvings in (fewer..halvings).rev() {
         double(values, &whole.halved(halvings + 1));
     }
 }
 
-/// Doubles the sides of the planes of `pyramid` in place: each texel becomes four like it, so that the levels above them
-/// stay what they are. `values` begins with the planes and has room for the result.
+/// Doubles the sides of the planes of `pyramid` in place. Each texel becomes four equal ones, so that the levels
+/// above keep their values. `values` starts with the planes and has room for the result.
 fn double<T: Copy>(values: &mut [T], pyramid: &Pyramid) {
-    // From the end: no texel is overwritten before it is read.
+    // From the end, so that no texel is overwritten before it is read.
     for plane in (0..3).rev() {
         let (shape, start) = (pyramid.shape(0, plane), pyramid.offset(0, plane));
         let row = shape.row();
@@ -240,7 +242,7 @@ mod tests {
             let expected = (radius / base).log2();
             let blend = pyramid.blend(2, radius.log2());
             assert!((blend.lower as f64 + blend.fraction - expected).abs() < 1e-12);
-            // The code's r̈ = texel/2 lies log2(2/√π) = 0.17 levels higher.
+            // With r̈ = texel/2, as in the authors' code, the level is higher by log2(2/√π) = 0.17.
             let blend = with_formula(512, 8, LevelFormula::Code).blend(2, radius.log2());
             let higher = (2.0 / std::f64::consts::PI.sqrt()).log2();
             assert!((blend.lower as f64 + blend.fraction - expected - higher).abs() < 1e-12);
@@ -262,7 +264,7 @@ mod tests {
             for bias in [-1.0_f32, -0.25, 0.5, 1.5] {
                 assert!((level(bias, radius) - level(0.0, radius) - f64::from(bias)).abs() < 1e-12);
             }
-            // A radius half as large is one level.
+            // Halving the radius changes the level by one.
             assert!((level(-1.0, radius) - level(0.0, radius / 2.0)).abs() < 1e-12);
         }
     }
@@ -346,7 +348,7 @@ mod tests {
         assert_eq!(pyramid.sides, [256, 512, 16]);
         assert_eq!(pyramid.shape(0, 2), Shape { rows: 512, columns: 256 });
         assert_eq!(pyramid.shape(4, 0), Shape { rows: 1, columns: 32 });
-        // r̈ of the paper with the texels' own sides.
+        // The paper's r̈, with the texels' own sides.
         let texel = 2.0 / 512.0;
         assert!((pyramid.log2_base_radius[2] - (texel / 2.0_f64).log2()).abs() < 1e-12);
         let square = EncoderConfig { shape: PlaneShape::Square, ..config };

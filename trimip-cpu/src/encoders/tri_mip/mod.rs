@@ -14,27 +14,27 @@ use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, taps};
 use trimip_core::{Aabb, Config};
 
-/// Planes and their mip levels.
+/// The planes and their mip levels.
 pub(crate) struct Planes {
     simd: Simd,
     pyramid: Pyramid,
-    /// The pyramid of planes of full size.
+    /// The pyramid of the planes in full size.
     whole: Pyramid,
-    /// Where the gradient may differ from zero.
+    /// The texels whose gradient may be non-zero.
     touched: Extents,
     /// Levels above the base, see [`Pyramid::offset`].
     derived: Buffer<f32>,
-    /// Gradient of the same.
+    /// Gradient of `derived`.
     derived_gradient: Buffer<f32>,
 }
 
-/// Feature gradients of some spans, and for each plane and band of rows the samples that touch it.
+/// Feature gradients of some spans and, for each plane and band of rows, the samples that touch it.
 pub(crate) struct Gradient {
-    /// Where each sample lies.
+    /// Position and radius of each sample.
     pub spheres: Buffer<Sphere>,
-    /// Its gradient, [samples, 48].
+    /// Feature gradient of each sample, [samples, 48].
     pub rows: Buffer<f32>,
-    /// Samples by plane and band, in sample order.
+    /// Sample indices by plane and band, in sample order.
     pub bands: Vec<Vec<u32>>,
 }
 
@@ -95,7 +95,7 @@ impl Encoding for Planes {
     fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
         let base = &mut parameter_gradient[..self.pyramid.base_len()];
         spread(self.simd, &self.pyramid, gradients, base, &mut self.derived_gradient, &mut self.touched);
-        // Pull from coarse to fine: each texel of a level carries a quarter of its parent's gradient.
+        // Pull from coarse to fine: each texel gets a quarter of its parent's gradient.
         let Self { simd, pyramid, derived_gradient, touched, .. } = self;
         for level in (1..pyramid.levels).rev() {
             let (derived, coarser) = derived_gradient.split_at_mut(pyramid.offset(level, 0));
@@ -128,7 +128,7 @@ impl Encoding for Planes {
     }
 
     fn left(_: &Config) -> Left {
-        // A sample's gradient, its place, and its number in the lists of the bands that it touches.
+        // A sample stores its gradient, its sphere, and its index in the lists of the bands that it touches.
         let by_sample = size_of::<[f32; FEATURES]>() + size_of::<Sphere>() + 3 * 2 * size_of::<u32>();
         Left { by_sample, by_deposit: 3 * BANDS * size_of::<Vec<u32>>() }
     }
@@ -149,7 +149,7 @@ impl Encoding for Planes {
 }
 
 impl Planes {
-    /// Rebuilds the mip levels above the base texels `changed`.
+    /// Rebuilds the mip levels above the base texels in `changed`.
     fn average(&mut self, parameters: &[f32], changed: &Extents) {
         let Self { simd, pyramid, derived, .. } = self;
         let mut below = changed.level(0).to_vec();
@@ -160,12 +160,12 @@ impl Planes {
             } else {
                 &derived[pyramid.offset(level - 1, 0)..]
             };
-            // Every plane has an even number of rows below its rows: pairs stay within their plane.
+            // Every plane of the finer level has an even number of rows, so pairs of rows stay within their plane.
             let above: Vec<Extent> =
                 below.chunks_exact(2).map(|rows| rows[0].union(rows[1]).halved()).collect();
             let mut extents = &above[..];
             for plane in 0..3 {
-                // Row r of this level lies over rows 2r and 2r + 1 of the finer one.
+                // Row r of this level covers rows 2r and 2r + 1 of the finer one.
                 let Shape { rows, .. } = pyramid.shape(level, plane);
                 let row = pyramid.shape(level, plane).row();
                 let fine = take(&mut finer, 4 * rows * row).par_chunks(4 * row);
@@ -180,7 +180,7 @@ impl Planes {
     }
 }
 
-/// Some texels of a row of 2×2 box averages; `fine` holds the two rows below it.
+/// Averages 2×2 texels for some columns of a row; `fine` holds the two rows of the finer level.
 struct AverageRow<'a> {
     fine: &'a [f32],
     out: &'a mut [f32],
@@ -198,8 +198,8 @@ impl Kernel for AverageRow<'_> {
             lower[below.clone()].chunks_exact(2 * CHANNELS).zip(upper[below].chunks_exact(2 * CHANNELS));
         let out = &mut self.out[CHANNELS * start..CHANNELS * end];
         for (out, (lower, upper)) in out.chunks_exact_mut(CHANNELS).zip(pairs) {
-            // SAFETY: `lower` and `upper` hold two texels of 16 values, `out` one. Written with lanes because the
-            // compiler's own vectors run across texels and gather.
+            // SAFETY: `lower` and `upper` hold two texels of 16 values, `out` one. Explicit lanes are used because
+            // the compiler would vectorise across texels and gather.
             unsafe {
                 let pair = |row: &[f32]| L::load(row.as_ptr()).add(L::load(row.as_ptr().add(CHANNELS)));
                 let sum = pair(lower).add(pair(upper));
@@ -209,7 +209,7 @@ impl Kernel for AverageRow<'_> {
     }
 }
 
-/// Adds a quarter of some coarse texels' gradient to their four children each.
+/// Adds a quarter of each coarse texel's gradient to its four children, for some columns of a row.
 struct PullRow<'a> {
     coarse: &'a [f32],
     fine: &'a mut [f32],
@@ -248,20 +248,20 @@ struct Gather<'a> {
     features: &'a mut [f32],
 }
 
-/// Samples whose texels are fetched into the caches before the first of them is summed.
+/// Number of samples whose texels are prefetched before the first of them is summed.
 const AHEAD: usize = 8;
 
-/// Levels a pyramid can have: plane sizes go up to 4096.
+/// Maximum number of levels of a pyramid: planes have at most 4096 texels along a side.
 const MOST_LEVELS: usize = 16;
 
-/// One bilinear read: where its texels are, and their weights with the level's share.
+/// One bilinear read: pointers to its texels, and their weights multiplied by the level's share.
 #[derive(Clone, Copy)]
 struct Read {
     texels: [*const f32; 4],
     weights: [f32; 4],
 }
 
-/// What a sample reads: on each plane one level or two.
+/// The reads of a sample: one or two levels on each plane.
 #[derive(Clone, Copy)]
 struct Reads {
     reads: [[Read; 2]; 3],
@@ -269,7 +269,7 @@ struct Reads {
 }
 
 impl Gather<'_> {
-    /// First texel of every level and plane.
+    /// Pointers to the first texel of every level and plane.
     #[inline(always)]
     fn places(&self) -> [[*const f32; 3]; MOST_LEVELS] {
         let mut places = [[std::ptr::null(); 3]; MOST_LEVELS];
@@ -282,7 +282,7 @@ impl Gather<'_> {
         places
     }
 
-    /// Finds what a sample reads, and fetches it.
+    /// Computes the reads of a sample and prefetches their texels.
     #[inline(always)]
     fn find(&self, places: &[[*const f32; 3]; MOST_LEVELS], sphere: &Sphere, to: &mut Reads) {
         let log2_radius = sphere.radius.log2();
@@ -299,7 +299,7 @@ impl Gather<'_> {
                 for i in 0..2 {
                     for j in 0..2 {
                         let texel = (taps.rows[i] * shape.columns + taps.columns[j]) * CHANNELS;
-                        // SAFETY: taps clamps rows and columns to the shape; the level holds all its texels.
+                        // SAFETY: `taps` clamps rows and columns to the shape, and the level holds all its texels.
                         let texel = unsafe { places[level][plane].add(texel) };
                         fetch(texel);
                         read.texels[2 * i + j] = texel;
@@ -328,7 +328,7 @@ impl Kernel for Gather<'_> {
                     let mut sum = L::splat(0.0);
                     for read in &reads.reads[plane][..1 + usize::from(reads.two[plane])] {
                         for (texel, weight) in read.texels.into_iter().zip(read.weights) {
-                            // SAFETY: `find` made the pointer from texels that this kernel borrows.
+                            // SAFETY: `find` computed the pointer from texels that this kernel borrows.
                             sum = L::splat(weight).mul_add(unsafe { L::load(texel) }, sum);
                         }
                     }

@@ -1,6 +1,6 @@
-//! From feature gradients to texel gradients, with the same bits for any number of threads and without atomics: each
-//! plane is cut into bands of rows, a sample is listed in every band it touches, and one worker adds up a band in sample
-//! order. A row of a level belongs to exactly one band.
+//! Scatters feature gradients to texel gradients, with the same bits for any number of threads and without atomics.
+//! Each plane is cut into bands of rows. A sample is listed in every band that it touches, and one worker sums a band
+//! in sample order. A row of a level belongs to exactly one band.
 
 use super::Gradient;
 use super::extents::{Extent, Extents};
@@ -11,10 +11,10 @@ use std::ops::Range;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
 
-/// Bands of a plane.
+/// Bands per plane.
 pub const BANDS: usize = 16;
 
-/// The rows of one band of one plane, of all levels.
+/// The rows of one band of one plane, on all levels.
 pub struct Band<'a> {
     plane: usize,
     band: usize,
@@ -25,11 +25,11 @@ pub struct Band<'a> {
 struct LevelBand<'a> {
     first_row: usize,
     texels: &'a mut [f32],
-    /// What is touched of each row.
+    /// The touched columns of each row.
     extents: &'a mut [Extent],
 }
 
-/// Band that owns a row of a plane's level that has `rows`.
+/// Band that owns a row of a plane with `rows` rows on this level.
 #[inline(always)]
 fn owner(row: usize, rows: usize) -> usize {
     row * BANDS / rows
@@ -40,22 +40,22 @@ fn first_row(band: usize, rows: usize) -> usize {
     (band * rows).div_ceil(BANDS)
 }
 
-/// The up to two reads of a sphere on a plane: level and weight.
+/// The reads of a sphere on a plane, at most two: level and weight.
 #[inline(always)]
 fn reads(pyramid: &Pyramid, plane: usize, log2_radius: f32) -> [(usize, f32); 2] {
     let blend = pyramid.blend(plane, log2_radius);
     [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
 }
 
-/// Lists samples in every band they touch.
+/// Lists samples in every band that they touch.
 pub struct Sort<'a> {
     /// The planes.
     pub pyramid: &'a Pyramid,
-    /// Where the samples lie.
+    /// Position and radius of each sample.
     pub spheres: &'a [Sphere],
-    /// Number of the first sample.
+    /// Index of the first sample.
     pub first: u32,
-    /// Lists by plane and band.
+    /// Sample lists by plane and band.
     pub bands: &'a mut [Vec<u32>],
 }
 
@@ -84,7 +84,8 @@ impl Kernel for Sort<'_> {
     }
 }
 
-/// Overwrites `base` and `derived` with the sums of all deposits; both are zero outside of `touched`, before and after.
+/// Overwrites `base` and `derived` with the sums of all deposits. Both are zero outside of `touched`, before and
+/// after.
 pub fn spread(
     simd: Simd,
     pyramid: &Pyramid,

@@ -1,4 +1,5 @@
-// Mip levels: each texel of a level is the mean of four of the finer one. One invocation has four channels of one texel.
+// Mip levels: each texel is the mean of four texels of the finer level. One invocation computes four channels of one
+// texel.
 
 struct Params {
     // Texels of the finer level along x, y and z.

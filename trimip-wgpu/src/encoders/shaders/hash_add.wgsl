@@ -1,4 +1,5 @@
-// Feature gradients to gradients of entries: one invocation adds one level of one sample. `add_base` decides how.
+// Adds feature gradients to gradients of entries: one invocation per level of a sample. `add_base` defines the
+// addition.
 
 @group(0) @binding(0) var<storage, read> gradients: array<f32>;
 @group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;

@@ -1,18 +1,18 @@
 // Twin of `trimip_core::encoders::hash_grid`.
 
 struct Level {
-    // Cells across the box, less one.
+    // Cells across the box, minus one.
     scale: f32,
-    // Corners along a side; 0 where corners share entries by their hash.
+    // Corners along a side; 0 if corners share entries through the hash.
     side: u32,
-    // First entry, and number of entries.
+    // Index of the first entry, and number of entries.
     first: u32,
     entries: u32,
 }
 
 struct Params {
     levels: u32,
-    // Floats of a row of features.
+    // Floats in a row of features.
     stride: u32,
     counter: u32,
 }
@@ -20,7 +20,7 @@ struct Params {
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(9) var<storage, read> levels: array<Level>;
 
-// The cell around a place: its lower corner, and the place within it.
+// The cell that contains a position: its lower corner, and the position within it.
 struct Cell {
     lower: vec3<u32>,
     fraction: vec3<f32>,
@@ -41,7 +41,7 @@ fn corner_weight(cell: Cell, corner: u32) -> f32 {
     return along.x * along.y * along.z;
 }
 
-// Entry of a corner of the cell, within all levels.
+// Index of a corner's entry within all levels.
 fn corner_entry(level: Level, cell: Cell, corner: u32) -> u32 {
     let at = cell.lower + select(vec3<u32>(0u), vec3<u32>(1u), is_upper(corner));
     if level.side == 0u {

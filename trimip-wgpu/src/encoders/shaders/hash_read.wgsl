@@ -30,7 +30,7 @@ fn hash_read(
     for (var f = 0u; f < FEATURES; f++) {
         features[row + level * FEATURES + f] = sum[f];
     }
-    // What lies behind the width is zero.
+    // Columns beyond the width are zero.
     if level + 1u == params.levels {
         for (var at = params.levels * FEATURES; at < params.stride; at++) {
             features[row + at] = 0.0;

@@ -1,7 +1,7 @@
-// Gradients of entries from fixed point to f32, four an invocation.
+// Converts gradients of entries from fixed point to f32, four per invocation.
 
 struct Settling {
-    // Fours.
+    // Number of groups of four.
     count: u32,
 }
 

@@ -1,6 +1,6 @@
-// Where the texels of the planes YZ, XZ and XY of one level lie; `sides` are the level's texels along x, y and z.
+// Layout of the planes YZ, XZ and XY of one level. `sides` are the level's texels along x, y and z.
 
-// Columns and rows of a plane.
+// Number of columns and rows of a plane.
 fn plane_shape(sides: vec3<u32>, plane: u32) -> vec2<u32> {
     switch plane {
         case 0u: { return sides.yz; }
@@ -9,7 +9,7 @@ fn plane_shape(sides: vec3<u32>, plane: u32) -> vec2<u32> {
     }
 }
 
-// First texel of a plane; of plane 3, which there is not, the end of the level.
+// Index of a plane's first texel. Returns the end of the level for plane 3.
 fn plane_start(sides: vec3<u32>, plane: u32) -> u32 {
     var start = 0u;
     for (var before = 0u; before < plane; before++) {
@@ -25,7 +25,7 @@ struct Place {
     column: u32,
 }
 
-// Plane, row and column of a level's texel.
+// Plane, row and column of a texel, given its index in the level.
 fn place_of(sides: vec3<u32>, texel: u32) -> Place {
     var plane = 0u;
     while plane < 2u && texel >= plane_start(sides, plane + 1u) {
@@ -36,7 +36,7 @@ fn place_of(sides: vec3<u32>, texel: u32) -> Place {
     return Place(plane, at / columns, at % columns);
 }
 
-// The texel in the level above or below it, given that level's sides.
+// Index of the texel at `place` in the level with these `sides`.
 fn texel_at(sides: vec3<u32>, place: Place) -> u32 {
     return plane_start(sides, place.plane) + place.row * plane_shape(sides, place.plane).x + place.column;
 }

@@ -1,10 +1,10 @@
-// Gradients on their way down the mip levels: each texel takes a quarter of its parent's. One invocation has four channels
-// of one texel. `own_gradient` reads what `scatter` left.
+// Pulls gradients down the mip levels: each texel gets a quarter of its parent's gradient. One invocation computes
+// four channels of one texel. `own_gradient` reads the sum that `scatter` wrote.
 
 struct Params {
     // Texels of the finer level along x, y and z.
     sides: vec3<u32>,
-    // There is a coarser level to pull from.
+    // 1 if there is a coarser level to pull from.
     has_coarse: u32,
 }
 

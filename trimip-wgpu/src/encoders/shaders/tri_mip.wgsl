@@ -1,16 +1,17 @@
-// Twin of `trimip_core::tri_mip`: the level of a sphere (Eq. 5) and the texels a query reads. Needs `planes.wgsl`.
+// Twin of `trimip_core::tri_mip`: the level of a sphere (Eq. 5) and the texels that a query reads. Needs
+// `planes.wgsl`.
 
 struct Pyramid {
-    // log2 of the base radius of each plane.
+    // log2 of each plane's base radius.
     log2_base_radius: vec3<f32>,
     levels: u32,
     // Texels along x, y and z at level 0.
     sides: vec3<u32>,
-    // Rows: counts[counter].
+    // Index of the counter of rows: counts[counter].
     counter: u32,
 }
 
-// Coordinates along a row of texels and across.
+// Coordinates along a row of texels and across the rows.
 fn plane_axes(position: vec3<f32>, plane: u32) -> vec2<f32> {
     switch plane {
         case 0u: { return position.yz; }
@@ -19,7 +20,7 @@ fn plane_axes(position: vec3<f32>, plane: u32) -> vec2<f32> {
     }
 }
 
-// First texel of `level` of `plane`; level 0 begins the parameters, level 1 the derived levels.
+// Index of the first texel of `level` of `plane`. Level 0 starts the parameters, level 1 the derived levels.
 fn level_start(pyramid: Pyramid, level: u32, plane: u32) -> u32 {
     var start = plane_start(pyramid.sides >> vec3<u32>(level), plane);
     for (var l = 1u; l < level; l++) {
@@ -50,7 +51,7 @@ struct Taps {
     // Columns of the left and right texels, rows of the lower and upper ones.
     columns: vec2<u32>,
     rows: vec2<u32>,
-    // How far right and up.
+    // Interpolation fractions towards the right column and the upper row.
     right: f32,
     up: f32,
 }

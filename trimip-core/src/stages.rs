@@ -1,0 +1,332 @@
+//! The traits of the stages. Each stage processes a whole span of rays, from one batch to the next, and knows nothing of
+//! the other stages. Its first argument is the lane on which the work is issued (a worker's scratch memory on a CPU, a
+//! command encoder on a GPU). No stage returns a value that lives on the device: a GPU records a whole step and reads
+//! nothing back.
+
+use crate::{
+    Backend, Camera, Pixel, Result,
+    backend::see_all,
+    batch::{Deposit, Radiance, Rays, Samples, Workspace},
+    model::Assets,
+};
+use std::ops::Range;
+
+/// The stages of one model.
+pub struct Stages<B: Backend> {
+    /// Maps spheres to features.
+    pub encoder: B::Encoder,
+    /// Maps features to density and colour.
+    pub field: B::Field,
+    /// Maps rays to samples, and samples to pixels.
+    pub renderer: B::Renderer,
+    /// Maps gradients to new parameters.
+    pub optimizer: B::Optimizer,
+    /// Generates rays.
+    pub sampler: B::Sampler,
+    /// Restricts where samples are placed.
+    pub occupancy: B::Occupancy,
+    /// Maps pixels to the loss.
+    pub loss: B::Loss,
+}
+
+impl<B: Backend> Stages<B> {
+    /// Sums the deposits into one gradient of all parameters, not yet divided by the sum of the weights, and empties
+    /// the deposits.
+    pub fn flush(
+        &mut self,
+        deposits: &mut [Deposit<B>],
+        parameters: &B::Buffer<f32>,
+        gradient: &mut B::Buffer<f32>,
+    ) {
+        self.field.flush(deposits, gradient);
+        self.encoder.flush(deposits, parameters, gradient);
+    }
+}
+
+/// Maps samples to features. A sample is a sphere on the axis of a cone. The encoder also gets the sample's ray and
+/// interval, which is the full geometry; it may use a Gaussian along the cone instead, or several points inside it.
+pub trait Encoder<B: Backend>: Send + Sync {
+    /// Feature gradients of some spans, with the places they belong to.
+    type Gradient: Send;
+
+    /// Creates an empty gradient.
+    fn gradient(&self) -> Self::Gradient;
+
+    /// Switches to the parameters that are in use at growth stage `stage` ([`crate::encoders::Definition::stage`]).
+    /// The parameters change before this call, and a refresh follows it.
+    fn grow(&mut self, stage: u32);
+
+    /// Rebuilds data derived from the parameters, such as mip levels. Called once per change of the parameters.
+    fn refresh(&mut self, parameters: &B::Buffer<f32>);
+
+    /// Encodes every sample. `features` becomes [samples, [`stride`](crate::encoders::stride)]. `tape` becomes
+    /// [samples, [`tape`](crate::encoders::Definition::tape)]: what the backward pass needs of each sample.
+    fn forward(
+        &self,
+        lane: &mut B::Lane,
+        parameters: &B::Buffer<f32>,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        tape: &mut B::Buffer<f32>,
+        features: &mut B::Buffer<f32>,
+    );
+
+    /// Keeps the rows of tape and features that survived pruning and drops the others.
+    fn keep(
+        &self,
+        lane: &mut B::Lane,
+        kept: &B::Buffer<u32>,
+        tape: &mut B::Buffer<f32>,
+        features: &mut B::Buffer<f32>,
+    );
+
+    /// Adds the gradient of the span's features to the deposit.
+    #[allow(clippy::too_many_arguments)]
+    fn backward(
+        &self,
+        lane: &mut B::Lane,
+        parameters: &B::Buffer<f32>,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        tape: &B::Buffer<f32>,
+        feature_gradients: &B::Buffer<f32>,
+        gradient: &mut Self::Gradient,
+    );
+
+    /// Sums all deposits in a fixed order, overwrites the encoder's part of `parameter_gradient` with the result and
+    /// empties the deposits. Called once per step, before the parameters are updated.
+    fn flush(
+        &mut self,
+        deposits: &mut [Deposit<B>],
+        parameters: &B::Buffer<f32>,
+        parameter_gradient: &mut B::Buffer<f32>,
+    );
+}
+
+/// Maps features to density, then to colour (two small networks). Density is evaluated apart from colour, so that
+/// occupancy and pruning never pay for colour.
+pub trait Field<B: Backend>: Send + Sync {
+    /// Activations, kept from forward to backward.
+    type Tape: Send;
+    /// Weight gradients of some spans.
+    type Gradient: Send;
+
+    /// Creates an empty tape.
+    fn tape(&self) -> Self::Tape;
+
+    /// Creates an empty gradient.
+    fn gradient(&self) -> Self::Gradient;
+
+    /// Repacks the weights. Called once per change of the parameters.
+    fn refresh(&mut self, parameters: &B::Buffer<f32>);
+
+    /// Evaluates the density of every sample; stores geometry features and activations on the tape.
+    fn density(
+        &self,
+        lane: &mut B::Lane,
+        samples: &Samples<B>,
+        features: &B::Buffer<f32>,
+        tape: &mut Self::Tape,
+        radiance: &mut B::Buffer<Radiance>,
+    );
+
+    /// Keeps the rows of tape and radiance that survived pruning and drops the others.
+    fn keep(
+        &self,
+        lane: &mut B::Lane,
+        kept: &B::Buffer<u32>,
+        tape: &mut Self::Tape,
+        radiance: &mut B::Buffer<Radiance>,
+    );
+
+    /// Evaluates the colour of every kept sample.
+    fn color(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        tape: &mut Self::Tape,
+        radiance: &mut B::Buffer<Radiance>,
+    );
+
+    /// Maps gradients of density and colour to gradients of features; adds to the weight gradients.
+    #[allow(clippy::too_many_arguments)]
+    fn backward(
+        &self,
+        lane: &mut B::Lane,
+        samples: &Samples<B>,
+        features: &B::Buffer<f32>,
+        tape: &mut Self::Tape,
+        radiance: &B::Buffer<Radiance>,
+        radiance_gradients: &B::Buffer<Radiance>,
+        feature_gradients: &mut B::Buffer<f32>,
+        gradient: &mut Self::Gradient,
+    );
+
+    /// Sums all deposits in order, overwrites the networks' part of `parameter_gradient` with the result and empties
+    /// the deposits.
+    fn flush(&mut self, deposits: &mut [Deposit<B>], parameter_gradient: &mut B::Buffer<f32>);
+}
+
+/// Maps rays to samples and samples to pixels (cones sampled in uniform steps; volume rendering, NeRF Eq. 3). A pixel
+/// is the mean of its group of cones.
+pub trait Renderer<B: Backend>: Send + Sync {
+    /// Sets the assets of the model's scene. Called once, before the first view is rendered.
+    ///
+    /// # Errors
+    /// When an asset that the renderer needs is missing or broken.
+    fn equip(&mut self, _assets: &Assets) -> Result<()> {
+        Ok(())
+    }
+
+    /// Applies the schedules of a run: sets the marching step for `progress` in [0, 1].
+    fn follow(&mut self, progress: f64);
+
+    /// Places samples in occupied cells. `jitter` is the number of the training step; it selects the random offset, a
+    /// fraction of a marching step, by which each ray's start is moved. `None` disables the offset.
+    fn march(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        occupancy: &B::Occupancy,
+        jitter: Option<u64>,
+        samples: &mut Samples<B>,
+    );
+
+    /// Drops samples behind the least transmittance; `kept` receives the rows that remain.
+    fn prune(
+        &self,
+        lane: &mut B::Lane,
+        radiance: &B::Buffer<Radiance>,
+        samples: &mut Samples<B>,
+        kept: &mut B::Buffer<u32>,
+    );
+
+    /// Takes rays to the density of their visible samples, ready for colour. A renderer may walk each ray front to
+    /// back in pieces and stop where it is opaque, provided that it keeps the same samples as [`see_all`]. It may
+    /// also place samples by a rule of its own.
+    fn see(
+        &self,
+        stages: &Stages<B>,
+        parameters: &B::Buffer<f32>,
+        space: &mut Workspace<B>,
+        jitter: Option<u64>,
+    ) {
+        see_all(stages, parameters, space, jitter);
+    }
+
+    /// Composites each cone on the background of its pixel's target, or on the configured background if there are no
+    /// targets. `cones` becomes [rays]; `pixels` becomes [groups], the mean of each group.
+    fn composite(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        radiance: &B::Buffer<Radiance>,
+        cones: &mut B::Buffer<Pixel>,
+        pixels: &mut B::Buffer<Pixel>,
+    );
+
+    /// Maps gradients of pixels to gradients of density and colour. `cones` is the output of
+    /// [`composite`](Self::composite).
+    #[allow(clippy::too_many_arguments)]
+    fn backward(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        radiance: &B::Buffer<Radiance>,
+        cones: &B::Buffer<Pixel>,
+        pixel_gradients: &B::Buffer<[f32; 4]>,
+        radiance_gradients: &mut B::Buffer<Radiance>,
+    );
+}
+
+/// Maps gradients to new parameters (AdamW, Loshchilov and Hutter 2019).
+pub trait Optimizer<B: Backend>: Send + Sync {
+    /// Performs step number `step` (counted from 1) at the networks' learning rate. Gradients are first divided by
+    /// `sums.weight` of the deposits.
+    fn step(
+        &mut self,
+        parameters: &mut B::Buffer<f32>,
+        gradient: &B::Buffer<f32>,
+        deposits: &[Deposit<B>],
+        learning_rate: f64,
+        step: u64,
+    );
+
+    /// Restricts updates to these parts of the slots, one range per slot. Only a part of a growing slot is in use.
+    fn restrict(&mut self, parts: &[Range<usize>]);
+
+    /// First and second moments, flat as the parameters.
+    fn moments(&self) -> [&B::Buffer<f32>; 2];
+
+    /// The moments, mutable, to restore a checkpoint.
+    fn moments_mut(&mut self) -> [&mut B::Buffer<f32>; 2];
+
+    /// Number of gradients that were not finite or whose square overflows f32; their parameters were not updated,
+    /// because a second moment that is infinite once would never let its parameter move again. The number includes
+    /// terms of gradients that a device left out because of their size.
+    fn non_finite(&self) -> u64;
+}
+
+/// Generates rays.
+pub trait Sampler<B: Backend>: Send + Sync {
+    /// Distributes the rays of later steps among the scales, by the schedule at `progress` in [0, 1]; see
+    /// [`Balance`](crate::balance::Balance).
+    fn follow(&mut self, progress: f64);
+
+    /// Generates the cones of the pixels `range` of a training step of `total` pixels. Each scale gets its share;
+    /// within a scale, pixels are drawn uniformly.
+    fn training_rays(&self, lane: &mut B::Lane, step: u64, total: u32, range: Range<u32>, rays: &mut Rays<B>);
+
+    /// Generates the cones of the pixels `range` of a camera, row by row.
+    fn camera_rays(&self, lane: &mut B::Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);
+}
+
+/// The occupancy grid (instant-ngp, Appendix C).
+pub trait Occupancy<B: Backend>: Send + Sync {
+    /// Selects the cells to refresh at `step`; returns their number.
+    fn choose(&mut self, step: u64) -> u32;
+
+    /// Generates one random point in each of the selected cells `range`, with a radius that fits the cell. Each point
+    /// is the only sample of its own ray, which has a random direction.
+    fn probes(
+        &self,
+        lane: &mut B::Lane,
+        step: u64,
+        range: Range<u32>,
+        rays: &mut Rays<B>,
+        samples: &mut Samples<B>,
+    );
+
+    /// Takes the densities of all selected cells and updates the bits.
+    fn absorb(&mut self, radiance: &B::Buffer<Radiance>);
+
+    /// Fraction of cells that are occupied.
+    fn occupied(&self) -> f64;
+
+    /// Running maximum of density·step per cell.
+    fn densities(&self) -> Vec<f32>;
+
+    /// One bit per cell, in cell order, lowest bit first.
+    fn bits(&self) -> Vec<u8>;
+
+    /// Restores the values of [`Occupancy::bits`] and, for training, of [`Occupancy::densities`].
+    fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>);
+}
+
+/// Maps pixels to the loss (smooth-L1, weighted by area).
+pub trait Loss<B: Backend>: Send + Sync {
+    /// Evaluates the area-weighted smooth-L1 of each pixel, its gradient with respect to the pixel (not yet divided
+    /// by the sum of the weights), and the sums.
+    fn evaluate(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        pixels: &B::Buffer<Pixel>,
+        pixel_gradients: &mut B::Buffer<[f32; 4]>,
+        sums: &mut B::Sums,
+    );
+}
