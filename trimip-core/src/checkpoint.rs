@@ -82,6 +82,9 @@ impl Checkpoint {
     }
 
     /// Writes the checkpoint, atomically; returns its size in bytes.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<u64> {
         let state = serde_json::to_string(&self.state).map_err(Error::run)?;
         let metadata = [("format", FORMAT.to_string()), ("config", self.config.to_toml()), ("state", state)];
@@ -89,6 +92,9 @@ impl Checkpoint {
     }
 
     /// Reads a checkpoint and checks its format.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is not a checkpoint that this build understands.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let file = TensorFile::read(path)?;
@@ -101,6 +107,9 @@ impl Checkpoint {
     }
 
     /// Refuses a checkpoint whose settings differ from `config`.
+    ///
+    /// # Errors
+    /// When a setting differs; names each.
     pub fn expect_config(&self, place: &str, config: &Config) -> Result<()> {
         let differences = config.differences(&self.config);
         if differences.is_empty() {

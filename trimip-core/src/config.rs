@@ -110,6 +110,7 @@ impl Config {
     /// # Errors
     /// When the text is no TOML, or as [`from_settings`](Self::from_settings).
     pub fn from_toml(name: &str, text: &str) -> Result<Self> {
+        expect_encoder(name, text)?;
         let mut settings = Settings::defaults();
         settings.apply_file(name, text)?;
         Self::from_settings(&settings)
@@ -158,6 +159,21 @@ impl Config {
             .apply_file("config", &self.whole_text())
             .unwrap_or_else(|error| unreachable!("our own text: {error}"));
         settings.iter().map(|(path, value, _)| (path.to_string(), value.clone())).collect()
+    }
+}
+
+/// Refuses the configuration of a model or run with an encoder that this build does not have. Its settings are unknown
+/// here, so this comes first.
+fn expect_encoder(name: &str, text: &str) -> Result<()> {
+    let table = toml::from_str::<toml::Table>(text).unwrap_or_default();
+    let kind = table.get("encoder").and_then(|encoder| encoder.get("kind")).cloned();
+    match kind.map(toml::Value::try_into::<EncoderKind>) {
+        Some(Err(error)) => Err(Error::input(
+            name,
+            format!("this build does not have its encoder: {}", error.message()),
+            "use a build that has it",
+        )),
+        Some(Ok(_)) | None => Ok(()),
     }
 }
 
@@ -232,6 +248,20 @@ mod tests {
             let error = Config::from_settings(&settings).unwrap_err();
             assert_eq!(error.exit_code(), 2);
             assert!(error.message.contains(expected), "{assignment}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_model_of_an_encoder_that_this_build_lacks_says_so() {
+        let text = Config::default().to_toml().replace("\"tri-mip\"", "\"k-planes\"");
+        for text in [text.clone(), format!("{text}\n[k_planes]\nsize = 3\n")] {
+            let error = Config::from_toml("old.safetensors", &text).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            for part in
+                ["old.safetensors", "`k-planes`", "`tri-mip`", "`hash-grid`", "use a build that has it"]
+            {
+                assert!(error.message.contains(part), "{part}: {error}");
+            }
         }
     }
 

@@ -26,6 +26,7 @@ pub mod checkpoint;
 pub mod compositing;
 pub mod config;
 mod defaults;
+mod elements;
 pub mod encoders;
 mod error;
 pub mod evaluate;

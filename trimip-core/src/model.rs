@@ -64,6 +64,9 @@ impl Model {
     }
 
     /// Writes the model, atomically, each tensor in the precision that its slot declares; returns its size in bytes.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<u64> {
         let mut names = self.in_f16().peekable();
         if names.peek().is_none() {
@@ -79,6 +82,9 @@ impl Model {
     }
 
     /// Reads a model and checks its format.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is not a model that this build understands.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let mut file = TensorFile::read(path)?;

@@ -3,8 +3,8 @@
 
 use crate::{
     Space,
-    batch::{Interval, Ray, Sphere},
     config::OccupancyConfig,
+    elements::{Interval, Ray, Sphere},
     rng::{Draws, Random, Stream, unit},
 };
 

@@ -66,6 +66,9 @@ impl Settings {
     }
 
     /// Applies the text of a configuration file; `name` is used in errors.
+    ///
+    /// # Errors
+    /// When the text is not TOML, a key is unknown or a value has another type; names line and column.
     pub fn apply_file(&mut self, name: &str, text: &str) -> Result<()> {
         let table = DeTable::parse(text).map_err(|error| {
             let place = error.span().map_or(name.to_string(), |span| place(name, text, span.start));
@@ -94,6 +97,9 @@ impl Settings {
     }
 
     /// Applies one `a.b=c` of the command line. A value that is not valid TOML is taken as a string.
+    ///
+    /// # Errors
+    /// When there is no `=`, the key is unknown or the value has another type.
     pub fn apply_assignment(&mut self, assignment: &str) -> Result<()> {
         let place = format!("--set {assignment}");
         let Some((path, text)) = assignment.split_once('=') else {

@@ -1,7 +1,7 @@
 //! The map from the world to the encoder's unit cube. All code that places samples, skips empty cells or scales radii
 //! uses a [`Space`]; the GPU's twin is one WGSL file. The present map is affine: it maps the scene's box to the cube.
 
-use crate::{Aabb, batch::Ray, config::SceneConfig, scalar::Real};
+use crate::{Aabb, config::SceneConfig, elements::Ray, scalar::Real};
 
 /// The map from the world to the unit cube.
 #[derive(Clone, Copy, Debug, PartialEq)]

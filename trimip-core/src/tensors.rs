@@ -82,6 +82,9 @@ pub struct TensorFile {
 
 impl TensorFile {
     /// The tensor `name` as floats of the given shape. Errors name the tensor; `file` is its place.
+    ///
+    /// # Errors
+    /// When there is no such tensor, or it has another type or shape.
     pub fn f32(&self, file: &str, name: &str, shape: &[usize]) -> Result<&[f32]> {
         match self.tensors.get(name) {
             Some(Tensor { shape: found, values: Values::F32(values) }) if found == shape => Ok(values),
@@ -90,6 +93,9 @@ impl TensorFile {
     }
 
     /// The tensor `name` as bytes of the given shape.
+    ///
+    /// # Errors
+    /// When there is no such tensor, or it has another type or shape.
     pub fn u8(&self, file: &str, name: &str, shape: &[usize]) -> Result<&[u8]> {
         match self.tensors.get(name) {
             Some(Tensor { shape: found, values: Values::U8(values) }) if found == shape => Ok(values),
@@ -98,6 +104,9 @@ impl TensorFile {
     }
 
     /// The metadata under `key`.
+    ///
+    /// # Errors
+    /// When there is no such entry.
     pub fn text(&self, file: &str, key: &str) -> Result<&str> {
         self.metadata.get(key).map(String::as_str).ok_or_else(|| {
             Error::input(file, format!("no metadata `{key}`"), "this is not a file written by trimip-cli")
@@ -106,6 +115,9 @@ impl TensorFile {
 
     /// Writes the file at `path`, atomically, with `metadata` beside its own; returns its size in bytes. Tensors go
     /// directly to the disk, without a second copy in memory.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
     pub fn write(&self, path: &Path, metadata: &[(&str, String)]) -> Result<u64> {
         let views = self
             .tensors
@@ -129,6 +141,9 @@ impl TensorFile {
     }
 
     /// Parses the bytes of a file; `file` is used in errors.
+    ///
+    /// # Errors
+    /// When the bytes are not a safetensors file of known types.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self> {
         let broken = |error: safetensors::SafeTensorError| {
             Error::input(
@@ -165,6 +180,9 @@ impl TensorFile {
     }
 
     /// Reads the file at `path`.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is not a safetensors file of known types.
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = std::fs::read(path)
             .map_err(|error| Error::input(path.display(), error, "name an existing .safetensors file"))?;
@@ -183,6 +201,9 @@ fn wrong_tensor(file: &str, name: &str, kind: &str, shape: &[usize], found: Opti
 }
 
 /// Writes `bytes` to a temporary file and renames it: readers see the old file or the complete new one.
+///
+/// # Errors
+/// When the file cannot be written; the old one is then unchanged.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace_atomically(path, |temporary| std::fs::File::create(temporary)?.write_all(bytes))
 }

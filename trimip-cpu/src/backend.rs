@@ -1,7 +1,7 @@
 //! The CPU backend: buffers are plain memory, spans run on rayon workers, deposits are added up in order.
 
 use crate::buffer::{Buffer, take_mut};
-use crate::encoders::CpuEncoder;
+use crate::encoder::CpuEncoder;
 use crate::field::CpuField;
 use crate::loss::CpuLoss;
 use crate::occupancy::CpuOccupancy;

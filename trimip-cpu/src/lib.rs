@@ -25,7 +25,8 @@
 
 mod backend;
 mod buffer;
-pub mod encoders;
+mod encoder;
+mod encoders;
 mod field;
 pub mod gemm;
 mod loss;
@@ -40,7 +41,7 @@ pub mod simd;
 
 pub use backend::{CpuBackend, Lane};
 pub use buffer::Buffer;
-pub use encoders::CpuEncoder;
+pub use encoder::CpuEncoder;
 pub use field::CpuField;
 pub use occupancy::CpuOccupancy;
 pub use renderer::CpuRenderer;

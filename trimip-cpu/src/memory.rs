@@ -1,7 +1,7 @@
 //! Predicts the peak resident memory of a training run, by parts, before anything is allocated.
 
 use crate::backend::SAMPLES_AT_ONCE;
-use crate::encoders::left;
+use crate::encoder::left;
 use crate::mlp::BLOCK;
 use trimip_core::batch::{Interval, Radiance, Sphere};
 use trimip_core::params::{color_layers, density_layers};

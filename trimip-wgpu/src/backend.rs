@@ -4,7 +4,7 @@
 use crate::buffer::Buffer;
 use crate::ceilings::Ceilings;
 use crate::device::{Bind, Counts, GROUP, Gpu, Size};
-use crate::encoders::WgpuEncoder;
+use crate::encoder::WgpuEncoder;
 use crate::field::WgpuField;
 use crate::kernel::{Addition, GATHERING};
 use crate::loss::{Sums, WgpuLoss};

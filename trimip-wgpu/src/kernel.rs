@@ -276,7 +276,7 @@ mod tests {
                 }
             }
         }
-        kernels.extend(crate::encoders::kernels());
+        kernels.extend(crate::encoder::kernels());
         kernels
     }
 

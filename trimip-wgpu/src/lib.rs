@@ -7,6 +7,7 @@ mod backend;
 mod buffer;
 mod ceilings;
 mod device;
+mod encoder;
 mod encoders;
 mod field;
 mod kernel;

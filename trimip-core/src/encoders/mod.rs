@@ -6,8 +6,8 @@ pub mod tri_mip;
 
 use crate::{
     Config, Slot,
-    batch::{Interval, Ray, Sphere},
     config::EncoderKind,
+    elements::{Interval, Ray, Sphere},
     slot::ALIGNMENT,
 };
 

@@ -1,0 +1,87 @@
+//! The elements of the batches: plain values with the same layout on every device.
+
+use crate::Cone;
+use bytemuck::{Pod, Zeroable};
+use std::ops::Range;
+
+/// The axis of a pixel's cone.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Ray {
+    /// Apex, world units.
+    pub origin: [f32; 3],
+    /// Sphere radius per unit of distance (Eq. 3).
+    pub slope: f32,
+    /// Unit direction.
+    pub direction: [f32; 3],
+    /// Cosine to the optical axis.
+    pub cosine: f32,
+}
+
+impl From<Cone<f32>> for Ray {
+    fn from(cone: Cone<f32>) -> Self {
+        Self { origin: cone.origin, slope: cone.slope, direction: cone.direction, cosine: cone.cosine }
+    }
+}
+
+/// The target of a training ray.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Target {
+    /// Colour of the photograph's pixel on the background.
+    pub rgb: [f32; 3],
+    /// Area weight of the pixel, 4^level.
+    pub weight: f32,
+    /// Background colour behind the ray.
+    pub background: [f32; 3],
+    /// Alpha of the photograph's pixel, in [0, 1].
+    pub opacity: f32,
+}
+
+/// A sphere inscribed in a cone: the input of a query of the field.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Sphere {
+    /// Centre, in coordinates of the unit cube.
+    pub position: [f32; 3],
+    /// Radius, in the units of [`Space::aabb`](crate::Space::aabb).
+    pub radius: f32,
+}
+
+/// The range of a ray's samples, or of a pixel's cones: `start .. start + count`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct Segment {
+    /// First index.
+    pub start: u32,
+    /// Number of indices.
+    pub count: u32,
+}
+
+impl Segment {
+    /// The indices as a range.
+    #[inline]
+    pub fn range(&self) -> Range<usize> {
+        self.start as usize..(self.start + self.count) as usize
+    }
+}
+
+/// A sample's place on its ray.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Interval {
+    /// Distance of its midpoint, in units of the unit direction.
+    pub t: f32,
+    /// Its length δ.
+    pub length: f32,
+}
+
+/// Density and colour of a sample, or the gradient of the loss with respect to them.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct Radiance {
+    /// RGB in [0, 1].
+    pub rgb: [f32; 3],
+    /// Density per world unit.
+    pub density: f32,
+}

@@ -1,0 +1,150 @@
+//! The encoder stage on the GPU: the list of all encoders, and the dispatch to the configured one once per span.
+
+use crate::backend::{Lane, WgpuBackend};
+use crate::buffer::Buffer;
+use crate::device::Gpu;
+use crate::encoders::{Encoding, Left, Places, hash_grid, tri_mip};
+use crate::kernel::Addition;
+#[cfg(test)]
+use crate::kernel::Kernel;
+use crate::rows::Rows;
+use std::sync::Arc;
+use trimip_core::batch::{Deposit, Rays, Samples};
+use trimip_core::config::EncoderKind;
+use trimip_core::{Config, Encoder, encoders};
+
+/// The geometry of a span's samples.
+fn places(lane: &mut Lane, rays: &Rays<WgpuBackend>, samples: &Samples<WgpuBackend>) -> Places {
+    Places {
+        rays: rays.rays.raw().clone(),
+        owners: samples.rays.raw().clone(),
+        intervals: samples.intervals.raw().clone(),
+        spheres: samples.spheres.raw().clone(),
+        rows: Rows::of(&samples.spheres, &mut lane.count),
+    }
+}
+
+/// Feature gradients of a step, with the places they belong to.
+#[derive(Default)]
+pub struct EncoderGradient(Option<Left>);
+
+/// Generates the enum of all encoders and its dispatch from a list.
+macro_rules! encoders {
+    ($($name:ident => $encoding:ty),* $(,)?) => {
+        /// The configured encoder.
+        pub struct WgpuEncoder {
+            any: Any,
+            /// Floats in a row of features: the encoder's width, padded.
+            stride: usize,
+            /// Floats in a row of the tape.
+            tape: usize,
+        }
+
+        /// Kernels of all encoders, for validation.
+        #[cfg(test)]
+        pub(crate) fn kernels() -> Vec<Kernel> {
+            [$(<$encoding as Encoding>::kernels()),*].concat()
+        }
+
+        #[allow(clippy::large_enum_variant)] // There is only one instance.
+        enum Any { $($name($encoding)),* }
+
+        impl WgpuEncoder {
+            /// Creates the encoder of a configuration; `skipped` counts the gradient terms that are left out.
+            pub fn new(
+                gpu: &Arc<Gpu>,
+                config: &Config,
+                training: bool,
+                addition: Addition,
+                skipped: &Buffer<u32>,
+            ) -> Self {
+                let any = match config.encoder.kind {
+                    $(EncoderKind::$name => Any::$name(Encoding::new(gpu, config, training, addition, skipped))),*
+                };
+                Self { any, stride: encoders::stride(config), tape: encoders::of(config).tape(config) }
+            }
+        }
+
+        impl Encoder<WgpuBackend> for WgpuEncoder {
+            type Gradient = EncoderGradient;
+
+            fn gradient(&self) -> EncoderGradient {
+                EncoderGradient::default()
+            }
+
+            fn grow(&mut self, stage: u32) {
+                match &mut self.any { $(Any::$name(encoding) => encoding.grow(stage)),* }
+            }
+
+            fn refresh(&mut self, parameters: &Buffer<f32>) {
+                match &mut self.any { $(Any::$name(encoding) => encoding.refresh(parameters)),* }
+            }
+
+            fn forward(
+                &self,
+                lane: &mut Lane,
+                parameters: &Buffer<f32>,
+                rays: &Rays<WgpuBackend>,
+                samples: &Samples<WgpuBackend>,
+                tape: &mut Buffer<f32>,
+                features: &mut Buffer<f32>,
+            ) {
+                let at = places(lane, rays, samples);
+                at.rows.size(features, self.stride);
+                if self.tape > 0 {
+                    at.rows.size(tape, self.tape);
+                }
+                match &self.any {
+                    $(Any::$name(encoding) => encoding.forward(parameters, &at, tape, features)),*
+                }
+            }
+
+            fn keep(
+                &self,
+                lane: &mut Lane,
+                kept: &Buffer<u32>,
+                tape: &mut Buffer<f32>,
+                features: &mut Buffer<f32>,
+            ) {
+                if self.tape > 0 {
+                    lane.keep(kept, tape, self.tape);
+                }
+                lane.keep(kept, features, self.stride);
+            }
+
+            fn backward(
+                &self,
+                lane: &mut Lane,
+                _: &Buffer<f32>,
+                rays: &Rays<WgpuBackend>,
+                samples: &Samples<WgpuBackend>,
+                tape: &Buffer<f32>,
+                feature_gradients: &Buffer<f32>,
+                gradient: &mut EncoderGradient,
+            ) {
+                gradient.0 = Some(Left {
+                    at: places(lane, rays, samples),
+                    tape: tape.raw().clone(),
+                    gradients: feature_gradients.raw().clone(),
+                });
+            }
+
+            fn flush(
+                &mut self,
+                deposits: &mut [Deposit<WgpuBackend>],
+                parameters: &Buffer<f32>,
+                parameter_gradient: &mut Buffer<f32>,
+            ) {
+                let left = deposits.iter_mut().filter_map(|deposit| deposit.encoder.0.take());
+                match &mut self.any {
+                    $(Any::$name(encoding) => encoding.flush(left, parameters, parameter_gradient)),*
+                }
+            }
+        }
+    };
+}
+
+encoders! {
+    TriMip => tri_mip::Planes,
+    HashGrid => hash_grid::Grid,
+}
