@@ -129,6 +129,11 @@ fn an_opaque_box_has_its_silhouette() {
 }
 
 #[test]
+fn assets_travel_with_checkpoints_and_models() {
+    on_every_cpu(|make| suite::training::assets(make));
+}
+
+#[test]
 fn a_run_that_ends_early_is_its_model() {
     on_every_cpu(|make| suite::training::finish_early(make));
 }

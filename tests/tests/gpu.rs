@@ -161,6 +161,11 @@ fn the_batch_follows_the_step() {
 }
 
 #[test]
+fn assets_travel_with_checkpoints_and_models() {
+    reproducibly(|make| suite::training::assets(make));
+}
+
+#[test]
 fn a_run_that_ends_early_is_its_model() {
     reproducibly(|make| suite::training::finish_early(make));
 }

@@ -216,7 +216,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
     }
 
     /// Composites each cone on the background of its pixel's target, or on the configured background if there are no
-    /// targets. `cones` becomes [rays]; `pixels` becomes [groups], the mean of each group.
+    /// targets. `cones` gets one value per ray, `pixels` one per group, the mean of its cones.
     fn composite(
         &self,
         lane: &mut B::Lane,

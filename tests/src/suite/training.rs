@@ -12,6 +12,7 @@ use trimip_core::{
     encoders::tri_mip::CHANNELS,
     loaded::LoadedModel,
     schedule::Schedule,
+    tensors::Tensor,
     trainer::Trainer,
 };
 
@@ -72,6 +73,25 @@ pub fn scheduled() -> Result<Config> {
     settings.apply_file("schedules", text)?;
     config = Config::from_settings(&settings)?;
     Ok(config)
+}
+
+/// Assets of a scene travel with checkpoints and models, whether the renderer knows them or not.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn assets<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = scheduled()?;
+    let mut trainer = Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2))?;
+    let asset = Tensor::f32(&[2, 3], vec![1.0, -2.0, 3.5, 0.0, 5.0, -6.25]);
+    let mut checkpoint = trainer.checkpoint()?;
+    checkpoint.file.tensors.insert("asset.mesh".into(), asset.clone());
+    trainer.restore(&checkpoint)?;
+    let model = trainer.finish()?;
+    assert_eq!(model.file.tensors.get("asset.mesh"), Some(&asset));
+    assert_eq!(trainer.checkpoint()?.file.tensors.get("asset.mesh"), Some(&asset));
+    assert_eq!(checkpoint.into_model().file.tensors.get("asset.mesh"), Some(&asset));
+    LoadedModel::new(make(), &model)?;
+    Ok(())
 }
 
 /// A run that ends before its planes reach their full size renders the same as its model file.
