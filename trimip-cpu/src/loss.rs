@@ -4,7 +4,7 @@ use crate::buffer::Buffer;
 use crate::{CpuBackend, Lane};
 use trimip_core::Pixel;
 use trimip_core::backend::Loss;
-use trimip_core::batch::{Rays, Samples, Segment, StepSums};
+use trimip_core::batch::{Rays, Samples, Segment, StepSums, Target};
 use trimip_core::config::{LossConfig, LossRays};
 use trimip_core::loss::smooth_l1;
 
@@ -35,9 +35,27 @@ impl Loss<CpuBackend> for CpuLoss {
         sums.rays += pixels.len() as u64;
         sums.marched += u64::from(marched);
         sums.kept += u64::from(kept);
-        let segments: &[Segment] = &samples.segments;
-        let rows = pixels.iter().zip(rays.targets.iter()).zip(rays.groups.iter());
-        for (gradient, ((pixel, target), group)) in pixel_gradients.iter_mut().zip(rows) {
+        let (segments, groups): (&[Segment], &[Segment]) = (&samples.segments, &rays.groups);
+        let pixels = pixels.iter().zip(rays.targets.iter());
+        let rows = pixel_gradients.iter_mut().zip(pixels);
+        if segments.len() == groups.len() {
+            // Pixels of one cone each, which is the usual case.
+            self.add(rows.zip(segments).map(|(row, segment)| (row, segment.count > 0)), sums);
+        } else {
+            let any = |group: &Segment| segments[group.range()].iter().any(|segment| segment.count > 0);
+            self.add(rows.zip(groups).map(|(row, group)| (row, any(group))), sums);
+        }
+    }
+}
+
+/// A pixel's gradient, the pixel with its target, and whether it has any samples.
+type Row<'a> = ((&'a mut [f32; 4], (&'a Pixel, &'a Target)), bool);
+
+impl CpuLoss {
+    /// Adds the losses of pixels to the sums and writes their gradients.
+    #[inline]
+    fn add<'a>(&self, rows: impl Iterator<Item = Row<'a>>, sums: &mut StepSums) {
+        for ((gradient, (pixel, target)), live) in rows {
             *gradient = [0.0; 4];
             let difference: [f32; 3] = std::array::from_fn(|c| pixel.rgb[c] - target.rgb[c]);
             sums.squared_error += difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
@@ -45,11 +63,7 @@ impl Loss<CpuBackend> for CpuLoss {
                 sums.non_finite += 1;
                 continue;
             }
-            let live = || match group.count {
-                1 => segments[group.start as usize].count > 0,
-                _ => segments[group.range()].iter().any(|segment| segment.count > 0),
-            };
-            if self.config.rays == LossRays::Live && !live() {
+            if self.config.rays == LossRays::Live && !live {
                 continue;
             }
             sums.weight += f64::from(target.weight);
