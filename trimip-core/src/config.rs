@@ -252,6 +252,16 @@ mod tests {
     }
 
     #[test]
+    fn numbers_that_no_file_holds_are_refused() {
+        for change in [|c: &mut Config| c.seed = u64::MAX, |c: &mut Config| c.train.steps = 1 << 63] {
+            let mut config = Config::default();
+            change(&mut config);
+            let error = config.validate().unwrap_err();
+            assert!(error.exit_code() == 2 && error.message.contains("2^63"), "{error}");
+        }
+    }
+
+    #[test]
     fn a_model_of_an_encoder_that_this_build_lacks_says_so() {
         let text = Config::default().to_toml().replace("\"tri-mip\"", "\"k-planes\"");
         for text in [text.clone(), format!("{text}\n[k_planes]\nsize = 3\n")] {

@@ -49,6 +49,10 @@ impl Config {
     /// As [`validate`](Self::validate); `place` turns a dotted path into the place where its value was set.
     pub(super) fn validate_at(&self, place: &dyn Fn(&str) -> String) -> Result<()> {
         let checker = Checker { place };
+        // TOML, in which a configuration is stored, has signed numbers of 64 bits.
+        let storable = |number: u64| i64::try_from(number).is_ok();
+        checker.check(storable(self.seed), "seed", "0 to 2^63 - 1")?;
+        checker.check(storable(self.train.steps), "train.steps", "0 to 2^63 - 1")?;
         self.data.check(&checker)?;
         self.scene.check(&checker)?;
         self.encoder.check(&checker)?;

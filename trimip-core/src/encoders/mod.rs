@@ -1,5 +1,5 @@
 //! The encoders by name, and what core knows of each without a backend. An encoder is a folder or file here (its
-//! declaration, its mathematics, its twin in f64), a file in each backend, and a line in [`of`].
+//! declaration, its mathematics, its twin in f64), a file in each backend, and a line in `ALL`.
 
 pub mod hash_grid;
 pub mod tri_mip;
