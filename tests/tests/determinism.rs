@@ -13,7 +13,7 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};
 
-/// The state of an encoder after some training steps with `threads` threads, and a picture of it.
+/// The state after some training steps with the encoder and the cones of a configuration and `threads` threads, and a picture of it.
 fn trained(
     encoder: &trimip_core::Config,
     simd: Simd,
@@ -23,6 +23,7 @@ fn trained(
 ) -> (Checkpoint, trimip_core::Frame) {
     let mut config = fixtures::encoded(suite::training::configuration(), encoder);
     (config.seed, config.field.precision) = (seed, precision);
+    config.renderer.cones = encoder.renderer.cones;
     // There are at least 16 deposits, so several spans share one and workers compete for them.
     config.train.samples_per_step = 4096;
     let views = fixtures::noise(4, 16, 3, 30);
@@ -38,14 +39,19 @@ fn threads_change_no_bit() {
     let sets = Simd::available().into_iter();
     let sets: Vec<_> =
         sets.flat_map(|simd| [Precision::F32, Precision::Bf16].map(|precision| (simd, precision))).collect();
+    let mut configurations = fixtures::every_encoder();
+    let mut four_cones = fixtures::small();
+    four_cones.renderer.cones = 2;
+    configurations.push(four_cones);
     for (encoder, (simd, precision)) in
-        fixtures::every_encoder().iter().flat_map(|encoder| sets.iter().map(move |&set| (encoder, set)))
+        configurations.iter().flat_map(|encoder| sets.iter().map(move |&set| (encoder, set)))
     {
         let (expected, picture) = trained(encoder, simd, precision, 1, 42);
         assert!(expected.state.totals.samples > 20_000, "the steps are not empty");
         for threads in [2, 3, 5] {
             let (found, same) = trained(encoder, simd, precision, threads, 42);
-            let name = format!("{:?}, {simd:?}, {precision:?}, {threads} threads", encoder.encoder.kind);
+            let (kind, cones) = (encoder.encoder.kind, encoder.renderer.cones);
+            let name = format!("{kind:?}, {cones} cones, {simd:?}, {precision:?}, {threads} threads");
             assert_eq!(found.state, expected.state, "{name}");
             for (tensor, value) in &expected.file.tensors {
                 assert!(found.file.tensors.get(tensor) == Some(value), "{name}: `{tensor}` differs");
