@@ -13,7 +13,8 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};
 
-/// The state after some training steps with the encoder and the cones of a configuration and `threads` threads, and a picture of it.
+/// The state after some training steps with `threads` threads, and a picture of it. Encoder and cones are those of
+/// `encoder`.
 fn trained(
     encoder: &trimip_core::Config,
     simd: Simd,
