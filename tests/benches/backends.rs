@@ -92,10 +92,11 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         group.finish();
     };
 
+    let draw = stages.sampler.balance().draw(rays);
     bench("sample rays", rays.into(), &mut || {
-        stages.sampler.training_rays(&mut space.lane, 1, rays, 0..rays, &mut space.rays);
+        stages.sampler.training_rays(&mut space.lane, 1, &draw, 0..rays, &mut space.rays);
     });
-    stages.sampler.training_rays(&mut space.lane, 1, rays, 0..rays, &mut space.rays);
+    stages.sampler.training_rays(&mut space.lane, 1, &draw, 0..rays, &mut space.rays);
     let Workspace { lane, rays: origins, samples, encoding, features, tape, radiance, .. } = &mut space;
     stages.renderer.march(lane, origins, &stages.occupancy, Some(1), samples);
     let marched = backend.read(&samples.spheres).len() as u64;

@@ -52,6 +52,11 @@ fn a_pixel_is_the_mean_of_its_cones() {
 }
 
 #[test]
+fn scales_have_the_cones_of_the_rule() {
+    on_every_cpu(|make| suite::cones::by_scale(make));
+}
+
+#[test]
 fn equal_cones_are_one() {
     on_every_cpu(|make| suite::cones::equal(make));
 }

@@ -13,8 +13,8 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};
 
-/// The state after some training steps with `threads` threads, and a picture of it. Encoder and cones are those of
-/// `encoder`.
+/// The state after some training steps with `threads` threads, and a picture of it. Encoder, cones and edge exponents are
+/// those of `encoder`.
 fn trained(
     encoder: &trimip_core::Config,
     simd: Simd,
@@ -24,7 +24,9 @@ fn trained(
 ) -> (Checkpoint, trimip_core::Frame) {
     let mut config = fixtures::encoded(suite::training::configuration(), encoder);
     (config.seed, config.field.precision) = (seed, precision);
-    config.renderer.cones = encoder.renderer.cones;
+    (config.renderer.cones, config.renderer.cone_width) =
+        (encoder.renderer.cones, encoder.renderer.cone_width);
+    config.data.edge_exponents.clone_from(&encoder.data.edge_exponents);
     // There are at least 16 deposits, so several spans share one and workers compete for them.
     config.train.samples_per_step = 4096;
     let views = fixtures::noise(4, 16, 3, 30);
@@ -41,9 +43,11 @@ fn threads_change_no_bit() {
     let sets: Vec<_> =
         sets.flat_map(|simd| [Precision::F32, Precision::Bf16].map(|precision| (simd, precision))).collect();
     let mut configurations = fixtures::every_encoder();
-    let mut four_cones = fixtures::small();
-    four_cones.renderer.cones = 2;
-    configurations.push(four_cones);
+    // One, one and nine cones a pixel at the three scales.
+    let mut several_cones = fixtures::small();
+    (several_cones.renderer.cones, several_cones.renderer.cone_width) = (3, 0.45);
+    several_cones.data.edge_exponents = vec![0.0, 0.25, 0.5];
+    configurations.push(several_cones);
     for (encoder, (simd, precision)) in
         configurations.iter().flat_map(|encoder| sets.iter().map(move |&set| (encoder, set)))
     {

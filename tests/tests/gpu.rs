@@ -35,6 +35,11 @@ fn a_pixel_is_the_mean_of_its_cones() {
 }
 
 #[test]
+fn scales_have_the_cones_of_the_rule() {
+    reproducibly(|make| suite::cones::by_scale(make));
+}
+
+#[test]
 fn equal_cones_are_one() {
     reproducibly(|make| suite::cones::equal(make));
 }

@@ -262,7 +262,7 @@ fn builtin() -> Config {
 /// Mean PSNR on the held-out views of the built-in scene.
 fn held_out(session: &mut dyn Viewer, config: &Config) -> Result<f64> {
     let scene = trimip_data::open(&config.data)?;
-    let views = evaluate(session, scene.test.as_ref(), 1, config.data.background, |_| Ok(true))?;
+    let views = evaluate(session, scene.test.as_ref(), 1, &config.data, |_| Ok(true))?;
     Ok(views.iter().map(|view| view.psnr).sum::<f64>() / views.len() as f64)
 }
 

@@ -34,7 +34,7 @@ fn held_out(config: &Config) -> (f64, f64) {
         assert!(report.loss.is_finite() && report.totals.non_finite == 0);
     }
     let mut constant = Vec::new();
-    let views = evaluate(&mut trainer, scene.test.as_ref(), 1, config.data.background, |view| {
+    let views = evaluate(&mut trainer, scene.test.as_ref(), 1, &config.data, |view| {
         let count = view.target.len() as f32;
         let mean = [0, 1, 2].map(|c| view.target.iter().map(|p| p[c]).sum::<f32>() / count);
         constant.push(psnr(&vec![mean; view.target.len()], view.target));

@@ -265,6 +265,13 @@ pub struct BenchArguments {
     /// model file)
     #[arg(long, value_name = "RUN", conflicts_with_all = ["variants", "vary", "no_base", "seeds", "config"])]
     pub render: Option<PathBuf>,
+    /// Rendering: 1, 2x2, 4x4 and 8x8 cones a pixel at every scale of the test views, against the photographs and
+    /// against each other
+    #[arg(long, requires = "render")]
+    pub cones: bool,
+    /// Rendering with several cones: number of test views
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
+    pub views: u32,
     /// Rendering: width of the picture (the f64 reference is slow)
     #[arg(long, default_value_t = 48, value_parser = clap::value_parser!(u32).range(4..=800))]
     pub width: u32,

@@ -174,22 +174,30 @@ fn message(step: u64, psnr: f64, samples_per_second: f64, seconds_left: f64) -> 
     format!("step {step}  {psnr:.2} dB  {speed}  {} left", terminal::duration(seconds_left))
 }
 
-/// PSNR and SSIM per scale and their mean as aligned lines, followed by remarks.
+/// PSNR and SSIM per scale and their mean as aligned lines, followed by remarks. `plain` is without the edge exponents of
+/// the set, `box` against a true box filter of the finest photographs.
 pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
-    let line = |name: &str, images: usize, [psnr, rounded, opposite, ssim]: [f64; 4]| {
-        format!("{name:>7}  {images:>6}  {psnr:>8.3}  {rounded:>8.3}  {opposite:>11.3}  {ssim:>6.4}")
+    let head = ["PSNR/dB", "plain", "box", "at 8 bit", "on opposite"];
+    let line = |name: &str, images: &str, psnr: [String; 5], ssim: String| {
+        let cells: Vec<String> = head
+            .iter()
+            .zip(psnr)
+            .map(|(head, cell)| format!("{cell:>width$}", width = head.len().max(7)))
+            .collect();
+        format!("{name:>7}  {images:>6}  {}  {ssim:>6}", cells.join("  "))
     };
-    let mut lines = vec![format!(
-        "{:>7}  {:>6}  {:>8}  {:>8}  {:>11}  {:>6}",
-        "scale", "images", "PSNR/dB", "at 8 bit", "on opposite", "SSIM"
-    )];
+    let mut lines = vec![line("scale", "images", head.map(String::from), "SSIM".into())];
+    let row = |name: &str, images: usize, psnr: [f64; 5], ssim: f64| {
+        line(name, &images.to_string(), psnr.map(|psnr| format!("{psnr:.3}")), format!("{ssim:.4}"))
+    };
     lines.extend(scales.iter().map(|q| {
         let name = if q.scale == 1 { "full".to_string() } else { format!("1/{}", q.scale) };
-        line(&name, q.images, [q.psnr, q.psnr_8bit, q.psnr_opposite, q.ssim])
+        row(&name, q.images, [q.psnr, q.psnr_plain, q.psnr_box, q.psnr_8bit, q.psnr_opposite], q.ssim)
     }));
     let mean = mean_quality(scales);
     let images = scales.iter().map(|q| q.images).sum();
-    lines.push(line("mean", images, [mean.psnr, mean.psnr_8bit, mean.psnr_opposite, mean.ssim]));
+    let psnr = [mean.psnr, mean.psnr_plain, mean.psnr_box, mean.psnr_8bit, mean.psnr_opposite];
+    lines.push(row("mean", images, psnr, mean.ssim));
     lines.extend(mean.remark());
     lines
 }
@@ -220,6 +228,8 @@ mod tests {
             psnr,
             psnr_8bit: psnr,
             psnr_opposite: psnr,
+            psnr_plain: psnr,
+            psnr_box: psnr,
             psnr_constant: 12.0,
             ssim: 0.5,
         };

@@ -4,6 +4,7 @@ pub use crate::stages::{Encoder, Field, Loss, Occupancy, Optimizer, Renderer, Sa
 
 use crate::{
     Config, Result, ViewSet,
+    balance::Draw,
     batch::{Deposit, StepSums, Workspace},
 };
 use bytemuck::Pod;
@@ -70,13 +71,13 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Runs `work` in the device's worker pool; operations on whole arrays inside `work` use the workers.
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
 
-    /// Runs `work` over the step's `rays` in spans of about `per_span` rays. Spans that share a deposit run one after
-    /// the other, in order. Which spans share a deposit depends only on `rays`, `per_span` and the number of
-    /// deposits, so the sums have the same bits for any number of workers. A GPU takes all rays as one span.
+    /// Runs `work` over the pixels of a step in spans of about `per_span` cones. Spans that share a deposit run one
+    /// after the other, in order. Which spans share a deposit depends only on `draw`, `per_span` and the number of
+    /// deposits, so the sums have the same bits for any number of workers. A GPU takes all pixels as one span.
     fn train_spans(
         &self,
         field: &Self::Field,
-        rays: u32,
+        draw: &Draw,
         per_span: u32,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,

@@ -1,22 +1,49 @@
-//! Distribution of a step's rays over the scales of a set, and the loss weight of a ray of each scale.
+//! Distribution of a step's pixels over the scales of a set: how many each scale gets, their loss weight, and their
+//! cones.
 
-use crate::Scale;
+use crate::{Config, Scale, ViewSet, cones::Division, config::TrainConfig};
 
-/// Rays and loss weight of each scale.
+/// The scales of a training set, and the schedules by which they share the pixels of a step.
+#[derive(Clone, Debug)]
+pub struct Shares {
+    scales: Vec<Scale>,
+    /// Cones along a side of a pixel of each scale, when it is rendered.
+    sides: Vec<u32>,
+    train: TrainConfig,
+}
+
+impl Shares {
+    /// The shares of the scales of `views`. Both are in the coordinates of the configuration's box.
+    pub fn new(config: &Config, views: &ViewSet) -> Self {
+        let sides = Division::new(config).sides(views);
+        Self { scales: views.scales.clone(), sides, train: config.train.clone() }
+    }
+
+    /// The balance at `progress` in [0, 1].
+    pub fn at(&self, progress: f64) -> Balance {
+        let most = self.train.cones.at(progress) as u32;
+        let sides = self.sides.iter().map(|&side| side.min(most).max(1)).collect();
+        Balance::new(&self.scales, self.train.scale_balance.at(progress), sides)
+    }
+}
+
+/// Pixels, loss weight and cones of each scale.
 ///
-/// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b its share of the rays is ∝ w^(b−1)
-/// and each ray has weight w^(1−b). The expected loss is the same at every b, with equal weight for all scales. At 0 all
-/// pixels are equally likely (paper), and the gradient of coarse scales comes from few rays. At 1 all scales get equally
-/// many rays, which minimises the variance if the scales have equal variance.
+/// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b its share of a step's pixels is
+/// ∝ w^(b−1) and each of them has weight w^(1−b). The expected loss is the same at every b, with equal weight for all
+/// scales. At 0 all pixels are equally likely (paper), and the gradient of coarse scales comes from few pixels. At 1 all
+/// scales get equally many pixels, which minimises the variance if the scales have equal variance.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Balance {
     shares: Vec<f64>,
     weights: Vec<f32>,
+    sides: Vec<u32>,
 }
 
 impl Balance {
-    /// Balance `balance` in [0, 1] over `scales`, fine to coarse. A scale without pixels gets no rays.
-    pub fn new(scales: &[Scale], balance: f64) -> Self {
+    /// Balance `balance` in [0, 1] over `scales`, fine to coarse, whose pixels have `sides` cones along each side. A
+    /// scale without pixels gets none.
+    pub fn new(scales: &[Scale], balance: f64, sides: Vec<u32>) -> Self {
         let weight = |scale: &Scale| f64::from(scale.weight);
         let share = |scale: &Scale| match scale.pixels.is_empty() {
             true => 0.0,
@@ -26,22 +53,23 @@ impl Balance {
         Self {
             shares: scales.iter().map(|scale| share(scale) / sum).collect(),
             weights: scales.iter().map(|scale| weight(scale).powf(1.0 - balance) as f32).collect(),
+            sides,
         }
     }
 
-    /// Index of the first of `total` rays that belongs to each scale, fine to coarse: coarse scales take their rounded-down
-    /// share from the end, the finest the rest.
-    pub fn begins(&self, total: u32) -> impl DoubleEndedIterator<Item = u32> + ExactSizeIterator + use<> {
+    /// Divides a step of `pixels` pixels among the scales: coarse scales take their rounded-down share from the end,
+    /// the finest the rest.
+    pub fn draw(&self, pixels: u32) -> Draw {
         let mut begins = vec![0; self.shares.len()];
-        let mut end = total;
+        let mut end = pixels;
         for (scale, share) in self.shares.iter().enumerate().skip(1).rev() {
-            end -= (f64::from(total) * share) as u32;
+            end -= (f64::from(pixels) * share) as u32;
             begins[scale] = end;
         }
-        begins.into_iter()
+        Draw { pixels, begins, sides: self.sides.clone() }
     }
 
-    /// Loss weight of a ray of scale `scale`.
+    /// Loss weight of a pixel of scale `scale`.
     pub fn weight(&self, scale: usize) -> f32 {
         self.weights[scale]
     }
@@ -49,6 +77,74 @@ impl Balance {
     /// Loss weights, fine to coarse.
     pub fn weights(&self) -> &[f32] {
         &self.weights
+    }
+
+    /// Expected number of cones of a pixel.
+    pub fn cones_per_pixel(&self) -> f64 {
+        if self.sides.iter().all(|&side| side == 1) {
+            return 1.0;
+        }
+        self.shares.iter().zip(&self.sides).map(|(share, &side)| share * f64::from(side * side)).sum()
+    }
+}
+
+/// The pixels of a step, fine scales first, and the cones of each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Draw {
+    pixels: u32,
+    begins: Vec<u32>,
+    sides: Vec<u32>,
+}
+
+impl Draw {
+    /// Number of pixels.
+    pub fn pixels(&self) -> u32 {
+        self.pixels
+    }
+
+    /// Number of cones.
+    pub fn cones(&self) -> u32 {
+        self.cones_before(self.pixels)
+    }
+
+    /// The first pixel of each scale.
+    pub fn begins(&self) -> &[u32] {
+        &self.begins
+    }
+
+    /// Cones along a side of a pixel of each scale.
+    pub fn sides(&self) -> &[u32] {
+        &self.sides
+    }
+
+    /// The scale of a pixel.
+    #[inline]
+    pub fn scale(&self, pixel: u32) -> usize {
+        self.begins.iter().rposition(|&begin| pixel >= begin).unwrap_or(0)
+    }
+
+    /// Number of cones of all pixels before `pixel`: the index of its first cone.
+    pub fn cones_before(&self, pixel: u32) -> u32 {
+        self.parts().map(|(begin, end, cones)| (pixel.clamp(begin, end) - begin) * cones).sum()
+    }
+
+    /// The first pixel none of whose cones comes before cone number `cone`.
+    pub fn pixel_from(&self, cone: u32) -> u32 {
+        let mut before = 0;
+        for (begin, end, cones) in self.parts() {
+            let pixels = (cone - before).div_ceil(cones);
+            if pixels <= end - begin {
+                return begin + pixels;
+            }
+            before += (end - begin) * cones;
+        }
+        self.pixels
+    }
+
+    /// First pixel, end, and cones of a pixel of each scale.
+    fn parts(&self) -> impl Iterator<Item = (u32, u32, u32)> + '_ {
+        let ends = self.begins.iter().copied().skip(1).chain([self.pixels]);
+        self.begins.iter().zip(ends).zip(&self.sides).map(|((&begin, end), &side)| (begin, end, side * side))
     }
 }
 
@@ -66,37 +162,87 @@ mod tests {
         (0..count).map(scale).collect()
     }
 
-    /// Rays of each scale.
-    fn rays(balance: &Balance, total: u32) -> Vec<u32> {
-        let begins: Vec<u32> = balance.begins(total).chain([total]).collect();
+    fn balance(scales: &[Scale], balance: f64) -> Balance {
+        Balance::new(scales, balance, vec![1; scales.len()])
+    }
+
+    /// Pixels of each scale.
+    fn pixels(balance: &Balance, total: u32) -> Vec<u32> {
+        let begins = [balance.draw(total).begins(), &[total]].concat();
         begins.windows(2).map(|pair| pair[1] - pair[0]).collect()
     }
 
     #[test]
     fn every_scale_weighs_the_same_at_every_balance() {
-        for balance in [0.0, 0.3, 0.5, 1.0] {
-            let found = Balance::new(&scales(4), balance);
+        for b in [0.0, 0.3, 0.5, 1.0] {
+            let found = balance(&scales(4), b);
             let parts: Vec<f64> =
                 found.shares.iter().zip(&found.weights).map(|(share, w)| share * f64::from(*w)).collect();
-            assert!(parts.iter().all(|part| (part / parts[0] - 1.0).abs() < 1e-6), "{balance}: {parts:?}");
+            assert!(parts.iter().all(|part| (part / parts[0] - 1.0).abs() < 1e-6), "{b}: {parts:?}");
             assert!((found.shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         }
     }
 
     #[test]
     fn the_ends_are_pixels_alike_and_scales_alike() {
-        let pixels = Balance::new(&scales(4), 0.0);
-        assert_eq!(rays(&pixels, 8500), [6400, 1600, 400, 100]);
-        assert_eq!(pixels.weights(), [1.0, 4.0, 16.0, 64.0]);
-        let alike = Balance::new(&scales(4), 1.0);
-        assert_eq!(rays(&alike, 8500), [2125; 4]);
+        let equal = balance(&scales(4), 0.0);
+        assert_eq!(pixels(&equal, 8500), [6400, 1600, 400, 100]);
+        assert_eq!(equal.weights(), [1.0, 4.0, 16.0, 64.0]);
+        let alike = balance(&scales(4), 1.0);
+        assert_eq!(pixels(&alike, 8500), [2125; 4]);
         assert_eq!(alike.weights(), [1.0; 4]);
     }
 
     #[test]
-    fn a_scale_without_pixels_has_no_ray() {
+    fn a_scale_without_pixels_gets_none() {
         let mut three = scales(3);
         three[1].pixels = 0..0;
-        assert_eq!(rays(&Balance::new(&three, 1.0), 100), [50, 0, 50]);
+        assert_eq!(pixels(&balance(&three, 1.0), 100), [50, 0, 50]);
+    }
+
+    #[test]
+    fn cones_are_counted_pixel_by_pixel() {
+        let balance = Balance::new(&scales(4), 1.0, vec![1, 1, 2, 3]);
+        assert!((balance.cones_per_pixel() - 3.75).abs() < 1e-12);
+        let draw = balance.draw(42);
+        assert_eq!((draw.begins(), draw.cones()), (&[0, 12, 22, 32][..], 22 + 40 + 90));
+        // The literal count: each pixel after the other.
+        let mut before = 0;
+        for pixel in 0..42 {
+            assert_eq!(draw.cones_before(pixel), before);
+            let own = [1, 1, 4, 9][draw.scale(pixel)];
+            assert_eq!(draw.pixel_from(before), pixel);
+            for cone in before + 1..=before + own {
+                assert_eq!(draw.pixel_from(cone), pixel + 1, "cone {cone}");
+            }
+            before += own;
+        }
+        assert_eq!((draw.cones_before(42), draw.pixel_from(before)), (before, 42));
+    }
+
+    #[test]
+    fn scales_get_the_cones_of_the_rule_within_the_schedule() {
+        let mut config = Config::default();
+        let views = |factor: u32| crate::View {
+            name: String::new(),
+            camera: crate::Camera {
+                intrinsics: crate::Intrinsics::from_angle(64, 64, 0.7).reduced(factor),
+                rotation: glam::DMat3::IDENTITY,
+                origin: glam::DVec3::new(0.0, 0.0, 4.0),
+            },
+            offset: 0,
+        };
+        let set = ViewSet {
+            views: (0..4).map(views).collect(),
+            pixels: Vec::new(),
+            alpha: crate::Alpha::Straight,
+            scales: (0..4).map(|j| Scale { views: j..j + 1, ..scales(4)[j].clone() }).collect(),
+        };
+        let finest = crate::cones::footprint(&set.views[0].camera, &crate::Aabb::new(&config.scene));
+        (config.renderer.cones, config.renderer.cone_width) = (8, 2.0 * finest as f32);
+        config.train.cones = crate::schedule::Schedule::new(vec![[0.0, 1.0], [0.25, 2.0], [0.5, 8.0]]);
+        let shares = Shares::new(&config, &set);
+        let sides = [0.0, 0.3, 0.6].map(|progress| shares.at(progress).draw(4).sides().to_vec());
+        assert_eq!(sides, [[1, 1, 1, 1], [1, 1, 2, 2], [1, 1, 2, 4]]);
     }
 }

@@ -29,16 +29,17 @@ pub struct TrainState {
     /// Stage of growth of the encoder's parameters, see [`crate::encoders::Definition::stage`].
     #[serde(default, rename = "halvings")]
     pub stage: u32,
-    /// The marching step of the last step, in uniform steps; 0 before the first.
-    #[serde(default)]
-    pub step_scale: f64,
-    /// Sums of the last steps that the next ones will use, oldest first, each with its step's `step_scale`. The totals
+    /// The marching step of the last step in uniform steps, divided by the cones of a pixel; 0 before the first. A
+    /// pixel's samples are inversely proportional to it.
+    #[serde(default, rename = "step_scale")]
+    pub spacing: f64,
+    /// Sums of the last steps that the next ones will use, oldest first, each with its step's `spacing`. The totals
     /// hold them.
     #[serde(default)]
     pub pending: [Option<(f64, StepSums)>; MOST_PENDING],
-    /// Rays of the next step (dynamic batch).
+    /// Pixels of the next step (dynamic batch).
     pub rays_per_step: u32,
-    /// Marched samples per ray of the last step, which sizes the next step's spans.
+    /// Marched samples per pixel of the last step, which sizes the next step's spans.
     pub marched_per_ray: f32,
 }
 

@@ -36,6 +36,8 @@ pub struct Target {
     pub background: [f32; 3],
     /// Alpha of the photograph's pixel, in [0, 1].
     pub opacity: f32,
+    /// Edge exponent γ of the photograph, see [`edges`](crate::edges).
+    pub exponent: f32,
 }
 
 /// A sphere inscribed in a cone: the input of a query of the field.

@@ -2,7 +2,7 @@
 
 use crate::{
     Error, Frame, Frames, Result, Viewer,
-    config::EvalConfig,
+    config::{DataConfig, EvalConfig},
     events::ScaleQuality,
     metrics::{psnr, psnr_8bit, psnr_of_constant, psnr_of_error, ssim},
 };
@@ -22,7 +22,7 @@ pub struct ViewResult<'a> {
     pub name: &'a str,
     /// Reduction of the view: 1, 2, 4, 8.
     pub scale: u32,
-    /// What was rendered.
+    /// What was rendered, as the set's photographs show silhouettes.
     pub rendered: &'a Frame,
     /// The photograph on the same background.
     pub target: &'a [[f32; 3]],
@@ -39,12 +39,16 @@ pub struct ViewQuality {
     pub index: usize,
     /// Reduction of the view: 1, 2, 4, 8.
     pub scale: u32,
-    /// dB.
+    /// dB, as the photographs of the set show silhouettes ([`edges`](crate::edges)).
     pub psnr: f64,
     /// dB, of colours rounded to 8 bits.
     pub psnr_8bit: f64,
     /// dB, on the opposite background, see [`opposite`].
     pub psnr_opposite: f64,
+    /// dB, without the edge exponent of the set (`data.edge_exponents`).
+    pub psnr_plain: f64,
+    /// dB, against a true box filter of the finest photograph.
+    pub psnr_box: f64,
     /// dB, of the photograph's mean colour instead of the rendering.
     pub psnr_constant: f64,
     /// Structural similarity.
@@ -54,12 +58,16 @@ pub struct ViewQuality {
 /// Means over the scales: the headline.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct MeanQuality {
-    /// dB.
+    /// dB, as the photographs of the set show silhouettes ([`edges`](crate::edges)).
     pub psnr: f64,
     /// dB, of colours rounded to 8 bits.
     pub psnr_8bit: f64,
     /// dB, on the opposite background.
     pub psnr_opposite: f64,
+    /// dB, without the edge exponent of the set (`data.edge_exponents`).
+    pub psnr_plain: f64,
+    /// dB, against a true box filter of the finest photograph.
+    pub psnr_box: f64,
     /// dB, of each photograph's mean colour.
     pub psnr_constant: f64,
     /// Structural similarity.
@@ -136,17 +144,17 @@ impl<F: FnMut(&ViewResult<'_>) -> Result<bool>> Watch for OnView<F> {
     }
 }
 
-/// Renders every `stride`-th frame at every scale; `on_view` sees each result and returns false to stop early.
+/// Renders every `stride`-th frame at every scale, on the background and by the convention of `data`; `on_view` sees each result and returns false to stop early.
 pub fn evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
     stride: usize,
-    background: [f32; 3],
+    data: &DataConfig,
     on_view: impl FnMut(&ViewResult<'_>) -> Result<bool>,
 ) -> Result<Vec<ViewQuality>> {
     let (mut qualities, mut watch) = (Vec::new(), OnView(on_view));
     for index in (0..frames.len()).step_by(stride.max(1)) {
-        if !evaluate_frame(viewer, frames, index, 1, background, &mut watch, &mut qualities)? {
+        if !evaluate_frame(viewer, frames, index, 1, data, &mut watch, &mut qualities)? {
             break;
         }
     }
@@ -163,11 +171,11 @@ pub fn evaluate_frame(
     frames: &dyn Frames,
     index: usize,
     finest: u32,
-    background: [f32; 3],
+    data: &DataConfig,
     watch: &mut dyn Watch,
     qualities: &mut Vec<ViewQuality>,
 ) -> Result<bool> {
-    let set = frames.load(index)?;
+    let (set, background) = (frames.load(index)?, data.background);
     let finest = set.scales.iter().map(|scale| scale.factor).filter(|&f| f <= finest).max().unwrap_or(1);
     let scales = || set.scales.iter().filter(|scale| scale.factor >= finest);
     let views = || scales().flat_map(|scale| scale.views.clone().map(move |view| (scale.factor, view)));
@@ -181,13 +189,21 @@ pub fn evaluate_frame(
             return Ok(false);
         };
         before += rows(view);
-        let (rgb, other) = (rendered.rgb(), opposite(background));
+        let (exponent, other) = (data.edge_exponent(factor), opposite(background));
+        let plain = capped(psnr(&rendered.rgb(), &target));
+        let truth = set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
+        let moved = rendered.moved(background, other).shown(other, exponent);
+        let psnr_box = capped(psnr(&rendered.rgb(), &truth));
+        let rendered = rendered.shown(background, exponent);
+        let rgb = rendered.rgb();
         let quality = ViewQuality {
             index,
             scale: factor,
             psnr: capped(psnr(&rgb, &target)),
             psnr_8bit: capped(psnr_8bit(&rgb, &target)),
-            psnr_opposite: capped(psnr(&rendered.moved(background, other), &set.composited(view, other))),
+            psnr_opposite: capped(psnr(&moved.rgb(), &set.composited(view, other))),
+            psnr_plain: plain,
+            psnr_box,
             psnr_constant: capped(psnr_of_constant(&target)),
             ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
         };
@@ -229,6 +245,8 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
                 psnr: mean(&|q| q.psnr),
                 psnr_8bit: mean(&|q| q.psnr_8bit),
                 psnr_opposite: mean(&|q| q.psnr_opposite),
+                psnr_plain: mean(&|q| q.psnr_plain),
+                psnr_box: mean(&|q| q.psnr_box),
                 // Errors are averaged, not PSNRs: a blank view, which a constant image matches, must not dominate the mean.
                 psnr_constant: capped(psnr_of_error(mean(&|q| 10_f64.powf(-0.1 * q.psnr_constant)))),
                 ssim: mean(&|q| q.ssim),
@@ -245,6 +263,8 @@ pub fn mean_quality(scales: &[ScaleQuality]) -> MeanQuality {
         psnr: mean(&|scale| scale.psnr),
         psnr_8bit: mean(&|scale| scale.psnr_8bit),
         psnr_opposite: mean(&|scale| scale.psnr_opposite),
+        psnr_plain: mean(&|scale| scale.psnr_plain),
+        psnr_box: mean(&|scale| scale.psnr_box),
         psnr_constant: mean(&|scale| scale.psnr_constant),
         ssim: mean(&|scale| scale.ssim),
     }
@@ -262,6 +282,8 @@ mod tests {
             psnr,
             psnr_8bit: psnr,
             psnr_opposite: psnr - 2.0,
+            psnr_plain: psnr - 1.0,
+            psnr_box: psnr + 1.0,
             psnr_constant: 12.0,
             ssim: 0.5,
         };
@@ -270,6 +292,7 @@ mod tests {
         assert_eq!((scales[0].psnr, scales[0].images, scales[1].psnr), (30.0, 3, 10.0));
         let mean = mean_quality(&scales);
         assert_eq!((mean.psnr, mean.psnr_opposite, mean.ssim), (20.0, 18.0, 0.5));
+        assert_eq!((mean.psnr_plain, mean.psnr_box), (19.0, 21.0));
         assert!(mean.remark().is_some_and(|remark| remark.contains("18.00 dB")));
         let eval = |min_psnr, min_gain| EvalConfig { min_psnr, min_gain, ..crate::Config::default().eval };
         assert!(mean.judge(&eval(0.0, 1.0)).is_ok() && mean.judge(&eval(20.0, 0.0)).is_ok());

@@ -28,6 +28,13 @@ pub struct ScaleQuality {
     /// The same for unrounded colours on the opposite background; transparency lowers it.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_opposite: f64,
+    /// The same without the edge exponents of the set (`data.edge_exponents`): a physically right picture against its
+    /// photographs.
+    #[serde(default = "unknown", deserialize_with = "float_or_null")]
+    pub psnr_plain: f64,
+    /// The same picture against a true box filter of the finest photographs.
+    #[serde(default = "unknown", deserialize_with = "float_or_null")]
+    pub psnr_box: f64,
     /// PSNR of each photograph's mean colour, from the mean of the errors: the result of a model that has learned
     /// nothing.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
@@ -218,6 +225,8 @@ mod tests {
             psnr: f64::INFINITY,
             psnr_8bit: 50.0,
             psnr_opposite: 40.0,
+            psnr_plain: 40.0,
+            psnr_box: 40.0,
             psnr_constant: 10.0,
             ssim: 1.0,
         }];

@@ -2,6 +2,7 @@
 //! occupancy grid, which is part of the model.
 
 use crate::activation::{density, sigmoid};
+use crate::cones::Division;
 use crate::encoders::{self, Place, Twin};
 use crate::model::{Model, OCCUPANCY};
 use crate::occupancy::cell_of;
@@ -24,8 +25,7 @@ pub struct Exact {
     harmonics: usize,
     occupancy: Vec<u8>,
     resolution: u32,
-    /// Cones along a side of a pixel.
-    cones: u32,
+    division: Division,
     background: [f64; 3],
     /// Longest side · √3: what a run's steps divide.
     diagonal: f64,
@@ -67,7 +67,7 @@ impl Exact {
             harmonics: harmonics(&config),
             occupancy,
             resolution,
-            cones: config.renderer.cones,
+            division: Division::new(&config),
             background: config.data.background.map(f64::from),
             diagonal: space.aabb().longest() * 3_f64.sqrt(),
             space,
@@ -79,8 +79,9 @@ impl Exact {
     /// along the diagonal.
     pub fn pixel(&self, camera: &Camera, x: u32, y: u32, steps: u32) -> [f64; 3] {
         let camera = Camera { origin: camera.origin - self.centre, ..*camera };
-        let count = self.cones * self.cones;
-        let cones = (0..count).map(|i| self.cone(&camera.cone_in(x, y, i, self.cones), steps));
+        let side = self.division.side(&camera);
+        let count = side * side;
+        let cones = (0..count).map(|i| self.cone(&camera.cone_in(x, y, i, side), steps));
         cones.fold([0.0; 3], |sum, rgb| std::array::from_fn(|c| sum[c] + rgb[c] / f64::from(count)))
     }
 

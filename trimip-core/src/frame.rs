@@ -1,5 +1,7 @@
 //! A rendered image: colour, opacity and depth per pixel.
 
+use crate::edges;
+
 /// A rendered view, row by row from the upper left pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
@@ -52,11 +54,22 @@ impl Frame {
         self.pixels.iter().map(|pixel| pixel.rgb).collect()
     }
 
-    /// RGB of every pixel on the background `to` instead of `from`, on which it was rendered.
-    pub fn moved(&self, from: [f32; 3], to: [f32; 3]) -> Vec<[f32; 3]> {
-        let moved =
-            |pixel: &Pixel| std::array::from_fn(|c| pixel.rgb[c] + (1.0 - pixel.opacity) * (to[c] - from[c]));
-        self.pixels.iter().map(moved).collect()
+    /// The same picture as the photographs of a set with an edge exponent show it, see [`edges`](crate::edges). It was
+    /// rendered on `background`.
+    pub fn shown(mut self, background: [f32; 3], exponent: f32) -> Self {
+        for pixel in &mut self.pixels {
+            pixel.rgb = edges::shown(pixel.rgb, pixel.opacity, background, exponent);
+        }
+        self
+    }
+
+    /// The same picture on the background `to` instead of `from`, on which it was rendered.
+    pub fn moved(&self, from: [f32; 3], to: [f32; 3]) -> Self {
+        let moved = |pixel: &Pixel| {
+            let clear = 1.0 - pixel.opacity;
+            Pixel { rgb: std::array::from_fn(|c| pixel.rgb[c] + clear * (to[c] - from[c])), ..*pixel }
+        };
+        Self { pixels: self.pixels.iter().map(moved).collect(), ..*self }
     }
 }
 
@@ -73,7 +86,7 @@ mod tests {
             height: 1,
             pixels: vec![pixel([0.55, 0.4, 0.85], 0.75), pixel([0.1; 3], 1.0), pixel([1.0; 3], 0.0)],
         };
-        let moved = frame.moved([1.0; 3], [0.0, 1.0, 0.5]);
+        let moved = frame.moved([1.0; 3], [0.0, 1.0, 0.5]).rgb();
         let expected = [[0.3, 0.4, 0.725], [0.1; 3], [0.0, 1.0, 0.5]];
         for (found, expected) in moved.iter().flatten().zip(expected.iter().flatten()) {
             assert!((found - expected).abs() < 1e-6, "{moved:?}");

@@ -350,9 +350,8 @@ impl Run<'_> {
             }
             watch.total = measured + indices.len();
             for index in indices {
-                let background = self.config.data.background;
-                if !evaluate_frame(*session, self.frames, index, finest, background, &mut watch, &mut views)?
-                {
+                let data = &self.config.data;
+                if !evaluate_frame(*session, self.frames, index, finest, data, &mut watch, &mut views)? {
                     if watch.stop.load(Ordering::Relaxed) {
                         return Ok(Sight::Stopped);
                     }

@@ -6,6 +6,7 @@
 use crate::{
     Backend, Camera, Pixel, Result,
     backend::see_all,
+    balance::{Balance, Draw},
     batch::{Deposit, Radiance, Rays, Samples, Workspace},
     model::Assets,
 };
@@ -272,13 +273,22 @@ pub trait Optimizer<B: Backend>: Send + Sync {
 
 /// Generates rays.
 pub trait Sampler<B: Backend>: Send + Sync {
-    /// Distributes the rays of later steps among the scales, by the schedule at `progress` in [0, 1]; see
-    /// [`Balance`](crate::balance::Balance).
+    /// Distributes the pixels of later steps among the scales, by the schedules at `progress` in [0, 1].
     fn follow(&mut self, progress: f64);
 
-    /// Generates the cones of the pixels `range` of a training step of `total` pixels. Each scale gets its share;
+    /// The balance of the scales, by the last [`follow`](Self::follow).
+    fn balance(&self) -> &Balance;
+
+    /// Generates the cones of the pixels `range` of a training step. `draw` tells which scale each pixel belongs to;
     /// within a scale, pixels are drawn uniformly.
-    fn training_rays(&self, lane: &mut B::Lane, step: u64, total: u32, range: Range<u32>, rays: &mut Rays<B>);
+    fn training_rays(
+        &self,
+        lane: &mut B::Lane,
+        step: u64,
+        draw: &Draw,
+        range: Range<u32>,
+        rays: &mut Rays<B>,
+    );
 
     /// Generates the cones of the pixels `range` of a camera, row by row.
     fn camera_rays(&self, lane: &mut B::Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);

@@ -71,6 +71,39 @@ impl ViewSet {
         self.pixels_of(index).iter().map(|&pixel| composite_pixel(pixel, self.alpha, background)).collect()
     }
 
+    /// Means over blocks of `factor` × `factor` pixels of view `index`: premultiplied colour and opacity, not rounded.
+    /// Rows and columns that do not fill a block are cropped.
+    pub fn means(&self, index: usize, factor: u32) -> Vec<[f64; 4]> {
+        let k = &self.views[index].camera.intrinsics;
+        let (width, factor) = (k.width as usize, factor as usize);
+        let (columns, rows) = (width / factor, k.height as usize / factor);
+        let (pixels, share) = (self.pixels_of(index), ((factor * factor) as f64).recip());
+        let mean = |i: usize| {
+            let (x, y) = (i % columns * factor, i / columns * factor);
+            let mut sum = [0.0; 4];
+            for row in y..y + factor {
+                for &pixel in &pixels[row * width + x..][..factor] {
+                    let [r, g, b, a] = pixel.map(|byte| f64::from(byte) / 255.0);
+                    let coverage = if self.alpha == Alpha::Straight { a } else { 1.0 };
+                    for (sum, value) in sum.iter_mut().zip([r * coverage, g * coverage, b * coverage, a]) {
+                        *sum += share * value;
+                    }
+                }
+            }
+            sum
+        };
+        (0..columns * rows).map(mean).collect()
+    }
+
+    /// View `index` through a true box filter over `factor` × `factor` pixels, on a background: RGB in [0, 1].
+    pub fn box_filtered(&self, index: usize, factor: u32, background: [f32; 3]) -> Vec<[f32; 3]> {
+        let on = |[r, g, b, a]: [f64; 4]| {
+            let channel = |c: usize| [r, g, b][c] + (1.0 - a) * f64::from(background[c]);
+            std::array::from_fn(|c| channel(c) as f32)
+        };
+        self.means(index, factor).into_iter().map(on).collect()
+    }
+
     /// Bytes of pixels and views.
     pub fn bytes(&self) -> usize {
         self.pixels.len() * 4 + self.views.len() * size_of::<View>()

@@ -74,15 +74,16 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
         encoder: stages.encoder.gradient(),
         sums: StepSums::default(),
     };
+    let draw = stages.sampler.balance().draw(64);
     group.throughput(Throughput::Elements(64));
     group.bench_function("sample rays", |b| {
         let mut step = 0;
         b.iter(|| {
             step += 1;
-            stages.sampler.training_rays(lane, step, 64, 0..64, rays);
+            stages.sampler.training_rays(lane, step, &draw, 0..64, rays);
         });
     });
-    stages.sampler.training_rays(lane, 1, 64, 0..64, rays);
+    stages.sampler.training_rays(lane, 1, &draw, 0..64, rays);
     stages.renderer.march(lane, rays, &stages.occupancy, Some(1), samples);
     group.throughput(Throughput::Elements(samples.spheres.len() as u64));
     group.bench_function("march", |b| {

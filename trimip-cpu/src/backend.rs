@@ -16,6 +16,7 @@ use std::any::TypeId;
 use std::ops::Range;
 use std::sync::Mutex;
 use trimip_core::backend::{Stages, TrainWork};
+use trimip_core::balance::Draw;
 use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
@@ -32,21 +33,22 @@ const REMEMBERED: f32 = 0.98;
 /// A worker's scratch memory beside its workspace.
 pub struct Lane {
     pub(crate) scratch: Option<Box<Scratch>>,
-    /// Samples of the longest ray rendered recently.
-    longest_ray: f32,
+    /// Samples of the pixel with the most of them among those rendered recently.
+    most_samples: f32,
 }
 
 impl Lane {
     /// Number of rays to render at once: many in general, few through fog, where each ray has hundreds of samples.
-    fn rays_at_once(&self) -> usize {
-        ((SAMPLES_AT_ONCE as f32 / self.longest_ray) as usize).max(1)
+    fn pixels_at_once(&self) -> usize {
+        ((SAMPLES_AT_ONCE as f32 / self.most_samples) as usize).max(1)
     }
 
-    /// Records the samples of the rays just rendered. Rays without samples tell nothing about their neighbours.
-    fn saw(&mut self, segments: &[Segment]) {
-        let longest = segments.iter().map(|segment| segment.count).max().unwrap_or(0);
+    /// Records the samples of the pixels just rendered. Pixels without samples tell nothing about their neighbours.
+    fn saw(&mut self, groups: &[Segment], segments: &[Segment]) {
+        let samples = |group: &Segment| segments[group.range()].iter().map(|segment| segment.count).sum();
+        let longest: u32 = groups.iter().map(samples).max().unwrap_or(0);
         if longest > 0 {
-            self.longest_ray = (longest as f32).max(REMEMBERED * self.longest_ray);
+            self.most_samples = (longest as f32).max(REMEMBERED * self.most_samples);
         }
     }
 }
@@ -171,7 +173,7 @@ impl Backend for CpuBackend {
     }
 
     fn lane(&self) -> Lane {
-        Lane { scratch: None, longest_ray: UNKNOWN_RAY }
+        Lane { scratch: None, most_samples: UNKNOWN_RAY }
     }
 
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Buffer<T> {
@@ -194,18 +196,21 @@ impl Backend for CpuBackend {
     fn train_spans(
         &self,
         field: &CpuField,
-        rays: u32,
+        draw: &Draw,
         per_span: u32,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,
     ) {
         let count = deposits.len() as u64;
-        let bound = |i: u64| (u64::from(rays) * i / count) as u32;
+        let bound = |i: u64| (u64::from(draw.cones()) * i / count) as u32;
         deposits.par_iter_mut().enumerate().with_max_len(1).for_each(|(i, deposit)| {
             let (from, to) = (bound(i as u64), bound(i as u64 + 1));
             self.with_workspace(field, |workspace| {
                 for start in (from..to).step_by(per_span as usize) {
-                    work(workspace, deposit, start..(start + per_span).min(to));
+                    let span = draw.pixel_from(start)..draw.pixel_from((start + per_span).min(to));
+                    if !span.is_empty() {
+                        work(workspace, deposit, span);
+                    }
                 }
             });
         });
@@ -227,14 +232,14 @@ impl Backend for CpuBackend {
             let mut start = i as u32 * per_span;
             self.with_workspace(field, |workspace| {
                 while !out.is_empty() {
-                    let most = if rays { workspace.lane.rays_at_once() } else { out.len() };
+                    let most = if rays { workspace.lane.pixels_at_once() } else { out.len() };
                     let count = most.min(out.len());
                     let now = take_mut(&mut out, count);
                     let end = start + now.len() as u32;
                     work(workspace, start..end);
                     now.copy_from_slice(result(workspace));
                     if rays {
-                        workspace.lane.saw(&workspace.samples.segments);
+                        workspace.lane.saw(&workspace.rays.groups, &workspace.samples.segments);
                     }
                     start = end;
                 }
@@ -309,16 +314,19 @@ mod tests {
 
     #[test]
     fn rays_through_fog_are_rendered_few_at_once() {
-        let mut lane = Lane { scratch: None, longest_ray: UNKNOWN_RAY };
+        let mut lane = Lane { scratch: None, most_samples: UNKNOWN_RAY };
         let rays = |count| [Segment { start: 0, count: 1 }, Segment { start: 1, count }];
-        assert_eq!(lane.rays_at_once(), SAMPLES_AT_ONCE / 256);
-        lane.saw(&rays(1000));
-        assert_eq!(lane.rays_at_once(), SAMPLES_AT_ONCE / 1000);
-        lane.saw(&[Segment::default(); 3]);
-        assert_eq!(lane.rays_at_once(), SAMPLES_AT_ONCE / 1000, "empty space says nothing of fog");
-        (0..300).for_each(|_| lane.saw(&rays(8)));
-        assert_eq!(lane.rays_at_once(), SAMPLES_AT_ONCE / 8);
-        lane.saw(&rays(1 << 20));
-        assert_eq!(lane.rays_at_once(), 1);
+        let pixels = [0, 1].map(|start| Segment { start, count: 1 });
+        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 256);
+        lane.saw(&pixels, &rays(1000));
+        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 1000);
+        lane.saw(&pixels, &[Segment::default(); 2]);
+        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 1000, "empty space says nothing of fog");
+        (0..300).for_each(|_| lane.saw(&pixels, &rays(8)));
+        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 8);
+        lane.saw(&[Segment { start: 0, count: 2 }], &[Segment { start: 0, count: 16 }; 2]);
+        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 32, "a pixel has the samples of all its cones");
+        lane.saw(&pixels, &rays(1 << 20));
+        assert_eq!(lane.pixels_at_once(), 1);
     }
 }

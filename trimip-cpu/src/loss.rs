@@ -6,6 +6,7 @@ use trimip_core::Pixel;
 use trimip_core::backend::Loss;
 use trimip_core::batch::{Rays, Samples, Segment, StepSums, Target};
 use trimip_core::config::{LossConfig, LossRays};
+use trimip_core::edges::{shown, shown_gradient};
 use trimip_core::loss::smooth_l1;
 
 /// Area-weighted smooth-L1 of colour and opacity.
@@ -57,7 +58,9 @@ impl CpuLoss {
     fn add<'a>(&self, rows: impl Iterator<Item = Row<'a>>, sums: &mut StepSums) {
         for ((gradient, (pixel, target)), live) in rows {
             *gradient = [0.0; 4];
-            let difference: [f32; 3] = std::array::from_fn(|c| pixel.rgb[c] - target.rgb[c]);
+            let Target { background, exponent, .. } = *target;
+            let seen = shown(pixel.rgb, pixel.opacity, background, exponent);
+            let difference: [f32; 3] = std::array::from_fn(|c| seen[c] - target.rgb[c]);
             sums.squared_error += difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
             if !difference.iter().all(|d| d.is_finite()) {
                 sums.non_finite += 1;
@@ -67,15 +70,17 @@ impl CpuLoss {
                 continue;
             }
             sums.weight += f64::from(target.weight);
+            let mut by_colour = [0.0; 3];
             for c in 0..3 {
                 let (value, slope) = smooth_l1(difference[c], self.config.beta);
                 sums.loss += f64::from(target.weight * value) / 3.0;
-                gradient[c] = target.weight * slope / 3.0;
+                by_colour[c] = target.weight * slope / 3.0;
             }
+            *gradient = shown_gradient(pixel.rgb, pixel.opacity, background, exponent, by_colour);
             if self.config.opacity > 0.0 {
                 let (value, slope) = smooth_l1(pixel.opacity - target.opacity, self.config.beta);
                 sums.loss += f64::from(target.weight * self.config.opacity * value);
-                gradient[3] = target.weight * self.config.opacity * slope;
+                gradient[3] += target.weight * self.config.opacity * slope;
             }
         }
     }

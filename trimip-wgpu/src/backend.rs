@@ -21,6 +21,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::backend::{Stages, TrainWork};
+use trimip_core::balance::Draw;
 use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
@@ -346,13 +347,13 @@ impl Backend for WgpuBackend {
     fn train_spans(
         &self,
         field: &WgpuField,
-        rays: u32,
+        draw: &Draw,
         _: u32,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,
     ) {
         let Some(deposit) = deposits.first_mut() else { return };
-        self.with_workspace(field, |workspace| work(workspace, deposit, 0..rays));
+        self.with_workspace(field, |workspace| work(workspace, deposit, 0..draw.pixels()));
     }
 
     fn map_spans<T: Pod + Send + Sync>(

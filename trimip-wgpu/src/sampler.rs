@@ -8,8 +8,9 @@ use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use trimip_core::backend::Sampler;
-use trimip_core::balance::Balance;
+use trimip_core::balance::{Balance, Draw, Shares};
 use trimip_core::batch::Rays;
+use trimip_core::cones::Division;
 use trimip_core::config::{Photographs, TrainConfig};
 use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::Alpha;
@@ -71,18 +72,23 @@ struct Params {
     premultiplied: u32,
     /// 1 if `pixels` holds only the drawn pixels, in the order of the rays.
     streamed: u32,
-    /// Cones along a side of a pixel.
-    side: u32,
+    /// Index within the step of the span's first cone.
+    first_cone: u32,
     padding: u32,
     begins: [u32; MOST_SCALES],
     weights: [f32; MOST_SCALES],
+    /// Cones along a side of a pixel of each scale.
+    sides: [u32; MOST_SCALES],
+    exponents: [f32; MOST_SCALES],
 }
 
-/// The training views on the device, and the distribution of rays among their scales.
+/// The training views on the device, and the distribution of a step's pixels among their scales.
 pub struct WgpuSampler {
     gpu: Arc<Gpu>,
     train: TrainConfig,
     training: Option<Training>,
+    balance: Balance,
+    division: Division,
     camera: Buffer<GpuView>,
     random: Random,
     params: Params,
@@ -97,7 +103,7 @@ struct Training {
     scales: Buffer<GpuScale>,
     /// The scales, for the host.
     shared: Vec<Scale>,
-    balance: Balance,
+    shares: Shares,
 }
 
 impl WgpuSampler {
@@ -106,37 +112,46 @@ impl WgpuSampler {
     /// # Errors
     /// When the photographs exceed the device's largest binding.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, views: Option<ViewSet>) -> Result<Self> {
-        let (background, side) = (config.data.background, config.renderer.cones);
-        let mut params = Params { background, side, ..Params::default() };
+        let mut params = Params { background: config.data.background, ..Params::default() };
         let training = match views {
             None => None,
             Some(views) => {
                 params.premultiplied = u32::from(views.alpha == Alpha::Premultiplied);
                 params.scales = views.scales.len() as u32;
-                let training = Training::new(gpu, config.wgpu.photographs, views)?;
+                let training = Training::new(gpu, config, views)?;
+                let scales = training.shared.iter();
+                params.exponents = padded(scales.map(|scale| config.data.edge_exponent(scale.factor)), 0.0);
                 params.streamed = u32::from(training.host.is_some());
                 Some(training)
             }
         };
         let random = Random::new(config.seed);
         let train = config.train.clone();
-        let mut sampler =
-            Self { gpu: Arc::clone(gpu), train, training, camera: Buffer::zeros(gpu, 1), random, params };
+        let mut sampler = Self {
+            gpu: Arc::clone(gpu),
+            train,
+            training,
+            balance: Balance::default(),
+            division: Division::new(config),
+            camera: Buffer::zeros(gpu, 1),
+            random,
+            params,
+        };
         sampler.follow(0.0);
         Ok(sampler)
     }
+}
 
-    /// Makes room for the cones of the pixels `range`.
-    fn group(&self, range: &Range<u32>, rays: &mut Rays<WgpuBackend>) {
-        let count = self.params.side * self.params.side;
-        rays.first = range.start * count;
-        rays.rays.resize(range.len() * count as usize);
-        rays.groups.resize(range.len());
-    }
+/// Makes room for the cones of the pixels of a span, which are numbers `cones` of the step.
+fn make_room(rays: &mut Rays<WgpuBackend>, pixels: &Range<u32>, cones: Range<u32>) {
+    rays.first = cones.start;
+    rays.rays.resize(cones.len());
+    rays.groups.resize(pixels.len());
 }
 
 impl Training {
-    fn new(gpu: &Arc<Gpu>, photographs: Photographs, views: ViewSet) -> Result<Self> {
+    fn new(gpu: &Arc<Gpu>, config: &Config, views: ViewSet) -> Result<Self> {
+        let photographs = config.wgpu.photographs;
         let most = gpu.limits().max_storage_buffer_binding_size;
         let bytes = 4 * views.pixels.len() as u64;
         if bytes > most && photographs == Photographs::Device {
@@ -160,7 +175,7 @@ impl Training {
             host: None,
             scales: Buffer::zeros(gpu, 0),
             shared: views.scales.clone(),
-            balance: Balance::default(),
+            shares: Shares::new(config, &views),
         };
         let table: Vec<GpuView> = views.views.iter().map(|v| GpuView::new(&v.camera, v.offset)).collect();
         training.views.write(&table);
@@ -183,20 +198,24 @@ impl Training {
         Ok(training)
     }
 
-    /// Looks up the pixels of the rays `range` of `total`, with the same random numbers as the device. A few threads
-    /// share the work.
-    fn draw(&self, host: &[[u8; 4]], random: &Random, step: u64, total: u32, range: Range<u32>) -> Vec<u32> {
-        let begins: Vec<u32> = self.balance.begins(total).collect();
+    /// Looks up the pixels `range` of a step, with the same random numbers as the device. A few threads share the work.
+    fn look_up(
+        &self,
+        host: &[[u8; 4]],
+        random: &Random,
+        step: u64,
+        draw: &Draw,
+        range: Range<u32>,
+    ) -> Vec<u32> {
         let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
         let part = range.len().div_ceil(threads).max(1);
         let mut words = vec![0; range.len()];
         std::thread::scope(|scope| {
             for (words, first) in words.chunks_mut(part).zip(range.step_by(part)) {
-                let (begins, scales) = (&begins, &self.shared);
+                let scales = &self.shared;
                 scope.spawn(move || {
                     for (word, index) in words.iter_mut().zip(first..) {
-                        let scale = begins.iter().rposition(|&begin| index >= begin).unwrap_or(0);
-                        let pixels = &scales[scale].pixels;
+                        let pixels = &scales[draw.scale(index)].pixels;
                         let bits = random.bits(Stream::Pixel, step, index);
                         let pixel = pixels.start + below(bits[0], pixels.len() as u32) as usize;
                         *word = u32::from_le_bytes(host[pixel]);
@@ -217,41 +236,47 @@ fn padded<T: Copy>(values: impl Iterator<Item = T>, rest: T) -> [T; MOST_SCALES]
 
 impl Sampler<WgpuBackend> for WgpuSampler {
     fn follow(&mut self, progress: f64) {
-        if let Some(training) = &mut self.training {
-            training.balance = Balance::new(&training.shared, self.train.scale_balance.at(progress));
+        if let Some(training) = &self.training {
+            self.balance = training.shares.at(progress);
         }
         self.params.random_share = self.train.random_share(progress);
+    }
+
+    fn balance(&self) -> &Balance {
+        &self.balance
     }
 
     fn training_rays(
         &self,
         _: &mut Lane,
         step: u64,
-        total: u32,
+        draw: &Draw,
         range: Range<u32>,
         rays: &mut Rays<WgpuBackend>,
     ) {
-        rays.targets.resize(range.len());
-        self.group(&range, rays);
         let Some(training) = &self.training else {
-            rays.rays.resize(0);
-            rays.groups.resize(0);
+            make_room(rays, &(0..0), 0..0);
             rays.targets.resize(0);
             return;
         };
+        let first_cone = draw.cones_before(range.start);
+        make_room(rays, &range, first_cone..draw.cones_before(range.end));
+        rays.targets.resize(range.len());
         let params = Params {
             draws: self.random.at(Stream::Pixel, step).words(),
             background_draws: self.random.at(Stream::Background, step).words(),
-            total,
+            total: draw.pixels(),
             first: range.start,
             count: range.len() as u32,
-            begins: padded(training.balance.begins(total), u32::MAX),
-            weights: padded(training.balance.weights().iter().copied(), 0.0),
+            first_cone,
+            begins: padded(draw.begins().iter().copied(), draw.pixels()),
+            weights: padded(self.balance.weights().iter().copied(), 0.0),
+            sides: padded(draw.sides().iter().copied(), 1),
             ..self.params
         };
         let mut pixels = lock(&training.pixels);
         if let Some(host) = &training.host {
-            pixels.write(&training.draw(host, &self.random, step, total, range.clone()));
+            pixels.write(&training.look_up(host, &self.random, step, draw, range.clone()));
         }
         let Training { views, scales, .. } = training;
         let binds = [
@@ -266,10 +291,16 @@ impl Sampler<WgpuBackend> for WgpuSampler {
     }
 
     fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {
+        let side = self.division.side(camera);
+        make_room(rays, &range, 0..range.len() as u32 * side * side);
         rays.targets.resize(0);
-        self.group(&range, rays);
         self.gpu.write(self.camera.raw(), &[GpuView::new(camera, 0)]);
-        let params = Params { first: range.start, count: range.len() as u32, ..self.params };
+        let params = Params {
+            first: range.start,
+            count: range.len() as u32,
+            sides: [side; MOST_SCALES],
+            ..self.params
+        };
         let binds = [self.camera.bind(), rays.rays.bind(), rays.groups.bind()];
         self.gpu.dispatch(&CAMERA_RAYS, &binds, &params, Size::Items(range.len() as u64));
     }

@@ -135,7 +135,8 @@ impl Reference {
     }
 
     /// The loss over pixels with the given cones and kept samples: Σ weight·(mean of smooth-L1 + that of opacity),
-    /// divided by Σ weight of the pixels that count. A pixel is the mean of its cones.
+    /// divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent of its
+    /// photograph.
     pub fn loss(&self, pixels: &[(Target, Vec<Seen>)]) -> f64 {
         let (beta, mut loss, mut weights) = (f64::from(self.config.loss.beta), 0.0, 0.0);
         let smooth_l1 = |d: f64| if d < beta { d * d / (2.0 * beta) } else { d - beta / 2.0 };
@@ -152,7 +153,9 @@ impl Reference {
             let weight = f64::from(target.weight);
             weights += weight;
             for c in 0..3 {
-                let d = (rgb[c] - f64::from(target.rgb[c])).abs();
+                let behind = (1.0 - opacity) * f64::from(target.background[c]);
+                let shown = (rgb[c] - behind) * opacity.max(1e-4).powf(target.exponent.into()) + behind;
+                let d = (shown - f64::from(target.rgb[c])).abs();
                 loss += weight / 3.0 * smooth_l1(d);
             }
             let share = f64::from(self.config.loss.opacity);

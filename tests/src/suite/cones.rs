@@ -5,7 +5,9 @@ use crate::fixtures::{Draw, lively, noise, small};
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Intrinsics, Layout, Renderer, Result, Viewer,
-    batch::{Interval, Radiance, Ray, Samples, Segment, Sphere},
+    backend::Sampler,
+    batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere},
+    schedule::Schedule,
     trainer::Trainer,
 };
 
@@ -58,6 +60,77 @@ pub fn parts<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 let bound = PIXEL_TOLERANCE * expected.abs().max(1.0);
                 assert!((found - expected).abs() < bound, "{n}, pixel {i}: {found}, not {expected}");
             }
+        }
+    }
+    Ok(())
+}
+
+/// In a training step every scale has the cones of the rule, within the schedule. A pixel's cones tile it, and a part of
+/// a step is the same part of the whole.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    const PIXELS: u32 = 300;
+    let mut config = small();
+    // A pixel of the finest scale is 0.204 units wide in the middle of the box.
+    (config.renderer.cones, config.renderer.cone_width) = (4, 0.204);
+    config.train.cones = Schedule::new(vec![[0.0, 1.0], [0.5, 3.0]]);
+    config.train.scale_balance = Schedule::new(vec![[0.0, 0.5]]);
+    let views = noise(3, 24, 3, 21);
+    let parameters = lively(&Layout::new(&config), 1);
+    let mut bench = Bench::new(make(), &config, Some(views.clone()), &parameters)?;
+    for (progress, sides) in [(0.2, [1, 1, 1]), (0.7, [1, 2, 3])] {
+        let Bench { backend, stages, space, .. } = &mut bench;
+        let mut draw_part = |range: std::ops::Range<u32>| {
+            stages.sampler.follow(progress);
+            let draw = stages.sampler.balance().draw(PIXELS);
+            stages.sampler.training_rays(&mut space.lane, 5, &draw, range, &mut space.rays);
+            let Rays { rays, groups, targets, first } = &space.rays;
+            (backend.read(rays), backend.read(groups), backend.read(targets), *first)
+        };
+        let (rays, groups, targets, first) = draw_part(0..PIXELS);
+        assert_eq!((groups.len(), targets.len(), first), (PIXELS as usize, PIXELS as usize, 0));
+        let mut next = 0;
+        for (group, target) in groups.iter().zip(&targets) {
+            // Weights 4^(level / 2) tell the scale.
+            let level = target.weight.log2().round() as usize;
+            let side = sides[level];
+            assert_eq!((group.start, group.count), (next, side * side), "{progress}, scale {level}");
+            next += group.count;
+            // The camera whose pixel it is: the mean of the cones' places is the middle of one of its pixels.
+            let own = &rays[group.range()];
+            let place = |ray: &Ray, camera: &Camera| {
+                let direction = DVec3::from_array(ray.direction.map(f64::from));
+                let local = camera.rotation.transpose() * direction;
+                let k = &camera.intrinsics;
+                [k.cx + k.fx * local.x / -local.z, k.cy - k.fy * local.y / -local.z]
+            };
+            let at_origin = |camera: &&Camera| {
+                let origin = DVec3::from_array(own[0].origin.map(f64::from));
+                (camera.origin - origin).length() < 1e-5
+            };
+            let cameras = views.views[views.scales[level].views.clone()].iter().map(|view| &view.camera);
+            let camera = cameras.into_iter().find(at_origin).expect("a camera of this scale");
+            let places: Vec<_> = own.iter().map(|ray| place(ray, camera)).collect();
+            let corner = places[0].map(|at| at.floor());
+            for (i, at) in (0_u32..).zip(&places) {
+                for (axis, part) in [i % side, i / side].into_iter().enumerate() {
+                    let expected = corner[axis] + (f64::from(part) + 0.5) / f64::from(side);
+                    assert!((at[axis] - expected).abs() < 1e-4, "cone {i} of {side}²: {at:?}");
+                }
+            }
+        }
+        assert_eq!(rays.len(), next as usize);
+        for range in [0..77, 77..150, 150..151, 151..PIXELS] {
+            let part = draw_part(range.clone());
+            let own = &groups[range.start as usize..range.end as usize];
+            let (start, end) = (own[0].start, own[own.len() - 1].range().end);
+            assert_eq!(part.3, start);
+            assert_eq!(part.0, rays[start as usize..end]);
+            assert_eq!(part.2, targets[range.start as usize..range.end as usize]);
+            let moved = own.iter().map(|group| Segment { start: group.start - start, ..*group });
+            assert_eq!(part.1, moved.collect::<Vec<_>>());
         }
     }
     Ok(())

@@ -59,6 +59,11 @@ fn configurations() -> Vec<(&'static str, Config)> {
         change("opacity beside colour", &|c| c.loss.opacity = 0.7),
         change("pruned", &|c| c.renderer.min_transmittance = 0.3),
         change("four cones a pixel", &|c| c.renderer.cones = 2),
+        // One, one and nine cones at the three scales.
+        change("cones by scale, photographs of dark silhouettes", &|c| {
+            (c.renderer.cones, c.renderer.cone_width) = (3, 0.3);
+            c.data.edge_exponents = vec![0.0, 0.25, 0.5];
+        }),
         change("narrow networks", &|c| (c.field.geometry, c.field.harmonics) = (6, 2)),
         change("wide networks", &|c| c.field.geometry = 37),
     ];
@@ -78,7 +83,8 @@ struct Batch {
 
 fn batch<B: Backend>(bench: &mut Bench<B>, config: &Config, reference: &Reference) -> Batch {
     let Bench { backend, stages, space, .. } = bench;
-    stages.sampler.training_rays(&mut space.lane, TRAINING_STEP, RAYS, 0..RAYS, &mut space.rays);
+    let draw = stages.sampler.balance().draw(RAYS);
+    stages.sampler.training_rays(&mut space.lane, TRAINING_STEP, &draw, 0..RAYS, &mut space.rays);
     let (lane, jitter) = (&mut space.lane, Some(TRAINING_STEP));
     stages.renderer.march(lane, &space.rays, &stages.occupancy, jitter, &mut space.samples);
     let (rays, targets) = (backend.read(&space.rays.rays), backend.read(&space.rays.targets));

@@ -26,7 +26,8 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     for (progress, shares, weights) in expected {
         let Bench { backend, stages, space, .. } = &mut bench;
         stages.sampler.follow(progress);
-        stages.sampler.training_rays(&mut space.lane, 7, 4_201, 0..4_201, &mut space.rays);
+        let draw = stages.sampler.balance().draw(4_201);
+        stages.sampler.training_rays(&mut space.lane, 7, &draw, 0..4_201, &mut space.rays);
         let (rays, targets) = (backend.read(&space.rays.rays), backend.read(&space.rays.targets));
         let mut found = [0; 3];
         for (ray, target) in rays.iter().zip(&targets) {
@@ -62,7 +63,8 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         for (progress, share) in [0.2, 0.7, 0.95].into_iter().zip(shares) {
             let Bench { backend, stages, space, .. } = &mut bench;
             stages.sampler.follow(progress);
-            stages.sampler.training_rays(&mut space.lane, 3, RAYS, 0..RAYS, &mut space.rays);
+            let draw = stages.sampler.balance().draw(RAYS);
+            stages.sampler.training_rays(&mut space.lane, 3, &draw, 0..RAYS, &mut space.rays);
             let targets = backend.read(&space.rays.targets);
             assert!(targets.iter().all(|target| target.rgb == target.background));
             let own = targets.iter().filter(|target| target.background != config.data.background);

@@ -12,6 +12,8 @@ fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
         psnr,
         psnr_8bit: psnr,
         psnr_opposite: psnr,
+        psnr_plain: psnr,
+        psnr_box: psnr,
         psnr_constant: 12.0,
         ssim: 0.9,
     };

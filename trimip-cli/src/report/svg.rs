@@ -59,7 +59,7 @@ fn round_step(rough: f64) -> f64 {
 /// A measurement on a line.
 #[derive(Clone, Debug)]
 pub struct Point {
-    /// Seconds of training.
+    /// Seconds.
     pub seconds: f64,
     /// dB.
     pub psnr: f64,
@@ -146,7 +146,7 @@ pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
 pub fn plot(lines: &[Line], logarithmic: bool) -> Option<String> {
     Some(format!(
         "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against training time\">{}</svg>",
-        draw(lines, logarithmic)?
+        draw(lines, logarithmic, TRAINING)?
     ))
 }
 
@@ -167,8 +167,12 @@ fn named(lines: &[Line]) -> Vec<&Line> {
     lines.iter().enumerate().filter(first).map(|(_, line)| line).collect()
 }
 
-/// A standalone plot with a legend on logarithmic time; `None` if there is nothing to draw.
-pub fn alone(lines: &[Line]) -> Option<String> {
+/// Title of a horizontal axis of training time.
+pub const TRAINING: &str = "training time / s";
+
+/// A standalone plot with a legend on logarithmic time, whose axis has the title `time`; `None` if there is nothing to
+/// draw.
+pub fn alone(lines: &[Line], time: &str) -> Option<String> {
     let style = "text { font: 13px system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif; fill: #1b1f24; } \
                  text.faint { fill: #606a76; } .grid { stroke: #dde2e8; } \
                  polyline { fill: none; stroke: currentColor; stroke-width: 2.2; stroke-linejoin: round; } \
@@ -188,14 +192,14 @@ pub fn alone(lines: &[Line]) -> Option<String> {
     }
     Some(format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" \
-         aria-label=\"PSNR against training time\"><style>{style}</style>\
+         aria-label=\"PSNR against {time}\"><style>{style}</style>\
          <rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"#ffffff\"/>{}{legend}</svg>\n",
-        draw(lines, true)?
+        draw(lines, true, time)?
     ))
 }
 
 /// Draws axes, labels and lines.
-fn draw(lines: &[Line], logarithmic: bool) -> Option<String> {
+fn draw(lines: &[Line], logarithmic: bool, time: &str) -> Option<String> {
     let (x, y) = axes(lines, logarithmic)?;
     let mut svg = String::new();
     for tick in y.ticks() {
@@ -224,7 +228,7 @@ fn draw(lines: &[Line], logarithmic: bool) -> Option<String> {
         );
     }
     svg += &format!(
-        "<text class=\"faint\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">training time / s</text>\
+        "<text class=\"faint\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{time}</text>\
          <text class=\"faint\" transform=\"translate(14 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">PSNR / dB</text>\
          <text class=\"faint\" transform=\"translate({:.1} {middle:.1}) rotate(90)\" text-anchor=\"middle\">RMSE</text>",
         0.5 * (x.start + x.end),
@@ -320,13 +324,13 @@ mod tests {
             points: vec![Point { seconds: 1.0, psnr, hint: "a < b".into() }],
             ring: None,
         };
-        let svg = alone(&[line("one & two", 20.0), line("three", f64::NAN)]).unwrap();
+        let svg = alone(&[line("one & two", 20.0), line("three", f64::NAN)], TRAINING).unwrap();
         assert!(svg.contains("one &amp; two") && svg.contains("a &lt; b") && svg.contains("xmlns"));
         assert_eq!(svg.matches("class=\"dot\"").count(), 1);
-        assert!(alone(&[line("nothing", f64::NAN)]).is_none() && alone(&[]).is_none());
+        assert!(alone(&[line("nothing", f64::NAN)], TRAINING).is_none() && alone(&[], TRAINING).is_none());
         // Seeds of a variant share its name.
         let seeds = [line("same", 20.0), line("same", 21.0)];
-        assert_eq!(alone(&seeds).unwrap().matches(">same<").count(), 1);
+        assert_eq!(alone(&seeds, TRAINING).unwrap().matches(">same<").count(), 1);
         assert_eq!(legend(&seeds).matches(">same<").count(), 1);
     }
 

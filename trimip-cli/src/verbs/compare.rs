@@ -28,7 +28,7 @@ pub fn run(arguments: &CompareArguments) -> Result<u8> {
     terminal::line(table(&curves, &reach));
     let lines: Vec<Line> = curves.iter().zip(svg::COLORS).map(|(curve, color)| curve.line(color)).collect();
     if let Some(path) = &arguments.svg {
-        let text = svg::alone(&lines).ok_or_else(|| {
+        let text = svg::alone(&lines, svg::TRAINING).ok_or_else(|| {
             Error::input(
                 "compare",
                 "no curve has a measure to draw",

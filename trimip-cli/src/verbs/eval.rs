@@ -42,8 +42,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     }
     let bar = bar("{bar:20} {percent:>3} %  {wide_msg}", 1000);
     let mut watch = OnBar { bar: &bar, stop: &stop };
-    let background = config.data.background;
-    let measured = evaluate(session.as_mut(), scene.test.as_ref(), background, stride, &mut watch)?;
+    let measured = evaluate(session.as_mut(), scene.test.as_ref(), &config.data, stride, &mut watch)?;
     bar.finish_and_clear();
     let Some(measured) = measured else { return Ok(interrupt::EXIT_CODE) };
 
@@ -52,7 +51,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         let views: Vec<_> = measured
             .views
             .iter()
-            .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "psnr_8bit": q.psnr_8bit, "psnr_opposite": q.psnr_opposite, "psnr_constant": q.psnr_constant, "ssim": q.ssim }))
+            .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "psnr_8bit": q.psnr_8bit, "psnr_opposite": q.psnr_opposite, "psnr_plain": q.psnr_plain, "psnr_box": q.psnr_box, "psnr_constant": q.psnr_constant, "ssim": q.ssim }))
             .collect();
         let report = json!({
             "model": arguments.model.display().to_string(),
@@ -60,7 +59,8 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
             "backend": session.backend(),
             "stride": stride,
             "seconds": measured.seconds,
-            "background": background,
+            "background": config.data.background,
+            "edge_exponents": config.data.edge_exponents,
             "scales": measured.scales,
             "mean": measured.mean,
             "views": views,

@@ -1,8 +1,8 @@
 //! The ranges in which a run makes sense.
 
 use super::{
-    Config, DataConfig, EncoderKind, EvalConfig, FieldConfig, LossConfig, OccupancyConfig, OptimizerConfig,
-    RendererConfig, SceneConfig, TrainConfig,
+    Config, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig, LossConfig, OccupancyConfig,
+    OptimizerConfig, RendererConfig, SceneConfig, TrainConfig,
 };
 use crate::{Error, Result, Settings};
 
@@ -90,6 +90,17 @@ impl DataConfig {
         to.check((1..=8).contains(&self.scales), "data.scales", "1 to 8")?;
         to.check(self.holdout != 1, "data.holdout", "0, or 2 and more")?;
         to.check(!self.train.is_empty(), "data.train", "at least one split")?;
+        let exponents = &self.edge_exponents;
+        to.check(
+            exponents.iter().all(|g| (0.0..=1.0).contains(g)),
+            "data.edge_exponents",
+            "values from 0 to 1",
+        )?;
+        to.check(
+            self.convention == Convention::Public || exponents.iter().all(|&exponent| exponent == 0.0),
+            "data.edge_exponents",
+            "[] where data.convention = \"premultiplied\", whose silhouettes are as in the scene",
+        )?;
         to.check(
             self.background.iter().all(|c| (0.0..=1.0).contains(c)),
             "data.background",
@@ -131,6 +142,7 @@ impl FieldConfig {
 impl RendererConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check((1..=8).contains(&self.cones), "renderer.cones", "1 to 8")?;
+        to.check(finite_from_zero(self.cone_width.into()), "renderer.cone_width", "0 or more")?;
         to.check(
             (16..=65_536).contains(&self.steps_per_diagonal),
             "renderer.steps_per_diagonal",
@@ -215,6 +227,12 @@ impl TrainConfig {
             self.scale_balance.is_whole() && self.scale_balance.values().all(|b| (0.0..=1.0).contains(&b)),
             "train.scale_balance",
             "[[0.0, balance], ...] with rising fractions below 1 and balances from 0 to 1",
+        )?;
+        to.check(
+            self.cones.is_whole()
+                && self.cones.values().all(|n| (1.0..=8.0).contains(&n) && n.fract() == 0.0),
+            "train.cones",
+            "[[0.0, cones], ...] with rising fractions below 1 and whole numbers from 1 to 8",
         )?;
         to.check(self.checkpoint_seconds >= 0.0, "train.checkpoint_seconds", "0 or more")?;
         to.check(positive(self.log_seconds), "train.log_seconds", "a number above 0")

@@ -30,7 +30,7 @@ pub(super) use section;
 section!(
     /// Where the photographs are and how they are read.
     DataConfig, "data" {
-        root: String, format: Format, train: Vec<String>, test: String, holdout: u32, scales: u32, convention: Convention,
+        root: String, format: Format, train: Vec<String>, test: String, holdout: u32, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
         builtin_finish: Finish, most_pixels: f64,
     }
@@ -42,7 +42,7 @@ section!(
 section!(
     /// What the scene plan may derive from the data and the budget, and what it may leave out.
     PlanConfig, "plan" {
-        aabb: PlanChoice, background: PlanChoice, solids: PlanChoice, schedule: PlanChoice, detail: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
+        aabb: PlanChoice, background: PlanChoice, edges: PlanChoice, solids: PlanChoice, schedule: PlanChoice, detail: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }
 );
 section!(
@@ -58,7 +58,7 @@ section!(
 section!(
     /// Ray marching and compositing.
     RendererConfig, "renderer" {
-        kind: RendererKind, cones: u32, steps_per_diagonal: u32, step_scale: Schedule, step_per_radius: f32, min_transmittance: f32,
+        kind: RendererKind, cones: u32, cone_width: f32, steps_per_diagonal: u32, step_scale: Schedule, step_per_radius: f32, min_transmittance: f32,
         min_weight: f32,
     }
 );
@@ -83,7 +83,7 @@ section!(
 section!(
     /// Length of the run and size of a step.
     TrainConfig, "train" {
-        steps: u64, seconds: f64, samples_per_step: u32, batch_scale: Schedule, scale_balance: Schedule, background: TrainBackground,
+        steps: u64, seconds: f64, samples_per_step: u32, batch_scale: Schedule, scale_balance: Schedule, cones: Schedule, background: TrainBackground,
         background_share: Schedule,
         checkpoint_seconds: f64, log_seconds: f64,
     }
@@ -99,6 +99,11 @@ section!(
 );
 
 impl DataConfig {
+    /// Edge exponent of photographs reduced by `factor`, see [`edges`](crate::edges).
+    pub fn edge_exponent(&self, factor: u32) -> f32 {
+        self.edge_exponents.get(factor.trailing_zeros() as usize).copied().unwrap_or(0.0)
+    }
+
     /// The frames that a model is tested on, in words.
     pub fn tested_on(&self) -> String {
         match self.holdout {

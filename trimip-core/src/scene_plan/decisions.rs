@@ -46,7 +46,7 @@ pub(super) struct Decision {
 }
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 9] = [
+pub(super) const DECISIONS: [Decision; 10] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -58,6 +58,12 @@ pub(super) const DECISIONS: [Decision; 9] = [
         owns: &["data.background"],
         choice: |config| config.plan.background,
         decide: recipe::background,
+    },
+    Decision {
+        key: "edges",
+        owns: &["data.edge_exponents"],
+        choice: |config| config.plan.edges,
+        decide: recipe::edges,
     },
     Decision {
         key: "solids",

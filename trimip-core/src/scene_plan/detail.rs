@@ -2,6 +2,7 @@
 //! the distance of the box, within the budget.
 
 use super::{Context, Proposal, hash_grid, tri_mip};
+use crate::cones::median_footprint;
 use crate::config::{EncoderKind, PlanChoice};
 use crate::{Aabb, Config, ViewSet};
 use toml::Value;
@@ -86,23 +87,9 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     Proposal::Set { reason, changes }
 }
 
-/// World width of the footprint of a pixel of the finest photographs at the centre of the box: the median over the views.
+/// World width of a pixel of the finest photographs in the middle of the box: the median over the views.
 pub(super) fn footprint(views: &ViewSet, aabb: &Aabb<f64>) -> Option<f64> {
-    let centre = glam::DVec3::from_array(std::array::from_fn(|axis| 0.5 * (aabb.min[axis] + aabb.max[axis])));
-    let mut widths: Vec<f64> = views
-        .scales
-        .first()?
-        .views
-        .clone()
-        .map(|view| &views.views[view].camera)
-        // A camera within the box looks at points half a box away.
-        .map(|camera| {
-            let distance = (camera.origin - centre).length().max(0.25 * aabb.longest());
-            distance / (camera.intrinsics.fx * camera.intrinsics.fy).sqrt()
-        })
-        .collect();
-    widths.sort_by(f64::total_cmp);
-    widths.get(widths.len() / 2).copied().filter(|width| width.is_finite() && *width > 0.0)
+    median_footprint(views, 0, aabb)
 }
 
 /// Three significant digits.

@@ -66,6 +66,22 @@ pub(super) fn background(context: &Context<'_>) -> Proposal {
     }
 }
 
+pub(super) fn edges(context: &Context<'_>) -> Proposal {
+    let views = context.facts.train;
+    if !has_alpha(views) {
+        return Proposal::Keep("the photographs have no alpha: all conventions are one".into());
+    }
+    let Some(exponents) = crate::edges::fit(views) else {
+        return Proposal::Keep("every photograph shows silhouettes as in the scene".into());
+    };
+    let told: Vec<String> = exponents.iter().map(|exponent| format!("{exponent:.3}")).collect();
+    let value = |exponent: &f64| Value::Float((1e3 * exponent).round() / 1e3);
+    Proposal::Set {
+        reason: format!("means of straight colours darken silhouettes as opacity^{}", told.join(", ^")),
+        changes: vec![("data.edge_exponents", Value::Array(exponents.iter().map(value).collect()))],
+    }
+}
+
 pub(super) fn solids(context: &Context<'_>) -> Proposal {
     if !has_alpha(context.facts.train) {
         return Proposal::Keep("the photographs have no alpha that opacity could be compared with".into());

@@ -5,17 +5,18 @@ use crate::{Backend, Encoder, Optimizer, Renderer, Slot, backend::Sampler, encod
 
 impl<B: Backend> Trainer<B> {
     /// Updates every stage to the schedules at `progress`. Moments grow with their parameters. When the marching step
-    /// shrinks, rays have more samples, and the batch gets fewer rays.
+    /// shrinks or pixels get more cones, pixels have more samples, and the batch gets fewer pixels.
     pub(super) fn follow(&mut self, progress: f64) {
         self.loaded.stages.renderer.follow(progress);
         self.loaded.stages.sampler.follow(progress);
-        let scale = self.loaded.config.renderer.step_scale.at(progress);
-        if self.state.step_scale > 0.0 && self.state.step_scale != scale {
-            let ratio = scale / self.state.step_scale;
+        let cones_per_pixel = self.loaded.stages.sampler.balance().cones_per_pixel();
+        let spacing = self.loaded.config.renderer.step_scale.at(progress) / cones_per_pixel;
+        if self.state.spacing > 0.0 && self.state.spacing != spacing {
+            let ratio = spacing / self.state.spacing;
             self.state.rays_per_step = ((f64::from(self.state.rays_per_step) * ratio) as u32).max(LEAST_RAYS);
             self.state.marched_per_ray /= ratio as f32;
         }
-        self.state.step_scale = scale;
+        self.state.spacing = spacing;
         let stage = encoders::of(&self.loaded.config).stage(&self.loaded.config, progress);
         if stage >= self.state.stage {
             return;

@@ -8,7 +8,7 @@ mod sums;
 use crate::{
     Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Result, Session, StepReport, ViewSet,
     Viewer,
-    backend::Optimizer,
+    backend::{Optimizer, Sampler},
     batch::{Deposit, Radiance, StepSums},
     checkpoint::{Checkpoint, TrainState},
     encoders,
@@ -54,6 +54,7 @@ impl<B: Backend> Trainer<B> {
         }
         let loaded = LoadedModel::build(backend, config, Some(views))?;
         let (backend, stages) = (&loaded.backend, &loaded.stages);
+        let cones = stages.sampler.balance().cones_per_pixel();
         let deposits = (0..backend.deposits(config.train.samples_per_step))
             .map(|_| Deposit {
                 field: stages.field.gradient(),
@@ -65,8 +66,10 @@ impl<B: Backend> Trainer<B> {
             gradient: backend.zeros(loaded.layout.len()),
             probes: backend.zeros(0),
             state: TrainState {
-                rays_per_step: (config.train.samples_per_step / FIRST_KEPT_PER_RAY).max(LEAST_RAYS),
-                marched_per_ray: FIRST_MARCHED_PER_RAY,
+                rays_per_step: ((f64::from(config.train.samples_per_step / FIRST_KEPT_PER_RAY) / cones)
+                    as u32)
+                    .max(LEAST_RAYS),
+                marched_per_ray: FIRST_MARCHED_PER_RAY * cones as f32,
                 ..TrainState::default()
             },
             loaded,

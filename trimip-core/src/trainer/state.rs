@@ -60,15 +60,15 @@ impl<B: Backend> Trainer<B> {
         self.state = checkpoint.state;
         self.left_out_before =
             self.state.totals.non_finite.saturating_sub(self.loaded.stages.optimizer.non_finite());
-        let counted = |(scale, sums)| Pending { scale, sums: Arrival::Counted(sums) };
+        let counted = |(spacing, sums)| Pending { spacing, sums: Arrival::Counted(sums) };
         self.pending = self.state.pending.into_iter().flatten().map(counted).collect();
         self.enter(self.state.stage);
         self.loaded.refresh();
         let progress = progress(&self.loaded.config, &self.state.totals);
         // A backend with less lag than the one that wrote the checkpoint would have used these sums already.
         while self.pending.len() > B::LAG {
-            let Some((scale, sums)) = self.oldest_sums()? else { break };
-            self.adapt_batch(&sums, scale, progress);
+            let Some((spacing, sums)) = self.oldest_sums()? else { break };
+            self.adapt_batch(&sums, spacing, progress);
         }
         self.loaded.stages.renderer.follow(progress);
         self.loaded.stages.sampler.follow(progress);

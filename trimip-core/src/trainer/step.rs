@@ -24,21 +24,24 @@ const MAX_RAYS_PER_SPAN: u32 = 256;
 const CELLS_PER_SPAN: u32 = 512;
 
 impl<B: Backend> Trainer<B> {
-    fn rays_per_span(&self) -> u32 {
-        ((SAMPLES_PER_SPAN / self.state.marched_per_ray.max(1.0)) as u32).clamp(1, MAX_RAYS_PER_SPAN)
+    fn cones_per_span(&self) -> u32 {
+        let cones_per_pixel = self.loaded.stages.sampler.balance().cones_per_pixel() as f32;
+        let marched_per_cone = self.state.marched_per_ray / cones_per_pixel;
+        ((SAMPLES_PER_SPAN / marched_per_cone.max(1.0)) as u32).clamp(1, MAX_RAYS_PER_SPAN)
     }
 
-    /// Runs forward and backward over `rays` pixels; the deposits then hold the gradients.
-    pub(super) fn gradients(&mut self, rays: u32) {
+    /// Runs forward and backward over `pixels` pixels; the deposits then hold the gradients.
+    pub(super) fn gradients(&mut self, pixels: u32) {
         let step = self.state.totals.step;
         for deposit in &mut self.deposits {
             deposit.sums = B::Sums::default();
         }
-        let per_span = self.rays_per_span();
+        let per_span = self.cones_per_span();
         let (backend, stages, parameters) =
             (&*self.loaded.backend, &self.loaded.stages, &self.loaded.parameters);
-        backend.train_spans(&stages.field, rays, per_span, &mut self.deposits, &|space, deposit, range| {
-            stages.sampler.training_rays(&mut space.lane, step, rays, range, &mut space.rays);
+        let draw = stages.sampler.balance().draw(pixels);
+        backend.train_spans(&stages.field, &draw, per_span, &mut self.deposits, &|space, deposit, range| {
+            stages.sampler.training_rays(&mut space.lane, step, &draw, range, &mut space.rays);
             forward(stages, parameters, space, Some(step));
             let Workspace { lane, rays, samples, encoding, features, tape, radiance, cones, pixels, .. } =
                 space;
@@ -97,18 +100,20 @@ impl<B: Backend> Trainer<B> {
         self.loaded.stages.occupancy.absorb(&self.probes);
     }
 
-    /// Adapts the number of rays so that the next step keeps about the target number of samples (dynamic batch).
-    /// `scale` is the marching step with which the sums were computed.
-    pub(super) fn adapt_batch(&mut self, sums: &StepSums, scale: f64, progress: f64) {
+    /// Adapts the number of pixels so that the next step keeps about the target number of samples (dynamic batch).
+    /// `spacing` is that of the step with these sums, see [`TrainState`](crate::checkpoint::TrainState).
+    pub(super) fn adapt_batch(&mut self, sums: &StepSums, spacing: f64, progress: f64) {
         let train = &self.loaded.config.train;
         let target = (f64::from(train.samples_per_step) * train.batch_scale.at(progress)) as u64;
         let mut next = sums.rays * target / sums.kept.max(1) + 1;
-        if scale != self.state.step_scale {
-            next = (next as f64 * self.state.step_scale / scale) as u64;
+        if spacing != self.state.spacing {
+            next = (next as f64 * self.state.spacing / spacing) as u64;
         }
         // At most doubled, so that one batch with few samples does not make the next one huge.
         let most = 2 * u64::from(self.state.rays_per_step);
-        self.state.rays_per_step = next.min(most).clamp(LEAST_RAYS.into(), 8 * target) as u32;
+        let cones_per_pixel = self.loaded.stages.sampler.balance().cones_per_pixel();
+        let limit = ((8 * target) as f64 / cones_per_pixel) as u64;
+        self.state.rays_per_step = next.min(most).clamp(LEAST_RAYS.into(), limit) as u32;
         self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
     }
 
@@ -132,7 +137,7 @@ impl<B: Backend> Trainer<B> {
         }
         self.gradients(self.state.rays_per_step);
         let posted = Arrival::Posted(self.device().post(&self.deposits));
-        self.pending.push_back(Pending { scale: self.state.step_scale, sums: posted });
+        self.pending.push_back(Pending { spacing: self.state.spacing, sums: posted });
         // Without lag, the sums are read before any parameter moves.
         let early = if B::LAG == 0 { self.oldest_sums()? } else { None };
         if let Some((_, sums)) = &early
@@ -150,8 +155,8 @@ impl<B: Backend> Trainer<B> {
         }
         self.state.totals.step += 1;
         let sums = early.or(late);
-        if let Some((scale, sums)) = &sums {
-            self.adapt_batch(sums, *scale, progress);
+        if let Some((spacing, sums)) = &sums {
+            self.adapt_batch(sums, *spacing, progress);
         }
         self.count_left_out();
         let sums = sums.map_or_else(StepSums::default, |(_, sums)| sums);

@@ -6,8 +6,8 @@ use crate::{Backend, Error, Result, batch::StepSums, checkpoint::MOST_PENDING};
 
 /// Sums of a step that are not yet used.
 pub(super) struct Pending<B: Backend> {
-    /// The marching step at that time, in units of the uniform step.
-    pub scale: f64,
+    /// The step's spacing, see [`TrainState`](crate::checkpoint::TrainState).
+    pub spacing: f64,
     pub sums: Arrival<B>,
 }
 
@@ -29,13 +29,13 @@ impl<B: Backend> Trainer<B> {
         totals.empty_batches += u64::from(sums.kept == 0);
     }
 
-    /// Returns the oldest unused sums, counted, with their marching step, if more than the lag are pending.
+    /// Returns the oldest unused sums, counted, with their spacing, if more than the lag are pending.
     pub(super) fn oldest_sums(&mut self) -> Result<Option<(f64, StepSums)>> {
         if self.pending.len() <= B::LAG {
             return Ok(None);
         }
-        let Some(Pending { scale, sums }) = self.pending.pop_front() else { return Ok(None) };
-        Ok(Some((scale, self.arrived(sums)?)))
+        let Some(Pending { spacing, sums }) = self.pending.pop_front() else { return Ok(None) };
+        Ok(Some((spacing, self.arrived(sums)?)))
     }
 
     /// Waits for sums and counts them.
@@ -54,11 +54,11 @@ impl<B: Backend> Trainer<B> {
     pub(super) fn settle(&mut self) -> Result<()> {
         self.state.pending = [None; MOST_PENDING];
         let first = self.state.totals.step.saturating_sub(self.pending.len() as u64);
-        for (place, Pending { scale, sums }) in std::mem::take(&mut self.pending).into_iter().enumerate() {
+        for (place, Pending { spacing, sums }) in std::mem::take(&mut self.pending).into_iter().enumerate() {
             let sums = self.arrived(sums)?;
             finite(first + place as u64, &sums)?;
-            self.pending.push_back(Pending { scale, sums: Arrival::Counted(sums) });
-            self.state.pending[place] = Some((scale, sums));
+            self.pending.push_back(Pending { spacing, sums: Arrival::Counted(sums) });
+            self.state.pending[place] = Some((spacing, sums));
         }
         Ok(())
     }

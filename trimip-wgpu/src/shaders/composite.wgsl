@@ -55,7 +55,7 @@ fn composite(
     }
     var background = params.background;
     if params.targets != 0u {
-        background = vec3<f32>(targets[8u * i + 4u], targets[8u * i + 5u], targets[8u * i + 6u]);
+        background = vec3<f32>(targets[9u * i + 4u], targets[9u * i + 5u], targets[9u * i + 6u]);
     }
     let own = pixel_groups[i];
     var sum: array<f32, 5>;

@@ -40,6 +40,30 @@ fn smooth_l1(difference: f32, beta: f32) -> vec2<f32> {
     return vec2<f32>(size - 0.5 * beta, sign(difference));
 }
 
+// Opacity below which the power of an edge exponent is constant; twin of `trimip_core::edges`.
+const LEAST_OPACITY = 1e-4;
+
+// The colour that a photograph shows of a pixel, which is P + (1 - A) * background: P * A^exponent on the background.
+fn shown(pixel: vec4<f32>, background: vec3<f32>, exponent: f32) -> vec3<f32> {
+    if exponent == 0.0 {
+        return pixel.rgb;
+    }
+    let behind = (1.0 - pixel.a) * background;
+    return (pixel.rgb - behind) * pow(max(pixel.a, LEAST_OPACITY), exponent) + behind;
+}
+
+// Gradient with respect to the pixel and its opacity, for a gradient with respect to the colour shown.
+fn shown_gradient(pixel: vec4<f32>, background: vec3<f32>, exponent: f32, by: vec3<f32>) -> vec4<f32> {
+    if exponent == 0.0 {
+        return vec4<f32>(by, 0.0);
+    }
+    let base = max(pixel.a, LEAST_OPACITY);
+    let factor = pow(base, exponent);
+    let slope = select(0.0, exponent * factor / base, pixel.a > LEAST_OPACITY);
+    let own = pixel.rgb - (1.0 - pixel.a) * background;
+    return vec4<f32>(by * factor, dot(by, own * slope - background * (1.0 - factor)));
+}
+
 // Sum over the workgroup in a fixed order; valid in the first invocation.
 fn total(local: u32, own: vec4<f32>) -> vec4<f32> {
     shared_sums[local] = own;
@@ -70,23 +94,32 @@ fn evaluate(
     let i = index_of(group, groups, local);
     var own = vec4<f32>(0.0);
     if i < params.count {
-        let weight = targets[8u * i + 3u];
+        let pixel = vec4<f32>(pixels[5u * i], pixels[5u * i + 1u], pixels[5u * i + 2u], pixels[5u * i + 3u]);
+        let at = 9u * i;
+        let weight = targets[at + 3u];
+        let background = vec3<f32>(targets[at + 4u], targets[at + 5u], targets[at + 6u]);
+        let exponent = targets[at + 8u];
+        let seen = shown(pixel, background, exponent);
         let counted = params.live == 0u || has_samples(pixel_groups[i]);
         var loss = 0.0;
         var squared = 0.0;
         var finite = true;
+        var by_colour = vec3<f32>(0.0);
         for (var c = 0u; c < 3u; c++) {
-            let difference = pixels[5u * i + c] - targets[8u * i + c];
+            let difference = seen[c] - targets[at + c];
             finite = finite && is_finite(difference);
             let value = smooth_l1(difference, params.beta);
             loss += value.x / 3.0;
             squared += difference * difference;
-            gradients[4u * i + c] = select(0.0, weight * value.y / 3.0, counted);
+            by_colour[c] = select(0.0, weight * value.y / 3.0, counted);
         }
-        let difference = pixels[5u * i + 3u] - targets[8u * i + 7u];
-        let value = smooth_l1(difference, params.beta);
+        let gradient = shown_gradient(pixel, background, exponent, by_colour);
+        let value = smooth_l1(pixel.a - targets[at + 7u], params.beta);
         loss += params.opacity * value.x;
-        gradients[4u * i + 3u] = select(0.0, weight * params.opacity * value.y, counted);
+        for (var c = 0u; c < 3u; c++) {
+            gradients[4u * i + c] = gradient[c];
+        }
+        gradients[4u * i + 3u] = gradient.a + select(0.0, weight * params.opacity * value.y, counted);
         own = vec4<f32>(select(0.0, weight * loss, counted), select(0.0, weight, counted), squared, 0.0);
         if !finite {
             own = vec4<f32>(0.0, 0.0, 0.0, 1.0);

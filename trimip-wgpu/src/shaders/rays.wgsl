@@ -14,12 +14,14 @@ struct Params {
     premultiplied: u32,
     // 1 if `pixels` holds only this span's pixels, in order.
     streamed: u32,
-    // Cones along a side of a pixel.
-    side: u32,
-    // Rays of the step from this index on belong to this scale or a coarser one.
+    // Index within the step of the span's first cone.
+    first_cone: u32,
+    // Pixels of the step from this index on belong to this scale or a coarser one.
     begins: array<vec4<u32>, 2>,
-    // Loss weight of a ray, by scale.
+    // By scale: loss weight of a pixel, cones along its side, edge exponent of its photographs.
     weights: array<vec4<f32>, 2>,
+    sides: array<vec4<u32>, 2>,
+    exponents: array<vec4<f32>, 2>,
 }
 
 struct Scale {
@@ -38,13 +40,28 @@ struct Scale {
 // First cone and number of cones of each pixel.
 @group(0) @binding(6) var<storage, read_write> pixel_groups: array<vec2<u32>>;
 
-// Generates the cones of a pixel, which is number `i` of the span.
-fn cones_of(i: u32, view: View, x: u32, y: u32) {
-    let count = params.side * params.side;
-    pixel_groups[i] = vec2<u32>(i * count, count);
+// Generates the cones of pixel number `i` of the span; the first of them is number `start`.
+fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) {
+    let count = side * side;
+    pixel_groups[i] = vec2<u32>(start, count);
     for (var index = 0u; index < count; index++) {
-        rays[i * count + index] = cone_in(view, x, y, index, params.side);
+        rays[start + index] = cone_in(view, x, y, index, side);
     }
+}
+
+// Cones of all pixels of the step before pixel `index`; twin of `Draw::cones_before`.
+fn cones_before(index: u32) -> u32 {
+    var cones = 0u;
+    for (var j = 0u; j < params.scales; j++) {
+        let begin = params.begins[j / 4u][j % 4u];
+        var end = params.total;
+        if j + 1u < params.scales {
+            end = params.begins[(j + 1u) / 4u][(j + 1u) % 4u];
+        }
+        let side = params.sides[j / 4u][j % 4u];
+        cones += (clamp(index, begin, end) - begin) * side * side;
+    }
+    return cones;
 }
 
 @compute @workgroup_size(GROUP)
@@ -58,7 +75,8 @@ fn camera_rays(
         return;
     }
     let pixel = params.first + i;
-    cones_of(i, views[0], pixel % views[0].width, pixel / views[0].width);
+    let side = params.sides[0].x;
+    cones_of(i, i * side * side, side, views[0], pixel % views[0].width, pixel / views[0].width);
 }
 
 @compute @workgroup_size(GROUP)
@@ -93,7 +111,8 @@ fn training_rays(
     }
     let view = views[low];
     let within = pixel - view.offset;
-    cones_of(i, view, within % view.width, within / view.width);
+    let start = cones_before(index) - params.first_cone;
+    cones_of(i, start, params.sides[s / 4u][s % 4u], view, within % view.width, within / view.width);
 
     var background = params.background;
     if params.random_share > 0.0 {
@@ -106,8 +125,8 @@ fn training_rays(
     let rgba = vec4<f32>(vec4<u32>(word, word >> 8u, word >> 16u, word >> 24u) & vec4<u32>(0xffu)) / 255.0;
     let coverage = select(rgba.a, 1.0, params.premultiplied != 0u);
     let rgb = rgba.rgb * coverage + (1.0 - rgba.a) * background;
-    // A target is eight floats: colour, weight, background, opacity.
-    let at = i * 8u;
+    // A target is nine floats: colour, weight, background, opacity, exponent.
+    let at = i * 9u;
     targets[at] = rgb.r;
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
@@ -116,4 +135,5 @@ fn training_rays(
     targets[at + 5u] = background.g;
     targets[at + 6u] = background.b;
     targets[at + 7u] = rgba.a;
+    targets[at + 8u] = params.exponents[s / 4u][s % 4u];
 }

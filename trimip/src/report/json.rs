@@ -60,6 +60,8 @@ fn value(report: &Report<'_>) -> Value {
         "measure": {
             "psnr": "-10 log10(mean squared error) per image, mean over images, then over scales; unrounded sRGB values",
             "psnr_8bit": "the same of values rounded to 8 bits",
+            "psnr_plain": "the same of unrounded values without the set's edge exponents (data.edge_exponents)",
+            "psnr_box": "the same of unrounded values against a true box filter of the finest photographs",
             "psnr_opposite": "the same of unrounded values on black where the background is bright, on white where it is dark",
             "psnr_constant": "of each photograph's mean colour in place of the rendering, from the mean of their errors",
             "background": config.data.background,
@@ -123,7 +125,7 @@ mod tests {
             assert_eq!(json["mean"]["psnr"], 24.5);
             assert_eq!(
                 json["scales"][1],
-                json!({ "scale": 2, "images": 8, "psnr": 25.5, "psnr_8bit": 25.5, "psnr_opposite": 25.5, "psnr_constant": 12.0, "ssim": 0.9 })
+                json!({ "scale": 2, "images": 8, "psnr": 25.5, "psnr_8bit": 25.5, "psnr_opposite": 25.5, "psnr_plain": 25.5, "psnr_box": 25.5, "psnr_constant": 12.0, "ssim": 0.9 })
             );
             assert_eq!(json["curve"].as_array().unwrap().len(), 2);
             assert_eq!(json["curve"][0]["psnr"], json!([19.0, 21.0]));

@@ -13,26 +13,31 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
         "images",
         "PSNR / dB",
         "least – greatest",
+        "plain",
+        "box filter",
         "at 8 bits",
         "on opposite",
         "mean colour",
         "SSIM",
     ];
     let mut rows = vec![head.map(String::from).to_vec()];
-    let row = |name: String, images: usize, range: String, psnr: [f64; 4], ssim: f64| {
-        let [psnr, rounded, opposite, constant] =
+    let row = |name: String, images: usize, range: String, psnr: [f64; 6], ssim: f64| {
+        let [psnr, plain, boxed, rounded, opposite, constant] =
             psnr.map(|psnr| if psnr.is_nan() { "–".into() } else { format!("{psnr:.2}") });
-        vec![name, images.to_string(), psnr, range, rounded, opposite, constant, format!("{ssim:.4}")]
+        let count = images.to_string();
+        let ssim = format!("{ssim:.4}");
+        vec![name, count, psnr, range, plain, boxed, rounded, opposite, constant, ssim]
     };
     for q in &e.scales {
         let of = || report.views.iter().filter(|v| v.scale == q.scale).filter_map(|v| v.psnr);
         let range = of().reduce(f64::min).zip(of().reduce(f64::max));
         let range = range.map_or("–".into(), |(low, high)| format!("{low:.2} – {high:.2}"));
-        let psnr = [q.psnr, q.psnr_8bit, q.psnr_opposite, q.psnr_constant];
+        let psnr = [q.psnr, q.psnr_plain, q.psnr_box, q.psnr_8bit, q.psnr_opposite, q.psnr_constant];
         rows.push(row(scale_name(q.scale), q.images, range, psnr, q.ssim));
     }
     let mean = mean_quality(&e.scales);
-    let psnr = [mean.psnr, mean.psnr_8bit, mean.psnr_opposite, mean.psnr_constant];
+    let psnr =
+        [mean.psnr, mean.psnr_plain, mean.psnr_box, mean.psnr_8bit, mean.psnr_opposite, mean.psnr_constant];
     let images = e.scales.iter().map(|q| q.images).sum();
     rows.push(row("mean".into(), images, String::new(), psnr, mean.ssim));
     rows

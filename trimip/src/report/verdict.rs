@@ -214,7 +214,8 @@ mod tests {
     use super::*;
 
     fn mean(psnr: f64, psnr_opposite: f64, psnr_constant: f64) -> Option<MeanQuality> {
-        Some(MeanQuality { psnr, psnr_8bit: psnr, psnr_opposite, psnr_constant, ssim: 0.9 })
+        let [psnr_8bit, psnr_plain, psnr_box] = [psnr; 3];
+        Some(MeanQuality { psnr, psnr_8bit, psnr_opposite, psnr_plain, psnr_box, psnr_constant, ssim: 0.9 })
     }
 
     /// Figures of a solid model with `psnr`; a constant picture has 11 dB.

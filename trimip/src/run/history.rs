@@ -237,6 +237,8 @@ pub(crate) mod tests {
             psnr,
             psnr_8bit: psnr,
             psnr_opposite: psnr,
+            psnr_plain: psnr,
+            psnr_box: psnr,
             psnr_constant: 12.0,
             ssim: 0.9,
         };

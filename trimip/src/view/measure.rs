@@ -3,6 +3,7 @@
 use std::time::Instant;
 use trimip_core::{
     Frames, Result, Viewer,
+    config::DataConfig,
     evaluate::{MeanQuality, ViewQuality, ViewResult, Watch, evaluate_frame, mean_quality, per_scale},
     events::ScaleQuality,
 };
@@ -38,7 +39,8 @@ pub trait Watching {
 /// No observer.
 impl Watching for () {}
 
-/// Renders every `stride`-th test view at every scale on `background` and compares it with its photograph. Returns
+/// Renders every `stride`-th test view at every scale, on the background and by the convention of
+/// `data`, and compares it with its photograph. Returns
 /// `None` if `watch` cancelled it.
 ///
 /// # Errors
@@ -46,7 +48,7 @@ impl Watching for () {}
 pub fn evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
-    background: [f32; 3],
+    data: &DataConfig,
     stride: usize,
     watch: &mut dyn Watching,
 ) -> Result<Option<Measured>> {
@@ -54,7 +56,7 @@ pub fn evaluate(
     let mut progress = Progress { watch, done: 0, total: frames.len().div_ceil(stride) };
     let mut views = Vec::new();
     for index in (0..frames.len()).step_by(stride) {
-        if !evaluate_frame(viewer, frames, index, 1, background, &mut progress, &mut views)? {
+        if !evaluate_frame(viewer, frames, index, 1, data, &mut progress, &mut views)? {
             return Ok(None);
         }
         progress.done += 1;

@@ -1,6 +1,7 @@
-//! `bench`: error against time, of training over a set of configurations, or of rendering over a model's
-//! approximations.
+//! `bench`: error against time, of training over a set of configurations, of rendering over a model's approximations, or
+//! of pixels over their number of cones.
 
+mod cones;
 mod page;
 mod rendering;
 pub mod stages;
@@ -12,6 +13,7 @@ use trimip_core::Result;
 /// Runs the benchmark that the arguments select.
 pub fn run(arguments: &BenchArguments) -> Result<u8> {
     match &arguments.render {
+        Some(model) if arguments.cones => cones::run(arguments, model),
         Some(model) => rendering::run(arguments, model),
         None => training::run(arguments),
     }

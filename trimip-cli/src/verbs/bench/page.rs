@@ -18,7 +18,7 @@ pub fn write(bench: &Bench, rows: &[Row], lines: &[svg::Line]) -> Result<()> {
     keep("bench.json", &json(rows, reach, &machine, &base)?)?;
     keep("bench.csv", &csv(rows))?;
     // A run with a single evaluation has a point but no line.
-    keep("bench.svg", &svg::alone(lines).unwrap_or_default())?;
+    keep("bench.svg", &svg::alone(lines, svg::TRAINING).unwrap_or_default())?;
     keep("bench.html", &html(rows, lines, reach, &machine, &base)?)
 }
 

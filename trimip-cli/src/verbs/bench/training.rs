@@ -287,6 +287,8 @@ mod tests {
     fn arguments(variants: &[&str], vary: &[&str]) -> BenchArguments {
         BenchArguments {
             render: None,
+            cones: false,
+            views: 4,
             width: 48,
             settings: SettingsArguments::default(),
             variants: variants.iter().map(|text| (*text).into()).collect(),
