@@ -17,7 +17,7 @@ fn left_out(findings: &Value) -> Vec<&str> {
     findings.iter().filter(|f| f["left_out"] == true).map(|f| f["decision"].as_str().unwrap()).collect()
 }
 
-const OFF: [&str; 14] = [
+const OFF: [&str; 18] = [
     "--set",
     "plan.background=off",
     "--set",
@@ -32,6 +32,10 @@ const OFF: [&str; 14] = [
     "plan.directions=off",
     "--set",
     "plan.file=off",
+    "--set",
+    "plan.edges=off",
+    "--set",
+    "plan.cones=off",
 ];
 
 #[test]

@@ -1,6 +1,6 @@
 //! The decisions of the scene plan: their inputs, their possible results, and their order.
 
-use super::{aabb, detail, facts::Facts, leave_out, recipe, tri_mip};
+use super::{aabb, cones, detail, facts::Facts, leave_out, recipe, tri_mip};
 use crate::config::PlanChoice;
 use crate::{Config, Origin, Settings};
 use toml::Value;
@@ -46,7 +46,7 @@ pub(super) struct Decision {
 }
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 10] = [
+pub(super) const DECISIONS: [Decision; 11] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -73,6 +73,12 @@ pub(super) const DECISIONS: [Decision; 10] = [
     },
     Decision { key: "schedule", owns: &[], choice: |config| config.plan.schedule, decide: recipe::schedule },
     Decision { key: "detail", owns: &[], choice: |config| config.plan.detail, decide: detail::decide },
+    Decision {
+        key: "cones",
+        owns: &["renderer.cones", "renderer.cone_width"],
+        choice: |config| config.plan.cones,
+        decide: cones::decide,
+    },
     Decision {
         key: "levels",
         owns: &["encoder.levels"],

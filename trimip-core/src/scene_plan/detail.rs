@@ -93,7 +93,7 @@ pub(super) fn footprint(views: &ViewSet, aabb: &Aabb<f64>) -> Option<f64> {
 }
 
 /// Three significant digits.
-fn significant(value: f64) -> String {
+pub(super) fn significant(value: f64) -> String {
     let digits = (2.0 - value.abs().log10().floor()).clamp(0.0, 12.0) as usize;
     format!("{value:.digits$}")
 }

@@ -5,6 +5,7 @@
 
 mod aabb;
 mod common_view;
+mod cones;
 mod decisions;
 mod detail;
 mod facts;

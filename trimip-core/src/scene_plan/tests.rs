@@ -52,12 +52,48 @@ fn of<'a>(findings: &'a [Finding], decision: &str) -> &'a Finding {
 }
 
 #[test]
-fn levels_are_sharper_where_texels_are_as_fine_as_pixels_see() {
-    let bias = |set: &[&str]| planned(&views(true), set).unwrap().0.encoder.level_bias;
-    assert_eq!(bias(&[]), -0.5);
-    // Planes of 16 texels over the ball: each is as wide as some five pixels.
-    assert_eq!(bias(&["encoder.plane_size=16", "encoder.levels=3"]), 0.0);
-    assert_eq!(bias(&["encoder.level_bias=0.25"]), 0.25, "a setting that is given stays");
+fn cones_are_about_as_wide_as_pixels_of_the_finest_photographs() {
+    let train = views(true);
+    let (config, _) = planned(&train, &[]).unwrap();
+    let footprint = detail::footprint(&train, &Aabb::new(&config.scene)).unwrap();
+    let width = f64::from(config.renderer.cone_width) / footprint;
+    assert!((width / 1.25 - 1.0).abs() < 5e-3, "{width}");
+    let division = crate::cones::Division::new(&config);
+    assert_eq!(division.sides(&train), [1, 2]);
+    let aabb = Aabb::new(&config.scene);
+    let away = |view: &&View| (crate::cones::footprint(&view.camera, &aabb) - footprint).abs();
+    let median = train.views[..16].iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+    let camera = median.unwrap().camera;
+    let at = |level| division.side(&Camera { intrinsics: camera.intrinsics.reduced(level), ..camera });
+    assert_eq!([0, 1, 2, 3, 4].map(at), [1, 2, 3, 4, 4]);
+    let (config, findings) = planned(&train, &["renderer.cones=1"]).unwrap();
+    assert_eq!(
+        (config.renderer.cones, config.renderer.cone_width),
+        (1, 0.0),
+        "a setting that is given stays"
+    );
+    assert!(of(&findings, "cones").reason.contains("renderer.cones"));
+}
+
+#[test]
+fn edge_exponents_are_those_of_the_photographs() {
+    let exponents = |train: &ViewSet, set: &[&str]| planned(train, set).unwrap().0.data.edge_exponents;
+    let mut train = views(true);
+    // Means of straight colours of which a clear pixel has none: colour times alpha is P·A.
+    for i in train.scales[1].views.clone() {
+        let (fine, coarse) = (i - train.scales[1].views.start, train.views[i].offset);
+        let means = train.means(fine, 2);
+        for (pixel, [.., alpha]) in train.pixels[coarse..].iter_mut().zip(means) {
+            *pixel = [(255.0 * alpha) as u8, 0, 0, (255.0 * alpha) as u8];
+        }
+    }
+    let found = exponents(&train, &[]);
+    assert!(found.len() == 2 && found[0] == 0.0 && (found[1] - 1.0).abs() < 0.03, "{found:?}");
+    assert!(exponents(&train, &["plan.edges=off"]).is_empty());
+    assert_eq!(exponents(&train, &["data.edge_exponents=[0.0, 0.5]"]), [0.0, 0.5]);
+    assert!(exponents(&views(false), &[]).is_empty(), "photographs without alpha");
+    train.alpha = Alpha::Premultiplied;
+    assert!(exponents(&train, &[]).is_empty(), "premultiplied colours are right at silhouettes");
 }
 
 #[test]

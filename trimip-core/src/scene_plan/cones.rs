@@ -1,0 +1,31 @@
+//! How wide a cone is: about as a pixel of the finest photographs. Wider pixels, of coarser photographs or of cameras farther
+//! away, are the mean of several.
+
+use super::{Context, Proposal, detail};
+use crate::Aabb;
+use toml::Value;
+
+/// Width of a cone in pixel footprints: pixels of half the photographs' width are four cones, those of three quarters are
+/// one.
+const WIDTH: f64 = 1.25;
+
+/// Most cones along a side of a pixel: with four, a view at 1/8 costs a quarter of one at 1/1.
+const MOST: i64 = 4;
+
+pub(super) fn decide(context: &Context<'_>) -> Proposal {
+    let Some(footprint) = detail::footprint(context.facts.train, &Aabb::new(&context.now.scene)) else {
+        return Proposal::Keep("there is no photograph".into());
+    };
+    let width = detail::significant(WIDTH * footprint);
+    let number = width.parse().unwrap_or(WIDTH * footprint);
+    Proposal::Set {
+        reason: format!(
+            "pixels wider than {width} units in the middle of the box are the mean of cones of that width, at most \
+             {MOST} x {MOST}"
+        ),
+        changes: vec![
+            ("renderer.cones", Value::Integer(MOST)),
+            ("renderer.cone_width", Value::Float(number)),
+        ],
+    }
+}
