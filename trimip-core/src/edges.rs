@@ -50,7 +50,7 @@ pub fn shown_gradient<R: Real>(
     let mut by_opacity = R::zero();
     for c in 0..3 {
         let own = rgb[c] - left * background[c];
-        by_opacity = by_opacity + gradient[c] * (own * slope - background[c] * (R::one() - factor));
+        by_opacity += gradient[c] * (own * slope - background[c] * (R::one() - factor));
     }
     [r * factor, g * factor, b * factor, by_opacity]
 }
