@@ -54,7 +54,7 @@ impl Frame {
         self.pixels.iter().map(|pixel| pixel.rgb).collect()
     }
 
-    /// The same picture as the photographs of a set with an edge exponent show it, see [`edges`](crate::edges). It was
+    /// The same picture as the photographs of a set with an edge exponent show it, see [`edges`]. It was
     /// rendered on `background`.
     pub fn shown(mut self, background: [f32; 3], exponent: f32) -> Self {
         for pixel in &mut self.pixels {
