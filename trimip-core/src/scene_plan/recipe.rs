@@ -1,7 +1,7 @@
 //! Training recipe of a scene: its background, whether models are solid, and the size of networks and steps for the number
 //! of samples that the time budget allows on this machine.
 
-use super::{Context, Proposal};
+use super::{Context, Proposal, tri_mip};
 use crate::config::Precision;
 use crate::{Config, ViewSet};
 use toml::Value;
@@ -124,6 +124,7 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     };
     let mut changes =
         vec![("field.hidden", Value::Integer(hidden.into())), ("renderer.step_scale", pieces(step_scale))];
+    changes.extend(tri_mip::level_bias(context));
     if config.train.steps == 0 {
         changes.push(("train.samples_per_step", Value::Integer(per_step)));
     }

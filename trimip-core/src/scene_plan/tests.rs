@@ -52,6 +52,15 @@ fn of<'a>(findings: &'a [Finding], decision: &str) -> &'a Finding {
 }
 
 #[test]
+fn levels_are_sharper_where_texels_are_as_fine_as_pixels_see() {
+    let bias = |set: &[&str]| planned(&views(true), set).unwrap().0.encoder.level_bias;
+    assert_eq!(bias(&[]), -0.5);
+    // Planes of 16 texels over the ball: each is as wide as some five pixels.
+    assert_eq!(bias(&["encoder.plane_size=16", "encoder.levels=3"]), 0.0);
+    assert_eq!(bias(&["encoder.level_bias=0.25"]), 0.25, "a setting that is given stays");
+}
+
+#[test]
 fn cones_are_about_as_wide_as_pixels_of_the_finest_photographs() {
     let train = views(true);
     let (config, _) = planned(&train, &[]).unwrap();

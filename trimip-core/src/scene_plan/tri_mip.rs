@@ -24,6 +24,13 @@ const MOST_TEXELS: u32 = 4096;
 /// Texels that are finer by less than this share count as equal.
 const SAME_TEXEL: f64 = 1e-3;
 
+/// Level bias for fine texels: coarse views gain more than the finest ones lose.
+const LEVEL_BIAS: f64 = -0.5;
+
+/// Texels up to this many pixel footprints are fine. With wider ones most spheres read the base level, and blur helps
+/// training.
+const FINE_TEXELS: f64 = 3.0;
+
 /// Planes of texels that follow the footprint of a pixel.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let width = texel(context);
@@ -51,6 +58,12 @@ pub(super) fn texel(context: &Context<'_>) -> f64 {
     }
 }
 
+/// Width of a texel in pixel footprints; `None` without photographs.
+pub(super) fn texel_in_pixels(context: &Context<'_>) -> Option<f64> {
+    let footprint = detail::footprint(context.facts.train, &Aabb::new(&context.now.scene))?;
+    Some(texel(context) / footprint)
+}
+
 /// Width of a texel in pixel footprints for the budget.
 fn width_for_budget(context: &Context<'_>) -> f64 {
     let samples = recipe::budget(context.now, context.facts.compute.samples_per_second);
@@ -68,6 +81,12 @@ pub(super) fn plane_size(config: &Config, texel: f64) -> u32 {
     let longest = Aabb::<f64>::new(&config.scene).longest();
     let enough = (longest / texel * (1.0 - SAME_TEXEL)).ceil().clamp(1.0, MOST_TEXELS.into()) as u32;
     enough.next_multiple_of(unit).clamp(unit.max(4), MOST_TEXELS / unit * unit)
+}
+
+/// A level bias, if texels are fine.
+pub(super) fn level_bias(context: &Context<'_>) -> Option<(&'static str, Value)> {
+    let fine = texel_in_pixels(context).is_some_and(|width| width <= FINE_TEXELS);
+    fine.then_some(("encoder.level_bias", Value::Float(LEVEL_BIAS)))
 }
 
 pub(super) fn levels(context: &Context<'_>) -> Proposal {

@@ -134,9 +134,9 @@ mod tests {
     fn the_latex_table_has_as_many_columns_as_it_says() {
         super::super::example(|report| {
             let text = latex(report);
-            assert!(text.contains("\\begin{tabular}{lrrrrrrr}") && text.ends_with("\\end{tabular}\n"));
+            assert!(text.contains("\\begin{tabular}{lrrrrrrrrr}") && text.ends_with("\\end{tabular}\n"));
             let rows: Vec<_> = text.lines().filter(|line| line.ends_with("\\\\")).collect();
-            assert!(rows.len() == 4 && rows.iter().all(|row| row.matches('&').count() == 7), "{text}");
+            assert!(rows.len() == 4 && rows.iter().all(|row| row.matches('&').count() == 9), "{text}");
         });
         assert_eq!(tex("a_b & 50 %"), "a\\_b \\& 50 \\%");
     }
