@@ -62,6 +62,11 @@ fn equal_cones_are_one() {
 }
 
 #[test]
+fn nothing_is_placed_outside_of_the_hull() {
+    with_threads(&[1], |make| suite::probes::within_the_hull(make));
+}
+
+#[test]
 fn probes_lie_on_their_rays() {
     with_threads(&[1], |make| suite::probes::on_their_rays(make));
 }

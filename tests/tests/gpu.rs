@@ -45,6 +45,11 @@ fn equal_cones_are_one() {
 }
 
 #[test]
+fn nothing_is_placed_outside_of_the_hull() {
+    reproducibly(|make| suite::probes::within_the_hull(make));
+}
+
+#[test]
 fn probes_lie_on_their_rays() {
     reproducibly(|make| suite::probes::on_their_rays(make));
 }

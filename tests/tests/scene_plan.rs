@@ -17,7 +17,7 @@ fn left_out(findings: &Value) -> Vec<&str> {
     findings.iter().filter(|f| f["left_out"] == true).map(|f| f["decision"].as_str().unwrap()).collect()
 }
 
-const OFF: [&str; 18] = [
+const OFF: [&str; 20] = [
     "--set",
     "plan.background=off",
     "--set",
@@ -36,6 +36,8 @@ const OFF: [&str; 18] = [
     "plan.edges=off",
     "--set",
     "plan.cones=off",
+    "--set",
+    "plan.hull=off",
 ];
 
 #[test]

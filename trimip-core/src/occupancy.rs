@@ -96,10 +96,19 @@ pub fn decayed(old: f32, new: f32, decay: f32) -> f32 {
     (decay * old).max(new)
 }
 
+/// Mean of the densities of all cells that are not [`OUTSIDE`].
+pub fn mean(densities: &[f32]) -> f64 {
+    let inside = || densities.iter().filter(|density| **density >= 0.0);
+    inside().map(|&density| f64::from(density)).sum::<f64>() / inside().count().max(1) as f64
+}
+
 /// Occupancy threshold: min(mean over the grid, `threshold`). Cells above it are occupied.
 pub fn threshold(mean: f64, config: &OccupancyConfig) -> f32 {
     (mean as f32).min(config.threshold)
 }
+
+/// Density of a cell outside of the visual hull: it is never probed and never occupied.
+pub const OUTSIDE: f32 = -1.0;
 
 /// The bits of a grid of half the resolution, which must be even. A cell is occupied if any of its eight children is.
 pub fn coarsened(bits: &[u8], resolution: u32) -> Vec<u8> {

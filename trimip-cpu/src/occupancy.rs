@@ -8,7 +8,7 @@ use std::ops::Range;
 use trimip_core::backend::Occupancy;
 use trimip_core::batch::{Radiance, Rays, Samples};
 use trimip_core::config::OccupancyConfig;
-use trimip_core::occupancy::{Choice, coordinates, decayed, probe, threshold};
+use trimip_core::occupancy::{Choice, coordinates, decayed, mean, probe, threshold};
 use trimip_core::rng::Random;
 use trimip_core::{Config, Space};
 
@@ -136,6 +136,7 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
         let choice = Choice::new(&self.config, self.seed, step, self.occupied, self.densities.len());
         let chosen: Vec<u32> = (0..self.cells())
             .into_par_iter()
+            .filter(|&cell| self.densities[cell as usize] >= 0.0)
             .filter(|&cell| choice.includes(cell, self.is_occupied(cell)))
             .collect();
         self.chosen = chosen;
@@ -169,15 +170,14 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
             let density = &mut self.densities[cell as usize];
             *density = decayed(*density, radiance.density * self.step_length, self.config.decay);
         }
-        let sum: f64 = self.densities.iter().map(|&density| f64::from(density)).sum();
-        let limit = threshold(sum / self.densities.len() as f64, &self.config);
+        let limit = threshold(mean(&self.densities), &self.config);
         let densities = std::mem::take(&mut self.densities);
         self.set_bits(|cell| densities[cell as usize] > limit);
-        self.densities = densities;
         // If all cells equal their mean, none is above it; without this rule such a grid would stay empty for ever.
         if self.occupied == 0 {
-            self.set_bits(|_| true);
+            self.set_bits(|cell| densities[cell as usize] >= 0.0);
         }
+        self.densities = densities;
     }
 
     fn occupied(&self) -> f64 {

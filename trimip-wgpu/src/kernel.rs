@@ -192,7 +192,7 @@ pub static UPDATE: Kernel = Kernel::new(
     &[(0, Write), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read), (6, Write)],
 );
 pub static CHOOSE: Kernel =
-    Kernel::new("choose", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters), (3, Write)]);
+    Kernel::new("choose", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters), (3, Write), (6, Write)]);
 pub static PROBES: Kernel = Kernel::new(
     "probes",
     OCCUPANCY,
@@ -206,7 +206,7 @@ pub static SETTLE: Kernel = Kernel::new("settle", OCCUPANCY, &[(0, Write), (2, P
 pub static SET_BITS: Kernel =
     Kernel::new("set_bits", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters), (6, Write), (7, Write)]);
 pub static FILL_IF_EMPTY: Kernel =
-    Kernel::new("fill_if_empty", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters)]);
+    Kernel::new("fill_if_empty", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters), (6, Write)]);
 pub static SET_OUTER_BITS: Kernel =
     Kernel::new("set_outer_bits", OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters)]);
 

@@ -40,7 +40,9 @@ struct Params {
     decay: f32,
     threshold: f32,
     blocks: u32,
-    padding: [u32; 3],
+    /// Number of cells inside of the visual hull.
+    inside: u32,
+    padding: [u32; 2],
 }
 
 /// Grid, bits and running densities.
@@ -73,6 +75,7 @@ impl WgpuOccupancy {
             decay: config.occupancy.decay,
             threshold: config.occupancy.threshold,
             blocks: cells.div_ceil(GROUP),
+            inside: cells,
             ..Params::default()
         };
         let kept = if training { cells as usize } else { 1 };
@@ -146,7 +149,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         self.params.fraction = if warm { self.config.warmup_fraction } else { self.config.fraction };
         self.params.cell_draws = self.random.at(Stream::Cell, step).words();
         self.gpu.clear(self.state.raw(), u64::from(4 * CHOSEN), 4);
-        let binds = [self.state.bind(), self.grid.bind(), self.chosen.bind()];
+        let binds = [self.state.bind(), self.grid.bind(), self.chosen.bind(), self.densities.bind()];
         self.gpu.dispatch(&CHOOSE, &binds, &self.params, Size::Items(self.params.cells.into()));
         // Only the device knows how many cells were selected; this is the upper bound.
         self.params.cells
@@ -192,8 +195,9 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         let blocks = u64::from(params.space.resolution / SIDE).pow(3);
         let binds = [state.bind(), grid.bind(), densities.bind(), partial.bind()];
         gpu.dispatch(&SET_BITS, &binds, params, Size::Items(blocks));
-        let binds = [state.bind(), grid.bind()];
+        let binds = [state.bind(), grid.bind(), densities.bind()];
         gpu.dispatch(&FILL_IF_EMPTY, &binds, params, Size::Items(blocks));
+        let binds = [state.bind(), grid.bind()];
         gpu.dispatch(&SET_OUTER_BITS, &binds, params, Size::Items(blocks));
     }
 
@@ -219,6 +223,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
     fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>) {
         self.set_bits(|cell| bits[cell as usize / 8] >> (cell % 8) & 1 == 1);
         if let Some(densities) = densities {
+            self.params.inside = densities.iter().filter(|density| **density >= 0.0).count().max(1) as u32;
             self.densities.write(densities);
         }
     }

@@ -3,7 +3,7 @@
 
 use super::Bench;
 use crate::fixtures::{lively, small};
-use trimip_core::{Backend, Layout, Result, Space, backend::Occupancy};
+use trimip_core::{Backend, Layout, Result, Space, backend::Occupancy, batch::Radiance, occupancy::OUTSIDE};
 
 /// Positions in the unit cube and directions in f32, after about ten roundings of 6e-8 on values up to the box's size.
 const TOLERANCE: f64 = 4e-6;
@@ -49,6 +49,49 @@ pub fn on_their_rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     for axis in 0..3 {
         assert!(mean[axis].abs() < 4.0 * (1.0 / 3.0 / 512.0_f64).sqrt(), "{mean:?}");
         assert!((square[axis] - 1.0 / 3.0).abs() < 4.0 * (4.0 / 45.0 / 512.0_f64).sqrt(), "{square:?}");
+    }
+    Ok(())
+}
+
+/// Cells outside of the visual hull are neither probed nor occupied, and do not count in the mean that is the threshold.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    const SIDE: usize = 8;
+    let mut config = small();
+    // The threshold is the mean.
+    config.occupancy.threshold = 1e9;
+    let parameters = lively(&Layout::new(&config), 3);
+    let inside = |cell: usize| cell % SIDE >= SIDE / 2;
+    let bits_of = |of: &dyn Fn(usize) -> bool| {
+        let byte = |i: usize| (0..8).fold(0, |byte, bit| byte | u8::from(of(8 * i + bit)) << bit);
+        (0..SIDE.pow(3) / 8).map(byte).collect::<Vec<u8>>()
+    };
+    let upper = |cell: usize| cell / SIDE / SIDE >= SIDE / 2;
+    // The density in the lower and in the upper half: above the mean of the hull, 2, but not of the whole grid, 1; and
+    // none anywhere, where the whole hull becomes occupied.
+    for ([below, above], expected) in
+        [([1.5, 2.5], bits_of(&|cell| inside(cell) && upper(cell))), ([0.0, 0.0], bits_of(&inside))]
+    {
+        let views = crate::fixtures::noise(1, 8, 1, 1);
+        let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
+        let Bench { backend, stages, space, .. } = &mut bench;
+        let densities: Vec<f32> =
+            (0..SIDE.pow(3)).map(|cell| if inside(cell) { 0.0 } else { OUTSIDE }).collect();
+        stages.occupancy.restore(&bits_of(&inside), Some(&densities));
+        let count = stages.occupancy.choose(1);
+        stages.occupancy.probes(&mut space.lane, 1, 0..count, &mut space.rays, &mut space.samples);
+        let spheres = backend.read(&space.samples.spheres);
+        assert_eq!(spheres.len(), SIDE.pow(3) / 2, "every cell of the hull is asked while the grid warms up");
+        assert!(spheres.iter().all(|sphere| sphere.position[0] >= 0.5), "cells outside are not");
+        let density = |z: f32| if z < 0.5 { below } else { above };
+        let radiance = spheres.iter().map(|s| Radiance { rgb: [0.0; 3], density: density(s.position[2]) });
+        backend.write(&mut space.radiance, &radiance.collect::<Vec<_>>());
+        backend.install(|| stages.occupancy.absorb(&space.radiance));
+        assert_eq!(stages.occupancy.bits(), expected, "{below} and {above}");
+        let found = stages.occupancy.densities();
+        assert!((0..SIDE.pow(3)).all(|cell| inside(cell) == (found[cell] >= 0.0)), "marks stay");
     }
     Ok(())
 }

@@ -42,7 +42,7 @@ section!(
 section!(
     /// What the scene plan may derive from the data and the budget, and what it may leave out.
     PlanConfig, "plan" {
-        aabb: PlanChoice, background: PlanChoice, edges: PlanChoice, solids: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
+        aabb: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }
 );
 section!(
@@ -66,7 +66,7 @@ section!(
     /// The occupancy grid.
     OccupancyConfig, "occupancy" {
         resolution: u32, every: u32, warmup: u32, warmup_fraction: f32, fraction: f32, decay: f32,
-        threshold: f32,
+        hull: bool, threshold: f32,
     }
 );
 section!(

@@ -2,10 +2,10 @@
 //! silhouettes if the photographs have any. World units.
 
 use super::common_view::{COMMON, cameras, common_view, focus};
-use super::{Context, Facts, Proposal, leave_out::saved, silhouettes, tri_mip};
+use super::{Context, Facts, Proposal, leave_out::saved, tri_mip};
 use crate::config::PlaneShape;
 use crate::encoders::tri_mip::Pyramid;
-use crate::{Aabb, Config};
+use crate::{Aabb, Config, silhouettes};
 use toml::Value;
 
 /// A fitted box with more than this share of the initial volume is not worth the change.

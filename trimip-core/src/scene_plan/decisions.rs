@@ -46,7 +46,7 @@ pub(super) struct Decision {
 }
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 11] = [
+pub(super) const DECISIONS: [Decision; 12] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -64,6 +64,12 @@ pub(super) const DECISIONS: [Decision; 11] = [
         owns: &["data.edge_exponents"],
         choice: |config| config.plan.edges,
         decide: recipe::edges,
+    },
+    Decision {
+        key: "hull",
+        owns: &["occupancy.hull"],
+        choice: |config| config.plan.hull,
+        decide: recipe::hull,
     },
     Decision {
         key: "solids",

@@ -14,7 +14,6 @@ mod hash_grid;
 mod leave_out;
 pub mod radii;
 mod recipe;
-pub mod silhouettes;
 #[cfg(test)]
 mod tests;
 mod tri_mip;

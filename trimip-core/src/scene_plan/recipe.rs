@@ -3,7 +3,7 @@
 
 use super::{Context, Proposal, tri_mip};
 use crate::config::Precision;
-use crate::{Config, ViewSet};
+use crate::{Config, ViewSet, silhouettes};
 use toml::Value;
 
 /// Weight of the opacity loss for photographs with alpha: it makes models solid.
@@ -79,6 +79,16 @@ pub(super) fn edges(context: &Context<'_>) -> Proposal {
     Proposal::Set {
         reason: format!("means of straight colours darken silhouettes as opacity^{}", told.join(", ^")),
         changes: vec![("data.edge_exponents", Value::Array(exponents.iter().map(value).collect()))],
+    }
+}
+
+pub(super) fn hull(context: &Context<'_>) -> Proposal {
+    if !silhouettes::any(context.facts.train) {
+        return Proposal::Keep("there are no silhouettes".into());
+    }
+    Proposal::Set {
+        reason: "where two photographs show only background, nothing is placed".into(),
+        changes: vec![("occupancy.hull", Value::Boolean(true))],
     }
 }
 

@@ -8,11 +8,12 @@ mod sums;
 use crate::{
     Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Result, Session, StepReport, ViewSet,
     Viewer,
-    backend::{Optimizer, Sampler},
+    backend::{Occupancy, Optimizer, Sampler},
     batch::{Deposit, Radiance, StepSums},
     checkpoint::{Checkpoint, TrainState},
     encoders,
     exchange::{Alone, Exchange},
+    hull::Hull,
     loaded::LoadedModel,
     model::Model,
 };
@@ -52,7 +53,11 @@ impl<B: Backend> Trainer<B> {
         if views.pixels.is_empty() {
             return Err(Error::input("training views", "no pixels", "name a data set with training images"));
         }
-        let loaded = LoadedModel::build(backend, config, Some(views))?;
+        let hull = config.occupancy.hull.then(|| Hull::of(config, &views)).flatten();
+        let mut loaded = LoadedModel::build(backend, config, Some(views))?;
+        if let Some(Hull { bits, densities }) = hull {
+            loaded.stages.occupancy.restore(&bits, Some(&densities));
+        }
         let (backend, stages) = (&loaded.backend, &loaded.stages);
         let cones = stages.sampler.balance().cones_per_pixel();
         let deposits = (0..backend.deposits(config.train.samples_per_step))

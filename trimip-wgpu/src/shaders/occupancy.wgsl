@@ -15,6 +15,8 @@ struct Params {
     decay: f32,
     threshold: f32,
     blocks: u32,
+    // Number of cells inside of the visual hull; the others have a negative density.
+    inside: u32,
 }
 
 @group(0) @binding(0) var<storage, read_write> state: array<atomic<u32>>;
@@ -55,7 +57,7 @@ fn choose(
     @builtin(local_invocation_index) local: u32,
 ) {
     let cell = index_of(group, groups, local);
-    if cell >= params.cells {
+    if cell >= params.cells || densities[cell] < 0.0 {
         return;
     }
     var asked = params.fraction >= 1.0;
@@ -135,7 +137,7 @@ fn sum_densities(
     let i = index_of(group, groups, local);
     var own = 0.0;
     if i < params.cells {
-        own = densities[i];
+        own = max(densities[i], 0.0);
     }
     let sum = total(local, own);
     let block = group.y * groups.x + group.x;
@@ -153,9 +155,23 @@ fn settle(@builtin(local_invocation_index) local: u32) {
     }
     let sum = total(local, own);
     if local == 0u {
-        partial[0] = min(sum / f32(params.cells), params.threshold);
+        partial[0] = min(sum / f32(params.inside), params.threshold);
         atomicStore(&state[1], 0u);
     }
+}
+
+// The bits of a block's cells that are denser than a limit.
+fn denser(block: u32, limit: f32) -> vec2<u32> {
+    let corner = coordinates(block, params.space.resolution / SIDE) * SIDE;
+    var words = vec2<u32>(0u);
+    for (var bit = 0u; bit < SIDE * SIDE * SIDE; bit++) {
+        let cell = corner + coordinates(bit, SIDE);
+        let index = cell.x + params.space.resolution * (cell.y + params.space.resolution * cell.z);
+        if densities[index] > limit {
+            words[bit / 32u] |= 1u << (bit % 32u);
+        }
+    }
+    return words;
 }
 
 // One invocation per block of 64 cells.
@@ -170,15 +186,7 @@ fn set_bits(
     if block >= side * side * side {
         return;
     }
-    let corner = coordinates(block, side) * SIDE;
-    var words = vec2<u32>(0u);
-    for (var bit = 0u; bit < SIDE * SIDE * SIDE; bit++) {
-        let cell = corner + coordinates(bit, SIDE);
-        let index = cell.x + params.space.resolution * (cell.y + params.space.resolution * cell.z);
-        if densities[index] > partial[0] {
-            words[bit / 32u] |= 1u << (bit % 32u);
-        }
-    }
+    let words = denser(block, partial[0]);
     grid[2u * block] = words.x;
     grid[2u * block + 1u] = words.y;
     atomicAdd(&state[1], countOneBits(words.x) + countOneBits(words.y));
@@ -194,8 +202,9 @@ fn fill_if_empty(
     let block = index_of(group, groups, local);
     let side = params.space.resolution / SIDE;
     if block < side * side * side && atomicLoad(&state[1]) == 0u {
-        grid[2u * block] = 0xffffffffu;
-        grid[2u * block + 1u] = 0xffffffffu;
+        let words = denser(block, -0.5);
+        grid[2u * block] = words.x;
+        grid[2u * block + 1u] = words.y;
     }
 }
 
@@ -227,8 +236,8 @@ fn set_outer_bits(
     let at = 2u * (side * side * side + outer);
     grid[at] = words.x;
     grid[at + 1u] = words.y;
-    // If `fill_if_empty` filled the grid, all cells count as occupied.
+    // If `fill_if_empty` filled the grid, all cells of the hull count as occupied.
     if outer == 0u && atomicLoad(&state[1]) == 0u {
-        atomicStore(&state[1], params.cells);
+        atomicStore(&state[1], params.inside);
     }
 }

@@ -1,6 +1,7 @@
 //! The box that holds an object, from its silhouettes: a coarse visual hull. Cells are carved if a photograph shows
 //! only background there; cells that no photograph decides are kept.
 
+use crate::occupancy::coordinates;
 use crate::{Aabb, Camera, Scale, ViewSet};
 use glam::DVec3;
 
@@ -9,6 +10,9 @@ const CELLS: [usize; 2] = [48, 96];
 
 /// Largest number of silhouettes used: fewer only give a larger hull.
 const MOST_VIEWS: usize = 128;
+
+/// Photographs that must show only background for a cell of [`cells`] to be empty.
+const VOTES: usize = 2;
 
 /// Smallest width or height in pixels of a scale that is used, if there is a finer one.
 const FINE_ENOUGH: u32 = 128;
@@ -92,6 +96,32 @@ pub fn any(views: &ViewSet) -> bool {
 /// Bounds of what the photographs may show within `aabb`, of places that at least `share` of them see (0: any one): never
 /// less than the object there. `None` where no photograph has a silhouette, or where they leave nothing.
 pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, share: f64) -> Option<Aabb<f64>> {
+    let silhouettes = silhouettes(views)?;
+    let least = ((share * silhouettes.len() as f64).ceil() as usize).max(1);
+    CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells, least))
+}
+
+/// For each cell of a grid of `resolution` cells along each side of `aabb`, x fastest: whether the object may be there.
+/// A cell is empty if at least two photographs show only background there, so that one wrong mask carves nothing.
+/// `None` where no photograph has a silhouette.
+pub fn cells(views: &ViewSet, aabb: &Aabb<f64>, resolution: u32) -> Option<Vec<bool>> {
+    let mut silhouettes = silhouettes(views)?;
+    silhouettes.retain(|silhouette| silhouette.sums.is_some());
+    let side = aabb.extent().map(|side| side / f64::from(resolution));
+    let radius = 0.5 * DVec3::from_array(side).length();
+    let may = |cell: u32| {
+        let index = coordinates(cell, resolution);
+        let centre = std::array::from_fn(|axis| aabb.min[axis] + (f64::from(index[axis]) + 0.5) * side[axis]);
+        let centre = DVec3::from_array(centre);
+        let empty = silhouettes.iter().filter(|s| matches!(s.verdict(centre, radius), Verdict::Empty));
+        empty.take(VOTES).count() < VOTES
+    };
+    Some((0..resolution.pow(3)).map(may).collect())
+}
+
+/// The silhouettes of some of the photographs, at a scale that is fine enough; those without any last. `None` if there is
+/// none.
+fn silhouettes(views: &ViewSet) -> Option<Vec<Silhouette>> {
     let fine_enough = |scale: &&Scale| {
         let sides = scale.views.clone().map(|i| views.views[i].camera.intrinsics);
         sides.map(|k| k.width.min(k.height)).min().is_some_and(|side| side >= FINE_ENOUGH)
@@ -109,11 +139,7 @@ pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, share: f64) -> Option<Aabb<f64>
         .collect();
     // Views with silhouettes first: most cells are carved before the others are used.
     silhouettes.sort_by_key(|silhouette| silhouette.sums.is_none());
-    if silhouettes.first().is_none_or(|silhouette| silhouette.sums.is_none()) {
-        return None;
-    }
-    let least = ((share * silhouettes.len() as f64).ceil() as usize).max(1);
-    CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells, least))
+    silhouettes.first().is_some_and(|silhouette| silhouette.sums.is_some()).then_some(silhouettes)
 }
 
 /// Bounds of the cells of a grid over `aabb` that are not carved.
