@@ -341,3 +341,43 @@ fn a_bench_of_rendering_converges_to_the_picture_in_f64() {
         rows.len() + 1
     );
 }
+
+#[test]
+fn a_bench_of_cones_measures_every_scale_by_every_convention() {
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(run(folder.path(), &tiny_and(&["--out", "run"])).code, Some(0));
+    let cones = ["bench", "--render", "run", "--cones", "--views", "1", "--out", "c"];
+    let answer = run(folder.path(), &cones);
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    assert!(answer.out.contains("box filter") && answer.out.contains("8x8"), "{}", answer.out);
+    let report = json(&folder.path().join("c/cones.json"));
+    let rows = report["rows"].as_array().unwrap();
+    let scales: Vec<u64> = rows.iter().step_by(4).map(|row| row["scale"].as_u64().unwrap()).collect();
+    assert_eq!(rows.len(), 4 * scales.len());
+    assert_eq!(scales[..2], [1, 2]);
+    for scale in rows.chunks(4) {
+        let sides: Vec<u64> = scale.iter().map(|row| row["side"].as_u64().unwrap()).collect();
+        assert_eq!(sides, [1, 2, 4, 8]);
+        // More cones are nearer to the average of the most, which has no distance from itself.
+        let converged = |i: usize| scale[i]["psnr_converged"].as_f64();
+        assert!(converged(0) <= converged(2) && converged(3).is_none(), "{scale:?}");
+        assert!(scale.iter().any(|row| row["pareto"] == true));
+        assert!(scale.iter().all(|row| row["milliseconds"].as_f64().is_some_and(|ms| ms > 0.0)));
+    }
+    // The finest photographs are their own box filter, and have no edge exponent.
+    assert!((0..4).all(|i| rows[i]["psnr"] == rows[i]["psnr_plain"]), "{rows:?}");
+    let csv = fs::read_to_string(folder.path().join("c/cones.csv")).unwrap();
+    assert_eq!(csv.lines().count(), rows.len() + 1);
+    assert!(fs::read_to_string(folder.path().join("c/cones.svg")).unwrap().contains("seconds a view"));
+    // The figures of one cone are those of `eval`, view for view.
+    let one = ["eval", "run", "--stride", "1000", "--set", "renderer.cones=1", "--json", "eval.json"];
+    assert_eq!(run(folder.path(), &one).code, Some(0));
+    let measured = json(&folder.path().join("eval.json"));
+    for (scale, row) in measured["scales"].as_array().unwrap().iter().zip(rows.iter().step_by(4)) {
+        for key in ["psnr", "psnr_plain", "psnr_box"] {
+            let (a, b) = (scale[key].as_f64().unwrap(), row[key].as_f64().unwrap());
+            assert!((a - b).abs() < 1e-9, "{key}: {a} and {b}");
+        }
+    }
+    assert_eq!(run(folder.path(), &["bench", "--cones"]).code, Some(2), "--cones needs --render");
+}
