@@ -144,7 +144,8 @@ impl<F: FnMut(&ViewResult<'_>) -> Result<bool>> Watch for OnView<F> {
     }
 }
 
-/// Renders every `stride`-th frame at every scale, on the background and by the convention of `data`; `on_view` sees each result and returns false to stop early.
+/// Renders every `stride`-th frame at every scale, on the background and by the convention of `data`; `on_view` sees each
+/// result and returns false to stop early.
 pub fn evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
@@ -193,7 +194,9 @@ pub fn evaluate_frame(
         let plain = capped(psnr(&rendered.rgb(), &target));
         let truth = set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
         let moved = rendered.moved(background, other).shown(other, exponent);
-        let psnr_box = capped(psnr(&rendered.rgb(), &truth));
+        // The photographs of a multi-scale set may be smaller or larger than blocks of the finest ones.
+        let same = truth.len() == target.len();
+        let psnr_box = if same { capped(psnr(&rendered.rgb(), &truth)) } else { f64::NAN };
         let rendered = rendered.shown(background, exponent);
         let rgb = rendered.rgb();
         let quality = ViewQuality {

@@ -1,7 +1,7 @@
 //! Error of rendering against time per frame: the difference between a picture and the same model's picture in f64 with
-//! very short steps, over steps, early termination, pruning, occupancy cells, precision and rays per pixel. The field
-//! is as trained, so the error is that of the quadrature and of f32 alone; for several rays per pixel it is the
-//! difference between them and prefiltering. If steps are halved, the order of convergence is printed next to the
+//! very short steps, over steps, early termination, pruning, occupancy cells, precision and cones per pixel. The field
+//! is as trained, so the error is that of the quadrature and of f32 alone; for another number of cones than the model's
+//! it is the difference between the two. If steps are halved, the order of convergence is printed next to the
 //! expected one. Below it, the error of each stage against f64 on samples of the same view.
 
 use super::stages::{self, StageError};
@@ -64,9 +64,9 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let own = distance(&exactly("the reference with half the steps", REFERENCE_STEPS / 2), &reference);
 
     let bar = spinner();
-    let measure = |model: &Model, across: u32, varied: &'static str, value: String| {
+    let measure = |model: &Model, varied: &'static str, value: String| {
         bar.set_message(format!("{varied}: {value}"));
-        measure(model, &camera, across, &reference, varied, value)
+        measure(model, &camera, &reference, varied, value)
     };
     let mut rows: Vec<Row> = Vec::new();
     let mut before: Option<f64> = None;
@@ -77,7 +77,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         (other.config.renderer.min_transmittance, other.config.renderer.min_weight) = (1e-9, 0.0);
         other.config.renderer.step_scale = trimip_core::schedule::Schedule::new(vec![[0.0, 1.0]]);
         other.config.renderer.step_per_radius = 0.0;
-        let mut row = measure(&other, 1, "steps along the diagonal", steps.to_string())?;
+        let mut row = measure(&other, "steps along the diagonal", steps.to_string())?;
         row.order = before.map(|before| (before / row.error).log2());
         before = Some(row.error);
         rows.push(row);
@@ -85,17 +85,17 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     for least in [0.1_f32, 1e-2, 1e-3, 1e-4, 1e-6, 1e-9] {
         let mut other = model.clone();
         other.config.renderer.min_transmittance = least;
-        rows.push(measure(&other, 1, "least transmittance", format!("{least:e}"))?);
+        rows.push(measure(&other, "least transmittance", format!("{least:e}"))?);
     }
     for least in [0.0_f32, 1e-5, 1e-4, 1e-3, 1e-2] {
         let mut other = model.clone();
         other.config.renderer.min_weight = least;
-        rows.push(measure(&other, 1, "least weight", format!("{least:e}"))?);
+        rows.push(measure(&other, "least weight", format!("{least:e}"))?);
     }
     let mut coarser = model.clone();
     loop {
         let cells = coarser.config.occupancy.resolution;
-        rows.push(measure(&coarser, 1, "occupancy cells a side", cells.to_string())?);
+        rows.push(measure(&coarser, "occupancy cells a side", cells.to_string())?);
         if !cells.is_multiple_of(8) || cells <= 16 {
             break;
         }
@@ -109,12 +109,13 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         other.config.field.precision = precision;
         let session = backends::load(&other)?;
         if session.notes().is_empty() {
-            rows.push(measure(&other, 1, "precision", name.into())?);
+            rows.push(measure(&other, "precision", name.into())?);
         }
     }
-    for across in [1, 2, 4] {
-        let rays = (across * across).to_string();
-        rows.push(measure(&model, across, "rays a pixel", rays)?);
+    for side in [1, 2, 4] {
+        let mut other = model.clone();
+        (other.config.renderer.cones, other.config.renderer.cone_width) = (side, 0.0);
+        rows.push(measure(&other, "cones a pixel", (side * side).to_string())?);
     }
     bar.suspend(|| terminal::line(table(&rows)));
     let remark = format!(
@@ -208,31 +209,21 @@ fn distance(a: &Picture, b: &Picture) -> f64 {
     (squares.sum::<f64>() / (3 * a.len()) as f64).sqrt()
 }
 
-/// Error and time of a model's picture. Each pixel is the mean of `across`² cones, narrower by the factor `across`.
+/// Error and time of a model's picture.
 fn measure(
     model: &Model,
     camera: &Camera,
-    across: u32,
     reference: &Picture,
     varied: &'static str,
     value: String,
 ) -> Result<Row> {
     let mut session = backends::load(model)?;
-    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let mut fine = *camera;
-    resize(&mut fine, width * across, height * across, across.into());
     let (mut fastest, mut found) = (f64::INFINITY, Vec::new());
     for _ in 0..FRAMES {
         let started = Instant::now();
-        let frame = session.render(&fine)?;
-        found = vec![[0.0; 3]; (width * height) as usize];
-        let share = 1.0 / f64::from(across * across);
-        for (i, pixel) in frame.pixels.iter().enumerate() {
-            let (x, y) = (i as u32 % (width * across), i as u32 / (width * across));
-            let sum = &mut found[(y / across * width + x / across) as usize];
-            (0..3).for_each(|c| sum[c] += share * f64::from(pixel.rgb[c]));
-        }
+        let frame = session.render(camera)?;
         fastest = fastest.min(started.elapsed().as_secs_f64());
+        found = frame.pixels.iter().map(|pixel| pixel.rgb.map(f64::from)).collect();
     }
     let error = distance(&found, reference);
     let psnr = psnr_of_error(error * error);
