@@ -95,21 +95,43 @@ fn wide_hash_grid() -> Config {
     config
 }
 
+/// The same with ripmaps on six planes, three levels along each axis.
+fn small_rip_map() -> Config {
+    let (mut config, defaults) = (small(), Config::default());
+    config.encoder = EncoderConfig { kind: EncoderKind::RipMap, ..defaults.encoder };
+    config.optimizer.plane_scale = defaults.optimizer.plane_scale;
+    (config.rip_map.planes, config.rip_map.size, config.rip_map.levels) = (6, 16, 3);
+    config
+}
+
+/// The same on three or ten planes of a box with three different sides.
+fn other_rip_maps() -> [Config; 2] {
+    [3, 10].map(|planes| {
+        let mut config = small_rip_map();
+        (config.rip_map.planes, config.rip_map.size, config.rip_map.levels) = (planes, 24, 4);
+        config.rip_map.level_bias = -0.5;
+        (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
+        config
+    })
+}
+
 /// `config` with the encoder of `by` and the settings that belong to that encoder.
 pub fn encoded(config: Config, by: &Config) -> Config {
     let optimizer = OptimizerConfig { plane_scale: by.optimizer.plane_scale, ..config.optimizer };
-    Config { encoder: by.encoder.clone(), hash_grid: by.hash_grid.clone(), optimizer, ..config }
+    let (encoder, hash_grid, rip_map) = (by.encoder.clone(), by.hash_grid.clone(), by.rip_map.clone());
+    Config { encoder, hash_grid, rip_map, optimizer, ..config }
 }
 
 /// A small configuration for each encoder.
 pub fn every_encoder() -> Vec<Config> {
-    vec![small(), small_hash_grid()]
+    vec![small(), small_hash_grid(), small_rip_map()]
 }
 
 /// The same, and variants of them that compute their features another way.
 pub fn every_variant() -> Vec<Config> {
     let mut all = every_encoder();
     all.push(wide_hash_grid());
+    all.extend(other_rip_maps());
     all
 }
 

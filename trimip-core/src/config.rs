@@ -10,7 +10,7 @@ pub use choices::{
     Convention, FilePrecision, FinalEval, Finish, Format, LevelFormula, LossRays, Photographs, PlanChoice,
     PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
 };
-pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig};
+pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig};
 pub use sections::{
     DataConfig, EvalConfig, FieldConfig, FileConfig, LossConfig, OccupancyConfig, OptimizerConfig,
     PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
@@ -42,6 +42,8 @@ pub struct Config {
     pub encoder: EncoderConfig,
     /// The hash grid.
     pub hash_grid: HashGridConfig,
+    /// The planes of several directions with ripmaps.
+    pub rip_map: RipMapConfig,
     /// The networks.
     pub field: FieldConfig,
     /// Marching and compositing.

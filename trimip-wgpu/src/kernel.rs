@@ -74,7 +74,8 @@ impl Kernel {
 /// Index of the invocation.
 pub const GRID: &str = include_str!("shaders/grid.wgsl");
 const RANDOM: &str = include_str!("shaders/random.wgsl");
-const RAY: &str = include_str!("shaders/ray.wgsl");
+/// The layout of a ray.
+pub const RAY: &str = include_str!("shaders/ray.wgsl");
 const SPACE: &str = include_str!("shaders/space.wgsl");
 const RAYS: &[&str] =
     &[GRID, RANDOM, RAY, include_str!("shaders/camera.wgsl"), include_str!("shaders/rays.wgsl")];

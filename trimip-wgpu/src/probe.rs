@@ -268,7 +268,7 @@ fn levels_and_texels() {
     let radii: Vec<[f32; 4]> =
         (-40..20).flat_map(|i| [0.0, 1.0, 2.0].map(|p| [i as f32 / 4.0, p, 0.0, 0.0])).collect();
     compare(
-        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 5u, vec3<u32>(64u, 32u, 96u), 0u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), 0.0);"),
+        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/texels.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 5u, vec3<u32>(64u, 32u, 96u), 0u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), 0.0);"),
         &radii,
         |[radius, plane, ..]| {
             let plane = plane as usize;
@@ -284,7 +284,7 @@ fn levels_and_texels() {
         .flat_map(|a| [0.0_f32, 0.12, 0.999, 1.0].map(|b| [a, b, 0.0, 0.0]))
         .collect();
     compare(
-        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(f32(t.columns.x), f32(t.columns.y), f32(t.rows.x), f32(t.rows.y));"),
+        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/texels.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(f32(t.columns.x), f32(t.columns.y), f32(t.rows.x), f32(t.rows.y));"),
         &places,
         |[a, b, ..]| {
             let taps = taps(Shape { rows: 48, columns: 32 }, a, b);
@@ -293,7 +293,7 @@ fn levels_and_texels() {
         (0.0, 0.0),
     );
     compare(
-        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(tap_weight(t, 0u, 0u), tap_weight(t, 0u, 1u), tap_weight(t, 1u, 0u), tap_weight(t, 1u, 1u));"),
+        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/texels.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let t = texel_taps(vec2<u32>(32u, 48u), x.xy); return vec4<f32>(tap_weight(t, 0u, 0u), tap_weight(t, 0u, 1u), tap_weight(t, 1u, 0u), tap_weight(t, 1u, 1u));"),
         &places,
         |[a, b, ..]| {
             let [below, above] = taps(Shape { rows: 48, columns: 32 }, a, b).weights;

@@ -1,7 +1,7 @@
 //! The multiresolution hash grid written from its equations (Müller et al. 2022): per level, the eight corners of the
 //! cell around a position, one after the other.
 
-use super::Literal;
+use super::{Literal, Sample};
 use trimip_core::{Config, config::HashGridConfig};
 
 /// A hash grid and its parameters.
@@ -33,7 +33,7 @@ impl HashGrid {
 }
 
 impl Literal for HashGrid {
-    fn features(&self, position: [f64; 3], _radius: f64) -> Vec<f64> {
+    fn features(&self, &Sample { position, .. }: &Sample) -> Vec<f64> {
         let width = self.config.features as usize;
         let mut features = Vec::new();
         let mut first = 0;

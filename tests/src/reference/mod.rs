@@ -5,25 +5,27 @@
 mod adamw;
 mod harmonics;
 mod hash_grid;
+mod rip_map;
 mod rounded;
 mod tri_mip;
 
 pub use adamw::{changes, moments};
 pub use harmonics::harmonics;
 pub use hash_grid::HashGrid;
+pub use rip_map::RipMap;
 pub use rounded::{Gradient, bf16};
 pub use tri_mip::{AXES, TriMip, sides};
 
 use trimip_core::{
     Config, Layout,
-    batch::{Ray, Target},
+    batch::{Interval, Ray, Sphere, Target},
     config::{EncoderKind, LossRays},
 };
 
 /// An encoder written from its equations.
 pub trait Literal {
-    /// Features of a sphere with its centre in the unit box and its radius in world units.
-    fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64>;
+    /// Features of a sample.
+    fn features(&self, sample: &Sample) -> Vec<f64>;
 }
 
 /// The model and its parameters.
@@ -41,7 +43,7 @@ struct Layer {
 }
 
 /// A sample of a ray.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sample {
     /// Distance along the ray.
     pub t: f64,
@@ -51,6 +53,21 @@ pub struct Sample {
     pub position: [f64; 3],
     /// Radius of its sphere, world units.
     pub radius: f64,
+    /// Unit direction of its ray.
+    pub direction: [f64; 3],
+}
+
+impl Sample {
+    /// A backend's sample, in f64.
+    pub fn new(ray: &Ray, interval: &Interval, sphere: &Sphere) -> Self {
+        Self {
+            t: interval.t.into(),
+            length: interval.length.into(),
+            position: sphere.position.map(f64::from),
+            radius: sphere.radius.into(),
+            direction: ray.direction.map(f64::from),
+        }
+    }
 }
 
 /// A cone and its kept samples.
@@ -75,6 +92,7 @@ impl Reference {
         let encoder: Box<dyn Literal> = match config.encoder.kind {
             EncoderKind::TriMip => Box::new(TriMip::new(config, first)),
             EncoderKind::HashGrid => Box::new(HashGrid::new(config, first)),
+            EncoderKind::RipMap => Box::new(RipMap::new(config, first)),
         };
         let network = |name: &str| {
             let layer = |slot: &trimip_core::params::Slot| Layer {
@@ -86,9 +104,9 @@ impl Reference {
         Self { encoder, density: network("density"), color: network("color"), config: config.clone() }
     }
 
-    /// Features of a sphere.
-    pub fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64> {
-        self.encoder.features(position, radius)
+    /// Features of a sample.
+    pub fn features(&self, sample: &Sample) -> Vec<f64> {
+        self.encoder.features(sample)
     }
 
     /// The density network's outputs: the logit, then the geometry features.
@@ -112,7 +130,7 @@ impl Reference {
 
     /// Density of each of a ray's samples.
     pub fn densities(&self, samples: &[Sample]) -> Vec<f64> {
-        let density = |s: &Sample| self.density(&self.geometry(&self.features(s.position, s.radius)));
+        let density = |s: &Sample| self.density(&self.geometry(&self.features(s)));
         samples.iter().map(density).collect()
     }
 
@@ -127,7 +145,7 @@ impl Reference {
         let radiance: Vec<_> = samples
             .iter()
             .map(|sample| {
-                let geometry = self.geometry(&self.features(sample.position, sample.radius));
+                let geometry = self.geometry(&self.features(sample));
                 (self.density(&geometry), self.color(&geometry, direction))
             })
             .collect();
@@ -254,7 +272,7 @@ pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]
             (origin[axis] + t * direction[axis] - low) / (high - low)
         });
         if occupied(position) {
-            samples.push(Sample { t, length, position, radius: f64::from(ray.slope) * t });
+            samples.push(Sample { t, length, position, radius: f64::from(ray.slope) * t, direction });
         }
     }
     samples

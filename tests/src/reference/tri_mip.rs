@@ -1,6 +1,6 @@
 //! The tri-mip encoding written from its equations (Tri-MipRF, Eq. 3 to 5).
 
-use super::Literal;
+use super::{Literal, Sample};
 use trimip_core::{
     Config,
     config::{LevelFormula, PlaneShape},
@@ -53,7 +53,7 @@ impl TriMip {
 
 impl Literal for TriMip {
     /// 48 features: planes YZ, XZ, XY, each trilinear between texels and levels.
-    fn features(&self, position: [f64; 3], radius: f64) -> Vec<f64> {
+    fn features(&self, &Sample { position, radius, .. }: &Sample) -> Vec<f64> {
         let mut features = Vec::new();
         for (plane, [a, b]) in AXES.into_iter().enumerate() {
             let scene = &self.config.scene;

@@ -97,12 +97,7 @@ fn batch<B: Backend>(bench: &mut Bench<B>, config: &Config, reference: &Referenc
     let mut result = Batch { pixels, marched: 0, kept: 0, doubtful: 0 };
     for (i, segment) in segments.iter().enumerate() {
         let mut samples: Vec<Sample> = (segment.start as usize..(segment.start + segment.count) as usize)
-            .map(|i| Sample {
-                t: intervals[i].t.into(),
-                length: intervals[i].length.into(),
-                position: spheres[i].position.map(f64::from),
-                radius: spheres[i].radius.into(),
-            })
+            .map(|at| Sample::new(&rays[i], &intervals[at], &spheres[at]))
             .collect();
         result.marched += samples.len();
         let (count, margin) = kept(config, &samples, &reference.densities(&samples));
@@ -251,7 +246,7 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             .features
             .iter()
             .map(|(sample, by_feature)| {
-                let features = direction.features(sample.position, sample.radius);
+                let features = direction.features(sample);
                 features.iter().zip(by_feature).map(|(f, g)| f * g).sum::<f64>()
             })
             .sum();

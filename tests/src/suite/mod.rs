@@ -51,14 +51,21 @@ impl<B: Backend> Bench<B> {
 
     /// Places `spheres` as the samples of one ray.
     pub fn place(&mut self, spheres: &[Sphere]) {
-        let count = spheres.len() as u32;
+        self.place_on(&[Ray::default()], &vec![Interval::default(); spheres.len()], spheres);
+    }
+
+    /// Places `spheres` as the samples of `rays`, an equal number on each.
+    pub fn place_on(&mut self, on: &[Ray], at: &[Interval], spheres: &[Sphere]) {
+        let (total, count) = (spheres.len() as u32, spheres.len() / on.len());
+        assert_eq!(count * on.len(), spheres.len(), "the same number of samples on every ray");
         let Samples { segments, rays, intervals, spheres: buffer, counts } = &mut self.space.samples;
-        self.space.rays.place(&self.backend, &[Ray::default()]);
-        self.backend.write(intervals, &vec![Interval::default(); spheres.len()]);
-        self.backend.write(segments, &[Segment { start: 0, count }]);
-        self.backend.write(rays, &vec![0; spheres.len()]);
+        let segment = |ray: usize| Segment { start: (ray * count) as u32, count: count as u32 };
+        self.space.rays.place(&self.backend, on);
+        self.backend.write(intervals, at);
+        self.backend.write(segments, &(0..on.len()).map(segment).collect::<Vec<_>>());
+        self.backend.write(rays, &(0..total).map(|i| i / count as u32).collect::<Vec<_>>());
         self.backend.write(buffer, spheres);
-        self.backend.write(counts, &[[count, count]]);
+        self.backend.write(counts, &[[total, total]]);
     }
 
     /// Features of the placed samples, in rows of the encoder's stride.

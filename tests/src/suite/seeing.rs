@@ -61,7 +61,7 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let jitter = Some(3);
         let Bench { stages, space, .. } = &mut bench;
         stages.renderer.march(&mut space.lane, &space.rays, &stages.occupancy, jitter, &mut space.samples);
-        let marched = samples(&bench);
+        let (marched, rays) = (samples(&bench), bench.backend.read(&bench.space.rays.rays));
         let Bench { stages, space, parameters, .. } = &mut bench;
         stages.renderer.see(stages, parameters, space, jitter);
         let seen = samples(&bench);
@@ -69,12 +69,7 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let radiance = bench.backend.read(&bench.space.radiance);
         let (mut row, mut doubtful, mut dropped) = (0, 0, 0);
         for (i, (marched, seen)) in marched.iter().zip(&seen).enumerate() {
-            let literal = |&(interval, sphere): &(Interval, Sphere)| Sample {
-                t: interval.t.into(),
-                length: interval.length.into(),
-                position: sphere.position.map(f64::from),
-                radius: sphere.radius.into(),
-            };
+            let literal = |(interval, sphere): &(Interval, Sphere)| Sample::new(&rays[i], interval, sphere);
             let all: Vec<_> = marched.iter().map(literal).collect();
             let (kept, margin) = visible(&config, &all, &reference.densities(&all));
             if margin < MARGIN {
@@ -85,7 +80,7 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 dropped += all.len() - kept.len();
             }
             for sample in seen.iter().map(literal) {
-                let expected = reference.features(sample.position, sample.radius);
+                let expected = reference.features(&sample);
                 let density = reference.density(&reference.geometry(&expected));
                 let found = &features[row * stride..][..width];
                 for (found, expected) in found.iter().zip(&expected) {

@@ -72,7 +72,21 @@ fn close(found: f64, expected: f64, tolerance: f64) -> bool {
     (found - expected).abs() <= tolerance * expected.abs().max(1.0)
 }
 
-/// Features, densities and colours of random spheres.
+/// Rays in random directions, and as many intervals on each, from nothing to far longer than a texel.
+fn lines(seed: u64, rays: usize, count: usize) -> (Vec<Ray>, Vec<Interval>) {
+    let mut draw = Draw::new(seed);
+    let ray = |direction: DVec3| Ray { direction: direction.to_array().map(|x| x as f32), ..Ray::default() };
+    let rays = (0..rays).map(|_| ray(draw.direction())).collect();
+    let interval = |draw: &mut Draw| {
+        let t = draw.between(0.1, 5.0);
+        // No interval begins behind its camera.
+        let length = [0.0, draw.between(-10.0, 0.0).exp2().min(t), 2.0 * t][draw.below(3)];
+        Interval { t: t as f32, length: length as f32 }
+    };
+    (rays, (0..count).map(|_| interval(&mut draw)).collect())
+}
+
+/// Features, densities and colours of random samples.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -84,26 +98,27 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let mut bench = Bench::new(make(), &config, None, &parameters)?;
         // 37 is not a multiple of any tile size.
         let spheres = spheres(5, 37 * 5);
-        bench.place(&spheres);
+        let (rays, intervals) = lines(6, 5, spheres.len());
+        bench.place_on(&rays, &intervals, &spheres);
         let features = bench.features();
         // Rows are padded to whole registers or tiles.
         let width = encoders::of(&config).width(&config);
         let stride = width.next_multiple_of(16);
         for (i, sphere) in spheres.iter().enumerate() {
-            let expected = reference.features(sphere.position.map(f64::from), sphere.radius.into());
+            let expected = reference.features(&Sample::new(&rays[i / 37], &intervals[i], sphere));
             for (k, expected) in expected.into_iter().enumerate() {
                 let found = f64::from(features[stride * i + k]);
                 assert!(
                     close(found, expected, FEATURE_TOLERANCE),
-                    "{sphere:?}, feature {k}: {found}, not {expected}"
+                    "{:?}, {sphere:?}, {:?}, {:?}, feature {k}: {found}, not {expected}",
+                    config.encoder.kind,
+                    intervals[i],
+                    rays[i / 37]
                 );
             }
         }
 
         let Bench { backend, stages, space, .. } = &mut bench;
-        let direction = DVec3::new(0.48, -0.6, 0.64);
-        let ray = Ray { direction: direction.to_array().map(|x| x as f32), ..Ray::default() };
-        space.rays.place(backend, &[ray]);
         let (lane, samples, tape) = (&mut space.lane, &space.samples, &mut space.tape);
         stages.field.density(lane, samples, &space.features, tape, &mut space.radiance);
         stages.field.color(lane, &space.rays, samples, tape, &mut space.radiance);
@@ -116,7 +131,7 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 "sample {i}: density {}, not {density}",
                 found.density
             );
-            let rgb = reference.color(&geometry, ray.direction.map(f64::from));
+            let rgb = reference.color(&geometry, rays[i / 37].direction.map(f64::from));
             for (found, expected) in found.rgb.into_iter().zip(rgb) {
                 assert!(
                     close(found.into(), expected, FIELD_TOLERANCE),
@@ -166,8 +181,7 @@ pub fn compositing<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let sample = |interval: &Interval| Sample {
             t: interval.t.into(),
             length: interval.length.into(),
-            position: [0.0; 3],
-            radius: 0.0,
+            ..Sample::default()
         };
         let samples: Vec<_> = intervals[range.clone()].iter().map(sample).collect();
         let radiance: Vec<_> =

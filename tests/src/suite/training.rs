@@ -205,6 +205,9 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
         for slot in &layout.slots {
             // Learning rate relative to the networks', weight decay, and number of values that are skipped together.
             let (factor, decays, group) = match slot.name.as_str() {
+                "planes" if config.encoder.kind == EncoderKind::RipMap => {
+                    (config.rip_map.rate, true, Some(CHANNELS))
+                }
                 "planes" => (config.optimizer.plane_scale, true, Some(CHANNELS)),
                 "table" => (config.hash_grid.rate, false, Some(config.hash_grid.features as usize)),
                 _ => (1.0, true, None),

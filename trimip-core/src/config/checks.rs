@@ -57,6 +57,7 @@ impl Config {
         self.scene.check(&checker)?;
         self.encoder.check(&checker)?;
         self.hash_grid.check(&checker)?;
+        self.rip_map.check(&checker)?;
         self.field.check(&checker)?;
         self.renderer.check(&checker)?;
         self.occupancy.check(&checker)?;

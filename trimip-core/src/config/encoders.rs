@@ -3,7 +3,7 @@
 use super::checks::{Checker, finite_from_zero, positive};
 use super::choices::{LevelFormula, PlaneShape};
 use super::sections::section;
-use crate::{Result, schedule::Schedule};
+use crate::{Result, encoders::rip_map::MOST_LEVELS, schedule::Schedule};
 use serde::{Deserialize, Serialize};
 
 /// The encoders by name.
@@ -14,6 +14,8 @@ pub enum EncoderKind {
     TriMip,
     /// Multiresolution hash grid (instant-ngp), settings in `[hash_grid]`.
     HashGrid,
+    /// Planes of several directions with ripmaps (Rip-NeRF), settings in `[rip_map]`.
+    RipMap,
 }
 
 impl EncoderKind {
@@ -33,6 +35,7 @@ impl EncoderKind {
             Some(("encoder", "kind")) => None,
             Some(("encoder", _)) | Some(("optimizer", "plane_scale")) => Some(Self::TriMip),
             Some(("hash_grid", _)) => Some(Self::HashGrid),
+            Some(("rip_map", _)) => Some(Self::RipMap),
             _ => None,
         }
     }
@@ -51,6 +54,13 @@ section!(
         levels: u32, features: u32, log2_entries: u32, coarsest: u32, finest: u32, init_range: f32, rate: f64,
     }
 );
+section!(
+    /// The planes of several directions with ripmaps.
+    RipMapConfig, "rip_map" {
+        planes: u32, size: u32, levels: u32, level_bias: f32, init_range: f32, rate: f64,
+    }
+);
+
 impl EncoderConfig {
     pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check(finite_from_zero(self.init_range.into()), "encoder.init_range", "0 or more")?;
@@ -97,5 +107,20 @@ impl HashGridConfig {
         )?;
         to.check(finite_from_zero(self.init_range.into()), "hash_grid.init_range", "0 or more")?;
         to.check(positive(self.rate), "hash_grid.rate", "a number above 0")
+    }
+}
+
+impl RipMapConfig {
+    pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.check([3, 4, 6, 10].contains(&self.planes), "rip_map.planes", "3, 4, 6 or 10")?;
+        to.check((1..=MOST_LEVELS).contains(&self.levels), "rip_map.levels", &format!("1 to {MOST_LEVELS}"))?;
+        to.check((4..=4096).contains(&self.size), "rip_map.size", "4 to 4096")?;
+        to.check(
+            self.level_bias.is_finite() && self.level_bias.abs() <= 8.0,
+            "rip_map.level_bias",
+            "-8 (sharper) to 8 (blurrier)",
+        )?;
+        to.check(finite_from_zero(self.init_range.into()), "rip_map.init_range", "0 or more")?;
+        to.check(positive(self.rate), "rip_map.rate", "a number above 0")
     }
 }

@@ -2,6 +2,7 @@
 //! declaration, its mathematics, its twin in f64), a file in each backend, and a line in `ALL`.
 
 pub mod hash_grid;
+pub mod rip_map;
 pub mod tri_mip;
 
 use crate::{
@@ -85,8 +86,11 @@ impl Place {
 }
 
 /// All encoders.
-const ALL: &[(EncoderKind, &dyn Definition)] =
-    &[(EncoderKind::TriMip, &tri_mip::Planes), (EncoderKind::HashGrid, &hash_grid::HashGrid)];
+const ALL: &[(EncoderKind, &dyn Definition)] = &[
+    (EncoderKind::TriMip, &tri_mip::Planes),
+    (EncoderKind::HashGrid, &hash_grid::HashGrid),
+    (EncoderKind::RipMap, &rip_map::RipMap),
+];
 
 /// The encoder of a configuration.
 pub fn of(config: &Config) -> &'static dyn Definition {

@@ -1,7 +1,7 @@
 //! Resolution of a scene: texels, marching steps and occupancy cells follow the footprint of a pixel of the photographs at
 //! the distance of the box, within the budget.
 
-use super::{Context, Proposal, hash_grid, tri_mip};
+use super::{Context, Proposal, hash_grid, rip_map, tri_mip};
 use crate::cones::median_footprint;
 use crate::config::{EncoderKind, PlanChoice};
 use crate::{Aabb, Config, ViewSet};
@@ -33,8 +33,11 @@ pub(super) struct Fineness {
 type Detail = fn(&Context<'_>) -> Fineness;
 
 /// The decision of each encoder about its own detail.
-const ENCODERS: &[(EncoderKind, Detail)] =
-    &[(EncoderKind::TriMip, tri_mip::detail), (EncoderKind::HashGrid, hash_grid::detail)];
+const ENCODERS: &[(EncoderKind, Detail)] = &[
+    (EncoderKind::TriMip, tri_mip::detail),
+    (EncoderKind::HashGrid, hash_grid::detail),
+    (EncoderKind::RipMap, rip_map::detail),
+];
 
 /// True if this decision sets `path`.
 pub(super) fn acts(context: &Context<'_>, path: &str) -> bool {

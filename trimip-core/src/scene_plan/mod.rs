@@ -14,6 +14,7 @@ mod hash_grid;
 mod leave_out;
 pub mod radii;
 mod recipe;
+mod rip_map;
 #[cfg(test)]
 mod tests;
 mod tri_mip;

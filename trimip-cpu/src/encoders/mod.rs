@@ -1,6 +1,8 @@
 //! The encoders on the CPU: each is a file or folder here with an [`Encoding`], registered in `encoder.rs`.
 
+mod bands;
 pub mod hash_grid;
+pub mod rip_map;
 pub mod tri_mip;
 
 use crate::simd::Simd;
@@ -70,7 +72,6 @@ pub(crate) struct Left {
 
 /// The geometry of a span's samples.
 #[derive(Clone, Copy)]
-#[allow(dead_code)] // No present encoder uses rays and intervals.
 pub(crate) struct Places<'a> {
     /// Rays of the span.
     pub rays: &'a [Ray],

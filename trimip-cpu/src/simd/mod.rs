@@ -1,4 +1,4 @@
-//! Sixteen f32 lanes as AVX-512, AVX2 or plain Rust, chosen at run time. A [`Kernel`] is written once over [`Lanes`];
+//! Sixteen f32 lanes as AVX-512, AVX2, NEON or plain Rust, chosen at run time. A [`Kernel`] is written once over [`Lanes`];
 //! [`Simd::run`] compiles it for each instruction set. Results differ between the sets only in rounding (fused or
 //! not).
 
@@ -7,6 +7,8 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
 mod bf16;
+#[cfg(target_arch = "aarch64")]
+mod neon;
 mod plain;
 #[cfg(test)]
 mod tests;
@@ -23,6 +25,8 @@ pub enum Simd {
     Avx512,
     /// x86-64 with AVX2 and FMA: two registers.
     Avx2,
+    /// AArch64: four NEON registers.
+    Neon,
     /// Any processor.
     Portable,
 }
@@ -56,6 +60,8 @@ impl Simd {
                 sets.push(Self::Avx2);
             }
         }
+        #[cfg(target_arch = "aarch64")]
+        sets.push(Self::Neon);
         sets.push(Self::Portable);
         sets
     }
@@ -88,8 +94,12 @@ impl Simd {
                 // SAFETY: as above.
                 unsafe { avx2::run(kernel) }
             }
+            // Every AArch64 processor has NEON.
+            #[cfg(target_arch = "aarch64")]
+            Self::Neon => kernel.run::<neon::Neon>(),
+            Self::Portable => kernel.run::<Plain>(),
             #[allow(unreachable_patterns)]
-            _ => kernel.run::<Plain>(),
+            _ => panic!("{self:?} is not of this processor's architecture"),
         }
     }
 }
@@ -103,7 +113,12 @@ pub fn fetch<T>(from: *const T) {
         // SAFETY: a prefetch reads nothing; every x86-64 has it.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(from.cast()) };
     }
-    #[cfg(not(target_arch = "x86_64"))]
+    #[cfg(target_arch = "aarch64")]
+    // SAFETY: a prefetch reads nothing; every AArch64 has it.
+    unsafe {
+        std::arch::asm!("prfm pldl1keep, [{}]", in(reg) from, options(nostack, readonly, preserves_flags));
+    }
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
     let _ = from;
 }
 

@@ -1,10 +1,10 @@
 //! The hash grid on the GPU: one invocation per sample and level, forward and backward.
 
-use super::{Encoding, Left, Places, whole};
+use super::{Encoding, Left, Places, SETTLE_ENTRIES, whole};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
 use crate::kernel::Access::{self, Parameters, Read, Write};
-use crate::kernel::{ADD_ATOMIC, ADD_EXCHANGE, ADD_FIXED, Addition, FIXED, GRID, Kernel, OWN_FIXED};
+use crate::kernel::{ADD_ATOMIC, ADD_EXCHANGE, ADD_FIXED, Addition, FIXED, GRID, Kernel};
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use trimip_core::encoders::hash_grid::{Levels, PRIMES};
@@ -17,13 +17,6 @@ const ADDING: &str = include_str!("shaders/hash_add.wgsl");
 const ADDING_FIXED: &[&str] = &[GRID, HASH, FIXED, ADD_FIXED, ADDING];
 const ADDING_ATOMIC: &[&str] = &[GRID, HASH, ADD_ATOMIC, ADDING];
 const ADDING_EXCHANGE: &[&str] = &[GRID, HASH, ADD_EXCHANGE, ADDING];
-
-/// Converts gradients of entries from fixed point to f32.
-static HASH_SETTLE: Kernel = Kernel::new(
-    "hash_settle",
-    &[GRID, FIXED, OWN_FIXED, include_str!("shaders/hash_settle.wgsl")],
-    &[(0, Write), (2, Parameters), (3, Write)],
-);
 
 /// Constants of the kernels for entries of `features` floats.
 fn constants(features: u32) -> [(&'static str, u32); 3] {
@@ -156,7 +149,7 @@ impl Encoding for Grid {
         if fixed {
             let count = self.length as u32 / 4;
             let binds = [parameter_gradient.part(0, self.length), self.high.part(0, self.length)];
-            self.gpu.dispatch(&HASH_SETTLE, &binds, &count, Size::Items(count.into()));
+            self.gpu.dispatch(&SETTLE_ENTRIES, &binds, &count, Size::Items(count.into()));
         }
     }
 
@@ -164,6 +157,6 @@ impl Encoding for Grid {
     fn kernels() -> Vec<Kernel> {
         let features = [1, 2, 4, 8].into_iter();
         let of = |f| [read(f), add(f, Addition::Fixed), add(f, Addition::Atomic), add(f, Addition::Exchange)];
-        features.flat_map(of).chain([HASH_SETTLE.clone()]).collect()
+        features.flat_map(of).chain([SETTLE_ENTRIES.clone()]).collect()
     }
 }

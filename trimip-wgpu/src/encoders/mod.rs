@@ -2,16 +2,26 @@
 //! `encoder.rs`.
 
 pub mod hash_grid;
+pub mod rip_map;
 pub mod tri_mip;
 
 use crate::buffer::Buffer;
 use crate::device::{Bind, Gpu};
-use crate::kernel::Addition;
-#[cfg(test)]
-use crate::kernel::Kernel;
+use crate::kernel::Access::{Parameters, Write};
+use crate::kernel::{Addition, FIXED, GRID, Kernel, OWN_FIXED};
 use crate::rows::Rows;
 use std::sync::Arc;
 use trimip_core::Config;
+
+/// Levels and texels of bilinear reads.
+const TEXELS: &str = include_str!("shaders/texels.wgsl");
+
+/// Converts gradients of texels or entries from fixed point to f32.
+static SETTLE_ENTRIES: Kernel = Kernel::new(
+    "settle_entries",
+    &[GRID, FIXED, OWN_FIXED, include_str!("shaders/settle_entries.wgsl")],
+    &[(0, Write), (2, Parameters), (3, Write)],
+);
 
 /// The interface of an encoder on the GPU.
 pub(crate) trait Encoding: Sized + Send + Sync {
@@ -48,7 +58,6 @@ pub(crate) trait Encoding: Sized + Send + Sync {
 }
 
 /// The geometry of a span's samples: the workspace's own arrays, which stay unchanged until the step is over.
-#[allow(dead_code)] // No present encoder uses rays and intervals.
 pub(crate) struct Places {
     /// Rays of the span.
     pub rays: wgpu::Buffer,
@@ -63,7 +72,6 @@ pub(crate) struct Places {
 }
 
 /// Feature gradients of a step, with the places they belong to.
-#[allow(dead_code)] // No present encoder keeps a tape.
 pub(crate) struct Left {
     pub at: Places,
     pub tape: wgpu::Buffer,

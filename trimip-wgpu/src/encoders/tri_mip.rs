@@ -1,7 +1,7 @@
 //! Tri-mip encoding on the GPU. The planes are at the front of the parameters; the levels above them are one derived
 //! array.
 
-use super::{Encoding, Left, Places, whole};
+use super::{Encoding, Left, Places, TEXELS, whole};
 use crate::buffer::Buffer;
 use crate::device::{Bind, GROUP, Gpu, Size};
 use crate::kernel::Access::{self, Parameters, Read, Write};
@@ -16,9 +16,9 @@ use trimip_core::{Aabb, Config};
 const PLANES: &str = include_str!("shaders/planes.wgsl");
 const TRI_MIP: &str = include_str!("shaders/tri_mip.wgsl");
 const SCATTER: &str = include_str!("shaders/scatter.wgsl");
-const SCATTER_FIXED: &[&str] = &[GRID, PLANES, TRI_MIP, FIXED, ADD_FIXED, SCATTER];
-const SCATTER_ATOMIC: &[&str] = &[GRID, PLANES, TRI_MIP, ADD_ATOMIC, SCATTER];
-const SCATTER_EXCHANGE: &[&str] = &[GRID, PLANES, TRI_MIP, ADD_EXCHANGE, SCATTER];
+const SCATTER_FIXED: &[&str] = &[GRID, PLANES, TEXELS, TRI_MIP, FIXED, ADD_FIXED, SCATTER];
+const SCATTER_ATOMIC: &[&str] = &[GRID, PLANES, TEXELS, TRI_MIP, ADD_ATOMIC, SCATTER];
+const SCATTER_EXCHANGE: &[&str] = &[GRID, PLANES, TEXELS, TRI_MIP, ADD_EXCHANGE, SCATTER];
 const PULL: &str = include_str!("shaders/pull.wgsl");
 const PULL_FIXED: &[&str] = &[GRID, PLANES, FIXED, OWN_FIXED, PULL];
 const PULL_FLOAT: &[&str] = &[GRID, PLANES, OWN_FLOAT, PULL];
@@ -26,7 +26,7 @@ const PULL_FLOAT: &[&str] = &[GRID, PLANES, OWN_FLOAT, PULL];
 /// Computes the features of samples.
 static ENCODE: Kernel = Kernel::new(
     "encode",
-    &[GRID, PLANES, TRI_MIP, include_str!("shaders/encode.wgsl")],
+    &[GRID, PLANES, TEXELS, TRI_MIP, include_str!("shaders/encode.wgsl")],
     &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read)],
 );
 

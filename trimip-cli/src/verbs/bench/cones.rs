@@ -1,6 +1,6 @@
-//! Error against time per view for 1, 2×2, 4×4 and 8×8 cones a pixel at every scale: against the test photographs as the set
-//! shows them, without its edge exponents, against a true box filter of the finest photographs, and against the average
-//! of 8×8 cones of the same model, which is what it knows of a pixel.
+//! Error against time per view for 1, 2×2, 4×4 and 8×8 cones a pixel, and the model's own numbers, at every scale: against
+//! the test photographs as the set shows them, without its edge exponents, against a true box filter of the finest
+//! photographs, and against the average of the most cones of the same model, which is what it knows of a pixel.
 
 use crate::args::BenchArguments;
 use crate::curves::aligned;
@@ -9,6 +9,7 @@ use crate::report::svg::{self, Line, Point};
 use crate::terminal;
 use serde::Serialize;
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Instant;
 use trimip::machine::{self, Machine};
@@ -21,7 +22,7 @@ use trimip_core::model::Model;
 use trimip_core::tensors::write_atomically;
 use trimip_core::{Error, Frame, Result, ViewSet, Viewer};
 
-/// Cones along a side of a pixel; the last is the reference.
+/// Cones along a side of a pixel, besides the model's own numbers; the most cones are the reference.
 const SIDES: [u32; 4] = [1, 2, 4, 8];
 
 /// A number of cones at a scale: means over the views.
@@ -56,9 +57,10 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         return Err(Error::input("data.test", "the test split holds no view", "name another data.test"));
     }
     let division = Division::new(&model.config);
-    let mut sessions = SIDES.iter().map(|&side| load(&model, side)).collect::<Result<Vec<_>>>()?;
     let stride = scene.test.len().div_ceil(arguments.views as usize).max(1);
     let indices: Vec<usize> = (0..scene.test.len()).step_by(stride).collect();
+    let sides = sides(&division, &scene.test.load(0)?);
+    let mut sessions = sides.iter().map(|&side| load(&model, side)).collect::<Result<Vec<_>>>()?;
     let bar = spinner();
     let (mut rows, mut converged_errors): (Vec<Row>, Vec<f64>) = (Vec::new(), Vec::new());
     let share = 1.0 / indices.len() as f64;
@@ -69,7 +71,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
             let camera = &set.views[view].camera;
             let own = division.side(camera);
             let mut frames = Vec::new();
-            for (session, side) in sessions.iter_mut().zip(SIDES) {
+            for (session, side) in sessions.iter_mut().zip(sides.iter().copied()) {
                 let name = &set.views[view].name;
                 bar.set_message(format!("view {name} {}: {side}x{side} cones", scale_name(factor)));
                 let started = Instant::now();
@@ -78,7 +80,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
             }
             let converged = frames.last().map(|(_, frame, _)| frame.rgb()).unwrap_or_default();
             for (i, (side, frame, milliseconds)) in frames.into_iter().enumerate() {
-                let place = at * SIDES.len() + i;
+                let place = at * sides.len() + i;
                 if rows.len() == place {
                     rows.push(Row { scale: factor, side, own: side == own, ..Row::default() });
                     converged_errors.push(0.0);
@@ -104,11 +106,18 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         indices.len(),
         scene.test.len(),
         scene.name,
-        SIDES[SIDES.len() - 1].pow(2),
+        sides[sides.len() - 1].pow(2),
         Machine::detect().cpu
     ));
     write(arguments, path, &model, &rows, &indices)?;
     Ok(0)
+}
+
+/// Cones along a side of a pixel that are compared, in ascending order.
+fn sides(division: &Division, views: &ViewSet) -> Vec<u32> {
+    let own = views.views.iter().map(|view| division.side(&view.camera));
+    let all: BTreeSet<u32> = own.chain(SIDES).collect();
+    all.into_iter().collect()
 }
 
 /// The model with `side` × `side` cones in every pixel.

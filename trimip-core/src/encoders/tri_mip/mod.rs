@@ -157,17 +157,24 @@ impl Pyramid {
     /// is log2 of the radius in world units. A zero or NaN radius reads level 0.
     #[inline]
     pub fn blend<R: Real>(&self, plane: usize, log2_radius: R) -> LevelBlend<R> {
-        let level = log2_radius - R::from_f64(self.log2_base_radius[plane]);
-        let top = R::from_u32(self.levels as u32 - 1);
-        // A comparison with NaN is false: level 0.
-        if !(level > R::zero()) || self.levels == 1 {
-            return LevelBlend { lower: 0, fraction: R::zero() };
+        LevelBlend::new(log2_radius - R::from_f64(self.log2_base_radius[plane]), self.levels)
+    }
+}
+
+impl<R: Real> LevelBlend<R> {
+    /// The blend at `level`, clamped to [0, `levels` − 1]. NaN reads level 0.
+    #[inline(always)]
+    pub fn new(level: R, levels: usize) -> Self {
+        let top = R::from_u32(levels as u32 - 1);
+        // A comparison with NaN is false.
+        if !(level > R::zero()) || levels == 1 {
+            return Self { lower: 0, fraction: R::zero() };
         }
         if level >= top {
-            return LevelBlend { lower: self.levels - 1, fraction: R::zero() };
+            return Self { lower: levels - 1, fraction: R::zero() };
         }
         let lower = level.floor();
-        LevelBlend { lower: lower.to_usize().unwrap_or(0), fraction: level - lower }
+        Self { lower: lower.to_usize().unwrap_or(0), fraction: level - lower }
     }
 }
 

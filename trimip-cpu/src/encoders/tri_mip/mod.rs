@@ -3,8 +3,9 @@
 mod extents;
 mod scatter;
 
-use self::extents::{Extent, Extents};
-use self::scatter::{BANDS, Sort, spread};
+use self::extents::Extents;
+use self::scatter::{Sort, spread};
+use super::bands::{BANDS, Extent};
 use super::{Encoding, Left, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
 use crate::simd::{Kernel, Lanes, Simd, fetch};

@@ -3,16 +3,14 @@
 //! in sample order. A row of a level belongs to exactly one band.
 
 use super::Gradient;
-use super::extents::{Extent, Extents};
+use super::extents::Extents;
 use crate::buffer::take_mut;
+use crate::encoders::bands::{BANDS, Extent, first_row, owner};
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
-
-/// Bands per plane.
-pub const BANDS: usize = 16;
 
 /// The rows of one band of one plane, on all levels.
 pub struct Band<'a> {
@@ -27,17 +25,6 @@ struct LevelBand<'a> {
     texels: &'a mut [f32],
     /// The touched columns of each row.
     extents: &'a mut [Extent],
-}
-
-/// Band that owns a row of a plane with `rows` rows on this level.
-#[inline(always)]
-fn owner(row: usize, rows: usize) -> usize {
-    row * BANDS / rows
-}
-
-/// First row of a band.
-fn first_row(band: usize, rows: usize) -> usize {
-    (band * rows).div_ceil(BANDS)
 }
 
 /// The reads of a sphere on a plane, at most two: level and weight.
@@ -165,25 +152,6 @@ impl Kernel for SpreadBand<'_> {
                     }
                 }
             }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_row_has_one_owner_and_bands_meet() {
-        for side in [1, 2, 8, 16, 24, 40, 336, 512] {
-            let mut rows = 0;
-            for band in 0..BANDS {
-                for row in first_row(band, side)..first_row(band + 1, side) {
-                    assert_eq!(owner(row, side), band, "row {row} of {side}");
-                    rows += 1;
-                }
-            }
-            assert_eq!(rows, side);
         }
     }
 }

@@ -1,4 +1,4 @@
-// Converts gradients of entries from fixed point to f32, four per invocation.
+// Converts gradients of texels or entries from fixed point to f32, four per invocation.
 
 struct Settling {
     // Number of groups of four.
@@ -9,7 +9,7 @@ struct Settling {
 @group(0) @binding(2) var<uniform> settling: Settling;
 
 @compute @workgroup_size(GROUP)
-fn hash_settle(
+fn settle_entries(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
     @builtin(local_invocation_index) local: u32,

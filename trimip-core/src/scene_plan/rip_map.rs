@@ -1,0 +1,35 @@
+//! Decisions for planes with ripmaps: the width of their texels, and the levels that a camera needs.
+
+use super::detail::{self, Fineness};
+use super::{Context, radii};
+use crate::Aabb;
+use toml::Value;
+
+/// Best width of a texel in pixel footprints.
+const TEXEL: f64 = 1.6;
+
+/// Levels beyond the largest Gaussian that are kept, for cameras farther away.
+const SPARE_LEVELS: f64 = 1.0;
+
+/// Planes whose texels follow the footprint of a pixel, never finer than configured, with the levels that the cameras
+/// of the set need.
+pub(super) fn detail(context: &Context<'_>) -> Fineness {
+    let (aabb, given) = (Aabb::<f64>::new(&context.now.scene), &context.configured.rip_map);
+    let footprint = detail::footprint(context.facts.train, &aabb);
+    let size = footprint.filter(|_| detail::acts(context, "rip_map.size")).map(|footprint| {
+        let enough = (aabb.longest() / (TEXEL * footprint)).ceil().clamp(4.0, 4096.0) as u32;
+        enough.min(given.size)
+    });
+    let texel = aabb.longest() / f64::from(size.unwrap_or(given.size));
+    let cameras = context.facts.train.views.iter().map(|view| &view.camera).chain(context.facts.test);
+    let levels = radii::range(cameras, &aabb).filter(|_| detail::acts(context, "rip_map.levels"));
+    let levels = levels.map(|[_, radius]| {
+        // Standard deviations of a disc and of an interval.
+        let widest = (radius / 2.0).max(f64::from(context.now.step_length()) / 12_f64.sqrt());
+        let highest = (4.0 * widest / texel).log2() + f64::from(given.level_bias);
+        ((highest + SPARE_LEVELS).ceil().max(0.0) as u32 + 1).min(given.levels)
+    });
+    let change = |path, value: Option<u32>| value.map(|value| (path, Value::Integer(value.into())));
+    let changes = [change("rip_map.size", size), change("rip_map.levels", levels)];
+    Fineness { what: "texels", width: texel, changes: changes.into_iter().flatten().collect() }
+}

@@ -1,0 +1,183 @@
+//! Passes over a whole ripmap: means from fine to coarse levels, gradients from coarse to fine levels. Each pass
+//! covers one interval of columns per row.
+
+use super::{CHANNELS, Plane};
+use crate::encoders::bands::Extent;
+use crate::simd::{Kernel, Lanes, Simd};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Columns of level 0 in which intervals are rounded, so that they halve evenly on every level.
+pub fn unit(plane: &Plane<f32>) -> u32 {
+    1 << (plane.levels - 1)
+}
+
+/// Floats of a row of a ripmap.
+fn row_len(plane: &Plane<f32>) -> usize {
+    plane.width() * CHANNELS
+}
+
+/// Rebuilds the ripmap `map` of the texels of `base` in `changed`, one interval per row of the base.
+pub fn average(simd: Simd, plane: &Plane<f32>, base: &[f32], map: &mut [f32], changed: &[Extent]) {
+    let row = row_len(plane);
+    let mut changed: Vec<Extent> = changed.iter().map(|extent| extent.aligned(unit(plane))).collect();
+    for level in 0..plane.levels {
+        let (finer, coarser) = map.split_at_mut(plane.row(level) * row);
+        let rows = coarser.par_chunks_exact_mut(row).take(plane.sides[1] >> level).zip(&changed);
+        let rows = rows.enumerate().with_min_len(4);
+        match level {
+            0 => rows.for_each(|(r, (out, extent))| {
+                let columns = floats(extent.texels());
+                let from = &base[r * plane.sides[0] * CHANNELS..];
+                out[columns.clone()].copy_from_slice(&from[columns]);
+                simd.run(AverageAlong { plane, row: out, extent: *extent });
+            }),
+            _ => {
+                let finer = &finer[plane.row(level - 1) * row..];
+                rows.for_each(|(r, (out, extent))| {
+                    let columns = floats(extent.texels());
+                    let [lower, upper] =
+                        [2 * r, 2 * r + 1].map(|r| &finer[r * row..][..row][columns.clone()]);
+                    simd.run(Mean { lower, upper, out: &mut out[columns] });
+                    simd.run(AverageAlong { plane, row: out, extent: *extent });
+                });
+            }
+        }
+        changed = changed.chunks_exact(2).map(|pair| pair[0].union(pair[1])).collect();
+    }
+}
+
+/// Adds up the gradient of the ripmap `map` in the gradient of its base. `touched` has one interval for each row of
+/// the map, outside of which the map is zero; those of the base's rows become the intervals of `base`.
+pub fn pull(simd: Simd, plane: &Plane<f32>, map: &mut [f32], base: &mut [f32], touched: &mut [Extent]) {
+    let row = row_len(plane);
+    touched.iter_mut().for_each(|extent| *extent = extent.aligned(unit(plane)));
+    let rows = map.par_chunks_exact_mut(row).zip(&*touched).with_min_len(4);
+    rows.for_each(|(row, extent)| simd.run(PullAlong { plane, row, extent: *extent }));
+    for level in (1..plane.levels).rev() {
+        let (finer, coarser) = map.split_at_mut(plane.row(level) * row);
+        let (fine_extents, extents) = touched.split_at_mut(plane.row(level));
+        let finer = finer[plane.row(level - 1) * row..].par_chunks_exact_mut(2 * row);
+        let finer = finer.zip(fine_extents[plane.row(level - 1)..].par_chunks_exact_mut(2));
+        let rows = finer.zip(coarser.par_chunks_exact(row)).zip(&*extents).with_min_len(4);
+        rows.for_each(|(((finer, fine_extents), coarse), extent)| {
+            let columns = floats(extent.texels());
+            let (lower, upper) = finer.split_at_mut(row);
+            for fine in [lower, upper] {
+                simd.run(AddHalf { coarse: &coarse[columns.clone()], fine: &mut fine[columns.clone()] });
+            }
+            fine_extents.iter_mut().for_each(|fine| *fine = fine.union(*extent));
+        });
+    }
+    let side = plane.sides[0] * CHANNELS;
+    let rows = base.par_chunks_exact_mut(side).zip(map.par_chunks_exact(row)).zip(&*touched);
+    rows.with_min_len(4).for_each(|((out, from), extent)| {
+        let columns = floats(extent.texels());
+        out[columns.clone()].copy_from_slice(&from[columns]);
+    });
+}
+
+/// The floats of a range of texels.
+fn floats(texels: Range<usize>) -> Range<usize> {
+    texels.start * CHANNELS..texels.end * CHANNELS
+}
+
+/// The floats of level i of a row, and of level i + 1, that lie within an interval.
+fn neighbours<'a>(
+    plane: &Plane<f32>,
+    row: &'a mut [f32],
+    extent: Extent,
+    level: usize,
+) -> (&'a mut [f32], &'a mut [f32]) {
+    let (fine, coarse) = row.split_at_mut(plane.column(level + 1) * CHANNELS);
+    let fine = &mut fine[plane.column(level) * CHANNELS..];
+    let Range { start, end } = extent.texels();
+    (
+        &mut fine[floats(start >> level..end >> level)],
+        &mut coarse[floats(start >> (level + 1)..end >> (level + 1))],
+    )
+}
+
+/// Computes the levels of a row from its first: means of pairs of texels.
+struct AverageAlong<'a> {
+    plane: &'a Plane<f32>,
+    row: &'a mut [f32],
+    extent: Extent,
+}
+
+impl Kernel for AverageAlong<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        for level in 0..self.plane.levels - 1 {
+            let (fine, coarse) = neighbours(self.plane, self.row, self.extent, level);
+            let half = L::splat(0.5);
+            for (out, pair) in coarse.chunks_exact_mut(CHANNELS).zip(fine.chunks_exact(2 * CHANNELS)) {
+                // SAFETY: `pair` holds two texels of 16 values, `out` one.
+                unsafe {
+                    let second = L::load(pair.as_ptr().add(CHANNELS)).mul_add(half, L::splat(0.0));
+                    L::load(pair.as_ptr()).mul_add(half, second).store(out.as_mut_ptr());
+                }
+            }
+        }
+    }
+}
+
+/// Adds half of each texel's gradient to its two finer texels, from the coarsest level of a row to its first.
+struct PullAlong<'a> {
+    plane: &'a Plane<f32>,
+    row: &'a mut [f32],
+    extent: Extent,
+}
+
+impl Kernel for PullAlong<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        if self.extent.is_empty() {
+            return;
+        }
+        for level in (0..self.plane.levels - 1).rev() {
+            let (fine, coarse) = neighbours(self.plane, self.row, self.extent, level);
+            for (parent, pair) in coarse.chunks_exact(CHANNELS).zip(fine.chunks_exact_mut(2 * CHANNELS)) {
+                // SAFETY: `pair` holds two texels of 16 values, `parent` one.
+                unsafe {
+                    let parent = L::load(parent.as_ptr());
+                    for child in [pair.as_mut_ptr(), pair.as_mut_ptr().add(CHANNELS)] {
+                        parent.mul_add(L::splat(0.5), L::load(child)).store(child);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The means of two rows.
+struct Mean<'a> {
+    lower: &'a [f32],
+    upper: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl Kernel for Mean<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let rows = self.lower.iter().zip(self.upper).zip(self.out);
+        rows.for_each(|((lower, upper), out)| *out = 0.5 * lower + 0.5 * upper);
+    }
+}
+
+/// Adds half of a row to another.
+struct AddHalf<'a> {
+    coarse: &'a [f32],
+    fine: &'a mut [f32],
+}
+
+impl Kernel for AddHalf<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        self.fine.iter_mut().zip(self.coarse).for_each(|(fine, coarse)| *fine += 0.5 * coarse);
+    }
+}

@@ -1,0 +1,146 @@
+//! Scatters feature gradients to the texels of all levels, with the same bits for any number of threads and without
+//! atomics, as the tri-mip planes do: a sample is listed in each band of rows that it touches, and one worker sums a
+//! band in sample order.
+
+use super::{CHANNELS, Gaussian, Gradient, Plane, TAPE};
+use crate::buffer::take_mut;
+use crate::encoders::bands::{BANDS, Extent, first_row, owner};
+use crate::simd::{Kernel, Lanes, Simd};
+use rayon::prelude::*;
+
+/// Lists samples in every band that they touch.
+pub struct Sort<'a> {
+    /// The planes.
+    pub planes: &'a [Plane<f32>],
+    /// One per sample.
+    pub gaussians: &'a [[f32; TAPE]],
+    /// Index of the first sample.
+    pub first: u32,
+    /// Sample lists by plane and band.
+    pub bands: &'a mut [Vec<u32>],
+}
+
+impl Kernel for Sort<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { planes, gaussians, first, bands } = self;
+        for (plane, bands) in planes.iter().zip(bands.chunks_exact_mut(BANDS)) {
+            for (gaussian, index) in gaussians.iter().zip(first..) {
+                let mut touched = 0_u32;
+                for read in plane.reads(&Gaussian::of(gaussian)) {
+                    if read.share != 0.0 {
+                        let rows = plane.sides[1] >> read.levels[1];
+                        read.taps.rows.into_iter().for_each(|row| touched |= 1 << owner(row, rows));
+                    }
+                }
+                while touched != 0 {
+                    bands[touched.trailing_zeros() as usize].push(index);
+                    touched &= touched - 1;
+                }
+            }
+        }
+    }
+}
+
+/// A band of one plane: its rows on each level across the plane.
+struct Band<'a> {
+    plane: usize,
+    band: usize,
+    /// First row, texels and touched columns of the rows on each level.
+    levels: Vec<(usize, &'a mut [f32], &'a mut [Extent])>,
+}
+
+/// Overwrites `maps`, the gradients of all ripmaps, with the sums of all deposits. They are zero outside of `touched`,
+/// before and after. The rows of `base` become zero.
+pub fn spread(
+    simd: Simd,
+    planes: &[Plane<f32>],
+    gradients: &[&mut Gradient],
+    maps: &mut [f32],
+    touched: &mut [Vec<Extent>],
+    base: &mut [f32],
+) {
+    let (mut maps, mut base) = (maps, base);
+    let mut bands = Vec::with_capacity(planes.len() * BANDS);
+    for (p, (plane, touched)) in planes.iter().zip(touched).enumerate() {
+        let side = plane.sides[0] * CHANNELS;
+        let rows = take_mut(&mut base, super::base_len(plane)).par_chunks_exact_mut(side);
+        rows.zip(&*touched).with_min_len(16).for_each(|(row, extent)| {
+            let columns = extent.texels();
+            row[columns.start * CHANNELS..columns.end * CHANNELS].fill(0.0);
+        });
+        let first = bands.len();
+        bands.extend((0..BANDS).map(|band| Band {
+            plane: p,
+            band,
+            levels: Vec::with_capacity(plane.levels),
+        }));
+        let (mut texels, mut extents) = (take_mut(&mut maps, super::map_len(plane)), touched.as_mut_slice());
+        for rows in (0..plane.levels).map(|level| plane.sides[1] >> level) {
+            for band in &mut bands[first..] {
+                let (from, to) = (first_row(band.band, rows), first_row(band.band + 1, rows));
+                let texels = take_mut(&mut texels, (to - from) * plane.width() * CHANNELS);
+                band.levels.push((from, texels, take_mut(&mut extents, to - from)));
+            }
+        }
+    }
+    bands.into_par_iter().with_max_len(1).for_each(|band| simd.run(SpreadBand { planes, gradients, band }));
+}
+
+struct SpreadBand<'a> {
+    planes: &'a [Plane<f32>],
+    gradients: &'a [&'a mut Gradient],
+    band: Band<'a>,
+}
+
+impl Kernel for SpreadBand<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { planes, gradients, band: Band { plane: p, band, mut levels } } = self;
+        let (plane, features) = (&planes[p], planes.len() * CHANNELS);
+        for (_, texels, extents) in &mut levels {
+            let rows = texels.chunks_exact_mut(plane.width() * CHANNELS);
+            for (row, extent) in rows.zip(extents.iter_mut()) {
+                let columns = extent.texels();
+                for level in 0..plane.levels {
+                    let first = plane.column(level);
+                    let [from, to] = [columns.start, columns.end].map(|c| (first + (c >> level)) * CHANNELS);
+                    row[from..to].fill(0.0);
+                }
+                *extent = Extent::EMPTY;
+            }
+        }
+        for gradient in gradients {
+            for &index in &gradient.bands[p * BANDS + band] {
+                let row = &gradient.rows[index as usize * features + p * CHANNELS..][..CHANNELS];
+                // SAFETY: `row` holds 16 values.
+                let values = unsafe { L::load(row.as_ptr()) };
+                for read in plane.reads(&Gaussian::of(&gradient.gaussians[index as usize])) {
+                    if read.share == 0.0 {
+                        continue;
+                    }
+                    let [i, j] = read.levels;
+                    let (first_row, texels, extents) = &mut levels[j];
+                    for (row, weights) in read.taps.rows.into_iter().zip(read.taps.weights) {
+                        if owner(row, plane.sides[1] >> j) != band {
+                            continue;
+                        }
+                        let row = row - *first_row;
+                        let [left, right] = read.taps.columns;
+                        extents[row].add(left << i, ((right + 1) << i) - 1);
+                        for (column, weight) in [left, right].into_iter().zip(weights) {
+                            let texel = (row * plane.width() + plane.column(i) + column) * CHANNELS;
+                            let texel = texels[texel..][..CHANNELS].as_mut_ptr();
+                            // SAFETY: the slice holds 16 values.
+                            unsafe {
+                                values.mul_add(L::splat(read.share * weight), L::load(texel)).store(texel);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,60 @@
+// What a Gaussian reads on a plane; twin of `trimip_core::encoders::rip_map::Plane::reads`. Needs `rip_planes.wgsl`,
+// `rip_gaussians.wgsl` and `texels.wgsl`.
+
+struct Params {
+    planes: u32,
+    levels: u32,
+    counter: u32,
+}
+
+@group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
+@group(0) @binding(2) var<uniform> params: Params;
+
+// The place of a Gaussian along the two axes of a plane, and the levels that it blends along each.
+struct Projection {
+    at: vec2<f32>,
+    blends: array<Blend, 2>,
+}
+
+fn blend_along(gaussian: Gaussian, axis: vec4<f32>, levels: u32) -> Blend {
+    let cosine = dot(axis.xyz, gaussian.direction);
+    let square = cosine * cosine;
+    let variance = gaussian.across * (1.0 - square) + gaussian.along * square;
+    return blend_at(0.5 * log2(variance) - axis.w, levels);
+}
+
+fn project(gaussian: Gaussian, plane: u32, levels: u32) -> Projection {
+    let mean = vec4<f32>(gaussian.mean, 1.0);
+    let at = vec2<f32>(dot(planes[plane].places[0], mean), dot(planes[plane].places[1], mean));
+    let along = blend_along(gaussian, planes[plane].axes[0], levels);
+    let across = blend_along(gaussian, planes[plane].axes[1], levels);
+    return Projection(at, array<Blend, 2>(along, across));
+}
+
+// One of the four combinations of levels: bit 0 of `which` takes the coarser level along the rows, bit 1 across them.
+struct Read {
+    levels: vec2<u32>,
+    share: f32,
+}
+
+fn read_of(projection: Projection, which: u32) -> Read {
+    let along = projection.blends[0];
+    let across = projection.blends[1];
+    let upper = vec2<bool>((which & 1u) != 0u, (which & 2u) != 0u);
+    let shares = vec2<f32>(
+        select(1.0 - along.fraction, along.fraction, upper.x),
+        select(1.0 - across.fraction, across.fraction, upper.y),
+    );
+    let levels = vec2<u32>(along.lower, across.lower) + select(vec2<u32>(0u), vec2<u32>(1u), upper);
+    return Read(levels, shares.x * shares.y);
+}
+
+fn read_taps(projection: Projection, plane: u32, levels: vec2<u32>) -> Taps {
+    return texel_taps(planes[plane].sides >> levels, projection.at);
+}
+
+// Index in all ripmaps of the texel at a row and a column of a level.
+fn read_texel(plane: u32, levels: vec2<u32>, row: u32, column: u32) -> u32 {
+    let first = vec2<u32>(level_first(plane, 0u, levels.x), level_first(plane, 1u, levels.y));
+    return map_texel(plane, params.levels, first.y + row, first.x + column);
+}

@@ -1,0 +1,27 @@
+// Planes with ripmaps; twin of `trimip_core::encoders::rip_map::Plane`.
+
+struct Plane {
+    // From the unit cube to the place along a row and across the rows: factors, and the place of the origin.
+    places: array<vec4<f32>, 2>,
+    // Unit vectors along the two axes, and half of log2 of the variance that reads level 0.
+    axes: array<vec4<f32>, 2>,
+    // Columns and rows of level (0, 0).
+    sides: vec2<u32>,
+    // First texel of level (0, 0) in the parameters.
+    first: u32,
+    // First texel in the ripmaps of all planes.
+    start: u32,
+}
+
+@group(0) @binding(9) var<storage, read> planes: array<Plane>;
+
+// First column (axis 0) or row (axis 1) of a level in a plane's ripmap; its width or height for the number of levels.
+fn level_first(plane: u32, axis: u32, level: u32) -> u32 {
+    let whole = 2u * planes[plane].sides[axis];
+    return whole - (whole >> level);
+}
+
+// Index of a texel in the ripmaps of all planes, given its row and column in the plane's ripmap.
+fn map_texel(plane: u32, levels: u32, row: u32, column: u32) -> u32 {
+    return planes[plane].start + row * level_first(plane, 0u, levels) + column;
+}
