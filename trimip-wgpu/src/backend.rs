@@ -100,7 +100,8 @@ impl Lane {
         let params = [width as u32, counter];
         let counts = Bind { buffer: counts, offset: 0, size: None };
         let binds = [array.bind(), spare.bind(), kept.bind(), counts];
-        let size = Size::Counted { counts: counts.buffer, counter, per: width as u32, group: GROUP };
+        let size =
+            Size::Counted { counts: counts.buffer, counter, per: width as u32, group: GROUP, times: 1 };
         self.gpu.dispatch(&GATHERING, &binds, &params, size);
         array.swap(spare);
         array.count_by(kept.most() * values, counts.buffer, counter, values);

@@ -105,7 +105,7 @@ pub enum Size<'a> {
     Items(u64),
     /// Number of workgroups.
     Groups(u64),
-    /// A count on the device times `per` items, in workgroups of `group` items.
+    /// A count on the device times `per` items, `times` workgroups for every `group` items.
     Counted {
         /// Counters on the device.
         counts: &'a wgpu::Buffer,
@@ -113,8 +113,10 @@ pub enum Size<'a> {
         counter: u32,
         /// Items per count.
         per: u32,
-        /// Items per workgroup.
+        /// Items that a workgroup covers.
         group: u32,
+        /// Workgroups that cover the same items.
+        times: u32,
     },
 }
 
@@ -314,7 +316,7 @@ impl Gpu {
             self.submit_recorder(&mut recorder);
         }
         let indirect = match size {
-            Size::Counted { counts, counter, per, group } => {
+            Size::Counted { counts, counter, per, group, times } => {
                 let slot = recorder.indirect;
                 recorder.indirect += 1;
                 let sizes = recorder.sizes.clone();
@@ -323,7 +325,7 @@ impl Gpu {
                     &mut recorder,
                     &crate::kernel::ARGUMENTS,
                     &binds,
-                    &[counter, per, group, slot],
+                    &[counter, per, group, times, slot],
                     Err((1, 1)),
                 );
                 Some((sizes, u64::from(slot) * SIZES))

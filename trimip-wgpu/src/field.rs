@@ -7,7 +7,7 @@ use crate::device::{Bind, GROUP, Gpu, Size};
 use crate::kernel::{
     COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, Kernel, PACK, PACK_HALF, REDUCE,
 };
-use crate::products::{Finish, GRADIENT_SCALE, Matrices, accumulate, multiply, tile};
+use crate::products::{Finish, GRADIENT_SCALE, Matrices, accumulate, multiply, multiplying, tile};
 use crate::rows::Rows;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
@@ -16,9 +16,6 @@ use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
 use trimip_core::config::Precision;
 use trimip_core::params::{Slot, color_layers, harmonics};
 use trimip_core::{Config, Field, Layout};
-
-/// Rows per tile of a product.
-const TILE_ROWS: u32 = 64;
 
 /// Number of chunks of a weight gradient, each over a run of samples; the chunks are added in order.
 pub const CHUNKS: u32 = 64;
@@ -107,14 +104,6 @@ impl Layer {
         multiply(k, n, finish, self.matrices, scale.unwrap_or(1))
     }
 
-    /// Workgroups of a product of rows of `k` columns with a matrix of `n` columns.
-    fn size<'a>(&self, rows: &'a Rows, k: usize, n: usize) -> Size<'a> {
-        match self.matrices {
-            None => rows.dispatch((n / (16 * tile(n) as usize)) as u32, TILE_ROWS),
-            Some(matrices) => rows.dispatch(1, matrices.rows(k)),
-        }
-    }
-
     /// Workgroups per chunk of the weight gradient.
     fn tiles(&self) -> u64 {
         let side = |width: usize| width / (16 * tile(width) as usize);
@@ -142,7 +131,7 @@ impl Mlp {
             rows.size(&mut after[0], layer.n);
             let finish = if i + 1 == self.layers.len() { Finish::Store } else { Finish::Relu };
             let binds = [input.bind(), layer.forward.bind(), after[0].bind(), rows.bind()];
-            let size = layer.size(rows, layer.k, layer.n);
+            let size = multiplying(rows, layer.k, layer.n, layer.matrices);
             let binds = layer.with_overflows(&binds);
             gpu.dispatch(&layer.product(finish, None), &binds, &rows.counter, size);
         }
@@ -169,7 +158,7 @@ impl Mlp {
             let groups = Size::Groups(layer.tiles() * u64::from(CHUNKS));
             let kernel = accumulate(layer.k, layer.n, CHUNKS, layer.matrices);
             gpu.dispatch(&kernel, &layer.with_overflows(&binds), &rows.counter, groups);
-            let size = layer.size(rows, layer.n, layer.k);
+            let size = multiplying(rows, layer.n, layer.k, layer.matrices);
             let scale = Some(GRADIENT_SCALE);
             if i == 0 {
                 rows.size(by_input, layer.k);

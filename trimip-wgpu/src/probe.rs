@@ -3,7 +3,8 @@
 use crate::buffer::Buffer;
 use crate::device::{Gpu, Size};
 use crate::kernel::{Access, Kernel};
-use crate::products::{Finish, GRADIENT_SCALE, accumulate, multiply, tile};
+use crate::products::{Finish, GRADIENT_SCALE, accumulate, multiply, multiplying, tile};
+use crate::rows::Rows;
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 use trimip_core::batch::Ray;
@@ -382,7 +383,9 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
     let Some(gpu) = gpu() else { return };
     let ways = [None, gpu.matrices()];
     for matrices in &ways[..1 + usize::from(gpu.matrices().is_some())] {
-        for (k, n, rows) in [(48, 128, 100), (128, 16, 64), (16, 32, 1), (32, 48, 333), (160, 16, 70)] {
+        for (k, n, rows) in
+            [(48, 128, 100), (128, 16, 64), (16, 32, 1), (32, 48, 333), (160, 16, 70), (16, 96, 469)]
+        {
             let (left, weights) = (whole(rows * k, 1), whole(k * n, 2));
             let (right, mask) = (whole(rows * n, 3), whole(rows * n, 4));
             let buffer = |values: &[f32], room: usize| {
@@ -411,12 +414,9 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
                 }
                 binds.push(counts.bind());
                 binds.extend(matrices.map(|_| overflows.bind()));
-                let groups = match matrices {
-                    None => rows.div_ceil(64) * (n / (16 * tile(n) as usize)),
-                    Some(matrices) => rows.div_ceil(matrices.rows(k) as usize),
-                };
+                let counted = Rows { counts: counts.raw().clone(), counter: 0, capacity: rows };
                 let kernel = multiply(k, n, finish, *matrices, scale);
-                gpu.dispatch(&kernel, &binds, &0_u32, Size::Groups(groups as u64));
+                gpu.dispatch(&kernel, &binds, &0_u32, multiplying(&counted, k, n, *matrices));
                 let found = gpu.redeem(gpu.send::<f32>(product.raw(), 0, rows * n));
                 for (at, found) in found.iter().enumerate() {
                     let exact = exact(at / n, at % n);

@@ -1,7 +1,9 @@
 //! Kernels of matrix products, in f32 or with cooperative f16 matrices: sizes of their tiles and blocks of rows.
 
+use crate::device::Size;
 use crate::kernel::Access::{self, Parameters, Read, Write};
 use crate::kernel::Kernel;
+use crate::rows::Rows;
 
 const PRODUCT: &str = include_str!("shaders/multiply.wgsl");
 const STORE: &str = include_str!("shaders/finish_store.wgsl");
@@ -41,6 +43,9 @@ pub enum Finish {
     /// Derivative of a ReLU: zero where the mask is not above zero.
     Mask,
 }
+
+/// Rows per tile of a product in f32.
+const TILE_ROWS: u32 = 64;
 
 /// Columns of a tile, in units of 16, for a matrix of `n` columns.
 pub fn tile(n: usize) -> u32 {
@@ -122,6 +127,14 @@ pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, 
             let files = MULTIPLY_COOPERATIVE[matrices.index()][finish as usize];
             Kernel::new("multiply", files, bindings).cooperative().with(&constants)
         }
+    }
+}
+
+/// Workgroups of the product of [rows, k] and [k, n].
+pub fn multiplying(rows: &Rows, k: usize, n: usize, matrices: Option<Matrices>) -> Size<'_> {
+    match matrices {
+        None => rows.tiles(TILE_ROWS, n as u32 / (16 * tile(n))),
+        Some(matrices) => rows.tiles(matrices.rows(k), 1),
     }
 }
 

@@ -37,7 +37,12 @@ impl Rows {
 
     /// A dispatch of `per` invocations per row, in workgroups of `group`.
     pub fn dispatch(&self, per: u32, group: u32) -> Size<'_> {
-        Size::Counted { counts: &self.counts, counter: self.counter, per, group }
+        Size::Counted { counts: &self.counts, counter: self.counter, per, group, times: 1 }
+    }
+
+    /// A dispatch of `times` workgroups for every `tile` rows.
+    pub fn tiles(&self, tile: u32, times: u32) -> Size<'_> {
+        Size::Counted { counts: &self.counts, counter: self.counter, per: 1, group: tile, times }
     }
 
     /// Binds all counters.
