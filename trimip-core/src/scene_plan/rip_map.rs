@@ -1,23 +1,21 @@
 //! Decisions for planes with ripmaps: the width of their texels, and the levels that a camera needs.
 
 use super::detail::{self, Fineness};
-use super::{Context, radii};
+use super::{Context, radii, tri_mip};
 use crate::Aabb;
 use toml::Value;
-
-/// Best width of a texel in pixel footprints.
-const TEXEL: f64 = 1.6;
 
 /// Levels beyond the largest Gaussian that are kept, for cameras farther away.
 const SPARE_LEVELS: f64 = 1.0;
 
-/// Planes whose texels follow the footprint of a pixel, never finer than configured, with the levels that the cameras
+/// Planes whose texels follow the footprint of a pixel and the budget as those of tri-mip planes do, never finer than configured, with the levels that the cameras
 /// of the set need.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let (aabb, given) = (Aabb::<f64>::new(&context.now.scene), &context.configured.rip_map);
     let footprint = detail::footprint(context.facts.train, &aabb);
     let size = footprint.filter(|_| detail::acts(context, "rip_map.size")).map(|footprint| {
-        let enough = (aabb.longest() / (TEXEL * footprint)).ceil().clamp(4.0, 4096.0) as u32;
+        let width = tri_mip::width_for_budget(context) * footprint;
+        let enough = (aabb.longest() / width).ceil().max(tri_mip::LEAST_TEXELS) as u32;
         enough.min(given.size)
     });
     let texel = aabb.longest() / f64::from(size.unwrap_or(given.size));

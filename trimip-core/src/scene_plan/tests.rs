@@ -116,6 +116,14 @@ fn a_hash_grid_is_as_fine_as_pixels_see_and_has_no_settings_of_planes() {
     let changes = || findings.iter().flat_map(|finding| &finding.changes);
     assert!(changes().any(|change| change.path == "hash_grid.finest"));
     assert!(changes().all(|change| !change.path.starts_with("encoder.")), "{findings:?}");
+    let (config, _) = planned(&train, &["encoder.kind=rip-map"]).unwrap();
+    let [planes, ripmaps] = [planned(&train, &[]).unwrap().0, config]
+        .map(|config| [config.encoder.plane_size, config.rip_map.size, config.rip_map.levels]);
+    assert!(
+        ripmaps[1] < 512 && ripmaps[1].abs_diff(planes[0]) <= 16,
+        "texels of {ripmaps:?}, planes {planes:?}"
+    );
+    assert!((1..8).contains(&ripmaps[2]), "the levels that the cameras need: {ripmaps:?}");
     let given = planned(&train, &["encoder.kind=hash-grid", "hash_grid.finest=1024"]).unwrap().0;
     assert_eq!(given.hash_grid.finest, 1024, "a setting that is given stays");
 }

@@ -16,7 +16,7 @@ const SPARE_LEVELS: u32 = 1;
 const TEXELS: [(f64, f64); 3] = [(1e8, 2.4), (1e9, 2.1), (f64::INFINITY, 1.6)];
 
 /// Fewest texels along a side: smaller planes are too coarse for their mip levels.
-const LEAST_TEXELS: f64 = 64.0;
+pub(super) const LEAST_TEXELS: f64 = 64.0;
 
 /// Most texels along a side: the limit of `encoder.plane_size`.
 const MOST_TEXELS: u32 = 4096;
@@ -65,7 +65,7 @@ pub(super) fn texel_in_pixels(context: &Context<'_>) -> Option<f64> {
 }
 
 /// Width of a texel in pixel footprints for the budget.
-fn width_for_budget(context: &Context<'_>) -> f64 {
+pub(super) fn width_for_budget(context: &Context<'_>) -> f64 {
     let samples = recipe::budget(context.now, context.facts.compute.samples_per_second);
     TEXELS.iter().find(|(most, _)| samples < *most).map_or(1.6, |(_, width)| *width)
 }
