@@ -116,6 +116,13 @@ fn a_hash_grid_is_as_fine_as_pixels_see_and_has_no_settings_of_planes() {
     let changes = || findings.iter().flat_map(|finding| &finding.changes);
     assert!(changes().any(|change| change.path == "hash_grid.finest"));
     assert!(changes().all(|change| !change.path.starts_with("encoder.")), "{findings:?}");
+    let given = planned(&train, &["encoder.kind=hash-grid", "hash_grid.finest=1024"]).unwrap().0;
+    assert_eq!(given.hash_grid.finest, 1024, "a setting that is given stays");
+}
+
+#[test]
+fn ripmaps_are_as_fine_as_planes_and_have_the_levels_that_cameras_need() {
+    let train = views(true);
     let (config, _) = planned(&train, &["encoder.kind=rip-map"]).unwrap();
     let [planes, ripmaps] = [planned(&train, &[]).unwrap().0, config]
         .map(|config| [config.encoder.plane_size, config.rip_map.size, config.rip_map.levels]);
@@ -124,8 +131,8 @@ fn a_hash_grid_is_as_fine_as_pixels_see_and_has_no_settings_of_planes() {
         "texels of {ripmaps:?}, planes {planes:?}"
     );
     assert!((1..8).contains(&ripmaps[2]), "the levels that the cameras need: {ripmaps:?}");
-    let given = planned(&train, &["encoder.kind=hash-grid", "hash_grid.finest=1024"]).unwrap().0;
-    assert_eq!(given.hash_grid.finest, 1024, "a setting that is given stays");
+    let given = planned(&train, &["encoder.kind=rip-map", "rip_map.levels=7"]).unwrap().0;
+    assert_eq!(given.rip_map.levels, 7, "a setting that is given stays");
 }
 
 #[test]

@@ -52,7 +52,7 @@ struct Band<'a> {
 }
 
 /// Overwrites `maps`, the gradients of all ripmaps, with the sums of all deposits. They are zero outside of `touched`,
-/// before and after. The rows of `base` become zero.
+/// before and after. `base`, the gradient of the parameters, becomes zero.
 pub fn spread(
     simd: Simd,
     planes: &[Plane<f32>],
