@@ -192,23 +192,32 @@ pub fn evaluate_frame(
         before += rows(view);
         let (exponent, other) = (data.edge_exponent(factor), opposite(background));
         let plain = capped(psnr(&rendered.rgb(), &target));
-        let truth = set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
-        let moved = rendered.moved(background, other).shown(other, exponent);
-        // The photographs of a multi-scale set may be smaller or larger than blocks of the finest ones.
-        let same = truth.len() == target.len();
-        let psnr_box = if same { capped(psnr(&rendered.rgb(), &truth)) } else { f64::NAN };
+        // Each block drops its pictures: few are in memory at once.
+        let psnr_box = {
+            let truth = set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
+            // The photographs of a multi-scale set may be smaller or larger than blocks of the finest ones.
+            if truth.len() == target.len() { capped(psnr(&rendered.rgb(), &truth)) } else { f64::NAN }
+        };
+        let psnr_opposite = {
+            let moved = rendered.moved(background, other).shown(other, exponent).rgb();
+            capped(psnr(&moved, &set.composited(view, other)))
+        };
         let rendered = rendered.shown(background, exponent);
-        let rgb = rendered.rgb();
+        let (psnr, psnr_8bit, ssim) = {
+            let rgb = rendered.rgb();
+            let ssim = ssim(&rgb, &target, rendered.width as usize, rendered.height as usize);
+            (capped(psnr(&rgb, &target)), capped(psnr_8bit(&rgb, &target)), ssim)
+        };
         let quality = ViewQuality {
             index,
             scale: factor,
-            psnr: capped(psnr(&rgb, &target)),
-            psnr_8bit: capped(psnr_8bit(&rgb, &target)),
-            psnr_opposite: capped(psnr(&moved.rgb(), &set.composited(view, other))),
+            psnr,
+            psnr_8bit,
+            psnr_opposite,
             psnr_plain: plain,
             psnr_box,
             psnr_constant: capped(psnr_of_constant(&target)),
-            ssim: ssim(&rgb, &target, rendered.width as usize, rendered.height as usize),
+            ssim,
         };
         let result = ViewResult {
             index,

@@ -30,6 +30,6 @@ mod watch;
 mod write;
 
 pub use describe::inspect;
-pub use scene::{Scene, open, open_watched};
+pub use scene::{Scene, TestSet, open, open_test, open_watched};
 pub use watch::{Watch, unwatched};
 pub use write::{Summary, write_builtin, write_multiscale};

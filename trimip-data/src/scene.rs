@@ -9,7 +9,7 @@ use crate::{
 };
 use std::path::Path;
 use trimip_core::{
-    Error, Frames, Result, ViewSet,
+    Camera, Error, Frames, Result, ViewSet,
     config::{Convention, DataConfig, Format},
     scene_plan::StatedBox,
 };
@@ -28,6 +28,18 @@ pub struct Scene {
     pub warnings: Vec<String>,
     /// A description in a few lines: layout, views, sizes, scales, memory.
     pub description: Vec<String>,
+}
+
+/// The test frames of a scene, without its training views.
+pub struct TestSet {
+    /// Name of the folder, or "builtin".
+    pub name: String,
+    /// Test frames, each a set with one view per scale, decoded or rendered on request.
+    pub frames: Box<dyn Frames>,
+    /// Cameras of the training views at their finest scale.
+    pub train: Vec<Camera>,
+    /// Warnings about the data, to be shown beside every result.
+    pub warnings: Vec<String>,
 }
 
 impl std::fmt::Debug for Scene {
@@ -55,11 +67,31 @@ pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
     Ok(Scene {
         name: survey.name,
         train,
-        test: Box::new(FrameList { sources: survey.test, convention: config.convention }),
+        test: frames(survey.test, config),
         stated: survey.stated,
         warnings: survey.warnings,
         description,
     })
+}
+
+/// Opens the test frames of the scene that the settings name. Reads every camera and image header as [`open`] does, but
+/// decodes no training image, which saves time and memory.
+///
+/// # Errors
+/// As [`open`]; of kind `Input` if there is no test frame.
+pub fn open_test(config: &DataConfig) -> Result<TestSet> {
+    let Survey { name, train, test, warnings, .. } = Survey::new(config)?;
+    if test.is_empty() {
+        let named = format!("data.test = \"{}\"", config.test);
+        return Err(Error::input(named, "the test split holds no view", "name another data.test"));
+    }
+    let train = train.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect();
+    Ok(TestSet { name, frames: frames(test, config), train, warnings })
+}
+
+/// Frames that are decoded or rendered on request.
+fn frames(sources: Vec<Source>, config: &DataConfig) -> Box<dyn Frames> {
+    Box::new(FrameList { sources, convention: config.convention })
 }
 
 /// Reads a split by name.

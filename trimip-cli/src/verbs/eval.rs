@@ -3,7 +3,7 @@
 use crate::{
     args::EvalArguments,
     interrupt,
-    progress::{bar, open, table},
+    progress::{bar, table},
     terminal,
 };
 use indicatif::ProgressBar;
@@ -24,7 +24,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         run_folder::create_writable(if parent.as_os_str().is_empty() { ".".as_ref() } else { parent })?;
     }
     let stop = interrupt::install()?;
-    let scene = open(&config.data)?;
+    let scene = trimip_data::open_test(&config.data)?;
     for warning in &scene.warnings {
         terminal::note(format!("warning: {warning}"));
     }
@@ -33,16 +33,9 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
 
     let stride = arguments.stride as usize;
-    if scene.test.is_empty() {
-        return Err(Error::input(
-            &config.data.test,
-            "the test split holds no view",
-            "name another data.test",
-        ));
-    }
     let bar = bar("{bar:20} {percent:>3} %  {wide_msg}", 1000);
     let mut watch = OnBar { bar: &bar, stop: &stop };
-    let measured = evaluate(session.as_mut(), scene.test.as_ref(), &config.data, stride, &mut watch)?;
+    let measured = evaluate(session.as_mut(), scene.frames.as_ref(), &config.data, stride, &mut watch)?;
     bar.finish_and_clear();
     let Some(measured) = measured else { return Ok(interrupt::EXIT_CODE) };
 

@@ -125,23 +125,23 @@ pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
 
 /// Cameras of test views at full size; view 0 if `views` is empty.
 fn test_views(config: &Config, views: &[usize]) -> Result<Vec<Named>> {
-    let scene = trimip_data::open(&config.data)?;
+    let frames = trimip_data::open_test(&config.data)?.frames;
     let views = if views.is_empty() { &[0] } else { views };
     views
         .iter()
         .map(|&index| {
-            if index >= scene.test.len() {
+            if index >= frames.len() {
                 return Err(Error::input(
                     format!("--views {index}"),
                     format!(
                         "the test split holds {} view{}",
-                        scene.test.len(),
-                        if scene.test.len() == 1 { "" } else { "s" }
+                        frames.len(),
+                        if frames.len() == 1 { "" } else { "s" }
                     ),
-                    format!("name views from 0 to {}", scene.test.len().saturating_sub(1)),
+                    format!("name views from 0 to {}", frames.len().saturating_sub(1)),
                 ));
             }
-            let set = scene.test.load(index)?;
+            let set = frames.load(index)?;
             let view = set.views.first().ok_or_else(|| {
                 Error::input(format!("--views {index}"), "the view is empty", "choose another view")
             })?;

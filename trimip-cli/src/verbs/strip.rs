@@ -111,7 +111,7 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
     let Some(index) = render::test_view(arguments) else {
         return Ok(None);
     };
-    let set = trimip_data::open(&config.data)?.test.load(index)?;
+    let set = trimip_data::open_test(&config.data)?.frames.load(index)?;
     Ok(set.views.first().map(|view| {
         let k = view.camera.intrinsics;
         Picture { width: k.width, height: k.height, rgb: set.composited(0, background) }

@@ -52,20 +52,17 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let mut model = run_folder::read_model(path)?;
     settings::override_model(&mut model, &arguments.settings.set)?;
     backends::check(&model.config.backend)?;
-    let scene = trimip_data::open(&model.config.data)?;
-    if scene.test.is_empty() {
-        return Err(Error::input("data.test", "the test split holds no view", "name another data.test"));
-    }
+    let scene = trimip_data::open_test(&model.config.data)?;
     let division = Division::new(&model.config);
-    let stride = scene.test.len().div_ceil(arguments.views as usize).max(1);
-    let indices: Vec<usize> = (0..scene.test.len()).step_by(stride).collect();
-    let sides = sides(&division, &scene.test.load(0)?);
+    let stride = scene.frames.len().div_ceil(arguments.views as usize).max(1);
+    let indices: Vec<usize> = (0..scene.frames.len()).step_by(stride).collect();
+    let sides = sides(&division, &scene.frames.load(0)?);
     let mut sessions = sides.iter().map(|&side| load(&model, side)).collect::<Result<Vec<_>>>()?;
     let bar = spinner();
     let (mut rows, mut converged_errors): (Vec<Row>, Vec<f64>) = (Vec::new(), Vec::new());
     let share = 1.0 / indices.len() as f64;
     for &index in &indices {
-        let set = scene.test.load(index)?;
+        let set = scene.frames.load(index)?;
         let views = set.scales.iter().flat_map(|scale| scale.views.clone().map(|view| (scale.factor, view)));
         for (at, (factor, view)) in views.enumerate() {
             let camera = &set.views[view].camera;
@@ -104,7 +101,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     terminal::prose(format!(
         "{} of {} views, {}; converged: the average of {} cones; {}",
         indices.len(),
-        scene.test.len(),
+        scene.frames.len(),
         scene.name,
         sides[sides.len() - 1].pow(2),
         Machine::detect().cpu

@@ -160,11 +160,8 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
 
 /// Test view 0 at the requested size.
 fn camera(model: &Model, arguments: &BenchArguments) -> Result<Camera> {
-    let scene = trimip_data::open(&model.config.data)?;
-    if scene.test.is_empty() {
-        return Err(Error::input("data.test", "the test split holds no view", "name another data.test"));
-    }
-    let set = scene.test.load(0)?;
+    let frames = trimip_data::open_test(&model.config.data)?.frames;
+    let set = frames.load(0)?;
     let mut camera = set.views[0].camera;
     let scale = f64::from(arguments.width) / f64::from(camera.intrinsics.width);
     let height = ((f64::from(camera.intrinsics.height) * scale).round() as u32).max(1);
