@@ -194,7 +194,8 @@ pub fn evaluate_frame(
         let plain = capped(psnr(&rendered.rgb(), &target));
         // Each block drops its pictures: few are in memory at once.
         let psnr_box = {
-            let truth = set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
+            let truth =
+                set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
             // The photographs of a multi-scale set may be smaller or larger than blocks of the finest ones.
             if truth.len() == target.len() { capped(psnr(&rendered.rgb(), &truth)) } else { f64::NAN }
         };

@@ -43,6 +43,7 @@ pub mod metrics;
 pub mod model;
 pub mod occupancy;
 pub mod params;
+mod query;
 pub mod rng;
 pub mod run;
 pub mod scalar;
@@ -68,6 +69,7 @@ pub use defaults::{DEFAULTS, DocumentedSection, DocumentedSetting, documented, s
 pub use error::{Error, ErrorKind, Result};
 pub use frame::{Frame, Pixel};
 pub use params::Layout;
+pub use query::Query;
 pub use session::{Session, StepReport, Viewer};
 pub use settings::{Origin, Settings};
 pub use slot::Slot;

@@ -1,9 +1,10 @@
 //! A model on a device, ready to render. It is written once over the traits, for every backend, and is a [`Viewer`].
 
 use crate::{
-    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Pixel, Renderer, Result, ViewSet, Viewer,
+    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Pixel, Query, Renderer, Result, ViewSet,
+    Viewer,
     backend::{Occupancy, Sampler, Stages},
-    batch::Workspace,
+    batch::{Radiance, Workspace},
     model::{Assets, Model, OCCUPANCY, assets},
     tensors::{Tensor, TensorFile},
 };
@@ -283,5 +284,9 @@ impl<B: Backend> Viewer for LoadedModel<B> {
         watch: &mut dyn FnMut(u32, u32) -> bool,
     ) -> Result<Option<Frame>> {
         self.render_view(camera, watch)
+    }
+
+    fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
+        self.evaluate(queries)
     }
 }

@@ -1,7 +1,9 @@
 //! The two traits through which a program uses a backend that it picks by name: [`Viewer`] renders, [`Session`] also
 //! trains.
 
-use crate::{Camera, Frame, Result, checkpoint::Checkpoint, events::Totals, model::Model};
+use crate::{
+    Camera, Frame, Query, Result, batch::Radiance, checkpoint::Checkpoint, events::Totals, model::Model,
+};
 
 /// Report on one training step. A device that runs ahead reports the latest step that it has finished.
 #[derive(Clone, Copy, Debug, Default)]
@@ -48,6 +50,13 @@ pub trait Viewer: Send {
         camera: &Camera,
         watch: &mut dyn FnMut(u32, u32) -> bool,
     ) -> Result<Option<Frame>>;
+
+    /// Evaluates density and colour at places of the world, one result each, also where the occupancy grid is empty and
+    /// nothing is rendered.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>>;
 }
 
 /// A model in training on some backend; it also renders.

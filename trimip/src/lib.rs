@@ -35,6 +35,7 @@
 
 pub mod backends;
 pub mod machine;
+pub mod mesh;
 pub mod report;
 pub mod run;
 pub mod settings;

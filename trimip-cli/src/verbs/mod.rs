@@ -7,6 +7,7 @@ mod config;
 mod data;
 mod doctor;
 mod eval;
+mod export;
 mod plan;
 mod render;
 mod strip;
@@ -35,6 +36,7 @@ pub fn run(arguments: Arguments) -> Result<u8> {
         Some(Verb::Train(train)) => train::run(&train),
         Some(Verb::Plan(plan)) => plan::run(&plan),
         Some(Verb::Eval(eval)) => eval::run(&eval),
+        Some(Verb::Export(export)) => export::run(&export),
         Some(Verb::Render(render)) => render::run(&render),
         Some(Verb::Data(data)) => data::run(&data),
         Some(Verb::Config(config)) => config::run(&config),

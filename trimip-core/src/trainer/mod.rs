@@ -6,8 +6,8 @@ mod step;
 mod sums;
 
 use crate::{
-    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Result, Session, StepReport, ViewSet,
-    Viewer,
+    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, StepReport,
+    ViewSet, Viewer,
     backend::{Occupancy, Optimizer, Sampler},
     batch::{Deposit, Radiance, StepSums},
     checkpoint::{Checkpoint, TrainState},
@@ -177,6 +177,10 @@ impl<B: Backend> Viewer for Trainer<B> {
         watch: &mut dyn FnMut(u32, u32) -> bool,
     ) -> Result<Option<Frame>> {
         self.loaded.render_watched(camera, watch)
+    }
+
+    fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
+        self.loaded.query(queries)
     }
 }
 

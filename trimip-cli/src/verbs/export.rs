@@ -1,0 +1,123 @@
+//! `export`: writes a model as something that other programs read.
+
+use crate::{
+    args::{ExportArguments, ExportWhat, MeshArguments},
+    interrupt,
+    progress::bar,
+    terminal,
+};
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+use trimip::mesh::{self, Extracted, Extraction, Goal, MeshFormat};
+use trimip::{Result, backends, run::folder as run_folder, settings};
+
+/// Steps of the bar.
+const BAR: u64 = 1000;
+
+/// Exports what the arguments name.
+pub fn run(arguments: &ExportArguments) -> Result<u8> {
+    match &arguments.what {
+        ExportWhat::Mesh(arguments) => export_mesh(arguments),
+    }
+}
+
+/// Writes the surface of a model as a triangle mesh.
+fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
+    let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
+    MeshFormat::of(&out)?;
+    let mut model = run_folder::read_model(&arguments.model)?;
+    settings::override_model(&mut model, &arguments.set)?;
+    backends::check(&model.config.backend)?;
+    // Opened first: a missing data set is told before the work, not after it.
+    let data = match trimip_data::open_test(&model.config.data) {
+        Ok(data) => Some(data),
+        Err(error) if arguments.silhouettes.is_some() => return Err(error),
+        Err(_) => {
+            terminal::aside(
+                "the data set is not there: what no photograph shows is told from what nobody sees at all",
+            );
+            None
+        }
+    };
+    let cameras = data.as_ref().map_or(&[][..], |data| &data.train);
+    if let Some(folder) = out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        run_folder::create_writable(folder)?;
+    }
+    let stop = interrupt::install()?;
+    let mut viewer = backends::load(&model)?;
+    backends::software_remark(&model.config)
+        .iter()
+        .for_each(|remark| terminal::note(format!("warning: {remark}")));
+
+    let what = Extraction {
+        resolution: arguments.resolution,
+        level: arguments.level,
+        specks: arguments.specks,
+        goal: match (arguments.error, arguments.triangles) {
+            (Some(error), _) => Goal::Error(error),
+            (None, 0) => Goal::Everything,
+            (None, count) => Goal::Triangles(count),
+        },
+        colors: !arguments.no_colors,
+    };
+    let started = Instant::now();
+    let bar = bar("{bar:30} {percent:>3} %  {eta} left", BAR);
+    let extracted = mesh::extract(viewer.as_mut(), &model, &what, cameras, &mut |share| {
+        bar.set_position((share * BAR as f64) as u64);
+        !stop.load(Ordering::Relaxed)
+    })?;
+    bar.finish_and_clear();
+    let Some(extracted) = extracted else { return Ok(interrupt::EXIT_CODE) };
+    let seconds = started.elapsed().as_secs_f64();
+    let bytes = mesh::write(&extracted.mesh, &out)?;
+    describe(&extracted, seconds).iter().for_each(terminal::prose);
+    if let (Some(stride), Some(data)) = (arguments.silhouettes, &data) {
+        terminal::prose(match mesh::overlap(&extracted.mesh, data.frames.as_ref(), stride as usize)? {
+            Some(found) => format!(
+                "silhouettes: intersection over union with the masks of {}: mean {:.4}, least {:.4}",
+                terminal::many(found.views as u64, "test view"),
+                found.mean,
+                found.least
+            ),
+            None => "silhouettes: no test photograph has a mask to compare with".into(),
+        });
+    }
+    terminal::line(format!("{}: {}", out.display(), terminal::bytes(bytes)));
+    Ok(0)
+}
+
+/// `mesh.ply` in the run folder, or beside the model file.
+fn beside(model: &std::path::Path) -> PathBuf {
+    let folder = if model.is_dir() { model } else { model.parent().unwrap_or("".as_ref()) };
+    folder.join("mesh.ply")
+}
+
+/// What was extracted, and how.
+fn describe(extracted: &Extracted, seconds: f64) -> Vec<String> {
+    let Extracted { mesh, level, spacing, removed, triangles } = extracted;
+    let defects = mesh.defects();
+    let sound = match defects == mesh::Defects::default() {
+        true => "closed and manifold".to_string(),
+        false => format!(
+            "not closed or not manifold: {} open, {} crowded and {} twisted edges, {} collapsed triangles",
+            defects.open, defects.crowded, defects.twisted, defects.collapsed
+        ),
+    };
+    vec![
+        format!(
+            "surface: density {level:.4} per unit on cells {spacing:.5} units wide; {}, {} removed",
+            terminal::many(removed.specks as u64, "speck"),
+            match removed.cavities {
+                1 => "1 cavity".to_string(),
+                count => format!("{count} cavities"),
+            },
+        ),
+        format!(
+            "mesh: {} triangles of {triangles}, {} vertices, volume {:.5} cubic units, {sound}; {seconds:.1} s",
+            mesh.triangles.len(),
+            mesh.positions.len(),
+            mesh.volume()
+        ),
+    ]
+}

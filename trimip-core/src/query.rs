@@ -1,0 +1,93 @@
+//! Density and colour of a model at places of the world, without a picture: what a mesh or a volume is made of.
+
+use crate::{
+    Backend, Encoder, Field, Result, Space,
+    batch::{Interval, Radiance, Ray, Samples, Sphere},
+    loaded::LoadedModel,
+};
+
+/// Places per span.
+const PLACES_PER_SPAN: u32 = 512;
+
+/// Places whose results are on the device at once.
+const PLACES_AT_ONCE: usize = 1 << 18;
+
+/// A place at which the field is evaluated: a sphere, and the direction in which it is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Query {
+    /// Centre, world units.
+    pub point: [f64; 3],
+    /// Radius, world units.
+    pub radius: f32,
+    /// Unit vector from the eye to the centre.
+    pub direction: [f32; 3],
+}
+
+/// The three parts of a sample.
+type Parts = (Vec<Ray>, Vec<Interval>, Vec<Sphere>);
+
+/// Queries as samples, each on a ray of its own that starts one `reach` before it.
+fn parts(queries: &[Query], space: &Space<f32>, centre: [f64; 3]) -> Parts {
+    let reach = space.aabb().longest();
+    let mut parts = (Vec::new(), Vec::new(), Vec::new());
+    for Query { point, radius, direction } in queries {
+        let point: [f32; 3] = std::array::from_fn(|axis| (point[axis] - centre[axis]) as f32);
+        let origin = std::array::from_fn(|axis| point[axis] - reach * direction[axis]);
+        parts.0.push(Ray { origin, slope: radius / reach, direction: *direction, cosine: 1.0 });
+        parts.1.push(Interval { t: reach, length: 2.0 * radius });
+        parts.2.push(Sphere { position: space.to_cube(point), radius: radius * space.scale(point) });
+    }
+    parts
+}
+
+impl<B: Backend> LoadedModel<B> {
+    /// As [`Viewer::query`](crate::Viewer::query).
+    pub(crate) fn evaluate(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
+        let (centred, centre) = self.config.centred();
+        let space = Space::<f32>::new(&centred.scene);
+        let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
+        let mut out = backend.zeros::<Radiance>(0);
+        let mut all = Vec::with_capacity(queries.len());
+        for queries in queries.chunks(PLACES_AT_ONCE) {
+            let (rays, intervals, spheres) = parts(queries, &space, centre.to_array());
+            backend.install(|| {
+                backend.map_spans(
+                    &stages.field,
+                    queries.len() as u32,
+                    PLACES_PER_SPAN,
+                    &mut out,
+                    &|work, span| {
+                        let own = span.start as usize..span.end as usize;
+                        // A device writes buffers before the work that is recorded but not submitted.
+                        backend.submit();
+                        work.rays.place(backend, &rays[own.clone()]);
+                        work.samples.place(backend, &intervals[own.clone()], &spheres[own]);
+                        let (lane, rays, samples) = (&mut work.lane, &work.rays, &work.samples);
+                        let (tape, radiance) = (&mut work.tape, &mut work.radiance);
+                        let (encoding, features) = (&mut work.encoding, &mut work.features);
+                        stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
+                        stages.field.density(lane, samples, features, tape, radiance);
+                        stages.field.color(lane, rays, samples, tape, radiance);
+                    },
+                    &|work| &work.radiance,
+                );
+            });
+            all.extend(backend.read(&out));
+            backend.health()?;
+        }
+        Ok(all)
+    }
+}
+
+impl<B: Backend> Samples<B> {
+    /// Replaces all samples, one per ray.
+    pub fn place(&mut self, backend: &B, intervals: &[Interval], spheres: &[Sphere]) {
+        let count = spheres.len() as u32;
+        let segment = |start| crate::batch::Segment { start, count: 1 };
+        backend.write(&mut self.segments, &(0..count).map(segment).collect::<Vec<_>>());
+        backend.write(&mut self.rays, &(0..count).collect::<Vec<_>>());
+        backend.write(&mut self.intervals, intervals);
+        backend.write(&mut self.spheres, spheres);
+        backend.write(&mut self.counts, &[[count; 2]]);
+    }
+}

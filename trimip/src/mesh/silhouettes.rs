@@ -1,0 +1,160 @@
+//! Silhouettes of a mesh from cameras, and how well they fit the photographs' masks.
+
+use super::Mesh;
+use glam::DVec3;
+use trimip_core::{Camera, Frames, Result};
+
+/// Nearest distance along the optical axis that is drawn, as a share of the distance of the vertex farthest away.
+const NEAR: f64 = 1e-4;
+
+/// Distance along the optical axis of the nearest triangle at the centre of each pixel, row by row, world units;
+/// infinite where there is none. Both sides of a triangle are drawn. A pixel centre on the edge of two triangles
+/// belongs to both.
+pub fn rasterise(mesh: &Mesh, camera: &Camera) -> Vec<f32> {
+    let k = camera.intrinsics;
+    let (width, height) = (k.width as usize, k.height as usize);
+    let mut depths = vec![f32::INFINITY; width * height];
+    let to_camera = camera.rotation.transpose();
+    let seen: Vec<DVec3> = mesh
+        .positions
+        .iter()
+        .map(|&p| {
+            let [x, y, z] = (to_camera * (DVec3::from_array(p.map(f64::from)) - camera.origin)).to_array();
+            DVec3::new(x, y, -z)
+        })
+        .collect();
+    let near = NEAR * seen.iter().map(|p| p.z).fold(0.0, f64::max);
+    for triangle in &mesh.triangles {
+        let corners = triangle.map(|vertex| seen[vertex as usize]);
+        let mut ring = Vec::with_capacity(4);
+        for (i, &from) in corners.iter().enumerate() {
+            let to = corners[(i + 1) % 3];
+            if from.z >= near {
+                ring.push(from);
+            }
+            if (from.z >= near) != (to.z >= near) {
+                ring.push(from + (to - from) * ((near - from.z) / (to.z - from.z)));
+            }
+        }
+        // Position in pixels, and the reciprocal of the distance, which is linear in the picture.
+        let drawn: Vec<[f64; 3]> =
+            ring.iter().map(|p| [k.cx + k.fx * p.x / p.z, k.cy - k.fy * p.y / p.z, p.z.recip()]).collect();
+        for i in 2..drawn.len() {
+            draw([drawn[0], drawn[i - 1], drawn[i]], width, height, &mut depths);
+        }
+    }
+    depths
+}
+
+/// Draws one triangle of (column, row, 1 / distance).
+fn draw(corners: [[f64; 3]; 3], width: usize, height: usize, depths: &mut [f32]) {
+    let cross =
+        |a: [f64; 3], b: [f64; 3], x: f64, y: f64| (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]);
+    let [a, b, c] = corners;
+    let area = cross(a, b, c[0], c[1]);
+    if !(area.abs() > 0.0) {
+        return;
+    }
+    // Pixel centres between the least and the greatest coordinate.
+    let span = |axis: usize, most: usize| {
+        let values = corners.map(|corner| corner[axis] - 0.5);
+        let low = values.into_iter().fold(f64::INFINITY, f64::min).ceil().max(0.0);
+        let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max).floor().min(most as f64 - 1.0);
+        if low <= high { low as usize..high as usize + 1 } else { 0..0 }
+    };
+    let columns = span(0, width);
+    for row in span(1, height) {
+        for column in columns.clone() {
+            let (x, y) = (column as f64 + 0.5, row as f64 + 0.5);
+            let weights = [cross(b, c, x, y), cross(c, a, x, y), cross(a, b, x, y)].map(|w| w / area);
+            if weights.iter().all(|&w| w >= 0.0) {
+                let reciprocal: f64 = weights.iter().zip(&corners).map(|(w, corner)| w * corner[2]).sum();
+                let depth = &mut depths[row * width + column];
+                *depth = depth.min(reciprocal.recip() as f32);
+            }
+        }
+    }
+}
+
+/// How well silhouettes fit masks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Overlap {
+    /// Views compared.
+    pub views: usize,
+    /// Mean over the views of |both| / |either|.
+    pub mean: f64,
+    /// The least of any view.
+    pub least: f64,
+}
+
+/// Compares the silhouettes of a mesh with the masks of every `stride`-th frame: the intersection over the union of the
+/// pixels that the mesh covers and those whose alpha is at least a half. `None` if no photograph has both opaque and
+/// transparent pixels.
+///
+/// # Errors
+/// When a photograph cannot be read.
+pub fn overlap(mesh: &Mesh, frames: &dyn Frames, stride: usize) -> Result<Option<Overlap>> {
+    let mut shares = Vec::new();
+    for index in (0..frames.len()).step_by(stride.max(1)) {
+        let set = frames.load(index)?;
+        let Some(view) = set.views.first() else { continue };
+        let camera = &view.camera;
+        let count = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
+        let mask: Vec<bool> =
+            set.pixels[view.offset..][..count].iter().map(|pixel| pixel[3] >= 128).collect();
+        if mask.iter().all(|&inside| inside) || !mask.contains(&true) {
+            continue;
+        }
+        let covered = rasterise(mesh, camera);
+        let count = |pick: fn(bool, bool) -> bool| {
+            covered.iter().zip(&mask).filter(|&(depth, &inside)| pick(depth.is_finite(), inside)).count()
+                as f64
+        };
+        shares.push(count(|a, b| a && b) / count(|a, b| a || b));
+    }
+    let least = shares.iter().copied().fold(f64::INFINITY, f64::min);
+    let mean = shares.iter().sum::<f64>() / shares.len() as f64;
+    Ok((!shares.is_empty()).then_some(Overlap { views: shares.len(), mean, least }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::tests::cube;
+    use trimip_core::Intrinsics;
+
+    #[test]
+    fn a_cube_seen_from_the_front_is_a_square_at_its_distance() {
+        // The face y = 0 of the unit cube, two units before the camera: 100 / 2 pixels wide.
+        let k = Intrinsics { width: 80, height: 70, fx: 100.0, fy: 100.0, cx: 40.0, cy: 35.0 };
+        let eye = DVec3::new(0.5, -2.0, 0.5);
+        let camera = Camera::look_at(k, eye, DVec3::splat(0.5), DVec3::Z);
+        let depths = rasterise(&cube(), &camera);
+        for (i, depth) in depths.iter().enumerate() {
+            let (x, y) = ((i % 80) as f64 + 0.5, (i / 80) as f64 + 0.5);
+            let inside = (x - 40.0).abs() < 25.0 && (y - 35.0).abs() < 25.0;
+            assert_eq!(depth.is_finite(), inside, "{x}, {y}");
+            assert!(!inside || (depth - 2.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_slanted_triangle_has_the_distance_of_its_plane_even_where_it_passes_the_eye() {
+        // The plane z = -1 below the camera, of which one corner lies behind it.
+        let positions = vec![[-50.0, -50.0, -1.0], [50.0, -50.0, -1.0], [0.0, 100.0, -1.0]];
+        let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
+        let k = Intrinsics { width: 20, height: 20, fx: 20.0, fy: 20.0, cx: 10.0, cy: 10.0 };
+        let camera = Camera::look_at(k, DVec3::ZERO, DVec3::Y, DVec3::Z);
+        let depths = rasterise(&mesh, &camera);
+        for (i, &depth) in depths.iter().enumerate() {
+            let row = (i / 20) as f64 + 0.5;
+            // A row below the middle sees the plane at the distance f / (row - cy).
+            let expected = 20.0 / (row - 10.0);
+            let seen = row > 10.0 && expected < 50.0;
+            assert!(
+                if seen { (f64::from(depth) / expected - 1.0).abs() < 1e-6 } else { depth.is_infinite() },
+                "{row}: {depth}"
+            );
+        }
+    }
+}

@@ -1,0 +1,192 @@
+//! Mesh files: PLY (binary), OBJ and GLB (binary glTF 2.0), with normals and vertex colours where the mesh has them.
+//! Positions keep the units and axes of the scene; glTF calls its y axis up, which no axis of a scene need be.
+
+use super::Mesh;
+use serde_json::json;
+use std::path::Path;
+use trimip_core::{Error, Result, tensors::write_atomically};
+
+/// A format of mesh files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MeshFormat {
+    /// Stanford PLY, binary little-endian; colours in 8 bits.
+    Ply,
+    /// Wavefront OBJ; colours as three more numbers of a vertex.
+    Obj,
+    /// Binary glTF 2.0; colours linear, as the format demands.
+    Glb,
+}
+
+impl MeshFormat {
+    /// The format of a file name's extension.
+    ///
+    /// # Errors
+    /// When it is none of the three.
+    pub fn of(path: &Path) -> Result<Self> {
+        match path.extension().map(|end| end.to_string_lossy().to_lowercase()).as_deref() {
+            Some("ply") => Ok(Self::Ply),
+            Some("obj") => Ok(Self::Obj),
+            Some("glb") => Ok(Self::Glb),
+            _ => Err(Error::input(path.display(), "names no mesh format", "end it in .ply, .obj or .glb")),
+        }
+    }
+}
+
+/// Writes a mesh in the format that its name states, atomically; returns the size of the file in bytes.
+///
+/// # Errors
+/// When the name states no format, the mesh is empty, or the file cannot be written.
+pub fn write(mesh: &Mesh, path: &Path) -> Result<u64> {
+    let bytes = match MeshFormat::of(path)? {
+        MeshFormat::Ply => ply(mesh),
+        MeshFormat::Obj => obj(mesh).into_bytes(),
+        MeshFormat::Glb => glb(mesh)?,
+    };
+    write_atomically(path, &bytes)?;
+    Ok(bytes.len() as u64)
+}
+
+/// A colour in 8 bits.
+fn eight_bits(color: [f32; 3]) -> [u8; 3] {
+    color.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
+}
+
+fn ply(mesh: &Mesh) -> Vec<u8> {
+    let mut header =
+        format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.positions.len());
+    let mut properties = |kind: &str, names: &[&str]| {
+        names.iter().for_each(|name| header += &format!("property {kind} {name}\n"));
+    };
+    properties("float", &["x", "y", "z"]);
+    if !mesh.normals.is_empty() {
+        properties("float", &["nx", "ny", "nz"]);
+    }
+    if !mesh.colors.is_empty() {
+        properties("uchar", &["red", "green", "blue"]);
+    }
+    header += &format!(
+        "element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+        mesh.triangles.len()
+    );
+    let mut bytes = header.into_bytes();
+    for (i, position) in mesh.positions.iter().enumerate() {
+        bytes.extend(bytemuck_of(position));
+        bytes.extend(mesh.normals.get(i).into_iter().flat_map(bytemuck_of));
+        bytes.extend(mesh.colors.get(i).into_iter().flat_map(|&color| eight_bits(color)));
+    }
+    for triangle in &mesh.triangles {
+        bytes.push(3);
+        bytes.extend(triangle.iter().flat_map(|vertex| vertex.to_le_bytes()));
+    }
+    bytes
+}
+
+/// The bytes of three floats, little-endian.
+fn bytemuck_of(values: &[f32; 3]) -> impl Iterator<Item = u8> + use<> {
+    values.map(f32::to_le_bytes).into_iter().flatten()
+}
+
+fn obj(mesh: &Mesh) -> String {
+    use std::fmt::Write as _;
+    let mut text = String::new();
+    for (i, [x, y, z]) in mesh.positions.iter().enumerate() {
+        // Writing to a string does not fail.
+        let _ = match mesh.colors.get(i) {
+            Some([r, g, b]) => writeln!(text, "v {x} {y} {z} {r} {g} {b}"),
+            None => writeln!(text, "v {x} {y} {z}"),
+        };
+    }
+    for [x, y, z] in &mesh.normals {
+        let _ = writeln!(text, "vn {x} {y} {z}");
+    }
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| vertex + 1);
+        let _ = match mesh.normals.is_empty() {
+            true => writeln!(text, "f {a} {b} {c}"),
+            false => writeln!(text, "f {a}//{a} {b}//{b} {c}//{c}"),
+        };
+    }
+    text
+}
+
+/// Component types and targets of glTF 2.0.
+const FLOAT: u32 = 5126;
+const UNSIGNED_INT: u32 = 5125;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+
+/// Magic words of the GLB container.
+const GLB: u32 = 0x4654_6c67;
+const JSON: u32 = 0x4e4f_534a;
+const BIN: u32 = 0x004e_4942;
+
+fn glb(mesh: &Mesh) -> Result<Vec<u8>> {
+    let Some([low, high]) = mesh.bounds().filter(|_| !mesh.triangles.is_empty()) else {
+        return Err(Error::run("a mesh without triangles cannot be written as glTF"));
+    };
+    let mut data: Vec<u8> = Vec::new();
+    let (mut views, mut accessors) = (Vec::new(), Vec::new());
+    let mut add = |bytes: Vec<u8>, target: u32, mut accessor: serde_json::Value| {
+        accessor["bufferView"] = views.len().into();
+        views.push(
+            json!({ "buffer": 0, "byteOffset": data.len(), "byteLength": bytes.len(), "target": target }),
+        );
+        data.extend(bytes);
+        accessors.push(accessor);
+        accessors.len() - 1
+    };
+    let count = mesh.positions.len();
+    let floats = |list: &[[f32; 3]]| list.iter().flat_map(bytemuck_of).collect::<Vec<u8>>();
+    let vectors = json!({ "componentType": FLOAT, "count": count, "type": "VEC3" });
+    let mut positions = vectors.clone();
+    (positions["min"], positions["max"]) = (json!(low), json!(high));
+    let mut attributes = json!({ "POSITION": add(floats(&mesh.positions), ARRAY_BUFFER, positions) });
+    if !mesh.normals.is_empty() {
+        attributes["NORMAL"] = add(floats(&mesh.normals), ARRAY_BUFFER, vectors.clone()).into();
+    }
+    if !mesh.colors.is_empty() {
+        let linear: Vec<[f32; 3]> = mesh.colors.iter().map(|color| color.map(linear)).collect();
+        attributes["COLOR_0"] = add(floats(&linear), ARRAY_BUFFER, vectors).into();
+    }
+    let indices: Vec<u8> = mesh.triangles.iter().flatten().flat_map(|vertex| vertex.to_le_bytes()).collect();
+    let scalars =
+        json!({ "componentType": UNSIGNED_INT, "count": 3 * mesh.triangles.len(), "type": "SCALAR" });
+    let indices = add(indices, ELEMENT_ARRAY_BUFFER, scalars);
+    let root = json!({
+        "asset": { "version": "2.0", "generator": format!("trimip {}", env!("CARGO_PKG_VERSION")) },
+        "scene": 0,
+        "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "mesh": 0 }],
+        // Colours hold the light of the photographs: they are shown as they are.
+        "extensionsUsed": ["KHR_materials_unlit"],
+        "materials": [{
+            "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 1.0 },
+            "extensions": { "KHR_materials_unlit": {} },
+        }],
+        "meshes": [{ "primitives": [{ "attributes": attributes, "indices": indices, "material": 0 }] }],
+        "buffers": [{ "byteLength": data.len() }],
+        "bufferViews": views,
+        "accessors": accessors,
+    });
+    let mut text = serde_json::to_vec(&root).map_err(Error::run)?;
+    text.resize(text.len().next_multiple_of(4), b' ');
+    // All values have four bytes, so the data need no padding.
+    let total = 12 + 8 + text.len() + 8 + data.len();
+    let too_large = || Error::run("the mesh is larger than the 4 GiB of a GLB file; simplify it");
+    let size = |length: usize| u32::try_from(length).map_err(|_| too_large());
+    let mut bytes = Vec::with_capacity(total);
+    for word in [GLB, 2, size(total)?, size(text.len())?, JSON] {
+        bytes.extend(word.to_le_bytes());
+    }
+    bytes.extend(text);
+    for word in [size(data.len())?, BIN] {
+        bytes.extend(word.to_le_bytes());
+    }
+    bytes.extend(data);
+    Ok(bytes)
+}
+
+/// An sRGB value as linear light (IEC 61966-2-1).
+fn linear(value: f32) -> f32 {
+    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
