@@ -62,6 +62,16 @@ fn equal_cones_are_one() {
 }
 
 #[test]
+fn a_step_may_be_smaller_than_a_pixel() {
+    on_every_cpu(|make| suite::training::tiny_batches(make));
+}
+
+#[test]
+fn queries_are_the_field_of_the_world() {
+    on_every_cpu(|make| suite::probes::queries(make));
+}
+
+#[test]
 fn nothing_is_placed_outside_of_the_hull() {
     with_threads(&[1], |make| suite::probes::within_the_hull(make));
 }

@@ -2,8 +2,11 @@
 //! position.
 
 use super::Bench;
-use crate::fixtures::{lively, small};
-use trimip_core::{Backend, Layout, Result, Space, backend::Occupancy, batch::Radiance, occupancy::OUTSIDE};
+use crate::fixtures::{Draw, encoded, every_encoder, lively, noise, small};
+use trimip_core::{
+    Backend, Layout, Query, Result, Session, Space, Viewer, backend::Occupancy, batch::Radiance,
+    encoders::Place, exact::Exact, occupancy::OUTSIDE, trainer::Trainer,
+};
 
 /// Positions in the unit cube and directions in f32, after about ten roundings of 6e-8 on values up to the box's size.
 const TOLERANCE: f64 = 4e-6;
@@ -16,7 +19,7 @@ pub fn on_their_rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut config = small();
     (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
     let parameters = lively(&Layout::new(&config), 3);
-    let views = crate::fixtures::noise(1, 8, 1, 1);
+    let views = noise(1, 8, 1, 1);
     let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
     let Bench { backend, stages, space, .. } = &mut bench;
     let count = stages.occupancy.choose(1);
@@ -74,7 +77,7 @@ pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     for ([below, above], expected) in
         [([1.5, 2.5], bits_of(&|cell| inside(cell) && upper(cell))), ([0.0, 0.0], bits_of(&inside))]
     {
-        let views = crate::fixtures::noise(1, 8, 1, 1);
+        let views = noise(1, 8, 1, 1);
         let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
         let Bench { backend, stages, space, .. } = &mut bench;
         let densities: Vec<f32> =
@@ -92,6 +95,51 @@ pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         assert_eq!(stages.occupancy.bits(), expected, "{below} and {above}");
         let found = stages.occupancy.densities();
         assert!((0..SIDE.pow(3)).all(|cell| inside(cell) == (found[cell] >= 0.0)), "marks stay");
+    }
+    Ok(())
+}
+
+/// Queries of places of the world have the density and colour of the model in f64, wherever the box is, and more of them
+/// than a span holds come back in order.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn queries<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    for encoder in every_encoder() {
+        let mut config = encoded(small(), &encoder);
+        (config.scene.aabb_min, config.scene.aabb_max) = ([9.0, -1.5, -0.5], [12.0, 1.5, 0.75]);
+        let mut trainer = Trainer::new(make(), &config, noise(1, 8, 1, 1))?;
+        trainer.set_parameters(&lively(trainer.layout(), 5));
+        let exact = Exact::new(&trainer.model()?)?;
+        let (space, mut draw) = (Space::<f64>::new(&config.scene), Draw::new(8));
+        let queries: Vec<Query> = (0..1300)
+            .map(|_| Query {
+                point: std::array::from_fn(|axis| {
+                    let side = |end: [f32; 3]| f64::from(end[axis]);
+                    draw.between(side(config.scene.aabb_min), side(config.scene.aabb_max))
+                }),
+                radius: draw.between(-6.0, -1.0).exp2() as f32,
+                direction: draw.direction().as_vec3().to_array(),
+            })
+            .collect();
+        let found = trainer.query(&queries)?;
+        assert_eq!(found.len(), queries.len());
+        for (i, (query, found)) in queries.iter().zip(&found).enumerate() {
+            let radius = f64::from(query.radius);
+            let direction = query.direction.map(f64::from);
+            // A query stands for an interval as long as its sphere is wide, one side of the box away from the eye.
+            let (t, length) = (space.aabb().longest(), 2.0 * radius);
+            let place = Place { position: space.to_cube(query.point), radius, direction, t, length };
+            let (density, rgb) = exact.radiance(&exact.features(&place), direction);
+            let close =
+                |found: f32, expected: f64| (f64::from(found) - expected).abs() <= 2e-3 * expected.max(0.1);
+            assert!(
+                close(found.density, density) && (0..3).all(|c| close(found.rgb[c], rgb[c])),
+                "{:?}, query {i}: {found:?}, not {density} and {rgb:?}",
+                config.encoder.kind
+            );
+        }
+        assert!(trainer.query(&[])?.is_empty());
     }
     Ok(())
 }

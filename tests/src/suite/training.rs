@@ -335,3 +335,24 @@ pub fn empty_occupancy<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     assert!(after.samples > before.samples, "and samples are kept again");
     Ok(())
 }
+
+/// A step may ask for fewer samples than one pixel's cones have: it trains all the same.
+///
+/// # Errors
+/// When a step fails.
+pub fn tiny_batches<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut config = configuration();
+    (config.train.samples_per_step, config.renderer.cones, config.renderer.cone_width) = (256, 8, 1e-3);
+    config.train.cones = Schedule::new(vec![[0.0, 8.0]]);
+    config.train.batch_scale = Schedule::new(vec![[0.0, 0.01]]);
+    let mut trainer = Trainer::new(make(), &config, fixtures::noise(2, 16, 3, 4))?;
+    let before = trainer.parameters();
+    for step in 0..12 {
+        let report = trainer.step(f64::from(step) / 40.0)?;
+        assert!(report.loss.is_finite(), "{report:?}");
+    }
+    let state = trainer.checkpoint()?.state;
+    assert!((1..=16).contains(&state.rays_per_step), "{state:?}");
+    assert!(state.totals.samples > 0 && trainer.parameters() != before);
+    Ok(())
+}
