@@ -94,6 +94,16 @@ pub fn extract(
             "choose a positive density",
         ));
     }
+    if !(0.0..1.0).contains(&what.specks) {
+        let found = format!("specks of {} times the box", what.specks);
+        return Err(Error::input(found, "out of range", "choose 0 (keep all) to less than 1"));
+    }
+    if let Goal::Error(error) = what.goal
+        && !(error > 0.0 && error <= 1.0)
+    {
+        let found = format!("a simplification error of {error}");
+        return Err(Error::input(found, "out of range", "choose a share of the largest side, above 0 to 1"));
+    }
     let field = Occupied::new(model)?;
     let (grid, level_f32) = (around(&field.aabb, what.resolution), level as f32);
     let layers = grid.points[2];
@@ -141,6 +151,8 @@ pub fn extract(
     mesh.find_normals();
     let triangles = mesh.triangles.len();
     simplify(&mut mesh, what.goal);
+    // Simplification may press a neck together, and leave a few triangles of it.
+    clean(&mut mesh, what.specks * field.aabb.longest());
     if what.colors {
         mesh.colors = colors(viewer, &mesh, grid.spacing)?;
     }
@@ -231,4 +243,207 @@ fn colors(viewer: &mut dyn Viewer, mesh: &Mesh, spacing: f64) -> Result<Vec<[f32
         }
     }
     Ok(colors)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::Defects;
+    use std::f64::consts::PI;
+    use trimip_core::{
+        Frame,
+        batch::Radiance,
+        tensors::{Tensor, TensorFile},
+    };
+
+    /// A field whose density is e^(k·depth) of the level at a signed depth below a surface.
+    struct Analytic<F>(F);
+
+    /// Density of the surface.
+    const LEVEL: f64 = 30.0;
+
+    /// Growth of the density's logarithm per unit of depth: that of a solid surface of a trained model.
+    const GROWTH: f64 = 40.0;
+
+    impl<F: Fn([f64; 3]) -> f64 + Send> Viewer for Analytic<F> {
+        fn backend(&self) -> &str {
+            "analytic"
+        }
+        fn device_name(&self) -> String {
+            "analytic".into()
+        }
+        fn render(&mut self, _: &Camera) -> Result<Frame> {
+            Err(Error::run("renders nothing"))
+        }
+        fn render_watched(
+            &mut self,
+            _: &Camera,
+            _: &mut dyn FnMut(u32, u32) -> bool,
+        ) -> Result<Option<Frame>> {
+            Err(Error::run("renders nothing"))
+        }
+        fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
+            let one = |query: &Query| {
+                let density = LEVEL * (GROWTH * (self.0)(query.point)).exp().min(1e4);
+                // Each place has a colour of its own.
+                Radiance { density: density as f32, rgb: query.point.map(|x| (0.5 + 0.1 * x.sin()) as f32) }
+            };
+            Ok(queries.iter().map(one).collect())
+        }
+    }
+
+    /// A model of no parameters in the box around `centre` with these half sides, all of it occupied.
+    fn model(centre: [f64; 3], half: [f64; 3]) -> Model {
+        let mut config = Config::default();
+        config.scene.aabb_min = std::array::from_fn(|i| (centre[i] - half[i]) as f32);
+        config.scene.aabb_max = std::array::from_fn(|i| (centre[i] + half[i]) as f32);
+        config.occupancy.resolution = 16;
+        let mut file = TensorFile::default();
+        file.tensors.insert(OCCUPANCY.into(), Tensor::u8(&[16 * 16 * 16 / 8], vec![255; 16 * 16 * 16 / 8]));
+        Model::new(config, file)
+    }
+
+    fn surface(
+        depth: impl Fn([f64; 3]) -> f64 + Send,
+        model: &Model,
+        what: &Extraction,
+    ) -> Result<Extracted> {
+        Ok(extract(&mut Analytic(depth), model, what, &[], &mut |_| true)?.expect("not stopped"))
+    }
+
+    const CENTRE: [f64; 3] = [10.0, -20.0, 30.0];
+
+    fn from_centre(point: [f64; 3]) -> DVec3 {
+        DVec3::from_array(point) - DVec3::from_array(CENTRE)
+    }
+
+    fn places(mesh: &Mesh) -> Vec<DVec3> {
+        mesh.positions.iter().map(|position| from_centre(position.map(f64::from))).collect()
+    }
+
+    #[test]
+    fn a_torus_far_from_the_origin_has_its_place_its_size_and_its_hole() {
+        const RADII: [f64; 2] = [1.0, 0.3];
+        let beyond = |p: DVec3| (p.truncate().length() - RADII[0]).hypot(p.z) - RADII[1];
+        let model = model(CENTRE, [1.5, 1.5, 0.5]);
+        let goal = Goal::Triangles(20_000);
+        let what = Extraction { resolution: 128, level: Some(LEVEL), goal, ..Extraction::default() };
+        let found = surface(|point| -beyond(from_centre(point)), &model, &what).unwrap();
+        assert_eq!(found.mesh.defects(), Defects::default());
+        let simplified = found.mesh.triangles.len();
+        assert!((19_000..=20_100).contains(&simplified), "{simplified} of {} triangles", found.triangles);
+        let euler = found.mesh.positions.len() as i64 - found.mesh.triangles.len() as i64 / 2;
+        assert_eq!(euler, 0, "one hole");
+        // Hausdorff distance, from the mesh to the torus and back. Linear interpolation of an exponential errs by
+        // k·h/8 of a cell of width h, and a flat triangle by h²/8r; simplification adds a tenth of a cell.
+        let bound = found.spacing * (GROWTH * found.spacing / 8.0 + 0.15);
+        let places = places(&found.mesh);
+        let furthest = places.iter().map(|&p| beyond(p).abs()).fold(0.0, f64::max);
+        assert!(furthest < bound, "{furthest}, not below {bound}");
+        for (i, j) in (0..24).flat_map(|i| (0..12).map(move |j| (i, j))) {
+            let (around, across) = (f64::from(i) * PI / 12.0, f64::from(j) * PI / 6.0);
+            let ring = RADII[0] + RADII[1] * across.cos();
+            let point = DVec3::new(ring * around.cos(), ring * around.sin(), RADII[1] * across.sin());
+            let nearest = places.iter().map(|p| p.distance(point)).fold(f64::INFINITY, f64::min);
+            assert!(nearest < 3.0 * found.spacing, "{point} is {nearest} from the mesh");
+        }
+        let volume = 2.0 * PI * PI * RADII[0] * RADII[1] * RADII[1];
+        assert!((found.mesh.volume() / volume - 1.0).abs() < 0.02, "{}, not {volume}", found.mesh.volume());
+        for ((normal, place), color) in found.mesh.normals.iter().zip(&places).zip(&found.mesh.colors) {
+            let outward = *place - RADII[0] * place.truncate().normalize().extend(0.0);
+            let cosine = outward.normalize().dot(DVec3::from_array(normal.map(f64::from)));
+            assert!(cosine > 0.98, "normal {normal:?} at {place}");
+            for axis in 0..3 {
+                let own = 0.5 + 0.1 * (place[axis] + CENTRE[axis]).sin();
+                assert!((f64::from(color[axis]) - own).abs() < 0.01, "{color:?} at {place}");
+            }
+        }
+    }
+
+    #[test]
+    fn specks_go_and_voids_that_nobody_sees_are_filled() {
+        // A ball with a void, and a small ball beside it.
+        let depth = |point: [f64; 3]| {
+            let p = from_centre(point);
+            let shell = (0.8 - p.length()).min(p.length() - 0.4);
+            shell.max(0.04 - p.distance(DVec3::new(1.2, 1.2, 1.2)))
+        };
+        let model = model(CENTRE, [1.5; 3]);
+        let all = Extraction {
+            resolution: 96,
+            level: Some(LEVEL),
+            specks: 0.0,
+            goal: Goal::Everything,
+            colors: false,
+        };
+        let ball = 4.0 / 3.0 * PI * 0.8_f64.powi(3);
+        let found = surface(depth, &model, &all).unwrap();
+        assert_eq!((found.removed.specks, found.mesh.defects()), (0, Defects::default()));
+        let clean = surface(depth, &model, &Extraction { specks: 0.1, ..all }).unwrap();
+        assert_eq!((clean.removed.specks, clean.mesh.defects()), (1, Defects::default()));
+        assert!(
+            (clean.mesh.volume() / ball - 1.0).abs() < 0.02,
+            "the void is filled: {}",
+            clean.mesh.volume()
+        );
+        assert!(clean.mesh.triangles.len() < found.mesh.triangles.len() && clean.mesh.colors.is_empty());
+        assert!(places(&clean.mesh).iter().all(|p| (p.length() - 0.8).abs() < clean.spacing));
+    }
+
+    #[test]
+    fn a_surface_that_leaves_the_box_is_closed_at_it() {
+        let model = model(CENTRE, [0.5; 3]);
+        let what = Extraction { resolution: 32, level: Some(LEVEL), ..Extraction::default() };
+        let found = surface(|point| 0.1 - from_centre(point).x, &model, &what).unwrap();
+        assert_eq!(found.mesh.defects(), Defects::default());
+        let [low, high] = found.mesh.bounds().unwrap();
+        for axis in 0..3 {
+            let far = if axis == 0 { 0.1 } else { 0.5 };
+            assert!((f64::from(low[axis]) - CENTRE[axis] + 0.5).abs() <= found.spacing);
+            assert!((f64::from(high[axis]) - CENTRE[axis] - far).abs() <= found.spacing);
+        }
+    }
+
+    #[test]
+    fn simplification_by_error_keeps_the_surface_within_it() {
+        let model = model(CENTRE, [1.0; 3]);
+        let what = Extraction {
+            resolution: 64,
+            level: Some(LEVEL),
+            goal: Goal::Error(0.01),
+            ..Extraction::default()
+        };
+        let found = surface(|point| 0.7 - from_centre(point).length(), &model, &what).unwrap();
+        assert!(found.mesh.triangles.len() * 4 < found.triangles, "{} triangles", found.mesh.triangles.len());
+        let volume = 4.0 / 3.0 * PI * 0.7_f64.powi(3);
+        assert!((found.mesh.volume() / volume - 1.0).abs() < 0.06);
+        assert_eq!(found.mesh.defects(), Defects::default());
+    }
+
+    #[test]
+    fn what_cannot_be_extracted_says_why() {
+        let model = model(CENTRE, [1.0; 3]);
+        let what = Extraction { resolution: 16, level: Some(LEVEL), ..Extraction::default() };
+        let refused = |what: Extraction| surface(|_| -1.0, &model, &what).unwrap_err();
+        assert!(refused(what).message.contains("no surface of density 30"));
+        for (bad, part) in [
+            (Extraction { resolution: 4, ..what }, "8 to 2048"),
+            (Extraction { resolution: 1 << 20, ..what }, "8 to 2048"),
+            (Extraction { level: Some(f64::NAN), ..what }, "positive density"),
+            (Extraction { level: Some(0.0), ..what }, "positive density"),
+            (Extraction { specks: -0.1, ..what }, "specks"),
+            (Extraction { specks: f64::NAN, ..what }, "specks"),
+            (Extraction { goal: Goal::Error(f64::NAN), ..what }, "error"),
+        ] {
+            let error = refused(bad);
+            assert!(error.exit_code() == 2 && error.message.contains(part), "{error}");
+        }
+        let mut calls = 0;
+        let mut watch = |_| {
+            calls += 1;
+            calls < 3
+        };
+        let stopped = extract(&mut Analytic(|_| 1.0), &model, &what, &[], &mut watch).unwrap();
+        assert!(stopped.is_none() && calls == 3);
+    }
 }

@@ -61,10 +61,7 @@ pub fn visible(solid: &Bits, directions: &[[f64; 3]]) -> Bits {
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {
-                loop {
-                    let Some(&direction) = directions.get(next.fetch_add(1, Ordering::Relaxed)) else {
-                        break;
-                    };
+                while let Some(&direction) = directions.get(next.fetch_add(1, Ordering::Relaxed)) {
                     look(solid, direction, &seen);
                 }
             });

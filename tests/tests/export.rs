@@ -1,0 +1,192 @@
+//! `export` as a user runs it: files that other programs read, and answers to what cannot be exported.
+
+use std::{fs, path::Path};
+use trimip_tests::binary::{run, tiny_and};
+
+/// Trains the smallest model into `run`.
+fn train(here: &Path) {
+    let answer = run(here, &tiny_and(&["--out", "run"]));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+}
+
+/// Vertices and triangles of an OBJ file.
+fn read_obj(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
+    let text = fs::read_to_string(path).unwrap();
+    let lines = |key: &'static str| text.lines().filter_map(move |line| line.strip_prefix(key));
+    let vertices: Vec<[f64; 3]> = lines("v ")
+        .map(|line| {
+            let numbers: Vec<f64> = line.split(' ').map(|number| number.parse().unwrap()).collect();
+            assert_eq!(numbers.len(), 6, "a place and a colour");
+            assert!(numbers[3..].iter().all(|color| (0.0..=1.0).contains(color)));
+            [numbers[0], numbers[1], numbers[2]]
+        })
+        .collect();
+    let triangles = lines("f ")
+        .map(|line| {
+            let corners: Vec<usize> = line
+                .split(' ')
+                .map(|corner| corner.split("//").next().unwrap().parse::<usize>().unwrap() - 1)
+                .collect();
+            corners.try_into().unwrap()
+        })
+        .collect();
+    assert_eq!(lines("vn ").count(), vertices.len());
+    (vertices, triangles)
+}
+
+/// Vertices and triangles of a binary PLY file with places, normals, colours and triangles.
+fn read_ply(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
+    let bytes = fs::read(path).unwrap();
+    let end = b"end_header\n";
+    let start = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
+    let header = std::str::from_utf8(&bytes[..start]).unwrap();
+    let count = |name: &str| -> usize {
+        header.lines().find_map(|line| line.strip_prefix(name)).unwrap().trim().parse().unwrap()
+    };
+    let (vertices, triangles) = (count("element vertex"), count("element face"));
+    let (vertex, triangle) = (6 * 4 + 3, 1 + 3 * 4);
+    assert_eq!(bytes.len(), start + vertices * vertex + triangles * triangle);
+    let word = |at: usize| <[u8; 4]>::try_from(&bytes[at..at + 4]).unwrap();
+    let place =
+        |i: usize| [0, 4, 8].map(|offset| f64::from(f32::from_le_bytes(word(start + i * vertex + offset))));
+    let first = start + vertices * vertex;
+    let corners = |i: usize| {
+        assert_eq!(bytes[first + i * triangle], 3);
+        [1, 5, 9].map(|offset| u32::from_le_bytes(word(first + i * triangle + offset)) as usize)
+    };
+    ((0..vertices).map(place).collect(), (0..triangles).map(corners).collect())
+}
+
+/// Vertices and triangles of a GLB file, by its own description.
+fn read_glb(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
+    let bytes = fs::read(path).unwrap();
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    assert_eq!((&bytes[..4], word(4), word(8)), (&b"glTF"[..], 2, bytes.len()));
+    let length = word(12);
+    assert_eq!((&bytes[16..20], length % 4), (&b"JSON"[..], 0));
+    let json: serde_json::Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+    let data = &bytes[28 + length..];
+    assert_eq!((&bytes[24 + length..28 + length], word(20 + length)), (&b"BIN\0"[..], data.len()));
+    let primitive = &json["meshes"][0]["primitives"][0];
+    let values = |accessor: &serde_json::Value, width: usize| -> Vec<[u8; 4]> {
+        let accessor = &json["accessors"][accessor.as_u64().unwrap() as usize];
+        let view = &json["bufferViews"][accessor["bufferView"].as_u64().unwrap() as usize];
+        let [start, length] = ["byteOffset", "byteLength"].map(|key| view[key].as_u64().unwrap() as usize);
+        assert_eq!(length, 4 * width * accessor["count"].as_u64().unwrap() as usize);
+        data[start..start + length].chunks_exact(4).map(|word| word.try_into().unwrap()).collect()
+    };
+    let floats = |name: &str| -> Vec<f64> {
+        values(&primitive["attributes"][name], 3)
+            .into_iter()
+            .map(|word| f32::from_le_bytes(word).into())
+            .collect()
+    };
+    let places: Vec<[f64; 3]> =
+        floats("POSITION").chunks_exact(3).map(|place| place.try_into().unwrap()).collect();
+    assert_eq!(floats("NORMAL").len(), 3 * places.len());
+    assert!(floats("COLOR_0").iter().all(|color| (0.0..=1.0).contains(color)));
+    let bounds = &json["accessors"][primitive["attributes"]["POSITION"].as_u64().unwrap() as usize];
+    for axis in 0..3 {
+        let all = || places.iter().map(|place| place[axis]);
+        assert_eq!(bounds["min"][axis].as_f64(), all().reduce(f64::min));
+        assert_eq!(bounds["max"][axis].as_f64(), all().reduce(f64::max));
+    }
+    let indices: Vec<usize> =
+        values(&primitive["indices"], 1).into_iter().map(|word| u32::from_le_bytes(word) as usize).collect();
+    (places, indices.chunks_exact(3).map(|corners| corners.try_into().unwrap()).collect())
+}
+
+#[test]
+fn three_formats_hold_the_same_closed_mesh() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    // After twenty steps the whole hull is a fog of low density, whose surface is that of the hull.
+    let export = |out: &str| {
+        let answer = run(
+            here,
+            &[
+                "export",
+                "mesh",
+                "run",
+                "--out",
+                out,
+                "--resolution",
+                "32",
+                "--level",
+                "0.01",
+                "--silhouettes",
+            ],
+        );
+        assert_eq!(answer.code, Some(0), "{}", answer.err);
+        assert!(answer.out.contains("closed and manifold"), "{}", answer.out);
+        assert!(answer.out.contains("masks of 2 test views"), "{}", answer.out);
+    };
+    ["mesh.obj", "out/mesh.ply", "mesh.GLB"].into_iter().for_each(export);
+    let (places, triangles) = read_obj(&here.join("mesh.obj"));
+    assert!(triangles.len() > 100, "{} triangles", triangles.len());
+    let mut edges = std::collections::BTreeMap::new();
+    for [a, b, c] in &triangles {
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            *edges.entry((*from.min(to), *from.max(to))).or_insert(0) += if from < to { 1 } else { -1 };
+        }
+    }
+    assert!(edges.values().all(|sum| *sum == 0), "every edge is passed both ways");
+    for (found, name) in
+        [(read_ply(&here.join("out/mesh.ply")), "PLY"), (read_glb(&here.join("mesh.GLB")), "GLB")]
+    {
+        assert!(found.1 == triangles && found.0.len() == places.len(), "{name}");
+        let same = |a: &[f64; 3], b: &[f64; 3]| (0..3).all(|axis| (a[axis] - b[axis]).abs() < 1e-6);
+        assert!(found.0.iter().zip(&places).all(|(a, b)| same(a, b)), "{name}");
+    }
+}
+
+#[test]
+fn a_model_file_alone_is_enough_and_the_mesh_lies_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    fs::create_dir(here.join("alone")).unwrap();
+    fs::copy(here.join("run/model.safetensors"), here.join("alone/my.safetensors")).unwrap();
+    let alone =
+        ["export", "mesh", "alone/my.safetensors", "--resolution", "24", "--level", "0.01", "--no-colors"];
+    let answer = run(here, &[&alone[..], &["--triangles", "0"]].concat());
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    let header = fs::read(here.join("alone/mesh.ply")).unwrap();
+    let header = String::from_utf8_lossy(&header[..300]).into_owned();
+    assert!(header.starts_with("ply\n") && header.contains("nx") && !header.contains("red"), "{header}");
+    // Not one byte differs when it is repeated.
+    let before = fs::read(here.join("alone/mesh.ply")).unwrap();
+    assert_eq!(run(here, &[&alone[..], &["--triangles", "0"]].concat()).code, Some(0));
+    assert_eq!(before, fs::read(here.join("alone/mesh.ply")).unwrap());
+}
+
+#[test]
+fn what_cannot_be_exported_is_refused_and_nothing_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    fs::write(here.join("mesh.ply"), "mine").unwrap();
+    fs::write(here.join("file"), "").unwrap();
+    for (arguments, code, part) in [
+        (&["--out", "mesh.stl"][..], 2, "end it in .ply, .obj or .glb"),
+        (&["--out", "mesh"], 2, "end it in .ply, .obj or .glb"),
+        (&["--out", "file/mesh.ply"], 2, "file"),
+        (&["--resolution", "7"], 2, "8..=2048"),
+        (&["--level=-1"], 2, "positive density"),
+        (&["--level", "nan"], 2, "positive density"),
+        (&["--specks", "1.5"], 2, "specks"),
+        (&["--error", "0"], 2, "error"),
+        (&["--error", "0.1", "--triangles", "5"], 2, "cannot be used with"),
+        (&["--set", "encoder.levels=2"], 2, "encoder.levels"),
+        (&["--set", "data.root=elsewhere", "--set", "data.format=blender", "--silhouettes"], 2, "elsewhere"),
+        (&["--level", "1e9", "--out", "mesh.ply"], 1, "no surface of density"),
+    ] {
+        let answer = run(here, &[&["export", "mesh", "run"], arguments].concat());
+        assert_eq!((answer.code, answer.out.as_str()), (Some(code), ""), "{arguments:?}: {}", answer.err);
+        assert!(answer.err.contains(part), "{arguments:?}: {}", answer.err);
+    }
+    assert!(run(here, &["export", "mesh", "nothing"]).err.contains("nothing"));
+    assert_eq!(fs::read(here.join("mesh.ply")).unwrap(), b"mine");
+    assert!(!here.join("run/mesh.ply").exists());
+}
