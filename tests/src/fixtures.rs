@@ -115,6 +115,13 @@ fn other_rip_maps() -> [Config; 2] {
     })
 }
 
+/// The planes with the level of a sample as one more feature.
+fn with_level() -> Config {
+    let mut config = small();
+    config.encoder.level_input = true;
+    config
+}
+
 /// `config` with the encoder of `by` and the settings that belong to that encoder.
 pub fn encoded(config: Config, by: &Config) -> Config {
     let optimizer = OptimizerConfig { plane_scale: by.optimizer.plane_scale, ..config.optimizer };
@@ -131,6 +138,7 @@ pub fn every_encoder() -> Vec<Config> {
 pub fn every_variant() -> Vec<Config> {
     let mut all = every_encoder();
     all.push(wide_hash_grid());
+    all.push(with_level());
     all.extend(other_rip_maps());
     all
 }

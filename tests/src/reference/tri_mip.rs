@@ -52,9 +52,9 @@ impl TriMip {
 }
 
 impl Literal for TriMip {
-    /// 48 features: planes YZ, XZ, XY, each trilinear between texels and levels.
+    /// 48 features: planes YZ, XZ, XY, each trilinear between texels and levels; and the mean level over 4, within ±2.
     fn features(&self, &Sample { position, radius, .. }: &Sample) -> Vec<f64> {
-        let mut features = Vec::new();
+        let (mut features, mut levels) = (Vec::new(), Vec::new());
         for (plane, [a, b]) in AXES.into_iter().enumerate() {
             let scene = &self.config.scene;
             let extent = |axis: usize| f64::from(scene.aabb_max[axis]) - f64::from(scene.aabb_min[axis]);
@@ -64,6 +64,7 @@ impl Literal for TriMip {
                 LevelFormula::Paper => (area / std::f64::consts::PI).sqrt(),
                 LevelFormula::Code => 0.5 * area.sqrt(),
             };
+            levels.push((radius / base).log2());
             let level = (radius / base).log2().clamp(0.0, (self.levels.len() - 1) as f64);
             let (lower, fraction) = (level.floor() as usize, level - level.floor());
             let upper = (lower + 1).min(self.levels.len() - 1);
@@ -71,6 +72,9 @@ impl Literal for TriMip {
                 let read = |level| self.bilinear(level, plane, position[a], position[b], channel);
                 features.push((1.0 - fraction) * read(lower) + fraction * read(upper));
             }
+        }
+        if self.config.encoder.level_input {
+            features.push((levels.iter().sum::<f64>() / 3.0 / 4.0).clamp(-2.0, 2.0));
         }
         features
     }

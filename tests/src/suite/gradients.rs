@@ -48,6 +48,7 @@ fn configurations() -> Vec<(&'static str, Config)> {
             (c.field.density_layers, c.field.color_layers) = (2, 4);
         }),
         change("no mipmap", &|c| c.encoder.mipmap = false),
+        change("level as an input", &|c| c.encoder.level_input = true),
         change("linear loss over all rays", &|c| {
             (c.loss.beta, c.loss.rays) = (0.05, LossRays::All);
         }),

@@ -45,7 +45,7 @@ section!(
     /// The encoder, and the planes of the tri-mip encoder.
     EncoderConfig, "encoder" {
         kind: EncoderKind, plane_size: u32, shape: PlaneShape, levels: u32, mipmap: bool, level: LevelFormula,
-        level_bias: f32, init_range: f32, halvings: Schedule,
+        level_bias: f32, level_input: bool, init_range: f32, halvings: Schedule,
     }
 );
 section!(

@@ -11,7 +11,7 @@ use crate::kernel::{
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, Pyramid};
-use trimip_core::{Aabb, Config};
+use trimip_core::{Aabb, Config, encoders};
 
 const PLANES: &str = include_str!("shaders/planes.wgsl");
 const TRI_MIP: &str = include_str!("shaders/tri_mip.wgsl");
@@ -78,6 +78,10 @@ struct Params {
     levels: u32,
     sides: [u32; 3],
     counter: u32,
+    reference: f32,
+    level_input: u32,
+    stride: u32,
+    unused: u32,
 }
 
 #[repr(C)]
@@ -95,6 +99,10 @@ pub(crate) struct Planes {
     whole: Pyramid,
     derived: Buffer<f32>,
     derived_gradient: Buffer<f32>,
+    /// log2 of the radius of level 0, if the level of a sample is one of its features.
+    reference: Option<f32>,
+    /// Floats in a row of features.
+    stride: usize,
     addition: Addition,
     /// High words of the fixed-point gradients of the planes and of the derived levels.
     high: [Buffer<f32>; 2],
@@ -110,6 +118,10 @@ impl Planes {
             levels: *levels as u32,
             sides: sides.map(|side| side as u32),
             counter,
+            reference: self.reference.unwrap_or_default(),
+            level_input: self.reference.is_some().into(),
+            stride: self.stride as u32,
+            unused: 0,
         }
     }
 
@@ -148,6 +160,8 @@ impl Encoding for Planes {
         let (base, fixed) = (pyramid.base_len(), training && addition == Addition::Fixed);
         Self {
             gpu: Arc::clone(gpu),
+            reference: config.encoder.level_input.then(|| pyramid.reference() as f32),
+            stride: encoders::stride(config),
             whole: pyramid.clone(),
             pyramid,
             derived: Buffer::zeros(gpu, derived),

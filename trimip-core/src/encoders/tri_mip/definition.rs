@@ -1,6 +1,6 @@
 //! The tri-mip planes as an encoder: their declaration and their twin in f64.
 
-use super::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, grow, sides, taps};
+use super::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, grow, level_input, sides, taps};
 use crate::encoders::{Definition, Place, Twin};
 use crate::{Aabb, Config, Slot};
 
@@ -27,8 +27,8 @@ impl Definition for Planes {
         }
     }
 
-    fn width(&self, _config: &Config) -> usize {
-        FEATURES
+    fn width(&self, config: &Config) -> usize {
+        FEATURES + usize::from(config.encoder.level_input)
     }
 
     fn slots(&self, config: &Config) -> Vec<Slot> {
@@ -64,7 +64,8 @@ impl Definition for Planes {
 
     fn twin(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Twin> {
         let (pyramid, base) = (pyramid(config), values.swap_remove(0));
-        Box::new(PlanesTwin { derived: averages(&pyramid, &base), base, pyramid })
+        let level_input = config.encoder.level_input;
+        Box::new(PlanesTwin { derived: averages(&pyramid, &base), base, pyramid, level_input })
     }
 }
 
@@ -74,6 +75,8 @@ struct PlanesTwin {
     /// Level 0, then the levels above it in one array.
     base: Vec<f64>,
     derived: Vec<f64>,
+    /// True if the level of a sample is its last feature.
+    level_input: bool,
 }
 
 /// Computes the levels above the base: means of 2×2 texels.
@@ -119,6 +122,9 @@ impl Twin for PlanesTwin {
                     }
                 }
             }
+        }
+        if self.level_input {
+            features.push(level_input(at.radius.log2(), self.pyramid.reference()));
         }
         features
     }

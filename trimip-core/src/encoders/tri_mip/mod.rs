@@ -19,8 +19,12 @@ pub const PLANE_AXES: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
 /// Features per texel; one cache line of f32.
 pub const CHANNELS: usize = 16;
 
-/// Features of a sample: the three planes' channels, concatenated.
+/// Features that a sample reads: the three planes' channels, concatenated.
 pub const FEATURES: usize = 3 * CHANNELS;
+
+/// Levels per unit of the networks' level input, and the largest input: 0 to 8 levels span the range of the features.
+const LEVELS_PER_UNIT: f64 = 4.0;
+const MOST_LEVEL_INPUT: f64 = 2.0;
 
 /// Sizes and offsets of the planes' levels. Level 0 of the three planes, one after the other, is the parameter
 /// `planes`, [texels, 16]. The levels above it are one derived array, level by level, plane by plane. On level l, a
@@ -159,6 +163,11 @@ impl Pyramid {
     pub fn blend<R: Real>(&self, plane: usize, log2_radius: R) -> LevelBlend<R> {
         LevelBlend::new(log2_radius - R::from_f64(self.log2_base_radius[plane]), self.levels)
     }
+
+    /// The mean of log2 r̈ over the planes: the sphere of level 0 for [`level_input`].
+    pub fn reference(&self) -> f64 {
+        self.log2_base_radius.iter().sum::<f64>() / 3.0
+    }
 }
 
 impl<R: Real> LevelBlend<R> {
@@ -176,6 +185,16 @@ impl<R: Real> LevelBlend<R> {
         let lower = level.floor();
         Self { lower: lower.to_usize().unwrap_or(0), fraction: level - lower }
     }
+}
+
+/// A sphere's level as an input of the networks: a quarter of log2(r / r̈), within ±2. `reference` is log2 r̈. A zero or
+/// NaN radius gives −2.
+#[inline]
+pub fn level_input<R: Real>(log2_radius: R, reference: R) -> R {
+    let [unit, most] = [LEVELS_PER_UNIT, MOST_LEVEL_INPUT].map(R::from_f64);
+    let input = (log2_radius - reference) / unit;
+    // A comparison with NaN is false.
+    if !(input > -most) { -most } else { input.min(most) }
 }
 
 /// Grows the planes at the front of `values` in place. `whole` is the pyramid of full size; the sides are halved

@@ -12,7 +12,7 @@ use crate::simd::{Kernel, Lanes, Simd, fetch};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::batch::Sphere;
-use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, taps};
+use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, level_input, taps};
 use trimip_core::{Aabb, Config};
 
 /// The planes and their mip levels.
@@ -27,6 +27,8 @@ pub(crate) struct Planes {
     derived: Buffer<f32>,
     /// Gradient of `derived`.
     derived_gradient: Buffer<f32>,
+    /// log2 of the radius of level 0, if the level of a sample is one of its features.
+    reference: Option<f32>,
 }
 
 /// Feature gradients of some spans and, for each plane and band of rows, the samples that touch it.
@@ -47,7 +49,8 @@ impl Encoding for Planes {
         let derived = Buffer::zeros(pyramid.derived_len());
         let derived_gradient = Buffer::zeros(if training { pyramid.derived_len() } else { 0 });
         let touched = Extents::whole(&pyramid);
-        Self { simd, whole: pyramid.clone(), pyramid, touched, derived, derived_gradient }
+        let reference = config.encoder.level_input.then(|| pyramid.reference() as f32);
+        Self { simd, whole: pyramid.clone(), pyramid, touched, derived, derived_gradient, reference }
     }
 
     fn gradient(&self) -> Gradient {
@@ -68,10 +71,22 @@ impl Encoding for Planes {
         self.touched = touched;
     }
 
-    fn forward(&self, parameters: &[f32], at: Places<'_>, _: &mut [f32], features: &mut [f32], _: usize) {
-        let spheres = at.spheres;
-        let base = &parameters[..self.pyramid.base_len()];
-        self.simd.run(Gather { pyramid: &self.pyramid, base, derived: &self.derived, spheres, features });
+    fn forward(
+        &self,
+        parameters: &[f32],
+        at: Places<'_>,
+        _: &mut [f32],
+        features: &mut [f32],
+        stride: usize,
+    ) {
+        let Self { pyramid, derived, reference, .. } = self;
+        let (base, spheres) = (&parameters[..pyramid.base_len()], at.spheres);
+        self.simd.run(Gather { pyramid, base, derived, spheres, features, stride });
+        if let Some(reference) = *reference {
+            for (row, sphere) in features.chunks_exact_mut(stride).zip(spheres) {
+                row[FEATURES] = level_input(sphere.radius.log2(), reference);
+            }
+        }
     }
 
     fn backward(
@@ -80,7 +95,7 @@ impl Encoding for Planes {
         at: Places<'_>,
         _: &[f32],
         rows: &[f32],
-        _: usize,
+        stride: usize,
         gradient: &mut Gradient,
     ) {
         let spheres = at.spheres;
@@ -88,7 +103,10 @@ impl Encoding for Planes {
         gradient.spheres.resize(first + count);
         gradient.spheres[first..].copy_from_slice(spheres);
         gradient.rows.resize((first + count) * FEATURES);
-        gradient.rows[first * FEATURES..].copy_from_slice(rows);
+        let kept = gradient.rows[first * FEATURES..].chunks_exact_mut(FEATURES);
+        for (kept, row) in kept.zip(rows.chunks_exact(stride)) {
+            kept.copy_from_slice(&row[..FEATURES]);
+        }
         let (pyramid, bands) = (&self.pyramid, &mut gradient.bands);
         self.simd.run(Sort { pyramid, spheres, first: first as u32, bands });
     }
@@ -246,7 +264,9 @@ struct Gather<'a> {
     base: &'a [f32],
     derived: &'a [f32],
     spheres: &'a [Sphere],
+    /// One row of `stride` floats per sample.
     features: &'a mut [f32],
+    stride: usize,
 }
 
 /// Number of samples whose texels are prefetched before the first of them is summed.
@@ -323,8 +343,8 @@ impl Kernel for Gather<'_> {
             for (sphere, reads) in spheres.iter().zip(&mut ahead) {
                 self.find(&places, sphere, reads);
             }
-            let out = &mut self.features[first * AHEAD * FEATURES..][..spheres.len() * FEATURES];
-            for (reads, out) in ahead.iter().zip(out.chunks_exact_mut(FEATURES)) {
+            let out = &mut self.features[first * AHEAD * self.stride..][..spheres.len() * self.stride];
+            for (reads, out) in ahead.iter().zip(out.chunks_exact_mut(self.stride)) {
                 for plane in 0..3 {
                     let mut sum = L::splat(0.0);
                     for read in &reads.reads[plane][..1 + usize::from(reads.two[plane])] {
@@ -333,7 +353,7 @@ impl Kernel for Gather<'_> {
                             sum = L::splat(weight).mul_add(unsafe { L::load(texel) }, sum);
                         }
                     }
-                    // SAFETY: `out` holds 48 values.
+                    // SAFETY: `out` holds at least 48 values.
                     unsafe { sum.store(out.as_mut_ptr().add(plane * CHANNELS)) };
                 }
             }

@@ -47,5 +47,13 @@ fn encode(
             }
         }
     }
-    features[i] = sum;
+    let row = sample * (pyramid.stride / 4u);
+    features[row + i % 12u] = sum;
+    // Columns beyond the width are zero.
+    if i % 12u == 11u && pyramid.level_input == 1u {
+        features[row + 12u] = vec4<f32>(level_feature(log2(sphere.w), pyramid.reference), 0.0, 0.0, 0.0);
+        for (var at = 13u; at < pyramid.stride / 4u; at++) {
+            features[row + at] = vec4<f32>(0.0);
+        }
+    }
 }

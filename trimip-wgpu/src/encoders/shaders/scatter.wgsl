@@ -22,7 +22,7 @@ fn scatter(
     let sphere = spheres[sample];
     let at = plane_axes(sphere.xyz, plane);
     let blend = blend_levels(pyramid, plane, log2(sphere.w));
-    let gradient = gradients[i];
+    let gradient = gradients[sample * (pyramid.stride / 4u) + i % 12u];
     for (var upper = 0u; upper < 2u; upper++) {
         let share = select(1.0 - blend.fraction, blend.fraction, upper == 1u);
         if share == 0.0 {

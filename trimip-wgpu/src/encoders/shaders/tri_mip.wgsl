@@ -9,6 +9,12 @@ struct Pyramid {
     sides: vec3<u32>,
     // Index of the counter of rows: counts[counter].
     counter: u32,
+    // log2 of the radius of level 0, for the level input.
+    reference: f32,
+    // 1 if the level of a sample is one of its features.
+    level_input: u32,
+    // Floats in a row of features.
+    stride: u32,
 }
 
 // Coordinates along a row of texels and across the rows.
@@ -27,6 +33,11 @@ fn level_start(pyramid: Pyramid, level: u32, plane: u32) -> u32 {
         start += plane_start(pyramid.sides >> vec3<u32>(l), 3u);
     }
     return start;
+}
+
+// A sphere's level as an input of the networks: a quarter of log2(r / r̈), within ±2.
+fn level_feature(log2_radius: f32, reference: f32) -> f32 {
+    return clamp((log2_radius - reference) / 4.0, -2.0, 2.0);
 }
 
 fn blend_levels(pyramid: Pyramid, plane: u32, log2_radius: f32) -> Blend {
