@@ -255,6 +255,15 @@ pub struct RenderArguments {
         value_name = "color,depth,opacity"
     )]
     pub what: Vec<Quantity>,
+    /// Path and turntable: also encode the colours as a video (.mp4, .mov, .mkv, .webm), by the program ffmpeg
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["views", "pose", "look_at", "strip"])]
+    pub video: Option<PathBuf>,
+    /// Video: pictures a second
+    #[arg(long, default_value_t = 30.0, requires = "video")]
+    pub rate: f64,
+    /// Path and turntable: render all views again; otherwise the same command goes on where it was interrupted
+    #[arg(long)]
+    pub fresh: bool,
     /// Override a setting of data, eval, renderer, backend, threads or wgpu
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,

@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::run::{folder as run_folder, store::file_stem};
-use trimip::view::{Named, Quantity, cameras::resized, turntable, turntable::Turntable, write_cameras};
+use trimip::view::{
+    Job, Named, Quantity, cameras::resized, turntable, turntable::Turntable, video, write_cameras,
+};
 use trimip::{Camera, Config, Error, Intrinsics, Result, backends, settings, view};
 
 /// Renders every camera that the arguments select.
@@ -36,8 +38,16 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let config = model.config.clone();
     backends::check(&config.backend)?;
     let cameras = resize(chosen(arguments, &config)?, arguments.scale)?;
+    if let Some(video) = &arguments.video {
+        check_video(arguments, video, &what, &cameras)?;
+    }
     let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
     run_folder::create_writable(&out)?;
+    // Single views are quick; many go on where an interrupted command stopped.
+    let mut job = match arguments.path.is_some() || arguments.turntable.is_some() {
+        true => Some(Job::open(&out, &model, &cameras, &what, format, arguments.fresh)?),
+        false => None,
+    };
     let stop = interrupt::install()?;
     let mut session = backends::load(&model)?;
     backends::software_remark(&config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
@@ -48,10 +58,15 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let rows = |camera: &Camera| u64::from(camera.intrinsics.height);
     let bar =
         bar("{bar:30} {percent:>3} %  {eta} left", cameras.iter().map(|(_, camera)| rows(camera)).sum());
-    let mut seconds = Vec::new();
+    let (mut seconds, mut pictures) = (Vec::new(), Vec::new());
     for (name, camera) in &cameras {
         let started = Instant::now();
         let before = bar.position();
+        if let Some(paths) = job.as_ref().and_then(|job| job.finished(name)) {
+            bar.set_position(before + rows(camera));
+            pictures.push(paths);
+            continue;
+        }
         let watch = &mut |done: u32, _: u32| {
             bar.set_position(before + u64::from(done));
             !stop.load(Ordering::Relaxed)
@@ -60,16 +75,55 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
             return Ok(interrupt::EXIT_CODE);
         };
         seconds.push(started.elapsed().as_secs_f64());
-        for path in view::write(&out, name, &frame, camera, &what, format, &config.scene)? {
-            bar.suspend(|| terminal::line(path.display()));
-        }
+        let paths = view::write(&out, name, &frame, camera, &what, format, &config.scene)?;
+        job.as_mut().map_or(Ok(()), |job| job.finish(name))?;
+        paths.iter().for_each(|path| bar.suspend(|| terminal::line(path.display())));
+        pictures.push(paths);
         bar.set_position(before + rows(camera));
     }
     bar.finish_and_clear();
+    let earlier = cameras.len() - seconds.len();
+    if earlier > 0 {
+        let views = terminal::many(earlier as u64, "view");
+        terminal::aside(format!("{views} rendered earlier; --fresh renders all again"));
+    }
     if let Some(line) = speed(seconds) {
         terminal::aside(line);
     }
+    let Some(path) = &arguments.video else { return Ok(0) };
+    let color = what.iter().position(|&quantity| quantity == Quantity::Color).unwrap_or(0);
+    let colors: Vec<PathBuf> = pictures.into_iter().map(|mut paths| paths.swap_remove(color)).collect();
+    if !video::encode(path, &colors, arguments.rate, &mut |_| !stop.load(Ordering::Relaxed))? {
+        return Ok(interrupt::EXIT_CODE);
+    }
+    terminal::line(path.display());
     Ok(0)
+}
+
+/// Fails before the work if a video could not be written after it.
+fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], cameras: &[Named]) -> Result<()> {
+    let refuse =
+        |what: &str, expected: &str| Err(Error::input(format!("--video {}", path.display()), what, expected));
+    if arguments.path.is_none() && arguments.turntable.is_none() {
+        return refuse("there is one view", "add --turntable N or --path FILE");
+    }
+    if arguments.format != PictureFormat::Png || !what.contains(&Quantity::Color) {
+        return refuse("is made of colours in PNG files", "leave out --format, and name color in --what");
+    }
+    if !(arguments.rate > 0.0 && arguments.rate <= 1000.0) {
+        return refuse(
+            &format!("{} pictures a second", arguments.rate),
+            "expected --rate above 0, at most 1000",
+        );
+    }
+    let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
+    if cameras.iter().any(|(_, camera)| size(camera) != size(&cameras[0].1)) {
+        return refuse("the views have several sizes", "give the frames of the path one w and h");
+    }
+    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        run_folder::create_writable(folder)?;
+    }
+    video::check(path)
 }
 
 /// Rendering speed of the views, without writing files.

@@ -29,6 +29,16 @@ pub enum Quantity {
     Opacity,
 }
 
+/// Paths of the files that [`write`] writes, in its order.
+pub(super) fn paths(out: &Path, name: &str, what: &[Quantity], format: PictureFormat) -> Vec<PathBuf> {
+    match format {
+        PictureFormat::Exr => vec![out.join(format!("{name}.exr"))],
+        PictureFormat::Png => {
+            what.iter().map(|&quantity| out.join(format!("{name}_{}.png", suffix(quantity)))).collect()
+        }
+    }
+}
+
 /// Writes the requested quantities of one view into the folder `out` and returns the paths: `name.exr`, or
 /// `name_color.png`, `name_depth.png` and `name_opacity.png`. `scene` is the box that the depth range is derived from.
 ///
@@ -45,6 +55,7 @@ pub fn write(
     scene: &SceneConfig,
 ) -> Result<Vec<PathBuf>> {
     let (width, height) = (frame.width, frame.height);
+    let paths = paths(out, name, what, format);
     if format == PictureFormat::Exr {
         let mut channels = Vec::new();
         for quantity in what {
@@ -59,30 +70,26 @@ pub fn write(
                 Quantity::Opacity => channels.push(("opacity", pictures::opacity(frame))),
             }
         }
-        let path = out.join(format!("{name}.exr"));
         let range = what.contains(&Quantity::Depth).then(|| depth_range(scene, camera));
-        pictures::write_exr(&path, width, height, channels, range)?;
-        return Ok(vec![path]);
+        pictures::write_exr(&paths[0], width, height, channels, range)?;
+        return Ok(paths);
     }
-    let mut paths = Vec::new();
-    for quantity in what {
-        let path = out.join(format!("{name}_{}.png", suffix(*quantity)));
+    for (quantity, path) in what.iter().zip(&paths) {
         match quantity {
             Quantity::Color => {
-                pictures::write_png(&path, pictures::rgb_image(width, height, &frame.rgb()))?;
+                pictures::write_png(path, pictures::rgb_image(width, height, &frame.rgb()))?;
             }
             Quantity::Depth => {
                 let range = depth_range(scene, camera);
-                pictures::write_depth_png(&path, width, height, &pictures::depth(frame, range.far), range)?;
+                pictures::write_depth_png(path, width, height, &pictures::depth(frame, range.far), range)?;
             }
             Quantity::Opacity => {
                 pictures::write_png(
-                    &path,
+                    path,
                     pictures::grey(width, height, &pictures::opacity(frame), 0.0, 1.0),
                 )?;
             }
         }
-        paths.push(path);
     }
     Ok(paths)
 }

@@ -2,10 +2,13 @@
 
 pub mod cameras;
 mod files;
+mod job;
 mod measure;
 pub mod pictures;
 pub mod turntable;
+pub mod video;
 
 pub use cameras::Named;
 pub use files::{PictureFormat, Quantity, depth_range, write, write_cameras};
+pub use job::Job;
 pub use measure::{Measured, Watching, evaluate};

@@ -1,0 +1,144 @@
+//! Many views of a model: rendering goes on where it was interrupted, and its pictures become a video.
+
+use std::{fs, path::Path, process::Stdio, time::SystemTime};
+use trimip_tests::binary::{Answer, command, run, tiny_and};
+
+/// Trains the smallest model into `run`.
+fn train(here: &Path) {
+    let answer = run(here, &tiny_and(&["--out", "run"]));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+}
+
+/// Renders a turntable of small pictures.
+fn turntable(here: &Path, count: &str, more: &[&str]) -> Answer {
+    let size = ["--turntable", count, "--width", "24", "--height", "17"];
+    let answer = run(here, &[&["render", "run"], &size[..], more].concat());
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    answer
+}
+
+fn picture(folder: &Path, i: usize) -> Vec<u8> {
+    fs::read(folder.join(format!("{i:04}_color.png"))).unwrap()
+}
+
+fn written(folder: &Path, i: usize) -> SystemTime {
+    fs::metadata(folder.join(format!("{i:04}_color.png"))).unwrap().modified().unwrap()
+}
+
+#[test]
+fn a_killed_turntable_goes_on_with_the_same_pictures() {
+    const COUNT: usize = 400;
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    let count = COUNT.to_string();
+    let arguments =
+        ["render", "run", "--turntable", &count, "--width", "24", "--height", "17", "--out", "parts"];
+    let parts = here.join("parts");
+    let mut child = command(here, &arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    while !parts.join("0020_color.png").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it could be killed");
+        std::thread::yield_now();
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(!parts.join(format!("{:04}_color.png", COUNT - 1)).exists(), "it was killed too late");
+    let before: Vec<_> = (0..20).map(|i| written(&parts, i)).collect();
+    let answer = turntable(here, &count, &["--out", "parts"]);
+    let rendered = answer.out.lines().count();
+    assert!((1..=COUNT - 20).contains(&rendered), "{rendered} pictures");
+    assert!(answer.err.contains(&format!("{} views rendered earlier", COUNT - rendered)), "{}", answer.err);
+    assert_eq!(before, (0..20).map(|i| written(&parts, i)).collect::<Vec<_>>(), "finished pictures stay");
+    turntable(here, &count, &["--out", "whole"]);
+    for i in 0..COUNT {
+        assert!(picture(&parts, i) == picture(&here.join("whole"), i), "picture {i}");
+    }
+}
+
+#[test]
+fn only_what_is_missing_or_of_another_job_is_rendered() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    let rendered = |more: &[&str]| turntable(here, "4", more).out.lines().count();
+    assert_eq!([rendered(&[]), rendered(&[])], [4, 0]);
+    fs::remove_file(here.join("run/renders/0002_color.png")).unwrap();
+    assert_eq!([rendered(&[]), rendered(&["--fresh"])], [1, 4]);
+    // Another model, field of view or quantity is another job.
+    assert_eq!(rendered(&["--set", "renderer.min_transmittance=0.5"]), 4);
+    assert_eq!([rendered(&["--fov", "50"]), rendered(&["--fov", "50"])], [4, 0]);
+    assert_eq!(rendered(&["--fov", "50", "--what", "color,depth"]), 8);
+    fs::write(here.join("run/renders/views.txt"), "mine").unwrap();
+    let answer = run(here, &["render", "run", "--turntable", "4"]);
+    assert_eq!(answer.code, Some(2), "{}", answer.err);
+    assert!(answer.err.contains("not a list of rendered views"), "{}", answer.err);
+    assert_eq!(fs::read(here.join("run/renders/views.txt")).unwrap(), b"mine");
+}
+
+#[test]
+fn a_video_that_cannot_be_made_is_refused_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    for (arguments, part) in [
+        (&["--turntable", "3", "--video", "a.avi"][..], "end it in .mp4, .mov, .mkv, .webm"),
+        (&["--turntable", "3", "--video", "a"], "end it in"),
+        (&["--video", "a.mp4"], "add --turntable N or --path FILE"),
+        (&["--turntable", "3", "--video", "a.mp4", "--rate", "nan"], "--rate above 0"),
+        (&["--turntable", "3", "--video", "a.mp4", "--what", "depth"], "name color in --what"),
+        (&["--turntable", "3", "--rate", "24"], "--video"),
+        (&["--turntable", "3", "--video", "a.mp4"], "no program `ffmpeg`"),
+    ] {
+        let output = command(here, &[&["render", "run"], arguments].concat())
+            .env("PATH", here.join("nowhere"))
+            .output()
+            .unwrap();
+        let err = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(
+            (output.status.code(), output.stdout.as_slice()),
+            (Some(2), &b""[..]),
+            "{arguments:?}: {err}"
+        );
+        assert!(err.contains(part), "{arguments:?}: {err}");
+    }
+    assert!(!here.join("run/renders").exists());
+}
+
+/// A program in the place of ffmpeg shows what it is given.
+#[cfg(unix)]
+#[test]
+fn the_encoder_gets_the_pictures_in_order_and_its_failure_leaves_nothing() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    let encoder = |script: &str| {
+        fs::create_dir_all(here.join("bin")).unwrap();
+        let text = format!("#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\n{script}\n");
+        fs::write(here.join("bin/ffmpeg"), text).unwrap();
+        fs::set_permissions(here.join("bin/ffmpeg"), fs::Permissions::from_mode(0o755)).unwrap();
+    };
+    let path = format!("{}:{}", here.join("bin").display(), std::env::var("PATH").unwrap());
+    let render = || {
+        let arguments = ["render", "run", "--turntable", "5", "--width", "24", "--height", "17"];
+        let video = ["--video", "out/v.mp4", "--rate", "12"];
+        command(here, &[&arguments[..], &video].concat()).env("PATH", &path).output().unwrap()
+    };
+    encoder("echo \"$@\" > arguments; cat > \"$last\"");
+    let output = render();
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stdout).trim().ends_with("out/v.mp4"));
+    let all: Vec<u8> = (0..5).flat_map(|i| picture(&here.join("run/renders"), i)).collect();
+    assert!(fs::read(here.join("out/v.mp4")).unwrap() == all, "the pictures, one after the other");
+    let arguments = fs::read_to_string(here.join("arguments")).unwrap();
+    assert!(arguments.contains("-framerate 12") && arguments.contains("yuv420p"), "{arguments}");
+    for script in ["cat > \"$last\"; echo no such codec >&2; exit 1", "echo no such codec >&2; exit 1"] {
+        encoder(script);
+        let output = render();
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{err}");
+        assert!(err.contains("out/v.mp4") && err.contains("no such codec"), "{err}");
+        assert!(fs::read(here.join("out/v.mp4")).unwrap() == all, "the earlier video stays");
+        assert_eq!(fs::read_dir(here.join("out")).unwrap().count(), 1, "nothing unfinished is left");
+    }
+}

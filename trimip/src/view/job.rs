@@ -1,0 +1,196 @@
+//! Many views rendered into one folder, in one go or several: which of them are done.
+
+use super::{Named, PictureFormat, Quantity, files::paths};
+use std::fs::{File, OpenOptions};
+use std::hash::{DefaultHasher, Hasher};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::{collections::BTreeSet, fs};
+use trimip_core::{
+    Error, Result,
+    model::Model,
+    tensors::{Values, write_atomically},
+};
+
+/// File of a folder that lists its finished views: the first line names the job, each other line a view.
+const LIST: &str = "views.txt";
+
+/// What the first line of the list begins with.
+const HEAD: &str = "views rendered by trimip, job ";
+
+/// The views of a folder that are finished. A job is a model, its cameras, and what is written of them; pictures of
+/// another job in the folder are rendered again.
+pub struct Job {
+    folder: PathBuf,
+    what: Vec<Quantity>,
+    format: PictureFormat,
+    done: BTreeSet<String>,
+    list: File,
+}
+
+impl Job {
+    /// Opens the job of a folder, or begins it anew: if `fresh`, or if the folder holds none or another one.
+    ///
+    /// # Errors
+    /// When the list cannot be read or written.
+    pub fn open(
+        folder: &Path,
+        model: &Model,
+        cameras: &[Named],
+        what: &[Quantity],
+        format: PictureFormat,
+        fresh: bool,
+    ) -> Result<Self> {
+        let path = folder.join(LIST);
+        let failed = |error| Error::run(format!("{}: {error}", path.display()));
+        let head = format!("{HEAD}{:016x}\n", identity(model, cameras, what, format));
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+            Err(error) => return Err(failed(error)),
+        };
+        let mut done = BTreeSet::new();
+        match text.strip_prefix(&head) {
+            Some(views) if !fresh => {
+                // A line without its end was not finished.
+                let whole = views.rfind('\n').map_or("", |end| &views[..=end]);
+                done.extend(whole.lines().map(str::to_string));
+                if views.len() > whole.len() {
+                    write_atomically(&path, &text.as_bytes()[..head.len() + whole.len()])?;
+                }
+            }
+            _ if !text.is_empty() && !text.starts_with(HEAD) => {
+                return Err(Error::input(
+                    path.display(),
+                    "is not a list of rendered views",
+                    "choose another --out folder",
+                ));
+            }
+            _ => write_atomically(&path, head.as_bytes())?,
+        }
+        let list = OpenOptions::new().append(true).open(&path).map_err(failed)?;
+        Ok(Self { folder: folder.into(), what: what.to_vec(), format, done, list })
+    }
+
+    /// The pictures of a view, if it is finished and they are there.
+    pub fn finished(&self, name: &str) -> Option<Vec<PathBuf>> {
+        let paths = paths(&self.folder, name, &self.what, self.format);
+        (self.done.contains(name) && paths.iter().all(|path| path.is_file())).then_some(paths)
+    }
+
+    /// Notes that the pictures of a view are written.
+    ///
+    /// # Errors
+    /// When the list cannot be written.
+    pub fn finish(&mut self, name: &str) -> Result<()> {
+        let line = format!("{name}\n");
+        self.list
+            .write_all(line.as_bytes())
+            .map_err(|error| Error::run(format!("{}: {error}", self.folder.join(LIST).display())))?;
+        self.done.insert(name.into());
+        Ok(())
+    }
+}
+
+/// A number that differs for jobs whose pictures differ.
+fn identity(model: &Model, cameras: &[Named], what: &[Quantity], format: PictureFormat) -> u64 {
+    let mut hash = DefaultHasher::new();
+    hash.write(env!("CARGO_PKG_VERSION").as_bytes());
+    hash.write(model.config.to_toml().as_bytes());
+    for (name, tensor) in &model.file.tensors {
+        hash.write(name.as_bytes());
+        match &tensor.values {
+            Values::F32(values) => values.iter().for_each(|value| hash.write_u32(value.to_bits())),
+            Values::F16(values) => values.iter().for_each(|value| hash.write_u16(value.to_bits())),
+            Values::U8(values) => hash.write(values),
+        }
+    }
+    for (name, camera) in cameras {
+        hash.write(name.as_bytes());
+        let k = camera.intrinsics;
+        let numbers = [f64::from(k.width), f64::from(k.height), k.fx, k.fy, k.cx, k.cy];
+        let pose = camera.rotation.to_cols_array().into_iter().chain(camera.origin.to_array());
+        numbers.into_iter().chain(pose).for_each(|number| hash.write_u64(number.to_bits()));
+    }
+    hash.write(format!("{what:?} {format:?}").as_bytes());
+    hash.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use trimip_core::{Camera, Config, Intrinsics, tensors::TensorFile};
+
+    fn model(seed: u64) -> Model {
+        Model::new(Config { seed, ..Config::default() }, TensorFile::default())
+    }
+
+    fn cameras(distance: f64) -> Vec<Named> {
+        let camera = |i: u32| {
+            let eye = DVec3::new(distance, f64::from(i), 0.0);
+            let k = Intrinsics::from_angle(8, 8, 0.7);
+            (format!("{i:04}"), Camera::look_at(k, eye, DVec3::ZERO, DVec3::Z))
+        };
+        (0..3).map(camera).collect()
+    }
+
+    fn open(folder: &Path, model: &Model, cameras: &[Named], what: &[Quantity]) -> Job {
+        Job::open(folder, model, cameras, what, PictureFormat::Png, false).unwrap()
+    }
+
+    const COLOR: &[Quantity] = &[Quantity::Color];
+
+    #[test]
+    fn a_view_is_finished_when_it_is_listed_and_its_pictures_are_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        let mut job = open(here, &model(1), &cameras(4.0), COLOR);
+        assert_eq!(job.finished("0000"), None);
+        fs::write(here.join("0000_color.png"), "a").unwrap();
+        assert_eq!(job.finished("0000"), None, "a file of that name may be anybody's");
+        job.finish("0000").unwrap();
+        job.finish("0001").unwrap();
+        drop(job);
+        let job = open(here, &model(1), &cameras(4.0), COLOR);
+        assert_eq!(job.finished("0000"), Some(vec![here.join("0000_color.png")]));
+        assert_eq!(job.finished("0001"), None, "its picture is gone");
+        // Another model, camera or quantity begins anew, and so does `fresh`.
+        for job in [
+            open(here, &model(2), &cameras(4.0), COLOR),
+            open(here, &model(1), &cameras(4.5), COLOR),
+            open(here, &model(1), &cameras(4.0), &[Quantity::Color, Quantity::Depth]),
+        ] {
+            assert_eq!(job.finished("0000"), None);
+        }
+        let mut job = open(here, &model(1), &cameras(4.0), COLOR);
+        assert_eq!(job.finished("0000"), None, "the list of another job is gone");
+        job.finish("0000").unwrap();
+        let fresh = Job::open(here, &model(1), &cameras(4.0), COLOR, PictureFormat::Png, true).unwrap();
+        assert_eq!(fresh.finished("0000"), None);
+    }
+
+    #[test]
+    fn a_torn_line_is_no_view_and_a_foreign_list_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        let mut job = open(here, &model(1), &cameras(4.0), COLOR);
+        ["0000_color.png", "0001_color.png", "00_color.png"]
+            .iter()
+            .for_each(|name| fs::write(here.join(name), "a").unwrap());
+        job.finish("0000").unwrap();
+        drop(job);
+        let mut list = OpenOptions::new().append(true).open(here.join(LIST)).unwrap();
+        list.write_all(b"00").unwrap();
+        let mut job = open(here, &model(1), &cameras(4.0), COLOR);
+        assert!(job.finished("0000").is_some() && job.finished("00").is_none());
+        job.finish("0001").unwrap();
+        drop(job);
+        let job = open(here, &model(1), &cameras(4.0), COLOR);
+        assert!(["0000", "0001"].iter().all(|name| job.finished(name).is_some()));
+        fs::write(here.join(LIST), "milk\neggs\n").unwrap();
+        let refused = Job::open(here, &model(1), &cameras(4.0), COLOR, PictureFormat::Png, true);
+        assert!(refused.is_err_and(|error| error.message.contains("not a list of rendered views")));
+        assert_eq!(fs::read_to_string(here.join(LIST)).unwrap(), "milk\neggs\n");
+    }
+}

@@ -1,0 +1,99 @@
+//! Videos of rendered pictures, by the `ffmpeg` program of the system.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use trimip_core::{Error, Result};
+
+/// File names that are understood, by their ends.
+const ENDINGS: [&str; 4] = ["mp4", "mov", "mkv", "webm"];
+
+/// Quality of the encoder, on the scale of H.264's constant rate factor: no difference is visible in motion.
+const QUALITY: &str = "16";
+
+/// Fails if a video of this name cannot be written on this machine.
+///
+/// # Errors
+/// When the name's end is no video format, or there is no `ffmpeg`.
+pub fn check(path: &Path) -> Result<()> {
+    let end = path.extension().map(|end| end.to_string_lossy().to_lowercase());
+    if !end.is_some_and(|end| ENDINGS.contains(&end.as_str())) {
+        let expected = format!("end it in .{}", ENDINGS.join(", ."));
+        return Err(Error::input(format!("--video {}", path.display()), "names no video format", expected));
+    }
+    let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    if found.is_ok_and(|status| status.success()) {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("--video {}", path.display()),
+        "no program `ffmpeg` runs on this machine",
+        "install it, or leave --video out and encode the pictures elsewhere",
+    ))
+}
+
+/// Encodes PNG files of one size, in order, at `rate` pictures a second. The video is written beside its place and
+/// renamed. `watch` gets the number of pictures that are done and returns false to stop; the result is then false, and
+/// there is no video.
+///
+/// # Errors
+/// When a picture cannot be read, or `ffmpeg` fails; the message has its last line.
+pub fn encode(
+    path: &Path,
+    pictures: &[PathBuf],
+    rate: f64,
+    watch: &mut dyn FnMut(usize) -> bool,
+) -> Result<bool> {
+    let failed = |error: &dyn std::fmt::Display| Error::run(format!("{}: {error}", path.display()));
+    // The name keeps its end, by which ffmpeg chooses the format.
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let partial = path.with_file_name(format!(".{}.{name}", std::process::id()));
+    let webm = path.extension().is_some_and(|end| end.eq_ignore_ascii_case("webm"));
+    let mut command = Command::new("ffmpeg");
+    command
+        .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-f", "image2pipe", "-c:v", "png"])
+        .args(["-framerate", &rate.to_string(), "-i", "pipe:0"])
+        // Most players need even sides and colours at half the resolution.
+        .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-crf", QUALITY]);
+    if webm {
+        command.args(["-b:v", "0"]);
+    }
+    command.arg(&partial).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn().map_err(|error| failed(&error))?;
+    let mut fed = Ok(true);
+    if let Some(mut pipe) = child.stdin.take() {
+        for (i, picture) in pictures.iter().enumerate() {
+            if !watch(i) {
+                fed = Ok(false);
+                break;
+            }
+            let bytes = std::fs::read(picture);
+            fed = bytes.map_err(|error| format!("{}: {error}", picture.display())).and_then(|bytes| {
+                pipe.write_all(&bytes).map_err(|_| "ffmpeg ended early".to_string())?;
+                Ok(true)
+            });
+            if fed.is_err() {
+                break;
+            }
+        }
+    }
+    if fed != Ok(true) {
+        // Ended already, if it does not take pictures; then this has no effect.
+        let _ = child.kill();
+    }
+    let output = child.wait_with_output().map_err(|error| failed(&error))?;
+    let result = match fed {
+        Ok(true) if output.status.success() => {
+            return std::fs::rename(&partial, path).map(|()| true).map_err(|error| failed(&error));
+        }
+        Ok(false) => Ok(false),
+        fed => {
+            let said = String::from_utf8_lossy(&output.stderr);
+            let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing");
+            Err(failed(&format!("{}: {last}", fed.err().unwrap_or_else(|| "ffmpeg failed".into()))))
+        }
+    };
+    // What is left of an unfinished video; it may not have begun.
+    let _ = std::fs::remove_file(&partial);
+    result
+}
