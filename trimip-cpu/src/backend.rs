@@ -116,6 +116,9 @@ impl CpuBackend {
     }
 }
 
+/// Jobs of a thread, at least, if there are as many spans.
+const SHARES: usize = 64;
+
 impl Backend for CpuBackend {
     type Buffer<T: Pod + Send + Sync> = Buffer<T>;
     type Lane = Lane;
@@ -228,7 +231,10 @@ impl Backend for CpuBackend {
         // A ray has hundreds of samples or none; a probe has exactly one.
         let rays = TypeId::of::<T>() == TypeId::of::<Pixel>();
         out.resize(count as usize);
-        out.par_chunks_mut(per_span as usize).enumerate().with_max_len(8).for_each(|(i, mut out)| {
+        // Enough jobs that no thread waits long for the last one, and few enough that each goes on where it was.
+        let spans = count.div_ceil(per_span) as usize;
+        let most = (spans / (SHARES * rayon::current_num_threads())).clamp(1, 8);
+        out.par_chunks_mut(per_span as usize).enumerate().with_max_len(most).for_each(|(i, mut out)| {
             let mut start = i as u32 * per_span;
             self.with_workspace(field, |workspace| {
                 while !out.is_empty() {

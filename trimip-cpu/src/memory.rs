@@ -8,7 +8,7 @@ use trimip_core::params::{color_layers, density_layers};
 use trimip_core::{Config, Layout, Pixel, ViewSet, encoders};
 
 /// The program with its libraries and its threads' allocators, on Linux.
-const PROGRAM: u64 = 14_000_000;
+const PROGRAM: u64 = 20_000_000;
 
 /// Samples that a worker renders at once, relative to their target number. The length of rays is estimated from
 /// earlier rays.
@@ -70,10 +70,15 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
         ("network gradients".into(), floats(deposits * weights) + (deposits * left.by_deposit) as u64),
         ("occupancy grid and its probes".into(), (cells * WORD + cells / 8 + probes) as u64),
         ("activations of all workers".into(), grown(threads * worker(config), AT_ONCE)),
-        // Either is there for moments, but an allocator keeps much of what the other one left.
-        ("copies for a checkpoint".into(), copies),
-        ("a view being measured".into(), measured(views)),
+        ("copies for a checkpoint, or a view being measured".into(), moments([copies, measured(views)])),
     ]
+}
+
+/// Bytes for what is there for moments, one after the other: the larger one, and half of the smaller one, which an
+/// allocator keeps.
+fn moments(mut two: [u64; 2]) -> u64 {
+    two.sort_unstable();
+    two[1] + two[0] / 2
 }
 
 /// Bytes that a worker holds while it renders rays through fog, which is more than during training.
