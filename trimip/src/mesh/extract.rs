@@ -31,7 +31,7 @@ const COLOR_SAMPLES: usize = 8;
 pub struct Extraction {
     /// Cells along the longest side of the box.
     pub resolution: u32,
-    /// Density of the surface, per world unit; `None` = by the marching step ([`level_of`]).
+    /// Density of the surface, per world unit; `None` = that of which a marching step has an optical depth of 0.2.
     pub level: Option<f64>,
     /// Connected parts whose box has a smaller diagonal are left out, as a share of the longest side of the box.
     pub specks: f64,
