@@ -146,6 +146,9 @@ mod tests {
         let mut count = 0;
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
+            if path.extension().is_some_and(|end| end == "json") {
+                continue;
+            }
             let arguments = SettingsArguments { config: Some(path.clone()), set: vec![] };
             let (_, config) = load(&arguments).unwrap_or_else(|error| panic!("{error}"));
             trimip::backends::check(&config.backend).unwrap_or_else(|error| panic!("{error}"));
@@ -157,5 +160,18 @@ mod tests {
             count += 1;
         }
         assert!(count >= 6);
+    }
+
+    #[test]
+    fn the_path_that_is_shipped_ends_16_times_as_far_away_as_it_begins() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/zoom.json");
+        let cameras = trimip::view::cameras::path(&file, trimip::Intrinsics::from_angle(8, 8, 0.7)).unwrap();
+        // All cameras look at one point of the built-in scene.
+        let distances: Vec<f64> = cameras
+            .iter()
+            .map(|(_, camera)| (camera.origin - glam::DVec3::new(0.0, 0.0, 0.1)).length())
+            .collect();
+        assert!((distances[cameras.len() - 1] / distances[0] - 16.0).abs() < 1e-3, "{distances:?}");
+        assert!(distances.is_sorted());
     }
 }

@@ -33,7 +33,8 @@ pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
 /// Which samples are dropped before their colour is computed: those that hardly contribute.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pruning<R> {
-    /// Samples behind more optical depth than this are dropped: −ln of the minimum transmittance.
+    /// Samples behind more optical depth than this are dropped: −ln of the minimum transmittance, or of the minimum
+    /// weight if that is larger, because no weight exceeds the transmittance before it.
     pub max_depth: R,
     /// Samples of less weight T·α than this are dropped, as if they were empty.
     pub min_weight: R,
@@ -53,7 +54,7 @@ pub enum Seen {
 impl<R: Real> Pruning<R> {
     /// The rule for a minimum transmittance and a minimum weight.
     pub fn new(min_transmittance: R, min_weight: R) -> Self {
-        Self { max_depth: -min_transmittance.ln(), min_weight }
+        Self { max_depth: -min_transmittance.max(min_weight).ln(), min_weight }
     }
 
     /// Decides about a sample of optical depth `depth`; `before` is the optical depth of the samples kept so far. A kept
@@ -212,8 +213,10 @@ mod tests {
         let depths = [0.04, 1.0, 0.06, 3.0, 2.0, 0.1];
         let mut before = 0.0;
         let seen = depths.map(|depth| pruning.see(&mut before, depth));
-        // Weights 0.039, 0.632, e^-1·0.058 = 0.021, e^-1·0.95 = 0.35, e^-4·0.86 = 0.016, e^-4·0.095; 0.01 is e^-4.6.
-        assert_eq!(seen, [Seen::No, Seen::Yes, Seen::No, Seen::Yes, Seen::No, Seen::No]);
+        // Weights 0.039, 0.632, e^-1·0.058 = 0.021, e^-1·0.95 = 0.35; then the transmittance e^-4 = 0.018 bounds them.
+        assert_eq!(seen, [Seen::No, Seen::Yes, Seen::No, Seen::Yes, Seen::Hidden, Seen::Hidden]);
+        let mut before = 2.9;
+        assert_eq!(pruning.see(&mut before, 9.0), Seen::Yes, "e^-2.9 = 0.055 is enough for an opaque sample");
         let all = Pruning::new(0.01_f64, 0.0);
         let mut before = 0.0;
         let seen = [0.0, 4.0, 0.7, 1.0].map(|depth| all.see(&mut before, depth));
