@@ -8,7 +8,7 @@ use crate::rows::Rows;
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 use trimip_core::batch::Ray;
-use trimip_core::encoders::tri_mip::{Pyramid, Shape, taps};
+use trimip_core::encoders::tri_mip::{Pyramid, Shape, level_input, taps};
 use trimip_core::{Aabb, Camera, Cone, Intrinsics, Space, activation, camera, compositing, loss, rng, sh};
 
 /// Calls the function `probe`, which each probe defines, on every input.
@@ -267,15 +267,16 @@ fn harmonics() {
 fn levels_and_texels() {
     let pyramid = Pyramid { sides: [64, 32, 96], levels: 5, log2_base_radius: [-7.0, -6.5, -5.25] };
     let radii: Vec<[f32; 4]> =
-        (-40..20).flat_map(|i| [0.0, 1.0, 2.0].map(|p| [i as f32 / 4.0, p, 0.0, 0.0])).collect();
+        (-80..40).flat_map(|i| [0.0, 1.0, 2.0].map(|p| [i as f32 / 4.0, p, 0.0, 0.0])).collect();
     compare(
-        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/texels.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 5u, vec3<u32>(64u, 32u, 96u), 0u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), 0.0);"),
+        files!("../encoders/shaders/planes.wgsl", "../encoders/shaders/texels.wgsl", "../encoders/shaders/tri_mip.wgsl"; "let pyramid = Pyramid(vec3<f32>(-7.0, -6.5, -5.25), 5u, vec3<u32>(64u, 32u, 96u), 0u, -6.25, 1u, 64u); let b = blend_levels(pyramid, u32(x.y), x.x); return vec4<f32>(f32(b.lower), b.fraction, f32(level_start(pyramid, b.lower, u32(x.y))), level_feature(x.x, pyramid.reference));"),
         &radii,
         |[radius, plane, ..]| {
             let plane = plane as usize;
             let blend = pyramid.blend(plane, radius);
             let start = pyramid.offset(blend.lower, plane) / trimip_core::encoders::tri_mip::CHANNELS;
-            [blend.lower as f64, blend.fraction, start as f64, 0.0]
+            let level = level_input(radius, pyramid.reference());
+            [blend.lower as f64, blend.fraction, start as f64, level]
         },
         (1e-6, 0.0),
     );
