@@ -65,7 +65,9 @@ pub struct Extracted {
 /// The density at which the surface is found without a given level: a marching step of it has an optical depth of
 /// 0.2.
 pub fn level_of(config: &Config) -> f64 {
-    DEPTH_AT_SURFACE / f64::from(config.step_length())
+    let renderer = &config.renderer;
+    // Pictures are marched with the step at the end of the schedule.
+    DEPTH_AT_SURFACE / (f64::from(config.step_length()) * renderer.step_scale.at(1.0))
 }
 
 /// Extracts the surface of a model. Voids of its occupied cells are filled where nobody sees them, looking in from
@@ -118,7 +120,7 @@ pub fn extract(
         let first = z * layer.len();
         (0..layer.len()).filter(|&i| layer[i] >= level_f32).for_each(|i| solid.set(first + i));
     }
-    let seen = visible(&solid, &directions(cameras));
+    let seen = visible(&solid, &directions(cameras), model.config.threads as usize);
     let mut stopped = false;
     let surface = march(&grid, level_f32, |z, layer| {
         if stopped || !watch(0.5 + 0.5 * z as f64 / layers as f64) {
@@ -150,9 +152,15 @@ pub fn extract(
     }
     mesh.find_normals();
     let triangles = mesh.triangles.len();
+    if !watch(1.0) {
+        return Ok(None);
+    }
     simplify(&mut mesh, what.goal);
     // Simplification may press a neck together, and leave a few triangles of it.
     clean(&mut mesh, what.specks * field.aabb.longest());
+    if !watch(1.0) {
+        return Ok(None);
+    }
     if what.colors {
         mesh.colors = colors(viewer, &mesh, grid.spacing)?;
     }
@@ -358,6 +366,15 @@ mod tests {
                 assert!((f64::from(color[axis]) - own).abs() < 0.01, "{color:?} at {place}");
             }
         }
+    }
+
+    #[test]
+    fn the_default_level_follows_the_step_of_pictures() {
+        let mut model = model(CENTRE, [1.5; 3]);
+        let depth = |config: &Config, step: f64| level_of(config) * f64::from(config.step_length()) * step;
+        assert!((depth(&model.config, 1.0) - 0.2).abs() < 1e-9);
+        model.config.renderer.step_scale = trimip_core::schedule::Schedule::new(vec![[0.0, 8.0], [0.5, 2.0]]);
+        assert!((depth(&model.config, 2.0) - 0.2).abs() < 1e-9);
     }
 
     #[test]

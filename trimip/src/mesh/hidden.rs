@@ -53,11 +53,14 @@ pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
 }
 
 /// The points that a line of sight in one of the directions reaches from outside of the grid without meeting a point of
-/// `solid`, and those beside them that are not solid.
-pub fn visible(solid: &Bits, directions: &[[f64; 3]]) -> Bits {
+/// `solid`, and those beside them that are not solid. `threads` = 0: one per core.
+pub fn visible(solid: &Bits, directions: &[[f64; 3]], threads: usize) -> Bits {
     let seen: Vec<AtomicU64> = solid.words.iter().map(|_| AtomicU64::new(0)).collect();
     let next = AtomicUsize::new(0);
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = match threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        given => given.min(DIRECTIONS),
+    };
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {
@@ -172,7 +175,7 @@ mod tests {
     #[test]
     fn a_void_is_hidden_and_all_around_the_solid_is_visible() {
         let solid = hollow(21, 0);
-        let seen = visible(&solid, &directions(&[]));
+        let seen = visible(&solid, &directions(&[]), 0);
         for index in 0..21 * 21 * 21 {
             let inside = [index % 21, index / 21 % 21, index / 441].iter().all(|c| (2..19).contains(c));
             assert_eq!(seen.get(index), !inside, "{index}");
@@ -182,9 +185,9 @@ mod tests {
     #[test]
     fn a_wide_opening_shows_the_opposite_wall() {
         let solid = hollow(21, 9);
-        let seen = visible(&solid, &directions(&[]));
+        let seen = visible(&solid, &directions(&[]), 0);
         assert!(seen.get(seen.index([17, 10, 10])), "straight behind the opening");
-        let narrow = visible(&hollow(21, 1), &directions(&[]));
+        let narrow = visible(&hollow(21, 1), &directions(&[]), 1);
         assert!(!narrow.get(seen.index([3, 3, 3])), "the corner beside a narrow opening is behind its wall");
         for index in 0..21 * 21 * 21 {
             assert!(!(seen.get(index) && solid.get(index)), "a solid point is never seen through");
@@ -200,7 +203,7 @@ mod tests {
         let camera = Camera::look_at(k, DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, DVec3::Y);
         let found = directions(&[camera]);
         assert!((2..DIRECTIONS / 4).contains(&found.len()) && found.iter().all(|d| d[2] < -0.8), "{found:?}");
-        let seen = visible(&solid, &found);
+        let seen = visible(&solid, &found, 3);
         // Lines at 25° or less from the vertical pass beside the plate, and reach 3.3 points and their neighbours under it.
         for index in 0..15_usize.pow(3) {
             let [x, y, z] = [index % 15, index / 15 % 15, index / 225];
