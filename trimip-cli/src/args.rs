@@ -33,6 +33,8 @@ pub enum Verb {
     Eval(EvalArguments),
     /// Render views of a model as PNG or EXR
     Render(RenderArguments),
+    /// Compute the proxy of a model, by which pictures need few samples, and keep it in the model file
+    Bake(BakeArguments),
     /// Write a model as something that other programs read: a triangle mesh
     Export(ExportArguments),
     /// Inspect a data set or write one
@@ -153,7 +155,7 @@ pub struct EvalArguments {
     /// Use every n-th test view
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub stride: u32,
-    /// Override a setting of data, eval, renderer, backend, threads or wgpu (data.root=.. for a moved data set)
+    /// Override a setting of data, eval, renderer, hybrid, backend, threads or wgpu (data.root=.. for a moved data set)
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
     /// Also write the result as JSON
@@ -264,7 +266,20 @@ pub struct RenderArguments {
     /// Path and turntable: render all views again; otherwise the same command goes on where it was interrupted
     #[arg(long)]
     pub fresh: bool,
-    /// Override a setting of data, eval, renderer, backend, threads or wgpu
+    /// Override a setting of data, eval, renderer, hybrid, backend, threads or wgpu
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// Options of `bake`.
+#[derive(Args, Debug)]
+pub struct BakeArguments {
+    /// Run folder or model file
+    pub model: PathBuf,
+    /// Model file to write [default: the same file]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Override a setting of hybrid, renderer, backend, threads or wgpu
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
 }

@@ -12,8 +12,8 @@ pub use choices::{
 };
 pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig};
 pub use sections::{
-    DataConfig, EvalConfig, FieldConfig, FileConfig, LossConfig, OccupancyConfig, OptimizerConfig,
-    PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
+    DataConfig, EvalConfig, FieldConfig, FileConfig, HybridConfig, LossConfig, OccupancyConfig,
+    OptimizerConfig, PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
 };
 
 use crate::{Aabb, Error, Result, Settings};
@@ -48,6 +48,8 @@ pub struct Config {
     pub field: FieldConfig,
     /// Marching and compositing.
     pub renderer: RendererConfig,
+    /// Where the hybrid renderer places samples.
+    pub hybrid: HybridConfig,
     /// The occupancy grid.
     pub occupancy: OccupancyConfig,
     /// The loss.

@@ -43,6 +43,7 @@ pub mod metrics;
 pub mod model;
 pub mod occupancy;
 pub mod params;
+pub mod proxy;
 mod query;
 pub mod rng;
 pub mod run;

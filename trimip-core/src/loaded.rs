@@ -5,7 +5,9 @@ use crate::{
     Viewer,
     backend::{Occupancy, Sampler, Stages},
     batch::{Radiance, Workspace},
+    config::RendererKind,
     model::{Assets, Model, OCCUPANCY, assets},
+    proxy::Proxy,
     tensors::{Tensor, TensorFile},
 };
 use glam::DVec3;
@@ -13,7 +15,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 /// Rays per span when a view is rendered.
-const RAYS_PER_SPAN: u32 = 64;
+const RAYS_PER_SPAN: u32 = 256;
 
 /// A model on a device: its parameters and the stages that render them. [`Trainer`](crate::trainer::Trainer) adds
 /// what training needs.
@@ -36,6 +38,13 @@ impl<B: Backend> LoadedModel<B> {
     /// # Errors
     /// When its tensors do not fit its configuration, or the configuration does not fit the device.
     pub fn new(backend: B, model: &Model) -> Result<Self> {
+        if model.config.renderer.kind == RendererKind::Hybrid && !Proxy::is_in(&assets(&model.file)) {
+            return Err(Error::input(
+                "renderer.kind = \"hybrid\"",
+                "the model has no proxy",
+                "compute it with `trimip-cli bake`, or render with renderer.kind = \"volume\"",
+            ));
+        }
         let mut loaded = Self::build(backend, &model.config, None)?;
         loaded.restore_model("model", &model.file, None)?;
         loaded.stages.renderer.follow(1.0);
@@ -287,6 +296,10 @@ impl<B: Backend> Viewer for LoadedModel<B> {
     }
 
     fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
-        self.evaluate(queries)
+        self.evaluate(queries, true)
+    }
+
+    fn densities(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        Ok(self.evaluate(queries, false)?.into_iter().map(|radiance| radiance.density).collect())
     }
 }

@@ -41,8 +41,8 @@ fn parts(queries: &[Query], space: &Space<f32>, centre: [f64; 3]) -> Parts {
 }
 
 impl<B: Backend> LoadedModel<B> {
-    /// As [`Viewer::query`](crate::Viewer::query).
-    pub(crate) fn evaluate(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
+    /// As [`Viewer::query`](crate::Viewer::query); without `colors`, density alone.
+    pub(crate) fn evaluate(&mut self, queries: &[Query], colors: bool) -> Result<Vec<Radiance>> {
         let (centred, centre) = self.config.centred();
         let space = Space::<f32>::new(&centred.scene);
         let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
@@ -67,7 +67,9 @@ impl<B: Backend> LoadedModel<B> {
                         let (encoding, features) = (&mut work.encoding, &mut work.features);
                         stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
                         stages.field.density(lane, samples, features, tape, radiance);
-                        stages.field.color(lane, rays, samples, tape, radiance);
+                        if colors {
+                            stages.field.color(lane, rays, samples, tape, radiance);
+                        }
                     },
                     &|work| &work.radiance,
                 );

@@ -57,6 +57,14 @@ pub trait Viewer: Send {
     /// # Errors
     /// When the device fails.
     fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>>;
+
+    /// As [`query`](Self::query), without colours.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn densities(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        Ok(self.query(queries)?.into_iter().map(|radiance| radiance.density).collect())
+    }
 }
 
 /// A model in training on some backend; it also renders.

@@ -130,6 +130,25 @@ impl Way {
         exit
     }
 
+    /// Distance beyond `t` at which the ray leaves the cube of all cells closer than `distance` cells to `cell`, along
+    /// each axis; infinite if it cannot be computed.
+    #[inline(always)]
+    pub fn exit_around(&self, t: f32, cell: [u32; 3], distance: u32) -> f32 {
+        let reach = distance as f32;
+        let mut exit = f32::INFINITY;
+        for axis in 0..3 {
+            let cell = cell[axis] as f32;
+            let edge = if self.ray.direction[axis] > 0.0 { cell + reach } else { cell - reach + 1.0 };
+            let edge = edge * self.cell_extent[axis] + self.space.aabb.min[axis];
+            let distance = (edge - self.ray.origin[axis]) * self.inverse_direction[axis];
+            // An axis along which the ray does not move gives ±∞ or NaN: no exit there.
+            if distance > t && distance < exit {
+                exit = distance;
+            }
+        }
+        exit
+    }
+
     #[inline(always)]
     fn point(&self, t: f32) -> [f32; 3] {
         std::array::from_fn(|i| self.ray.origin[i] + t * self.ray.direction[i])

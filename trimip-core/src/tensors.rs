@@ -44,6 +44,11 @@ impl Tensor {
         Self { shape: shape.to_vec(), values: Values::U8(values) }
     }
 
+    /// Bytes of the values.
+    pub fn size(&self) -> usize {
+        self.bytes().0.len()
+    }
+
     /// The values rounded to f16, or unchanged if one of them would become infinite.
     pub fn to_f16(&self) -> Self {
         match &self.values {

@@ -116,6 +116,13 @@ impl CpuField {
         tape.density.append(&self.density, &from.density, rows);
     }
 
+    /// Replaces the geometry features of each group of samples by their weighted mean, in the group's first row. `kept`
+    /// lists these rows. `shares` has one value per sample: its weight in its group, negative for all samples of a group
+    /// but the first.
+    pub(crate) fn blend(&self, tape: &mut Tape, kept: &[u32], shares: &[f32]) {
+        tape.density.blend(&self.density, kept, shares);
+    }
+
     /// Replaces the density network's rows by the rows `rows` of another tape.
     pub(crate) fn gather(&self, tape: &mut Tape, from: &Tape, rows: &[u32]) {
         tape.density.gather(&self.density, &from.density, rows);

@@ -25,10 +25,12 @@
 
 mod backend;
 mod buffer;
+mod distance;
 mod encoder;
 mod encoders;
 mod field;
 pub mod gemm;
+mod hybrid;
 mod loss;
 mod memory;
 mod mlp;

@@ -1,7 +1,8 @@
-//! The occupancy grid on the CPU: one bit per cell, one word per block of 4×4×4 cells, so that empty space is skipped
-//! a block at a time.
+//! The occupancy grid on the CPU: one bit per cell, in words of 4×4×4 cells, and the distance field by which marching skips
+//! empty space.
 
 use crate::buffer::Buffer;
+use crate::distance::distances as fill_distances;
 use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -27,8 +28,8 @@ pub struct CpuOccupancy {
     densities: Vec<f32>,
     /// Blocks in the order x + B·(y + B·z); within a block, bit x + 4·(y + 4·z).
     blocks: Vec<u64>,
-    /// Blocks of blocks, 16 cells along a side. A set bit means that its block is not empty.
-    supers: Vec<u64>,
+    /// One per cell: its distance to the nearest occupied cell, in cells, along the axis that is furthest.
+    distances: Vec<u8>,
     occupied: usize,
     chosen: Vec<u32>,
 }
@@ -47,7 +48,7 @@ impl CpuOccupancy {
             radius: space.cell(resolution) / std::f32::consts::PI.sqrt(),
             densities: vec![0.0; cells],
             blocks: vec![0; cells / (BLOCK * BLOCK * BLOCK) as usize],
-            supers: Vec::new(),
+            distances: Vec::new(),
             occupied: 0,
             chosen: Vec::new(),
         };
@@ -61,27 +62,12 @@ impl CpuOccupancy {
         self.config.resolution
     }
 
-    /// Side, in cells, of the largest empty cube of the hierarchy that contains a cell; `None` if the cell is
-    /// occupied.
+    /// Cells that marching may skip around a cell: all those closer than this, in each direction, are empty. 0 if the
+    /// cell itself is occupied.
     #[inline(always)]
-    pub fn empty_around(&self, cell: [u32; 3]) -> Option<u32> {
-        let block = cell.map(|c| c / BLOCK);
-        let [x, y, z] = block.map(|c| c / BLOCK);
-        let supers = self.supers_per_side();
-        if self.supers[(x + supers * (y + supers * z)) as usize] == 0 {
-            return Some(BLOCK * BLOCK);
-        }
-        let [x, y, z] = block;
-        let blocks = self.config.resolution / BLOCK;
-        let word = self.blocks[(x + blocks * (y + blocks * z)) as usize];
-        if word == 0 {
-            return Some(BLOCK);
-        }
-        (word >> bit_of(cell) & 1 == 0).then_some(1)
-    }
-
-    fn supers_per_side(&self) -> u32 {
-        (self.config.resolution / BLOCK).div_ceil(BLOCK)
+    pub fn empty_around(&self, [x, y, z]: [u32; 3]) -> u32 {
+        let side = self.config.resolution;
+        self.distances[(x + side * (y + side * z)) as usize].into()
     }
 
     /// Block index and bit index of a cell.
@@ -113,14 +99,16 @@ impl CpuOccupancy {
                 *word |= u64::from(occupied(cell)) << bit;
             }
         });
-        let supers = self.supers_per_side();
-        self.supers.clear();
-        self.supers.resize((supers * supers * supers) as usize, 0);
-        for (i, _) in self.blocks.iter().enumerate().filter(|(_, word)| **word != 0) {
-            let block = coordinates(i as u32, blocks);
-            let [x, y, z] = block.map(|c| c / BLOCK);
-            self.supers[(x + supers * (y + supers * z)) as usize] |= 1 << bit_of(block);
-        }
+        let mut distances = std::mem::take(&mut self.distances);
+        distances.resize((resolution as usize).pow(3), 0);
+        distances.par_chunks_mut(resolution as usize).enumerate().for_each(|(i, row)| {
+            let first = i as u32 * resolution;
+            for (cell, distance) in (first..).zip(row) {
+                *distance = if self.is_occupied(cell) { 0 } else { 255 };
+            }
+        });
+        fill_distances(&mut distances, resolution as usize);
+        self.distances = distances;
         self.occupied = self.blocks.iter().map(|word| word.count_ones() as usize).sum();
     }
 }

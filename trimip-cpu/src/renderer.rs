@@ -1,6 +1,7 @@
 //! Marching, pruning and compositing on the CPU, ray by ray.
 
 use crate::buffer::Buffer;
+use crate::hybrid::Hybrid;
 use crate::occupancy::CpuOccupancy;
 use crate::see::see;
 use crate::simd::{Kernel, Lanes, Simd};
@@ -8,9 +9,11 @@ use crate::{CpuBackend, Lane};
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Target, Workspace};
 use trimip_core::compositing::{Pruning, Seen, composite, composite_gradient};
+use trimip_core::config::{HybridConfig, RendererKind};
+use trimip_core::model::Assets;
 use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
-use trimip_core::{Config, Pixel, Renderer, Space};
+use trimip_core::{Config, Pixel, Renderer, Result, Space};
 
 /// The progress of marching along a ray.
 #[derive(Clone, Copy, Debug)]
@@ -25,10 +28,17 @@ pub(crate) struct Cursor {
     index: f32,
 }
 
+impl Cursor {
+    /// The same with other steps.
+    pub fn with_step(self, step: f32) -> Self {
+        Self { step, ..self }
+    }
+}
+
 /// Space, step and background of a renderer.
 pub struct CpuRenderer {
     pub(crate) simd: Simd,
-    space: Space<f32>,
+    pub(crate) space: Space<f32>,
     /// Length of a step at scale 1 of the schedule.
     uniform_step: f32,
     step_scale: Schedule,
@@ -39,6 +49,10 @@ pub struct CpuRenderer {
     pub(crate) pruning: Pruning<f32>,
     background: [f32; 3],
     random: Random,
+    kind: RendererKind,
+    hybrid_config: HybridConfig,
+    /// Chooses the samples of pictures; none in training, and for volume rendering.
+    pub(crate) hybrid: Option<Hybrid>,
 }
 
 impl CpuRenderer {
@@ -56,6 +70,9 @@ impl CpuRenderer {
             pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
             background: config.data.background,
             random: Random::new(config.seed),
+            kind: config.renderer.kind,
+            hybrid_config: config.hybrid.clone(),
+            hybrid: None,
         }
     }
 
@@ -72,41 +89,38 @@ impl CpuRenderer {
         Cursor { first, leave: if hits { leave } else { f32::NEG_INFINITY }, step, index: 0.0 }
     }
 
-    /// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, at most `limit`
-    /// times. Returns true if the ray has left the box.
+    /// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, until it returns
+    /// false. Returns true if the ray has left the box.
     ///
-    /// Skips empty cubes of 16, 4 or 1 cells as a whole; the samples are exactly those of testing every step.
+    /// Skips empty cubes by the distance field; the samples are exactly those of testing every step.
     #[inline(always)]
     pub(crate) fn advance(
         &self,
         ray: &Ray,
         occupancy: &CpuOccupancy,
         cursor: &mut Cursor,
-        limit: usize,
-        mut place: impl FnMut(Interval, Sphere),
+        mut place: impl FnMut(Interval, Sphere) -> bool,
     ) -> bool {
         let way = self.space.way(ray, occupancy.resolution());
         let Cursor { first, leave, step, mut index } = *cursor;
         let inverse_step = step.recip();
-        let mut placed = 0;
         loop {
             let t = first + (index + 0.5) * step;
             if !(t < leave) {
                 return true;
             }
-            if placed == limit {
+            let position = way.position(t);
+            let cell = way.cell(position);
+            let empty = occupancy.empty_around(cell);
+            if empty == 0 {
+                index += 1.0;
+                if place(Interval { t, length: step }, Sphere { position, radius: way.radius(t) }) {
+                    continue;
+                }
                 cursor.index = index;
                 return false;
             }
-            let position = way.position(t);
-            let cell = way.cell(position);
-            let Some(size) = occupancy.empty_around(cell) else {
-                place(Interval { t, length: step }, Sphere { position, radius: way.radius(t) });
-                placed += 1;
-                index += 1.0;
-                continue;
-            };
-            let exit = way.exit(t, cell, size);
+            let exit = way.exit_around(t, cell, empty);
             // The first step whose midpoint is not before the exit. Rounding may move it by a few 1e-7 of the
             // distance; a step that close to the exit is tested rather than skipped.
             let steps = (exit - first) * inverse_step - 0.5;
@@ -118,6 +132,14 @@ impl CpuRenderer {
 }
 
 impl Renderer<CpuBackend> for CpuRenderer {
+    fn equip(&mut self, assets: &Assets) -> Result<()> {
+        self.hybrid = match self.kind {
+            RendererKind::Hybrid => Hybrid::new(&self.hybrid_config, assets)?,
+            RendererKind::Volume => None,
+        };
+        Ok(())
+    }
+
     fn follow(&mut self, progress: f64) {
         self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
     }
@@ -264,10 +286,11 @@ impl Kernel for March<'_> {
             let owners = &mut samples.rays[start..];
             let (intervals, spheres) = (&mut samples.intervals[start..], &mut samples.spheres[start..]);
             let mut cursor = renderer.start(ray, jitter, rays.first + i as u32);
-            renderer.advance(ray, occupancy, &mut cursor, usize::MAX, |interval, sphere| {
+            renderer.advance(ray, occupancy, &mut cursor, |interval, sphere| {
                 let place = count - start;
                 (owners[place], intervals[place], spheres[place]) = (i as u32, interval, sphere);
                 count += 1;
+                true
             });
             samples.segments[i] = Segment { start: start as u32, count: (count - start) as u32 };
         }

@@ -5,13 +5,14 @@
 use crate::buffer::Buffer;
 use crate::field::Tape;
 use crate::gemm::padded;
-use crate::renderer::Cursor;
+use crate::hybrid::{Groups, Hybrid};
+use crate::renderer::{CpuRenderer, Cursor};
 use crate::simd::{Kernel, Lanes};
 use crate::{CpuBackend, CpuField, Lane};
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Workspace};
 use trimip_core::compositing::{Pruning, Seen};
-use trimip_core::{Encoder, Field};
+use trimip_core::{Encoder, Field, Renderer};
 
 /// Samples per ray that are evaluated at once; few, so that little is evaluated behind the surface.
 const PIECE: usize = 16;
@@ -37,6 +38,9 @@ pub(crate) struct Scratch {
     staged: Rows,
     /// Rows of `staged` in ray order.
     order: Vec<u32>,
+    /// For hybrid rendering, one per ray: whether the proxy is sure of it.
+    sure: Vec<bool>,
+    groups: Groups,
 }
 
 /// Samples with the values computed for them.
@@ -79,41 +83,97 @@ pub(crate) fn see(
     space: &mut Workspace<CpuBackend>,
     jitter: Option<u64>,
 ) {
-    let mut scratch = space.lane.scratch.take().unwrap_or_else(|| {
-        let rows = || Rows::new(&stages.field);
-        let (piece, staged) = (rows(), rows());
-        Box::new(Scratch { walkers: Vec::new(), piece, seen: Buffer::zeros(0), staged, order: Vec::new() })
-    });
-    let marched = scratch.walk(&mut space.lane, stages, parameters, &space.rays, jitter);
-    scratch.sort_by_ray(stages, space);
+    let mut scratch = space.lane.scratch.take().unwrap_or_else(|| Box::new(Scratch::new(&stages.field)));
+    scratch.start(&stages.renderer, &space.rays, jitter);
+    let hybrid = stages.renderer.hybrid.as_ref().filter(|_| jitter.is_none());
+    let chosen = hybrid.is_some_and(|hybrid| scratch.choose(hybrid, stages, &space.rays));
+    let marched = if chosen {
+        evaluate_chosen(stages, parameters, space, &mut scratch.piece.samples)
+    } else {
+        let marched = scratch.walk(&mut space.lane, stages, parameters, &space.rays, hybrid.is_some());
+        scratch.sort_by_ray(stages, space);
+        marched
+    };
+    if let Some(hybrid) = hybrid {
+        hybrid.blend(&stages.field, space, &scratch.sure, &mut scratch.groups);
+    }
     space.samples.counts.resize(1);
     space.samples.counts[0] = [marched as u32, space.samples.spheres.len() as u32];
     space.lane.scratch = Some(scratch);
 }
 
+/// Takes chosen samples, which are in ray order, to the density of those that are visible.
+fn evaluate_chosen(
+    stages: &Stages<CpuBackend>,
+    parameters: &Buffer<f32>,
+    space: &mut Workspace<CpuBackend>,
+    chosen: &mut Samples<CpuBackend>,
+) -> usize {
+    let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, .. } = space;
+    std::mem::swap(samples, chosen);
+    let count = samples.spheres.len();
+    samples.counts.resize(1);
+    stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
+    stages.field.density(lane, samples, features, tape, radiance);
+    stages.renderer.prune(lane, radiance, samples, kept);
+    // Only training needs the features again.
+    if kept.len() < count {
+        stages.field.keep(lane, kept, tape, radiance);
+    }
+    count
+}
+
 impl Scratch {
+    fn new(field: &CpuField) -> Self {
+        Self {
+            walkers: Vec::new(),
+            piece: Rows::new(field),
+            seen: Buffer::zeros(0),
+            staged: Rows::new(field),
+            order: Vec::new(),
+            sure: Vec::new(),
+            groups: Groups::default(),
+        }
+    }
+
+    /// Places a walker at the start of every ray.
+    fn start(&mut self, renderer: &CpuRenderer, rays: &Rays<CpuBackend>, jitter: Option<u64>) {
+        self.walkers.clear();
+        self.walkers.extend(rays.rays.iter().zip(0..).map(|(ray, index)| Walker {
+            ray: index,
+            cursor: renderer.start(ray, jitter, rays.first + index),
+            depth: 0.0,
+            out: false,
+        }));
+    }
+
+    /// Chooses the samples of every ray as the first piece. Returns false if the proxy is unsure of some rays.
+    fn choose(&mut self, hybrid: &Hybrid, stages: &Stages<CpuBackend>, rays: &Rays<CpuBackend>) -> bool {
+        let (walkers, samples) = (&mut self.walkers, &mut self.piece.samples);
+        stages.renderer.simd.run(Choose { hybrid, walkers, stages, rays, samples });
+        self.sure.clear();
+        self.sure.extend(walkers.iter().map(|walker| walker.out));
+        self.sure.iter().all(|sure| *sure)
+    }
+
     /// Walks all rays to their end and collects visible samples in `staged`. Returns the number of evaluated samples.
+    /// If the first piece has been `placed` already, it goes on from there.
     fn walk(
         &mut self,
         lane: &mut Lane,
         stages: &Stages<CpuBackend>,
         parameters: &Buffer<f32>,
         rays: &Rays<CpuBackend>,
-        jitter: Option<u64>,
+        mut placed: bool,
     ) -> usize {
         let Self { walkers, piece, seen, staged, .. } = self;
         let renderer = &stages.renderer;
         staged.clear(&stages.field);
-        walkers.clear();
-        walkers.extend(rays.rays.iter().zip(0..).map(|(ray, index)| Walker {
-            ray: index,
-            cursor: renderer.start(ray, jitter, rays.first + index),
-            depth: 0.0,
-            out: false,
-        }));
         let mut marched = 0;
         while !walkers.is_empty() {
-            renderer.simd.run(Place { walkers, stages, rays, samples: &mut piece.samples });
+            if !std::mem::take(&mut placed) {
+                renderer.simd.run(Place { walkers, stages, rays, samples: &mut piece.samples });
+            }
             let samples = &piece.samples;
             marched += samples.spheres.len();
             let (encoding, features) = (&mut piece.encoding, &mut piece.features);
@@ -188,21 +248,54 @@ impl Kernel for Place<'_> {
         for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
             let start = count;
             let ray = &rays.rays[walker.ray as usize];
-            walker.out = stages.renderer.advance(
-                ray,
-                &stages.occupancy,
-                &mut walker.cursor,
-                PIECE,
-                |interval, sphere| {
+            walker.out =
+                stages.renderer.advance(ray, &stages.occupancy, &mut walker.cursor, |interval, sphere| {
                     (owners[count], intervals[count], spheres[count]) = (walker.ray, interval, sphere);
                     count += 1;
-                },
-            );
+                    count - start < PIECE
+                });
             *segment = Segment { start: start as u32, count: (count - start) as u32 };
         }
         samples.rays.resize(count);
         samples.intervals.resize(count);
         samples.spheres.resize(count);
+    }
+}
+
+/// Chooses all samples of every ray, one segment each. A ray of which the proxy is unsure has none, and stays.
+struct Choose<'a> {
+    hybrid: &'a Hybrid,
+    walkers: &'a mut [Walker],
+    stages: &'a Stages<CpuBackend>,
+    rays: &'a Rays<CpuBackend>,
+    samples: &'a mut Samples<CpuBackend>,
+}
+
+impl Kernel for Choose<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { hybrid, walkers, stages, rays, samples } = self;
+        samples.rays.clear();
+        samples.intervals.clear();
+        samples.spheres.clear();
+        samples.segments.resize(walkers.len());
+        let Samples { segments, rays: owners, intervals, spheres, .. } = samples;
+        for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
+            let start = owners.len();
+            let ray = &rays.rays[walker.ray as usize];
+            walker.out = hybrid.choose(&stages.renderer, ray, &stages.occupancy, |interval, sphere| {
+                owners.push(walker.ray);
+                intervals.push(interval);
+                spheres.push(sphere);
+            });
+            if !walker.out {
+                owners.resize(start);
+                intervals.resize(start);
+                spheres.resize(start);
+            }
+            *segment = Segment { start: start as u32, count: (owners.len() - start) as u32 };
+        }
     }
 }
 

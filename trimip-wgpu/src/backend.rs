@@ -23,7 +23,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::balance::Draw;
 use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
-use trimip_core::config::Precision;
+use trimip_core::config::{Precision, RendererKind};
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
 /// Iterations after which llvmpipe ends the loops of an invocation, minus some for its other loops.
@@ -225,6 +225,29 @@ pub struct StepReceipt {
     rays: u32,
 }
 
+impl WgpuBackend {
+    fn notes_on_precision(&self, config: &Config) -> Vec<String> {
+        match config.field.precision {
+            Precision::F32 => Vec::new(),
+            Precision::F16 if self.gpu.matrices().is_some() => {
+                match self.known.overflows.load(Ordering::Relaxed) {
+                    0 => Vec::new(),
+                    count => vec![format!(
+                        "field.precision = \"f16\": {count} numbers were too large for f16, the run goes on in f32"
+                    )],
+                }
+            }
+            Precision::F16 => vec![format!(
+                "field.precision = \"f16\": {} has no cooperative matrices of f16 with sums of f32, computed in f32",
+                self.gpu.name()
+            )],
+            Precision::Bf16 => {
+                vec!["field.precision = \"bf16\" is a CPU's: the GPU computes in f32, or in \"f16\"".into()]
+            }
+        }
+    }
+}
+
 impl Backend for WgpuBackend {
     type Buffer<T: Pod + Send + Sync> = Buffer<T>;
     type Lane = Lane;
@@ -254,24 +277,11 @@ impl Backend for WgpuBackend {
     }
 
     fn notes(&self, config: &Config) -> Vec<String> {
-        match config.field.precision {
-            Precision::F32 => Vec::new(),
-            Precision::F16 if self.gpu.matrices().is_some() => {
-                match self.known.overflows.load(Ordering::Relaxed) {
-                    0 => Vec::new(),
-                    count => vec![format!(
-                        "field.precision = \"f16\": {count} numbers were too large for f16, the run goes on in f32"
-                    )],
-                }
-            }
-            Precision::F16 => vec![format!(
-                "field.precision = \"f16\": {} has no cooperative matrices of f16 with sums of f32, computed in f32",
-                self.gpu.name()
-            )],
-            Precision::Bf16 => {
-                vec!["field.precision = \"bf16\" is a CPU's: the GPU computes in f32, or in \"f16\"".into()]
-            }
+        let mut notes = self.notes_on_precision(config);
+        if config.renderer.kind == RendererKind::Hybrid {
+            notes.push("renderer.kind = \"hybrid\" is the CPU's: the GPU renders volumes".into());
         }
+        notes
     }
 
     fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {

@@ -25,11 +25,11 @@ pub fn override_model(model: &mut Model, assignments: &[String]) -> Result<()> {
         settings.apply_assignment(assignment)?;
         let key = assignment.split('=').next().unwrap_or_default().trim();
         let section = key.split('.').next().unwrap_or_default();
-        if !["data", "eval", "renderer", "backend", "threads", "wgpu"].contains(&section) {
+        if !["data", "eval", "renderer", "hybrid", "backend", "threads", "wgpu"].contains(&section) {
             return Err(Error::input(
                 format!("--set {assignment}"),
                 "this setting belongs to the trained model",
-                "change only data, eval, renderer, backend, threads or wgpu here, or train another model",
+                "change only data, eval, renderer, hybrid, backend, threads or wgpu here, or train another model",
             ));
         }
     }

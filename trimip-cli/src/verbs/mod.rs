@@ -1,5 +1,6 @@
 //! One file per verb; each returns the program's exit code.
 
+mod bake;
 pub mod bench;
 mod check;
 mod compare;
@@ -36,6 +37,7 @@ pub fn run(arguments: Arguments) -> Result<u8> {
         Some(Verb::Train(train)) => train::run(&train),
         Some(Verb::Plan(plan)) => plan::run(&plan),
         Some(Verb::Eval(eval)) => eval::run(&eval),
+        Some(Verb::Bake(bake)) => bake::run(&bake),
         Some(Verb::Export(export)) => export::run(&export),
         Some(Verb::Render(render)) => render::run(&render),
         Some(Verb::Data(data)) => data::run(&data),

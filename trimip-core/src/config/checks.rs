@@ -1,8 +1,8 @@
 //! The ranges in which a run makes sense.
 
 use super::{
-    Config, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig, LossConfig, OccupancyConfig,
-    OptimizerConfig, RendererConfig, SceneConfig, TrainConfig,
+    Config, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig, HybridConfig, LossConfig,
+    OccupancyConfig, OptimizerConfig, RendererConfig, SceneConfig, TrainConfig,
 };
 use crate::{Error, Result, Settings};
 
@@ -60,6 +60,7 @@ impl Config {
         self.rip_map.check(&checker)?;
         self.field.check(&checker)?;
         self.renderer.check(&checker)?;
+        self.hybrid.check(&checker)?;
         self.occupancy.check(&checker)?;
         self.loss.check(&checker)?;
         self.optimizer.check(&checker)?;
@@ -157,6 +158,18 @@ impl RendererConfig {
         to.check((0.0..=64.0).contains(&self.step_per_radius), "renderer.step_per_radius", "0 to 64")?;
         to.check((0.0..1.0).contains(&self.min_transmittance), "renderer.min_transmittance", "0 to below 1")?;
         to.check((0.0..1.0).contains(&self.min_weight), "renderer.min_weight", "0 to below 1")
+    }
+}
+
+impl HybridConfig {
+    fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.check((16..=4096).contains(&self.resolution), "hybrid.resolution", "16 to 4096")?;
+        to.check((0.05..=8.0).contains(&self.step), "hybrid.step", "0.05 to 8")?;
+        to.check((0.0..=1.0).contains(&self.share), "hybrid.share", "0 to 1")?;
+        to.check((1e-6..=0.5).contains(&self.least), "hybrid.least", "1e-6 to 0.5")?;
+        to.check(finite_from_zero(self.reach.into()), "hybrid.reach", "0 or more")?;
+        to.check((1e-6..=0.5).contains(&self.opaque), "hybrid.opaque", "1e-6 to 0.5")?;
+        to.check(positive(self.widest.into()), "hybrid.widest", "a positive number")
     }
 }
 

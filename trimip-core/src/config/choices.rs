@@ -39,6 +39,9 @@ choice!(
     RendererKind {
         /// Ray marching in uniform steps, and volume rendering.
         Volume,
+        /// In pictures, few samples where the model's proxy shows surfaces; volume rendering where it is unsure, and
+        /// in training.
+        Hybrid,
     }
 );
 choice!(

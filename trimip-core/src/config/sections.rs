@@ -63,6 +63,12 @@ section!(
     }
 );
 section!(
+    /// Where the hybrid renderer places samples.
+    HybridConfig, "hybrid" {
+        resolution: u32, step: f32, least: f32, opaque: f32, share: f32, reach: f32, widest: f32,
+    }
+);
+section!(
     /// The occupancy grid.
     OccupancyConfig, "occupancy" {
         resolution: u32, every: u32, warmup: u32, warmup_fraction: f32, fraction: f32, decay: f32,

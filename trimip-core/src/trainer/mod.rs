@@ -182,6 +182,10 @@ impl<B: Backend> Viewer for Trainer<B> {
     fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
         self.loaded.query(queries)
     }
+
+    fn densities(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        self.loaded.densities(queries)
+    }
 }
 
 impl<B: Backend> Session for Trainer<B> {

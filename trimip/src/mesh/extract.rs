@@ -216,8 +216,8 @@ impl Occupied {
         for places in places.chunks(PLACES_AT_ONCE) {
             let query = |&i: &usize| Query { point: point(i), radius, direction: [0.0, 0.0, -1.0] };
             let queries: Vec<Query> = places.iter().map(query).collect();
-            for (&place, radiance) in places.iter().zip(viewer.query(&queries)?) {
-                layer[place] = radiance.density;
+            for (&place, density) in places.iter().zip(viewer.densities(&queries)?) {
+                layer[place] = density;
             }
         }
         Ok(())

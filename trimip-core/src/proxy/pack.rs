@@ -1,0 +1,113 @@
+//! The proxy as assets of a model file. Bytes are compressed (DEFLATE, RFC 1951).
+
+use super::{BRICK, BRICK_CELLS, Proxy, densities};
+use crate::{
+    Error, Result,
+    model::{ASSET, Assets},
+    tensors::{Tensor, Values},
+};
+use flate2::{Compression, read::DeflateDecoder, write::DeflateEncoder};
+use std::io::{Read, Write};
+
+/// Cells along each axis, width of a cell, radius of the spheres.
+const SHAPE: &str = "proxy.shape";
+
+/// One bit per brick, lowest bit first: whether it has codes. Compressed.
+const BRICKS: &str = "proxy.bricks";
+
+/// Codes of these bricks. Compressed.
+const CODES: &str = "proxy.codes";
+
+/// Most cells of a proxy.
+const MOST_CELLS: u64 = 1 << 34;
+
+fn name(part: &str) -> String {
+    format!("{ASSET}{part}")
+}
+
+fn broken(what: impl std::fmt::Display) -> Error {
+    Error::input("the model's proxy", what, "compute it again: `trimip-cli bake RUN`")
+}
+
+fn deflated(bytes: &[u8]) -> Result<Tensor> {
+    let mut encoder = DeflateEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes).map_err(Error::run)?;
+    let packed = encoder.finish().map_err(Error::run)?;
+    Ok(Tensor::u8(&[packed.len()], packed))
+}
+
+/// The `expected` bytes of a compressed tensor.
+fn inflated(assets: &Assets, part: &str, expected: usize) -> Result<Vec<u8>> {
+    let Some(Tensor { values: Values::U8(packed), .. }) = assets.get(&name(part)) else {
+        return Err(broken(format!("no bytes `{}`", name(part))));
+    };
+    let mut bytes = Vec::new();
+    // One byte more than expected is enough to see that there are too many.
+    let found = DeflateDecoder::new(&packed[..]).take(expected as u64 + 1).read_to_end(&mut bytes);
+    match found {
+        Ok(count) if count == expected => Ok(bytes),
+        Ok(_) => Err(broken(format!("`{}` does not hold {expected} bytes", name(part)))),
+        Err(error) => Err(broken(format!("`{}` cannot be read: {error}", name(part)))),
+    }
+}
+
+impl Proxy {
+    /// True if a model's assets hold a proxy.
+    pub fn is_in(assets: &Assets) -> bool {
+        assets.contains_key(&name(SHAPE))
+    }
+
+    /// The assets that hold the proxy.
+    ///
+    /// # Errors
+    /// When memory for the compressed bytes is missing.
+    pub fn to_assets(&self) -> Result<Assets> {
+        let [x, y, z] = self.cells.map(|count| count as f32);
+        let mut bits = vec![0_u8; self.index.len().div_ceil(8)];
+        for (brick, _) in self.index.iter().enumerate().filter(|(_, place)| **place > 0) {
+            bits[brick / 8] |= 1 << (brick % 8);
+        }
+        // Bricks are numbered in the order in which they lie.
+        Ok([
+            (name(SHAPE), Tensor::f32(&[5], vec![x, y, z, self.width, self.radius])),
+            (name(BRICKS), deflated(&bits)?),
+            (name(CODES), deflated(&self.codes)?),
+        ]
+        .into())
+    }
+
+    /// The proxy of a model's assets; `None` if they hold none.
+    ///
+    /// # Errors
+    /// When it is broken.
+    pub fn from_assets(assets: &Assets) -> Result<Option<Self>> {
+        let Some(shape) = assets.get(&name(SHAPE)) else { return Ok(None) };
+        let Tensor { values: Values::F32(shape), .. } = shape else {
+            return Err(broken(format!("`{}` is not f32", name(SHAPE))));
+        };
+        let &[x, y, z, width, radius] = &shape[..] else {
+            return Err(broken(format!("`{}` has {} values instead of 5", name(SHAPE), shape.len())));
+        };
+        let cells = [x, y, z].map(|count| count as u32);
+        let sides = cells.iter().zip([x, y, z]).all(|(&count, side)| {
+            count > 0 && count <= 1 << 14 && count.is_multiple_of(BRICK) && count as f32 == side
+        });
+        let all: u64 = cells.iter().map(|&count| u64::from(count)).product();
+        let positive = |value: f32| value > 0.0 && value.is_finite();
+        if !(sides && all <= MOST_CELLS && positive(width) && positive(radius)) {
+            return Err(broken(format!("a grid of {x} x {y} x {z} cells of {width}, spheres of {radius}")));
+        }
+        let bricks = all as usize / BRICK_CELLS;
+        let bits = inflated(assets, BRICKS, bricks.div_ceil(8))?;
+        let mut count = 0;
+        let index = (0..bricks)
+            .map(|brick| {
+                let filled = u32::from(bits[brick / 8] >> (brick % 8) & 1);
+                count += filled;
+                filled * count
+            })
+            .collect();
+        let codes = inflated(assets, CODES, count as usize * BRICK_CELLS)?;
+        Ok(Some(Self { cells, width, radius, index, codes, densities: densities(width) }))
+    }
+}

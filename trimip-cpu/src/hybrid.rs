@@ -1,0 +1,162 @@
+//! Hybrid rendering on the CPU: the samples of a ray are chosen by the densities of the proxy.
+
+use crate::buffer::Buffer;
+use crate::occupancy::CpuOccupancy;
+use crate::renderer::CpuRenderer;
+use crate::{CpuBackend, CpuField};
+use std::ops::Range;
+use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
+use trimip_core::config::HybridConfig;
+use trimip_core::model::Assets;
+use trimip_core::proxy::{Chooser, Chosen, Proxy, Rule, Shaded, share_colors};
+use trimip_core::{Field, Result};
+
+/// The proxy of a model and the rule by which it is used.
+pub(crate) struct Hybrid {
+    proxy: Proxy,
+    rule: Rule,
+    /// Length of a step along the proxy, world units.
+    step: f32,
+    /// Largest radius of a sphere for which the proxy is used, world units.
+    widest: f32,
+    /// Optical depth and opacity of a step by the code of its cell.
+    steps: Vec<[f32; 2]>,
+}
+
+impl Hybrid {
+    /// The proxy of these assets, if they hold one that shows anything.
+    pub fn new(config: &HybridConfig, assets: &Assets) -> Result<Option<Self>> {
+        let Some(proxy) = Proxy::from_assets(assets)?.filter(|proxy| !proxy.codes().is_empty()) else {
+            return Ok(None);
+        };
+        let step = config.step * proxy.width();
+        let rule = Rule {
+            share: config.share,
+            least: config.least,
+            reach: config.reach * proxy.width(),
+            opaque: config.opaque,
+        };
+        let steps =
+            proxy.densities().iter().map(|density| density * step).map(|depth| [depth, -(-depth).exp_m1()]);
+        Ok(Some(Self { rule, step, widest: config.widest * proxy.radius(), steps: steps.collect(), proxy }))
+    }
+
+    /// Calls `place` for every sample of a ray, front to back. Returns false if the proxy is unsure of the ray; what
+    /// was placed is then to be forgotten.
+    #[inline(always)]
+    pub fn choose(
+        &self,
+        renderer: &CpuRenderer,
+        ray: &Ray,
+        occupancy: &CpuOccupancy,
+        mut place: impl FnMut(Interval, Sphere),
+    ) -> bool {
+        let mut cursor = renderer.start(ray, None, 0).with_step(self.step);
+        let way = renderer.space.way(ray, occupancy.resolution());
+        let mut chooser = Chooser::new(self.rule);
+        let mut choose = |chosen: Chosen| {
+            let Chosen { t, .. } = chosen;
+            place(
+                Interval { t, length: chosen.length(self.step) },
+                Sphere { position: way.position(t), radius: way.radius(t) },
+            );
+        };
+        let mut sure = true;
+        renderer.advance(ray, occupancy, &mut cursor, |Interval { t, .. }, sphere| {
+            // Also where the axis of a wide cone misses the cells with a density, its spheres may touch them.
+            if sphere.radius > self.widest {
+                sure = false;
+                return false;
+            }
+            let code = self.proxy.code(sphere.position);
+            if code == 0 {
+                return true;
+            }
+            let [depth, alpha] = self.steps[usize::from(code)];
+            !chooser.step(t, depth, alpha, &mut choose)
+        });
+        if sure {
+            chooser.end(&mut choose);
+        }
+        sure
+    }
+}
+
+impl Hybrid {
+    /// Lets the samples of a ray share colours, for all rays of which `sure` is true. The first sample of a group gets its
+    /// optical depth, length and mean distance; `kept` gets its row, and the tape's row the mean of its geometry features.
+    pub fn blend(
+        &self,
+        field: &CpuField,
+        space: &mut Workspace<CpuBackend>,
+        sure: &[bool],
+        groups: &mut Groups,
+    ) {
+        let Workspace { lane, samples, tape, radiance, kept, .. } = space;
+        let Samples { segments, intervals, .. } = samples;
+        kept.clear();
+        groups.shares.clear();
+        groups.shares.resize(radiance.len(), 1.0);
+        for (segment, &sure) in segments.iter_mut().zip(sure) {
+            let (rows, start) = (segment.range(), kept.len());
+            if sure {
+                self.group(rows, intervals, radiance, kept, groups);
+            } else {
+                rows.for_each(|row| kept.push(row as u32));
+            }
+            *segment = Segment { start: start as u32, count: (kept.len() - start) as u32 };
+        }
+        if kept.len() < radiance.len() {
+            field.blend(tape, kept, &groups.shares);
+            samples.rays.keep_rows(kept, 1);
+            samples.intervals.keep_rows(kept, 1);
+            samples.spheres.keep_rows(kept, 1);
+            field.keep(lane, kept, tape, radiance);
+        }
+    }
+
+    /// Groups the samples `rows` of a ray.
+    fn group(
+        &self,
+        rows: Range<usize>,
+        intervals: &mut [Interval],
+        radiance: &mut [Radiance],
+        kept: &mut Buffer<u32>,
+        Groups { samples, shares }: &mut Groups,
+    ) {
+        let first = rows.start;
+        samples.clear();
+        samples.extend(rows.map(|row| {
+            let Interval { t, length } = intervals[row];
+            Shaded { t, depth: radiance[row].density * length, weight: 0.0 }
+        }));
+        share_colors(&self.rule, samples, |range, group| {
+            let own = first + range.start;
+            kept.push(own as u32);
+            let sum: f32 = group.iter().map(|sample| sample.weight).sum();
+            // A group without any weight shows nothing, and its first sample stands for it.
+            if group.len() == 1 || !(sum > 0.0) {
+                return;
+            }
+            let (mut depth, mut moment, mut length) = (0.0, 0.0, 0.0);
+            for (row, sample) in (own..).zip(group) {
+                let share = sample.weight / sum;
+                shares[row] = if row == own { share } else { -share.max(f32::MIN_POSITIVE) };
+                depth += sample.depth;
+                moment += sample.weight * sample.t;
+                length += intervals[row].length;
+            }
+            intervals[own] = Interval { t: moment / sum, length };
+            radiance[own].density = depth / length;
+        });
+    }
+}
+
+/// A worker's memory for groups.
+#[derive(Default)]
+pub(crate) struct Groups {
+    /// The samples of a ray.
+    samples: Vec<Shaded>,
+    /// One per sample: its weight in its group, negative for all samples of a group but the first.
+    shares: Vec<f32>,
+}
