@@ -1,5 +1,5 @@
 //! Error of rendering against time per frame: the difference between a picture and the same model's picture in f64 with
-//! very short steps, over steps, early termination, pruning, occupancy cells, precision and cones per pixel. The field
+//! very short steps, over steps, early termination, pruning, hybrid rendering, occupancy cells, precision and cones per pixel. The field
 //! is as trained, so the error is that of the quadrature and of f32 alone; for another number of cones than the model's
 //! it is the difference between the two. If steps are halved, the order of convergence is printed next to the
 //! expected one. Below it, the error of each stage against f64 on samples of the same view.
@@ -17,11 +17,12 @@ use std::time::Instant;
 use trimip::machine::{self, Machine};
 use trimip::run::folder as run_folder;
 use trimip::{backends, settings};
-use trimip_core::config::Precision;
+use trimip_core::config::{Precision, RendererKind};
 use trimip_core::exact::Exact;
 use trimip_core::metrics::psnr_of_error;
-use trimip_core::model::{Model, OCCUPANCY};
+use trimip_core::model::{Model, OCCUPANCY, assets};
 use trimip_core::occupancy;
+use trimip_core::proxy::Proxy;
 use trimip_core::tensors::{Tensor, write_atomically};
 use trimip_core::{Camera, Error, Result};
 use trimip_data::Watch;
@@ -55,6 +56,8 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let mut model = run_folder::read_model(path)?;
     settings::override_model(&mut model, &arguments.settings.set)?;
     backends::check(&model.config.backend)?;
+    // All rows but those of hybrid rendering vary volume rendering.
+    model.config.renderer.kind = RendererKind::Volume;
     let camera = camera(&model, arguments)?;
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     terminal::aside(format!("the reference: {width}x{height} pixels in f64, {REFERENCE_STEPS} steps"));
@@ -91,6 +94,9 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         let mut other = model.clone();
         other.config.renderer.min_weight = least;
         rows.push(measure(&other, "least weight", format!("{least:e}"))?);
+    }
+    if Proxy::is_in(&assets(&model.file)) {
+        rows.extend(hybrid_rows(&model, &measure)?);
     }
     let mut coarser = model.clone();
     loop {
@@ -156,6 +162,35 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     }
     write_atomically(&arguments.out.join("rendering.csv"), csv.as_bytes())?;
     Ok(0)
+}
+
+/// Measures a way to render a model.
+type Measure<'a> = dyn Fn(&Model, &'static str, String) -> Result<Row> + 'a;
+
+/// Hybrid rendering over the settings that choose its samples, one at a time.
+fn hybrid_rows(model: &Model, measure: &Measure<'_>) -> Result<Vec<Row>> {
+    let mut base = model.clone();
+    base.config.renderer.kind = RendererKind::Hybrid;
+    if backends::load(&base)?.notes().iter().any(|note| note.contains("hybrid")) {
+        return Ok(Vec::new());
+    }
+    let mut rows = Vec::new();
+    for cells in [0.75_f32, 1.0, 1.25, 1.5, 2.0] {
+        let mut other = base.clone();
+        other.config.hybrid.step = cells;
+        rows.push(measure(&other, "hybrid: step in cells", cells.to_string())?);
+    }
+    for least in [0.001_f32, 0.004, 0.01, 0.03] {
+        let mut other = base.clone();
+        (other.config.hybrid.least, other.config.hybrid.opaque) = (least, least);
+        rows.push(measure(&other, "hybrid: least weight, opaque", least.to_string())?);
+    }
+    for share in [0.0_f32, 0.2, 0.5, 1.0] {
+        let mut other = base.clone();
+        other.config.hybrid.share = share;
+        rows.push(measure(&other, "hybrid: weight of a colour", share.to_string())?);
+    }
+    Ok(rows)
 }
 
 /// Test view 0 at the requested size.
