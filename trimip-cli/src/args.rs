@@ -339,13 +339,17 @@ pub struct MeshArguments {
 pub struct BenchArguments {
     /// Benchmark rendering instead of training: error of this model's pictures against time per frame (run folder or
     /// model file)
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["variants", "vary", "no_base", "seeds", "config"])]
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["vary", "no_base", "seeds", "config"])]
     pub render: Option<PathBuf>,
     /// Rendering: 1, 2x2, 4x4 and 8x8 cones a pixel at every scale of the test views, against the photographs and
     /// against each other
-    #[arg(long, requires = "render")]
+    #[arg(long, requires = "render", conflicts_with = "variants")]
     pub cones: bool,
-    /// Rendering with several cones: number of test views
+    /// Rendering: ways to few samples at every scale of the test views, against the photographs and against converged
+    /// volume rendering; --try names other ways than those of the catalogue
+    #[arg(long, requires = "render", conflicts_with = "cones")]
+    pub ways: bool,
+    /// Rendering of test views (--cones, --ways): their number
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
     pub views: u32,
     /// Rendering: width of the picture (the f64 reference is slow)

@@ -5,42 +5,14 @@ use crate::occupancy::CpuOccupancy;
 use crate::renderer::CpuRenderer;
 use crate::{CpuBackend, CpuField};
 use std::ops::Range;
+use trimip_core::Field;
 use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
-use trimip_core::config::HybridConfig;
-use trimip_core::model::Assets;
-use trimip_core::proxy::{Chooser, Chosen, Proxy, Rule, Shaded, share_colors};
-use trimip_core::{Field, Result};
+use trimip_core::proxy::{Chooser, Chosen, Guide, Shaded, share_colors};
 
-/// The proxy of a model and the rule by which it is used.
-pub(crate) struct Hybrid {
-    proxy: Proxy,
-    rule: Rule,
-    /// Length of a step along the proxy, world units.
-    step: f32,
-    /// Largest radius of a sphere for which the proxy is used, world units.
-    widest: f32,
-    /// Optical depth and opacity of a step by the code of its cell.
-    steps: Vec<[f32; 2]>,
-}
+/// Renders by the proxy of a model.
+pub(crate) struct Hybrid(pub Guide);
 
 impl Hybrid {
-    /// The proxy of these assets, if they hold one that shows anything.
-    pub fn new(config: &HybridConfig, assets: &Assets) -> Result<Option<Self>> {
-        let Some(proxy) = Proxy::from_assets(assets)?.filter(|proxy| !proxy.codes().is_empty()) else {
-            return Ok(None);
-        };
-        let step = config.step * proxy.width();
-        let rule = Rule {
-            share: config.share,
-            least: config.least,
-            reach: config.reach * proxy.width(),
-            opaque: config.opaque,
-        };
-        let steps =
-            proxy.densities().iter().map(|density| density * step).map(|depth| [depth, -(-depth).exp_m1()]);
-        Ok(Some(Self { rule, step, widest: config.widest * proxy.radius(), steps: steps.collect(), proxy }))
-    }
-
     /// Calls `place` for every sample of a ray, front to back. Returns false if the proxy is unsure of the ray; what
     /// was placed is then to be forgotten.
     #[inline(always)]
@@ -51,28 +23,29 @@ impl Hybrid {
         occupancy: &CpuOccupancy,
         mut place: impl FnMut(Interval, Sphere),
     ) -> bool {
-        let mut cursor = renderer.start(ray, None, 0).with_step(self.step);
+        let guide = &self.0;
+        let mut cursor = renderer.start(ray, None, 0).with_step(guide.step);
         let way = renderer.space.way(ray, occupancy.resolution());
-        let mut chooser = Chooser::new(self.rule);
+        let mut chooser = Chooser::new(guide.rule);
         let mut choose = |chosen: Chosen| {
             let Chosen { t, .. } = chosen;
             place(
-                Interval { t, length: chosen.length(self.step) },
+                Interval { t, length: chosen.length(guide.step) },
                 Sphere { position: way.position(t), radius: way.radius(t) },
             );
         };
         let mut sure = true;
         renderer.advance(ray, occupancy, &mut cursor, |Interval { t, .. }, sphere| {
             // Also where the axis of a wide cone misses the cells with a density, its spheres may touch them.
-            if sphere.radius > self.widest {
+            if sphere.radius > guide.widest {
                 sure = false;
                 return false;
             }
-            let code = self.proxy.code(sphere.position);
+            let code = guide.proxy.code(sphere.position);
             if code == 0 {
                 return true;
             }
-            let [depth, alpha] = self.steps[usize::from(code)];
+            let [depth, alpha] = guide.steps[usize::from(code)];
             !chooser.step(t, depth, alpha, &mut choose)
         });
         if sure {
@@ -80,9 +53,7 @@ impl Hybrid {
         }
         sure
     }
-}
 
-impl Hybrid {
     /// Lets the samples of a ray share colours, for all rays of which `sure` is true. The first sample of a group gets its
     /// optical depth, length and mean distance; `kept` gets its row, and the tape's row the mean of its geometry features.
     pub fn blend(
@@ -130,7 +101,7 @@ impl Hybrid {
             let Interval { t, length } = intervals[row];
             Shaded { t, depth: radiance[row].density * length, weight: 0.0 }
         }));
-        share_colors(&self.rule, samples, |range, group| {
+        share_colors(&self.0.rule, samples, |range, group| {
             let own = first + range.start;
             kept.push(own as u32);
             let sum: f32 = group.iter().map(|sample| sample.weight).sum();

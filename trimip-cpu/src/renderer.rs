@@ -11,6 +11,7 @@ use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere
 use trimip_core::compositing::{Pruning, Seen, composite, composite_gradient};
 use trimip_core::config::{HybridConfig, RendererKind};
 use trimip_core::model::Assets;
+use trimip_core::proxy::Guide;
 use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
 use trimip_core::{Config, Pixel, Renderer, Result, Space};
@@ -133,10 +134,7 @@ impl CpuRenderer {
 
 impl Renderer<CpuBackend> for CpuRenderer {
     fn equip(&mut self, assets: &Assets) -> Result<()> {
-        self.hybrid = match self.kind {
-            RendererKind::Hybrid => Hybrid::new(&self.hybrid_config, assets)?,
-            RendererKind::Volume => None,
-        };
+        self.hybrid = Guide::of(self.kind, &self.hybrid_config, assets)?.map(Hybrid);
         Ok(())
     }
 

@@ -23,7 +23,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::balance::Draw;
 use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
-use trimip_core::config::{Precision, RendererKind};
+use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
 /// Iterations after which llvmpipe ends the loops of an invocation, minus some for its other loops.
@@ -67,6 +67,8 @@ pub struct Lane {
     pub(crate) blocks: Buffer<u32>,
     pub(crate) old_segments: Buffer<Segment>,
     pub(crate) marks: Buffer<u32>,
+    /// For hybrid rendering, one per ray: 1 if the proxy is sure of it.
+    pub(crate) sure: Buffer<u32>,
     pub(crate) sums: Buffer<f32>,
     /// Destination arrays for gathered rows, by row width in words.
     spares: HashMap<usize, Buffer<u32>>,
@@ -84,6 +86,7 @@ impl Lane {
             blocks: words(),
             old_segments: Buffer::zeros(gpu, 0),
             marks: words(),
+            sure: words(),
             sums: Buffer::zeros(gpu, 0),
             spares: HashMap::new(),
             marched: false,
@@ -225,29 +228,6 @@ pub struct StepReceipt {
     rays: u32,
 }
 
-impl WgpuBackend {
-    fn notes_on_precision(&self, config: &Config) -> Vec<String> {
-        match config.field.precision {
-            Precision::F32 => Vec::new(),
-            Precision::F16 if self.gpu.matrices().is_some() => {
-                match self.known.overflows.load(Ordering::Relaxed) {
-                    0 => Vec::new(),
-                    count => vec![format!(
-                        "field.precision = \"f16\": {count} numbers were too large for f16, the run goes on in f32"
-                    )],
-                }
-            }
-            Precision::F16 => vec![format!(
-                "field.precision = \"f16\": {} has no cooperative matrices of f16 with sums of f32, computed in f32",
-                self.gpu.name()
-            )],
-            Precision::Bf16 => {
-                vec!["field.precision = \"bf16\" is a CPU's: the GPU computes in f32, or in \"f16\"".into()]
-            }
-        }
-    }
-}
-
 impl Backend for WgpuBackend {
     type Buffer<T: Pod + Send + Sync> = Buffer<T>;
     type Lane = Lane;
@@ -277,11 +257,24 @@ impl Backend for WgpuBackend {
     }
 
     fn notes(&self, config: &Config) -> Vec<String> {
-        let mut notes = self.notes_on_precision(config);
-        if config.renderer.kind == RendererKind::Hybrid {
-            notes.push("renderer.kind = \"hybrid\" is the CPU's: the GPU renders volumes".into());
+        match config.field.precision {
+            Precision::F32 => Vec::new(),
+            Precision::F16 if self.gpu.matrices().is_some() => {
+                match self.known.overflows.load(Ordering::Relaxed) {
+                    0 => Vec::new(),
+                    count => vec![format!(
+                        "field.precision = \"f16\": {count} numbers were too large for f16, the run goes on in f32"
+                    )],
+                }
+            }
+            Precision::F16 => vec![format!(
+                "field.precision = \"f16\": {} has no cooperative matrices of f16 with sums of f32, computed in f32",
+                self.gpu.name()
+            )],
+            Precision::Bf16 => {
+                vec!["field.precision = \"bf16\" is a CPU's: the GPU computes in f32, or in \"f16\"".into()]
+            }
         }
-        notes
     }
 
     fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {

@@ -201,6 +201,13 @@ pub struct Tape {
     scratch: [Buffer<f32>; 2],
 }
 
+impl Tape {
+    /// Outputs of the density network.
+    pub fn outputs(&self) -> &Buffer<f32> {
+        &self.density[self.density.len() - 1]
+    }
+}
+
 /// Weight gradients in chunks, for each layer of both networks.
 pub struct FieldGradient {
     density: Vec<Buffer<f32>>,
@@ -222,8 +229,13 @@ impl WgpuField {
     }
 
     /// Width of the density network's output: a logit, geometry features, zeros.
-    fn outputs(&self) -> usize {
+    pub fn outputs(&self) -> usize {
         padded(1 + self.geometry)
+    }
+
+    /// Number of geometry features.
+    pub fn geometry(&self) -> usize {
+        self.geometry
     }
 
     fn params(&self, rows: &Rows) -> FieldParams {
@@ -234,6 +246,20 @@ impl WgpuField {
             geometry: self.geometry as u32,
             outputs: self.outputs() as u32,
         }
+    }
+
+    /// As [`Field::keep`], but keeps no more of the tape than colours need; there is no way back.
+    pub fn keep_outputs(
+        &self,
+        lane: &mut Lane,
+        kept: &Buffer<u32>,
+        tape: &mut Tape,
+        radiance: &mut Buffer<Radiance>,
+    ) {
+        if let Some(outputs) = tape.density.last_mut() {
+            lane.keep(kept, outputs, self.outputs());
+        }
+        lane.keep(kept, radiance, 4);
     }
 
     /// The counter of factors that f16 cannot hold.

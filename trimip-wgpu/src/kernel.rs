@@ -4,6 +4,7 @@
 
 use crate::device::GROUP;
 use crate::occupancy::SIDE;
+use trimip_core::proxy::BRICK;
 use trimip_core::sh::FACTORS;
 
 /// How a kernel uses a binding.
@@ -62,7 +63,8 @@ impl Kernel {
 
     /// The complete WGSL source.
     pub fn source(&self) -> String {
-        let constants = self.constants.iter().copied().chain([("GROUP", GROUP), ("SIDE", SIDE)]);
+        let constants =
+            self.constants.iter().copied().chain([("GROUP", GROUP), ("SIDE", SIDE), ("BRICK", BRICK)]);
         let constants: String =
             constants.map(|(name, value)| format!("const {name}: u32 = {value}u;\n")).collect();
         let factors = FACTORS.map(|factor| format!("{factor:?}")).join(", ");
@@ -80,7 +82,9 @@ const SPACE: &str = include_str!("shaders/space.wgsl");
 const RAYS: &[&str] =
     &[GRID, RANDOM, RAY, include_str!("shaders/camera.wgsl"), include_str!("shaders/rays.wgsl")];
 const BLOCKS: &str = include_str!("shaders/blocks.wgsl");
-const MARCH: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, include_str!("shaders/march.wgsl")];
+const WALK: &str = include_str!("shaders/walk.wgsl");
+const MARCH: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, WALK, include_str!("shaders/march.wgsl")];
+const CHOICE: &[&str] = &[GRID, RAY, SPACE, BLOCKS, WALK, include_str!("shaders/choose.wgsl")];
 const SCAN: &[&str] = &[include_str!("shaders/scan.wgsl")];
 /// 64-bit fixed point.
 pub const FIXED: &str = include_str!("shaders/fixed.wgsl");
@@ -99,9 +103,11 @@ const WEIGHTS_HALF: &[&str] =
 const ACTIVATION: &str = include_str!("shaders/activation.wgsl");
 const FIELD: &[&str] = &[GRID, RAY, ACTIVATION, include_str!("shaders/field.wgsl")];
 const DENSITY_GRADIENTS: &[&str] = &[GRID, ACTIVATION, include_str!("shaders/density_gradients.wgsl")];
-const PRUNE: &[&str] = &[GRID, include_str!("shaders/prune.wgsl")];
+const PRUNING: &str = include_str!("shaders/pruning.wgsl");
+const PRUNE: &[&str] = &[GRID, PRUNING, include_str!("shaders/prune.wgsl")];
 const GATHER: &[&str] = &[GRID, include_str!("shaders/gather.wgsl")];
 const COMPOSITING: &str = include_str!("shaders/compositing.wgsl");
+const SHARE: &[&str] = &[GRID, PRUNING, COMPOSITING, include_str!("shaders/share.wgsl")];
 const COMPOSITE: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite.wgsl")];
 const COMPOSITE_GRADIENT: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite_gradient.wgsl")];
 const LOSS: &[&str] = &[GRID, include_str!("shaders/loss.wgsl")];
@@ -129,6 +135,28 @@ pub static PLACING: Kernel = Kernel::new(
     "place",
     MARCH,
     &[(0, Read), (1, Write), (2, Write), (3, Parameters), (5, Write), (6, Write), (7, Write)],
+);
+pub static COUNT_CHOSEN: Kernel =
+    Kernel::new("count", CHOICE, &[(0, Read), (1, Write), (2, Write), (3, Parameters), (4, Read), (8, Read)]);
+pub static FILL_CHOSEN: Kernel = Kernel::new(
+    "fill",
+    CHOICE,
+    &[
+        (0, Read),
+        (1, Write),
+        (2, Write),
+        (3, Parameters),
+        (4, Read),
+        (5, Write),
+        (6, Write),
+        (7, Write),
+        (8, Read),
+    ],
+);
+pub static SHARING: Kernel = Kernel::new(
+    "share",
+    SHARE,
+    &[(0, Write), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Write), (6, Write), (7, Write)],
 );
 pub static SUM_BLOCKS: Kernel = Kernel::new("sum_blocks", SCAN, &[(0, Write), (1, Write), (2, Parameters)]);
 pub static SUM_ALL: Kernel = Kernel::new("sum_all", SCAN, &[(1, Write), (2, Parameters), (3, Write)]);
@@ -236,6 +264,9 @@ mod tests {
             &TRAINING_RAYS,
             &MARCHING,
             &PLACING,
+            &COUNT_CHOSEN,
+            &FILL_CHOSEN,
+            &SHARING,
             &SUM_BLOCKS,
             &SUM_ALL,
             &START_SEGMENTS,

@@ -10,6 +10,7 @@ mod device;
 mod encoder;
 mod encoders;
 mod field;
+mod hybrid;
 mod kernel;
 mod loss;
 mod mapping;

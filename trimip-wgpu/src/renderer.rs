@@ -3,6 +3,7 @@
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
+use crate::hybrid::Hybrid;
 use crate::kernel::{
     COMPOSITING_GRADIENT, COMPOSITING_RAYS, LIST, MARCHING, PLACING, SEE, START_SEGMENTS, SUM_ALL, SUM_BLOCKS,
 };
@@ -10,17 +11,21 @@ use crate::occupancy::WgpuOccupancy;
 use crate::space::GpuSpace;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
-use trimip_core::batch::{Radiance, Rays, Samples, Segment};
+use trimip_core::backend::{Stages, see_all};
+use trimip_core::batch::{Radiance, Rays, Samples, Segment, Workspace};
 use trimip_core::compositing::Pruning;
+use trimip_core::config::{HybridConfig, RendererKind};
+use trimip_core::model::Assets;
+use trimip_core::proxy::Guide;
 use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
-use trimip_core::{Config, Pixel, Renderer, Space};
+use trimip_core::{Config, Pixel, Renderer, Result, Space};
 
 /// Segments per workgroup of the prefix sums.
 const BLOCK: u32 = 4 * GROUP;
 
 /// Indices of the counters in [`Samples::counts`]. The number of samples dropped for lack of room is two further.
-const MARCHED: u32 = 0;
+pub(crate) const MARCHED: u32 = 0;
 const KEPT: u32 = 1;
 
 #[repr(C)]
@@ -58,19 +63,22 @@ struct CompositeParams {
 /// Space, step and background of a renderer.
 pub struct WgpuRenderer {
     gpu: Arc<Gpu>,
-    space: Space<f32>,
+    pub(crate) space: Space<f32>,
     /// Length of a step at scale 1 of the schedule.
     uniform_step: f32,
     step_scale: Schedule,
-    step_length: f32,
-    step_per_radius: f32,
-    pruning: Pruning<f32>,
+    pub(crate) step_length: f32,
+    pub(crate) step_per_radius: f32,
+    pub(crate) pruning: Pruning<f32>,
     background: [f32; 3],
     random: Random,
     training: bool,
     /// Number of marched samples that a span has room for, and number of kept ones.
-    room: usize,
+    pub(crate) room: usize,
     kept_room: usize,
+    kind: RendererKind,
+    hybrid_config: HybridConfig,
+    hybrid: Option<Hybrid>,
 }
 
 impl WgpuRenderer {
@@ -91,11 +99,14 @@ impl WgpuRenderer {
             training,
             room,
             kept_room,
+            kind: config.renderer.kind,
+            hybrid_config: config.hybrid.clone(),
+            hybrid: None,
         }
     }
 
     /// Computes the start of every segment and writes the total to a counter.
-    fn scan(
+    pub(crate) fn scan(
         &self,
         lane: &mut Lane,
         segments: &Buffer<Segment>,
@@ -115,7 +126,49 @@ impl WgpuRenderer {
     }
 }
 
+impl WgpuRenderer {
+    /// Lists the marked samples in `kept` and drops the others. The counts of the segments are those of marked samples.
+    pub(crate) fn list(&self, lane: &mut Lane, samples: &mut Samples<WgpuBackend>, kept: &mut Buffer<u32>) {
+        let count = samples.segments.known_len().unwrap_or(0);
+        let kept_room = self.kept_room.min(samples.spheres.most());
+        self.scan(lane, &samples.segments, &samples.counts, KEPT, kept_room);
+        kept.count_by(kept_room, samples.counts.raw(), KEPT, 1);
+        let binds = [samples.segments.bind(), kept.bind(), lane.old_segments.bind(), lane.marks.bind()];
+        let params = self.prune_params(count, kept_room);
+        self.gpu.dispatch(&LIST, &binds, &params, Size::Items(count as u64));
+        lane.keep(kept, &mut samples.rays, 1);
+        lane.keep(kept, &mut samples.intervals, 2);
+        lane.keep(kept, &mut samples.spheres, 4);
+    }
+
+    fn prune_params(&self, count: usize, kept_room: usize) -> PruneParams {
+        let Pruning { max_depth, min_weight } = self.pruning;
+        // WGSL cannot express infinity.
+        let max_depth = max_depth.min(f32::MAX);
+        PruneParams { count: count as u32, max_depth, min_weight, capacity: kept_room as u32 }
+    }
+}
+
 impl Renderer<WgpuBackend> for WgpuRenderer {
+    fn equip(&mut self, assets: &Assets) -> Result<()> {
+        let guide = Guide::of(self.kind, &self.hybrid_config, assets)?;
+        self.hybrid = guide.map(|guide| Hybrid::new(&self.gpu, &guide)).transpose()?;
+        Ok(())
+    }
+
+    fn see(
+        &self,
+        stages: &Stages<WgpuBackend>,
+        parameters: &Buffer<f32>,
+        space: &mut Workspace<WgpuBackend>,
+        jitter: Option<u64>,
+    ) {
+        match &self.hybrid {
+            Some(hybrid) if jitter.is_none() => hybrid.see(stages, parameters, space),
+            _ => see_all(stages, parameters, space, jitter),
+        }
+    }
+
     fn follow(&mut self, progress: f64) {
         self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
     }
@@ -177,19 +230,10 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
     ) {
         let count = samples.segments.known_len().unwrap_or(0);
         let room = samples.spheres.most();
-        let kept_room = self.kept_room.min(room);
         samples.counts.resize(2);
         lane.old_segments.resize(count);
         lane.marks.resize(room);
-        let Pruning { max_depth, min_weight } = self.pruning;
-        // WGSL cannot express infinity.
-        let params = PruneParams {
-            count: count as u32,
-            max_depth: max_depth.min(f32::MAX),
-            min_weight,
-            capacity: kept_room as u32,
-        };
-        let items = Size::Items(count as u64);
+        let params = self.prune_params(count, self.kept_room.min(room));
         let binds = [
             samples.segments.bind(),
             radiance.bind(),
@@ -197,14 +241,8 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             lane.old_segments.bind(),
             lane.marks.bind(),
         ];
-        self.gpu.dispatch(&SEE, &binds, &params, items);
-        self.scan(lane, &samples.segments, &samples.counts, KEPT, kept_room);
-        kept.count_by(kept_room, samples.counts.raw(), KEPT, 1);
-        let binds = [samples.segments.bind(), kept.bind(), lane.old_segments.bind(), lane.marks.bind()];
-        self.gpu.dispatch(&LIST, &binds, &params, items);
-        lane.keep(kept, &mut samples.rays, 1);
-        lane.keep(kept, &mut samples.intervals, 2);
-        lane.keep(kept, &mut samples.spheres, 4);
+        self.gpu.dispatch(&SEE, &binds, &params, Size::Items(count as u64));
+        self.list(lane, samples, kept);
     }
 
     fn composite(

@@ -4,6 +4,7 @@
 pub mod cones;
 pub mod exchange;
 pub mod gradients;
+pub mod hybrid;
 pub mod marching;
 pub mod probes;
 pub mod pyramid;

@@ -2,17 +2,16 @@
 //! colour. Letters as in [`compositing`](crate::compositing).
 //!
 //! The ray is divided into steps. A step whose predicted weight is less than [`Rule::least`] is left out; it lends its optical
-//! depth to the next sample, or to the last one of the ray. The samples are evaluated by the model. Neighbouring samples
-//! of less weight than [`Rule::share`] together share one colour, that of the weighted mean of their geometry features.
+//! depth to the next sample, or to the last one of the ray. Where the weights of steps that were left out add up to
+//! [`Rule::least`], the heaviest of them becomes a sample, so that a ray loses less than that. The samples are evaluated by
+//! the model. Neighbouring samples of less weight than [`Rule::share`] together share one colour, that of the weighted mean
+//! of their geometry features.
 
 use crate::compositing::weight;
 use std::ops::Range;
 
 /// Optical depth behind the end of an opaque ray.
-const BEHIND: f32 = 6.0;
-
-/// Largest factor by which a sample becomes longer.
-const MOST_STRETCH: f32 = 4.0;
+pub const BEHIND: f32 = 6.0;
 
 /// How samples are chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,12 +37,11 @@ pub struct Chosen {
 }
 
 impl Chosen {
-    /// Length of the sample, for steps of this length.
+    /// Length of the sample, for steps of this length. It is at most that of the steps for which it stands, because it is the
+    /// thickest of them; the last sample of an opaque ray may be longer.
     #[inline(always)]
     pub fn length(&self, step: f32) -> f32 {
-        let stretch = self.depth / self.own;
-        // A comparison with NaN is false.
-        step * if stretch < MOST_STRETCH { stretch } else { MOST_STRETCH }
+        step * (self.depth / self.own)
     }
 }
 
@@ -52,8 +50,10 @@ impl Chosen {
 pub struct Chooser {
     rule: Rule,
     transmittance: f32,
-    /// Optical depth of steps that were left out since the last sample.
-    lent: f32,
+    /// Weight of the steps that were left out since the last sample.
+    light: f32,
+    /// The heaviest of them, with their optical depth.
+    lent: Chosen,
     /// The last sample; it is given away when the next one is known.
     held: Option<Chosen>,
 }
@@ -62,7 +62,7 @@ impl Chooser {
     /// A ray on which nothing has been seen yet.
     #[inline(always)]
     pub fn new(rule: Rule) -> Self {
-        Self { rule, transmittance: 1.0, lent: 0.0, held: None }
+        Self { rule, transmittance: 1.0, light: 0.0, lent: Chosen::default(), held: None }
     }
 
     /// Adds a step around `t`, of the predicted optical depth `depth` and opacity `alpha`. Returns true if nothing behind
@@ -71,14 +71,22 @@ impl Chooser {
     pub fn step(&mut self, t: f32, depth: f32, alpha: f32, choose: &mut impl FnMut(Chosen)) -> bool {
         let weight = self.transmittance * alpha;
         self.transmittance -= weight;
-        if weight < self.rule.least {
-            self.lent += depth;
+        self.light += weight;
+        let all = self.lent.depth + depth;
+        // Within fog, transmittance hardly changes: the thickest step is the heaviest.
+        let best = if depth > self.lent.own {
+            Chosen { t, own: depth, depth: all }
+        } else {
+            Chosen { depth: all, ..self.lent }
+        };
+        if self.light < self.rule.least {
+            self.lent = best;
         } else {
             if let Some(held) = self.held {
                 choose(held);
             }
-            self.held = Some(Chosen { t, own: depth, depth: depth + self.lent });
-            self.lent = 0.0;
+            self.held = Some(best);
+            (self.light, self.lent) = (0.0, Chosen::default());
         }
         self.transmittance < self.rule.opaque
     }
@@ -88,7 +96,7 @@ impl Chooser {
     pub fn end(self, choose: &mut impl FnMut(Chosen)) {
         let behind = if self.transmittance < self.rule.opaque { BEHIND } else { 0.0 };
         if let Some(held) = self.held {
-            choose(Chosen { depth: held.depth + self.lent + behind, ..held });
+            choose(Chosen { depth: held.depth + self.lent.depth + behind, ..held });
         }
     }
 }
@@ -153,9 +161,9 @@ mod tests {
     #[test]
     fn thin_steps_lend_their_depth_to_the_next_sample_or_the_last() {
         assert_eq!(chosen(&[]), []);
-        assert_eq!(chosen(&[0.01, 0.015]), [], "nothing is heavy enough");
-        let found = chosen(&[0.01, 0.1, 0.005, 0.01, 0.2, 0.004]);
-        let expected = [(1.0, 0.11), (4.0, 0.2 + 0.015 + 0.004)];
+        assert_eq!(chosen(&[0.005, 0.0125]), [], "nothing is heavy enough");
+        let found = chosen(&[0.005, 0.1, 0.005, 0.01, 0.2, 0.004]);
+        let expected = [(1.0, 0.105), (4.0, 0.2 + 0.015 + 0.004)];
         assert_eq!(found.len(), expected.len());
         for (found, expected) in found.iter().zip(expected) {
             assert_eq!(found.0, expected.0);
@@ -163,7 +171,24 @@ mod tests {
         }
     }
 
-    /// The sum of the optical depths is that of all steps, as long as no sample stands for more than MOST_STRETCH of them.
+    /// Steps too thin for a sample of their own have one together, at the thickest of them. The ray loses less opacity than
+    /// the least weight, however thin the fog is.
+    #[test]
+    fn fog_is_seen() {
+        for thin in [1e-4_f32, 1e-3, 5e-3, 0.03] {
+            let depths: Vec<f32> = (0..3000).map(|i| thin * if i % 7 == 3 { 1.5 } else { 1.0 }).collect();
+            let found = chosen(&depths);
+            let (all, kept): (f32, f32) = (depths.iter().sum(), found.iter().map(|own| own.1).sum());
+            let lost = ((-kept).exp() - (-all).exp()).abs();
+            assert!(lost < RULE.least, "{thin}: {lost}");
+            assert!(found.len() < depths.len() / 2, "{thin}: {}", found.len());
+            if thin < 5e-3 && 7.0 * thin * 1.08 < RULE.least {
+                assert!(found.iter().all(|own| own.0 as usize % 7 == 3), "{found:?}");
+            }
+        }
+    }
+
+    /// The sum of the optical depths is that of all steps.
     #[test]
     fn a_translucent_ray_keeps_its_transmittance() {
         let depths: Vec<f32> = (0..12).map(|i| 0.06 * (0.7 * i as f32).sin().powi(2)).collect();

@@ -4,10 +4,12 @@
 
 mod bake;
 mod choose;
+mod guide;
 mod pack;
 
 pub use bake::{Baking, bake};
-pub use choose::{Chooser, Chosen, Rule, Shaded, share_colors};
+pub use choose::{BEHIND, Chooser, Chosen, Rule, Shaded, share_colors};
+pub use guide::Guide;
 
 /// Cells along each side of a brick.
 pub const BRICK: u32 = 8;

@@ -20,49 +20,18 @@ struct Params {
 @group(0) @binding(1) var<storage, read_write> bits: array<u32>;
 @group(0) @binding(2) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(3) var<uniform> params: Params;
-// One bit per cell in blocks of 4x4x4 cells (two words per block), then one bit per block in blocks of blocks.
-@group(0) @binding(4) var<storage, read> grid: array<u32>;
 @group(0) @binding(5) var<storage, read_write> owners: array<u32>;
 @group(0) @binding(6) var<storage, read_write> intervals: array<vec2<f32>>;
 @group(0) @binding(7) var<storage, read_write> spheres: array<vec4<f32>>;
 
-// March parameters of a ray: distance of the start of the first step, distance at which the ray leaves the box,
-// length of a step.
-struct March {
-    first: f32,
-    leave: f32,
-    step: f32,
-}
-
+// The march of ray `index` of the step.
 fn start(ray: Ray, index: u32) -> March {
     let hit = intersect(params.space, ray);
     var offset = 0.0;
     if params.jitter != 0u {
         offset = unit(random_bits(params.draws, index).x);
     }
-    let by_radius = params.step_per_radius * ray.slope * 0.5 * (hit.x + hit.y);
-    let step = select(params.step_length, by_radius, by_radius > params.step_length);
-    let first = hit.x + offset * step;
-    let hits = hit.y > first && hit.y < FAR;
-    return March(first, select(-FAR, hit.y, hits), step);
-}
-
-fn is_empty(word: u32) -> bool {
-    return (grid[word] | grid[word + 1u]) == 0u;
-}
-
-// Side, in cells, of the largest empty cube of the hierarchy that contains a cell; 0 if the cell is occupied.
-fn empty_around(cell: vec3<u32>) -> u32 {
-    let blocks = params.space.resolution / SIDE;
-    let outer = bit_of(cell / SIDE, (blocks + SIDE - 1u) / SIDE);
-    if is_empty((2u * blocks * blocks * blocks + outer.word) & ~1u) {
-        return SIDE * SIDE;
-    }
-    let own = bit_of(cell, blocks);
-    if is_empty(own.word & ~1u) {
-        return SIDE;
-    }
-    return select(1u, 0u, ((grid[own.word] >> own.bit) & 1u) == 1u);
+    return march_along(hit, volume_step(ray, hit), offset);
 }
 
 @compute @workgroup_size(GROUP)
@@ -80,32 +49,19 @@ fn march(
     let base = i * params.words;
     var word = 0u;
     var word_bits = 0u;
-    var index = 0.0;
+    let last = f32(32u * params.words);
+    var index = next_occupied(ray, m, 0.0, last);
     var count = 0u;
-    loop {
-        let t = m.first + (index + 0.5) * m.step;
+    while index < last {
         let step = u32(index);
-        if !(t < m.leave) || step >= 32u * params.words {
-            break;
+        while word < step / 32u {
+            bits[base + word] = word_bits;
+            word_bits = 0u;
+            word += 1u;
         }
-        let cell = cell_of(params.space, sphere_at(params.space, ray, t).xyz);
-        let size = empty_around(cell);
-        if size == 0u {
-            while word < step / 32u {
-                bits[base + word] = word_bits;
-                word_bits = 0u;
-                word += 1u;
-            }
-            word_bits |= 1u << (step % 32u);
-            count += 1u;
-            index += 1.0;
-            continue;
-        }
-        let leave = cells_exit(params.space, ray, t, cell, size);
-        // The first step whose midpoint is not before the exit. A step that rounding may move is tested, not skipped.
-        let steps = (leave - m.first) / m.step - 0.5;
-        let next = ceil(steps * (1.0 - 1e-6) - 0.01);
-        index = select(index + 1.0, max(next, index + 1.0), leave < FAR);
+        word_bits |= 1u << (step % 32u);
+        count += 1u;
+        index = next_occupied(ray, m, index + 1.0, last);
     }
     while word < params.words {
         bits[base + word] = word_bits;
@@ -139,7 +95,7 @@ fn place(
         while rest != 0u && at < end {
             let bit = firstTrailingBit(rest);
             rest &= rest - 1u;
-            let t = m.first + (f32(32u * word + bit) + 0.5) * m.step;
+            let t = middle(m, f32(32u * word + bit));
             owners[at] = i;
             intervals[at] = vec2<f32>(t, m.step);
             spheres[at] = sphere_at(params.space, ray, t);

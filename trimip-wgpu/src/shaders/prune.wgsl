@@ -32,13 +32,8 @@ fn see(
     var depth = 0.0;
     var count = 0u;
     for (var j = segment.x; j < segment.x + segment.y; j++) {
-        if depth > params.max_depth {
-            marks[j] = 0u;
-            continue;
-        }
         let own = radiance[j].w * intervals[j].y;
-        // The comparison is false for NaN: the sample is kept, and the training step reports it.
-        if params.min_weight > 0.0 && exp(-depth) * (1.0 - exp(-own)) < params.min_weight {
+        if !is_seen(depth, own, params.max_depth, params.min_weight) {
             marks[j] = 0u;
             continue;
         }

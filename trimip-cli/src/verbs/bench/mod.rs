@@ -1,11 +1,12 @@
-//! `bench`: error against time, of training over a set of configurations, of rendering over a model's approximations, or
-//! of pixels over their number of cones.
+//! `bench`: error against time, of training over a set of configurations, of rendering over a model's approximations, of
+//! ways to few samples, or of pixels over their number of cones.
 
 mod cones;
 mod page;
 mod rendering;
 pub mod stages;
 pub mod training;
+mod ways;
 
 use crate::args::BenchArguments;
 use trimip_core::Result;
@@ -14,6 +15,7 @@ use trimip_core::Result;
 pub fn run(arguments: &BenchArguments) -> Result<u8> {
     match &arguments.render {
         Some(model) if arguments.cones => cones::run(arguments, model),
+        Some(model) if arguments.ways => ways::run(arguments, model),
         Some(model) => rendering::run(arguments, model),
         None => training::run(arguments),
     }

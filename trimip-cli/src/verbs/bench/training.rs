@@ -147,13 +147,7 @@ fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
     if !arguments.no_base {
         variants.push(Variant { name: "base".into(), assignments: Vec::new() });
     }
-    for text in &arguments.variants {
-        let (name, assignments) = text.split_once(':').ok_or_else(|| {
-            Error::input(format!("--try '{text}'"), "no name", "write 'NAME: KEY=VALUE; KEY=VALUE'")
-        })?;
-        let assignments = assignments.split(';').map(|a| a.trim().to_string()).filter(|a| !a.is_empty());
-        variants.push(Variant { name: name.trim().into(), assignments: assignments.collect() });
-    }
+    variants.extend(tried(&arguments.variants)?);
     for text in &arguments.vary {
         let (key, values) = text.split_once('=').ok_or_else(|| {
             Error::input(format!("--vary '{text}'"), "no values", "write 'KEY=VALUE|VALUE'")
@@ -176,6 +170,18 @@ fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
         }
         None => Ok(variants),
     }
+}
+
+/// The variants that `--try` names.
+pub fn tried(texts: &[String]) -> Result<Vec<Variant>> {
+    let variant = |text: &String| {
+        let (name, assignments) = text.split_once(':').ok_or_else(|| {
+            Error::input(format!("--try '{text}'"), "no name", "write 'NAME: KEY=VALUE; KEY=VALUE'")
+        })?;
+        let assignments = assignments.split(';').map(|a| a.trim().to_string()).filter(|a| !a.is_empty());
+        Ok(Variant { name: name.trim().into(), assignments: assignments.collect() })
+    };
+    texts.iter().map(variant).collect()
 }
 
 /// Converts a name to a folder name.

@@ -1,0 +1,203 @@
+//! Hybrid rendering on the GPU: the samples of a ray are chosen by the densities of the proxy.
+
+use crate::backend::{Lane, WgpuBackend};
+use crate::buffer::Buffer;
+use crate::device::{Gpu, Size};
+use crate::field::{Tape, WgpuField};
+use crate::kernel::{COUNT_CHOSEN, FILL_CHOSEN, SHARING};
+use crate::occupancy::WgpuOccupancy;
+use crate::renderer::{MARCHED, WgpuRenderer};
+use crate::space::GpuSpace;
+use bytemuck::{Pod, Zeroable};
+use std::sync::Arc;
+use trimip_core::backend::Stages;
+use trimip_core::batch::{Radiance, Rays, Samples, Workspace};
+use trimip_core::proxy::{BEHIND, Guide, Rule};
+use trimip_core::{Encoder, Error, Field, Result};
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct ChooseParams {
+    space: GpuSpace,
+    cells: [u32; 3],
+    count: u32,
+    bricks: u32,
+    codes: u32,
+    capacity: u32,
+    last: f32,
+    step: f32,
+    step_length: f32,
+    step_per_radius: f32,
+    widest: f32,
+    least: f32,
+    opaque: f32,
+    behind: f32,
+    padding: f32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct ShareParams {
+    count: u32,
+    max_depth: f32,
+    min_weight: f32,
+    share: f32,
+    reach: f32,
+    outputs: u32,
+    geometry: u32,
+}
+
+/// The proxy of a model on the device.
+pub struct Hybrid {
+    gpu: Arc<Gpu>,
+    /// Optical depth and opacity of a step for each code, one word per brick, four codes per word.
+    proxy: Buffer<u32>,
+    cells: [u32; 3],
+    /// Index of the first word of the bricks, and of the codes.
+    places: [u32; 2],
+    rule: Rule,
+    step: f32,
+    widest: f32,
+}
+
+impl Hybrid {
+    /// Copies a proxy to the device.
+    ///
+    /// # Errors
+    /// When it is larger than the device's largest binding.
+    pub fn new(gpu: &Arc<Gpu>, guide: &Guide) -> Result<Self> {
+        let steps = guide.steps.iter().flatten().map(|value| value.to_bits());
+        let mut words: Vec<u32> = steps.collect();
+        let bricks = words.len() as u32;
+        words.extend_from_slice(guide.proxy.index());
+        let codes = words.len() as u32;
+        let word = |four: &[u8]| four.iter().rev().fold(0, |word, &code| word << 8 | u32::from(code));
+        words.extend(guide.proxy.codes().chunks(4).map(word));
+        let (bytes, most) = (4 * words.len() as u64, gpu.limits().max_storage_buffer_binding_size);
+        if bytes > most {
+            return Err(Error::input(
+                "the model's proxy",
+                format!("{bytes} bytes, and the device binds at most {most} at once"),
+                "compute a coarser one (`trimip-cli bake --set hybrid.resolution=..`), or use renderer.kind=volume",
+            ));
+        }
+        let mut proxy = Buffer::zeros(gpu, 0);
+        proxy.write(&words);
+        Ok(Self {
+            gpu: Arc::clone(gpu),
+            proxy,
+            cells: guide.proxy.cells(),
+            places: [bricks, codes],
+            rule: guide.rule,
+            step: guide.step,
+            widest: guide.widest,
+        })
+    }
+
+    /// See [`trimip_core::Renderer::see`].
+    pub fn see(
+        &self,
+        stages: &Stages<WgpuBackend>,
+        parameters: &Buffer<f32>,
+        space: &mut Workspace<WgpuBackend>,
+    ) {
+        let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, .. } = space;
+        self.choose(&stages.renderer, lane, rays, &stages.occupancy, samples);
+        stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
+        stages.field.density(lane, samples, features, tape, radiance);
+        self.share(&stages.renderer, &stages.field, lane, samples, tape, radiance);
+        stages.renderer.list(lane, samples, kept);
+        stages.field.keep_outputs(lane, kept, tape, radiance);
+    }
+
+    /// Places the samples of all rays.
+    fn choose(
+        &self,
+        renderer: &WgpuRenderer,
+        lane: &mut Lane,
+        rays: &Rays<WgpuBackend>,
+        occupancy: &WgpuOccupancy,
+        samples: &mut Samples<WgpuBackend>,
+    ) {
+        let count = rays.rays.known_len().unwrap_or(0);
+        let most_samples = renderer.space.most_steps(self.step.min(renderer.step_length));
+        let room = renderer.room.min(count * most_samples).max(1);
+        samples.segments.resize(count);
+        samples.counts.resize(2);
+        lane.sure.resize(count);
+        lane.marched = true;
+        let Rule { least, opaque, .. } = self.rule;
+        let params = ChooseParams {
+            space: GpuSpace::new(&renderer.space, occupancy.resolution()),
+            cells: self.cells,
+            count: count as u32,
+            bricks: self.places[0],
+            codes: self.places[1],
+            capacity: room as u32,
+            last: most_samples as f32,
+            step: self.step,
+            step_length: renderer.step_length,
+            step_per_radius: renderer.step_per_radius,
+            widest: self.widest,
+            least,
+            opaque,
+            behind: BEHIND,
+            padding: 0.0,
+        };
+        let items = Size::Items(count as u64);
+        let (rays, grid, proxy) = (rays.rays.bind(), occupancy.grid().bind(), self.proxy.bind());
+        let binds = [rays, lane.sure.bind(), samples.segments.bind(), grid, proxy];
+        self.gpu.dispatch(&COUNT_CHOSEN, &binds, &params, items);
+        renderer.scan(lane, &samples.segments, &samples.counts, MARCHED, room);
+        let counts = samples.counts.raw().clone();
+        samples.rays.count_by(room, &counts, MARCHED, 1);
+        samples.intervals.count_by(room, &counts, MARCHED, 1);
+        samples.spheres.count_by(room, &counts, MARCHED, 1);
+        let binds = [
+            rays,
+            lane.sure.bind(),
+            samples.segments.bind(),
+            grid,
+            samples.rays.bind(),
+            samples.intervals.bind(),
+            samples.spheres.bind(),
+            proxy,
+        ];
+        self.gpu.dispatch(&FILL_CHOSEN, &binds, &params, items);
+    }
+
+    /// Marks the visible samples that have a colour of their own, and lets the others share it.
+    fn share(
+        &self,
+        renderer: &WgpuRenderer,
+        field: &WgpuField,
+        lane: &mut Lane,
+        samples: &Samples<WgpuBackend>,
+        tape: &Tape,
+        radiance: &Buffer<Radiance>,
+    ) {
+        let count = samples.segments.known_len().unwrap_or(0);
+        lane.old_segments.resize(count);
+        lane.marks.resize(samples.spheres.most());
+        let params = ShareParams {
+            count: count as u32,
+            // WGSL cannot express infinity.
+            max_depth: renderer.pruning.max_depth.min(f32::MAX),
+            min_weight: renderer.pruning.min_weight,
+            share: self.rule.share,
+            reach: self.rule.reach,
+            outputs: field.outputs() as u32,
+            geometry: field.geometry() as u32,
+        };
+        let binds = [
+            samples.segments.bind(),
+            lane.sure.bind(),
+            radiance.bind(),
+            samples.intervals.bind(),
+            lane.old_segments.bind(),
+            lane.marks.bind(),
+            tape.outputs().bind(),
+        ];
+        self.gpu.dispatch(&SHARING, &binds, &params, Size::Items(count as u64));
+    }
+}

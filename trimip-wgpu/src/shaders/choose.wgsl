@@ -1,0 +1,219 @@
+// Choosing samples by the proxy of the model (hybrid rendering). `count` walks each ray and counts its samples. After the
+// counts are summed, `fill` walks it again and writes them. A ray of which the proxy is unsure has the samples of volume
+// rendering. Twin of `trimip_core::proxy::Chooser` and the CPU's hybrid renderer.
+
+struct Params {
+    space: Space,
+    // Cells of the proxy along each axis.
+    cells: vec3<u32>,
+    // Number of rays.
+    count: u32,
+    // Index of the first word of the bricks, and of the codes, in `proxy`.
+    bricks: u32,
+    codes: u32,
+    // Maximum number of samples.
+    capacity: u32,
+    // More than the steps of any ray.
+    last: f32,
+    // Length of a step along the proxy, and of the steps of volume rendering.
+    step: f32,
+    step_length: f32,
+    step_per_radius: f32,
+    // Largest radius of a sphere for which the proxy is used.
+    widest: f32,
+    // See `trimip_core::proxy::Rule` and `BEHIND`.
+    least: f32,
+    opaque: f32,
+    behind: f32,
+}
+
+@group(0) @binding(0) var<storage, read> rays: array<Ray>;
+// 1 for rays of which the proxy is sure.
+@group(0) @binding(1) var<storage, read_write> sure: array<u32>;
+@group(0) @binding(2) var<storage, read_write> segments: array<vec2<u32>>;
+@group(0) @binding(3) var<uniform> params: Params;
+@group(0) @binding(5) var<storage, read_write> owners: array<u32>;
+@group(0) @binding(6) var<storage, read_write> intervals: array<vec2<f32>>;
+@group(0) @binding(7) var<storage, read_write> spheres: array<vec4<f32>>;
+// Optical depth and opacity of a step for each code (floats); one word per brick; four codes per word.
+@group(0) @binding(8) var<storage, read> proxy: array<u32>;
+
+// A step that stands for others: its middle, its predicted optical depth, and that of all of them.
+struct Chosen {
+    t: f32,
+    own: f32,
+    depth: f32,
+}
+
+struct Walker {
+    m: March,
+    // Index of the next step.
+    index: f32,
+    transmittance: f32,
+    // Weight of the steps that were left out since the last sample, and the heaviest of them.
+    light: f32,
+    lent: Chosen,
+    // The last sample; it is given away when the next one is known.
+    held: Chosen,
+    holds: bool,
+    ended: bool,
+    sure: bool,
+    // The sample that was found.
+    found: Chosen,
+}
+
+fn walk(ray: Ray) -> Walker {
+    let none = Chosen(0.0, 0.0, 0.0);
+    let m = march_along(intersect(params.space, ray), params.step, 0.0);
+    return Walker(m, 0.0, 1.0, 0.0, none, none, false, false, true, none);
+}
+
+// Code of the proxy's cell at a position in the cube.
+fn code_at(position: vec3<f32>) -> u32 {
+    let scaled = max(position * vec3<f32>(params.cells), vec3<f32>(0.0));
+    let cell = min(vec3<u32>(scaled), params.cells - 1u);
+    let brick = cell / BRICK;
+    let sides = params.cells / BRICK;
+    let place = proxy[params.bricks + brick.x + sides.x * (brick.y + sides.y * brick.z)];
+    if place == 0u {
+        return 0u;
+    }
+    let within = cell % BRICK;
+    let at = (place - 1u) * BRICK * BRICK * BRICK + within.x + BRICK * (within.y + BRICK * within.z);
+    return (proxy[params.codes + at / 4u] >> (8u * (at % 4u))) & 0xffu;
+}
+
+// Finds the next sample of a ray. Returns false at its end, and where the proxy is unsure.
+fn next_sample(ray: Ray, walker: ptr<function, Walker>) -> bool {
+    var w = *walker;
+    var found = false;
+    while !found {
+        if w.ended {
+            if w.holds {
+                w.found = w.held;
+                w.found.depth += w.lent.depth + select(0.0, params.behind, w.transmittance < params.opaque);
+                found = true;
+                w.holds = false;
+            }
+            break;
+        }
+        let index = next_occupied(ray, w.m, w.index, params.last);
+        w.index = index + 1.0;
+        if index >= params.last {
+            w.ended = true;
+            continue;
+        }
+        let t = middle(w.m, index);
+        let sphere = sphere_at(params.space, ray, t);
+        // Also where the axis of a wide cone misses the cells with a density, its spheres may touch them.
+        if sphere.w > params.widest {
+            w.sure = false;
+            break;
+        }
+        let code = code_at(sphere.xyz);
+        if code == 0u {
+            continue;
+        }
+        let depth = bitcast<f32>(proxy[2u * code]);
+        let weight = w.transmittance * bitcast<f32>(proxy[2u * code + 1u]);
+        w.transmittance -= weight;
+        w.ended = w.transmittance < params.opaque;
+        w.light += weight;
+        var best = Chosen(t, depth, w.lent.depth + depth);
+        if depth <= w.lent.own {
+            best = Chosen(w.lent.t, w.lent.own, best.depth);
+        }
+        if w.light < params.least {
+            w.lent = best;
+            continue;
+        }
+        found = w.holds;
+        w.found = w.held;
+        w.held = best;
+        w.holds = true;
+        w.light = 0.0;
+        w.lent = Chosen(0.0, 0.0, 0.0);
+    }
+    *walker = w;
+    return found;
+}
+
+fn length_of(chosen: Chosen) -> f32 {
+    return params.step * (chosen.depth / chosen.own);
+}
+
+fn volume_march(ray: Ray) -> March {
+    let hit = intersect(params.space, ray);
+    return march_along(hit, volume_step(ray, hit), 0.0);
+}
+
+@compute @workgroup_size(GROUP)
+fn count(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count {
+        return;
+    }
+    let ray = rays[i];
+    var walker = walk(ray);
+    var count = 0u;
+    while next_sample(ray, &walker) {
+        count += 1u;
+    }
+    sure[i] = u32(walker.sure);
+    if !walker.sure {
+        count = 0u;
+        let m = volume_march(ray);
+        var index = next_occupied(ray, m, 0.0, params.last);
+        while index < params.last {
+            count += 1u;
+            index = next_occupied(ray, m, index + 1.0, params.last);
+        }
+    }
+    segments[i] = vec2<u32>(0u, count);
+}
+
+fn place(at: u32, ray: u32, t: f32, length: f32) {
+    owners[at] = ray;
+    intervals[at] = vec2<f32>(t, length);
+    spheres[at] = sphere_at(params.space, rays[ray], t);
+}
+
+@compute @workgroup_size(GROUP)
+fn fill(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count {
+        return;
+    }
+    // A batch larger than its buffer is truncated; the counters tell how many samples were dropped.
+    var segment = segments[i];
+    segment.x = min(segment.x, params.capacity);
+    segment.y = min(segment.y, params.capacity - segment.x);
+    segments[i] = segment;
+    let ray = rays[i];
+    let end = segment.x + segment.y;
+    var at = segment.x;
+    if sure[i] == 1u {
+        var walker = walk(ray);
+        while at < end && next_sample(ray, &walker) {
+            place(at, i, walker.found.t, length_of(walker.found));
+            at += 1u;
+        }
+    } else {
+        let m = volume_march(ray);
+        var index = 0.0;
+        while at < end {
+            index = next_occupied(ray, m, index, params.last);
+            place(at, i, middle(m, index), m.step);
+            index += 1.0;
+            at += 1u;
+        }
+    }
+}

@@ -1,0 +1,98 @@
+// Pruning for hybrid rendering. Marks the samples to keep: the first one of each group that shares a colour. It gets the
+// optical depth, the length and the mean distance of its group, and the mean of its geometry features. A ray of which the
+// proxy is unsure keeps all its visible samples. Twin of `trimip_core::proxy::share_colors`.
+
+struct Params {
+    count: u32,
+    max_depth: f32,
+    min_weight: f32,
+    // See `trimip_core::proxy::Rule`.
+    share: f32,
+    reach: f32,
+    // Width of the density network's output: a logit, geometry features, zeros.
+    outputs: u32,
+    geometry: u32,
+}
+
+@group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
+@group(0) @binding(1) var<storage, read> sure: array<u32>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read_write> radiance: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> intervals: array<vec2<f32>>;
+@group(0) @binding(5) var<storage, read_write> old_segments: array<vec2<u32>>;
+@group(0) @binding(6) var<storage, read_write> marks: array<u32>;
+@group(0) @binding(7) var<storage, read_write> outputs: array<f32>;
+
+// A group of samples, of which the first one is row `row`.
+struct Group {
+    row: u32,
+    members: u32,
+    first_t: f32,
+    weight: f32,
+    moment: f32,
+    depth: f32,
+    length: f32,
+}
+
+// Writes what a group has in common to its first row.
+fn finish(group: Group) {
+    // A group without any weight shows nothing, and its first sample stands for it.
+    if group.members > 1u && group.weight > 0.0 {
+        intervals[group.row] = vec2<f32>(group.moment / group.weight, group.length);
+        radiance[group.row].w = group.depth / group.length;
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn share(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(workgroup, workgroups, local);
+    if i >= params.count {
+        return;
+    }
+    let segment = segments[i];
+    old_segments[i] = segment;
+    let shares = sure[i] == 1u;
+    var before = 0.0;
+    var count = 0u;
+    var group = Group(0u, 0u, 0.0, 0.0, 0.0, 0.0, 0.0);
+    for (var j = segment.x; j < segment.x + segment.y; j++) {
+        let interval = intervals[j];
+        let depth = radiance[j].w * interval.y;
+        if !is_seen(before, depth, params.max_depth, params.min_weight) {
+            marks[j] = 0u;
+            continue;
+        }
+        let weight = exp(-before) * alpha_of(depth);
+        before += depth;
+        let sum = group.weight + weight;
+        // False for NaN, which stays alone.
+        if shares && group.members > 0u && sum <= params.share && interval.x - group.first_t <= params.reach {
+            if sum > 0.0 {
+                // The mean so far moves towards this sample's features.
+                let part = weight / sum;
+                let mean = params.outputs * group.row + 1u;
+                let own = params.outputs * j + 1u;
+                for (var k = 0u; k < params.geometry; k++) {
+                    outputs[mean + k] += part * (outputs[own + k] - outputs[mean + k]);
+                }
+            }
+            group.members += 1u;
+            group.weight = sum;
+            group.moment += weight * interval.x;
+            group.depth += depth;
+            group.length += interval.y;
+            marks[j] = 0u;
+        } else {
+            finish(group);
+            group = Group(j, 1u, interval.x, weight, weight * interval.x, depth, interval.y);
+            marks[j] = 1u;
+            count += 1u;
+        }
+    }
+    finish(group);
+    segments[i] = vec2<u32>(0u, count);
+}
