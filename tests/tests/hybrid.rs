@@ -4,7 +4,12 @@ use glam::DVec3;
 use std::fs;
 use std::sync::OnceLock;
 use trimip_core::{
-    config::RendererKind, loaded::LoadedModel, metrics::psnr, model::Model, proxy::Proxy, tensors::Tensor,
+    config::{HybridRule, RendererKind},
+    loaded::LoadedModel,
+    metrics::psnr,
+    model::Model,
+    proxy::Proxy,
+    tensors::Tensor,
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{
@@ -55,15 +60,24 @@ fn threads_change_no_bit() {
 #[test]
 fn backends_show_the_same_picture() {
     reproducibly(|make| {
-        for widest in [trained().config.hybrid.widest, 1.1] {
+        let widest = trained().config.hybrid.widest;
+        for (widest, rule) in
+            [(widest, HybridRule::Weight), (1.1, HybridRule::Weight), (widest, HybridRule::Layers)]
+        {
             let mut model = trained().clone();
-            model.config.hybrid.widest = widest;
+            (model.config.hybrid.widest, model.config.hybrid.rule) = (widest, rule);
+            // The surfaces of so short a training are soft.
+            (model.config.hybrid.delta, model.config.hybrid.samples) = (24.0, 48);
+            model.config.hybrid.surface = 0.02;
             let far = camera(48, DVec3::new(3.0, -2.0, 2.0));
             let on_cpu = picture(backend(2), &model, RendererKind::Hybrid, &far)?;
             let on_gpu = picture(make(), &model, RendererKind::Hybrid, &far)?;
             // A rounding may move a sample to another step or group of a few rays.
             let near = psnr(&on_cpu.rgb(), &on_gpu.rgb());
-            assert!(near > 60.0, "{near:.1} dB");
+            assert!(near > 60.0, "{rule:?}: {near:.1} dB");
+            let volume = picture(backend(2), &model, RendererKind::Volume, &far)?;
+            let near = psnr(&on_cpu.rgb(), &volume.rgb());
+            assert!(near > 30.0, "{rule:?}: {near:.1} dB from volume rendering");
             let apart = on_cpu.pixels.iter().zip(&on_gpu.pixels).filter(|(a, b)| {
                 a.rgb.iter().zip(b.rgb).any(|(a, b)| (a - b).abs() > 1e-3)
                     || (a.opacity - b.opacity).abs() > 1e-3

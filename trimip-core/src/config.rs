@@ -7,8 +7,8 @@ mod encoders;
 mod sections;
 
 pub use choices::{
-    Convention, FilePrecision, FinalEval, Finish, Format, LevelFormula, LossRays, Photographs, PlanChoice,
-    PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
+    Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LevelFormula, LossRays, Photographs,
+    PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
 };
 pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig};
 pub use sections::{

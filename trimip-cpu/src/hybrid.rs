@@ -7,7 +7,7 @@ use crate::{CpuBackend, CpuField};
 use std::ops::Range;
 use trimip_core::Field;
 use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
-use trimip_core::proxy::{Chooser, Chosen, Guide, Shaded, share_colors};
+use trimip_core::proxy::{Chooser, Chosen, Guide, Layering, Pick, Shaded, share_colors};
 
 /// Renders by the proxy of a model.
 pub(crate) struct Hybrid(pub Guide);
@@ -21,12 +21,26 @@ impl Hybrid {
         renderer: &CpuRenderer,
         ray: &Ray,
         occupancy: &CpuOccupancy,
+        place: impl FnMut(Interval, Sphere),
+    ) -> bool {
+        match self.0.layers {
+            None => self.pick(Chooser::new(self.0.rule), renderer, ray, occupancy, place),
+            Some(layers) => self.pick(Layering::new(layers), renderer, ray, occupancy, place),
+        }
+    }
+
+    #[inline(always)]
+    fn pick(
+        &self,
+        mut chooser: impl Pick,
+        renderer: &CpuRenderer,
+        ray: &Ray,
+        occupancy: &CpuOccupancy,
         mut place: impl FnMut(Interval, Sphere),
     ) -> bool {
         let guide = &self.0;
         let mut cursor = renderer.start(ray, None, 0).with_step(guide.step);
         let way = renderer.space.way(ray, occupancy.resolution());
-        let mut chooser = Chooser::new(guide.rule);
         let mut choose = |chosen: Chosen| {
             let Chosen { t, .. } = chosen;
             place(

@@ -12,7 +12,7 @@ use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Radiance, Rays, Samples, Workspace};
-use trimip_core::proxy::{BEHIND, Guide, Rule};
+use trimip_core::proxy::{BEHIND, Guide, Layers, Rule};
 use trimip_core::{Encoder, Error, Field, Result};
 
 #[repr(C)]
@@ -32,7 +32,11 @@ struct ChooseParams {
     least: f32,
     opaque: f32,
     behind: f32,
-    padding: f32,
+    delta: f32,
+    surface: f32,
+    layers: u32,
+    samples: u32,
+    padding: u32,
 }
 
 #[repr(C)]
@@ -50,12 +54,13 @@ struct ShareParams {
 /// The proxy of a model on the device.
 pub struct Hybrid {
     gpu: Arc<Gpu>,
-    /// Optical depth and opacity of a step for each code, one word per brick, four codes per word.
+    /// Optical depth and opacity of a step for each code, one word per brick, eight codes per word.
     proxy: Buffer<u32>,
     cells: [u32; 3],
     /// Index of the first word of the bricks, and of the codes.
     places: [u32; 2],
     rule: Rule,
+    layers: Option<Layers>,
     step: f32,
     widest: f32,
 }
@@ -89,6 +94,7 @@ impl Hybrid {
             cells: guide.proxy.cells(),
             places: [bricks, codes],
             rule: guide.rule,
+            layers: guide.layers,
             step: guide.step,
             widest: guide.widest,
         })
@@ -126,7 +132,7 @@ impl Hybrid {
         samples.counts.resize(2);
         lane.sure.resize(count);
         lane.marched = true;
-        let Rule { least, opaque, .. } = self.rule;
+        let (Rule { least, opaque, .. }, layers) = (self.rule, self.layers);
         let params = ChooseParams {
             space: GpuSpace::new(&renderer.space, occupancy.resolution()),
             cells: self.cells,
@@ -142,7 +148,11 @@ impl Hybrid {
             least,
             opaque,
             behind: BEHIND,
-            padding: 0.0,
+            delta: layers.map_or(0.0, |rule| rule.delta),
+            surface: layers.map_or(0.0, |rule| rule.surface),
+            layers: layers.map_or(0, |rule| rule.layers),
+            samples: layers.map_or(0, |rule| rule.samples),
+            padding: 0,
         };
         let items = Size::Items(count as u64);
         let (rays, grid, proxy) = (rays.rays.bind(), occupancy.grid().bind(), self.proxy.bind());

@@ -1,6 +1,7 @@
 //! `check`: a catalogue of stiff and extreme cases for any backend, each with the law that it must satisfy.
 
 mod geometry;
+mod hybrid;
 mod numbers;
 mod optics;
 mod rig;
@@ -73,6 +74,7 @@ impl Visitor for Catalogue<'_> {
         let Self { long, tell } = self;
         optics::cases(make, tell)?;
         geometry::cases(make, tell)?;
+        hybrid::cases(make, tell)?;
         training::cases(make, tell)?;
         numbers::cases(make, tell)?;
         if long { training::long(make, tell) } else { Ok(()) }

@@ -169,6 +169,10 @@ impl HybridConfig {
         to.check((1e-6..=0.5).contains(&self.least), "hybrid.least", "1e-6 to 0.5")?;
         to.check(finite_from_zero(self.reach.into()), "hybrid.reach", "0 or more")?;
         to.check((1e-6..=0.5).contains(&self.opaque), "hybrid.opaque", "1e-6 to 0.5")?;
+        to.check(positive(self.delta.into()), "hybrid.delta", "a positive number")?;
+        to.check((1..=256).contains(&self.samples), "hybrid.samples", "1 to 256")?;
+        to.check((1..=64).contains(&self.layers), "hybrid.layers", "1 to 64")?;
+        to.check(positive(self.surface.into()), "hybrid.surface", "a positive number")?;
         to.check(positive(self.widest.into()), "hybrid.widest", "a positive number")
     }
 }

@@ -45,6 +45,15 @@ choice!(
     }
 );
 choice!(
+    /// How the hybrid renderer places samples.
+    HybridRule {
+        /// By the weight that the proxy predicts for each step of a ray.
+        Weight,
+        /// A number of samples around each surface that a ray enters (paper).
+        Layers,
+    }
+);
+choice!(
     /// Texels of a plane.
     PlaneShape {
         /// `plane_size` along both sides, whatever the box: the planes are stretched over it (paper).

@@ -1,8 +1,8 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    Convention, FilePrecision, FinalEval, Finish, Format, LossRays, Photographs, PlanChoice, Precision,
-    RateSchedule, RendererKind, TrainBackground, Untouched,
+    Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays, Photographs, PlanChoice,
+    Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -65,7 +65,8 @@ section!(
 section!(
     /// Where the hybrid renderer places samples.
     HybridConfig, "hybrid" {
-        resolution: u32, step: f32, least: f32, opaque: f32, share: f32, reach: f32, widest: f32,
+        resolution: u32, step: f32, rule: HybridRule, least: f32, opaque: f32, delta: f32, samples: u32, layers: u32, surface: f32,
+        share: f32, reach: f32, widest: f32,
     }
 );
 section!(

@@ -1,6 +1,6 @@
 //! The proxy of a model is computed from the model itself, cell by cell.
 
-use super::{BRICK, BRICK_CELLS, Proxy, code};
+use super::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, code};
 use crate::{
     Aabb, Config, Query, Result, Space, Viewer,
     model::{Model, OCCUPANCY},
@@ -87,10 +87,11 @@ pub fn bake(
                 continue;
             }
             if proxy.index[brick] == 0 {
-                proxy.codes.resize(proxy.codes.len() + BRICK_CELLS, 0);
-                proxy.index[brick] = (proxy.codes.len() / BRICK_CELLS) as u32;
+                proxy.codes.resize(proxy.codes.len() + BRICK_BYTES, 0);
+                proxy.index[brick] = (proxy.codes.len() / BRICK_BYTES) as u32;
             }
-            proxy.codes[(proxy.index[brick] as usize - 1) * BRICK_CELLS + cell] = code;
+            let at = (proxy.index[brick] as usize - 1) * BRICK_BYTES + cell / 2;
+            proxy.codes[at] |= code << (4 * (cell % 2));
         }
     }
     Ok(Some(proxy))

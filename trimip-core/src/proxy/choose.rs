@@ -32,8 +32,8 @@ pub struct Chosen {
     /// Distance, in units of the unit direction.
     pub t: f32,
     /// Predicted optical depth of its step, over that of all the steps for which it stands.
-    own: f32,
-    depth: f32,
+    pub(super) own: f32,
+    pub(super) depth: f32,
 }
 
 impl Chosen {
@@ -58,17 +58,27 @@ pub struct Chooser {
     held: Option<Chosen>,
 }
 
+/// Picks samples of one ray, of which the steps with a density arrive front to back.
+pub trait Pick {
+    /// Adds a step around `t`, of the predicted optical depth `depth` and opacity `alpha`. Returns true if the ray ends
+    /// there.
+    fn step(&mut self, t: f32, depth: f32, alpha: f32, choose: &mut impl FnMut(Chosen)) -> bool;
+
+    /// Ends the ray.
+    fn end(self, choose: &mut impl FnMut(Chosen));
+}
+
 impl Chooser {
     /// A ray on which nothing has been seen yet.
     #[inline(always)]
     pub fn new(rule: Rule) -> Self {
         Self { rule, transmittance: 1.0, light: 0.0, lent: Chosen::default(), held: None }
     }
+}
 
-    /// Adds a step around `t`, of the predicted optical depth `depth` and opacity `alpha`. Returns true if nothing behind
-    /// it can be seen.
+impl Pick for Chooser {
     #[inline(always)]
-    pub fn step(&mut self, t: f32, depth: f32, alpha: f32, choose: &mut impl FnMut(Chosen)) -> bool {
+    fn step(&mut self, t: f32, depth: f32, alpha: f32, choose: &mut impl FnMut(Chosen)) -> bool {
         let weight = self.transmittance * alpha;
         self.transmittance -= weight;
         self.light += weight;
@@ -91,9 +101,8 @@ impl Chooser {
         self.transmittance < self.rule.opaque
     }
 
-    /// Ends the ray.
     #[inline(always)]
-    pub fn end(self, choose: &mut impl FnMut(Chosen)) {
+    fn end(self, choose: &mut impl FnMut(Chosen)) {
         let behind = if self.transmittance < self.rule.opaque { BEHIND } else { 0.0 };
         if let Some(held) = self.held {
             choose(Chosen { depth: held.depth + self.lent.depth + behind, ..held });

@@ -1,9 +1,9 @@
 //! The proxy of a model as a renderer uses it.
 
-use super::{Proxy, Rule};
+use super::{Layers, Proxy, Rule};
 use crate::{
     Result,
-    config::{HybridConfig, RendererKind},
+    config::{HybridConfig, HybridRule, RendererKind},
     model::Assets,
 };
 
@@ -12,8 +12,10 @@ use crate::{
 pub struct Guide {
     /// The densities.
     pub proxy: Proxy,
-    /// How samples are chosen.
+    /// How samples are chosen, and how they share colours.
     pub rule: Rule,
+    /// The paper's rule, if samples are placed by it.
+    pub layers: Option<Layers>,
     /// Length of a step along the proxy, world units.
     pub step: f32,
     /// Largest radius of a sphere for which the proxy is used, world units.
@@ -43,7 +45,14 @@ impl Guide {
         };
         let steps =
             proxy.densities().iter().map(|density| density * step).map(|depth| [depth, -(-depth).exp_m1()]);
+        let layers = (config.rule == HybridRule::Layers).then(|| Layers {
+            delta: config.delta * proxy.width(),
+            samples: config.samples,
+            layers: config.layers,
+            surface: config.surface * config.step,
+            step,
+        });
         let widest = config.widest * proxy.radius();
-        Ok(Some(Self { rule, step, widest, steps: steps.collect(), proxy }))
+        Ok(Some(Self { rule, layers, step, widest, steps: steps.collect(), proxy }))
     }
 }

@@ -5,11 +5,13 @@
 mod bake;
 mod choose;
 mod guide;
+mod layers;
 mod pack;
 
 pub use bake::{Baking, bake};
-pub use choose::{BEHIND, Chooser, Chosen, Rule, Shaded, share_colors};
+pub use choose::{BEHIND, Chooser, Chosen, Pick, Rule, Shaded, share_colors};
 pub use guide::Guide;
+pub use layers::{Layering, Layers};
 
 /// Cells along each side of a brick.
 pub const BRICK: u32 = 8;
@@ -17,14 +19,20 @@ pub const BRICK: u32 = 8;
 /// Cells of a brick.
 pub const BRICK_CELLS: usize = (BRICK * BRICK * BRICK) as usize;
 
-/// Optical depth of a cell with code 1; below it a cell is empty.
-const THINNEST: f32 = 1.0 / 512.0;
+/// Bytes of a brick's codes: two cells a byte.
+const BRICK_BYTES: usize = BRICK_CELLS / 2;
 
-/// Optical depth of a cell with code 255, which is the opacity of a wall.
-const THICKEST: f32 = 64.0;
+/// Number of codes of a cell.
+pub const CODES: usize = 16;
 
-/// A sparse grid of densities over the unit cube. A cell holds one byte, 0 for empty; the logarithm of the density grows
-/// with it.
+/// Optical depth of a cell with code 1; below it a cell is empty. All cells along a ray together are then as good as empty.
+const THINNEST: f32 = 1.0 / 65536.0;
+
+/// Optical depth of a cell with the last code, which is the opacity of a wall.
+const THICKEST: f32 = 16.0;
+
+/// A sparse grid of densities over the unit cube. A cell has a code of four bits, 0 for empty; the logarithm of the density
+/// grows with it. That is exact enough to choose samples by.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proxy {
     /// Cells along each axis, multiples of [`BRICK`].
@@ -35,7 +43,7 @@ pub struct Proxy {
     radius: f32,
     /// One per brick, x fastest: 0 if the brick is empty, otherwise 1 + its place in `codes`.
     index: Vec<u32>,
-    /// [`BRICK_CELLS`] bytes per brick that is not empty, x fastest.
+    /// [`BRICK_BYTES`] bytes per brick that is not empty, x fastest, the first of two cells in the lower bits.
     codes: Vec<u8>,
     /// Density of each code, per world unit.
     densities: Vec<f32>,
@@ -73,7 +81,7 @@ impl Proxy {
 
     /// Share of the bricks that are not empty.
     pub fn filled(&self) -> f64 {
-        (self.codes.len() / BRICK_CELLS) as f64 / self.index.len() as f64
+        (self.codes.len() / BRICK_BYTES) as f64 / self.index.len() as f64
     }
 
     /// One per brick, x fastest: 0 if the brick is empty, otherwise 1 + its place in [`codes`](Self::codes).
@@ -81,7 +89,7 @@ impl Proxy {
         &self.index
     }
 
-    /// Codes of the cells of the bricks that are not empty.
+    /// Codes of the cells of the bricks that are not empty, two a byte, x fastest, the first of two in the lower bits.
     pub fn codes(&self) -> &[u8] {
         &self.codes
     }
@@ -109,15 +117,15 @@ impl Proxy {
             return 0;
         }
         let [x, y, z] = cell.map(|c| c % BRICK);
-        self.codes[(brick as usize - 1) * BRICK_CELLS + (x + BRICK * (y + BRICK * z)) as usize]
+        let within = (x + BRICK * (y + BRICK * z)) as usize;
+        self.codes[(brick as usize - 1) * BRICK_BYTES + within / 2] >> (4 * (within % 2)) & 0xf
     }
 }
 
 /// Density of each code for cells of this width.
 fn densities(width: f32) -> Vec<f32> {
-    let octaves = (THICKEST / THINNEST).log2();
-    let depth = |code: u32| THINNEST * ((code - 1) as f32 / 254.0 * octaves).exp2();
-    std::iter::once(0.0).chain((1..256).map(|code| depth(code) / width)).collect()
+    let depth = |code: usize| THINNEST * ((code - 1) as f32 / intervals() * octaves()).exp2();
+    std::iter::once(0.0).chain((1..CODES).map(|code| depth(code) / width)).collect()
 }
 
 /// Code of a cell of this optical depth.
@@ -125,6 +133,34 @@ fn code(depth: f32) -> u8 {
     if !(depth >= THINNEST) {
         return 0;
     }
-    let octaves = (THICKEST / THINNEST).log2();
-    (1.0 + 254.0 * ((depth / THINNEST).log2() / octaves)).round().min(255.0) as u8
+    (1.0 + intervals() * (depth / THINNEST).log2() / octaves()).round().min(1.0 + intervals()) as u8
+}
+
+/// Octaves between the optical depths of the first code and the last.
+fn octaves() -> f32 {
+    (THICKEST / THINNEST).log2()
+}
+
+/// Intervals between them.
+fn intervals() -> f32 {
+    (CODES - 2) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_near_their_densities() {
+        let (width, densities) = (0.25, densities(0.25));
+        assert_eq!(densities.len(), CODES);
+        assert_eq!((code(0.0), code(-1.0), code(f32::NAN), code(0.9 * THINNEST)), (0, 0, 0, 0));
+        assert_eq!((code(THINNEST), code(THICKEST), code(f32::INFINITY)), (1, 15, 15));
+        for i in 0..1000 {
+            let depth = THINNEST * (THICKEST / THINNEST).powf(i as f32 / 999.0);
+            let ratio = densities[usize::from(code(depth))] * width / depth;
+            // Half an interval of 20/14 octaves.
+            assert!((0.6..1.65).contains(&ratio), "{depth}: {ratio}");
+        }
+    }
 }

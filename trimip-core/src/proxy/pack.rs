@@ -1,6 +1,6 @@
 //! The proxy as assets of a model file. Bytes are compressed (DEFLATE, RFC 1951).
 
-use super::{BRICK, BRICK_CELLS, Proxy, densities};
+use super::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, densities};
 use crate::{
     Error, Result,
     model::{ASSET, Assets},
@@ -107,7 +107,7 @@ impl Proxy {
                 filled * count
             })
             .collect();
-        let codes = inflated(assets, CODES, count as usize * BRICK_CELLS)?;
+        let codes = inflated(assets, CODES, count as usize * BRICK_BYTES)?;
         Ok(Some(Self { cells, width, radius, index, codes, densities: densities(width) }))
     }
 }

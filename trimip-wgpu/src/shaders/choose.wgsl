@@ -25,6 +25,11 @@ struct Params {
     least: f32,
     opaque: f32,
     behind: f32,
+    // See `trimip_core::proxy::Layers`; no layers stand for the rule of weights.
+    delta: f32,
+    surface: f32,
+    layers: u32,
+    samples: u32,
 }
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
@@ -35,7 +40,7 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> owners: array<u32>;
 @group(0) @binding(6) var<storage, read_write> intervals: array<vec2<f32>>;
 @group(0) @binding(7) var<storage, read_write> spheres: array<vec4<f32>>;
-// Optical depth and opacity of a step for each code (floats); one word per brick; four codes per word.
+// Optical depth and opacity of a step for each code (floats); one word per brick; eight codes per word.
 @group(0) @binding(8) var<storage, read> proxy: array<u32>;
 
 // A step that stands for others: its middle, its predicted optical depth, and that of all of them.
@@ -60,12 +65,20 @@ struct Walker {
     sure: bool,
     // The sample that was found.
     found: Chosen,
+    // For the rule of layers: the number of layers so far, the last step in a surface, the layer that is being filled
+    // (its next sample, the length of a sample, its end), and how many of its samples are left.
+    layers: u32,
+    dense: f32,
+    next: f32,
+    length: f32,
+    end: f32,
+    left: u32,
 }
 
 fn walk(ray: Ray) -> Walker {
     let none = Chosen(0.0, 0.0, 0.0);
     let m = march_along(intersect(params.space, ray), params.step, 0.0);
-    return Walker(m, 0.0, 1.0, 0.0, none, none, false, false, true, none);
+    return Walker(m, 0.0, 1.0, 0.0, none, none, false, false, true, none, 0u, -FAR, 0.0, 0.0, -FAR, 0u);
 }
 
 // Code of the proxy's cell at a position in the cube.
@@ -80,7 +93,7 @@ fn code_at(position: vec3<f32>) -> u32 {
     }
     let within = cell % BRICK;
     let at = (place - 1u) * BRICK * BRICK * BRICK + within.x + BRICK * (within.y + BRICK * within.z);
-    return (proxy[params.codes + at / 4u] >> (8u * (at % 4u))) & 0xffu;
+    return (proxy[params.codes + at / 8u] >> (4u * (at % 8u))) & 0xfu;
 }
 
 // Finds the next sample of a ray. Returns false at its end, and where the proxy is unsure.
@@ -88,6 +101,13 @@ fn next_sample(ray: Ray, walker: ptr<function, Walker>) -> bool {
     var w = *walker;
     var found = false;
     while !found {
+        if w.left > 0u {
+            w.found = Chosen(w.next, 1.0, w.length / params.step);
+            w.next += w.length;
+            w.left -= 1u;
+            found = true;
+            break;
+        }
         if w.ended {
             if w.holds {
                 w.found = w.held;
@@ -115,6 +135,21 @@ fn next_sample(ray: Ray, walker: ptr<function, Walker>) -> bool {
             continue;
         }
         let depth = bitcast<f32>(proxy[2u * code]);
+        if params.layers > 0u {
+            if depth >= params.surface {
+                if t - w.dense > 1.5 * params.step {
+                    let first = max(t - params.delta, w.end);
+                    w.end = t + params.delta;
+                    w.length = (w.end - first) / f32(params.samples);
+                    w.next = first + 0.5 * w.length;
+                    w.left = params.samples;
+                    w.layers += 1u;
+                }
+                w.dense = t;
+                w.ended = w.layers == params.layers;
+            }
+            continue;
+        }
         let weight = w.transmittance * bitcast<f32>(proxy[2u * code + 1u]);
         w.transmittance -= weight;
         w.ended = w.transmittance < params.opaque;

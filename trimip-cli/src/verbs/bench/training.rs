@@ -294,6 +294,7 @@ mod tests {
         BenchArguments {
             render: None,
             cones: false,
+            ways: false,
             views: 4,
             width: 48,
             settings: SettingsArguments::default(),

@@ -187,6 +187,18 @@ fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<Stri
         let assignments = [format!("hybrid.least={least:?}"), format!("hybrid.opaque={least:?}")];
         hybrid("hybrid: least weight", format!("{least}"), &assignments);
     }
+    for (delta, samples, layers) in
+        [(3.0, 8, 4), (6.0, 8, 4), (12.0, 8, 4), (12.0, 16, 1), (12.0, 16, 2), (12.0, 16, 4)]
+    {
+        let assignments = [
+            "hybrid.rule=layers".to_string(),
+            format!("hybrid.delta={delta:?}"),
+            format!("hybrid.samples={samples}"),
+            format!("hybrid.layers={layers}"),
+        ];
+        let name = format!("{samples} within ±{delta} cells, {layers} at most");
+        hybrid("hybrid: layers", name, &assignments);
+    }
     for share in [0.0, 0.1, 0.2, 0.4, 1.0] {
         hybrid("hybrid: shared colours", format!("{share}"), &[format!("hybrid.share={share:?}")]);
     }
@@ -282,15 +294,13 @@ fn write(
     for group in rows.chunk_by(|a, b| a.scale == b.scale) {
         let scale = group[0].scale;
         sections += &format!("<section><h2>{}</h2>\n", scale_name(scale));
-        let measures: [(&str, &str, fn(&Row) -> f64); 2] = [
-            ("", "Against converged volume rendering", |row| row.psnr_converged),
-            ("-photographs", "Against the photographs", |row| row.psnr),
-        ];
-        for (suffix, title, value) in measures {
+        let mut plot = |suffix: &str, title: &str, value: fn(&Row) -> f64| {
             let plot = svg::alone(&lines(group, value), "seconds a frame").unwrap_or_default();
-            keep(&format!("ways-{scale}{suffix}.svg"), &plot)?;
             sections += &format!("<h3>{title}</h3>\n{plot}");
-        }
+            keep(&format!("ways-{scale}{suffix}.svg"), &plot)
+        };
+        plot("", "Against converged volume rendering", |row| row.psnr_converged)?;
+        plot("-photographs", "Against the photographs", |row| row.psnr)?;
         sections += &page::table(&cells(group), false);
         sections += "</section>\n";
     }
