@@ -183,9 +183,11 @@ fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<Stri
     for cells in [0.75, 1.0, 1.25, 1.5, 2.0, 3.0] {
         hybrid("hybrid: step", format!("{cells} cells"), &[format!("hybrid.step={cells:?}")]);
     }
-    for least in [0.001, 0.002, 0.004, 0.01, 0.03] {
-        let assignments = [format!("hybrid.least={least:?}"), format!("hybrid.opaque={least:?}")];
-        hybrid("hybrid: least weight", format!("{least}"), &assignments);
+    for least in [0.001, 0.003, 0.01, 0.03] {
+        hybrid("hybrid: least weight", format!("{least}"), &[format!("hybrid.least={least:?}")]);
+    }
+    for opaque in [0.0001, 0.002, 0.01, 0.03] {
+        hybrid("hybrid: end of a ray", format!("{opaque}"), &[format!("hybrid.opaque={opaque:?}")]);
     }
     for (delta, samples, layers) in
         [(3.0, 8, 4), (6.0, 8, 4), (12.0, 8, 4), (12.0, 16, 1), (12.0, 16, 2), (12.0, 16, 4)]
