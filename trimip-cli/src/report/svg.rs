@@ -178,14 +178,15 @@ pub fn alone(lines: &[Line], time: &str) -> Option<String> {
                  polyline { fill: none; stroke: currentColor; stroke-width: 2.2; stroke-linejoin: round; } \
                  .dot { fill: currentColor; } .ring { fill: none; stroke: currentColor; stroke-width: 2; }";
     let mut legend = String::new();
+    let [left, top] = legend_place(lines)?;
     for (i, line) in named(lines).into_iter().enumerate() {
-        let y = TOP + 16.0 + 20.0 * i as f64;
+        let y = top + 20.0 * i as f64;
         legend += &format!(
             "<g style=\"color:{}\"><polyline points=\"{:.0},{y:.0} {:.0},{y:.0}\"/></g><text x=\"{:.0}\" y=\"{:.1}\">{}</text>",
             line.color,
-            LEFT + 14.0,
-            LEFT + 40.0,
-            LEFT + 48.0,
+            left,
+            left + 26.0,
+            left + 34.0,
             y + 4.5,
             escape(&line.name)
         );
@@ -196,6 +197,27 @@ pub fn alone(lines: &[Line], time: &str) -> Option<String> {
          <rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"#ffffff\"/>{}{legend}</svg>\n",
         draw(lines, true, time)?
     ))
+}
+
+/// Start of a legend's first line, in the corner of the plot where it covers the fewest points.
+fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
+    let (x, y) = axes(lines, true)?;
+    let names = named(lines);
+    let letters = names.iter().map(|line| line.name.chars().count()).max().unwrap_or(0);
+    // About the width of a letter of 13 pixels.
+    let (width, height) = (34.0 + 7.0 * letters as f64, 20.0 * names.len() as f64);
+    let (left, right) = (LEFT + 14.0, WIDTH - RIGHT - 14.0 - width);
+    let (top, bottom) = (TOP + 16.0, HEIGHT - BOTTOM - height);
+    let points = || lines.iter().flat_map(|line| line.points.iter().chain(&line.ring)).filter(|p| p.drawn());
+    let covered = |[left, top]: &[f64; 2]| {
+        let inside = |p: &&Point| {
+            let (x, y) = (x.place(p.seconds) - left, y.place(p.psnr) - top);
+            (-10.0..width + 10.0).contains(&x) && (-20.0..height).contains(&y)
+        };
+        points().filter(inside).count()
+    };
+    // The first of several equal ones.
+    [[left, top], [right, bottom], [left, bottom], [right, top]].into_iter().min_by_key(covered)
 }
 
 /// Draws axes, labels and lines.
@@ -325,6 +347,15 @@ mod tests {
             ring: None,
         };
         let svg = alone(&[line("one & two", 20.0), line("three", f64::NAN)], TRAINING).unwrap();
+        // The legend leaves the corner of the points.
+        let place = |seconds: [f64; 2], psnr: [f64; 2]| {
+            let point = |i: usize| Point { seconds: seconds[i], psnr: psnr[i], hint: String::new() };
+            let points = vec![point(0), point(1)];
+            legend_place(&[Line { points, ..line("a line", 0.0) }]).unwrap()
+        };
+        let ([rising_x, rising_y], [falling_x, falling_y]) =
+            (place([1.0, 9.0], [20.0, 30.0]), place([1.0, 9.0], [30.0, 20.0]));
+        assert!(rising_x < 100.0 && rising_y < 60.0 && falling_x < 100.0 && falling_y > 300.0);
         assert!(svg.contains("one &amp; two") && svg.contains("a &lt; b") && svg.contains("xmlns"));
         assert_eq!(svg.matches("class=\"dot\"").count(), 1);
         assert!(alone(&[line("nothing", f64::NAN)], TRAINING).is_none() && alone(&[], TRAINING).is_none());

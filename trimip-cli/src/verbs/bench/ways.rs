@@ -325,14 +325,14 @@ fn lines(rows: &[Row], value: fn(&Row) -> f64) -> Vec<Line> {
         psnr: value(row),
         hint: format!("{} {}: {:.2} dB, {:.1} ms", row.family, row.name, value(row), row.milliseconds),
     };
-    let line = |(family, color): (&[Row], &str)| Line {
-        name: family[0].family.clone(),
-        color: color.into(),
-        class: "scale",
-        points: family.iter().map(point).collect(),
-        ring: None,
+    let line = |(i, family): (usize, &[Row])| {
+        let mut points: Vec<Point> = family.iter().map(point).collect();
+        points.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
+        // The way to which all others are compared is black.
+        let color = if i == 0 { "#1b1f24" } else { svg::COLORS[(i - 1) % svg::COLORS.len()] };
+        Line { name: family[0].family.clone(), color: color.into(), class: "scale", points, ring: None }
     };
-    rows.chunk_by(|a, b| a.family == b.family).zip(svg::COLORS.iter().copied().cycle()).map(line).collect()
+    rows.chunk_by(|a, b| a.family == b.family).enumerate().map(line).collect()
 }
 
 #[cfg(test)]
