@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
-    Config, Error, ErrorKind, Result, Session, Viewer,
+    Camera, Config, Error, ErrorKind, Intrinsics, Lens, Result, Session, Viewer,
     checkpoint::Checkpoint,
     config::{Format, Photographs},
     evaluate::{ViewResult, evaluate},
@@ -74,6 +74,64 @@ fn models_are_the_same_pictures_on_both_backends() {
             for picture in [&on_cpu, &on_gpu] {
                 let error = difference(picture, own);
                 assert!(error < 3e-5, "{name}: pictures differ by {error}");
+            }
+        }
+        Ok(())
+    });
+}
+
+/// Trains and renders through lenses. One has no rays for the corners of its images: they show the background, and
+/// nothing is learned from them.
+#[test]
+fn lenses_are_the_same_on_both_backends() {
+    reproducibly(|make| {
+        let config = suite::training::configuration();
+        let lenses = [
+            Lens::perspective([0.3, -0.1, 0.02, 0.0], [0.02, -0.01], [0.0; 3]),
+            Lens::perspective([0.2, 0.1, 0.0, 0.0], [0.0; 2], [0.5, 0.1, 0.02]),
+            Lens::fisheye([0.05, -0.02, 0.004, -0.0005], [0.01, -0.02], [0.01, 0.02]),
+            Lens::perspective([-4.0, 0.0, 0.0, 0.0], [0.0; 2], [0.0; 3]),
+        ];
+        for (i, lens) in lenses.into_iter().enumerate() {
+            let views = || {
+                let mut views = fixtures::noise(3, 16, 2, 2);
+                views.views.iter_mut().for_each(|view| view.camera.intrinsics.lens = lens);
+                views
+            };
+            let camera = views().views[0].camera;
+            assert_eq!(camera.intrinsics.blind_pixels() > 0, i == 3);
+            let mut on_cpu = Trainer::new(cpu(), &config, views())?;
+            let mut on_gpu = Trainer::new(make(), &config, views())?;
+            // The first step moves all parameters that have a gradient by the same length, in its direction.
+            let mut straight = Trainer::new(cpu(), &config, fixtures::noise(3, 16, 2, 2))?;
+            on_cpu.step(0.0)?;
+            on_gpu.step(0.0)?;
+            straight.step(0.0)?;
+            let own = on_cpu.parameters();
+            let apart = |others: Vec<f32>| {
+                let differing = own.iter().zip(&others).filter(|(a, b)| (*a - *b).abs() > 1e-4);
+                differing.count() as f64 / own.len() as f64
+            };
+            let (by_backend, by_lens) = (apart(on_gpu.parameters()), apart(straight.parameters()));
+            assert!(
+                by_backend < 0.01 && by_lens > 5.0 * by_backend + 0.01,
+                "lens {i}: {by_backend} {by_lens}"
+            );
+            suite::training::steps(&mut on_cpu, &config, 20)?;
+            let model = on_cpu.model()?;
+            let own = LoadedModel::new(cpu(), &model)?.render(&camera)?;
+            let found = LoadedModel::new(make(), &model)?.render(&camera)?;
+            let error = difference(&own, &found);
+            assert!(error < 1e-4, "lens {i}: pictures of one model differ by {error}");
+            // A pinhole sees something else.
+            let pinhole =
+                Camera { intrinsics: Intrinsics { lens: Lens::default(), ..camera.intrinsics }, ..camera };
+            assert!(difference(&own, &LoadedModel::new(cpu(), &model)?.render(&pinhole)?) > 1e-3);
+            let blind = (0..own.width * own.height)
+                .filter(|p| camera.cone::<f32>(p % own.width, p / own.width).slope == 0.0);
+            for p in blind {
+                assert_eq!(found.pixels[p as usize].rgb, config.data.background);
+                assert_eq!(own.pixels[p as usize].rgb, config.data.background);
             }
         }
         Ok(())

@@ -1,13 +1,14 @@
 //! Cameras and the cones of their pixels. OpenGL axes: x right, y up, the camera looks along −z. Pixel (0, 0) is the
 //! upper left one; its centre lies at (0.5, 0.5). A camera model is a [`Projection`], in f32 and f64, with a twin in
-//! WGSL; the present one is the pinhole.
+//! WGSL: a pinhole, or a [`Lens`] that bends its rays.
 
+use crate::lens::{Lens, Unbent};
 use crate::scalar::Real;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Image size and pinhole projection, in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// Image size, pinhole projection in pixels, and lens.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Width of the image.
     pub width: u32,
@@ -21,13 +22,17 @@ pub struct Intrinsics {
     pub cx: f64,
     /// Principal point, y.
     pub cy: f64,
+    /// The lens; the default bends nothing.
+    #[serde(default, skip_serializing_if = "Lens::is_straight")]
+    pub lens: Lens,
 }
 
 impl Intrinsics {
     /// Square pixels and a centred principal point; `angle_x` is the horizontal field of view in radians.
     pub fn from_angle(width: u32, height: u32, angle_x: f64) -> Self {
         let focal = 0.5 * f64::from(width) / (0.5 * angle_x).tan();
-        Self { width, height, fx: focal, fy: focal, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height) }
+        let (cx, cy) = (0.5 * f64::from(width), 0.5 * f64::from(height));
+        Self { width, height, fx: focal, fy: focal, cx, cy, ..Self::default() }
     }
 
     /// The same view with pixels `2^level` times larger. Rows and columns that do not fill a 2×2 block are cropped,
@@ -41,6 +46,7 @@ impl Intrinsics {
             fy: self.fy / scale,
             cx: self.cx / scale,
             cy: self.cy / scale,
+            lens: self.lens,
         }
     }
 }
@@ -88,22 +94,101 @@ pub struct LocalCone<R> {
     pub cosine: R,
 }
 
+impl<R: Real> LocalCone<R> {
+    /// The cone through a disc of radius `disc` around (x, y), x right and y down, on the plane at distance 1.
+    #[inline]
+    fn through([x, y]: [R; 2], disc: R) -> Self {
+        let v = -y;
+        let tangent = (x * x + v * v).sqrt();
+        let cosine = (R::one() + tangent * tangent).sqrt().recip();
+        Self {
+            axis: [x, v, -R::one()],
+            inverse_length: cosine,
+            slope: sphere_slope(disc, tangent, cosine),
+            cosine,
+        }
+    }
+
+    /// The cone of a pixel that the lens has no ray for. It has no direction and meets nothing.
+    fn none() -> Self {
+        Self { axis: [R::zero(); 3], inverse_length: R::one(), slope: R::zero(), cosine: R::zero() }
+    }
+}
+
+impl Intrinsics {
+    /// The place in the image of a point in the camera's axes. `None` if no ray of the camera meets it.
+    pub fn image_of(&self, point: DVec3) -> Option<[f64; 2]> {
+        let (x, y, ahead) = (point.x, -point.y, -point.z);
+        let [u, v] = if self.lens.fisheye {
+            let across = x.hypot(y);
+            let angle = across.atan2(ahead);
+            if !(angle < self.lens.domain()) {
+                return None;
+            }
+            let share = if across > 0.0 { angle / across } else { 0.0 };
+            self.lens.bend([x * share, y * share]).0
+        } else if !(ahead > 0.0) {
+            return None;
+        } else if self.lens.is_straight() {
+            [x / ahead, y / ahead]
+        } else {
+            let at = [x / ahead, y / ahead];
+            if !(at[0].hypot(at[1]) < self.lens.domain()) {
+                return None;
+            }
+            self.lens.bend(at).0
+        };
+        Some([self.cx + self.fx * u, self.cy + self.fy * v])
+    }
+
+    /// Number of pixels that the lens has no ray for.
+    pub fn blind_pixels(&self) -> u64 {
+        if self.lens.is_straight() {
+            return 0;
+        }
+        let place = |pixel: u32, centre: f64, focal: f64| (f64::from(pixel) + 0.5 - centre) / focal;
+        let blind = |x: u32, y: u32| {
+            self.lens.unbend([place(x, self.cx, self.fx), place(y, self.cy, self.fy)]).is_none()
+        };
+        // The domain has no holes: if the border is seen, all is seen.
+        let (right, bottom) = (self.width.saturating_sub(1), self.height.saturating_sub(1));
+        let border = (0..self.width).any(|x| blind(x, 0) || blind(x, bottom))
+            || (0..self.height).any(|y| blind(0, y) || blind(right, y));
+        if !border {
+            return 0;
+        }
+        (0..self.height).map(|y| (0..self.width).filter(|&x| blind(x, y)).count() as u64).sum()
+    }
+}
+
 impl Projection for Intrinsics {
     /// The disc of the part, on the plane at distance 1, has radius side · sqrt(Δx·Δy/π) with Δx = 1/fx, Δy = 1/fy.
     /// The tangent of the angle to the optical axis is computed from the pixel's position: derived from the cosine in
-    /// f32, it would lose 8.5 % of its value near the centre of an 800-pixel image.
+    /// f32, it would lose 8.5 % of its value near the centre of an 800-pixel image. A lens moves the axis and changes the
+    /// size of the disc by the Jacobian of its map. The cone of a fisheye has the solid angle of its part of the image.
     #[inline]
     fn cone<R: Real>(&self, at: [R; 2], side: R) -> LocalCone<R> {
         let real = |value: f64| R::from_f64(value);
         let u = (at[0] - real(self.cx)) / real(self.fx);
-        let v = -(at[1] - real(self.cy)) / real(self.fy);
-        let tangent = (u * u + v * v).sqrt();
-        let cosine = (R::one() + tangent * tangent).sqrt().recip();
+        let v = (at[1] - real(self.cy)) / real(self.fy);
         let disc = side * real((std::f64::consts::PI * self.fx * self.fy).sqrt().recip());
+        if self.lens.is_straight() {
+            return LocalCone::through([u, v], disc);
+        }
+        let Some(Unbent { at: [x, y], area }) = self.lens.unbend([u, v]) else { return LocalCone::none() };
+        // The part of the image covers 1/area of its own size before the lens.
+        let disc = disc / area.sqrt();
+        if !self.lens.fisheye {
+            return LocalCone::through([x, y], disc);
+        }
+        let angle = x.hypot(y);
+        let (sine, cosine) = angle.sin_cos();
+        // Circles around the axis are shorter on the sphere of directions than on the plane of angles.
+        let narrower = if angle > real(1e-3) { sine / angle } else { R::one() };
         LocalCone {
-            axis: [u, v, -R::one()],
-            inverse_length: cosine,
-            slope: sphere_slope(disc, tangent, cosine),
+            axis: [x * narrower, -y * narrower, -cosine],
+            inverse_length: R::one(),
+            slope: disc * narrower.sqrt(),
             cosine,
         }
     }
@@ -200,7 +285,15 @@ mod tests {
 
     #[test]
     fn reduced_pixels_cover_their_block() {
-        let k = Intrinsics { width: 13, height: 8, fx: 20.0, fy: 18.0, cx: 6.1, cy: 4.2 };
+        let k = Intrinsics {
+            width: 13,
+            height: 8,
+            fx: 20.0,
+            fy: 18.0,
+            cx: 6.1,
+            cy: 4.2,
+            ..Intrinsics::default()
+        };
         let camera = |intrinsics| Camera { intrinsics, rotation: DMat3::IDENTITY, origin: DVec3::ZERO };
         let plane = |camera: Camera, x, y| {
             let cone: Cone<f64> = camera.cone(x, y);
@@ -218,7 +311,15 @@ mod tests {
     #[test]
     fn parts_of_a_pixel_are_the_pixels_of_a_finer_camera() {
         // The 2×2 parts of a pixel are four pixels of a camera of twice the resolution.
-        let fine = Intrinsics { width: 26, height: 16, fx: 40.0, fy: 36.0, cx: 12.2, cy: 8.4 };
+        let fine = Intrinsics {
+            width: 26,
+            height: 16,
+            fx: 40.0,
+            fy: 36.0,
+            cx: 12.2,
+            cy: 8.4,
+            ..Intrinsics::default()
+        };
         let camera = |intrinsics| Camera { intrinsics, rotation: DMat3::IDENTITY, origin: DVec3::ONE };
         for index in 0..4 {
             let part: Cone<f64> = camera(fine.reduced(1)).cone_in(7, 3, index, 2);
@@ -231,7 +332,7 @@ mod tests {
     #[test]
     fn look_at_sees_its_target_in_the_centre() {
         let camera = Camera::look_at(
-            Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 },
+            Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5, ..Intrinsics::default() },
             DVec3::new(1.0, -4.0, 2.0),
             DVec3::new(0.0, 0.5, 0.0),
             DVec3::Z,
@@ -240,5 +341,86 @@ mod tests {
         let expected = (DVec3::new(0.0, 0.5, 0.0) - camera.origin).normalize();
         assert!((DVec3::from(cone.direction) - expected).length() < 1e-12);
         assert!((camera.rotation.determinant() - 1.0).abs() < 1e-12);
+    }
+
+    /// Cameras with a phone's lens, a strong barrel and a fisheye.
+    fn lenses() -> Vec<Camera> {
+        let lenses = [
+            Lens::perspective([0.0578421, -0.0805099, 0.0, 0.0], [-0.000980296, 0.00015575], [0.0; 3]),
+            Lens::perspective([-0.28, 0.07, -0.008, 0.0], [0.001, -0.002], [0.0; 3]),
+            Lens::fisheye([-0.02, 0.004, -0.002, 0.0003], [0.0; 2], [0.0; 2]),
+        ];
+        let camera = |lens| {
+            let k = Intrinsics { width: 60, height: 40, fx: 41.0, fy: 40.0, cx: 29.0, cy: 21.0, lens };
+            Camera::look_at(k, DVec3::new(1.0, -4.0, 2.0), DVec3::ZERO, DVec3::Z)
+        };
+        lenses.map(camera).to_vec()
+    }
+
+    #[test]
+    fn points_on_the_axis_of_a_cone_have_their_image_at_its_pixel() {
+        for camera in lenses() {
+            for (x, y) in [(0, 0), (30, 20), (59, 39), (7, 33), (45, 2)] {
+                let cone: Cone<f64> = camera.cone(x, y);
+                let point = 3.7 * DVec3::from(cone.direction);
+                let [u, v] = camera.intrinsics.image_of(camera.rotation.transpose() * point).expect("seen");
+                assert!((u - 0.5 - f64::from(x)).abs() < 1e-9 && (v - 0.5 - f64::from(y)).abs() < 1e-9);
+                assert!((DVec3::from(cone.direction).length() - 1.0).abs() < 1e-12);
+                assert!(
+                    (cone.cosine + camera.rotation.z_axis.dot(DVec3::from(cone.direction))).abs() < 1e-12
+                );
+            }
+        }
+    }
+
+    /// The footprint of a pixel: the solid angle between the axes of its corners. A perspective cone's inscribed sphere is
+    /// smaller than the circle of that solid angle by √cosθ, because its disc is seen at a slant.
+    #[test]
+    fn cones_have_the_size_of_their_pixels() {
+        for camera in lenses() {
+            for (x, y) in [(0_u32, 0_u32), (30, 20), (59, 39), (7, 33), (45, 2)] {
+                let cone: Cone<f64> = camera.cone(x, y);
+                let part = 1e-3;
+                let corner = |dx: f64, dy: f64| {
+                    let at = [f64::from(x) + 0.5 + dx * part, f64::from(y) + 0.5 + dy * part];
+                    DVec3::from(camera.cone_at::<f64>(at, part).direction)
+                };
+                let (a, b) = (corner(0.5, 0.0) - corner(-0.5, 0.0), corner(0.0, 0.5) - corner(0.0, -0.5));
+                let solid = a.cross(b).length() / (part * part);
+                let slant = if camera.intrinsics.lens.fisheye { 1.0 } else { cone.cosine.sqrt() };
+                let expected = (solid / std::f64::consts::PI).sqrt() * slant;
+                assert!((cone.slope / expected - 1.0).abs() < 0.03, "{} {expected}", cone.slope);
+            }
+        }
+    }
+
+    #[test]
+    fn a_lens_that_bends_nothing_is_a_pinhole_bit_by_bit() {
+        let camera = |lens| {
+            let k = Intrinsics { width: 60, height: 40, fx: 41.0, fy: 40.0, cx: 29.0, cy: 21.0, lens };
+            Camera::look_at(k, DVec3::new(1.0, -4.0, 2.0), DVec3::ZERO, DVec3::Z)
+        };
+        let straight = camera(Lens::perspective([0.0; 4], [0.0; 2], [0.0; 3]));
+        let bent = camera(Lens::perspective([1e-9, 0.0, 0.0, 0.0], [0.0; 2], [0.0; 3]));
+        for (x, y) in [(0, 0), (30, 20), (59, 39)] {
+            assert_eq!(straight.cone::<f32>(x, y), camera(Lens::default()).cone::<f32>(x, y));
+            let (a, b): (Cone<f64>, Cone<f64>) = (straight.cone(x, y), bent.cone(x, y));
+            assert!((DVec3::from(a.direction) - DVec3::from(b.direction)).length() < 1e-8);
+            assert!((a.slope / b.slope - 1.0).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn pixels_without_a_ray_are_counted_and_have_no_direction() {
+        let lens = Lens::perspective([-1.0 / 3.0, 0.0, 0.0, 0.0], [0.0; 2], [0.0; 3]);
+        let k = Intrinsics { width: 40, height: 40, fx: 20.0, fy: 20.0, cx: 20.0, cy: 20.0, lens };
+        let camera = Camera { intrinsics: k, rotation: DMat3::IDENTITY, origin: DVec3::ZERO };
+        let blind = (0..1600).filter(|i| camera.cone::<f32>(i % 40, i / 40).slope == 0.0).count() as u64;
+        assert_eq!(blind, k.blind_pixels());
+        // Rays end where the image has radius 2/3, which is 13.3 pixels.
+        let seen = (1600 - blind) as f64;
+        assert!((seen / (std::f64::consts::PI * (20.0_f64 / 1.5).powi(2)) - 1.0).abs() < 0.05, "{seen}");
+        assert_eq!(camera.cone::<f32>(0, 0).direction, [0.0; 3]);
+        assert_eq!(Intrinsics { lens: Lens::default(), ..k }.blind_pixels(), 0);
     }
 }

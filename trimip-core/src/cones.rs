@@ -65,7 +65,15 @@ mod tests {
     use crate::Intrinsics;
 
     fn camera(distance: f64, focal: f64) -> Camera {
-        let k = Intrinsics { width: 8, height: 8, fx: focal, fy: focal, cx: 4.0, cy: 4.0 };
+        let k = Intrinsics {
+            width: 8,
+            height: 8,
+            fx: focal,
+            fy: focal,
+            cx: 4.0,
+            cy: 4.0,
+            ..Intrinsics::default()
+        };
         Camera::look_at(k, DVec3::new(0.0, -distance, 0.0), DVec3::ZERO, DVec3::Z)
     }
 

@@ -1,7 +1,7 @@
 //! Evaluation: test frames rendered at every scale and compared with their photographs.
 
 use crate::{
-    Error, Frame, Frames, Result, Viewer,
+    Camera, Error, Frame, Frames, Result, Viewer,
     config::{DataConfig, EvalConfig},
     events::ScaleQuality,
     metrics::{psnr, psnr_8bit, psnr_of_constant, psnr_of_error, ssim},
@@ -191,23 +191,36 @@ pub fn evaluate_frame(
         };
         before += rows(view);
         let (exponent, other) = (data.edge_exponent(factor), opposite(background));
-        let plain = capped(psnr(&rendered.rgb(), &target));
+        // What the lens has no ray for is not compared.
+        let blind = blind(camera);
+        let seen = |rgb: Vec<[f32; 3]>| without(&blind, rgb);
+        let target_seen = seen(target.clone());
+        let plain = capped(psnr(&seen(rendered.rgb()), &target_seen));
         // Each block drops its pictures: few are in memory at once.
         let psnr_box = {
             let truth =
                 set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
             // The photographs of a multi-scale set may be smaller or larger than blocks of the finest ones.
-            if truth.len() == target.len() { capped(psnr(&rendered.rgb(), &truth)) } else { f64::NAN }
+            if truth.len() == target.len() {
+                capped(psnr(&seen(rendered.rgb()), &seen(truth)))
+            } else {
+                f64::NAN
+            }
         };
         let psnr_opposite = {
             let moved = rendered.moved(background, other).shown(other, exponent).rgb();
-            capped(psnr(&moved, &set.composited(view, other)))
+            capped(psnr(&seen(moved), &seen(set.composited(view, other))))
         };
         let rendered = rendered.shown(background, exponent);
         let (psnr, psnr_8bit, ssim) = {
-            let rgb = rendered.rgb();
+            let mut rgb = rendered.rgb();
+            for (pixel, target) in rgb.iter_mut().zip(&target).zip(&blind).filter_map(|(p, b)| b.then_some(p))
+            {
+                *pixel = *target;
+            }
             let ssim = ssim(&rgb, &target, rendered.width as usize, rendered.height as usize);
-            (capped(psnr(&rgb, &target)), capped(psnr_8bit(&rgb, &target)), ssim)
+            let rgb = seen(rgb);
+            (capped(psnr(&rgb, &target_seen)), capped(psnr_8bit(&rgb, &target_seen)), ssim)
         };
         let quality = ViewQuality {
             index,
@@ -217,7 +230,7 @@ pub fn evaluate_frame(
             psnr_opposite,
             psnr_plain: plain,
             psnr_box,
-            psnr_constant: capped(psnr_of_constant(&target)),
+            psnr_constant: capped(psnr_of_constant(&target_seen)),
             ssim,
         };
         let result = ViewResult {
@@ -235,6 +248,23 @@ pub fn evaluate_frame(
         }
     }
     Ok(true)
+}
+
+/// Whether the lens has no ray for each pixel; empty if it has one for all.
+fn blind(camera: &Camera) -> Vec<bool> {
+    let k = &camera.intrinsics;
+    if k.blind_pixels() == 0 {
+        return Vec::new();
+    }
+    let none = |i: u32| camera.cone::<f32>(i % k.width, i / k.width).slope == 0.0;
+    (0..k.width * k.height).map(none).collect()
+}
+
+/// The pixels that are not `blind`.
+fn without(blind: &[bool], mut rgb: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    let mut flags = blind.iter();
+    rgb.retain(|_| !flags.next().copied().unwrap_or(false));
+    rgb
 }
 
 /// Means per scale, fine to coarse, over the frames whose index is a multiple of `stride`.

@@ -101,14 +101,19 @@ impl Sampler<CpuBackend> for CpuSampler {
                 }
             }
             let (scale, pixel) = drawn[slot % AHEAD];
-            let (weight, side) = (self.balance.weight(scale), draw.sides()[scale]);
+            let (mut weight, side) = (self.balance.weight(scale), draw.sides()[scale]);
             let scale = &views.scales[scale];
             let exponent = self.data.edge_exponent(scale.factor);
             let in_scale = &views.views[scale.views.clone()];
             let view = &in_scale[in_scale.partition_point(|view| view.offset <= pixel) - 1];
             let within = (pixel - view.offset) as u32;
             let width = view.camera.intrinsics.width;
+            let first = rays.rays.len();
             cones(&view.camera, [within % width, within / width], side, rays);
+            // Nothing is learned from pixels that the lens has no ray for.
+            if rays.rays[first..].iter().any(|ray| ray.slope == 0.0) {
+                weight = 0.0;
+            }
             let mut background = self.data.background;
             if self.random_share > 0.0 {
                 let [r, g, b, chance] = self.random.uniform(Stream::Background, step, index);

@@ -3,6 +3,7 @@
 
 use crate::{
     json::{self, Node},
+    lens,
     photograph::Photograph,
     pose,
     source::{Pixels, Source, find_image, map_in_order, stem},
@@ -13,8 +14,6 @@ use trimip_core::{Camera, Error, Intrinsics, Result, scene_plan::StatedBox};
 
 /// Every n-th frame of a file without splits is a test frame, as in mip-NeRF 360 and Instant-NGP.
 pub(crate) const HOLD_OUT: usize = 8;
-/// Keys of lens models that a pinhole camera does not have.
-const DISTORTION: [&str; 6] = ["k1", "k2", "k3", "k4", "p1", "p2"];
 
 /// The frames of a split, with warnings about them.
 pub(crate) struct Split {
@@ -94,7 +93,6 @@ pub(crate) fn read(root: &Path, split: &str, scales: u32) -> Result<Split> {
             path.display()
         ));
     }
-    warnings.extend(distortion(&file, entries)?);
     let stated = stated::read(root, &file)?;
     Ok(Split { sources, warnings, stated })
 }
@@ -201,7 +199,8 @@ fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: u32) -> Res
     let centre = |key: &str, side: u32| -> Result<f64> {
         Ok(frame.number(key)?.or(file.number(key)?).unwrap_or(0.5 * f64::from(side)))
     };
-    Ok(Intrinsics { width, height, fx, fy, cx: centre("cx", width)?, cy: centre("cy", height)? })
+    let lens = lens::read(file, frame)?;
+    Ok(Intrinsics { width, height, fx, fy, cx: centre("cx", width)?, cy: centre("cy", height)?, lens })
 }
 
 /// Focal lengths from one node: `fl_x` and `fl_y`, otherwise half the side over the tangent of half the field of view.
@@ -246,31 +245,4 @@ fn check_shared_focal(
     let Some(first) = shared.next() else { return Ok(()) };
     let expected = Size { width: Some(first.width), height: Some(first.height) };
     shared.try_for_each(|image| expected.check(image))
-}
-
-/// A warning if the file describes a lens that is not a pinhole.
-fn distortion(file: &Node<'_>, entries: &[serde_json::Value]) -> Result<Option<String>> {
-    let stated = |node: &Node<'_>| -> Result<Vec<String>> {
-        let mut terms = Vec::new();
-        for key in DISTORTION {
-            if let Some(value) = node.number(key)?.filter(|value| *value != 0.0) {
-                terms.push(format!("{key} = {value}"));
-            }
-        }
-        Ok(terms)
-    };
-    let mut terms = stated(file)?;
-    for (index, entry) in entries.iter().enumerate() {
-        if !terms.is_empty() {
-            break;
-        }
-        terms = stated(&Node::new(format!("{}: frame {index}", file.place), entry)?)?;
-    }
-    Ok((!terms.is_empty()).then(|| {
-        format!(
-            "{}: lens distortion ({}) is not modelled; undistort the images first",
-            file.place,
-            terms.join(", ")
-        )
-    }))
 }

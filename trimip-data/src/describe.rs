@@ -1,6 +1,7 @@
 //! Descriptions of scenes: the few lines that are kept with a run, and the longer report of `data inspect`.
 
 use crate::{
+    lens,
     scene::Survey,
     source::{Source, assemble},
     watch::{Meter, Watch},
@@ -53,6 +54,15 @@ pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
         let fy = range(cameras().map(|camera| camera.intrinsics.fy));
         lines.push(format!("{name}: images {}, {}", sizes(sources), alpha(sources)));
         lines.push(format!("{name}: focal length {fx} x {fy} pixels"));
+        let mut lenses: Vec<String> =
+            cameras().filter_map(|camera| lens::described(&camera.intrinsics.lens)).collect();
+        lenses.sort();
+        lenses.dedup();
+        match &lenses[..] {
+            [] => {}
+            [one] => lines.push(format!("{name}: lens {one}")),
+            all => lines.push(format!("{name}: {}, the first {}", count(all.len(), "lens model"), all[0])),
+        }
         lines.push(format!(
             "{name}: cameras {} from the origin, x {}, y {}, z {}",
             range(cameras().map(|camera| camera.origin.length())),

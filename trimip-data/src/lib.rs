@@ -19,6 +19,7 @@ mod blender;
 pub mod builtin;
 mod describe;
 mod json;
+mod lens;
 mod multiscale;
 mod photograph;
 mod pose;
@@ -30,6 +31,7 @@ mod watch;
 mod write;
 
 pub use describe::inspect;
+pub use lens::{lens_of, lens_terms};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};
 pub use watch::{Watch, unwatched};
 pub use write::{Summary, write_builtin, write_multiscale};

@@ -4,6 +4,7 @@
 use crate::{
     blender::Split,
     json::{self, Node},
+    lens,
     photograph::Photograph,
     pose,
     source::{Pixels, Source, find_image, map_in_order, stem},
@@ -166,8 +167,15 @@ impl<'a> Table<'a> {
     fn intrinsics(&self, index: usize, image: &Photograph) -> Result<Intrinsics> {
         let fx = self.positive("focal", index)?;
         let (width, height) = (image.width, image.height);
-        let mut k =
-            Intrinsics { width, height, fx, fy: fx, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height) };
+        let mut k = Intrinsics {
+            width,
+            height,
+            fx,
+            fy: fx,
+            cx: 0.5 * f64::from(width),
+            cy: 0.5 * f64::from(height),
+            ..Intrinsics::default()
+        };
         if self.node.get("pix2cam").is_some() {
             let value = &self.node.array("pix2cam")?[index];
             let wrong = |what: String| {
@@ -202,7 +210,8 @@ impl<'a> Table<'a> {
         let point = |key: &str, otherwise: f64| -> Result<f64> {
             if self.node.get(key).is_none() { Ok(otherwise) } else { self.value(key, index) }
         };
-        Ok(Intrinsics { fy: length, cx: point("cx", k.cx)?, cy: point("cy", k.cy)?, ..k })
+        let lens = lens::of_column(&self.place(index), &self.node, index)?;
+        Ok(Intrinsics { fy: length, cx: point("cx", k.cx)?, cy: point("cy", k.cy)?, lens, ..k })
     }
 }
 

@@ -9,7 +9,7 @@ use crate::{
 };
 use std::path::Path;
 use trimip_core::{
-    Camera, Error, Frames, Result, ViewSet,
+    Camera, Error, Frames, Intrinsics, Result, ViewSet,
     config::{Convention, DataConfig, Format},
     scene_plan::StatedBox,
 };
@@ -172,6 +172,11 @@ impl Survey {
             }
             test.sources
         };
+        let mut test = test;
+        if !config.lens {
+            train.iter_mut().chain(&mut test).for_each(Source::straighten);
+        }
+        warnings.extend(blind(train.iter().chain(&test)));
         warnings.extend(alpha_warning(&train));
         let mut seen = std::collections::HashSet::new();
         warnings.retain(|warning| seen.insert(warning.clone()));
@@ -179,6 +184,28 @@ impl Survey {
         let (train, test) = shrink(train, test, config, &mut warnings);
         Ok(Self { name, layout, train_splits, train, test, warnings, stated })
     }
+}
+
+/// A warning if the lens has no rays for some pixels: they are neither trained nor compared.
+fn blind<'a>(sources: impl Iterator<Item = &'a Source>) -> Option<String> {
+    let mut known: Vec<(Intrinsics, u64)> = Vec::new();
+    let (mut blind, mut all) = (0, 0);
+    for (_, camera) in sources.filter_map(|source| source.views.first()) {
+        let k = camera.intrinsics;
+        let own = known.iter().find(|(other, _)| *other == k).map(|(_, count)| *count);
+        let own = own.unwrap_or_else(|| {
+            known.push((k, k.blind_pixels()));
+            known[known.len() - 1].1
+        });
+        blind += own;
+        all += u64::from(k.width) * u64::from(k.height);
+    }
+    (blind > 0).then(|| {
+        format!(
+            "the lens model has no rays for {blind} of {all} pixels ({:.2} %), which are left out",
+            100.0 * blind as f64 / all as f64
+        )
+    })
 }
 
 /// The test split if no other is named.

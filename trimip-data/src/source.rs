@@ -10,7 +10,7 @@ use crate::{
 use rayon::prelude::*;
 use std::path::Path;
 use trimip_core::config::{Convention, Finish};
-use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
+use trimip_core::{Alpha, Camera, Error, Frames, Lens, Result, Scale, View, ViewSet};
 
 /// One frame: a camera per scale, and the source of its pixels.
 #[derive(Debug)]
@@ -89,6 +89,13 @@ impl Source {
             camera.intrinsics = camera.intrinsics.reduced(halvings);
         }
         self
+    }
+
+    /// The same frame, of a pinhole.
+    pub(crate) fn straighten(&mut self) {
+        for (_, camera) in &mut self.views {
+            camera.intrinsics.lens = Lens::default();
+        }
     }
 
     /// Rows of its finest view, the unit of progress.

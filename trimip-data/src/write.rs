@@ -4,6 +4,7 @@
 use crate::{
     builtin,
     describe::count,
+    lens::lens_terms,
     multiscale::METADATA,
     scene::Survey,
     source::{Source, assemble, map_in_order},
@@ -11,6 +12,7 @@ use crate::{
 };
 use serde_json::{Value, json};
 use std::{
+    collections::BTreeSet,
     fmt::Display,
     fs,
     path::{Path, PathBuf},
@@ -135,6 +137,23 @@ fn columns(split: &str, sources: &[Source]) -> Value {
         table["fl_y"] = column(&|_, _, camera| camera.intrinsics.fy.into());
         table["cx"] = column(&|_, _, camera| camera.intrinsics.cx.into());
         table["cy"] = column(&|_, _, camera| camera.intrinsics.cy.into());
+    }
+    // One column for each coefficient that a view has.
+    let terms = |camera: &Camera| lens_terms(&camera.intrinsics.lens);
+    let keys: BTreeSet<&str> = views
+        .iter()
+        .filter_map(|(.., camera)| terms(camera))
+        .flat_map(|(_, terms)| terms.into_iter().map(|(key, _)| key))
+        .collect();
+    if views.iter().any(|(.., camera)| terms(camera).is_some()) {
+        table["camera_model"] =
+            column(&|_, _, camera| terms(camera).map_or("PINHOLE", |(model, _)| model).into());
+    }
+    for key in keys {
+        table[key] = column(&|_, _, camera| {
+            let own = terms(camera).and_then(|(_, terms)| terms.into_iter().find(|(name, _)| *name == key));
+            own.map_or(0.0, |(_, term)| term).into()
+        });
     }
     table
 }

@@ -85,7 +85,7 @@ fn photographs_with_their_own_cameras_are_read() {
 
     let lines = inspect(&settings(&fox, 1), &trimip_data::unwatched).unwrap().join("\n");
     for expected in
-        ["train 43", "7 test views", "1080x1920", "no alpha", "distortion (k1 = 0.0578421", "every 8th frame"]
+        ["train 43", "7 test views", "1080x1920", "no alpha", "lens OPENCV k1 = 0.0578421", "every 8th frame"]
     {
         assert!(lines.contains(expected), "{expected}:\n{lines}");
     }

@@ -30,7 +30,10 @@ struct GpuView {
     disc: f32,
     width: u32,
     offset: u32,
-    padding: u32,
+    lens: u32,
+    radial: [f32; 4],
+    denominator: [f32; 4],
+    shift: [f32; 4],
 }
 
 impl GpuView {
@@ -38,13 +41,18 @@ impl GpuView {
         let k = &camera.intrinsics;
         let axes = camera.rotation.to_cols_array_2d();
         let origin = camera.origin.to_array();
+        let lens = &k.lens;
+        let ([d1, d2, d3], [p1, p2], [s1, s2]) = (lens.denominator, lens.tangential, lens.prism);
         Self {
             pose: [0, 1, 2].map(|i| [axes[0][i], axes[1][i], axes[2][i], origin[i]].map(|x| x as f32)),
             intrinsics: [k.fx, k.fy, k.cx, k.cy].map(|x| x as f32),
             disc: (std::f64::consts::PI * k.fx * k.fy).sqrt().recip() as f32,
             width: k.width,
             offset: offset as u32,
-            padding: 0,
+            lens: if lens.is_straight() { 0 } else { 1 + u32::from(lens.fisheye) },
+            radial: lens.radial.map(|k| k as f32),
+            denominator: [d1, d2, d3, lens.domain()].map(|d| d as f32),
+            shift: [p1, p2, s1, s2].map(|s| s as f32),
         }
     }
 }

@@ -20,7 +20,8 @@ const PIXEL_TOLERANCE: f32 = 5e-4;
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn parts<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    let intrinsics = Intrinsics { width: 7, height: 6, fx: 6.0, fy: 5.5, cx: 3.3, cy: 3.1 };
+    let intrinsics =
+        Intrinsics { width: 7, height: 6, fx: 6.0, fy: 5.5, cx: 3.3, cy: 3.1, ..Intrinsics::default() };
     let camera = |n: u32| {
         let k = f64::from(n);
         let fine = Intrinsics {
@@ -30,6 +31,7 @@ pub fn parts<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             fy: k * intrinsics.fy,
             cx: k * intrinsics.cx,
             cy: k * intrinsics.cy,
+            ..Intrinsics::default()
         };
         Camera::look_at(fine, DVec3::new(2.0, -3.0, 1.5), DVec3::ZERO, DVec3::Z)
     };

@@ -216,7 +216,15 @@ pub fn pixels<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             trainer.set_parameters(&parameters);
             trainer.occupy_all();
             let reference = Reference::new(&config, &layout, &wide(&parameters));
-            let intrinsics = Intrinsics { width: 7, height: 6, fx: 6.0, fy: 5.5, cx: 3.3, cy: 3.1 };
+            let intrinsics = Intrinsics {
+                width: 7,
+                height: 6,
+                fx: 6.0,
+                fy: 5.5,
+                cx: 3.3,
+                cy: 3.1,
+                ..Intrinsics::default()
+            };
             let camera = Camera::look_at(intrinsics, DVec3::new(2.0, -3.0, 1.5), DVec3::ZERO, DVec3::Z);
             let frame = trainer.render(&camera)?;
             assert_eq!((frame.width, frame.height), (7, 6));

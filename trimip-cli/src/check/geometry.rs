@@ -122,7 +122,8 @@ fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             (format!("field of view {degrees}°"), Intrinsics::from_angle(64, 48, degrees.to_radians()))
         })
         .collect();
-    let k = |width, height, fx, fy, cx, cy| Intrinsics { width, height, fx, fy, cx, cy };
+    let k =
+        |width, height, fx, fy, cx, cy| Intrinsics { width, height, fx, fy, cx, cy, ..Intrinsics::default() };
     cases.extend([
         ("an image of one pixel".into(), k(1, 1, 1.0, 1.0, 0.5, 0.5)),
         ("an image of one row".into(), k(500, 1, 300.0, 300.0, 250.0, 0.5)),
@@ -179,7 +180,15 @@ fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             origin[axis] = corner[axis] - sides[axis];
             let up = if axis == 2 { DVec3::X } else { DVec3::Z };
             let right = along.cross(up);
-            let intrinsics = Intrinsics { width: 1, height: 1, fx: 100.0, fy: 100.0, cx: 0.5, cy: 0.5 };
+            let intrinsics = Intrinsics {
+                width: 1,
+                height: 1,
+                fx: 100.0,
+                fy: 100.0,
+                cx: 0.5,
+                cy: 0.5,
+                ..Intrinsics::default()
+            };
             let rotation = DMat3::from_cols(right, up, -along);
             let pixel = trainer.render(&Camera { intrinsics, rotation, origin })?.pixels[0];
             strange += not_finite(&[pixel.rgb[0], pixel.rgb[1], pixel.rgb[2], pixel.opacity, pixel.depth]);

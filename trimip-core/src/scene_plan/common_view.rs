@@ -62,8 +62,9 @@ pub(super) fn common_view(cameras: &[Camera], aabb: &Aabb<f64>) -> Option<Aabb<f
 fn sees(camera: &Camera, at: DVec3) -> bool {
     let k = &camera.intrinsics;
     let at = camera.rotation.transpose() * (at - camera.origin);
-    let (x, y) = (k.cx - k.fx * at.x / at.z, k.cy + k.fy * at.y / at.z);
-    at.z < 0.0 && (0.0..f64::from(k.width)).contains(&x) && (0.0..f64::from(k.height)).contains(&y)
+    k.image_of(at).is_some_and(|[x, y]| {
+        (0.0..f64::from(k.width)).contains(&x) && (0.0..f64::from(k.height)).contains(&y)
+    })
 }
 
 #[cfg(test)]

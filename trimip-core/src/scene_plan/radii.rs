@@ -33,7 +33,15 @@ mod tests {
     #[test]
     fn no_sphere_lies_outside_of_the_range() {
         let aabb = Aabb { min: [-1.0, -0.5, -0.25], max: [1.0, 0.75, 0.5] };
-        let k = Intrinsics { width: 40, height: 30, fx: 50.0, fy: 60.0, cx: 12.0, cy: 20.0 };
+        let k = Intrinsics {
+            width: 40,
+            height: 30,
+            fx: 50.0,
+            fy: 60.0,
+            cx: 12.0,
+            cy: 20.0,
+            ..Intrinsics::default()
+        };
         for origin in [DVec3::new(3.0, 1.0, 2.0), DVec3::new(0.1, 0.2, 0.1), DVec3::new(0.0, 0.0, 9.0)] {
             let camera = Camera::look_at(k, origin, DVec3::new(0.2, 0.0, 0.1), DVec3::Y);
             let [low, high] = range([&camera], &aabb).unwrap();

@@ -41,12 +41,17 @@ struct Scale {
 @group(0) @binding(6) var<storage, read_write> pixel_groups: array<vec2<u32>>;
 
 // Generates the cones of pixel number `i` of the span; the first of them is number `start`.
-fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) {
+// Returns false if the lens has no ray for one of them.
+fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) -> bool {
     let count = side * side;
     pixel_groups[i] = vec2<u32>(start, count);
+    var all = true;
     for (var index = 0u; index < count; index++) {
-        rays[start + index] = cone_in(view, x, y, index, side);
+        let ray = cone_in(view, x, y, index, side);
+        all = all && ray.slope > 0.0;
+        rays[start + index] = ray;
     }
+    return all;
 }
 
 // Cones of all pixels of the step before pixel `index`; twin of `Draw::cones_before`.
@@ -112,7 +117,7 @@ fn training_rays(
     let view = views[low];
     let within = pixel - view.offset;
     let start = cones_before(index) - params.first_cone;
-    cones_of(i, start, params.sides[s / 4u][s % 4u], view, within % view.width, within / view.width);
+    let seen = cones_of(i, start, params.sides[s / 4u][s % 4u], view, within % view.width, within / view.width);
 
     var background = params.background;
     if params.random_share > 0.0 {
@@ -130,7 +135,8 @@ fn training_rays(
     targets[at] = rgb.r;
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
-    targets[at + 3u] = params.weights[s / 4u][s % 4u];
+    // Nothing is learned from pixels that the lens has no ray for.
+    targets[at + 3u] = select(0.0, params.weights[s / 4u][s % 4u], seen);
     targets[at + 4u] = background.r;
     targets[at + 5u] = background.g;
     targets[at + 6u] = background.b;

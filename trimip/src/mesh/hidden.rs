@@ -199,7 +199,15 @@ mod tests {
         // A plate seen from above alone.
         let mut solid = Bits::new([15; 3]);
         (0..225).for_each(|i| solid.set(i + 225 * 7));
-        let k = Intrinsics { width: 100, height: 100, fx: 150.0, fy: 150.0, cx: 50.0, cy: 50.0 };
+        let k = Intrinsics {
+            width: 100,
+            height: 100,
+            fx: 150.0,
+            fy: 150.0,
+            cx: 50.0,
+            cy: 50.0,
+            ..Intrinsics::default()
+        };
         let camera = Camera::look_at(k, DVec3::new(0.0, 0.0, 4.0), DVec3::ZERO, DVec3::Y);
         let found = directions(&[camera]);
         assert!((2..DIRECTIONS / 4).contains(&found.len()) && found.iter().all(|d| d[2] < -0.8), "{found:?}");

@@ -37,8 +37,12 @@ pub fn rasterise(mesh: &Mesh, camera: &Camera) -> Vec<f32> {
             }
         }
         // Position in pixels, and the reciprocal of the distance, which is linear in the picture.
-        let drawn: Vec<[f64; 3]> =
-            ring.iter().map(|p| [k.cx + k.fx * p.x / p.z, k.cy - k.fy * p.y / p.z, p.z.recip()]).collect();
+        let place = |p: &DVec3| {
+            let [x, y] = k.image_of(DVec3::new(p.x, p.y, -p.z))?;
+            Some([x, y, p.z.recip()])
+        };
+        // Edges that a lens bends are drawn straight; triangles beyond its domain are not seen.
+        let Some(drawn) = ring.iter().map(place).collect::<Option<Vec<[f64; 3]>>>() else { continue };
         for i in 2..drawn.len() {
             draw([drawn[0], drawn[i - 1], drawn[i]], width, height, &mut depths);
         }
@@ -126,7 +130,15 @@ mod tests {
     #[test]
     fn a_cube_seen_from_the_front_is_a_square_at_its_distance() {
         // The face y = 0 of the unit cube, two units before the camera: 100 / 2 pixels wide.
-        let k = Intrinsics { width: 80, height: 70, fx: 100.0, fy: 100.0, cx: 40.0, cy: 35.0 };
+        let k = Intrinsics {
+            width: 80,
+            height: 70,
+            fx: 100.0,
+            fy: 100.0,
+            cx: 40.0,
+            cy: 35.0,
+            ..Intrinsics::default()
+        };
         let eye = DVec3::new(0.5, -2.0, 0.5);
         let camera = Camera::look_at(k, eye, DVec3::splat(0.5), DVec3::Z);
         let depths = rasterise(&cube(), &camera);
@@ -143,7 +155,15 @@ mod tests {
         // The plane z = -1 below the camera, of which one corner lies behind it.
         let positions = vec![[-50.0, -50.0, -1.0], [50.0, -50.0, -1.0], [0.0, 100.0, -1.0]];
         let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
-        let k = Intrinsics { width: 20, height: 20, fx: 20.0, fy: 20.0, cx: 10.0, cy: 10.0 };
+        let k = Intrinsics {
+            width: 20,
+            height: 20,
+            fx: 20.0,
+            fy: 20.0,
+            cx: 10.0,
+            cy: 10.0,
+            ..Intrinsics::default()
+        };
         let camera = Camera::look_at(k, DVec3::ZERO, DVec3::Y, DVec3::Z);
         let depths = rasterise(&mesh, &camera);
         for (i, &depth) in depths.iter().enumerate() {

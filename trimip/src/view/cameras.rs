@@ -102,7 +102,9 @@ pub fn path(file: &Path, fallback: Intrinsics) -> Result<Vec<Named>> {
         let Some(matrix) = frame.get("transform_matrix").and_then(flatten) else {
             return Err(Error::input(place, "no `transform_matrix`", "add a 4×4 camera-to-world matrix"));
         };
-        cameras.push((format!("{i:04}"), posed(&place, &matrix, projected(&place, own, head, fallback)?)?));
+        let mut intrinsics = projected(&place, own, head, fallback)?;
+        intrinsics.lens = trimip_data::lens_of(&place, &json, frame)?;
+        cameras.push((format!("{i:04}"), posed(&place, &matrix, intrinsics)?));
     }
     Ok(cameras)
 }
@@ -127,7 +129,7 @@ fn projected(place: &str, own: Projection, head: Projection, fallback: Intrinsic
             "expected 1 to 16384 pixels and a focal length above 0",
         ));
     }
-    Ok(Intrinsics { width: width as u32, height: height as u32, fx, fy, cx, cy })
+    Ok(Intrinsics { width: width as u32, height: height as u32, fx, fy, cx, cy, ..Intrinsics::default() })
 }
 
 /// The same view with `factor` times as many pixels along each side.
@@ -152,6 +154,7 @@ pub fn resized(k: Intrinsics, factor: f64) -> Result<Intrinsics> {
         fy: k.fy * y,
         cx: k.cx * x,
         cy: k.cy * y,
+        lens: k.lens,
     })
 }
 

@@ -125,6 +125,10 @@ pub fn write_cameras(path: &Path, cameras: &[cameras::Named], scene: Option<&Sce
                 "file_path": name, "w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy,
                 "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
             });
+            if let Some((model, terms)) = trimip_data::lens_terms(&k.lens) {
+                frame["camera_model"] = json!(model);
+                terms.into_iter().for_each(|(key, term)| frame[key] = json!(term));
+            }
             if let Some(scene) = scene {
                 let range = depth_range(scene, camera);
                 (frame["depth_near"], frame["depth_far"]) = (json!(range.near), json!(range.far));
@@ -141,7 +145,7 @@ mod tests {
     use super::*;
     use glam::DVec3;
     use serde_json::Value;
-    use trimip_core::Intrinsics;
+    use trimip_core::{Intrinsics, Lens};
 
     /// Parses `eye/target` as a camera.
     fn look_at(text: &str, intrinsics: Intrinsics) -> Camera {
@@ -154,10 +158,19 @@ mod tests {
     fn written_cameras_are_read_back_as_they_were() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("cameras.json");
-        let intrinsics = Intrinsics { width: 50, height: 40, fx: 60.0, fy: 61.0, cx: 24.0, cy: 21.0 };
-        let camera = look_at("3,1,2/0,0.5,0", intrinsics);
+        let intrinsics = Intrinsics {
+            width: 50,
+            height: 40,
+            fx: 60.0,
+            fy: 61.0,
+            cx: 24.0,
+            cy: 21.0,
+            ..Intrinsics::default()
+        };
+        let bent = Lens::perspective([0.1, -0.02, 0.0, 0.0], [0.0, 0.003], [0.0; 3]);
         let scene = SceneConfig { aabb_min: [-1.0; 3], aabb_max: [1.0; 3] };
-        for ranged in [None, Some(&scene)] {
+        for (ranged, lens) in [(None, Lens::default()), (Some(&scene), Lens::default()), (None, bent)] {
+            let camera = look_at("3,1,2/0,0.5,0", Intrinsics { lens, ..intrinsics });
             write_cameras(&path, &[("a".into(), camera)], ranged).unwrap();
             let read = cameras::path(&path, Intrinsics::from_angle(1, 1, 1.0)).unwrap();
             assert_eq!(read[0].1, camera);

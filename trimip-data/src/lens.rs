@@ -1,0 +1,191 @@
+//! The lens of a frame in the JSON layouts of instant-ngp and nerfstudio. Frame keys override file keys.
+
+use crate::json::Node;
+use serde_json::Value;
+use trimip_core::{Error, Lens, Result};
+
+/// Names of `camera_model`, which are COLMAP's.
+const MODELS: [&str; 8] = [
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "FULL_OPENCV",
+    "OPENCV_FISHEYE",
+    "THIN_PRISM_FISHEYE",
+];
+
+/// Coefficients in the files.
+const TERMS: [&str; 10] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "sx1", "sy1"];
+
+/// The lens of a frame of a camera file, with the terms that the file gives for all its frames. `place` names the frame.
+///
+/// # Errors
+/// When the model is unknown, or has no such coefficients.
+pub fn lens_of(place: &str, file: &Value, frame: &Value) -> Result<Lens> {
+    read(&Node::new(place, file)?, &Node::new(place, frame)?)
+}
+
+/// Name and coefficients of a lens as [`lens_of`] reads them, without those that are 0; none for a pinhole.
+pub fn lens_terms(lens: &Lens) -> Option<(&'static str, Vec<(&'static str, f64)>)> {
+    if lens.is_straight() {
+        return None;
+    }
+    let ([k1, k2, k3, k4], [d1, d2, d3]) = (lens.radial, lens.denominator);
+    let ([p1, p2], [s1, s2]) = (lens.tangential, lens.prism);
+    let (model, terms) = if lens.fisheye {
+        let bent = [p1, p2, s1, s2] != [0.0; 4];
+        let model = if bent { "THIN_PRISM_FISHEYE" } else { "OPENCV_FISHEYE" };
+        (model, [k1, k2, k3, k4, 0.0, 0.0, p1, p2, s1, s2])
+    } else if [d1, d2, d3] != [0.0; 3] {
+        ("FULL_OPENCV", [k1, k2, k3, d1, d2, d3, p1, p2, 0.0, 0.0])
+    } else {
+        ("OPENCV", [k1, k2, k3, k4, 0.0, 0.0, p1, p2, 0.0, 0.0])
+    };
+    Some((model, TERMS.into_iter().zip(terms).filter(|(_, term)| *term != 0.0).collect()))
+}
+
+/// Reads the lens of entry `index` of a file that holds one array for each key.
+///
+/// # Errors
+/// As [`lens_of`].
+pub(crate) fn of_column(place: &str, file: &Node<'_>, index: usize) -> Result<Lens> {
+    let mut frame = serde_json::Map::new();
+    for key in TERMS.into_iter().chain(["camera_model"]).filter(|key| file.get(key).is_some()) {
+        if let Some(value) = file.array(key)?.get(index) {
+            frame.insert(key.into(), value.clone());
+        }
+    }
+    lens_of(place, &Value::Object(serde_json::Map::new()), &Value::Object(frame))
+}
+
+/// A lens in words: its model and coefficients.
+pub(crate) fn described(lens: &Lens) -> Option<String> {
+    let (model, terms) = lens_terms(lens)?;
+    let terms: Vec<String> = terms.iter().map(|(key, term)| format!("{key} = {term}")).collect();
+    Some(format!("{model} {}", terms.join(", ")).trim_end().to_string())
+}
+
+/// Reads the lens of `frame`.
+///
+/// # Errors
+/// When the model is unknown, or has no such coefficients.
+pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
+    let mut terms = [0.0; 10];
+    for (term, key) in terms.iter_mut().zip(TERMS) {
+        *term = frame.number(key)?.or(file.number(key)?).unwrap_or(0.0);
+    }
+    let [k1, k2, k3, k4, k5, k6, p1, p2, s1, s2] = terms;
+    let refuse = |model: &str, known: &str| {
+        let stated = TERMS.iter().zip(terms).filter(|(_, term)| *term != 0.0);
+        let stated: Vec<String> = stated.map(|(key, term)| format!("{key} = {term}")).collect();
+        Err(Error::input(
+            &frame.place,
+            format!("\"camera_model\" is {model}, and {}", stated.join(", ")),
+            format!("this model has {known}: name the model of these numbers, or remove them"),
+        ))
+    };
+    let model = model(file, frame)?;
+    match model {
+        "OPENCV_FISHEYE" if [k5, k6, p1, p2, s1, s2] == [0.0; 6] => {
+            Ok(Lens::fisheye([k1, k2, k3, k4], [0.0; 2], [0.0; 2]))
+        }
+        "OPENCV_FISHEYE" => refuse(model, "k1 to k4"),
+        "THIN_PRISM_FISHEYE" if [k5, k6] == [0.0; 2] => {
+            Ok(Lens::fisheye([k1, k2, k3, k4], [p1, p2], [s1, s2]))
+        }
+        "THIN_PRISM_FISHEYE" => refuse(model, "k1 to k4, p1, p2, sx1 and sy1"),
+        "FULL_OPENCV" if [s1, s2] == [0.0; 2] => {
+            Ok(Lens::perspective([k1, k2, k3, 0.0], [p1, p2], [k4, k5, k6]))
+        }
+        "FULL_OPENCV" => refuse(model, "k1 to k6, p1 and p2"),
+        "SIMPLE_PINHOLE" | "PINHOLE" if terms != [0.0; 10] => refuse(model, "no coefficients"),
+        _ if [k5, k6, s1, s2] != [0.0; 4] => refuse(model, "k1 to k4, p1 and p2"),
+        _ => Ok(Lens::perspective([k1, k2, k3, k4], [p1, p2], [0.0; 3])),
+    }
+}
+
+/// The camera model that is stated; without one, coefficients are those of nerfstudio's `OPENCV`, or of `OPENCV_FISHEYE` if
+/// instant-ngp's `is_fisheye` is true.
+fn model(file: &Node<'_>, frame: &Node<'_>) -> Result<&'static str> {
+    let Some((node, value)) =
+        [frame, file].into_iter().find_map(|node| Some((node, node.get("camera_model")?)))
+    else {
+        let flag = [frame, file].into_iter().find_map(|node| Some((node, node.get("is_fisheye")?)));
+        return match flag.map(|(node, value)| (node, value, value.as_bool())) {
+            None | Some((_, _, Some(false))) => Ok("OPENCV"),
+            Some((_, _, Some(true))) => Ok("OPENCV_FISHEYE"),
+            Some((node, value, None)) => Err(node.unexpected("is_fisheye", "true or false", value)),
+        };
+    };
+    let named = value.as_str().ok_or_else(|| node.unexpected("camera_model", "a text", value))?;
+    MODELS.into_iter().find(|model| *model == named).ok_or_else(|| {
+        Error::input(
+            &node.place,
+            format!("\"camera_model\" is \"{}\"", named.chars().take(80).collect::<String>()),
+            format!("known are {}; undistort the images to one of them", MODELS.join(", ")),
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn lens(file: Value, frame: Value) -> Result<Lens> {
+        read(&Node::new("file", &file)?, &Node::new("frame 3", &frame)?)
+    }
+
+    #[test]
+    fn models_take_their_own_coefficients() {
+        let terms = json!({ "k1": 0.1, "k2": -0.02, "p1": 0.003, "p2": -0.001 });
+        let opencv = Lens::perspective([0.1, -0.02, 0.0, 0.0], [0.003, -0.001], [0.0; 3]);
+        assert_eq!(lens(terms.clone(), json!({})).unwrap(), opencv);
+        // The frame's own numbers come first.
+        let own = Lens::perspective([0.2, -0.02, 0.0, 0.0], [0.003, -0.001], [0.0; 3]);
+        assert_eq!(lens(terms, json!({ "k1": 0.2, "camera_model": "OPENCV" })).unwrap(), own);
+        let four = json!({ "k1": 0.1, "k2": 0.2, "k3": 0.3, "k4": 0.4 });
+        let fisheye = Lens::fisheye([0.1, 0.2, 0.3, 0.4], [0.0; 2], [0.0; 2]);
+        assert_eq!(lens(json!({ "camera_model": "OPENCV_FISHEYE" }), four.clone()).unwrap(), fisheye);
+        assert_eq!(lens(json!({ "is_fisheye": true }), four.clone()).unwrap(), fisheye);
+        let rational = Lens::perspective([0.1, 0.2, 0.3, 0.0], [0.0; 2], [0.4, 0.0, 0.0]);
+        assert_eq!(lens(json!({ "camera_model": "FULL_OPENCV" }), four).unwrap(), rational);
+        assert!(lens(json!({ "camera_model": "PINHOLE", "k1": 0.0 }), json!({})).unwrap().is_straight());
+    }
+
+    #[test]
+    fn terms_come_back_as_the_same_lens() {
+        for own in [
+            Lens::perspective([0.1, 0.0, 0.3, 0.4], [0.01, 0.0], [0.0; 3]),
+            Lens::perspective([0.1, 0.2, 0.3, 0.0], [0.0, 0.02], [0.4, 0.5, 0.6]),
+            Lens::fisheye([0.0; 4], [0.0; 2], [0.0; 2]),
+            Lens::fisheye([0.1, 0.0, 0.0, 0.02], [0.01, 0.02], [0.0, 0.03]),
+            Lens::default(),
+        ] {
+            let mut frame = json!({});
+            if let Some((model, terms)) = lens_terms(&own) {
+                frame["camera_model"] = json!(model);
+                terms.into_iter().for_each(|(key, term)| frame[key] = json!(term));
+            }
+            let found = lens_of("frame 0", &json!({}), &frame).unwrap();
+            assert!(found == own || (found.is_straight() && own.is_straight()), "{frame}");
+        }
+    }
+
+    #[test]
+    fn what_a_model_does_not_have_is_refused() {
+        let refused = |file: Value, names: &str| {
+            let error = lens(file, json!({})).unwrap_err();
+            assert!(error.exit_code() == 2 && error.message.contains(names), "{error}");
+        };
+        refused(json!({ "camera_model": "PINHOLE", "k1": 0.1 }), "k1 = 0.1");
+        refused(json!({ "camera_model": "OPENCV_FISHEYE", "p1": 0.1 }), "p1 = 0.1");
+        refused(json!({ "k6": 0.1 }), "k6 = 0.1");
+        refused(json!({ "camera_model": "FOV" }), "OPENCV_FISHEYE");
+        refused(json!({ "camera_model": 3 }), "camera_model");
+        refused(json!({ "is_fisheye": "yes" }), "is_fisheye");
+        refused(json!({ "k1": "much" }), "k1");
+    }
+}
