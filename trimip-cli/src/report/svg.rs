@@ -199,7 +199,7 @@ pub fn alone(lines: &[Line], time: &str) -> Option<String> {
     ))
 }
 
-/// Start of a legend's first line, in the corner of the plot where it covers the fewest points.
+/// Start of a legend's first line, in the corner of the plot where it covers the least of the lines.
 fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
     let (x, y) = axes(lines, true)?;
     let names = named(lines);
@@ -208,13 +208,25 @@ fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
     let (width, height) = (34.0 + 7.0 * letters as f64, 20.0 * names.len() as f64);
     let (left, right) = (LEFT + 14.0, WIDTH - RIGHT - 14.0 - width);
     let (top, bottom) = (TOP + 16.0, HEIGHT - BOTTOM - height);
-    let points = || lines.iter().flat_map(|line| line.points.iter().chain(&line.ring)).filter(|p| p.drawn());
+    let place = |p: &Point| [x.place(p.seconds), y.place(p.psnr)];
+    // Points, and places between them, for a line is to stay in sight too.
+    let mut drawn: Vec<[f64; 2]> = Vec::new();
+    for line in lines {
+        let points: Vec<_> = line.points.iter().filter(|p| p.drawn()).map(place).collect();
+        for pair in points.windows(2) {
+            let between = |i: u32| {
+                [0, 1].map(|axis| pair[0][axis] + (pair[1][axis] - pair[0][axis]) * f64::from(i) / 16.0)
+            };
+            drawn.extend((1..16).map(between));
+        }
+        drawn.extend(points);
+        drawn.extend(line.ring.iter().filter(|p| p.drawn()).map(place));
+    }
     let covered = |[left, top]: &[f64; 2]| {
-        let inside = |p: &&Point| {
-            let (x, y) = (x.place(p.seconds) - left, y.place(p.psnr) - top);
-            (-10.0..width + 10.0).contains(&x) && (-20.0..height).contains(&y)
+        let inside = |[x, y]: &&[f64; 2]| {
+            (-10.0..width + 10.0).contains(&(x - left)) && (-20.0..height).contains(&(y - top))
         };
-        points().filter(inside).count()
+        drawn.iter().filter(inside).count()
     };
     // The first of several equal ones.
     [[left, top], [right, bottom], [left, bottom], [right, top]].into_iter().min_by_key(covered)
