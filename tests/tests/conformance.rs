@@ -92,6 +92,22 @@ fn marching_is_asking_every_step() {
 }
 
 #[test]
+fn samples_in_contracted_space_are_those_of_the_equations() {
+    on_every_cpu(|make| suite::contraction::as_written(make));
+}
+
+#[test]
+fn contracted_fog_hides_what_lies_far_away_as_computed() {
+    on_every_cpu(|make| suite::contraction::fog(make));
+}
+
+#[test]
+fn pictures_of_contracted_space_are_those_of_the_model_in_f64() {
+    on_every_cpu(|make| suite::contraction::exact(make));
+    on_every_cpu(|make| suite::contraction::shifted(make));
+}
+
+#[test]
 fn the_step_follows_its_schedule() {
     on_every_cpu(|make| suite::marching::scale(make));
 }

@@ -115,6 +115,22 @@ fn numbers_beyond_f16_are_counted_and_the_run_goes_on_in_f32() {
 }
 
 #[test]
+fn samples_in_contracted_space_are_those_of_the_equations() {
+    reproducibly(|make| suite::contraction::as_written(make));
+}
+
+#[test]
+fn contracted_fog_hides_what_lies_far_away_as_computed() {
+    reproducibly(|make| suite::contraction::fog(make));
+}
+
+#[test]
+fn pictures_of_contracted_space_are_those_of_the_model_in_f64() {
+    reproducibly(|make| suite::contraction::exact(make));
+    reproducibly(|make| suite::contraction::shifted(make));
+}
+
+#[test]
 fn marching_is_asking_every_step() {
     reproducibly(|make| suite::marching::brute_force(make));
 }

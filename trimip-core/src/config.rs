@@ -7,8 +7,8 @@ mod encoders;
 mod sections;
 
 pub use choices::{
-    Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LevelFormula, LossRays, Photographs,
-    PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
+    Contraction, Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LevelFormula, LossRays,
+    Photographs, PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
 };
 pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig};
 pub use sections::{
@@ -69,6 +69,23 @@ impl Default for Config {
     fn default() -> Self {
         Self::from_settings(&Settings::defaults())
             .unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"))
+    }
+}
+
+impl SceneConfig {
+    /// The box within which space keeps its shape: the scene's, or its middle half if space is contracted. World units.
+    pub fn subject(&self) -> Aabb<f64> {
+        let aabb = Aabb::<f64>::new(self);
+        let share = match self.contraction {
+            Contraction::None => 1.0,
+            Contraction::Ball => 0.5,
+        };
+        let corner = |sign: f64| {
+            std::array::from_fn(|i| {
+                0.5 * (aabb.min[i] + aabb.max[i]) + sign * 0.5 * share * (aabb.max[i] - aabb.min[i])
+            })
+        };
+        Aabb { min: corner(-1.0), max: corner(1.0) }
     }
 }
 

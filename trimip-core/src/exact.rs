@@ -87,22 +87,25 @@ impl Exact {
 
     /// Colour of one cone, its apex relative to the centre of the box.
     fn cone(&self, cone: &Cone<f64>, steps: u32) -> [f64; 3] {
-        let (enter, leave) = self.space.intersect(cone.origin, cone.direction);
+        let course = self.space.course(cone.origin, cone.direction);
+        let (enter, leave) = course.range();
         let step = self.diagonal / f64::from(steps);
         let harmonics = spherical_harmonics(cone.direction);
         let (mut rgb, mut depth) = ([0.0; 3], 0.0_f64);
         let count = ((leave - enter) / step + 0.5).floor().max(0.0) as u64;
         for i in 0..count {
-            let t = enter + (i as f64 + 0.5) * step;
+            let s = enter + (i as f64 + 0.5) * step;
+            let t = course.distance(s);
             let point = std::array::from_fn(|axis| cone.origin[axis] + t * cone.direction[axis]);
             let position = self.space.to_cube(point);
-            if t >= leave || !self.occupied(position) {
+            if s >= leave || !self.occupied(position) {
                 continue;
             }
             let radius = cone.slope * t * self.space.scale(point);
-            let at = Place { position, radius, direction: cone.direction, t, length: step };
+            let length = course.length(t, step) * self.space.density_scale(point);
+            let at = Place { position, radius, direction: cone.direction, t, length };
             let geometry = run(&self.density, self.features(&at));
-            let own = density(geometry[0]) * step;
+            let own = density(geometry[0]) * length;
             let before = (-depth).exp();
             depth += own;
             let weight = before * -(-own).exp_m1();

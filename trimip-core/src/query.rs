@@ -74,7 +74,11 @@ impl<B: Backend> LoadedModel<B> {
                     &|work| &work.radiance,
                 );
             });
-            all.extend(backend.read(&out));
+            let found = backend.read(&out);
+            all.extend(found.into_iter().zip(queries).map(|(own, Query { point, .. })| {
+                let point = std::array::from_fn(|axis| (point[axis] - centre[axis]) as f32);
+                Radiance { density: own.density * space.density_scale(point), ..own }
+            }));
             backend.health()?;
         }
         Ok(all)

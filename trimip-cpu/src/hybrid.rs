@@ -8,6 +8,7 @@ use std::ops::Range;
 use trimip_core::Field;
 use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
 use trimip_core::proxy::{Chooser, Chosen, Guide, Layering, Pick, Shaded, share_colors};
+use trimip_core::space::Path;
 
 /// Renders by the proxy of a model.
 pub(crate) struct Hybrid(pub Guide);

@@ -14,16 +14,17 @@ use trimip_core::model::Assets;
 use trimip_core::proxy::Guide;
 use trimip_core::rng::{Random, Stream};
 use trimip_core::schedule::Schedule;
+use trimip_core::space::Path;
 use trimip_core::{Config, Pixel, Renderer, Result, Space};
 
 /// The progress of marching along a ray.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Cursor {
-    /// Distance of the start of the first step.
+    /// Parameter of the start of the first step: the distance, in a bounded space.
     first: f32,
-    /// Distance at which the ray leaves the box; −∞ if it misses the box.
+    /// Parameter at which the ray leaves the space; −∞ if it misses it.
     leave: f32,
-    /// Length of a step.
+    /// Length of a step of the parameter.
     step: f32,
     /// Number of steps done.
     index: f32,
@@ -80,7 +81,7 @@ impl CpuRenderer {
     /// The cursor of a ray at its entry into the box, before its first step. `jitter` moves the first step by a
     /// random fraction of a step; `index` is the ray's index within the training step.
     pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
-        let (enter, leave) = self.space.intersect(ray.origin, ray.direction);
+        let (enter, leave) = self.space.course(ray.origin, ray.direction).range();
         let offset = jitter.map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, index)[0]);
         let by_radius = self.step_per_radius * ray.slope * 0.5 * (enter + leave);
         // A comparison with NaN is false and selects the uniform step.
@@ -100,35 +101,51 @@ impl CpuRenderer {
         ray: &Ray,
         occupancy: &CpuOccupancy,
         cursor: &mut Cursor,
-        mut place: impl FnMut(Interval, Sphere) -> bool,
+        place: impl FnMut(Interval, Sphere) -> bool,
     ) -> bool {
-        let way = self.space.way(ray, occupancy.resolution());
-        let Cursor { first, leave, step, mut index } = *cursor;
-        let inverse_step = step.recip();
-        loop {
-            let t = first + (index + 0.5) * step;
-            if !(t < leave) {
-                return true;
+        match self.space.ball() {
+            None => follow(&self.space.way(ray, occupancy.resolution()), occupancy, cursor, place),
+            Some(ball) => {
+                follow(&self.space.detour(*ball, ray, occupancy.resolution()), occupancy, cursor, place)
             }
-            let position = way.position(t);
-            let cell = way.cell(position);
-            let empty = occupancy.empty_around(cell);
-            if empty == 0 {
-                index += 1.0;
-                if place(Interval { t, length: step }, Sphere { position, radius: way.radius(t) }) {
-                    continue;
-                }
-                cursor.index = index;
-                return false;
-            }
-            let exit = way.exit_around(t, cell, empty);
-            // The first step whose midpoint is not before the exit. Rounding may move it by a few 1e-7 of the
-            // distance; a step that close to the exit is tested rather than skipped.
-            let steps = (exit - first) * inverse_step - 0.5;
-            let next = (steps * (1.0 - 1e-6) - 0.01).ceil();
-            // Without an exit, or with NaN: advance one step.
-            index = if next.is_finite() { next.max(index + 1.0) } else { index + 1.0 };
         }
+    }
+}
+
+/// [`CpuRenderer::advance`] along a path.
+#[inline(always)]
+fn follow(
+    path: &impl Path,
+    occupancy: &CpuOccupancy,
+    cursor: &mut Cursor,
+    mut place: impl FnMut(Interval, Sphere) -> bool,
+) -> bool {
+    let Cursor { first, leave, step, mut index } = *cursor;
+    let inverse_step = step.recip();
+    loop {
+        let s = first + (index + 0.5) * step;
+        if !(s < leave) {
+            return true;
+        }
+        let t = path.distance(s);
+        let position = path.position(t);
+        let cell = path.cell(position);
+        let empty = occupancy.empty_around(cell);
+        if empty == 0 {
+            index += 1.0;
+            if place(path.interval(t, step), Sphere { position, radius: path.radius(t) }) {
+                continue;
+            }
+            cursor.index = index;
+            return false;
+        }
+        let exit = path.clear(s, position, cell, empty);
+        // The first step whose midpoint is not before the exit. Rounding may move it by a few 1e-7 of the
+        // distance; a step that close to the exit is tested rather than skipped.
+        let steps = (exit - first) * inverse_step - 0.5;
+        let next = (steps * (1.0 - 1e-6) - 0.01).ceil();
+        // Without an exit, or with NaN: advance one step.
+        index = if next.is_finite() { next.max(index + 1.0) } else { index + 1.0 };
     }
 }
 

@@ -280,7 +280,8 @@ impl Backend for WgpuBackend {
     fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>> {
         let layout = Layout::new(config);
         let training = views.is_some();
-        let (steps, most) = (config.renderer.steps_per_diagonal as usize, self.longest_ray());
+        let (steps, most) =
+            (trimip_core::Space::new(&config.scene).most_steps(config.step_length()) - 2, self.longest_ray());
         if steps > most {
             return Err(Error::input(
                 "renderer.steps_per_diagonal",

@@ -7,7 +7,7 @@ use trimip_core::batch::{Interval, Radiance, Ray, Segment, Sphere, Target};
 use trimip_core::config::Photographs;
 use trimip_core::encoders;
 use trimip_core::params::{color_layers, density_layers};
-use trimip_core::{Config, Layout, Pixel, ViewSet};
+use trimip_core::{Config, Layout, Pixel, Space, ViewSet};
 
 /// Bytes of an f32.
 const FLOAT: usize = size_of::<f32>();
@@ -53,7 +53,7 @@ fn predict(config: &Config, views: &ViewSet, binding: u64) -> Vec<(String, u64)>
         + size_of::<Radiance>()
         + size_of::<u32>();
 
-    let words = (config.renderer.steps_per_diagonal as usize).div_ceil(32) + 1;
+    let words = Space::<f32>::new(&config.scene).most_steps(config.step_length()).div_ceil(32);
     let per_ray = size_of::<Ray>()
         + size_of::<Target>()
         + 2 * size_of::<Pixel>()

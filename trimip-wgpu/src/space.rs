@@ -13,24 +13,26 @@ pub struct GpuSpace {
     aabb_max: [f32; 3],
     longest: f32,
     inverse_extent: [f32; 3],
-    padding: f32,
+    /// Radius of the ball that keeps its shape; 0 in a bounded space.
+    ball: f32,
     cell_extent: [f32; 3],
-    more_padding: f32,
+    cell: f32,
 }
 
 impl GpuSpace {
     /// Converts a space, with a grid of `resolution` cells along each side.
     pub fn new(space: &Space<f32>, resolution: u32) -> Self {
         let aabb = space.aabb();
+        let cell_extent = aabb.extent().map(|side| side / resolution as f32);
         Self {
             aabb_min: aabb.min,
             resolution,
             aabb_max: aabb.max,
             longest: aabb.longest(),
             inverse_extent: aabb.extent().map(f32::recip),
-            padding: 0.0,
-            cell_extent: aabb.extent().map(|side| side / resolution as f32),
-            more_padding: 0.0,
+            ball: space.ball().map_or(0.0, |ball| ball.radius),
+            cell_extent,
+            cell: cell_extent.into_iter().fold(f32::INFINITY, f32::min),
         }
     }
 }

@@ -3,6 +3,7 @@
 //! sample.
 
 mod adamw;
+pub mod contraction;
 mod harmonics;
 mod hash_grid;
 mod rip_map;

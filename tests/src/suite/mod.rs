@@ -2,6 +2,7 @@
 //! backend, so a new backend is tested with one more line.
 
 pub mod cones;
+pub mod contraction;
 pub mod exchange;
 pub mod gradients;
 pub mod hybrid;

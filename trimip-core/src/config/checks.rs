@@ -1,8 +1,8 @@
 //! The ranges in which a run makes sense.
 
 use super::{
-    Config, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig, HybridConfig, LossConfig,
-    OccupancyConfig, OptimizerConfig, RendererConfig, SceneConfig, TrainConfig,
+    Config, Contraction, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig, HybridConfig,
+    LossConfig, OccupancyConfig, OptimizerConfig, RendererConfig, SceneConfig, TrainConfig,
 };
 use crate::{Error, Result, Settings};
 
@@ -55,6 +55,18 @@ impl Config {
         checker.check(storable(self.train.steps), "train.steps", "0 to 2^63 - 1")?;
         self.data.check(&checker)?;
         self.scene.check(&checker)?;
+        if self.scene.contraction != Contraction::None {
+            checker.check(
+                self.renderer.step_per_radius == 0.0,
+                "renderer.step_per_radius",
+                "0 where scene.contraction is not \"none\": contracted steps grow with the distance",
+            )?;
+            checker.check(
+                !self.occupancy.hull,
+                "occupancy.hull",
+                "false where scene.contraction is not \"none\": silhouettes bound a scene",
+            )?;
+        }
         self.encoder.check(&checker)?;
         self.hash_grid.check(&checker)?;
         self.rip_map.check(&checker)?;
@@ -123,6 +135,12 @@ impl SceneConfig {
             sides.into_iter().all(|side| side.is_finite() && side > 0.0),
             "scene.aabb_max",
             "a corner above aabb_min on every axis, all finite",
+        )?;
+        let [x, y, z] = std::array::from_fn(|axis| self.aabb_max[axis] - self.aabb_min[axis]);
+        to.check(
+            self.contraction == Contraction::None || x.max(y).max(z) <= 1.001 * x.min(y).min(z),
+            "scene.contraction",
+            "\"none\", or a box from scene.aabb_min to scene.aabb_max that is a cube",
         )
     }
 }

@@ -35,6 +35,15 @@ choice!(
     }
 );
 choice!(
+    /// How space beyond the scene's box is mapped.
+    Contraction {
+        /// It is left out.
+        None,
+        /// All of space is drawn into the box around a ball that keeps its shape (mip-NeRF 360).
+        Ball,
+    }
+);
+choice!(
     /// The renderers by name.
     RendererKind {
         /// Ray marching in uniform steps, and volume rendering.

@@ -1,8 +1,8 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays, Photographs, PlanChoice,
-    Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
+    Contraction, Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays, Photographs,
+    PlanChoice, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -37,7 +37,7 @@ section!(
 );
 section!(
     /// The bounding box of the scene.
-    SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3] }
+    SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3], contraction: Contraction }
 );
 section!(
     /// What the scene plan may derive from the data and the budget, and what it may leave out.

@@ -2,7 +2,8 @@
 
 use super::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, code};
 use crate::{
-    Aabb, Config, Query, Result, Space, Viewer,
+    Aabb, Config, Error, Query, Result, Space, Viewer,
+    config::Contraction,
     model::{Model, OCCUPANCY},
     occupancy::cell_of,
 };
@@ -36,13 +37,20 @@ impl Baking {
 /// share that is done and returns false to stop; the result is then `None`.
 ///
 /// # Errors
-/// When the device fails.
+/// When space is contracted, and when the device fails.
 pub fn bake(
     viewer: &mut dyn Viewer,
     model: &Model,
     how: &Baking,
     watch: &mut dyn FnMut(f64) -> bool,
 ) -> Result<Option<Proxy>> {
+    if model.config.scene.contraction != Contraction::None {
+        return Err(Error::input(
+            "scene.contraction",
+            "space is contracted, and a proxy covers a box",
+            "render it without a proxy, or train with scene.contraction = \"none\"",
+        ));
+    }
     let resolution = model.config.occupancy.resolution;
     let bits = model.file.u8("model", OCCUPANCY, &[(resolution as usize).pow(3).div_ceil(8)])?;
     let aabb = Aabb::<f64>::new(&model.config.scene);

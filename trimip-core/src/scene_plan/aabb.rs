@@ -2,14 +2,20 @@
 //! silhouettes if the photographs have any. World units.
 
 use super::common_view::{COMMON, cameras, common_view, focus};
+use super::detail::significant;
 use super::{Context, Facts, Proposal, leave_out::saved, tri_mip};
-use crate::config::PlaneShape;
+use crate::config::{Contraction, PlaneShape};
 use crate::encoders::tri_mip::Pyramid;
-use crate::{Aabb, Config, silhouettes};
+use crate::{Aabb, Camera, Config, silhouettes};
+use glam::DVec3;
 use toml::Value;
 
 /// A fitted box with more than this share of the initial volume is not worth the change.
 const WORTH: f64 = 0.8;
+
+/// Radius of the ball that keeps its shape in contracted space, as a multiple of the median distance from the cameras to
+/// what they look at.
+const BALL: f64 = 1.0;
 
 /// Half the side of the box for photographs without masks, as a multiple of the median distance from the cameras to their
 /// common focus: it holds the surroundings and keeps texels small.
@@ -26,6 +32,9 @@ struct Start {
 
 pub(super) fn find(context: &Context<'_>) -> Proposal {
     let Context { now, configured, facts, .. } = *context;
+    if let Some(proposal) = unbounded(context) {
+        return proposal;
+    }
     let given = ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| context.given(path));
     let whole = Aabb::<f64>::new(&now.scene);
     let start = if given { None } else { start(facts) };
@@ -76,6 +85,64 @@ pub(super) fn find(context: &Context<'_>) -> Proposal {
         Proposal::LeaveOut { reason, changes }
     } else {
         Proposal::Set { reason, changes }
+    }
+}
+
+/// The box of contracted space for photographs that show their surroundings, unless `scene.contraction` is given as none;
+/// `None` where space is bounded.
+fn unbounded(context: &Context<'_>) -> Option<Proposal> {
+    let Context { now, configured, facts, .. } = *context;
+    let boxed = ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| context.given(path));
+    let wanted = if context.given("scene.contraction") {
+        now.scene.contraction == Contraction::Ball
+    } else {
+        !silhouettes::any(facts.train)
+    };
+    if !wanted || boxed {
+        return None;
+    }
+    let (centre, radius, source) = surroundings(facts)?;
+    let cube = |half: f64| Aabb { min: (centre - half).to_array(), max: (centre + half).to_array() };
+    let aabb = cube(2.0 * radius);
+    let sized = sized(context, &aabb);
+    let steps = f64::from(now.renderer.steps_per_diagonal) * aabb.longest()
+        / Aabb::<f64>::new(&configured.scene).longest();
+    let corner = |corner: [f32; 3]| Value::Array(corner.map(|x| Value::Float(shortest(x))).to_vec());
+    Some(Proposal::Set {
+        reason: format!(
+            "the photographs show their surroundings: space keeps its shape within {} units of {source}, and all beyond \
+             is contracted",
+            significant(radius)
+        ),
+        changes: vec![
+            ("scene.contraction", Value::String("ball".into())),
+            ("scene.aabb_min", corner(sized.scene.aabb_min)),
+            ("scene.aabb_max", corner(sized.scene.aabb_max)),
+            ("encoder.shape", Value::String("box".into())),
+            ("encoder.plane_size", Value::Integer(sized.encoder.plane_size.into())),
+            ("renderer.steps_per_diagonal", Value::Integer(steps.ceil().clamp(STEPS[0], STEPS[1]) as i64)),
+        ],
+    })
+}
+
+/// Centre and radius of the ball that keeps its shape, and what the centre is: what the cameras look at, or their midst if
+/// they look at no common place.
+fn surroundings(facts: &Facts<'_>) -> Option<(DVec3, f64, &'static str)> {
+    let cameras = cameras(facts.train);
+    let midst = cameras.iter().map(|camera| camera.origin).sum::<DVec3>() / cameras.len() as f64;
+    let median = |centre: DVec3| {
+        let mut distances: Vec<f64> =
+            cameras.iter().map(|camera| (camera.origin - centre).length()).collect();
+        distances.sort_by(f64::total_cmp);
+        distances.get(distances.len() / 2).copied().filter(|distance| distance.is_finite() && *distance > 0.0)
+    };
+    let ahead = |focus: &DVec3| {
+        let before = |camera: &&Camera| camera.rotation.z_axis.dot(*focus - camera.origin) < 0.0;
+        2 * cameras.iter().filter(before).count() > cameras.len()
+    };
+    match focus(&cameras).filter(ahead) {
+        Some(focus) => Some((focus, BALL * median(focus)?, "what the cameras look at")),
+        None => Some((midst, BALL * median(midst)?, "the midst of the cameras")),
     }
 }
 

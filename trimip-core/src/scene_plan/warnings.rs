@@ -2,6 +2,7 @@
 
 use super::common_view::{MOST_CAMERAS, cameras, focus};
 use super::facts::Facts;
+use crate::config::Contraction;
 use crate::{Aabb, Config, ViewSet};
 
 /// Pixels sampled along each side of a photograph to measure its coverage by the box.
@@ -47,6 +48,7 @@ pub fn warnings(config: &Config, facts: &Facts<'_>) -> Vec<String> {
         );
     }
     match coverage(config, facts.train) {
+        Some(_) if config.scene.contraction != Contraction::None => {}
         Some(share) if share < ENOUGH => warnings.push(format!(
             "the box covers only {:.0} % of what the photographs show: the rest is taken for the background colour; set \
              scene.aabb_min and scene.aabb_max around what you want, or mask the rest (alpha)",

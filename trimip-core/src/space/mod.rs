@@ -1,56 +1,115 @@
 //! The map from the world to the encoder's unit cube. All code that places samples, skips empty cells or scales radii
-//! uses a [`Space`]; the GPU's twin is one WGSL file. The present map is affine: it maps the scene's box to the cube.
+//! uses a [`Space`]; the GPU's twin is one WGSL file. A bounded space maps the scene's box to the cube. An unbounded one
+//! contracts the world into the box first, see [`contraction`].
 
-use crate::{Aabb, config::SceneConfig, elements::Ray, scalar::Real};
+pub mod contraction;
+mod path;
+
+pub use contraction::{Ball, Curve};
+pub use path::{Detour, Path, Way};
+
+use crate::{
+    Aabb,
+    config::{Contraction, SceneConfig},
+    elements::Ray,
+    scalar::Real,
+};
 
 /// The map from the world to the unit cube.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Space<R> {
     aabb: Aabb<R>,
     inverse_extent: [R; 3],
+    /// What keeps its shape in an unbounded space.
+    ball: Option<Ball<R>>,
 }
 
 impl<R: Real> Space<R> {
     /// The space of a configuration.
     pub fn new(scene: &SceneConfig) -> Self {
-        Self::of(Aabb::new(scene))
+        let aabb = Aabb::new(scene);
+        match scene.contraction {
+            Contraction::None => Self::of(aabb),
+            Contraction::Ball => Self::contracted(aabb),
+        }
     }
 
     /// The space that maps the box `aabb` of the world to the cube.
     pub fn of(aabb: Aabb<R>) -> Self {
-        Self { aabb, inverse_extent: aabb.extent().map(R::recip) }
+        Self { aabb, inverse_extent: aabb.extent().map(R::recip), ball: None }
     }
 
-    /// The cube as a box in the units of radii; for this map, the scene's box in the world.
+    /// The space that contracts the world into the cube `aabb`: the ball of half its size in its middle keeps its shape.
+    pub fn contracted(aabb: Aabb<R>) -> Self {
+        let half = R::from_f64(0.5);
+        let ball = Ball {
+            centre: std::array::from_fn(|i| half * (aabb.min[i] + aabb.max[i])),
+            radius: half * half * aabb.longest(),
+        };
+        Self { ball: Some(ball), ..Self::of(aabb) }
+    }
+
+    /// The cube as a box in the units of radii; for a bounded space, the scene's box in the world.
     #[inline]
     pub fn aabb(&self) -> &Aabb<R> {
         &self.aabb
     }
 
-    /// The distances (enter, leave) between which a ray can have samples; enter ≥ leave if there are none.
+    /// The ball that keeps its shape; none in a bounded space.
     #[inline]
-    pub fn intersect(&self, origin: [R; 3], direction: [R; 3]) -> (R, R) {
-        self.aabb.intersect(origin, direction)
+    pub fn ball(&self) -> Option<&Ball<R>> {
+        self.ball.as_ref()
+    }
+
+    /// The course of a ray.
+    #[inline]
+    pub fn course(&self, origin: [R; 3], direction: [R; 3]) -> Course<R> {
+        match &self.ball {
+            None => {
+                let (enter, leave) = self.aabb.intersect(origin, direction);
+                Course::Straight { enter, leave }
+            }
+            Some(ball) => Course::Curved(ball.course(origin, direction)),
+        }
     }
 
     /// Maps a point of the world to coordinates of the cube.
     #[inline(always)]
     pub fn to_cube(&self, point: [R; 3]) -> [R; 3] {
-        std::array::from_fn(|i| (point[i] - self.aabb.min[i]) * self.inverse_extent[i])
+        match &self.ball {
+            None => self.place(point),
+            Some(ball) => self.place(ball.contract(point)),
+        }
     }
 
     /// Maps a position in the cube to the world: the inverse of [`to_cube`](Self::to_cube).
     #[inline]
     pub fn to_world(&self, position: [R; 3]) -> [R; 3] {
         let extent = self.aabb.extent();
-        std::array::from_fn(|i| self.aabb.min[i] + position[i] * extent[i])
+        let place = std::array::from_fn(|i| self.aabb.min[i] + position[i] * extent[i]);
+        self.ball.as_ref().map_or(place, |ball| ball.expand(place))
     }
 
-    /// Factor by which the map scales a sphere's radius at a point of the world: the cube root of the map's Jacobian
-    /// determinant, in the units of [`aabb`](Self::aabb). An affine map keeps radii.
+    /// Factor by which the map scales a sphere's radius at a point of the world, in the units of [`aabb`](Self::aabb): the
+    /// largest factor of the map's Jacobian. A bounded space keeps radii. Far away, a ray runs nearly along the line to the
+    /// centre, and the largest factor is the one across: that of the pixel's width.
     #[inline(always)]
-    pub fn scale(&self, _point: [R; 3]) -> R {
-        R::one()
+    pub fn scale(&self, point: [R; 3]) -> R {
+        self.ball.as_ref().map_or(R::one(), |ball| ball.lateral(point))
+    }
+
+    /// Density per world unit at a point of the world, as a multiple of the field's: 1 in a bounded space. In an unbounded
+    /// one, the field's density is per unit of contracted length along the line to the centre. So a wall has the same
+    /// density in the field however far away it is.
+    #[inline(always)]
+    pub fn density_scale(&self, point: [R; 3]) -> R {
+        self.ball.as_ref().map_or(R::one(), |ball| ball.radial(point))
+    }
+
+    /// The place of a point of the box in the cube.
+    #[inline(always)]
+    pub(crate) fn place(&self, point: [R; 3]) -> [R; 3] {
+        std::array::from_fn(|i| (point[i] - self.aabb.min[i]) * self.inverse_extent[i])
     }
 
     /// Side of a cube with the volume of one cell, in units of radii, for a grid of `resolution` cells along each
@@ -62,96 +121,70 @@ impl<R: Real> Space<R> {
 }
 
 impl Space<f32> {
-    /// Upper bound on the steps of length `step` along a ray: the diagonal, plus one step for rounding at each end.
+    /// Upper bound on the steps of length `step` along a ray, plus one step for rounding at each end. The longest course is
+    /// the diagonal of a bounded space, and 8 radii of an unbounded one.
     pub fn most_steps(&self, step: f32) -> usize {
         let [x, y, z] = self.aabb.extent().map(f64::from);
-        ((x * x + y * y + z * z).sqrt() / f64::from(step)).ceil() as usize + 2
+        let longest = match &self.ball {
+            None => (x * x + y * y + z * z).sqrt(),
+            Some(ball) => 8.0 * f64::from(ball.radius),
+        };
+        (longest / f64::from(step)).ceil() as usize + 2
     }
 
-    /// The path of a ray through a grid of `resolution` cells along each side.
+    /// The path of a ray through a grid of `resolution` cells along each side of a bounded space.
     #[inline(always)]
     pub fn way(&self, ray: &Ray, resolution: u32) -> Way {
-        let cells = resolution as f32;
-        Way {
-            space: *self,
-            ray: *ray,
-            cells,
-            last: resolution - 1,
-            cell_extent: self.aabb.extent().map(|side| side / cells),
-            inverse_direction: ray.direction.map(f32::recip),
-        }
+        Way::new(self, ray, resolution)
+    }
+
+    /// The path of a ray through a grid of `resolution` cells along each side of an unbounded space.
+    #[inline(always)]
+    pub fn detour(&self, ball: Ball<f32>, ray: &Ray, resolution: u32) -> Detour {
+        Detour::new(ball, Way::new(self, ray, resolution))
     }
 }
 
-/// A ray's path through the cells of a grid over the cube.
-pub struct Way {
-    space: Space<f32>,
-    ray: Ray,
-    cells: f32,
-    last: u32,
-    cell_extent: [f32; 3],
-    inverse_direction: [f32; 3],
+/// How the parameter of steps along a ray follows its distance t.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Course<R> {
+    /// The parameter is the distance, between those at which the ray enters and leaves the box.
+    Straight {
+        /// Distance at which the ray enters the box.
+        enter: R,
+        /// Distance at which it leaves.
+        leave: R,
+    },
+    /// The parameter grows as the distance is contracted.
+    Curved(Curve<R>),
 }
 
-impl Way {
-    /// Position in the cube at distance `t`.
-    #[inline(always)]
-    pub fn position(&self, t: f32) -> [f32; 3] {
-        self.space.to_cube(self.point(t))
-    }
-
-    /// Radius of the cone's sphere at distance `t`, in the units of [`Space::aabb`].
-    #[inline(always)]
-    pub fn radius(&self, t: f32) -> f32 {
-        self.ray.slope * t * self.space.scale(self.point(t))
-    }
-
-    /// Cell of a position.
-    #[inline(always)]
-    pub fn cell(&self, position: [f32; 3]) -> [u32; 3] {
-        position.map(|p| ((p * self.cells) as u32).min(self.last))
-    }
-
-    /// Distance beyond `t` at which the ray leaves the aligned cube of `size` cells that contains `cell`; infinite if
-    /// it cannot be computed.
-    #[inline(always)]
-    pub fn exit(&self, t: f32, cell: [u32; 3], size: u32) -> f32 {
-        let mut exit = f32::INFINITY;
-        for axis in 0..3 {
-            let lower = cell[axis] & !(size - 1);
-            let edge = if self.ray.direction[axis] > 0.0 { lower + size } else { lower };
-            let edge = edge as f32 * self.cell_extent[axis] + self.space.aabb.min[axis];
-            let distance = (edge - self.ray.origin[axis]) * self.inverse_direction[axis];
-            // An axis along which the ray does not move gives ±∞ or NaN: no exit there.
-            if distance > t && distance < exit {
-                exit = distance;
-            }
+impl<R: Real> Course<R> {
+    /// The parameters between which a ray can have samples; enter ≥ leave if there are none.
+    #[inline]
+    pub fn range(&self) -> (R, R) {
+        match self {
+            Self::Straight { enter, leave } => (*enter, *leave),
+            Self::Curved(curve) => curve.range(),
         }
-        exit
     }
 
-    /// Distance beyond `t` at which the ray leaves the cube of all cells closer than `distance` cells to `cell`, along
-    /// each axis; infinite if it cannot be computed.
-    #[inline(always)]
-    pub fn exit_around(&self, t: f32, cell: [u32; 3], distance: u32) -> f32 {
-        let reach = distance as f32;
-        let mut exit = f32::INFINITY;
-        for axis in 0..3 {
-            let cell = cell[axis] as f32;
-            let edge = if self.ray.direction[axis] > 0.0 { cell + reach } else { cell - reach + 1.0 };
-            let edge = edge * self.cell_extent[axis] + self.space.aabb.min[axis];
-            let distance = (edge - self.ray.origin[axis]) * self.inverse_direction[axis];
-            // An axis along which the ray does not move gives ±∞ or NaN: no exit there.
-            if distance > t && distance < exit {
-                exit = distance;
-            }
+    /// Distance at the parameter `s`.
+    #[inline]
+    pub fn distance(&self, s: R) -> R {
+        match self {
+            Self::Straight { .. } => s,
+            Self::Curved(curve) => curve.distance(s),
         }
-        exit
     }
 
-    #[inline(always)]
-    fn point(&self, t: f32) -> [f32; 3] {
-        std::array::from_fn(|i| self.ray.origin[i] + t * self.ray.direction[i])
+    /// Length in world units of a step of the parameter at distance `t`.
+    #[inline]
+    pub fn length(&self, t: R, step: R) -> R {
+        match self {
+            Self::Straight { .. } => step,
+            Self::Curved(curve) => step * curve.slowness(t),
+        }
     }
 }
 
@@ -190,20 +223,5 @@ mod tests {
         let determinant = glam::DMat3::from_cols(column(0), column(1), column(2)).determinant();
         let [x, y, z] = space.aabb().extent();
         assert!(((determinant * x * y * z).cbrt() - space.scale(point)).abs() < 1e-9);
-    }
-
-    #[test]
-    fn a_ray_leaves_a_block_of_cells_where_the_block_ends() {
-        let space = Space::of(Aabb { min: [-1.0, 0.0, 0.0], max: [3.0, 2.0, 1.0] });
-        let ray = Ray { origin: [-2.0, 0.26, 0.3], direction: [0.8, 0.6, 0.0], slope: 0.01, cosine: 1.0 };
-        let way = space.way(&ray, 16);
-        let t = 1.5;
-        let position = way.position(t);
-        let cell = way.cell(position);
-        assert_eq!(cell, [0, 9, 4]);
-        // The block of four cells from x = -1 to 0 and y = 1 to 1.5: y = 1.16 at t, 1.5 at (1.5 - 0.26) / 0.6.
-        let exit = way.exit(t, cell, 4);
-        assert!((exit - 2.066_666_7).abs() < 1e-5, "{exit}");
-        assert!((way.radius(t) - 0.015).abs() < 1e-9);
     }
 }

@@ -77,7 +77,7 @@ struct Walker {
 
 fn walk(ray: Ray) -> Walker {
     let none = Chosen(0.0, 0.0, 0.0);
-    let m = march_along(intersect(params.space, ray), params.step, 0.0);
+    let m = march_along(course_of(params.space, ray), params.step, 0.0);
     return Walker(m, 0.0, 1.0, 0.0, none, none, false, false, true, none, 0u, -FAR, 0.0, 0.0, -FAR, 0u);
 }
 
@@ -178,8 +178,8 @@ fn length_of(chosen: Chosen) -> f32 {
 }
 
 fn volume_march(ray: Ray) -> March {
-    let hit = intersect(params.space, ray);
-    return march_along(hit, volume_step(ray, hit), 0.0);
+    let course = course_of(params.space, ray);
+    return march_along(course, volume_step(ray, course), 0.0);
 }
 
 @compute @workgroup_size(GROUP)

@@ -26,12 +26,12 @@ struct Params {
 
 // The march of ray `index` of the step.
 fn start(ray: Ray, index: u32) -> March {
-    let hit = intersect(params.space, ray);
+    let course = course_of(params.space, ray);
     var offset = 0.0;
     if params.jitter != 0u {
         offset = unit(random_bits(params.draws, index).x);
     }
-    return march_along(hit, volume_step(ray, hit), offset);
+    return march_along(course, volume_step(ray, course), offset);
 }
 
 @compute @workgroup_size(GROUP)
@@ -97,7 +97,7 @@ fn place(
             rest &= rest - 1u;
             let t = middle(m, f32(32u * word + bit));
             owners[at] = i;
-            intervals[at] = vec2<f32>(t, m.step);
+            intervals[at] = vec2<f32>(t, length_at(params.space, m.course, ray, t, m.step));
             spheres[at] = sphere_at(params.space, ray, t);
             at += 1u;
         }

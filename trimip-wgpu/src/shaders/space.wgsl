@@ -1,6 +1,10 @@
 // The map from the world to the unit cube; twin of `trimip_core::space`. Needs `ray.wgsl`.
 
 const FAR: f32 = 3.0e38;
+// Distance, in radii of the ball, at which rays of an unbounded space end.
+const FARTHEST: f32 = 1000.0;
+// Upper bound of the movement in contracted space per parameter of a ray.
+const STRETCH: f32 = 2.2361;
 
 struct Space {
     aabb_min: vec3<f32>,
@@ -11,9 +15,21 @@ struct Space {
     longest: f32,
     // Quotients are computed on the host, exact to half an ulp; a device's own division may be less accurate.
     inverse_extent: vec3<f32>,
-    padding: f32,
+    // Radius of the ball in the middle of the box that keeps its shape; 0 in a bounded space.
+    ball: f32,
     cell_extent: vec3<f32>,
-    more_padding: f32,
+    // Shortest side of a cell.
+    cell: f32,
+}
+
+// How the parameter of steps along a ray follows its distance: the distance itself if `speed` is 0, in a bounded space.
+struct Course {
+    // Parameters between which the ray can have samples; enter >= leave if there are none.
+    enter: f32,
+    leave: f32,
+    middle: f32,
+    reach: f32,
+    speed: f32,
 }
 
 // The distances (enter, leave) between which a ray can have samples; enter >= leave if there are none.
@@ -36,17 +52,87 @@ fn intersect(space: Space, ray: Ray) -> vec2<f32> {
     return vec2<f32>(enter, leave);
 }
 
+fn centre_of(space: Space) -> vec3<f32> {
+    return 0.5 * (space.aabb_min + space.aabb_max);
+}
+
+// The course of a ray.
+fn course_of(space: Space, ray: Ray) -> Course {
+    if space.ball == 0.0 {
+        let hit = intersect(space, ray);
+        return Course(hit.x, hit.y, 0.0, 0.0, 0.0);
+    }
+    let u = (ray.origin - centre_of(space)) / space.ball;
+    let middle = -dot(u, ray.direction);
+    let b = length(u + middle * ray.direction);
+    let reach = max(b, 1.0);
+    let half = sqrt(max(FARTHEST * FARTHEST - b * b, 0.0));
+    var course = Course(0.0, 0.0, space.ball * middle, space.ball * reach, (2.0 * reach - 1.0) / (reach * reach));
+    course.enter = parameter_at(course, 0.0);
+    course.leave = parameter_at(course, space.ball * (middle + half));
+    return course;
+}
+
+// Parameter of a curved course at distance `t`.
+fn parameter_at(course: Course, t: f32) -> f32 {
+    let m = (t - course.middle) / course.reach;
+    let contracted = select(m, sign(m) * (2.0 - 1.0 / abs(m)), abs(m) > 1.0);
+    return course.speed * course.reach * contracted;
+}
+
+// Distance at the parameter `s`.
+fn distance_at(course: Course, s: f32) -> f32 {
+    if course.speed == 0.0 {
+        return s;
+    }
+    let c = s / (course.speed * course.reach);
+    let m = select(c, sign(c) / (2.0 - abs(c)), abs(c) > 1.0);
+    return course.middle + course.reach * m;
+}
+
+// Length of a step of the parameter at distance `t`, in the units of the field's density.
+fn length_at(space: Space, course: Course, ray: Ray, t: f32, step: f32) -> f32 {
+    if course.speed == 0.0 {
+        return step;
+    }
+    let m = max(abs((t - course.middle) / course.reach), 1.0);
+    let n = distance_from_ball(space, ray.origin + t * ray.direction);
+    return step * (m * m / course.speed) / (n * n);
+}
+
+// Distance of a point to the ball's centre in radii, at least 1.
+fn distance_from_ball(space: Space, point: vec3<f32>) -> f32 {
+    return max(length((point - centre_of(space)) / space.ball), 1.0);
+}
+
 fn to_cube(space: Space, point: vec3<f32>) -> vec3<f32> {
-    return (point - space.aabb_min) * space.inverse_extent;
+    var place = point;
+    if space.ball > 0.0 {
+        let centre = centre_of(space);
+        let n = distance_from_ball(space, point);
+        place = centre + (2.0 - 1.0 / n) / n * (point - centre);
+    }
+    return (place - space.aabb_min) * space.inverse_extent;
 }
 
 fn to_world(space: Space, position: vec3<f32>) -> vec3<f32> {
-    return space.aabb_min + position * (space.aabb_max - space.aabb_min);
+    let place = space.aabb_min + position * (space.aabb_max - space.aabb_min);
+    if space.ball == 0.0 {
+        return place;
+    }
+    let centre = centre_of(space);
+    let m = length((place - centre) / space.ball);
+    let n = 1.0 / max(2.0 - m, 1.0 / FARTHEST);
+    return select(place, centre + n / m * (place - centre), m > 1.0);
 }
 
 // Factor by which the map scales a sphere's radius at a point.
 fn radius_scale(space: Space, point: vec3<f32>) -> f32 {
-    return 1.0;
+    if space.ball == 0.0 {
+        return 1.0;
+    }
+    let n = distance_from_ball(space, point);
+    return (2.0 * n - 1.0) / (n * n);
 }
 
 // The sphere of a ray at distance `t`: its centre in the cube, and its radius.
@@ -78,4 +164,12 @@ fn cells_exit(space: Space, ray: Ray, t: f32, cell: vec3<u32>, size: u32) -> f32
         }
     }
     return leave;
+}
+
+// A parameter beyond `s` up to which a curved ray stays within the aligned cube of `size` cells that contains `cell`, the
+// one of `position`.
+fn cells_clear(space: Space, s: f32, position: vec3<f32>, cell: vec3<u32>, size: u32) -> f32 {
+    let within = position * f32(space.resolution) - vec3<f32>(cell / size * size);
+    let margin = min(within, f32(size) - within);
+    return s + max(min(margin.x, min(margin.y, margin.z)), 0.0) * space.cell / STRETCH;
 }

@@ -4,30 +4,31 @@
 // One bit per cell in blocks of 4x4x4 cells (two words per block), then one bit per block in blocks of blocks.
 @group(0) @binding(4) var<storage, read> grid: array<u32>;
 
-// March parameters of a ray: distance of the start of the first step, distance at which the ray leaves the box,
-// length of a step.
+// March of a ray: parameter of the start of the first step, parameter at which the ray leaves the space, length of a
+// step of the parameter, and how distances follow it.
 struct March {
     first: f32,
     leave: f32,
     step: f32,
+    course: Course,
 }
 
-// The march of a ray that meets the box between the distances `hit`. `offset` moves its start, in steps.
-fn march_along(hit: vec2<f32>, step: f32, offset: f32) -> March {
-    let first = hit.x + offset * step;
-    let hits = hit.y > first && hit.y < FAR;
-    return March(first, select(-FAR, hit.y, hits), step);
+// The march along a course. `offset` moves its start, in steps.
+fn march_along(course: Course, step: f32, offset: f32) -> March {
+    let first = course.enter + offset * step;
+    let hits = course.leave > first && course.leave < FAR;
+    return March(first, select(-FAR, course.leave, hits), step, course);
 }
 
 // Length of the steps of volume rendering.
-fn volume_step(ray: Ray, hit: vec2<f32>) -> f32 {
-    let by_radius = params.step_per_radius * ray.slope * 0.5 * (hit.x + hit.y);
+fn volume_step(ray: Ray, course: Course) -> f32 {
+    let by_radius = params.step_per_radius * ray.slope * 0.5 * (course.enter + course.leave);
     return select(params.step_length, by_radius, by_radius > params.step_length);
 }
 
 // Distance of the middle of a step.
 fn middle(m: March, index: f32) -> f32 {
-    return m.first + (index + 0.5) * m.step;
+    return distance_at(m.course, m.first + (index + 0.5) * m.step);
 }
 
 fn is_empty(word: u32) -> bool {
@@ -52,16 +53,22 @@ fn empty_around(cell: vec3<u32>) -> u32 {
 fn next_occupied(ray: Ray, m: March, start: f32, last: f32) -> f32 {
     var index = start;
     loop {
-        let t = middle(m, index);
-        if !(t < m.leave) || index >= last {
+        let s = m.first + (index + 0.5) * m.step;
+        if !(s < m.leave) || index >= last {
             return last;
         }
-        let cell = cell_of(params.space, sphere_at(params.space, ray, t).xyz);
+        let position = to_cube(params.space, ray.origin + distance_at(m.course, s) * ray.direction);
+        let cell = cell_of(params.space, position);
         let size = empty_around(cell);
         if size == 0u {
             return index;
         }
-        let leave = cells_exit(params.space, ray, t, cell, size);
+        var leave = 0.0;
+        if m.course.speed == 0.0 {
+            leave = cells_exit(params.space, ray, s, cell, size);
+        } else {
+            leave = cells_clear(params.space, s, position, cell, size);
+        }
         // The first step whose middle is not before the exit. A step that rounding may move is tested, not skipped.
         let steps = (leave - m.first) / m.step - 0.5;
         let next = ceil(steps * (1.0 - 1e-6) - 0.01);

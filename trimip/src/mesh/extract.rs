@@ -193,8 +193,8 @@ impl Occupied {
         let resolution = model.config.occupancy.resolution;
         let cells = (resolution as usize).pow(3);
         let bits = model.file.u8("model", OCCUPANCY, &[cells.div_ceil(8)])?.to_vec();
-        let aabb = Aabb::new(&model.config.scene);
-        Ok(Self { space: Space::of(aabb), aabb, resolution, bits })
+        let scene = &model.config.scene;
+        Ok(Self { space: Space::new(scene), aabb: scene.subject(), resolution, bits })
     }
 
     /// True if samples are placed at a point of the world.

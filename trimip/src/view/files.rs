@@ -168,7 +168,8 @@ mod tests {
             ..Intrinsics::default()
         };
         let bent = Lens::perspective([0.1, -0.02, 0.0, 0.0], [0.0, 0.003], [0.0; 3]);
-        let scene = SceneConfig { aabb_min: [-1.0; 3], aabb_max: [1.0; 3] };
+        let scene =
+            SceneConfig { aabb_min: [-1.0; 3], aabb_max: [1.0; 3], ..trimip_core::Config::default().scene };
         for (ranged, lens) in [(None, Lens::default()), (Some(&scene), Lens::default()), (None, bent)] {
             let camera = look_at("3,1,2/0,0.5,0", Intrinsics { lens, ..intrinsics });
             write_cameras(&path, &[("a".into(), camera)], ranged).unwrap();
@@ -184,7 +185,11 @@ mod tests {
 
     #[test]
     fn the_range_of_depths_holds_the_box_wherever_the_camera_looks() {
-        let scene = SceneConfig { aabb_min: [-1.0, -2.0, 0.0], aabb_max: [1.0, 0.5, 3.0] };
+        let scene = SceneConfig {
+            aabb_min: [-1.0, -2.0, 0.0],
+            aabb_max: [1.0, 0.5, 3.0],
+            ..trimip_core::Config::default().scene
+        };
         let k = Intrinsics::from_angle(8, 8, 0.7);
         for text in ["9,0,2/0,0,1", "9,0,2/0,9,1", "0.5,0,1/3,3,3", "9,0,2/99,0,3"] {
             let camera = look_at(text, k);

@@ -3,7 +3,10 @@
 
 use super::cameras::{Named, aimed};
 use glam::{DMat3, DVec3};
-use trimip_core::{Error, Intrinsics, Result, config::SceneConfig};
+use trimip_core::{
+    Error, Intrinsics, Result,
+    config::{Contraction, SceneConfig},
+};
 
 /// Part of the picture, from its centre to a border, that the box may fill.
 const FILL: f64 = 0.95;
@@ -64,6 +67,8 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
         .collect();
     let distance = match table.distance {
         Some(given) => within(given, half, format!("--distance {given}"))?,
+        // Contracted space is a ball about as wide as the circle of the cameras.
+        None if scene.contraction == Contraction::Ball => half.x,
         None => {
             let fitted =
                 outwards.iter().map(|&back| fitted(half, back, axis, &intrinsics)).fold(0.0, f64::max);
@@ -75,9 +80,10 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
     outwards.iter().enumerate().map(|(i, back)| Ok((format!("{i:04}"), camera(back)?))).collect()
 }
 
-/// Centre and half extents of the scene's box.
+/// Centre and half extents of the box around the subject.
 pub fn middle(scene: &SceneConfig) -> (DVec3, DVec3) {
-    let [low, high] = [scene.aabb_min, scene.aabb_max].map(|corner| DVec3::from(corner.map(f64::from)));
+    let subject = scene.subject();
+    let [low, high] = [subject.min, subject.max].map(DVec3::from);
     (0.5 * (low + high), 0.5 * (high - low))
 }
 
@@ -120,7 +126,7 @@ mod tests {
 
     fn scene(centre: [f32; 3], half: [f32; 3]) -> SceneConfig {
         let side = |sign: f32| std::array::from_fn(|axis| centre[axis] + sign * half[axis]);
-        SceneConfig { aabb_min: side(-1.0), aabb_max: side(1.0) }
+        SceneConfig { aabb_min: side(-1.0), aabb_max: side(1.0), ..trimip_core::Config::default().scene }
     }
 
     proptest! {

@@ -1,0 +1,104 @@
+//! Contracted space written from its equations (mip-NeRF 360, Eq. 10), in f64. u is a point relative to the ball's centre,
+//! in radii, n = |u|.
+
+use super::Sample;
+use trimip_core::{Config, batch::Ray};
+
+/// Distance at which rays end, in radii.
+const FARTHEST: f64 = 1000.0;
+
+/// Centre and radius of the ball: the middle of the cube, and a quarter of its side.
+fn ball(config: &Config) -> ([f64; 3], f64) {
+    let [low, high] = [config.scene.aabb_min, config.scene.aabb_max].map(|corner| corner.map(f64::from));
+    ([0, 1, 2].map(|i| 0.5 * (low[i] + high[i])), 0.25 * (high[0] - low[0]))
+}
+
+fn norm(u: [f64; 3]) -> f64 {
+    u.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+/// contract(u) = u for n ≤ 1, (2 − 1/n)·u/n otherwise; the cube reaches from −2 to 2.
+fn position(u: [f64; 3]) -> [f64; 3] {
+    let n = norm(u);
+    let contracted = if n <= 1.0 { u } else { u.map(|x| (2.0 - 1.0 / n) * (x / n)) };
+    contracted.map(|x| (x + 2.0) / 4.0)
+}
+
+/// A ray relative to the ball.
+struct Course {
+    origin: [f64; 3],
+    direction: [f64; 3],
+    /// Distance of the nearest point, radii.
+    middle: f64,
+    reach: f64,
+    speed: f64,
+}
+
+impl Course {
+    fn at(&self, t: f64) -> [f64; 3] {
+        [0, 1, 2].map(|i| self.origin[i] + t * self.direction[i])
+    }
+
+    /// s of a distance in radii: speed·reach·c(m), c(m) = m for |m| ≤ 1, sign(m)·(2 − 1/|m|) otherwise.
+    fn parameter(&self, t: f64) -> f64 {
+        let m = (t - self.middle) / self.reach;
+        let c = if m.abs() <= 1.0 { m } else { m.signum() * (2.0 - 1.0 / m.abs()) };
+        self.speed * self.reach * c
+    }
+
+    /// The distance of a parameter, by bisection.
+    fn distance(&self, s: f64) -> f64 {
+        let (mut low, mut high) = (-1e-9, 3.0 * FARTHEST);
+        for _ in 0..200 {
+            let t = 0.5 * (low + high);
+            if self.parameter(t) < s { low = t } else { high = t }
+        }
+        0.5 * (low + high)
+    }
+}
+
+/// A step of a ray through contracted space.
+pub struct Step {
+    /// The sample at its middle. Its length is contracted along the line to the centre: ds·(dt/ds)/n².
+    pub sample: Sample,
+    /// World length, ds·(dt/ds).
+    pub length: f64,
+    /// Parameter at the end of the ray minus that of the middle.
+    pub left: f64,
+}
+
+/// All steps of a ray through contracted space.
+pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
+    let (centre, radius) = ball(config);
+    let direction = ray.direction.map(f64::from);
+    let origin = [0, 1, 2].map(|i| (f64::from(ray.origin[i]) - centre[i]) / radius);
+    let middle = -(0..3).map(|i| origin[i] * direction[i]).sum::<f64>();
+    let nearest = norm([0, 1, 2].map(|i| origin[i] + middle * direction[i]));
+    let reach = nearest.max(1.0);
+    let course = Course { origin, direction, middle, reach, speed: (2.0 * reach - 1.0) / (reach * reach) };
+    let end = course.parameter(middle + (FARTHEST * FARTHEST - nearest * nearest).max(0.0).sqrt());
+    let step = super::step_length(config) / radius;
+    let mut steps = Vec::new();
+    for i in 0.. {
+        let s = course.parameter(0.0) + (f64::from(i) + 0.5) * step;
+        if s >= end {
+            break;
+        }
+        let t = course.distance(s);
+        let h = 1e-6 * t.max(1e-3);
+        let slowness = 2.0 * h / (course.parameter(t + h) - course.parameter(t - h));
+        let u = course.at(t);
+        let n = norm(u).max(1.0);
+        let place = position(u);
+        let length = radius * step * slowness;
+        let sample = Sample {
+            t: radius * t,
+            length: length / (n * n),
+            position: place,
+            radius: f64::from(ray.slope) * radius * t * (2.0 * n - 1.0) / (n * n),
+            direction,
+        };
+        steps.push(Step { sample, length, left: radius * (end - s) });
+    }
+    steps
+}

@@ -1,0 +1,176 @@
+//! Unbounded space: samples against the literal equations, fog and walls with a known answer.
+
+use super::Bench;
+use crate::{
+    fixtures::{constant, lively, small},
+    reference::contraction::{self, Step},
+};
+use glam::DVec3;
+use trimip_core::{
+    Backend, Camera, Config, Intrinsics, Layout, Query, Result, Viewer,
+    backend::Occupancy,
+    config::Contraction,
+    exact::Exact,
+    loaded::LoadedModel,
+    model::Model,
+    tensors::{Tensor, TensorFile},
+};
+
+/// Distance to a cell's border, in unit-box coordinates, below which f32 and f64 may decide differently.
+const BORDER: f64 = 4e-6;
+
+/// A ball of radius 0.75 in the middle of a cube of side 3.
+pub fn configuration(resolution: u32) -> Config {
+    let mut config = small();
+    config.scene.contraction = Contraction::Ball;
+    config.occupancy.resolution = resolution;
+    config.renderer.steps_per_diagonal = 500;
+    config
+}
+
+fn model(config: &Config, parameters: &[f32]) -> Result<Model> {
+    let mut file = TensorFile::default();
+    Layout::new(config).to_tensors(parameters, "", &mut file);
+    let bytes = config.occupancy.resolution.pow(3) as usize / 8;
+    file.tensors.insert("occupancy".into(), Tensor::u8(&[bytes], vec![0xff; bytes]));
+    Ok(Model::new(config.clone(), file))
+}
+
+/// Distances, lengths, places and radii of samples are those of the equations, and exactly the occupied steps have one,
+/// except near borders.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    for (resolution, share) in [(32, 0.5), (20, 0.9), (32, 0.02)] {
+        let config = configuration(resolution);
+        let mut bench = Bench::new(make(), &config, None, &lively(&Layout::new(&config), 1))?;
+        let bits = super::marching::bits(resolution, share, 5);
+        bench.stages.occupancy.restore(&bits, None);
+        let rays = super::marching::rays(3);
+        let found = super::marching::marched(&mut bench, &rays, None);
+        let intervals = bench.backend.read(&bench.space.samples.intervals);
+        let spheres = bench.backend.read(&bench.space.samples.spheres);
+        let (mut row, mut total, mut borderline) = (0, 0, 0);
+        for (ray, found) in rays.iter().zip(&found) {
+            let mut next = 0;
+            for Step { sample, length, left } in contraction::march(&config, ray) {
+                let scaled = sample.position.map(|p| p * f64::from(resolution));
+                let cell = scaled.map(|p| (p as u32).min(resolution - 1));
+                let index = cell[0] + resolution * (cell[1] + resolution * cell[2]);
+                let expected = bits[index as usize / 8] >> (index % 8) & 1 == 1;
+                let there = found.get(next).is_some_and(|&t| (f64::from(t) - sample.t).abs() < 0.1 * length);
+                total += usize::from(expected);
+                if expected != there {
+                    let border =
+                        scaled.iter().any(|p| (p - p.round()).abs() < BORDER * f64::from(resolution));
+                    assert!(border || left < 1e-5, "{ray:?} at {}: {there}, not {expected}", sample.t);
+                    borderline += 1;
+                }
+                if there {
+                    let (interval, sphere) = (intervals[row + next], spheres[row + next]);
+                    let close = |found: f32, expected: f64, bound: f64| {
+                        let found = f64::from(found);
+                        assert!((found - expected).abs() <= bound, "{sample:?}: {found}, not {expected}");
+                    };
+                    // Parameters are known to a few 1e-7, where a step is 1e-2: far away, that is much of a distance.
+                    let off = 1e-4 * length;
+                    close(interval.t, sample.t, off);
+                    close(interval.length, sample.length, 1e-3 * sample.length);
+                    close(sphere.radius, sample.radius, (1e-4 + off / sample.t) * sample.radius);
+                    (0..3).for_each(|axis| close(sphere.position[axis], sample.position[axis], 2e-6));
+                    next += 1;
+                }
+            }
+            assert!(next + 1 >= found.len(), "{ray:?}: samples that no step has");
+            row += found.len();
+        }
+        assert!(total > 500, "the rays meet {total} occupied steps");
+        assert!((borderline as f64) < 0.005 * total as f64, "{borderline} of {total} at a border");
+    }
+    Ok(())
+}
+
+/// Fog of the field's density σ everywhere hides, from the centre of the ball with radius r, 1 − exp(−σ·(2 − 1/1000)·r) of
+/// what lies infinitely far away, and half as much optical depth within the ball. A query gives the density per world unit:
+/// σ within the ball, σ/n² beyond.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn fog<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = configuration(8);
+    let density = 0.8_f64;
+    let parameters = constant(&config, &Layout::new(&config), density, [0.5; 3]);
+    let mut model = LoadedModel::new(make(), &model(&config, &parameters)?)?;
+    let camera = Camera::look_at(Intrinsics::from_angle(6, 5, 0.9), DVec3::ZERO, DVec3::Y, DVec3::Z);
+    let step = crate::reference::step_length(&config);
+    for pixel in model.render(&camera)?.pixels {
+        let depth = -(1.0 - f64::from(pixel.opacity)).ln();
+        let expected = density * 0.75 * (2.0 - 1e-3);
+        assert!((depth - expected).abs() < 0.6 * density * step, "{depth}, not {expected}");
+    }
+    let at = |n: f64| Query {
+        point: [0.0, -0.6 * 0.75 * n, 0.8 * 0.75 * n],
+        radius: 0.01,
+        direction: [0.0, 0.0, 1.0],
+    };
+    let places = [0.2, 0.99, 1.5, 4.0, 100.0];
+    for (n, found) in places.into_iter().zip(model.query(&places.map(at))?) {
+        let expected = density / f64::max(n * n, 1.0);
+        assert!((f64::from(found.density) / expected - 1.0).abs() < 1e-3, "{n}: {}", found.density);
+    }
+    Ok(())
+}
+
+/// Pictures of a lively field, from within the ball and from outside, are those of the model in f64.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn exact<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = configuration(8);
+    let model = model(&config, &lively(&Layout::new(&config), 7))?;
+    let exact = Exact::new(&model)?;
+    let mut loaded = LoadedModel::new(make(), &model)?;
+    for (from, to) in [
+        (DVec3::new(0.2, 0.1, -0.1), DVec3::X),
+        (DVec3::new(0.5, -1.9, 0.4), DVec3::ZERO),
+        (DVec3::new(3.0, 2.0, 1.0), DVec3::new(4.0, -2.0, 7.0)),
+    ] {
+        let camera = Camera::look_at(Intrinsics::from_angle(8, 7, 0.9), from, to, DVec3::Z);
+        let frame = loaded.render(&camera)?;
+        for (i, pixel) in frame.pixels.iter().enumerate() {
+            let (x, y) = (i as u32 % 8, i as u32 / 8);
+            let expected = exact.pixel(&camera, x, y, config.renderer.steps_per_diagonal);
+            for c in 0..3 {
+                let off = (f64::from(pixel.rgb[c]) - expected[c]).abs();
+                // What lies behind a transmittance of 1e-4 is left out.
+                assert!(off < 3e-4, "{from}: pixel {x}, {y}: {:?}, not {expected:?}", pixel.rgb);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The same scene far from the origin gives the same picture.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn shifted<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = configuration(8);
+    let parameters = lively(&Layout::new(&config), 7);
+    let mut far = config.clone();
+    let moved = DVec3::new(1024.0, -512.0, 64.0);
+    for axis in 0..3 {
+        far.scene.aabb_min[axis] += moved[axis] as f32;
+        far.scene.aabb_max[axis] += moved[axis] as f32;
+    }
+    let camera =
+        Camera::look_at(Intrinsics::from_angle(8, 7, 0.9), DVec3::new(0.5, -1.9, 0.4), DVec3::ZERO, DVec3::Z);
+    let near = LoadedModel::new(make(), &model(&config, &parameters)?)?.render(&camera)?;
+    let camera = Camera { origin: camera.origin + moved, ..camera };
+    let other = LoadedModel::new(make(), &model(&far, &parameters)?)?.render(&camera)?;
+    for (a, b) in near.pixels.iter().zip(&other.pixels) {
+        assert!((0..3).all(|c| (a.rgb[c] - b.rgb[c]).abs() < 1e-5), "{a:?} {b:?}");
+    }
+    Ok(())
+}
