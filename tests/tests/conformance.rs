@@ -196,6 +196,21 @@ fn the_batch_follows_the_step() {
 }
 
 #[test]
+fn nothing_is_learned_from_ignored_pixels() {
+    on_every_cpu(|make| suite::masks::garbage(make));
+}
+
+#[test]
+fn a_pixel_weighs_as_much_as_is_kept_of_it() {
+    on_every_cpu(|make| suite::masks::shares(make));
+}
+
+#[test]
+fn masked_pixels_are_not_measured() {
+    with_threads(&[2], |make| suite::masks::measures(make));
+}
+
+#[test]
 fn poor_photographs_are_no_failure() {
     on_every_cpu(|make| suite::training::poor_photographs(make));
 }

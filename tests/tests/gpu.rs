@@ -214,6 +214,16 @@ fn a_resumed_run_is_the_run_that_never_stopped() {
 }
 
 #[test]
+fn nothing_is_learned_from_ignored_pixels() {
+    reproducibly(|make| suite::masks::garbage(make));
+}
+
+#[test]
+fn a_pixel_weighs_as_much_as_is_kept_of_it() {
+    reproducibly(|make| suite::masks::shares(make));
+}
+
+#[test]
 fn poor_photographs_are_no_failure() {
     on_the_gpu(|make| suite::training::poor_photographs(make));
 }

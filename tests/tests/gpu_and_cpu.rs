@@ -139,6 +139,30 @@ fn lenses_are_the_same_on_both_backends() {
 }
 
 #[test]
+fn masked_pixels_have_the_same_targets_on_both_backends() {
+    reproducibly(|make| {
+        let mut config = suite::masks::everything();
+        for photographs in [Photographs::Device, Photographs::Host] {
+            config.wgpu.photographs = photographs;
+            let mut on_cpu = Trainer::new(cpu(), &config, suite::masks::half(1))?;
+            let mut on_gpu = Trainer::new(make(), &config, suite::masks::half(1))?;
+            let ((own_sums, own), (sums, other)) =
+                (on_cpu.loss_and_gradient(0, 150)?, on_gpu.loss_and_gradient(0, 150)?);
+            assert_eq!((own_sums.rays, own_sums.kept), (sums.rays, sums.kept));
+            let near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-5;
+            assert!(near(own_sums.weight, sums.weight) && near(own_sums.loss, sums.loss));
+            assert!(near(own_sums.squared_error, sums.squared_error));
+            let square =
+                |values: &mut dyn Iterator<Item = f32>| values.map(|x| f64::from(x * x)).sum::<f64>();
+            let apart = square(&mut own.iter().zip(&other).map(|(a, b)| a - b));
+            let size = square(&mut own.iter().copied());
+            assert!(apart < 1e-8 * size, "{apart} of {size}");
+        }
+        Ok(())
+    });
+}
+
+#[test]
 fn a_run_goes_on_on_the_other_backend_as_on_its_own() {
     reproducibly(|make| {
         let config = suite::training::configuration();

@@ -56,7 +56,7 @@ pub fn shown_gradient<R: Real>(
 }
 
 /// The edge exponent of each scale of `views`, fine to coarse: the least squares of P·A^γ, from the finest photographs,
-/// against the colour·α of the coarser ones, over partly transparent pixels. `None` if colours are premultiplied, if there is
+/// against the colour·α of the coarser ones, over partly transparent pixels. `None` if colours are not straight, if there is
 /// one scale, or if frames differ between scales.
 pub fn fit(views: &ViewSet) -> Option<Vec<f64>> {
     let finest = views.scales.first()?;
@@ -208,5 +208,6 @@ mod tests {
         assert_eq!(fit(&set([255; 4], colour)), Some(vec![0.0, 0.0]));
         let premultiplied = ViewSet { alpha: Alpha::Premultiplied, ..set([255, 0, 255, 0], colour) };
         assert_eq!(fit(&premultiplied), None);
+        assert_eq!(fit(&ViewSet { alpha: Alpha::Kept, ..premultiplied }), None, "no opacity, no edge");
     }
 }

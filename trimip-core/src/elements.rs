@@ -34,7 +34,7 @@ pub struct Target {
     pub weight: f32,
     /// Background colour behind the ray.
     pub background: [f32; 3],
-    /// Alpha of the photograph's pixel, in [0, 1].
+    /// Opacity of the photograph's pixel, in [0, 1].
     pub opacity: f32,
     /// Edge exponent γ of the photograph, see [`edges`](crate::edges).
     pub exponent: f32,

@@ -1,7 +1,7 @@
 //! Evaluation: test frames rendered at every scale and compared with their photographs.
 
 use crate::{
-    Camera, Error, Frame, Frames, Result, Viewer,
+    Error, Frame, Frames, Result, ViewSet, Viewer,
     config::{DataConfig, EvalConfig},
     events::ScaleQuality,
     metrics::{psnr, psnr_8bit, psnr_of_constant, psnr_of_error, ssim},
@@ -163,7 +163,8 @@ pub fn evaluate(
 }
 
 /// Renders frame `index` at its scales from `finest` on (1, 2, 4, ..; where it has none so coarse, at its coarsest) and
-/// adds their measures to `qualities`. False if `watch` stopped it; the current view is then not included.
+/// adds their measures to `qualities`. Pixels that the lens has no ray for are not compared, nor those of which a mask keeps
+/// less than half; a view without others is left out. False if `watch` stopped it; the current view is then not included.
 ///
 /// # Errors
 /// When a photograph cannot be read, the device fails, or `watch` fails.
@@ -185,15 +186,18 @@ pub fn evaluate_frame(
     for (factor, view) in views() {
         let target = set.composited(view, background);
         let camera = &set.views[view].camera;
+        let excluded = excluded(&set, view);
+        if !excluded.is_empty() && excluded.iter().all(|&excluded| excluded) {
+            before += rows(view);
+            continue;
+        }
         let Some(rendered) = viewer.render_watched(camera, &mut |done, _| watch.rows(before + done, all))?
         else {
             return Ok(false);
         };
         before += rows(view);
         let (exponent, other) = (data.edge_exponent(factor), opposite(background));
-        // What the lens has no ray for is not compared.
-        let blind = blind(camera);
-        let seen = |rgb: Vec<[f32; 3]>| without(&blind, rgb);
+        let seen = |rgb: Vec<[f32; 3]>| without(&excluded, rgb);
         let target_seen = seen(target.clone());
         let plain = capped(psnr(&seen(rendered.rgb()), &target_seen));
         // Each block drops its pictures: few are in memory at once.
@@ -214,8 +218,8 @@ pub fn evaluate_frame(
         let rendered = rendered.shown(background, exponent);
         let (psnr, psnr_8bit, ssim) = {
             let mut rgb = rendered.rgb();
-            for (pixel, target) in rgb.iter_mut().zip(&target).zip(&blind).filter_map(|(p, b)| b.then_some(p))
-            {
+            let pairs = rgb.iter_mut().zip(&target).zip(&excluded);
+            for (pixel, target) in pairs.filter_map(|(pair, excluded)| excluded.then_some(pair)) {
                 *pixel = *target;
             }
             let ssim = ssim(&rgb, &target, rendered.width as usize, rendered.height as usize);
@@ -250,19 +254,21 @@ pub fn evaluate_frame(
     Ok(true)
 }
 
-/// Whether the lens has no ray for each pixel; empty if it has one for all.
-fn blind(camera: &Camera) -> Vec<bool> {
+/// Whether each pixel is left out of the comparison; empty if none is.
+fn excluded(set: &ViewSet, view: usize) -> Vec<bool> {
+    let (camera, pixels) = (&set.views[view].camera, set.pixels_of(view));
     let k = &camera.intrinsics;
-    if k.blind_pixels() == 0 {
+    let blind = k.blind_pixels() > 0;
+    if !blind && !pixels.iter().any(|&pixel| set.alpha.leaves_out(pixel)) {
         return Vec::new();
     }
-    let none = |i: u32| camera.cone::<f32>(i % k.width, i / k.width).slope == 0.0;
-    (0..k.width * k.height).map(none).collect()
+    let unseen = |i: u32| blind && camera.cone::<f32>(i % k.width, i / k.width).slope == 0.0;
+    (0..).zip(pixels).map(|(i, &pixel)| set.alpha.leaves_out(pixel) || unseen(i)).collect()
 }
 
-/// The pixels that are not `blind`.
-fn without(blind: &[bool], mut rgb: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
-    let mut flags = blind.iter();
+/// The pixels that are not `excluded`.
+fn without(excluded: &[bool], mut rgb: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    let mut flags = excluded.iter();
     rgb.retain(|_| !flags.next().copied().unwrap_or(false));
     rgb
 }

@@ -98,7 +98,7 @@ impl Silhouette {
 /// True if any photograph has a transparent pixel.
 pub fn any(views: &ViewSet) -> bool {
     let Some(coarsest) = views.scales.last() else { return false };
-    views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] == 0)
+    views.alpha.is_opacity() && views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] == 0)
 }
 
 /// Bounds of what the photographs may show within `aabb`, of places that at least `share` of them see (0: any one): never
@@ -130,6 +130,9 @@ pub fn cells(views: &ViewSet, aabb: &Aabb<f64>, resolution: u32) -> Option<Vec<b
 /// The silhouettes of some of the photographs, at a scale that is fine enough; those without any last. `None` if there is
 /// none.
 fn silhouettes(views: &ViewSet) -> Option<Vec<Silhouette>> {
+    if !views.alpha.is_opacity() {
+        return None;
+    }
     let fine_enough = |scale: &&Scale| {
         let sides = scale.views.clone().map(|i| views.views[i].camera.intrinsics);
         sides.map(|k| k.width.min(k.height)).min().is_some_and(|side| side >= FINE_ENOUGH)
@@ -268,6 +271,13 @@ mod tests {
         let whole = Aabb { min: [-0.5; 3], max: [0.5; 3] };
         let large = Aabb { min: [-0.8; 3], max: [0.8; 3] };
         assert_eq!(bounds(&photographs(&large, true), &whole, 0.0), None);
+        let masked = ViewSet { alpha: Alpha::Kept, ..photographs(&large, false) };
+        assert_eq!(
+            (bounds(&masked, &whole, 0.0), any(&masked)),
+            (None, false),
+            "what is not known is not empty"
+        );
+        assert_eq!(cells(&masked, &whole, 4), None);
         let found = bounds(&photographs(&large, false), &whole, 0.0).unwrap();
         assert!((0..3).all(|axis| found.min[axis] <= -0.5 + 1e-9 && found.max[axis] >= 0.5 - 1e-9));
     }

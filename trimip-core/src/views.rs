@@ -27,13 +27,43 @@ pub struct Scale {
     pub pixels: Range<usize>,
 }
 
-/// How alpha relates to colour in stored pixels.
+/// What alpha is, and how colour relates to it in stored pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alpha {
-    /// Colour of the surface alone (PNG's own convention).
+    /// Opacity; colour of the surface alone (PNG's own convention).
     Straight,
-    /// Colour already multiplied by alpha.
+    /// Opacity; colour already multiplied by it.
     Premultiplied,
+    /// Share of the pixel that counts: the rest was masked as unknown. Colour is the mean of that share, on no background.
+    Kept,
+}
+
+/// Least alpha of a pixel that is compared, where alpha is the share that counts: half of the pixel.
+const COMPARED: u8 = 128;
+
+impl Alpha {
+    /// True if alpha tells where the object is, and where the background.
+    pub fn is_opacity(self) -> bool {
+        self != Self::Kept
+    }
+
+    /// Opacity of a pixel, in [0, 1].
+    #[inline]
+    pub fn opacity(self, pixel: [u8; 4]) -> f32 {
+        if self.is_opacity() { f32::from(pixel[3]) / 255.0 } else { 1.0 }
+    }
+
+    /// Share of a pixel that counts in the loss, in [0, 1].
+    #[inline]
+    pub fn share(self, pixel: [u8; 4]) -> f32 {
+        if self.is_opacity() { 1.0 } else { f32::from(pixel[3]) / 255.0 }
+    }
+
+    /// True for a pixel that measures of pictures leave out: less than half of it counts.
+    #[inline]
+    pub fn leaves_out(self, pixel: [u8; 4]) -> bool {
+        !self.is_opacity() && pixel[3] < COMPARED
+    }
 }
 
 impl From<Convention> for Alpha {
@@ -71,8 +101,8 @@ impl ViewSet {
         self.pixels_of(index).iter().map(|&pixel| composite_pixel(pixel, self.alpha, background)).collect()
     }
 
-    /// Means over blocks of `factor` × `factor` pixels of view `index`: premultiplied colour and opacity, not rounded.
-    /// Rows and columns that do not fill a block are cropped.
+    /// Means over blocks of `factor` × `factor` pixels of view `index`: premultiplied colour and opacity, not rounded; of
+    /// [`Alpha::Kept`] the mean colour of the kept part and 1. Rows and columns that do not fill a block are cropped.
     pub fn means(&self, index: usize, factor: u32) -> Vec<[f64; 4]> {
         let k = &self.views[index].camera.intrinsics;
         let (width, factor) = (k.width as usize, factor as usize);
@@ -84,13 +114,18 @@ impl ViewSet {
             for row in y..y + factor {
                 for &pixel in &pixels[row * width + x..][..factor] {
                     let [r, g, b, a] = pixel.map(|byte| f64::from(byte) / 255.0);
-                    let coverage = if self.alpha == Alpha::Straight { a } else { 1.0 };
+                    let coverage = if self.alpha == Alpha::Premultiplied { 1.0 } else { a };
                     for (sum, value) in sum.iter_mut().zip([r * coverage, g * coverage, b * coverage, a]) {
                         *sum += share * value;
                     }
                 }
             }
-            sum
+            if self.alpha.is_opacity() {
+                return sum;
+            }
+            let [r, g, b, kept] = sum;
+            let colour = |sum: f64| if kept > 0.0 { sum / kept } else { 0.0 };
+            [colour(r), colour(g), colour(b), 1.0]
         };
         (0..columns * rows).map(mean).collect()
     }
@@ -110,13 +145,15 @@ impl ViewSet {
     }
 }
 
-/// An 8-bit RGBA pixel on a background: straight colour·α + (1 − α)·background, premultiplied colour + (1 − α)·background.
+/// An 8-bit RGBA pixel on a background: straight colour·α + (1 − α)·background, premultiplied colour + (1 − α)·background;
+/// the colour itself where alpha is no opacity.
 #[inline]
 pub fn composite_pixel(pixel: [u8; 4], alpha: Alpha, background: [f32; 3]) -> [f32; 3] {
-    let [r, g, b, a] = pixel.map(|byte| f32::from(byte) / 255.0);
+    let [r, g, b, _] = pixel.map(|byte| f32::from(byte) / 255.0);
+    let a = alpha.opacity(pixel);
     let coverage = match alpha {
         Alpha::Straight => a,
-        Alpha::Premultiplied => 1.0,
+        Alpha::Premultiplied | Alpha::Kept => 1.0,
     };
     std::array::from_fn(|c| [r, g, b][c] * coverage + (1.0 - a) * background[c])
 }
@@ -148,5 +185,36 @@ mod tests {
         }
         let half = composite_pixel([255, 255, 255, 102], Alpha::Straight, [0.0; 3]);
         assert!(half.iter().all(|c| (c - 0.4).abs() < 1e-6));
+    }
+
+    #[test]
+    fn a_share_that_counts_weighs_pixels_and_shows_no_background() {
+        for share in [0, 51, 255] {
+            let pixel = [255, 0, 51, share];
+            assert_eq!(composite_pixel(pixel, Alpha::Kept, [0.5; 3]), [1.0, 0.0, 0.2]);
+            assert_eq!((Alpha::Kept.opacity(pixel), Alpha::Straight.share(pixel)), (1.0, 1.0));
+            assert_eq!(Alpha::Kept.share(pixel), Alpha::Straight.opacity(pixel));
+        }
+        assert!(Alpha::Kept.leaves_out([9, 9, 9, 127]) && !Alpha::Kept.leaves_out([9, 9, 9, 128]));
+        assert!(!Alpha::Straight.leaves_out([0; 4]));
+    }
+
+    #[test]
+    fn means_are_of_the_part_that_counts() {
+        let k = crate::Intrinsics::from_angle(4, 2, 0.7);
+        let camera = Camera { intrinsics: k, rotation: glam::DMat3::IDENTITY, origin: glam::DVec3::ZERO };
+        let (red, grey, garbage) = ([255, 0, 0, 255], [51, 51, 51, 255], [7, 77, 177, 0]);
+        let set = ViewSet {
+            views: vec![View { name: String::new(), camera, offset: 0 }],
+            pixels: vec![red, garbage, garbage, garbage, grey, grey, garbage, garbage],
+            alpha: Alpha::Kept,
+            scales: Vec::new(),
+        };
+        let third = 1.0 / 3.0;
+        let expected = [[third + 0.4 * third, 0.4 * third, 0.4 * third, 1.0], [0.0, 0.0, 0.0, 1.0]];
+        let found = set.means(0, 2);
+        let near = |(a, b): (&f64, &f64)| (a - b).abs() < 1e-12;
+        assert!(found.as_flattened().iter().zip(expected.as_flattened()).all(near), "{found:?}");
+        assert_eq!(set.box_filtered(0, 2, [1.0; 3])[1], [0.0; 3]);
     }
 }

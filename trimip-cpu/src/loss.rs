@@ -61,7 +61,10 @@ impl CpuLoss {
             let Target { background, exponent, .. } = *target;
             let seen = shown(pixel.rgb, pixel.opacity, background, exponent);
             let difference: [f32; 3] = std::array::from_fn(|c| seen[c] - target.rgb[c]);
-            sums.squared_error += difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
+            // What is left out of the loss is left out of the error, whatever colour is stored there.
+            if target.weight > 0.0 {
+                sums.squared_error += difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
+            }
             if !difference.iter().all(|d| d.is_finite()) {
                 sums.non_finite += 1;
                 continue;

@@ -123,9 +123,9 @@ impl Sampler<CpuBackend> for CpuSampler {
             }
             rays.targets.push(Target {
                 rgb: composite_pixel(views.pixels[pixel], views.alpha, background),
-                weight,
+                weight: weight * views.alpha.share(views.pixels[pixel]),
                 background,
-                opacity: f32::from(views.pixels[pixel][3]) / 255.0,
+                opacity: views.alpha.opacity(views.pixels[pixel]),
                 exponent,
             });
         }

@@ -77,7 +77,8 @@ struct Params {
     first: u32,
     count: u32,
     scales: u32,
-    premultiplied: u32,
+    /// What alpha is, see [`meaning`].
+    alpha: u32,
     /// 1 if `pixels` holds only the drawn pixels, in the order of the rays.
     streamed: u32,
     /// Index within the step of the span's first cone.
@@ -124,7 +125,7 @@ impl WgpuSampler {
         let training = match views {
             None => None,
             Some(views) => {
-                params.premultiplied = u32::from(views.alpha == Alpha::Premultiplied);
+                params.alpha = meaning(views.alpha);
                 params.scales = views.scales.len() as u32;
                 let training = Training::new(gpu, config, views)?;
                 let scales = training.shared.iter();
@@ -147,6 +148,15 @@ impl WgpuSampler {
         };
         sampler.follow(0.0);
         Ok(sampler)
+    }
+}
+
+/// The number by which the device knows what alpha is.
+fn meaning(alpha: Alpha) -> u32 {
+    match alpha {
+        Alpha::Straight => 0,
+        Alpha::Premultiplied => 1,
+        Alpha::Kept => 2,
     }
 }
 

@@ -7,6 +7,7 @@ pub mod exchange;
 pub mod gradients;
 pub mod hybrid;
 pub mod marching;
+pub mod masks;
 pub mod probes;
 pub mod pyramid;
 pub mod sampling;

@@ -41,10 +41,10 @@ const MILESTONES: [f64; 9] = [0.437, 0.583, 0.68, 0.758, 0.816, 0.865, 0.904, 0.
 /// Width of the hidden layers for the largest budgets (paper).
 const WIDEST: u32 = 128;
 
-/// True if any pixel of the training photographs is not opaque.
+/// True if any pixel of the training photographs is not opaque. Pixels that a mask leaves out are not transparent.
 pub(super) fn has_alpha(views: &ViewSet) -> bool {
     let Some(coarsest) = views.scales.last() else { return false };
-    views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] < OPAQUE)
+    views.alpha.is_opacity() && views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] < OPAQUE)
 }
 
 pub(super) fn background(context: &Context<'_>) -> Proposal {
@@ -56,9 +56,14 @@ pub(super) fn background(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("there is no photograph".into());
     };
     let pixels = &views.pixels[coarsest.pixels.clone()];
+    let share = |pixel: &[u8; 4]| f64::from(views.alpha.share(*pixel));
+    let all: f64 = pixels.iter().map(share).sum();
+    if all == 0.0 {
+        return Proposal::Keep("every pixel of the photographs is masked".into());
+    }
     let mean: [f64; 3] = std::array::from_fn(|c| {
-        let sum: f64 = pixels.iter().map(|pixel| f64::from(pixel[c])).sum();
-        (sum / (255.0 * pixels.len() as f64) * 1000.0).round() / 1000.0
+        let sum: f64 = pixels.iter().map(|pixel| share(pixel) * f64::from(pixel[c])).sum();
+        (sum / (255.0 * all) * 1000.0).round() / 1000.0
     });
     Proposal::Set {
         reason: "the photographs have no alpha: behind the box is their mean colour".into(),

@@ -206,6 +206,25 @@ fn photographs_say_whether_models_are_solids_and_what_is_behind_them() {
 }
 
 #[test]
+fn what_masks_ignore_is_neither_empty_nor_of_any_colour() {
+    let ignored = ViewSet { alpha: Alpha::Kept, ..views(true) };
+    let (config, findings) = planned(&ignored, &[]).unwrap();
+    // Kept pixels are red, and so are those of the silhouettes that are not there.
+    assert_eq!((config.loss.opacity, config.data.background), (0.0, [1.0, 0.0, 0.0]), "{findings:?}");
+    assert!(!config.occupancy.hull && config.data.edge_exponents.is_empty());
+    let garbage = |colour: [u8; 3]| {
+        let mut views = ignored.clone();
+        for pixel in views.pixels.iter_mut().filter(|pixel| pixel[3] == 0) {
+            pixel[..3].copy_from_slice(&colour);
+        }
+        planned(&views, &[]).unwrap().0
+    };
+    assert_eq!(garbage([255; 3]), garbage([0, 40, 80]));
+    let error = planned(&ignored, &["loss.opacity=0.1"]).unwrap_err();
+    assert!(error.exit_code() == 2 && error.message.contains("no alpha"), "{error}");
+}
+
+#[test]
 fn texels_that_are_given_stay_given_when_the_box_shrinks() {
     let (config, findings) = planned(&views(true), &["encoder.plane_size=16", "encoder.levels=3"]).unwrap();
     assert!(config.encoder.plane_size <= 16 && of(&findings, "aabb").left_out, "{findings:?}");

@@ -11,7 +11,7 @@ const PROBES: u32 = 24;
 /// Coverage of the photographs below which a warning is given.
 const ENOUGH: f64 = 0.5;
 
-/// Share of the object pixels (alpha above one half) whose rays hit the box; `None` without object pixels.
+/// Share of the pixels of alpha above one half, of the object or kept by masks, whose rays hit the box; `None` without any.
 pub(super) fn coverage(config: &Config, views: &ViewSet) -> Option<f64> {
     let aabb = Aabb::<f64>::new(&config.scene);
     let finest = views.scales.first()?;
@@ -56,7 +56,7 @@ pub fn warnings(config: &Config, facts: &Facts<'_>) -> Vec<String> {
         )),
         Some(_) => {}
         None => warnings.push(
-            "the photographs show nothing at all: every sampled pixel is transparent; see trimip-cli data inspect".into(),
+            "the photographs show nothing at all: every sampled pixel is transparent or masked; see trimip-cli data inspect".into(),
         ),
     }
     warnings

@@ -110,7 +110,7 @@ fn evaluate(
             finite = finite && is_finite(difference);
             let value = smooth_l1(difference, params.beta);
             loss += value.x / 3.0;
-            squared += difference * difference;
+            squared += select(0.0, difference * difference, weight > 0.0);
             by_colour[c] = select(0.0, weight * value.y / 3.0, counted);
         }
         let gradient = shown_gradient(pixel, background, exponent, by_colour);

@@ -11,7 +11,8 @@ struct Params {
     first: u32,
     count: u32,
     scales: u32,
-    premultiplied: u32,
+    // What alpha is: opacity beside straight colours, opacity that colours are multiplied by, share that counts.
+    alpha: u32,
     // 1 if `pixels` holds only this span's pixels, in order.
     streamed: u32,
     // Index within the step of the span's first cone.
@@ -128,18 +129,21 @@ fn training_rays(
     }
     let word = pixels[select(pixel, i, params.streamed != 0u)];
     let rgba = vec4<f32>(vec4<u32>(word, word >> 8u, word >> 16u, word >> 24u) & vec4<u32>(0xffu)) / 255.0;
-    let coverage = select(rgba.a, 1.0, params.premultiplied != 0u);
-    let rgb = rgba.rgb * coverage + (1.0 - rgba.a) * background;
+    let kept = params.alpha == 2u;
+    let opacity = select(rgba.a, 1.0, kept);
+    let share = select(1.0, rgba.a, kept);
+    let coverage = select(rgba.a, 1.0, params.alpha != 0u);
+    let rgb = rgba.rgb * coverage + (1.0 - opacity) * background;
     // A target is nine floats: colour, weight, background, opacity, exponent.
     let at = i * 9u;
     targets[at] = rgb.r;
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
     // Nothing is learned from pixels that the lens has no ray for.
-    targets[at + 3u] = select(0.0, params.weights[s / 4u][s % 4u], seen);
+    targets[at + 3u] = select(0.0, share * params.weights[s / 4u][s % 4u], seen);
     targets[at + 4u] = background.r;
     targets[at + 5u] = background.g;
     targets[at + 6u] = background.b;
-    targets[at + 7u] = rgba.a;
+    targets[at + 7u] = opacity;
     targets[at + 8u] = params.exponents[s / 4u][s % 4u];
 }

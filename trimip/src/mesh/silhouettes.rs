@@ -93,7 +93,7 @@ pub struct Overlap {
 
 /// Compares the silhouettes of a mesh with the masks of every `stride`-th frame: the intersection over the union of the
 /// pixels that the mesh covers and those whose alpha is at least a half. `None` if no photograph has both opaque and
-/// transparent pixels.
+/// transparent pixels as opacity.
 ///
 /// # Errors
 /// When a photograph cannot be read.
@@ -101,7 +101,7 @@ pub fn overlap(mesh: &Mesh, frames: &dyn Frames, stride: usize) -> Result<Option
     let mut shares = Vec::new();
     for index in (0..frames.len()).step_by(stride.max(1)) {
         let set = frames.load(index)?;
-        let Some(view) = set.views.first() else { continue };
+        let Some(view) = set.views.first().filter(|_| set.alpha.is_opacity()) else { continue };
         let camera = &view.camera;
         let count = camera.intrinsics.width as usize * camera.intrinsics.height as usize;
         let mask: Vec<bool> =

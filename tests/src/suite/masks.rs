@@ -1,0 +1,158 @@
+//! Masked pixels: nothing is learned from what is ignored, whatever colour is stored there, and a pixel weighs as much
+//! as is kept of it.
+
+use super::training::{configuration, steps};
+use crate::fixtures::{Draw, noise};
+use trimip_core::{
+    Alpha, Backend, Camera, Config, Frames, Result, Session, StepReport, ViewSet, Viewer,
+    batch::StepSums,
+    config::TrainBackground,
+    evaluate::{ViewQuality, evaluate},
+    trainer::Trainer,
+};
+
+/// Photographs of noise at two scales of which the left half is ignored, with colours drawn from `garbage` there. Some
+/// of the coarse pixels are kept in part.
+pub fn half(garbage: u64) -> ViewSet {
+    let (mut set, mut draw) = (ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) }, Draw::new(garbage));
+    let ViewSet { views, pixels, scales, .. } = &mut set;
+    for scale in scales {
+        for view in &views[scale.views.clone()] {
+            let k = view.camera.intrinsics;
+            let pixels = &mut pixels[view.offset..][..(k.width * k.height) as usize];
+            for (i, pixel) in pixels.iter_mut().enumerate() {
+                let x = i as u32 % k.width;
+                if 2 * x < k.width {
+                    let [r, g, b, ..] = draw.bits().to_le_bytes();
+                    *pixel = [r, g, b, 0];
+                } else {
+                    pixel[3] = if scale.factor > 1 && x.is_multiple_of(2) { 64 } else { 255 };
+                }
+            }
+        }
+    }
+    set
+}
+
+/// The same photographs with one share kept of every pixel.
+fn uniform(share: u8) -> ViewSet {
+    let mut views = ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) };
+    views.pixels.iter_mut().for_each(|pixel| pixel[3] = share);
+    views
+}
+
+/// A configuration in which everything that a target has is used: opacity and random backgrounds too.
+pub fn everything() -> Config {
+    let mut config = configuration();
+    config.loss.opacity = 0.1;
+    config.train.background = TrainBackground::Random;
+    config
+}
+
+/// Parameters and reports of a run are the same bits for any colours in ignored pixels.
+///
+/// # Errors
+/// When a step fails.
+pub fn garbage<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = everything();
+    let run = |views: ViewSet| -> Result<(Vec<u32>, StepReport)> {
+        let mut trainer = Trainer::new(make(), &config, views)?;
+        steps(&mut trainer, &config, 20)?;
+        let report = trainer.step(0.5)?;
+        Ok((trainer.parameters().iter().map(|p| p.to_bits()).collect(), report))
+    };
+    let (one, of_one) = run(half(1))?;
+    let (other, of_other) = run(half(2))?;
+    assert!(one == other, "ignored pixels are learned from");
+    assert_eq!((of_one.loss, of_one.batch_psnr), (of_other.loss, of_other.batch_psnr));
+    let (taken, _) = run(ViewSet { alpha: Alpha::Straight, ..half(1) })?;
+    assert!(taken != one, "as opacity the same pixels teach something");
+    Ok(())
+}
+
+/// Photographs that are ignored as a whole move no parameter, and a share of all pixels changes nothing but their weight.
+///
+/// # Errors
+/// When a step fails.
+pub fn shares<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = everything();
+    let mut trainer = Trainer::new(make(), &config, uniform(0))?;
+    let before = trainer.parameters();
+    steps(&mut trainer, &config, 6)?;
+    assert!(trainer.parameters() == before, "there is nothing to learn");
+    let gradient = |views: ViewSet| -> Result<(StepSums, Vec<f32>)> {
+        Trainer::new(make(), &config, views)?.loss_and_gradient(0, 150)
+    };
+    let ((whole, by_whole), (fifth, by_fifth)) = (gradient(uniform(255))?, gradient(uniform(51))?);
+    assert!((fifth.weight / whole.weight - 0.2).abs() < 1e-6 && (fifth.loss / whole.loss - 0.2).abs() < 1e-5);
+    let square = |values: &mut dyn Iterator<Item = f32>| values.map(|x| f64::from(x * x)).sum::<f64>();
+    let apart = square(&mut by_whole.iter().zip(&by_fifth).map(|(a, b)| a - b));
+    let size = square(&mut by_whole.iter().copied());
+    // A device may add gradients in fixed point, whose error does not shrink with the weight.
+    assert!(size > 0.0 && apart < 1e-8 * size, "{apart} of {size}");
+    // Kept whole, photographs are those without alpha.
+    let opaque = ViewSet { alpha: Alpha::Straight, ..uniform(255) };
+    assert!(gradient(opaque)?.1 == by_whole);
+    Ok(())
+}
+
+/// Test frames of one set each.
+struct Given(Vec<ViewSet>);
+
+impl Frames for Given {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn cameras(&self) -> Vec<Camera> {
+        self.0.iter().flat_map(|set| set.views.iter().map(|view| view.camera)).collect()
+    }
+
+    fn load(&self, index: usize) -> Result<ViewSet> {
+        Ok(self.0[index].clone())
+    }
+}
+
+/// Measures are of the pixels of which at least half is kept, and a view without any has none.
+///
+/// # Errors
+/// When a picture fails.
+pub fn measures<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = configuration();
+    let mut trainer = Trainer::new(make(), &config, half(1))?;
+    // One frame of one view at each of two scales, and one that is masked as a whole.
+    let frame = |garbage: u64, share: Option<u8>| {
+        let mut set = half(garbage);
+        for scale in &mut set.scales {
+            scale.views = scale.views.start..scale.views.start + 1;
+        }
+        if let Some(share) = share {
+            set.pixels.iter_mut().for_each(|pixel| pixel[3] = share);
+        }
+        set
+    };
+    let mut measured = |garbage: u64| -> Result<Vec<ViewQuality>> {
+        let frames = Given(vec![frame(garbage, None), frame(garbage, Some(0))]);
+        evaluate(&mut trainer, &frames, 1, &config.data, |_| Ok(true))
+    };
+    let (one, other) = (measured(1)?, measured(2)?);
+    assert_eq!(one.iter().map(|view| (view.index, view.scale)).collect::<Vec<_>>(), [(0, 1), (0, 2)]);
+    for (one, other) in one.iter().zip(&other) {
+        // Windows of the structural similarity reach over the edge of a mask, where both pictures have the same colours.
+        assert_eq!(&ViewQuality { ssim: one.ssim, ..other.clone() }, one);
+    }
+    // By hand: the mean over the right half.
+    let set = frame(1, None);
+    let rendered = trainer.render(&set.views[0].camera)?.rgb();
+    let squares: Vec<f64> = set
+        .pixels_of(0)
+        .iter()
+        .zip(&rendered)
+        .filter(|(pixel, _)| pixel[3] == 255)
+        .flat_map(|(pixel, rgb)| [0, 1, 2].map(|c| (f64::from(pixel[c]) / 255.0 - f64::from(rgb[c])).powi(2)))
+        .collect();
+    assert_eq!(squares.len(), 3 * 16 * 8);
+    let by_hand = -10.0 * (squares.iter().sum::<f64>() / squares.len() as f64).log10();
+    assert!((one[0].psnr - by_hand).abs() < 1e-4, "{} is not {by_hand}", one[0].psnr);
+    Ok(())
+}
