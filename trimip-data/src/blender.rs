@@ -177,11 +177,18 @@ fn read_frame(root: &Path, file: &Node<'_>, stated: Size, frame: &Node<'_>, scal
     let value = frame.required("file_path")?;
     let named = value.as_str().ok_or_else(|| frame.unexpected("file_path", "a text", value))?;
     let (rotation, origin) = pose::read(frame, "transform_matrix")?;
+    let size = Size::of(frame)?.or(stated);
     let image = Photograph::open(find_image(root, named, &frame.place)?, frame.place.clone())?;
-    Size::of(frame)?.or(stated).check(&image)?;
+    let image = image.fit(size.width, size.height);
+    size.check(&image)?;
     let intrinsics = intrinsics(file, frame, image.width, image.height)?;
     let camera = Camera { intrinsics, rotation, origin };
-    Source::averaged(stem(named), camera, scales, &frame.place, Pixels::Photograph(image))
+    let source = Source::averaged(stem(named), camera, scales, &frame.place, Pixels::Photograph(image))?;
+    let mask = |value: &serde_json::Value| {
+        let named = value.as_str().ok_or_else(|| frame.unexpected("mask_path", "a text", value))?;
+        Ok(named.to_string())
+    };
+    Ok(Source { mask_path: frame.get("mask_path").map(mask).transpose()?, ..source })
 }
 
 fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: u32) -> Result<Intrinsics> {

@@ -1,15 +1,12 @@
 //! Descriptions of scenes: the few lines that are kept with a run, and the longer report of `data inspect`.
 
 use crate::{
-    lens,
+    lens, masks,
     scene::Survey,
     source::{Source, assemble},
     watch::{Meter, Watch},
 };
-use trimip_core::{
-    Result, ViewSet,
-    config::{Convention, DataConfig},
-};
+use trimip_core::{Alpha, Result, ViewSet, config::DataConfig};
 
 /// The first lines of a run: layout, views, sizes, scales, convention, memory.
 pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet) -> Vec<String> {
@@ -20,11 +17,12 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
         .iter()
         .map(|scale| if scale.factor == 1 { "1".into() } else { format!("1/{}", scale.factor) })
         .collect();
-    let convention = match config.convention {
-        Convention::Public => "straight RGBA means, truncated (public convention)",
-        Convention::Premultiplied => "premultiplied RGBA means, rounded",
+    let convention = match train.alpha {
+        Alpha::Straight => "straight RGBA means, truncated (public convention)",
+        Alpha::Premultiplied => "premultiplied RGBA means, rounded",
+        Alpha::Kept => "means over what masks keep, rounded",
     };
-    vec![
+    let mut lines = vec![
         format!(
             "{}: {}, {} ({}), {} ({})",
             survey.name,
@@ -37,7 +35,9 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
         format!("images {}, {}", sizes(&survey.train), alpha(&survey.train)),
         format!("scale{} {}: {convention}", if factors.len() == 1 { "" } else { "s" }, factors.join(", ")),
         format!("{:.1} MB of training pixels in memory", train.bytes() as f64 / 1e6),
-    ]
+    ];
+    lines.extend(masks::described(&survey.train, train));
+    lines
 }
 
 /// Everything that is known about a scene without training. Progress of reading goes to `watch`.
@@ -46,7 +46,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
 /// As [`open`](crate::open).
 pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, config.convention, &Meter::new(&survey.train, watch))?;
+    let train = assemble(&survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
     let mut lines = description(&survey, config, &train);
     for (name, sources) in [("train", &survey.train), ("test", &survey.test)] {
         let cameras = || sources.iter().filter_map(|source| source.views.first().map(|(_, camera)| camera));
@@ -76,8 +76,12 @@ pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
         let share = |test: &dyn Fn(u8) -> bool| {
             100.0 * pixels.iter().filter(|pixel| test(pixel[3])).count() as f64 / pixels.len().max(1) as f64
         };
+        let [whole, part, none] = match train.alpha {
+            Alpha::Straight | Alpha::Premultiplied => ["opaque", "partly covered", "clear"],
+            Alpha::Kept => ["kept", "partly kept", "masked"],
+        };
         lines.push(format!(
-            "train: {:.1} % of the pixels are opaque, {:.1} % partly covered, {:.1} % clear",
+            "train: {:.1} % of the pixels are {whole}, {:.1} % {part}, {:.1} % {none}",
             share(&|alpha| alpha == 255),
             share(&|alpha| alpha != 0 && alpha != 255),
             share(&|alpha| alpha == 0),
@@ -92,7 +96,8 @@ pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
             scale.weight
         ));
     }
-    lines.extend(survey.warnings.iter().map(|warning| format!("warning: {warning}")));
+    let of_masks = masks::warnings(&survey.train, &train);
+    lines.extend(survey.warnings.iter().chain(&of_masks).map(|warning| format!("warning: {warning}")));
     Ok(lines)
 }
 

@@ -18,9 +18,13 @@
 mod blender;
 pub mod builtin;
 mod describe;
+mod foreign;
 mod json;
 mod lens;
+mod mask;
+mod masks;
 mod multiscale;
+mod orientation;
 mod photograph;
 mod pose;
 pub mod pyramid;

@@ -243,6 +243,8 @@ fn frames(place: &str, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
                 name,
                 views: vec![(level, camera)],
                 halvings: 0,
+                mask: None,
+                mask_path: None,
                 pixels: Pixels::Stored(vec![image]),
             });
             continue;

@@ -1,7 +1,11 @@
 //! Image files: size from the header, pixels as 8-bit RGBA. 16 bits are rounded to the nearest 8, grey is replicated,
 //! palettes are looked up, missing alpha is 1.
 
-use image::{ImageDecoder, ImageReader};
+use crate::{
+    foreign,
+    orientation::{self, Turn},
+};
+use image::{DynamicImage, ImageDecoder, ImageReader, metadata::Orientation};
 use std::{
     fmt::Display,
     fs::{self, File},
@@ -19,16 +23,20 @@ pub(crate) struct Photograph {
     pub(crate) path: PathBuf,
     /// The entry that names the image, for errors: `file: frame 17 (./train/r_17)`.
     pub(crate) place: String,
+    /// Size once it is turned.
     pub(crate) width: u32,
     pub(crate) height: u32,
+    /// Its EXIF orientation, and what follows from it.
+    tag: Orientation,
+    pub(crate) turn: Turn,
     /// True if the file has an alpha channel.
     pub(crate) alpha: bool,
 }
 
 impl Photograph {
-    /// Reads the header of `path`.
+    /// Reads the header of `path`. Its pixels are used as stored, unless [`fit`](Self::fit) turns them.
     pub(crate) fn open(path: PathBuf, place: String) -> Result<Self> {
-        let decoder = reader(&path)
+        let mut decoder = reader(&path)
             .and_then(ImageReader::into_decoder)
             .map_err(|error| undecodable(&place, &path, &error))?;
         let (width, height) = decoder.dimensions();
@@ -40,26 +48,45 @@ impl Photograph {
                 format!("expected at least one and at most {MAX_PIXELS} pixels"),
             ));
         }
-        Ok(Self { path, place, width, height, alpha })
+        let tag = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        let turn = orientation::decide((width, height), tag, None, None);
+        Ok(Self { path, place, width, height, tag, turn, alpha })
+    }
+
+    /// Turns the photograph as its EXIF orientation says if only then it has the stated size, as far as one is stated.
+    pub(crate) fn fit(mut self, width: Option<u32>, height: Option<u32>) -> Self {
+        self.turn = orientation::decide((self.width, self.height), self.tag, width, height);
+        if let Turn::Applied(tag) = self.turn {
+            (self.width, self.height) = orientation::turned((self.width, self.height), tag);
+        }
+        self
     }
 
     /// Decodes to width·height RGBA pixels, row by row.
     pub(crate) fn decode(&self) -> Result<Vec<u8>> {
+        Ok(self.image()?.into_rgba8().into_raw())
+    }
+
+    /// Decodes to width·height pixels of whatever kind.
+    pub(crate) fn image(&self) -> Result<DynamicImage> {
         let wrong = |error: &dyn Display| undecodable(&self.place, &self.path, error);
         let bytes = fs::read(&self.path).map_err(|error| wrong(&error))?;
         // The decoder fills the missing part of a JPEG with grey.
         if is_truncated_jpeg(&bytes) {
             return Err(wrong(&"the file ends before the image does"));
         }
-        let image = ImageReader::new(Cursor::new(bytes))
+        let mut image = ImageReader::new(Cursor::new(bytes))
             .with_guessed_format()
             .map_err(|error| wrong(&error))?
             .decode()
             .map_err(|error| wrong(&error))?;
+        if let Turn::Applied(tag) = self.turn {
+            image.apply_orientation(tag);
+        }
         if (image.width(), image.height()) != (self.width, self.height) {
             return Err(wrong(&"it changed while it was read"));
         }
-        Ok(image.into_rgba8().into_raw())
+        Ok(image)
     }
 }
 
@@ -87,6 +114,10 @@ fn reader(path: &Path) -> image::ImageResult<ImageReader<BufReader<File>>> {
 }
 
 fn undecodable(place: &str, path: &Path, error: &dyn Display) -> Error {
+    if let Some(format) = foreign::of_file(path) {
+        let what = format!("image {} is {}, which is not read", path.display(), format.name);
+        return Error::input(place, what, format.remedy(path));
+    }
     Error::input(
         place,
         format!("image {} cannot be decoded: {error}", path.display()),

@@ -1,7 +1,8 @@
 //! An image at 1, 1/2, 1/4, ..: repeated 2×2 means of RGBA in f32 of value/255. Each level is made from the unrounded
-//! level before it. An odd last row or column is cropped at each level.
+//! level before it. An odd last row or column is cropped at each level. Where alpha is the share of a pixel that counts, colours
+//! are means over these shares.
 
-use trimip_core::config::Convention;
+use trimip_core::{Alpha, config::Convention};
 
 /// `scales` levels of an image of `width` × `height` pixels, stored as `convention` says: straight RGBA truncated to
 /// 8 bits, or premultiplied RGBA rounded to 8 bits. A level without pixels is empty.
@@ -19,39 +20,39 @@ pub fn build(
         })
         .collect();
     let mut slices: Vec<&mut [[u8; 4]]> = levels.iter_mut().map(Vec::as_mut_slice).collect();
-    fill(base, width, height, convention, &mut slices);
+    fill(base, width, height, convention.into(), &mut slices);
     levels
 }
 
-/// [`build`] into given slices; `levels[j]` holds (width >> j)·(height >> j) pixels.
+/// [`build`] of any kind of alpha into given slices; `levels[j]` holds (width >> j)·(height >> j) pixels. Colours of
+/// [`Alpha::Kept`] are rounded, and black where nothing is kept.
 pub(crate) fn fill(
     base: &[[u8; 4]],
     width: usize,
     height: usize,
-    convention: Convention,
+    alpha: Alpha,
     levels: &mut [&mut [[u8; 4]]],
 ) {
     let Some((finest, coarser)) = levels.split_first_mut() else { return };
-    match convention {
-        Convention::Public => finest.copy_from_slice(base),
-        Convention::Premultiplied => {
-            for (stored, &pixel) in finest.iter_mut().zip(base) {
-                *stored = store(premultiplied(pixel), convention);
-            }
+    let unit = |&pixel: &[u8; 4]| match alpha {
+        Alpha::Straight => straight(pixel),
+        Alpha::Premultiplied | Alpha::Kept => premultiplied(pixel),
+    };
+    if alpha == Alpha::Straight {
+        finest.copy_from_slice(base);
+    } else {
+        for (stored, pixel) in finest.iter_mut().zip(base) {
+            *stored = store(unit(pixel), alpha);
         }
     }
-    let unit = |&pixel: &[u8; 4]| match convention {
-        Convention::Public => straight(pixel),
-        Convention::Premultiplied => premultiplied(pixel),
-    };
     let Some((second, coarser)) = coarser.split_first_mut() else { return };
     let mut means = halve(base, width, height, unit);
-    write(&means, second, convention);
+    write(&means, second, alpha);
     let (mut width, mut height) = (width / 2, height / 2);
     for level in coarser {
         means = halve(&means, width, height, |&pixel| pixel);
         (width, height) = (width / 2, height / 2);
-        write(&means, level, convention);
+        write(&means, level, alpha);
     }
 }
 
@@ -70,9 +71,9 @@ fn halve<P>(pixels: &[P], width: usize, height: usize, value: impl Fn(&P) -> [f3
     means
 }
 
-fn write(means: &[[f32; 4]], level: &mut [[u8; 4]], convention: Convention) {
+fn write(means: &[[f32; 4]], level: &mut [[u8; 4]], alpha: Alpha) {
     for (stored, &mean) in level.iter_mut().zip(means) {
-        *stored = store(mean, convention);
+        *stored = store(mean, alpha);
     }
 }
 
@@ -85,10 +86,14 @@ fn premultiplied(pixel: [u8; 4]) -> [f32; 4] {
     [r * a, g * a, b * a, a]
 }
 
-fn store(pixel: [f32; 4], convention: Convention) -> [u8; 4] {
-    match convention {
-        Convention::Public => pixel.map(|value| (255.0 * value) as u8),
-        Convention::Premultiplied => pixel.map(|value| (255.0 * value).round() as u8),
+fn store(pixel: [f32; 4], alpha: Alpha) -> [u8; 4] {
+    let rounded = |pixel: [f32; 4]| pixel.map(|value| (255.0 * value).round() as u8);
+    let [r, g, b, kept] = pixel;
+    match alpha {
+        Alpha::Straight => pixel.map(|value| (255.0 * value) as u8),
+        Alpha::Premultiplied => rounded(pixel),
+        Alpha::Kept if kept > 0.0 => rounded([r / kept, g / kept, b / kept, kept]),
+        Alpha::Kept => [0; 4],
     }
 }
 
@@ -101,8 +106,33 @@ mod tests {
     fn truncation_and_rounding_keep_every_byte_of_the_finest_level() {
         for byte in 0..=255_u8 {
             let pixel = [byte; 4];
-            assert_eq!(store(straight(pixel), Convention::Public), pixel);
-            assert_eq!(store(straight(pixel), Convention::Premultiplied), pixel);
+            assert_eq!(store(straight(pixel), Alpha::Straight), pixel);
+            assert_eq!(store(straight(pixel), Alpha::Premultiplied), pixel);
+            for share in 1..=255 {
+                let pixel = [byte, 0, 255, share];
+                assert_eq!(store(premultiplied(pixel), Alpha::Kept), pixel);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_not_kept_has_no_part_in_any_level() {
+        let kept = |i: usize| [200, 10 * i as u8, 0, 255];
+        let levels = |garbage: [u8; 4]| {
+            // The first row of blocks: one pixel kept, then none; below them all four, then two.
+            let base: Vec<[u8; 4]> = (0..16)
+                .map(|i| if [0, 8, 9, 12, 13, 10, 15].contains(&i) { kept(i) } else { garbage })
+                .collect();
+            let mut levels = [vec![[9; 4]; 16], vec![[9; 4]; 4], vec![[9; 4]; 1]];
+            fill(&base, 4, 4, Alpha::Kept, &mut levels.each_mut().map(Vec::as_mut_slice));
+            levels
+        };
+        let found = levels([0; 4]);
+        assert_eq!(found[1], [[200, 0, 0, 64], [0; 4], [200, 105, 0, 255], [200, 125, 0, 128]]);
+        // 670/7 = 95.7 of the seven kept pixels, which are 7/16 of all.
+        assert_eq!(found[2], [[200, 96, 0, 112]]);
+        for garbage in [[255, 255, 255, 0], [1, 2, 3, 0]] {
+            assert_eq!(levels(garbage), found);
         }
     }
 

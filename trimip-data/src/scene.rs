@@ -2,14 +2,15 @@
 
 use crate::{
     blender::{self, Split},
-    builtin, describe,
+    builtin, describe, masks,
     multiscale::{METADATA, Metadata},
+    orientation,
     source::{FrameList, Source, assemble},
     watch::{Meter, Watch, unwatched},
 };
 use std::path::Path;
 use trimip_core::{
-    Camera, Error, Frames, Intrinsics, Result, ViewSet,
+    Alpha, Camera, Error, Frames, Intrinsics, Result, ViewSet,
     config::{Convention, DataConfig, Format},
     scene_plan::StatedBox,
 };
@@ -62,14 +63,15 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
 /// As [`open`].
 pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, config.convention, &Meter::new(&survey.train, watch))?;
+    let train = assemble(&survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
     let description = describe::description(&survey, config, &train);
+    let of_masks = masks::warnings(&survey.train, &train);
     Ok(Scene {
         name: survey.name,
         train,
-        test: frames(survey.test, config),
+        test: frames(survey.test, survey.alpha),
         stated: survey.stated,
-        warnings: survey.warnings,
+        warnings: [survey.warnings, of_masks].concat(),
         description,
     })
 }
@@ -80,18 +82,18 @@ pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
 /// # Errors
 /// As [`open`]; of kind `Input` if there is no test frame.
 pub fn open_test(config: &DataConfig) -> Result<TestSet> {
-    let Survey { name, train, test, warnings, .. } = Survey::new(config)?;
+    let Survey { name, train, test, warnings, alpha, .. } = Survey::new(config)?;
     if test.is_empty() {
         let named = format!("data.test = \"{}\"", config.test);
         return Err(Error::input(named, "the test split holds no view", "name another data.test"));
     }
     let train = train.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect();
-    Ok(TestSet { name, frames: frames(test, config), train, warnings })
+    Ok(TestSet { name, frames: frames(test, alpha), train, warnings })
 }
 
 /// Frames that are decoded or rendered on request.
-fn frames(sources: Vec<Source>, config: &DataConfig) -> Box<dyn Frames> {
-    Box::new(FrameList { sources, convention: config.convention })
+fn frames(sources: Vec<Source>, alpha: Alpha) -> Box<dyn Frames> {
+    Box::new(FrameList { sources, alpha })
 }
 
 /// Reads a split by name.
@@ -108,6 +110,8 @@ pub(crate) struct Survey {
     pub(crate) test: Vec<Source>,
     pub(crate) warnings: Vec<String>,
     pub(crate) stated: Option<StatedBox>,
+    /// What alpha is in all views.
+    pub(crate) alpha: Alpha,
 }
 
 impl Survey {
@@ -177,12 +181,16 @@ impl Survey {
             train.iter_mut().chain(&mut test).for_each(Source::straighten);
         }
         warnings.extend(blind(train.iter().chain(&test)));
-        warnings.extend(alpha_warning(&train));
+        let alpha = masks::find(config, &mut train.iter_mut().chain(&mut test).collect::<Vec<_>>())?;
+        let all: Vec<&Source> = train.iter().chain(&test).collect();
+        warnings.extend(masks::missing(config, &all));
+        warnings.extend(orientation::warning(all.into_iter()));
+        warnings.extend(alpha_warning(&train, alpha));
         let mut seen = std::collections::HashSet::new();
         warnings.retain(|warning| seen.insert(warning.clone()));
         drop(read);
         let (train, test) = shrink(train, test, config, &mut warnings);
-        Ok(Self { name, layout, train_splits, train, test, warnings, stated })
+        Ok(Self { name, layout, train_splits, train, test, warnings, stated, alpha })
     }
 }
 
@@ -313,9 +321,11 @@ fn folder_name(root: &Path) -> String {
 }
 
 /// A warning for photographs without a mask: they show surroundings outside the bounding box.
-fn alpha_warning(train: &[Source]) -> Option<String> {
-    let files = || train.iter().flat_map(|source| source.files());
-    let (total, masked) = (files().count(), files().filter(|file| file.alpha).count());
+fn alpha_warning(train: &[Source], alpha: Alpha) -> Option<String> {
+    let silhouette = |source: &Source| alpha.is_opacity() && source.mask.is_some();
+    let files = || train.iter().flat_map(|source| source.files().iter().map(move |file| (source, file)));
+    let masked = files().filter(|(source, file)| file.alpha || silhouette(source)).count();
+    let total = files().count();
     (masked < total).then(|| {
         format!(
             "{} of {total} training images {} no alpha: all that is seen is taken for the object; mask what lies \

@@ -2,14 +2,15 @@
 //! and filled in parallel. Training views and single test frames use the same code.
 
 use crate::{
-    builtin,
+    builtin, foreign,
+    mask::Mask,
     photograph::Photograph,
     pyramid,
     watch::{Meter, unwatched},
 };
 use rayon::prelude::*;
 use std::path::Path;
-use trimip_core::config::{Convention, Finish};
+use trimip_core::config::Finish;
 use trimip_core::{Alpha, Camera, Error, Frames, Lens, Result, Scale, View, ViewSet};
 
 /// One frame: a camera per scale, and the source of its pixels.
@@ -21,6 +22,10 @@ pub(crate) struct Source {
     /// How many times the photograph is halved before its first view.
     pub(crate) halvings: u32,
     pub(crate) pixels: Pixels,
+    /// The mask of its photograph, once it is found.
+    pub(crate) mask: Option<Mask>,
+    /// The mask that its entry states.
+    pub(crate) mask_path: Option<String>,
 }
 
 /// The source of a frame's pixels.
@@ -63,7 +68,7 @@ impl Source {
         let views = (0..scales)
             .map(|level| (level, Camera { intrinsics: camera.intrinsics.reduced(level), ..camera }))
             .collect();
-        Ok(Self { name, views, halvings: 0, pixels })
+        Ok(Self { name, views, halvings: 0, pixels, mask: None, mask_path: None })
     }
 
     /// Number of pixels of all its views.
@@ -112,13 +117,33 @@ impl Source {
         }
     }
 
+    /// The pixels of its photograph, RGBA, with its mask as `alpha` says.
+    fn masked(&self, file: &Photograph, alpha: Alpha) -> Result<Vec<u8>> {
+        let mut pixels = file.decode()?;
+        let (all, _) = pixels.as_chunks_mut();
+        if !alpha.is_opacity() && all.iter().any(|pixel| pixel[3] < 255) {
+            return Err(Error::input(
+                &file.place,
+                format!(
+                    "image {} has transparent pixels, and masks say what is to be ignored: alpha cannot mean both",
+                    file.path.display()
+                ),
+                "set data.mask_role = \"object\" or data.masks = \"none\"",
+            ));
+        }
+        if let Some(mask) = &self.mask {
+            mask.apply(all)?;
+        }
+        Ok(pixels)
+    }
+
     /// Writes the pixels of each view to its slice.
-    fn fill(&self, convention: Convention, slots: &mut [&mut [[u8; 4]]], meter: &Meter<'_>) -> Result<()> {
+    fn fill(&self, alpha: Alpha, slots: &mut [&mut [[u8; 4]]], meter: &Meter<'_>) -> Result<()> {
         let Some((_, camera)) = self.views.first() else { return Ok(()) };
         let size = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
         match &self.pixels {
             Pixels::Photograph(file) => {
-                let pixels = file.decode()?;
+                let pixels = self.masked(file, alpha)?;
                 let (width, height) = (file.width as usize, file.height as usize);
                 // Levels finer than the first view are computed and dropped.
                 let mut above: Vec<Vec<[u8; 4]>> = (0..self.halvings)
@@ -126,12 +151,12 @@ impl Source {
                     .collect();
                 let mut levels: Vec<&mut [[u8; 4]]> = above.iter_mut().map(Vec::as_mut_slice).collect();
                 levels.extend(slots.iter_mut().map(|slot| &mut **slot));
-                pyramid::fill(pixels.as_chunks().0, width, height, convention, &mut levels);
+                pyramid::fill(pixels.as_chunks().0, width, height, alpha, &mut levels);
                 meter.add(self.rows());
             }
             Pixels::Rendered { supersampling, finish } => {
                 let pixels = builtin::render(camera, *supersampling, *finish, &|| meter.add(1));
-                pyramid::fill(&pixels, size.0, size.1, convention, slots);
+                pyramid::fill(&pixels, size.0, size.1, alpha, slots);
             }
             Pixels::Stored(files) => {
                 for (file, slot) in files.iter().zip(slots) {
@@ -145,7 +170,7 @@ impl Source {
 }
 
 /// All views of `sources`, sorted by scale, then by frame; `meter` counts their rows.
-pub(crate) fn assemble(sources: &[Source], convention: Convention, meter: &Meter<'_>) -> Result<ViewSet> {
+pub(crate) fn assemble(sources: &[Source], alpha: Alpha, meter: &Meter<'_>) -> Result<ViewSet> {
     let mut levels: Vec<u32> =
         sources.iter().flat_map(|source| source.views.iter().map(|(level, _)| *level)).collect();
     levels.sort_unstable();
@@ -184,11 +209,11 @@ pub(crate) fn assemble(sources: &[Source], convention: Convention, meter: &Meter
     let failure = sources
         .par_iter()
         .zip(slots)
-        .map(|(source, mut slots)| source.fill(convention, &mut slots, meter))
+        .map(|(source, mut slots)| source.fill(alpha, &mut slots, meter))
         .find_map_first(Result::err);
     match failure {
         Some(error) => Err(error),
-        None => Ok(ViewSet { views, pixels, alpha: Alpha::from(convention), scales }),
+        None => Ok(ViewSet { views, pixels, alpha, scales }),
     }
 }
 
@@ -203,7 +228,7 @@ fn too_large() -> Error {
 /// Frames decoded one at a time.
 pub(crate) struct FrameList {
     pub(crate) sources: Vec<Source>,
-    pub(crate) convention: Convention,
+    pub(crate) alpha: Alpha,
 }
 
 impl Frames for FrameList {
@@ -219,7 +244,7 @@ impl Frames for FrameList {
         let source = self.sources.get(index..=index).ok_or_else(|| {
             Error::run(format!("there is no frame {index}: there are {}", self.sources.len()))
         })?;
-        assemble(source, self.convention, &Meter::new(source, &unwatched))
+        assemble(source, self.alpha, &Meter::new(source, &unwatched))
     }
 }
 
@@ -237,6 +262,16 @@ pub(crate) fn find_image(root: &Path, named: &str, place: &str) -> Result<std::p
     let candidates = ["", ".png", ".jpg", ".jpeg"].map(|extension| root.join(format!("{named}{extension}")));
     if let Some(path) = candidates.iter().find(|path| path.is_file()) {
         return Ok(path.clone());
+    }
+    let known = candidates.iter().find_map(|path| foreign::beside(path));
+    if let Some((path, format)) = known {
+        let what = format!(
+            "image {} does not exist; {} beside it is {}, which is not read",
+            candidates[0].display(),
+            path.display(),
+            format.name
+        );
+        return Err(Error::input(place, what, format.remedy(&path)));
     }
     let has_extension = [".png", ".jpg", ".jpeg"].iter().any(|end| named.to_lowercase().ends_with(end));
     let tried = if has_extension { "" } else { " (nor with .png, .jpg or .jpeg added)" };

@@ -18,7 +18,7 @@ use std::{
     path::{Path, PathBuf},
 };
 use trimip_core::{
-    Camera, Error, Intrinsics, Result,
+    Alpha, Camera, Error, Intrinsics, Result,
     config::{Convention, DataConfig, Format},
 };
 
@@ -67,6 +67,13 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
     }
     // The set contains all frames, including those held out of training.
     let survey = Survey::new(&DataConfig { holdout: 0, ..config.clone() })?;
+    if !survey.alpha.is_opacity() {
+        return Err(Error::input(
+            "data.mask_role",
+            "the multi-scale layout has no place for masks of what is to be ignored",
+            "set it to \"object\", or data.masks to \"none\"",
+        ));
+    }
     refuse_existing(&folder.join(METADATA))?;
     let mut splits: Vec<(&str, &[Source])> = Vec::new();
     let mut rest = survey.train.as_slice();
@@ -84,7 +91,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
     for (split, sources) in splits {
         create_folder(&folder.join(format!("images_{split}")))?;
         let written = map_in_order(sources, |index, source| {
-            let set = assemble(std::slice::from_ref(source), config.convention, &meter)?;
+            let set = assemble(std::slice::from_ref(source), survey.alpha, &meter)?;
             let mut bytes = 0;
             for view in 0..set.views.len() {
                 let path = folder.join(image_path(split, index, source.views[view].0));
@@ -174,7 +181,7 @@ pub fn write_builtin(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Re
     for (split, sources) in splits {
         create_folder(&folder.join(split))?;
         let bytes = map_in_order(&sources, |_, source| {
-            let set = assemble(std::slice::from_ref(source), Convention::Public, &meter)?;
+            let set = assemble(std::slice::from_ref(source), Alpha::Straight, &meter)?;
             let path = folder.join(split).join(format!("{}.png", source.name));
             save(&path, set.pixels_of(0), &set.views[0].camera.intrinsics)
         })?;

@@ -44,6 +44,28 @@ choice!(
     }
 );
 choice!(
+    /// The colour of a mask that marks what is kept.
+    MaskKeeps {
+        /// White, except in Instant-NGP's `dynamic_mask_*`.
+        Auto,
+        /// White.
+        White,
+        /// Black.
+        Black,
+    }
+);
+choice!(
+    /// What a mask tells of the pixels that it does not keep.
+    MaskRole {
+        /// Empty space for masks of a folder, nothing for `mask_path` and `dynamic_mask_*`.
+        Auto,
+        /// They show empty space: the mask is the photograph's alpha.
+        Object,
+        /// Nothing is known of them: they are neither trained nor evaluated.
+        Ignore,
+    }
+);
+choice!(
     /// The renderers by name.
     RendererKind {
         /// Ray marching in uniform steps, and volume rendering.

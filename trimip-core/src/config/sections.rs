@@ -1,8 +1,8 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    Contraction, Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays, Photographs,
-    PlanChoice, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
+    Contraction, Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays, MaskKeeps,
+    MaskRole, Photographs, PlanChoice, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -30,7 +30,7 @@ pub(super) use section;
 section!(
     /// Where the photographs are and how they are read.
     DataConfig, "data" {
-        root: String, format: Format, train: Vec<String>, test: String, holdout: u32, lens: bool, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
+        root: String, format: Format, train: Vec<String>, test: String, holdout: u32, lens: bool, masks: String, mask_keeps: MaskKeeps, mask_role: MaskRole, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
         builtin_finish: Finish, most_pixels: f64,
     }

@@ -1,0 +1,144 @@
+//! Photographs in formats that are not read: told by their first bytes, or by the ends of their names, with what converts
+//! them to PNG or JPEG.
+
+use std::{
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
+
+/// A format that is not read.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Foreign {
+    /// Its name with its article.
+    pub(crate) name: &'static str,
+    /// Ends of file names, in lower case.
+    extensions: &'static [&'static str],
+    /// The command that converts; `IN` and `OUT` stand for the file and for its name without extension.
+    command: &'static str,
+}
+
+const HEIC: Foreign = Foreign {
+    name: "a HEIC image",
+    extensions: &["heic", "heif", "hif"],
+    command: "heif-convert IN OUT.png",
+};
+const AVIF: Foreign =
+    Foreign { name: "an AVIF image", extensions: &["avif"], command: "ffmpeg -i IN OUT.png" };
+const RAW: Foreign = Foreign {
+    name: "a camera's raw image",
+    extensions: &["cr2", "cr3", "nef", "dng", "arw", "orf", "rw2", "raf"],
+    command: "darktable-cli IN OUT.png",
+};
+const WEBP: Foreign = Foreign { name: "a WebP image", extensions: &["webp"], command: "magick IN OUT.png" };
+const TIFF: Foreign =
+    Foreign { name: "a TIFF image", extensions: &["tif", "tiff"], command: "magick IN OUT.png" };
+const BMP: Foreign = Foreign { name: "a BMP image", extensions: &["bmp"], command: "magick IN OUT.png" };
+const GIF: Foreign = Foreign { name: "a GIF image", extensions: &["gif"], command: "magick IN OUT.png" };
+const JXL: Foreign = Foreign { name: "a JPEG XL image", extensions: &["jxl"], command: "djxl IN OUT.png" };
+
+const ALL: [&Foreign; 8] = [&HEIC, &AVIF, &RAW, &WEBP, &TIFF, &BMP, &GIF, &JXL];
+
+impl Foreign {
+    /// What to do with such a file.
+    pub(crate) fn remedy(&self, path: &Path) -> String {
+        let shown = |path: &Path| path.display().to_string();
+        let command =
+            self.command.replace("IN", &shown(path)).replace("OUT", &shown(&path.with_extension("")));
+        format!("convert it and all like it to PNG or JPEG of the same size, e.g. {command}, and name those")
+    }
+}
+
+/// The format of a file, if it is one that is not read.
+pub(crate) fn of_file(path: &Path) -> Option<&'static Foreign> {
+    let mut head = [0; 16];
+    let length = File::open(path).and_then(|mut file| file.read(&mut head)).unwrap_or(0);
+    let by_name = of_name(path);
+    match of_content(&head[..length]) {
+        // Raw images of most cameras are TIFF files.
+        Some(&TIFF) if by_name == Some(&RAW) => by_name,
+        found => found.or(by_name),
+    }
+}
+
+/// The file of another format that lies where `path` is missing: the same name but for the extension.
+pub(crate) fn beside(path: &Path) -> Option<(PathBuf, &'static Foreign)> {
+    let (named, stem) = (path.file_name()?, path.file_stem()?);
+    let mut found: Vec<_> = path
+        .parent()?
+        .read_dir()
+        .ok()?
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|other| other.file_stem().is_some_and(|other| other == stem || other == named))
+        .filter_map(|other| of_name(&other).map(|format| (other, format)))
+        .collect();
+    found.sort_by(|a, b| a.0.cmp(&b.0));
+    found.into_iter().next()
+}
+
+fn of_name(path: &Path) -> Option<&'static Foreign> {
+    let extension = path.extension()?.to_str()?.to_lowercase();
+    ALL.into_iter().find(|format| format.extensions.contains(&extension.as_str()))
+}
+
+/// The format by the first bytes of a file.
+fn of_content(head: &[u8]) -> Option<&'static Foreign> {
+    // ISO base media files state their brand behind the type of their first box.
+    if head.get(4..8) == Some(b"ftyp") {
+        return match head.get(8..12)? {
+            b"avif" | b"avis" => Some(&AVIF),
+            b"crx " => Some(&RAW),
+            b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"hevx" | b"mif1" | b"msf1" => Some(&HEIC),
+            _ => None,
+        };
+    }
+    if head.starts_with(b"RIFF") && head.get(8..12) == Some(b"WEBP") {
+        return Some(&WEBP);
+    }
+    let starts: [(&[u8], &'static Foreign); 8] = [
+        (b"II*\0", &TIFF),
+        (b"MM\0*", &TIFF),
+        (b"FUJIFILMCCD-RAW", &RAW),
+        (b"IIRO", &RAW),
+        (b"BM", &BMP),
+        (b"GIF8", &GIF),
+        (b"\xff\x0a", &JXL),
+        (b"\0\0\0\x0cJXL ", &JXL),
+    ];
+    starts.into_iter().find(|(start, _)| head.starts_with(start)).map(|(_, format)| format)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn formats_are_told_by_content_and_then_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let cases: [(&str, &[u8], Option<&Foreign>); 9] = [
+            ("a.png", b"\0\0\0\x18ftypheic\0\0\0\0", Some(&HEIC)),
+            ("b.png", b"\0\0\0\x18ftypavif\0\0\0\0", Some(&AVIF)),
+            ("c.png", b"RIFF\x10\0\0\0WEBPVP8 ", Some(&WEBP)),
+            ("d.nef", b"MM\0*\0\0\0\x08", Some(&RAW)),
+            ("e.jpg", b"II*\0\x08\0\0\0", Some(&TIFF)),
+            ("f.HEIF", b"", Some(&HEIC)),
+            ("g.gif", b"GIF89a", Some(&GIF)),
+            ("h.png", b"\x89PNG\r\n\x1a\n", None),
+            ("i.jpg", b"\xff\xd8\xff", None),
+        ];
+        for (name, bytes, expected) in cases {
+            let path = folder.path().join(name);
+            fs::write(&path, bytes).unwrap();
+            assert_eq!(of_file(&path), expected, "{name}");
+        }
+        let found = |name: &str| beside(&folder.path().join(name)).map(|(path, _)| path);
+        assert_eq!(found("f.jpg"), Some(folder.path().join("f.HEIF")));
+        assert_eq!(found("d"), Some(folder.path().join("d.nef")));
+        assert_eq!((found("h.jpg"), found("x.png")), (None, None));
+        assert_eq!(of_file(&folder.path().join("nowhere.png")), None);
+        let remedy = HEIC.remedy(Path::new("images/a.heic"));
+        assert!(remedy.contains("heif-convert images/a.heic images/a.png"), "{remedy}");
+    }
+}

@@ -1,0 +1,147 @@
+//! One mask: a picture of the size of its photograph that says which pixels are kept. Grey is its brightest channel; a
+//! mask of one colour has its shape in alpha. Shares are 8-bit: 255 is kept whole.
+
+use crate::photograph::Photograph;
+use image::DynamicImage;
+use std::path::PathBuf;
+use trimip_core::{Error, Result};
+
+/// What is not kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Role {
+    /// Empty space: the mask is the photograph's alpha.
+    Object,
+    /// Unknown: it is neither trained nor evaluated.
+    Ignore,
+}
+
+/// A mask of a photograph.
+#[derive(Debug)]
+pub(crate) struct Mask {
+    file: Photograph,
+    /// True if white marks what is kept, otherwise black does.
+    white: bool,
+    role: Role,
+}
+
+impl Mask {
+    /// The mask in a file.
+    ///
+    /// # Errors
+    /// If it is no image, or not of the size of `photograph`.
+    pub(crate) fn open(path: PathBuf, photograph: &Photograph, white: bool, role: Role) -> Result<Self> {
+        let file = Photograph::open(path, photograph.place.clone())?;
+        if (file.width, file.height) != (photograph.width, photograph.height) {
+            return Err(Error::input(
+                &photograph.place,
+                format!(
+                    "mask {} is {}x{} pixels, image {} {}x{}",
+                    file.path.display(),
+                    file.width,
+                    file.height,
+                    photograph.path.display(),
+                    photograph.width,
+                    photograph.height
+                ),
+                "make masks of the photographs' size, or set data.masks = \"none\"",
+            ));
+        }
+        Ok(Self { file, white, role })
+    }
+
+    pub(crate) fn path(&self) -> &std::path::Path {
+        &self.file.path
+    }
+
+    pub(crate) fn role(&self) -> Role {
+        self.role
+    }
+
+    /// True if white marks what is kept.
+    pub(crate) fn keeps_white(&self) -> bool {
+        self.white
+    }
+
+    /// Puts the mask into the alpha of straight pixels, row by row. Pixels of which nothing is kept lose their colour: it
+    /// is the background's, and would count in means of straight colours.
+    ///
+    /// # Errors
+    /// If the mask cannot be decoded.
+    pub(crate) fn apply(&self, pixels: &mut [[u8; 4]]) -> Result<()> {
+        let shares = shares(self.file.image()?, self.white, self.role);
+        for (pixel, share) in pixels.iter_mut().zip(shares) {
+            let alpha = (u32::from(pixel[3]) * u32::from(share) + 127) / 255;
+            *pixel = if share == 0 { [0; 4] } else { [pixel[0], pixel[1], pixel[2], alpha as u8] };
+        }
+        Ok(())
+    }
+}
+
+/// The kept share of each pixel of a mask.
+fn shares(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
+    let transparent = image.color().has_alpha();
+    let rgba = image.into_rgba16().into_raw();
+    let pixels = rgba.as_chunks::<4>().0;
+    let same = |values: &dyn Fn(&[u16; 4]) -> [u16; 3]| {
+        pixels.first().is_none_or(|first| pixels.iter().all(|pixel| values(pixel) == values(first)))
+    };
+    let shape_in_alpha =
+        transparent && same(&|&[r, g, b, _]| [r, g, b]) && !same(&|&[.., alpha]| [alpha, 0, 0]);
+    let grey = |&[r, g, b, alpha]: &[u16; 4]| if shape_in_alpha { alpha } else { r.max(g).max(b) };
+    // Masks of two values may have any number for white: 1, 128, 255.
+    let most = pixels.iter().map(grey).max().unwrap_or(0);
+    let two_values = pixels.iter().map(grey).all(|value| value == 0 || value == most);
+    let share = |value: u16| match value {
+        0 => 0,
+        _ if two_values || role == Role::Ignore => 255,
+        _ => ((u32::from(value) + 128) / 257) as u8,
+    };
+    pixels.iter().map(|pixel| if white { share(grey(pixel)) } else { 255 - share(grey(pixel)) }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::{ImageBuffer, Luma, LumaA, Rgb, Rgba};
+
+    fn of<P: image::Pixel + 'static>(pixels: [P; 4], white: bool, role: Role) -> Vec<u8>
+    where
+        DynamicImage: From<ImageBuffer<P, Vec<P::Subpixel>>>,
+    {
+        shares(ImageBuffer::from_fn(4, 1, |x, _| pixels[x as usize]).into(), white, role)
+    }
+
+    #[test]
+    fn every_kind_of_picture_is_a_mask() {
+        let grey = [0_u8, 255, 0, 255];
+        let expected = [0, 255, 0, 255];
+        let both = [Role::Object, Role::Ignore];
+        for role in both {
+            assert_eq!(of(grey.map(|v| Luma([v])), true, role), expected);
+            assert_eq!(of(grey.map(|v| Luma([u16::from(v) * 257])), true, role), expected);
+            assert_eq!(of(grey.map(|v| Rgb([v, 0, 0])), true, role), expected);
+            assert_eq!(of(grey.map(|v| Rgba([v, v, v, 9])), true, role), expected);
+            assert_eq!(
+                of(grey.map(|v| LumaA([255, v])), true, role),
+                expected,
+                "one colour: alpha is the shape"
+            );
+            assert_eq!(of([0_u8, 1, 0, 1].map(|v| Luma([v])), true, role), expected, "labels 0 and 1");
+            assert_eq!(of([0_u16, 1, 0, 1].map(|v| Luma([v])), true, role), expected, "labels of 16 bits");
+            assert_eq!(of(grey.map(|v| Luma([v])), false, role), [255, 0, 255, 0], "black keeps");
+            // A picture of one colour that is opaque keeps all or nothing by its colour.
+            assert_eq!(of([Rgba([0_u8, 0, 0, 255]); 4], true, role), [0; 4]);
+            assert_eq!(of([Rgba([255_u8, 255, 255, 255]); 4], true, role), [255; 4]);
+        }
+    }
+
+    #[test]
+    fn soft_edges_are_opacity_of_objects_and_a_part_of_what_is_marked() {
+        let soft = [0_u8, 1, 128, 255].map(|v| Luma([v]));
+        assert_eq!(of(soft, true, Role::Object), [0, 1, 128, 255]);
+        assert_eq!(of(soft, false, Role::Object), [255, 254, 127, 0]);
+        // Any other value than black is white, in nerfstudio's masks and in Instant-NGP's.
+        assert_eq!(of(soft, true, Role::Ignore), [0, 255, 255, 255]);
+        assert_eq!(of(soft, false, Role::Ignore), [255, 0, 0, 0]);
+    }
+}

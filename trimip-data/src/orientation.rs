@@ -1,0 +1,74 @@
+//! EXIF orientation: whether a photograph's cameras are for its pixels as stored, or turned as its tag says. The stated size
+//! decides; where it does not, pixels are used as stored, as COLMAP, nerfstudio and Instant-NGP do.
+
+use crate::source::Source;
+use image::metadata::Orientation;
+
+/// What is known about the orientation of a photograph.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Turn {
+    /// There is no tag, or the stated size excludes what it asks for.
+    Stored,
+    /// There is a tag, and no size tells whether the cameras know it. It is not applied.
+    Doubtful,
+    /// The stated size is that of the turned photograph: the tag is applied.
+    Applied(Orientation),
+}
+
+/// The rule, for a photograph of `stored` pixels with a tag: of a size of which `width` and `height` are stated.
+pub(crate) fn decide(stored: (u32, u32), tag: Orientation, width: Option<u32>, height: Option<u32>) -> Turn {
+    let fits =
+        |(w, h): (u32, u32)| width.is_none_or(|width| width == w) && height.is_none_or(|height| height == h);
+    match (tag, fits(stored), fits(turned(stored, tag))) {
+        (Orientation::NoTransforms, ..) | (_, true, false) | (_, false, false) => Turn::Stored,
+        (_, true, true) => Turn::Doubtful,
+        (_, false, true) => Turn::Applied(tag),
+    }
+}
+
+/// Size of a photograph once it is turned.
+pub(crate) fn turned((width, height): (u32, u32), tag: Orientation) -> (u32, u32) {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    match tag {
+        Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH => (height, width),
+        _ => (width, height),
+    }
+}
+
+/// A warning if photographs have a tag that was not applied and may be meant.
+pub(crate) fn warning<'a>(sources: impl Iterator<Item = &'a Source>) -> Option<String> {
+    let mut doubtful = sources.flat_map(Source::files).filter(|file| file.turn == Turn::Doubtful);
+    let first = doubtful.next()?;
+    let count = 1 + doubtful.count();
+    Some(format!(
+        "{count} photographs, the first {}, have an EXIF orientation that is not applied, as no stated size asks for it; if \
+         their cameras are for the turned ones, turn the pixels (magick mogrify -auto-orient) or state w and h",
+        first.path.display()
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Orientation::{FlipHorizontal, NoTransforms, Rotate90, Rotate180};
+
+    #[test]
+    fn the_stated_size_decides() {
+        let stored = (40, 30);
+        let cases = [
+            (NoTransforms, (None, None), Turn::Stored),
+            (NoTransforms, (Some(30), Some(40)), Turn::Stored),
+            (Rotate90, (Some(40), Some(30)), Turn::Stored),
+            (Rotate90, (Some(30), Some(40)), Turn::Applied(Rotate90)),
+            (Rotate90, (Some(30), None), Turn::Applied(Rotate90)),
+            (Rotate90, (None, None), Turn::Doubtful),
+            (Rotate90, (Some(50), Some(40)), Turn::Stored),
+            (Rotate180, (Some(40), Some(30)), Turn::Doubtful),
+            (FlipHorizontal, (None, None), Turn::Doubtful),
+        ];
+        for (tag, (width, height), expected) in cases {
+            assert_eq!(decide(stored, tag, width, height), expected, "{tag:?} {width:?} {height:?}");
+        }
+        assert_eq!(decide((30, 30), Rotate90, Some(30), Some(30)), Turn::Doubtful, "a square tells nothing");
+    }
+}
