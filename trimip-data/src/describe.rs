@@ -24,7 +24,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
         Convention::Public => "straight RGBA means, truncated (public convention)",
         Convention::Premultiplied => "premultiplied RGBA means, rounded",
     };
-    vec![
+    let mut lines = vec![
         format!(
             "{}: {}, {} ({}), {} ({})",
             survey.name,
@@ -37,7 +37,9 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
         format!("images {}, {}", sizes(&survey.train), alpha(&survey.train)),
         format!("scale{} {}: {convention}", if factors.len() == 1 { "" } else { "s" }, factors.join(", ")),
         format!("{:.1} MB of training pixels in memory", train.bytes() as f64 / 1e6),
-    ]
+    ];
+    lines.extend(survey.notes.iter().cloned());
+    lines
 }
 
 /// Everything that is known about a scene without training. Progress of reading goes to `watch`.
