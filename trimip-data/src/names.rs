@@ -26,7 +26,8 @@ pub(crate) fn stem(named: &str) -> String {
     key.rsplit('/').next().unwrap_or(&key).to_string()
 }
 
-/// A name for the pictures of each image: its stem, its whole path where stems are shared, with a number where these are.
+/// A name for the pictures of each image: its stem; where stems are shared, its path below the folder of all images, with a
+/// number where these are shared too.
 pub(crate) fn unique<T: AsRef<str>>(images: &[T]) -> Vec<String> {
     let stems: Vec<String> = images.iter().map(|image| stem(image.as_ref())).collect();
     let mut counts: HashMap<&str, usize> = HashMap::new();
@@ -34,11 +35,12 @@ pub(crate) fn unique<T: AsRef<str>>(images: &[T]) -> Vec<String> {
     if counts.values().all(|count| *count == 1) {
         return stems;
     }
+    let keys: Vec<String> = images.iter().map(|image| key(image.as_ref())).collect();
+    let shared = shared_folder(&keys);
     let mut used: HashMap<String, usize> = HashMap::new();
-    images
-        .iter()
-        .map(|image| {
-            let path = key(image.as_ref()).replace('/', "_");
+    keys.iter()
+        .map(|key| {
+            let path = key[shared..].replace('/', "_");
             let mut name = path.clone();
             while let Some(count) = used.get_mut(&name) {
                 *count += 1;
@@ -48,6 +50,13 @@ pub(crate) fn unique<T: AsRef<str>>(images: &[T]) -> Vec<String> {
             name
         })
         .collect()
+}
+
+/// Length of the folder, with its last slash, in which all paths lie.
+fn shared_folder(keys: &[String]) -> usize {
+    let Some((first, others)) = keys.split_first() else { return 0 };
+    let ends = first.match_indices('/').map(|(at, _)| at + 1);
+    ends.take_while(|&end| others.iter().all(|key| key.starts_with(&first[..end]))).last().unwrap_or(0)
 }
 
 /// Finds images by what people write for them.
@@ -104,6 +113,7 @@ mod tests {
     fn names_are_short_where_they_can_be_and_unique_everywhere() {
         assert_eq!(unique(&["images/0001.jpg", "./images\\0002.png", "b"]), ["0001", "0002", "b"]);
         assert_eq!(unique(&["a/1.jpg", "b/1.jpg", "b/2.jpg"]), ["a_1", "b_1", "b_2"]);
+        assert_eq!(unique(&["in/a/1.jpg", "in/b/1.jpg", "in/2.jpg"]), ["a_1", "b_1", "2"]);
         for hard in [&["a/1.jpg", "a/1.png", "a_1.png"][..], &["x", "x", "x", "x_2", "x_3"], &["", ""]] {
             let mut names = unique(hard);
             names.sort();
