@@ -6,7 +6,7 @@ mod common;
 
 use common::{
     colmap::{FILES, capture},
-    frame, save_image, settings, write,
+    frame, save_image, settings, shared, write,
 };
 use proptest::{prelude::*, sample::Index, test_runner::TestRunner};
 use serde_json::{Value, json};
@@ -256,4 +256,29 @@ fn scenes_of_changed_transforms_lists_and_points_open_or_tell() {
     (0..360_u16).for_each(|i| body.extend(f32::from(i).to_le_bytes()));
     fs::write(root.path().join("points.ply"), body).unwrap();
     scenes(root.path(), &["transforms.json", "points.ply"]);
+}
+
+#[test]
+fn a_real_model_takes_less_than_twice_the_size_of_its_files() {
+    let Some(fox) = shared("fox") else { return };
+    for (encoding, extension) in [(Encoding::Binary, "bin"), (Encoding::Text, "txt")] {
+        let names = FILES.map(|name| format!("{name}.{extension}"));
+        let files =
+            names.each_ref().map(|name| fs::read(fox.join("colmap").join(extension).join(name)).unwrap());
+        let file = |i: usize| File { name: &names[i], bytes: &files[i] };
+        let (model, most) = measured(|| Model::parse(encoding, file(0), file(1), Some(file(2))));
+        let size: usize = files.iter().map(Vec::len).sum();
+        println!("{extension}: {:.2} times {size} bytes", most as f64 / size as f64);
+        assert_eq!(model.unwrap().images.len(), 50);
+        assert!(most <= 2 * size + FIXED);
+    }
+    let text = fs::read(fox.join("transforms.json")).unwrap();
+    let (document, most) = measured(|| serde_json::from_slice::<Value>(&text).unwrap());
+    println!("json: {:.2} times {} bytes", most as f64 / text.len() as f64, text.len());
+    let (document, most) = (document.to_string(), most);
+    println!(
+        "json without white space: {:.2} times {} bytes",
+        most as f64 / document.len() as f64,
+        document.len()
+    );
 }

@@ -2,15 +2,19 @@
 
 use std::{fmt::Write, path::Path};
 
+/// Number, model by number and name, size, parameters.
+pub type CameraRow = (u32, i32, &'static str, [u64; 2], Vec<f64>);
+/// Number, quaternion, translation, camera, name, features with the numbers of their points.
+pub type ImageRow = (u32, [f64; 4], [f64; 3], u32, String, Vec<([f64; 2], i64)>);
+/// Number, position, colour, error, track.
+pub type PointRow = (u64, [f64; 3], [u8; 3], f64, Vec<[u32; 2]>);
+
 /// Cameras, images and points as the files hold them.
 #[derive(Clone, Default)]
 pub struct Sparse {
-    /// Number, model by number and name, size, parameters.
-    pub cameras: Vec<(u32, i32, &'static str, [u64; 2], Vec<f64>)>,
-    /// Number, quaternion, translation, camera, name, features with the numbers of their points.
-    pub images: Vec<(u32, [f64; 4], [f64; 3], u32, String, Vec<([f64; 2], i64)>)>,
-    /// Number, position, colour, error, track.
-    pub points: Vec<(u64, [f64; 3], [u8; 3], f64, Vec<[u32; 2]>)>,
+    pub cameras: Vec<CameraRow>,
+    pub images: Vec<ImageRow>,
+    pub points: Vec<PointRow>,
 }
 
 /// The names of the three files.
