@@ -143,7 +143,7 @@ impl Survey {
             }
             let frames = layout.listable(config)?.into_iter().flat_map(|part| told.by(part)).collect();
             (train, test) = list::divide(root, &config.test_list, frames)?;
-            train_splits.push((config.train[0].clone(), train.len()));
+            train_splits.push(("train".into(), train.len()));
         }
         let Told { mut warnings, mut notes, stated, cloud } = told;
         if !config.lens {

@@ -13,7 +13,7 @@ use trimip_core::{
     Camera, Cone, ViewSet,
     config::{DataConfig, Format},
 };
-use trimip_data::{Scene, colmap::Model, inspect, open, unwatched};
+use trimip_data::{Scene, colmap::Model, inspect, open, unwatched, write_multiscale};
 
 /// Photographs of a capture.
 fn save_images(folder: &Path, sparse: &Sparse, [width, height]: [u32; 2]) {
@@ -431,6 +431,10 @@ fn a_list_of_names_divides_any_scene() {
     let same = open(&listed(root.path(), list)).unwrap();
     assert_same_rays(&divided.train, &same.train);
     assert_eq!(same.test.len(), 2);
+    // A written set has the frames of the list as its test split.
+    let set = tempfile::tempdir().unwrap();
+    let summary = write_multiscale(&listed(root.path(), list), set.path(), &unwatched).unwrap();
+    assert_eq!(summary.splits, [("train".to_string(), 8), ("test".to_string(), 2)]);
     for (list, what) in [
         ("0009\nleft/0007.png", "names no frame of the scene: 0009, left/0007.png"),
         ("0001.png", "names more than one frame: 0001.png"),

@@ -5,7 +5,7 @@
 mod common;
 
 use common::{
-    colmap::{FILES, capture},
+    colmap::{FILES, Sparse, capture},
     frame, save_image, settings, shared, write,
 };
 use proptest::{prelude::*, sample::Index, test_runner::TestRunner};
@@ -256,6 +256,45 @@ fn scenes_of_changed_transforms_lists_and_points_open_or_tell() {
     (0..360_u16).for_each(|i| body.extend(f32::from(i).to_le_bytes()));
     fs::write(root.path().join("points.ply"), body).unwrap();
     scenes(root.path(), &["transforms.json", "points.ply"]);
+}
+
+/// Entries as short as they can be, whose memory is the most for their bytes.
+#[test]
+fn the_shortest_entries_take_twice_their_bytes_in_binary_files_and_six_times_in_text() {
+    let many = 90_000_u32;
+    let mut sparse = Sparse::default();
+    for id in 10_000..many {
+        let pinhole = (0, "SIMPLE_PINHOLE", vec![1.0; 3]);
+        sparse.cameras.push((id, pinhole.0, pinhole.1, [1, 1], pinhole.2));
+        sparse.images.push((id, [1.0; 4], [0.0; 3], 10_000, format!("{id:x}"), Vec::new()));
+        sparse.points.push((u64::from(id), [0.0; 3], [0; 3], 0.0, Vec::new()));
+    }
+    let parsed = |encoding, files: [&[u8]; 3]| {
+        let file = |i: usize| File { name: FILES[i], bytes: files[i] };
+        let (model, most) = measured(|| Model::parse(encoding, file(0), file(1), Some(file(2))));
+        model.unwrap();
+        most as f64 / files.iter().map(|bytes| bytes.len()).sum::<usize>() as f64
+    };
+    let files = sparse.binary();
+    let binary = parsed(Encoding::Binary, files.each_ref().map(Vec::as_slice));
+    // Each file without the others.
+    let one = Sparse { cameras: sparse.cameras[..1].to_vec(), ..Sparse::default() }.binary();
+    let cameras = parsed(Encoding::Binary, [&files[0], &one[1], &one[2]]);
+    let images = parsed(Encoding::Binary, [&one[0], &files[1], &one[2]]);
+    let points = parsed(Encoding::Binary, [&one[0], &one[1], &files[2]]);
+    println!("binary {binary:.2}: cameras {cameras:.2}, images {images:.2}, points {points:.2}");
+    assert!([binary, cameras, images, points].iter().all(|times| *times <= 2.0));
+
+    let row = |id: u32, rest: &str| format!("{id} {rest}\n");
+    let text = |rest: &str| (10_000..many).map(|id| row(id, rest)).collect::<String>();
+    let named = |id: u32| row(id, &format!("1 0 0 0 0 0 0 1 {id:x}\n"));
+    let files = [text("PINHOLE 1 1 1 1 0 0"), (10_000..many).map(named).collect(), text("0 0 0 0 0 0 0")];
+    let one = "1 PINHOLE 1 1 1 1 0 0\n";
+    let cameras = parsed(Encoding::Text, [files[0].as_bytes(), b"", b""]);
+    let images = parsed(Encoding::Text, [one.as_bytes(), files[1].as_bytes(), b""]);
+    let points = parsed(Encoding::Text, [one.as_bytes(), b"", files[2].as_bytes()]);
+    println!("text: cameras {cameras:.2}, images {images:.2}, points {points:.2}");
+    assert!([cameras, images, points].iter().all(|times| *times <= 6.0));
 }
 
 #[test]

@@ -8,14 +8,17 @@ use super::{
 use std::str::{FromStr, SplitAsciiWhitespace};
 use trimip_core::{Error, Result};
 
+/// Least bytes of a camera: the shortest model with four parameters of one digit.
+const CAMERA: usize = 22;
 /// Least bytes of a point: eight numbers of one digit.
 const POINT: usize = 16;
 /// Least bytes of an image's two lines: nine numbers and a name of one character.
 const IMAGE: usize = 21;
 
 pub(super) fn cameras(file: File<'_>) -> Result<Vec<ModelCamera>> {
-    let mut cameras = Vec::new();
-    for line in Lines::new(file).filter(|line| line.as_ref().map_or(true, Line::has_entry)) {
+    let lines = Lines::new(file);
+    let mut cameras = Vec::with_capacity(lines.entries().min(file.bytes.len() / CAMERA + 1));
+    for line in lines.filter(|line| line.as_ref().map_or(true, Line::has_entry)) {
         let mut line = line?;
         let id = line.number("a camera's number")?;
         let kind = line.word("a camera model")?;
