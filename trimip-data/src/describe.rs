@@ -36,6 +36,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
         format!("scale{} {}: {convention}", if factors.len() == 1 { "" } else { "s" }, factors.join(", ")),
         format!("{:.1} MB of training pixels in memory", train.bytes() as f64 / 1e6),
     ];
+    lines.extend(survey.notes.iter().cloned());
     lines.extend(masks::described(&survey.train, train));
     lines
 }

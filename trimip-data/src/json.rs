@@ -93,6 +93,18 @@ impl<'a> Node<'a> {
             .transpose()
     }
 
+    /// The text under a key; `None` if it is absent or null.
+    pub(crate) fn text(&self, key: &str) -> Result<Option<&'a str>> {
+        let text = |value: &'a Value| value.as_str().ok_or_else(|| self.unexpected(key, "a text", value));
+        self.get(key).map(text).transpose()
+    }
+
+    /// The text under a required key.
+    pub(crate) fn required_text(&self, key: &str) -> Result<&'a str> {
+        let value = self.required(key)?;
+        value.as_str().ok_or_else(|| self.unexpected(key, "a text", value))
+    }
+
     /// An error about the value of a key.
     pub(crate) fn unexpected(&self, key: &str, expected: &str, value: &Value) -> Error {
         Error::input(

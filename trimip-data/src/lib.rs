@@ -1,4 +1,4 @@
-//! Photographs with cameras, ready to train and test on: Blender JSON folders, the public multi-scale set's
+//! Photographs with cameras, ready to train and test on: Blender JSON folders, COLMAP models, the public multi-scale set's
 //! `metadata.json`, and a built-in ray-traced scene that needs no files. Poses are camera-to-world, OpenGL axes;
 //! lengths are world units, angles radians, focal lengths pixels.
 //!
@@ -17,25 +17,34 @@
 
 mod blender;
 pub mod builtin;
+pub mod colmap;
 mod describe;
+mod division;
 mod foreign;
+mod intrinsics;
 mod json;
+mod layout;
 mod lens;
+mod list;
 mod mask;
 mod masks;
 mod multiscale;
+mod names;
 mod orientation;
 mod photograph;
+mod points;
 mod pose;
 pub mod pyramid;
 mod scene;
 mod source;
+mod split;
 mod stated;
 mod watch;
 mod write;
 
 pub use describe::inspect;
 pub use lens::{lens_of, lens_terms};
+pub use points::{Observation, Point};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};
 pub use watch::{Watch, unwatched};
 pub use write::{Summary, write_builtin, write_multiscale};

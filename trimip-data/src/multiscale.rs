@@ -2,12 +2,13 @@
 //! focal, lossmult (4^level) and optionally pix2cam. There is one image file per view; nothing is averaged.
 
 use crate::{
-    blender::Split,
     json::{self, Node},
     lens,
+    names::stem,
     photograph::Photograph,
     pose,
-    source::{Pixels, Source, find_image, map_in_order, stem},
+    source::{Pixels, Source, find_image, map_in_order},
+    split::Split,
 };
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -70,7 +71,7 @@ impl Metadata {
                 table.node.place
             )
         });
-        Ok(Split { sources, warnings: warnings.into_iter().collect(), stated: None })
+        Ok(Split { sources, warnings: warnings.into_iter().collect(), ..Split::default() })
     }
 }
 

@@ -1,18 +1,18 @@
-//! Opening a scene: finds the layout of a folder, loads its training views, and gives access to its test frames.
+//! Opening a scene: divides the frames of a folder, loads its training views, and gives access to its test frames.
 
 use crate::{
-    blender::{self, Split},
-    builtin, describe, masks,
-    multiscale::{METADATA, Metadata},
-    orientation,
+    describe,
+    division::HOLD_OUT,
+    layout::Layout,
+    list, masks, orientation,
+    points::{Cloud, Point},
     source::{FrameList, Source, assemble},
+    split::Split,
     watch::{Meter, Watch, unwatched},
 };
 use std::path::Path;
 use trimip_core::{
-    Alpha, Camera, Error, Frames, Intrinsics, Result, ViewSet,
-    config::{Convention, DataConfig, Format},
-    scene_plan::StatedBox,
+    Alpha, Camera, Error, Frames, Intrinsics, Result, ViewSet, config::DataConfig, scene_plan::StatedBox,
 };
 
 /// A scene ready to train and test on.
@@ -25,6 +25,8 @@ pub struct Scene {
     pub test: Box<dyn Frames>,
     /// The bounding box that the data state.
     pub stated: Option<StatedBox>,
+    /// Points of the scene that the data state, with the training views that saw them.
+    pub points: Vec<Point>,
     /// Warnings about the data, to be shown beside every result.
     pub warnings: Vec<String>,
     /// A description in a few lines: layout, views, sizes, scales, memory.
@@ -71,6 +73,7 @@ pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
         train,
         test: frames(survey.test, survey.alpha),
         stated: survey.stated,
+        points: survey.points,
         warnings: [survey.warnings, of_masks].concat(),
         description,
     })
@@ -96,9 +99,6 @@ fn frames(sources: Vec<Source>, alpha: Alpha) -> Box<dyn Frames> {
     Box::new(FrameList { sources, alpha })
 }
 
-/// Reads a split by name.
-type ReadSplit<'a> = Box<dyn Fn(&str) -> Result<Split> + 'a>;
-
 /// A scene before any image is decoded.
 pub(crate) struct Survey {
     pub(crate) name: String,
@@ -109,9 +109,12 @@ pub(crate) struct Survey {
     pub(crate) train: Vec<Source>,
     pub(crate) test: Vec<Source>,
     pub(crate) warnings: Vec<String>,
+    /// More lines of the description.
+    pub(crate) notes: Vec<String>,
     pub(crate) stated: Option<StatedBox>,
     /// What alpha is in all views.
     pub(crate) alpha: Alpha,
+    pub(crate) points: Vec<Point>,
 }
 
 impl Survey {
@@ -122,61 +125,30 @@ impl Survey {
         if config.train.is_empty() {
             return Err(Error::input("data.train", "names no split", "name at least one"));
         }
-        let format = detect(config)?;
+        let layout = Layout::open(config)?;
         let root = Path::new(&config.root);
-        let name = if format == Format::Builtin { "builtin".into() } else { folder_name(root) };
-        let mut warnings = Vec::new();
+        let name = if matches!(layout, Layout::Builtin(_)) { "builtin".into() } else { folder_name(root) };
+        let mut told = Told { warnings: layout.unread(config).into_iter().collect(), ..Told::default() };
         let mut train = Vec::new();
         let mut train_splits = Vec::new();
-        let mut stated = None;
-        let (layout, read): (_, ReadSplit<'_>) = match format {
-            Format::Builtin => ("built-in scene", Box::new(|split| builtin::split(config, split))),
-            Format::Multiscale => {
-                if config.convention == Convention::Premultiplied {
-                    return Err(Error::input(
-                        "data.convention",
-                        "\"premultiplied\" cannot be had from a multi-scale set, whose levels are straight means",
-                        "set it to \"public\", or data.root to the scene the set was made from",
-                    ));
-                }
-                let metadata = Metadata::open(root)?;
-                ("multi-scale set", Box::new(move |split| metadata.split(split, config.scales)))
+        let mut test;
+        if config.test_list.is_empty() {
+            for split in &config.train {
+                let part = layout.split(split)?;
+                train_splits.push((split.clone(), part.sources.len()));
+                train.extend(told.by(part));
             }
-            _ => ("Blender layout", Box::new(|split| blender::read(root, split, config.scales))),
-        };
-        for split in &config.train {
-            let part = read(split)?;
-            train_splits.push((split.clone(), part.sources.len()));
-            train.extend(part.sources);
-            warnings.extend(part.warnings);
-            stated = stated.or(part.stated);
-        }
-        let every = match config.holdout {
-            // A folder without a test split is tested on some of its training frames.
-            0 if format == Format::Blender
-                && !blender::has_split(root, &config.test)
-                && config.test == TEST =>
-            {
-                warnings.push(format!(
-                    "{} has no split \"{TEST}\": every {}th training frame is held out for testing",
-                    root.display(),
-                    blender::HOLD_OUT
-                ));
-                blender::HOLD_OUT
-            }
-            every => every as usize,
-        };
-        let test = if every > 0 {
-            hold_out(&mut train, every)?
+            test = tested(&layout, config, &mut train, &mut told)?;
         } else {
-            let test = read(&config.test)?;
-            warnings.extend(test.warnings);
-            if config.train.contains(&config.test) {
-                warnings.push(format!("split \"{}\" is both trained and tested on", config.test));
+            if config.holdout > 0 {
+                let what = format!("and data.holdout = {} both choose the test frames", config.holdout);
+                return Err(Error::input("data.test_list", what, "set one of them"));
             }
-            test.sources
-        };
-        let mut test = test;
+            let frames = layout.listable(config)?.into_iter().flat_map(|part| told.by(part)).collect();
+            (train, test) = list::divide(root, &config.test_list, frames)?;
+            train_splits.push(("train".into(), train.len()));
+        }
+        let Told { mut warnings, mut notes, stated, cloud } = told;
         if !config.lens {
             train.iter_mut().chain(&mut test).for_each(Source::straighten);
         }
@@ -188,10 +160,64 @@ impl Survey {
         warnings.extend(alpha_warning(&train, alpha));
         let mut seen = std::collections::HashSet::new();
         warnings.retain(|warning| seen.insert(warning.clone()));
-        drop(read);
+        notes.retain(|note| seen.insert(note.clone()));
         let (train, test) = shrink(train, test, config, &mut warnings);
-        Ok(Self { name, layout, train_splits, train, test, warnings, stated, alpha })
+        let halvings = train.first().map_or(0, |source| source.halvings);
+        let points = cloud.seen_by(train.iter().map(|source| source.name.as_str()), halvings);
+        let layout = layout.name();
+        Ok(Self { name, layout, train_splits, train, test, warnings, notes, stated, alpha, points })
     }
+}
+
+/// What the splits of a scene tell about it; the first that states a box or points has the word.
+#[derive(Default)]
+struct Told {
+    warnings: Vec<String>,
+    notes: Vec<String>,
+    stated: Option<StatedBox>,
+    cloud: Cloud,
+}
+
+impl Told {
+    /// Takes what a split tells, and gives its frames.
+    fn by(&mut self, split: Split) -> Vec<Source> {
+        self.warnings.extend(split.warnings);
+        self.notes.extend(split.notes);
+        self.stated = self.stated.take().or(split.stated);
+        if self.cloud.points.is_empty() {
+            self.cloud = split.cloud;
+        }
+        split.sources
+    }
+}
+
+/// The test frames: every n-th of `train`, which are taken out of it, or those of the test split.
+fn tested(
+    layout: &Layout<'_>,
+    config: &DataConfig,
+    train: &mut Vec<Source>,
+    told: &mut Told,
+) -> Result<Vec<Source>> {
+    let every = match config.holdout {
+        // A folder without a test split is tested on some of its training frames.
+        0 if config.test == TEST && !layout.has_split(TEST)? => {
+            told.warnings.push(format!(
+                "{} has no split \"{TEST}\": every {HOLD_OUT}th training frame is held out for testing",
+                Path::new(&config.root).display(),
+            ));
+            HOLD_OUT
+        }
+        every => every as usize,
+    };
+    if every > 0 {
+        return hold_out(train, every);
+    }
+    let test = layout.split(&config.test)?;
+    told.warnings.extend(test.warnings);
+    if config.train.contains(&config.test) {
+        told.warnings.push(format!("split \"{}\" is both trained and tested on", config.test));
+    }
+    Ok(test.sources)
 }
 
 /// A warning if the lens has no rays for some pixels: they are neither trained nor compared.
@@ -259,59 +285,6 @@ fn hold_out(train: &mut Vec<Source>, every: usize) -> Result<Vec<Source>> {
     }
     *train = kept;
     Ok(held)
-}
-
-/// The layout of the configured folder; an error if it has none.
-fn detect(config: &DataConfig) -> Result<Format> {
-    if config.format == Format::Builtin {
-        return Ok(Format::Builtin);
-    }
-    if config.root.is_empty() {
-        return Err(Error::input(
-            "data.root",
-            "is empty",
-            "set it to the folder of a scene, or data.format to \"builtin\"",
-        ));
-    }
-    let root = Path::new(&config.root);
-    if !root.is_dir() {
-        let what = if root.exists() { "is not a folder" } else { "does not exist" };
-        return Err(Error::input(root.display(), what, "set data.root to the folder of a scene"));
-    }
-    if config.format != Format::Auto {
-        return Ok(config.format);
-    }
-    if root.join(METADATA).is_file() {
-        return Ok(Format::Multiscale);
-    }
-    if blender::undivided(root).is_file() || !blender::splits(root).is_empty() {
-        return Ok(Format::Blender);
-    }
-    let what = format!("holds no scene: looked for {METADATA}, transforms_train.json, transforms.json");
-    Err(Error::input(root.display(), what, instead(root)))
-}
-
-/// Advice for a folder without a scene.
-fn instead(root: &Path) -> String {
-    let entries = || root.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
-    let scene = |path: &std::path::PathBuf| {
-        path.join(METADATA).is_file()
-            || blender::undivided(path).is_file()
-            || !blender::splits(path).is_empty()
-    };
-    if let Some(inner) = entries().find(scene) {
-        return format!("name {}, which holds one", inner.display());
-    }
-    let picture = |path: &std::path::PathBuf| {
-        let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-        ["png", "jpg", "jpeg"].contains(&extension.as_str())
-    };
-    match entries().filter(picture).count() {
-        0 => "name a folder with one of them".into(),
-        count => format!(
-            "its {count} pictures need cameras: COLMAP finds them, and nerfstudio or Instant-NGP write transforms.json from it"
-        ),
-    }
 }
 
 /// The last part of a path.

@@ -257,9 +257,16 @@ pub(crate) fn map_in_order<T: Sync, R: Send>(
     results.into_iter().collect()
 }
 
-/// The file that an entry names: as written, or with one of the usual extensions.
+/// The file that an entry names: as written, with one of the usual extensions, or with the slashes of this system.
 pub(crate) fn find_image(root: &Path, named: &str, place: &str) -> Result<std::path::PathBuf> {
-    let candidates = ["", ".png", ".jpg", ".jpeg"].map(|extension| root.join(format!("{named}{extension}")));
+    let turned = named.replace('\\', "/");
+    let written = if turned == named { vec![named] } else { vec![named, &turned] };
+    let candidates: Vec<std::path::PathBuf> = written
+        .iter()
+        .flat_map(|named| {
+            ["", ".png", ".jpg", ".jpeg"].map(|extension| root.join(format!("{named}{extension}")))
+        })
+        .collect();
     if let Some(path) = candidates.iter().find(|path| path.is_file()) {
         return Ok(path.clone());
     }
@@ -280,12 +287,4 @@ pub(crate) fn find_image(root: &Path, named: &str, place: &str) -> Result<std::p
         format!("image {} does not exist{tried}", candidates[0].display()),
         "copy it there or remove its entry",
     ))
-}
-
-/// File name without folder and extension, for pictures and messages.
-pub(crate) fn stem(named: &str) -> String {
-    let name = named.rsplit(['/', '\\']).next().unwrap_or(named);
-    let known = [".png", ".jpg", ".jpeg"].iter().find(|end| name.to_lowercase().ends_with(**end));
-    // Lower-casing keeps the length of these ASCII endings, so the cut lies on a boundary.
-    known.and_then(|end| name.get(..name.len() - end.len())).unwrap_or(name).to_string()
 }

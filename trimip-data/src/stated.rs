@@ -1,7 +1,10 @@
 //! The bounding box that a transforms file states: points from structure from motion (`ply_file_path`, nerfstudio), or
 //! Instant-NGP's `aabb_scale` with `scale` and `offset`. World units of the file's poses.
 
-use crate::{describe::count, json::Node};
+use crate::{
+    json::Node,
+    points::{Cloud, Point},
+};
 use ply_rs_bw::{
     parser::Parser,
     ply::{DefaultElement, Property},
@@ -12,25 +15,21 @@ use trimip_core::{Aabb, Error, Result, scene_plan::StatedBox};
 /// Defaults of `scale` and `offset`: Instant-NGP's unit cube in world units.
 const NGP: (f64, f64) = (0.33, 0.5);
 
-/// Share of the points dropped as outliers at each end of an axis.
-const OUTLIERS: f64 = 0.02;
-
-/// Margin at each end, as a share of the points' extent.
-const MARGIN: f64 = 0.05;
-
-/// Fewest points from which a box is made.
-const LEAST_POINTS: usize = 100;
-
-/// The box that `file` in `root` states; points take precedence.
-pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Option<StatedBox>> {
-    if let Some(value) = file.get("ply_file_path") {
-        let named = value.as_str().ok_or_else(|| file.unexpected("ply_file_path", "a text", value))?;
-        let points = points(&root.join(named), &file.place)?;
-        if points.len() >= LEAST_POINTS {
-            let source = format!("around {} of {named}", count(points.len(), "point"));
-            return Ok(Some(StatedBox { aabb: around(&points), source }));
+/// The box and the points that `file` in `root` states; the box around the points takes precedence.
+pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<(Option<StatedBox>, Cloud)> {
+    let mut cloud = Cloud::default();
+    if let Some(named) = file.text("ply_file_path")? {
+        cloud.points = points(&root.join(named.replace('\\', "/")), &file.place)?;
+        let stated = cloud.stated(&format!("of {named}"));
+        if stated.is_some() {
+            return Ok((stated, cloud));
         }
     }
+    Ok((cube(file)?, cloud))
+}
+
+/// The cube of Instant-NGP.
+fn cube(file: &Node<'_>) -> Result<Option<StatedBox>> {
     let Some(aabb_scale) = file.number("aabb_scale")? else { return Ok(None) };
     let scale = file.number("scale")?.unwrap_or(NGP.0);
     let offset = match file.get("offset") {
@@ -63,8 +62,8 @@ fn wrong(file: &Node<'_>, key: &str, expected: &str) -> Error {
     )
 }
 
-/// Positions of the vertices of a PLY file.
-fn points(path: &Path, place: &str) -> Result<Vec<[f64; 3]>> {
+/// The vertices of a PLY file.
+fn points(path: &Path, place: &str) -> Result<Vec<Point>> {
     let unreadable = |error: &dyn std::fmt::Display| {
         Error::input(
             place,
@@ -85,23 +84,15 @@ fn points(path: &Path, place: &str) -> Result<Vec<[f64; 3]>> {
     let points = vertices.iter().filter_map(|vertex| {
         let at = ["x", "y", "z"].map(|key| number(vertex.get(key)));
         let [Some(x), Some(y), Some(z)] = at else { return None };
-        [x, y, z].iter().all(|value| value.is_finite()).then_some([x, y, z])
+        let color = ["red", "green", "blue"].map(|key| match vertex.get(key) {
+            Some(Property::UChar(value)) => *value,
+            _ => 0,
+        });
+        let position = [x, y, z];
+        let point = Point { position, color, error: None, seen: None, track: Vec::new() };
+        position.iter().all(|value| value.is_finite()).then_some(point)
     });
     Ok(points.collect())
-}
-
-/// The box around all points except outliers, with a margin.
-fn around(points: &[[f64; 3]]) -> Aabb<f64> {
-    let range = |axis: usize| {
-        let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
-        values.sort_by(f64::total_cmp);
-        let cut = (OUTLIERS * values.len() as f64) as usize;
-        let (low, high) = (values[cut], values[values.len() - 1 - cut]);
-        let margin = MARGIN * (high - low).max(f64::MIN_POSITIVE);
-        [low - margin, high + margin]
-    };
-    let ranges = [range(0), range(1), range(2)];
-    Aabb { min: ranges.map(|[low, _]| low), max: ranges.map(|[_, high]| high) }
 }
 
 #[cfg(test)]
@@ -113,7 +104,7 @@ mod tests {
     fn aabb_scale_is_the_cube_of_instant_ngp() {
         let root = Path::new("");
         let of = |value: serde_json::Value| {
-            read(root, &Node::new("a.json", &value).unwrap()).map(|b| b.map(|b| b.aabb))
+            read(root, &Node::new("a.json", &value).unwrap()).map(|(b, _)| b.map(|b| b.aabb))
         };
         let cube = of(json!({ "aabb_scale": 4 })).unwrap().unwrap();
         assert!(
@@ -145,7 +136,9 @@ mod tests {
         text += "1000 1000 1000 7\n";
         std::fs::write(folder.path().join("points.ply"), text).unwrap();
         let value = json!({ "ply_file_path": "points.ply", "aabb_scale": 16 });
-        let found = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap().unwrap();
+        let (found, cloud) = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap();
+        let found = found.unwrap();
+        assert_eq!((cloud.points.len(), cloud.points[3].color), (201, [7, 0, 0]));
         assert!(found.source.contains("201 points"), "{}", found.source);
         for (axis, [low, high]) in [[0.0, 1.0], [0.0, 2.0], [-1.0, 0.0]].into_iter().enumerate() {
             let side = high - low;

@@ -82,7 +82,10 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
         splits.push((split, head));
         rest = tail;
     }
-    if !config.train.contains(&config.test) {
+    // Frames of a list of test frames are no frames of a split.
+    if !config.test_list.is_empty() {
+        splits.push(("test", &survey.test));
+    } else if !config.train.contains(&config.test) {
         splits.push((&config.test, &survey.test));
     }
     let meter = Meter::new(splits.iter().flat_map(|(_, sources)| *sources), watch);

@@ -4,8 +4,12 @@
 mod common;
 
 use common::{settings, shared};
-use trimip_core::{Alpha, config::Convention};
-use trimip_data::{inspect, open};
+use glam::DVec3;
+use trimip_core::{
+    Alpha, Camera,
+    config::{Convention, DataConfig, Format},
+};
+use trimip_data::{Scene, inspect, open};
 
 #[test]
 fn levels_are_the_public_converters_bit_for_bit() {
@@ -89,4 +93,65 @@ fn photographs_with_their_own_cameras_are_read() {
     {
         assert!(lines.contains(expected), "{expected}:\n{lines}");
     }
+}
+
+/// The middle one of some numbers.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Distances in pixels between each point of a scene through its cameras and the places where COLMAP saw it.
+fn misses(scene: &Scene) -> Vec<Vec<f64>> {
+    let missed = |position: [f64; 3], camera: &Camera, at: [f64; 2]| {
+        let local = camera.rotation.transpose() * (DVec3::from(position) - camera.origin);
+        let found = camera.intrinsics.image_of(local).expect("COLMAP's points are seen");
+        (found[0] - at[0]).hypot(found[1] - at[1])
+    };
+    let views = &scene.train.views;
+    let of = |point: &trimip_data::Point| {
+        let seen = point.track.iter();
+        seen.map(|seen| missed(point.position, &views[seen.view as usize].camera, seen.at))
+            .collect::<Vec<_>>()
+    };
+    scene.points.iter().map(of).collect()
+}
+
+#[test]
+fn a_model_of_colmap_sees_its_points_where_colmap_did() {
+    let Some(fox) = shared("fox") else { return };
+    let [binary, text] = ["bin", "txt"].map(|kind| {
+        // The scene named by its model: photographs are found above it.
+        let config = DataConfig {
+            train: vec!["train".into(), "test".into()],
+            format: Format::Colmap,
+            most_pixels: 2e5,
+            ..settings(&fox.join("colmap").join(kind), 1)
+        };
+        open(&config).unwrap()
+    });
+    assert_eq!((binary.train.views.len(), binary.test.len()), (50, 7));
+    for (a, b) in binary.train.views.iter().zip(&text.train.views) {
+        assert_eq!((&a.name, a.camera), (&b.name, b.camera));
+    }
+    assert_eq!((binary.points.len(), &binary.points), (12_453, &text.points));
+    assert_eq!(binary.stated, text.stated);
+    // The photographs are halved until they fit, and places with them: pixels of the originals count.
+    let finest = f64::from(1080 / binary.train.views[0].camera.intrinsics.width);
+    let misses: Vec<Vec<f64>> =
+        misses(&binary).into_iter().map(|own| own.iter().map(|miss| miss * finest).collect()).collect();
+    // COLMAP's error of a point is the mean of its misses; the file has places in thousandths of a pixel.
+    for (point, misses) in binary.points.iter().zip(&misses) {
+        let mean = misses.iter().sum::<f64>() / misses.len() as f64;
+        assert!((mean - point.error.unwrap()).abs() < 2e-3, "{mean} {point:?}");
+    }
+    let all = misses.concat();
+    println!("{} places, median miss {:.3} pixels", all.len(), median(all.clone()));
+    assert_eq!(all.len(), 81_798);
+    assert!(median(all) < 1.0);
+    // Of the whole scene, its transforms file has the word, and the model is found by name.
+    let whole = DataConfig { format: Format::Colmap, most_pixels: 2e5, ..settings(&fox, 1) };
+    let scene = open(&whole).unwrap();
+    assert_eq!((scene.train.views.len(), scene.test.len()), (43, 7));
+    assert!(!scene.warnings.iter().any(|warning| warning.contains("placed")), "{:?}", scene.warnings);
 }

@@ -103,6 +103,11 @@ impl DataConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check((1..=8).contains(&self.scales), "data.scales", "1 to 8")?;
         to.check(self.holdout != 1, "data.holdout", "0, or 2 and more")?;
+        to.check(
+            self.holdout == 0 || self.test_list.is_empty(),
+            "data.test_list",
+            "\"\" where data.holdout keeps frames back",
+        )?;
         to.check(!self.train.is_empty(), "data.train", "at least one split")?;
         let exponents = &self.edge_exponents;
         to.check(

@@ -21,6 +21,8 @@ choice!(
         Blender,
         /// The public multi-scale set's `metadata.json`.
         Multiscale,
+        /// A sparse model of COLMAP.
+        Colmap,
         /// The procedural scene, rendered when it is opened.
         Builtin,
     }

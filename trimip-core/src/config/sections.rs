@@ -30,7 +30,7 @@ pub(super) use section;
 section!(
     /// Where the photographs are and how they are read.
     DataConfig, "data" {
-        root: String, format: Format, train: Vec<String>, test: String, holdout: u32, lens: bool, masks: String, mask_keeps: MaskKeeps, mask_role: MaskRole, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
+        root: String, format: Format, images: String, train: Vec<String>, test: String, holdout: u32, test_list: String, lens: bool, masks: String, mask_keeps: MaskKeeps, mask_role: MaskRole, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
         builtin_finish: Finish, most_pixels: f64,
     }
@@ -114,6 +114,7 @@ impl DataConfig {
     /// The frames that a model is tested on, in words.
     pub fn tested_on(&self) -> String {
         match self.holdout {
+            0 if !self.test_list.is_empty() => format!("the frames of {}", self.test_list),
             0 => self.test.clone(),
             every => format!("one frame in {every} of {}, held out", self.train.join(" + ")),
         }

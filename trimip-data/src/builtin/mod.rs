@@ -9,8 +9,8 @@ pub use scene::{radiance, shapes};
 pub use shapes::Shape;
 
 use crate::{
-    blender::Split,
     source::{Pixels, Source},
+    split::Split,
 };
 use glam::DVec3;
 use rayon::prelude::*;
@@ -143,7 +143,7 @@ pub(crate) fn split(config: &DataConfig, split: &str) -> Result<Split> {
             Source::averaged(format!("r_{i}"), camera, config.scales, "data.builtin_size", pixels())
         })
         .collect::<Result<_>>()?;
-    Ok(Split { sources, warnings: Vec::new(), stated: None })
+    Ok(Split { sources, ..Split::default() })
 }
 
 #[cfg(test)]

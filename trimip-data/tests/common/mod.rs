@@ -1,6 +1,8 @@
 //! Small scenes on disk, and where the shared photographs are.
 #![allow(dead_code, missing_docs)] // each test file uses its part
 
+pub mod colmap;
+
 use image::{DynamicImage, ImageBuffer, Rgba};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};

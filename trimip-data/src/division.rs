@@ -1,0 +1,117 @@
+//! Splits of a file that holds all frames: every 8th frame is a test frame, or the file lists the names of each split
+//! (nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`).
+
+use crate::{
+    describe::count,
+    json::Node,
+    names::{Index, Meant},
+};
+use serde_json::Value;
+use std::path::Path;
+use trimip_core::{Error, Result};
+
+/// Every n-th frame of a file without splits is a test frame, as in mip-NeRF 360 and Instant-NGP.
+pub(crate) const HOLD_OUT: usize = 8;
+
+/// Splits and the keys of their lists.
+const LISTS: [(&str, &str); 3] =
+    [("train", "train_filenames"), ("val", "val_filenames"), ("test", "test_filenames")];
+
+/// The frames of a file that belong to a split.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Part {
+    All,
+    Train,
+    Test,
+    /// The frames of a list, and how many frames are in none.
+    Listed(Vec<usize>, usize),
+}
+
+impl Part {
+    /// The frames among `frames`, in order.
+    pub(crate) fn choose(&self, frames: usize) -> Vec<usize> {
+        match self {
+            Part::All => (0..frames).collect(),
+            Part::Test => (0..frames).filter(|index| index.is_multiple_of(HOLD_OUT)).collect(),
+            Part::Train => (0..frames).filter(|index| !index.is_multiple_of(HOLD_OUT)).collect(),
+            Part::Listed(frames, _) => frames.clone(),
+        }
+    }
+
+    /// What is to be known about the choice; `order` says how frames are ordered.
+    pub(crate) fn warning(&self, file: &Path, order: &str) -> Option<String> {
+        match self {
+            Part::Train | Part::Test => Some(format!(
+                "{} names no splits: every {HOLD_OUT}th frame {order} is the test split, the others are train",
+                file.display()
+            )),
+            Part::Listed(_, left) if *left > 0 => {
+                Some(format!("{} lists {} in no split", file.display(), count(*left, "frame")))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// The splits that a file lists.
+pub(crate) fn listed(file: &Node<'_>) -> Vec<&'static str> {
+    LISTS.iter().filter(|(_, key)| file.get(key).is_some()).map(|(split, _)| *split).collect()
+}
+
+/// The frames of a split: those of its list if the file has lists, otherwise by their index.
+pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &str) -> Result<Part> {
+    let lists = listed(file);
+    if lists.is_empty() {
+        return match split {
+            "train" => Ok(Part::Train),
+            "test" => Ok(Part::Test),
+            _ => Err(unknown(path, split, "train, test")),
+        };
+    }
+    if !lists.contains(&split) {
+        return Err(unknown(path, split, &lists.join(", ")));
+    }
+    let name = |entry: &Value| entry.get("file_path").and_then(Value::as_str).unwrap_or_default().to_string();
+    let index = Index::new(entries.iter().map(name));
+    let mut owners: Vec<Option<&str>> = vec![None; entries.len()];
+    for (own, key) in LISTS.iter().filter(|(own, _)| lists.contains(own)) {
+        for value in file.array(key)? {
+            let named = value.as_str().ok_or_else(|| file.unexpected(key, "an array of texts", value))?;
+            let wrong = |what: String| {
+                let place = format!("{}: \"{key}\": {named}", path.display());
+                Error::input(place, what, "correct the list or export it again")
+            };
+            let frame = match index.find(named) {
+                Meant::One(frame) => frame,
+                Meant::None => return Err(wrong("is no frame of the file".into())),
+                Meant::Several => return Err(wrong("may be several frames of the file".into())),
+            };
+            match owners[frame].replace(own) {
+                Some(other) if other == *own => return Err(wrong("is in the list twice".into())),
+                Some(other) => return Err(wrong(format!("is in the split \"{other}\" too"))),
+                None => {}
+            }
+        }
+    }
+    let frames = (0..entries.len()).filter(|&frame| owners[frame] == Some(split)).collect();
+    Ok(Part::Listed(frames, owners.iter().filter(|owner| owner.is_none()).count()))
+}
+
+/// The error for a split that is not there.
+pub(crate) fn unknown(place: &Path, split: &str, known: &str) -> Error {
+    Error::input(
+        place.display(),
+        format!("has no split \"{split}\", only {known}"),
+        "choose one of them for data.train and data.test",
+    )
+}
+
+/// The error for a split without frames.
+pub(crate) fn empty(place: &Path, split: &str, frames: usize, part: &Part) -> Error {
+    let advice = match part {
+        Part::All => "export the frames again",
+        Part::Train | Part::Test => "at least two frames are needed",
+        Part::Listed(..) => "add frames to its list",
+    };
+    Error::input(place.display(), format!("has no frame for split \"{split}\" among its {frames}"), advice)
+}

@@ -1,0 +1,97 @@
+//! Intrinsics of a frame of a transforms file: size, focal lengths and principal point. Frame keys override file keys; without
+//! `fl_x` the focal length follows from `camera_angle_x`. Lengths in pixels, angles in radians.
+
+use crate::{json::Node, lens, photograph::Photograph};
+use trimip_core::{Error, Intrinsics, Result};
+
+/// Image size from `w` and `h`.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Size {
+    pub(crate) width: Option<u32>,
+    pub(crate) height: Option<u32>,
+}
+
+impl Size {
+    pub(crate) fn of(node: &Node<'_>) -> Result<Self> {
+        let side = |key: &str| -> Result<Option<u32>> {
+            let Some(value) = node.number(key)? else { return Ok(None) };
+            // Some exporters write 1080.0.
+            if value >= 1.0 && value <= f64::from(u32::MAX) && value.fract() == 0.0 {
+                return Ok(Some(value as u32));
+            }
+            Err(Error::input(
+                &node.place,
+                format!("\"{key}\" is {value}"),
+                "expected a whole number of pixels",
+            ))
+        };
+        Ok(Self { width: side("w")?, height: side("h")? })
+    }
+
+    pub(crate) fn or(self, other: Self) -> Self {
+        Self { width: self.width.or(other.width), height: self.height.or(other.height) }
+    }
+
+    /// Refuses an image whose size differs.
+    pub(crate) fn check(self, image: &Photograph) -> Result<()> {
+        let (width, height) = (self.width.unwrap_or(image.width), self.height.unwrap_or(image.height));
+        if (width, height) == (image.width, image.height) {
+            return Ok(());
+        }
+        Err(Error::input(
+            &image.place,
+            format!(
+                "image {} is {}x{} pixels, but the file states {width}x{height}",
+                image.path.display(),
+                image.width,
+                image.height
+            ),
+            "use the images the cameras were computed for, or scale w, h, fl_x, fl_y, cx and cy along",
+        ))
+    }
+}
+
+/// The intrinsics of a frame whose image has that size.
+pub(crate) fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: u32) -> Result<Intrinsics> {
+    // The focal length of a frame overrides that of the file, in whichever form.
+    let (fx, fy) = match focal(frame, width, height)? {
+        Some(focal) => focal,
+        None => focal(file, width, height)?.ok_or_else(|| {
+            Error::input(
+                &file.place,
+                "has no focal length (\"fl_x\", \"camera_angle_x\")",
+                format!("add one of the keys, or add it to {}", frame.place),
+            )
+        })?,
+    };
+    let centre = |key: &str, side: u32| -> Result<f64> {
+        Ok(frame.number(key)?.or(file.number(key)?).unwrap_or(0.5 * f64::from(side)))
+    };
+    let lens = lens::read(file, frame)?;
+    Ok(Intrinsics { width, height, fx, fy, cx: centre("cx", width)?, cy: centre("cy", height)?, lens })
+}
+
+/// Focal lengths from one node: `fl_x` and `fl_y`, otherwise half the side over the tangent of half the field of view.
+fn focal(node: &Node<'_>, width: u32, height: u32) -> Result<Option<(f64, f64)>> {
+    let length = |key: &str, angle_key: &str, side: u32| -> Result<Option<f64>> {
+        let (key, stated, focal) = match (node.number(key)?, node.number(angle_key)?) {
+            (Some(focal), _) => (key, focal, focal),
+            (None, Some(angle)) if angle > 0.0 && angle < std::f64::consts::PI => {
+                (angle_key, angle, 0.5 * f64::from(side) / (0.5 * angle).tan())
+            }
+            (None, Some(angle)) => (angle_key, angle, f64::NAN),
+            (None, None) => return Ok(None),
+        };
+        if focal.is_finite() && focal > 0.0 {
+            return Ok(Some(focal));
+        }
+        Err(Error::input(
+            &node.place,
+            format!("\"{key}\" is {stated}, which makes no positive focal length"),
+            "expected pixels above 0 for a length, radians between 0 and pi for an angle",
+        ))
+    };
+    let x = length("fl_x", "camera_angle_x", width)?;
+    let y = length("fl_y", "camera_angle_y", height)?;
+    Ok(x.or(y).map(|x| (x, y.unwrap_or(x))))
+}

@@ -1,0 +1,67 @@
+//! The list of test frames (`data.test_list`): a text file with one image name a line, in whatever way people write it. Empty
+//! lines and lines that begin with # are left out.
+
+use crate::{
+    names::{Index, Meant},
+    source::Source,
+};
+use std::{fs, path::Path};
+use trimip_core::{Error, Result};
+
+/// Most names that a message repeats.
+const MOST_NAMED: usize = 5;
+
+/// Divides `sources` into training frames and those that the file `named` in `root` lists.
+pub(crate) fn divide(root: &Path, named: &str, sources: Vec<Source>) -> Result<(Vec<Source>, Vec<Source>)> {
+    let path = root.join(named);
+    let bytes = fs::read(&path).map_err(|error| {
+        let what = format!("cannot be read: {error}");
+        Error::input(path.display(), what, "set data.test_list to a text file, relative to data.root")
+    })?;
+    let wrong = |what: String, advice: &str| Err(Error::input(path.display(), what, advice));
+    let Ok(text) = std::str::from_utf8(&bytes) else {
+        return wrong("is not UTF-8".into(), "save it as UTF-8 text");
+    };
+    let text = text.trim_start_matches('\u{feff}');
+    let names = || text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let index = Index::new(sources.iter().map(|source| written(root, source)));
+    let mut tested = vec![false; sources.len()];
+    let (mut absent, mut several) = (Vec::new(), Vec::new());
+    for name in names() {
+        match index.find(name) {
+            Meant::One(frame) => tested[frame] = true,
+            Meant::None => absent.push(name),
+            Meant::Several => several.push(name),
+        }
+    }
+    if !absent.is_empty() {
+        return wrong(
+            format!("names no frame of the scene: {}", some(&absent)),
+            "correct or remove the lines",
+        );
+    }
+    if !several.is_empty() {
+        return wrong(format!("names more than one frame: {}", some(&several)), "write their folders too");
+    }
+    let (test, train): (Vec<_>, Vec<_>) = sources.into_iter().zip(tested).partition(|(_, tested)| *tested);
+    if test.is_empty() || train.is_empty() {
+        let left = if test.is_empty() { "test" } else { "training" };
+        return wrong(format!("leaves no {left} frame"), "name some of the frames, not all");
+    }
+    let frames = |part: Vec<(Source, bool)>| part.into_iter().map(|(source, _)| source).collect();
+    Ok((frames(train), frames(test)))
+}
+
+/// Path of a frame's photograph within the scene.
+fn written(root: &Path, source: &Source) -> String {
+    let path = source.files().first().map_or(Path::new(&source.name), |file| file.path.as_path());
+    path.strip_prefix(root).unwrap_or(path).to_string_lossy().into_owned()
+}
+
+/// The first of several names.
+fn some(names: &[&str]) -> String {
+    let shown: Vec<String> =
+        names.iter().take(MOST_NAMED).map(|name| name.chars().take(80).collect()).collect();
+    let more = names.len() - shown.len();
+    shown.join(", ") + &if more > 0 { format!(" and {more} more") } else { String::new() }
+}

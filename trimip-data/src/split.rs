@@ -1,0 +1,17 @@
+//! What a reader gives for a split: its frames, and what the files say about the scene.
+
+use crate::{points::Cloud, source::Source};
+use trimip_core::scene_plan::StatedBox;
+
+/// The frames of a split, with warnings about them.
+#[derive(Debug, Default)]
+pub(crate) struct Split {
+    pub(crate) sources: Vec<Source>,
+    pub(crate) warnings: Vec<String>,
+    /// Lines of the scene's description.
+    pub(crate) notes: Vec<String>,
+    /// The bounding box that the file states.
+    pub(crate) stated: Option<StatedBox>,
+    /// The points that the file states; of a file with several splits, the first that is read has them.
+    pub(crate) cloud: Cloud,
+}
