@@ -254,6 +254,12 @@ pub fn evaluate_frame(
     Ok(true)
 }
 
+/// The colours of the pixels of view `view` that are compared, of a picture of it: all but those that the lens has no ray for,
+/// and those of which a mask keeps less than half.
+pub fn compared(set: &ViewSet, view: usize, rgb: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
+    without(&excluded(set, view), rgb)
+}
+
 /// Whether each pixel is left out of the comparison; empty if none is.
 fn excluded(set: &ViewSet, view: usize) -> Vec<bool> {
     let (camera, pixels) = (&set.views[view].camera, set.pixels_of(view));

@@ -68,18 +68,7 @@ pub(crate) fn find(config: &DataConfig, sources: &mut [&mut Source]) -> Result<A
     }
     let look = Look { config, root, folder: folder.is_dir().then_some(folder.as_path()), named };
     let found = map_in_order(sources, |_, source| look.mask_of(source))?;
-    let owners = sources.iter().zip(&found);
-    let mut known: HashMap<&Path, &Source> = HashMap::new();
-    for (source, (kind, mask)) in owners.filter_map(|(source, found)| Some((source, found.as_ref()?))) {
-        let before = known.insert(mask.path(), source).filter(|_| *kind != Kind::Stated);
-        if let (Some(before), [file, ..]) = (before, source.files()) {
-            return Err(Error::input(
-                &file.place,
-                format!("mask {} would also be that of {}", mask.path().display(), before.name),
-                "give the folder of masks the same subfolders as the photographs, or set data.masks = \"none\"",
-            ));
-        }
-    }
+    unshared(sources, &found)?;
     let mut all = found.iter().flatten().map(|(_, mask)| mask);
     let Some(first) = all.next() else {
         return if named { Err(look.none(sources)) } else { Ok(straight) };
@@ -100,6 +89,23 @@ pub(crate) fn find(config: &DataConfig, sources: &mut [&mut Source]) -> Result<A
         source.mask = found.map(|(_, mask)| mask);
     }
     Ok(alpha)
+}
+
+/// Refuses a mask of a folder that would be that of two photographs. A photograph may be in several splits.
+fn unshared(sources: &[&mut Source], found: &[Option<(Kind, Mask)>]) -> Result<()> {
+    let mut known: HashMap<&Path, &Photograph> = HashMap::new();
+    for (source, found) in sources.iter().zip(found) {
+        let (Some((Kind::Folder, mask)), [file, ..]) = (found, source.files()) else { continue };
+        let before = known.insert(mask.path(), file);
+        if let Some(before) = before.filter(|before| before.path != file.path) {
+            return Err(Error::input(
+                &file.place,
+                format!("mask {} would also be that of {}", mask.path().display(), before.path.display()),
+                "give the folder of masks the same subfolders as the photographs, or set data.masks = \"none\"",
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// Where masks are looked for.

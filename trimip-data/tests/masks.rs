@@ -106,6 +106,10 @@ fn masks_are_found_wherever_tools_put_them_and_mean_what_they_mean_there() {
             (test.alpha, test.pixels_of(0)[3], test.pixels_of(0)[8]),
             (alpha, [0; 4], [80, 0, 200, 255])
         );
+        // A photograph may be trained and tested on.
+        let both =
+            with(root, |c| (c.train, c.masks) = (vec!["train".into(), "test".into()], config.masks.clone()));
+        assert_eq!(open(&both).unwrap().train.alpha, alpha);
         // Nothing of it without masks.
         let without = open(&with(root, |config| config.masks = "none".into())).unwrap();
         assert_eq!((without.train.alpha, pixel(&without, 3, 2)), (Alpha::Straight, [90, 91, 92, 255]));
@@ -236,7 +240,7 @@ fn broken_masks_are_one_line_that_names_file_and_remedy() {
                 photograph(&root.join("images/b/0.png"), left, [0; 3]);
                 write(&root.join("transforms.json"), &json!({ "camera_angle_x": 0.7, "frames": frames }));
             },
-            &["masks/0.png would also be that of 0", "the same subfolders"],
+            &["masks/0.png would also be that of", "images/", "the same subfolders"],
         ),
     ];
     for (number, (breaking, parts)) in cases.into_iter().enumerate() {

@@ -107,7 +107,9 @@ impl Capture {
         let (frames, scales) = (&self.frames, self.scales);
         let sources = map_in_order(&chosen, |_, &index| {
             let frame = &frames[index];
+            let k = &frame.camera.intrinsics;
             let image = Photograph::open(frame.path.clone(), frame.place.clone())?;
+            let image = image.fit(Some(k.width), Some(k.height));
             let pixels = Pixels::Photograph(image);
             Source::averaged(frame.name.clone(), frame.camera, scales, &frame.place, pixels)
         })?;
@@ -170,8 +172,9 @@ struct Scaled {
 /// accepted, and their cameras scaled.
 fn frames_scaled(mut frames: Vec<Frame>, named: bool) -> Result<Scaled> {
     let factors = map_in_order(&frames, |_, frame| {
-        let image = Photograph::open(frame.path.clone(), frame.place.clone())?;
         let k = &frame.camera.intrinsics;
+        let image = Photograph::open(frame.path.clone(), frame.place.clone())?;
+        let image = image.fit(Some(k.width), Some(k.height));
         let (sizes, own) = ([image.width, image.height], [k.width, k.height]);
         if sizes == own {
             return Ok([1.0; 2]);

@@ -17,6 +17,7 @@ use trimip::report::scale_name;
 use trimip::run::folder as run_folder;
 use trimip::{backends, settings};
 use trimip_core::cones::Division;
+use trimip_core::evaluate::compared;
 use trimip_core::metrics::psnr;
 use trimip_core::model::Model;
 use trimip_core::tensors::write_atomically;
@@ -127,12 +128,14 @@ fn load(model: &Model, side: u32) -> Result<Box<dyn Viewer>> {
 /// PSNR of a rendered view in dB: as the set shows it, without the set's edge exponents, and against the true box filter.
 fn errors(model: &Model, set: &ViewSet, view: usize, factor: u32, rendered: Frame) -> [f64; 3] {
     let data = &model.config.data;
-    let target = set.composited(view, data.background);
+    let seen = |rgb: Vec<[f32; 3]>| compared(set, view, rgb);
+    let target = seen(set.composited(view, data.background));
     let finest = &set.scales[0];
     let truth = set.box_filtered(finest.views.start, factor / finest.factor, data.background);
     let plain = rendered.rgb();
     let shown = rendered.shown(data.background, data.edge_exponent(factor)).rgb();
-    [psnr(&shown, &target), psnr(&plain, &target), psnr(&plain, &truth)]
+    let (plain, shown) = (seen(plain), seen(shown));
+    [psnr(&shown, &target), psnr(&plain, &target), psnr(&plain, &seen(truth))]
 }
 
 /// Marks the rows that no other row of their scale beats in both time and error.

@@ -19,6 +19,7 @@ use trimip::report::scale_name;
 use trimip::run::folder as run_folder;
 use trimip::{backends, settings};
 use trimip_core::config::RendererKind;
+use trimip_core::evaluate::compared;
 use trimip_core::metrics::psnr;
 use trimip_core::model::{Model, assets};
 use trimip_core::proxy::Proxy;
@@ -82,7 +83,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
             let at = format!("view {index} {}", scale_name(factor));
             bar.set_message(format!("{at}: converged"));
             let reference = converged.render(camera)?.rgb();
-            let target = set.composited(view, data.background);
+            let target = compared(&set, view, set.composited(view, data.background));
             for (i, way) in ways.iter_mut().enumerate() {
                 bar.set_message(format!("{at}: {} {}", way.family, way.name));
                 let started = Instant::now();
@@ -96,7 +97,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
                 });
                 row.psnr_converged += share * psnr(&frame.rgb(), &reference);
                 let shown = frame.shown(data.background, data.edge_exponent(factor));
-                row.psnr += share * psnr(&shown.rgb(), &target);
+                row.psnr += share * psnr(&compared(&set, view, shown.rgb()), &target);
                 row.milliseconds += share * milliseconds;
             }
         }
