@@ -182,7 +182,8 @@ pub fn photographs(
     scales: u32,
     mut pixel: impl FnMut(usize, usize) -> [u8; 4],
 ) -> ViewSet {
-    let mut set = ViewSet { views: vec![], pixels: vec![], alpha: Alpha::Straight, scales: vec![] };
+    let mut set =
+        ViewSet { views: vec![], pixels: Default::default(), alpha: Alpha::Straight, scales: vec![] };
     for level in 0..scales {
         let (first_view, first_pixel) = (set.views.len(), set.pixels.len());
         for (i, camera) in cameras.iter().enumerate() {

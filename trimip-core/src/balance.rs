@@ -234,7 +234,7 @@ mod tests {
         };
         let set = ViewSet {
             views: (0..4).map(views).collect(),
-            pixels: Vec::new(),
+            pixels: Vec::new().into(),
             alpha: crate::Alpha::Straight,
             scales: (0..4).map(|j| Scale { views: j..j + 1, ..scales(4)[j].clone() }).collect(),
         };

@@ -8,8 +8,8 @@ mod sections;
 
 pub use choices::{
     Contraction, Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LevelFormula, LossRays,
-    MaskKeeps, MaskRole, Photographs, PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind,
-    TrainBackground, Untouched,
+    MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, PlaneShape, Precision, RateSchedule,
+    RendererKind, TrainBackground, Untouched,
 };
 pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig};
 pub use sections::{

@@ -186,7 +186,7 @@ mod tests {
         };
         ViewSet {
             views: vec![view(0, 0), view(1, 256)],
-            pixels: [finest, coarse].concat(),
+            pixels: [finest, coarse].concat().into(),
             alpha: Alpha::Straight,
             scales: vec![
                 Scale { factor: 1, weight: 1.0, views: 0..1, pixels: 0..256 },

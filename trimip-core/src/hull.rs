@@ -49,7 +49,7 @@ mod tests {
             }
         }
         let all = Scale { factor: 1, weight: 1.0, views: 0..40, pixels: 0..pixels.len() };
-        ViewSet { views, pixels, alpha: Alpha::Straight, scales: vec![all] }
+        ViewSet { views, pixels: pixels.into(), alpha: Alpha::Straight, scales: vec![all] }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Photographs for training and evaluation: 8-bit RGBA pixels in one flat array, divided into views, grouped by scale. Scale j holds images reduced by 2^j; the area weight of its pixels is 4^j (the paper's area loss).
 
-use crate::{Camera, Result, config::Convention};
+use crate::{Camera, Pixels, Result, config::Convention};
 use std::ops::Range;
 
 /// One image at one scale.
@@ -81,7 +81,7 @@ pub struct ViewSet {
     /// Views, sorted by scale.
     pub views: Vec<View>,
     /// RGBA, 8 bits each.
-    pub pixels: Vec<[u8; 4]>,
+    pub pixels: Pixels,
     /// Meaning of the pixels' colour.
     pub alpha: Alpha,
     /// Scales from fine to coarse.
@@ -139,9 +139,9 @@ impl ViewSet {
         self.means(index, factor).into_iter().map(on).collect()
     }
 
-    /// Bytes of pixels and views.
+    /// Bytes of pixels and views in memory.
     pub fn bytes(&self) -> usize {
-        self.pixels.len() * 4 + self.views.len() * size_of::<View>()
+        self.pixels.bytes_in_memory() + self.views.len() * size_of::<View>()
     }
 }
 
@@ -206,7 +206,7 @@ mod tests {
         let (red, grey, garbage) = ([255, 0, 0, 255], [51, 51, 51, 255], [7, 77, 177, 0]);
         let set = ViewSet {
             views: vec![View { name: String::new(), camera, offset: 0 }],
-            pixels: vec![red, garbage, garbage, garbage, grey, grey, garbage, garbage],
+            pixels: vec![red, garbage, garbage, garbage, grey, grey, garbage, garbage].into(),
             alpha: Alpha::Kept,
             scales: Vec::new(),
         };

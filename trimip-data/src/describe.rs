@@ -3,7 +3,7 @@
 use crate::{
     lens, masks,
     scene::Survey,
-    source::{Source, assemble},
+    source::{Source, assemble_in},
     watch::{Meter, Watch},
 };
 use trimip_core::{Alpha, Result, ViewSet, config::DataConfig};
@@ -34,7 +34,11 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
         ),
         format!("images {}, {}", sizes(&survey.train), alpha(&survey.train)),
         format!("scale{} {}: {convention}", if factors.len() == 1 { "" } else { "s" }, factors.join(", ")),
-        format!("{:.1} MB of training pixels in memory", train.bytes() as f64 / 1e6),
+        format!(
+            "{:.1} MB of training pixels {}",
+            4e-6 * train.pixels.len() as f64,
+            if train.pixels.bytes_in_memory() > 0 { "in memory" } else { "in a file" }
+        ),
     ];
     lines.extend(survey.notes.iter().cloned());
     lines.extend(masks::described(&survey.train, train));
@@ -47,7 +51,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
 /// As [`open`](crate::open).
 pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
+    let train = assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
     let mut lines = description(&survey, config, &train);
     for (name, sources) in [("train", &survey.train), ("test", &survey.test)] {
         let cameras = || sources.iter().filter_map(|source| source.views.first().map(|(_, camera)| camera));

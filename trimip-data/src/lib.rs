@@ -39,6 +39,7 @@ mod scene;
 mod source;
 mod split;
 mod stated;
+mod store;
 mod watch;
 mod write;
 
@@ -46,5 +47,6 @@ pub use describe::inspect;
 pub use lens::{lens_of, lens_terms};
 pub use points::{Observation, Point};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};
+pub use store::available_memory;
 pub use watch::{Watch, unwatched};
 pub use write::{Summary, write_builtin, write_multiscale};

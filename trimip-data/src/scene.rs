@@ -6,7 +6,7 @@ use crate::{
     layout::Layout,
     list, masks, orientation,
     points::{Cloud, Point},
-    source::{FrameList, Source, assemble},
+    source::{FrameList, Source, assemble_in},
     split::Split,
     watch::{Meter, Watch, unwatched},
 };
@@ -65,7 +65,7 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
 /// As [`open`].
 pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
     let survey = Survey::new(config)?;
-    let train = assemble(&survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
+    let train = assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
     let description = describe::description(&survey, config, &train);
     let of_masks = masks::warnings(&survey.train, &train);
     Ok(Scene {

@@ -5,12 +5,12 @@ use crate::{
     builtin, foreign,
     mask::Mask,
     photograph::Photograph,
-    pyramid,
+    pyramid, store,
     watch::{Meter, unwatched},
 };
 use rayon::prelude::*;
 use std::path::Path;
-use trimip_core::config::Finish;
+use trimip_core::config::{Finish, PixelStore};
 use trimip_core::{Alpha, Camera, Error, Frames, Lens, Result, Scale, View, ViewSet};
 
 /// One frame: a camera per scale, and the source of its pixels.
@@ -171,6 +171,16 @@ impl Source {
 
 /// All views of `sources`, sorted by scale, then by frame; `meter` counts their rows.
 pub(crate) fn assemble(sources: &[Source], alpha: Alpha, meter: &Meter<'_>) -> Result<ViewSet> {
+    assemble_in(PixelStore::Memory, sources, alpha, meter)
+}
+
+/// As [`assemble`], with the pixels where `store` says.
+pub(crate) fn assemble_in(
+    store: PixelStore,
+    sources: &[Source],
+    alpha: Alpha,
+    meter: &Meter<'_>,
+) -> Result<ViewSet> {
     let mut levels: Vec<u32> =
         sources.iter().flat_map(|source| source.views.iter().map(|(level, _)| *level)).collect();
     levels.sort_unstable();
@@ -196,25 +206,22 @@ pub(crate) fn assemble(sources: &[Source], alpha: Alpha, meter: &Meter<'_>) -> R
         });
     }
 
-    let mut pixels: Vec<[u8; 4]> = Vec::new();
-    pixels.try_reserve_exact(end).map_err(|_| too_large())?;
-    pixels.resize(end, [0; 4]);
-    let mut slots: Vec<Vec<&mut [[u8; 4]]>> = sources.iter().map(|_| Vec::new()).collect();
-    let mut rest = pixels.as_mut_slice();
-    for (index, view) in owners.into_iter().zip(&views) {
-        let (slot, tail) = rest.split_at_mut(area(&view.camera).unwrap_or(0));
-        slots[index].push(slot);
-        rest = tail;
-    }
-    let failure = sources
-        .par_iter()
-        .zip(slots)
-        .map(|(source, mut slots)| source.fill(alpha, &mut slots, meter))
-        .find_map_first(Result::err);
-    match failure {
-        Some(error) => Err(error),
-        None => Ok(ViewSet { views, pixels, alpha, scales }),
-    }
+    let fill = |mut rest: &mut [[u8; 4]]| {
+        let mut slots: Vec<Vec<&mut [[u8; 4]]>> = sources.iter().map(|_| Vec::new()).collect();
+        for (index, view) in owners.into_iter().zip(&views) {
+            let (slot, tail) = rest.split_at_mut(area(&view.camera).unwrap_or(0));
+            slots[index].push(slot);
+            rest = tail;
+        }
+        let failure = sources
+            .par_iter()
+            .zip(slots)
+            .map(|(source, mut slots)| source.fill(alpha, &mut slots, meter))
+            .find_map_first(Result::err);
+        failure.map_or(Ok(()), Err)
+    };
+    let pixels = store::filled(store::is_on_disk(store, end), end, fill)?;
+    Ok(ViewSet { views, pixels, alpha, scales })
 }
 
 fn area(camera: &Camera) -> Option<usize> {
@@ -222,7 +229,7 @@ fn area(camera: &Camera) -> Option<usize> {
 }
 
 fn too_large() -> Error {
-    Error::input("data", "the images do not fit into memory", "use fewer or smaller images")
+    Error::input("data", "the images have more pixels than can be counted", "use fewer or smaller images")
 }
 
 /// Frames decoded one at a time.

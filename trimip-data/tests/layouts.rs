@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use std::fs;
 use trimip_core::{
     Alpha, Lens, ViewSet,
-    config::{Convention, Format},
+    config::{Convention, DataConfig, Format, PixelStore},
 };
 use trimip_data::{Watch, builtin, inspect, open, open_watched, unwatched, write_builtin, write_multiscale};
 
@@ -274,4 +274,17 @@ fn inspection_names_splits_sizes_cameras_and_warnings() {
     ] {
         assert!(lines.contains(expected), "{expected}:\n{lines}");
     }
+}
+
+#[test]
+fn photographs_on_disk_are_the_same_photographs() {
+    let mut data = settings(std::path::Path::new(""), 4);
+    data.format = Format::Builtin;
+    (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 3, 1);
+    let [memory, disk] = [PixelStore::Memory, PixelStore::Disk]
+        .map(|pixels| open(&DataConfig { pixels, ..data.clone() }).unwrap());
+    assert_eq!(memory.train.pixels, disk.train.pixels);
+    assert_eq!((memory.train.pixels.bytes_in_memory(), disk.train.pixels.bytes_in_memory()), (4 * 4080, 0));
+    assert!(memory.description.iter().any(|line| line.contains("in memory")));
+    assert!(disk.description.iter().any(|line| line.contains("in a file")));
 }

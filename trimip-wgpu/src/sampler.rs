@@ -108,7 +108,7 @@ struct Training {
     /// All pixels, or only those of a step's rays.
     pixels: Mutex<Buffer<u32>>,
     /// All pixels, if they stay on the host.
-    host: Option<Vec<[u8; 4]>>,
+    host: Option<trimip_core::Pixels>,
     scales: Buffer<GpuScale>,
     /// The scales, for the host.
     shared: Vec<Scale>,

@@ -34,10 +34,7 @@ impl Machine {
     pub fn detect() -> Self {
         let meminfo = read("/proc/meminfo");
         let limit = read("/sys/fs/cgroup/memory.max").trim().parse().ok();
-        let used = read("/sys/fs/cgroup/memory.current").trim().parse::<u64>().ok();
         let total = kilobytes(&meminfo, "MemTotal:");
-        let available = kilobytes(&meminfo, "MemAvailable:");
-        let left = limit.zip(used).map(|(limit, used): (u64, u64)| limit.saturating_sub(used));
         Self {
             cpu: field(&read("/proc/cpuinfo"), "model name", ':')
                 .unwrap_or_else(|| std::env::consts::ARCH.into()),
@@ -45,7 +42,7 @@ impl Machine {
             simd: simd(),
             os: os(),
             memory_total_bytes: smaller(total, limit),
-            memory_available_bytes: smaller(available, left),
+            memory_available_bytes: trimip_data::available_memory(),
         }
     }
 }

@@ -46,6 +46,17 @@ choice!(
     }
 );
 choice!(
+    /// Where decoded training photographs are kept.
+    PixelStore {
+        /// In memory if they take less than half of what is available, otherwise in a file.
+        Auto,
+        /// In memory.
+        Memory,
+        /// In a file without a name in the system's temporary folder.
+        Disk,
+    }
+);
+choice!(
     /// The colour of a mask that marks what is kept.
     MaskKeeps {
         /// White, except in Instant-NGP's `dynamic_mask_*`.

@@ -2,7 +2,8 @@
 
 use super::choices::{
     Contraction, Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays, MaskKeeps,
-    MaskRole, Photographs, PlanChoice, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
+    MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule, RendererKind, TrainBackground,
+    Untouched,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -32,7 +33,7 @@ section!(
     DataConfig, "data" {
         root: String, format: Format, images: String, train: Vec<String>, test: String, holdout: u32, test_list: String, lens: bool, masks: String, mask_keeps: MaskKeeps, mask_role: MaskRole, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
-        builtin_finish: Finish, most_pixels: f64,
+        builtin_finish: Finish, most_pixels: f64, pixels: PixelStore,
     }
 );
 section!(

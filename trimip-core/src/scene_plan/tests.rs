@@ -1,7 +1,7 @@
 //! Whole plans of small scenes.
 
 use super::*;
-use crate::config::FilePrecision;
+use crate::config::{Contraction, FilePrecision};
 use crate::encoders::tri_mip::Pyramid;
 use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
 use glam::DVec3;
@@ -9,7 +9,7 @@ use glam::DVec3;
 /// Views of a ball of radius 0.4 around (0.5, 0, 0), at two scales.
 fn views(alpha: bool) -> ViewSet {
     let mut set =
-        ViewSet { views: Vec::new(), pixels: Vec::new(), alpha: Alpha::Straight, scales: Vec::new() };
+        ViewSet { views: Vec::new(), pixels: Default::default(), alpha: Alpha::Straight, scales: Vec::new() };
     for level in 0..2_u32 {
         let k = Intrinsics::from_angle(256, 256, 0.7).reduced(level);
         let (first, first_pixel) = (set.views.len(), set.pixels.len());
@@ -272,7 +272,7 @@ fn what_the_user_set_and_what_cannot_be_known_stays() {
     let (config, findings) = planned(&views(true), &["scene.aabb_min=[-1.0, -1.0, -1.0]"]).unwrap();
     assert!(!findings[0].left_out && findings[0].reason.contains("--set"), "{findings:?}");
     assert_eq!(config.scene.aabb_max, [1.5; 3]);
-    let (config, findings) = planned(&views(false), &[]).unwrap();
+    let (config, findings) = planned(&views(false), &["scene.contraction=none"]).unwrap();
     assert!(findings[0].reason.contains("no silhouettes"), "{findings:?}");
     let aabb = Aabb::<f64>::new(&config.scene);
     assert!(aabb.min[0] < -4.0 && aabb.max[0] > 4.0, "the surroundings are in it: {aabb:?}");
@@ -284,6 +284,33 @@ fn what_the_user_set_and_what_cannot_be_known_stays() {
     let (config, findings) = planned(&views(true), &off).unwrap();
     assert!(findings.iter().all(|finding| finding.changes.is_empty()));
     assert_eq!(Config { plan: Config::default().plan, ..config }, Config::default());
+}
+
+/// Photographs that show their surroundings: a cube of contracted space in the middle of which the cameras lie, whatever
+/// box the data state. Photographs with alpha, a given box and a given contraction keep a bounded space.
+#[test]
+fn surroundings_are_contracted() {
+    let train = views(false);
+    let (config, findings) = planned(&train, &[]).unwrap();
+    assert_eq!(config.scene.contraction, Contraction::Ball, "{findings:?}");
+    config.validate().unwrap();
+    let (ball, cameras) = (config.scene.subject(), train.views.iter().map(|view| view.camera.origin));
+    let (centre, radius) = (0.5 * (ball.min[0] + ball.max[0]), 0.5 * ball.longest());
+    let mut distances: Vec<f64> = cameras.map(|origin| (origin - DVec3::splat(centre)).length()).collect();
+    distances.sort_by(f64::total_cmp);
+    assert!((distances[distances.len() / 2] / radius - 1.0).abs() < 1e-3, "{radius}: {distances:?}");
+    let compute = Compute::one_thread();
+    let facts = Facts { train: &train, test: &[], stated: None, compute: &compute };
+    assert!(warnings(&config, &facts).iter().all(|warning| !warning.contains("covers only")));
+    for (alpha, given) in [
+        (true, &[][..]),
+        (false, &["scene.contraction=none"]),
+        (false, &["scene.aabb_max=[1.0, 1.0, 1.0]"]),
+        (false, &["plan.aabb=off"]),
+    ] {
+        let (config, _) = planned(&views(alpha), given).unwrap();
+        assert_eq!(config.scene.contraction, Contraction::None, "{given:?}");
+    }
 }
 
 #[test]

@@ -1,0 +1,131 @@
+//! Where decoded photographs are kept: in memory, or in a file without a name that the system pages in and drops as memory
+//! allows. Both hold the same pixels, so a run has the same bits.
+
+use crate::describe::count;
+use memmap2::{Mmap, MmapMut};
+use std::{fs, io::Write};
+use trimip_core::{Error, Pixels, Result, config::PixelStore};
+
+/// Largest share of the available memory that photographs may take before they are kept on disk.
+const SHARE: f64 = 0.5;
+
+/// Bytes that are written at once to reserve the file's space.
+const CHUNK: usize = 1 << 20;
+
+/// Where `pixels` pixels are kept by a setting.
+pub(crate) fn is_on_disk(store: PixelStore, pixels: usize) -> bool {
+    match store {
+        PixelStore::Memory => false,
+        PixelStore::Disk => true,
+        PixelStore::Auto => {
+            available_memory().is_some_and(|bytes| 4.0 * pixels as f64 > SHARE * bytes as f64)
+        }
+    }
+}
+
+/// Pixels that `fill` has written, all zero before.
+///
+/// # Errors
+/// If there is no room for them, and those of `fill`.
+pub(crate) fn filled(
+    on_disk: bool,
+    pixels: usize,
+    fill: impl FnOnce(&mut [[u8; 4]]) -> Result<()>,
+) -> Result<Pixels> {
+    if !on_disk || pixels == 0 {
+        let mut own: Vec<[u8; 4]> = Vec::new();
+        own.try_reserve_exact(pixels).map_err(|_| too_large())?;
+        own.resize(pixels, [0; 4]);
+        fill(&mut own)?;
+        return Ok(own.into());
+    }
+    let mut map = reserve(pixels).map_err(|error| {
+        let needed = format!("{:.1} GB", 4e-9 * pixels as f64);
+        Error::input(
+            "data.pixels",
+            format!(
+                "{} take {needed} in a file of {}: {error}",
+                count(pixels, "pixel"),
+                std::env::temp_dir().display()
+            ),
+            "free space there, set TMPDIR to another disk, or lower data.most_pixels",
+        )
+    })?;
+    fill(map.as_chunks_mut().0)?;
+    let map = map.make_read_only().map_err(|error| Error::run(format!("photographs on disk: {error}")))?;
+    Ok(Pixels::elsewhere(Mapped(map)))
+}
+
+/// Maps a file of zeros that vanishes with this process. Its space is reserved by writing it: a full disk is an error here
+/// and not a signal later.
+fn reserve(pixels: usize) -> std::io::Result<MmapMut> {
+    let mut file: fs::File = tempfile::tempfile()?;
+    let (zeros, mut left) = (vec![0; CHUNK], 4 * pixels);
+    while left > 0 {
+        let part = left.min(CHUNK);
+        file.write_all(&zeros[..part])?;
+        left -= part;
+    }
+    // SAFETY: the file has no name, so no other process opens, changes or truncates it.
+    unsafe { MmapMut::map_mut(&file) }
+}
+
+/// Pixels in a mapped file.
+struct Mapped(Mmap);
+
+impl AsRef<[[u8; 4]]> for Mapped {
+    fn as_ref(&self) -> &[[u8; 4]] {
+        self.0.as_chunks().0
+    }
+}
+
+fn too_large() -> Error {
+    Error::input(
+        "data",
+        "the images do not fit into memory",
+        "set data.pixels = \"disk\", or use fewer or smaller images",
+    )
+}
+
+/// Memory that this process may still take, bytes: the machine's, or a container's; `None` where the system does not tell.
+pub fn available_memory() -> Option<u64> {
+    let read = |path: &str| fs::read_to_string(path).unwrap_or_default();
+    let of_machine = read("/proc/meminfo").lines().find_map(|line| {
+        let kilobytes = line.strip_prefix("MemAvailable:")?.trim().strip_suffix("kB")?.trim();
+        kilobytes.parse::<u64>().ok().map(|kilobytes| 1024 * kilobytes)
+    });
+    let number = |path: &str| read(path).trim().parse::<u64>().ok();
+    let limit = number("/sys/fs/cgroup/memory.max").zip(number("/sys/fs/cgroup/memory.current"));
+    let of_container = limit.map(|(limit, used)| limit.saturating_sub(used));
+    [of_machine, of_container].into_iter().flatten().min()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_places_hold_the_same_pixels() {
+        let fill = |pixels: &mut [[u8; 4]]| {
+            assert!(pixels.iter().all(|pixel| *pixel == [0; 4]));
+            pixels.iter_mut().enumerate().for_each(|(i, pixel)| *pixel = (i as u32).to_le_bytes());
+            Ok(())
+        };
+        for count in [0, 1, 600_001] {
+            let [memory, disk] = [false, true].map(|on_disk| filled(on_disk, count, fill).unwrap());
+            assert_eq!(memory, disk);
+            assert_eq!((memory.bytes_in_memory(), disk.bytes_in_memory()), (4 * count, 0));
+        }
+        let failing = filled(true, 5, |_| Err(Error::input("a", "b", "c"))).unwrap_err();
+        assert_eq!(failing.exit_code(), 2);
+    }
+
+    #[test]
+    fn few_pixels_stay_in_memory_and_more_than_there_is_do_not() {
+        assert!(!is_on_disk(PixelStore::Auto, 1000) && !is_on_disk(PixelStore::Memory, usize::MAX));
+        assert!(is_on_disk(PixelStore::Disk, 1));
+        if available_memory().is_some() {
+            assert!(is_on_disk(PixelStore::Auto, 1 << 50));
+        }
+    }
+}
