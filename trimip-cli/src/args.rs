@@ -224,9 +224,9 @@ pub struct RenderArguments {
     /// Turntable: distance from the box's centre [default: the minimum at which every picture shows the whole box]
     #[arg(long, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path"], allow_hyphen_values = true)]
     pub distance: Option<f64>,
-    /// Up direction in the picture, for --look-at and --turntable
-    #[arg(long, default_value = "0,0,1", value_name = "X,Y,Z", allow_hyphen_values = true)]
-    pub up: String,
+    /// Up direction in the picture, for --look-at and --turntable [default: scene.up of the model]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub up: Option<String>,
     /// Width in pixels, for cameras without one
     #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(1..=16_384))]
     pub width: u32,

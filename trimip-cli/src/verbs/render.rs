@@ -7,6 +7,7 @@ use crate::{
     progress::bar,
     terminal,
 };
+use glam::DVec3;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -153,7 +154,10 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
         ));
     }
     let intrinsics = Intrinsics::from_angle(arguments.width, arguments.height, arguments.fov.to_radians());
-    let up = cameras::vector("--up", &arguments.up)?;
+    let up = match &arguments.up {
+        Some(given) => cameras::vector("--up", given)?,
+        None => DVec3::from_array(config.scene.up.map(f64::from)),
+    };
     if let Some(text) = &arguments.pose {
         return Ok(vec![("pose".into(), cameras::pose(text, intrinsics)?)]);
     }

@@ -141,6 +141,11 @@ impl SceneConfig {
             "scene.aabb_max",
             "a corner above aabb_min on every axis, all finite",
         )?;
+        to.check(
+            self.up.iter().all(|x| x.is_finite()) && self.up.iter().any(|&x| x != 0.0),
+            "scene.up",
+            "three finite numbers that are not all 0",
+        )?;
         let [x, y, z] = std::array::from_fn(|axis| self.aabb_max[axis] - self.aabb_min[axis]);
         to.check(
             self.contraction == Contraction::None || x.max(y).max(z) <= 1.001 * x.min(y).min(z),

@@ -38,7 +38,7 @@ section!(
 );
 section!(
     /// The bounding box of the scene.
-    SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3], contraction: Contraction }
+    SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3], contraction: Contraction, up: [f32; 3] }
 );
 section!(
     /// What the scene plan may derive from the data and the budget, and what it may leave out.

@@ -108,21 +108,32 @@ fn unbounded(context: &Context<'_>) -> Option<Proposal> {
     let steps = f64::from(now.renderer.steps_per_diagonal) * aabb.longest()
         / Aabb::<f64>::new(&configured.scene).longest();
     let corner = |corner: [f32; 3]| Value::Array(corner.map(|x| Value::Float(shortest(x))).to_vec());
+    let mut changes = vec![
+        ("scene.contraction", Value::String("ball".into())),
+        ("scene.aabb_min", corner(sized.scene.aabb_min)),
+        ("scene.aabb_max", corner(sized.scene.aabb_max)),
+        ("encoder.shape", Value::String("box".into())),
+        ("encoder.plane_size", Value::Integer(sized.encoder.plane_size.into())),
+        ("renderer.steps_per_diagonal", Value::Integer(steps.ceil().clamp(STEPS[0], STEPS[1]) as i64)),
+    ];
+    if !context.given("scene.up") {
+        changes.push(("scene.up", corner(up(facts).to_array().map(|x| x as f32))));
+    }
     Some(Proposal::Set {
         reason: format!(
             "the photographs show their surroundings: space keeps its shape within {} units of {source}, and all beyond \
              is contracted",
             significant(radius)
         ),
-        changes: vec![
-            ("scene.contraction", Value::String("ball".into())),
-            ("scene.aabb_min", corner(sized.scene.aabb_min)),
-            ("scene.aabb_max", corner(sized.scene.aabb_max)),
-            ("encoder.shape", Value::String("box".into())),
-            ("encoder.plane_size", Value::Integer(sized.encoder.plane_size.into())),
-            ("renderer.steps_per_diagonal", Value::Integer(steps.ceil().clamp(STEPS[0], STEPS[1]) as i64)),
-        ],
+        changes,
     })
+}
+
+/// The cameras' mean up direction to two digits, which are enough to stand upright.
+fn up(facts: &Facts<'_>) -> DVec3 {
+    let sum: DVec3 = cameras(facts.train).iter().map(|camera| camera.rotation.y_axis).sum();
+    let mean = (100.0 * sum.normalize_or(DVec3::Z)).round() / 100.0;
+    if mean == DVec3::ZERO { DVec3::Z } else { mean }
 }
 
 /// Centre and radius of the ball that keeps its shape, and what the centre is: what the cameras look at, or their midst if
