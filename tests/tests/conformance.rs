@@ -87,6 +87,21 @@ fn bf16_gradients_are_those_of_the_rounded_factors() {
 }
 
 #[test]
+fn distortion_is_the_sum_over_all_pairs() {
+    on_every_cpu(|make| suite::distortion::as_written(make));
+}
+
+#[test]
+fn distortion_has_no_unit() {
+    on_every_cpu(|make| suite::distortion::in_other_units(make));
+}
+
+#[test]
+fn gradients_of_distortion_are_finite_differences() {
+    with_threads(&[2], |make| suite::distortion::finite_differences(make));
+}
+
+#[test]
 fn marching_is_asking_every_step() {
     on_every_cpu(|make| suite::marching::brute_force(make));
 }

@@ -13,8 +13,8 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};
 
-/// The state after some training steps with `threads` threads, and a picture of it. Encoder, cones and edge exponents are
-/// those of `encoder`.
+/// The state after some training steps with `threads` threads, and a picture of it. Encoder, cones, edge exponents and
+/// losses are those of `encoder`.
 fn trained(
     encoder: &trimip_core::Config,
     simd: Simd,
@@ -27,6 +27,7 @@ fn trained(
     (config.renderer.cones, config.renderer.cone_width) =
         (encoder.renderer.cones, encoder.renderer.cone_width);
     config.data.edge_exponents.clone_from(&encoder.data.edge_exponents);
+    config.loss.clone_from(&encoder.loss);
     // There are at least 16 deposits, so several spans share one and workers compete for them.
     config.train.samples_per_step = 4096;
     let views = fixtures::noise(4, 16, 3, 30);
@@ -43,10 +44,12 @@ fn threads_change_no_bit() {
     let sets: Vec<_> =
         sets.flat_map(|simd| [Precision::F32, Precision::Bf16].map(|precision| (simd, precision))).collect();
     let mut configurations = fixtures::every_encoder();
-    // One, one and nine cones a pixel at the three scales.
+    // One, one and nine cones a pixel at the three scales, with and without distortion.
     let mut several_cones = fixtures::small();
     (several_cones.renderer.cones, several_cones.renderer.cone_width) = (3, 0.45);
     several_cones.data.edge_exponents = vec![0.0, 0.25, 0.5];
+    configurations.push(several_cones.clone());
+    several_cones.loss.distortion = 0.3;
     configurations.push(several_cones);
     for (encoder, (simd, precision)) in
         configurations.iter().flat_map(|encoder| sets.iter().map(move |&set| (encoder, set)))
@@ -56,7 +59,10 @@ fn threads_change_no_bit() {
         for threads in [2, 3, 5] {
             let (found, same) = trained(encoder, simd, precision, threads, 42);
             let (kind, cones) = (encoder.encoder.kind, encoder.renderer.cones);
-            let name = format!("{kind:?}, {cones} cones, {simd:?}, {precision:?}, {threads} threads");
+            let distortion = encoder.loss.distortion;
+            let name = format!(
+                "{kind:?}, {cones} cones, distortion {distortion}, {simd:?}, {precision:?}, {threads} threads"
+            );
             assert_eq!(found.state, expected.state, "{name}");
             for (tensor, value) in &expected.file.tensors {
                 assert!(found.file.tensors.get(tensor) == Some(value), "{name}: `{tensor}` differs");

@@ -131,6 +131,21 @@ fn pictures_of_contracted_space_are_those_of_the_model_in_f64() {
 }
 
 #[test]
+fn distortion_is_the_sum_over_all_pairs() {
+    reproducibly(|make| suite::distortion::as_written(make));
+}
+
+#[test]
+fn distortion_has_no_unit() {
+    reproducibly(|make| suite::distortion::in_other_units(make));
+}
+
+#[test]
+fn gradients_of_distortion_are_finite_differences() {
+    reproducibly(|make| suite::distortion::finite_differences(make));
+}
+
+#[test]
 fn marching_is_asking_every_step() {
     reproducibly(|make| suite::marching::brute_force(make));
 }

@@ -27,6 +27,7 @@ pub mod compositing;
 pub mod cones;
 pub mod config;
 mod defaults;
+pub mod distortion;
 pub mod edges;
 mod elements;
 pub mod encoders;

@@ -326,7 +326,7 @@ pub trait Occupancy<B: Backend>: Send + Sync {
     fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>);
 }
 
-/// Maps pixels to the loss (smooth-L1, weighted by area).
+/// Maps pixels to the loss (smooth-L1, weighted by area), and the weights of their samples to the distortion loss.
 pub trait Loss<B: Backend>: Send + Sync {
     /// Evaluates the area-weighted smooth-L1 of each pixel, its gradient with respect to the pixel (not yet divided
     /// by the sum of the weights), and the sums.
@@ -337,6 +337,19 @@ pub trait Loss<B: Backend>: Send + Sync {
         samples: &Samples<B>,
         pixels: &B::Buffer<Pixel>,
         pixel_gradients: &mut B::Buffer<[f32; 4]>,
+        sums: &mut B::Sums,
+    );
+
+    /// Adds the distortion loss of the pixels ([`distortion`](crate::distortion), the mean of their cones, weighted by area) to
+    /// the sums, and its gradient to the densities' in `radiance_gradients`, which [`Renderer::backward`] wrote. Called once
+    /// after [`evaluate`](Self::evaluate). Does nothing if the loss has no weight.
+    fn distort(
+        &self,
+        lane: &mut B::Lane,
+        rays: &Rays<B>,
+        samples: &Samples<B>,
+        radiance: &B::Buffer<Radiance>,
+        radiance_gradients: &mut B::Buffer<Radiance>,
         sums: &mut B::Sums,
     );
 }

@@ -171,7 +171,7 @@ impl Backend for CpuBackend {
             optimizer: CpuOptimizer::new(self.simd, config, &layout, training),
             sampler: CpuSampler::new(config, views),
             occupancy: CpuOccupancy::new(config),
-            loss: CpuLoss::new(&config.loss),
+            loss: CpuLoss::new(config),
         })
     }
 

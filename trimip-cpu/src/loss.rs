@@ -1,23 +1,25 @@
-//! The photometric loss on the CPU.
+//! The loss on the CPU: of pixels, and of the samples' weights.
 
 use crate::buffer::Buffer;
 use crate::{CpuBackend, Lane};
-use trimip_core::Pixel;
 use trimip_core::backend::Loss;
-use trimip_core::batch::{Rays, Samples, Segment, StepSums, Target};
+use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, StepSums, Target};
 use trimip_core::config::{LossConfig, LossRays};
+use trimip_core::distortion::{Part, distortion};
 use trimip_core::edges::{shown, shown_gradient};
 use trimip_core::loss::smooth_l1;
+use trimip_core::{Config, Pixel, Space};
 
-/// Area-weighted smooth-L1 of colour and opacity.
+/// Area-weighted smooth-L1 of colour and opacity, and the distortion of cones.
 pub struct CpuLoss {
     config: LossConfig,
+    space: Space<f32>,
 }
 
 impl CpuLoss {
     /// Creates the configured loss.
-    pub fn new(config: &LossConfig) -> Self {
-        Self { config: config.clone() }
+    pub fn new(config: &Config) -> Self {
+        Self { config: config.loss.clone(), space: Space::new(&config.scene) }
     }
 }
 
@@ -45,6 +47,38 @@ impl Loss<CpuBackend> for CpuLoss {
         } else {
             let any = |group: &Segment| segments[group.range()].iter().any(|segment| segment.count > 0);
             self.add(rows.zip(groups).map(|(row, group)| (row, any(group))), sums);
+        }
+    }
+
+    fn distort(
+        &self,
+        _: &mut Lane,
+        rays: &Rays<CpuBackend>,
+        samples: &Samples<CpuBackend>,
+        radiance: &Buffer<Radiance>,
+        radiance_gradients: &mut Buffer<Radiance>,
+        sums: &mut StepSums,
+    ) {
+        if self.config.distortion == 0.0 {
+            return;
+        }
+        for (group, target) in rays.groups.iter().zip(rays.targets.iter()) {
+            let share = self.config.distortion * target.weight / group.count as f32;
+            for (ray, segment) in rays.rays[group.range()].iter().zip(&samples.segments[group.range()]) {
+                let course = self.space.course(ray.origin, ray.direction);
+                let (own, intervals) = (&radiance[segment.range()], &samples.intervals[segment.range()]);
+                let gradients = &mut radiance_gradients[segment.range()];
+                let part = |i: usize| {
+                    let Interval { t, length } = intervals[i];
+                    let point = std::array::from_fn(|axis| ray.origin[axis] + t * ray.direction[axis]);
+                    let [place, width] = self.space.along(&course, point, t, length);
+                    Part { depth: own[i].density * length, place, width }
+                };
+                let value = distortion(own.len(), part, |i, by_depth| {
+                    gradients[i].density += share * by_depth * intervals[i].length;
+                });
+                sums.loss += f64::from(share * value);
+            }
         }
     }
 }

@@ -318,7 +318,7 @@ impl Backend for WgpuBackend {
             optimizer: WgpuOptimizer::new(gpu, config, &layout, training, skipped),
             sampler: WgpuSampler::new(gpu, config, views)?,
             occupancy,
-            loss: WgpuLoss::new(gpu, &config.loss),
+            loss: WgpuLoss::new(gpu, config),
         };
         gpu.submit();
         gpu.check("building the stages")?;

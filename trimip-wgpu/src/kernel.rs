@@ -111,6 +111,7 @@ const SHARE: &[&str] = &[GRID, PRUNING, COMPOSITING, include_str!("shaders/share
 const COMPOSITE: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite.wgsl")];
 const COMPOSITE_GRADIENT: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite_gradient.wgsl")];
 const LOSS: &[&str] = &[GRID, include_str!("shaders/loss.wgsl")];
+const DISTORTION: &[&str] = &[GRID, RAY, SPACE, COMPOSITING, include_str!("shaders/distortion.wgsl")];
 const ADAMW: &[&str] = &[GRID, include_str!("shaders/adamw.wgsl")];
 const OCCUPANCY: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, include_str!("shaders/occupancy.wgsl")];
 
@@ -215,6 +216,23 @@ pub static EVALUATE: Kernel = Kernel::new(
 );
 pub static ADD_UP: Kernel =
     Kernel::new("add_up", LOSS, &[(2, Parameters), (4, Write), (5, Write), (6, Read)]);
+pub static DISTORT: Kernel = Kernel::new(
+    "distort",
+    DISTORTION,
+    &[
+        (0, Read),
+        (1, Write),
+        (2, Parameters),
+        (3, Read),
+        (4, Read),
+        (5, Read),
+        (6, Read),
+        (7, Read),
+        (8, Write),
+    ],
+);
+pub static ADD_DISTORTION: Kernel =
+    Kernel::new("add_distortion", DISTORTION, &[(2, Parameters), (8, Write), (9, Write)]);
 pub static UPDATE: Kernel = Kernel::new(
     "update",
     ADAMW,
@@ -285,6 +303,8 @@ mod tests {
             &COMPOSITING_GRADIENT,
             &EVALUATE,
             &ADD_UP,
+            &DISTORT,
+            &ADD_DISTORTION,
             &UPDATE,
             &CHOOSE,
             &PROBES,

@@ -1,15 +1,16 @@
-//! The loss on the GPU: sums stay on the device until the step is over.
+//! The loss on the GPU: of pixels, and of the samples' weights. Sums stay on the device until the step is over.
 
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
-use crate::kernel::{ADD_UP, EVALUATE};
+use crate::kernel::{ADD_DISTORTION, ADD_UP, DISTORT, EVALUATE};
+use crate::space::GpuSpace;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
-use trimip_core::Pixel;
 use trimip_core::backend::Loss;
-use trimip_core::batch::{Rays, Samples};
+use trimip_core::batch::{Radiance, Rays, Samples};
 use trimip_core::config::{LossConfig, LossRays};
+use trimip_core::{Config, Pixel, Space};
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -20,6 +21,16 @@ struct Params {
     live: u32,
     opacity: f32,
     padding: [u32; 3],
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct DistortionParams {
+    space: GpuSpace,
+    count: u32,
+    blocks: u32,
+    distortion: f32,
+    padding: u32,
 }
 
 /// A step's sums on the device: loss, weight, squared error, number of non-finite pixels, then counts of samples.
@@ -34,17 +45,20 @@ pub struct DeviceSums {
     pub rays: u32,
 }
 
-/// Smooth-L1 loss of pixels.
+/// Area-weighted smooth-L1 of pixels, and the distortion of cones.
 pub struct WgpuLoss {
     gpu: Arc<Gpu>,
     config: LossConfig,
+    space: GpuSpace,
     sums: Buffer<u32>,
 }
 
 impl WgpuLoss {
     /// Creates the configured loss.
-    pub fn new(gpu: &Arc<Gpu>, config: &LossConfig) -> Self {
-        Self { gpu: Arc::clone(gpu), config: config.clone(), sums: Buffer::zeros(gpu, 8) }
+    pub fn new(gpu: &Arc<Gpu>, config: &Config) -> Self {
+        // The loss needs no cells.
+        let space = GpuSpace::new(&Space::new(&config.scene), 1);
+        Self { gpu: Arc::clone(gpu), config: config.loss.clone(), space, sums: Buffer::zeros(gpu, 8) }
     }
 }
 
@@ -83,5 +97,43 @@ impl Loss<WgpuBackend> for WgpuLoss {
         let binds = [lane.sums.bind(), self.sums.bind(), samples.counts.bind()];
         self.gpu.dispatch(&ADD_UP, &binds, &params, Size::Groups(1));
         sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count });
+    }
+
+    fn distort(
+        &self,
+        lane: &mut Lane,
+        rays: &Rays<WgpuBackend>,
+        samples: &Samples<WgpuBackend>,
+        radiance: &Buffer<Radiance>,
+        radiance_gradients: &mut Buffer<Radiance>,
+        _: &mut Sums,
+    ) {
+        if self.config.distortion == 0.0 {
+            return;
+        }
+        let count = rays.groups.known_len().unwrap_or(0) as u32;
+        let blocks = count.div_ceil(GROUP);
+        let params = DistortionParams {
+            space: self.space,
+            count,
+            blocks,
+            distortion: self.config.distortion,
+            padding: 0,
+        };
+        // The sums of `evaluate` are added up already.
+        lane.sums.resize(4 * blocks as usize);
+        let binds = [
+            samples.segments.bind(),
+            radiance_gradients.bind(),
+            radiance.bind(),
+            samples.intervals.bind(),
+            rays.rays.bind(),
+            rays.targets.bind(),
+            rays.groups.bind(),
+            lane.sums.bind(),
+        ];
+        self.gpu.dispatch(&DISTORT, &binds, &params, Size::Items(count.into()));
+        let binds = [lane.sums.bind(), self.sums.bind()];
+        self.gpu.dispatch(&ADD_DISTORTION, &binds, &params, Size::Groups(1));
     }
 }

@@ -314,6 +314,19 @@ fn rays_through_a_contracted_space() {
         },
         (2e-5, 1e-4),
     );
+    // Place and width of a sample, and the same without contraction.
+    let bounded = Space::of(Aabb { min: [-2.0, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
+    compare(
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "var space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0); let curved = along(space, course_of(space, ray), ray, x.w, 0.25); space.ball = 0.0; return vec4<f32>(curved, along(space, course_of(space, ray), ray, x.w, 0.25));"),
+        &inputs,
+        |x| {
+            let [u, v, w, t] = x;
+            let [place, width] = space.along(&space.course([u, v, w], direction), at(x), t, 0.25);
+            let [flat, flat_width] = bounded.along(&bounded.course([u, v, w], direction), at(x), t, 0.25);
+            [place, width, flat, flat_width]
+        },
+        (2e-6, 1e-4),
+    );
     // The parameter up to which a block of four cells is clear.
     let near = Space::contracted(Aabb { min: [-2.0_f32, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
     compare(

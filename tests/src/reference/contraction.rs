@@ -30,11 +30,29 @@ struct Course {
     direction: [f64; 3],
     /// Distance of the nearest point, radii.
     middle: f64,
+    /// Distance of that point to the centre, radii.
+    nearest: f64,
     reach: f64,
     speed: f64,
 }
 
 impl Course {
+    fn new(config: &Config, ray: &Ray) -> Self {
+        let (centre, radius) = ball(config);
+        let direction = ray.direction.map(f64::from);
+        let origin = [0, 1, 2].map(|i| (f64::from(ray.origin[i]) - centre[i]) / radius);
+        let middle = -(0..3).map(|i| origin[i] * direction[i]).sum::<f64>();
+        let nearest = norm([0, 1, 2].map(|i| origin[i] + middle * direction[i]));
+        let reach = nearest.max(1.0);
+        Self { origin, direction, middle, nearest, reach, speed: (2.0 * reach - 1.0) / (reach * reach) }
+    }
+
+    /// dt/ds at a distance, by a central difference.
+    fn slowness(&self, t: f64) -> f64 {
+        let h = 1e-6 * t.max(1e-3);
+        2.0 * h / (self.parameter(t + h) - self.parameter(t - h))
+    }
+
     fn at(&self, t: f64) -> [f64; 3] {
         [0, 1, 2].map(|i| self.origin[i] + t * self.direction[i])
     }
@@ -69,13 +87,9 @@ pub struct Step {
 
 /// All steps of a ray through contracted space.
 pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
-    let (centre, radius) = ball(config);
-    let direction = ray.direction.map(f64::from);
-    let origin = [0, 1, 2].map(|i| (f64::from(ray.origin[i]) - centre[i]) / radius);
-    let middle = -(0..3).map(|i| origin[i] * direction[i]).sum::<f64>();
-    let nearest = norm([0, 1, 2].map(|i| origin[i] + middle * direction[i]));
-    let reach = nearest.max(1.0);
-    let course = Course { origin, direction, middle, reach, speed: (2.0 * reach - 1.0) / (reach * reach) };
+    let (_, radius) = ball(config);
+    let course = Course::new(config, ray);
+    let Course { direction, middle, nearest, .. } = course;
     let end = course.parameter(middle + (FARTHEST * FARTHEST - nearest * nearest).max(0.0).sqrt());
     let step = super::step_length(config) / radius;
     let mut steps = Vec::new();
@@ -85,8 +99,7 @@ pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
             break;
         }
         let t = course.distance(s);
-        let h = 1e-6 * t.max(1e-3);
-        let slowness = 2.0 * h / (course.parameter(t + h) - course.parameter(t - h));
+        let slowness = course.slowness(t);
         let u = course.at(t);
         let n = norm(u).max(1.0);
         let place = position(u);
@@ -101,4 +114,13 @@ pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
         steps.push(Step { sample, length, left: radius * (end - s) });
     }
     steps
+}
+
+/// Place and width of a sample as parameters of its ray, in units of the cube's side: s/4, and (ds/dt)·n²·length/4.
+pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
+    let (_, radius) = ball(config);
+    let course = Course::new(config, ray);
+    let t = sample.t / radius;
+    let n = norm(course.at(t)).max(1.0);
+    [course.parameter(t) / 4.0, sample.length / radius * n * n / course.slowness(t) / 4.0]
 }

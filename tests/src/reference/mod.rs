@@ -4,6 +4,7 @@
 
 mod adamw;
 pub mod contraction;
+pub mod distortion;
 mod harmonics;
 mod hash_grid;
 mod rip_map;
@@ -153,19 +154,18 @@ impl Reference {
         composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
     }
 
-    /// The loss over pixels with the given cones and kept samples: Σ weight·(mean of smooth-L1 + that of opacity),
-    /// divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent of its
+    /// The loss over pixels with the given cones and kept samples: Σ weight·(mean of smooth-L1 + that of opacity + mean
+    /// distortion of the cones), divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent of its
     /// photograph.
     pub fn loss(&self, pixels: &[(Target, Vec<Seen>)]) -> f64 {
         let (beta, mut loss, mut weights) = (f64::from(self.config.loss.beta), 0.0, 0.0);
         let smooth_l1 = |d: f64| if d < beta { d * d / (2.0 * beta) } else { d - beta / 2.0 };
-        for (target, cones) in pixels {
-            if self.config.loss.rays == LossRays::Live && cones.iter().all(|(_, samples)| samples.is_empty())
-            {
+        for (target, seen) in pixels {
+            if self.config.loss.rays == LossRays::Live && seen.iter().all(|(_, samples)| samples.is_empty()) {
                 continue;
             }
             let cones: Vec<_> =
-                cones.iter().map(|(ray, samples)| self.pixel_on(ray, samples, target.background)).collect();
+                seen.iter().map(|(ray, samples)| self.pixel_on(ray, samples, target.background)).collect();
             let mean =
                 |pick: &dyn Fn(&Composited) -> f64| cones.iter().map(pick).sum::<f64>() / cones.len() as f64;
             let (rgb, opacity) = ([0, 1, 2].map(|c| mean(&|cone| cone.rgb[c])), mean(&|cone| cone.opacity));
@@ -179,8 +179,20 @@ impl Reference {
             }
             let share = f64::from(self.config.loss.opacity);
             loss += weight * share * smooth_l1((opacity - f64::from(target.opacity)).abs());
+            if self.config.loss.distortion > 0.0 {
+                let sum: f64 = seen.iter().map(|(ray, samples)| self.distortion(ray, samples)).sum();
+                loss += weight * f64::from(self.config.loss.distortion) * sum / seen.len() as f64;
+            }
         }
         loss / weights
+    }
+
+    /// The distortion of the weights of a ray's samples.
+    fn distortion(&self, ray: &Ray, samples: &[Sample]) -> f64 {
+        let densities = self.densities(samples);
+        let depths: Vec<_> = densities.iter().zip(samples).map(|(density, s)| density * s.length).collect();
+        let places: Vec<_> = samples.iter().map(|s| distortion::along(&self.config, ray, s)).collect();
+        distortion::distortion(&depths, &places)
     }
 }
 

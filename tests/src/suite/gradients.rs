@@ -10,7 +10,7 @@ use trimip_core::{
     Backend, Config, Layout, Renderer, Result,
     backend::Sampler,
     batch::{Segment, Target},
-    config::{EncoderKind, LevelFormula, LossRays, Precision, TrainBackground},
+    config::{Contraction, EncoderKind, LevelFormula, LossRays, Precision, TrainBackground},
     encoders,
     trainer::Trainer,
 };
@@ -141,56 +141,63 @@ fn difference(at: &mut dyn FnMut(f64) -> f64) -> f64 {
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    for (name, config) in configurations() {
-        let views = noise(3, 24, 3, 21);
-        let layout = Layout::new(&config);
-        let parameters = lively(&layout, 13);
-        let mut bench = Bench::new(make(), &config, Some(views.clone()), &parameters)?;
-        let mut values = wide(&parameters);
-        let reference = Reference::new(&config, &layout, &values);
-        let batch = batch(&mut bench, &config, &reference);
-        let misses = |(_, cones): &(_, Vec<Seen>)| cones.iter().all(|cone| cone.1.is_empty());
-        assert!(batch.pixels.iter().any(misses), "{name}: some pixels miss the box");
-        assert_eq!(batch.kept < batch.marched, name == "pruned", "{name}");
+    configurations().iter().try_for_each(|(name, config)| of_a_step(&make, name, config))
+}
 
-        let mut trainer = Trainer::new(make(), &config, views)?;
-        trainer.set_parameters(&parameters);
-        trainer.occupy_all();
-        let (sums, gradient) = trainer.loss_and_gradient(TRAINING_STEP, RAYS)?;
-        assert_eq!(sums.rays, u64::from(RAYS), "{name}");
-        // A backend that evaluates front to back queries fewer samples, but never fewer than it keeps.
-        assert!((sums.kept..=batch.marched as u64).contains(&sums.marched), "{name}: samples marched");
-        assert!(sums.kept.abs_diff(batch.kept as u64) <= batch.doubtful as u64, "{name}: samples kept");
-        let loss = reference.loss(&batch.pixels);
-        assert!((sums.loss / sums.weight - loss).abs() < 1e-4 * loss, "{name}: loss, not {loss}");
+/// The same for one configuration.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn of_a_step<B: Backend>(make: impl Fn() -> B, name: &str, config: &Config) -> Result<()> {
+    let views = noise(3, 24, 3, 21);
+    let layout = Layout::new(config);
+    let parameters = lively(&layout, 13);
+    let mut bench = Bench::new(make(), config, Some(views.clone()), &parameters)?;
+    let mut values = wide(&parameters);
+    let reference = Reference::new(config, &layout, &values);
+    let batch = batch(&mut bench, config, &reference);
+    let misses = |(_, cones): &(_, Vec<Seen>)| cones.iter().all(|cone| cone.1.is_empty());
+    let bounded = config.scene.contraction == Contraction::None;
+    assert_eq!(batch.pixels.iter().any(misses), bounded, "{name}: some pixels miss the box");
+    assert_eq!(batch.kept < batch.marched, name == "pruned", "{name}");
 
-        let mut draw = Draw::new(17);
-        for slot in &layout.slots {
-            let part = &gradient[slot.range.clone()];
-            let chosen = entries(part, slot.group.is_some(), &mut draw);
-            let differences: Vec<f64> = chosen
-                .iter()
-                .map(|&i| {
-                    let i = slot.range.start + i;
-                    let mut at = |shift: f64| {
-                        let before = values[i];
-                        values[i] = before + shift;
-                        let loss = Reference::new(&config, &layout, &values).loss(&batch.pixels);
-                        values[i] = before;
-                        loss
-                    };
-                    difference(&mut at)
-                })
-                .collect();
-            let size = (differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64).sqrt();
-            for (&i, &expected) in chosen.iter().zip(&differences) {
-                let found = f64::from(part[i]);
-                assert!(
-                    (found - expected).abs() <= GRADIENT_TOLERANCE * size.max(expected.abs()),
-                    "{name}: {}[{i}] is {found}, not {expected} (the slot's size is {size})",
-                    slot.name
-                );
-            }
+    let mut trainer = Trainer::new(make(), config, views)?;
+    trainer.set_parameters(&parameters);
+    trainer.occupy_all();
+    let (sums, gradient) = trainer.loss_and_gradient(TRAINING_STEP, RAYS)?;
+    assert_eq!(sums.rays, u64::from(RAYS), "{name}");
+    // A backend that evaluates front to back queries fewer samples, but never fewer than it keeps.
+    assert!((sums.kept..=batch.marched as u64).contains(&sums.marched), "{name}: samples marched");
+    assert!(sums.kept.abs_diff(batch.kept as u64) <= batch.doubtful as u64, "{name}: samples kept");
+    let loss = reference.loss(&batch.pixels);
+    assert!((sums.loss / sums.weight - loss).abs() < 1e-4 * loss, "{name}: loss, not {loss}");
+
+    let mut draw = Draw::new(17);
+    for slot in &layout.slots {
+        let part = &gradient[slot.range.clone()];
+        let chosen = entries(part, slot.group.is_some(), &mut draw);
+        let differences: Vec<f64> = chosen
+            .iter()
+            .map(|&i| {
+                let i = slot.range.start + i;
+                let mut at = |shift: f64| {
+                    let before = values[i];
+                    values[i] = before + shift;
+                    let loss = Reference::new(config, &layout, &values).loss(&batch.pixels);
+                    values[i] = before;
+                    loss
+                };
+                difference(&mut at)
+            })
+            .collect();
+        let size = (differences.iter().map(|d| d * d).sum::<f64>() / differences.len() as f64).sqrt();
+        for (&i, &expected) in chosen.iter().zip(&differences) {
+            let found = f64::from(part[i]);
+            assert!(
+                (found - expected).abs() <= GRADIENT_TOLERANCE * size.max(expected.abs()),
+                "{name}: {}[{i}] is {found}, not {expected} (the slot's size is {size})",
+                slot.name
+            );
         }
     }
     Ok(())

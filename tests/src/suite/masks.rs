@@ -41,10 +41,11 @@ fn uniform(share: u8) -> ViewSet {
     views
 }
 
-/// A configuration in which everything that a target has is used: opacity and random backgrounds too.
+/// A configuration in which everything that a target has is used: opacity, random backgrounds and the weight of the distortion
+/// too.
 pub fn everything() -> Config {
     let mut config = configuration();
-    config.loss.opacity = 0.1;
+    (config.loss.opacity, config.loss.distortion) = (0.1, 0.05);
     config.train.background = TrainBackground::Random;
     config
 }

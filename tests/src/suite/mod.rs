@@ -3,6 +3,7 @@
 
 pub mod cones;
 pub mod contraction;
+pub mod distortion;
 pub mod exchange;
 pub mod gradients;
 pub mod hybrid;

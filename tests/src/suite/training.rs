@@ -60,6 +60,8 @@ pub fn scheduled() -> Result<Config> {
         halvings = [[0.0, 2], [0.11, 1], [0.21, 0]]
         [renderer]
         step_scale = [[0.0, 2.0], [0.2, 1.0]]
+        [loss]
+        distortion = 0.05
         [optimizer]
         schedule = "cosine"
         untouched = "skip"

@@ -223,7 +223,8 @@ impl OccupancyConfig {
 impl LossConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check(positive(self.beta.into()), "loss.beta", "a number above 0")?;
-        to.check(finite_from_zero(self.opacity.into()), "loss.opacity", "0 or more")
+        to.check(finite_from_zero(self.opacity.into()), "loss.opacity", "0 or more")?;
+        to.check(finite_from_zero(self.distortion.into()), "loss.distortion", "0 or more")
     }
 }
 

@@ -78,8 +78,8 @@ section!(
     }
 );
 section!(
-    /// The photometric loss.
-    LossConfig, "loss" { beta: f32, opacity: f32, rays: LossRays }
+    /// The loss.
+    LossConfig, "loss" { beta: f32, opacity: f32, distortion: f32, rays: LossRays }
 );
 section!(
     /// AdamW and its learning rate.

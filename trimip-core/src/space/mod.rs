@@ -106,6 +106,15 @@ impl<R: Real> Space<R> {
         self.ball.as_ref().map_or(R::one(), |ball| ball.radial(point))
     }
 
+    /// Place and width of a sample along a ray of this course: the parameter at its distance `t`, at `point`, and what it grows
+    /// by over its `length` in the units of the field's density; both in units of the box's longest side (4 radii of the ball).
+    #[inline(always)]
+    pub fn along(&self, course: &Course<R>, point: [R; 3], t: R, length: R) -> [R; 2] {
+        let longest = self.aabb.longest();
+        let step = length / (course.length(t, R::one()) * self.density_scale(point));
+        [course.parameter(t) / longest, step / longest]
+    }
+
     /// The place of a point of the box in the cube.
     #[inline(always)]
     pub(crate) fn place(&self, point: [R; 3]) -> [R; 3] {
@@ -175,6 +184,15 @@ impl<R: Real> Course<R> {
         match self {
             Self::Straight { .. } => s,
             Self::Curved(curve) => curve.distance(s),
+        }
+    }
+
+    /// Parameter at distance `t`.
+    #[inline]
+    pub fn parameter(&self, t: R) -> R {
+        match self {
+            Self::Straight { .. } => t,
+            Self::Curved(curve) => curve.parameter(t),
         }
     }
 

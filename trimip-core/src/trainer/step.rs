@@ -56,6 +56,7 @@ impl<B: Backend> Trainer<B> {
                 &space.pixel_gradients,
                 radiance_gradients,
             );
+            stages.loss.distort(lane, rays, samples, radiance, radiance_gradients, &mut deposit.sums);
             let (feature_gradients, weights) = (&mut space.feature_gradients, &mut deposit.field);
             stages.field.backward(
                 lane,

@@ -100,6 +100,16 @@ fn length_at(space: Space, course: Course, ray: Ray, t: f32, step: f32) -> f32 {
     return step * (m * m / course.speed) / (n * n);
 }
 
+// Place and width of a sample at distance `t`: the parameter, and what it grows by over the sample's `length` in the units of the
+// field's density; both in units of the box's longest side.
+fn along(space: Space, course: Course, ray: Ray, t: f32, length: f32) -> vec2<f32> {
+    if course.speed == 0.0 {
+        return vec2<f32>(t, length) / space.longest;
+    }
+    let step = length / length_at(space, course, ray, t, 1.0);
+    return vec2<f32>(parameter_at(course, t), step) / space.longest;
+}
+
 // Distance of a point to the ball's centre in radii, at least 1.
 fn distance_from_ball(space: Space, point: vec3<f32>) -> f32 {
     return max(length((point - centre_of(space)) / space.ball), 1.0);
