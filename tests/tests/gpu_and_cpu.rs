@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
-    Camera, Config, Error, ErrorKind, Intrinsics, Lens, Result, Session, Viewer,
+    Camera, Config, Error, ErrorKind, Intrinsics, Layout, Lens, Result, Session, Viewer,
     checkpoint::Checkpoint,
     config::{Format, Photographs},
     evaluate::{ViewResult, evaluate},
@@ -75,6 +75,29 @@ fn models_are_the_same_pictures_on_both_backends() {
                 let error = difference(picture, own);
                 assert!(error < 3e-5, "{name}: pictures differ by {error}");
             }
+        }
+        Ok(())
+    });
+}
+
+#[test]
+fn distortion_is_the_same_on_both_backends() {
+    reproducibly(|make| {
+        for (name, config) in suite::distortion::configurations() {
+            let parameters = fixtures::lively(&Layout::new(&config), 13);
+            let views = || fixtures::noise(3, 24, 3, 21);
+            let (mut on_cpu, mut on_gpu) =
+                (Trainer::new(cpu(), &config, views())?, Trainer::new(make(), &config, views())?);
+            on_cpu.set_parameters(&parameters);
+            on_gpu.set_parameters(&parameters);
+            let ((expected, gradient), (found, other)) =
+                (on_cpu.loss_and_gradient(7, 48)?, on_gpu.loss_and_gradient(7, 48)?);
+            assert!((found.loss - expected.loss).abs() < 1e-5 * expected.loss, "{name}: {found:?}");
+            assert!((found.squared_error - expected.squared_error).abs() < 1e-4 * expected.squared_error);
+            let square = |x: f32| f64::from(x) * f64::from(x);
+            let apart: f64 = gradient.iter().zip(&other).map(|(a, b)| square(a - b)).sum();
+            let size: f64 = gradient.iter().map(|a| square(*a)).sum();
+            assert!((apart / size).sqrt() < 1e-4, "{name}: gradients differ by {}", (apart / size).sqrt());
         }
         Ok(())
     });
