@@ -299,10 +299,9 @@ fn alpha_warning(train: &[Source], alpha: Alpha) -> Option<String> {
     let files = || train.iter().flat_map(|source| source.files().iter().map(move |file| (source, file)));
     let masked = files().filter(|(source, file)| file.alpha || silhouette(source)).count();
     let total = files().count();
-    (masked < total).then(|| {
+    (0 < masked && masked < total).then(|| {
         format!(
-            "{} of {total} training images {} no alpha: all that is seen is taken for the object; mask what lies \
-             outside of the scene's box",
+            "{} of {total} training images {} no alpha, and the others have: all that they show is taken for the object",
             total - masked,
             if total - masked == 1 { "has" } else { "have" }
         )

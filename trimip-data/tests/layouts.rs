@@ -144,7 +144,7 @@ fn a_written_multiscale_set_reads_back_the_same() {
         assert_eq!(summary.images, ours.train.views.len() + ours.test.len() * config.scales as usize);
         // Frames kept back belong to the set as all others do.
         let again = tempfile::tempdir().unwrap();
-        let held = trimip_core::config::DataConfig { holdout: 2, ..config.clone() };
+        let held = DataConfig { holdout: 2, ..config.clone() };
         assert_eq!(write_multiscale(&held, again.path(), &unwatched).unwrap().images, summary.images);
         // A set is never written over.
         assert!(
