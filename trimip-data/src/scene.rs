@@ -293,7 +293,7 @@ fn folder_name(root: &Path) -> String {
     whole.file_name().map_or_else(|| root.display().to_string(), |name| name.to_string_lossy().into_owned())
 }
 
-/// A warning for photographs without a mask: they show surroundings outside the bounding box.
+/// A warning if some photographs have alpha and others have not.
 fn alpha_warning(train: &[Source], alpha: Alpha) -> Option<String> {
     let silhouette = |source: &Source| alpha.is_opacity() && source.mask.is_some();
     let files = || train.iter().flat_map(|source| source.files().iter().map(move |file| (source, file)));
