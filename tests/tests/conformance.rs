@@ -234,3 +234,15 @@ fn poor_photographs_are_no_failure() {
 fn an_empty_grid_recovers() {
     on_every_cpu(|make| suite::training::empty_occupancy(make));
 }
+
+#[test]
+fn exposed_pixels_are_the_literal_ones() {
+    on_every_cpu(|make| suite::exposure::finite_differences(make));
+    on_every_cpu(|make| suite::exposure::whole_step(make));
+}
+
+#[test]
+fn gains_of_photographs_are_beside_the_model() {
+    on_every_cpu(|make| suite::exposure::beside_the_model(make));
+    on_every_cpu(|make| suite::exchange::no_gains(make));
+}

@@ -6,7 +6,7 @@ use trimip_core::{
     backend::Occupancy,
     batch::Ray,
     checkpoint::Checkpoint,
-    config::Precision,
+    config::{Exposure, Precision},
     rng::{Random, Stream},
     trainer::Trainer,
 };
@@ -50,6 +50,7 @@ fn threads_change_no_bit() {
     several_cones.data.edge_exponents = vec![0.0, 0.25, 0.5];
     configurations.push(several_cones.clone());
     several_cones.loss.distortion = 0.3;
+    several_cones.loss.exposure = Exposure::Gain;
     configurations.push(several_cones);
     for (encoder, (simd, precision)) in
         configurations.iter().flat_map(|encoder| sets.iter().map(move |&set| (encoder, set)))

@@ -247,3 +247,15 @@ fn poor_photographs_are_no_failure() {
 fn an_empty_grid_recovers() {
     reproducibly(|make| suite::training::empty_occupancy(make));
 }
+
+#[test]
+fn exposed_pixels_are_the_literal_ones() {
+    reproducibly(|make| suite::exposure::finite_differences(make));
+    reproducibly(|make| suite::exposure::whole_step(make));
+}
+
+#[test]
+fn gains_of_photographs_are_beside_the_model() {
+    reproducibly(|make| suite::exposure::beside_the_model(make));
+    reproducibly(|make| suite::exchange::no_gains(make));
+}

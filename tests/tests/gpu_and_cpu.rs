@@ -44,6 +44,45 @@ fn a_step_is_one_submission_and_moves_no_parameters() {
     });
 }
 
+#[test]
+fn gains_of_photographs_cost_no_wait_and_are_the_same_on_both_backends() {
+    reproducibly(|make| {
+        let config = suite::exposure::exposed();
+        let views = || fixtures::noise(3, 16, 2, 2);
+        let (mut on_gpu, mut on_cpu) =
+            (Trainer::new(make(), &config, views())?, Trainer::new(cpu(), &config, views())?);
+        let gradient = on_cpu.loss_and_exposure_gradient(0, 150)?.1;
+        let found = on_gpu.loss_and_exposure_gradient(0, 150)?.1;
+        for (found, expected) in found.as_flattened().iter().zip(gradient.as_flattened()) {
+            assert!((found - expected).abs() < 1e-5, "{found}, not {expected}");
+        }
+        for step in 0..5 {
+            on_gpu.step(f64::from(step) / config.train.steps as f64)?;
+            on_cpu.step(f64::from(step) / config.train.steps as f64)?;
+            let (found, expected) = (on_gpu.log_gains(), on_cpu.log_gains());
+            // The first gradient has moved the gains after the third step, on both.
+            assert_eq!(expected.as_flattened().iter().any(|&e| e != 0.0), step >= 2, "step {step}");
+            for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
+                assert!((found - expected).abs() < 1e-3, "step {step}: {found}, not {expected}");
+            }
+        }
+        suite::training::steps(&mut on_gpu, &config, 3)?;
+        let before = on_gpu.device().counts();
+        for step in 8..16 {
+            on_gpu.step(f64::from(step) / config.train.steps as f64)?;
+        }
+        let after = on_gpu.device().counts();
+        assert_eq!(after.submissions - before.submissions, 8, "one submission a step");
+        assert_eq!(
+            after.written - before.written,
+            7 * 36,
+            "nine gains are written, once their gradient is due"
+        );
+        assert_eq!(after.stalls, before.stalls, "nobody waits for the step that runs");
+        Ok(())
+    });
+}
+
 /// Root-mean-square difference of two pictures.
 fn difference(a: &trimip_core::Frame, b: &trimip_core::Frame) -> f64 {
     let squares = a.pixels.iter().zip(&b.pixels).flat_map(|(a, b)| [0, 1, 2].map(|c| a.rgb[c] - b.rgb[c]));

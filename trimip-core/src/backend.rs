@@ -5,7 +5,7 @@ pub use crate::stages::{Encoder, Field, Loss, Occupancy, Optimizer, Renderer, Sa
 use crate::{
     Config, Result, ViewSet,
     balance::Draw,
-    batch::{Deposit, StepSums, Workspace},
+    batch::{Deposit, StepResult, Workspace},
 };
 use bytemuck::Pod;
 use std::ops::Range;
@@ -153,11 +153,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Submits the recorded work to the device. Does nothing on a backend that executes work immediately.
     fn submit(&self) {}
 
-    /// Returns posted sums. Waits for them, but not for work recorded after them.
+    /// Returns what was posted. Waits for them, but not for work recorded after them.
     ///
     /// # Errors
     /// When the device failed.
-    fn redeem(&self, receipt: Self::Receipt) -> Result<StepSums>;
+    fn redeem(&self, receipt: Self::Receipt) -> Result<StepResult>;
 
     /// Largest number of samples of a ray. A software driver ends every loop after a limited number of iterations.
     fn longest_ray(&self) -> usize {

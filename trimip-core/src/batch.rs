@@ -14,6 +14,9 @@ pub struct Rays<B: Backend> {
     pub groups: B::Buffer<Segment>,
     /// One per pixel in training; empty otherwise.
     pub targets: B::Buffer<Target>,
+    /// One per pixel in training with `loss.exposure`: the number of its photograph, see [`exposure`](crate::exposure);
+    /// empty otherwise.
+    pub photographs: B::Buffer<u32>,
     /// Index of the span's first ray within the step; random numbers are drawn by it.
     pub first: u32,
 }
@@ -21,7 +24,13 @@ pub struct Rays<B: Backend> {
 impl<B: Backend> Rays<B> {
     /// Creates an empty batch.
     pub fn new(backend: &B) -> Self {
-        Self { rays: backend.zeros(0), groups: backend.zeros(0), targets: backend.zeros(0), first: 0 }
+        Self {
+            rays: backend.zeros(0),
+            groups: backend.zeros(0),
+            targets: backend.zeros(0),
+            photographs: backend.zeros(0),
+            first: 0,
+        }
     }
 
     /// Replaces all rays by `rays`, one cone per pixel, without targets.
@@ -30,6 +39,7 @@ impl<B: Backend> Rays<B> {
         backend.write(&mut self.rays, rays);
         backend.write(&mut self.groups, &(0..rays.len()).map(group).collect::<Vec<_>>());
         backend.write(&mut self.targets, &[]);
+        backend.write(&mut self.photographs, &[]);
         self.first = 0;
     }
 }
@@ -144,5 +154,26 @@ impl StepSums {
         self.marched += other.marched;
         self.kept += other.kept;
         self.non_finite += other.non_finite;
+    }
+}
+
+/// What a step leaves for the host.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StepResult {
+    /// Losses and counts.
+    pub sums: StepSums,
+    /// Derivative of [`StepSums::loss`] by the log-gains (RGB) of each photograph; empty without `loss.exposure`.
+    pub exposures: Vec<[f64; 3]>,
+}
+
+impl StepResult {
+    /// Adds the result of another span.
+    pub fn add(&mut self, other: &Self) {
+        self.sums.add(&other.sums);
+        let count = self.exposures.len().max(other.exposures.len());
+        self.exposures.resize(count, [0.0; 3]);
+        for (own, other) in self.exposures.as_flattened_mut().iter_mut().zip(other.exposures.as_flattened()) {
+            *own += other;
+        }
     }
 }

@@ -6,6 +6,7 @@ use crate::{
     batch::StepSums,
     encoders,
     events::Totals,
+    exposure,
     model::{Model, expect_format},
     tensors::{TensorFile, Values},
 };
@@ -43,6 +44,11 @@ pub struct TrainState {
     pub marched_per_ray: f32,
 }
 
+/// True for tensors, beside moments, that only training needs.
+fn of_training(name: &str) -> bool {
+    name == OCCUPANCY_DENSITY || name.starts_with(exposure::PREFIX)
+}
+
 /// The state of a training run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
@@ -50,7 +56,8 @@ pub struct Checkpoint {
     pub config: Config,
     /// Counters and batch state.
     pub state: TrainState,
-    /// Parameters by name, `<name>.m` and `<name>.v` moments, `occupancy` bits and `occupancy.density`.
+    /// Parameters by name, `<name>.m` and `<name>.v` moments, `occupancy` bits and `occupancy.density`; with
+    /// `loss.exposure` the log-gains of the photographs, `exposure.*`.
     pub file: TensorFile,
 }
 
@@ -69,8 +76,7 @@ impl Checkpoint {
     /// The current model at full size, without the state that only training needs.
     pub fn into_model(self) -> Model {
         let Self { config, state, mut file } = self;
-        file.tensors
-            .retain(|name, _| !(name.ends_with(".m") || name.ends_with(".v") || name == OCCUPANCY_DENSITY));
+        file.tensors.retain(|name, _| !(name.ends_with(".m") || name.ends_with(".v") || of_training(name)));
         let encoder = encoders::of(&config);
         for slot in encoder.slots(&config).iter().filter(|slot| slot.grows) {
             if let Some(Values::F32(values)) =

@@ -7,8 +7,8 @@ mod encoders;
 mod sections;
 
 pub use choices::{
-    Contraction, Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LevelFormula, LossRays,
-    MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, PlaneShape, Precision, RateSchedule,
+    Contraction, Convention, Exposure, FilePrecision, FinalEval, Finish, Format, HybridRule, LevelFormula,
+    LossRays, MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, PlaneShape, Precision, RateSchedule,
     RendererKind, TrainBackground, Untouched,
 };
 pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig};

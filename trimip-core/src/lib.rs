@@ -36,6 +36,7 @@ pub mod evaluate;
 pub mod events;
 pub mod exact;
 pub mod exchange;
+pub mod exposure;
 pub mod frame;
 pub mod hull;
 pub mod lens;

@@ -5,7 +5,7 @@ use crate::{
     Viewer,
     backend::{Occupancy, Sampler, Stages},
     batch::{Radiance, Workspace},
-    config::RendererKind,
+    config::{Exposure, RendererKind},
     model::{Assets, Model, OCCUPANCY, assets},
     proxy::Proxy,
     tensors::{Tensor, TensorFile},
@@ -278,7 +278,15 @@ impl<B: Backend> Viewer for LoadedModel<B> {
     }
 
     fn notes(&self) -> Vec<String> {
-        self.backend.notes(&self.config)
+        let mut notes = self.backend.notes(&self.config);
+        if self.config.loss.exposure == Exposure::Gain {
+            notes.push(
+                "loss.exposure = \"gain\": the model has the mean exposure of its photographs, and test views are rendered \
+                 and measured with it"
+                    .into(),
+            );
+        }
+        notes
     }
 
     fn render(&mut self, camera: &Camera) -> Result<Frame> {

@@ -328,8 +328,12 @@ pub trait Occupancy<B: Backend>: Send + Sync {
 
 /// Maps pixels to the loss (smooth-L1, weighted by area), and the weights of their samples to the distortion loss.
 pub trait Loss<B: Backend>: Send + Sync {
+    /// Sets the gains (RGB) with which pixels of each photograph are compared, by the numbers in [`Rays::photographs`].
+    /// Without any, as at first, rendered colours are compared as they are.
+    fn expose(&mut self, gains: &[[f32; 3]]);
+
     /// Evaluates the area-weighted smooth-L1 of each pixel, its gradient with respect to the pixel (not yet divided
-    /// by the sum of the weights), and the sums.
+    /// by the sum of the weights), the sums, and with gains the derivatives by their logarithms.
     fn evaluate(
         &self,
         lane: &mut B::Lane,

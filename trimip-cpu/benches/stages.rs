@@ -7,7 +7,7 @@ use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterio
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use trimip_core::backend::{Loss, Occupancy, Optimizer, Sampler, Stages};
-use trimip_core::batch::{Deposit, Radiance, StepSums, Workspace};
+use trimip_core::batch::{Deposit, Radiance, StepResult, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
@@ -72,7 +72,7 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
     let mut deposit = Deposit {
         field: stages.field.gradient(),
         encoder: stages.encoder.gradient(),
-        sums: StepSums::default(),
+        sums: StepResult::default(),
     };
     let draw = stages.sampler.balance().draw(64);
     group.throughput(Throughput::Elements(64));

@@ -17,7 +17,7 @@ use std::ops::Range;
 use std::sync::Mutex;
 use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::balance::Draw;
-use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
+use trimip_core::batch::{Deposit, Segment, StepResult, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
 
@@ -122,8 +122,8 @@ const SHARES: usize = 64;
 impl Backend for CpuBackend {
     type Buffer<T: Pod + Send + Sync> = Buffer<T>;
     type Lane = Lane;
-    type Sums = StepSums;
-    type Receipt = StepSums;
+    type Sums = StepResult;
+    type Receipt = StepResult;
     type Encoder = CpuEncoder;
     type Field = CpuField;
     type Renderer = CpuRenderer;
@@ -288,12 +288,12 @@ impl Backend for CpuBackend {
     }
 
     fn weight(&self, deposits: &[Deposit<Self>]) -> f64 {
-        deposits.iter().map(|deposit| deposit.sums.weight).sum()
+        deposits.iter().map(|deposit| deposit.sums.sums.weight).sum()
     }
 
     fn set_weight(&self, deposits: &mut [Deposit<Self>], weight: f64) {
         for (i, deposit) in deposits.iter_mut().enumerate() {
-            deposit.sums.weight = if i == 0 { weight } else { 0.0 };
+            deposit.sums.sums.weight = if i == 0 { weight } else { 0.0 };
         }
     }
 
@@ -301,16 +301,16 @@ impl Backend for CpuBackend {
         deposits(samples)
     }
 
-    fn post(&self, deposits: &[Deposit<Self>]) -> StepSums {
-        let mut sums = StepSums::default();
+    fn post(&self, deposits: &[Deposit<Self>]) -> StepResult {
+        let mut result = StepResult::default();
         for deposit in deposits {
-            sums.add(&deposit.sums);
+            result.add(&deposit.sums);
         }
-        sums
+        result
     }
 
-    fn redeem(&self, sums: StepSums) -> Result<StepSums> {
-        Ok(sums)
+    fn redeem(&self, result: StepResult) -> Result<StepResult> {
+        Ok(result)
     }
 }
 

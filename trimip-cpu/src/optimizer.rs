@@ -60,7 +60,7 @@ impl CpuOptimizer {
         step: u64,
         touched: Option<Vec<Piece<'_>>>,
     ) {
-        let weight: f64 = deposits.iter().map(|deposit| deposit.sums.weight).sum();
+        let weight: f64 = deposits.iter().map(|deposit| deposit.sums.sums.weight).sum();
         let scale = (1.0 / weight) as f32;
         let Self { simd, config, slots, m, v, non_finite, parts } = self;
         for (index, (slot, whole)) in slots.iter().zip(parts).enumerate() {
@@ -188,7 +188,7 @@ impl Kernel for Update<'_> {
 mod tests {
     use super::*;
     use trimip_core::Backend;
-    use trimip_core::batch::StepSums;
+    use trimip_core::batch::{StepResult, StepSums};
     use trimip_core::config::FilePrecision;
 
     /// Slots of lengths that no register divides: dense and sparse ones, each with its own rate and decay.
@@ -232,7 +232,8 @@ mod tests {
         for simd in Simd::available() {
             let backend = CpuBackend::new(2, simd).unwrap();
             let stages = backend.stages(&config, None).unwrap();
-            let sums = StepSums { weight: 4.0, ..StepSums::default() };
+            let sums =
+                StepResult { sums: StepSums { weight: 4.0, ..StepSums::default() }, ..StepResult::default() };
             let (field, encoder) = (
                 trimip_core::Field::gradient(&stages.field),
                 trimip_core::Encoder::gradient(&stages.encoder),

@@ -7,7 +7,8 @@ use trimip_core::backend::Sampler;
 use trimip_core::balance::{Balance, Draw, Shares};
 use trimip_core::batch::{Rays, Segment, Target};
 use trimip_core::cones::Division;
-use trimip_core::config::{DataConfig, TrainConfig};
+use trimip_core::config::{DataConfig, Exposure, TrainConfig};
+use trimip_core::exposure::photographs;
 use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
@@ -18,6 +19,8 @@ const AHEAD: usize = 32;
 /// The training views, and the distribution of a step's pixels among their scales.
 pub struct CpuSampler {
     training: Option<(ViewSet, Shares)>,
+    /// The photograph of each view, with `loss.exposure`.
+    photographs: Vec<u32>,
     balance: Balance,
     division: Division,
     data: DataConfig,
@@ -34,7 +37,9 @@ impl CpuSampler {
             let shares = Shares::new(config, &views);
             (views, shares)
         };
+        let exposed = config.loss.exposure == Exposure::Gain;
         let mut sampler = Self {
+            photographs: views.iter().filter(|_| exposed).flat_map(photographs).collect(),
             training: views.map(shares),
             balance: Balance::default(),
             division: Division::new(config),
@@ -86,6 +91,7 @@ impl Sampler<CpuBackend> for CpuSampler {
         rays.rays.clear();
         rays.groups.clear();
         rays.targets.clear();
+        rays.photographs.clear();
         rays.first = draw.cones_before(range.start);
         let Some((views, _)) = &self.training else { return };
         // Random pixels are not in any cache: several are prefetched before the first is read.
@@ -105,7 +111,11 @@ impl Sampler<CpuBackend> for CpuSampler {
             let scale = &views.scales[scale];
             let exponent = self.data.edge_exponent(scale.factor);
             let in_scale = &views.views[scale.views.clone()];
-            let view = &in_scale[in_scale.partition_point(|view| view.offset <= pixel) - 1];
+            let place = in_scale.partition_point(|view| view.offset <= pixel) - 1;
+            let view = &in_scale[place];
+            if let Some(&photograph) = self.photographs.get(scale.views.start + place) {
+                rays.photographs.push(photograph);
+            }
             let within = (pixel - view.offset) as u32;
             let width = view.camera.intrinsics.width;
             let first = rays.rays.len();
@@ -135,6 +145,7 @@ impl Sampler<CpuBackend> for CpuSampler {
         rays.rays.clear();
         rays.groups.clear();
         rays.targets.clear();
+        rays.photographs.clear();
         let (width, side) = (camera.intrinsics.width, self.division.side(camera));
         rays.first = 0;
         for index in range {

@@ -7,7 +7,7 @@ use crate::device::{Bind, Counts, GROUP, Gpu, Size};
 use crate::encoder::WgpuEncoder;
 use crate::field::WgpuField;
 use crate::kernel::{Addition, GATHERING};
-use crate::loss::{Sums, WgpuLoss};
+use crate::loss::{GAIN_WORDS, SUM_WORDS, Sums, WgpuLoss, sums_of};
 use crate::occupancy::{OCCUPIED_AT, WgpuOccupancy};
 use crate::optimizer::WgpuOptimizer;
 use crate::read_back::Receipt;
@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::balance::Draw;
-use trimip_core::batch::{Deposit, Segment, StepSums, Workspace};
+use trimip_core::batch::{Deposit, Segment, StepResult, StepSums, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
@@ -224,6 +224,7 @@ impl WgpuBackend {
 /// A pending transfer of a step's sums to the host.
 pub struct StepReceipt {
     sums: Receipt<u32>,
+    exposures: Option<Receipt<u32>>,
     watched: Option<[Receipt<u32>; 2]>,
     rays: u32,
 }
@@ -430,6 +431,9 @@ impl Backend for WgpuBackend {
         let watched = self.watched.lock().unwrap_or_else(PoisonError::into_inner);
         Some(StepReceipt {
             sums: self.gpu.send(&sums.buffer, 0, 8),
+            exposures: sums.exposures.as_ref().map(|(buffer, photographs)| {
+                self.gpu.send(buffer, (4 * GAIN_WORDS * photographs) as u64, SUM_WORDS * photographs)
+            }),
             watched: watched.as_ref().map(|[grid, field]| {
                 [self.gpu.send(grid, u64::from(4 * OCCUPIED_AT), 1), self.gpu.send(field, 0, 1)]
             }),
@@ -441,16 +445,19 @@ impl Backend for WgpuBackend {
         self.gpu.submit();
     }
 
-    fn redeem(&self, receipt: Option<StepReceipt>) -> Result<StepSums> {
-        let Some(StepReceipt { sums, watched, rays }) = receipt else { return Ok(StepSums::default()) };
+    fn redeem(&self, receipt: Option<StepReceipt>) -> Result<StepResult> {
+        let Some(StepReceipt { sums, exposures, watched, rays }) = receipt else {
+            return Ok(StepResult::default());
+        };
         let words = self.gpu.redeem(sums);
+        let exposures = exposures.map(|exposures| self.gpu.redeem(exposures)).unwrap_or_default();
         if let Some([occupied, overflows]) = watched {
             self.known.occupied.store(self.gpu.redeem(occupied)[0].into(), Ordering::Relaxed);
             self.known.overflows.store(self.gpu.redeem(overflows)[0].into(), Ordering::Relaxed);
         }
         self.gpu.check("a training step")?;
         let float = |i: usize| f64::from(f32::from_bits(words[i]));
-        Ok(StepSums {
+        let sums = StepSums {
             loss: float(0),
             weight: float(1),
             squared_error: float(2),
@@ -458,7 +465,8 @@ impl Backend for WgpuBackend {
             marched: (words[4] + words[6]).into(),
             kept: words[5].into(),
             non_finite: float(3) as u64,
-        })
+        };
+        Ok(StepResult { sums, exposures: sums_of(&exposures) })
     }
 
     fn health(&self) -> Result<()> {

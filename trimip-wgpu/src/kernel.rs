@@ -79,8 +79,11 @@ const RANDOM: &str = include_str!("shaders/random.wgsl");
 /// The layout of a ray.
 pub const RAY: &str = include_str!("shaders/ray.wgsl");
 const SPACE: &str = include_str!("shaders/space.wgsl");
-const RAYS: &[&str] =
-    &[GRID, RANDOM, RAY, include_str!("shaders/camera.wgsl"), include_str!("shaders/rays.wgsl")];
+const CAMERA: &str = include_str!("shaders/camera.wgsl");
+const ALL_RAYS: &str = include_str!("shaders/rays.wgsl");
+const RAYS: &[&str] = &[GRID, RANDOM, RAY, CAMERA, include_str!("shaders/photographs_none.wgsl"), ALL_RAYS];
+const EXPOSED_RAYS: &[&str] =
+    &[GRID, RANDOM, RAY, CAMERA, include_str!("shaders/photographs_kept.wgsl"), ALL_RAYS];
 const BLOCKS: &str = include_str!("shaders/blocks.wgsl");
 const WALK: &str = include_str!("shaders/walk.wgsl");
 const MARCH: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, WALK, include_str!("shaders/march.wgsl")];
@@ -110,8 +113,10 @@ const COMPOSITING: &str = include_str!("shaders/compositing.wgsl");
 const SHARE: &[&str] = &[GRID, PRUNING, COMPOSITING, include_str!("shaders/share.wgsl")];
 const COMPOSITE: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite.wgsl")];
 const COMPOSITE_GRADIENT: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite_gradient.wgsl")];
-const LOSS: &[&str] = &[GRID, include_str!("shaders/loss.wgsl")];
 const DISTORTION: &[&str] = &[GRID, RAY, SPACE, COMPOSITING, include_str!("shaders/distortion.wgsl")];
+const PHOTOMETRIC: &str = include_str!("shaders/loss.wgsl");
+const LOSS: &[&str] = &[GRID, include_str!("shaders/exposure_none.wgsl"), PHOTOMETRIC];
+const EXPOSED_LOSS: &[&str] = &[GRID, FIXED, include_str!("shaders/exposure_gain.wgsl"), PHOTOMETRIC];
 const ADAMW: &[&str] = &[GRID, include_str!("shaders/adamw.wgsl")];
 const OCCUPANCY: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, include_str!("shaders/occupancy.wgsl")];
 
@@ -129,6 +134,21 @@ pub static TRAINING_RAYS: Kernel = Kernel::new(
     "training_rays",
     RAYS,
     &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Write), (6, Write)],
+);
+pub static TRAINING_RAYS_EXPOSED: Kernel = Kernel::new(
+    "training_rays",
+    EXPOSED_RAYS,
+    &[
+        (0, Read),
+        (1, Write),
+        (2, Parameters),
+        (3, Read),
+        (4, Read),
+        (5, Write),
+        (6, Write),
+        (7, Write),
+        (8, Read),
+    ],
 );
 pub static MARCHING: Kernel =
     Kernel::new("march", MARCH, &[(0, Read), (1, Write), (2, Write), (3, Parameters), (4, Read)]);
@@ -214,6 +234,21 @@ pub static EVALUATE: Kernel = Kernel::new(
     LOSS,
     &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Write), (7, Read), (8, Read)],
 );
+pub static EVALUATE_EXPOSED: Kernel = Kernel::new(
+    "evaluate",
+    EXPOSED_LOSS,
+    &[
+        (0, Read),
+        (1, Write),
+        (2, Parameters),
+        (3, Read),
+        (4, Write),
+        (7, Read),
+        (8, Read),
+        (9, Read),
+        (10, Write),
+    ],
+);
 pub static ADD_UP: Kernel =
     Kernel::new("add_up", LOSS, &[(2, Parameters), (4, Write), (5, Write), (6, Read)]);
 pub static DISTORT: Kernel = Kernel::new(
@@ -280,6 +315,7 @@ mod tests {
             &PEAK,
             &CAMERA_RAYS,
             &TRAINING_RAYS,
+            &TRAINING_RAYS_EXPOSED,
             &MARCHING,
             &PLACING,
             &COUNT_CHOSEN,
@@ -302,6 +338,7 @@ mod tests {
             &COMPOSITING_RAYS,
             &COMPOSITING_GRADIENT,
             &EVALUATE,
+            &EVALUATE_EXPOSED,
             &ADD_UP,
             &DISTORT,
             &ADD_DISTORTION,

@@ -3,7 +3,7 @@
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
-use crate::kernel::{ADD_DISTORTION, ADD_UP, DISTORT, EVALUATE};
+use crate::kernel::{ADD_DISTORTION, ADD_UP, DISTORT, EVALUATE, EVALUATE_EXPOSED};
 use crate::space::GpuSpace;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
@@ -20,7 +20,8 @@ struct Params {
     beta: f32,
     live: u32,
     opacity: f32,
-    padding: [u32; 3],
+    photographs: u32,
+    padding: [u32; 2],
 }
 
 #[repr(C)]
@@ -43,6 +44,21 @@ pub struct DeviceSums {
     pub buffer: wgpu::Buffer,
     /// Number of pixels of the step.
     pub rays: u32,
+    /// Gains of photographs with the derivatives by their logarithms, and the number of photographs.
+    pub exposures: Option<(wgpu::Buffer, usize)>,
+}
+
+/// Words of a photograph's three gains, and of the three sums in fixed point that follow the gains of all.
+pub const GAIN_WORDS: usize = 3;
+/// As [`GAIN_WORDS`].
+pub const SUM_WORDS: usize = 6;
+
+/// The sums of the photographs' derivatives, RGB of each: 64-bit fixed point with 30 fractional bits, low words first.
+pub fn sums_of(words: &[u32]) -> Vec<[f64; 3]> {
+    let fixed = |[low, high]: [u32; 2]| (i64::from(high.cast_signed()) << 32) | i64::from(low);
+    let value = |words: &[u32; 2]| fixed(*words) as f64 / f64::from(1 << 30);
+    let sums: Vec<f64> = words.as_chunks().0.iter().map(value).collect();
+    sums.as_chunks().0.to_vec()
 }
 
 /// Area-weighted smooth-L1 of pixels, and the distortion of cones.
@@ -51,18 +67,33 @@ pub struct WgpuLoss {
     config: LossConfig,
     space: GpuSpace,
     sums: Buffer<u32>,
+    /// Gains of the photographs, then the derivatives by their logarithms; empty without gains.
+    exposures: Buffer<u32>,
 }
 
 impl WgpuLoss {
     /// Creates the configured loss.
     pub fn new(gpu: &Arc<Gpu>, config: &Config) -> Self {
-        // The loss needs no cells.
-        let space = GpuSpace::new(&Space::new(&config.scene), 1);
-        Self { gpu: Arc::clone(gpu), config: config.loss.clone(), space, sums: Buffer::zeros(gpu, 8) }
+        Self {
+            gpu: Arc::clone(gpu),
+            config: config.loss.clone(),
+            // The loss needs no cells.
+            space: GpuSpace::new(&Space::new(&config.scene), 1),
+            sums: Buffer::zeros(gpu, 8),
+            exposures: Buffer::zeros(gpu, 0),
+        }
     }
 }
 
 impl Loss<WgpuBackend> for WgpuLoss {
+    fn expose(&mut self, gains: &[[f32; 3]]) {
+        let words = (GAIN_WORDS + SUM_WORDS) * gains.len();
+        if self.exposures.most() != words {
+            self.exposures = Buffer::zeros(&self.gpu, words);
+        }
+        self.gpu.write(self.exposures.raw(), gains.as_flattened());
+    }
+
     fn evaluate(
         &self,
         lane: &mut Lane,
@@ -76,6 +107,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
         let blocks = count.div_ceil(GROUP);
         pixel_gradients.resize(count as usize);
         lane.sums.resize(4 * blocks as usize);
+        let photographs = self.exposures.most() / (GAIN_WORDS + SUM_WORDS);
         let live = u32::from(self.config.rays == LossRays::Live);
         let params = Params {
             count,
@@ -83,9 +115,10 @@ impl Loss<WgpuBackend> for WgpuLoss {
             beta: self.config.beta,
             live,
             opacity: self.config.opacity,
-            padding: [0; 3],
+            photographs: photographs as u32,
+            padding: [0; 2],
         };
-        let binds = [
+        let mut binds = vec![
             pixels.bind(),
             pixel_gradients.bind(),
             rays.targets.bind(),
@@ -93,10 +126,18 @@ impl Loss<WgpuBackend> for WgpuLoss {
             samples.segments.bind(),
             rays.groups.bind(),
         ];
-        self.gpu.dispatch(&EVALUATE, &binds, &params, Size::Items(count.into()));
+        let mut kernel = &EVALUATE;
+        if photographs > 0 {
+            let [first, length] = [GAIN_WORDS, SUM_WORDS].map(|words| (4 * words * photographs) as u64);
+            self.gpu.clear(self.exposures.raw(), first, length);
+            kernel = &EVALUATE_EXPOSED;
+            binds.extend([rays.photographs.bind(), self.exposures.bind()]);
+        }
+        self.gpu.dispatch(kernel, &binds, &params, Size::Items(count.into()));
         let binds = [lane.sums.bind(), self.sums.bind(), samples.counts.bind()];
         self.gpu.dispatch(&ADD_UP, &binds, &params, Size::Groups(1));
-        sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count });
+        let exposures = (photographs > 0).then(|| (self.exposures.raw().clone(), photographs));
+        sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures });
     }
 
     fn distort(

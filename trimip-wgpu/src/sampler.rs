@@ -3,7 +3,7 @@
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{Gpu, Size, lock};
-use crate::kernel::{CAMERA_RAYS, TRAINING_RAYS};
+use crate::kernel::{CAMERA_RAYS, TRAINING_RAYS, TRAINING_RAYS_EXPOSED};
 use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
@@ -11,7 +11,8 @@ use trimip_core::backend::Sampler;
 use trimip_core::balance::{Balance, Draw, Shares};
 use trimip_core::batch::Rays;
 use trimip_core::cones::Division;
-use trimip_core::config::{Photographs, TrainConfig};
+use trimip_core::config::{Exposure, Photographs, TrainConfig};
+use trimip_core::exposure;
 use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::Alpha;
 use trimip_core::{Camera, Config, Error, Result, Scale, ViewSet};
@@ -112,6 +113,8 @@ struct Training {
     scales: Buffer<GpuScale>,
     /// The scales, for the host.
     shared: Vec<Scale>,
+    /// The photograph of each view, with `loss.exposure`.
+    photographs: Option<Buffer<u32>>,
     shares: Shares,
 }
 
@@ -193,10 +196,14 @@ impl Training {
             host: None,
             scales: Buffer::zeros(gpu, 0),
             shared: views.scales.clone(),
+            photographs: (config.loss.exposure == Exposure::Gain).then(|| Buffer::zeros(gpu, 0)),
             shares: Shares::new(config, &views),
         };
         let table: Vec<GpuView> = views.views.iter().map(|v| GpuView::new(&v.camera, v.offset)).collect();
         training.views.write(&table);
+        if let Some(of_views) = &mut training.photographs {
+            of_views.write(&exposure::photographs(&views));
+        }
         let scales: Vec<GpuScale> = views
             .scales
             .iter()
@@ -296,8 +303,9 @@ impl Sampler<WgpuBackend> for WgpuSampler {
         if let Some(host) = &training.host {
             pixels.write(&training.look_up(host, &self.random, step, draw, range.clone()));
         }
-        let Training { views, scales, .. } = training;
-        let binds = [
+        let Training { views, scales, photographs: of_views, .. } = training;
+        rays.photographs.resize(if of_views.is_some() { range.len() } else { 0 });
+        let mut binds = vec![
             views.bind(),
             rays.rays.bind(),
             pixels.bind(),
@@ -305,7 +313,12 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             rays.targets.bind(),
             rays.groups.bind(),
         ];
-        self.gpu.dispatch(&TRAINING_RAYS, &binds, &params, Size::Items(range.len() as u64));
+        let mut kernel = &TRAINING_RAYS;
+        if let Some(of_views) = of_views {
+            kernel = &TRAINING_RAYS_EXPOSED;
+            binds.extend([rays.photographs.bind(), of_views.bind()]);
+        }
+        self.gpu.dispatch(kernel, &binds, &params, Size::Items(range.len() as u64));
     }
 
     fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {

@@ -88,7 +88,7 @@ pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             stages.sampler.follow(progress);
             let draw = stages.sampler.balance().draw(PIXELS);
             stages.sampler.training_rays(&mut space.lane, 5, &draw, range, &mut space.rays);
-            let Rays { rays, groups, targets, first } = &space.rays;
+            let Rays { rays, groups, targets, first, .. } = &space.rays;
             (backend.read(rays), backend.read(groups), backend.read(targets), *first)
         };
         let (rays, groups, targets, first) = draw_part(0..PIXELS);

@@ -69,8 +69,8 @@ pub fn twin<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let fresh = || Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2));
         let (mut alone, mut beside, mut idle) = (fresh()?, fresh()?, fresh()?);
         let first = idle.parameters();
-        beside.exchange_by(Twin);
-        idle.exchange_by(Nothing);
+        beside.exchange_by(Twin)?;
+        idle.exchange_by(Nothing)?;
         steps(&mut alone, &config, 12)?;
         steps(&mut beside, &config, 12)?;
         steps(&mut idle, &config, 3)?;
@@ -80,6 +80,17 @@ pub fn twin<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         assert!(bits(alone.parameters()) == bits(beside.parameters()), "{name}: a twin changes no bit");
         assert!(idle.parameters() == first, "{name}: without weight nothing moves");
     }
+    Ok(())
+}
+
+/// Gains of photographs are not exchanged: several machines refuse them.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn no_gains<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut trainer = Trainer::new(make(), &super::exposure::exposed(), fixtures::noise(3, 16, 2, 2))?;
+    let refused = trainer.exchange_by(Twin).expect_err("gains are this machine's own");
+    assert!(refused.exit_code() == 2 && refused.message.contains("loss.exposure"), "{refused}");
     Ok(())
 }
 
@@ -120,7 +131,7 @@ pub fn together<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
         let train = |machine: u64, link: Option<Link>| -> Result<Vec<f32>> {
             let mut trainer = Trainer::new(make(), &config, views(machine))?;
             if let Some(link) = link {
-                trainer.exchange_by(link);
+                trainer.exchange_by(link)?;
             }
             steps(&mut trainer, &config, 12)?;
             Ok(trainer.parameters())

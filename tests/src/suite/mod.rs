@@ -5,6 +5,7 @@ pub mod cones;
 pub mod contraction;
 pub mod distortion;
 pub mod exchange;
+pub mod exposure;
 pub mod gradients;
 pub mod hybrid;
 pub mod marching;

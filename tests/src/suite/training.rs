@@ -46,6 +46,7 @@ pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Resul
     for encoder in fixtures::every_encoder() {
         resume_with(&make, &fixtures::encoded(configuration(), &encoder), file)?;
     }
+    resume_with(&make, &super::exposure::exposed(), file)?;
     resume_with(&make, &scheduled()?, file)
 }
 

@@ -232,6 +232,7 @@ impl OptimizerConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check(positive(self.learning_rate), "optimizer.learning_rate", "a number above 0")?;
         to.check(positive(self.plane_scale), "optimizer.plane_scale", "a number above 0")?;
+        to.check((0.0..=1.0).contains(&self.exposure_rate), "optimizer.exposure_rate", "0 to 1")?;
         to.check((0.0..1.0).contains(&self.beta1), "optimizer.beta1", "0 to below 1")?;
         to.check((0.0..1.0).contains(&self.beta2), "optimizer.beta2", "0 to below 1")?;
         to.check(positive(self.epsilon), "optimizer.epsilon", "a number above 0")?;

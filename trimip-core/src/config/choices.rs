@@ -157,6 +157,16 @@ choice!(
 );
 
 choice!(
+    /// What is known of the exposure of training photographs.
+    Exposure {
+        /// All have the same.
+        None,
+        /// Each has one gain per channel, see [`exposure`](crate::exposure).
+        Gain,
+    }
+);
+
+choice!(
     /// View dependence of the built-in scene.
     Finish {
         /// Some surfaces are glossy.

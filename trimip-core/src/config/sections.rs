@@ -1,9 +1,9 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    Contraction, Convention, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays, MaskKeeps,
-    MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule, RendererKind, TrainBackground,
-    Untouched,
+    Contraction, Convention, Exposure, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays,
+    MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule, RendererKind,
+    TrainBackground, Untouched,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -79,12 +79,12 @@ section!(
 );
 section!(
     /// The loss.
-    LossConfig, "loss" { beta: f32, opacity: f32, distortion: f32, rays: LossRays }
+    LossConfig, "loss" { beta: f32, opacity: f32, distortion: f32, exposure: Exposure, rays: LossRays }
 );
 section!(
     /// AdamW and its learning rate.
     OptimizerConfig, "optimizer" {
-        learning_rate: f64, plane_scale: f64, beta1: f64, beta2: f64, epsilon: f64, weight_decay: f64,
+        learning_rate: f64, plane_scale: f64, exposure_rate: f64, beta1: f64, beta2: f64, epsilon: f64, weight_decay: f64,
         schedule: RateSchedule, decay_factor: f64, milestones: Vec<f64>, final_factor: f64, untouched: Untouched,
     }
 );

@@ -8,11 +8,13 @@ mod sums;
 use crate::{
     Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, StepReport,
     ViewSet, Viewer,
-    backend::{Occupancy, Optimizer, Sampler},
-    batch::{Deposit, Radiance, StepSums},
+    backend::{Loss, Occupancy, Optimizer, Sampler},
+    batch::{Deposit, Radiance, StepResult, StepSums},
     checkpoint::{Checkpoint, TrainState},
+    config::Exposure,
     encoders,
     exchange::{Alone, Exchange},
+    exposure::{self, Exposures},
     hull::Hull,
     loaded::LoadedModel,
     model::Model,
@@ -42,6 +44,8 @@ pub struct Trainer<B: Backend> {
     /// Sums of the last steps that are not yet used, oldest first.
     pending: VecDeque<sums::Pending<B>>,
     exchange: Box<dyn Exchange<B>>,
+    /// With `loss.exposure`.
+    exposures: Option<Exposures>,
 }
 
 impl<B: Backend> Trainer<B> {
@@ -54,7 +58,13 @@ impl<B: Backend> Trainer<B> {
             return Err(Error::input("training views", "no pixels", "name a data set with training images"));
         }
         let hull = config.occupancy.hull.then(|| Hull::of(config, &views)).flatten();
+        let exposures = (config.loss.exposure == Exposure::Gain)
+            .then(|| exposure::photographs(&views).into_iter().max().map_or(0, |last| last as usize + 1))
+            .map(Exposures::new);
         let mut loaded = LoadedModel::build(backend, config, Some(views))?;
+        if let Some(exposures) = &exposures {
+            loaded.stages.loss.expose(&exposures.gains());
+        }
         if let Some(Hull { bits, densities }) = hull {
             loaded.stages.occupancy.restore(&bits, Some(&densities));
         }
@@ -82,6 +92,7 @@ impl<B: Backend> Trainer<B> {
             left_out_before: 0,
             pending: VecDeque::new(),
             exchange: Box::new(Alone),
+            exposures,
         };
         trainer.enter(encoders::of(config).stage(config, 0.0));
         trainer.loaded.refresh();
@@ -90,8 +101,34 @@ impl<B: Backend> Trainer<B> {
 
     /// Sums the gradient of every later step with those of other machines. Losses and counts remain this machine's
     /// own.
-    pub fn exchange_by(&mut self, exchange: impl Exchange<B> + 'static) {
+    ///
+    /// # Errors
+    /// With `loss.exposure = "gain"`: derivatives by log-gains are not exchanged, and each machine would choose a scale of
+    /// its own for the model's colours.
+    pub fn exchange_by(&mut self, exchange: impl Exchange<B> + 'static) -> Result<()> {
+        if self.exposures.is_some() {
+            return Err(Error::input(
+                "loss.exposure = \"gain\"",
+                "several machines do not exchange the gains of their photographs",
+                "use loss.exposure = \"none\", or train on one machine",
+            ));
+        }
         self.exchange = Box::new(exchange);
+        Ok(())
+    }
+
+    /// The log-gains of the training photographs minus their mean, RGB of each, by the numbers of
+    /// [`exposure::photographs`]; empty without `loss.exposure`.
+    pub fn log_gains(&self) -> Vec<[f64; 3]> {
+        self.exposures.as_ref().map(Exposures::log_gains).unwrap_or_default()
+    }
+
+    /// Replaces the log-gains of the training photographs, RGB of each. Does nothing without `loss.exposure`.
+    pub fn set_log_gains(&mut self, values: &[[f32; 3]]) {
+        if let Some(exposures) = &mut self.exposures {
+            exposures.set(values);
+            self.loaded.stages.loss.expose(&exposures.gains());
+        }
     }
 
     /// The backend, to read its counters.
@@ -139,6 +176,23 @@ impl<B: Backend> Trainer<B> {
     /// # Errors
     /// When the device fails.
     pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<f32>)> {
+        let StepResult { sums, .. } = self.result_of(step, rays)?;
+        let gradient = self.device().read(&self.gradient);
+        Ok((sums, gradient.iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect()))
+    }
+
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), by the log-gains of the photographs (RGB of each).
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn loss_and_exposure_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<[f32; 3]>)> {
+        let result = self.result_of(step, rays)?;
+        let gradient = self.exposures.as_ref().map(|exposures| exposures.gradient(&result));
+        Ok((result.sums, gradient.unwrap_or_default()))
+    }
+
+    /// Forward and backward over the rays of step `step`; the gradient is complete afterwards.
+    fn result_of(&mut self, step: u64, rays: u32) -> Result<StepResult> {
         self.state.totals.step = step;
         let backend = Arc::clone(&self.loaded.backend);
         let receipt = backend.install(|| {
@@ -147,10 +201,7 @@ impl<B: Backend> Trainer<B> {
             self.loaded.stages.flush(&mut self.deposits, &self.loaded.parameters, &mut self.gradient);
             receipt
         });
-        let sums = backend.redeem(receipt)?;
-        let gradient =
-            backend.read(&self.gradient).iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect();
-        Ok((sums, gradient))
+        backend.redeem(receipt)
     }
 }
 

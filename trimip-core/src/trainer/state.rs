@@ -3,7 +3,7 @@
 use super::{Trainer, sums::Arrival, sums::Pending};
 use crate::{
     Backend, Optimizer, Renderer, Result,
-    backend::{Occupancy, Sampler},
+    backend::{Loss, Occupancy, Sampler},
     checkpoint::{Checkpoint, OCCUPANCY_DENSITY},
     config::FilePrecision,
     model::Model,
@@ -44,6 +44,9 @@ impl<B: Backend> Trainer<B> {
         self.count_left_out();
         let densities = self.loaded.stages.occupancy.densities();
         file.tensors.insert(OCCUPANCY_DENSITY.into(), Tensor::f32(&[densities.len()], densities));
+        if let Some(exposures) = &self.exposures {
+            exposures.to_tensors(&mut file);
+        }
         self.device().health()?;
         Ok(Checkpoint { config: self.loaded.config.clone(), state: self.state, file })
     }
@@ -53,7 +56,13 @@ impl<B: Backend> Trainer<B> {
         let densities = checkpoint.file.f32(name, OCCUPANCY_DENSITY, &[self.loaded.cells()])?;
         let first = self.layout().from_tensors(&checkpoint.file, name, ".m")?;
         let second = self.layout().from_tensors(&checkpoint.file, name, ".v")?;
+        let exposures =
+            self.exposures.as_ref().map(|new| new.restored(&checkpoint.file, name)).transpose()?;
         self.loaded.restore_model(name, &checkpoint.file, Some(densities))?;
+        if let Some(exposures) = exposures {
+            self.loaded.stages.loss.expose(&exposures.gains());
+            self.exposures = Some(exposures);
+        }
         for (buffer, values) in self.loaded.stages.optimizer.moments_mut().into_iter().zip([first, second]) {
             self.loaded.backend.write(buffer, &values);
         }

@@ -159,6 +159,7 @@ impl<B: Backend> Trainer<B> {
         if let Some((spacing, sums)) = &sums {
             self.adapt_batch(sums, *spacing, progress);
         }
+        self.adapt_exposures(rate);
         self.count_left_out();
         let sums = sums.map_or_else(StepSums::default, |(_, sums)| sums);
         Ok(StepReport {

@@ -2,7 +2,7 @@
 //! is always the same number of steps, whatever the timing.
 
 use super::Trainer;
-use crate::{Backend, Error, Result, batch::StepSums, checkpoint::MOST_PENDING};
+use crate::{Backend, Error, Result, backend::Loss, batch::StepSums, checkpoint::MOST_PENDING};
 
 /// Sums of a step that are not yet used.
 pub(super) struct Pending<B: Backend> {
@@ -43,10 +43,27 @@ impl<B: Backend> Trainer<B> {
         match sums {
             Arrival::Counted(sums) => Ok(sums),
             Arrival::Posted(receipt) => {
-                let sums = self.device().redeem(receipt)?;
-                self.count(&sums);
-                Ok(sums)
+                let result = self.device().redeem(receipt)?;
+                self.count(&result.sums);
+                if let Some(exposures) = &mut self.exposures
+                    && is_finite(&result.sums)
+                {
+                    exposures.take(&result);
+                }
+                Ok(result.sums)
             }
+        }
+    }
+
+    /// Moves the exposures of photographs by the gradients that are due, at the networks' learning rate `rate`.
+    pub(super) fn adapt_exposures(&mut self, rate: f64) {
+        let Some(exposures) = &mut self.exposures else { return };
+        let in_transit =
+            self.pending.iter().filter(|pending| matches!(pending.sums, Arrival::Posted(_))).count();
+        let config = &self.loaded.config.optimizer;
+        let rate = config.exposure_rate * rate / config.learning_rate;
+        if exposures.advance(config, rate, self.state.totals.step, in_transit) {
+            self.loaded.stages.loss.expose(&exposures.gains());
         }
     }
 
@@ -64,9 +81,13 @@ impl<B: Backend> Trainer<B> {
     }
 }
 
+fn is_finite(sums: &StepSums) -> bool {
+    sums.non_finite == 0 && sums.loss.is_finite()
+}
+
 /// Returns an error if the sums of a step are not finite.
 pub(super) fn finite(step: u64, sums: &StepSums) -> Result<()> {
-    if sums.non_finite == 0 && sums.loss.is_finite() {
+    if is_finite(sums) {
         return Ok(());
     }
     Err(Error::run(format!(

@@ -9,6 +9,8 @@ struct Params {
     live: u32,
     // Weight of the opacity relative to the colour.
     opacity: f32,
+    // Number of photographs that have gains.
+    photographs: u32,
 }
 
 @group(0) @binding(0) var<storage, read> pixels: array<f32>;
@@ -99,7 +101,8 @@ fn evaluate(
         let weight = targets[at + 3u];
         let background = vec3<f32>(targets[at + 4u], targets[at + 5u], targets[at + 6u]);
         let exponent = targets[at + 8u];
-        let seen = shown(pixel, background, exponent);
+        let behind = (1.0 - targets[at + 7u]) * background;
+        let seen = exposed(i, shown(pixel, background, exponent), behind);
         let counted = params.live == 0u || has_samples(pixel_groups[i]);
         var loss = 0.0;
         var squared = 0.0;
@@ -112,6 +115,9 @@ fn evaluate(
             loss += value.x / 3.0;
             squared += select(0.0, difference * difference, weight > 0.0);
             by_colour[c] = select(0.0, weight * value.y / 3.0, counted);
+        }
+        if finite {
+            by_colour = unexposed(i, by_colour, seen - behind);
         }
         let gradient = shown_gradient(pixel, background, exponent, by_colour);
         let value = smooth_l1(pixel.a - targets[at + 7u], params.beta);

@@ -116,6 +116,7 @@ fn training_rays(
         }
     }
     let view = views[low];
+    keep_photograph(i, low);
     let within = pixel - view.offset;
     let start = cones_before(index) - params.first_cone;
     let seen = cones_of(i, start, params.sides[s / 4u][s % 4u], view, within % view.width, within / view.width);

@@ -1,0 +1,39 @@
+// Photographs of different exposures: what a pixel shows of its photograph's own is multiplied by the photograph's gain.
+// The derivatives by the logarithms of the gains are summed in 64-bit fixed point: the same bits in any order.
+
+@group(0) @binding(9) var<storage, read> photographs: array<u32>;
+// Three gains of each photograph; then, for each of its channels, the low and the high word of a sum.
+@group(0) @binding(10) var<storage, read_write> exposures: array<atomic<u32>>;
+
+fn gain_of(photograph: u32) -> vec3<f32> {
+    var gain = vec3<f32>(0.0);
+    for (var c = 0u; c < 3u; c++) {
+        gain[c] = bitcast<f32>(atomicLoad(&exposures[3u * photograph + c]));
+    }
+    return gain;
+}
+
+// The colour that is compared; twin of `trimip_core::exposure`.
+fn exposed(i: u32, shown: vec3<f32>, behind: vec3<f32>) -> vec3<f32> {
+    return gain_of(photographs[i]) * (shown - behind) + behind;
+}
+
+// Gradient with respect to the colour shown, for that with respect to the colour compared, of which `own` is the
+// photograph's own part. Adds the derivatives by the photograph's log-gains. Gains and slopes are bounded, so every
+// number fits.
+fn unexposed(i: u32, by_seen: vec3<f32>, own: vec3<f32>) -> vec3<f32> {
+    let photograph = photographs[i];
+    for (var c = 0u; c < 3u; c++) {
+        let value = by_seen[c] * own[c];
+        if value != 0.0 && fits(value) {
+            let at = 3u * params.photographs + 6u * photograph + 2u * c;
+            let words = to_fixed(value);
+            let before = atomicAdd(&exposures[at], words.x);
+            let high = words.y + select(0u, 1u, before + words.x < before);
+            if high != 0u {
+                atomicAdd(&exposures[at + 1u], high);
+            }
+        }
+    }
+    return by_seen * gain_of(photograph);
+}
