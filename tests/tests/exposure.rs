@@ -1,0 +1,120 @@
+//! Photographs of different exposures train to the same model as those of one, and their gains are found.
+
+use trimip_core::{
+    Config, Frame, Session, ViewSet, Viewer,
+    config::{Exposure, Format, OptimizerConfig},
+    exposure,
+    metrics::psnr_of_error,
+    trainer::Trainer,
+};
+use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_tests::fixtures::{Draw, as_code};
+
+/// Root mean square of the errors of log-gains, of a spread of 0.25.
+const TOLERANCE: f64 = 0.08;
+
+/// Most dB that a model of photographs with different exposures lies below that of equal ones.
+const LOSS: f64 = 0.6;
+
+/// Least dB by which it is better than if the exposures are ignored.
+const GAIN: f64 = 0.4;
+
+/// The gains of each photograph: at most 1, so that no colour is clipped, and at least 0.4, so that few bits are lost.
+fn known(photographs: usize) -> Vec<[f64; 3]> {
+    let mut draw = Draw::new(5);
+    (0..photographs).map(|_| [0; 3].map(|_| draw.between(0.4, 1.0))).collect()
+}
+
+/// The photographs with their colours multiplied by these gains.
+fn multiplied(mut views: ViewSet, gains: &[[f64; 3]]) -> ViewSet {
+    let photographs = exposure::photographs(&views);
+    for (view, photograph) in views.views.iter().zip(photographs) {
+        let k = &view.camera.intrinsics;
+        for pixel in &mut views.pixels[view.offset..][..(k.width * k.height) as usize] {
+            for c in 0..3 {
+                pixel[c] = (f64::from(pixel[c]) * gains[photograph as usize][c]).round() as u8;
+            }
+        }
+    }
+    views
+}
+
+fn configuration() -> Config {
+    let mut config = as_code();
+    config.data.format = Format::Builtin;
+    (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 24, 3);
+    (config.data.builtin_supersampling, config.data.scales) = (2, 2);
+    config.data.background = [0.0; 3];
+    (config.encoder.plane_size, config.encoder.levels) = (32, 5);
+    config.field.hidden = 32;
+    config.renderer.steps_per_diagonal = 192;
+    config.occupancy.resolution = 32;
+    config.occupancy.warmup = 64;
+    config.train.samples_per_step = 4096;
+    config.train.steps = 1000;
+    // A short run.
+    config.optimizer = OptimizerConfig { exposure_rate: 2e-2, ..Config::default().optimizer };
+    config
+}
+
+/// Trains on the scene's photographs, changed by `change`; returns the PSNR of all test views together after a gain of each
+/// channel that fits them, and the log-gains of the photographs.
+fn trained(config: &Config, change: impl Fn(ViewSet) -> ViewSet) -> (f64, Vec<[f64; 3]>) {
+    let scene = trimip_data::open(&config.data).unwrap();
+    let backend = CpuBackend::new(2, Simd::detect()).unwrap();
+    let mut trainer = Trainer::new(backend, config, change(scene.train)).unwrap();
+    for step in 0..config.train.steps {
+        trainer.step(step as f64 / config.train.steps as f64).unwrap();
+    }
+    // Of each channel: Σ rendered², Σ rendered·true, Σ true².
+    let (mut sums, mut count) = ([[0.0; 3]; 3], 0_usize);
+    for index in 0..scene.test.len() {
+        let frame = scene.test.load(index).unwrap();
+        for view in 0..frame.views.len() {
+            let rendered: Frame = trainer.render(&frame.views[view].camera).unwrap();
+            let truth = frame.composited(view, config.data.background);
+            count += truth.len();
+            for (rendered, truth) in rendered.rgb().iter().zip(&truth) {
+                for c in 0..3 {
+                    let (rendered, truth) = (f64::from(rendered[c]), f64::from(truth[c]));
+                    let products = [rendered * rendered, rendered * truth, truth * truth];
+                    sums[c].iter_mut().zip(products).for_each(|(sum, product)| *sum += product);
+                }
+            }
+        }
+    }
+    let left = sums.map(|[rr, rt, tt]| tt - rt * rt / rr);
+    (psnr_of_error(left.iter().sum::<f64>() / (3 * count) as f64), trainer.log_gains())
+}
+
+/// Root mean square of the differences of log-gains, after those of known gains are centred.
+fn apart(found: &[[f64; 3]], known: &[[f64; 3]]) -> f64 {
+    let count = known.len() as f64;
+    let mean = [0, 1, 2].map(|c| known.iter().map(|gain| gain[c].ln()).sum::<f64>() / count);
+    let error = |(found, known): (&[f64; 3], &[f64; 3])| {
+        (0..3).map(|c| (found[c] - known[c].ln() + mean[c]).powi(2)).sum::<f64>()
+    };
+    assert_eq!(found.len(), known.len());
+    (found.iter().zip(known).map(error).sum::<f64>() / (3.0 * count)).sqrt()
+}
+
+#[test]
+fn gains_of_photographs_are_found_and_spoil_no_model() {
+    let mut config = configuration();
+    let gains = known(config.data.builtin_train as usize);
+    let (ignored, none) = trained(&config, |views| multiplied(views, &gains));
+    assert!(none.is_empty());
+    config.loss.exposure = Exposure::Gain;
+    let (equal, of_equal) = trained(&config, |views| views);
+    let (found, of_found) = trained(&config, |views| multiplied(views, &gains));
+    // A model that does not fit its photographs perfectly leaves part of its error to their gains: of photographs with one
+    // exposure, log-gains of 0.03 remain.
+    let (error, spurious) = (apart(&of_found, &gains), apart(&of_equal, &vec![[1.0; 3]; gains.len()]));
+    let spread = apart(&vec![[0.0; 3]; gains.len()], &gains);
+    println!("{ignored:.2} dB ignored, {equal:.2} dB of equal photographs, {found:.2} dB");
+    println!("log-gains of {spread:.3} to {error:.3}, of 0 to {spurious:.3}");
+    assert!(spread > 0.2 && error < TOLERANCE, "log-gains of {spread:.3} are off by {error:.3}");
+    assert!(spurious < TOLERANCE, "photographs of one exposure have log-gains of {spurious:.3}");
+    assert!(found > equal - LOSS, "{found:.2} dB, of equal photographs {equal:.2} dB");
+    assert!(found > ignored + GAIN, "{found:.2} dB, {ignored:.2} dB if all are taken for equal");
+}
