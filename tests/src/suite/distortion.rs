@@ -120,10 +120,14 @@ fn distorted<B: Backend>(bench: &mut Bench<B>, given: &Given) -> Result<(f64, Ve
     let gradients = &mut space.radiance_gradients;
     stages.loss.distort(lane, rays, samples, &space.radiance, gradients, sums);
     let sums = backend.redeem(backend.post(&[deposit]))?;
-    assert_eq!((sums.squared_error, sums.non_finite), (0.0, 0), "the error of colours is untouched");
+    assert_eq!(
+        (sums.sums.squared_error, sums.sums.non_finite),
+        (0.0, 0),
+        "the error of colours is untouched"
+    );
     let gradients = backend.read(gradients);
     assert!(gradients.iter().all(|own| own.rgb == [0.5; 3]), "colours have no part in it");
-    Ok((sums.loss, gradients.iter().take(total).map(|own| f64::from(own.density) - 1.0).collect()))
+    Ok((sums.sums.loss, gradients.iter().take(total).map(|own| f64::from(own.density) - 1.0).collect()))
 }
 
 fn bench<B: Backend>(make: impl Fn() -> B, config: &Config) -> Result<Bench<B>> {
