@@ -11,13 +11,13 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::fixtures::{Draw, as_code};
 
 /// Root mean square of the errors of log-gains, of a spread of 0.25.
-const TOLERANCE: f64 = 0.08;
+const TOLERANCE: f64 = 0.07;
 
 /// Most dB that a model of photographs with different exposures lies below that of equal ones.
-const LOSS: f64 = 0.6;
+const LOSS: f64 = 0.5;
 
 /// Least dB by which it is better than if the exposures are ignored.
-const GAIN: f64 = 0.4;
+const GAIN: f64 = 0.5;
 
 /// The gains of each photograph: at most 1, so that no colour is clipped, and at least 0.4, so that few bits are lost.
 fn known(photographs: usize) -> Vec<[f64; 3]> {
@@ -108,7 +108,7 @@ fn gains_of_photographs_are_found_and_spoil_no_model() {
     let (equal, of_equal) = trained(&config, |views| views);
     let (found, of_found) = trained(&config, |views| multiplied(views, &gains));
     // A model that does not fit its photographs perfectly leaves part of its error to their gains: of photographs with one
-    // exposure, log-gains of 0.03 remain.
+    // exposure, log-gains of 0.035 remain.
     let (error, spurious) = (apart(&of_found, &gains), apart(&of_equal, &vec![[1.0; 3]; gains.len()]));
     let spread = apart(&vec![[0.0; 3]; gains.len()], &gains);
     println!("{ignored:.2} dB ignored, {equal:.2} dB of equal photographs, {found:.2} dB");
