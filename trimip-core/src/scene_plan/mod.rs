@@ -24,7 +24,7 @@ pub use facts::{Compute, Facts, StatedBox};
 pub use finding::{Change, Finding};
 pub use warnings::warnings;
 
-use crate::config::PlanChoice;
+use crate::config::{Contraction, PlanChoice};
 use crate::{Config, Error, Origin, Result, Settings};
 use decisions::{Context, DECISIONS, Decision, Proposal};
 
@@ -39,7 +39,9 @@ pub fn keys() -> impl Iterator<Item = &'static str> {
 /// When a decision is `on` and cannot be taken.
 pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> {
     let configured = Config::from_settings(settings)?;
-    if configured.loss.opacity > 0.0 && !recipe::has_alpha(facts.train) {
+    // In contracted space every ray ends somewhere, and opaque photographs tell the opacity too.
+    let bounded = configured.scene.contraction == Contraction::None;
+    if configured.loss.opacity > 0.0 && bounded && !recipe::has_alpha(facts.train) {
         return Err(Error::input(
             settings.place("loss.opacity"),
             "the photographs have no alpha to compare opacity with",
