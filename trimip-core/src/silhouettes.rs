@@ -104,9 +104,24 @@ pub fn any(views: &ViewSet) -> bool {
 /// Bounds of what the photographs may show within `aabb`, of places that at least `share` of them see (0: any one): never
 /// less than the object there. `None` where no photograph has a silhouette, or where they leave nothing.
 pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, share: f64) -> Option<Aabb<f64>> {
+    bounds_despite(views, aabb, share, 0.0)
+}
+
+/// As [`bounds`], where a share `wrong` of the silhouettes may show background: a few wrong poses or masks carve nothing.
+pub fn bounds_despite(views: &ViewSet, aabb: &Aabb<f64>, share: f64, wrong: f64) -> Option<Aabb<f64>> {
     let silhouettes = silhouettes(views)?;
-    let least = ((share * silhouettes.len() as f64).ceil() as usize).max(1);
-    CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells, least))
+    let of = |share: f64| share * silhouettes.len() as f64;
+    let rule = Rule { least: (of(share).ceil() as usize).max(1), most_empty: of(wrong) as usize };
+    CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells, rule))
+}
+
+/// When a place is kept.
+#[derive(Clone, Copy)]
+struct Rule {
+    /// Fewest views that see it.
+    least: usize,
+    /// Most views that show only background there.
+    most_empty: usize,
 }
 
 /// For each cell of a grid of `resolution` cells along each side of `aabb`, x fastest: whether the object may be there.
@@ -154,7 +169,7 @@ fn silhouettes(views: &ViewSet) -> Option<Vec<Silhouette>> {
 }
 
 /// Bounds of the cells of a grid over `aabb` that are not carved.
-fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, least: usize) -> Option<Aabb<f64>> {
+fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, rule: Rule) -> Option<Aabb<f64>> {
     let cell = aabb.extent().map(|side| side / cells as f64);
     let radius = 0.5 * DVec3::from_array(cell).length();
     let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
@@ -165,7 +180,7 @@ fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, least: usize
             continue;
         }
         let centre = std::array::from_fn(|axis| aabb.min[axis] + (index[axis] as f64 + 0.5) * cell[axis]);
-        if kept(silhouettes, DVec3::from_array(centre), radius, least) {
+        if kept(silhouettes, DVec3::from_array(centre), radius, rule) {
             for axis in 0..3 {
                 low[axis] = low[axis].min(index[axis]);
                 high[axis] = high[axis].max(index[axis] + 1);
@@ -176,20 +191,21 @@ fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, least: usize
     (high[0] > 0).then(|| Aabb { min: corner(low), max: corner(high) })
 }
 
-/// True unless a view shows background there or fewer than `least` views see it: unseen cells cannot be learned.
-fn kept(silhouettes: &[Silhouette], centre: DVec3, radius: f64, least: usize) -> bool {
-    let mut seen = 0;
+/// True unless too many views show background there or too few see it: unseen cells cannot be learned.
+fn kept(silhouettes: &[Silhouette], centre: DVec3, radius: f64, rule: Rule) -> bool {
+    let (mut seen, mut empty) = (0, 0);
     for silhouette in silhouettes {
-        if seen >= least && silhouette.sums.is_none() {
+        if seen >= rule.least && silhouette.sums.is_none() {
             break;
         }
         match silhouette.verdict(centre, radius) {
             Verdict::Unseen => {}
             Verdict::Maybe => seen += 1,
-            Verdict::Empty => return false,
+            Verdict::Empty if empty == rule.most_empty => return false,
+            Verdict::Empty => empty += 1,
         }
     }
-    seen >= least
+    seen >= rule.least
 }
 
 #[cfg(test)]

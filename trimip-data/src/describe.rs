@@ -2,11 +2,11 @@
 
 use crate::{
     lens, masks,
-    scene::Survey,
+    scene::{Scene, Survey},
     source::{Source, assemble_in},
     watch::{Meter, Watch},
 };
-use trimip_core::{Alpha, Result, ViewSet, config::DataConfig};
+use trimip_core::{Alpha, Camera, Result, ViewSet, config::DataConfig};
 
 /// The first lines of a run: layout, views, sizes, scales, convention, memory.
 pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet) -> Vec<String> {
@@ -45,11 +45,34 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
     lines
 }
 
-/// Everything that is known about a scene without training. Progress of reading goes to `watch`.
+/// Everything that is known about a scene without training.
+#[derive(Debug)]
+pub struct Inspection {
+    /// The scene, with its warnings.
+    pub scene: Scene,
+    /// Name of its layout.
+    pub layout: &'static str,
+    /// The scene in words, a line each, without warnings.
+    pub lines: Vec<String>,
+    /// Name and camera at full size of each test frame.
+    pub test: Vec<(String, Camera)>,
+}
+
+/// Everything that is known about a scene without training: lines, then warnings. Progress of reading goes to `watch`.
 ///
 /// # Errors
 /// As [`open`](crate::open).
 pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
+    let Inspection { scene, mut lines, .. } = examine(config, watch)?;
+    lines.extend(scene.warnings.iter().map(|warning| format!("warning: {warning}")));
+    Ok(lines)
+}
+
+/// As [`inspect`], with the scene itself.
+///
+/// # Errors
+/// As [`open`](crate::open).
+pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
     let survey = Survey::new(config)?;
     let train = assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
     let mut lines = description(&survey, config, &train);
@@ -101,9 +124,9 @@ pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
             scale.weight
         ));
     }
-    let of_masks = masks::warnings(&survey.train, &train);
-    lines.extend(survey.warnings.iter().chain(&of_masks).map(|warning| format!("warning: {warning}")));
-    Ok(lines)
+    let named = |source: &Source| Some((source.name.clone(), source.views.first()?.1));
+    let test = survey.test.iter().filter_map(named).collect();
+    Ok(Inspection { layout: survey.layout, lines, test, scene: survey.opened(config, train) })
 }
 
 /// "1 view", "12 views".

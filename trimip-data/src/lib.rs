@@ -17,6 +17,7 @@
 
 mod blender;
 pub mod builtin;
+pub mod checks;
 pub mod colmap;
 mod describe;
 mod division;
@@ -43,7 +44,7 @@ mod store;
 mod watch;
 mod write;
 
-pub use describe::inspect;
+pub use describe::{Inspection, examine, inspect};
 pub use lens::{lens_of, lens_terms};
 pub use points::{Observation, Point};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};

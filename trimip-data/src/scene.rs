@@ -66,17 +66,7 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
 pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
     let survey = Survey::new(config)?;
     let train = assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
-    let description = describe::description(&survey, config, &train);
-    let of_masks = masks::warnings(&survey.train, &train);
-    Ok(Scene {
-        name: survey.name,
-        train,
-        test: frames(survey.test, survey.alpha),
-        stated: survey.stated,
-        points: survey.points,
-        warnings: [survey.warnings, of_masks].concat(),
-        description,
-    })
+    Ok(survey.opened(config, train))
 }
 
 /// Opens the test frames of the scene that the settings name. Reads every camera and image header as [`open`] does, but
@@ -118,6 +108,21 @@ pub(crate) struct Survey {
 }
 
 impl Survey {
+    /// The scene with its training views.
+    pub(crate) fn opened(self, config: &DataConfig, train: ViewSet) -> Scene {
+        let description = describe::description(&self, config, &train);
+        let of_masks = masks::warnings(&self.train, &train);
+        Scene {
+            name: self.name,
+            train,
+            test: frames(self.test, self.alpha),
+            stated: self.stated,
+            points: self.points,
+            warnings: [self.warnings, of_masks].concat(),
+            description,
+        }
+    }
+
     pub(crate) fn new(config: &DataConfig) -> Result<Self> {
         if !(1..=8).contains(&config.scales) {
             return Err(Error::input("data.scales", format!("is {}", config.scales), "expected 1 to 8"));

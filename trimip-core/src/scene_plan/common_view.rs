@@ -24,7 +24,7 @@ pub(super) fn cameras(views: &ViewSet) -> Vec<Camera> {
 }
 
 /// The point nearest to all optical axes, by least squares; `None` if they are parallel.
-pub(super) fn focus(cameras: &[Camera]) -> Option<DVec3> {
+pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {
         let axis = camera.rotation.z_axis;

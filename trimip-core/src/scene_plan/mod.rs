@@ -20,6 +20,7 @@ mod tests;
 mod tri_mip;
 mod warnings;
 
+pub use common_view::focus;
 pub use facts::{Compute, Facts, StatedBox};
 pub use finding::{Change, Finding};
 pub use warnings::warnings;
@@ -50,6 +51,15 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
     }
     let given = settings.clone();
     DECISIONS.iter().map(|decision| take(decision, settings, &given, &configured, facts)).collect()
+}
+
+/// Takes the decision on the box alone, which no device has a part in, and changes `settings` accordingly.
+///
+/// # Errors
+/// When it is `on` and cannot be taken.
+pub fn make_box(settings: &mut Settings, facts: &Facts<'_>) -> Result<Finding> {
+    let (configured, given) = (Config::from_settings(settings)?, settings.clone());
+    take(&DECISIONS[0], settings, &given, &configured, facts)
 }
 
 fn take(

@@ -1,0 +1,118 @@
+//! Exposure: photographs of nearby cameras show much the same and are about equally bright. Brightness is the mean of linear
+//! luminance over what is kept of a photograph, in stops (powers of two) below white.
+
+use super::{Check, Suspect, Values, Verdict, cameras, coarsest, median, of_views};
+use glam::DVec3;
+use trimip_core::{Alpha, Camera, ViewSet};
+
+/// Difference from its neighbours in stops from which a photograph is doubted: cameras change exposure in steps of a
+/// third.
+const MOST_STOPS: f64 = 0.5;
+
+/// More stops for each radian between the views: what a matt ball changes by, lit at 45° to the view (the logarithmic slope of
+/// Lambert's phase function).
+const STOPS_PER_RADIAN: f64 = 1.0;
+
+/// Nearest views that one is compared with.
+const NEIGHBOURS: usize = 4;
+
+/// Fewest photographs that are compared.
+const LEAST_VIEWS: usize = 4;
+
+/// Smallest side of the images in pixels, if they are that large: a mean needs no more.
+const SIDE: u32 = 32;
+
+/// Least alpha of a pixel that counts.
+const KEPT: u8 = 128;
+
+/// Darkest photograph, linear luminance: it bounds the logarithm.
+const DARKEST: f64 = 1.0 / 4096.0;
+
+const NAME: &str = "exposure";
+
+/// Mean brightness of pixels in stops (0: white, -1: half of it); `None` if none is kept.
+pub fn stops(pixels: &[[u8; 4]], alpha: Alpha) -> Option<f64> {
+    let (mut sum, mut count) = (0.0, 0_u64);
+    for pixel in pixels.iter().filter(|pixel| pixel[3] >= KEPT) {
+        let whole = if alpha == Alpha::Premultiplied { f64::from(pixel[3]) } else { 255.0 };
+        let [r, g, b] = [0, 1, 2].map(|c| linear((f64::from(pixel[c]) / whole).min(1.0)));
+        // Rec. 709.
+        sum += 0.2126 * r + 0.7152 * g + 0.0722 * b;
+        count += 1;
+    }
+    (count > 0).then(|| (sum / count as f64).max(DARKEST).log2())
+}
+
+/// The light that an sRGB value stands for.
+fn linear(value: f64) -> f64 {
+    if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Checks that nearby photographs are equally bright.
+pub fn brightness(train: &ViewSet) -> Check {
+    let limit = format!(
+        "a photograph more than {MOST_STOPS} stops brighter or darker than its {NEIGHBOURS} nearest views, and \
+         {STOPS_PER_RADIAN} more for each radian between them: a camera changes exposure in steps of a third, and light from \
+         a side does the rest"
+    );
+    let Some(scale) = coarsest(train, SIDE) else {
+        return Check::unknown(NAME, limit, "there is no photograph");
+    };
+    let own: Vec<Option<f64>> =
+        scale.views.clone().map(|view| stops(train.pixels_of(view), train.alpha)).collect();
+    let mut known: Vec<f64> = own.iter().copied().flatten().collect();
+    if known.len() < LEAST_VIEWS {
+        return Check::unknown(NAME, limit, "fewer than four photographs");
+    }
+    let cameras = cameras(train);
+    let away = |view: usize| {
+        let near = nearest(&cameras, &own, view);
+        let difference = own[view]? - median(near.iter().map(|(_, stops)| *stops))?;
+        let most = MOST_STOPS + STOPS_PER_RADIAN * median(near.iter().map(|(angle, _)| *angle))?;
+        Some((difference, difference.abs() > most))
+    };
+    let differences: Vec<Option<(f64, bool)>> = (0..own.len()).map(away).collect();
+    let mut doubted: Vec<(usize, f64)> = differences
+        .iter()
+        .enumerate()
+        .filter_map(|(view, known)| known.filter(|(_, beyond)| *beyond).map(|(stops, _)| (view, stops)))
+        .collect();
+    doubted.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+    known.sort_by(f64::total_cmp);
+    let at = |share: f64| known[(share * (known.len() - 1) as f64).round() as usize];
+    let spread = format!(
+        "photographs are {:.2} stops below white (median), nine tenths of them within {:.2} stops",
+        -median(known.iter().copied()).unwrap_or(0.0),
+        at(0.95) - at(0.05)
+    );
+    let (figure, verdict) = match doubted.len() {
+        0 => (spread, Verdict::Fine),
+        some => (
+            format!("{spread}; {} differ from their neighbours", of_views(some, own.len())),
+            Verdict::Suspicious(
+                "fix exposure and white balance, develop all photographs alike, or leave these out: a model has one \
+                 brightness",
+            ),
+        ),
+    };
+    let suspect = |(view, difference)| Suspect { view, figure: format!("{difference:+.2} stops") };
+    let suspects = doubted.into_iter().map(suspect).collect();
+    let of = differences.into_iter().map(|known| known.map(|(stops, _)| stops)).collect();
+    let values = vec![Values { name: "brighter than neighbours / stops", of }];
+    Check { name: NAME, figure, limit, verdict, suspects, values }
+}
+
+/// Angle to and brightness of the views nearest to one, by place and direction.
+fn nearest(cameras: &[Camera], stops: &[Option<f64>], view: usize) -> Vec<(f64, f64)> {
+    let midst = cameras.iter().map(|camera| camera.origin).sum::<DVec3>() / cameras.len() as f64;
+    let size =
+        cameras.iter().map(|camera| (camera.origin - midst).length()).fold(f64::MIN_POSITIVE, f64::max);
+    let own = &cameras[view];
+    let angle = |other: &Camera| own.rotation.z_axis.dot(other.rotation.z_axis).clamp(-1.0, 1.0).acos();
+    let apart = |other: &Camera| (own.origin - other.origin).length() / size + angle(other);
+    let others = (0..cameras.len()).filter(|&other| other != view);
+    let mut others: Vec<(f64, usize, f64)> =
+        others.filter_map(|other| Some((apart(&cameras[other]), other, stops[other]?))).collect();
+    others.sort_by(|a, b| a.0.total_cmp(&b.0));
+    others.into_iter().take(NEIGHBOURS).map(|(_, other, stops)| (angle(&cameras[other]), stops)).collect()
+}

@@ -1,0 +1,74 @@
+//! The box against the object: rays of pixels that show the object meet the planned box, or a part of the object is cut off.
+//! World units.
+
+use super::{Check, Suspect, Values, Verdict, coarsest, of_views, sampled};
+use trimip_core::{Aabb, ViewSet, silhouettes};
+
+/// Share of a view's object outside of the box from which it is doubted: less is the soft edge of a silhouette.
+const MOST_CUT: f64 = 0.02;
+
+/// Smallest side of the images in pixels, if they are that large.
+const SIDE: u32 = 96;
+
+/// Rays along the longer side of each view.
+const RAYS: u32 = 96;
+
+/// Least opacity of the object.
+const OBJECT: u8 = 128;
+
+const NAME: &str = "box around the object";
+
+/// Checks that the box holds what the silhouettes show. `aabb` is `None` for a space without end.
+pub fn coverage(train: &ViewSet, aabb: Option<&Aabb<f64>>) -> Check {
+    let limit = format!("more than {:.0} % of the object in a view beside the box", 100.0 * MOST_CUT);
+    let Some(aabb) = aabb else {
+        return Check::unknown(NAME, limit, "space has no end: nothing is beside the box");
+    };
+    let Some(scale) = coarsest(train, SIDE).filter(|_| silhouettes::any(train)) else {
+        return Check::unknown(NAME, limit, "the photographs have no silhouettes");
+    };
+    let cut = |view: usize| {
+        let (camera, pixels) = (&train.views[view].camera, train.pixels_of(view));
+        let k = &camera.intrinsics;
+        let (mut shown, mut missed) = (0_u32, 0_u32);
+        for (x, y) in sampled(k.width, k.height, RAYS) {
+            if pixels[(y * k.width + x) as usize][3] < OBJECT {
+                continue;
+            }
+            let cone = camera.cone::<f64>(x, y);
+            let (enter, leave) = aabb.intersect(cone.origin, cone.direction);
+            shown += 1;
+            missed += u32::from(!(enter < leave));
+        }
+        (shown > 0).then(|| f64::from(missed) / f64::from(shown))
+    };
+    let shares: Vec<Option<f64>> = scale.views.clone().map(cut).collect();
+    let known: Vec<f64> = shares.iter().copied().flatten().collect();
+    if known.is_empty() {
+        return Check::unknown(NAME, limit, "the photographs show no object");
+    }
+    let mut doubted: Vec<(usize, f64)> = shares
+        .iter()
+        .enumerate()
+        .filter_map(|(view, share)| Some((view, (*share)?)))
+        .filter(|(_, share)| *share > MOST_CUT)
+        .collect();
+    doubted.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mean = 100.0 * known.iter().sum::<f64>() / known.len() as f64;
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let all = format!("{mean:.1} % of the object is beside the planned box (mean of the views)");
+    let (figure, verdict) = match doubted.len() {
+        0 => (all, Verdict::Fine),
+        some => (
+            format!("{all}; it is cut in {}", of_views(some, shares.len())),
+            Verdict::Suspicious(
+                "set scene.aabb_min and scene.aabb_max around the whole object, or leave them to the plan",
+            ),
+        ),
+    };
+    let suspect = |(view, share)| Suspect { view, figure: percent(share) };
+    let suspects = doubted.into_iter().map(suspect).collect();
+    let of = shares.iter().map(|share| share.map(|share| 100.0 * share)).collect();
+    let values = vec![Values { name: "object beside the box / %", of }];
+    Check { name: NAME, figure, limit, verdict, suspects, values }
+}

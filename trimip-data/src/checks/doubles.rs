@@ -1,0 +1,99 @@
+//! Doubles: cameras of one pose with different photographs, and one photograph with different poses. A photograph that is
+//! both trained and tested on makes measures too good.
+
+use super::{Check, Suspect, Verdict, cameras, coarsest, name};
+use std::collections::HashMap;
+use trimip_core::{Camera, ViewSet};
+
+/// Places closer than this share of the cameras' extent, and axes that differ by less, are the same: files state poses to
+/// six digits or more, and no hand holds a camera that still.
+const SAME: f64 = 1e-6;
+
+/// Smallest side of compared images in pixels, if they are that large: two photographs are never equal there.
+const SIDE: u32 = 32;
+
+/// True for cameras at one place with the same axes.
+fn same(a: &Camera, b: &Camera, extent: f64) -> bool {
+    let turned = a.rotation - b.rotation;
+    let axes = [turned.x_axis, turned.y_axis, turned.z_axis];
+    (a.origin - b.origin).length() <= SAME * extent
+        && axes.iter().all(|axis| axis.abs().max_element() <= SAME)
+}
+
+/// Size of the box around the cameras.
+fn extent(cameras: &[Camera]) -> f64 {
+    let places = || cameras.iter().map(|camera| camera.origin);
+    match (places().reduce(glam::DVec3::min), places().reduce(glam::DVec3::max)) {
+        (Some(low), Some(high)) => (high - low).length(),
+        _ => 0.0,
+    }
+}
+
+/// Checks that no two frames have the same pose.
+pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
+    let limit = "two frames at one place with the same axes: no hand holds a camera that still".to_string();
+    let cameras = cameras(train);
+    let extent = extent(&cameras);
+    let named = |view: usize| name(train, view).unwrap_or("?");
+    let twin = |view: usize| (0..view).find(|&other| same(&cameras[view], &cameras[other], extent));
+    let suspects: Vec<Suspect> = (0..cameras.len())
+        .filter_map(|view| Some(Suspect { view, figure: format!("as {}", named(twin(view)?)) }))
+        .collect();
+    let leaked: Vec<&str> = test
+        .iter()
+        .filter(|(_, camera)| cameras.iter().any(|other| same(camera, other, extent)))
+        .map(|(name, _)| name.as_str())
+        .collect();
+    // A set that is trained and tested on as a whole is meant so.
+    let leaked = if leaked.len() == test.len() { Vec::new() } else { leaked };
+    let mut figure = match suspects.len() {
+        0 => format!("{} training cameras have different poses", cameras.len()),
+        some => format!("{some} of {} training cameras have the pose of another", cameras.len()),
+    };
+    if let [first, ..] = leaked[..] {
+        figure +=
+            &format!("; {} test frames, the first {first}, have that of a training frame", leaked.len());
+    }
+    let verdict = match suspects.is_empty() && leaked.is_empty() {
+        true => Verdict::Fine,
+        false => Verdict::Suspicious(
+            "remove frames that are listed twice; a turntable before a fixed camera needs poses relative to the table",
+        ),
+    };
+    Check { name: "poses used twice", figure, limit, verdict, suspects, values: Vec::new() }
+}
+
+/// Checks that no photograph is that of two training frames.
+pub fn photographs(train: &ViewSet) -> Check {
+    const NAME: &str = "photographs used twice";
+    let limit = "two training photographs with the same pixels".to_string();
+    let Some(scale) = coarsest(train, SIDE) else {
+        return Check::unknown(NAME, limit, "there is no photograph");
+    };
+    let mut known: HashMap<&[[u8; 4]], usize> = HashMap::new();
+    let mut suspects = Vec::new();
+    for (view, index) in scale.views.clone().enumerate() {
+        let pixels = train.pixels_of(index);
+        // Of one colour, as a mask that keeps nothing makes it, it is no photograph.
+        if pixels.iter().all(|pixel| *pixel == pixels[0]) {
+            continue;
+        }
+        match known.get(pixels) {
+            Some(&first) => {
+                let figure = format!("as {}", name(train, first).unwrap_or("?"));
+                suspects.push(Suspect { view, figure });
+            }
+            None => {
+                known.insert(pixels, view);
+            }
+        }
+    }
+    let (figure, verdict) = match suspects.len() {
+        0 => (format!("{} training photographs are different", scale.views.len()), Verdict::Fine),
+        some => (
+            format!("{some} of {} training photographs have the pixels of another", scale.views.len()),
+            Verdict::Suspicious("remove the copies, or correct their names: one photograph has one pose"),
+        ),
+    };
+    Check { name: NAME, figure, limit, verdict, suspects, values: Vec::new() }
+}

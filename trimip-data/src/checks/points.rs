@@ -1,0 +1,138 @@
+//! Points of structure from motion against poses: where a camera projects the points that it saw, and whether they are in
+//! front of it. Pixels of the photographs as they are read.
+
+use super::{Check, Suspect, Values, Verdict, cameras, median, of_views};
+use crate::Point;
+use trimip_core::{Camera, ViewSet};
+
+/// Median reprojection error of a view that is doubted, pixels: bundle adjustment leaves about one.
+const MOST_PIXELS: f64 = 3.0;
+
+/// The same as a multiple of the median of all views.
+const MOST_TIMES: f64 = 4.0;
+
+/// An error below this many pixels blurs nothing and is never doubted.
+const NEGLIGIBLE: f64 = 1.0;
+
+/// Fewest points of a view whose median means anything.
+const LEAST_POINTS: usize = 8;
+
+/// Share of the points in front of the cameras that saw them below which axes are doubted: rightly it is 1.
+const LEAST_AHEAD: f64 = 0.95;
+
+/// Points as the views saw them: view, camera, the point in its axes, and the place where it was found.
+fn observed<'a>(
+    cameras: &'a [Camera],
+    points: &'a [Point],
+) -> impl Iterator<Item = (usize, &'a Camera, glam::DVec3, [f64; 2])> {
+    points.iter().flat_map(move |point| {
+        point.track.iter().filter_map(move |seen| {
+            let camera = cameras.get(seen.view as usize)?;
+            let at = camera.rotation.transpose() * (glam::DVec3::from_array(point.position) - camera.origin);
+            Some((seen.view as usize, camera, at, seen.at))
+        })
+    })
+}
+
+/// Checks that every view has its points where it saw them.
+pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
+    const NAME: &str = "reprojection of points";
+    let limit = format!(
+        "a median error of a view above {MOST_PIXELS} pixels, or above {MOST_TIMES} times that of all and {NEGLIGIBLE} pixel: \
+         bundle adjustment leaves about one"
+    );
+    let cameras = cameras(train);
+    let mut errors: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];
+    for (view, camera, at, found) in observed(&cameras, points) {
+        // A point that the camera cannot see is far off.
+        let error = camera.intrinsics.image_of(at).map(|[x, y]| (x - found[0]).hypot(y - found[1]));
+        errors[view].push(error.filter(|error| error.is_finite()).unwrap_or(f64::MAX));
+    }
+    let enough = |errors: Vec<f64>| if errors.len() < LEAST_POINTS { None } else { median(errors) };
+    let medians: Vec<Option<f64>> = errors.into_iter().map(enough).collect();
+    let Some(middle) = median(medians.iter().copied().flatten()) else {
+        return Check::unknown(NAME, limit, "no points with the views that saw them");
+    };
+    let most = MOST_PIXELS.min((MOST_TIMES * middle).max(NEGLIGIBLE));
+    let mut doubted: Vec<(usize, f64)> = medians
+        .iter()
+        .enumerate()
+        .filter_map(|(view, error)| Some((view, (*error)?)))
+        .filter(|(_, error)| *error > most)
+        .collect();
+    doubted.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let told = |error: f64| {
+        if error < 1e4 { format!("{error:.2} pixels") } else { "nowhere near".to_string() }
+    };
+    let of_all = match told(middle) {
+        far if middle >= 1e4 => format!("points lie {far} where the views saw them"),
+        pixels => format!("points lie {pixels} from where the views saw them (median of the views)"),
+    };
+    let (figure, verdict) = match doubted.len() {
+        0 => (of_all, Verdict::Fine),
+        some => (
+            format!("{of_all}; {} {} more than {most:.1}", of_views(some, cameras.len()), are(some)),
+            Verdict::Suspicious(
+                "these poses or focal lengths are not those of the photographs: calibrate again, or leave the views out",
+            ),
+        ),
+    };
+    let suspects = doubted.into_iter().map(|(view, error)| Suspect { view, figure: told(error) }).collect();
+    // What is nowhere has no figure.
+    let of = medians.into_iter().map(|error| error.filter(|error| *error < 1e4)).collect();
+    let values = vec![Values { name: "reprojection error / pixels", of }];
+    Check { name: NAME, figure, limit, verdict, suspects, values }
+}
+
+fn are(count: usize) -> &'static str {
+    if count == 1 { "is" } else { "are" }
+}
+
+/// Checks that points are in front of the cameras that saw them.
+pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
+    const NAME: &str = "points in front of cameras";
+    let limit = format!(
+        "less than {:.0} % in front of the cameras that saw them: rightly it is all",
+        100.0 * LEAST_AHEAD
+    );
+    let cameras = cameras(train);
+    let mut counts = vec![[0_u32; 2]; cameras.len()];
+    for (view, camera, at, _) in observed(&cameras, points) {
+        // A fisheye sees to the side, and behind it.
+        counts[view][0] += u32::from(at.z < 0.0 || camera.intrinsics.image_of(at).is_some());
+        counts[view][1] += 1;
+    }
+    let [front, all] =
+        counts.iter().fold([0_u64; 2], |sum, count| [0, 1].map(|i| sum[i] + u64::from(count[i])));
+    if all == 0 {
+        return Check::unknown(NAME, limit, "no points with the views that saw them");
+    }
+    let shares: Vec<Option<f64>> =
+        counts.iter().map(|&[front, all]| (all > 0).then(|| f64::from(front) / f64::from(all))).collect();
+    let share = front as f64 / all as f64;
+    let mut doubted: Vec<(usize, f64)> = shares
+        .iter()
+        .enumerate()
+        .filter_map(|(view, share)| Some((view, (*share)?)))
+        .filter(|(view, share)| *share < LEAST_AHEAD && counts[*view][1] as usize >= LEAST_POINTS)
+        .collect();
+    doubted.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let verdict = match share < LEAST_AHEAD || !doubted.is_empty() {
+        true => Verdict::Suspicious(
+            "cameras look the wrong way: poses are camera-to-world with OpenGL axes (x right, y up, looking along -z); \
+             OpenCV's need the signs of the second and third column changed",
+        ),
+        false => Verdict::Fine,
+    };
+    Check {
+        name: NAME,
+        figure: format!("{:.1} % of {all} sightings of points are in front of their camera", 100.0 * share),
+        limit,
+        verdict,
+        suspects: doubted
+            .into_iter()
+            .map(|(view, share)| Suspect { view, figure: format!("{:.0} %", 100.0 * share) })
+            .collect(),
+        values: Vec::new(),
+    }
+}
