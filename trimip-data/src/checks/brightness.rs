@@ -88,7 +88,7 @@ pub fn brightness(train: &ViewSet) -> Check {
     let (figure, verdict) = match doubted.len() {
         0 => (spread, Verdict::Fine),
         some => (
-            format!("{spread}; {} differ from their neighbours", of_views(some, own.len())),
+            format!("{spread}; unlike their neighbours: {}", of_views(some, own.len())),
             Verdict::Suspicious(
                 "fix exposure and white balance, develop all photographs alike, or leave these out: a model has one \
                  brightness",

@@ -60,7 +60,7 @@ pub fn coverage(train: &ViewSet, aabb: Option<&Aabb<f64>>) -> Check {
     let (figure, verdict) = match doubted.len() {
         0 => (all, Verdict::Fine),
         some => (
-            format!("{all}; it is cut in {}", of_views(some, shares.len())),
+            format!("{all}; cut in {}", of_views(some, shares.len())),
             Verdict::Suspicious(
                 "set scene.aabb_min and scene.aabb_max around the whole object, or leave them to the plan",
             ),

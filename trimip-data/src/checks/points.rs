@@ -71,7 +71,7 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     let (figure, verdict) = match doubted.len() {
         0 => (of_all, Verdict::Fine),
         some => (
-            format!("{of_all}; {} {} more than {most:.1}", of_views(some, cameras.len()), are(some)),
+            format!("{of_all}; more than {most:.1} pixels in {}", of_views(some, cameras.len())),
             Verdict::Suspicious(
                 "these poses or focal lengths are not those of the photographs: calibrate again, or leave the views out",
             ),
@@ -82,10 +82,6 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     let of = medians.into_iter().map(|error| error.filter(|error| *error < 1e4)).collect();
     let values = vec![Values { name: "reprojection error / pixels", of }];
     Check { name: NAME, figure, limit, verdict, suspects, values }
-}
-
-fn are(count: usize) -> &'static str {
-    if count == 1 { "is" } else { "are" }
 }
 
 /// Checks that points are in front of the cameras that saw them.

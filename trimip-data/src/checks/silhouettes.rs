@@ -201,7 +201,7 @@ pub fn silhouettes(train: &ViewSet) -> Check {
     let figure = match doubted.len() {
         0 => format!("what the photographs show overlaps with their visual hull by {middle:.2} (median)"),
         some => format!(
-            "{} overlap with the visual hull of all by much less than the median {middle:.2}",
+            "what the photographs show overlaps with their visual hull by {middle:.2} (median), and by much less in {}",
             of_views(some, all.len())
         ),
     };

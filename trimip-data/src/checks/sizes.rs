@@ -52,7 +52,7 @@ pub fn sizes(train: &ViewSet) -> Check {
     let (figure, verdict) = match doubted.len() {
         0 => (all, Verdict::Fine),
         some => (
-            format!("{all}; {} stand apart", of_views(some, cameras.len())),
+            format!("{all}; apart from the others: {}", of_views(some, cameras.len())),
             Verdict::Suspicious(
                 "a crop or a copy in another size needs its own focal length; leave out zoomed shots that were calibrated as \
                  one camera",
