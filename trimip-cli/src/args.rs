@@ -433,6 +433,9 @@ pub enum DataAction {
     Inspect {
         /// Folder of the scene; overrides data.root
         root: Option<PathBuf>,
+        /// Also write a page: cameras and box from three sides, thumbnails, warnings and checks, in one file
+        #[arg(long, value_name = "FILE")]
+        html: Option<PathBuf>,
         /// Settings.
         #[command(flatten)]
         settings: SettingsArguments,

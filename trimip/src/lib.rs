@@ -34,6 +34,7 @@
 //! ```
 
 pub mod backends;
+pub mod inspect;
 pub mod machine;
 pub mod mesh;
 pub mod report;

@@ -1,17 +1,19 @@
-//! The program's pages: the report of a run, one self-contained HTML file, and the parts it shares with the pages of
-//! `bench` and `compare`.
+//! The program's pages: the report of a run, one self-contained HTML file, the page of an inspected capture, and the parts
+//! they share with the pages of `bench` and `compare`.
 
 pub mod beside;
 mod difference;
 #[cfg(test)]
 mod example;
 mod html;
+pub mod inspect;
 pub mod page;
 mod pictures;
 mod settings;
 pub mod svg;
 
-use trimip::{Result, RunFolder, report::Report};
+use std::path::Path;
+use trimip::{Error, Result, RunFolder, report::Report};
 use trimip_core::tensors::write_atomically;
 
 /// Writes all files of the report, the page last.
@@ -21,4 +23,21 @@ use trimip_core::tensors::write_atomically;
 pub fn write(report: &Report<'_>, folder: &RunFolder) -> Result<()> {
     report.write(folder)?;
     write_atomically(&folder.html(), html::page(report, &folder.images())?.as_bytes())
+}
+
+/// Writes a file, and creates its folder if missing.
+///
+/// # Errors
+/// Of kind `Input`, when it cannot be written.
+pub fn save(path: &Path, text: &str) -> Result<()> {
+    let refused = |error: &dyn std::fmt::Display| {
+        Error::input(path.display(), error, "name a file in a folder that can be written")
+    };
+    if let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+        std::fs::create_dir_all(parent).map_err(|error| refused(&format!("cannot write: {error}")))?;
+    }
+    if path.is_dir() {
+        return Err(refused(&"this is a folder"));
+    }
+    write_atomically(path, text.as_bytes())
 }

@@ -16,6 +16,8 @@ const SQUARES: u32 = 200;
 const MOST_PNG_BYTES: usize = 400_000;
 /// Quality of these JPEGs. Their error is about a tenth of that of good renderings.
 const JPEG_QUALITY: u8 = 92;
+/// Quality of thumbnails, which show what is there and measure nothing.
+const THUMBNAIL_QUALITY: u8 = 84;
 /// Number of views listed as the worst and as the best.
 const NAMED: usize = 5;
 
@@ -124,15 +126,30 @@ pub fn embedded(picture: RgbImage, what: &str) -> Result<String> {
     let class = if width < SQUARES { " class=\"pixels\"" } else { "" };
     let (mut kind, mut bytes) = ("png", pictures::png(picture.clone())?);
     if bytes.len() > MOST_PNG_BYTES {
-        (kind, bytes) = ("jpeg", Vec::new());
-        JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY)
-            .encode_image(&picture)
-            .map_err(|error| Error::run(format!("cannot encode a JPEG: {error}")))?;
+        (kind, bytes) = ("jpeg", jpeg(&picture, JPEG_QUALITY)?);
     }
     let data = BASE64_STANDARD.encode(bytes);
     Ok(format!(
         "<img{class} alt=\"{what}\" width=\"{width}\" height=\"{height}\" src=\"data:image/{kind};base64,{data}\">"
     ))
+}
+
+/// A small picture as an HTML element with embedded JPEG data.
+pub fn thumbnail(picture: &RgbImage, what: &str) -> Result<String> {
+    let data = BASE64_STANDARD.encode(jpeg(picture, THUMBNAIL_QUALITY)?);
+    let (width, height) = picture.dimensions();
+    Ok(format!(
+        "<img alt=\"{}\" width=\"{width}\" height=\"{height}\" src=\"data:image/jpeg;base64,{data}\">",
+        escape(what)
+    ))
+}
+
+fn jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, quality)
+        .encode_image(picture)
+        .map_err(|error| Error::run(format!("cannot encode a JPEG: {error}")))?;
+    Ok(bytes)
 }
 
 /// A picture reduced to sides of at most [`LONGEST`].

@@ -51,7 +51,7 @@ impl Axis {
 }
 
 /// The smallest of 1, 2, 5 × 10^n that is not below `rough`.
-fn round_step(rough: f64) -> f64 {
+pub fn round_step(rough: f64) -> f64 {
     let power = 10_f64.powf(rough.log10().floor());
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough * 0.999).unwrap_or(10.0 * power)
 }

@@ -4,11 +4,10 @@
 use crate::args::CompareArguments;
 use crate::curves::{Curve, rows, table};
 use crate::report::beside::{self, Entry};
-use crate::report::page;
 use crate::report::svg::{self, Line};
+use crate::report::{page, save};
 use crate::terminal;
-use std::path::Path;
-use trimip_core::{Error, Result, tensors::write_atomically};
+use trimip_core::{Error, Result};
 
 /// Maximum number of curves: one per colour.
 const MOST: usize = svg::COLORS.len();
@@ -35,30 +34,16 @@ pub fn run(arguments: &CompareArguments) -> Result<u8> {
                 "name runs that were evaluated on the way",
             )
         })?;
-        write(path, &text)?;
+        save(path, &text)?;
     }
     if let Some(path) = &arguments.html {
-        write(path, &html(&curves, &lines, &reach)?)?;
+        save(path, &html(&curves, &lines, &reach)?)?;
     }
     if let Some(path) = &arguments.json {
         let rows: Vec<_> = curves.iter().map(|curve| curve.json(&reach)).collect();
-        write(path, &serde_json::to_string_pretty(&rows).map_err(Error::run)?)?;
+        save(path, &serde_json::to_string_pretty(&rows).map_err(Error::run)?)?;
     }
     Ok(0)
-}
-
-/// Writes a file, and creates its folder if missing.
-fn write(path: &Path, text: &str) -> Result<()> {
-    let refused = |error: &dyn std::fmt::Display| {
-        Error::input(path.display(), error, "name a file in a folder that can be written")
-    };
-    if let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-        std::fs::create_dir_all(parent).map_err(|error| refused(&format!("cannot write: {error}")))?;
-    }
-    if path.is_dir() {
-        return Err(refused(&"this is a folder"));
-    }
-    write_atomically(path, text.as_bytes())
 }
 
 /// The HTML page.

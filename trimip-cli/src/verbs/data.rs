@@ -3,22 +3,25 @@
 use crate::{
     args::{DataAction, DataArguments, SettingsArguments},
     progress::by_rows,
-    settings, terminal,
+    report, settings, terminal,
 };
 use std::path::Path;
-use trimip::{Config, Error, Result, run::folder as run_folder};
+use trimip::{Config, Error, Result, Settings, inspect, run::folder as run_folder};
 use trimip_data::Watch;
 
 /// Runs the selected action.
 pub fn run(arguments: &DataArguments) -> Result<u8> {
     match &arguments.action {
-        DataAction::Inspect { root, settings } => {
-            let config = with_root(settings, root.as_deref())?;
-            let lines = by_rows("reading photographs", |watch| trimip_data::inspect(&config.data, watch))?;
-            lines.iter().for_each(terminal::prose);
+        DataAction::Inspect { root, html, settings } => {
+            let (settings, _) = with_root(settings, root.as_deref())?;
+            let seen = by_rows("reading photographs", |watch| inspect::inspect(settings, watch))?;
+            seen.lines().iter().for_each(terminal::prose);
+            if let Some(path) = html {
+                report::save(path, &report::inspect::page(&seen)?)?;
+            }
         }
         DataAction::Multiscale { out, root, settings } => {
-            let config = with_root(settings, root.as_deref())?;
+            let (_, config) = with_root(settings, root.as_deref())?;
             run_folder::create_writable(out)?;
             let write = |watch: Watch<'_>| trimip_data::write_multiscale(&config.data, out, watch);
             terminal::line(by_rows("writing photographs", write)?);
@@ -33,13 +36,14 @@ pub fn run(arguments: &DataArguments) -> Result<u8> {
     Ok(0)
 }
 
-fn with_root(arguments: &SettingsArguments, root: Option<&Path>) -> Result<Config> {
-    let (_, mut config) = settings::load(arguments)?;
+fn with_root(arguments: &SettingsArguments, root: Option<&Path>) -> Result<(Settings, Config)> {
+    let (mut settings, _) = settings::load(arguments)?;
     if let Some(root) = root {
-        config.data.root = root
-            .to_str()
-            .ok_or_else(|| Error::input(root.display(), "the path is not UTF-8", "rename the folder"))?
-            .to_string();
+        let text = root.to_str();
+        let utf8 =
+            text.ok_or_else(|| Error::input(root.display(), "the path is not UTF-8", "rename the folder"));
+        settings.set("data.root", utf8?)?;
     }
-    Ok(config)
+    let config = Config::from_settings(&settings)?;
+    Ok((settings, config))
 }

@@ -1,0 +1,69 @@
+//! What is understood of a capture before it is trained: the scene in words, the planned space, and the checks of poses,
+//! exposures and boxes. No device is used.
+
+use trimip_core::scene_plan::{self, Compute, Facts, Finding};
+use trimip_core::{Config, Result, Settings, Space};
+use trimip_data::checks::{self, Check, Subject};
+use trimip_data::{Watch, examine};
+
+/// A capture as it is understood.
+#[derive(Debug)]
+pub struct Inspection {
+    /// The scene, in words and as data.
+    pub seen: trimip_data::Inspection,
+    /// The planned space, world units.
+    pub space: Space<f64>,
+    /// How it was decided; `None` if the settings do not allow it, which a warning tells.
+    pub plan: Option<Finding>,
+    /// Warnings about the plan.
+    pub warnings: Vec<String>,
+    /// What was checked.
+    pub checks: Vec<Check>,
+}
+
+/// Opens the scene that the settings name, plans its space and checks it. Progress of reading goes to `watch`.
+///
+/// # Errors
+/// Of kind `Input`, one line each, as [`trimip_data::open`].
+pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
+    let configured = Config::from_settings(&settings)?;
+    let seen = examine(&configured.data, watch)?;
+    let (test, compute): (Vec<_>, _) =
+        (seen.test.iter().map(|(_, camera)| *camera).collect(), Compute::one_thread());
+    let facts = Facts {
+        train: &seen.scene.train,
+        test: &test,
+        stated: seen.scene.stated.as_ref(),
+        compute: &compute,
+    };
+    let (mut plan, mut warnings) = (None, Vec::new());
+    match scene_plan::make_box(&mut settings, &facts) {
+        Ok(finding) => plan = Some(finding),
+        Err(error) => warnings.push(format!("the box is not planned: {error}")),
+    }
+    let planned = Config::from_settings(&settings)?;
+    warnings.extend(scene_plan::warnings(&planned, &facts));
+    let space = Space::<f64>::new(&planned.scene);
+    let checks = checks::all(&Subject {
+        train: &seen.scene.train,
+        test: &seen.test,
+        points: &seen.scene.points,
+        aabb: if space.ball().is_none() { Some(space.aabb()) } else { None },
+    });
+    Ok(Inspection { seen, space, plan, warnings, checks })
+}
+
+impl Inspection {
+    /// Everything in lines of text: the description, then warnings of the data, of the plan and of the checks.
+    pub fn lines(&self) -> Vec<String> {
+        let warnings = self.all_warnings();
+        let told = warnings.iter().map(|warning| format!("warning: {warning}"));
+        self.seen.lines.iter().cloned().chain(told).collect()
+    }
+
+    fn all_warnings(&self) -> Vec<String> {
+        let scene = &self.seen.scene;
+        let suspicious = self.checks.iter().filter_map(|check| check.warning(&scene.train));
+        scene.warnings.iter().chain(&self.warnings).cloned().chain(suspicious).collect()
+    }
+}
