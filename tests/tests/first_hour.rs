@@ -140,7 +140,9 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
     let first = report(&folder.join("runs/scene"));
     let constant = first["mean"]["psnr_constant"].as_f64().unwrap();
     assert!(psnr(&first) > constant + 2.0, "{} where a mean colour has {constant}", psnr(&first));
-    for part in ["no alpha", "plan.background: set", "no silhouettes"] {
+    for part in
+        ["no alpha", "plan.background: set", "plan.aabb: set: the photographs show their surroundings"]
+    {
         assert!(answer.out.contains(part), "{part}: {}", answer.out);
     }
     refused(&run(folder, &["scene", "--out", "b", "--set", "loss.opacity=0.1"]), &["loss.opacity", "alpha"]);
