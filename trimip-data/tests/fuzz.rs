@@ -16,10 +16,10 @@ use std::{
     fs,
     path::Path,
 };
-use trimip_core::{Error, ErrorKind};
+use trimip_core::{Error, ErrorKind, config::Format};
 use trimip_data::{
     colmap::{Encoding, File, Model},
-    open,
+    open, unwatched, write_multiscale,
 };
 
 /// Memory beside the entries of a model: messages, and the first entries of lists that grow.
@@ -256,6 +256,16 @@ fn scenes_of_changed_transforms_lists_and_points_open_or_tell() {
     (0..360_u16).for_each(|i| body.extend(f32::from(i).to_le_bytes()));
     fs::write(root.path().join("points.ply"), body).unwrap();
     scenes(root.path(), &["transforms.json", "points.ply"]);
+}
+
+#[test]
+fn scenes_of_changed_metadata_open_or_tell() {
+    let root = tempfile::tempdir().unwrap();
+    let mut data = settings(root.path(), 2);
+    data.format = Format::Builtin;
+    (data.builtin_size, data.builtin_train, data.builtin_test) = (8, 2, 1);
+    write_multiscale(&data, root.path(), &unwatched).unwrap();
+    scenes(root.path(), &["metadata.json"]);
 }
 
 /// Entries as short as they can be, whose memory is the most for their bytes.
