@@ -132,7 +132,7 @@ fn thin_samples_keep_their_relative_accuracy() {
 #[test]
 fn the_loss_and_what_is_finite() {
     compare(
-        files!("grid.wgsl", "loss.wgsl"; "return vec4<f32>(smooth_l1(x.x, 1.0), smooth_l1(x.x, 0.05));"),
+        files!("grid.wgsl", "exposure_none.wgsl", "loss.wgsl"; "return vec4<f32>(smooth_l1(x.x, 1.0), smooth_l1(x.x, 0.05));"),
         &singles(|_| true),
         |[x, ..]| {
             let ((a, b), (c, d)) = (loss::smooth_l1(x, 1.0), loss::smooth_l1(x, f64::from(0.05_f32)));
@@ -144,7 +144,7 @@ fn the_loss_and_what_is_finite() {
     let inputs = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, f32::MAX, -1e-45].map(|x| [x; 4]);
     let found = run(
         &gpu,
-        files!("grid.wgsl", "loss.wgsl"; "return vec4<f32>(select(0.0, 1.0, is_finite(x.x)), 0.0, 0.0, 0.0);"),
+        files!("grid.wgsl", "exposure_none.wgsl", "loss.wgsl"; "return vec4<f32>(select(0.0, 1.0, is_finite(x.x)), 0.0, 0.0, 0.0);"),
         &inputs,
     );
     assert_eq!(found.iter().map(|row| row[0]).collect::<Vec<_>>(), [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]);
