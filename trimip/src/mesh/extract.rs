@@ -200,7 +200,10 @@ impl Occupied {
     /// True if samples are placed at a point of the world.
     fn holds(&self, point: [f64; 3]) -> bool {
         let position = self.space.to_cube(point);
-        if !position.iter().all(|p| (0.0..=1.0).contains(p)) {
+        // Contracted space goes on beyond the box of the subject, and the mesh does not.
+        let beyond = self.space.ball().is_some()
+            && (0..3).any(|i| point[i] < self.aabb.min[i] || point[i] > self.aabb.max[i]);
+        if beyond || !position.iter().all(|p| (0.0..=1.0).contains(p)) {
             return false;
         }
         let cell = cell_of(position.map(|p| p as f32), self.resolution);
@@ -409,15 +412,20 @@ mod tests {
 
     #[test]
     fn a_surface_that_leaves_the_box_is_closed_at_it() {
-        let model = model(CENTRE, [0.5; 3]);
-        let what = Extraction { resolution: 32, level: Some(LEVEL), ..Extraction::default() };
-        let found = surface(|point| 0.1 - from_centre(point).x, &model, &what).unwrap();
-        assert_eq!(found.mesh.defects(), Defects::default());
-        let [low, high] = found.mesh.bounds().unwrap();
-        for axis in 0..3 {
-            let far = if axis == 0 { 0.1 } else { 0.5 };
-            assert!((f64::from(low[axis]) - CENTRE[axis] + 0.5).abs() <= found.spacing);
-            assert!((f64::from(high[axis]) - CENTRE[axis] - far).abs() <= found.spacing);
+        let bounded = model(CENTRE, [0.5; 3]);
+        // Contracted space goes on beyond its middle half, and the mesh ends there.
+        let mut contracted = model(CENTRE, [1.0; 3]);
+        contracted.config.scene.contraction = trimip_core::config::Contraction::Ball;
+        for model in [bounded, contracted] {
+            let what = Extraction { resolution: 32, level: Some(LEVEL), ..Extraction::default() };
+            let found = surface(|point| 0.1 - from_centre(point).x, &model, &what).unwrap();
+            assert_eq!(found.mesh.defects(), Defects::default());
+            let [low, high] = found.mesh.bounds().unwrap();
+            for axis in 0..3 {
+                let far = if axis == 0 { 0.1 } else { 0.5 };
+                assert!((f64::from(low[axis]) - CENTRE[axis] + 0.5).abs() <= found.spacing);
+                assert!((f64::from(high[axis]) - CENTRE[axis] - far).abs() <= found.spacing);
+            }
         }
     }
 
