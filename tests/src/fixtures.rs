@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 use trimip_core::{
-    Alpha, Camera, Config, Intrinsics, Layout, Scale, View, ViewSet,
+    Alpha, Camera, Config, Frames, Intrinsics, Layout, Result, Scale, View, ViewSet,
     config::{EncoderConfig, EncoderKind, HashGridConfig, LevelFormula, OptimizerConfig, Untouched},
     params::Slot,
 };
@@ -232,4 +232,21 @@ pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -
         }
     }
     values
+}
+
+/// Test frames of one set each.
+pub struct GivenFrames(pub Vec<ViewSet>);
+
+impl Frames for GivenFrames {
+    fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    fn cameras(&self) -> Vec<Camera> {
+        self.0.iter().flat_map(|set| set.views.iter().map(|view| view.camera)).collect()
+    }
+
+    fn load(&self, index: usize) -> Result<ViewSet> {
+        Ok(self.0[index].clone())
+    }
 }

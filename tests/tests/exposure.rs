@@ -3,12 +3,14 @@
 use trimip_core::{
     Config, Frame, Session, ViewSet, Viewer,
     config::{Exposure, Format, OptimizerConfig},
+    evaluate::evaluate,
     exposure,
     metrics::psnr_of_error,
+    quality::Measures,
     trainer::Trainer,
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
-use trimip_tests::fixtures::{Draw, as_code};
+use trimip_tests::fixtures::{Draw, GivenFrames, as_code};
 
 /// Root mean square of the errors of log-gains, of a spread of 0.25.
 const TOLERANCE: f64 = 0.07;
@@ -96,6 +98,31 @@ fn apart(found: &[[f64; 3]], known: &[[f64; 3]]) -> f64 {
     };
     assert_eq!(found.len(), known.len());
     (found.iter().zip(known).map(error).sum::<f64>() / (3.0 * count)).sqrt()
+}
+
+#[test]
+fn a_test_photograph_of_another_exposure_is_measured_at_it() {
+    let config = configuration();
+    let scene = trimip_data::open(&config.data).unwrap();
+    let backend = CpuBackend::new(2, Simd::detect()).unwrap();
+    let mut trainer = Trainer::new(backend, &config, scene.train).unwrap();
+    // The model's own pictures, darkened: all that differs is the exposure, up to the rounding to 8 bits.
+    let mut photograph = scene.test.load(0).unwrap();
+    for view in photograph.views.clone() {
+        let rendered = trainer.render(&view.camera).unwrap().rgb();
+        for (pixel, rgb) in photograph.pixels[view.offset..].iter_mut().zip(rendered) {
+            let [r, g, b] = [rgb[0] * 0.5, rgb[1] * 0.6, rgb[2] * 0.7].map(|c| (255.0 * c).round() as u8);
+            *pixel = [r, g, b, 255];
+        }
+    }
+    let frames = GivenFrames(vec![photograph]);
+    for view in evaluate(&mut trainer, &frames, 1, &config.data, |_| Ok(true)).unwrap() {
+        let Measures { psnr, psnr_exposed, .. } = view.measures;
+        assert!(
+            psnr_exposed > 45.0 && psnr_exposed > psnr + 15.0,
+            "{psnr_exposed:.2} dB, without {psnr:.2} dB"
+        );
+    }
 }
 
 #[test]

@@ -404,7 +404,7 @@ fn builtin() -> Config {
 fn held_out(session: &mut dyn Viewer, config: &Config) -> Result<f64> {
     let scene = trimip_data::open(&config.data)?;
     let views = evaluate(session, scene.test.as_ref(), 1, &config.data, |_| Ok(true))?;
-    Ok(views.iter().map(|view| view.psnr).sum::<f64>() / views.len() as f64)
+    Ok(views.iter().map(|view| view.measures.psnr).sum::<f64>() / views.len() as f64)
 }
 
 #[test]

@@ -42,7 +42,7 @@ fn held_out(config: &Config) -> (f64, f64) {
     })
     .unwrap();
     let mean = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>() / views.len() as f64;
-    (mean(&mut views.iter().map(|view| view.psnr)), mean(&mut constant.iter().copied()))
+    (mean(&mut views.iter().map(|view| view.measures.psnr)), mean(&mut constant.iter().copied()))
 }
 
 #[test]

@@ -4,11 +4,11 @@ use crate::{args::ProgressStyle, terminal};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::sync::OnceLock;
 use std::time::Duration;
-use trimip_core::evaluate::mean_quality;
+use trimip_core::quality::{Measures, ScaleQuality, mean_quality};
 use trimip_core::{
     Result,
     config::DataConfig,
-    events::{Event, EventSink, ScaleQuality},
+    events::{Event, EventSink},
 };
 use trimip_data::{Scene, Watch};
 
@@ -135,7 +135,8 @@ fn show_on_bar(bar: &ProgressBar, event: &Event) {
             bar.set_message(format!("evaluating view {} of {total}, {:.0} %", done + 1, 100.0 * part));
         }
         Event::Evaluation { totals, scales, psnr, ssim, last: false, .. } => bar.suspend(|| {
-            let per_scale: Vec<_> = scales.iter().map(|q| format!("1/{} {:.2}", q.scale, q.psnr)).collect();
+            let per_scale: Vec<_> =
+                scales.iter().map(|q| format!("1/{} {:.2}", q.scale, q.measures.psnr)).collect();
             terminal::prose(format!(
                 "{:>10}  step {:<7} {psnr:.2} dB ({})  SSIM {ssim:.4}",
                 terminal::duration(totals.seconds),
@@ -175,10 +176,10 @@ fn message(step: u64, psnr: f64, samples_per_second: f64, seconds_left: f64) -> 
 }
 
 /// PSNR and SSIM per scale and their mean as aligned lines, followed by remarks. `plain` is without the edge exponents of
-/// the set, `box` against a true box filter of the finest photographs.
+/// the set, `box` against a true box filter of the finest photographs, `exposed` at the exposure of each photograph.
 pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
-    let head = ["PSNR/dB", "plain", "box", "at 8 bit", "on opposite"];
-    let line = |name: &str, images: &str, psnr: [String; 5], ssim: String| {
+    let head = ["PSNR/dB", "plain", "box", "at 8 bit", "exposed", "on opposite"];
+    let line = |name: &str, images: &str, psnr: [String; 6], ssim: String| {
         let cells: Vec<String> = head
             .iter()
             .zip(psnr)
@@ -187,17 +188,17 @@ pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
         format!("{name:>7}  {images:>6}  {}  {ssim:>6}", cells.join("  "))
     };
     let mut lines = vec![line("scale", "images", head.map(String::from), "SSIM".into())];
-    let row = |name: &str, images: usize, psnr: [f64; 5], ssim: f64| {
-        line(name, &images.to_string(), psnr.map(|psnr| format!("{psnr:.3}")), format!("{ssim:.4}"))
+    let row = |name: &str, images: usize, m: &Measures| {
+        let psnr = [m.psnr, m.psnr_plain, m.psnr_box, m.psnr_8bit, m.psnr_exposed, m.psnr_opposite];
+        line(name, &images.to_string(), psnr.map(|psnr| format!("{psnr:.3}")), format!("{:.4}", m.ssim))
     };
     lines.extend(scales.iter().map(|q| {
         let name = if q.scale == 1 { "full".to_string() } else { format!("1/{}", q.scale) };
-        row(&name, q.images, [q.psnr, q.psnr_plain, q.psnr_box, q.psnr_8bit, q.psnr_opposite], q.ssim)
+        row(&name, q.images, &q.measures)
     }));
     let mean = mean_quality(scales);
     let images = scales.iter().map(|q| q.images).sum();
-    let psnr = [mean.psnr, mean.psnr_plain, mean.psnr_box, mean.psnr_8bit, mean.psnr_opposite];
-    lines.push(row("mean", images, psnr, mean.ssim));
+    lines.push(row("mean", images, &mean));
     lines.extend(mean.remark());
     lines
 }
@@ -225,13 +226,7 @@ mod tests {
         let scale = |scale, psnr| ScaleQuality {
             scale,
             images: 3,
-            psnr,
-            psnr_8bit: psnr,
-            psnr_opposite: psnr,
-            psnr_plain: psnr,
-            psnr_box: psnr,
-            psnr_constant: 12.0,
-            ssim: 0.5,
+            measures: Measures { psnr, psnr_constant: 12.0, ssim: 0.5, ..Measures::UNKNOWN },
         };
         let lines = table(&[scale(1, 20.0), scale(2, 30.0)]);
         assert_eq!(lines.len(), 4);

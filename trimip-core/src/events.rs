@@ -1,48 +1,7 @@
 //! The event stream of a run, the only source of progress bars, logs, CSV files and reports.
 
-use serde::{Deserialize, Deserializer, Serialize};
-
-/// Floats for JSON: infinite and NaN values are written as `null` and read back as NaN.
-fn float_or_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
-}
-
-/// A value that was not measured.
-fn unknown() -> f64 {
-    f64::NAN
-}
-
-/// PSNR and SSIM of one scale, means over its images.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ScaleQuality {
-    /// Reduction of the images: 1, 2, 4, 8.
-    pub scale: u32,
-    /// Number of images.
-    pub images: usize,
-    /// Mean over the images of −10·log10(mean squared error), dB, on [0, 1] values that were not rounded.
-    #[serde(deserialize_with = "float_or_null")]
-    pub psnr: f64,
-    /// The same on colours rounded to 8 bits.
-    #[serde(default = "unknown", deserialize_with = "float_or_null")]
-    pub psnr_8bit: f64,
-    /// The same for unrounded colours on the opposite background; transparency lowers it.
-    #[serde(default = "unknown", deserialize_with = "float_or_null")]
-    pub psnr_opposite: f64,
-    /// The same without the edge exponents of the set (`data.edge_exponents`): a physically right picture against its
-    /// photographs.
-    #[serde(default = "unknown", deserialize_with = "float_or_null")]
-    pub psnr_plain: f64,
-    /// The same picture against a true box filter of the finest photographs.
-    #[serde(default = "unknown", deserialize_with = "float_or_null")]
-    pub psnr_box: f64,
-    /// PSNR of each photograph's mean colour, from the mean of the errors: the result of a model that has learned
-    /// nothing.
-    #[serde(default = "unknown", deserialize_with = "float_or_null")]
-    pub psnr_constant: f64,
-    /// Mean structural similarity over the images.
-    #[serde(deserialize_with = "float_or_null")]
-    pub ssim: f64,
-}
+use crate::quality::{ScaleQuality, float_or_null};
+use serde::{Deserialize, Serialize};
 
 /// Counters of a run; they continue after a resume.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -216,19 +175,14 @@ impl<F: FnMut(&Event)> EventSink for F {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::quality::Measures;
 
     #[test]
     fn an_event_with_a_value_that_json_cannot_hold_is_read_back() {
         let scales = vec![ScaleQuality {
             scale: 1,
             images: 1,
-            psnr: f64::INFINITY,
-            psnr_8bit: 50.0,
-            psnr_opposite: 40.0,
-            psnr_plain: 40.0,
-            psnr_box: 40.0,
-            psnr_constant: 10.0,
-            ssim: 1.0,
+            measures: Measures { psnr: f64::INFINITY, ssim: 1.0, ..Measures::UNKNOWN },
         }];
         let event = Event::Evaluation {
             totals: Totals::default(),
@@ -245,6 +199,6 @@ mod tests {
         let Event::Evaluation { psnr, scales, ssim, .. } = serde_json::from_str(&text).unwrap() else {
             panic!("another kind: {text}");
         };
-        assert!(psnr.is_nan() && scales[0].psnr.is_nan() && ssim == 1.0);
+        assert!(psnr.is_nan() && scales[0].measures.psnr.is_nan() && ssim == 1.0);
     }
 }

@@ -47,6 +47,33 @@ pub fn exposed<R: Real>(shown: [R; 3], behind: [R; 3], gain: [R; 3]) -> [R; 3] {
     std::array::from_fn(|c| gain[c] * (shown[c] - behind[c]) + behind[c])
 }
 
+/// A rendered picture at the exposure of its photograph, which no camera pose tells: each half (`left` and not) times the
+/// gain of each channel that fits the other half best, by least squares, within four stops. No pixel has a part in its own
+/// gain. `behind` is as in [`exposed`].
+///
+/// # Panics
+/// If the slices differ in length.
+pub fn exposed_by_the_other_half(
+    shown: &[[f32; 3]],
+    behind: &[[f32; 3]],
+    target: &[[f32; 3]],
+    left: &[bool],
+) -> Vec<[f32; 3]> {
+    assert!([behind.len(), target.len(), left.len()] == [shown.len(); 3], "pictures of one size");
+    let gain = |half: bool| -> [f32; 3] {
+        let pixels = || (0..shown.len()).filter(|&i| left[i] == half);
+        std::array::from_fn(|c| {
+            let own = |i: usize, picture: &[[f32; 3]]| f64::from(picture[i][c] - behind[i][c]);
+            let squares: f64 = pixels().map(|i| own(i, shown).powi(2)).sum();
+            let product: f64 = pixels().map(|i| own(i, shown) * own(i, target)).sum();
+            let least = f64::from(-MOST).exp();
+            if squares == 0.0 { 1.0 } else { (product / squares).clamp(least, least.recip()) as f32 }
+        })
+    };
+    let gains = [gain(true), gain(false)];
+    (0..shown.len()).map(|i| exposed(shown[i], behind[i], gains[usize::from(left[i])])).collect()
+}
+
 /// Log-gains of all photographs in training, their moments, and gradients that did not move them yet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exposures {
@@ -210,6 +237,34 @@ mod tests {
             assert!((f64::from(found[i][0]) - slope).abs() < 1e-5, "{i}: {found:?}, not {slope}");
             assert_eq!(found[i][1], 0.0);
         }
+    }
+
+    #[test]
+    fn the_exposure_of_a_half_is_that_of_the_other() {
+        let shown: Vec<[f32; 3]> = (1..9).map(|i| [0.1, 0.05, 0.02].map(|c| c * i as f32)).collect();
+        let behind: Vec<[f32; 3]> = (0..8).map(|i| [0.01 * i as f32; 3]).collect();
+        let left: Vec<bool> = (0..8).map(|i| i % 4 < 2).collect();
+        let by_hand = |i: usize, gain: [f32; 3]| exposed(shown[i], behind[i], gain);
+        // A photograph of another exposure is met.
+        let gains = [1.5, 0.5, 2.0];
+        let target: Vec<_> = (0..8).map(|i| by_hand(i, gains)).collect();
+        let found = exposed_by_the_other_half(&shown, &behind, &target, &left);
+        for (found, target) in found.as_flattened().iter().zip(target.as_flattened()) {
+            assert!((found - target).abs() < 1e-6, "{found} is not {target}");
+        }
+        // What is seen on the left moves the right half alone.
+        let mut moved = target.clone();
+        moved[0] = [1.0; 3];
+        let other = exposed_by_the_other_half(&shown, &behind, &moved, &left);
+        assert!((0..8).all(|i| (other[i] == found[i]) == left[i]), "{other:?}");
+        // Nothing tells the gain where nothing was rendered, and four stops are the most.
+        let dark = exposed_by_the_other_half(&behind, &behind, &target, &left);
+        assert_eq!(dark, behind);
+        let bright = exposed_by_the_other_half(&shown[4..5], &[[0.0; 3]], &[[1.0; 3]], &[true]);
+        assert_eq!(bright, shown[4..5], "the other half has no pixel");
+        let two = [[0.01_f32; 3]; 2];
+        let most = exposed_by_the_other_half(&two, &[[0.0; 3]; 2], &[[1.0; 3]; 2], &[true, false]);
+        assert!(most.as_flattened().iter().all(|c| (c - 0.16).abs() < 1e-6), "{most:?}");
     }
 
     #[test]

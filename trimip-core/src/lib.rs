@@ -48,6 +48,7 @@ pub mod occupancy;
 pub mod params;
 pub mod pixels;
 pub mod proxy;
+pub mod quality;
 mod query;
 pub mod rng;
 pub mod run;

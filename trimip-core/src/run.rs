@@ -4,9 +4,10 @@
 use crate::{
     Config, Error, ErrorKind, Frames, Result, Session,
     checkpoint::Checkpoint,
-    evaluate::{MeanQuality, ViewQuality, ViewResult, Watch, evaluate_frame, mean_quality, per_scale},
+    evaluate::{ViewResult, Watch, evaluate_frame},
     events::{Event, EventSink, Totals},
     model::Model,
+    quality::{Measures, ViewQuality, mean_quality, per_scale},
     session::StepReport,
     timekeeper::{Timekeeper, strides},
 };
@@ -376,7 +377,7 @@ impl Run<'_> {
         totals: &Totals,
         last: bool,
         started: Instant,
-    ) -> MeanQuality {
+    ) -> Measures {
         let scales = per_scale(views, stride);
         let mean = mean_quality(&scales);
         self.events.emit(&Event::Evaluation {

@@ -3,6 +3,7 @@
 mod common;
 
 use common::{
+    assert_same,
     colmap::{Sparse, capture, rotation},
     save_image, settings, write,
 };
@@ -10,8 +11,9 @@ use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
 use trimip_core::{
-    Camera, Cone, ViewSet,
+    Camera, Cone, Config, ViewSet,
     config::{DataConfig, Format},
+    tensors::TensorFile,
 };
 use trimip_data::{Scene, colmap::Model, inspect, open, unwatched, write_multiscale};
 
@@ -78,6 +80,33 @@ fn assert_same_rays(a: &ViewSet, b: &ViewSet) {
     }
 }
 
+/// Poses that binary numbers hold exactly as quaternion and as matrix, so that no reader rounds: the turns of a tetrahedron.
+fn exactly_posed() -> Sparse {
+    let mut sparse = capture();
+    let half = [-0.5, 0.5];
+    let turns = half.iter().flat_map(|&x| half.iter().flat_map(move |&y| half.map(|z| [0.5, x, y, z])));
+    let turns = turns.chain([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]);
+    for (image, turn) in sparse.images.iter_mut().zip(turns) {
+        (image.1, image.2) = (turn, [0.125, -0.25, 4.0]);
+    }
+    sparse
+}
+
+/// The model after a few steps on the CPU.
+fn trained(set: ViewSet) -> TensorFile {
+    let mut config = Config::default();
+    (config.encoder.plane_size, config.field.hidden, config.occupancy.resolution) = (128, 16, 16);
+    (config.train.steps, config.train.samples_per_step) = (8, 2048);
+    let mut session = trimip_cpu::open(&config, set).unwrap();
+    let before = session.model().unwrap().file;
+    for step in 0..4 {
+        session.step(f64::from(step) / 8.0).unwrap();
+    }
+    let after = session.model().unwrap().file;
+    assert_ne!(before, after, "nothing was learned");
+    after
+}
+
 fn assert_same_cones(a: &Camera, b: &Camera) {
     let (width, height) = (a.intrinsics.width, a.intrinsics.height);
     assert_eq!((width, height), (b.intrinsics.width, b.intrinsics.height));
@@ -86,6 +115,24 @@ fn assert_same_cones(a: &Camera, b: &Camera) {
         assert!((DVec3::from(a.origin) - DVec3::from(b.origin)).length() < 1e-9);
         assert!((DVec3::from(a.direction) - DVec3::from(b.direction)).length() < 1e-9, "{x} {y}");
         assert!((a.slope - b.slope).abs() <= 1e-9 * a.slope, "{x} {y}");
+    }
+}
+
+#[test]
+fn every_format_trains_to_the_same_bits() {
+    let sparse = exactly_posed();
+    let roots = [0; 3].map(|_| tempfile::tempdir().unwrap());
+    let [text, binary, frames] = [0, 1, 2].map(|i| roots[i].path());
+    roots.iter().for_each(|root| save_images(&root.path().join("images"), &sparse, [60, 40]));
+    sparse.write_text(&text.join("sparse/0"));
+    sparse.write_binary(&binary.join("sparse/0"));
+    write(&frames.join("transforms.json"), &json!({ "frames": transforms(&sparse) }));
+    let ours = scene(text).train;
+    let model = trained(ours.clone());
+    for root in [binary, frames] {
+        let theirs = scene(root).train;
+        assert_same(&ours, &theirs);
+        assert!(trained(theirs) == model);
     }
 }
 

@@ -52,5 +52,5 @@ pub use trimip_data as data;
 pub use trimip_core::{
     Alpha, Backend, Camera, Config, Error, ErrorKind, Frame, Frames, Intrinsics, Origin, Pixel, Result,
     Session, Settings, StepReport, View, ViewSet, Viewer, checkpoint, config, evaluate, events, exchange,
-    metrics, model, scene_plan,
+    metrics, model, quality, scene_plan,
 };

@@ -2,12 +2,13 @@
 //! as is kept of it.
 
 use super::training::{configuration, steps};
-use crate::fixtures::{Draw, noise};
+use crate::fixtures::{Draw, GivenFrames, noise};
 use trimip_core::{
-    Alpha, Backend, Camera, Config, Frames, Result, Session, StepReport, ViewSet, Viewer,
+    Alpha, Backend, Config, Result, Session, StepReport, ViewSet, Viewer,
     batch::StepSums,
     config::TrainBackground,
-    evaluate::{ViewQuality, evaluate},
+    evaluate::evaluate,
+    quality::{Measures, ViewQuality},
     trainer::Trainer,
 };
 
@@ -97,23 +98,6 @@ pub fn shares<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Test frames of one set each.
-struct Given(Vec<ViewSet>);
-
-impl Frames for Given {
-    fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    fn cameras(&self) -> Vec<Camera> {
-        self.0.iter().flat_map(|set| set.views.iter().map(|view| view.camera)).collect()
-    }
-
-    fn load(&self, index: usize) -> Result<ViewSet> {
-        Ok(self.0[index].clone())
-    }
-}
-
 /// Measures are of the pixels of which at least half is kept, and a view without any has none.
 ///
 /// # Errors
@@ -133,14 +117,14 @@ pub fn measures<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         set
     };
     let mut measured = |garbage: u64| -> Result<Vec<ViewQuality>> {
-        let frames = Given(vec![frame(garbage, None), frame(garbage, Some(0))]);
+        let frames = GivenFrames(vec![frame(garbage, None), frame(garbage, Some(0))]);
         evaluate(&mut trainer, &frames, 1, &config.data, |_| Ok(true))
     };
     let (one, other) = (measured(1)?, measured(2)?);
     assert_eq!(one.iter().map(|view| (view.index, view.scale)).collect::<Vec<_>>(), [(0, 1), (0, 2)]);
     for (one, other) in one.iter().zip(&other) {
         // Windows of the structural similarity reach over the edge of a mask, where both pictures have the same colours.
-        assert_eq!(&ViewQuality { ssim: one.ssim, ..other.clone() }, one);
+        assert_eq!(Measures { ssim: one.measures.ssim, ..other.measures }, one.measures);
     }
     // By hand: the mean over the right half.
     let set = frame(1, None);
@@ -154,6 +138,6 @@ pub fn measures<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         .collect();
     assert_eq!(squares.len(), 3 * 16 * 8);
     let by_hand = -10.0 * (squares.iter().sum::<f64>() / squares.len() as f64).log10();
-    assert!((one[0].psnr - by_hand).abs() < 1e-4, "{} is not {by_hand}", one[0].psnr);
+    assert!((one[0].measures.psnr - by_hand).abs() < 1e-4, "{} is not {by_hand}", one[0].measures.psnr);
     Ok(())
 }

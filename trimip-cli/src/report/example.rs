@@ -1,6 +1,7 @@
 //! A report of two evaluations on a small curve, for tests of the pages.
 
-use trimip::events::{Event, Provenance, ScaleQuality, Totals};
+use trimip::events::{Event, Provenance, Totals};
+use trimip::quality::{Measures, ScaleQuality};
 use trimip::report::{Report, Status};
 use trimip::{Config, Settings, machine::Machine, run::history::History};
 
@@ -9,13 +10,7 @@ fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
     let scale = |scale, psnr| ScaleQuality {
         scale,
         images: 8,
-        psnr,
-        psnr_8bit: psnr,
-        psnr_opposite: psnr,
-        psnr_plain: psnr,
-        psnr_box: psnr,
-        psnr_constant: 12.0,
-        ssim: 0.9,
+        measures: Measures { psnr, psnr_constant: 12.0, ssim: 0.9, ..Measures::UNKNOWN },
     };
     let seconds = step as f64 / 10.0;
     Event::Evaluation {

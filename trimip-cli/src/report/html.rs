@@ -6,7 +6,7 @@ use crate::terminal;
 use std::path::Path;
 use trimip::report::{Report, Status, text};
 use trimip::{machine, run::provenance};
-use trimip_core::evaluate::{MOST_PSNR, mean_quality};
+use trimip_core::quality::{MOST_PSNR, mean_quality};
 use trimip_core::{Result, config::Convention, encoders, run::progress};
 
 /// The whole page; `images` is the folder of the comparisons.
@@ -107,7 +107,7 @@ fn quality(report: &Report<'_>) -> String {
     format!(
         "<section><h2>Quality per scale</h2>{}<p class=\"lead\">{note}“Mean colour” is what the mean colour of each \
          photograph would reach in place of the rendering; “on opposite” is PSNR on another background: black where the background is bright and white \
-         where it is dark.</p></section>\n",
+         where it is dark; “own exposure” is PSNR after one gain per channel that each half of a picture takes from the other.</p></section>\n",
         table(&text::measures(report), true)
     )
 }

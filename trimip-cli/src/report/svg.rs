@@ -134,7 +134,7 @@ pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
         .flatten()
         .enumerate()
         .map(|(i, quality)| {
-            let value = move |e: &Evaluation| e.scales.get(i).map_or(f64::NAN, |q| q.psnr);
+            let value = move |e: &Evaluation| e.scales.get(i).map_or(f64::NAN, |q| q.measures.psnr);
             line("scale", scale_name(quality.scale), COLORS[i % COLORS.len()], &value)
         })
         .collect();
@@ -343,7 +343,7 @@ mod tests {
             assert!(!one.contains("NaN") && !one.contains("inf"));
             let mut broken = report.curve()[0].clone();
             broken.psnr = f64::NAN;
-            broken.scales[0].psnr = f64::INFINITY;
+            broken.scales[0].measures.psnr = f64::INFINITY;
             let svg = plot(&lines(&[&broken], None), false).unwrap();
             assert!(!svg.contains("NaN") && !svg.contains("inf"));
         });

@@ -41,11 +41,6 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
 
     table(&measured.scales).iter().for_each(terminal::prose);
     if let Some(path) = &arguments.json {
-        let views: Vec<_> = measured
-            .views
-            .iter()
-            .map(|q| json!({ "index": q.index, "scale": q.scale, "psnr": q.psnr, "psnr_8bit": q.psnr_8bit, "psnr_opposite": q.psnr_opposite, "psnr_plain": q.psnr_plain, "psnr_box": q.psnr_box, "psnr_constant": q.psnr_constant, "ssim": q.ssim }))
-            .collect();
         let report = json!({
             "model": arguments.model.display().to_string(),
             "scene": scene.name,
@@ -56,7 +51,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
             "edge_exponents": config.data.edge_exponents,
             "scales": measured.scales,
             "mean": measured.mean,
-            "views": views,
+            "views": measured.views,
         });
         write_atomically(path, serde_json::to_string_pretty(&report).map_err(Error::run)?.as_bytes())?;
     }

@@ -3,7 +3,7 @@
 use super::{Report, Status};
 use crate::run::history::Evaluation;
 use serde_json::{Value, json};
-use trimip_core::evaluate::mean_quality;
+use trimip_core::quality::mean_quality;
 use trimip_core::{Error, Result};
 
 /// The report as JSON text.
@@ -63,6 +63,7 @@ fn value(report: &Report<'_>) -> Value {
             "psnr_plain": "the same of unrounded values without the set's edge exponents (data.edge_exponents)",
             "psnr_box": "the same of unrounded values against a true box filter of the finest photographs",
             "psnr_opposite": "the same of unrounded values on black where the background is bright, on white where it is dark",
+            "psnr_exposed": "the same of unrounded values times a gain for each channel, fitted on each half of a picture for the other",
             "psnr_constant": "of each photograph's mean colour in place of the rendering, from the mean of their errors",
             "background": config.data.background,
             "convention": config.data.convention,
@@ -89,8 +90,8 @@ fn point(evaluation: &Evaluation) -> Value {
         "step": totals.step,
         "samples": totals.samples,
         "rays": totals.rays,
-        "psnr": evaluation.scales.iter().map(|q| q.psnr).collect::<Vec<_>>(),
-        "ssim": evaluation.scales.iter().map(|q| q.ssim).collect::<Vec<_>>(),
+        "psnr": evaluation.scales.iter().map(|q| q.measures.psnr).collect::<Vec<_>>(),
+        "ssim": evaluation.scales.iter().map(|q| q.measures.ssim).collect::<Vec<_>>(),
         "mean_psnr": evaluation.psnr,
         "mean_ssim": evaluation.ssim,
     })

@@ -3,7 +3,7 @@
 
 use super::{Report, scale_name};
 use crate::units;
-use trimip_core::evaluate::mean_quality;
+use trimip_core::quality::{Measures, mean_quality};
 
 /// Header and rows of the table of metrics: one row per scale and one for their mean. Empty if nothing was measured.
 pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
@@ -16,30 +16,29 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
         "plain",
         "box filter",
         "at 8 bits",
+        "own exposure",
         "on opposite",
         "mean colour",
         "SSIM",
     ];
     let mut rows = vec![head.map(String::from).to_vec()];
-    let row = |name: String, images: usize, range: String, psnr: [f64; 6], ssim: f64| {
-        let [psnr, plain, boxed, rounded, opposite, constant] =
-            psnr.map(|psnr| if psnr.is_nan() { "–".into() } else { format!("{psnr:.2}") });
-        let count = images.to_string();
-        let ssim = format!("{ssim:.4}");
-        vec![name, count, psnr, range, plain, boxed, rounded, opposite, constant, ssim]
+    let row = |name: String, images: usize, range: String, m: &Measures| {
+        let decibels = |psnr: f64| if psnr.is_nan() { "–".into() } else { format!("{psnr:.2}") };
+        let others =
+            [m.psnr_plain, m.psnr_box, m.psnr_8bit, m.psnr_exposed, m.psnr_opposite, m.psnr_constant];
+        let mut row = vec![name, images.to_string(), decibels(m.psnr), range];
+        row.extend(others.map(decibels));
+        row.push(format!("{:.4}", m.ssim));
+        row
     };
     for q in &e.scales {
         let of = || report.views.iter().filter(|v| v.scale == q.scale).filter_map(|v| v.psnr);
         let range = of().reduce(f64::min).zip(of().reduce(f64::max));
         let range = range.map_or("–".into(), |(low, high)| format!("{low:.2} – {high:.2}"));
-        let psnr = [q.psnr, q.psnr_plain, q.psnr_box, q.psnr_8bit, q.psnr_opposite, q.psnr_constant];
-        rows.push(row(scale_name(q.scale), q.images, range, psnr, q.ssim));
+        rows.push(row(scale_name(q.scale), q.images, range, &q.measures));
     }
-    let mean = mean_quality(&e.scales);
-    let psnr =
-        [mean.psnr, mean.psnr_plain, mean.psnr_box, mean.psnr_8bit, mean.psnr_opposite, mean.psnr_constant];
     let images = e.scales.iter().map(|q| q.images).sum();
-    rows.push(row("mean".into(), images, String::new(), psnr, mean.ssim));
+    rows.push(row("mean".into(), images, String::new(), &mean_quality(&e.scales)));
     rows
 }
 

@@ -5,7 +5,7 @@ use crate::run::{
     history::{History, Training},
     store::ViewRecord,
 };
-use trimip_core::evaluate::{MOST_PSNR, MeanQuality, mean_quality};
+use trimip_core::quality::{MOST_PSNR, Measures, mean_quality};
 
 /// Minimum mean PSNR of a good model: an error of 5.6 % of the range. Below it, edges are visibly blurred.
 const GOOD: f64 = 25.0;
@@ -56,7 +56,7 @@ pub enum Grade {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Figures {
     /// Means of the final evaluation.
-    pub mean: Option<MeanQuality>,
+    pub mean: Option<Measures>,
     /// The last training figures.
     pub training: Training,
     /// Distance in dB of the worst view of the finest scale below the median of that scale; `None` below four views.
@@ -68,7 +68,7 @@ pub struct Figures {
 /// The rules in order; the constants above give each threshold and its reason:
 ///
 /// 1. *not evaluated*: there is no final evaluation.
-/// 2. *failed to learn*: PSNR is not [`MeanQuality::learned`], 1 dB above that of each photograph's mean colour; if
+/// 2. *failed to learn*: PSNR is not [`Measures::learned`], 1 dB above that of each photograph's mean colour; if
 ///    that is unknown, PSNR is below 10.8 dB, that of grey.
 /// 3. *good*: PSNR is at least 25 dB and 12 dB above the mean colour's, or at least 40 dB.
 /// 4. *fog*: not good, at least 25 % of the cells are occupied and at least 95 % of the marched samples are kept.
@@ -76,7 +76,7 @@ pub struct Figures {
 /// 6. *poor*: the rest.
 ///
 /// A model that learned and is not fog can have two more faults: *floaters suspected* if a test view is 8 dB below the
-/// median of its scale, and *the background shines through* if [`MeanQuality::remark`] reports it.
+/// median of its scale, and *the background shines through* if [`Measures::remark`] reports it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Verdict {
     /// Quality grade.
@@ -184,7 +184,7 @@ impl Verdict {
     }
 }
 
-fn grade(mean: &MeanQuality, training: &Training) -> Grade {
+fn grade(mean: &Measures, training: &Training) -> Grade {
     let known = mean.psnr_constant.is_finite();
     if !mean.learned(GAIN) || (!known && mean.psnr < GREY) {
         return Grade::FailedToLearn;
@@ -213,9 +213,8 @@ fn below_median(views: &[ViewRecord]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    fn mean(psnr: f64, psnr_opposite: f64, psnr_constant: f64) -> Option<MeanQuality> {
-        let [psnr_8bit, psnr_plain, psnr_box] = [psnr; 3];
-        Some(MeanQuality { psnr, psnr_8bit, psnr_opposite, psnr_plain, psnr_box, psnr_constant, ssim: 0.9 })
+    fn mean(psnr: f64, psnr_opposite: f64, psnr_constant: f64) -> Option<Measures> {
+        Some(Measures { psnr, psnr_opposite, psnr_constant, ssim: 0.9, ..Measures::UNKNOWN })
     }
 
     /// Figures of a solid model with `psnr`; a constant picture has 11 dB.

@@ -33,10 +33,10 @@ fn text(history: &History) -> String {
         );
         let of = |scale: &u32| e.scales.iter().find(|q| q.scale == *scale);
         for scale in &scales {
-            text += &of(scale).map_or(",".into(), |q| format!(",{:.4}", q.psnr));
+            text += &of(scale).map_or(",".into(), |q| format!(",{:.4}", q.measures.psnr));
         }
         for scale in &scales {
-            text += &of(scale).map_or(",".into(), |q| format!(",{:.6}", q.ssim));
+            text += &of(scale).map_or(",".into(), |q| format!(",{:.6}", q.measures.ssim));
         }
         text.push('\n');
     }

@@ -1,7 +1,8 @@
 //! The state accumulated from a run's events: the curve of error against time, the final metrics, warnings, counters.
 //! Built from the event stream and, on resume, from `metrics.jsonl`. The report has no other source.
 
-use trimip_core::events::{Event, Provenance, ScaleQuality, Totals};
+use trimip_core::events::{Event, Provenance, Totals};
+use trimip_core::quality::ScaleQuality;
 
 /// One evaluation.
 #[derive(Clone, Debug, PartialEq)]
@@ -228,19 +229,14 @@ pub fn up_to(events: Vec<Event>, step: u64) -> Vec<Event> {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use trimip_core::quality::Measures;
 
     /// An evaluation event at `step` with `psnr` at two scales.
     pub fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
         let scale = |scale, psnr| ScaleQuality {
             scale,
             images: 8,
-            psnr,
-            psnr_8bit: psnr,
-            psnr_opposite: psnr,
-            psnr_plain: psnr,
-            psnr_box: psnr,
-            psnr_constant: 12.0,
-            ssim: 0.9,
+            measures: Measures { psnr, psnr_constant: 12.0, ssim: 0.9, ..Measures::UNKNOWN },
         };
         Event::Evaluation {
             totals: Totals {

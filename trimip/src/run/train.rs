@@ -17,9 +17,9 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 use trimip_core::{
     Config, Error, Result, Settings,
-    evaluate::mean_quality,
     events::{Event, EventSink, Totals},
     model::Model,
+    quality::mean_quality,
     run::{Outcome, Run},
     scene_plan::{self, Facts},
     tensors::write_atomically,

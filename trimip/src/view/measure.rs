@@ -4,8 +4,8 @@ use std::time::Instant;
 use trimip_core::{
     Frames, Result, Viewer,
     config::DataConfig,
-    evaluate::{MeanQuality, ViewQuality, ViewResult, Watch, evaluate_frame, mean_quality, per_scale},
-    events::ScaleQuality,
+    evaluate::{ViewResult, Watch, evaluate_frame},
+    quality::{Measures, ScaleQuality, ViewQuality, mean_quality, per_scale},
 };
 
 /// Result of an evaluation.
@@ -16,7 +16,7 @@ pub struct Measured {
     /// Means per scale, fine to coarse.
     pub scales: Vec<ScaleQuality>,
     /// Means over the scales.
-    pub mean: MeanQuality,
+    pub mean: Measures,
     /// Time for rendering and measuring, seconds.
     pub seconds: f64,
 }

@@ -9,8 +9,8 @@ use crate::interrupt::EXIT_CODE;
 use crate::report::svg;
 use crate::{settings, terminal, verbs::train};
 use std::path::PathBuf;
-use trimip::evaluate::{MeanQuality, mean_quality};
 use trimip::events::Totals;
+use trimip::quality::{Measures, mean_quality};
 use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
 
@@ -41,7 +41,7 @@ pub struct Bench {
 /// Result of a run.
 struct Outcome {
     folder: PathBuf,
-    mean: MeanQuality,
+    mean: Measures,
     totals: Totals,
     model_bytes: Option<u64>,
     peak_memory_bytes: Option<u64>,
