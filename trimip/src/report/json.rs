@@ -124,9 +124,13 @@ mod tests {
             assert_eq!(json["samples"], 100_000);
             assert_eq!(json["rays"], 1000);
             assert_eq!(json["mean"]["psnr"], 24.5);
+            // What was not measured is null.
             assert_eq!(
                 json["scales"][1],
-                json!({ "scale": 2, "images": 8, "psnr": 25.5, "psnr_8bit": 25.5, "psnr_opposite": 25.5, "psnr_plain": 25.5, "psnr_box": 25.5, "psnr_constant": 12.0, "ssim": 0.9 })
+                json!({
+                    "scale": 2, "images": 8, "psnr": 25.5, "psnr_8bit": null, "psnr_opposite": null, "psnr_plain": null,
+                    "psnr_box": null, "psnr_exposed": null, "psnr_constant": 12.0, "ssim": 0.9,
+                })
             );
             assert_eq!(json["curve"].as_array().unwrap().len(), 2);
             assert_eq!(json["curve"][0]["psnr"], json!([19.0, 21.0]));

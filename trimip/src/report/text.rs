@@ -133,9 +133,12 @@ mod tests {
     fn the_latex_table_has_as_many_columns_as_it_says() {
         super::super::example(|report| {
             let text = latex(report);
-            assert!(text.contains("\\begin{tabular}{lrrrrrrrrr}") && text.ends_with("\\end{tabular}\n"));
+            let columns =
+                text.split_once("\\begin{tabular}{l").and_then(|(_, rest)| rest.split_once('}')).unwrap().0;
+            assert!(columns.chars().all(|c| c == 'r') && text.ends_with("\\end{tabular}\n"), "{text}");
             let rows: Vec<_> = text.lines().filter(|line| line.ends_with("\\\\")).collect();
-            assert!(rows.len() == 4 && rows.iter().all(|row| row.matches('&').count() == 9), "{text}");
+            let fits = |row: &&str| row.matches('&').count() == columns.len();
+            assert!(rows.len() == 4 && columns.len() > 3 && rows.iter().all(fits), "{text}");
         });
         assert_eq!(tex("a_b & 50 %"), "a\\_b \\& 50 \\%");
     }
