@@ -1,6 +1,7 @@
 //! Many views of a model: rendering goes on where it was interrupted, and its pictures become a video.
 
 use std::{fs, path::Path, process::Stdio, time::SystemTime};
+use trimip_core::{Config, config::Format};
 use trimip_tests::binary::{Answer, command, run, tiny_and};
 
 /// Trains the smallest model into `run`.
@@ -76,6 +77,35 @@ fn only_what_is_missing_or_of_another_job_is_rendered() {
 }
 
 #[test]
+fn a_flythrough_goes_along_the_training_cameras_and_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    let film = |more: &[&str]| {
+        let size = ["--flythrough", "5", "--width", "24", "--height", "17"];
+        let answer = run(here, &[&["render", "run"], &size[..], more].concat());
+        assert_eq!(answer.code, Some(0), "{}", answer.err);
+        answer.out.lines().count()
+    };
+    assert_eq!([film(&[]), film(&[])], [5, 0]);
+    let text = fs::read(here.join("run/renders/cameras.json")).unwrap();
+    let cameras: serde_json::Value = serde_json::from_slice(&text).unwrap();
+    let origins: Vec<[f64; 3]> = (0..5)
+        .map(|i| [0, 1, 2].map(|axis| cameras["frames"][i]["transform_matrix"][axis][3].as_f64().unwrap()))
+        .collect();
+    assert_ne!(origins[0], origins[4]);
+    // A mean of cameras is not farther away than the farthest of them.
+    let mut config = Config::default();
+    config.data.format = Format::Builtin;
+    let photographed = trimip_data::open_test(&config.data).unwrap().train;
+    let farthest = photographed.iter().map(|camera| camera.origin.length()).fold(0.0, f64::max);
+    let away = |o: &[f64; 3]| o.iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!(origins.iter().all(|o| away(o) < farthest + 1e-6), "{origins:?}");
+    let answer = run(here, &["render", "run", "--flythrough", "1"]);
+    assert_eq!(answer.code, Some(2), "{}", answer.err);
+}
+
+#[test]
 fn a_video_that_cannot_be_made_is_refused_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
@@ -83,7 +113,7 @@ fn a_video_that_cannot_be_made_is_refused_before_the_work() {
     for (arguments, part) in [
         (&["--turntable", "3", "--video", "a.avi"][..], "end it in .mp4, .mov, .mkv, .webm"),
         (&["--turntable", "3", "--video", "a"], "end it in"),
-        (&["--video", "a.mp4"], "add --turntable N or --path FILE"),
+        (&["--video", "a.mp4"], "add --turntable N, --flythrough N or --path FILE"),
         (&["--turntable", "3", "--video", "a.mp4", "--rate", "nan"], "--rate above 0"),
         (&["--turntable", "3", "--video", "a.mp4", "--what", "depth"], "name color in --what"),
         (&["--turntable", "3", "--rate", "24"], "--video"),

@@ -195,7 +195,7 @@ impl From<Quantity> for trimip::view::Quantity {
 
 /// Options of `render`.
 #[derive(Args, Debug)]
-#[command(group(clap::ArgGroup::new("cameras").args(["views", "pose", "look_at", "path", "turntable"])))]
+#[command(group(clap::ArgGroup::new("cameras").args(["views", "pose", "look_at", "path", "turntable", "flythrough"])))]
 pub struct RenderArguments {
     /// Run folder or model file
     pub model: PathBuf,
@@ -217,12 +217,15 @@ pub struct RenderArguments {
     /// A circle of N cameras around the model's box
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub turntable: Option<u32>,
+    /// A film of N cameras along the training cameras, through their lens without its distortion (needs the data set)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    pub flythrough: Option<u32>,
     /// Turntable: degrees above the horizon
     // `requires` alone is waived if another camera option conflicts with the turntable.
-    #[arg(long, default_value_t = 30.0, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path"], allow_hyphen_values = true)]
+    #[arg(long, default_value_t = 30.0, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path", "flythrough"], allow_hyphen_values = true)]
     pub elevation: f64,
     /// Turntable: distance from the box's centre [default: the minimum at which every picture shows the whole box]
-    #[arg(long, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path"], allow_hyphen_values = true)]
+    #[arg(long, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path", "flythrough"], allow_hyphen_values = true)]
     pub distance: Option<f64>,
     /// Up direction in the picture, for --look-at and --turntable [default: scene.up of the model]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
@@ -257,13 +260,13 @@ pub struct RenderArguments {
         value_name = "color,depth,opacity"
     )]
     pub what: Vec<Quantity>,
-    /// Path and turntable: also encode the colours as a video (.mp4, .mov, .mkv, .webm), by the program ffmpeg
+    /// Path, turntable and flythrough: also encode the colours as a video (.mp4, .mov, .mkv, .webm), by the program ffmpeg
     #[arg(long, value_name = "FILE", conflicts_with_all = ["views", "pose", "look_at", "strip"])]
     pub video: Option<PathBuf>,
     /// Video: pictures a second
     #[arg(long, default_value_t = 30.0, requires = "video")]
     pub rate: f64,
-    /// Path and turntable: render all views again; otherwise the same command goes on where it was interrupted
+    /// Path, turntable and flythrough: render all views again; otherwise the same command goes on where it was interrupted
     #[arg(long)]
     pub fresh: bool,
     /// Override a setting of data, eval, renderer, hybrid, backend, threads or wgpu

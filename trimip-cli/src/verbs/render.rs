@@ -1,4 +1,4 @@
-//! `render`: renders views of a model as pictures, from test views, a pose, a camera path or a turntable.
+//! `render`: renders views of a model as pictures, from test views, a pose, a camera path, a turntable or a flythrough.
 
 use super::strip;
 use crate::{
@@ -13,7 +13,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::run::{folder as run_folder, store::file_stem};
 use trimip::view::{
-    Job, Named, Quantity, cameras::resized, turntable, turntable::Turntable, video, write_cameras,
+    Job, Named, Quantity, cameras::resized, flythrough, turntable, turntable::Turntable, video, write_cameras,
 };
 use trimip::{Camera, Config, Error, Intrinsics, Result, backends, settings, view};
 
@@ -45,7 +45,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
     run_folder::create_writable(&out)?;
     // Single views are quick; many go on where an interrupted command stopped.
-    let mut job = match arguments.path.is_some() || arguments.turntable.is_some() {
+    let mut job = match is_film(arguments) {
         true => Some(Job::open(&out, &model, &cameras, &what, format, arguments.fresh)?),
         false => None,
     };
@@ -101,12 +101,17 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     Ok(0)
 }
 
+/// Whether the pictures follow one another.
+fn is_film(arguments: &RenderArguments) -> bool {
+    arguments.path.is_some() || arguments.turntable.is_some() || arguments.flythrough.is_some()
+}
+
 /// Fails before the work if a video could not be written after it.
 fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], cameras: &[Named]) -> Result<()> {
     let refuse =
         |what: &str, expected: &str| Err(Error::input(format!("--video {}", path.display()), what, expected));
-    if arguments.path.is_none() && arguments.turntable.is_none() {
-        return refuse("there is one view", "add --turntable N or --path FILE");
+    if !is_film(arguments) {
+        return refuse("there is one view", "add --turntable N, --flythrough N or --path FILE");
     }
     if arguments.format != PictureFormat::Png || !what.contains(&Quantity::Color) {
         return refuse("is made of colours in PNG files", "leave out --format, and name color in --what");
@@ -171,13 +176,17 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
         let (elevation, distance) = (arguments.elevation, arguments.distance);
         return turntable::cameras(&config.scene, &Turntable { count, elevation, distance, up }, intrinsics);
     }
+    if let Some(count) = arguments.flythrough {
+        let (_, half) = turntable::middle(&config.scene);
+        return flythrough::cameras(&trimip_data::open_test(&config.data)?.train, count, half.length());
+    }
     test_views(config, &arguments.views)
 }
 
 /// The first test view that the arguments select, or view 0; `None` if they select another camera.
 pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
-    let RenderArguments { pose, look_at, path, turntable, views, .. } = arguments;
-    let other = pose.is_some() || look_at.is_some() || path.is_some() || turntable.is_some();
+    let RenderArguments { pose, look_at, views, .. } = arguments;
+    let other = pose.is_some() || look_at.is_some() || is_film(arguments);
     (!other).then(|| views.first().copied().unwrap_or(0))
 }
 

@@ -2,6 +2,7 @@
 
 pub mod cameras;
 mod files;
+pub mod flythrough;
 mod job;
 mod measure;
 pub mod pictures;
