@@ -31,6 +31,10 @@ impl Store for Shelf {
     fn view(&mut self, _: &ViewResult<'_>) -> Result<()> {
         Ok(())
     }
+
+    fn evaluated(&mut self) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// The given number of test frames, none of which can be read.
@@ -59,6 +63,7 @@ fn run(trainer: &mut dyn Session, config: &Config, totals: Totals, shelf: &mut S
         store: shelf,
         events: &mut |_: &Event| {},
         stop: &stop,
+        evaluated: Totals::default(),
     }
     .train(totals)
     .expect_err("the run fails")
@@ -79,6 +84,7 @@ fn a_test_view_that_cannot_be_read_costs_no_step() {
         store: &mut shelf,
         events,
         stop: &stop,
+        evaluated: Totals::default(),
     }
     .train(Totals::default())
     .expect_err("the frame cannot be read");
