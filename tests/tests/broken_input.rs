@@ -2,27 +2,12 @@
 //! overwritten.
 
 use serde_json::{Value, json};
-use std::{
-    collections::BTreeMap,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{fs, path::Path};
 use tempfile::TempDir;
-use trimip_tests::binary::{run, tiny, tiny_and};
-
-/// All files below a folder with their bytes.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            found.extend(files(&path));
-        } else {
-            found.insert(path.clone(), fs::read(&path).unwrap());
-        }
-    }
-    found
-}
+use trimip_tests::{
+    binary::{run, tiny, tiny_and},
+    files::files,
+};
 
 /// Asserts that the program refuses, names `places`, and leaves every file unchanged.
 fn refuses(folder: &Path, arguments: &[&str], places: &[&str]) {

@@ -1,4 +1,5 @@
-//! A run with non-finite values stops, reports which and when, and keeps the last good checkpoint.
+//! A run with non-finite values stops, reports which and when, and keeps the last good checkpoint. A run whose results
+//! cannot be stored goes on as far as it can.
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
@@ -31,6 +32,10 @@ impl Store for Shelf {
     fn view(&mut self, _: &ViewResult<'_>) -> Result<()> {
         Ok(())
     }
+
+    fn evaluated(&mut self) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// The given number of test frames, none of which can be read.
@@ -59,6 +64,7 @@ fn run(trainer: &mut dyn Session, config: &Config, totals: Totals, shelf: &mut S
         store: shelf,
         events: &mut |_: &Event| {},
         stop: &stop,
+        evaluated: Totals::default(),
     }
     .train(totals)
     .expect_err("the run fails")
@@ -79,6 +85,7 @@ fn a_test_view_that_cannot_be_read_costs_no_step() {
         store: &mut shelf,
         events,
         stop: &stop,
+        evaluated: Totals::default(),
     }
     .train(Totals::default())
     .expect_err("the frame cannot be read");
@@ -123,4 +130,116 @@ fn a_number_that_a_relu_hides_from_the_loss_is_found_when_it_would_be_saved() {
         assert!(error.message.contains(part), "`{part}` in {error}");
     }
     assert_eq!(written, [0_u64; 0], "nothing is written over the last good checkpoint");
+}
+
+/// A store without room for the checkpoints of some steps, nor for views unless `views`.
+struct Full {
+    room: fn(u64) -> bool,
+    views: bool,
+    checkpoints: Vec<u64>,
+    models: usize,
+}
+
+impl Store for Full {
+    fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<u64> {
+        let step = checkpoint.state.totals.step;
+        if !(self.room)(step) {
+            return Err(trimip_core::Error::input("checkpoint", "no space left", "free some"));
+        }
+        self.checkpoints.push(step);
+        Ok(0)
+    }
+
+    fn model(&mut self, _: &Model) -> Result<u64> {
+        self.models += 1;
+        Ok(0)
+    }
+
+    fn view(&mut self, _: &ViewResult<'_>) -> Result<()> {
+        Ok(())
+    }
+
+    fn evaluated(&mut self) -> Result<()> {
+        if self.views {
+            Ok(())
+        } else {
+            Err(trimip_core::Error::input("views", "no space left", "free some"))
+        }
+    }
+}
+
+/// Runs six steps with a checkpoint after each and one test view. Returns the error, the store and the events.
+fn with_little_room(room: fn(u64) -> bool, views: bool) -> (Option<trimip_core::Error>, Full, Vec<Event>) {
+    let mut config = suite::training::configuration();
+    (config.train.steps, config.train.checkpoint_seconds) = (6, 1e-9);
+    (config.eval.points, config.eval.share, config.eval.min_gain) = (0, 0.0, 0.0);
+    config.data.scales = 2;
+    let backend = CpuBackend::new(1, Simd::detect()).expect("a thread");
+    let mut trainer = Trainer::new(backend, &config, fixtures::noise(3, 16, 2, 2)).expect("views that fit");
+    let mut store = Full { room, views, checkpoints: Vec::new(), models: 0 };
+    let mut events = Vec::new();
+    let outcome = Run {
+        config: &config,
+        session: &mut trainer,
+        frames: &Noise,
+        store: &mut store,
+        events: &mut |event: &Event| events.push(event.clone()),
+        stop: &AtomicBool::new(false),
+        evaluated: Totals::default(),
+    }
+    .train(Totals::default());
+    (outcome.err(), store, events)
+}
+
+/// One test frame of noise.
+struct Noise;
+
+impl Frames for Noise {
+    fn len(&self) -> usize {
+        1
+    }
+
+    fn cameras(&self) -> Vec<Camera> {
+        self.load(0).expect("noise").views.iter().map(|view| view.camera).collect()
+    }
+
+    fn load(&self, _: usize) -> Result<ViewSet> {
+        Ok(fixtures::noise(1, 16, 2, 5))
+    }
+}
+
+fn is_measured(events: &[Event]) -> bool {
+    events.iter().any(|event| matches!(event, Event::Evaluation { last: true, .. }))
+}
+
+#[test]
+fn a_checkpoint_on_the_way_that_has_no_room_is_a_warning_and_is_tried_again() {
+    let (error, store, events) = with_little_room(|step| step != 2 && step != 3, true);
+    assert!(error.is_none(), "{error:?}");
+    assert_eq!(store.checkpoints, [1, 4, 5, 6]);
+    let warned: Vec<&String> = events
+        .iter()
+        .filter_map(|event| if let Event::Warning { message } = event { Some(message) } else { None })
+        .collect();
+    assert_eq!(warned.len(), 2);
+    for (step, message) in [2, 3].iter().zip(warned) {
+        assert!(message.contains(&format!("step {step}")) && message.contains("no space left"), "{message}");
+    }
+    assert!(is_measured(&events));
+}
+
+#[test]
+fn a_run_without_room_for_its_last_checkpoint_keeps_its_model_and_its_measures_and_fails() {
+    let (error, store, events) = with_little_room(|step| step < 6, true);
+    let error = error.expect("the last checkpoint is missing");
+    assert!(error.exit_code() == 2 && error.message.contains("no space left"), "{error}");
+    assert_eq!((store.checkpoints.last(), store.models), (Some(&5), 1));
+    assert!(is_measured(&events));
+}
+
+#[test]
+fn a_measure_is_told_when_its_views_are_stored() {
+    let (error, store, events) = with_little_room(|_| true, false);
+    assert!(error.is_some_and(|error| error.message.contains("views")), "the views are not stored");
+    assert!(store.models == 1 && !is_measured(&events));
 }

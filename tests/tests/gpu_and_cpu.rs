@@ -350,6 +350,10 @@ impl Store for Shelf<'_> {
     fn view(&mut self, _: &ViewResult<'_>) -> Result<()> {
         Ok(())
     }
+
+    fn evaluated(&mut self) -> Result<()> {
+        Ok(())
+    }
 }
 
 #[test]
@@ -370,6 +374,7 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
             store: &mut shelf,
             events: &mut |event: &Event| events.push(event.clone()),
             stop: &AtomicBool::new(false),
+            evaluated: Totals::default(),
         }
         .train(Totals::default());
         let error = outcome.expect_err("the device is gone");

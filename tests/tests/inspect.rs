@@ -57,9 +57,12 @@ fn a_page_is_one_file_and_the_lines_stay() {
         assert!(page.contains(part), "{part}");
     }
     assert_eq!(fs::read_dir(folder.join("pages")).unwrap().count(), 1);
-    // A folder is no page.
-    let refused = run(folder, &["data", "inspect", "scene", "--html", "pages"]);
-    assert_eq!((refused.code, refused.err.trim_end().lines().count()), (Some(2), 1), "{refused:?}");
+    // A folder is no page, whatever its name.
+    fs::create_dir(folder.join("folder.html")).unwrap();
+    for name in ["pages", "folder.html"] {
+        let refused = run(folder, &["data", "inspect", "scene", "--html", name]);
+        assert_eq!((refused.code, refused.err.trim_end().lines().count()), (Some(2), 1), "{refused:?}");
+    }
 }
 
 #[test]

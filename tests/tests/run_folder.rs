@@ -1,28 +1,11 @@
 //! Protection of a run folder: foreign files are refused, two processes are kept apart, a stale report is rebuilt. A
 //! run also uses the memory that its plan predicts.
 
-use std::{
-    collections::BTreeMap,
-    fs,
-    path::{Path, PathBuf},
-    process::Stdio,
-    time::{Duration, SystemTime},
+use std::{fs, path::Path, process::Stdio, time::Duration};
+use trimip_tests::{
+    binary::{command, run, tiny_and},
+    files::files,
 };
-use trimip_tests::binary::{command, run, tiny_and};
-
-/// All files below a folder with their bytes.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            found.extend(files(&path));
-        } else {
-            found.insert(path.clone(), fs::read(&path).unwrap());
-        }
-    }
-    found
-}
 
 /// Asserts that the program refuses in one line that contains `parts`, and leaves the folder unchanged.
 fn refuses(here: &Path, arguments: &[&str], parts: &[&str]) {
@@ -98,42 +81,48 @@ fn two_processes_are_kept_apart_and_a_killed_one_leaves_no_lock() {
 }
 
 #[test]
-fn a_stale_report_of_a_finished_run_is_rebuilt_and_a_fresh_one_stays() {
+fn the_report_of_a_finished_run_is_what_the_run_is_now() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let arguments = tiny_and(&["--out", "run"]);
-    let again = || {
-        let answer = run(here, &arguments);
-        assert_eq!(answer.code, Some(0), "{}", answer.err);
+    let with = |floor: &str| {
+        let answer = run(here, &tiny_and(&["--out", "run", "--set", floor]));
+        (answer.code, fs::read_to_string(here.join("run/report.json")).unwrap())
     };
-    again();
-    let [html, json] = ["report.html", "report.json"].map(|name| here.join("run").join(name));
-    let read = |path: &Path| fs::read_to_string(path).unwrap();
-    let whole = || read(&html).trim_end().ends_with("</html>") && read(&json).trim_end().ends_with('}');
-    // A time before the run.
-    let aged = |path: &Path| {
-        let past = SystemTime::now() - Duration::from_secs(3600);
-        fs::File::options().append(true).open(path).unwrap().set_modified(past).unwrap();
-    };
-    let modified = |path: &Path| fs::metadata(path).unwrap().modified().unwrap();
+    let says = |text: &str, status: &str| text.contains(&format!("\"status\": \"{status}\""));
+    let (code, report) = with("eval.min_psnr=60");
+    assert!(code == Some(1) && says(&report, "failed"), "{report}");
+    let (code, report) = with("eval.min_psnr=0");
+    assert!(code == Some(0) && says(&report, "finished"), "the floor is gone: {report}");
+    let (code, report) = with("eval.min_psnr=61");
+    assert!(code == Some(1) && says(&report, "failed"), "it is missed again: {report}");
+    with("eval.min_psnr=0");
 
-    let before = modified(&html);
-    again();
-    assert_eq!(modified(&html), before, "a fresh report is not written again");
-    for path in [&html, &json] {
-        let text = read(path);
-        fs::write(path, &text[..text.len() / 2]).unwrap();
-        again();
-        assert!(whole(), "{} was torn", path.display());
-        fs::remove_file(path).unwrap();
-        again();
-        assert!(whole(), "{} was missing", path.display());
-        aged(path);
-        again();
-        assert!(modified(path) >= before, "{} was older than its run", path.display());
-        fs::write(path, read(path).replace(env!("CARGO_PKG_VERSION"), "0.0.0")).unwrap();
-        again();
-        assert!(!read(path).contains("0.0.0"), "{} was another version's", path.display());
+    let whole = files(&here.join("run"));
+    for name in whole.keys() {
+        let path = here.join("run").join(name);
+        let text = name.to_string_lossy();
+        // Without these it is another run, or none.
+        if ["config.toml", "plan.json", "metrics.jsonl"].iter().any(|kept| text == *kept)
+            || text.ends_with(".safetensors")
+        {
+            continue;
+        }
+        for torn in [true, false] {
+            match torn && !text.ends_with(".png") {
+                true => fs::write(&path, &whole[name][..whole[name].len() / 2]).unwrap(),
+                false => fs::remove_file(&path).unwrap(),
+            }
+            let (code, _) = with("eval.min_psnr=0");
+            assert_eq!(code, Some(0), "{text}");
+            let now = files(&here.join("run"));
+            assert!(now.keys().eq(whole.keys()), "{text} is missing: {:?}", now.keys());
+            if ["views.json", "error_vs_time.csv", "report.md", "report.tex"].contains(&text.as_ref()) {
+                assert!(now[name] == whole[name], "{text} is not what it was");
+            }
+            let page = String::from_utf8_lossy(&now[Path::new("report.html")]);
+            assert!(page.trim_end().ends_with("</html>") && page.contains(">finished</b>"), "{text}");
+            assert!(says(&String::from_utf8_lossy(&now[Path::new("report.json")]), "finished"), "{text}");
+        }
     }
 }
 

@@ -143,8 +143,17 @@ pub struct PlanArguments {
     #[arg(long, default_value = "runs/plan", value_name = "DIR")]
     pub out: PathBuf,
     /// Also write the decisions as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = ending("json"))]
     pub json: Option<PathBuf>,
+}
+
+/// Parser of the name of a file to write. A name of another kind is a slip, and would cost the file that has it.
+fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> + Clone {
+    move |name| {
+        let path = PathBuf::from(name);
+        let fits = path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
+        if fits { Ok(path) } else { Err(format!("the name of such a file ends in .{ending}")) }
+    }
 }
 
 /// Options of `eval`.
@@ -159,7 +168,7 @@ pub struct EvalArguments {
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
     /// Also write the result as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = ending("json"))]
     pub json: Option<PathBuf>,
 }
 
@@ -280,7 +289,7 @@ pub struct BakeArguments {
     /// Run folder or model file
     pub model: PathBuf,
     /// Model file to write [default: the same file]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = ending("safetensors"))]
     pub out: Option<PathBuf>,
     /// Override a setting of hybrid, renderer, backend, threads or wgpu
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
@@ -397,7 +406,7 @@ pub struct CheckArguments {
     #[arg(long, default_value_t = 0)]
     pub threads: u32,
     /// Write the table as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = ending("json"))]
     pub json: Option<PathBuf>,
 }
 
@@ -411,13 +420,13 @@ pub struct CompareArguments {
     #[arg(long, value_name = "DB,..", value_delimiter = ',', default_value = "25,28,30,32,33,34,35,36")]
     pub reach: Vec<f64>,
     /// Write the plot as SVG
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = ending("svg"))]
     pub svg: Option<PathBuf>,
     /// Write a page with the table, the plot and the runs' pictures
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = ending("html"))]
     pub html: Option<PathBuf>,
     /// Write the table as JSON
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = ending("json"))]
     pub json: Option<PathBuf>,
 }
 
@@ -437,7 +446,7 @@ pub enum DataAction {
         /// Folder of the scene; overrides data.root
         root: Option<PathBuf>,
         /// Also write a page: cameras and box from three sides, thumbnails, warnings and checks, in one file
-        #[arg(long, value_name = "FILE")]
+        #[arg(long, value_name = "FILE", value_parser = ending("html"))]
         html: Option<PathBuf>,
         /// Settings.
         #[command(flatten)]

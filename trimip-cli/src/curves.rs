@@ -134,7 +134,8 @@ pub fn reach_json(psnr: f64, reach: Option<Reach>) -> serde_json::Value {
     })
 }
 
-/// Parses the measurements of a CSV text, sorted by time, and the final one if a column `last` marks it.
+/// Parses the measurements of a CSV text, sorted by time, and the final one if a column `last` marks it. A line with an
+/// empty PSNR is an evaluation whose result was not a number.
 fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
     let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
     let header: Vec<&str> =
@@ -148,6 +149,9 @@ fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
     let mut rows = Vec::new();
     for (line, number) in lines {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        if cells.get(psnr) == Some(&"") {
+            continue;
+        }
         let value = |column: usize| {
             let cell = cells.get(column).copied().unwrap_or_default();
             cell.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(|| {
@@ -276,6 +280,7 @@ mod tests {
         assert!(message("seconds,psnr\n1,2\n").contains("psnr_mean"));
         assert!(message("seconds,psnr_mean\n1,2\n3\n").contains("x.csv:3"));
         assert!(message("seconds,psnr_mean\n1,nan\n").contains("x.csv:2"));
+        assert_eq!(read("seconds,psnr_mean\n1,20\n2,\n3,30\n").points.len(), 2);
         assert!(message("").contains("seconds") && message("seconds,psnr_mean\n").contains("no measures"));
     }
 }

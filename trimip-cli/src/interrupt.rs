@@ -4,8 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use trimip_core::{Error, Result};
 
-/// Exit code of a run that was stopped by Ctrl-C: 128 + SIGINT, the shell convention.
-pub const EXIT_CODE: u8 = 130;
+pub use trimip_core::STOPPED as EXIT_CODE;
 
 /// The flag of the single signal handler.
 static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
@@ -17,6 +16,7 @@ pub fn install() -> Result<Arc<AtomicBool>> {
     }
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
+    let ignored = hang_up::ignore();
     ctrlc::set_handler(move || {
         if flag.swap(true, Ordering::SeqCst) {
             std::process::exit(EXIT_CODE.into());
@@ -24,5 +24,30 @@ pub fn install() -> Result<Arc<AtomicBool>> {
         crate::terminal::note("\nstopping after this step and saving; press Ctrl-C again to end at once");
     })
     .map_err(|error| Error::run(format!("cannot watch for Ctrl-C: {error}")))?;
+    if ignored {
+        hang_up::ignore();
+    }
     Ok(Arc::clone(STOP.get_or_init(|| stop)))
+}
+
+/// The signal of a terminal that closes. `nohup` starts a program with it ignored, and it has to stay so.
+#[cfg(unix)]
+mod hang_up {
+    use nix::sys::signal::{SigHandler, Signal, signal};
+
+    /// Ignores the signal. True if it was ignored before.
+    pub fn ignore() -> bool {
+        // SAFETY: an ignored signal runs no code.
+        let before = unsafe { signal(Signal::SIGHUP, SigHandler::SigIgn) };
+        before.is_ok_and(|handler| matches!(handler, SigHandler::SigIgn))
+    }
+}
+
+/// This system has no such signal.
+#[cfg(not(unix))]
+mod hang_up {
+    /// Does nothing.
+    pub fn ignore() -> bool {
+        false
+    }
 }

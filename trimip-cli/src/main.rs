@@ -6,7 +6,6 @@ mod args;
 mod cameras;
 mod check;
 mod curves;
-mod fresh;
 mod interrupt;
 mod progress;
 mod report;
@@ -14,30 +13,38 @@ mod settings;
 mod terminal;
 mod verbs;
 
-use clap::{Parser, error::ErrorKind};
+use clap::{Parser, error::ErrorKind as Mistake};
 use std::process::ExitCode;
-use trimip_core::Error;
+use trimip_core::{Error, ErrorKind, Result};
 
 fn main() -> ExitCode {
     let arguments = match args::Arguments::try_parse() {
         Ok(arguments) => arguments,
         // Help and version are not errors. Other parse results are, and are printed on one line like every error.
-        Err(answer) if !answer.use_stderr() => answer.exit(),
-        Err(mistake) if mistake.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-            mistake.exit()
+        Err(answer) if !answer.use_stderr() => {
+            terminal::note_failure(answer.print());
+            return ended(Ok(0));
         }
+        Err(mistake) if mistake.kind() == Mistake::DisplayHelpOnMissingArgumentOrSubcommand => mistake.exit(),
         Err(mistake) => {
             let text = mistake.to_string();
             let what = text.split("\nUsage:").next().unwrap_or_default();
             let what =
                 what.split("\nFor more").next().unwrap_or_default().trim_start_matches("error: ").trim();
-            let error = Error::input("command line", what, "see trimip-cli --help");
-            terminal::error(&error);
-            return ExitCode::from(error.exit_code());
+            return ended(Err(Error::input("command line", what, "see trimip-cli --help")));
         }
     };
-    ExitCode::from(match verbs::run(arguments) {
+    ended(verbs::run(arguments))
+}
+
+/// The exit code of a program with this outcome. What could not be printed is an error of a program without another.
+fn ended(outcome: Result<u8>) -> ExitCode {
+    ExitCode::from(match outcome.and_then(|code| terminal::printed().map(|()| code)) {
         Ok(code) => code,
+        Err(error) if error.kind == ErrorKind::Stopped => {
+            terminal::note(&error);
+            error.exit_code()
+        }
         Err(error) => {
             terminal::error(&error);
             error.exit_code()

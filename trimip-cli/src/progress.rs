@@ -82,6 +82,7 @@ pub fn by_rows<T>(doing: &'static str, work: impl FnOnce(Watch<'_>) -> T) -> T {
     let result = work(&|done, total| {
         bar.set_length(total);
         bar.set_position(done);
+        true
     });
     bar.finish_and_clear();
     result

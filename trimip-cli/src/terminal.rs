@@ -1,9 +1,10 @@
-//! Output to the user: wrapped to a terminal's width, unwrapped otherwise. Failed writes to standard streams are
-//! ignored, so a closed pipe (`| head`) does not end a run.
+//! Output to the user: wrapped to a terminal's width, unwrapped otherwise. A failed write to standard output ends no run;
+//! the program's end tells of it, unless its reader had enough (`| head`).
 
-use std::io::{IsTerminal, Write};
-use trimip::Error;
+use std::io::{ErrorKind, IsTerminal, Write};
+use std::sync::OnceLock;
 pub use trimip::units::{bytes, count, duration, many, number};
+use trimip::{Error, Result};
 
 /// Assumed width of a terminal that does not report it, columns.
 const USUAL_WIDTH: usize = 80;
@@ -14,9 +15,35 @@ const LEAST_WIDTH: usize = 40;
 /// Indentation of the continuation lines of wrapped text, columns.
 const INDENT: usize = 4;
 
+/// The first failed write to standard output.
+static UNPRINTED: OnceLock<std::io::Error> = OnceLock::new();
+
 /// One line on standard output.
 pub fn line(text: impl std::fmt::Display) {
-    let _ = writeln!(std::io::stdout().lock(), "{text}");
+    note_failure(writeln!(std::io::stdout().lock(), "{text}"));
+}
+
+/// Whether all lines on standard output were written.
+///
+/// # Errors
+/// When one was not, for another reason than a closed pipe.
+pub fn printed() -> Result<()> {
+    note_failure(std::io::stdout().flush());
+    match UNPRINTED.get() {
+        Some(error) if error.kind() != ErrorKind::BrokenPipe => Err(Error::input(
+            "standard output",
+            format!("cannot write: {error}"),
+            "send it where there is room, and run the command again",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Keeps the first failure to write to standard output for [`printed`].
+pub fn note_failure(written: std::io::Result<()>) {
+    if let Err(error) = written {
+        let _ = UNPRINTED.set(error);
+    }
 }
 
 /// Prints prose on standard output, wrapped to the width of a terminal; one line otherwise.

@@ -62,6 +62,17 @@ pub struct Camera {
     pub origin: DVec3,
 }
 
+impl Camera {
+    /// All numbers of the camera. Equal cameras have equal numbers, and different ones differ in one.
+    pub fn numbers(&self) -> Vec<f64> {
+        let Intrinsics { width, height, fx, fy, cx, cy, lens } = self.intrinsics;
+        let plain = [width.into(), height.into(), fx, fy, cx, cy, f64::from(u8::from(lens.fisheye))];
+        let lens = [&lens.radial[..], &lens.denominator, &lens.tangential, &lens.prism].concat();
+        let pose = self.rotation.to_cols_array().into_iter().chain(self.origin.to_array());
+        plain.into_iter().chain(lens).chain(pose).collect()
+    }
+}
+
 /// The cone of one pixel: apex, unit axis, and the terms of Eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cone<R> {

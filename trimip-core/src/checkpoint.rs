@@ -7,6 +7,7 @@ use crate::{
     encoders,
     events::Totals,
     exposure,
+    fingerprint::Fingerprint,
     model::{Model, expect_format},
     tensors::{TensorFile, Values},
 };
@@ -42,6 +43,9 @@ pub struct TrainState {
     pub rays_per_step: u32,
     /// Marched samples per pixel of the last step, which sizes the next step's spans.
     pub marched_per_ray: f32,
+    /// The views that the run is trained on.
+    #[serde(default)]
+    pub data: Option<Fingerprint>,
 }
 
 /// True for tensors, beside moments, that only training needs.

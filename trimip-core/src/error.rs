@@ -1,5 +1,8 @@
-//! The error type of the workspace. Its kind tells the cause: the user's input, the run, or the device.
+//! The error type of the workspace. Its kind tells the cause: the user's input, the run, the device, or a stop.
 //! A message is one line: what was found, where, and what to do.
+
+/// Exit code of a program that was stopped: 128 + SIGINT, the shell convention.
+pub const STOPPED: u8 = 130;
 
 /// Cause of an [`Error`]; determines the exit code of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -10,6 +13,8 @@ pub enum ErrorKind {
     Run,
     /// The device is missing, too small or lost (exit code 3).
     Device,
+    /// The user stopped the program before it changed anything (exit code [`STOPPED`]).
+    Stopped,
 }
 
 /// An error: its cause and one line of text.
@@ -45,12 +50,19 @@ impl Error {
         Self { kind: ErrorKind::Device, message: one_line(message.to_string()) }
     }
 
-    /// 1 the run failed, 2 the input is wrong, 3 the device failed.
+    /// The user stopped the program before it changed anything.
+    pub fn stopped() -> Self {
+        let message = "stopped before anything was changed; the same command begins again";
+        Self { kind: ErrorKind::Stopped, message: message.into() }
+    }
+
+    /// 1 the run failed, 2 the input is wrong, 3 the device failed, 130 the user stopped the program.
     pub fn exit_code(&self) -> u8 {
         match self.kind {
             ErrorKind::Run => 1,
             ErrorKind::Input => 2,
             ErrorKind::Device => 3,
+            ErrorKind::Stopped => STOPPED,
         }
     }
 }

@@ -96,6 +96,12 @@ impl Measures {
     /// # Errors
     /// Of kind `Run`, with the measured value and the limit.
     pub fn judge(&self, eval: &EvalConfig) -> Result<()> {
+        if self.psnr.is_nan() {
+            return Err(Error::run(
+                "failed to learn: mean PSNR is not a number, pictures of the model are not finite, or no pixel of the test views is \
+                 compared; look at the pictures and the masks, or lower optimizer.learning_rate",
+            ));
+        }
         if eval.min_gain != 0.0 && !self.learned(eval.min_gain) {
             return Err(Error::run(format!(
                 "failed to learn: mean PSNR {:.2} dB, where each photograph's mean colour alone has {:.2} dB; look at the \
@@ -103,8 +109,7 @@ impl Measures {
                 self.psnr, self.psnr_constant
             )));
         }
-        // NaN is below every floor.
-        if eval.min_psnr > 0.0 && (self.psnr.is_nan() || self.psnr < eval.min_psnr) {
+        if eval.min_psnr > 0.0 && self.psnr < eval.min_psnr {
             return Err(Error::run(format!(
                 "mean PSNR {:.2} dB is below the floor eval.min_psnr = {}",
                 self.psnr, eval.min_psnr
@@ -205,7 +210,10 @@ mod tests {
         assert!(mean.judge(&eval(0.0, 1.0)).is_ok() && mean.judge(&eval(20.0, 0.0)).is_ok());
         assert_eq!(mean.judge(&eval(20.1, 1.0)).unwrap_err().exit_code(), 1);
         let blind = Measures { psnr: f64::NAN, ..mean };
-        assert!(blind.judge(&eval(0.0, 0.0)).is_ok() && blind.judge(&eval(1.0, 0.0)).is_err());
+        assert!(
+            blind.judge(&eval(0.0, 0.0)).unwrap_err().message.contains("not a number"),
+            "it is nobody's floor"
+        );
         assert!(blind.judge(&eval(0.0, 1.0)).unwrap_err().message.contains("failed to learn"));
         assert_eq!(Measures { psnr_opposite: 19.5, ..mean }.remark(), None);
         assert_eq!(Measures { psnr_opposite: f64::NAN, ..mean }.remark(), None);

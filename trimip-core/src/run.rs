@@ -40,6 +40,12 @@ pub trait Store {
     /// # Errors
     /// When the view cannot be stored.
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()>;
+    /// The final evaluation is complete: all of its views were received. Its result is told afterwards, so a result that
+    /// was told has its views stored.
+    ///
+    /// # Errors
+    /// When the views cannot be stored.
+    fn evaluated(&mut self) -> Result<()>;
 }
 
 /// How a run ended.
@@ -65,6 +71,9 @@ pub struct Run<'a> {
     pub events: &'a mut dyn EventSink,
     /// Set by another thread to stop the run after the current step.
     pub stop: &'a AtomicBool,
+    /// Counters at the last evaluation of an earlier part of the run; zero if there is none. Points of the curve that lie
+    /// between it and the beginning of this part were interrupted, and are made up for.
+    pub evaluated: Totals,
 }
 
 /// The extent of an evaluation.
@@ -118,11 +127,20 @@ impl Run<'_> {
     /// As [`Run::train_until`]; `kept` is the step of the last checkpoint.
     fn steps(&mut self, mut totals: Totals, last_step: u64, kept: &mut Option<u64>) -> Result<Outcome> {
         let mut points = evaluation_points(self.config.eval.points);
-        points.retain(|&point| point > self.progress(&totals));
+        points.retain(|&point| point > self.progress(&self.evaluated));
         let (mut saved, mut logged_totals) = (totals.seconds, totals);
         let mut keeper = Timekeeper::new(self.config.eval.share, self.config.eval.points);
         let mut told = self.tell(Vec::new());
         while self.progress(&totals) < 1.0 {
+            if points.first().is_some_and(|&point| point <= self.progress(&totals)) {
+                points.retain(|&point| point > self.progress(&totals));
+                match self.evaluate_on_the_way(&totals, &mut keeper) {
+                    Err(error) if error.kind != ErrorKind::Device => {
+                        return Err(self.save_after(error, &totals, kept));
+                    }
+                    evaluated => evaluated?,
+                }
+            }
             if self.stop.load(Ordering::Relaxed) || totals.step >= last_step {
                 self.save(&totals, kept)?;
                 self.events.emit(&Event::Stopped { totals });
@@ -148,26 +166,19 @@ impl Run<'_> {
             }
             let every = self.config.train.checkpoint_seconds;
             if every > 0.0 && totals.seconds - saved >= every && !done {
-                self.save(&totals, kept)?;
+                self.save_on_the_way(&totals, kept)?;
                 saved = totals.seconds;
             }
-            if points.first().is_some_and(|&point| point <= self.progress(&totals)) && !done {
-                points.retain(|&point| point > self.progress(&totals));
-                match self.evaluate_on_the_way(&totals, &mut keeper) {
-                    Err(error) if error.kind != ErrorKind::Device => {
-                        return Err(self.save_after(error, &totals, kept));
-                    }
-                    evaluated => {
-                        evaluated?;
-                    }
-                }
-            }
         }
-        self.save(&totals, kept)?;
+        let checkpoint = self.checkpoint(&totals, *kept)?;
+        let stored = self.store(&checkpoint, kept);
+        drop(checkpoint);
+        // Without its checkpoint the run has to be repeated from the last one, but its result may still be had.
         let model = self.session.finish()?;
-        self.store.model(&model)?;
+        self.store.model(&model).map_err(|error| stored.clone().err().unwrap_or(error))?;
         self.events.emit(&Event::Finished { totals });
-        self.evaluate_at_the_end(&totals, &mut keeper)
+        let outcome = self.evaluate_at_the_end(&totals, &mut keeper);
+        stored.and(outcome)
     }
 
     fn progress(&self, totals: &Totals) -> f64 {
@@ -211,8 +222,31 @@ impl Run<'_> {
     /// Stores a checkpoint and records its step.
     ///
     /// # Errors
-    /// When a value in the checkpoint is not finite. The last good checkpoint is then not overwritten.
+    /// As [`checkpoint`](Self::checkpoint) and [`store`](Self::store).
     fn save(&mut self, totals: &Totals, kept: &mut Option<u64>) -> Result<()> {
+        let checkpoint = self.checkpoint(totals, *kept)?;
+        self.store(&checkpoint, kept)
+    }
+
+    /// As [`save`](Self::save), but a checkpoint that cannot be stored is a warning: the disk may have room for the next
+    /// one.
+    fn save_on_the_way(&mut self, totals: &Totals, kept: &mut Option<u64>) -> Result<()> {
+        let checkpoint = self.checkpoint(totals, *kept)?;
+        if let Err(error) = self.store(&checkpoint, kept) {
+            let step = totals.step;
+            let message = format!(
+                "no checkpoint of step {step}: {error}; training goes on and tries again at the next one"
+            );
+            self.events.emit(&Event::Warning { message });
+        }
+        Ok(())
+    }
+
+    /// The checkpoint of the present state.
+    ///
+    /// # Errors
+    /// When a value in it is not finite. The last good checkpoint, of step `kept`, is then not overwritten.
+    fn checkpoint(&mut self, totals: &Totals, kept: Option<u64>) -> Result<Checkpoint> {
         let mut checkpoint = self.session.checkpoint()?;
         checkpoint.state.totals.seconds = totals.seconds;
         let step = checkpoint.state.totals.step;
@@ -224,7 +258,16 @@ impl Run<'_> {
                 "step {step}: {name}[{index}] is {value}, {kept}; lower optimizer.learning_rate"
             )));
         }
-        let bytes = self.store.checkpoint(&checkpoint)?;
+        Ok(checkpoint)
+    }
+
+    /// Stores a checkpoint, and notes its step in `kept`.
+    ///
+    /// # Errors
+    /// When the store has no room for it.
+    fn store(&mut self, checkpoint: &Checkpoint, kept: &mut Option<u64>) -> Result<()> {
+        let bytes = self.store.checkpoint(checkpoint)?;
+        let step = checkpoint.state.totals.step;
         *kept = Some(step);
         self.events.emit(&Event::Checkpoint { step, bytes });
         Ok(())
@@ -287,6 +330,7 @@ impl Run<'_> {
                 )));
             }
         };
+        self.store.evaluated()?;
         // The last point of the curve uses the same views as the other points.
         if self.config.eval.points > 0 && curve != look.stride && curve.is_multiple_of(look.stride) {
             self.report(&look.views, curve, curve, look.coarse, totals, false, started);

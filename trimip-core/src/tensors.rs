@@ -2,14 +2,21 @@
 //! a temporary name and renamed: a killed run leaves no partial file.
 
 use crate::{Error, Result};
-use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use safetensors::{
+    Dtype, SafeTensors,
+    tensor::{Metadata, TensorInfo},
+};
 use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Metadata key of the file format that holds our metadata as one JSON object. The format's own keys have no order, and
 /// the same run must write the same file.
 const METADATA: &str = "trimip";
+
+/// Bytes of the header's length, which stands before the header. The header is filled to a multiple of it.
+const LENGTH: usize = size_of::<u64>();
 
 /// Values of a tensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,24 +131,28 @@ impl TensorFile {
     /// # Errors
     /// When the file cannot be written.
     pub fn write(&self, path: &Path, metadata: &[(&str, String)]) -> Result<u64> {
-        let views = self
-            .tensors
-            .iter()
-            .map(|(name, tensor)| {
-                let (bytes, dtype) = tensor.bytes();
-                Ok((name, TensorView::new(dtype, tensor.shape.clone(), bytes).map_err(Error::run)?))
-            })
-            .collect::<Result<Vec<_>>>()?;
         let mut all = self.metadata.clone();
         all.extend(metadata.iter().map(|(key, value)| ((*key).to_string(), value.clone())));
-        let header =
-            HashMap::from([(METADATA.to_string(), serde_json::to_string(&all).map_err(Error::run)?)]);
-        replace_atomically(path, |temporary| {
-            // The writer makes its file readable by the owner only; restore the permissions of the user's mask.
-            let permissions = std::fs::File::create(temporary)?.metadata()?.permissions();
-            safetensors::serialize_to_file(views, Some(header), temporary).map_err(std::io::Error::other)?;
-            std::fs::set_permissions(temporary, permissions)?;
-            std::fs::metadata(temporary).map(|file| file.len())
+        // Wider types come first, so that every tensor is aligned.
+        let mut tensors: Vec<_> =
+            self.tensors.iter().map(|(name, tensor)| (name, tensor, tensor.bytes())).collect();
+        tensors.sort_by(|(a, _, (_, left)), (b, _, (_, right))| right.cmp(left).then(a.cmp(b)));
+        let mut end = 0;
+        let infos = tensors.iter().map(|(name, tensor, (bytes, dtype))| {
+            let start = end;
+            end += bytes.len();
+            let info = TensorInfo { dtype: *dtype, shape: tensor.shape.clone(), data_offsets: (start, end) };
+            ((*name).clone(), info)
+        });
+        let own = HashMap::from([(METADATA.to_string(), serde_json::to_string(&all).map_err(Error::run)?)]);
+        let header = Metadata::new(Some(own), infos.collect()).map_err(Error::run)?;
+        let mut header = serde_json::to_vec(&header).map_err(Error::run)?;
+        header.resize(header.len().next_multiple_of(LENGTH), b' ');
+        replace_atomically(path, |file| {
+            file.write_all(&(header.len() as u64).to_le_bytes())?;
+            file.write_all(&header)?;
+            tensors.iter().try_for_each(|(.., (bytes, _))| file.write_all(bytes))?;
+            Ok((LENGTH + header.len() + end) as u64)
         })
     }
 
@@ -210,30 +221,47 @@ fn wrong_tensor(file: &str, name: &str, kind: &str, shape: &[usize], found: Opti
 /// # Errors
 /// When the file cannot be written; the old one is then unchanged.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace_atomically(path, |temporary| std::fs::File::create(temporary)?.write_all(bytes))
+    replace_atomically(path, |file| file.write_all(bytes))
 }
 
-/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it. On failure the old file
-/// stays and the temporary one is removed.
-fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&Path) -> std::io::Result<T>) -> Result<T> {
-    let mut temporary = path.as_os_str().to_owned();
-    temporary.push(".tmp");
-    let temporary = Path::new(&temporary);
+/// The file that stands beside `path` while it is written. Only a process that was killed leaves it behind.
+pub fn temporary(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".tmp");
+    name.into()
+}
+
+/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it, which is flushed too. On
+/// failure the old file stays and the temporary one is removed.
+fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&mut File) -> std::io::Result<T>) -> Result<T> {
+    let temporary = temporary(path);
     let write = || {
-        let result = fill(temporary)?;
-        std::fs::OpenOptions::new().write(true).open(temporary)?.sync_all()?;
-        std::fs::rename(temporary, path)?;
+        let mut file = File::create(&temporary)?;
+        let result = fill(&mut file)?;
+        file.sync_all()?;
+        std::fs::rename(&temporary, path)?;
         Ok(result)
     };
-    write().map_err(|error: std::io::Error| {
+    let result = write().map_err(|error: std::io::Error| {
         // A partial file only takes space, on a disk that may be full.
-        let _ = std::fs::remove_file(temporary);
+        let _ = std::fs::remove_file(&temporary);
         Error::input(
             path.display(),
             format!("cannot write: {error}"),
             "choose a folder that can be written with --out",
         )
-    })
+    })?;
+    sync_folder_of(path);
+    Ok(result)
+}
+
+/// Flushes the entry of a file in its folder to the disk: without it a power failure may undo a rename. Systems that
+/// cannot open a folder, and file systems that cannot flush one, have no better promise to give.
+fn sync_folder_of(path: &Path) {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if let Ok(folder) = File::open(folder) {
+        let _ = folder.sync_all();
+    }
 }
 
 #[cfg(test)]
@@ -267,14 +295,48 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
         write_atomically(&path, b"old").unwrap();
-        let error = replace_atomically(&path, |temporary| {
-            std::fs::write(temporary, b"half of the ne")?;
+        let error = replace_atomically(&path, |file| {
+            file.write_all(b"half of the ne")?;
             Err::<(), _>(std::io::ErrorKind::StorageFull.into())
         })
         .unwrap_err();
         assert!(error.to_string().contains("cannot write"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn the_bytes_are_those_of_the_format() {
+        let file = sample();
+        let views = file.tensors.iter().map(|(name, tensor)| {
+            let (bytes, dtype) = tensor.bytes();
+            (name, safetensors::tensor::TensorView::new(dtype, tensor.shape.clone(), bytes).unwrap())
+        });
+        let own = [("format", "test"), ("more", "text")].map(|(key, value)| (key.to_string(), value));
+        let own = serde_json::to_string(&BTreeMap::from(own)).unwrap();
+        let expected =
+            safetensors::serialize(views, Some(HashMap::from([(METADATA.to_string(), own)]))).unwrap();
+        assert!(bytes() == expected);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_write_makes_one_temporary_file_of_a_known_name() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        replace_atomically(&path, |_| {
+            let names: Vec<_> =
+                std::fs::read_dir(folder.path())?.flatten().map(|entry| entry.path()).collect();
+            assert_eq!(names, [temporary(&path)]);
+            Ok(())
+        })
+        .unwrap();
+        // A plain file of the user has the same rights.
+        let rights = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
+        std::fs::write(folder.path().join("plain"), "").unwrap();
+        sample().write(&path, &[]).unwrap();
+        assert_eq!(rights(&path), rights(&folder.path().join("plain")));
     }
 
     #[test]

@@ -128,7 +128,7 @@ fn detect(config: &DataConfig) -> Result<Format> {
 }
 
 /// The layout that the files in a folder show.
-fn found(root: &Path) -> Option<Format> {
+pub(crate) fn found(root: &Path) -> Option<Format> {
     if root.join(METADATA).is_file() {
         Some(Format::Multiscale)
     } else if blender::undivided(root).is_file() || !blender::splits(root).is_empty() {

@@ -139,6 +139,7 @@ impl Source {
 
     /// Writes the pixels of each view to its slice.
     fn fill(&self, alpha: Alpha, slots: &mut [&mut [[u8; 4]]], meter: &Meter<'_>) -> Result<()> {
+        meter.goes_on()?;
         let Some((_, camera)) = self.views.first() else { return Ok(()) };
         let size = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
         match &self.pixels {

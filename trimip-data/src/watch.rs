@@ -1,18 +1,23 @@
 //! Progress of reading or rendering a scene, in rows of pixels.
 
 use crate::source::Source;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use trimip_core::{Error, Result};
 
-/// Receives, from any thread, how many rows of the finest views are done, and their total.
-pub type Watch<'a> = &'a (dyn Fn(u64, u64) + Sync);
+/// Receives, from any thread, how many rows of the finest views are done, and their total. False stops the work after the
+/// photographs at hand.
+pub type Watch<'a> = &'a (dyn Fn(u64, u64) -> bool + Sync);
 
 /// A [`Watch`] that does nothing.
-pub fn unwatched(_: u64, _: u64) {}
+pub fn unwatched(_: u64, _: u64) -> bool {
+    true
+}
 
 /// Counts rows for a watch.
 pub(crate) struct Meter<'a> {
     done: AtomicU64,
     total: u64,
+    stopped: AtomicBool,
     watch: Watch<'a>,
 }
 
@@ -20,13 +25,23 @@ impl<'a> Meter<'a> {
     /// A meter over all rows of `sources`; reports 0 rows to the watch.
     pub(crate) fn new<'s>(sources: impl IntoIterator<Item = &'s Source>, watch: Watch<'a>) -> Self {
         let total = sources.into_iter().map(Source::rows).sum();
-        watch(0, total);
-        Self { done: AtomicU64::new(0), total, watch }
+        let stopped = !watch(0, total);
+        Self { done: AtomicU64::new(0), total, stopped: stopped.into(), watch }
     }
 
     /// `rows` more are done.
     pub(crate) fn add(&self, rows: u64) {
         let done = self.done.fetch_add(rows, Ordering::Relaxed) + rows;
-        (self.watch)(done, self.total);
+        if !(self.watch)(done, self.total) {
+            self.stopped.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Whether the work is to go on.
+    ///
+    /// # Errors
+    /// Of kind `Stopped`, once the watch has returned false.
+    pub(crate) fn goes_on(&self) -> Result<()> {
+        if self.stopped.load(Ordering::Relaxed) { Err(Error::stopped()) } else { Ok(()) }
     }
 }

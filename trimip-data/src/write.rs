@@ -1,9 +1,11 @@
 //! Writing scenes: any scene as the public multi-scale layout, and the built-in scene as a Blender-layout folder.
-//! The JSON file is written last: a folder that has one is complete.
+//! The JSON file that names the set is written last: a folder that has one is complete. What was stopped before is made
+//! again by the same command. A file that is there already is never replaced.
 
 use crate::{
-    builtin,
+    blender, builtin, colmap,
     describe::count,
+    layout,
     lens::lens_terms,
     multiscale::METADATA,
     scene::Survey,
@@ -15,11 +17,13 @@ use std::{
     collections::BTreeSet,
     fmt::Display,
     fs,
+    io::{Cursor, ErrorKind},
     path::{Path, PathBuf},
 };
 use trimip_core::{
     Alpha, Camera, Error, Intrinsics, Result,
     config::{Convention, DataConfig, Format},
+    tensors::write_atomically,
 };
 
 /// Result of writing a scene.
@@ -74,7 +78,10 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
             "set it to \"object\", or data.masks to \"none\"",
         ));
     }
-    refuse_existing(&folder.join(METADATA))?;
+    // The source may be this folder, whose reading would change.
+    if layout::found(folder).is_some() {
+        return Err(exists(folder));
+    }
     let mut splits: Vec<(&str, &[Source])> = Vec::new();
     let mut rest = survey.train.as_slice();
     for (split, count) in &survey.train_splits {
@@ -107,7 +114,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
         summary.bytes += written.iter().sum::<u64>();
         metadata.insert(split.into(), columns(split, sources));
     }
-    write_json(&folder.join(METADATA), &Value::Object(metadata))?;
+    put(&folder.join(METADATA), Value::Object(metadata).to_string().as_bytes())?;
     Ok(summary)
 }
 
@@ -174,12 +181,14 @@ fn columns(split: &str, sources: &[Source]) -> Value {
 /// Settings out of range; a folder that cannot be written or holds a scene already.
 pub fn write_builtin(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Result<Summary> {
     let mut summary = Summary { folder: folder.into(), splits: Vec::new(), images: 0, bytes: 0 };
-    for split in ["train", "test"] {
-        refuse_existing(&folder.join(format!("transforms_{split}.json")))?;
-    }
     let single = DataConfig { scales: 1, format: Format::Builtin, ..config.clone() };
     let splits = ["train", "test"].map(|split| Ok((split, builtin::split(&single, split)?.sources)));
     let splits = splits.into_iter().collect::<Result<Vec<_>>>()?;
+    let documents: Vec<(PathBuf, String)> = splits
+        .iter()
+        .map(|(split, sources)| (folder.join(format!("transforms_{split}.json")), transforms(split, sources)))
+        .collect();
+    refuse_all_but(folder, &documents[1])?;
     let meter = Meter::new(splits.iter().flat_map(|(_, sources)| sources), watch);
     for (split, sources) in splits {
         create_folder(&folder.join(split))?;
@@ -188,20 +197,37 @@ pub fn write_builtin(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Re
             let path = folder.join(split).join(format!("{}.png", source.name));
             save(&path, set.pixels_of(0), &set.views[0].camera.intrinsics)
         })?;
-        let frames: Vec<Value> = sources
-            .iter()
-            .flat_map(|source| source.views.iter().map(move |(_, camera)| (source, camera)))
-            .map(|(source, camera)| {
-                json!({ "file_path": format!("./{split}/{}", source.name), "transform_matrix": pose(camera) })
-            })
-            .collect();
-        let document = json!({ "camera_angle_x": builtin::CAMERA_ANGLE_X, "frames": frames });
-        write_json(&folder.join(format!("transforms_{split}.json")), &document)?;
         summary.splits.push((split.into(), sources.len()));
         summary.images += sources.len();
         summary.bytes += bytes.iter().sum::<u64>();
     }
+    // The training split last: without it, a set is unfinished.
+    documents.iter().rev().try_for_each(|(path, text)| put(path, text.as_bytes()))?;
     Ok(summary)
+}
+
+/// The file of a split of the built-in scene.
+fn transforms(split: &str, sources: &[Source]) -> String {
+    let frames: Vec<Value> = sources
+        .iter()
+        .flat_map(|source| source.views.iter().map(move |(_, camera)| (source, camera)))
+        .map(|(source, camera)| {
+            json!({ "file_path": format!("./{split}/{}", source.name), "transform_matrix": pose(camera) })
+        })
+        .collect();
+    json!({ "camera_angle_x": builtin::CAMERA_ANGLE_X, "frames": frames }).to_string()
+}
+
+/// Refuses a folder that holds a data set, unless all of it is the file that an unfinished set begins with.
+fn refuse_all_but(folder: &Path, (first, text): &(PathBuf, String)) -> Result<()> {
+    let others =
+        folder.join(METADATA).exists() || blender::undivided(folder).exists() || colmap::is_there(folder);
+    let unfinished = match &blender::splits(folder)[..] {
+        [] => true,
+        [_] => fs::read(first).is_ok_and(|there| there == text.as_bytes()),
+        _ => false,
+    };
+    if others || !unfinished { Err(exists(folder)) } else { Ok(()) }
 }
 
 /// Camera-to-world rows.
@@ -213,8 +239,9 @@ fn pose(camera: &Camera) -> Value {
 
 /// Writes a PNG and returns its bytes.
 fn save(path: &Path, pixels: &[[u8; 4]], k: &Intrinsics) -> Result<u64> {
-    image::save_buffer_with_format(
-        path,
+    let mut png = Cursor::new(Vec::new());
+    image::write_buffer_with_format(
+        &mut png,
         pixels.as_flattened(),
         k.width,
         k.height,
@@ -222,22 +249,34 @@ fn save(path: &Path, pixels: &[[u8; 4]], k: &Intrinsics) -> Result<u64> {
         image::ImageFormat::Png,
     )
     .map_err(|error| unwritable(path, &error))?;
-    Ok(fs::metadata(path).map_or(0, |metadata| metadata.len()))
+    put(path, png.get_ref())?;
+    Ok(png.get_ref().len() as u64)
 }
 
-fn write_json(path: &Path, value: &Value) -> Result<()> {
-    fs::write(path, value.to_string()).map_err(|error| unwritable(path, &error))
+/// Writes a new file. One that is there with the same bytes, by a command that was stopped, is done.
+fn put(path: &Path, bytes: &[u8]) -> Result<()> {
+    match fs::read(path) {
+        Ok(there) if there == bytes => Ok(()),
+        Err(error) if error.kind() == ErrorKind::NotFound => write_atomically(path, bytes),
+        Ok(_) => Err(Error::input(
+            path.display(),
+            "exists already, and differs",
+            "choose another folder or remove it",
+        )),
+        Err(error) => Err(unwritable(path, &error)),
+    }
 }
 
 fn create_folder(path: &Path) -> Result<()> {
     fs::create_dir_all(path).map_err(|error| unwritable(path, &error))
 }
 
-fn refuse_existing(path: &Path) -> Result<()> {
-    if path.exists() {
-        return Err(Error::input(path.display(), "exists already", "choose another folder or remove it"));
-    }
-    Ok(())
+fn exists(folder: &Path) -> Error {
+    Error::input(
+        folder.display(),
+        "a data set exists already in this folder",
+        "choose another folder or remove it",
+    )
 }
 
 fn unwritable(path: &Path, error: &dyn Display) -> Error {

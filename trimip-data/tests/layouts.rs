@@ -225,7 +225,10 @@ fn progress_begins_at_nothing_rises_and_ends_with_every_row() {
     let train = rows(&open(&photographs).unwrap().train);
     let watched = |work: &dyn Fn(Watch<'_>)| {
         let told = std::sync::Mutex::new(Vec::new());
-        work(&|done, total| told.lock().unwrap().push((done, total)));
+        work(&|done, total| {
+            told.lock().unwrap().push((done, total));
+            true
+        });
         let mut told = told.into_inner().unwrap();
         assert_eq!(told[0].0, 0);
         // Threads tell in the order they come.

@@ -13,10 +13,8 @@ const BAR: u64 = 1000;
 
 /// Writes a model with its proxy.
 pub fn run(arguments: &BakeArguments) -> Result<u8> {
-    let path = match arguments.model.is_dir() {
-        true => run_folder::RunFolder::new(&arguments.model).model(),
-        false => arguments.model.clone(),
-    };
+    let folder = arguments.model.is_dir().then(|| run_folder::RunFolder::new(&arguments.model));
+    let path = folder.as_ref().map_or_else(|| arguments.model.clone(), run_folder::RunFolder::model);
     if arguments.model.is_dir() && !path.exists() {
         return Err(Error::input(
             arguments.model.display(),
@@ -24,6 +22,8 @@ pub fn run(arguments: &BakeArguments) -> Result<u8> {
             "train to the end first, or name a model file",
         ));
     }
+    // A run that goes on meanwhile would lose its model to this one.
+    let _held = folder.filter(|_| arguments.out.is_none()).map(|folder| folder.lock()).transpose()?;
     let mut model = Model::read(&path)?;
     settings::override_model(&mut model, &arguments.set)?;
     model.config.renderer.kind = RendererKind::Volume;

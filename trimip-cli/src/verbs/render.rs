@@ -43,6 +43,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
         check_video(arguments, video, &what, &cameras)?;
     }
     let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
+    view::expect_no_others(&out, &cameras, &what, format)?;
     run_folder::create_writable(&out)?;
     // Single views are quick; many go on where an interrupted command stopped.
     let mut job = match is_film(arguments) {
@@ -54,7 +55,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     backends::software_remark(&config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
     let ranged = what.contains(&Quantity::Depth).then_some(&config.scene);
-    write_cameras(&out.join("cameras.json"), &cameras, ranged)?;
+    write_cameras(&out.join(view::CAMERAS), &cameras, ranged)?;
 
     let rows = |camera: &Camera| u64::from(camera.intrinsics.height);
     let bar =

@@ -2,7 +2,6 @@
 
 use crate::{
     args::{ProgressStyle, TrainArguments},
-    fresh::report_is_fresh,
     interrupt,
     progress::{Display, Reading, table},
     report, settings, terminal,
@@ -56,8 +55,11 @@ pub fn train(training: Training, style: ProgressStyle) -> Result<Trained> {
         reading.finish();
         display.show(event);
     };
-    let listeners =
-        Listeners { events: &mut events, reading: &|done, total| reading.rows(done, total), stop: &stop };
+    let rows = |done, total| {
+        reading.rows(done, total);
+        !stop.load(Ordering::Relaxed)
+    };
+    let listeners = Listeners { events: &mut events, reading: &rows, stop: &stop };
     let trained = training.run_with(listeners);
     reading.finish();
     trained
@@ -73,7 +75,7 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     let status = match &trained.outcome {
         Ok(Ended::Finished) => Status::Finished,
         Ok(Ended::Stopped) => Status::Stopped,
-        Ok(Ended::Before) => return already_finished(trained, style, gather),
+        Ok(Ended::Before) => return already_finished(trained, style, &gather),
         Err(error) => Status::Failed(error.message.clone()),
     };
     let report = gather(status);
@@ -99,18 +101,17 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     Ok(if ended == Ended::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
 }
 
-/// Reports that the folder already holds this run, rewrites its report if stale, and returns its exit code.
+/// Tells that the folder already holds this run, writes its report again, and returns its exit code. The report may be
+/// that of an earlier stop, of another floor, or half of one.
 fn already_finished<'a>(
     trained: &'a Trained,
     style: ProgressStyle,
-    gather: impl Fn(Status) -> Report<'a>,
+    gather: &dyn Fn(Status) -> Report<'a>,
 ) -> Result<u8> {
     let (folder, floor) = (&trained.folder, trained.judge());
-    if !report_is_fresh(folder) {
-        let status =
-            floor.as_ref().map_or_else(|error| Status::Failed(error.message.clone()), |()| Status::Finished);
-        report::write(&gather(status), folder)?;
-    }
+    let status =
+        floor.as_ref().map_or_else(|error| Status::Failed(error.message.clone()), |()| Status::Finished);
+    report::write(&gather(status), folder)?;
     Display::new(style).show(&Event::Plan {
         lines: vec![format!(
             "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",

@@ -15,6 +15,7 @@ use crate::{
     encoders,
     exchange::{Alone, Exchange},
     exposure::{self, Exposures},
+    fingerprint::Fingerprint,
     hull::Hull,
     loaded::LoadedModel,
     model::Model,
@@ -61,6 +62,7 @@ impl<B: Backend> Trainer<B> {
         let exposures = (config.loss.exposure == Exposure::Gain)
             .then(|| exposure::photographs(&views).into_iter().max().map_or(0, |last| last as usize + 1))
             .map(Exposures::new);
+        let data = Some(Fingerprint::of(&views));
         let mut loaded = LoadedModel::build(backend, config, Some(views))?;
         if let Some(exposures) = &exposures {
             loaded.stages.loss.expose(&exposures.gains());
@@ -85,6 +87,7 @@ impl<B: Backend> Trainer<B> {
                     as u32)
                     .max(LEAST_RAYS),
                 marched_per_ray: FIRST_MARCHED_PER_RAY * cones as f32,
+                data,
                 ..TrainState::default()
             },
             loaded,

@@ -2,9 +2,9 @@
 
 use super::{Trainer, sums::Arrival, sums::Pending};
 use crate::{
-    Backend, Optimizer, Renderer, Result,
+    Backend, Error, Optimizer, Renderer, Result,
     backend::{Loss, Occupancy, Sampler},
-    checkpoint::{Checkpoint, OCCUPANCY_DENSITY},
+    checkpoint::{Checkpoint, OCCUPANCY_DENSITY, TrainState},
     config::FilePrecision,
     model::Model,
     run::progress,
@@ -53,6 +53,15 @@ impl<B: Backend> Trainer<B> {
 
     pub(super) fn thaw(&mut self, checkpoint: &Checkpoint) -> Result<()> {
         let name = "checkpoint";
+        let data = self.state.data;
+        let other = data.zip(checkpoint.state.data).and_then(|(ours, theirs)| ours.difference(&theirs));
+        if let Some(difference) = other {
+            return Err(Error::input(
+                "training photographs",
+                format!("not those that the run was begun with: {difference}"),
+                "bring them back, give --fresh to start the run anew, or another --out folder to keep both",
+            ));
+        }
         let densities = checkpoint.file.f32(name, OCCUPANCY_DENSITY, &[self.loaded.cells()])?;
         let first = self.layout().from_tensors(&checkpoint.file, name, ".m")?;
         let second = self.layout().from_tensors(&checkpoint.file, name, ".v")?;
@@ -66,7 +75,7 @@ impl<B: Backend> Trainer<B> {
         for (buffer, values) in self.loaded.stages.optimizer.moments_mut().into_iter().zip([first, second]) {
             self.loaded.backend.write(buffer, &values);
         }
-        self.state = checkpoint.state;
+        self.state = TrainState { data, ..checkpoint.state };
         self.left_out_before =
             self.state.totals.non_finite.saturating_sub(self.loaded.stages.optimizer.non_finite());
         let counted = |(spacing, sums)| Pending { spacing, sums: Arrival::Counted(sums) };

@@ -1,6 +1,6 @@
 //! The starting point of a run: fresh settings, the folder's checkpoint, or a finished run with a longer budget.
 
-use super::{folder::RunFolder, history::Evaluation, history::History};
+use super::{folder::RunFolder, history::Evaluation, history::History, store::FileStore};
 use crate::units;
 use trimip_core::{
     Config, Error, Result, Settings, adamw,
@@ -91,7 +91,8 @@ impl Beginning {
         Ok(Self { settings, findings, checkpoint: Some(checkpoint), extended: Some(extended) })
     }
 
-    /// Returns the history of the folder's run if it is this run, trained and evaluated.
+    /// Returns the history of the folder's run if it is this run, trained and evaluated, with the views and the pictures
+    /// of its evaluation.
     ///
     /// # Errors
     /// When the settings are invalid.
@@ -102,6 +103,7 @@ impl Beginning {
         let (config, totals) = (Config::from_settings(&self.settings)?, checkpoint.state.totals);
         let history = History::of(&super::history::up_to(folder.events(), totals.step));
         let done = progress(&config, &totals) >= 1.0 && folder.model().exists();
+        let done = done && (history.last().is_none() || FileStore::is_whole(folder));
         Ok((done && evaluated(&config, &history, &totals)).then_some(history))
     }
 }

@@ -13,6 +13,11 @@ pub fn write(path: &Path, history: &History) -> Result<()> {
     write_atomically(path, text(history).as_bytes())
 }
 
+/// A value with `digits` after the point; empty if it is not finite, as `compare` reads it.
+fn cell(value: f64, digits: usize) -> String {
+    if value.is_finite() { format!("{value:.digits$}") } else { String::new() }
+}
+
 /// Columns: seconds, step, samples, rays, stride, views, last, the means, then PSNR and SSIM of each scale.
 fn text(history: &History) -> String {
     let mut scales: Vec<u32> =
@@ -28,15 +33,22 @@ fn text(history: &History) -> String {
         let t = &e.totals;
         let views = e.scales.iter().map(|q| q.images).max().unwrap_or(0);
         text += &format!(
-            "{:.3},{},{},{},{},{views},{},{:.4},{:.6}",
-            t.seconds, t.step, t.samples, t.rays, e.stride, e.last, e.psnr, e.ssim
+            "{:.3},{},{},{},{},{views},{},{},{}",
+            t.seconds,
+            t.step,
+            t.samples,
+            t.rays,
+            e.stride,
+            e.last,
+            cell(e.psnr, 4),
+            cell(e.ssim, 6)
         );
         let of = |scale: &u32| e.scales.iter().find(|q| q.scale == *scale);
         for scale in &scales {
-            text += &of(scale).map_or(",".into(), |q| format!(",{:.4}", q.measures.psnr));
+            text += &format!(",{}", of(scale).map_or(String::new(), |q| cell(q.measures.psnr, 4)));
         }
         for scale in &scales {
-            text += &of(scale).map_or(",".into(), |q| format!(",{:.6}", q.measures.ssim));
+            text += &format!(",{}", of(scale).map_or(String::new(), |q| cell(q.measures.ssim, 6)));
         }
         text.push('\n');
     }
@@ -96,6 +108,8 @@ mod tests {
             lines[1],
             "1.000,10,10000,100,5,8,false,20.0000,0.900000,19.0000,21.0000,0.900000,0.900000"
         );
+        let nothing = super::text(&History::of(&[evaluation(10, 5, false, f64::NAN)]));
+        assert!(nothing.ends_with(",8,false,,0.900000,,,0.900000,0.900000\n"), "{nothing}");
         let columns = |line: &str| line.split(',').count();
         assert!(lines.iter().all(|line| columns(line) == columns(lines[0])));
     }

@@ -1,10 +1,15 @@
 //! The folder of a run: names of its files, its state, reading and writing its events.
 
 use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use trimip_core::{
-    Config, Error, Result, checkpoint::Checkpoint, events::Event, model::Model, scene_plan::Finding,
-    tensors::write_atomically,
+    Config, Error, Result,
+    checkpoint::Checkpoint,
+    events::Event,
+    model::Model,
+    scene_plan::Finding,
+    tensors::{temporary, write_atomically},
 };
 
 /// Paths of a run's files.
@@ -210,6 +215,22 @@ impl RunFolder {
         ours.map(|entry| entry.path()).collect()
     }
 
+    /// Removes what a killed process left half written. Of a locked folder no other process writes these files.
+    pub fn sweep(&self) {
+        if !self.is_ours() {
+            return;
+        }
+        let entries = std::fs::read_dir(self.images()).into_iter().flatten().flatten();
+        let half = entries.map(|entry| entry.path()).filter(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.strip_suffix(".tmp").is_some_and(is_picture)
+        });
+        for path in self.files().iter().map(|path| temporary(path)).chain(half) {
+            // One that cannot be removed only takes space.
+            let _ = std::fs::remove_file(path);
+        }
+    }
+
     /// Protects a configuration file that a new run would overwrite with its effective settings.
     ///
     /// # Errors
@@ -291,11 +312,10 @@ pub fn picture_stem(index: usize, photograph: &str, scale: u32) -> String {
 /// # Errors
 /// When it cannot be written.
 pub fn create_writable(folder: &Path) -> Result<()> {
-    let probe = folder.join(format!("probe-{}.tmp", std::process::id()));
     let attempt = || {
         std::fs::create_dir_all(folder)?;
-        std::fs::write(&probe, b"x")?;
-        std::fs::remove_file(&probe)
+        // A file without a name: whatever ends the process leaves nothing.
+        tempfile::tempfile_in(folder)?.write_all(b"x")
     };
     attempt().map_err(|error| {
         Error::input(
@@ -350,6 +370,22 @@ mod tests {
         assert!(folder.spare(&folder.root().join("other.toml")).is_ok());
         drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
         assert!(folder.spare(&folder.config()).is_ok(), "a run wrote it");
+    }
+
+    #[test]
+    fn what_a_killed_process_left_half_written_is_swept_up_in_a_folder_of_a_run_alone() {
+        let (_keep, folder) = folder();
+        folder.prepare_images().unwrap();
+        let picture = folder.images().join(format!("{}.png", picture_stem(3, "r_3", 1)));
+        let half: Vec<_> = folder.files().into_iter().chain([picture]).map(|path| temporary(&path)).collect();
+        let theirs = [folder.root().join("notes.tmp"), folder.images().join("r_3.png.tmp")];
+        half.iter().chain(&theirs).for_each(|path| std::fs::write(path, "x").unwrap());
+        folder.sweep();
+        assert!(half.iter().chain(&theirs).all(|path| path.exists()), "no run wrote this folder");
+        drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
+        half.iter().for_each(|path| std::fs::write(path, "x").unwrap());
+        folder.sweep();
+        assert!(half.iter().all(|path| !path.exists()) && theirs.iter().all(|path| path.exists()));
     }
 
     #[test]

@@ -157,6 +157,12 @@ impl History {
         self.last().or(self.evaluations.last())
     }
 
+    /// Counters at the last step that was evaluated; zero if none was.
+    pub fn last_evaluated(&self) -> Totals {
+        let totals = self.evaluations.iter().map(|evaluation| evaluation.totals);
+        totals.max_by_key(|totals| totals.step).unwrap_or_default()
+    }
+
     /// The evaluations drawn as one line, in step order: the largest group on the same test views at the same scales.
     pub fn curve(&self) -> Vec<&Evaluation> {
         let views = |e: &Evaluation| (e.stride, e.scales.first().map_or(0, |scale| scale.scale));

@@ -2,7 +2,7 @@
 
 use super::{csv, folder::RunFolder, history::History};
 use std::fs::File;
-use std::io::Write;
+use std::io::{Result as IoResult, Write};
 use trimip_core::{
     Error, Result,
     events::{Event, EventSink},
@@ -13,7 +13,7 @@ pub struct Recorder<'a> {
     /// The history accumulated from the events.
     pub history: History,
     listener: &'a mut dyn EventSink,
-    metrics: File,
+    metrics: Backlog<File>,
     folder: RunFolder,
     failure: Option<Error>,
 }
@@ -27,13 +27,13 @@ impl<'a> Recorder<'a> {
         Ok(Self {
             history: History::of(kept),
             listener,
-            metrics: folder.restart_events(kept)?,
+            metrics: Backlog { file: folder.restart_events(kept)?, unwritten: Vec::new() },
             folder: folder.clone(),
             failure: None,
         })
     }
 
-    /// Returns the history and the first failure to write events.
+    /// Returns the history, and why the last events could not be written.
     pub fn into_parts(self) -> (History, Option<Error>) {
         (self.history, self.failure)
     }
@@ -42,10 +42,13 @@ impl<'a> Recorder<'a> {
         let mut line = serde_json::to_string(event).map_err(Error::run)?;
         line.push('\n');
         let place = self.folder.metrics();
-        self.metrics.write_all(line.as_bytes()).map_err(|error| {
+        let evaluation = matches!(event, Event::Evaluation { .. });
+        // The evaluations before a checkpoint reach the disk before it: a power failure leaves no gap in the curve.
+        let synced = |file: &File| if evaluation { file.sync_data() } else { Ok(()) };
+        self.metrics.write(line.as_bytes()).and_then(|()| synced(&self.metrics.file)).map_err(|error| {
             Error::input(place.display(), format!("cannot write: {error}"), "free some disk space")
         })?;
-        if matches!(event, Event::Evaluation { .. }) {
+        if evaluation {
             csv::write(&self.folder.curve(), &self.history)?;
         }
         Ok(())
@@ -55,13 +58,67 @@ impl<'a> Recorder<'a> {
 impl EventSink for Recorder<'_> {
     fn emit(&mut self, event: &Event) {
         self.history.take(event);
-        // A full disk must not end hours of training before the last checkpoint is attempted.
+        // A full disk must not end hours of training before the last checkpoint is attempted. The failure is over once
+        // everything is written.
         // The progress of an evaluation is of no use once it is over.
-        if !matches!(event, Event::EvaluationProgress { .. })
-            && let Err(error) = self.write(event)
-        {
-            self.failure.get_or_insert(error);
+        if !matches!(event, Event::EvaluationProgress { .. }) {
+            self.failure = self.write(event).err();
         }
         self.listener.emit(event);
+    }
+}
+
+/// A writer that keeps what it could not write and begins with it the next time.
+struct Backlog<W> {
+    file: W,
+    unwritten: Vec<u8>,
+}
+
+impl<W: Write> Backlog<W> {
+    fn write(&mut self, bytes: &[u8]) -> IoResult<()> {
+        self.unwritten.extend_from_slice(bytes);
+        while !self.unwritten.is_empty() {
+            match self.file.write(&self.unwritten) {
+                Ok(0) => return Err(std::io::ErrorKind::WriteZero.into()),
+                Ok(written) => drop(self.unwritten.drain(..written)),
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A disk with room for some bytes.
+    struct Disk {
+        held: Vec<u8>,
+        room: usize,
+    }
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> IoResult<usize> {
+            let written = bytes.len().min(self.room);
+            self.room -= written;
+            self.held.extend_from_slice(&bytes[..written]);
+            if written == 0 { Err(std::io::ErrorKind::StorageFull.into()) } else { Ok(written) }
+        }
+
+        fn flush(&mut self) -> IoResult<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn what_a_full_disk_did_not_take_is_written_when_it_has_room() {
+        let mut log = Backlog { file: Disk { held: Vec::new(), room: 8 }, unwritten: Vec::new() };
+        log.write(b"first\n").unwrap();
+        assert!(log.write(b"second\n").is_err() && log.write(b"third\n").is_err());
+        log.file.room = 100;
+        log.write(b"fourth\n").unwrap();
+        assert_eq!(log.file.held, b"first\nsecond\nthird\nfourth\n");
     }
 }

@@ -11,6 +11,12 @@ use trimip_core::{
     tensors::write_atomically,
 };
 
+/// What the file name of a comparison has after that of its picture.
+const COMPARISON: &str = "_compare";
+
+/// Most bytes of a photograph's name in the name of its picture. File names have up to 255 bytes.
+const LONGEST: usize = 160;
+
 /// One view of the final evaluation, as stored in `views.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewRecord {
@@ -57,15 +63,9 @@ impl<'a> FileStore<'a> {
         Self { folder, picked: Vec::new(), images, records: Vec::new(), worst: None, best: None }
     }
 
-    /// Writes the worst and the best view and `views.json`, and removes pictures of an earlier evaluation. Call it when
-    /// the final evaluation is complete. With `eval.images = 0` it writes no pictures.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
-    pub fn finish(&mut self) -> Result<()> {
-        if self.records.is_empty() {
-            return Ok(());
-        }
+    /// Writes the worst and the best view and `views.json`, and removes pictures of an earlier evaluation. With
+    /// `eval.images = 0` it writes no pictures.
+    fn finish(&mut self) -> Result<()> {
         for extreme in [self.worst.take(), self.best.take()].into_iter().flatten() {
             self.records[extreme.record].comparison =
                 Some(self.write(&extreme.stem, extreme.rendered, extreme.sheet)?);
@@ -73,7 +73,7 @@ impl<'a> FileStore<'a> {
         let kept: Vec<_> = self.records.iter().filter_map(|record| record.comparison.as_deref()).collect();
         for path in self.folder.pictures() {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            if !kept.iter().any(|keep| *keep == name || keep.replace("_compare", "") == name) {
+            if !kept.iter().any(|keep| *keep == name || keep.replace(COMPARISON, "") == name) {
                 // A picture that cannot be removed does no harm: no file refers to it.
                 let _ = std::fs::remove_file(path);
             }
@@ -86,16 +86,27 @@ impl<'a> FileStore<'a> {
 
     /// Writes a view's picture and its comparison; returns the file name of the comparison.
     fn write(&self, stem: &str, rendered: RgbImage, sheet: RgbImage) -> Result<String> {
-        let (images, name) = (self.folder.images(), format!("{stem}_compare.png"));
+        let (images, name) = (self.folder.images(), format!("{stem}{COMPARISON}.png"));
         pictures::write_png(&images.join(format!("{stem}.png")), rendered)?;
         pictures::write_png(&images.join(&name), sheet)?;
         Ok(name)
     }
 
-    /// Reads the views of the final evaluation that `finish` wrote; empty if there was none.
+    /// Reads the views of the final evaluation; empty if there was none.
     pub fn read(folder: &RunFolder) -> Vec<ViewRecord> {
-        let text = std::fs::read_to_string(folder.views()).unwrap_or_default();
-        serde_json::from_str(&text).unwrap_or_default()
+        Self::recorded(folder).unwrap_or_default()
+    }
+
+    /// True if `views.json` and every picture that it names are there.
+    pub fn is_whole(folder: &RunFolder) -> bool {
+        let there = |name: &str| folder.images().join(name).is_file();
+        let pictured = |comparison: &String| there(comparison) && there(&comparison.replace(COMPARISON, ""));
+        Self::recorded(folder)
+            .is_some_and(|views| views.iter().filter_map(|view| view.comparison.as_ref()).all(pictured))
+    }
+
+    fn recorded(folder: &RunFolder) -> Option<Vec<ViewRecord>> {
+        serde_json::from_slice(&std::fs::read(folder.views()).ok()?).ok()
     }
 }
 
@@ -142,16 +153,27 @@ impl Store for FileStore<'_> {
         });
         Ok(())
     }
+
+    fn evaluated(&mut self) -> Result<()> {
+        self.finish()
+    }
 }
 
 fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// The last component of a photograph's name without extension, safe as a file name.
+/// The last component of a photograph's name without extension, safe as a file name: at most [`LONGEST`] bytes, so that
+/// what stands before and after it in a picture's name fits beside it.
 pub fn file_stem(name: &str) -> String {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
-    stem.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
+    let safe = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+    let mut length = 0;
+    let fits = |letter: &char| {
+        length += letter.len_utf8();
+        length <= LONGEST
+    };
+    stem.chars().map(safe).take_while(fits).collect()
 }
 
 #[cfg(test)]
@@ -175,7 +197,9 @@ mod tests {
                 store.view(&ViewResult { index, name: &name, scale, rendered, target, psnr, ssim }).unwrap();
             }
         }
-        store.finish().unwrap();
+        assert!(!FileStore::is_whole(&folder), "its evaluation is not over");
+        store.evaluated().unwrap();
+        assert!(FileStore::is_whole(&folder));
         let pictured: Vec<_> = FileStore::read(&folder)
             .into_iter()
             .filter_map(|view| view.comparison.map(|file| (view.index, view.scale, file)))
@@ -184,11 +208,25 @@ mod tests {
         assert_eq!(places, [(0, 1), (0, 2), (1, 1), (3, 1)]);
         assert!(pictured.iter().all(|(_, _, file)| folder.images().join(file).exists()));
         assert_eq!(folder.pictures().len(), 8);
+        for path in folder.pictures().into_iter().chain([folder.views()]) {
+            let bytes = std::fs::read(&path).unwrap();
+            std::fs::remove_file(&path).unwrap();
+            assert!(!FileStore::is_whole(&folder), "{} is missing", path.display());
+            std::fs::write(&path, bytes).unwrap();
+        }
+        assert!(FileStore::is_whole(&folder));
     }
 
     #[test]
     fn names_of_photographs_become_safe_file_names() {
         assert_eq!(file_stem("./test/r 0.png"), "r_0");
         assert_eq!(file_stem("../../etc/pass:wd"), "pass_wd");
+        // The longest names that a file system has, of one and of several bytes a letter.
+        for letter in ["n", "é", "視"] {
+            let name = letter.repeat(251 / letter.len());
+            let stem = picture_stem(usize::MAX, &file_stem(&format!("{name}.png")), u32::MAX);
+            assert!(format!("{stem}{COMPARISON}.png.tmp").len() <= 255, "{stem}");
+            assert!(name.starts_with(&file_stem(&name)) && file_stem(&name).len() > LONGEST - letter.len());
+        }
     }
 }

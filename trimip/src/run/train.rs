@@ -79,7 +79,7 @@ pub struct Trained {
     pub history: History,
     /// How the training ended, or why it failed. Progress before a failure is saved.
     pub outcome: Result<Ended>,
-    /// The first failure to write events to the folder.
+    /// Why the folder lacks the last events.
     pub unwritten: Option<Error>,
     _held: Lock,
 }
@@ -185,6 +185,7 @@ impl Training {
                 (Beginning::extend(folder, *seconds, assignments)?, held)
             }
         };
+        folder.sweep();
         if let Some(history) = begin.finished(folder)? {
             let config = Config::from_settings(&begin.settings)?;
             return Ok(Trained {
@@ -261,6 +262,7 @@ impl Training {
             None => {}
         }
         let mut store = FileStore::new(folder, config.eval.images as usize);
+        let evaluated = recorder.history.last_evaluated();
         let last_step = self.stop_after.map_or(u64::MAX, |steps| totals.step.saturating_add(steps));
         let outcome = Run {
             config: &config,
@@ -269,6 +271,7 @@ impl Training {
             store: &mut store,
             events: &mut recorder,
             stop: listeners.stop,
+            evaluated,
         }
         .train_until(totals, last_step);
 
@@ -279,9 +282,6 @@ impl Training {
             peak_memory_bytes: machine::peak_memory(),
             provenance: provenance::here_and_now(scene.test.len()),
         });
-        if recorder.history.last().is_some() && !matches!(outcome, Ok(Outcome::Stopped)) {
-            store.finish()?;
-        }
         let (history, unwritten) = recorder.into_parts();
         let outcome = outcome.map(|outcome| match outcome {
             Outcome::Finished => Ended::Finished,

@@ -111,6 +111,40 @@ pub fn depth_range(scene: &SceneConfig, camera: &Camera) -> DepthRange {
     DepthRange { near: near as f32, far: (depth + radius).max(near + radius) as f32 }
 }
 
+/// Name of the file of cameras beside the pictures.
+pub const CAMERAS: &str = "cameras.json";
+
+/// What `written_by` of the file of cameras says. Pictures beside such a file are this program's.
+const WRITER: &str = "trimip";
+
+/// Refuses a folder with a file that this program did not write and that the pictures of these views, or their cameras,
+/// would replace. Writes nothing.
+///
+/// # Errors
+/// When there is such a file; the message names it.
+pub fn expect_no_others(
+    folder: &Path,
+    views: &[cameras::Named],
+    what: &[Quantity],
+    format: PictureFormat,
+) -> Result<()> {
+    let own = folder.join(CAMERAS);
+    let text = std::fs::read_to_string(&own).unwrap_or_default();
+    let document: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+    if document["written_by"] == WRITER {
+        return Ok(());
+    }
+    let pictures = views.iter().flat_map(|(name, _)| paths(folder, name, what, format));
+    match [own].into_iter().chain(pictures).find(|path| path.exists()) {
+        None => Ok(()),
+        Some(path) => Err(Error::input(
+            path.display(),
+            "would be replaced, and no rendering wrote it",
+            "choose another --out folder, or move this file away",
+        )),
+    }
+}
+
 /// Writes the cameras in the layout that `--path` reads; with `scene`, each camera has its depth range in world units.
 ///
 /// # Errors
@@ -136,7 +170,8 @@ pub fn write_cameras(path: &Path, cameras: &[cameras::Named], scene: Option<&Sce
             frame
         })
         .collect();
-    let text = serde_json::to_string_pretty(&json!({ "frames": frames })).map_err(Error::run)?;
+    let text = serde_json::to_string_pretty(&json!({ "written_by": WRITER, "frames": frames }))
+        .map_err(Error::run)?;
     write_atomically(path, text.as_bytes())
 }
 
@@ -181,6 +216,27 @@ mod tests {
             let range = ranged.map(|scene| depth_range(scene, &camera));
             assert_eq!(stated, [range.map(|range| range.near), range.map(|range| range.far)]);
         }
+    }
+
+    #[test]
+    fn files_of_others_are_named_and_those_of_a_rendering_are_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let (here, views) =
+            (folder.path(), [("a".to_string(), look_at("3,1,2/0,0,0", Intrinsics::from_angle(1, 1, 1.0)))]);
+        let check =
+            || expect_no_others(here, &views, &[Quantity::Color, Quantity::Depth], PictureFormat::Png);
+        for name in ["a_color.png", "a_depth.png", CAMERAS] {
+            check().unwrap();
+            std::fs::write(here.join(name), "{\"frames\": []}").unwrap();
+            let error = check().unwrap_err();
+            assert!(error.exit_code() == 2 && error.message.contains(name), "{error}");
+            std::fs::remove_file(here.join(name)).unwrap();
+        }
+        std::fs::write(here.join("b_color.png"), "mine").unwrap();
+        check().unwrap();
+        write_cameras(&here.join(CAMERAS), &views, None).unwrap();
+        std::fs::write(here.join("a_color.png"), "a picture").unwrap();
+        check().unwrap();
     }
 
     #[test]

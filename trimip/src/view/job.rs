@@ -107,12 +107,7 @@ fn identity(model: &Model, cameras: &[Named], what: &[Quantity], format: Picture
     }
     for (name, camera) in cameras {
         hash.write(name.as_bytes());
-        let k = camera.intrinsics;
-        let numbers = [f64::from(k.width), f64::from(k.height), k.fx, k.fy, k.cx, k.cy];
-        let (lens, fisheye) = (k.lens, f64::from(u8::from(k.lens.fisheye)));
-        let lens = [&lens.radial[..], &lens.denominator, &lens.tangential, &lens.prism, &[fisheye]].concat();
-        let pose = camera.rotation.to_cols_array().into_iter().chain(camera.origin.to_array());
-        numbers.into_iter().chain(pose).chain(lens).for_each(|number| hash.write_u64(number.to_bits()));
+        camera.numbers().into_iter().for_each(|number| hash.write_u64(number.to_bits()));
     }
     hash.write(format!("{what:?} {format:?}").as_bytes());
     hash.finish()

@@ -10,6 +10,6 @@ pub mod turntable;
 pub mod video;
 
 pub use cameras::Named;
-pub use files::{PictureFormat, Quantity, depth_range, write, write_cameras};
+pub use files::{CAMERAS, PictureFormat, Quantity, depth_range, expect_no_others, write, write_cameras};
 pub use job::Job;
 pub use measure::{Measured, Watching, evaluate};

@@ -1,0 +1,92 @@
+//! Files of others: no verb replaces what a user would not expect it to.
+
+use std::{fs, path::Path};
+use trimip_tests::{
+    binary::{run, tiny, tiny_and},
+    files::files,
+};
+
+/// Asserts that the program refuses in one line that contains `parts`, and changes no file.
+fn refuses(here: &Path, arguments: &[&str], parts: &[&str]) {
+    let before = files(here);
+    let answer = run(here, arguments);
+    assert_eq!(answer.code, Some(2), "{arguments:?}: {answer:?}");
+    assert!(
+        answer.err.starts_with("error: ") && answer.err.trim_end().lines().count() == 1,
+        "{}",
+        answer.err
+    );
+    for part in parts {
+        assert!(answer.err.contains(part), "no `{part}` in {}", answer.err);
+    }
+    let after = files(here);
+    for (path, bytes) in &before {
+        assert!(after.get(path) == Some(bytes), "{arguments:?}: {} was changed", path.display());
+    }
+}
+
+fn done(here: &Path, arguments: &[&str]) {
+    let answer = run(here, arguments);
+    assert_eq!(answer.code, Some(0), "{arguments:?}: {}", answer.err);
+}
+
+#[test]
+fn pictures_do_not_replace_those_of_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    done(here, &tiny_and(&["--out", "run"]));
+    for name in ["cameras.json", "0000_r_0_color.png", "0000_r_0_depth.png"] {
+        let out = here.join("mine");
+        fs::create_dir(&out).unwrap();
+        fs::write(out.join(name), "{\"frames\": []}").unwrap();
+        refuses(here, &["render", "run", "--what", "color,depth", "--out", "mine"], &[name, "--out"]);
+        fs::remove_dir_all(out).unwrap();
+    }
+    // Its own pictures are rendered again.
+    (0..2).for_each(|_| done(here, &["render", "run", "--out", "mine"]));
+}
+
+#[test]
+fn a_file_of_another_kind_is_no_place_for_a_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    done(here, &tiny_and(&["--out", "run"]));
+    fs::copy(here.join("run/error_vs_time.csv"), here.join("peer.csv")).unwrap();
+    for option in ["--html", "--svg", "--json"] {
+        refuses(here, &["compare", "run", option, "peer.csv"], &["peer.csv", option]);
+    }
+    refuses(here, &["eval", "run", "--json", "peer.csv"], &["peer.csv", ".json"]);
+    refuses(here, &["bake", "run", "--out", "peer.csv"], &["peer.csv", ".safetensors"]);
+}
+
+#[test]
+fn a_written_set_replaces_nothing_and_one_that_was_stopped_is_made_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let builtin = [&["data", "builtin", "scene"][..], &tiny()].concat();
+    done(here, &builtin);
+    let whole = files(here);
+    refuses(here, &builtin, &["scene", "exists already"]);
+    // The picture of another, in a folder without a set.
+    fs::remove_file(here.join("scene/transforms_train.json")).unwrap();
+    fs::write(here.join("scene/train/r_1.png"), "mine").unwrap();
+    refuses(here, &builtin, &["train/r_1.png"]);
+    fs::remove_file(here.join("scene/train/r_1.png")).unwrap();
+    // However far it came, it is made again: each file that is missing, in the order of their writing, and half of one.
+    let order = ["test/r_1.png", "transforms_test.json", "transforms_train.json"];
+    for missing in 0..order.len() {
+        for name in order[missing..].iter().chain(&["transforms_train.json"]) {
+            let _ = fs::remove_file(here.join("scene").join(name));
+        }
+        fs::write(here.join("scene/transforms_train.json.tmp"), "{").unwrap();
+        done(here, &builtin);
+        assert!(files(here) == whole, "without {}", order[missing]);
+    }
+    // A set in a folder that another set is read from would hide it.
+    refuses(here, &["data", "multiscale", "scene", "--root", "scene"], &["scene", "exists already"]);
+    refuses(here, &["data", "multiscale", "./scene/../scene", "--root", "scene"], &["exists already"]);
+    done(here, &["data", "multiscale", "levels", "--root", "scene"]);
+    refuses(here, &[&["data", "builtin", "levels"][..], &tiny()].concat(), &["levels", "exists already"]);
+    fs::remove_file(here.join("levels/metadata.json")).unwrap();
+    done(here, &["data", "multiscale", "levels", "--root", "scene"]);
+}

@@ -1,0 +1,67 @@
+//! Signals of the system: one that was ignored when the program began stays ignored, and one that comes before the first
+//! step ends the program at once.
+
+#![cfg(unix)]
+
+use std::{
+    io::{BufRead, BufReader},
+    path::Path,
+    process::{Child, Command, Stdio},
+};
+use trimip_tests::{
+    binary::{command, program, tiny_and},
+    files::files,
+};
+
+fn send(signal: &str, child: &Child) {
+    let status = Command::new("kill").args([signal, &child.id().to_string()]).status();
+    assert!(status.is_ok_and(|status| status.success()), "the process is there");
+}
+
+/// Hangs up on a run after its first step. Returns its exit code and the kinds of its later events.
+fn hang_up(mut command: Command) -> (Option<i32>, String) {
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
+    let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines().map_while(Result::ok);
+    assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
+    send("-HUP", &child);
+    let rest: Vec<String> = lines.collect();
+    (child.wait().expect("a process").code(), rest.join("\n"))
+}
+
+#[test]
+fn a_hang_up_stops_a_run_unless_it_was_started_with_nohup() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let arguments = |out| {
+        let long = ["train.steps=2000", "train.log_seconds=0.001", "eval.points=0"];
+        let long: Vec<&str> = long.into_iter().flat_map(|setting| ["--set", setting]).collect();
+        tiny_and(&[&long[..], &["--out", out]].concat())
+    };
+    let (code, events) = hang_up(command(here, &arguments("plain")));
+    assert!(code == Some(130) && events.contains("\"stopped\""), "{code:?}: {events}");
+    let mut nohup = Command::new("nohup");
+    nohup.arg(program()).args(arguments("nohup")).current_dir(here).env("XDG_RUNTIME_DIR", here);
+    let (code, events) = hang_up(nohup);
+    assert!(
+        code == Some(0) && events.contains("\"finished\"") && !events.contains("\"stopped\""),
+        "{code:?}: {events}"
+    );
+}
+
+#[test]
+fn a_run_that_is_stopped_while_it_reads_ends_without_a_trace() {
+    let folder = tempfile::tempdir().unwrap();
+    let here: &Path = folder.path();
+    // Seconds of rendering on any machine, picture by picture.
+    let large = ["data.builtin_size=256", "data.builtin_train=200", "data.builtin_supersampling=4"];
+    let large: Vec<&str> = large.into_iter().flat_map(|setting| ["--set", setting]).collect();
+    let arguments = tiny_and(&[&large[..], &["--out", "run"]].concat());
+    let mut child = command(here, &arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    while !here.join("run/run.lock").exists() {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    send("-TERM", &child);
+    let told = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok).count();
+    assert_eq!((child.wait().unwrap().code(), told), (Some(130), 0));
+    assert!(files(here).is_empty(), "{:?}", files(here).keys());
+}
