@@ -63,6 +63,7 @@ mod slot;
 pub mod space;
 mod stages;
 pub mod tensors;
+pub mod text;
 mod timekeeper;
 pub mod trainer;
 pub mod views;
