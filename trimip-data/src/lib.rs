@@ -42,6 +42,7 @@ mod split;
 mod stated;
 mod store;
 mod watch;
+mod workers;
 mod write;
 
 pub use describe::{Inspection, examine, inspect};
