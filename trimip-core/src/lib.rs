@@ -50,6 +50,7 @@ pub mod pixels;
 pub mod proxy;
 pub mod quality;
 mod query;
+mod range;
 pub mod rng;
 pub mod run;
 pub mod scalar;
