@@ -29,6 +29,7 @@ mod lens;
 mod list;
 mod mask;
 mod masks;
+mod memory;
 mod multiscale;
 mod names;
 mod orientation;
@@ -47,8 +48,8 @@ mod write;
 
 pub use describe::{Inspection, examine, inspect};
 pub use lens::{lens_of, lens_terms};
+pub use memory::{available_memory, resident_memory};
 pub use points::{Observation, Point};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};
-pub use store::available_memory;
 pub use watch::{Watch, unwatched};
 pub use write::{Summary, write_builtin, write_multiscale};
