@@ -5,6 +5,7 @@ use serde_json::Value;
 use std::path::Path;
 use trimip::view::cameras::{aimed, flatten, posed};
 use trimip::{Camera, Error, Intrinsics, Result};
+use trimip_core::text;
 
 /// Parses three numbers separated by commas.
 pub fn vector(place: &str, text: &str) -> Result<DVec3> {
@@ -29,8 +30,7 @@ pub fn pose(text: &str, intrinsics: Intrinsics) -> Result<Camera> {
     let as_file = Path::new(text);
     let content;
     let (place, source) = if as_file.is_file() {
-        content = std::fs::read_to_string(as_file)
-            .map_err(|error| Error::input(as_file.display(), error, "name an existing file of cameras"))?;
+        content = text::read(as_file, "name an existing file of cameras")?;
         (text.to_string(), content.as_str())
     } else {
         ("--pose".to_string(), text)

@@ -5,6 +5,7 @@ use crate::terminal;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trimip::{Error, Result, run::history::History};
+use trimip_core::text;
 
 /// A curve of error against time.
 #[derive(Debug)]
@@ -52,9 +53,7 @@ impl Curve {
         };
         let folder = path.is_dir().then(|| path.to_path_buf());
         let path = if folder.is_some() { path.join("error_vs_time.csv") } else { path.to_path_buf() };
-        let text = std::fs::read_to_string(&path).map_err(|error| {
-            Error::input(path.display(), format!("cannot read: {error}"), "name a run folder or a CSV file")
-        })?;
+        let text = text::read(&path, "name a run folder or a CSV file")?;
         let (points, last) = parse(&path.display().to_string(), &text)?;
         Ok(Self { name, points, last, folder })
     }

@@ -23,7 +23,9 @@ pub fn install() -> Result<Arc<AtomicBool>> {
         }
         crate::terminal::note("\nstopping after this step and saving; press Ctrl-C again to end at once");
     })
-    .map_err(|error| Error::run(format!("cannot watch for Ctrl-C: {error}")))?;
+    .map_err(|error| {
+        Error::device(format!("cannot watch for Ctrl-C: {error}; raise the limit of processes (ulimit -u)"))
+    })?;
     if ignored {
         hang_up::ignore();
     }

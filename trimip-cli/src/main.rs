@@ -2,6 +2,7 @@
 //! missed its quality floor, 2 the user's input is wrong, 3 the device failed, 130 stopped by Ctrl-C (progress is
 //! saved).
 
+mod allocator;
 mod args;
 mod cameras;
 mod check;

@@ -3,18 +3,13 @@
 use crate::args::{SceneArguments, SettingsArguments};
 use std::path::Path;
 use trimip::{Config, Error, Result, Settings};
+use trimip_core::text;
 
 /// Settings of a configuration file and the command line. Checks every range.
 pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     let mut settings = Settings::defaults();
     if let Some(path) = &arguments.config {
-        let text = std::fs::read_to_string(path).map_err(|error| {
-            Error::input(
-                path.display(),
-                error,
-                "name an existing configuration file, such as configs/quickstart.toml",
-            )
-        })?;
+        let text = text::read(path, "name an existing configuration file, such as configs/quickstart.toml")?;
         settings.apply_file(&path.display().to_string(), &text)?;
     }
     for assignment in &arguments.set {

@@ -8,8 +8,9 @@ use crate::{
     events::Totals,
     exposure,
     fingerprint::Fingerprint,
-    model::{Model, expect_format},
+    model::{Model, expect_format, expect_tensors},
     tensors::{TensorFile, Values},
+    trainer::most_rays,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -48,6 +49,71 @@ pub struct TrainState {
     pub data: Option<Fingerprint>,
 }
 
+/// Largest count of a run: f64 holds it exactly, and sums of a few do not overflow.
+const MOST_COUNTED: u64 = 1 << 53;
+
+/// Largest factor between marching steps, see [`TrainState::spacing`]: 64 uniform steps, and 64 cones of a pixel whose step
+/// is a quarter of one.
+const MOST_SPACING: f64 = 256.0;
+
+impl TrainState {
+    /// Refuses a state that no run of `config` can have; `place` is the checkpoint's.
+    fn expect_possible(&self, place: &str, config: &Config) -> Result<()> {
+        let check = |possible: bool, name: &str, value: &dyn std::fmt::Display, expected: &str| match possible
+        {
+            true => Ok(()),
+            false => Err(Error::input(
+                place,
+                format!("its state: {name} is {value}"),
+                format!("expected {expected}: the file is damaged; give --fresh to start the run anew"),
+            )),
+        };
+        let Totals { step, seconds, samples, marched, rays, empty_batches, non_finite } = self.totals;
+        for (name, count) in [
+            ("step", step),
+            ("samples", samples),
+            ("marched", marched),
+            ("rays", rays),
+            ("empty_batches", empty_batches),
+            ("non_finite", non_finite),
+        ] {
+            check(count <= MOST_COUNTED, name, &count, "0 to 2^53")?;
+        }
+        check(seconds.is_finite() && seconds >= 0.0, "seconds", &seconds, "0 or more")?;
+        let stage = encoders::of(config).stage(config, 0.0);
+        check(self.stage <= stage, "halvings", &self.stage, &format!("0 to {stage}"))?;
+        let spacing = |value: f64| (1.0 / MOST_SPACING..=MOST_SPACING).contains(&value);
+        check(
+            self.spacing == 0.0 || spacing(self.spacing),
+            "step_scale",
+            &self.spacing,
+            "0, or 1/256 to 256",
+        )?;
+        for (spaced, sums) in self.pending.iter().flatten() {
+            check(spacing(*spaced), "step_scale of a pending step", spaced, "1/256 to 256")?;
+            for value in [sums.loss, sums.weight, sums.squared_error] {
+                check(value.is_finite() && value >= 0.0, "a pending sum", &value, "0 or more")?;
+            }
+            for count in [sums.rays, sums.marched, sums.kept, sums.non_finite] {
+                check(count <= MOST_COUNTED, "a pending count", &count, "0 to 2^53")?;
+            }
+        }
+        let most = most_rays(config, rays);
+        check(
+            (1..=most).contains(&self.rays_per_step.into()),
+            "rays_per_step",
+            &self.rays_per_step,
+            &format!("1 to {most}"),
+        )?;
+        check(
+            (0.0..=1e9).contains(&self.marched_per_ray),
+            "marched_per_ray",
+            &self.marched_per_ray,
+            "0 to 1e9",
+        )
+    }
+}
+
 /// True for tensors, beside moments, that only training needs.
 fn of_training(name: &str) -> bool {
     name == OCCUPANCY_DENSITY || name.starts_with(exposure::PREFIX)
@@ -68,12 +134,9 @@ pub struct Checkpoint {
 impl Checkpoint {
     /// Name, index and value of the first number that is not finite.
     pub fn not_finite(&self) -> Option<(&str, usize, f32)> {
-        self.file.tensors.iter().find_map(|(name, tensor)| match &tensor.values {
-            Values::F32(values) => {
-                let index = values.iter().position(|value| !value.is_finite())?;
-                Some((name.as_str(), index, values[index]))
-            }
-            Values::F16(_) | Values::U8(_) => None,
+        self.file.tensors.iter().find_map(|(name, tensor)| {
+            let (index, value) = tensor.not_finite()?;
+            Some((name.as_str(), index, value))
         })
     }
 
@@ -102,7 +165,7 @@ impl Checkpoint {
         self.file.write(path, &metadata)
     }
 
-    /// Reads a checkpoint and checks its format.
+    /// Reads a checkpoint and checks it: its format, its settings, its state, and every tensor's shape and numbers.
     ///
     /// # Errors
     /// When the file cannot be read or is not a checkpoint that this build understands.
@@ -111,9 +174,12 @@ impl Checkpoint {
         let file = TensorFile::read(path)?;
         expect_format(&name, &file, FORMAT)?;
         let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
-        let state = serde_json::from_str(file.text(&name, "state")?).map_err(|error| {
+        let state: TrainState = serde_json::from_str(file.text(&name, "state")?).map_err(|error| {
             Error::input(&name, format!("its state: {error}"), "use a checkpoint of this version")
         })?;
+        state.expect_possible(&name, &config)?;
+        expect_tensors(&name, &file, &config, &["", ".m", ".v"])?;
+        file.f32(&name, OCCUPANCY_DENSITY, &[config.occupancy.cells()])?;
         Ok(Self { config, state, file })
     }
 
@@ -129,7 +195,7 @@ impl Checkpoint {
         Err(Error::input(
             place,
             format!("checkpoint of another configuration ({})", differences.join(", ")),
-            "use the same settings to resume, or another --out folder to start afresh",
+            "use the same settings to resume, or another folder to start afresh",
         ))
     }
 }

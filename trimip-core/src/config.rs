@@ -8,8 +8,8 @@ mod sections;
 
 pub use choices::{
     Contraction, Convention, Exposure, FilePrecision, FinalEval, Finish, Format, HybridRule, LevelFormula,
-    LossRays, MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, PlaneShape, Precision, RateSchedule,
-    RendererKind, TrainBackground, Untouched,
+    LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs, PixelStore, PlanChoice, PlaneShape, Precision,
+    RateSchedule, RendererKind, TrainBackground, Untouched,
 };
 pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig};
 pub use sections::{
@@ -17,7 +17,7 @@ pub use sections::{
     OptimizerConfig, PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
 };
 
-use crate::{Aabb, Error, Result, Settings};
+use crate::{Aabb, Error, Result, Settings, range};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +31,8 @@ pub struct Config {
     pub seed: u64,
     /// CPU threads; 0: all cores.
     pub threads: u32,
+    /// What becomes of a run that is predicted to need more memory than there is.
+    pub memory: MemoryChoice,
     /// The photographs.
     pub data: DataConfig,
     /// The box around the scene.
@@ -70,6 +72,13 @@ impl Default for Config {
     fn default() -> Self {
         Self::from_settings(&Settings::defaults())
             .unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"))
+    }
+}
+
+impl OccupancyConfig {
+    /// Number of cells of the grid.
+    pub fn cells(&self) -> usize {
+        (self.resolution as usize).pow(3)
     }
 }
 
@@ -113,6 +122,7 @@ impl Config {
     /// Names the first setting that has no such value, is out of range, or belongs to another encoder, and where it was
     /// set.
     pub fn from_settings(settings: &Settings) -> Result<Self> {
+        range::check(settings, &|path| settings.place(path))?;
         let config: Self = settings.table().try_into().map_err(|error: toml::de::Error| {
             // The error names the key; the origin of its value is the place to correct.
             let text = error.to_string();
@@ -121,9 +131,9 @@ impl Config {
                 .map(|(path, ..)| path)
                 .find(|path| text.contains(&format!("`{path}`")))
                 .map_or("configuration".to_string(), |path| settings.place(path));
-            Error::input(place, error.message(), "choose one of the values named in defaults.toml")
+            Error::input(place, error.message(), "see its meaning in `trimip-cli config --defaults`")
         })?;
-        config.validate_at(&|path| settings.place(path))?;
+        config.check_together(&|path| settings.place(path))?;
         Ok(config)
     }
 
@@ -169,6 +179,15 @@ impl Config {
             .collect()
     }
 
+    /// The configuration as settings.
+    fn as_settings(&self) -> Settings {
+        let mut settings = Settings::defaults();
+        settings
+            .apply_file("config", &self.whole_text())
+            .unwrap_or_else(|error| unreachable!("our own text: {error}"));
+        settings
+    }
+
     /// Every setting as TOML text.
     fn whole_text(&self) -> String {
         toml::to_string(self).unwrap_or_else(|error| unreachable!("plain data: {error}"))
@@ -176,11 +195,7 @@ impl Config {
 
     /// Dotted path and value of every setting.
     fn settings(&self) -> Vec<(String, toml::Value)> {
-        let mut settings = Settings::defaults();
-        settings
-            .apply_file("config", &self.whole_text())
-            .unwrap_or_else(|error| unreachable!("our own text: {error}"));
-        settings.iter().map(|(path, value, _)| (path.to_string(), value.clone())).collect()
+        self.as_settings().iter().map(|(path, value, _)| (path.to_string(), value.clone())).collect()
     }
 }
 
@@ -202,6 +217,7 @@ fn expect_encoder(name: &str, text: &str) -> Result<()> {
 fn free_to_change(path: &str) -> bool {
     path == "backend"
         || path == "threads"
+        || path == "memory"
         || path == "data.root"
         || path.starts_with("eval.")
         || path.starts_with("plan.")
@@ -263,11 +279,18 @@ mod tests {
             ("train.samples_per_step=0", "256 to"),
             ("scene.aabb_min=[2.0, 0.0, 0.0]", "a corner above"),
             ("scene.aabb_min=[0.0, 0.0]", ""),
-            ("optimizer.learning_rate=nan", "a number above 0"),
+            ("optimizer.learning_rate=nan", "1e-9 to 10"),
+            ("threads=100000", "0 to 1024"),
+            ("seed=-1", "0 to 9223372036854775807"),
+            ("eval.final=-1", "0 to 1e6"),
+            ("train.steps=true", "a whole number"),
+            ("data.background=[1e308, 0.0, 0.0]", "0 to 1 for each value"),
+            ("encoder.halvings=[[0.0, 64]]", "0 to 10 for each value"),
+            ("data.train=[\"train\", \"train\"]", "each split once"),
         ] {
             let mut settings = Settings::defaults();
-            settings.apply_assignment(assignment).unwrap();
-            let error = Config::from_settings(&settings).unwrap_err();
+            let given = settings.apply_assignment(assignment);
+            let error = given.and_then(|()| Config::from_settings(&settings)).unwrap_err();
             assert_eq!(error.exit_code(), 2);
             assert!(error.message.contains(expected), "{assignment}: {error}");
         }

@@ -1,5 +1,7 @@
 //! The one table of defaults: values and meanings of all settings, and the pages generated from it.
 
+use crate::range::Range;
+
 /// Every setting with its default and its meaning, as a configuration file.
 pub const DEFAULTS: &str = include_str!("defaults.toml");
 
@@ -21,6 +23,8 @@ pub struct DocumentedSetting {
     pub key: String,
     /// Default, as TOML.
     pub default: String,
+    /// The numbers that it takes, such as `0 to 1024`; empty if it is no number.
+    pub range: String,
     /// What it means.
     pub meaning: String,
 }
@@ -39,7 +43,11 @@ pub fn documented() -> Vec<DocumentedSection> {
             && let Some(section) = sections.last_mut()
         {
             let [key, default] = [key, default].map(|part| part.trim().to_string());
-            section.settings.push(DocumentedSetting { key, default, meaning });
+            let (range, meaning) = match meaning.split_once(": ") {
+                Some((range, meaning)) if Range::parse(range).is_some() => (range.into(), meaning.into()),
+                _ => (String::new(), meaning),
+            };
+            section.settings.push(DocumentedSetting { key, default, range, meaning });
         }
     }
     sections
@@ -49,9 +57,9 @@ impl DocumentedSection {
     /// The settings as a table in Markdown.
     pub fn markdown(&self) -> String {
         let cell = |text: &str| ['|', '<', '[', '*'].iter().fold(text.to_string(), escaped);
-        let mut table = "| setting | default | meaning |\n|---|---|---|\n".to_string();
-        for DocumentedSetting { key, default, meaning } in &self.settings {
-            table += &format!("| `{key}` | `{default}` | {} |\n", cell(meaning));
+        let mut table = "| setting | default | range | meaning |\n|---|---|---|---|\n".to_string();
+        for DocumentedSetting { key, default, range, meaning } in &self.settings {
+            table += &format!("| `{key}` | `{default}` | {range} | {} |\n", cell(meaning));
         }
         table
     }
@@ -62,7 +70,8 @@ pub fn settings_page() -> String {
     let mut page = "# Settings\n\n\
         <!-- Generated from trimip-core/src/defaults.toml; TRIMIP_WRITE_DOCS=1 cargo test -p trimip-core renews it. -->\n\n\
         A configuration file names only what it changes; `--set section.key=value` overrides the file. Unknown keys are\n\
-        refused. `trimip-cli config` prints every value and where it came from. \"Paper\" is Tri-MipRF (ICCV 2023), \"code\"\n\
+        refused. A range holds for each number of a list, and for the values of pairs \\[fraction of the run, value].\n\
+        `trimip-cli config` prints every value and where it came from. \"Paper\" is Tri-MipRF (ICCV 2023), \"code\"\n\
         is its authors' PyTorch implementation.\n"
         .to_string();
     for section in documented() {

@@ -37,17 +37,17 @@ impl Error {
         what: impl std::fmt::Display,
         advice: impl std::fmt::Display,
     ) -> Self {
-        Self { kind: ErrorKind::Input, message: one_line(format!("{place}: {what}; {advice}")) }
+        Self { kind: ErrorKind::Input, message: format!("{}: {}; {}", told(place), told(what), told(advice)) }
     }
 
     /// The run failed with valid input.
     pub fn run(message: impl std::fmt::Display) -> Self {
-        Self { kind: ErrorKind::Run, message: one_line(message.to_string()) }
+        Self { kind: ErrorKind::Run, message: told(message) }
     }
 
     /// The device failed.
     pub fn device(message: impl std::fmt::Display) -> Self {
-        Self { kind: ErrorKind::Device, message: one_line(message.to_string()) }
+        Self { kind: ErrorKind::Device, message: told(message) }
     }
 
     /// The user stopped the program before it changed anything.
@@ -67,7 +67,44 @@ impl Error {
     }
 }
 
-/// Messages of other libraries may span lines; errors here are one line.
-fn one_line(text: String) -> String {
-    text.split('\n').map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
+/// Most characters of a part of a message. Paths and lists of names are shorter; what is longer is a value that a user or
+/// a file has, of which the ends suffice.
+const MOST: usize = 600;
+
+/// A part of a message: one line, shortened, and without characters that act on a terminal. Messages of other libraries
+/// may span lines.
+fn told(part: impl std::fmt::Display) -> String {
+    let text = part.to_string();
+    let lines = text.split(['\n', '\r']).map(str::trim).filter(|line| !line.is_empty());
+    let line = lines.collect::<Vec<_>>().join(" ");
+    let length = line.chars().count();
+    let kept =
+        line.chars().enumerate().filter(|(i, _)| length <= MOST || *i < MOST / 2 || *i >= length - MOST / 4);
+    let mut told = String::new();
+    for (i, character) in kept {
+        if length > MOST && i == length - MOST / 4 {
+            told += &format!(" .. ({length} characters) .. ");
+        }
+        // Beside control characters, those that turn the direction of the text.
+        match character.is_control() || matches!(character, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+        {
+            true => told.extend(character.escape_unicode()),
+            false => told.push(character),
+        }
+    }
+    told
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_is_one_short_line_without_control_characters() {
+        let error = Error::input("a\n  b.toml", "\u{1b}[31mred\u{202e}\t", "x".repeat(100_000));
+        assert!(error.message.starts_with("a b.toml: \\u{1b}[31mred\\u{202e}"), "{error}");
+        assert!(error.message.contains("xx .. (100000 characters) .. xx"), "{error}");
+        assert!(error.message.chars().count() < 700 && !error.message.contains(char::is_control), "{error}");
+        assert_eq!(Error::run("60 % of ×").message, "60 % of ×");
+    }
 }

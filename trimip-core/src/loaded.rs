@@ -195,7 +195,7 @@ impl<B: Backend> LoadedModel<B> {
 
     /// Number of cells of the occupancy grid.
     pub(crate) fn cells(&self) -> usize {
-        (self.config.occupancy.resolution as usize).pow(3)
+        self.config.occupancy.cells()
     }
 }
 

@@ -81,7 +81,7 @@ impl Model {
         file.write(path, &[])
     }
 
-    /// Reads a model and checks its format.
+    /// Reads a model and checks it: its format, its settings, and every tensor's shape and numbers.
     ///
     /// # Errors
     /// When the file cannot be read or is not a model that this build understands.
@@ -93,8 +93,26 @@ impl Model {
             tensor.widen();
         }
         let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
+        expect_tensors(&name, &file, &config, &[""])?;
         Ok(Self { config, file })
     }
+}
+
+/// Refuses a file whose tensors are not those of its configuration, or hold numbers that are not finite, before anything
+/// of their stated size is allocated; `suffixes` are those of the names of tensors that come in the shape of parameters.
+pub(crate) fn expect_tensors(
+    name: &str,
+    file: &TensorFile,
+    config: &Config,
+    suffixes: &[&str],
+) -> Result<()> {
+    for slot in Layout::new(&config.centred().0).slots {
+        for suffix in suffixes {
+            file.f32(name, &format!("{}{suffix}", slot.name), &slot.shape)?;
+        }
+    }
+    file.u8(name, OCCUPANCY, &[config.occupancy.cells().div_ceil(8)])?;
+    file.expect_finite(name)
 }
 
 /// Refuses a file of another kind or version.

@@ -3,6 +3,7 @@
 
 use crate::{Error, Result, defaults::DEFAULTS};
 use std::collections::BTreeMap;
+use std::sync::LazyLock;
 use toml::de::{DeTable, DeValue};
 use toml::{Spanned, Table, Value};
 
@@ -38,6 +39,9 @@ impl std::fmt::Display for Origin {
     }
 }
 
+/// The table of defaults, read once.
+static TABLE: LazyLock<Settings> = LazyLock::new(Settings::of_table);
+
 /// Every setting by its dotted path, with its effective value and origin.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -47,6 +51,11 @@ pub struct Settings {
 impl Settings {
     /// The defaults alone.
     pub fn defaults() -> Self {
+        TABLE.clone()
+    }
+
+    /// Reads the table of defaults.
+    fn of_table() -> Self {
         let table: Table =
             toml::from_str(DEFAULTS).unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"));
         let mut entries = BTreeMap::new();
@@ -166,7 +175,10 @@ impl Settings {
                 format!("expected one of: {}", known.join(", ")),
             ));
         };
-        entry.0 = fit(&entry.0, value).map_err(|(found, expected)| {
+        // `eval.final` takes a stride or a flag.
+        let flag = path == "eval.final" && value.is_bool();
+        let fitted = if flag { Ok(value) } else { fit(default_of(path), value) };
+        entry.0 = fitted.map_err(|(found, expected)| {
             Error::input(place, format!("`{path}` is {found}"), format!("expected {expected}"))
         })?;
         let given = positive(&entry.0);
@@ -192,7 +204,7 @@ impl Settings {
     /// Where the value at `path` came from, as text for an error.
     pub fn place(&self, path: &str) -> String {
         match self.entries.get(path) {
-            Some((value, origin)) => format!("{origin}: {path} = {value}"),
+            Some((value, origin)) => format!("{origin}: {path} = {}", shown(value)),
             None => path.to_string(),
         }
     }
@@ -223,6 +235,11 @@ const BUDGETS: [[&str; 2]; 2] = [["train.seconds", "train.steps"], ["train.steps
 
 fn positive(value: &Value) -> bool {
     value.as_float().or(value.as_integer().map(|number| number as f64)).is_some_and(|number| number > 0.0)
+}
+
+/// The default of a setting, which has its type.
+fn default_of(path: &str) -> &'static Value {
+    TABLE.entries.get(path).map_or(&Value::Boolean(false), |(value, _)| value)
 }
 
 fn section_of(path: &str) -> &str {
@@ -263,9 +280,20 @@ fn parsed(text: &str) -> Value {
         .unwrap_or_else(|| Value::String(text.to_string()))
 }
 
+/// A value for a message: TOML, but 1e308 not with all of its digits.
+pub(crate) fn shown(value: &Value) -> String {
+    match value {
+        Value::Float(number) => format!("{number:?}"),
+        Value::Array(values) => {
+            format!("[{}]", values.iter().map(shown).collect::<Vec<_>>().join(", "))
+        }
+        value => value.to_string(),
+    }
+}
+
 /// `value` in the type of the default; integers are accepted for floats. `Err` holds what was found and what is expected.
 fn fit(default: &Value, value: Value) -> std::result::Result<Value, (String, &'static str)> {
-    let found = format!("{value}");
+    let found = shown(&value);
     match (default, value) {
         (Value::Float(_), Value::Integer(number)) => Ok(Value::Float(number as f64)),
         (Value::Array(items), Value::Array(values)) => match items.first() {
@@ -276,8 +304,6 @@ fn fit(default: &Value, value: Value) -> std::result::Result<Value, (String, &'s
                 .collect::<std::result::Result<_, _>>()
                 .map(Value::Array),
         },
-        // `eval.final` takes a stride or a flag.
-        (Value::Integer(_), value @ Value::Boolean(_)) => Ok(value),
         (default, value) if default.same_type(&value) => Ok(value),
         (default, _) => Err((
             found,

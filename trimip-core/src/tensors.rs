@@ -74,6 +74,20 @@ impl Tensor {
         }
     }
 
+    /// Index and value of the first number that is not finite.
+    pub fn not_finite(&self) -> Option<(usize, f32)> {
+        match &self.values {
+            Values::F32(values) => {
+                values.iter().position(|value| !value.is_finite()).map(|index| (index, values[index]))
+            }
+            Values::F16(values) => values
+                .iter()
+                .position(|value| !value.is_finite())
+                .map(|index| (index, values[index].to_f32())),
+            Values::U8(_) => None,
+        }
+    }
+
     fn bytes(&self) -> (&[u8], Dtype) {
         match &self.values {
             Values::F32(values) => (bytemuck::cast_slice(values), Dtype::F32),
@@ -113,6 +127,23 @@ impl TensorFile {
             Some(Tensor { shape: found, values: Values::U8(values) }) if found == shape => Ok(values),
             found => Err(wrong_tensor(file, name, "u8", shape, found)),
         }
+    }
+
+    /// Refuses a file with a number that is not finite; names its tensor and index.
+    ///
+    /// # Errors
+    /// When there is one.
+    pub fn expect_finite(&self, file: &str) -> Result<()> {
+        for (name, tensor) in &self.tensors {
+            if let Some((index, value)) = tensor.not_finite() {
+                return Err(Error::input(
+                    file,
+                    format!("tensor `{name}` has {value} at index {index}"),
+                    "use an earlier file, or train again (with a lower optimizer.learning_rate)",
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// The metadata under `key`.
@@ -248,7 +279,7 @@ fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&mut File) -> std::io::R
         Error::input(
             path.display(),
             format!("cannot write: {error}"),
-            "choose a folder that can be written with --out",
+            "free space there or choose another place",
         )
     })?;
     sync_folder_of(path);

@@ -80,7 +80,16 @@ impl CpuBackend {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads as usize)
             .build()
-            .map_err(|error| Error::device(format!("cannot start {threads} threads: {error}")))?;
+            .map_err(|error| {
+                let what = match threads {
+                    0 => "a thread for each core".into(),
+                    threads => format!("{threads} threads"),
+                };
+                Error::device(format!(
+                    "cannot start {what}: {error}; lower threads, or raise the limits of processes and memory (ulimit -u, \
+                     ulimit -v)"
+                ))
+            })?;
         Ok(Self { pool, simd, emulates_bf16: true, workspaces: Mutex::new(Vec::new()) })
     }
 

@@ -5,6 +5,7 @@ use crate::encoder::left;
 use crate::mlp::BLOCK;
 use trimip_core::batch::{Interval, Radiance, Sphere};
 use trimip_core::params::{color_layers, density_layers};
+use trimip_core::trainer::{first_rays, longest_ray};
 use trimip_core::{Config, Layout, Pixel, ViewSet, encoders};
 
 /// The program with its libraries and its threads' allocators, on Linux.
@@ -65,11 +66,12 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
         ),
         (
             "feature gradients of a step".into(),
-            grown(left.by_sample * config.train.samples_per_step as usize, DEPOSITS_GROWN),
+            grown(left.by_sample * config.train.samples_per_step as usize, DEPOSITS_GROWN)
+                .max((left.by_sample * first_rays(config) as usize * longest_ray(config)) as u64),
         ),
         ("network gradients".into(), floats(deposits * weights) + (deposits * left.by_deposit) as u64),
         ("occupancy grid and its probes".into(), (cells * WORD + cells / 8 + probes) as u64),
-        ("activations of all workers".into(), grown(threads * worker(config), AT_ONCE)),
+        ("activations of all workers".into(), threads as u64 * worker(config)),
         ("copies for a checkpoint, or a view being measured".into(), moments([copies, measured(views)])),
     ]
 }
@@ -82,7 +84,7 @@ fn moments(mut two: [u64; 2]) -> u64 {
 }
 
 /// Bytes that a worker holds while it renders rays through fog, which is more than during training.
-fn worker(config: &Config) -> usize {
+fn worker(config: &Config) -> u64 {
     let outputs = |layers: &[[usize; 2]]| layers.iter().map(|[_, n]| n.next_multiple_of(4)).sum::<usize>();
     let sample = size_of::<Sphere>() + size_of::<Interval>() + size_of::<Radiance>() + size_of::<u32>();
     let encoding = encoders::stride(config) + encoders::of(config).tape(config);
@@ -92,7 +94,9 @@ fn worker(config: &Config) -> usize {
     let row = 2 * seen + WORD * outputs(&color_layers(config));
     // A block's gradients above and below a layer, in f32 and as pairs of bf16.
     let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden as usize;
-    SAMPLES_AT_ONCE * row + passing
+    // A ray is rendered at once, however long it is.
+    let samples = SAMPLES_AT_ONCE.max(longest_ray(config));
+    (AT_ONCE * (samples * row + passing) as f64) as u64
 }
 
 /// Bytes for the evaluation of a view: the device's pixels and the frame's; six f32 RGB images (rendering and

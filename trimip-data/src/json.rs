@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value};
 use std::{fmt::Display, fs, path::Path};
-use trimip_core::{Error, Result};
+use trimip_core::{Error, Result, text::without_mark};
 
 /// Reads and parses a file.
 pub(crate) fn read(path: &Path) -> Result<Value> {
@@ -13,8 +13,7 @@ pub(crate) fn read(path: &Path) -> Result<Value> {
 }
 
 fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
-    // Editors of other systems put a byte order mark first, which JSON does not allow.
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let bytes = without_mark(bytes);
     serde_json::from_slice(bytes).map_err(|error| {
         let (line, column) = (error.line(), error.column());
         let place = format!("{}:{line}:{column}", path.display());

@@ -5,8 +5,8 @@ use crate::{
     names::{Index, Meant},
     source::Source,
 };
-use std::{fs, path::Path};
-use trimip_core::{Error, Result};
+use std::path::Path;
+use trimip_core::{Error, Result, text};
 
 /// Most names that a message repeats.
 const MOST_NAMED: usize = 5;
@@ -14,15 +14,8 @@ const MOST_NAMED: usize = 5;
 /// Divides `sources` into training frames and those that the file `named` in `root` lists.
 pub(crate) fn divide(root: &Path, named: &str, sources: Vec<Source>) -> Result<(Vec<Source>, Vec<Source>)> {
     let path = root.join(named);
-    let bytes = fs::read(&path).map_err(|error| {
-        let what = format!("cannot be read: {error}");
-        Error::input(path.display(), what, "set data.test_list to a text file, relative to data.root")
-    })?;
+    let text = text::read(&path, "set data.test_list to a text file, relative to data.root")?;
     let wrong = |what: String, advice: &str| Err(Error::input(path.display(), what, advice));
-    let Ok(text) = std::str::from_utf8(&bytes) else {
-        return wrong("is not UTF-8".into(), "save it as UTF-8 text");
-    };
-    let text = text.trim_start_matches('\u{feff}');
     let names = || text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     let index = Index::new(sources.iter().map(|source| written(root, source)));
     let mut tested = vec![false; sources.len()];

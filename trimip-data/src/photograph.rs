@@ -3,6 +3,7 @@
 
 use crate::{
     foreign,
+    memory::available_memory,
     orientation::{self, Turn},
 };
 use image::{DynamicImage, ImageDecoder, ImageReader, metadata::Orientation};
@@ -16,6 +17,10 @@ use trimip_core::{Error, Result};
 
 /// Largest number of pixels of an image (1 GiB of RGBA): more than any photograph, and addressable everywhere.
 const MAX_PIXELS: u64 = 1 << 28;
+
+/// Bytes of memory for each pixel of an image that is decoded and averaged: RGBA, and a quarter of a pixel in f32; the
+/// decoder's own pixels are there before the latter. Half a byte more for the coarser levels.
+const BYTES_OF_A_PIXEL: u64 = 9;
 
 /// An image file and its header.
 #[derive(Debug)]
@@ -60,6 +65,31 @@ impl Photograph {
             (self.width, self.height) = orientation::turned((self.width, self.height), tag);
         }
         self
+    }
+
+    /// Memory that decoding and averaging take, bytes.
+    pub(crate) fn bytes_to_decode(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height) * BYTES_OF_A_PIXEL
+    }
+
+    /// Refuses an image that does not fit into memory.
+    pub(crate) fn expect_memory(&self) -> Result<()> {
+        let (needed, available) = (self.bytes_to_decode(), available_memory());
+        match available.filter(|available| *available < needed) {
+            None => Ok(()),
+            Some(available) => Err(Error::input(
+                &self.place,
+                format!(
+                    "image {} of {}x{} pixels takes {:.1} GB to read, and {:.1} GB are available",
+                    self.path.display(),
+                    self.width,
+                    self.height,
+                    1e-9 * needed as f64,
+                    1e-9 * available as f64
+                ),
+                "reduce its size",
+            )),
+        }
     }
 
     /// Decodes to width·height RGBA pixels, row by row.

@@ -24,8 +24,8 @@ pub fn build(
     levels
 }
 
-/// [`build`] of any kind of alpha into given slices; `levels[j]` holds (width >> j)·(height >> j) pixels. Colours of
-/// [`Alpha::Kept`] are rounded, and black where nothing is kept.
+/// [`build`] of any kind of alpha into given slices; `levels[j]` holds (width >> j)·(height >> j) pixels, or none if it is not
+/// wanted. Colours of [`Alpha::Kept`] are rounded, and black where nothing is kept.
 pub(crate) fn fill(
     base: &[[u8; 4]],
     width: usize,
@@ -38,7 +38,7 @@ pub(crate) fn fill(
         Alpha::Straight => straight(pixel),
         Alpha::Premultiplied | Alpha::Kept => premultiplied(pixel),
     };
-    if alpha == Alpha::Straight {
+    if alpha == Alpha::Straight && !finest.is_empty() {
         finest.copy_from_slice(base);
     } else {
         for (stored, pixel) in finest.iter_mut().zip(base) {

@@ -9,6 +9,7 @@ use crate::{
     source::{FrameList, Source, assemble_in},
     split::Split,
     watch::{Meter, Watch, unwatched},
+    workers,
 };
 use std::path::Path;
 use trimip_core::{
@@ -64,6 +65,7 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
 /// # Errors
 /// As [`open`].
 pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
+    workers::start()?;
     let survey = Survey::new(config)?;
     let train = assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
     Ok(survey.opened(config, train))
@@ -75,6 +77,7 @@ pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
 /// # Errors
 /// As [`open`]; of kind `Input` if there is no test frame.
 pub fn open_test(config: &DataConfig) -> Result<TestSet> {
+    workers::start()?;
     let Survey { name, train, test, warnings, alpha, .. } = Survey::new(config)?;
     if test.is_empty() {
         let named = format!("data.test = \"{}\"", config.test);

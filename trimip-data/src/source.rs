@@ -13,6 +13,9 @@ use std::path::Path;
 use trimip_core::config::{Finish, PixelStore};
 use trimip_core::{Alpha, Camera, Error, Frames, Lens, Result, Scale, View, ViewSet};
 
+/// Memory of the photographs that are decoded at once, bytes, unless a single one takes more.
+const MOST_AT_ONCE: u64 = 2 << 30;
+
 /// One frame: a camera per scale, and the source of its pixels.
 #[derive(Debug)]
 pub(crate) struct Source {
@@ -146,11 +149,8 @@ impl Source {
             Pixels::Photograph(file) => {
                 let pixels = self.masked(file, alpha)?;
                 let (width, height) = (file.width as usize, file.height as usize);
-                // Levels finer than the first view are computed and dropped.
-                let mut above: Vec<Vec<[u8; 4]>> = (0..self.halvings)
-                    .map(|level| vec![[0; 4]; (width >> level) * (height >> level)])
-                    .collect();
-                let mut levels: Vec<&mut [[u8; 4]]> = above.iter_mut().map(Vec::as_mut_slice).collect();
+                // Levels finer than the first view are dropped.
+                let mut levels: Vec<&mut [[u8; 4]]> = (0..self.halvings).map(|_| &mut [][..]).collect();
                 levels.extend(slots.iter_mut().map(|slot| &mut **slot));
                 pyramid::fill(pixels.as_chunks().0, width, height, alpha, &mut levels);
                 meter.add(self.rows());
@@ -214,15 +214,30 @@ pub(crate) fn assemble_in(
             slots[index].push(slot);
             rest = tail;
         }
-        let failure = sources
-            .par_iter()
-            .zip(slots)
-            .map(|(source, mut slots)| source.fill(alpha, &mut slots, meter))
-            .find_map_first(Result::err);
+        let mut work: Vec<_> = sources.iter().zip(slots).collect();
+        let at_once = at_once(sources)?;
+        let failure = work.chunks_mut(at_once).find_map(|part| {
+            let filled = part.par_iter_mut().map(|(source, slots)| source.fill(alpha, slots, meter));
+            filled.find_map_first(Result::err)
+        });
         failure.map_or(Ok(()), Err)
     };
     let pixels = store::filled(store::is_on_disk(store, end), end, fill)?;
     Ok(ViewSet { views, pixels, alpha, scales })
+}
+
+/// How many of these frames are decoded at once. Very large photographs are decoded few at a time.
+fn at_once(sources: &[Source]) -> Result<usize> {
+    let files = sources.iter().flat_map(Source::files);
+    let Some(largest) = files.max_by_key(|file| file.bytes_to_decode()) else {
+        return Ok(sources.len().max(1));
+    };
+    let bytes = largest.bytes_to_decode();
+    largest.expect_memory()?;
+    match bytes * (rayon::current_num_threads() as u64) <= MOST_AT_ONCE {
+        true => Ok(sources.len().max(1)),
+        false => Ok((MOST_AT_ONCE / bytes).max(1) as usize),
+    }
 }
 
 fn area(camera: &Camera) -> Option<usize> {

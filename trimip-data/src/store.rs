@@ -1,7 +1,7 @@
 //! Where decoded photographs are kept: in memory, or in a file without a name that the system pages in and drops as memory
 //! allows. Both hold the same pixels, so a run has the same bits.
 
-use crate::describe::count;
+use crate::{describe::count, memory::available_memory};
 use memmap2::{Mmap, MmapMut};
 use std::{fs, io::Write};
 use trimip_core::{Error, Pixels, Result, config::PixelStore};
@@ -85,19 +85,6 @@ fn too_large() -> Error {
         "the images do not fit into memory",
         "set data.pixels = \"disk\", or use fewer or smaller images",
     )
-}
-
-/// Memory that this process may still take, bytes: the machine's, or a container's; `None` where the system does not tell.
-pub fn available_memory() -> Option<u64> {
-    let read = |path: &str| fs::read_to_string(path).unwrap_or_default();
-    let of_machine = read("/proc/meminfo").lines().find_map(|line| {
-        let kilobytes = line.strip_prefix("MemAvailable:")?.trim().strip_suffix("kB")?.trim();
-        kilobytes.parse::<u64>().ok().map(|kilobytes| 1024 * kilobytes)
-    });
-    let number = |path: &str| read(path).trim().parse::<u64>().ok();
-    let limit = number("/sys/fs/cgroup/memory.max").zip(number("/sys/fs/cgroup/memory.current"));
-    let of_container = limit.map(|(limit, used)| limit.saturating_sub(used));
-    [of_machine, of_container].into_iter().flatten().min()
 }
 
 #[cfg(test)]

@@ -33,7 +33,12 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
         PictureFormat::Png => view::PictureFormat::Png,
         PictureFormat::Exr => view::PictureFormat::Exr,
     };
-    let what: Vec<Quantity> = arguments.what.iter().map(|&quantity| quantity.into()).collect();
+    let mut what: Vec<Quantity> = Vec::new();
+    for quantity in arguments.what.iter().map(|&quantity| quantity.into()) {
+        if !what.contains(&quantity) {
+            what.push(quantity);
+        }
+    }
     let mut model = run_folder::read_model(&arguments.model)?;
     settings::override_model(&mut model, &arguments.set)?;
     let config = model.config.clone();

@@ -107,6 +107,15 @@ choice!(
     }
 );
 choice!(
+    /// What becomes of a run that is predicted to need more memory than there is.
+    MemoryChoice {
+        /// It does not begin.
+        Refuse,
+        /// It begins with a warning.
+        Warn,
+    }
+);
+choice!(
     /// Whether a decision of the scene plan is taken.
     PlanChoice {
         /// Unless the user set the value.

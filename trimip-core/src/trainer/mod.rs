@@ -6,11 +6,11 @@ mod step;
 mod sums;
 
 use crate::{
-    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, StepReport,
+    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, Space, StepReport,
     ViewSet, Viewer,
     backend::{Loss, Occupancy, Optimizer, Sampler},
     batch::{Deposit, Radiance, StepResult, StepSums},
-    checkpoint::{Checkpoint, TrainState},
+    checkpoint::{Checkpoint, MOST_PENDING, TrainState},
     config::Exposure,
     encoders,
     exchange::{Alone, Exchange},
@@ -19,6 +19,7 @@ use crate::{
     hull::Hull,
     loaded::LoadedModel,
     model::Model,
+    schedule::Schedule,
 };
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -30,8 +31,44 @@ const FIRST_MARCHED_PER_RAY: f32 = 128.0;
 /// Expected kept samples per ray, from which the first batch is sized.
 const FIRST_KEPT_PER_RAY: u32 = 256;
 
+/// Steps of the longest ray up to which these hold; beyond it each step more counts a quarter.
+const LONG_RAY: u32 = 4096;
+
 /// Minimum number of rays of a step.
 const LEAST_RAYS: u32 = 16;
+
+/// Most rays of a step, as a multiple of the samples that it aims at.
+const MOST_RAYS_PER_SAMPLE: u64 = 8;
+
+/// Most steps of a ray at the start of a run.
+pub fn longest_ray(config: &Config) -> usize {
+    let step = config.step_length() * config.renderer.step_scale.at(0.0) as f32;
+    Space::<f32>::new(&config.scene).most_steps(step)
+}
+
+/// Expected kept samples per ray of the first step.
+fn first_kept_per_ray(config: &Config) -> u32 {
+    FIRST_KEPT_PER_RAY + (longest_ray(config) as u32).saturating_sub(LONG_RAY) / 4
+}
+
+/// Rays of the first step.
+pub fn first_rays(config: &Config) -> u32 {
+    (config.train.samples_per_step / first_kept_per_ray(config)).max(LEAST_RAYS)
+}
+
+/// Most pixels of a step after steps that had `rays` of them.
+pub(crate) fn most_rays(config: &Config, rays: u64) -> u64 {
+    let span = |values: &Schedule| {
+        let (least, most) = values.values().fold((f64::MAX, 0.0_f64), |(a, b), x| (a.min(x), b.max(x)));
+        most / least
+    };
+    // Longer steps and fewer cones have more pixels at once. A step has at most twice as many as the one before it, and the
+    // totals do not know those of pending steps.
+    let ratio = span(&config.renderer.step_scale) * span(&config.train.cones).powi(2);
+    let doubled = rays.saturating_mul(1 << (MOST_PENDING + 1)).max(first_rays(config).into());
+    let limit = (MOST_RAYS_PER_SAMPLE * u64::from(config.train.samples_per_step)).max(LEAST_RAYS.into());
+    (doubled.min(limit) as f64 * ratio) as u64
+}
 
 /// A model in training on a backend.
 pub struct Trainer<B: Backend> {
@@ -71,7 +108,7 @@ impl<B: Backend> Trainer<B> {
             loaded.stages.occupancy.restore(&bits, Some(&densities));
         }
         let (backend, stages) = (&loaded.backend, &loaded.stages);
-        let cones = stages.sampler.balance().cones_per_pixel();
+        let (cones, kept) = (stages.sampler.balance().cones_per_pixel(), first_kept_per_ray(config));
         let deposits = (0..backend.deposits(config.train.samples_per_step))
             .map(|_| Deposit {
                 field: stages.field.gradient(),
@@ -83,10 +120,9 @@ impl<B: Backend> Trainer<B> {
             gradient: backend.zeros(loaded.layout.len()),
             probes: backend.zeros(0),
             state: TrainState {
-                rays_per_step: ((f64::from(config.train.samples_per_step / FIRST_KEPT_PER_RAY) / cones)
-                    as u32)
+                rays_per_step: ((f64::from(config.train.samples_per_step / kept) / cones) as u32)
                     .max(LEAST_RAYS),
-                marched_per_ray: FIRST_MARCHED_PER_RAY * cones as f32,
+                marched_per_ray: FIRST_MARCHED_PER_RAY * (kept / FIRST_KEPT_PER_RAY) as f32 * cones as f32,
                 data,
                 ..TrainState::default()
             },

@@ -1,7 +1,7 @@
 //! One training step: refresh of the occupancy grid, gradients, exchange between machines, update of the parameters.
 
 use super::{
-    LEAST_RAYS, Trainer,
+    LEAST_RAYS, MOST_RAYS_PER_SAMPLE, Trainer,
     sums::{Arrival, Pending, finite},
 };
 use crate::{
@@ -113,7 +113,8 @@ impl<B: Backend> Trainer<B> {
         // At most doubled, so that one batch with few samples does not make the next one huge.
         let most = 2 * u64::from(self.state.rays_per_step);
         let cones_per_pixel = self.loaded.stages.sampler.balance().cones_per_pixel();
-        let limit = (((8 * target) as f64 / cones_per_pixel) as u64).max(LEAST_RAYS.into());
+        let limit =
+            (((MOST_RAYS_PER_SAMPLE * target) as f64 / cones_per_pixel) as u64).max(LEAST_RAYS.into());
         self.state.rays_per_step = next.min(most).clamp(LEAST_RAYS.into(), limit) as u32;
         self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
     }

@@ -6,7 +6,7 @@ use super::{
     model::{File, ModelImage, ModelPoint},
 };
 use std::str::{FromStr, SplitAsciiWhitespace};
-use trimip_core::{Error, Result};
+use trimip_core::{Error, Result, text::without_mark};
 
 /// Least bytes of a camera: the shortest model with four parameters of one digit.
 const CAMERA: usize = 22;
@@ -137,7 +137,7 @@ struct Lines<'a> {
 
 impl<'a> Lines<'a> {
     fn new(file: File<'a>) -> Self {
-        let bytes = file.bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(file.bytes);
+        let bytes = without_mark(file.bytes);
         Self { file: File { bytes, ..file }, at: 0, number: 0 }
     }
 

@@ -321,7 +321,7 @@ pub fn create_writable(folder: &Path) -> Result<()> {
         Error::input(
             folder.display(),
             format!("cannot write there: {error}"),
-            "choose a folder that can be written with --out",
+            "choose a folder that can be written",
         )
     })
 }
@@ -330,7 +330,24 @@ pub fn create_writable(folder: &Path) -> Result<()> {
 mod tests {
     use super::*;
     use crate::run::history::tests::evaluation;
-    use trimip_core::checkpoint::TrainState;
+    use trimip_core::{
+        Layout,
+        checkpoint::{OCCUPANCY_DENSITY, TrainState},
+        model::OCCUPANCY,
+        tensors::{Tensor, TensorFile},
+    };
+
+    /// The checkpoint of a run that has not begun.
+    fn untrained(config: &Config) -> Checkpoint {
+        let (mut file, layout, cells) =
+            (TensorFile::default(), Layout::new(config), config.occupancy.cells());
+        let values = vec![0.0; layout.len()];
+        ["", ".m", ".v"].iter().for_each(|suffix| layout.to_tensors(&values, suffix, &mut file));
+        file.tensors.insert(OCCUPANCY.into(), Tensor::u8(&[cells / 8], vec![0; cells / 8]));
+        file.tensors.insert(OCCUPANCY_DENSITY.into(), Tensor::f32(&[cells], vec![0.0; cells]));
+        let state = TrainState { rays_per_step: 16, ..TrainState::default() };
+        Checkpoint { config: config.clone(), state, file }
+    }
 
     fn folder() -> (tempfile::TempDir, RunFolder) {
         let temporary = tempfile::tempdir().unwrap();
@@ -391,11 +408,11 @@ mod tests {
     #[test]
     fn a_checkpoint_of_other_settings_is_refused_and_kept() {
         let (_keep, folder) = folder();
-        let config = Config::default();
+        let mut config = Config::default();
+        config.encoder.plane_size = 128;
+        config.occupancy.resolution = 16;
         assert!(folder.resume_point(&config).unwrap().is_none());
-        let checkpoint =
-            Checkpoint { config: config.clone(), state: TrainState::default(), file: Default::default() };
-        checkpoint.write(&folder.checkpoint()).unwrap();
+        untrained(&config).write(&folder.checkpoint()).unwrap();
         assert!(folder.resume_point(&config).unwrap().is_some());
         let other = Config { seed: 1, ..config };
         let error = folder.resume_point(&other).unwrap_err();

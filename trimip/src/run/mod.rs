@@ -5,6 +5,7 @@ pub mod csv;
 pub mod folder;
 mod guard;
 pub mod history;
+mod memory;
 pub mod overview;
 pub mod provenance;
 mod recorder;

@@ -1,6 +1,6 @@
 //! What a run will do and how much memory it needs, as lines printed before it starts.
 
-use crate::{machine::Machine, units};
+use crate::units;
 use std::path::Path;
 use trimip_core::{Config, Frames, Layout, Slot, ViewSet, encoders, scene_plan::Finding};
 
@@ -58,19 +58,6 @@ impl Overview {
         lines.push(format!("memory: {} ({})", units::bytes(memory_bytes), parts.join(", ")));
         lines.push(format!("folder: {}", folder.display()));
         Self { lines, memory_bytes }
-    }
-
-    /// Returns a warning if the machine has less memory than the plan needs.
-    pub fn memory_warning(&self, machine: &Machine) -> Option<String> {
-        let available = machine.memory_available_bytes?;
-        (self.memory_bytes > available).then(|| {
-            format!(
-                "the run needs about {} but only {} of memory is available; lower encoder.plane_size, data.scales or \
-                 train.samples_per_step",
-                units::bytes(self.memory_bytes),
-                units::bytes(available)
-            )
-        })
     }
 }
 

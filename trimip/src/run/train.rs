@@ -6,6 +6,7 @@ use super::{
     folder::{RunFolder, read_model},
     guard::Lock,
     history::{History, up_to},
+    memory,
     overview::{Overview, Subject},
     provenance,
     recorder::Recorder,
@@ -224,13 +225,15 @@ impl Training {
             train: &scene.train,
             test: scene.test.as_ref(),
         };
-        let memory = backends::predict_memory(&config, &scene.train);
-        let overview = Overview::new(&config, &subject, &findings, &memory, folder.root(), totals.step);
+        let predicted = backends::predict_memory(&config, &scene.train);
+        let overview = Overview::new(&config, &subject, &findings, &predicted, folder.root(), totals.step);
         // A GPU has its own memory, and its backend reports what does not fit.
         let on_host = config.backend == "cpu";
         let mut warnings = scene.warnings.clone();
         warnings.extend(doubts);
-        warnings.extend(on_host.then(|| overview.memory_warning(&machine::Machine::detect())).flatten());
+        if on_host {
+            warnings.extend(memory::check(&config, &predicted)?);
+        }
         warnings.extend(backends::software_warning(&config));
         let mut session = backends::train(&config, scene.train)?;
         let resumed = checkpoint.is_some();

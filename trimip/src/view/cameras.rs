@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Camera, Error, Intrinsics, Result};
+use trimip_core::{Camera, Error, Intrinsics, Result, text};
 
 /// Largest width or height of a rendered picture, pixels.
 const MAX_SIDE: f64 = 16_384.0;
@@ -159,8 +159,7 @@ pub fn resized(k: Intrinsics, factor: f64) -> Result<Intrinsics> {
 }
 
 fn read(file: &Path) -> Result<String> {
-    std::fs::read_to_string(file)
-        .map_err(|error| Error::input(file.display(), error, "name an existing file of cameras"))
+    text::read(file, "name an existing file of cameras")
 }
 
 #[cfg(test)]

@@ -1,0 +1,99 @@
+//! Memory that this process may still take: the machine's, a container's, and what the limit of its addresses leaves.
+
+use std::fs;
+use std::path::Path;
+
+/// Addresses that an allocator reserves for each thread beside what it hands out, bytes (glibc: 64 MiB).
+const RESERVED_BY_THREAD: u64 = 64 << 20;
+
+/// Memory that this process may still take, bytes; `None` where the system does not tell.
+pub fn available_memory() -> Option<u64> {
+    let machine = kilobytes("/proc/meminfo", "MemAvailable:");
+    [machine, of_groups(), of_addresses()].into_iter().flatten().min()
+}
+
+/// Memory of this process that is in use, bytes.
+pub fn resident_memory() -> Option<u64> {
+    kilobytes("/proc/self/status", "VmRSS:")
+}
+
+/// What the control groups of this process leave, each bounded by those above it (cgroup v2, then v1). Pages of files that
+/// are not in use give way.
+fn of_groups() -> Option<u64> {
+    let groups = read("/proc/self/cgroup");
+    let own = groups.lines().find_map(|line| line.strip_prefix("0::/")).unwrap_or_default();
+    let root = Path::new("/sys/fs/cgroup");
+    let second = root
+        .join(own)
+        .ancestors()
+        .take_while(|path| path.starts_with(root))
+        .filter_map(|group| {
+            let number = |name: &str| read(group.join(name)).trim().parse::<u64>().ok();
+            let idle = value(&read(group.join("memory.stat")), "inactive_file ").unwrap_or(0);
+            left(number("memory.max")?, number("memory.current")?, idle)
+        })
+        .min();
+    let first = || {
+        let number = |name: &str| read(root.join("memory").join(name)).trim().parse::<u64>().ok();
+        let idle = value(&read(root.join("memory/memory.stat")), "total_inactive_file ").unwrap_or(0);
+        left(number("memory.limit_in_bytes")?, number("memory.usage_in_bytes")?, idle)
+    };
+    second.or_else(first)
+}
+
+/// What a limit leaves beside `used` bytes, of which `idle` give way.
+fn left(limit: u64, used: u64, idle: u64) -> Option<u64> {
+    Some(limit.saturating_sub(used.saturating_sub(idle)))
+}
+
+/// What the limit of this process's addresses (`ulimit -v`) leaves, less what its threads reserve.
+fn of_addresses() -> Option<u64> {
+    let limits = read("/proc/self/limits");
+    let limit = value(&limits, "Max address space")?;
+    let taken = kilobytes("/proc/self/status", "VmSize:")?;
+    let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    Some(limit.saturating_sub(taken).saturating_sub(threads * RESERVED_BY_THREAD))
+}
+
+fn read(path: impl AsRef<Path>) -> String {
+    fs::read_to_string(path).unwrap_or_default()
+}
+
+/// The number that follows `name` at the beginning of a line.
+fn value(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    line.split_whitespace().next()?.parse().ok()
+}
+
+/// Such a number in kB, in bytes.
+fn kilobytes(path: &str, name: &str) -> Option<u64> {
+    value(&read(path), name).map(|kilobytes| 1024 * kilobytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_are_read_and_no_limit_is_none() {
+        let limits =
+            "Limit     Soft Limit   Hard Limit   Units\nMax address space   1073741824   unlimited   bytes\n";
+        assert_eq!(value(limits, "Max address space"), Some(1 << 30));
+        assert_eq!(value(&limits.replace("1073741824", "unlimited"), "Max address space"), None);
+        assert_eq!(value("MemAvailable:   12 kB\n", "MemAvailable:"), Some(12));
+    }
+
+    #[test]
+    fn what_gives_way_is_not_counted() {
+        assert_eq!(left(100, 70, 30), Some(60));
+        assert_eq!(left(100, 170, 30), Some(0));
+    }
+
+    #[test]
+    fn this_process_uses_memory_and_may_take_more() {
+        if cfg!(target_os = "linux") {
+            assert!(available_memory().is_some_and(|bytes| bytes > 0));
+            assert!(resident_memory().is_some_and(|bytes| bytes > 100_000));
+        }
+    }
+}
