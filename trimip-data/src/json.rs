@@ -12,7 +12,8 @@ pub(crate) fn read(path: &Path) -> Result<Value> {
     parse(path, &bytes)
 }
 
-fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
+/// Parses the bytes of a file.
+pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
     // Editors of other systems put a byte order mark first, which JSON does not allow.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     serde_json::from_slice(bytes).map_err(|error| {
