@@ -2,12 +2,12 @@
 //! numbers are hashes of (seed, step, index), so the step is the whole random state.
 
 use crate::{
-    Config, Error, Result,
+    Config, Error, Layout, Result,
     batch::StepSums,
     encoders,
     events::Totals,
     exposure,
-    model::{Model, expect_format},
+    model::{Model, cells, expect_format, expect_tensors},
     tensors::{TensorFile, Values},
 };
 use serde::{Deserialize, Serialize};
@@ -42,6 +42,24 @@ pub struct TrainState {
     pub rays_per_step: u32,
     /// Marched samples per pixel of the last step, which sizes the next step's spans.
     pub marched_per_ray: f32,
+}
+
+impl TrainState {
+    /// The first number that no training with that configuration has.
+    fn impossible(&self, config: &Config) -> Option<String> {
+        let is_size = |value: f64| value.is_finite() && value >= 0.0;
+        let last_stage = encoders::of(config).stage(config, 0.0);
+        if self.stage > last_stage {
+            return Some(format!("`halvings` is {}, at most {last_stage} are configured", self.stage));
+        }
+        let sizes = [
+            ("totals.seconds", self.totals.seconds),
+            ("step_scale", self.spacing),
+            ("marched_per_ray", self.marched_per_ray.into()),
+        ];
+        let wrong = sizes.into_iter().find(|(_, value)| !is_size(*value));
+        wrong.map(|(name, value)| format!("`{name}` is {value}, not a finite number from 0"))
+    }
 }
 
 /// True for tensors, beside moments, that only training needs.
@@ -98,18 +116,36 @@ impl Checkpoint {
         self.file.write(path, &metadata)
     }
 
-    /// Reads a checkpoint and checks its format.
+    /// Reads a checkpoint and checks that its tensors and its state are those of its configuration.
     ///
     /// # Errors
-    /// When the file cannot be read or is not a checkpoint that this build understands.
+    /// When the file cannot be read, is not a checkpoint that this build understands, or has other tensors or an impossible
+    /// state.
     pub fn read(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let file = TensorFile::read(path)?;
-        expect_format(&name, &file, FORMAT)?;
-        let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
-        let state = serde_json::from_str(file.text(&name, "state")?).map_err(|error| {
-            Error::input(&name, format!("its state: {error}"), "use a checkpoint of this version")
-        })?;
+        Self::of(&path.display().to_string(), TensorFile::read(path)?)
+    }
+
+    /// Reads a checkpoint from the bytes of its file; `name` names the file in errors.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self> {
+        Self::of(name, TensorFile::from_bytes(name, bytes)?)
+    }
+
+    fn of(name: &str, file: TensorFile) -> Result<Self> {
+        expect_format(name, &file, FORMAT)?;
+        let config = Config::from_toml(&format!("{name} (its config)"), file.text(name, "config")?)?;
+        let wrong = |what: String| Error::input(name, what, "use a checkpoint of this version");
+        let state: TrainState = serde_json::from_str(file.text(name, "state")?)
+            .map_err(|error| wrong(format!("its state: {error}")))?;
+        if let Some(what) = state.impossible(&config) {
+            return Err(wrong(format!("its state: {what}")));
+        }
+        expect_tensors(name, &config, &file)?;
+        let layout = Layout::new(&config);
+        [".m", ".v"].into_iter().try_for_each(|moment| layout.expect(&file, name, moment))?;
+        file.f32(name, OCCUPANCY_DENSITY, &[cells(&config)])?;
         Ok(Self { config, state, file })
     }
 

@@ -6,7 +6,7 @@ use crate::{
     backend::{Occupancy, Sampler, Stages},
     batch::{Radiance, Workspace},
     config::{Exposure, RendererKind},
-    model::{Assets, Model, OCCUPANCY, assets},
+    model::{Assets, Model, OCCUPANCY, assets, cells},
     proxy::Proxy,
     tensors::{Tensor, TensorFile},
 };
@@ -195,7 +195,7 @@ impl<B: Backend> LoadedModel<B> {
 
     /// Number of cells of the occupancy grid.
     pub(crate) fn cells(&self) -> usize {
-        (self.config.occupancy.resolution as usize).pow(3)
+        cells(&self.config)
     }
 }
 

@@ -81,20 +81,42 @@ impl Model {
         file.write(path, &[])
     }
 
-    /// Reads a model and checks its format.
+    /// Reads a model and checks that its tensors are those of its configuration.
     ///
     /// # Errors
-    /// When the file cannot be read or is not a model that this build understands.
+    /// When the file cannot be read, is not a model that this build understands, or has other tensors.
     pub fn read(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let mut file = TensorFile::read(path)?;
-        expect_format(&name, &file, FORMAT)?;
+        Self::of(&path.display().to_string(), TensorFile::read(path)?)
+    }
+
+    /// Reads a model from the bytes of its file; `name` names the file in errors.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self> {
+        Self::of(name, TensorFile::from_bytes(name, bytes)?)
+    }
+
+    fn of(name: &str, mut file: TensorFile) -> Result<Self> {
+        expect_format(name, &file, FORMAT)?;
         for tensor in file.tensors.values_mut() {
             tensor.widen();
         }
-        let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
+        let config = Config::from_toml(&format!("{name} (its config)"), file.text(name, "config")?)?;
+        expect_tensors(name, &config, &file)?;
         Ok(Self { config, file })
     }
+}
+
+/// Refuses a file whose parameters and occupancy bits are not those that its configuration declares.
+pub(crate) fn expect_tensors(name: &str, config: &Config, file: &TensorFile) -> Result<()> {
+    Layout::new(config).expect(file, name, "")?;
+    file.u8(name, OCCUPANCY, &[cells(config).div_ceil(8)]).map(|_| ())
+}
+
+/// Number of cells of the occupancy grid.
+pub(crate) fn cells(config: &Config) -> usize {
+    (config.occupancy.resolution as usize).pow(3)
 }
 
 /// Refuses a file of another kind or version.
