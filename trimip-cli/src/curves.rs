@@ -4,8 +4,11 @@ use crate::report::svg::{Line, Point};
 use crate::terminal;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use trimip::run::curve::{Evaluated, curve, parse};
 use trimip::{Error, Result, run::history::History};
 use trimip_core::text;
+
+pub use trimip::run::curve::Measure;
 
 /// A curve of error against time.
 #[derive(Debug)]
@@ -18,15 +21,6 @@ pub struct Curve {
     pub last: Option<Measure>,
     /// The run folder, if the curve is a run's.
     pub folder: Option<PathBuf>,
-}
-
-/// A point of a curve.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Measure {
-    /// Seconds of training.
-    pub seconds: f64,
-    /// Mean PSNR of the scales, dB.
-    pub psnr: f64,
 }
 
 /// The time at which a curve reaches a PSNR.
@@ -131,71 +125,6 @@ pub fn reach_json(psnr: f64, reach: Option<Reach>) -> serde_json::Value {
         "seconds": reach.map(|reach| reach.seconds),
         "at_most": reach.is_some_and(|reach| reach.at_most),
     })
-}
-
-/// Parses the measurements of a CSV text, sorted by time, and the final one if a column `last` marks it. A line with an
-/// empty PSNR is an evaluation whose result was not a number.
-fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
-    let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
-    let header: Vec<&str> =
-        lines.next().map_or(Vec::new(), |(line, _)| line.split(',').map(str::trim).collect());
-    let column = |name: &str| header.iter().position(|column| *column == name);
-    let missing =
-        |name: &str| Error::input(file, format!("no column `{name}`"), "name the columns in the first line");
-    let seconds = column("seconds").ok_or_else(|| missing("seconds"))?;
-    let psnr = column("psnr_mean").ok_or_else(|| missing("psnr_mean"))?;
-    let (is_last, stride) = (column("last"), column("stride"));
-    let mut rows = Vec::new();
-    for (line, number) in lines {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        if cells.get(psnr) == Some(&"") {
-            continue;
-        }
-        let value = |column: usize| {
-            let cell = cells.get(column).copied().unwrap_or_default();
-            cell.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(|| {
-                Error::input(
-                    format!("{file}:{number}"),
-                    format!("`{}` is `{cell}`", header[column]),
-                    "expected a finite number",
-                )
-            })
-        };
-        let measure = Measure { seconds: value(seconds)?, psnr: value(psnr)? };
-        let ends = is_last.is_some_and(|column| cells.get(column) == Some(&"true"));
-        let views = stride.and_then(|column| cells.get(column)).map(|cell| (*cell).to_string());
-        rows.push(Evaluated { measure, ends, views });
-    }
-    curve(rows.into_iter()).ok_or_else(|| Error::input(file, "no measures", "name a run that was evaluated"))
-}
-
-/// One evaluation of a run.
-struct Evaluated {
-    measure: Measure,
-    /// True for the evaluation at the end of the run.
-    ends: bool,
-    /// The views evaluated, if known.
-    views: Option<String>,
-}
-
-/// The points of a curve by time, and the final measurement if it uses other views; `None` without measurements.
-fn curve(rows: impl Iterator<Item = Evaluated>) -> Option<(Vec<Measure>, Option<Measure>)> {
-    let (mut points, mut last, mut before) = (Vec::new(), None, None);
-    for Evaluated { measure, ends, views } in rows {
-        if ends {
-            last = Some(measure);
-        }
-        // The final measurement also belongs to the curve if it uses the curve's own views.
-        if !ends || (views.is_some() && views == before) {
-            points.push(measure);
-            before = views;
-        }
-    }
-    points.sort_by(|a: &Measure, b| a.seconds.total_cmp(&b.seconds));
-    if points.is_empty() {
-        points.extend(last.take());
-    }
-    (!points.is_empty()).then_some((points, last))
 }
 
 /// The [`rows`] for a terminal.

@@ -168,18 +168,29 @@ impl Checkpoint {
     /// Reads a checkpoint and checks it: its format, its settings, its state, and every tensor's shape and numbers.
     ///
     /// # Errors
-    /// When the file cannot be read or is not a checkpoint that this build understands.
+    /// When the file cannot be read, is not a checkpoint that this build understands, or has other tensors or an impossible
+    /// state.
     pub fn read(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let file = TensorFile::read(path)?;
-        expect_format(&name, &file, FORMAT)?;
-        let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
-        let state: TrainState = serde_json::from_str(file.text(&name, "state")?).map_err(|error| {
-            Error::input(&name, format!("its state: {error}"), "use a checkpoint of this version")
+        Self::of(&path.display().to_string(), TensorFile::read(path)?)
+    }
+
+    /// Reads a checkpoint from the bytes of its file; `name` names the file in errors.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self> {
+        Self::of(name, TensorFile::from_bytes(name, bytes)?)
+    }
+
+    fn of(name: &str, file: TensorFile) -> Result<Self> {
+        expect_format(name, &file, FORMAT)?;
+        let config = Config::from_toml(&format!("{name} (its config)"), file.text(name, "config")?)?;
+        let state: TrainState = serde_json::from_str(file.text(name, "state")?).map_err(|error| {
+            Error::input(name, format!("its state: {error}"), "use a checkpoint of this version")
         })?;
-        state.expect_possible(&name, &config)?;
-        expect_tensors(&name, &file, &config, &["", ".m", ".v"])?;
-        file.f32(&name, OCCUPANCY_DENSITY, &[config.occupancy.cells()])?;
+        state.expect_possible(name, &config)?;
+        expect_tensors(name, &file, &config, &["", ".m", ".v"])?;
+        file.f32(name, OCCUPANCY_DENSITY, &[config.occupancy.cells()])?;
         Ok(Self { config, state, file })
     }
 

@@ -84,16 +84,26 @@ impl Model {
     /// Reads a model and checks it: its format, its settings, and every tensor's shape and numbers.
     ///
     /// # Errors
-    /// When the file cannot be read or is not a model that this build understands.
+    /// When the file cannot be read, is not a model that this build understands, or has other tensors.
     pub fn read(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let mut file = TensorFile::read(path)?;
-        expect_format(&name, &file, FORMAT)?;
+        Self::of(&path.display().to_string(), TensorFile::read(path)?)
+    }
+
+    /// Reads a model from the bytes of its file; `name` names the file in errors.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self> {
+        Self::of(name, TensorFile::from_bytes(name, bytes)?)
+    }
+
+    fn of(name: &str, mut file: TensorFile) -> Result<Self> {
+        expect_format(name, &file, FORMAT)?;
         for tensor in file.tensors.values_mut() {
             tensor.widen();
         }
-        let config = Config::from_toml(&format!("{name} (its config)"), file.text(&name, "config")?)?;
-        expect_tensors(&name, &file, &config, &[""])?;
+        let config = Config::from_toml(&format!("{name} (its config)"), file.text(name, "config")?)?;
+        expect_tensors(name, &file, &config, &[""])?;
         Ok(Self { config, file })
     }
 }
@@ -106,11 +116,8 @@ pub(crate) fn expect_tensors(
     config: &Config,
     suffixes: &[&str],
 ) -> Result<()> {
-    for slot in Layout::new(&config.centred().0).slots {
-        for suffix in suffixes {
-            file.f32(name, &format!("{}{suffix}", slot.name), &slot.shape)?;
-        }
-    }
+    let layout = Layout::new(&config.centred().0);
+    suffixes.iter().try_for_each(|suffix| layout.expect(file, name, suffix))?;
     file.u8(name, OCCUPANCY, &[config.occupancy.cells().div_ceil(8)])?;
     file.expect_finite(name)
 }

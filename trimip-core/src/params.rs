@@ -129,12 +129,23 @@ impl Layout {
     /// # Errors
     /// When a tensor is missing or has the wrong shape; the error names it.
     pub fn from_tensors(&self, file: &TensorFile, name: &str, suffix: &str) -> Result<Vec<f32>> {
+        self.expect(file, name, suffix)?;
         let mut values = vec![0.0; self.len()];
         for slot in &self.slots {
             let tensor = file.f32(name, &format!("{}{suffix}", slot.name), &slot.shape)?;
             values[slot.range.clone()].copy_from_slice(tensor);
         }
         Ok(values)
+    }
+
+    /// Refuses tensors that are not those of the slots, before anything is allocated for them.
+    ///
+    /// # Errors
+    /// As [`from_tensors`](Self::from_tensors).
+    pub fn expect(&self, file: &TensorFile, name: &str, suffix: &str) -> Result<()> {
+        self.slots
+            .iter()
+            .try_for_each(|slot| file.f32(name, &format!("{}{suffix}", slot.name), &slot.shape).map(|_| ()))
     }
 }
 

@@ -12,6 +12,7 @@ use crate::{
     split::Split,
     stated,
 };
+use glam::{DMat3, DVec3};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use trimip_core::{Camera, Error, Result};
@@ -86,29 +87,106 @@ fn read_file(
     divide: impl Fn(&Node<'_>, &[Value]) -> Result<Part>,
 ) -> Result<Split> {
     let document = json::read(path)?;
-    let file = Node::new(path.display(), &document)?;
-    let entries = file.array("frames")?;
-    let part = divide(&file, entries)?;
+    let transforms = Transforms::new(path, &document)?;
+    let Transforms { file, entries, size, names, .. } = &transforms;
+    let part = divide(file, entries)?;
     let chosen = part.choose(entries.len());
     if chosen.is_empty() {
         return Err(division::empty(path, split, entries.len(), &part));
     }
-    let size = Size::of(&file)?;
-    let named =
-        |entry: &Value| entry.get("file_path").and_then(Value::as_str).unwrap_or_default().to_string();
-    let names = names::unique(&entries.iter().map(named).collect::<Vec<_>>());
     let sources = map_in_order(&chosen, |_, &index| {
-        let place = match entries[index].get("file_path").and_then(Value::as_str) {
-            Some(named) => format!("{}: frame {index} ({named})", path.display()),
-            None => format!("{}: frame {index}", path.display()),
-        };
-        let frame = Node::new(place, &entries[index])?;
-        read_frame(root, &file, size, &frame, names[index].clone(), scales)
+        let entry = transforms.entry(index)?;
+        let place = &entry.frame.place;
+        let image = Photograph::open(find_image(root, entry.named, place)?, place.clone())?;
+        let image = image.fit(entry.size.width, entry.size.height);
+        entry.size.check(&image)?;
+        let camera = entry.camera(file, image.width, image.height)?;
+        let pixels = Pixels::Photograph(image);
+        let source = Source::averaged(names[index].clone(), camera, scales, place, pixels)?;
+        Ok(Source { mask_path: entry.mask_path.map(str::to_string), ..source })
     })?;
-    check_shared_focal(&file, entries, &chosen, &sources, size)?;
-    let (stated, cloud) = stated::read(root, &file)?;
+    check_shared_focal(file, entries, &chosen, &sources, *size)?;
+    let (stated, cloud) = stated::read(root, file)?;
     let warnings = part.warning(path, "in file order").into_iter().collect();
-    Ok(Split { sources, warnings, notes: applied(&file)?, stated, cloud })
+    Ok(Split { sources, warnings, notes: applied(file)?, stated, cloud })
+}
+
+/// Names and cameras of all frames of a transforms file, whose photographs have `size` where none is stated. Checks all that
+/// can be checked without them.
+pub(crate) fn cameras(path: &Path, bytes: &[u8], size: [u32; 2]) -> Result<Vec<(String, Camera)>> {
+    let document = json::parse(path, bytes)?;
+    let transforms = Transforms::new(path, &document)?;
+    let file = &transforms.file;
+    for split in division::listed(file) {
+        division::divide(path, file, transforms.entries, split)?;
+    }
+    applied(file)?;
+    stated::cube(file)?;
+    let camera = |index: usize| {
+        let entry = transforms.entry(index)?;
+        let (width, height) = (entry.size.width.unwrap_or(size[0]), entry.size.height.unwrap_or(size[1]));
+        Ok((transforms.names[index].clone(), entry.camera(file, width, height)?))
+    };
+    (0..transforms.entries.len()).map(camera).collect()
+}
+
+/// A transforms file without its photographs.
+struct Transforms<'a> {
+    path: &'a Path,
+    file: Node<'a>,
+    entries: &'a [Value],
+    /// The size that the file states for all photographs.
+    size: Size,
+    /// Short names of the frames.
+    names: Vec<String>,
+}
+
+impl<'a> Transforms<'a> {
+    fn new(path: &'a Path, document: &'a Value) -> Result<Self> {
+        let file = Node::new(path.display(), document)?;
+        let entries = file.array("frames")?;
+        let size = Size::of(&file)?;
+        let named: Vec<&str> = entries.iter().map(|entry| named(entry).unwrap_or_default()).collect();
+        Ok(Self { path, file, entries, size, names: names::unique(&named) })
+    }
+
+    fn entry(&self, index: usize) -> Result<Entry<'a>> {
+        let entry = &self.entries[index];
+        let place = match named(entry) {
+            Some(named) => format!("{}: frame {index} ({named})", self.path.display()),
+            None => format!("{}: frame {index}", self.path.display()),
+        };
+        let frame = Node::new(place, entry)?;
+        Ok(Entry {
+            named: frame.required_text("file_path")?,
+            pose: pose::read(&frame, "transform_matrix")?,
+            size: Size::of(&frame)?.or(self.size),
+            mask_path: frame.text("mask_path")?,
+            frame,
+        })
+    }
+}
+
+/// The path that an entry states for its photograph.
+fn named(entry: &Value) -> Option<&str> {
+    entry.get("file_path").and_then(Value::as_str)
+}
+
+/// A frame without its photograph.
+struct Entry<'a> {
+    frame: Node<'a>,
+    named: &'a str,
+    pose: (DMat3, DVec3),
+    size: Size,
+    mask_path: Option<&'a str>,
+}
+
+impl Entry<'_> {
+    /// The camera of a photograph of that size.
+    fn camera(&self, file: &Node<'_>, width: u32, height: u32) -> Result<Camera> {
+        let (rotation, origin) = self.pose;
+        Ok(Camera { intrinsics: intrinsics(file, &self.frame, width, height)?, rotation, origin })
+    }
 }
 
 /// What nerfstudio did to the original poses before it wrote them: the poses of the file are `applied_scale` ·
@@ -129,26 +207,6 @@ fn applied(file: &Node<'_>) -> Result<Vec<String>> {
         "lengths of {} are {scale} times those of the original poses (applied_scale)",
         file.place
     )])
-}
-
-fn read_frame(
-    root: &Path,
-    file: &Node<'_>,
-    stated: Size,
-    frame: &Node<'_>,
-    name: String,
-    scales: u32,
-) -> Result<Source> {
-    let named = frame.required_text("file_path")?;
-    let (rotation, origin) = pose::read(frame, "transform_matrix")?;
-    let size = Size::of(frame)?.or(stated);
-    let image = Photograph::open(find_image(root, named, &frame.place)?, frame.place.clone())?;
-    let image = image.fit(size.width, size.height);
-    size.check(&image)?;
-    let intrinsics = intrinsics(file, frame, image.width, image.height)?;
-    let camera = Camera { intrinsics, rotation, origin };
-    let source = Source::averaged(name, camera, scales, &frame.place, Pixels::Photograph(image))?;
-    Ok(Source { mask_path: frame.text("mask_path")?.map(str::to_string), ..source })
 }
 
 /// A focal length in pixels that is given once for the file is valid for one image size only.

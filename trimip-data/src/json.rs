@@ -12,7 +12,8 @@ pub(crate) fn read(path: &Path) -> Result<Value> {
     parse(path, &bytes)
 }
 
-fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
+/// Parses the bytes of a file.
+pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
     let bytes = without_mark(bytes);
     serde_json::from_slice(bytes).map_err(|error| {
         let (line, column) = (error.line(), error.column());

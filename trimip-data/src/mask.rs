@@ -77,6 +77,11 @@ impl Mask {
     }
 }
 
+/// The kept share of each pixel of a mask of an object whose white is kept.
+pub(crate) fn kept(image: DynamicImage) -> Vec<u8> {
+    shares(image, true, Role::Object)
+}
+
 /// The kept share of each pixel of a mask.
 fn shares(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
     let transparent = image.color().has_alpha();

@@ -75,6 +75,22 @@ impl Metadata {
     }
 }
 
+/// Names and cameras of all entries of a file, split by split. Checks all that can be checked without the photographs.
+pub(crate) fn cameras(path: &Path, bytes: &[u8]) -> Result<Vec<(String, Camera)>> {
+    let document = json::parse(path, bytes)?;
+    let file = Node::new(path.display(), &document)?;
+    let mut cameras = Vec::new();
+    for split in file.keys() {
+        let Some(value) = file.get(split) else { continue };
+        let table = Table::new(Node::new(format!("{}: {split}", path.display()), value)?)?;
+        for index in 0..table.paths.len() {
+            table.level(index)?;
+            cameras.push((stem(table.named(index)?), table.camera(index)?));
+        }
+    }
+    Ok(cameras)
+}
+
 /// One view of one frame.
 struct Entry {
     name: String,
@@ -141,15 +157,10 @@ impl<'a> Table<'a> {
     }
 
     fn entry(&self, root: &Path, index: usize) -> Result<Entry> {
-        let place = self.place(index);
-        let Some(named) = self.paths[index].as_str() else {
-            let what = format!("\"file_path\" is {}", short(&self.paths[index]));
-            return Err(Error::input(place, what, "expected a text: export the set again"));
-        };
-        let (rotation, origin) = pose::parse(&place, "cam2world", &self.node.array("cam2world")?[index])?;
+        let (named, place) = (self.named(index)?, self.place(index));
         let image = Photograph::open(find_image(root, named, &place)?, place)?;
-        let (width, height) = (self.positive("width", index)?, self.positive("height", index)?);
-        if (width, height) != (f64::from(image.width), f64::from(image.height)) {
+        let [width, height] = self.size(index)?;
+        if (width, height) != (image.width, image.height) {
             return Err(Error::input(
                 &image.place,
                 format!(
@@ -161,13 +172,34 @@ impl<'a> Table<'a> {
                 "export the set again",
             ));
         }
-        let intrinsics = self.intrinsics(index, &image)?;
-        Ok(Entry { name: stem(named), camera: Camera { intrinsics, rotation, origin }, image })
+        Ok(Entry { name: stem(named), camera: self.camera(index)?, image })
     }
 
-    fn intrinsics(&self, index: usize, image: &Photograph) -> Result<Intrinsics> {
+    /// Path of the photograph of an entry.
+    fn named(&self, index: usize) -> Result<&'a str> {
+        let value = &self.paths[index];
+        value.as_str().ok_or_else(|| {
+            let what = format!("\"file_path\" is {}", short(value));
+            Error::input(self.place(index), what, "expected a text: export the set again")
+        })
+    }
+
+    /// Width and height of an entry.
+    fn size(&self, index: usize) -> Result<[u32; 2]> {
+        let whole = |value: f64| value >= 1.0 && value <= f64::from(u32::MAX) && value.fract() == 0.0;
+        let side = |key| self.number(key, index, "a whole number above 0", whole).map(|side| side as u32);
+        Ok([side("width")?, side("height")?])
+    }
+
+    fn camera(&self, index: usize) -> Result<Camera> {
+        let matrix = &self.node.array("cam2world")?[index];
+        let (rotation, origin) = pose::parse(&self.place(index), "cam2world", matrix)?;
+        Ok(Camera { intrinsics: self.intrinsics(index)?, rotation, origin })
+    }
+
+    fn intrinsics(&self, index: usize) -> Result<Intrinsics> {
         let fx = self.positive("focal", index)?;
-        let (width, height) = (image.width, image.height);
+        let [width, height] = self.size(index)?;
         let mut k = Intrinsics {
             width,
             height,

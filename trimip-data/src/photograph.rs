@@ -10,7 +10,7 @@ use image::{DynamicImage, ImageDecoder, ImageReader, metadata::Orientation};
 use std::{
     fmt::Display,
     fs::{self, File},
-    io::{BufReader, Cursor},
+    io::{BufRead, BufReader, Cursor, Seek},
     path::{Path, PathBuf},
 };
 use trimip_core::{Error, Result};
@@ -41,7 +41,15 @@ pub(crate) struct Photograph {
 impl Photograph {
     /// Reads the header of `path`. Its pixels are used as stored, unless [`fit`](Self::fit) turns them.
     pub(crate) fn open(path: PathBuf, place: String) -> Result<Self> {
-        let mut decoder = reader(&path)
+        match File::open(&path) {
+            Ok(file) => Self::header(path, place, BufReader::new(file)),
+            Err(error) => Err(undecodable(&place, &path, &error)),
+        }
+    }
+
+    /// Reads the header of the image `source`, which `path` names.
+    fn header(path: PathBuf, place: String, source: impl BufRead + Seek) -> Result<Self> {
+        let mut decoder = reader(source)
             .and_then(ImageReader::into_decoder)
             .map_err(|error| undecodable(&place, &path, &error))?;
         let (width, height) = decoder.dimensions();
@@ -99,17 +107,18 @@ impl Photograph {
 
     /// Decodes to width·height pixels of whatever kind.
     pub(crate) fn image(&self) -> Result<DynamicImage> {
+        let bytes = fs::read(&self.path).map_err(|error| undecodable(&self.place, &self.path, &error))?;
+        self.decoded(&bytes)
+    }
+
+    fn decoded(&self, bytes: &[u8]) -> Result<DynamicImage> {
         let wrong = |error: &dyn Display| undecodable(&self.place, &self.path, error);
-        let bytes = fs::read(&self.path).map_err(|error| wrong(&error))?;
         // The decoder fills the missing part of a JPEG with grey.
-        if is_truncated_jpeg(&bytes) {
+        if is_truncated_jpeg(bytes) {
             return Err(wrong(&"the file ends before the image does"));
         }
-        let mut image = ImageReader::new(Cursor::new(bytes))
-            .with_guessed_format()
-            .map_err(|error| wrong(&error))?
-            .decode()
-            .map_err(|error| wrong(&error))?;
+        let mut image =
+            reader(Cursor::new(bytes)).and_then(ImageReader::decode).map_err(|error| wrong(&error))?;
         if let Turn::Applied(tag) = self.turn {
             image.apply_orientation(tag);
         }
@@ -118,6 +127,11 @@ impl Photograph {
         }
         Ok(image)
     }
+}
+
+/// The image in the bytes of a file that `path` names.
+pub(crate) fn of_bytes(path: &Path, bytes: &[u8]) -> Result<DynamicImage> {
+    Photograph::header(path.into(), path.display().to_string(), Cursor::new(bytes))?.decoded(bytes)
 }
 
 /// True for a truncated JPEG. Segments are skipped by their length; within coded data a byte
@@ -138,9 +152,9 @@ fn is_truncated_jpeg(bytes: &[u8]) -> bool {
     true
 }
 
-fn reader(path: &Path) -> image::ImageResult<ImageReader<BufReader<File>>> {
+fn reader<S: BufRead + Seek>(source: S) -> image::ImageResult<ImageReader<S>> {
     // The content determines the format, not the name: JPEGs named .png are common.
-    Ok(ImageReader::open(path)?.with_guessed_format()?)
+    Ok(ImageReader::new(source).with_guessed_format()?)
 }
 
 fn undecodable(place: &str, path: &Path, error: &dyn Display) -> Error {

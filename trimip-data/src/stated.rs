@@ -1,15 +1,8 @@
 //! The bounding box that a transforms file states: points from structure from motion (`ply_file_path`, nerfstudio), or
 //! Instant-NGP's `aabb_scale` with `scale` and `offset`. World units of the file's poses.
 
-use crate::{
-    json::Node,
-    points::{Cloud, Point},
-};
-use ply_rs_bw::{
-    parser::Parser,
-    ply::{DefaultElement, Property},
-};
-use std::{fs::File, io::BufReader, path::Path};
+use crate::{json::Node, ply, points::Cloud};
+use std::{fs, path::Path};
 use trimip_core::{Aabb, Error, Result, scene_plan::StatedBox};
 
 /// Defaults of `scale` and `offset`: Instant-NGP's unit cube in world units.
@@ -19,7 +12,12 @@ const NGP: (f64, f64) = (0.33, 0.5);
 pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<(Option<StatedBox>, Cloud)> {
     let mut cloud = Cloud::default();
     if let Some(named) = file.text("ply_file_path")? {
-        cloud.points = points(&root.join(named.replace('\\', "/")), &file.place)?;
+        let path = root.join(named.replace('\\', "/"));
+        let bytes = fs::read(&path).map_err(|error| {
+            let what = format!("\"ply_file_path\" {} cannot be read: {error}", path.display());
+            Error::input(&file.place, what, "export the points again, or remove the key")
+        })?;
+        cloud.points = ply::points(&path.display().to_string(), &bytes)?;
         let stated = cloud.stated(&format!("of {named}"));
         if stated.is_some() {
             return Ok((stated, cloud));
@@ -29,7 +27,7 @@ pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<(Option<StatedBox>, C
 }
 
 /// The cube of Instant-NGP.
-fn cube(file: &Node<'_>) -> Result<Option<StatedBox>> {
+pub(crate) fn cube(file: &Node<'_>) -> Result<Option<StatedBox>> {
     let Some(aabb_scale) = file.number("aabb_scale")? else { return Ok(None) };
     let scale = file.number("scale")?.unwrap_or(NGP.0);
     let offset = match file.get("offset") {
@@ -60,39 +58,6 @@ fn wrong(file: &Node<'_>, key: &str, expected: &str) -> Error {
         format!("\"{key}\" has no valid value"),
         format!("expected {expected}, or no such key"),
     )
-}
-
-/// The vertices of a PLY file.
-fn points(path: &Path, place: &str) -> Result<Vec<Point>> {
-    let unreadable = |error: &dyn std::fmt::Display| {
-        Error::input(
-            place,
-            format!("\"ply_file_path\" {}: {error}", path.display()),
-            "export the points again, or remove the key",
-        )
-    };
-    let file = File::open(path).map_err(|error| unreadable(&error))?;
-    let ply = Parser::<DefaultElement>::new()
-        .read_ply(&mut BufReader::new(file))
-        .map_err(|error| unreadable(&error))?;
-    let vertices = ply.payload.get("vertex").map_or(&[][..], Vec::as_slice);
-    let number = |property: Option<&Property>| match property {
-        Some(Property::Float(value)) => Some(f64::from(*value)),
-        Some(Property::Double(value)) => Some(*value),
-        _ => None,
-    };
-    let points = vertices.iter().filter_map(|vertex| {
-        let at = ["x", "y", "z"].map(|key| number(vertex.get(key)));
-        let [Some(x), Some(y), Some(z)] = at else { return None };
-        let color = ["red", "green", "blue"].map(|key| match vertex.get(key) {
-            Some(Property::UChar(value)) => *value,
-            _ => 0,
-        });
-        let position = [x, y, z];
-        let point = Point { position, color, error: None, seen: None, track: Vec::new() };
-        position.iter().all(|value| value.is_finite()).then_some(point)
-    });
-    Ok(points.collect())
 }
 
 #[cfg(test)]
@@ -134,7 +99,7 @@ mod tests {
             text += &format!("{at} {} {} 7\n", 2.0 * at, -at);
         }
         text += "1000 1000 1000 7\n";
-        std::fs::write(folder.path().join("points.ply"), text).unwrap();
+        fs::write(folder.path().join("points.ply"), text).unwrap();
         let value = json!({ "ply_file_path": "points.ply", "aabb_scale": 16 });
         let (found, cloud) = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap();
         let found = found.unwrap();

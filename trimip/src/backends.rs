@@ -1,5 +1,6 @@
 //! Registry of the backends compiled into this build. A configuration selects one by name.
 
+#[cfg(feature = "wgpu")]
 use crate::units;
 use trimip_core::{
     Backend, Config, Error, Result, Session, ViewSet, Viewer, model::Model, scene_plan::Compute,

@@ -59,17 +59,13 @@ impl Capture {
         let mut warnings: Vec<String> =
             found.warning.into_iter().chain(unplaced(&folder, &image_names)).collect();
 
-        let cameras: HashMap<u32, Intrinsics> =
-            model.cameras.iter().map(|camera| (camera.id, camera.intrinsics())).collect();
+        let cameras = model.cameras_of_images(&file.display().to_string())?;
         let names = names::unique(&image_names);
-        let frames = map_in_order(&model.images, |index, image| {
+        let frames = model.images.iter().zip(cameras).zip(&names).map(|((image, camera), name)| {
             let place = format!("{}: {}", file.display(), image.place());
-            let (rotation, origin) = pose(image, &place)?;
-            let unknown = || Error::input(&place, "has an unknown camera", "export the model again");
-            let intrinsics = *cameras.get(&image.camera).ok_or_else(unknown)?;
-            let camera = Camera { intrinsics, rotation, origin };
-            Ok(Frame { name: names[index].clone(), path: folder.join(&image.name), place, camera })
-        })?;
+            Frame { name: name.clone(), path: folder.join(&image.name), place, camera }
+        });
+        let frames = frames.collect();
         let scaled = frames_scaled(frames, !config.images.is_empty())?;
         warnings.extend(scaled.warning);
         let cloud = cloud(&model, names, &scaled.factors);
@@ -118,6 +114,25 @@ impl Capture {
         let cloud = self.cloud.take();
         let stated = cloud.stated("of the COLMAP model");
         Ok(Split { sources, warnings, notes: self.notes.clone(), stated, cloud })
+    }
+}
+
+impl Model {
+    /// Camera-to-world cameras in OpenGL axes of all images, in their order; `file` names the file of the images.
+    ///
+    /// # Errors
+    /// Of kind `Input`: a pose that is not finite, a camera that is not there.
+    pub fn cameras_of_images(&self, file: &str) -> Result<Vec<Camera>> {
+        let cameras: HashMap<u32, Intrinsics> =
+            self.cameras.iter().map(|camera| (camera.id, camera.intrinsics())).collect();
+        let camera = |image: &ModelImage| {
+            let place = format!("{file}: {}", image.place());
+            let (rotation, origin) = pose(image, &place)?;
+            let unknown = || Error::input(&place, "has an unknown camera", "export the model again");
+            let intrinsics = *cameras.get(&image.camera).ok_or_else(unknown)?;
+            Ok(Camera { intrinsics, rotation, origin })
+        };
+        self.images.iter().map(camera).collect()
     }
 }
 

@@ -249,9 +249,7 @@ impl RunFolder {
 
     /// Events written so far. Skips a line that a killed run left incomplete.
     pub fn events(&self) -> Vec<Event> {
-        // A torn line may end within a UTF-8 character.
-        let bytes = std::fs::read(self.metrics()).unwrap_or_default();
-        String::from_utf8_lossy(&bytes).lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+        events_of(&std::fs::read(self.metrics()).unwrap_or_default())
     }
 
     /// Replaces the events with `events` and opens the file for appending.
@@ -269,6 +267,13 @@ impl RunFolder {
             Error::input(self.metrics().display(), error, "choose a folder that can be written with --out")
         })
     }
+}
+
+/// The events in the bytes of `metrics.jsonl`, without lines that are none.
+pub fn events_of(bytes: &[u8]) -> Vec<Event> {
+    // A torn line may end within a UTF-8 character.
+    let lines = bytes.split(|&byte| byte == b'\n');
+    lines.filter_map(|line| serde_json::from_slice(line).ok()).collect()
 }
 
 /// Reads the model of a run folder or a model file. For an unfinished run, reads the model of its checkpoint.

@@ -2,6 +2,7 @@
 
 mod begin;
 pub mod csv;
+pub mod curve;
 pub mod folder;
 mod guard;
 pub mod history;

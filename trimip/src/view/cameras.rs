@@ -85,11 +85,18 @@ struct Projection {
 /// # Errors
 /// When the file cannot be read, or a frame has an invalid camera.
 pub fn path(file: &Path, fallback: Intrinsics) -> Result<Vec<Named>> {
-    let place = file.display().to_string();
+    path_of(&file.display().to_string(), &read(file)?, fallback)
+}
+
+/// As [`path`], from the text of the file, which `place` names.
+///
+/// # Errors
+/// As [`path`].
+pub fn path_of(place: &str, text: &str, fallback: Intrinsics) -> Result<Vec<Named>> {
     let broken = |error: serde_json::Error| {
-        Error::input(&place, format!("not a camera path: {error}"), "expected JSON like transforms_test.json")
+        Error::input(place, format!("not a camera path: {error}"), "expected JSON like transforms_test.json")
     };
-    let json: Value = serde_json::from_str(&read(file)?).map_err(broken)?;
+    let json: Value = serde_json::from_str(text).map_err(broken)?;
     let head: Projection = Projection::deserialize(&json).map_err(broken)?;
     let Some(frames) = json.get("frames").and_then(Value::as_array).filter(|frames| !frames.is_empty())
     else {

@@ -1,0 +1,18 @@
+//! Targets of libFuzzer, one for each reader of files: each gives the bytes to [`Format::check`], which the tests call too.
+//! `docs/fuzzing.md` says how they are run.
+
+pub use libfuzzer_sys::fuzz_target;
+pub use trimip_tests::formats::{Format, memory::Counting};
+
+/// The program that gives bytes to the reader of a format.
+#[macro_export]
+macro_rules! target {
+    ($name:literal) => {
+        #[global_allocator]
+        static ALLOCATOR: $crate::Counting = $crate::Counting;
+
+        $crate::fuzz_target!(|bytes: &[u8]| {
+            $crate::Format::of($name).check(bytes);
+        });
+    };
+}

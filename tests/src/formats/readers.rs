@@ -1,0 +1,257 @@
+//! Every reader, with the most memory that it may take: a multiple of the file's bytes and a constant. Multiples are of the
+//! shortest entries possible, which hold the most for their bytes.
+
+use super::{Format, seeds};
+use image::ImageReader;
+use std::{fmt::Display, io::Cursor};
+use trimip::{
+    run::{curve, folder::events_of, history::History, store::ViewRecord},
+    view::cameras,
+};
+use trimip_core::{
+    Camera, Config, Error, Intrinsics, Result, Settings,
+    checkpoint::Checkpoint,
+    model::{Model, assets},
+    proxy::Proxy,
+    scene_plan::Finding,
+};
+use trimip_data::{
+    colmap::{Encoding, File, Model as Sparse},
+    in_memory,
+};
+
+/// Defaults of settings, messages, the first entries of lists that grow.
+const FIXED: usize = 1 << 20;
+
+/// Files of a COLMAP model, by how it is written.
+const TEXT: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
+const BINARY: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
+
+/// All formats.
+pub static FORMATS: [Format; 16] = [
+    Format {
+        name: "transforms",
+        files: &["transforms.json"],
+        read: transforms,
+        seeds: seeds::transforms,
+        limit: |b| 160 * b.len() + FIXED,
+    },
+    Format {
+        name: "metadata",
+        files: &["metadata.json"],
+        read: metadata,
+        seeds: seeds::metadata,
+        limit: |b| 160 * b.len() + FIXED,
+    },
+    Format {
+        name: "colmap-text",
+        files: &TEXT,
+        read: |bytes| colmap(Encoding::Text, TEXT, bytes),
+        seeds: || seeds::colmap(false),
+        limit: |b| 8 * b.len() + FIXED,
+    },
+    Format {
+        name: "colmap-binary",
+        files: &BINARY,
+        read: |bytes| colmap(Encoding::Binary, BINARY, bytes),
+        seeds: || seeds::colmap(true),
+        limit: |b| 4 * b.len() + FIXED,
+    },
+    Format {
+        name: "ply",
+        files: &["points.ply"],
+        read: ply,
+        seeds: seeds::ply,
+        limit: |b| 24 * b.len() + FIXED,
+    },
+    Format {
+        name: "photograph",
+        files: &["photograph"],
+        read: |bytes| in_memory::photograph("photograph", bytes).map(drop),
+        seeds: seeds::pictures,
+        limit: picture,
+    },
+    Format {
+        name: "mask",
+        files: &["mask"],
+        read: |bytes| in_memory::mask("mask", bytes).map(drop),
+        seeds: seeds::pictures,
+        limit: picture,
+    },
+    Format {
+        name: "configuration",
+        files: &["run.toml"],
+        read: configuration,
+        seeds: seeds::configurations,
+        limit: |b| 400 * b.len() + FIXED,
+    },
+    Format {
+        name: "assignment",
+        files: &["--set"],
+        read: assignment,
+        seeds: seeds::assignments,
+        limit: |b| 400 * b.len() + FIXED,
+    },
+    Format {
+        name: "path",
+        files: &["path.json"],
+        read: path,
+        seeds: seeds::paths,
+        limit: |b| 160 * b.len() + FIXED,
+    },
+    Format {
+        name: "model",
+        files: &["model.safetensors", "the model's proxy"],
+        read: model,
+        seeds: seeds::models,
+        // A proxy is compressed: DEFLATE makes at most 1032 bytes of one.
+        limit: |b| 1100 * b.len() + FIXED,
+    },
+    Format {
+        name: "checkpoint",
+        files: &["checkpoint.safetensors"],
+        read: checkpoint,
+        seeds: seeds::checkpoints,
+        limit: |b| 400 * b.len() + FIXED,
+    },
+    Format {
+        name: "curve",
+        files: &["curve.csv"],
+        read: csv,
+        seeds: seeds::curves,
+        limit: |b| 64 * b.len() + FIXED,
+    },
+    Format {
+        name: "events",
+        files: &[],
+        read: events,
+        seeds: seeds::events,
+        limit: |b| 64 * b.len() + FIXED,
+    },
+    Format {
+        name: "views",
+        files: &["views.json"],
+        read: views,
+        seeds: seeds::views,
+        limit: |b| 64 * b.len() + FIXED,
+    },
+    Format {
+        name: "plan",
+        files: &["plan.json"],
+        read: plan,
+        seeds: seeds::plans,
+        limit: |b| 64 * b.len() + FIXED,
+    },
+];
+
+/// Cameras that are read have finite numbers only.
+fn expect_finite(camera: &Camera) {
+    let k = &camera.intrinsics;
+    assert!(camera.rotation.is_finite() && camera.origin.is_finite(), "{camera:?}");
+    assert!([k.fx, k.fy, k.cx, k.cy].iter().all(|value| value.is_finite()), "{camera:?}");
+    assert!(k.fx > 0.0 && k.fy > 0.0 && k.width > 0 && k.height > 0, "{camera:?}");
+}
+
+fn transforms(bytes: &[u8]) -> Result<()> {
+    let cameras = in_memory::transforms("transforms.json", bytes, [8, 6])?;
+    cameras.iter().for_each(|(_, camera)| expect_finite(camera));
+    Ok(())
+}
+
+fn metadata(bytes: &[u8]) -> Result<()> {
+    in_memory::metadata("metadata.json", bytes)?.iter().for_each(|(_, camera)| expect_finite(camera));
+    Ok(())
+}
+
+/// The first byte says which of the three files the others are; the two others are valid.
+fn colmap(encoding: Encoding, names: [&str; 3], bytes: &[u8]) -> Result<()> {
+    let (&which, bytes) = bytes.split_first().unwrap_or((&0, &[]));
+    let mut files = seeds::sparse_files(encoding == Encoding::Binary).each_ref().map(Vec::as_slice);
+    files[usize::from(which % 3)] = bytes;
+    let file = |i: usize| File { name: names[i], bytes: files[i] };
+    let model = Sparse::parse(encoding, file(0), file(1), Some(file(2)))?;
+    model.cameras_of_images(names[1])?.iter().for_each(expect_finite);
+    assert!(model.points.iter().flat_map(|point| point.position).all(f64::is_finite));
+    Ok(())
+}
+
+fn ply(bytes: &[u8]) -> Result<()> {
+    let points = in_memory::ply("points.ply", bytes)?;
+    assert!(points.iter().flat_map(|point| point.position).all(f64::is_finite));
+    Ok(())
+}
+
+/// Pixels of 8 bytes while they are decoded and 4 afterwards; coefficients of a progressive JPEG; what decoders hold beside.
+fn picture(bytes: &[u8]) -> usize {
+    let size = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok();
+    let size = size.and_then(|reader| reader.into_dimensions().ok()).unwrap_or((0, 0));
+    let pixels = u64::from(size.0) * u64::from(size.1);
+    if pixels > 1 << 28 { 16 * bytes.len() + FIXED } else { 24 * pixels as usize + 16 * bytes.len() + FIXED }
+}
+
+/// A text, or no text, which the programs refuse where they read the file.
+fn text(bytes: &[u8]) -> Option<&str> {
+    std::str::from_utf8(bytes).ok()
+}
+
+fn configuration(bytes: &[u8]) -> Result<()> {
+    let Some(text) = text(bytes) else { return Ok(()) };
+    let config = Config::from_toml("run.toml", text)?;
+    assert_eq!(Config::from_toml("again", &config.to_toml())?, config);
+    Ok(())
+}
+
+fn assignment(bytes: &[u8]) -> Result<()> {
+    let Some(text) = text(bytes) else { return Ok(()) };
+    let mut settings = Settings::defaults();
+    settings.apply_assignment(text)?;
+    Config::from_settings(&settings).map(drop)
+}
+
+fn path(bytes: &[u8]) -> Result<()> {
+    let Some(text) = text(bytes) else { return Ok(()) };
+    let cameras = cameras::path_of("path.json", text, Intrinsics::from_angle(80, 60, 0.7))?;
+    cameras.iter().for_each(|(_, camera)| expect_finite(camera));
+    Ok(())
+}
+
+fn model(bytes: &[u8]) -> Result<()> {
+    let model = Model::from_bytes("model.safetensors", bytes)?;
+    Proxy::from_assets(&assets(&model.file)).map(drop)
+}
+
+fn checkpoint(bytes: &[u8]) -> Result<()> {
+    let checkpoint = Checkpoint::from_bytes("checkpoint.safetensors", bytes)?;
+    checkpoint.not_finite();
+    checkpoint.into_model();
+    Ok(())
+}
+
+fn csv(bytes: &[u8]) -> Result<()> {
+    let Some(text) = text(bytes) else { return Ok(()) };
+    let (points, _) = curve::parse("curve.csv", text)?;
+    assert!(points.is_sorted_by(|a, b| a.seconds <= b.seconds));
+    Ok(())
+}
+
+/// Lines that are no events are left out: a killed run ends with one.
+fn events(bytes: &[u8]) -> Result<()> {
+    let history = History::of(&events_of(bytes));
+    history.best_known();
+    history.curve();
+    history.devices();
+    history.evaluation_seconds();
+    Ok(())
+}
+
+fn views(bytes: &[u8]) -> Result<()> {
+    serde_json::from_slice::<Vec<ViewRecord>>(bytes).map(drop).map_err(|error| refused("views.json", &error))
+}
+
+fn plan(bytes: &[u8]) -> Result<()> {
+    serde_json::from_slice::<Vec<Finding>>(bytes).map(drop).map_err(|error| refused("plan.json", &error))
+}
+
+fn refused(name: &str, error: &dyn Display) -> Error {
+    Error::input(name, error, "write it again")
+}

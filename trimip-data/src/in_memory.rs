@@ -1,0 +1,49 @@
+//! Readers of a scene's files from bytes in memory, each without the others: what a program without a file system needs, and
+//! what can be tried with any bytes. COLMAP models have [`Model::parse`](crate::colmap::Model::parse). `name` names the file
+//! in errors, which are of kind `Input` and state the place.
+
+use crate::{blender, mask, multiscale, photograph, ply, points::Point};
+use std::path::Path;
+use trimip_core::{Camera, Result};
+
+/// Short names and cameras of all frames of a transforms file. Photographs without a stated size have `size`.
+///
+/// # Errors
+/// Syntax, and what is missing or out of range.
+pub fn transforms(name: &str, bytes: &[u8], size: [u32; 2]) -> Result<Vec<(String, Camera)>> {
+    blender::cameras(Path::new(name), bytes, size)
+}
+
+/// Short names and cameras of all entries of a multi-scale set's `metadata.json`, split by split.
+///
+/// # Errors
+/// As [`transforms`].
+pub fn metadata(name: &str, bytes: &[u8]) -> Result<Vec<(String, Camera)>> {
+    multiscale::cameras(Path::new(name), bytes)
+}
+
+/// The vertices of a PLY file, ASCII or binary. Those with a number that is not finite are left out.
+///
+/// # Errors
+/// A header without vertices or formats, numbers that are missing or are none.
+pub fn ply(name: &str, bytes: &[u8]) -> Result<Vec<Point>> {
+    ply::points(name, bytes)
+}
+
+/// Width, height and RGBA pixels of a photograph, PNG or JPEG.
+///
+/// # Errors
+/// If it cannot be decoded to its end, or has no pixels or more than 2^28.
+pub fn photograph(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
+    let image = photograph::of_bytes(Path::new(name), bytes)?;
+    Ok((image.width(), image.height(), image.into_rgba8().into_raw()))
+}
+
+/// Width, height and kept share of each pixel of a mask, PNG or JPEG, whose white is kept.
+///
+/// # Errors
+/// As [`photograph`].
+pub fn mask(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
+    let image = photograph::of_bytes(Path::new(name), bytes)?;
+    Ok((image.width(), image.height(), mask::kept(image)))
+}

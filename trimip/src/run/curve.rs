@@ -1,0 +1,78 @@
+//! Curves of error against time: the columns `seconds` and `psnr_mean` of a CSV file, which a run writes or another program.
+
+use trimip_core::{Error, Result};
+
+/// A point of a curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measure {
+    /// Seconds of training.
+    pub seconds: f64,
+    /// Mean PSNR of the scales, dB.
+    pub psnr: f64,
+}
+
+/// Parses the measurements of a CSV text, sorted by time, and the final one if a column `last` marks it. A line with an
+/// empty PSNR is an evaluation whose result was not a number.
+pub fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
+    let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
+    let header: Vec<&str> =
+        lines.next().map_or(Vec::new(), |(line, _)| line.split(',').map(str::trim).collect());
+    let column = |name: &str| header.iter().position(|column| *column == name);
+    let missing =
+        |name: &str| Error::input(file, format!("no column `{name}`"), "name the columns in the first line");
+    let seconds = column("seconds").ok_or_else(|| missing("seconds"))?;
+    let psnr = column("psnr_mean").ok_or_else(|| missing("psnr_mean"))?;
+    let (is_last, stride) = (column("last"), column("stride"));
+    let mut rows = Vec::new();
+    for (line, number) in lines {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        if cells.get(psnr) == Some(&"") {
+            continue;
+        }
+        let value = |column: usize| {
+            let cell = cells.get(column).copied().unwrap_or_default();
+            cell.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(|| {
+                Error::input(
+                    format!("{file}:{number}"),
+                    format!("`{}` is `{cell}`", header[column]),
+                    "expected a finite number",
+                )
+            })
+        };
+        let measure = Measure { seconds: value(seconds)?, psnr: value(psnr)? };
+        let ends = is_last.is_some_and(|column| cells.get(column) == Some(&"true"));
+        let views = stride.and_then(|column| cells.get(column)).map(|cell| (*cell).to_string());
+        rows.push(Evaluated { measure, ends, views });
+    }
+    curve(rows.into_iter()).ok_or_else(|| Error::input(file, "no measures", "name a run that was evaluated"))
+}
+
+/// One evaluation of a run.
+pub struct Evaluated {
+    /// When, and how good.
+    pub measure: Measure,
+    /// True for the evaluation at the end of the run.
+    pub ends: bool,
+    /// The views evaluated, if known.
+    pub views: Option<String>,
+}
+
+/// The points of a curve by time, and the final measurement if it uses other views; `None` without measurements.
+pub fn curve(rows: impl Iterator<Item = Evaluated>) -> Option<(Vec<Measure>, Option<Measure>)> {
+    let (mut points, mut last, mut before) = (Vec::new(), None, None);
+    for Evaluated { measure, ends, views } in rows {
+        if ends {
+            last = Some(measure);
+        }
+        // The final measurement also belongs to the curve if it uses the curve's own views.
+        if !ends || (views.is_some() && views == before) {
+            points.push(measure);
+            before = views;
+        }
+    }
+    points.sort_by(|a: &Measure, b| a.seconds.total_cmp(&b.seconds));
+    if points.is_empty() {
+        points.extend(last.take());
+    }
+    (!points.is_empty()).then_some((points, last))
+}
