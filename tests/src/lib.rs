@@ -2,6 +2,8 @@
 //! ([`fixtures`]), the program under test ([`binary`]), the tests that every backend must pass ([`suite`]), and what any bytes
 //! get from every reader ([`formats`]).
 
+#![deny(unsafe_code)]
+
 pub mod binary;
 pub mod files;
 pub mod fixtures;

@@ -34,6 +34,7 @@ pub fn install() -> Result<Arc<AtomicBool>> {
 
 /// The signal of a terminal that closes. `nohup` starts a program with it ignored, and it has to stay so.
 #[cfg(unix)]
+#[allow(unsafe_code)] // a signal has no safe door
 mod hang_up {
     use nix::sys::signal::{SigHandler, Signal, signal};
 

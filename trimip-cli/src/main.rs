@@ -2,6 +2,9 @@
 //! missed its quality floor, 2 the user's input is wrong, 3 the device failed, 130 stopped by Ctrl-C (progress is
 //! saved).
 
+#![deny(unsafe_code)]
+
+#[allow(unsafe_code)] // an allocator is unsafe to write
 mod allocator;
 mod args;
 mod cameras;

@@ -17,7 +17,7 @@ pub use sections::{
     OptimizerConfig, PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
 };
 
-use crate::{Aabb, Error, Result, Settings, range};
+use crate::{Aabb, Error, Origin, Result, Settings, range};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -133,7 +133,8 @@ impl Config {
                 .map_or("configuration".to_string(), |path| settings.place(path));
             Error::input(place, error.message(), "see its meaning in `trimip-cli config --defaults`")
         })?;
-        config.check_together(&|path| settings.place(path))?;
+        let given = |path: &str| *settings.origin(path) != Origin::Default;
+        config.check_together(&|path| settings.place(path), &given)?;
         Ok(config)
     }
 
@@ -293,6 +294,22 @@ mod tests {
             let error = given.and_then(|()| Config::from_settings(&settings)).unwrap_err();
             assert_eq!(error.exit_code(), 2);
             assert!(error.message.contains(expected), "{assignment}: {error}");
+        }
+    }
+
+    #[test]
+    fn what_settings_must_be_together_names_the_one_that_was_given() {
+        for assignment in [
+            "scene.aabb_min=[-1.0, 2.0, -1.0]",
+            "scene.aabb_max=[1.0, -2.0, 1.0]",
+            "encoder.levels=13",
+            "train.seconds=0",
+        ] {
+            let mut settings = Settings::defaults();
+            settings.apply_assignment(assignment).unwrap();
+            let error = Config::from_settings(&settings).unwrap_err();
+            let (path, _) = assignment.split_once('=').unwrap();
+            assert!(error.message.starts_with(&format!("--set: {path} = ")), "{assignment}: {error}");
         }
     }
 

@@ -15,6 +15,8 @@
 //! assert!((4.0 * cone.slope - 4.0 / (1111.1 * std::f32::consts::PI.sqrt())).abs() < 1e-5);
 //! ```
 
+#![forbid(unsafe_code)]
+
 pub mod aabb;
 pub mod activation;
 pub mod adamw;

@@ -15,6 +15,8 @@
 //! # Ok::<(), trimip_core::Error>(())
 //! ```
 
+#![deny(unsafe_code)]
+
 mod blender;
 pub mod builtin;
 pub mod checks;

@@ -49,6 +49,13 @@ pub(crate) fn cube(file: &Node<'_>) -> Result<Option<StatedBox>> {
     }
     let corner = |sign: f64| offset.map(|offset| (0.5 + sign * 0.5 * aabb_scale - offset) / scale);
     let aabb = Aabb { min: corner(-1.0), max: corner(1.0) };
+    if !aabb.min.iter().chain(&aabb.max).all(|side| side.is_finite()) {
+        return Err(wrong(
+            file,
+            "aabb_scale",
+            "a number that makes a finite box with \"scale\" and \"offset\"",
+        ));
+    }
     Ok(Some(StatedBox { aabb, source: format!("of aabb_scale {aabb_scale}") }))
 }
 
@@ -83,6 +90,7 @@ mod tests {
             json!({ "aabb_scale": 0 }),
             json!({ "aabb_scale": 1, "offset": [1] }),
             json!({ "aabb_scale": "4" }),
+            json!({ "aabb_scale": 1e200, "scale": 1e-200 }),
         ] {
             assert_eq!(of(broken).unwrap_err().exit_code(), 2);
         }

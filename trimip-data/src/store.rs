@@ -58,6 +58,7 @@ pub(crate) fn filled(
 
 /// Maps a file of zeros that vanishes with this process. Its space is reserved by writing it: a full disk is an error here
 /// and not a signal later.
+#[allow(unsafe_code)] // the only way to map a file
 fn reserve(pixels: usize) -> std::io::Result<MmapMut> {
     let mut file: fs::File = tempfile::tempfile()?;
     let (zeros, mut left) = (vec![0; CHUNK], 4 * pixels);

@@ -151,9 +151,7 @@ impl Gpu {
             label: Some("trimip"),
             required_features: adapter.features() & wanted,
             required_limits: limits.clone(),
-            // SAFETY: of the experimental features, only cooperative matrices are requested. Every load and store of
-            // them stays within its array, because arrays end with a whole block of rows.
-            experimental_features: unsafe { wgpu::ExperimentalFeatures::enabled() },
+            experimental_features: experimental(),
             ..Default::default()
         };
         let (device, queue) = adapter
@@ -463,4 +461,12 @@ impl Gpu {
 /// Locks a mutex. A poisoned mutex is used as it is: no thread leaves its data half changed.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Leave for the experimental features that are requested.
+#[allow(unsafe_code)] // the only way to have cooperative matrices
+fn experimental() -> wgpu::ExperimentalFeatures {
+    // SAFETY: of the experimental features, only cooperative matrices are requested. Every load and store of them stays
+    // within its array, because arrays end with a whole block of rows.
+    unsafe { wgpu::ExperimentalFeatures::enabled() }
 }

@@ -2,6 +2,8 @@
 //! mathematics under the same names. A training step is one submission. No parameters are transferred, and the sums
 //! of a step are read while later steps run.
 
+#![deny(unsafe_code)]
+
 mod adapter;
 mod backend;
 mod buffer;

@@ -10,6 +10,8 @@ use crate::{Error, Result, Settings, range, settings::shown};
 pub(super) struct Checker<'a> {
     /// Where the value of a dotted path was set, as text for an error.
     place: &'a dyn Fn(&str) -> String,
+    /// True for settings that are not defaults.
+    given: &'a dyn Fn(&str) -> bool,
 }
 
 impl Checker<'_> {
@@ -18,6 +20,12 @@ impl Checker<'_> {
             true => Ok(()),
             false => Err(Error::input((self.place)(path), "out of range", format!("expected {expected}"))),
         }
+    }
+
+    /// As `check`, for what several settings must be together: names the first that was given.
+    pub fn together(&self, ok: bool, paths: &[&str], expected: &str) -> Result<()> {
+        let given = paths.iter().find(|path| (self.given)(path)).or(paths.first());
+        self.check(ok, given.unwrap_or(&""), expected)
     }
 }
 
@@ -42,24 +50,31 @@ impl Config {
             None => path.to_string(),
         };
         range::check(&settings, &place)?;
-        self.check_together(&place)
+        let defaults = Settings::defaults();
+        let given =
+            |path: &str| value(path).is_some_and(|(_, value, _)| value.to_string() != defaults.value(path));
+        self.check_together(&place, &given)
     }
 
     /// Checks what the range of a single number does not say; `place` turns a dotted path into the place where its value
-    /// was set.
-    pub(super) fn check_together(&self, place: &dyn Fn(&str) -> String) -> Result<()> {
-        let checker = Checker { place };
+    /// was set, and `given` is false for defaults.
+    pub(super) fn check_together(
+        &self,
+        place: &dyn Fn(&str) -> String,
+        given: &dyn Fn(&str) -> bool,
+    ) -> Result<()> {
+        let checker = Checker { place, given };
         self.data.check(&checker)?;
         self.scene.check(&checker)?;
         if self.scene.contraction != Contraction::None {
-            checker.check(
+            checker.together(
                 self.renderer.step_per_radius == 0.0,
-                "renderer.step_per_radius",
+                &["renderer.step_per_radius", "scene.contraction"],
                 "0 where scene.contraction is not \"none\": contracted steps grow with the distance",
             )?;
-            checker.check(
+            checker.together(
                 !self.occupancy.hull,
-                "occupancy.hull",
+                &["occupancy.hull", "scene.contraction"],
                 "false where scene.contraction is not \"none\": silhouettes bound a scene",
             )?;
         }
@@ -104,10 +119,10 @@ impl DataConfig {
         to.check(!self.train.is_empty(), "data.train", "at least one split")?;
         let once = |(i, split)| !self.train[..i].contains(split);
         to.check(self.train.iter().enumerate().all(once), "data.train", "each split once")?;
-        to.check(
+        to.together(
             self.convention == Convention::Public
                 || self.edge_exponents.iter().all(|&exponent| exponent == 0.0),
-            "data.edge_exponents",
+            &["data.edge_exponents", "data.convention"],
             "[] where data.convention = \"premultiplied\", whose silhouettes are as in the scene",
         )
     }
@@ -116,16 +131,16 @@ impl DataConfig {
 impl SceneConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
         let sides = (0..3).map(|axis| self.aabb_max[axis] - self.aabb_min[axis]);
-        to.check(
+        to.together(
             sides.into_iter().all(|side| side > 0.0),
-            "scene.aabb_max",
+            &["scene.aabb_max", "scene.aabb_min"],
             "a corner above aabb_min on every axis, all finite",
         )?;
         to.check(self.up.iter().any(|&x| x != 0.0), "scene.up", "three numbers that are not all 0")?;
         let [x, y, z] = std::array::from_fn(|axis| self.aabb_max[axis] - self.aabb_min[axis]);
-        to.check(
+        to.together(
             self.contraction == Contraction::None || x.max(y).max(z) <= 1.001 * x.min(y).min(z),
-            "scene.contraction",
+            &["scene.contraction", "scene.aabb_max", "scene.aabb_min"],
             "\"none\", or a box from scene.aabb_min to scene.aabb_max that is a cube",
         )
     }
@@ -155,9 +170,9 @@ impl OccupancyConfig {
 
 impl TrainConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
-        to.check(
+        to.together(
             self.steps > 0 || self.seconds > 0.0,
-            "train.seconds",
+            &["train.seconds", "train.steps"],
             "a budget: train.seconds or train.steps above 0",
         )?;
         to.check(
@@ -185,9 +200,9 @@ impl TrainConfig {
 
 impl EvalConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
-        to.check(
+        to.together(
             self.min_psnr <= 0.0 || self.final_stride(1).is_some(),
-            "eval.min_psnr",
+            &["eval.min_psnr", "eval.final"],
             "0, where eval.final = false measures nothing",
         )
     }

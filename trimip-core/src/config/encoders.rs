@@ -73,9 +73,9 @@ impl EncoderConfig {
             "[[0.0, n], ... [fraction, 0]] with rising fractions below 1 and falling whole numbers",
         )?;
         let unit = self.texel_unit();
-        to.check(
+        to.together(
             self.plane_size.is_multiple_of(unit),
-            "encoder.plane_size",
+            &["encoder.plane_size", "encoder.levels", "encoder.halvings"],
             &format!("a multiple of {unit} from 4 to 4096, so that {} levels halve evenly", self.levels),
         )
     }

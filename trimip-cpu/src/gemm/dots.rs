@@ -28,9 +28,8 @@ impl Kernel for Dots<'_> {
             c.fill(0.0);
             for (c, w) in c.iter_mut().zip(w.chunks_exact(k)) {
                 let mut sum = L::splat(0.0);
-                for p in (0..k).step_by(16) {
-                    // SAFETY: both slices hold k values, a multiple of 16.
-                    unsafe { sum = L::load(a.as_ptr().add(p)).mul_add(L::load(w.as_ptr().add(p)), sum) };
+                for (a, w) in a.as_chunks().0.iter().zip(w.as_chunks().0) {
+                    sum = L::of(a).mul_add(L::of(w), sum);
                 }
                 *c = sum.sum();
             }

@@ -27,17 +27,14 @@ impl Kernel for PairColumns<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let whole = self.to.len() / 16 * 16;
-        for word in (0..whole).step_by(16) {
-            // SAFETY: `pair_columns` checked that there are two values for each word.
-            unsafe {
-                let values = self.from.as_ptr().add(2 * word);
-                let pairs = L::load(values).pair_neighbours(L::load(values.add(16)));
-                pairs.store(self.to.as_mut_ptr().add(word));
-            }
+        let (from, last) = self.from.as_chunks::<32>();
+        let (to, last_words) = self.to.as_chunks_mut::<16>();
+        for (values, words) in from.iter().zip(to) {
+            let halves = values.as_chunks().0;
+            L::of(&halves[0]).pair_neighbours(L::of(&halves[1])).put(words);
         }
-        for word in whole..self.to.len() {
-            self.to[word] = pair(self.from[2 * word], self.from[2 * word + 1]);
+        for (word, two) in last_words.iter_mut().zip(last.as_chunks::<2>().0) {
+            *word = pair(two[0], two[1]);
         }
     }
 }
@@ -54,16 +51,14 @@ impl Kernel for PairRows<'_> {
     fn run<L: Lanes>(self) {
         let width = self.width;
         for (two, words) in self.from.chunks(2 * width).zip(self.to.chunks_exact_mut(width)) {
-            for column in (0..width).step_by(16) {
-                // SAFETY: a chunk holds one or two rows of `width` values, a multiple of 16.
-                unsafe {
-                    let first = L::load(two.as_ptr().add(column));
-                    let second = match two.len() > width {
-                        true => L::load(two.as_ptr().add(width + column)),
-                        false => L::splat(0.0),
-                    };
-                    first.pair(second).store(words.as_mut_ptr().add(column));
-                }
+            let (first, second) = two.split_at(width);
+            let (first, second) = (first.as_chunks().0, second.as_chunks().0);
+            for (column, words) in words.as_chunks_mut().0.iter_mut().enumerate() {
+                let second = match second.get(column) {
+                    Some(second) => L::of(second),
+                    None => L::splat(0.0),
+                };
+                L::of(&first[column]).pair(second).put(words);
             }
         }
     }

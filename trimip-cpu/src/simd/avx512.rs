@@ -17,32 +17,38 @@ pub unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
 #[derive(Clone, Copy)]
 pub struct Zmm<const BF16: bool>(__m512);
 
-// SAFETY of all intrinsics below: reached only through `run` and `run_bf16`, whose caller checked the processor.
-#[allow(clippy::undocumented_unsafe_blocks)]
+// Unsafe below: this set is at work, because `run` and `run_bf16` are the only ways here and their caller checked the
+// processor.
 impl<const BF16: bool> Lanes for Zmm<BF16> {
     const WIDE: bool = true;
     #[inline(always)]
     fn splat(value: f32) -> Self {
+        // SAFETY: this set is at work.
         Self(unsafe { _mm512_set1_ps(value) })
     }
     #[inline(always)]
     unsafe fn load(from: *const f32) -> Self {
+        // SAFETY: this set is at work, and the caller has 16 values.
         Self(unsafe { _mm512_loadu_ps(from) })
     }
     #[inline(always)]
     unsafe fn store(self, to: *mut f32) {
+        // SAFETY: this set is at work, and the caller has room for 16 values.
         unsafe { _mm512_storeu_ps(to, self.0) }
     }
     #[inline(always)]
     fn mul_add(self, factor: Self, addend: Self) -> Self {
+        // SAFETY: this set is at work.
         Self(unsafe { _mm512_fmadd_ps(self.0, factor.0, addend.0) })
     }
     #[inline(always)]
     fn relu(self) -> Self {
+        // SAFETY: this set is at work.
         Self(unsafe { _mm512_max_ps(self.0, _mm512_setzero_ps()) })
     }
     #[inline(always)]
     fn where_positive(self, mask: Self) -> Self {
+        // SAFETY: this set is at work.
         unsafe {
             let positive = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(mask.0, _mm512_setzero_ps());
             Self(_mm512_maskz_mov_ps(positive, self.0))
@@ -50,18 +56,22 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     }
     #[inline(always)]
     fn add(self, other: Self) -> Self {
+        // SAFETY: this set is at work.
         Self(unsafe { _mm512_add_ps(self.0, other.0) })
     }
     #[inline(always)]
     fn sum(self) -> f32 {
+        // SAFETY: this set is at work.
         unsafe { _mm512_reduce_add_ps(self.0) }
     }
     #[inline(always)]
     fn first(self) -> Self {
+        // SAFETY: this set is at work.
         unsafe { Self(_mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_castps_si512(self.0)))) }
     }
     #[inline(always)]
     fn second(self) -> Self {
+        // SAFETY: this set is at work.
         unsafe {
             let upper = _mm512_set1_epi32(0xffff_0000_u32 as i32);
             Self(_mm512_castsi512_ps(_mm512_and_si512(_mm512_castps_si512(self.0), upper)))
@@ -70,6 +80,7 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     #[inline(always)]
     fn dot_add(self, factor: Self, addend: Self) -> Self {
         if BF16 {
+            // SAFETY: this set is at work.
             Self(unsafe { _mm512_dpbf16_ps(addend.0, words(self.0), words(factor.0)) })
         } else {
             self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
@@ -78,8 +89,10 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     #[inline(always)]
     fn pair(self, second: Self) -> Self {
         if !BF16 {
+            // SAFETY: this set is at work.
             return Self(unsafe { round(self.0, second.0) });
         }
+        // SAFETY: this set is at work.
         unsafe {
             // The low halves of the words hold `self`, the high halves `second`.
             let halves: __m512i = std::mem::transmute(_mm512_cvtne2ps_pbh(second.0, self.0));
@@ -90,6 +103,7 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     }
     #[inline(always)]
     fn pair_neighbours(self, next: Self) -> Self {
+        // SAFETY: this set is at work.
         unsafe {
             if BF16 {
                 return Self(std::mem::transmute::<__m512bh, __m512>(_mm512_cvtne2ps_pbh(next.0, self.0)));

@@ -147,6 +147,18 @@ pub trait Lanes: Copy {
     /// # Safety
     /// `to` is valid for 16 values.
     unsafe fn store(self, to: *mut f32);
+    /// The lanes of 16 values.
+    #[inline(always)]
+    fn of(values: &[f32; 16]) -> Self {
+        // SAFETY: 16 values.
+        unsafe { Self::load(values.as_ptr()) }
+    }
+    /// Writes the lanes over 16 values.
+    #[inline(always)]
+    fn put(self, to: &mut [f32; 16]) {
+        // SAFETY: 16 values.
+        unsafe { self.store(to.as_mut_ptr()) };
+    }
     /// self · factor + addend.
     fn mul_add(self, factor: Self, addend: Self) -> Self;
     /// Sets lanes below zero to zero.
@@ -171,8 +183,7 @@ pub trait Lanes: Copy {
     fn pair(self, second: Self) -> Self {
         let (first, second) = (self.array(), second.array());
         let words: [f32; 16] = std::array::from_fn(|i| pair(first[i], second[i]));
-        // SAFETY: 16 values.
-        unsafe { Self::load(words.as_ptr()) }
+        Self::of(&words)
     }
     /// Packs neighbours among the 32 values of `self` and `next` into words of pairs, rounded to bf16.
     #[inline(always)]
@@ -180,15 +191,13 @@ pub trait Lanes: Copy {
         let values = [self.array(), next.array()];
         let at = |i: usize| values[i / 16][i % 16];
         let words: [f32; 16] = std::array::from_fn(|i| pair(at(2 * i), at(2 * i + 1)));
-        // SAFETY: 16 values.
-        unsafe { Self::load(words.as_ptr()) }
+        Self::of(&words)
     }
     /// The 16 values as an array.
     #[inline(always)]
     fn array(self) -> [f32; 16] {
         let mut values = [0.0; 16];
-        // SAFETY: 16 values.
-        unsafe { self.store(values.as_mut_ptr()) };
+        self.put(&mut values);
         values
     }
 }

@@ -207,8 +207,7 @@ impl Kernel for Gather<'_> {
                         // SAFETY: `find` computed the pointer from the map that this kernel borrows.
                         sum = L::splat(weight).mul_add(unsafe { L::load(*texel) }, sum);
                     }
-                    // SAFETY: the slice holds 16 values.
-                    unsafe { sum.store(out[p * CHANNELS..][..CHANNELS].as_mut_ptr()) };
+                    sum.put(&mut out.as_chunks_mut().0[p]);
                 }
             }
         }

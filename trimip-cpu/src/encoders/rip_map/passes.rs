@@ -98,6 +98,9 @@ fn neighbours<'a>(
     )
 }
 
+/// Floats of two texels.
+const TWO: usize = 2 * CHANNELS;
+
 /// Computes the levels of a row from its first: means of pairs of texels.
 struct AverageAlong<'a> {
     plane: &'a Plane<f32>,
@@ -112,12 +115,10 @@ impl Kernel for AverageAlong<'_> {
         for level in 0..self.plane.levels - 1 {
             let (fine, coarse) = neighbours(self.plane, self.row, self.extent, level);
             let half = L::splat(0.5);
-            for (out, pair) in coarse.chunks_exact_mut(CHANNELS).zip(fine.chunks_exact(2 * CHANNELS)) {
-                // SAFETY: `pair` holds two texels of 16 values, `out` one.
-                unsafe {
-                    let second = L::load(pair.as_ptr().add(CHANNELS)).mul_add(half, L::splat(0.0));
-                    L::load(pair.as_ptr()).mul_add(half, second).store(out.as_mut_ptr());
-                }
+            for (out, pair) in coarse.as_chunks_mut().0.iter_mut().zip(fine.as_chunks::<TWO>().0) {
+                let texels = pair.as_chunks().0;
+                let second = L::of(&texels[1]).mul_add(half, L::splat(0.0));
+                L::of(&texels[0]).mul_add(half, second).put(out);
             }
         }
     }
@@ -139,13 +140,10 @@ impl Kernel for PullAlong<'_> {
         }
         for level in (0..self.plane.levels - 1).rev() {
             let (fine, coarse) = neighbours(self.plane, self.row, self.extent, level);
-            for (parent, pair) in coarse.chunks_exact(CHANNELS).zip(fine.chunks_exact_mut(2 * CHANNELS)) {
-                // SAFETY: `pair` holds two texels of 16 values, `parent` one.
-                unsafe {
-                    let parent = L::load(parent.as_ptr());
-                    for child in [pair.as_mut_ptr(), pair.as_mut_ptr().add(CHANNELS)] {
-                        parent.mul_add(L::splat(0.5), L::load(child)).store(child);
-                    }
+            for (parent, pair) in coarse.as_chunks().0.iter().zip(fine.as_chunks_mut::<TWO>().0) {
+                let parent = L::of(parent);
+                for child in pair.as_chunks_mut().0 {
+                    parent.mul_add(L::splat(0.5), L::of(child)).put(child);
                 }
             }
         }

@@ -114,9 +114,8 @@ impl Kernel for SpreadBand<'_> {
         }
         for gradient in gradients {
             for &index in &gradient.bands[p * BANDS + band] {
-                let row = &gradient.rows[index as usize * features + p * CHANNELS..][..CHANNELS];
-                // SAFETY: `row` holds 16 values.
-                let values = unsafe { L::load(row.as_ptr()) };
+                let row = &gradient.rows[index as usize * features + p * CHANNELS..];
+                let values = L::of(&row.as_chunks().0[0]);
                 for read in plane.reads(&Gaussian::of(&gradient.gaussians[index as usize])) {
                     if read.share == 0.0 {
                         continue;
@@ -132,11 +131,8 @@ impl Kernel for SpreadBand<'_> {
                         extents[row].add(left << i, ((right + 1) << i) - 1);
                         for (column, weight) in [left, right].into_iter().zip(weights) {
                             let texel = (row * plane.width() + plane.column(i) + column) * CHANNELS;
-                            let texel = texels[texel..][..CHANNELS].as_mut_ptr();
-                            // SAFETY: the slice holds 16 values.
-                            unsafe {
-                                values.mul_add(L::splat(read.share * weight), L::load(texel)).store(texel);
-                            }
+                            let texel = &mut texels[texel..].as_chunks_mut().0[0];
+                            values.mul_add(L::splat(read.share * weight), L::of(texel)).put(texel);
                         }
                     }
                 }

@@ -213,17 +213,15 @@ impl Kernel for AverageRow<'_> {
         let (lower, upper) = self.fine.split_at(self.fine.len() / 2);
         let Range { start, end } = self.columns;
         let below = 2 * CHANNELS * start..2 * CHANNELS * end;
-        let pairs =
-            lower[below.clone()].chunks_exact(2 * CHANNELS).zip(upper[below].chunks_exact(2 * CHANNELS));
-        let out = &mut self.out[CHANNELS * start..CHANNELS * end];
-        for (out, (lower, upper)) in out.chunks_exact_mut(CHANNELS).zip(pairs) {
-            // SAFETY: `lower` and `upper` hold two texels of 16 values, `out` one. Explicit lanes are used because
-            // the compiler would vectorise across texels and gather.
-            unsafe {
-                let pair = |row: &[f32]| L::load(row.as_ptr()).add(L::load(row.as_ptr().add(CHANNELS)));
-                let sum = pair(lower).add(pair(upper));
-                sum.mul_add(L::splat(0.25), L::splat(0.0)).store(out.as_mut_ptr());
-            }
+        let (lower, upper) = (lower[below.clone()].as_chunks::<TWO>().0, upper[below].as_chunks::<TWO>().0);
+        let out = self.out[CHANNELS * start..CHANNELS * end].as_chunks_mut().0;
+        // Explicit lanes, because the compiler would vectorise across texels and gather.
+        for ((lower, upper), out) in lower.iter().zip(upper).zip(out) {
+            let pair = |two: &[f32; TWO]| {
+                let texels = two.as_chunks().0;
+                L::of(&texels[0]).add(L::of(&texels[1]))
+            };
+            pair(lower).add(pair(upper)).mul_add(L::splat(0.25), L::splat(0.0)).put(out);
         }
     }
 }
@@ -241,18 +239,13 @@ impl Kernel for PullRow<'_> {
     fn run<L: Lanes>(self) {
         let half = self.fine.len() / 2;
         let Range { start, end } = self.columns;
-        let parents = &self.coarse[CHANNELS * start..CHANNELS * end];
+        let parents = self.coarse[CHANNELS * start..CHANNELS * end].as_chunks().0;
         for row in self.fine.chunks_exact_mut(half) {
-            let children = &mut row[2 * CHANNELS * start..2 * CHANNELS * end];
-            for (children, parent) in
-                children.chunks_exact_mut(2 * CHANNELS).zip(parents.chunks_exact(CHANNELS))
-            {
-                // SAFETY: `children` holds two texels of 16 values, `parent` one.
-                unsafe {
-                    let parent = L::load(parent.as_ptr());
-                    for child in [children.as_mut_ptr(), children.as_mut_ptr().add(CHANNELS)] {
-                        parent.mul_add(L::splat(0.25), L::load(child)).store(child);
-                    }
+            let children = row[2 * CHANNELS * start..2 * CHANNELS * end].as_chunks_mut::<TWO>().0;
+            for (children, parent) in children.iter_mut().zip(parents) {
+                let parent = L::of(parent);
+                for child in children.as_chunks_mut().0 {
+                    parent.mul_add(L::splat(0.25), L::of(child)).put(child);
                 }
             }
         }
@@ -268,6 +261,9 @@ struct Gather<'a> {
     features: &'a mut [f32],
     stride: usize,
 }
+
+/// Floats of two texels.
+const TWO: usize = 2 * CHANNELS;
 
 /// Number of samples whose texels are prefetched before the first of them is summed.
 const AHEAD: usize = 8;
@@ -353,8 +349,7 @@ impl Kernel for Gather<'_> {
                             sum = L::splat(weight).mul_add(unsafe { L::load(texel) }, sum);
                         }
                     }
-                    // SAFETY: `out` holds at least 48 values.
-                    unsafe { sum.store(out.as_mut_ptr().add(plane * CHANNELS)) };
+                    sum.put(&mut out.as_chunks_mut().0[plane]);
                 }
             }
         }

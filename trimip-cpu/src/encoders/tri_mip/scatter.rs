@@ -124,9 +124,8 @@ impl Kernel for SpreadBand<'_> {
         for gradient in self.gradients {
             for &index in &gradient.bands[plane * BANDS + band] {
                 let sphere = &gradient.spheres[index as usize];
-                let row = &gradient.rows[index as usize * FEATURES + plane * CHANNELS..][..CHANNELS];
-                // SAFETY: `row` holds 16 values.
-                let values = unsafe { L::load(row.as_ptr()) };
+                let row = &gradient.rows[index as usize * FEATURES + plane * CHANNELS..];
+                let values = L::of(&row.as_chunks().0[0]);
                 for (level, share) in reads(self.pyramid, plane, sphere.radius.log2()) {
                     if share == 0.0 {
                         continue;
@@ -142,12 +141,9 @@ impl Kernel for SpreadBand<'_> {
                         for j in 0..2 {
                             let row = (taps.rows[i] - *first_row) * shape.columns;
                             let texel = (row + taps.columns[j]) * CHANNELS;
-                            let texel = texels[texel..][..CHANNELS].as_mut_ptr();
-                            // SAFETY: the slice holds 16 values.
-                            unsafe {
-                                let weight = L::splat(share * taps.weights[i][j]);
-                                values.mul_add(weight, L::load(texel)).store(texel);
-                            }
+                            let texel = &mut texels[texel..].as_chunks_mut().0[0];
+                            let weight = L::splat(share * taps.weights[i][j]);
+                            values.mul_add(weight, L::of(texel)).put(texel);
                         }
                     }
                 }

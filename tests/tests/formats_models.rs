@@ -1,0 +1,76 @@
+//! Models and checkpoints whose configuration, state and tensors contradict each other are refused by the reader, with the
+//! file's name, before anything is allocated for them.
+
+use trimip_core::{checkpoint::Checkpoint, model::Model};
+use trimip_tests::formats::{Format, memory::Counting};
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Bytes that `write` puts into a file.
+fn written(write: impl FnOnce(&std::path::Path) -> trimip_core::Result<u64>) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("file");
+    write(&path).unwrap();
+    std::fs::read(path).unwrap()
+}
+
+fn model() -> Model {
+    Model::from_bytes("valid", &Format::of("model").valid()[0]).unwrap()
+}
+
+fn checkpoint() -> Checkpoint {
+    Checkpoint::from_bytes("valid", &Format::of("checkpoint").valid()[0]).unwrap()
+}
+
+/// Refused within the memory of its format, with these words.
+fn refused(format: &str, bytes: &[u8], parts: &[&str]) {
+    assert!(!Format::of(format).check(bytes), "{parts:?}");
+    let read = match format {
+        "model" => Model::from_bytes("f", bytes).map(|_| ()),
+        _ => Checkpoint::from_bytes("f", bytes).map(|_| ()),
+    };
+    let error = read.unwrap_err();
+    assert!(
+        error.message.starts_with("f: ") && parts.iter().all(|part| error.message.contains(part)),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_model_without_the_tensors_of_its_configuration_is_refused() {
+    // A few kilobytes that ask for 3 GB of planes, and for a grid of 2^30 cells.
+    for (setting, parts) in [
+        ("encoder.plane_size=4096", ["`planes`", "4096"]),
+        ("occupancy.resolution=1024", ["`occupancy`", "134217728"]),
+        ("field.hidden=512", ["`density.0.weight`", "512"]),
+    ] {
+        let Model { config, file } = model();
+        let mut settings = trimip_core::Settings::defaults();
+        settings.apply_file("own", &config.to_toml()).unwrap();
+        settings.apply_assignment(setting).unwrap();
+        let other = Model::new(trimip_core::Config::from_settings(&settings).unwrap(), file);
+        refused("model", &written(|path| other.write(path)), &parts);
+    }
+    let mut lacking = model();
+    lacking.file.tensors.remove("color.0.weight");
+    refused("model", &written(|path| lacking.write(path)), &["`color.0.weight`", "missing"]);
+}
+
+#[test]
+fn a_checkpoint_with_an_impossible_state_is_refused() {
+    type Change = fn(&mut Checkpoint);
+    let cases: [(Change, &[&str]); 6] = [
+        (|c| c.state.stage = 2, &["`halvings` is 2, at most 1"]),
+        (|c| c.state.stage = u32::MAX, &["`halvings` is 4294967295"]),
+        (|c| c.state.spacing = -0.5, &["`step_scale` is -0.5"]),
+        (|c| c.state.totals.seconds = -1.0, &["`totals.seconds` is -1"]),
+        (|c| drop(c.file.tensors.remove("planes.v")), &["`planes.v`", "missing"]),
+        (|c| drop(c.file.tensors.remove("occupancy.density")), &["`occupancy.density`", "missing"]),
+    ];
+    for (change, parts) in cases {
+        let mut checkpoint = checkpoint();
+        change(&mut checkpoint);
+        refused("checkpoint", &written(|path| checkpoint.write(path)), parts);
+    }
+}

@@ -1,0 +1,20 @@
+#!/usr/bin/env bash
+# The tests of all unsafe code under AddressSanitizer: products, lanes of every instruction set that this processor has, gathers
+# and scatters of the encoders, photographs in a mapped file. Needs the sanitizer's runtime, which comes with the compiler for
+# Linux and macOS; elsewhere this says so and does nothing.
+#
+#     tools/sanitize.sh [all]     # all: also the conformance of every stage, some minutes more
+set -euo pipefail
+cd "$(dirname "$0")/.."
+host=$(rustc -vV | sed -n 's/^host: //p')
+if ! ls "$(rustc --print sysroot)/lib/rustlib/$host/lib/"*rt.asan* >/dev/null 2>&1; then
+  echo "this compiler has no AddressSanitizer for $host: skipped"
+  exit
+fi
+# The option is unstable, and the compiler's own runtime is stable.
+export RUSTC_BOOTSTRAP=1 RUSTFLAGS="-Zsanitizer=address"
+under_asan() { cargo test --locked --target "$host" --target-dir target/asan "$@"; }
+under_asan -p trimip-cpu --lib -- --nocapture
+under_asan -p trimip-data --lib store
+# Finite differences ask the reference most of the time, which is safe code.
+under_asan -p trimip-tests --no-default-features --test conformance -- --skip finite_differences
