@@ -17,4 +17,6 @@ under_asan() { cargo test --locked --target "$host" --target-dir target/asan "$@
 under_asan -p trimip-cpu --lib -- --nocapture
 under_asan -p trimip-data --lib store
 # Finite differences ask the reference most of the time, which is safe code.
-under_asan -p trimip-tests --no-default-features --test conformance -- --skip finite_differences
+if [ "${1:-}" = all ]; then
+  under_asan -p trimip-tests --no-default-features --test conformance -- --skip finite_differences
+fi
