@@ -21,8 +21,8 @@ fn held(change: isize) {
     });
 }
 
-// SAFETY: every call goes to the system's allocator unchanged.
 #[allow(unsafe_code)] // the only way to count
+// SAFETY: every call goes to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         held(layout.size() as isize);
