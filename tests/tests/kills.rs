@@ -74,7 +74,12 @@ fn interrupt(
         .stderr(Stdio::null())
         .spawn()
         .expect("the program starts");
-    let count = random.below(if stage == "step" { 20 } else { 3 });
+    // How often a run tells the event at least.
+    let count = random.below(match stage {
+        "step" => 20,
+        "checkpoint" | "evaluation_progress" => 3,
+        _ => 1,
+    });
     let sign = format!("\"kind\":\"{stage}\"");
     let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines().map_while(Result::ok);
     let met =
