@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The tests of all unsafe code under AddressSanitizer: products, lanes of every instruction set that this processor has, gathers
-# and scatters of the encoders, photographs in a mapped file. Needs the sanitizer's runtime, which comes with the compiler for
+# The tests of unsafe code under AddressSanitizer: products, lanes of every instruction set that this processor has, photographs
+# in a mapped file; with `all` the gathers of the encoders too. Needs the sanitizer's runtime, which comes with the compiler for
 # Linux and macOS; elsewhere this says so and does nothing.
 #
 #     tools/sanitize.sh [all]     # all: also the conformance of every stage, some minutes more

@@ -163,7 +163,7 @@ fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// The last component of a photograph's name without extension, safe as a file name: at most `LONGEST` bytes, so that
+/// The last component of a photograph's name without extension, safe as a file name: at most 160 bytes, so that
 /// what stands before and after it in a picture's name fits beside it.
 pub fn file_stem(name: &str) -> String {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
