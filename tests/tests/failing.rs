@@ -1,5 +1,5 @@
 //! A run with non-finite values stops, reports which and when, and keeps the last good checkpoint. A run whose results
-//! cannot be stored goes on as far as it can.
+//! cannot be stored goes on as far as it can, and one that sees nothing fails.
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
@@ -12,7 +12,7 @@ use trimip_core::{
     trainer::Trainer,
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
-use trimip_tests::{fixtures, suite};
+use trimip_tests::{binary, fixtures, suite};
 
 /// Records the steps of the checkpoints.
 #[derive(Default)]
@@ -242,4 +242,19 @@ fn a_measure_is_told_when_its_views_are_stored() {
     let (error, store, events) = with_little_room(|_| true, false);
     assert!(error.is_some_and(|error| error.message.contains("views")), "the views are not stored");
     assert!(store.models == 1 && !is_measured(&events));
+}
+
+#[test]
+fn a_run_of_which_no_camera_sees_the_box_fails_and_says_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // Fewer steps than end a run at once, and more.
+    for steps in ["train.steps=20", "train.steps=100"] {
+        let away = ["--out", "run", "--fresh", "--set", "scene.aabb_min=[50,50,50]", "--set"];
+        let away = [&away[..], &["scene.aabb_max=[51,51,51]", "--set", steps]].concat();
+        let answer = binary::run(folder.path(), &binary::tiny_and(&away));
+        assert!(answer.code == Some(1) && answer.err.contains("kept no sample"), "{answer:?}");
+        let report = std::fs::read(folder.path().join("run/report.json")).expect("a report");
+        let report: serde_json::Value = serde_json::from_slice(&report).expect("JSON");
+        assert_eq!(report["status"], "failed", "{steps}");
+    }
 }

@@ -70,6 +70,11 @@ fn two_processes_are_kept_apart_and_a_killed_one_leaves_no_lock() {
         }
     }
     assert_eq!(fs::read(here.join("run/plan.json")).unwrap(), plan);
+    // Baking would change its model.
+    fs::copy(here.join("run/checkpoint.safetensors"), here.join("run/model.safetensors")).unwrap();
+    let bake = run(here, &["bake", "run"]);
+    assert!(bake.code == Some(2) && bake.err.contains("another process"), "{}", bake.err);
+    fs::remove_file(here.join("run/model.safetensors")).unwrap();
     // Reading needs no lock.
     let eval = run(here, &["eval", "run"]);
     assert_eq!(eval.code, Some(0), "{}", eval.err);
