@@ -61,10 +61,10 @@ fn a_model_without_the_tensors_of_its_configuration_is_refused() {
 fn a_checkpoint_with_an_impossible_state_is_refused() {
     type Change = fn(&mut Checkpoint);
     let cases: [(Change, &[&str]); 6] = [
-        (|c| c.state.stage = 2, &["`halvings` is 2, at most 1"]),
-        (|c| c.state.stage = u32::MAX, &["`halvings` is 4294967295"]),
-        (|c| c.state.spacing = -0.5, &["`step_scale` is -0.5"]),
-        (|c| c.state.totals.seconds = -1.0, &["`totals.seconds` is -1"]),
+        (|c| c.state.stage = 2, &["halvings is 2", "0 to 1"]),
+        (|c| c.state.stage = u32::MAX, &["halvings is 4294967295"]),
+        (|c| c.state.spacing = -0.5, &["step_scale is -0.5"]),
+        (|c| c.state.totals.seconds = -1.0, &["seconds is -1"]),
         (|c| drop(c.file.tensors.remove("planes.v")), &["`planes.v`", "missing"]),
         (|c| drop(c.file.tensors.remove("occupancy.density")), &["`occupancy.density`", "missing"]),
     ];
