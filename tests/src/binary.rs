@@ -1,5 +1,6 @@
 //! Builds the program once and runs it as a user does, on the smallest useful scene and model.
 
+use crate::files::files;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
@@ -13,6 +14,38 @@ pub struct Answer {
     pub out: String,
     /// Standard error.
     pub err: String,
+}
+
+impl Answer {
+    /// Asserts exit code `code` and one line of error that contains `parts`.
+    ///
+    /// # Panics
+    /// If the program answered otherwise.
+    #[track_caller]
+    pub fn expect_error(&self, code: i32, parts: &[&str]) {
+        assert_eq!(self.code, Some(code), "{self:?}");
+        let is_line = self.err.starts_with("error: ") && self.err.trim_end().lines().count() == 1;
+        assert!(is_line, "{}", self.err);
+        for part in parts {
+            assert!(self.err.contains(part), "no `{part}` in {}", self.err);
+        }
+    }
+}
+
+/// Asserts that the program refuses in one line that contains `parts`, and that it changes, removes and writes no file.
+///
+/// # Panics
+/// If it does otherwise.
+#[track_caller]
+pub fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
+    let before = files(folder);
+    run(folder, arguments).expect_error(2, parts);
+    let after = files(folder);
+    for (path, bytes) in &before {
+        assert!(after.get(path) == Some(bytes), "{arguments:?}: {} was changed", path.display());
+    }
+    let grown: Vec<_> = after.keys().filter(|path| !before.contains_key(*path)).collect();
+    assert!(grown.is_empty(), "{arguments:?}: wrote {grown:?}");
 }
 
 /// Path of `trimip-cli`, built in the profile and target folder of the running test.

@@ -4,28 +4,7 @@
 use serde_json::{Value, json};
 use std::{fs, path::Path};
 use tempfile::TempDir;
-use trimip_tests::{
-    binary::{run, tiny, tiny_and},
-    files::files,
-};
-
-/// Asserts that the program refuses, names `places`, and leaves every file unchanged.
-fn refuses(folder: &Path, arguments: &[&str], places: &[&str]) {
-    let before = files(folder);
-    let answer = run(folder, arguments);
-    assert_eq!(answer.code, Some(2), "{arguments:?}: {answer:?}");
-    assert!(answer.err.starts_with("error: "), "{arguments:?}: {}", answer.err);
-    assert_eq!(answer.err.trim_end().lines().count(), 1, "{arguments:?}: {}", answer.err);
-    for place in places {
-        assert!(answer.err.contains(place), "{arguments:?}: no `{place}` in: {}", answer.err);
-    }
-    let after = files(folder);
-    for (path, bytes) in &before {
-        assert!(after.get(path) == Some(bytes), "{arguments:?}: {} was changed", path.display());
-    }
-    let grown: Vec<_> = after.keys().filter(|path| !before.contains_key(*path)).collect();
-    assert!(grown.is_empty(), "{arguments:?}: wrote {grown:?}");
-}
+use trimip_tests::binary::{refuses, run, tiny, tiny_and};
 
 /// A folder with the built-in scene as files in `scene`.
 fn scene() -> TempDir {

@@ -12,19 +12,6 @@ use trimip_tests::{
     whole::{Whole, is_sound},
 };
 
-/// Asserts that the program ended with `code` and one line of error that contains `parts`.
-fn expect(answer: &Answer, code: i32, parts: &[&str]) {
-    assert_eq!(answer.code, Some(code), "{answer:?}");
-    assert!(
-        answer.err.starts_with("error: ") && answer.err.trim_end().lines().count() == 1,
-        "{}",
-        answer.err
-    );
-    for part in parts {
-        assert!(answer.err.contains(part), "no `{part}` in {}", answer.err);
-    }
-}
-
 /// Runs a shell script, with the program as `$0` and `arguments` as `$@`, in a mount namespace of its own: its mounts end
 /// with it. `None`, and a line that says so, where this is not allowed.
 fn mounted(here: &Path, script: &str, arguments: &[&str]) -> Option<Answer> {
@@ -77,7 +64,7 @@ fn a_disk_that_is_full_anywhere_costs_nothing_once_it_has_room() {
         let Some(answer) = mounted(here, &script, &arguments("disk/run")) else { return };
         if answer.code != Some(0) {
             failed += 1;
-            expect(&answer, 2, &[]);
+            answer.expect_error(2, &[]);
         } else {
             assert_eq!(answer.err, "");
         }
@@ -115,7 +102,7 @@ fn a_disk_that_cannot_be_written_is_refused_before_any_work() {
     for arguments in [&again[..], &new, &data, &render, &["bake", "disk/run"]] {
         let script = "mount --bind disk disk && mount -o remount,bind,ro disk && exec \"$0\" \"$@\"";
         let Some(answer) = mounted(here, script, arguments) else { return };
-        expect(&answer, 2, &["disk"]);
+        answer.expect_error(2, &["disk"]);
         assert!(files(here) == before, "{arguments:?}");
     }
     assert_eq!(run(here, &again).code, Some(0));
@@ -151,7 +138,7 @@ fn data_that_vanish_cost_neither_steps_nor_points() {
                 assert_eq!(run(here, first).code, Some(0));
             }
             breaking(&here.join("scene"));
-            expect(&run(here, &arguments), code, &[named]);
+            run(here, &arguments).expect_error(code, &[named]);
             if here.join("scene").exists() {
                 fs::remove_dir_all(here.join("scene")).unwrap();
             }
@@ -173,13 +160,13 @@ fn a_run_goes_on_with_its_own_photographs_alone() {
     copy(&here.join("scene"), &here.join("moved"));
     fs::copy(here.join("scene/train/r_1.png"), here.join("scene/train/r_2.png")).unwrap();
     let before = files(here);
-    expect(&run(here, &arguments), 2, &["photographs", "pixels", "--fresh", "--out"]);
+    run(here, &arguments).expect_error(2, &["photographs", "pixels", "--fresh", "--out"]);
     let poses = here.join("scene/transforms_train.json");
     let text = fs::read_to_string(&poses).unwrap();
     assert!(files(here) == before, "nothing is touched");
     fs::copy(here.join("moved/train/r_2.png"), here.join("scene/train/r_2.png")).unwrap();
     fs::write(&poses, text.replacen("\"camera_angle_x\":0.", "\"camera_angle_x\":0.1", 1)).unwrap();
-    expect(&run(here, &arguments), 2, &["photographs", "cameras"]);
+    run(here, &arguments).expect_error(2, &["photographs", "cameras"]);
     // The same photographs in another place are the same.
     let elsewhere = [&arguments[..], &["--set", "data.root=moved"]].concat();
     assert_eq!(run(here, &elsewhere).code, Some(0));
@@ -207,7 +194,7 @@ fn what_cannot_be_printed_is_an_error_and_what_nobody_reads_is_none() {
         let full = fs::File::options().write(true).open("/dev/full").unwrap();
         let output = command(here, arguments).stdout(full).output().unwrap();
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
-        expect(&Answer { code: output.status.code(), out: String::new(), err }, 2, &["standard output"]);
+        Answer { code: output.status.code(), out: String::new(), err }.expect_error(2, &["standard output"]);
         // Its reader has gone.
         let mut child = command(here, arguments).stdout(Stdio::piped()).spawn().unwrap();
         drop(child.stdout.take());

@@ -17,18 +17,6 @@ fn keeps_its_laws(name: &str, otherwise: u64) {
     println!("{name}: {cases} executions, {valid} of them of valid files");
 }
 
-#[test]
-#[ignore = "writes the valid files to fuzz/corpus, where libFuzzer begins"]
-fn corpus() {
-    for format in &trimip_tests::formats::FORMATS {
-        let folder = trimip_tests::binary::root().join("fuzz/corpus").join(format.name);
-        std::fs::create_dir_all(&folder).expect("the folder can be written");
-        for (index, bytes) in format.valid().iter().enumerate() {
-            std::fs::write(folder.join(format!("valid-{index}")), bytes).expect("the file can be written");
-        }
-    }
-}
-
 macro_rules! formats {
     ($($test:ident $name:literal $cases:literal)*) => {
         $(#[test]

@@ -2,28 +2,9 @@
 
 use std::{fs, path::Path};
 use trimip_tests::{
-    binary::{run, tiny, tiny_and},
+    binary::{refuses, run, tiny, tiny_and},
     files::files,
 };
-
-/// Asserts that the program refuses in one line that contains `parts`, and changes no file.
-fn refuses(here: &Path, arguments: &[&str], parts: &[&str]) {
-    let before = files(here);
-    let answer = run(here, arguments);
-    assert_eq!(answer.code, Some(2), "{arguments:?}: {answer:?}");
-    assert!(
-        answer.err.starts_with("error: ") && answer.err.trim_end().lines().count() == 1,
-        "{}",
-        answer.err
-    );
-    for part in parts {
-        assert!(answer.err.contains(part), "no `{part}` in {}", answer.err);
-    }
-    let after = files(here);
-    for (path, bytes) in &before {
-        assert!(after.get(path) == Some(bytes), "{arguments:?}: {} was changed", path.display());
-    }
-}
 
 fn done(here: &Path, arguments: &[&str]) {
     let answer = run(here, arguments);
