@@ -170,7 +170,7 @@ impl Backend for CpuBackend {
             return Err(Error::input(
                 "training views",
                 format!("{} pixels at scale 1/{}", scale.pixels.len(), scale.factor),
-                "train on at most 2^32 pixels a scale",
+                "lower data.most_pixels: a scale has at most 2^32 pixels",
             ));
         }
         Ok(Stages {
