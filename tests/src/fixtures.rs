@@ -4,8 +4,12 @@
 use glam::DVec3;
 use trimip_core::{
     Alpha, Camera, Config, Frames, Intrinsics, Layout, Result, Scale, View, ViewSet,
-    config::{EncoderConfig, EncoderKind, HashGridConfig, LevelFormula, OptimizerConfig, Untouched},
+    config::{
+        Decomposition, DensityFunction, EncoderConfig, EncoderKind, HashGridConfig, LevelFormula,
+        OptimizerConfig, RateSchedule, Untouched, ViewEncoding,
+    },
     params::Slot,
+    schedule::Schedule,
 };
 
 /// SplitMix64 (Steele et al. 2014): the random numbers of the tests.
@@ -115,6 +119,48 @@ fn other_rip_maps() -> [Config; 2] {
     })
 }
 
+/// The same with the factors of small tensors and TensoRF's networks.
+fn small_tensor() -> Config {
+    let (mut config, defaults) = (small(), Config::default());
+    config.encoder = EncoderConfig { kind: EncoderKind::Tensor, ..defaults.encoder };
+    config.optimizer.plane_scale = defaults.optimizer.plane_scale;
+    config.tensor.sides = Schedule::new(vec![[0.0, 9.0]]);
+    (config.tensor.density_components, config.tensor.color_components) = (16, 32);
+    let field = &mut config.field;
+    (field.density_layers, field.biases, field.geometry, field.geometry_frequencies) = (0, true, 6, 2);
+    (field.view, field.view_frequencies) = (ViewEncoding::Frequencies, 2);
+    (field.density, field.density_shift, field.density_scale) = (DensityFunction::Softplus, 2.0, 3.0);
+    config
+}
+
+/// The same with factors that grow twice in the course of a run.
+pub fn growing_tensor() -> Config {
+    let mut config = small_tensor();
+    config.tensor.sides = Schedule::new(vec![[0.0, 5.0], [0.2, 7.0], [0.4, 9.0]]);
+    config.optimizer.schedule = RateSchedule::Exponential;
+    config
+}
+
+/// The same with products of three lines, in a box with three different sides.
+fn small_lines() -> Config {
+    let mut config = small_tensor();
+    config.tensor.decomposition = Decomposition::Cp;
+    config.tensor.sides = Schedule::new(vec![[0.0, 12.0]]);
+    (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
+    config
+}
+
+/// The planes under networks like NeRF's: biases, the input joined again, another width for colour, a rectified density.
+pub fn nerf_networks() -> Config {
+    let mut config = small();
+    let field = &mut config.field;
+    (field.density_layers, field.joined, field.biases, field.geometry) = (4, 2, true, 16);
+    (field.color_layers, field.color_hidden) = (1, 32);
+    (field.view, field.view_frequencies) = (ViewEncoding::Frequencies, 4);
+    (field.density, field.density_shift) = (DensityFunction::Relu, 0.0);
+    config
+}
+
 /// The planes with the level of a sample as one more feature.
 fn with_level() -> Config {
     let mut config = small();
@@ -124,14 +170,20 @@ fn with_level() -> Config {
 
 /// `config` with the encoder of `by` and the settings that belong to that encoder.
 pub fn encoded(config: Config, by: &Config) -> Config {
-    let optimizer = OptimizerConfig { plane_scale: by.optimizer.plane_scale, ..config.optimizer };
+    let optimizer = OptimizerConfig {
+        plane_scale: by.optimizer.plane_scale,
+        schedule: by.optimizer.schedule,
+        ..config.optimizer
+    };
     let (encoder, hash_grid, rip_map) = (by.encoder.clone(), by.hash_grid.clone(), by.rip_map.clone());
-    Config { encoder, hash_grid, rip_map, optimizer, ..config }
+    // Features that sum up to the density need networks of their own.
+    let field = if by.encoder.kind == EncoderKind::Tensor { by.field.clone() } else { config.field };
+    Config { encoder, hash_grid, rip_map, tensor: by.tensor.clone(), field, optimizer, ..config }
 }
 
 /// A small configuration for each encoder.
 pub fn every_encoder() -> Vec<Config> {
-    vec![small(), small_hash_grid(), small_rip_map()]
+    vec![small(), small_hash_grid(), small_rip_map(), small_tensor()]
 }
 
 /// The same, and variants of them that compute their features another way.
@@ -140,6 +192,7 @@ pub fn every_variant() -> Vec<Config> {
     all.push(wide_hash_grid());
     all.push(with_level());
     all.extend(other_rip_maps());
+    all.extend([small_lines(), nerf_networks()]);
     all
 }
 
@@ -148,7 +201,8 @@ pub fn every_variant() -> Vec<Config> {
 pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
     let mut draw = Draw::new(seed);
     let bound = |slot: &Slot| match slot.name.as_str() {
-        "planes" | "table" => 1.0,
+        name if ["planes", "lines", "table"].iter().any(|factor| name.ends_with(factor)) => 1.0,
+        name if name.ends_with("bias") => 0.3,
         _ => 1.5 * (6.0 / (slot.shape[0] + slot.shape[1]) as f64).sqrt(),
     };
     let mut values = vec![0.0; layout.len()];

@@ -1,7 +1,9 @@
 //! AdamW for one parameter (Loshchilov and Hutter 2019), and the learning-rate schedule.
 
 use crate::{
+    Config,
     config::{OptimizerConfig, RateSchedule},
+    encoders,
     params::Slot,
     scalar::Real,
 };
@@ -25,6 +27,8 @@ pub struct Rule<R> {
     pub root_correction: R,
     /// 1 − learning rate · weight decay.
     pub shrink: R,
+    /// Added to the gradient with the sign of the parameter: the derivative of Σ sparsity·|parameter|.
+    pub sparsity: R,
 }
 
 impl<R: Real> Rule<R> {
@@ -40,6 +44,7 @@ impl<R: Real> Rule<R> {
             rate: R::from_f64(learning_rate / power(config.beta1)),
             root_correction: R::from_f64(power(config.beta2).sqrt().recip()),
             shrink: R::from_f64(1.0 - learning_rate * config.weight_decay),
+            sparsity: R::zero(),
         }
     }
 
@@ -53,6 +58,7 @@ impl<R: Real> Rule<R> {
     /// Updates parameter and moments by `gradient`.
     #[inline(always)]
     pub fn apply(&self, parameter: &mut R, m: &mut R, v: &mut R, gradient: R) {
+        let gradient = gradient + self.sparsity.copysign(*parameter);
         *m = self.beta1 * *m + self.share1 * gradient;
         *v = self.beta2 * *v + self.share2 * gradient * gradient;
         *parameter =
@@ -61,13 +67,20 @@ impl<R: Real> Rule<R> {
 }
 
 /// Learning rate of the networks at `progress` in [0, 1].
-pub fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
+pub fn learning_rate(config: &Config, progress: f64) -> f64 {
+    let since = encoders::of(config).restarted(config, progress).unwrap_or(0.0);
+    rate_since(&config.optimizer, progress, since)
+}
+
+/// The same, for an exponential schedule that started anew at `since`.
+fn rate_since(config: &OptimizerConfig, progress: f64, since: f64) -> f64 {
     config.learning_rate
         * match config.schedule {
             RateSchedule::Milestones => {
                 let passed = config.milestones.iter().filter(|&&milestone| progress >= milestone).count();
                 config.decay_factor.powi(passed as i32)
             }
+            RateSchedule::Exponential => config.final_factor.powf(progress - since),
             RateSchedule::Cosine => {
                 let half_wave = 0.5 + 0.5 * (std::f64::consts::PI * progress.clamp(0.0, 1.0)).cos();
                 config.final_factor + (1.0 - config.final_factor) * half_wave
@@ -78,7 +91,6 @@ pub fn learning_rate(config: &OptimizerConfig, progress: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Config;
 
     /// Algorithm 2 of the paper as written, with m̂ and v̂.
     fn written(theta: f64, gradients: &[f64], c: &OptimizerConfig, rate: f64) -> f64 {
@@ -119,12 +131,19 @@ mod tests {
     #[test]
     fn the_schedule_falls_at_its_milestones() {
         let config = Config::default().optimizer;
-        assert_eq!(learning_rate(&config, 0.49), 2e-3);
-        assert_eq!(learning_rate(&config, 0.5), 2e-3 * 0.6);
-        assert!((learning_rate(&config, 1.0) - 2e-3 * 0.6_f64.powi(4)).abs() < 1e-15);
+        assert_eq!(rate_since(&config, 0.49, 0.0), 2e-3);
+        assert_eq!(rate_since(&config, 0.5, 0.0), 2e-3 * 0.6);
+        assert!((rate_since(&config, 1.0, 0.0) - 2e-3 * 0.6_f64.powi(4)).abs() < 1e-15);
         let cosine = OptimizerConfig { schedule: RateSchedule::Cosine, final_factor: 0.02, ..config };
+        let exponential =
+            OptimizerConfig { schedule: RateSchedule::Exponential, final_factor: 0.1, ..cosine.clone() };
+        for (progress, since, factor) in
+            [(0.0, 0.0, 1.0), (0.5, 0.0, 0.1_f64.sqrt()), (0.7, 0.2, 0.1_f64.sqrt())]
+        {
+            assert!((rate_since(&exponential, progress, since) - 2e-3 * factor).abs() < 1e-15, "{progress}");
+        }
         for (progress, factor) in [(0.0, 1.0), (0.5, 0.51), (1.0, 0.02), (1.1, 0.02)] {
-            assert!((learning_rate(&cosine, progress) - 2e-3 * factor).abs() < 1e-15, "{progress}");
+            assert!((rate_since(&cosine, progress, 0.0) - 2e-3 * factor).abs() < 1e-15, "{progress}");
         }
     }
 }

@@ -44,6 +44,9 @@ pub struct TrainState {
     pub rays_per_step: u32,
     /// Marched samples per pixel of the last step, which sizes the next step's spans.
     pub marched_per_ray: f32,
+    /// The step after which the optimiser's moments last started from zero.
+    #[serde(default)]
+    pub moments_since: u64,
     /// The views that the run is trained on.
     #[serde(default)]
     pub data: Option<Fingerprint>,
@@ -149,7 +152,7 @@ impl Checkpoint {
             if let Some(Values::F32(values)) =
                 file.tensors.get_mut(&slot.name).map(|tensor| &mut tensor.values)
             {
-                encoder.grow(&config, values, state.stage, 0);
+                encoder.grow(&config, slot, values, state.stage, 0);
             }
         }
         Model::new(config, file)

@@ -7,11 +7,11 @@ mod encoders;
 mod sections;
 
 pub use choices::{
-    Contraction, Convention, Exposure, FilePrecision, FinalEval, Finish, Format, HybridRule, LevelFormula,
-    LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs, PixelStore, PlanChoice, PlaneShape, Precision,
-    RateSchedule, RendererKind, TrainBackground, Untouched,
+    Contraction, Convention, Decomposition, DensityFunction, Exposure, FilePrecision, FinalEval, Finish,
+    Format, HybridRule, LevelFormula, LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs, PixelStore,
+    PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
-pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig};
+pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig, TensorConfig};
 pub use sections::{
     DataConfig, EvalConfig, FieldConfig, FileConfig, HybridConfig, LossConfig, OccupancyConfig,
     OptimizerConfig, PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
@@ -47,6 +47,8 @@ pub struct Config {
     pub hash_grid: HashGridConfig,
     /// The planes of several directions with ripmaps.
     pub rip_map: RipMapConfig,
+    /// Factored tensors.
+    pub tensor: TensorConfig,
     /// The networks.
     pub field: FieldConfig,
     /// Marching and compositing.

@@ -1,14 +1,13 @@
 //! A model in f64, one ray at a time: the reference for errors of rendering. It is slow and takes no shortcuts except the
 //! occupancy grid, which is part of the model.
 
-use crate::activation::{density, sigmoid};
+use crate::activation::{Density, sigmoid};
 use crate::cones::Division;
 use crate::encoders::{self, Place, Twin};
 use crate::model::{Model, OCCUPANCY};
+use crate::networks::{Network, append_frequencies, color_network, density_network, geometry_width, view};
 use crate::occupancy::cell_of;
-use crate::params::harmonics;
-use crate::sh::spherical_harmonics;
-use crate::{Camera, Cone, Layout, Result, Space};
+use crate::{Camera, Cone, Config, Layout, Result, Space};
 use glam::DVec3;
 
 /// Transmittance below which nothing is visible in f64.
@@ -16,13 +15,13 @@ const OPAQUE: f64 = 1e-13;
 
 /// A model ready to be evaluated.
 pub struct Exact {
+    config: Config,
     space: Space<f64>,
     centre: DVec3,
     encoder: Box<dyn Twin>,
-    density: Vec<Layer>,
-    color: Vec<Layer>,
-    /// Spherical harmonics that the colour network sees.
-    harmonics: usize,
+    density: Weighted,
+    color: Weighted,
+    activation: Density,
     occupancy: Vec<u8>,
     resolution: u32,
     division: Division,
@@ -31,10 +30,29 @@ pub struct Exact {
     diagonal: f64,
 }
 
-/// Weights [inputs, outputs].
-struct Layer {
-    outputs: usize,
-    weights: Vec<f64>,
+/// A network and its parameters.
+struct Weighted {
+    network: Network,
+    /// Weights [inputs, outputs] and biases of each layer.
+    layers: Vec<[Vec<f64>; 2]>,
+}
+
+impl Weighted {
+    fn new(network: Network, layout: &Layout, values: &[f64]) -> Self {
+        let slots: Vec<_> = layout.network(network.name).map(|slot| &values[slot.range.clone()]).collect();
+        let layers = match network.biases {
+            true => slots.chunks_exact(2).map(|pair| [pair[0].to_vec(), pair[1].to_vec()]).collect(),
+            false => slots.iter().map(|weights| [weights.to_vec(), Vec::new()]).collect(),
+        };
+        Self { network, layers }
+    }
+
+    fn run(&self, input: &[f64]) -> Vec<f64> {
+        self.network.run(input, |layer| {
+            let [weights, biases] = &self.layers[layer];
+            (weights, biases)
+        })
+    }
 }
 
 impl Exact {
@@ -50,21 +68,15 @@ impl Exact {
         let space = Space::<f64>::new(&config.scene);
         let own = layout.encoder().iter().map(|slot| values[slot.range.clone()].to_vec()).collect();
         let encoder = encoders::of(&config).twin(&config, own);
-        let network = |name: &str| {
-            let layer = |slot: &crate::params::Slot| Layer {
-                outputs: slot.shape[1],
-                weights: values[slot.range.clone()].to_vec(),
-            };
-            layout.network(name).map(layer).collect::<Vec<_>>()
-        };
         let resolution = config.occupancy.resolution;
         let cells = (resolution as usize).pow(3);
         let occupancy = model.file.u8("model", OCCUPANCY, &[cells.div_ceil(8)])?.to_vec();
         Ok(Self {
             centre,
-            density: network("density"),
-            color: network("color"),
-            harmonics: harmonics(&config),
+            density: Weighted::new(density_network(&config), &layout, &values),
+            color: Weighted::new(color_network(&config), &layout, &values),
+            activation: Density::new(&config.field),
+            config: config.clone(),
             occupancy,
             resolution,
             division: Division::new(&config),
@@ -90,7 +102,7 @@ impl Exact {
         let course = self.space.course(cone.origin, cone.direction);
         let (enter, leave) = course.range();
         let step = self.diagonal / f64::from(steps);
-        let harmonics = spherical_harmonics(cone.direction);
+        let view = view(&self.config, cone.direction);
         let (mut rgb, mut depth) = ([0.0; 3], 0.0_f64);
         let count = ((leave - enter) / step + 0.5).floor().max(0.0) as u64;
         for i in 0..count {
@@ -104,13 +116,13 @@ impl Exact {
             let radius = cone.slope * t * self.space.scale(point);
             let length = course.length(t, step) * self.space.density_scale(point);
             let at = Place { position, radius, direction: cone.direction, t, length };
-            let geometry = run(&self.density, self.features(&at));
-            let own = density(geometry[0]) * length;
+            let geometry = self.density.run(&self.features(&at));
+            let own = self.activation.value(geometry[0]) * length;
             let before = (-depth).exp();
             depth += own;
             let weight = before * -(-own).exp_m1();
             if weight > OPAQUE {
-                let color = self.color(&harmonics, &geometry);
+                let color = self.color(&view, &geometry);
                 (0..3).for_each(|c| rgb[c] += weight * color[c]);
             }
             if before < OPAQUE {
@@ -128,14 +140,16 @@ impl Exact {
 
     /// Density per world unit and colour of a sample with these features, seen along a unit direction.
     pub fn radiance(&self, features: &[f64], direction: [f64; 3]) -> (f64, [f64; 3]) {
-        let geometry = run(&self.density, features.to_vec());
-        (density(geometry[0]), self.color(&spherical_harmonics(direction), &geometry))
+        let geometry = self.density.run(features);
+        (self.activation.value(geometry[0]), self.color(&view(&self.config, direction), &geometry))
     }
 
-    fn color(&self, harmonics: &[f64], geometry: &[f64]) -> [f64; 3] {
-        let mut input = harmonics[..self.harmonics].to_vec();
-        input.extend_from_slice(&geometry[1..]);
-        let logits = run(&self.color, input);
+    fn color(&self, view: &[f64], geometry: &[f64]) -> [f64; 3] {
+        let field = &self.config.field;
+        let mut shape = geometry[1..].to_vec();
+        shape.resize(geometry_width(&self.config), 0.0);
+        append_frequencies(&mut shape, field.geometry as usize, field.geometry_frequencies);
+        let logits = self.color.run(&[view, &shape].concat());
         [0, 1, 2].map(|c| sigmoid(logits[c]))
     }
 
@@ -143,19 +157,4 @@ impl Exact {
     pub fn features(&self, at: &Place) -> Vec<f64> {
         self.encoder.features(at)
     }
-}
-
-/// Linear layers with ReLU between them.
-fn run(layers: &[Layer], mut values: Vec<f64>) -> Vec<f64> {
-    for (i, layer) in layers.iter().enumerate() {
-        let mut sums = vec![0.0; layer.outputs];
-        for (value, weights) in values.iter().zip(layer.weights.chunks_exact(layer.outputs)) {
-            sums.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += value * weight);
-        }
-        if i + 1 < layers.len() {
-            sums.iter_mut().for_each(|sum| *sum = sum.max(0.0));
-        }
-        values = sums;
-    }
-    values
 }

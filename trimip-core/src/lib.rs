@@ -47,6 +47,7 @@ pub mod loaded;
 pub mod loss;
 pub mod metrics;
 pub mod model;
+pub mod networks;
 pub mod occupancy;
 pub mod params;
 pub mod pixels;

@@ -1,14 +1,15 @@
 //! The parameters: one flat array of named slots. Encoders and networks declare their slots. Optimiser, checkpoints,
 //! model files and memory prediction use only these declarations.
 
-pub use crate::slot::{ALIGNMENT, Slot};
+pub use crate::slot::{ALIGNMENT, Part, Slot};
 
 use crate::{
     Config, Result, encoders,
+    networks::{color_network, density_network},
     rng::{Random, Stream, unit},
     tensors::{Tensor, TensorFile},
 };
-/// All slots in order: encoder, density network, colour network. Layers have no biases.
+/// All slots in order: encoder, density network, colour network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
     /// The slots.
@@ -17,35 +18,23 @@ pub struct Layout {
     encoder: usize,
 }
 
-/// [inputs, outputs] of each layer of the density network: the encoder's features → hidden … → 1 logit and the
-/// geometry features.
+/// [inputs, outputs] of each layer of the density network.
 pub fn density_layers(config: &Config) -> Vec<[usize; 2]> {
-    let width = encoders::of(config).width(config);
-    layers(
-        width,
-        config.field.hidden as usize,
-        config.field.density_layers,
-        1 + config.field.geometry as usize,
-    )
+    density_network(config).layers
 }
 
-/// [inputs, outputs] of each layer of the colour network: spherical harmonics (none without directions) and geometry
-/// features → hidden … → 3.
+/// [inputs, outputs] of each layer of the colour network.
 pub fn color_layers(config: &Config) -> Vec<[usize; 2]> {
-    let inputs = harmonics(config) + config.field.geometry as usize;
-    layers(inputs, config.field.hidden as usize, config.field.color_layers, 3)
+    color_network(config).layers
 }
 
-/// Number of spherical harmonics in the colour network's input: degree², or 0 without directions.
-pub fn harmonics(config: &Config) -> usize {
-    if config.field.directions { (config.field.harmonics as usize).pow(2) } else { 0 }
-}
-
-fn layers(inputs: usize, hidden: usize, count: u32, outputs: usize) -> Vec<[usize; 2]> {
-    let mut widths = vec![inputs];
-    widths.extend((0..count).map(|_| hidden));
-    widths.push(outputs);
-    widths.windows(2).map(|pair| [pair[0], pair[1]]).collect()
+/// A number of the standard normal distribution (Box and Muller 1958), one of the four of `bits`.
+fn normal(bits: [u32; 4], i: usize) -> f32 {
+    let pair = i % 4 / 2 * 2;
+    // Above 0, so that the logarithm is finite.
+    let radius = (-2.0 * (1.0 - unit(bits[pair])).max(f32::MIN_POSITIVE).ln()).sqrt();
+    let angle = std::f32::consts::TAU * unit(bits[pair + 1]);
+    radius * if i % 2 == 0 { angle.cos() } else { angle.sin() }
 }
 
 impl Layout {
@@ -54,11 +43,15 @@ impl Layout {
         let mut layout = Self { slots: Vec::new(), encoder: 0 };
         encoders::of(config).slots(config).into_iter().for_each(|slot| layout.push(slot));
         layout.encoder = layout.slots.len();
-        for (network, layers) in [("density", density_layers(config)), ("color", color_layers(config))] {
-            for (i, [inputs, outputs]) in layers.into_iter().enumerate() {
+        for network in [density_network(config), color_network(config)] {
+            for i in 0..network.layers.len() {
+                let [inputs, outputs] = network.weights(i);
                 // Glorot's uniform rule, as in the paper.
                 let bound = (6.0 / (inputs + outputs) as f32).sqrt();
-                layout.push(Slot::new(format!("{network}.{i}.weight"), vec![inputs, outputs], bound));
+                layout.push(Slot::new(format!("{}.{i}.weight", network.name), vec![inputs, outputs], bound));
+                if network.biases {
+                    layout.push(Slot::new(format!("{}.{i}.bias", network.name), vec![outputs], 0.0));
+                }
             }
         }
         layout
@@ -97,20 +90,21 @@ impl Layout {
         self.slots.is_empty()
     }
 
-    /// Slots of one network (`density` or `color`), first layer first.
+    /// Slots of one network (`density` or `color`), first layer first: its weights, then its biases if it has any.
     pub fn network(&self, name: &str) -> impl Iterator<Item = &Slot> {
         let prefix = format!("{name}.");
         self.slots.iter().filter(move |slot| slot.name.starts_with(&prefix))
     }
 
-    /// Initial values, uniform within each slot's bound.
+    /// Initial values, uniform within each slot's bound, or normal.
     pub fn initial(&self, config: &Config) -> Vec<f32> {
         let random = Random::new(config.seed);
         let mut values = vec![0.0; self.len()];
         for slot in &self.slots {
             for (value, i) in values[slot.range.clone()].iter_mut().zip(slot.range.clone()) {
-                let bits = random.bits(Stream::Initial, 0, (i / 4) as u32)[i % 4];
-                *value = (2.0 * unit(bits) - 1.0) * slot.bound;
+                let bits = random.bits(Stream::Initial, 0, (i / 4) as u32);
+                *value =
+                    slot.bound * if slot.normal { normal(bits, i) } else { 2.0 * unit(bits[i % 4]) - 1.0 };
             }
         }
         values

@@ -20,6 +20,12 @@ impl Schedule {
         begun.last().or(self.0.first()).map_or(0.0, |[_, value]| *value)
     }
 
+    /// Where the piece at `progress` begins.
+    pub fn since(&self, progress: f64) -> f64 {
+        let begun = self.0.iter().take_while(|[fraction, _]| *fraction <= progress);
+        begun.last().map_or(0.0, |[fraction, _]| *fraction)
+    }
+
     /// All values.
     pub fn values(&self) -> impl Iterator<Item = f64> {
         self.0.iter().map(|[_, value]| *value)
@@ -43,6 +49,8 @@ mod tests {
         let schedule = Schedule(vec![[0.0, 4.0], [0.25, 2.0], [0.5, 1.0]]);
         let at = [0.0, 0.2499, 0.25, 0.4, 0.5, 1.0, 1.5].map(|progress| schedule.at(progress));
         assert_eq!(at, [4.0, 4.0, 2.0, 2.0, 1.0, 1.0, 1.0]);
+        let since = [0.0, 0.2499, 0.25, 0.4, 0.5, 1.0].map(|progress| schedule.since(progress));
+        assert_eq!(since, [0.0, 0.0, 0.25, 0.25, 0.5, 0.5]);
         assert!(schedule.is_whole());
     }
 

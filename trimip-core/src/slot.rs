@@ -17,6 +17,8 @@ pub struct Slot {
     pub range: Range<usize>,
     /// Initial values are uniform in [-bound, bound].
     pub bound: f32,
+    /// True if they are normal with standard deviation `bound` instead.
+    pub normal: bool,
     /// Learning rate as a multiple of `optimizer.learning_rate`.
     pub rate: f64,
     /// Weight decay as a multiple of `optimizer.weight_decay`.
@@ -39,6 +41,7 @@ impl Slot {
             shape,
             range,
             bound,
+            normal: false,
             rate: 1.0,
             decay: 1.0,
             group: None,
@@ -50,5 +53,21 @@ impl Slot {
     /// Its range, including the padding after it.
     pub fn padded(&self) -> Range<usize> {
         self.range.start..self.range.end.next_multiple_of(ALIGNMENT)
+    }
+}
+
+/// The part of a slot that is in use at a stage of growth.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// Range in the flat array.
+    pub range: Range<usize>,
+    /// Weight of the absolute value of each parameter in the loss (L1).
+    pub sparsity: f64,
+}
+
+impl Part {
+    /// A whole slot, including the padding after it.
+    pub fn whole(slot: &Slot) -> Self {
+        Self { range: slot.padded(), sparsity: 0.0 }
     }
 }

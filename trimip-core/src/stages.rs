@@ -9,6 +9,7 @@ use crate::{
     balance::{Balance, Draw},
     batch::{Deposit, Radiance, Rays, Samples, Workspace},
     model::Assets,
+    params::Part,
 };
 use std::ops::Range;
 
@@ -256,8 +257,8 @@ pub trait Optimizer<B: Backend>: Send + Sync {
         step: u64,
     );
 
-    /// Restricts updates to these parts of the slots, one range per slot. Only a part of a growing slot is in use.
-    fn restrict(&mut self, parts: &[Range<usize>]);
+    /// Restricts updates to these parts of the slots, one per slot. Only a part of a growing slot is in use.
+    fn restrict(&mut self, parts: &[Part]);
 
     /// First and second moments, flat as the parameters.
     fn moments(&self) -> [&B::Buffer<f32>; 2];

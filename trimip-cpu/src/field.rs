@@ -1,18 +1,21 @@
 //! Density and colour networks on the CPU. The density network outputs a logit and the geometry features. The colour
-//! network reads this output with a zero weight on the logit, and spherical harmonics, which go through the first
-//! layer once per ray.
+//! network reads this output with a zero weight on the logit, and the view, which goes through the first layer once per
+//! ray. With sines and cosines of the geometry features it reads rows of its own.
 
 use crate::buffer::Buffer;
 
 use crate::gemm::padded;
-use crate::mlp::{Activations, Mlp, MlpGradient, Passing, Shared};
+use crate::mlp::{Activations, Mlp, MlpGradient, Passing, Row, Shared};
 use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
-use trimip_core::activation::{density, density_derivative, sigmoid, sigmoid_derivative};
+use trimip_core::activation::{Density, sigmoid, sigmoid_derivative};
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
-use trimip_core::config::Precision;
-use trimip_core::params::{ALIGNMENT, Slot, color_layers, density_layers, harmonics};
-use trimip_core::sh::{self, spherical_harmonics};
+use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
+use trimip_core::networks::{
+    append_frequencies, color_network, density_network, geometry_width, pull_frequencies, view_width,
+};
+use trimip_core::params::{ALIGNMENT, Slot};
+use trimip_core::sh::spherical_harmonics;
 use trimip_core::{Config, Field, Layout, encoders};
 
 /// The density and colour networks.
@@ -21,9 +24,12 @@ pub struct CpuField {
     density: Mlp,
     color: Mlp,
     slots: Vec<Slot>,
-    density_layers: usize,
-    /// True if the colour network's input includes directions.
-    directed: bool,
+    activation: Density,
+    config: FieldConfig,
+    /// Padded width of the view; 0 if the colour network does not see directions.
+    view: usize,
+    /// Padded width of the geometry features with their sines and cosines; 0 if there are none of these.
+    shape: usize,
 }
 
 /// Activations of a span.
@@ -31,45 +37,62 @@ pub struct Tape {
     density: Activations,
     color: Activations,
     directions: Directions,
-    /// Gradients of the colour logits and of the density network's output.
+    /// Geometry features with their sines and cosines, [samples (padded), `shape`].
+    shape: Buffer<f32>,
+    /// Gradients of the colour logits, of the rows of `shape`, and of the density network's output.
     color_gradient: Buffer<f32>,
+    shape_gradient: Buffer<f32>,
     output_gradient: Buffer<f32>,
     passing: Passing,
 }
 
-/// Spherical harmonics of the rays that have samples.
+/// The views of the rays that have samples.
 #[derive(Default)]
 struct Directions {
     /// Number of rays with samples.
     count: usize,
-    /// Shape: [rays with samples (padded), 16].
-    harmonics: Buffer<f32>,
-    /// Row of `harmonics` for each sample, padding included.
+    /// Shape: [rays with samples (padded), width].
+    views: Buffer<f32>,
+    /// Row of `views` for each sample, padding included.
     of: Vec<u32>,
 }
 
 impl Directions {
-    fn gather(&mut self, rays: &Rays<CpuBackend>, samples: &Samples<CpuBackend>) {
+    fn gather(
+        &mut self,
+        field: &FieldConfig,
+        width: usize,
+        rays: &Rays<CpuBackend>,
+        samples: &Samples<CpuBackend>,
+    ) {
         self.of.clear();
-        self.harmonics.clear();
+        self.views.clear();
         let (mut count, mut last) = (0, None);
         for &ray in samples.rays.iter() {
             if last != Some(ray) {
                 last = Some(ray);
                 count += 1;
-                self.harmonics.resize(count * sh::COUNT);
-                let harmonics = spherical_harmonics(rays.rays[ray as usize].direction);
-                self.harmonics[(count - 1) * sh::COUNT..].copy_from_slice(&harmonics);
+                self.views.resize(count * width);
+                let row = &mut self.views[(count - 1) * width..];
+                let direction = rays.rays[ray as usize].direction;
+                match field.view {
+                    ViewEncoding::Harmonics => row.copy_from_slice(&spherical_harmonics(direction)),
+                    ViewEncoding::Frequencies => {
+                        row.fill(0.0);
+                        row[..3].copy_from_slice(&direction);
+                        append_frequencies(row, 3, field.view_frequencies);
+                    }
+                }
             }
             self.of.push(count as u32 - 1);
         }
         self.count = count;
-        self.harmonics.resize(padded(count) * sh::COUNT);
+        self.views.resize(padded(count) * width);
         self.of.resize(padded(samples.rays.len()), 0);
     }
 
     fn shared(&self) -> Shared<'_> {
-        Shared { groups: self.count, input: &self.harmonics, of: &self.of }
+        Shared { groups: self.count, input: &self.views, of: &self.of }
     }
 }
 
@@ -82,25 +105,62 @@ pub struct FieldGradient {
 impl CpuField {
     /// Creates the networks of a configuration, with products in `precision`.
     pub fn new(simd: Simd, config: &Config, layout: &Layout, precision: Precision) -> Self {
-        let density_shapes = density_layers(config);
-        let width = density_shapes[0][0];
-        let features = (0..encoders::stride(config)).map(|row| (row < width).then_some(row)).collect();
-        // The density logit is not an input of the colour network.
-        let (harmonics, outputs) = (harmonics(config), 1 + config.field.geometry as usize);
-        let geometry = |output: usize| (1..outputs).contains(&output).then(|| harmonics + output - 1);
-        let directions = if config.field.directions { sh::COUNT } else { 0 };
+        let (density, color) = (density_network(config), color_network(config));
+        let features = (0..encoders::stride(config)).map(|row| match row {
+            _ if row < density.summed => Row::One,
+            _ if row < density.inputs() => Row::Weights(row - density.summed),
+            _ => Row::Zero,
+        });
+        let (view, field) = (view_width(config), &config.field);
+        let shape = match field.geometry_frequencies {
+            0 => 0,
+            _ => geometry_width(config).next_multiple_of(ALIGNMENT),
+        };
+        let input = match shape {
+            0 => {
+                // The density logit is not an input of the colour network.
+                let outputs = 1 + field.geometry as usize;
+                let row = |output| match (1..outputs).contains(&output) {
+                    true => Row::Weights(view + output - 1),
+                    false => Row::Zero,
+                };
+                (0..outputs.next_multiple_of(ALIGNMENT)).map(row).collect()
+            }
+            _ => {
+                let row = |i| if i < geometry_width(config) { Row::Weights(view + i) } else { Row::Zero };
+                (0..shape).map(row).collect()
+            }
+        };
+        let padded_view = if view == 0 { 0 } else { view.next_multiple_of(ALIGNMENT) };
         Self {
             simd,
-            density: Mlp::new(&density_shapes, features, Vec::new(), precision),
-            color: Mlp::new(
-                &color_layers(config),
-                (0..outputs.next_multiple_of(ALIGNMENT)).map(geometry).collect(),
-                (0..directions).map(|i| (i < harmonics).then_some(i)).collect(),
-                precision,
-            ),
+            density: Mlp::new(&density, features.collect(), Vec::new(), precision),
+            color: Mlp::new(&color, input, Row::all(view, padded_view), precision),
             slots: layout.networks().to_vec(),
-            density_layers: density_shapes.len(),
-            directed: config.field.directions,
+            activation: Density::new(field),
+            config: field.clone(),
+            view: padded_view,
+            shape,
+        }
+    }
+
+    /// The input of the colour network beside the view.
+    fn color_input<'a>(&self, density: &'a Activations, shape: &'a Buffer<f32>) -> &'a Buffer<f32> {
+        if self.shape == 0 { density.output() } else { shape }
+    }
+
+    /// Writes the geometry features with their sines and cosines.
+    fn append_shapes(&self, rows: usize, density: &Activations, shape: &mut Buffer<f32>) {
+        if self.shape == 0 {
+            return;
+        }
+        let count = self.config.geometry as usize;
+        shape.resize(padded(rows) * self.shape);
+        let outputs = density.output().chunks_exact(self.density.outputs());
+        for (row, output) in shape.chunks_exact_mut(self.shape).zip(outputs) {
+            row.fill(0.0);
+            row[..count].copy_from_slice(&output[1..=count]);
+            append_frequencies(row, count, self.config.geometry_frequencies);
         }
     }
 }
@@ -138,7 +198,9 @@ impl Field<CpuBackend> for CpuField {
             density: self.density.activations(),
             color: self.color.activations(),
             directions: Directions::default(),
+            shape: Buffer::zeros(0),
             color_gradient: Buffer::zeros(0),
+            shape_gradient: Buffer::zeros(0),
             output_gradient: Buffer::zeros(0),
             passing: Passing::default(),
         }
@@ -150,7 +212,7 @@ impl Field<CpuBackend> for CpuField {
 
     fn refresh(&mut self, parameters: &Buffer<f32>) {
         let weights: Vec<&[f32]> = self.slots.iter().map(|slot| &parameters[slot.range.clone()]).collect();
-        let (density, color) = weights.split_at(self.density_layers);
+        let (density, color) = weights.split_at(self.density.slots());
         self.density.pack(density);
         self.color.pack(color);
     }
@@ -169,7 +231,7 @@ impl Field<CpuBackend> for CpuField {
         for (radiance, output) in
             radiance.iter_mut().zip(tape.density.output().chunks_exact(self.density.outputs()))
         {
-            *radiance = Radiance { rgb: [0.0; 3], density: density(output[0]) };
+            *radiance = Radiance { rgb: [0.0; 3], density: self.activation.value(output[0]) };
         }
     }
 
@@ -187,12 +249,13 @@ impl Field<CpuBackend> for CpuField {
         radiance: &mut Buffer<Radiance>,
     ) {
         let rows = samples.spheres.len();
-        let Tape { density, color, directions, .. } = tape;
-        if self.directed {
-            directions.gather(rays, samples);
+        let Tape { density, color, directions, shape, .. } = tape;
+        if self.view > 0 {
+            directions.gather(&self.config, self.view, rays, samples);
         }
-        let shared = self.directed.then(|| directions.shared());
-        self.color.forward(self.simd, rows, density.output(), shared, color);
+        let shared = (self.view > 0).then(|| directions.shared());
+        self.append_shapes(rows, density, shape);
+        self.color.forward(self.simd, rows, self.color_input(density, shape), shared, color);
         let logits = tape.color.output();
         for (radiance, logits) in radiance.iter_mut().zip(logits.chunks_exact(self.color.outputs())) {
             radiance.rgb = [0, 1, 2].map(|c| sigmoid(logits[c]));
@@ -211,7 +274,16 @@ impl Field<CpuBackend> for CpuField {
         gradient: &mut FieldGradient,
     ) {
         let (simd, rows) = (self.simd, samples.spheres.len());
-        let Tape { density, color, directions, color_gradient, output_gradient, passing } = tape;
+        let Tape {
+            density,
+            color,
+            directions,
+            shape,
+            color_gradient,
+            shape_gradient,
+            output_gradient,
+            passing,
+        } = tape;
         let width = self.color.outputs();
         color_gradient.resize(padded(rows) * width);
         color_gradient.fill(0.0);
@@ -224,18 +296,28 @@ impl Field<CpuBackend> for CpuField {
         self.color.backward(
             simd,
             rows,
-            density.output(),
-            self.directed.then(|| directions.shared()),
+            self.color_input(density, shape),
+            (self.view > 0).then(|| directions.shared()),
             color,
             color_gradient,
-            output_gradient,
+            if self.shape == 0 { output_gradient } else { shape_gradient },
             passing,
             &mut gradient.color,
         );
         let width = self.density.outputs();
+        if self.shape > 0 {
+            let (count, frequencies) = (self.config.geometry as usize, self.config.geometry_frequencies);
+            output_gradient.resize(padded(rows) * width);
+            output_gradient.fill(0.0);
+            let shapes = shape.chunks_exact(self.shape).zip(shape_gradient.chunks_exact_mut(self.shape));
+            for (out, (shape, by_shape)) in output_gradient.chunks_exact_mut(width).zip(shapes).take(rows) {
+                pull_frequencies(shape, by_shape, count, frequencies);
+                out[1..=count].copy_from_slice(&by_shape[..count]);
+            }
+        }
         let outputs = density.output().chunks_exact(width).zip(radiance_gradients.iter());
         for (out, (output, by_value)) in output_gradient.chunks_exact_mut(width).zip(outputs) {
-            out[0] = by_value.density * density_derivative(output[0]);
+            out[0] = by_value.density * self.activation.derivative(output[0]);
         }
         let weights = &mut gradient.density;
         self.density.backward(
@@ -255,7 +337,7 @@ impl Field<CpuBackend> for CpuField {
         for (i, slot) in self.slots.iter().enumerate() {
             let out = &mut parameter_gradient[slot.range.clone()];
             let fields = deposits.iter_mut().map(|deposit| &mut deposit.field);
-            match i.checked_sub(self.density_layers) {
+            match i.checked_sub(self.density.slots()) {
                 None => self.density.flush(i, fields.map(|field| &mut field.density), out),
                 Some(i) => self.color.flush(i, fields.map(|field| &mut field.color), out),
             }

@@ -4,6 +4,7 @@ use crate::backend::SAMPLES_AT_ONCE;
 use crate::encoder::left;
 use crate::mlp::BLOCK;
 use trimip_core::batch::{Interval, Radiance, Sphere};
+use trimip_core::networks::geometry_width;
 use trimip_core::params::{color_layers, density_layers};
 use trimip_core::trainer::{first_rays, longest_ray};
 use trimip_core::{Config, Layout, Pixel, ViewSet, encoders};
@@ -91,9 +92,9 @@ fn worker(config: &Config) -> u64 {
     let seen = sample + WORD * (encoding + outputs(&density_layers(config)));
     // Visible samples are stored twice: front to back over all rays, and ray by ray with the colour network's
     // outputs.
-    let row = 2 * seen + WORD * outputs(&color_layers(config));
+    let row = 2 * seen + WORD * (outputs(&color_layers(config)) + geometry_width(config));
     // A block's gradients above and below a layer, in f32 and as pairs of bf16.
-    let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden as usize;
+    let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden.max(config.field.color_hidden) as usize;
     // A ray is rendered at once, however long it is.
     let samples = SAMPLES_AT_ONCE.max(longest_ray(config));
     (AT_ONCE * (samples * row + passing) as f64) as u64

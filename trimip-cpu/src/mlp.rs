@@ -1,12 +1,13 @@
-//! A small ReLU network without biases, over rows of a tile. Widths are padded to multiples of 16 with zero weights,
+//! A small ReLU network over rows of a tile, with or without biases. Widths are padded to multiples of 16 with zero weights,
 //! and up to four outputs to four; the parameters are not padded. Inputs that many rows share (all samples of a ray)
-//! may go through the first layer once per group of rows. Activations and gradients are f32. At bf16 the factors of a
+//! may go through the first layer once per group of rows. One later layer may read the input again. Activations and gradients are f32. At bf16 the factors of a
 //! layer's products are rounded immediately before the product, except in a last layer of few outputs.
 
 use crate::buffer::Buffer;
 use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded, pair_columns, pair_rows};
 use crate::simd::Simd;
 use trimip_core::config::Precision;
+use trimip_core::networks::Network;
 
 /// Rows that go through all layers together. Their activations and a layer's weights fit into half of a 1 MiB L2.
 pub const BLOCK: usize = 21 * ROWS;
@@ -19,21 +20,50 @@ pub struct Mlp {
     layers: Vec<Layer>,
     /// First-layer weights of the shared inputs, if there are any.
     shared: Option<Inputs>,
+    /// Which layer reads the network's input again.
+    joined: Option<usize>,
+    /// Row numbers of a block, and zeros: where products of a layer start from.
+    each: Vec<u32>,
+    first: Vec<u32>,
 }
 
 struct Layer {
     inputs: Inputs,
     /// The transpose, [outputs, inputs], for the gradient of the inputs.
     backward: Packed,
+    /// Padded biases; empty without.
+    biases: Buffer<f32>,
+    /// Weights of the network's input, where it joins again, and their transpose.
+    joined: Option<(Inputs, Packed)>,
     /// Number of outputs without padding.
     outputs: usize,
+}
+
+/// What a padded input of a layer is multiplied by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Row {
+    /// Nothing: padding.
+    Zero,
+    /// A row of the weights.
+    Weights(usize),
+    /// One, for the first output alone, which has no weights then.
+    One,
+}
+
+impl Row {
+    /// The padded inputs `0..stride` for a network that has weights for the first `inputs` of them.
+    pub fn all(inputs: usize, stride: usize) -> Vec<Self> {
+        (0..stride).map(|row| if row < inputs { Self::Weights(row) } else { Self::Zero }).collect()
+    }
 }
 
 /// The weights of some inputs of a layer.
 struct Inputs {
     forward: Forward,
-    /// Parameter row of each padded input; `None` for padding.
-    rows: Vec<Option<usize>>,
+    /// One per padded input.
+    rows: Vec<Row>,
+    /// Outputs before those that have weights: 1 where the first one is a sum.
+    offset: usize,
 }
 
 enum Forward {
@@ -60,6 +90,8 @@ pub struct Activations {
     layers: Vec<Buffer<f32>>,
     /// Contribution of the shared inputs to the first layer, [groups (padded), outputs of that layer].
     shared: Buffer<f32>,
+    /// Contribution of the input to the layer that it joins again, for one block.
+    joined: Buffer<f32>,
     /// The rows of a block as pairs of columns.
     pairs: Buffer<f32>,
 }
@@ -68,6 +100,8 @@ pub struct Activations {
 pub struct MlpGradient {
     layers: Vec<Buffer<f32>>,
     shared: Buffer<f32>,
+    joined: Buffer<f32>,
+    biases: Vec<Buffer<f32>>,
 }
 
 /// A worker's buffers for a backward pass, used by one network at a time.
@@ -77,6 +111,8 @@ pub struct Passing {
     scratch: [Buffer<f32>; 2],
     /// Gradients of the first layer's outputs, summed over each group.
     sums: Buffer<f32>,
+    /// Gradient of the input from the layer that it joins again, for one block.
+    joined: Buffer<f32>,
     pairs: Pairs,
 }
 
@@ -130,48 +166,55 @@ fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a m
 }
 
 impl Inputs {
-    fn new(rows: Vec<Option<usize>>, outputs: usize, last: bool, precision: Precision) -> Self {
+    fn new(rows: Vec<Row>, outputs: usize, last: bool, precision: Precision) -> Self {
         let forward = if last && outputs <= FEW {
             Forward::Few(Buffer::zeros(outputs * rows.len()))
         } else {
             Forward::Wide(Packed::zeros(rows.len(), outputs.next_multiple_of(16), precision))
         };
-        Self { forward, rows }
+        let offset = usize::from(rows.contains(&Row::One));
+        Self { forward, rows, offset }
     }
 
-    fn fill(&mut self, outputs: usize, weights: &[f32]) {
-        let Self { forward, rows } = self;
-        let value = |row: usize, column: usize| weight(rows, outputs, weights, row, column);
-        match forward {
-            Forward::Wide(packed) => packed.fill(value),
-            Forward::Few(dots) => {
-                for (place, weight) in dots.iter_mut().enumerate() {
-                    *weight = value(place % rows.len(), place / rows.len());
-                }
+    /// The weight at a padded row and column; `weights` has rows of `outputs` − offset values.
+    fn weight(&self, outputs: usize, weights: &[f32], row: usize, column: usize) -> f32 {
+        let weighted = self.offset..outputs;
+        match self.rows[row] {
+            Row::Weights(row) if weighted.contains(&column) => {
+                weights[row * weighted.len() + column - self.offset]
             }
+            Row::One if column == 0 => 1.0,
+            _ => 0.0,
         }
     }
 
-    /// Adds a padded gradient to parameters [inputs, outputs].
+    fn fill(&mut self, outputs: usize, weights: &[f32]) {
+        let mut forward = std::mem::replace(&mut self.forward, Forward::Few(Buffer::zeros(0)));
+        let value = |row: usize, column: usize| self.weight(outputs, weights, row, column);
+        match &mut forward {
+            Forward::Wide(packed) => packed.fill(value),
+            Forward::Few(dots) => {
+                for (place, weight) in dots.iter_mut().enumerate() {
+                    *weight = value(place % self.rows.len(), place / self.rows.len());
+                }
+            }
+        }
+        self.forward = forward;
+    }
+
+    /// Adds a padded gradient to parameters [inputs, outputs − offset].
     fn unpack(&self, outputs: usize, gradient: &[f32], parameters: &mut [f32]) {
+        let weighted = self.offset..outputs;
         for (padded_row, row) in self.rows.iter().enumerate() {
-            let Some(row) = row else { continue };
-            for column in 0..outputs {
+            let Row::Weights(row) = row else { continue };
+            for column in weighted.clone() {
                 let place = match &self.forward {
                     Forward::Wide(packed) => padded_row * packed.n() + column,
                     Forward::Few(_) => column * self.rows.len() + padded_row,
                 };
-                parameters[row * outputs + column] += gradient[place];
+                parameters[row * weighted.len() + column - self.offset] += gradient[place];
             }
         }
-    }
-}
-
-/// The weight at a padded row and column.
-fn weight(rows: &[Option<usize>], outputs: usize, weights: &[f32], row: usize, column: usize) -> f32 {
-    match rows[row] {
-        Some(row) if column < outputs => weights[row * outputs + column],
-        _ => 0.0,
     }
 }
 
@@ -185,47 +228,69 @@ impl Layer {
     fn n(&self) -> usize {
         self.backward.k()
     }
+
+    /// What products of the layer start from: its biases, by a row number of 0 for each row.
+    fn start<'a>(&'a self, first: &'a [u32]) -> Start<'a> {
+        match self.biases.is_empty() {
+            true => Start::Zero,
+            false => Start::Rows { rows: &self.biases, of: first },
+        }
+    }
 }
 
 impl Mlp {
-    /// A network of the given layers ([inputs, outputs] each). `input_rows` gives the parameter row of each padded
-    /// input of the first layer; `shared_rows` does the same for the inputs that groups of rows share.
-    pub fn new(
-        layers: &[[usize; 2]],
-        input_rows: Vec<Option<usize>>,
-        shared_rows: Vec<Option<usize>>,
-        precision: Precision,
-    ) -> Self {
+    /// The network `shape`. `input_rows` tells what each padded input of the first layer is multiplied by; `shared_rows` does
+    /// the same for the inputs that groups of rows share.
+    pub fn new(shape: &Network, input_rows: Vec<Row>, shared_rows: Vec<Row>, precision: Precision) -> Self {
         let shared =
-            (!shared_rows.is_empty()).then(|| Inputs::new(shared_rows, layers[0][1], false, precision));
+            (!shared_rows.is_empty()).then(|| Inputs::new(shared_rows, shape.layers[0][1], false, precision));
+        let again = input_rows.clone();
         let mut rows = input_rows;
-        let count = layers.len();
-        let layers = layers
-            .iter()
-            .enumerate()
-            .map(|(i, &[_, outputs])| {
-                let k = rows.len();
-                let inputs = Inputs::new(std::mem::take(&mut rows), outputs, i + 1 == count, precision);
-                let (n, precision) = match &inputs.forward {
-                    Forward::Wide(packed) => (packed.n(), precision),
-                    Forward::Few(_) => (FEW, Precision::F32),
+        let count = shape.layers.len();
+        let layers = shape.layers.iter().enumerate().map(|(i, &[_, outputs])| {
+            let k = rows.len();
+            let before = rows.iter().filter(|row| **row != Row::Zero).count();
+            let inputs = Inputs::new(std::mem::take(&mut rows), outputs, i + 1 == count, precision);
+            let (n, precision) = match &inputs.forward {
+                Forward::Wide(packed) => (packed.n(), precision),
+                Forward::Few(_) => (FEW, Precision::F32),
+            };
+            rows = Row::all(outputs, n);
+            let joined = (shape.joined == Some(i)).then(|| {
+                let after = |row: &Row| match row {
+                    Row::Weights(row) => Row::Weights(before + row),
+                    other => *other,
                 };
-                rows = (0..n).map(|column| (column < outputs).then_some(column)).collect();
-                Layer { inputs, backward: Packed::zeros(n, k, precision), outputs }
-            })
-            .collect();
-        Self { layers, shared }
+                let inputs = Inputs::new(again.iter().map(after).collect(), outputs, false, precision);
+                (inputs, Packed::zeros(n, again.len(), precision))
+            });
+            let biases = Buffer::zeros(if shape.biases { n } else { 0 });
+            Layer { inputs, backward: Packed::zeros(n, k, precision), biases, joined, outputs }
+        });
+        let layers = layers.collect();
+        let each = (0..padded(BLOCK) as u32).collect();
+        Self { layers, shared, joined: shape.joined, each, first: vec![0; padded(BLOCK)] }
     }
 
-    /// Packs parameters; `weights[i]` is layer i, [inputs, outputs].
-    pub fn pack(&mut self, weights: &[&[f32]]) {
+    /// Packs parameters: for each layer its weights, [inputs, outputs], and its biases if it has any.
+    pub fn pack(&mut self, parameters: &[&[f32]]) {
         if let Some(shared) = &mut self.shared {
-            shared.fill(self.layers[0].outputs, weights[0]);
+            shared.fill(self.layers[0].outputs, parameters[0]);
         }
-        for (layer, weights) in self.layers.iter_mut().zip(weights) {
-            let Layer { inputs, backward, outputs } = layer;
+        let mut parameters = parameters.iter();
+        let mut next = || parameters.next().copied().unwrap_or_default();
+        for layer in &mut self.layers {
+            let Layer { inputs, backward, biases, joined, outputs } = layer;
+            let weights = next();
             inputs.fill(*outputs, weights);
-            backward.fill(|row, column| weight(&inputs.rows, *outputs, weights, column, row));
+            backward.fill(|row, column| inputs.weight(*outputs, weights, column, row));
+            if let Some((inputs, backward)) = joined {
+                inputs.fill(*outputs, weights);
+                backward.fill(|row, column| inputs.weight(*outputs, weights, column, row));
+            }
+            if !biases.is_empty() {
+                biases[..*outputs].copy_from_slice(next());
+            }
         }
     }
 
@@ -239,11 +304,18 @@ impl Mlp {
         self.layers[self.layers.len() - 1].n()
     }
 
+    /// The layer that reads the network's input again, with the weights of that input and their transpose.
+    fn joined(&self) -> Option<(&Layer, &Inputs, &Packed)> {
+        let layer = &self.layers[self.joined?];
+        layer.joined.as_ref().map(|(inputs, backward)| (layer, inputs, backward))
+    }
+
     /// Creates empty activations.
     pub fn activations(&self) -> Activations {
         Activations {
             layers: self.layers.iter().map(|_| Buffer::zeros(0)).collect(),
             shared: Buffer::zeros(0),
+            joined: Buffer::zeros(0),
             pairs: Buffer::zeros(0),
         }
     }
@@ -254,6 +326,8 @@ impl Mlp {
         MlpGradient {
             layers: self.layers.iter().map(|layer| Buffer::zeros(size(&layer.inputs, layer.n()))).collect(),
             shared: Buffer::zeros(self.shared.as_ref().map_or(0, |s| size(s, self.layers[0].n()))),
+            joined: Buffer::zeros(self.joined().map_or(0, |(layer, inputs, _)| size(inputs, layer.n()))),
+            biases: self.layers.iter().map(|layer| Buffer::zeros(layer.biases.len())).collect(),
         }
     }
 
@@ -269,7 +343,7 @@ impl Mlp {
         shared: Option<Shared<'_>>,
         activations: &mut Activations,
     ) {
-        let Activations { layers: buffers, shared: group_rows, pairs } = activations;
+        let Activations { layers: buffers, shared: group_rows, joined, pairs } = activations;
         for (buffer, layer) in buffers.iter_mut().zip(&self.layers) {
             buffer.resize(padded(rows) * layer.n());
         }
@@ -277,29 +351,46 @@ impl Mlp {
         if let (Some(Inputs { forward: Forward::Wide(weights), .. }), Some(shared)) = (&self.shared, shared) {
             group_rows.resize(padded(shared.groups) * weights.n());
             let input = left(simd, shared.groups, shared.input, weights, pairs);
-            multiply(simd, shared.groups, input, weights, group_rows, Start::Zero, Finish::Store);
+            let biases = vec![0; if self.layers[0].biases.is_empty() { 0 } else { padded(shared.groups) }];
+            let start = self.layers[0].start(&biases);
+            multiply(simd, shared.groups, input, weights, group_rows, start, Finish::Store);
         }
         let last = self.layers.len() - 1;
         for first in (0..rows).step_by(BLOCK) {
             let count = (rows - first).min(BLOCK);
             for (i, layer) in self.layers.iter().enumerate() {
                 let (before, after) = buffers.split_at_mut(i);
-                let input = if i == 0 { input } else { &before[i - 1][..] };
-                let input = &input[first * layer.k()..];
+                let own = &input[first * self.inputs()..];
+                let input = if i == 0 { own } else { &before[i - 1][first * layer.k()..] };
                 let out = &mut after[0][first * layer.n()..];
+                if let Some((Inputs { forward: Forward::Wide(weights), .. }, _)) = &layer.joined {
+                    joined.resize(padded(count) * layer.n());
+                    let own = left(simd, count, own, weights, pairs);
+                    let start = layer.start(&self.first);
+                    multiply(simd, count, own, weights, joined, start, Finish::Store);
+                }
                 match &layer.inputs.forward {
                     Forward::Wide(weights) => {
                         let start = match shared {
                             Some(shared) if i == 0 => {
                                 Start::Rows { rows: group_rows, of: &shared.of[first..] }
                             }
-                            _ => Start::Zero,
+                            _ if layer.joined.is_some() => Start::Rows { rows: joined, of: &self.each },
+                            _ => layer.start(&self.first),
                         };
                         let finish = if i == last { Finish::Store } else { Finish::Relu };
                         let input = left(simd, count, input, weights, pairs);
                         multiply(simd, count, input, weights, out, start, finish);
                     }
-                    Forward::Few(weights) => dots(simd, count, layer.k(), input, weights, out, layer.n()),
+                    Forward::Few(weights) => {
+                        dots(simd, count, layer.k(), input, weights, out, layer.n());
+                        if !layer.biases.is_empty() {
+                            let rows = out.chunks_exact_mut(layer.n()).take(count);
+                            rows.for_each(|row| {
+                                row.iter_mut().zip(&*layer.biases).for_each(|(x, b)| *x += b)
+                            });
+                        }
+                    }
                 }
             }
         }
@@ -321,8 +412,9 @@ impl Mlp {
         gradient: &mut MlpGradient,
     ) {
         input_gradient.resize(padded(rows) * self.inputs());
-        let MlpGradient { layers: weights, shared: shared_weights } = gradient;
-        let Passing { scratch: [above, below], sums, pairs } = passing;
+        let MlpGradient { layers: weights, shared: shared_weights, joined: joined_weights, biases } =
+            gradient;
+        let Passing { scratch: [above, below], sums, joined, pairs } = passing;
         let width = self.layers[0].n();
         if let Some(shared) = shared {
             sums.resize(shared.groups * width);
@@ -332,8 +424,8 @@ impl Mlp {
             let count = (rows - first).min(BLOCK);
             for (i, layer) in self.layers.iter().enumerate().rev() {
                 let (k, n) = (layer.k(), layer.n());
-                let input = if i == 0 { input } else { &activations.layers[i - 1][..] };
-                let input = &input[first * k..];
+                let own = &input[first * self.inputs()..];
+                let input = if i == 0 { own } else { &activations.layers[i - 1][first * k..] };
                 let by_output =
                     if i + 1 == self.layers.len() { &output_gradient[first * n..] } else { &above[..] };
                 match &layer.inputs.forward {
@@ -345,6 +437,16 @@ impl Mlp {
                         accumulate(simd, Precision::F32, count, n, k, by_output, input, &mut weights[i]);
                     }
                 }
+                if !layer.biases.is_empty() {
+                    add_rows(&mut biases[i], &by_output[..count * n]);
+                }
+                if let Some((Inputs { forward: Forward::Wide(w), .. }, backward)) = &layer.joined {
+                    let shape = [self.inputs(), n];
+                    pairs.accumulate(simd, w.precision(), count, shape, own, by_output, joined_weights);
+                    joined.resize(padded(count) * self.inputs());
+                    let by_output = left(simd, count, by_output, backward, &mut pairs.columns);
+                    multiply(simd, count, by_output, backward, joined, Start::Zero, Finish::Store);
+                }
                 let mask = Finish::Mask(input);
                 if i == 0 {
                     if let Some(shared) = shared {
@@ -353,7 +455,11 @@ impl Mlp {
                     // There is no ReLU of this network before its input.
                     let out = &mut input_gradient[first * k..];
                     let by_output = left(simd, count, by_output, &layer.backward, &mut pairs.columns);
-                    multiply(simd, count, by_output, &layer.backward, out, Start::Zero, Finish::Store);
+                    let start = match self.joined {
+                        Some(_) => Start::Rows { rows: joined, of: &self.each },
+                        None => Start::Zero,
+                    };
+                    multiply(simd, count, by_output, &layer.backward, out, start, Finish::Store);
                 } else {
                     below.resize(padded(count) * k);
                     let by_output = left(simd, count, by_output, &layer.backward, &mut pairs.columns);
@@ -370,24 +476,47 @@ impl Mlp {
         }
     }
 
-    /// Sums the gradients of layer `layer` over the deposits, in order, into parameters [inputs, outputs], and sets
-    /// the deposits to zero.
+    /// Number of parameter slots: the weights of each layer, and the biases if there are any.
+    pub fn slots(&self) -> usize {
+        self.layers.iter().map(|layer| 1 + usize::from(!layer.biases.is_empty())).sum()
+    }
+
+    /// Sums the gradients of slot `slot` over the deposits, in order, into its parameters, and sets the deposits to zero.
     pub fn flush<'a>(
         &self,
-        layer: usize,
+        slot: usize,
         gradients: impl Iterator<Item = &'a mut MlpGradient>,
         parameters: &mut [f32],
     ) {
-        let Layer { inputs, outputs, .. } = &self.layers[layer];
+        let each = self.slots() / self.layers.len();
+        let (layer, is_bias) = (slot / each, slot % each == 1);
+        let Layer { inputs, outputs, joined, .. } = &self.layers[layer];
         parameters.fill(0.0);
         for gradient in gradients {
+            if is_bias {
+                let sums = &mut gradient.biases[layer];
+                parameters.iter_mut().zip(&**sums).for_each(|(parameter, sum)| *parameter += sum);
+                sums.fill(0.0);
+                continue;
+            }
             inputs.unpack(*outputs, &gradient.layers[layer], parameters);
             gradient.layers[layer].fill(0.0);
+            if let Some((inputs, _)) = joined {
+                inputs.unpack(*outputs, &gradient.joined, parameters);
+                gradient.joined.fill(0.0);
+            }
             if let (0, Some(shared)) = (layer, &self.shared) {
                 shared.unpack(*outputs, &gradient.shared, parameters);
                 gradient.shared.fill(0.0);
             }
         }
+    }
+}
+
+/// Adds all rows to `sums`, whose length is that of a row.
+fn add_rows(sums: &mut [f32], rows: &[f32]) {
+    for row in rows.chunks_exact(sums.len()) {
+        sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
     }
 }
 

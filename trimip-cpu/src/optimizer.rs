@@ -5,12 +5,11 @@ use crate::buffer::Buffer;
 use crate::encoders::Piece;
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
-use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trimip_core::adamw::Rule;
 use trimip_core::batch::Deposit;
 use trimip_core::config::{OptimizerConfig, Untouched};
-use trimip_core::params::{ALIGNMENT, Slot};
+use trimip_core::params::{ALIGNMENT, Part, Slot};
 use trimip_core::{Config, Layout, Optimizer};
 
 /// Parameters per task.
@@ -25,7 +24,7 @@ pub struct CpuOptimizer {
     v: Buffer<f32>,
     non_finite: AtomicU64,
     /// The part of each slot that is in use, up to the next alignment.
-    parts: Vec<Range<usize>>,
+    parts: Vec<Part>,
 }
 
 impl CpuOptimizer {
@@ -39,7 +38,7 @@ impl CpuOptimizer {
             m: Buffer::zeros(length),
             v: Buffer::zeros(length),
             non_finite: AtomicU64::new(0),
-            parts: layout.slots.iter().map(Slot::padded).collect(),
+            parts: layout.slots.iter().map(Part::whole).collect(),
         }
     }
 }
@@ -63,8 +62,9 @@ impl CpuOptimizer {
         let weight: f64 = deposits.iter().map(|deposit| deposit.sums.sums.weight).sum();
         let scale = (1.0 / weight) as f32;
         let Self { simd, config, slots, m, v, non_finite, parts } = self;
-        for (index, (slot, whole)) in slots.iter().zip(parts).enumerate() {
-            let rule = Rule::of(config, slot, learning_rate, step);
+        for (index, (slot, part)) in slots.iter().zip(parts).enumerate() {
+            let rule = Rule { sparsity: part.sparsity as f32, ..Rule::of(config, slot, learning_rate, step) };
+            let whole = &part.range;
             let group = slot.group.filter(|_| config.untouched == Untouched::Skip);
             // Row by row if the encoder reports the touched part of each row.
             let mut pieces = Vec::new();
@@ -116,9 +116,11 @@ impl Optimizer<CpuBackend> for CpuOptimizer {
         self.step_within(parameters, gradient, deposits, learning_rate, step, None);
     }
 
-    fn restrict(&mut self, parts: &[Range<usize>]) {
-        let padded = |part: &Range<usize>| part.start..part.end.next_multiple_of(ALIGNMENT);
-        self.parts = parts.iter().map(padded).collect();
+    fn restrict(&mut self, parts: &[Part]) {
+        self.parts = parts.to_vec();
+        for part in &mut self.parts {
+            part.range.end = part.range.end.next_multiple_of(ALIGNMENT);
+        }
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {

@@ -3,7 +3,7 @@
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::Gpu;
-use crate::encoders::{Encoding, Left, Places, hash_grid, rip_map, tri_mip};
+use crate::encoders::{Encoding, Left, Places, hash_grid, rip_map, tensor, tri_mip};
 use crate::kernel::Addition;
 #[cfg(test)]
 use crate::kernel::Kernel;
@@ -148,4 +148,5 @@ encoders! {
     TriMip => tri_mip::Planes,
     HashGrid => hash_grid::Grid,
     RipMap => rip_map::RipMaps,
+    Tensor => tensor::Factors,
 }

@@ -1,11 +1,13 @@
 //! Density and colour networks on the GPU, layer by layer. The activations of a step stay on the device. Widths are
-//! padded to multiples of 16 with zero weights.
+//! padded to multiples of 16 with zero weights. Biases, and an input that joins again, are written before the product of a
+//! layer, which is added to them.
 
 use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{Bind, GROUP, Gpu, Size};
 use crate::kernel::{
-    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, Kernel, PACK, PACK_HALF, REDUCE,
+    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, PACK, PACK_HALF, REDUCE,
+    SPREAD_BIASES, SUM_ROWS,
 };
 use crate::products::{Finish, GRADIENT_SCALE, Matrices, accumulate, multiply, multiplying, tile};
 use crate::rows::Rows;
@@ -13,8 +15,8 @@ use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
-use trimip_core::config::Precision;
-use trimip_core::params::{Slot, color_layers, harmonics};
+use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
+use trimip_core::networks::{Network, color_network, density_network, view_width};
 use trimip_core::{Config, Field, Layout};
 
 /// Number of chunks of a weight gradient, each over a run of samples; the chunks are added in order.
@@ -27,11 +29,18 @@ struct FieldParams {
     counter: u32,
     /// Width of the colour network's input.
     width: u32,
-    /// Number of spherical harmonics of a direction, number of geometry features, and width of the density network's
-    /// output.
-    harmonics: u32,
+    /// Number of values of the view, number of geometry features, and width of the density network's output.
+    view: u32,
     geometry: u32,
     outputs: u32,
+    /// 1 if the view is coordinates with sines and cosines, 0 if it is spherical harmonics.
+    frequencies_of_view: u32,
+    view_frequencies: u32,
+    geometry_frequencies: u32,
+    /// Function of the density, its shift and its factor.
+    density: u32,
+    shift: f32,
+    scale: f32,
 }
 
 #[repr(C)]
@@ -44,6 +53,16 @@ struct WeightParams {
     n: u32,
     chunks: u32,
     scale: f32,
+    ones: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct BiasParams {
+    counter: u32,
+    width: u32,
+    chunks: u32,
+    stride: u32,
 }
 
 /// Padded width of a matrix on the device.
@@ -51,9 +70,13 @@ pub fn padded(width: usize) -> usize {
     width.next_multiple_of(16)
 }
 
-/// The matrices of one layer.
-struct Layer {
-    slot: Slot,
+/// Weights of some inputs of a layer, or its biases as a matrix of one row.
+struct Weights {
+    /// Index of the first parameter, and the shape of the parameters.
+    start: usize,
+    shape: [usize; 2],
+    /// Leading inputs whose sum is the first output; they have no parameters.
+    ones: usize,
     k: usize,
     n: usize,
     /// The matrix and its transpose, in words of one f32 or two f16.
@@ -64,12 +87,21 @@ struct Layer {
     overflows: wgpu::Buffer,
 }
 
-impl Layer {
-    fn new(gpu: &Arc<Gpu>, slot: &Slot, matrices: Option<Matrices>, overflows: &Buffer<u32>) -> Self {
-        let [k, n] = [slot.shape[0], slot.shape[1]].map(padded);
+impl Weights {
+    fn new(
+        gpu: &Arc<Gpu>,
+        start: usize,
+        shape: [usize; 2],
+        ones: usize,
+        matrices: Option<Matrices>,
+        overflows: &Buffer<u32>,
+    ) -> Self {
+        let [k, n] = [shape[0] + ones, shape[1] + usize::from(ones > 0)].map(padded);
         let words = if matrices.is_some() { k * n / 2 } else { k * n };
         Self {
-            slot: slot.clone(),
+            start,
+            shape,
+            ones,
             k,
             n,
             forward: Buffer::zeros(gpu, words),
@@ -88,20 +120,68 @@ impl Layer {
 
     fn params(&self) -> WeightParams {
         WeightParams {
-            start: self.slot.range.start as u32,
-            inputs: self.slot.shape[0] as u32,
-            outputs: self.slot.shape[1] as u32,
+            start: self.start as u32,
+            inputs: self.shape[0] as u32,
+            outputs: self.shape[1] as u32,
             k: self.k as u32,
             n: self.n as u32,
             chunks: CHUNKS,
             scale: if self.matrices.is_some() { (GRADIENT_SCALE as f32).recip() } else { 1.0 },
+            ones: self.ones as u32,
         }
     }
 
-    /// The product with the matrix, or with its transpose if a `scale` for gradients is given.
-    fn product(&self, finish: Finish, scale: Option<u32>) -> Kernel {
-        let (k, n) = if scale.is_some() { (self.n, self.k) } else { (self.k, self.n) };
-        multiply(k, n, finish, self.matrices, scale.unwrap_or(1))
+    fn pack(&self, gpu: &Gpu, parameters: &Buffer<f32>) {
+        let binds = [parameters.bind(), self.forward.bind(), self.backward.bind()];
+        let kernel = if self.matrices.is_some() { &PACK_HALF } else { &PACK };
+        gpu.dispatch(kernel, &binds, &self.params(), Size::Items((self.k * self.n) as u64));
+    }
+
+    /// Adds the chunks of a gradient and writes the sums to the gradient of the parameters.
+    fn reduce(&self, gpu: &Gpu, partial: &Buffer<f32>, parameter_gradient: &Buffer<f32>) {
+        let binds = [partial.bind(), parameter_gradient.bind()];
+        let items = self.shape.iter().product::<usize>() as u64;
+        gpu.dispatch(&REDUCE, &binds, &self.params(), Size::Items(items));
+    }
+
+    /// The product of rows with the matrix.
+    fn multiply(&self, gpu: &Gpu, rows: &Rows, input: &Buffer<f32>, out: &Buffer<f32>, finish: Finish) {
+        let binds = self.with_overflows(&[input.bind(), self.forward.bind(), out.bind(), rows.bind()]);
+        let size = multiplying(rows, self.k, self.n, self.matrices);
+        gpu.dispatch(&multiply(self.k, self.n, finish, self.matrices, 1), &binds, &rows.counter, size);
+    }
+
+    /// The product of gradients with the transpose; `mask` belongs to [`Finish::Mask`].
+    fn pull(
+        &self,
+        gpu: &Gpu,
+        rows: &Rows,
+        by_output: &Buffer<f32>,
+        out: &Buffer<f32>,
+        mask: Option<&Buffer<f32>>,
+        finish: Finish,
+    ) {
+        let mut binds = vec![by_output.bind(), self.backward.bind(), out.bind()];
+        binds.extend(mask.map(Buffer::bind));
+        binds.push(rows.bind());
+        let size = multiplying(rows, self.n, self.k, self.matrices);
+        let kernel = multiply(self.n, self.k, finish, self.matrices, GRADIENT_SCALE);
+        gpu.dispatch(&kernel, &self.with_overflows(&binds), &rows.counter, size);
+    }
+
+    /// Writes the chunks of the weights' gradient.
+    fn accumulate(
+        &self,
+        gpu: &Gpu,
+        rows: &Rows,
+        input: &Buffer<f32>,
+        by_output: &Buffer<f32>,
+        partial: &Buffer<f32>,
+    ) {
+        let binds = [input.bind(), by_output.bind(), partial.bind(), rows.bind()];
+        let groups = Size::Groups(self.tiles() * u64::from(CHUNKS));
+        let kernel = accumulate(self.k, self.n, CHUNKS, self.matrices);
+        gpu.dispatch(&kernel, &self.with_overflows(&binds), &rows.counter, groups);
     }
 
     /// Workgroups per chunk of the weight gradient.
@@ -114,7 +194,22 @@ impl Layer {
     }
 }
 
-/// A ReLU network without biases.
+/// The parameters of one layer.
+struct Layer {
+    weights: Weights,
+    /// Weights of the network's input, where it joins again.
+    joined: Option<Weights>,
+    biases: Option<Weights>,
+}
+
+impl Layer {
+    /// All parts, in the order of their gradients.
+    fn parts(&self) -> impl Iterator<Item = &Weights> {
+        [&self.weights].into_iter().chain(&self.joined).chain(&self.biases)
+    }
+}
+
+/// A ReLU network.
 struct Mlp {
     layers: Vec<Layer>,
 }
@@ -122,18 +217,66 @@ struct Mlp {
 /// Activations of a network: hidden layers after their ReLU, then the output.
 type Activations = Vec<Buffer<f32>>;
 
+/// Chunks of the gradients of a network's parts, layer by layer.
+type Partials = Vec<Vec<Buffer<f32>>>;
+
 impl Mlp {
+    /// The network `shape` with the parameters `slots`.
+    fn new(
+        gpu: &Arc<Gpu>,
+        shape: &Network,
+        layout: &Layout,
+        matrices: Option<Matrices>,
+        overflows: &Buffer<u32>,
+    ) -> Self {
+        let mut slots = layout.network(shape.name).map(|slot| slot.range.start);
+        let mut next = || slots.next().unwrap_or_default();
+        let layers = (0..shape.layers.len()).map(|i| {
+            let ([inputs, outputs], start) = (shape.weights(i), next());
+            let own = if shape.joined == Some(i) { inputs - shape.inputs() } else { inputs };
+            let weights = |start, inputs| {
+                Weights::new(gpu, start, [inputs, outputs], shape.summed, matrices, overflows)
+            };
+            Layer {
+                weights: weights(start, own),
+                joined: (own < inputs).then(|| weights(start + own * outputs, inputs - own)),
+                biases: shape.biases.then(|| weights(next(), 1)),
+            }
+        });
+        Self { layers: layers.collect() }
+    }
+
+    /// Chunks of the gradients of all parts.
+    fn partials(&self, gpu: &Arc<Gpu>) -> Partials {
+        let chunks = |part: &Weights| Buffer::zeros(gpu, part.k * part.n * CHUNKS as usize);
+        self.layers.iter().map(|layer| layer.parts().map(chunks).collect()).collect()
+    }
+
     /// Runs rows through the network.
-    fn forward(&self, gpu: &Gpu, rows: &Rows, input: &Buffer<f32>, activations: &mut Activations) {
+    fn forward(&self, gpu: &Gpu, rows: &Rows, first: &Buffer<f32>, activations: &mut Activations) {
         for (i, layer) in self.layers.iter().enumerate() {
             let (before, after) = activations.split_at_mut(i);
-            let input = before.last().unwrap_or(input);
-            rows.size(&mut after[0], layer.n);
-            let finish = if i + 1 == self.layers.len() { Finish::Store } else { Finish::Relu };
-            let binds = [input.bind(), layer.forward.bind(), after[0].bind(), rows.bind()];
-            let size = multiplying(rows, layer.k, layer.n, layer.matrices);
-            let binds = layer.with_overflows(&binds);
-            gpu.dispatch(&layer.product(finish, None), &binds, &rows.counter, size);
+            let input = before.last().unwrap_or(first);
+            let out = &mut after[0];
+            rows.size(out, layer.weights.n);
+            if let Some(biases) = &layer.biases {
+                let binds = [biases.forward.bind(), out.bind(), rows.bind()];
+                let params =
+                    BiasParams { counter: rows.counter, width: biases.n as u32, chunks: 0, stride: 0 };
+                gpu.dispatch(&SPREAD_BIASES, &binds, &params, rows.dispatch(biases.n as u32, GROUP));
+            }
+            if let Some(joined) = &layer.joined {
+                let finish = if layer.biases.is_some() { Finish::Add } else { Finish::Store };
+                joined.multiply(gpu, rows, first, out, finish);
+            }
+            let last = i + 1 == self.layers.len();
+            let finish = match (layer.biases.is_some() || layer.joined.is_some(), last) {
+                (false, false) => Finish::Relu,
+                (false, true) => Finish::Store,
+                (true, false) => Finish::AddRelu,
+                (true, true) => Finish::Add,
+            };
+            layer.weights.multiply(gpu, rows, input, out, finish);
         }
     }
 
@@ -143,34 +286,42 @@ impl Mlp {
         &self,
         gpu: &Gpu,
         rows: &Rows,
-        input: &Buffer<f32>,
+        first: &Buffer<f32>,
         activations: &Activations,
         by_output: &Buffer<f32>,
         scratch: &mut [Buffer<f32>; 2],
         by_input: &mut Buffer<f32>,
-        partials: &[Buffer<f32>],
+        partials: &Partials,
     ) {
         let [above, below] = scratch;
+        let mut joins = false;
         for (i, layer) in self.layers.iter().enumerate().rev() {
             let by_output = if i + 1 == self.layers.len() { by_output } else { &*above };
-            let input = if i == 0 { input } else { &activations[i - 1] };
-            let binds = [input.bind(), by_output.bind(), partials[i].bind(), rows.bind()];
-            let groups = Size::Groups(layer.tiles() * u64::from(CHUNKS));
-            let kernel = accumulate(layer.k, layer.n, CHUNKS, layer.matrices);
-            gpu.dispatch(&kernel, &layer.with_overflows(&binds), &rows.counter, groups);
-            let size = multiplying(rows, layer.n, layer.k, layer.matrices);
-            let scale = Some(GRADIENT_SCALE);
+            let input = if i == 0 { first } else { &activations[i - 1] };
+            let mut partials = partials[i].iter();
+            let mut partial = || partials.next().unwrap_or_else(|| unreachable!("one for each part"));
+            layer.weights.accumulate(gpu, rows, input, by_output, partial());
+            if let Some(joined) = &layer.joined {
+                joined.accumulate(gpu, rows, first, by_output, partial());
+                rows.size(by_input, joined.k);
+                joined.pull(gpu, rows, by_output, by_input, None, Finish::Store);
+                joins = true;
+            }
+            if let Some(biases) = &layer.biases {
+                let stride = (biases.k * biases.n) as u32;
+                let params =
+                    BiasParams { counter: rows.counter, width: biases.n as u32, chunks: CHUNKS, stride };
+                let binds = [by_output.bind(), partial().bind(), rows.bind()];
+                let items = u64::from(CHUNKS) * biases.n as u64;
+                gpu.dispatch(&SUM_ROWS, &binds, &params, Size::Items(items));
+            }
             if i == 0 {
-                rows.size(by_input, layer.k);
-                let binds = [by_output.bind(), layer.backward.bind(), by_input.bind(), rows.bind()];
-                let binds = layer.with_overflows(&binds);
-                gpu.dispatch(&layer.product(Finish::Store, scale), &binds, &rows.counter, size);
+                rows.size(by_input, layer.weights.k);
+                let finish = if joins { Finish::Add } else { Finish::Store };
+                layer.weights.pull(gpu, rows, by_output, by_input, None, finish);
             } else {
-                rows.size(below, layer.k);
-                let binds =
-                    [by_output.bind(), layer.backward.bind(), below.bind(), input.bind(), rows.bind()];
-                let binds = layer.with_overflows(&binds);
-                gpu.dispatch(&layer.product(Finish::Mask, scale), &binds, &rows.counter, size);
+                rows.size(below, layer.weights.k);
+                layer.weights.pull(gpu, rows, by_output, below, Some(input), Finish::Mask);
                 above.swap(below);
             }
         }
@@ -182,10 +333,13 @@ pub struct WgpuField {
     gpu: Arc<Gpu>,
     density: Mlp,
     color: Mlp,
-    /// Width of the colour network's input: harmonics (if it uses directions), geometry features, zeros.
+    /// Width of the colour network's input: the view, the geometry features with their sines and cosines, zeros.
     width: usize,
-    harmonics: usize,
-    geometry: usize,
+    /// Number of values of the view.
+    view: usize,
+    config: FieldConfig,
+    networks: [Network; 2],
+    layout: Layout,
     overflows: Buffer<u32>,
     known: Arc<Known>,
 }
@@ -208,10 +362,10 @@ impl Tape {
     }
 }
 
-/// Weight gradients in chunks, for each layer of both networks.
+/// Weight gradients in chunks.
 pub struct FieldGradient {
-    density: Vec<Buffer<f32>>,
-    color: Vec<Buffer<f32>>,
+    density: Partials,
+    color: Partials,
 }
 
 impl WgpuField {
@@ -219,32 +373,51 @@ impl WgpuField {
     pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout, known: Arc<Known>) -> Self {
         let overflows = Buffer::zeros(gpu, 1);
         let matrices = if config.field.precision == Precision::F16 { gpu.matrices() } else { None };
-        let network = |name| Mlp {
-            layers: layout.network(name).map(|slot| Layer::new(gpu, slot, matrices, &overflows)).collect(),
-        };
-        let (width, harmonics) = (padded(color_layers(config)[0][0]), harmonics(config));
-        let geometry = config.field.geometry as usize;
-        let (density, color) = (network("density"), network("color"));
-        Self { gpu: Arc::clone(gpu), density, color, width, harmonics, geometry, overflows, known }
+        let networks = [density_network(config), color_network(config)];
+        let [density, color] =
+            networks.each_ref().map(|network| Mlp::new(gpu, network, layout, matrices, &overflows));
+        Self {
+            gpu: Arc::clone(gpu),
+            density,
+            color,
+            width: padded(networks[1].inputs()),
+            view: view_width(config),
+            config: config.field.clone(),
+            networks,
+            layout: layout.clone(),
+            overflows,
+            known,
+        }
     }
 
     /// Width of the density network's output: a logit, geometry features, zeros.
     pub fn outputs(&self) -> usize {
-        padded(1 + self.geometry)
+        padded(1 + self.geometry())
     }
 
     /// Number of geometry features.
     pub fn geometry(&self) -> usize {
-        self.geometry
+        self.config.geometry as usize
+    }
+
+    fn layers(&self) -> impl Iterator<Item = &Layer> {
+        self.density.layers.iter().chain(&self.color.layers)
     }
 
     fn params(&self, rows: &Rows) -> FieldParams {
+        let field = &self.config;
         FieldParams {
             counter: rows.counter,
             width: self.width as u32,
-            harmonics: self.harmonics as u32,
-            geometry: self.geometry as u32,
+            view: self.view as u32,
+            geometry: field.geometry,
             outputs: self.outputs() as u32,
+            frequencies_of_view: u32::from(field.view == ViewEncoding::Frequencies),
+            view_frequencies: field.view_frequencies,
+            geometry_frequencies: field.geometry_frequencies,
+            density: field.density as u32,
+            shift: field.density_shift,
+            scale: field.density_scale,
         }
     }
 
@@ -269,9 +442,11 @@ impl WgpuField {
 
     /// Switches to f32, once there was a factor that f16 cannot hold.
     fn fall_back(&mut self) {
-        for layer in self.density.layers.iter_mut().chain(&mut self.color.layers) {
-            *layer = Layer::new(&self.gpu, &layer.slot, None, &self.overflows);
-        }
+        let [density, color] = self
+            .networks
+            .each_ref()
+            .map(|network| Mlp::new(&self.gpu, network, &self.layout, None, &self.overflows));
+        (self.density, self.color) = (density, color);
     }
 }
 
@@ -294,22 +469,16 @@ impl Field<WgpuBackend> for WgpuField {
     }
 
     fn gradient(&self) -> FieldGradient {
-        let parts = |mlp: &Mlp| {
-            let size = |layer: &Layer| layer.k * layer.n * CHUNKS as usize;
-            mlp.layers.iter().map(|layer| Buffer::zeros(&self.gpu, size(layer))).collect()
-        };
-        FieldGradient { density: parts(&self.density), color: parts(&self.color) }
+        FieldGradient { density: self.density.partials(&self.gpu), color: self.color.partials(&self.gpu) }
     }
 
     fn refresh(&mut self, parameters: &Buffer<f32>) {
-        let halves = self.density.layers.iter().any(|layer| layer.matrices.is_some());
+        let halves = self.density.layers.iter().any(|layer| layer.weights.matrices.is_some());
         if halves && self.known.overflows.load(Ordering::Relaxed) > 0 {
             self.fall_back();
         }
-        for layer in self.density.layers.iter().chain(&self.color.layers) {
-            let binds = [parameters.bind(), layer.forward.bind(), layer.backward.bind()];
-            let kernel = if layer.matrices.is_some() { &PACK_HALF } else { &PACK };
-            self.gpu.dispatch(kernel, &binds, &layer.params(), Size::Items((layer.k * layer.n) as u64));
+        for part in self.layers().flat_map(Layer::parts) {
+            part.pack(&self.gpu, parameters);
         }
     }
 
@@ -331,7 +500,7 @@ impl Field<WgpuBackend> for WgpuField {
 
     fn keep(&self, lane: &mut Lane, kept: &Buffer<u32>, tape: &mut Tape, radiance: &mut Buffer<Radiance>) {
         for (layer, activations) in self.density.layers.iter().zip(&mut tape.density) {
-            lane.keep(kept, activations, layer.n);
+            lane.keep(kept, activations, layer.weights.n);
         }
         lane.keep(kept, radiance, 4);
     }
@@ -408,11 +577,10 @@ impl Field<WgpuBackend> for WgpuField {
         // A step is one span and has one deposit; the next step overwrites its chunks.
         for deposit in deposits {
             let FieldGradient { density, color } = &deposit.field;
-            let layers = self.density.layers.iter().chain(&self.color.layers);
-            for (layer, partial) in layers.zip(density.iter().chain(color)) {
-                let binds = [partial.bind(), parameter_gradient.bind()];
-                let items = layer.slot.range.len() as u64;
-                self.gpu.dispatch(&REDUCE, &binds, &layer.params(), Size::Items(items));
+            for (layer, partials) in self.layers().zip(density.iter().chain(color)) {
+                for (part, partial) in layer.parts().zip(partials) {
+                    part.reduce(&self.gpu, partial, parameter_gradient);
+                }
             }
         }
     }

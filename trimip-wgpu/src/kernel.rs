@@ -104,8 +104,11 @@ const HALF: &str = crate::products::HALF;
 const WEIGHTS_HALF: &[&str] =
     &[GRID, HALF, include_str!("shaders/weight_half.wgsl"), include_str!("shaders/weights.wgsl")];
 const ACTIVATION: &str = include_str!("shaders/activation.wgsl");
-const FIELD: &[&str] = &[GRID, RAY, ACTIVATION, include_str!("shaders/field.wgsl")];
-const DENSITY_GRADIENTS: &[&str] = &[GRID, ACTIVATION, include_str!("shaders/density_gradients.wgsl")];
+const FIELD_PARAMS: &str = include_str!("shaders/field_params.wgsl");
+const FIELD: &[&str] = &[GRID, RAY, FIELD_PARAMS, ACTIVATION, include_str!("shaders/field.wgsl")];
+const DENSITY_GRADIENTS: &[&str] =
+    &[GRID, FIELD_PARAMS, ACTIVATION, include_str!("shaders/density_gradients.wgsl")];
+const BIASES: &[&str] = &[GRID, include_str!("shaders/biases.wgsl")];
 const PRUNING: &str = include_str!("shaders/pruning.wgsl");
 const PRUNE: &[&str] = &[GRID, PRUNING, include_str!("shaders/prune.wgsl")];
 const GATHER: &[&str] = &[GRID, include_str!("shaders/gather.wgsl")];
@@ -187,6 +190,10 @@ pub static PACK: Kernel = Kernel::new("pack", WEIGHTS, &[(0, Read), (1, Write), 
 pub static PACK_HALF: Kernel =
     Kernel::new("pack", WEIGHTS_HALF, &[(0, Read), (1, Write), (2, Parameters), (3, Write)]).cooperative();
 pub static REDUCE: Kernel = Kernel::new("reduce", WEIGHTS, &[(0, Read), (1, Write), (2, Parameters)]);
+pub static SPREAD_BIASES: Kernel =
+    Kernel::new("spread", BIASES, &[(0, Read), (2, Parameters), (3, Write), (5, Read)]);
+pub static SUM_ROWS: Kernel =
+    Kernel::new("sum_rows", BIASES, &[(0, Read), (2, Parameters), (3, Write), (5, Read)]);
 pub static DENSITIES: Kernel =
     Kernel::new("densities", FIELD, &[(0, Read), (1, Write), (2, Parameters), (3, Read)]);
 pub static COLOR_INPUTS: Kernel = Kernel::new(
@@ -327,6 +334,8 @@ mod tests {
             &PACK,
             &PACK_HALF,
             &REDUCE,
+            &SPREAD_BIASES,
+            &SUM_ROWS,
             &DENSITIES,
             &COLOR_INPUTS,
             &COLORS,
@@ -361,6 +370,10 @@ mod tests {
                 for matrices in matrices.clone() {
                     let finishes = [Finish::Store, Finish::Relu, Finish::Mask];
                     kernels.extend(finishes.map(|f| multiply(k, n, f, matrices, GRADIENT_SCALE)));
+                    if matrices.is_none() {
+                        let adding = [Finish::Add, Finish::AddRelu];
+                        kernels.extend(adding.map(|f| multiply(k, n, f, None, GRADIENT_SCALE)));
+                    }
                     kernels.push(accumulate(k, n, 64, matrices));
                 }
             }

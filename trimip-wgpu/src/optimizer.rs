@@ -5,13 +5,12 @@ use crate::buffer::Buffer;
 use crate::device::{Bind, Gpu, Size};
 use crate::kernel::UPDATE;
 use bytemuck::{Pod, Zeroable};
-use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trimip_core::adamw::Rule;
 use trimip_core::batch::Deposit;
 use trimip_core::config::{OptimizerConfig, Untouched};
-use trimip_core::params::{ALIGNMENT, Slot};
+use trimip_core::params::{ALIGNMENT, Part, Slot};
 use trimip_core::{Config, Layout, Optimizer};
 
 #[repr(C)]
@@ -28,6 +27,7 @@ struct Params {
     start: u32,
     count: u32,
     group: u32,
+    sparsity: f32,
 }
 
 /// Moments of all parameters.
@@ -41,7 +41,7 @@ pub struct WgpuOptimizer {
     /// Value of `skipped` when it was last read.
     known: AtomicU64,
     /// The part of each slot that is in use, up to the next alignment.
-    parts: Vec<Range<usize>>,
+    parts: Vec<Part>,
 }
 
 impl WgpuOptimizer {
@@ -63,7 +63,7 @@ impl WgpuOptimizer {
             v: Buffer::zeros(gpu, length),
             skipped,
             known: AtomicU64::new(0),
-            parts: layout.slots.iter().map(Slot::padded).collect(),
+            parts: layout.slots.iter().map(Part::whole).collect(),
         }
     }
 }
@@ -81,9 +81,11 @@ impl Optimizer<WgpuBackend> for WgpuOptimizer {
         self.move_all(parameters, gradient, &sums.buffer, learning_rate, step);
     }
 
-    fn restrict(&mut self, parts: &[Range<usize>]) {
-        let padded = |part: &Range<usize>| part.start..part.end.next_multiple_of(ALIGNMENT);
-        self.parts = parts.iter().map(padded).collect();
+    fn restrict(&mut self, parts: &[Part]) {
+        self.parts = parts.to_vec();
+        for part in &mut self.parts {
+            part.range.end = part.range.end.next_multiple_of(ALIGNMENT);
+        }
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {
@@ -113,7 +115,7 @@ impl WgpuOptimizer {
     ) {
         for (slot, part) in self.slots.iter().zip(&self.parts) {
             let rule = Rule::<f32>::of(&self.config, slot, learning_rate, step);
-            let count = (part.len() / 4) as u32;
+            let count = (part.range.len() / 4) as u32;
             let group = slot.group.filter(|_| self.config.untouched == Untouched::Skip);
             let params = Params {
                 beta1: rule.beta1,
@@ -124,9 +126,10 @@ impl WgpuOptimizer {
                 rate: rule.rate,
                 root_correction: rule.root_correction,
                 shrink: rule.shrink,
-                start: (part.start / 4) as u32,
+                start: (part.range.start / 4) as u32,
                 count,
                 group: group.unwrap_or(0) as u32,
+                sparsity: part.sparsity as f32,
             };
             let sums = Bind { buffer: sums, offset: 0, size: None };
             let [m, v, skipped] = [self.m.bind(), self.v.bind(), self.skipped.bind()];

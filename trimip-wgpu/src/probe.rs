@@ -8,6 +8,7 @@ use crate::rows::Rows;
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 use trimip_core::batch::Ray;
+use trimip_core::config::DensityFunction;
 use trimip_core::encoders::tri_mip::{Pyramid, Shape, level_input, taps};
 use trimip_core::space::Path;
 use trimip_core::{
@@ -105,15 +106,26 @@ fn singles(keep: impl Fn(f32) -> bool) -> Vec<[f32; 4]> {
 fn activations() {
     // The exp of drivers is accurate to about 17 ulp (2e-6) at 0 and less accurate for larger arguments.
     compare(
-        files!("activation.wgsl"; "return vec4<f32>(density_of(x.x), density_derivative(x.x), sigmoid(x.x), sigmoid_derivative(x.x));"),
+        files!("activation.wgsl"; "return vec4<f32>(density_of(EXP, x.x), density_derivative(EXP, x.x), sigmoid(x.x), sigmoid_derivative(x.x));"),
         &singles(|x| x.abs() < 80.0),
         |[x, ..]| {
+            let density = activation::Density { kind: DensityFunction::Exp, shift: 0.0, scale: 1.0 };
             [
-                activation::density(x),
-                activation::density_derivative(x),
+                density.value(x),
+                density.derivative(x),
                 activation::sigmoid(x),
                 activation::sigmoid_derivative(x),
             ]
+        },
+        (1e-37, 2e-5),
+    );
+    compare(
+        files!("activation.wgsl"; "return vec4<f32>(density_of(SOFTPLUS, x.x), density_derivative(SOFTPLUS, x.x), density_of(2u, x.x), density_derivative(2u, x.x));"),
+        &singles(|x| x.abs() < 80.0),
+        |[x, ..]| {
+            let of = |kind| activation::Density { kind, shift: 0.0, scale: 1.0 };
+            let [softplus, relu] = [DensityFunction::Softplus, DensityFunction::Relu].map(of);
+            [softplus.value(x), softplus.derivative(x), relu.value(x), relu.derivative(x)]
         },
         (1e-37, 2e-5),
     );
@@ -354,25 +366,25 @@ fn harmonics() {
     };
     let bound = (5e-7, 1e-6);
     compare(
-        files!("grid.wgsl", "ray.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[0], h[1], h[2], h[3]);"),
+        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[0], h[1], h[2], h[3]);"),
         &directions,
         expected(0),
         bound,
     );
     compare(
-        files!("grid.wgsl", "ray.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[4], h[5], h[6], h[7]);"),
+        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[4], h[5], h[6], h[7]);"),
         &directions,
         expected(4),
         bound,
     );
     compare(
-        files!("grid.wgsl", "ray.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[8], h[9], h[10], h[11]);"),
+        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[8], h[9], h[10], h[11]);"),
         &directions,
         expected(8),
         bound,
     );
     compare(
-        files!("grid.wgsl", "ray.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[12], h[13], h[14], h[15]);"),
+        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[12], h[13], h[14], h[15]);"),
         &directions,
         expected(12),
         bound,
@@ -522,8 +534,12 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
             let left_buffer = buffer(&left, 0);
             let exact =
                 |r: usize, c: usize| (0..k).map(|i| left[r * k + i] * weights[i * n + c]).sum::<f32>();
-            for (finish, scale) in [(Finish::Store, 1), (Finish::Relu, 1), (Finish::Mask, 4)] {
-                let product = buffer(&[], room);
+            let exact_only = [(Finish::Add, 1), (Finish::AddRelu, 1)];
+            let finishes = [(Finish::Store, 1), (Finish::Relu, 1), (Finish::Mask, 4)].into_iter();
+            let finishes = finishes.chain(exact_only.into_iter().filter(|_| matrices.is_none()));
+            let before: Vec<f32> = (0..rows * n).map(|at| (at % 13) as f32 - 6.0).collect();
+            for (finish, scale) in finishes {
+                let product = buffer(&before, room);
                 let mask_buffer = buffer(&mask, 0);
                 let mut binds = vec![left_buffer.bind(), packed.bind(), product.bind()];
                 if finish == Finish::Mask {
@@ -540,6 +556,8 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
                     let expected = match finish {
                         Finish::Store => exact,
                         Finish::Relu => exact.max(0.0),
+                        Finish::Add => before[at] + exact,
+                        Finish::AddRelu => (before[at] + exact).max(0.0),
                         Finish::Mask => {
                             if mask[at] > 0.0 {
                                 exact

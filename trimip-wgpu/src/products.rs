@@ -9,7 +9,10 @@ const PRODUCT: &str = include_str!("shaders/multiply.wgsl");
 const STORE: &str = include_str!("shaders/finish_store.wgsl");
 const RELU: &str = include_str!("shaders/finish_relu.wgsl");
 const MASK: &str = include_str!("shaders/finish_mask.wgsl");
-const MULTIPLY: [&[&str]; 3] = [&[STORE, PRODUCT], &[RELU, PRODUCT], &[MASK, PRODUCT]];
+const ADD: &str = include_str!("shaders/finish_add.wgsl");
+const ADD_RELU: &str = include_str!("shaders/finish_add_relu.wgsl");
+const MULTIPLY: [&[&str]; 5] =
+    [&[STORE, PRODUCT], &[RELU, PRODUCT], &[MASK, PRODUCT], &[ADD, PRODUCT], &[ADD_RELU, PRODUCT]];
 const ACCUMULATE: &[&str] = &[include_str!("shaders/accumulate.wgsl")];
 /// Conversion to f16.
 pub const HALF: &str = include_str!("shaders/half.wgsl");
@@ -42,6 +45,10 @@ pub enum Finish {
     Relu,
     /// Derivative of a ReLU: zero where the mask is not above zero.
     Mask,
+    /// Added to what is there; f32 alone.
+    Add,
+    /// Added to what is there, then ReLU; f32 alone.
+    AddRelu,
 }
 
 /// Rows per tile of a product in f32.

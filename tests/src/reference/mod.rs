@@ -9,6 +9,7 @@ mod harmonics;
 mod hash_grid;
 mod rip_map;
 mod rounded;
+mod tensor;
 mod tri_mip;
 
 pub use adamw::{changes, moments};
@@ -16,12 +17,13 @@ pub use harmonics::harmonics;
 pub use hash_grid::HashGrid;
 pub use rip_map::RipMap;
 pub use rounded::{Gradient, bf16};
+pub use tensor::Tensor;
 pub use tri_mip::{AXES, TriMip, sides};
 
 use trimip_core::{
     Config, Layout,
     batch::{Interval, Ray, Sphere, Target},
-    config::{EncoderKind, LossRays},
+    config::{DensityFunction, EncoderKind, LossRays, ViewEncoding},
 };
 
 /// An encoder written from its equations.
@@ -38,10 +40,11 @@ pub struct Reference {
     color: Vec<Layer>,
 }
 
-/// A linear layer without bias, weights [inputs, outputs].
+/// A linear layer, weights [inputs, outputs]; no biases if there are none.
 struct Layer {
     outputs: usize,
     weights: Vec<f64>,
+    biases: Vec<f64>,
 }
 
 /// A sample of a ray.
@@ -90,18 +93,24 @@ impl Reference {
     /// Creates the model of a configuration from flat parameters.
     pub fn new(config: &Config, layout: &Layout, parameters: &[f64]) -> Self {
         let mut own = layout.encoder().iter().map(|slot| parameters[slot.range.clone()].to_vec());
-        let first = own.next().unwrap_or_default();
+        let all: Vec<Vec<f64>> = own.by_ref().collect();
+        let first = all.first().cloned().unwrap_or_default();
         let encoder: Box<dyn Literal> = match config.encoder.kind {
             EncoderKind::TriMip => Box::new(TriMip::new(config, first)),
             EncoderKind::HashGrid => Box::new(HashGrid::new(config, first)),
             EncoderKind::RipMap => Box::new(RipMap::new(config, first)),
+            EncoderKind::Tensor => Box::new(Tensor::new(config, all)),
         };
         let network = |name: &str| {
-            let layer = |slot: &trimip_core::params::Slot| Layer {
-                outputs: slot.shape[1],
-                weights: parameters[slot.range.clone()].to_vec(),
-            };
-            layout.network(name).map(layer).collect::<Vec<_>>()
+            let mut layers: Vec<Layer> = Vec::new();
+            for slot in layout.network(name) {
+                let values = parameters[slot.range.clone()].to_vec();
+                match layers.last_mut() {
+                    Some(layer) if slot.name.ends_with("bias") => layer.biases = values,
+                    _ => layers.push(Layer { outputs: slot.shape[1], weights: values, biases: Vec::new() }),
+                }
+            }
+            layers
         };
         Self { encoder, density: network("density"), color: network("color"), config: config.clone() }
     }
@@ -113,20 +122,39 @@ impl Reference {
 
     /// The density network's outputs: the logit, then the geometry features.
     pub fn geometry(&self, features: &[f64]) -> Vec<f64> {
-        network(&self.density, features)
+        if self.config.encoder.kind == EncoderKind::Tensor {
+            // σ is a function of the sum of the density features; a matrix maps the features of colour (TensoRF).
+            let (density, color) = features.split_at(Tensor::density_features(&self.config));
+            return [vec![density.iter().sum()], network(&self.density, color, None)].concat();
+        }
+        let joined = self.config.field.joined as usize;
+        network(&self.density, features, (joined > 0).then_some(joined))
     }
 
     /// Density from the logit.
     pub fn density(&self, geometry: &[f64]) -> f64 {
-        (geometry[0] - 1.0).exp()
+        let field = &self.config.field;
+        let x = geometry[0] - f64::from(field.density_shift);
+        f64::from(field.density_scale)
+            * match field.density {
+                DensityFunction::Exp => x.exp(),
+                DensityFunction::Softplus => (1.0 + x.exp()).ln(),
+                DensityFunction::Relu => x.max(0.0),
+            }
     }
 
     /// Colour in a unit direction.
     pub fn color(&self, geometry: &[f64], direction: [f64; 3]) -> [f64; 3] {
-        let mut input = if self.config.field.directions { harmonics(direction).to_vec() } else { Vec::new() };
-        input.truncate((self.config.field.harmonics as usize).pow(2));
-        input.extend_from_slice(&geometry[1..]);
-        let logits = network(&self.color, &input);
+        let field = &self.config.field;
+        let mut input = match (field.directions, field.view) {
+            (false, _) => Vec::new(),
+            (true, ViewEncoding::Harmonics) => {
+                harmonics(direction)[..(field.harmonics as usize).pow(2)].to_vec()
+            }
+            (true, ViewEncoding::Frequencies) => frequencies(&direction, field.view_frequencies),
+        };
+        input.extend(frequencies(&geometry[1..], field.geometry_frequencies));
+        let logits = network(&self.color, &input, None);
         [0, 1, 2].map(|c| 1.0 / (1.0 + (-logits[c]).exp()))
     }
 
@@ -196,12 +224,28 @@ impl Reference {
     }
 }
 
-/// Linear layers with ReLU between them.
-fn network(layers: &[Layer], input: &[f64]) -> Vec<f64> {
+/// x, and sin and cos of 2^k x for each k below `count` (NeRF, Eq. 4, without π).
+fn frequencies(values: &[f64], count: u32) -> Vec<f64> {
+    let mut all = values.to_vec();
+    for k in 0..count {
+        let angle = |x: &f64| 2_f64.powi(k as i32) * x;
+        all.extend(values.iter().map(|x| angle(x).sin()));
+        all.extend(values.iter().map(|x| angle(x).cos()));
+    }
+    all
+}
+
+/// Linear layers with ReLU between them. Layer `joined` also reads the input.
+fn network(layers: &[Layer], input: &[f64], joined: Option<usize>) -> Vec<f64> {
     let mut values = input.to_vec();
     for (i, layer) in layers.iter().enumerate() {
+        if joined == Some(i) {
+            values.extend_from_slice(input);
+        }
         let sum = |j: usize| -> f64 {
-            values.iter().zip(layer.weights.iter().skip(j).step_by(layer.outputs)).map(|(x, w)| x * w).sum()
+            let products =
+                values.iter().zip(layer.weights.iter().skip(j).step_by(layer.outputs)).map(|(x, w)| x * w);
+            products.sum::<f64>() + layer.biases.get(j).unwrap_or(&0.0)
         };
         let outputs = (0..layer.outputs).map(sum).collect::<Vec<_>>();
         let last = i + 1 == layers.len();

@@ -2,7 +2,7 @@
 
 use super::{Bench, wide};
 use crate::{
-    fixtures::{Draw, every_encoder, lively, noise, small},
+    fixtures::{Draw, every_encoder, lively, nerf_networks, noise, small},
     reference::{Reference, Sample, Seen, bf16, kept},
 };
 use trimip_core::schedule::Schedule;
@@ -10,7 +10,7 @@ use trimip_core::{
     Backend, Config, Layout, Renderer, Result,
     backend::Sampler,
     batch::{Segment, Target},
-    config::{Contraction, EncoderKind, LevelFormula, LossRays, Precision, TrainBackground},
+    config::{Contraction, DensityFunction, EncoderKind, LevelFormula, LossRays, Precision, TrainBackground},
     encoders,
     trainer::Trainer,
 };
@@ -67,6 +67,11 @@ fn configurations() -> Vec<(&'static str, Config)> {
         }),
         change("narrow networks", &|c| (c.field.geometry, c.field.harmonics) = (6, 2)),
         change("wide networks", &|c| c.field.geometry = 37),
+        ("networks like NeRF's", {
+            let mut config = nerf_networks();
+            config.field.density = DensityFunction::Softplus;
+            config
+        }),
     ];
     let others = every_encoder().into_iter().filter(|config| config.encoder.kind != EncoderKind::TriMip);
     all.extend(others.map(|config| ("another encoder", config)));

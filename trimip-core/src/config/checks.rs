@@ -2,9 +2,9 @@
 
 use super::{
     Config, Contraction, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig, OccupancyConfig,
-    RendererConfig, SceneConfig, TrainConfig,
+    Precision, RendererConfig, SceneConfig, TrainConfig,
 };
-use crate::{Error, Result, Settings, range, settings::shown};
+use crate::{Error, Result, Settings, encoders, range, settings::shown};
 
 /// Refuses settings by their dotted path.
 pub(super) struct Checker<'a> {
@@ -81,6 +81,12 @@ impl Config {
         self.encoder.check(&checker)?;
         self.hash_grid.check(&checker)?;
         self.rip_map.check(&checker)?;
+        self.tensor.check(&checker)?;
+        checker.together(
+            self.field.density_layers == 0 || encoders::of(self).summed(self) == 0,
+            &["field.density_layers", "encoder.kind"],
+            "field.density_layers = 0 for an encoder whose features sum up to the density",
+        )?;
         self.field.check(&checker)?;
         self.renderer.check(&checker)?;
         self.occupancy.check(&checker)?;
@@ -148,7 +154,22 @@ impl SceneConfig {
 
 impl FieldConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
-        to.check(self.hidden.is_multiple_of(16), "field.hidden", "a multiple of 16 from 16 to 512")
+        to.check(self.hidden.is_multiple_of(16), "field.hidden", "a multiple of 16 from 16 to 512")?;
+        to.check(
+            self.color_hidden.is_multiple_of(16),
+            "field.color_hidden",
+            "0 or a multiple of 16 up to 512",
+        )?;
+        to.together(
+            self.joined == 0 || self.joined < self.density_layers,
+            &["field.joined", "field.density_layers"],
+            "field.joined below field.density_layers: the input joins at a hidden layer",
+        )?;
+        to.together(
+            self.precision != Precision::F16 || !(self.biases || self.joined > 0),
+            &["field.precision", "field.biases", "field.joined"],
+            "field.precision = \"f32\" for networks with biases or an input that joins again",
+        )
     }
 }
 

@@ -98,6 +98,35 @@ choice!(
     }
 );
 choice!(
+    /// How a tensor is a sum of products.
+    Decomposition {
+        /// Of planes and the lines across them.
+        Vm,
+        /// Of three lines.
+        Cp,
+    }
+);
+choice!(
+    /// Map from a density logit to a density.
+    DensityFunction {
+        /// exp(logit − shift).
+        Exp,
+        /// ln(1 + exp(logit − shift)).
+        Softplus,
+        /// max(0, logit − shift).
+        Relu,
+    }
+);
+choice!(
+    /// How the colour network sees the viewing direction.
+    ViewEncoding {
+        /// By real spherical harmonics.
+        Harmonics,
+        /// By its coordinates, and their sines and cosines at rising frequencies (NeRF, Eq. 4, without π).
+        Frequencies,
+    }
+);
+choice!(
     /// Texels of a plane.
     PlaneShape {
         /// `plane_size` along both sides, whatever the box: the planes are stretched over it (paper).
@@ -213,6 +242,8 @@ choice!(
         Milestones,
         /// Along half a cosine.
         Cosine,
+        /// Exponentially, anew whenever an encoder that says so grows.
+        Exponential,
     }
 );
 choice!(

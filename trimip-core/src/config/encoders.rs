@@ -1,7 +1,7 @@
 //! Settings of the encoders: their names, the sections that belong to each, and the accepted ranges.
 
 use super::checks::Checker;
-use super::choices::{LevelFormula, PlaneShape};
+use super::choices::{Decomposition, LevelFormula, PlaneShape};
 use super::sections::section;
 use crate::{Result, schedule::Schedule};
 use serde::{Deserialize, Serialize};
@@ -16,6 +16,8 @@ pub enum EncoderKind {
     HashGrid,
     /// Planes of several directions with ripmaps (Rip-NeRF), settings in `[rip_map]`.
     RipMap,
+    /// Factored tensors (TensoRF), settings in `[tensor]`.
+    Tensor,
 }
 
 impl EncoderKind {
@@ -36,6 +38,7 @@ impl EncoderKind {
             Some(("encoder", _)) | Some(("optimizer", "plane_scale")) => Some(Self::TriMip),
             Some(("hash_grid", _)) => Some(Self::HashGrid),
             Some(("rip_map", _)) => Some(Self::RipMap),
+            Some(("tensor", _)) => Some(Self::Tensor),
             _ => None,
         }
     }
@@ -58,6 +61,14 @@ section!(
     /// The planes of several directions with ripmaps.
     RipMapConfig, "rip_map" {
         planes: u32, size: u32, levels: u32, level_bias: f32, init_range: f32, rate: f64,
+    }
+);
+
+section!(
+    /// The factors of the tensors.
+    TensorConfig, "tensor" {
+        decomposition: Decomposition, density_components: u32, color_components: u32, sides: Schedule, init_deviation: f32, rate: f64,
+        sparsity: [f32; 2],
     }
 );
 
@@ -97,5 +108,24 @@ impl HashGridConfig {
 impl RipMapConfig {
     pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check([3, 4, 6, 10].contains(&self.planes), "rip_map.planes", "3, 4, 6 or 10")
+    }
+}
+
+impl TensorConfig {
+    pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
+        for (count, path) in [
+            (self.density_components, "tensor.density_components"),
+            (self.color_components, "tensor.color_components"),
+        ] {
+            to.check(count.is_multiple_of(16), path, "a multiple of 16 from 16 to 512")?;
+        }
+        let sides = || self.sides.values();
+        to.check(
+            self.sides.is_whole()
+                && sides().all(|side| side.fract() == 0.0)
+                && sides().is_sorted_by(|a, b| a < b),
+            "tensor.sides",
+            "[[0.0, side], ... [fraction, side]] with rising fractions below 1 and rising whole numbers from 2 to 1024",
+        )
     }
 }

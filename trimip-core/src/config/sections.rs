@@ -1,9 +1,9 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    Contraction, Convention, Exposure, FilePrecision, FinalEval, Finish, Format, HybridRule, LossRays,
-    MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule, RendererKind,
-    TrainBackground, Untouched,
+    Contraction, Convention, DensityFunction, Exposure, FilePrecision, FinalEval, Finish, Format, HybridRule,
+    LossRays, MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule,
+    RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -53,7 +53,9 @@ section!(
 section!(
     /// The density and colour networks.
     FieldConfig, "field" {
-        hidden: u32, density_layers: u32, color_layers: u32, geometry: u32, directions: bool, harmonics: u32, precision: Precision,
+        hidden: u32, density_layers: u32, joined: u32, color_layers: u32, color_hidden: u32, biases: bool, geometry: u32, geometry_frequencies: u32,
+        directions: bool, view: ViewEncoding, harmonics: u32, view_frequencies: u32,
+        density: DensityFunction, density_shift: f32, density_scale: f32, precision: Precision,
     }
 );
 section!(

@@ -3,6 +3,7 @@
 
 pub mod hash_grid;
 pub mod rip_map;
+pub mod tensor;
 pub mod tri_mip;
 
 use crate::{
@@ -19,6 +20,12 @@ pub trait Definition: Sync {
 
     /// Number of features of a sample.
     fn width(&self, config: &Config) -> usize;
+
+    /// Number of leading features whose sum is the density logit; 0 if the density network computes the logit. The network
+    /// is then a linear map of the other features.
+    fn summed(&self, _config: &Config) -> usize {
+        0
+    }
 
     /// Floats kept per sample from forward to backward; 0 if features are linear in the parameters.
     fn tape(&self, _config: &Config) -> usize {
@@ -39,13 +46,24 @@ pub trait Definition: Sync {
     }
 
     /// Number of floats at the front of a growing slot that are in use at `stage`.
-    fn length(&self, slot: &Slot, _stage: u32) -> usize {
+    fn length(&self, _config: &Config, slot: &Slot, _stage: u32) -> usize {
         slot.range.len()
     }
 
     /// Grows the values of a slot in place, from stage `from` to the lower stage `to`. Optimiser moments grow in the
-    /// same way.
-    fn grow(&self, _config: &Config, _values: &mut [f32], _from: u32, _to: u32) {}
+    /// same way, unless they restart.
+    fn grow(&self, _config: &Config, _slot: &Slot, _values: &mut [f32], _from: u32, _to: u32) {}
+
+    /// The progress at which the optimiser's moments, of all slots, and its learning rate last started anew, for an encoder
+    /// that does so whenever it grows; otherwise `None`.
+    fn restarted(&self, _config: &Config, _progress: f64) -> Option<f64> {
+        None
+    }
+
+    /// Weight of the absolute value of each parameter of a slot in the loss, at `stage` (L1).
+    fn sparsity(&self, _config: &Config, _slot: &Slot, _stage: u32) -> f64 {
+        0.0
+    }
 
     /// The encoder in f64; `values` are its slots' values, in order.
     fn twin(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Twin>;
@@ -90,6 +108,7 @@ const ALL: &[(EncoderKind, &dyn Definition)] = &[
     (EncoderKind::TriMip, &tri_mip::Planes),
     (EncoderKind::HashGrid, &hash_grid::HashGrid),
     (EncoderKind::RipMap, &rip_map::RipMap),
+    (EncoderKind::Tensor, &tensor::Tensors),
 ];
 
 /// The encoder of a configuration.

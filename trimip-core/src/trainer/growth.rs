@@ -1,7 +1,7 @@
 //! Changes in the course of a run: schedules of the stages, and parameters that grow.
 
 use super::{LEAST_RAYS, Trainer};
-use crate::{Backend, Encoder, Optimizer, Renderer, Slot, backend::Sampler, encoders};
+use crate::{Backend, Encoder, Optimizer, Renderer, Slot, backend::Sampler, encoders, params::Part};
 
 impl<B: Backend> Trainer<B> {
     /// Updates every stage to the schedules at `progress`. Moments grow with their parameters. When the marching step
@@ -21,12 +21,20 @@ impl<B: Backend> Trainer<B> {
         if stage >= self.state.stage {
             return;
         }
+        let restarts = encoders::of(&self.loaded.config).restarted(&self.loaded.config, progress).is_some();
+        if restarts {
+            self.state.moments_since = self.state.totals.step;
+        }
         let mut values = self.parameters();
         self.grow(&mut values, stage);
         self.loaded.backend.write(&mut self.loaded.parameters, &values);
         for moment in 0..2 {
             let mut values = self.device().read(self.loaded.stages.optimizer.moments()[moment]);
-            self.grow(&mut values, stage);
+            if restarts {
+                values.fill(0.0);
+            } else {
+                self.grow(&mut values, stage);
+            }
             let buffer = &mut self.loaded.stages.optimizer.moments_mut()[moment];
             self.loaded.backend.write(buffer, &values);
         }
@@ -38,7 +46,13 @@ impl<B: Backend> Trainer<B> {
     pub(super) fn grow(&self, values: &mut [f32], stage: u32) {
         let (config, _) = self.loaded.config.centred();
         for slot in self.layout().slots.iter().filter(|slot| slot.grows) {
-            encoders::of(&config).grow(&config, &mut values[slot.range.clone()], self.state.stage, stage);
+            encoders::of(&config).grow(
+                &config,
+                slot,
+                &mut values[slot.range.clone()],
+                self.state.stage,
+                stage,
+            );
         }
     }
 
@@ -46,9 +60,13 @@ impl<B: Backend> Trainer<B> {
     pub(super) fn enter(&mut self, stage: u32) {
         self.state.stage = stage;
         let encoder = encoders::of(&self.loaded.config);
+        let (config, _) = self.loaded.config.centred();
         let part = |slot: &Slot| match slot.grows {
-            true => slot.range.start..slot.range.start + encoder.length(slot, stage),
-            false => slot.range.clone(),
+            true => Part {
+                range: slot.range.start..slot.range.start + encoder.length(&config, slot, stage),
+                sparsity: encoder.sparsity(&config, slot, stage),
+            },
+            false => Part { range: slot.range.clone(), sparsity: 0.0 },
         };
         let parts: Vec<_> = self.layout().slots.iter().map(part).collect();
         self.loaded.stages.encoder.grow(stage);

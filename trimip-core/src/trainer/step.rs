@@ -148,8 +148,8 @@ impl<B: Backend> Trainer<B> {
             self.loaded.stages.flush(&mut self.deposits, &self.loaded.parameters, &mut self.gradient);
             return Err(error);
         }
-        let rate = learning_rate(&self.loaded.config.optimizer, progress);
-        self.update(rate, step + 1);
+        let rate = learning_rate(&self.loaded.config, progress);
+        self.update(rate, step + 1 - self.state.moments_since);
         self.device().submit();
         let late = if B::LAG > 0 { self.oldest_sums()? } else { None };
         if let Some((_, sums)) = &late {

@@ -161,6 +161,11 @@ pub trait Lanes: Copy {
     }
     /// self · factor + addend.
     fn mul_add(self, factor: Self, addend: Self) -> Self;
+    /// Lane-wise product.
+    #[inline(always)]
+    fn times(self, factor: Self) -> Self {
+        self.mul_add(factor, Self::splat(0.0))
+    }
     /// Sets lanes below zero to zero.
     fn relu(self) -> Self;
     /// Keeps the lanes where `mask` is above zero; the others become zero.

@@ -3,6 +3,7 @@
 
 pub mod hash_grid;
 pub mod rip_map;
+pub mod tensor;
 pub mod tri_mip;
 
 use crate::buffer::Buffer;

@@ -1,12 +1,28 @@
-// Twin of `trimip_core::activation`.
+// Twin of `trimip_core::activation`. The functions of density take the logit minus its shift.
 
-// Density per world unit from a density logit.
-fn density_of(logit: f32) -> f32 {
-    return exp(logit - 1.0);
+const EXP: u32 = 0u;
+const SOFTPLUS: u32 = 1u;
+
+fn density_of(kind: u32, x: f32) -> f32 {
+    if kind == EXP {
+        return exp(x);
+    }
+    if kind == SOFTPLUS {
+        let e = exp(-abs(x));
+        // ln(1 + e) by its series where 1 + e loses the digits of e.
+        return max(x, 0.0) + select(log(1.0 + e), e - 0.5 * e * e, e < 1e-3);
+    }
+    return max(x, 0.0);
 }
 
-fn density_derivative(logit: f32) -> f32 {
-    return exp(clamp(logit - 1.0, -15.0, 15.0));
+fn density_derivative(kind: u32, x: f32) -> f32 {
+    if kind == EXP {
+        return exp(clamp(x, -15.0, 15.0));
+    }
+    if kind == SOFTPLUS {
+        return sigmoid(x);
+    }
+    return select(0.0, 1.0, x > 0.0);
 }
 
 // Logistic function, in a form that never overflows.

@@ -16,6 +16,8 @@ struct Params {
     // Groups of this many parameters, a power of two up to 16, are skipped if none has a gradient; 0: all are
     // updated.
     group: u32,
+    // Added to the gradient with the sign of the parameter.
+    sparsity: f32,
 }
 
 @group(0) @binding(0) var<storage, read_write> parameters: array<vec4<f32>>;
@@ -64,12 +66,13 @@ fn update(
         if !moves[c] {
             continue;
         }
-        let g = gradient[c];
+        let raw_gradient = gradient[c];
         // The square overflows f32 or is NaN.
-        if (bitcast<u32>(g * g) & 0x7f800000u) == 0x7f800000u {
+        if (bitcast<u32>(raw_gradient * raw_gradient) & 0x7f800000u) == 0x7f800000u {
             atomicAdd(&skipped[0], 1u);
             continue;
         }
+        let g = raw_gradient + select(params.sparsity, -params.sparsity, parameter[c] < 0.0);
         m[c] = params.beta1 * m[c] + params.share1 * g;
         v[c] = params.beta2 * v[c] + params.share2 * g * g;
         parameter[c] = parameter[c] * params.shrink

@@ -1,19 +1,8 @@
 // Gradients of the density network's outputs, [samples, outputs]. The logit's gradient comes from the density, those
 // of the geometry features from the colour network's input, [samples, width].
 
-struct Params {
-    counter: u32,
-    // Width of the colour network's input: harmonics (if it uses directions), geometry features, zeros.
-    width: u32,
-    harmonics: u32,
-    geometry: u32,
-    // Width of the density network's output: a logit, geometry features, zeros.
-    outputs: u32,
-}
-
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
 @group(0) @binding(1) var<storage, read_write> rows: array<f32>;
-@group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> counts: array<u32>;
 @group(0) @binding(4) var<storage, read> inputs: array<f32>;
 @group(0) @binding(5) var<storage, read> gradients: array<vec4<f32>>;
@@ -29,11 +18,20 @@ fn density_gradients(
         return;
     }
     let start = params.outputs * i;
-    rows[start] = gradients[i].w * density_derivative(outputs[start]);
+    let slope = params.scale * density_derivative(params.density, outputs[start] - params.shift);
+    rows[start] = gradients[i].w * slope;
+    let first = params.width * i + params.view;
     for (var j = 0u; j < params.outputs - 1u; j++) {
         var value = 0.0;
         if j < params.geometry {
-            value = inputs[params.width * i + params.harmonics + j];
+            value = inputs[first + j];
+            let x = outputs[start + 1u + j];
+            var factor = 1.0;
+            for (var k = 0u; k < params.geometry_frequencies; k++) {
+                let at = first + params.geometry * (1u + 2u * k) + j;
+                value += factor * (inputs[at] * cos(factor * x) - inputs[at + params.geometry] * sin(factor * x));
+                factor *= 2.0;
+            }
         }
         rows[start + 1u + j] = value;
     }

@@ -1,19 +1,8 @@
 // Operations between the layers of the two networks: densities, the colour network's input, colours, and their
 // gradients.
 
-struct Params {
-    counter: u32,
-    // Width of the colour network's input: harmonics (if it uses directions), geometry features, zeros.
-    width: u32,
-    harmonics: u32,
-    geometry: u32,
-    // Width of the density network's output: a logit, geometry features, zeros.
-    outputs: u32,
-}
-
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
 @group(0) @binding(1) var<storage, read_write> radiance: array<vec4<f32>>;
-@group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> counts: array<u32>;
 @group(0) @binding(4) var<storage, read> rays: array<Ray>;
 @group(0) @binding(5) var<storage, read> owners: array<u32>;
@@ -56,7 +45,7 @@ fn densities(
 ) {
     let i = index_of(group, groups, local);
     if i < counts[params.counter] {
-        radiance[i] = vec4<f32>(0.0, 0.0, 0.0, density_of(outputs[params.outputs * i]));
+        radiance[i] = vec4<f32>(0.0, 0.0, 0.0, params.scale * density_of(params.density, outputs[params.outputs * i] - params.shift));
     }
 }
 
@@ -72,18 +61,38 @@ fn color_inputs(
         return;
     }
     let start = params.width * i;
-    if params.harmonics > 0u {
-        var harmonics = spherical_harmonics(rays[owners[i]].direction);
-        for (var j = 0u; j < params.harmonics; j++) {
+    let direction = rays[owners[i]].direction;
+    if params.view > 0u && params.frequencies_of_view == 0u {
+        var harmonics = spherical_harmonics(direction);
+        for (var j = 0u; j < params.view; j++) {
             rows[start + j] = harmonics[j];
         }
-    }
-    for (var j = 0u; j < params.width - params.harmonics; j++) {
-        var value = 0.0;
-        if j < params.geometry {
-            value = outputs[params.outputs * i + 1u + j];
+    } else if params.view > 0u {
+        for (var j = 0u; j < 3u; j++) {
+            rows[start + j] = direction[j];
+            append_frequencies(start, 3u, j, direction[j], params.view_frequencies);
         }
-        rows[start + params.harmonics + j] = value;
+    }
+    let first = start + params.view;
+    for (var j = 0u; j < params.geometry; j++) {
+        let value = outputs[params.outputs * i + 1u + j];
+        rows[first + j] = value;
+        append_frequencies(first, params.geometry, j, value, params.geometry_frequencies);
+    }
+    let used = params.view + params.geometry * (1u + 2u * params.geometry_frequencies);
+    for (var j = used; j < params.width; j++) {
+        rows[start + j] = 0.0;
+    }
+}
+
+// Writes the sines and cosines of value number `j` of `count` values of the row that begins at `first`.
+fn append_frequencies(first: u32, count: u32, j: u32, value: f32, frequencies: u32) {
+    var factor = 1.0;
+    for (var k = 0u; k < frequencies; k++) {
+        let at = first + count * (1u + 2u * k) + j;
+        rows[at] = sin(factor * value);
+        rows[at + count] = cos(factor * value);
+        factor *= 2.0;
     }
 }
 

@@ -12,6 +12,8 @@ struct Params {
     chunks: u32,
     // Factor that the sum of the chunks is multiplied by.
     scale: f32,
+    // Leading inputs whose sum is the first output. They have no weights, nor has that output.
+    ones: u32,
 }
 
 @group(0) @binding(0) var<storage, read> source: array<f32>;
@@ -32,8 +34,11 @@ fn pack(
     let row = i / params.n;
     let column = i % params.n;
     var value = 0.0;
-    if row < params.inputs && column < params.outputs {
-        value = source[params.start + row * params.outputs + column];
+    let offset = select(0u, 1u, params.ones > 0u);
+    if row < params.ones {
+        value = select(0.0, 1.0, column == 0u);
+    } else if row < params.ones + params.inputs && column >= offset && column < offset + params.outputs {
+        value = source[params.start + (row - params.ones) * params.outputs + column - offset];
     }
     forward[i] = weight_of(value);
     backward[column * params.k + row] = weight_of(value);
@@ -49,7 +54,8 @@ fn reduce(
     if i >= params.inputs * params.outputs {
         return;
     }
-    let at = i / params.outputs * params.n + i % params.outputs;
+    let offset = select(0u, 1u, params.ones > 0u);
+    let at = (params.ones + i / params.outputs) * params.n + offset + i % params.outputs;
     var sum = 0.0;
     for (var chunk = 0u; chunk < params.chunks; chunk++) {
         sum += source[chunk * params.k * params.n + at];

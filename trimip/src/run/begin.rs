@@ -85,7 +85,7 @@ impl Beginning {
             units::duration(more),
             units::duration(totals.seconds),
             100.0 * at,
-            adamw::learning_rate(&config.optimizer, at),
+            adamw::learning_rate(&config, at),
             config.renderer.step_scale.at(at)
         );
         Ok(Self { settings, findings, checkpoint: Some(checkpoint), extended: Some(extended) })

@@ -51,6 +51,7 @@ fn lowered_by(config: &Config, part: &str) -> &'static str {
             EncoderKind::TriMip => "lower encoder.plane_size",
             EncoderKind::HashGrid => "lower hash_grid.log2_entries",
             EncoderKind::RipMap => "lower rip_map.size",
+            EncoderKind::Tensor => "lower tensor.sides",
         },
     }
 }

@@ -54,11 +54,11 @@ impl Definition for Planes {
         config.encoder.halvings.at(progress) as u32
     }
 
-    fn length(&self, slot: &Slot, stage: u32) -> usize {
+    fn length(&self, _: &Config, slot: &Slot, stage: u32) -> usize {
         slot.range.len() >> (2 * stage)
     }
 
-    fn grow(&self, config: &Config, values: &mut [f32], from: u32, to: u32) {
+    fn grow(&self, config: &Config, _: &Slot, values: &mut [f32], from: u32, to: u32) {
         grow(values, &pyramid(config), from, to);
     }
 

@@ -1,0 +1,408 @@
+//! Factored tensors on the CPU, sixteen components at a time. Gradients of lines are summed as they come, in arrays of each
+//! deposit. Those of planes are kept by sample: a sample is listed in each band of rows that it touches, and one worker sums
+//! a band in sample order.
+
+use super::bands::{BANDS, first_row, owner};
+use super::{Encoding, Left, Places};
+use crate::buffer::{Buffer, take_mut};
+use crate::simd::{Kernel, Lanes, Simd, fetch};
+use rayon::prelude::*;
+use std::ops::Range;
+use trimip_core::Config;
+use trimip_core::batch::Sphere;
+use trimip_core::encoders::tensor::{KINDS, Kind, LANES, LINE_AXES, PLANE_AXES, Shape, between, slots};
+
+/// The shape of the factors and where they are in the parameters.
+pub(crate) struct Factors {
+    simd: Simd,
+    config: Config,
+    shape: Shape,
+    arrays: [Arrays; 2],
+}
+
+/// Where the factors of a tensor are in the parameters.
+#[derive(Clone)]
+struct Arrays {
+    kind: Kind,
+    /// Empty if there are no planes.
+    planes: Range<usize>,
+    lines: Range<usize>,
+}
+
+/// Gradients of some spans.
+pub(crate) struct Gradient {
+    places: Buffer<[f32; 3]>,
+    /// Gradient of each plane's value at each sample, [samples, width].
+    rows: Buffer<f32>,
+    /// Samples that touch each band of each plane, in order.
+    bands: Vec<Vec<u32>>,
+    /// Gradients of the lines of both tensors.
+    lines: [Buffer<f32>; 2],
+}
+
+/// A place along an axis: the point before it and the weight of the point after it.
+type Along = (usize, f32);
+
+impl Factors {
+    /// Where a sample lies along each axis.
+    #[inline(always)]
+    fn along(shape: &Shape, position: [f32; 3]) -> [Along; 3] {
+        std::array::from_fn(|axis| between(shape.sides[axis], position[axis]))
+    }
+
+    fn width(&self) -> usize {
+        KINDS.iter().map(|kind| self.shape.features(*kind)).sum()
+    }
+
+    fn arrays(config: &Config) -> [Arrays; 2] {
+        let mut slots = slots(config).into_iter().map(|slot| slot.range);
+        let planes = Shape::new(config, 0).planes() > 0;
+        KINDS.map(|kind| Arrays {
+            kind,
+            planes: if planes { slots.next().unwrap_or_default() } else { 0..0 },
+            lines: slots.next().unwrap_or_default(),
+        })
+    }
+}
+
+impl Encoding for Factors {
+    type Gradient = Gradient;
+
+    fn new(simd: Simd, config: &Config, _training: bool) -> Self {
+        let shape = Shape::new(config, 0);
+        Self { simd, config: config.clone(), shape, arrays: Self::arrays(config) }
+    }
+
+    fn gradient(&self) -> Gradient {
+        Gradient {
+            places: Buffer::zeros(0),
+            rows: Buffer::zeros(0),
+            bands: vec![Vec::new(); 3 * BANDS],
+            lines: self.arrays.clone().map(|arrays| Buffer::zeros(arrays.lines.len())),
+        }
+    }
+
+    fn grow(&mut self, stage: u32) {
+        self.shape = Shape::new(&self.config, stage);
+    }
+
+    fn forward(
+        &self,
+        parameters: &[f32],
+        at: Places<'_>,
+        _: &mut [f32],
+        features: &mut [f32],
+        stride: usize,
+    ) {
+        let Self { shape, arrays, .. } = self;
+        let width = self.width();
+        for row in features.chunks_exact_mut(stride) {
+            row[width..].fill(0.0);
+        }
+        self.simd.run(Read { shape, arrays, parameters, spheres: at.spheres, features, stride });
+    }
+
+    fn backward(
+        &self,
+        parameters: &[f32],
+        at: Places<'_>,
+        _: &[f32],
+        rows: &[f32],
+        stride: usize,
+        gradient: &mut Gradient,
+    ) {
+        let Self { shape, arrays, .. } = self;
+        let spheres = at.spheres;
+        if shape.planes() > 0 {
+            let (first, width) = (gradient.places.len(), self.width());
+            gradient.places.resize(first + spheres.len());
+            gradient.rows.resize((first + spheres.len()) * width);
+            for (index, sphere) in (first..).zip(spheres) {
+                gradient.places[index] = sphere.position;
+                let along = Self::along(shape, sphere.position);
+                for plane in 0..3 {
+                    let (row, side) = (along[PLANE_AXES[plane][1]].0, shape.plane(plane)[1]);
+                    let bands = [row, row + 1].map(|row| owner(row, side));
+                    gradient.bands[plane * BANDS + bands[0]].push(index as u32);
+                    if bands[1] != bands[0] {
+                        gradient.bands[plane * BANDS + bands[1]].push(index as u32);
+                    }
+                }
+            }
+        }
+        self.simd.run(Pull { shape, arrays, parameters, spheres, rows, stride, gradient });
+    }
+
+    fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
+        let Self { simd, shape, arrays, .. } = self;
+        let (width, from): (usize, &[&mut Gradient]) =
+            (KINDS.iter().map(|kind| shape.features(*kind)).sum(), gradients);
+        let mut column = 0;
+        let mut bands = Vec::new();
+        let mut rest = parameter_gradient;
+        for (index, arrays) in arrays.iter().enumerate() {
+            let components = shape.components(arrays.kind);
+            let planes = take_mut(&mut rest, arrays.planes.len());
+            if shape.planes() > 0 {
+                let mut planes = planes;
+                for plane in 0..3 {
+                    let [columns, rows] = shape.plane(plane);
+                    for band in 0..BANDS {
+                        let (first, end) = (first_row(band, rows), first_row(band + 1, rows));
+                        let values = take_mut(&mut planes, (end - first) * columns * components);
+                        let column = column + plane * components;
+                        bands.push(Band { plane, band, first, column, components, values });
+                    }
+                }
+            }
+            column += shape.features(arrays.kind);
+            let lines = take_mut(&mut rest, arrays.lines.len());
+            lines.fill(0.0);
+            for gradient in from {
+                lines.iter_mut().zip(&*gradient.lines[index]).for_each(|(sum, value)| *sum += value);
+            }
+        }
+        bands.into_par_iter().with_max_len(1).for_each(|band| simd.run(Add { shape, from, width, band }));
+        for gradient in gradients {
+            gradient.places.clear();
+            gradient.rows.clear();
+            gradient.bands.iter_mut().for_each(Vec::clear);
+            gradient.lines.iter_mut().for_each(|lines| lines.fill(0.0));
+        }
+    }
+
+    fn left(config: &Config) -> Left {
+        let shape = Shape::new(config, 0);
+        let width: usize = KINDS.iter().map(|kind| shape.features(*kind)).sum();
+        let row = width * size_of::<f32>() + size_of::<[f32; 3]>() + 3 * 2 * size_of::<u32>();
+        let lines: usize = Self::arrays(config).iter().map(|arrays| arrays.lines.len()).sum();
+        Left {
+            by_sample: if shape.planes() > 0 { row } else { 0 },
+            by_deposit: lines * size_of::<f32>() + 3 * BANDS * size_of::<Vec<u32>>(),
+        }
+    }
+}
+
+/// The corners of the cell of a plane that a sample lies in: index of the first one, and the four weights.
+#[inline(always)]
+fn corners(shape: &Shape, plane: usize, along: &[Along; 3]) -> (usize, [[f32; 2]; 2]) {
+    let [columns, _] = shape.plane(plane);
+    let [(column, right), (row, up)] = PLANE_AXES[plane].map(|axis| along[axis]);
+    let weights = [[(1.0 - up) * (1.0 - right), (1.0 - up) * right], [up * (1.0 - right), up * right]];
+    (shape.plane_start(plane) + row * columns + column, weights)
+}
+
+/// Sixteen components of a plane at a sample.
+#[inline(always)]
+fn plane_value<L: Lanes>(
+    values: &[f32],
+    columns: usize,
+    width: usize,
+    (first, weights): (usize, [[f32; 2]; 2]),
+    group: usize,
+) -> L {
+    let mut sum = L::splat(0.0);
+    for (i, weights) in weights.into_iter().enumerate() {
+        for (j, weight) in weights.into_iter().enumerate() {
+            let at = (first + i * columns + j) * width + group;
+            sum = L::splat(weight).mul_add(lanes(values, at), sum);
+        }
+    }
+    sum
+}
+
+/// Sixteen components of a line at a sample.
+#[inline(always)]
+fn line_value<L: Lanes>(
+    values: &[f32],
+    start: usize,
+    width: usize,
+    (lower, upper): Along,
+    group: usize,
+) -> L {
+    let at = (start + lower) * width + group;
+    let sum = L::splat(1.0 - upper).times(lanes(values, at));
+    L::splat(upper).mul_add(lanes(values, at + width), sum)
+}
+
+#[inline(always)]
+fn lanes<L: Lanes>(values: &[f32], at: usize) -> L {
+    L::of(&values[at..].as_chunks().0[0])
+}
+
+/// Computes the features of samples.
+struct Read<'a> {
+    shape: &'a Shape,
+    arrays: &'a [Arrays; 2],
+    parameters: &'a [f32],
+    spheres: &'a [Sphere],
+    features: &'a mut [f32],
+    stride: usize,
+}
+
+impl Kernel for Read<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { shape, arrays, parameters, spheres, features, stride } = self;
+        for (i, (sphere, row)) in spheres.iter().zip(features.chunks_exact_mut(stride)).enumerate() {
+            if let Some(next) = spheres.get(i + 1) {
+                prefetch(shape, arrays, parameters, next.position);
+            }
+            let along = Factors::along(shape, sphere.position);
+            let mut out = row.as_chunks_mut().0.iter_mut();
+            for arrays in arrays {
+                let width = shape.components(arrays.kind);
+                let (planes, lines) = (&parameters[arrays.planes.clone()], &parameters[arrays.lines.clone()]);
+                let line = |l: usize, group| {
+                    line_value::<L>(lines, shape.line_start(l), width, along[LINE_AXES[l]], group)
+                };
+                for plane in 0..shape.planes() {
+                    let (corners, [columns, _]) = (corners(shape, plane, &along), shape.plane(plane));
+                    for (group, out) in (0..width).step_by(LANES).zip(&mut out) {
+                        let value = plane_value::<L>(planes, columns, width, corners, group);
+                        value.times(line(plane, group)).put(out);
+                    }
+                }
+                if shape.planes() == 0 {
+                    for (group, out) in (0..width).step_by(LANES).zip(&mut out) {
+                        line(0, group).times(line(1, group)).times(line(2, group)).put(out);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Fetches the texels of a sample into the cache.
+#[inline(always)]
+fn prefetch(shape: &Shape, arrays: &[Arrays; 2], parameters: &[f32], position: [f32; 3]) {
+    let along = Factors::along(shape, position);
+    for arrays in arrays {
+        let (planes, width) = (&parameters[arrays.planes.clone()], shape.components(arrays.kind));
+        for plane in 0..shape.planes() {
+            let (first, [columns, _]) = (corners(shape, plane, &along).0, shape.plane(plane));
+            for at in [first, first + columns] {
+                for line in (0..2 * width).step_by(LANES) {
+                    fetch(planes.as_ptr().wrapping_add(at * width + line));
+                }
+            }
+        }
+    }
+}
+
+/// Adds gradients of lines to a deposit, and stores those of planes by sample.
+struct Pull<'a> {
+    shape: &'a Shape,
+    arrays: &'a [Arrays; 2],
+    parameters: &'a [f32],
+    spheres: &'a [Sphere],
+    rows: &'a [f32],
+    stride: usize,
+    gradient: &'a mut Gradient,
+}
+
+impl Kernel for Pull<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { shape, arrays, parameters, spheres, rows, stride, gradient } = self;
+        let width_of_all: usize = KINDS.iter().map(|kind| shape.features(*kind)).sum();
+        let Gradient { places, rows: kept, lines: line_gradients, .. } = gradient;
+        let first = places.len().saturating_sub(spheres.len());
+        for (i, (sphere, row)) in spheres.iter().zip(rows.chunks_exact(stride)).enumerate() {
+            let along = Factors::along(shape, sphere.position);
+            let mut column = 0;
+            for (arrays, by_lines) in arrays.iter().zip(&mut *line_gradients) {
+                let width = shape.components(arrays.kind);
+                let (planes, lines) = (&parameters[arrays.planes.clone()], &parameters[arrays.lines.clone()]);
+                let mut add = |l: usize, group: usize, value: L| {
+                    let (lower, upper) = along[LINE_AXES[l]];
+                    let at = (shape.line_start(l) + lower) * width + group;
+                    for (at, weight) in [(at, 1.0 - upper), (at + width, upper)] {
+                        let sum = &mut by_lines[at..].as_chunks_mut().0[0];
+                        L::splat(weight).mul_add(value, L::of(sum)).put(sum);
+                    }
+                };
+                let line = |l: usize, group| {
+                    line_value::<L>(lines, shape.line_start(l), width, along[LINE_AXES[l]], group)
+                };
+                for plane in 0..shape.planes() {
+                    let (corners, [columns, _]) = (corners(shape, plane, &along), shape.plane(plane));
+                    for group in (0..width).step_by(LANES) {
+                        let by_feature: L = lanes(row, column);
+                        add(
+                            plane,
+                            group,
+                            by_feature.times(plane_value(planes, columns, width, corners, group)),
+                        );
+                        let kept = &mut kept[(first + i) * width_of_all + column..].as_chunks_mut().0[0];
+                        by_feature.times(line(plane, group)).put(kept);
+                        column += LANES;
+                    }
+                }
+                if shape.planes() == 0 {
+                    for group in (0..width).step_by(LANES) {
+                        let by_feature: L = lanes(row, column);
+                        let [a, b, c] = [0, 1, 2].map(|l| line(l, group));
+                        add(0, group, by_feature.times(b).times(c));
+                        add(1, group, by_feature.times(a).times(c));
+                        add(2, group, by_feature.times(a).times(b));
+                        column += LANES;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A band of rows of a plane.
+struct Band<'a> {
+    plane: usize,
+    band: usize,
+    /// First row.
+    first: usize,
+    /// Column of the plane's first component in a row of gradients.
+    column: usize,
+    components: usize,
+    values: &'a mut [f32],
+}
+
+/// Sums the gradients of a band, deposit by deposit and sample by sample.
+struct Add<'a> {
+    shape: &'a Shape,
+    from: &'a [&'a mut Gradient],
+    /// Floats in a row of gradients.
+    width: usize,
+    band: Band<'a>,
+}
+
+impl Kernel for Add<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        let Self { shape, from, width, band: Band { plane, band, first, column, components, values } } = self;
+        values.fill(0.0);
+        let [columns, rows] = shape.plane(plane);
+        for gradient in from {
+            for &index in &gradient.bands[plane * BANDS + band] {
+                let along = Factors::along(shape, gradient.places[index as usize]);
+                let [(left, right), (row, up)] = PLANE_AXES[plane].map(|axis| along[axis]);
+                let by_value = &gradient.rows[index as usize * width + column..][..components];
+                for (row, up) in [(row, 1.0 - up), (row + 1, up)] {
+                    if owner(row, rows) != band {
+                        continue;
+                    }
+                    for (at, right) in [(left, 1.0 - right), (left + 1, right)] {
+                        let texel = &mut values[((row - first) * columns + at) * components..][..components];
+                        let weight = L::splat(up * right);
+                        let pairs = texel.as_chunks_mut().0.iter_mut().zip(by_value.as_chunks().0);
+                        for (sum, value) in pairs {
+                            weight.mul_add(L::of(value), L::of(sum)).put(sum);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
