@@ -99,6 +99,13 @@ fn wide_hash_grid() -> Config {
     config
 }
 
+/// The same with features of narrow cells weighed down, read at one point or six.
+pub fn small_zip(points: u32) -> Config {
+    let mut config = small_hash_grid();
+    (config.hash_grid.points, config.hash_grid.downweight) = (points, true);
+    config
+}
+
 /// The same with ripmaps on six planes, three levels along each axis.
 fn small_rip_map() -> Config {
     let (mut config, defaults) = (small(), Config::default());
@@ -150,6 +157,17 @@ fn small_lines() -> Config {
     config
 }
 
+/// The same with positional encodings: plain, or integrated over the Gaussian of a sample.
+fn small_frequencies(integrated: bool) -> Config {
+    let (mut config, defaults) = (small(), Config::default());
+    config.encoder = EncoderConfig { kind: EncoderKind::Frequencies, ..defaults.encoder };
+    config.optimizer.plane_scale = defaults.optimizer.plane_scale;
+    let frequencies = &mut config.frequencies;
+    (frequencies.count, frequencies.integrated, frequencies.identity) = (7, integrated, !integrated);
+    (config.field.density_layers, config.field.joined, config.field.biases) = (3, 2, true);
+    config
+}
+
 /// The planes under networks like NeRF's: biases, the input joined again, another width for colour, a rectified density.
 pub fn nerf_networks() -> Config {
     let mut config = small();
@@ -178,21 +196,31 @@ pub fn encoded(config: Config, by: &Config) -> Config {
     let (encoder, hash_grid, rip_map) = (by.encoder.clone(), by.hash_grid.clone(), by.rip_map.clone());
     // Features that sum up to the density need networks of their own.
     let field = if by.encoder.kind == EncoderKind::Tensor { by.field.clone() } else { config.field };
-    Config { encoder, hash_grid, rip_map, tensor: by.tensor.clone(), field, optimizer, ..config }
+    Config {
+        encoder,
+        hash_grid,
+        rip_map,
+        tensor: by.tensor.clone(),
+        frequencies: by.frequencies.clone(),
+        field,
+        optimizer,
+        ..config
+    }
 }
 
 /// A small configuration for each encoder.
 pub fn every_encoder() -> Vec<Config> {
-    vec![small(), small_hash_grid(), small_rip_map(), small_tensor()]
+    vec![small(), small_hash_grid(), small_rip_map(), small_tensor(), small_frequencies(true)]
 }
 
 /// The same, and variants of them that compute their features another way.
 pub fn every_variant() -> Vec<Config> {
     let mut all = every_encoder();
     all.push(wide_hash_grid());
+    all.extend([small_zip(1), small_zip(6)]);
     all.push(with_level());
     all.extend(other_rip_maps());
-    all.extend([small_lines(), nerf_networks()]);
+    all.extend([small_lines(), nerf_networks(), small_frequencies(false)]);
     all
 }
 

@@ -11,7 +11,9 @@ pub use choices::{
     Format, HybridRule, LevelFormula, LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs, PixelStore,
     PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
-pub use encoders::{EncoderConfig, EncoderKind, HashGridConfig, RipMapConfig, TensorConfig};
+pub use encoders::{
+    EncoderConfig, EncoderKind, FrequenciesConfig, HashGridConfig, RipMapConfig, TensorConfig,
+};
 pub use sections::{
     DataConfig, EvalConfig, FieldConfig, FileConfig, HybridConfig, LossConfig, OccupancyConfig,
     OptimizerConfig, PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
@@ -49,6 +51,8 @@ pub struct Config {
     pub rip_map: RipMapConfig,
     /// Factored tensors.
     pub tensor: TensorConfig,
+    /// The positional encoding.
+    pub frequencies: FrequenciesConfig,
     /// The networks.
     pub field: FieldConfig,
     /// Marching and compositing.

@@ -2,18 +2,22 @@
 //! cell around a position, one after the other.
 
 use super::{Literal, Sample};
+use glam::DVec3;
 use trimip_core::{Config, config::HashGridConfig};
 
 /// A hash grid and its parameters.
 pub struct HashGrid {
     config: HashGridConfig,
+    extent: [f64; 3],
     table: Vec<f64>,
 }
 
 impl HashGrid {
     /// `table`: the entries of all levels, coarse to fine, `features` values each.
     pub fn new(config: &Config, table: Vec<f64>) -> Self {
-        Self { config: config.hash_grid.clone(), table }
+        let side =
+            |axis: usize| f64::from(config.scene.aabb_max[axis]) - f64::from(config.scene.aabb_min[axis]);
+        Self { config: config.hash_grid.clone(), extent: [0, 1, 2].map(side), table }
     }
 
     /// Number of cells across the box minus one, corners along a side, and entries of a level.
@@ -32,32 +36,86 @@ impl HashGrid {
     }
 }
 
+/// erf(x) by its Maclaurin series, or by its continued fraction for large x.
+fn erf(x: f64) -> f64 {
+    let unit = 2.0 / std::f64::consts::PI.sqrt();
+    if x < 3.0 {
+        let (mut term, mut sum) = (x, x);
+        for n in 1..200 {
+            term *= -x * x / f64::from(n);
+            sum += term / f64::from(2 * n + 1);
+        }
+        return unit * sum;
+    }
+    let fraction = (1..60).rev().fold(x, |below, n| x + f64::from(n) / 2.0 / below);
+    1.0 - (-x * x).exp() / std::f64::consts::PI.sqrt() / fraction
+}
+
+impl HashGrid {
+    /// Places in the unit cube, and standard deviations in longest sides of the box (Zip-NeRF, Section 2).
+    fn points(&self, sample: &Sample) -> Vec<([f64; 3], f64)> {
+        let longest = self.extent.into_iter().fold(0.0, f64::max);
+        let deviation = |radius: f64| 0.5 * radius / 2_f64.sqrt() / longest;
+        if self.config.points == 1 {
+            return vec![(sample.position, deviation(sample.radius))];
+        }
+        let d = DVec3::from(sample.direction);
+        // Two directions across the ray (Duff et al. 2017): x and y, turned as z or −z is into the ray.
+        let sign = if d.z < 0.0 { -1.0 } else { 1.0 };
+        let turned = |e: DVec3| {
+            let axis = DVec3::Z * sign + d;
+            2.0 * axis * axis.dot(e) / axis.length_squared() - e
+        };
+        let (u, v) = (-turned(DVec3::X), -sign * turned(DVec3::Y));
+        let (s, h) = (sample.t, (0.5 * sample.length).min(sample.t));
+        let (t0, t1) = (s - h, s + h);
+        let angles = [0.0, 2.0, 4.0, 3.0, 5.0, 1.0].map(|sixth| sixth * std::f64::consts::PI / 3.0);
+        let point = |(j, angle): (usize, &f64)| {
+            let root = ((h * h - s * s).powi(2) + 4.0 * s.powi(4)).sqrt();
+            let share = 3.0 / 7_f64.sqrt() * (2.0 * j as f64 / 5.0 - 1.0);
+            let z = t0 + h / (h * h + 3.0 * s * s) * (t1 * t1 + 2.0 * s * s + share * root);
+            let radius = sample.radius / s * z;
+            let offset = (z - s) * d + radius / 2_f64.sqrt() * (angle.cos() * u + angle.sin() * v);
+            let place = [0, 1, 2].map(|i| (sample.position[i] + offset[i] / self.extent[i]).clamp(0.0, 1.0));
+            (place, deviation(radius))
+        };
+        angles.iter().enumerate().map(point).collect()
+    }
+}
+
 impl Literal for HashGrid {
-    fn features(&self, &Sample { position, .. }: &Sample) -> Vec<f64> {
+    fn features(&self, sample: &Sample) -> Vec<f64> {
+        let points = self.points(sample);
         let width = self.config.features as usize;
         let mut features = Vec::new();
         let mut first = 0;
         for level in 0..self.config.levels {
             let (scale, side, entries) = self.level(level);
             let mut sum = vec![0.0; width];
-            for corner in 0..8_u64 {
-                let (mut at, mut weight) = ([0_u64; 3], 1.0);
-                for axis in 0..3 {
-                    let place = position[axis] * scale + 0.5;
-                    let upper = corner >> axis & 1;
-                    at[axis] = place.floor() as u64 + upper;
-                    let fraction = place - place.floor();
-                    weight *= if upper == 1 { fraction } else { 1.0 - fraction };
-                }
-                let [x, y, z] = at;
-                let entry = if side.pow(3) > 1 << self.config.log2_entries {
-                    let times = |a: u64, prime: u64| (a * prime) & 0xffff_ffff;
-                    (x ^ times(y, 2_654_435_761) ^ times(z, 805_459_861)) % entries
-                } else {
-                    (x + side * y + side * side * z) % entries
+            for (position, deviation) in &points {
+                let share = match self.config.downweight {
+                    true if *deviation > 0.0 => erf(1.0 / (8.0 * (deviation * (scale + 1.0)).powi(2)).sqrt()),
+                    _ => 1.0,
                 };
-                for (f, sum) in sum.iter_mut().enumerate() {
-                    *sum += weight * self.table[(first + entry) as usize * width + f];
+                for corner in 0..8_u64 {
+                    let (mut at, mut weight) = ([0_u64; 3], share / points.len() as f64);
+                    for axis in 0..3 {
+                        let place = position[axis] * scale + 0.5;
+                        let upper = corner >> axis & 1;
+                        at[axis] = place.floor() as u64 + upper;
+                        let fraction = place - place.floor();
+                        weight *= if upper == 1 { fraction } else { 1.0 - fraction };
+                    }
+                    let [x, y, z] = at;
+                    let entry = if side.pow(3) > 1 << self.config.log2_entries {
+                        let times = |a: u64, prime: u64| (a * prime) & 0xffff_ffff;
+                        (x ^ times(y, 2_654_435_761) ^ times(z, 805_459_861)) % entries
+                    } else {
+                        (x + side * y + side * side * z) % entries
+                    };
+                    for (f, sum) in sum.iter_mut().enumerate() {
+                        *sum += weight * self.table[(first + entry) as usize * width + f];
+                    }
                 }
             }
             features.extend(sum);

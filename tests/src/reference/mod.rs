@@ -5,6 +5,7 @@
 mod adamw;
 pub mod contraction;
 pub mod distortion;
+mod frequencies;
 mod harmonics;
 mod hash_grid;
 mod rip_map;
@@ -13,6 +14,7 @@ mod tensor;
 mod tri_mip;
 
 pub use adamw::{changes, moments};
+pub use frequencies::Frequencies;
 pub use harmonics::harmonics;
 pub use hash_grid::HashGrid;
 pub use rip_map::RipMap;
@@ -100,6 +102,7 @@ impl Reference {
             EncoderKind::HashGrid => Box::new(HashGrid::new(config, first)),
             EncoderKind::RipMap => Box::new(RipMap::new(config, first)),
             EncoderKind::Tensor => Box::new(Tensor::new(config, all)),
+            EncoderKind::Frequencies => Box::new(Frequencies::new(config)),
         };
         let network = |name: &str| {
             let mut layers: Vec<Layer> = Vec::new();

@@ -2,7 +2,7 @@
 
 use super::{Bench, wide};
 use crate::{
-    fixtures::{Draw, every_encoder, lively, nerf_networks, noise, small},
+    fixtures::{Draw, every_encoder, lively, nerf_networks, noise, small, small_zip},
     reference::{Reference, Sample, Seen, bf16, kept},
 };
 use trimip_core::schedule::Schedule;
@@ -75,6 +75,7 @@ fn configurations() -> Vec<(&'static str, Config)> {
     ];
     let others = every_encoder().into_iter().filter(|config| config.encoder.kind != EncoderKind::TriMip);
     all.extend(others.map(|config| ("another encoder", config)));
+    all.push(("six points", small_zip(6)));
     all
 }
 

@@ -18,6 +18,8 @@ pub enum EncoderKind {
     RipMap,
     /// Factored tensors (TensoRF), settings in `[tensor]`.
     Tensor,
+    /// Positional encoding (NeRF), plain or integrated (mip-NeRF), settings in `[frequencies]`.
+    Frequencies,
 }
 
 impl EncoderKind {
@@ -39,6 +41,7 @@ impl EncoderKind {
             Some(("hash_grid", _)) => Some(Self::HashGrid),
             Some(("rip_map", _)) => Some(Self::RipMap),
             Some(("tensor", _)) => Some(Self::Tensor),
+            Some(("frequencies", _)) => Some(Self::Frequencies),
             _ => None,
         }
     }
@@ -54,7 +57,7 @@ section!(
 section!(
     /// The multiresolution hash grid.
     HashGridConfig, "hash_grid" {
-        levels: u32, features: u32, log2_entries: u32, coarsest: u32, finest: u32, init_range: f32, rate: f64,
+        levels: u32, features: u32, log2_entries: u32, coarsest: u32, finest: u32, points: u32, downweight: bool, init_range: f32, rate: f64,
     }
 );
 section!(
@@ -64,6 +67,10 @@ section!(
     }
 );
 
+section!(
+    /// The positional encoding.
+    FrequenciesConfig, "frequencies" { count: u32, integrated: bool, identity: bool }
+);
 section!(
     /// The factors of the tensors.
     TensorConfig, "tensor" {
@@ -101,6 +108,7 @@ impl EncoderConfig {
 impl HashGridConfig {
     pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check([1, 2, 4, 8].contains(&self.features), "hash_grid.features", "1, 2, 4 or 8")?;
+        to.check([1, 6].contains(&self.points), "hash_grid.points", "1 or 6")?;
         to.check(self.coarsest <= self.finest, "hash_grid.finest", "hash_grid.coarsest to 65536")
     }
 }

@@ -1,11 +1,16 @@
 //! Multiresolution hash encoding (Müller et al. 2022, instant-ngp). Each level is a grid, finer than the one before
 //! by a constant factor, with features at its corners, which are interpolated trilinearly. On fine levels several
-//! corners share an entry through a hash. Radii are not used.
+//! corners share an entry through a hash. Radii are not used, unless several points of a sample read the grid or features of
+//! cells narrower than a sample are weighed down (Barron et al. 2023, Zip-NeRF).
+
+mod points;
+
+pub use points::{Points, share};
 
 use super::{Definition, Place, Twin};
 use crate::config::HashGridConfig;
 use crate::scalar::Real;
-use crate::{Config, Slot};
+use crate::{Aabb, Config, Slot};
 
 /// Factors of a corner's coordinates in its hash (instant-ngp, Eq. 4).
 pub const PRIMES: [u32; 3] = [1, 2_654_435_761, 805_459_861];
@@ -104,14 +109,21 @@ impl Level {
 impl Definition for HashGrid {
     fn describe(&self, config: &Config) -> String {
         let grid = &config.hash_grid;
+        let points =
+            if grid.points > 1 { format!(", read at {} points", grid.points) } else { String::new() };
         format!(
-            "hash grid of {} levels from {}³ to {}³ corners, at most 2^{} entries of {} features each",
+            "hash grid of {} levels from {}³ to {}³ corners, at most 2^{} entries of {} features each{points}",
             grid.levels, grid.coarsest, grid.finest, grid.log2_entries, grid.features
         )
     }
 
     fn width(&self, config: &Config) -> usize {
         Levels::new(&config.hash_grid).width()
+    }
+
+    fn tape(&self, config: &Config) -> usize {
+        let points = Points::<f64>::new(&config.hash_grid, &Aabb::new(&config.scene));
+        if points.is_plain() { 0 } else { 4 * points.count }
     }
 
     fn slots(&self, config: &Config) -> Vec<Slot> {
@@ -126,13 +138,18 @@ impl Definition for HashGrid {
     }
 
     fn twin(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Twin> {
-        Box::new(GridTwin { levels: Levels::new(&config.hash_grid), table: values.swap_remove(0) })
+        Box::new(GridTwin {
+            levels: Levels::new(&config.hash_grid),
+            points: Points::new(&config.hash_grid, &Aabb::new(&config.scene)),
+            table: values.swap_remove(0),
+        })
     }
 }
 
 /// The hash grid in f64.
 struct GridTwin {
     levels: Levels,
+    points: Points<f64>,
     table: Vec<f64>,
 }
 
@@ -140,10 +157,15 @@ impl Twin for GridTwin {
     fn features(&self, at: &Place) -> Vec<f64> {
         let width = self.levels.features;
         let mut features = vec![0.0; self.levels.width()];
-        for (level, out) in self.levels.levels.iter().zip(features.chunks_exact_mut(width)) {
-            for (entry, weight) in level.corners(at.position) {
-                let row = &self.table[entry as usize * width..][..width];
-                out.iter_mut().zip(row).for_each(|(sum, value)| *sum += weight * value);
+        for j in 0..self.points.count {
+            let [x, y, z, deviation] =
+                self.points.point(j, at.position, at.radius, at.direction, at.t, at.length);
+            for (level, out) in self.levels.levels.iter().zip(features.chunks_exact_mut(width)) {
+                let share = self.points.share(level, deviation);
+                for (entry, weight) in level.corners([x, y, z]) {
+                    let row = &self.table[entry as usize * width..][..width];
+                    out.iter_mut().zip(row).for_each(|(sum, value)| *sum += share * weight * value);
+                }
             }
         }
         features

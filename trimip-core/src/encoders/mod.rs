@@ -1,6 +1,7 @@
 //! The encoders by name, and what core knows of each without a backend. An encoder is a folder or file here (its
 //! declaration, its mathematics, its twin in f64), a file in each backend, and a line in `ALL`.
 
+pub mod frequencies;
 pub mod hash_grid;
 pub mod rip_map;
 pub mod tensor;
@@ -109,6 +110,7 @@ const ALL: &[(EncoderKind, &dyn Definition)] = &[
     (EncoderKind::HashGrid, &hash_grid::HashGrid),
     (EncoderKind::RipMap, &rip_map::RipMap),
     (EncoderKind::Tensor, &tensor::Tensors),
+    (EncoderKind::Frequencies, &frequencies::Frequencies),
 ];
 
 /// The encoder of a configuration.

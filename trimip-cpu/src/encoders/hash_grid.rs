@@ -5,27 +5,38 @@ use super::{Encoding, Left, Places};
 use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
-use trimip_core::Config;
-use trimip_core::batch::Sphere;
-use trimip_core::encoders::hash_grid::{Level, Levels};
+use trimip_core::encoders::hash_grid::{Level, Levels, Points};
+use trimip_core::{Aabb, Config};
 
 /// Levels of the grid and the instruction set.
 pub(crate) struct Grid {
     simd: Simd,
     levels: Levels,
+    points: Points<f32>,
 }
 
-/// Positions of samples and the gradients of their features, [samples, width].
+/// A place in the unit cube, and the standard deviation around it in longest sides of the box.
+type Point = [f32; 4];
+
+/// The points of samples and the gradients of their features, [samples, width].
 pub(crate) struct Gradient {
-    places: Buffer<[f32; 3]>,
+    places: Buffer<Point>,
     rows: Buffer<f32>,
+}
+
+impl Grid {
+    /// The points of a span's samples, which are the tape unless a sample is read at its centre alone.
+    fn points<'a>(&self, at: Places<'a>, tape: &'a [f32]) -> &'a [Point] {
+        if self.points.is_plain() { bytemuck::cast_slice(at.spheres) } else { tape.as_chunks().0 }
+    }
 }
 
 impl Encoding for Grid {
     type Gradient = Gradient;
 
     fn new(simd: Simd, config: &Config, _training: bool) -> Self {
-        Self { simd, levels: Levels::new(&config.hash_grid) }
+        let points = Points::new(&config.hash_grid, &Aabb::new(&config.scene));
+        Self { simd, levels: Levels::new(&config.hash_grid), points }
     }
 
     fn gradient(&self) -> Gradient {
@@ -36,16 +47,34 @@ impl Encoding for Grid {
         &self,
         parameters: &[f32],
         at: Places<'_>,
-        _: &mut [f32],
+        tape: &mut [f32],
         features: &mut [f32],
         stride: usize,
     ) {
-        let (levels, spheres) = (&self.levels, at.spheres);
+        if !self.points.is_plain() {
+            let rows = tape.as_chunks_mut::<4>().0.chunks_exact_mut(self.points.count);
+            for (((owner, interval), sphere), row) in
+                at.owners.iter().zip(at.intervals).zip(at.spheres).zip(rows)
+            {
+                let direction = at.rays[*owner as usize].direction;
+                for (j, point) in row.iter_mut().enumerate() {
+                    *point = self.points.point(
+                        j,
+                        sphere.position,
+                        sphere.radius,
+                        direction,
+                        interval.t,
+                        interval.length,
+                    );
+                }
+            }
+        }
+        let (levels, reads, places) = (&self.levels, &self.points, self.points(at, tape));
         match levels.features {
-            1 => self.simd.run(Read::<1> { levels, table: parameters, spheres, features, stride }),
-            2 => self.simd.run(Read::<2> { levels, table: parameters, spheres, features, stride }),
-            4 => self.simd.run(Read::<4> { levels, table: parameters, spheres, features, stride }),
-            _ => self.simd.run(Read::<8> { levels, table: parameters, spheres, features, stride }),
+            1 => self.simd.run(Read::<1> { levels, reads, table: parameters, places, features, stride }),
+            2 => self.simd.run(Read::<2> { levels, reads, table: parameters, places, features, stride }),
+            4 => self.simd.run(Read::<4> { levels, reads, table: parameters, places, features, stride }),
+            _ => self.simd.run(Read::<8> { levels, reads, table: parameters, places, features, stride }),
         }
     }
 
@@ -53,23 +82,23 @@ impl Encoding for Grid {
         &self,
         _: &[f32],
         at: Places<'_>,
-        _: &[f32],
+        tape: &[f32],
         rows: &[f32],
         stride: usize,
         gradient: &mut Gradient,
     ) {
-        let spheres = at.spheres;
-        let (first, width) = (gradient.places.len(), self.levels.width());
-        gradient.places.resize(first + spheres.len());
-        gradient.rows.resize((first + spheres.len()) * width);
-        let places = gradient.places[first..].iter_mut().zip(spheres);
-        places.for_each(|(place, sphere)| *place = sphere.position);
-        let own = gradient.rows[first * width..].chunks_exact_mut(width).zip(rows.chunks_exact(stride));
+        let (first, width) = (gradient.rows.len(), self.levels.width());
+        gradient.rows.resize(first + at.spheres.len() * width);
+        let own = gradient.rows[first..].chunks_exact_mut(width).zip(rows.chunks_exact(stride));
         own.for_each(|(own, row)| own.copy_from_slice(&row[..width]));
+        let points = self.points(at, tape);
+        let first = gradient.places.len();
+        gradient.places.resize(first + points.len());
+        gradient.places[first..].copy_from_slice(points);
     }
 
     fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
-        let Self { simd, levels: Levels { levels, features } } = self;
+        let Self { simd, levels: Levels { levels, features }, points } = self;
         let (mut rest, width) = (parameter_gradient, levels.len() * *features);
         let tables = levels.iter().map(|level| take_mut(&mut rest, level.entries as usize * *features));
         let work: Vec<(usize, &mut [f32])> = tables.enumerate().collect();
@@ -79,10 +108,10 @@ impl Encoding for Grid {
             let level = Level { first: 0, ..levels[index] };
             let column = index * *features;
             match *features {
-                1 => simd.run(Add::<1> { level, from, column, width, table }),
-                2 => simd.run(Add::<2> { level, from, column, width, table }),
-                4 => simd.run(Add::<4> { level, from, column, width, table }),
-                _ => simd.run(Add::<8> { level, from, column, width, table }),
+                1 => simd.run(Add::<1> { level, points, from, column, width, table }),
+                2 => simd.run(Add::<2> { level, points, from, column, width, table }),
+                4 => simd.run(Add::<4> { level, points, from, column, width, table }),
+                _ => simd.run(Add::<8> { level, points, from, column, width, table }),
             }
         });
         for gradient in gradients {
@@ -93,15 +122,18 @@ impl Encoding for Grid {
 
     fn left(config: &Config) -> Left {
         let width = Levels::new(&config.hash_grid).width();
-        Left { by_sample: width * size_of::<f32>() + size_of::<[f32; 3]>(), by_deposit: 0 }
+        let points = config.hash_grid.points as usize * size_of::<Point>();
+        Left { by_sample: width * size_of::<f32>() + points, by_deposit: 0 }
     }
 }
 
 /// Reads every level with trilinear interpolation.
 struct Read<'a, const F: usize> {
     levels: &'a Levels,
+    reads: &'a Points<f32>,
     table: &'a [f32],
-    spheres: &'a [Sphere],
+    /// The points of each sample.
+    places: &'a [Point],
     features: &'a mut [f32],
     stride: usize,
 }
@@ -110,16 +142,20 @@ impl<const F: usize> Kernel for Read<'_, F> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { levels, table, spheres, features, stride } = self;
+        let Self { levels, reads, table, places, features, stride } = self;
         let (entries, _) = table.as_chunks::<F>();
-        for (sphere, row) in spheres.iter().zip(features.chunks_exact_mut(stride)) {
+        let plain = reads.is_plain();
+        for (points, row) in places.chunks_exact(reads.count).zip(features.chunks_exact_mut(stride)) {
             let (read, padding) = row.split_at_mut(levels.width());
             padding.fill(0.0);
             for (level, out) in levels.levels.iter().zip(read.as_chunks_mut::<F>().0) {
                 let mut sum = [0.0; F];
-                for (entry, weight) in level.corners(sphere.position) {
-                    let values = &entries[entry as usize];
-                    (0..F).for_each(|i| sum[i] += weight * values[i]);
+                for [x, y, z, deviation] in points {
+                    let share = if plain { 1.0 } else { reads.share(level, *deviation) };
+                    for (entry, weight) in level.corners([*x, *y, *z]) {
+                        let values = &entries[entry as usize];
+                        (0..F).for_each(|i| sum[i] += share * weight * values[i]);
+                    }
                 }
                 *out = sum;
             }
@@ -130,6 +166,7 @@ impl<const F: usize> Kernel for Read<'_, F> {
 /// Adds the gradients of one level, deposit by deposit and sample by sample.
 struct Add<'a, const F: usize> {
     level: Level,
+    points: &'a Points<f32>,
     from: &'a [&'a mut Gradient],
     /// Column of the level's first feature in a row.
     column: usize,
@@ -142,14 +179,19 @@ impl<const F: usize> Kernel for Add<'_, F> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { level, from, column, width, table } = self;
+        let Self { level, points, from, column, width, table } = self;
         let (entries, _) = table.as_chunks_mut::<F>();
+        let plain = points.is_plain();
         for gradient in from {
-            for (place, row) in gradient.places.iter().zip(gradient.rows.chunks_exact(width)) {
+            let samples = gradient.places.chunks_exact(points.count);
+            for (places, row) in samples.zip(gradient.rows.chunks_exact(width)) {
                 let row = &row[column..column + F];
-                for (entry, weight) in level.corners(*place) {
-                    let values = &mut entries[entry as usize];
-                    (0..F).for_each(|i| values[i] += weight * row[i]);
+                for [x, y, z, deviation] in places {
+                    let share = if plain { 1.0 } else { points.share(&level, *deviation) };
+                    for (entry, weight) in level.corners([*x, *y, *z]) {
+                        let values = &mut entries[entry as usize];
+                        (0..F).for_each(|i| values[i] += share * weight * row[i]);
+                    }
                 }
             }
         }

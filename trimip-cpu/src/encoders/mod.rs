@@ -1,6 +1,7 @@
 //! The encoders on the CPU: each is a file or folder here with an [`Encoding`], registered in `encoder.rs`.
 
 mod bands;
+pub mod frequencies;
 pub mod hash_grid;
 pub mod rip_map;
 pub mod tensor;

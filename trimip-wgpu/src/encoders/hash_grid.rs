@@ -4,12 +4,12 @@ use super::{Encoding, Left, Places, SETTLE_ENTRIES, whole};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
 use crate::kernel::Access::{self, Parameters, Read, Write};
-use crate::kernel::{ADD_ATOMIC, ADD_EXCHANGE, ADD_FIXED, Addition, FIXED, GRID, Kernel};
+use crate::kernel::{ADD_ATOMIC, ADD_EXCHANGE, ADD_FIXED, Addition, FIXED, GRID, Kernel, RAY};
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
-use trimip_core::encoders::hash_grid::{Levels, PRIMES};
+use trimip_core::encoders::hash_grid::{Levels, PRIMES, Points};
 use trimip_core::params::ALIGNMENT;
-use trimip_core::{Config, encoders};
+use trimip_core::{Aabb, Config, encoders};
 
 const HASH: &str = include_str!("shaders/hash_grid.wgsl");
 const READING: &[&str] = &[GRID, HASH, include_str!("shaders/hash_read.wgsl")];
@@ -18,20 +18,29 @@ const ADDING_FIXED: &[&str] = &[GRID, HASH, FIXED, ADD_FIXED, ADDING];
 const ADDING_ATOMIC: &[&str] = &[GRID, HASH, ADD_ATOMIC, ADDING];
 const ADDING_EXCHANGE: &[&str] = &[GRID, HASH, ADD_EXCHANGE, ADDING];
 
-/// Constants of the kernels for entries of `features` floats.
-fn constants(features: u32) -> [(&'static str, u32); 3] {
+/// Constants of the kernels for entries of `features` floats, read at the points of a sample.
+fn constants(features: u32, points: &Points<f32>) -> [(&'static str, u32); 5] {
     let [_, y, z] = PRIMES;
-    [("FEATURES", features), ("PRIME_Y", y), ("PRIME_Z", z)]
+    let weighted = u32::from(points.downweight);
+    let points = points.count as u32;
+    [("FEATURES", features), ("POINTS", points), ("WEIGHTED", weighted), ("PRIME_Y", y), ("PRIME_Z", z)]
 }
 
+/// Computes the points of samples.
+static PREPARE: Kernel = Kernel::new(
+    "hash_points",
+    &[GRID, RAY, include_str!("shaders/hash_points.wgsl")],
+    &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read), (6, Read)],
+);
+
 /// The kernel of trilinear reads.
-fn read(features: u32) -> Kernel {
+fn read(features: u32, points: &Points<f32>) -> Kernel {
     let bindings = &[(0, Read), (1, Read), (2, Parameters), (4, Write), (5, Read), (9, Read)];
-    Kernel::new("hash_read", READING, bindings).with(&constants(features))
+    Kernel::new("hash_read", READING, bindings).with(&constants(features, points))
 }
 
 /// The kernel that adds gradients of entries.
-fn add(features: u32, addition: Addition) -> Kernel {
+fn add(features: u32, points: &Points<f32>, addition: Addition) -> Kernel {
     const FLOATS: &[(u32, Access)] =
         &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (9, Read)];
     const WORDS: &[(u32, Access)] =
@@ -41,7 +50,7 @@ fn add(features: u32, addition: Addition) -> Kernel {
         Addition::Atomic => Kernel::new("hash_add", ADDING_ATOMIC, FLOATS),
         Addition::Exchange => Kernel::new("hash_add", ADDING_EXCHANGE, FLOATS),
     };
-    kernel.with(&constants(features))
+    kernel.with(&constants(features, points))
 }
 
 /// A level in the layout of the shaders.
@@ -63,10 +72,20 @@ struct Params {
     counter: u32,
 }
 
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Preparing {
+    extent: [f32; 3],
+    longest: f32,
+    points: u32,
+    counter: u32,
+}
+
 /// The levels, and room for gradients in fixed point.
 pub(crate) struct Grid {
     gpu: Arc<Gpu>,
     features: u32,
+    points: Points<f32>,
     levels: Buffer<Level>,
     count: u32,
     stride: u32,
@@ -107,6 +126,7 @@ impl Encoding for Grid {
         Self {
             gpu: Arc::clone(gpu),
             features: grid.features as u32,
+            points: Points::new(&config.hash_grid, &Aabb::new(&config.scene)),
             levels,
             count: grid.levels.len() as u32,
             stride: encoders::stride(config) as u32,
@@ -117,11 +137,30 @@ impl Encoding for Grid {
         }
     }
 
-    fn forward(&self, parameters: &Buffer<f32>, at: &Places, _: &Buffer<f32>, features: &Buffer<f32>) {
+    fn forward(&self, parameters: &Buffer<f32>, at: &Places, tape: &Buffer<f32>, features: &Buffer<f32>) {
         let (table, rows) = (parameters.part(0, self.length), &at.rows);
-        let binds = [table, whole(&at.spheres), features.bind(), rows.bind(), self.levels.bind()];
+        if !self.points.is_plain() {
+            let binds = [
+                whole(&at.rays),
+                whole(&at.owners),
+                whole(&at.intervals),
+                tape.bind(),
+                rows.bind(),
+                whole(&at.spheres),
+            ];
+            let points = self.points.count as u32;
+            let preparing = Preparing {
+                extent: self.points.extent,
+                longest: self.points.longest,
+                points,
+                counter: rows.counter,
+            };
+            self.gpu.dispatch(&PREPARE, &binds, &preparing, rows.dispatch(points, GROUP));
+        }
+        let places = if self.points.is_plain() { whole(&at.spheres) } else { tape.bind() };
+        let binds = [table, places, features.bind(), rows.bind(), self.levels.bind()];
         let size = rows.dispatch(self.count, GROUP);
-        self.gpu.dispatch(&read(self.features), &binds, &self.params(rows.counter), size);
+        self.gpu.dispatch(&read(self.features, &self.points), &binds, &self.params(rows.counter), size);
     }
 
     fn flush(
@@ -136,13 +175,14 @@ impl Encoding for Grid {
         let fixed = self.addition == Addition::Fixed;
         for left in deposits {
             let (table, rows) = (parameter_gradient.part(0, self.length), &left.at.rows);
-            let mut binds = vec![whole(&left.gradients), whole(&left.at.spheres), table, rows.bind()];
+            let places = if self.points.is_plain() { &left.at.spheres } else { &left.tape };
+            let mut binds = vec![whole(&left.gradients), whole(places), table, rows.bind()];
             if fixed {
                 binds.push(self.high.bind());
                 binds.push(whole(&self.skipped));
             }
             binds.push(self.levels.bind());
-            let kernel = add(self.features, self.addition);
+            let kernel = add(self.features, &self.points, self.addition);
             let size = rows.dispatch(self.count, GROUP);
             self.gpu.dispatch(&kernel, &binds, &self.params(rows.counter), size);
         }
@@ -155,8 +195,18 @@ impl Encoding for Grid {
 
     #[cfg(test)]
     fn kernels() -> Vec<Kernel> {
-        let features = [1, 2, 4, 8].into_iter();
-        let of = |f| [read(f), add(f, Addition::Fixed), add(f, Addition::Atomic), add(f, Addition::Exchange)];
-        features.flat_map(of).chain([SETTLE_ENTRIES.clone()]).collect()
+        let points = [(1, false), (1, true), (6, true)].map(|(count, downweight)| Points {
+            count,
+            downweight,
+            extent: [1.0; 3],
+            longest: 1.0,
+        });
+        let variants = [1, 2, 4, 8].into_iter().flat_map(|f| points.map(|points| (f, points)));
+        let ways = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
+        let of = |(f, points): (u32, Points<f32>)| {
+            let adding = ways.map(|way| add(f, &points, way));
+            adding.into_iter().chain([read(f, &points)])
+        };
+        variants.flat_map(of).chain([SETTLE_ENTRIES.clone(), PREPARE.clone()]).collect()
     }
 }

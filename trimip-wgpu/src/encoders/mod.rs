@@ -1,6 +1,7 @@
 //! The encoders on the GPU: each is a file here with an [`Encoding`] and its WGSL in `shaders`, registered in
 //! `encoder.rs`.
 
+pub mod frequencies;
 pub mod hash_grid;
 pub mod rip_map;
 pub mod tensor;
@@ -13,6 +14,9 @@ use crate::kernel::{Addition, FIXED, GRID, Kernel, OWN_FIXED};
 use crate::rows::Rows;
 use std::sync::Arc;
 use trimip_core::Config;
+
+/// Gaussians of samples.
+const GAUSSIANS: &str = include_str!("shaders/rip_gaussians.wgsl");
 
 /// Levels and texels of bilinear reads.
 const TEXELS: &str = include_str!("shaders/texels.wgsl");

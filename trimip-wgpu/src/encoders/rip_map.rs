@@ -1,7 +1,7 @@
 //! Ripmaps on the GPU. A ripmap holds a copy of its base, so that every level is read from one array. The Gaussians of
 //! the samples are the tape.
 
-use super::{Encoding, Left, Places, SETTLE_ENTRIES, TEXELS, whole};
+use super::{Encoding, GAUSSIANS, Left, Places, SETTLE_ENTRIES, TEXELS, whole};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
 use crate::kernel::Access::{self, Parameters, Read, Write};
@@ -12,7 +12,6 @@ use trimip_core::encoders::rip_map::{self, CHANNELS};
 use trimip_core::{Aabb, Config};
 
 const PLANES: &str = include_str!("shaders/rip_planes.wgsl");
-const GAUSSIANS: &str = include_str!("shaders/rip_gaussians.wgsl");
 const MAP: &str = include_str!("shaders/rip_map.wgsl");
 const ADD: &str = include_str!("shaders/rip_add.wgsl");
 const ADDING_FIXED: &[&str] = &[GRID, PLANES, GAUSSIANS, TEXELS, MAP, FIXED, ADD_FIXED, ADD];

@@ -10,7 +10,8 @@ fn density_of(kind: u32, x: f32) -> f32 {
     if kind == SOFTPLUS {
         let e = exp(-abs(x));
         // ln(1 + e) by its series where 1 + e loses the digits of e.
-        return max(x, 0.0) + select(log(1.0 + e), e - 0.5 * e * e, e < 1e-3);
+        let series = e * (1.0 - e * (1.0 / 2.0 - e * (1.0 / 3.0 - 0.25 * e)));
+        return max(x, 0.0) + select(log(1.0 + e), series, e < 0.03);
     }
     return max(x, 0.0);
 }

@@ -52,6 +52,7 @@ fn lowered_by(config: &Config, part: &str) -> &'static str {
             EncoderKind::HashGrid => "lower hash_grid.log2_entries",
             EncoderKind::RipMap => "lower rip_map.size",
             EncoderKind::Tensor => "lower tensor.sides",
+            EncoderKind::Frequencies => "lower field.hidden",
         },
     }
 }

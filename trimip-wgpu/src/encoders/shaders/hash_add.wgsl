@@ -2,7 +2,7 @@
 // addition.
 
 @group(0) @binding(0) var<storage, read> gradients: array<f32>;
-@group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> points: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
 
 @compute @workgroup_size(GROUP)
@@ -17,13 +17,17 @@ fn hash_add(
         return;
     }
     let level = i % params.levels;
-    let cell = cell_around(levels[level].scale, spheres[sample].xyz);
     let row = sample * params.stride + level * FEATURES;
-    for (var corner = 0u; corner < 8u; corner++) {
-        let weight = corner_weight(cell, corner);
-        let entry = corner_entry(levels[level], cell, corner);
-        for (var f = 0u; f < FEATURES; f++) {
-            add_base(entry * FEATURES + f, weight * gradients[row + f]);
+    for (var p = 0u; p < POINTS; p++) {
+        let point = points[POINTS * sample + p];
+        let share = share_of(levels[level].scale, point.w);
+        let cell = cell_around(levels[level].scale, point.xyz);
+        for (var corner = 0u; corner < 8u; corner++) {
+            let weight = share * corner_weight(cell, corner);
+            let entry = corner_entry(levels[level], cell, corner);
+            for (var f = 0u; f < FEATURES; f++) {
+                add_base(entry * FEATURES + f, weight * gradients[row + f]);
+            }
         }
     }
 }

@@ -1,7 +1,8 @@
 // Trilinear reads: one invocation reads one level for one sample.
 
 @group(0) @binding(0) var<storage, read> entries: array<f32>;
-@group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;
+// The points of samples: place in the unit cube, standard deviation in longest sides of the box.
+@group(0) @binding(1) var<storage, read> points: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> features: array<f32>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
 
@@ -17,13 +18,17 @@ fn hash_read(
         return;
     }
     let level = i % params.levels;
-    let cell = cell_around(levels[level].scale, spheres[sample].xyz);
     var sum: array<f32, FEATURES>;
-    for (var corner = 0u; corner < 8u; corner++) {
-        let weight = corner_weight(cell, corner);
-        let entry = corner_entry(levels[level], cell, corner);
-        for (var f = 0u; f < FEATURES; f++) {
-            sum[f] += weight * entries[entry * FEATURES + f];
+    for (var p = 0u; p < POINTS; p++) {
+        let point = points[POINTS * sample + p];
+        let share = share_of(levels[level].scale, point.w);
+        let cell = cell_around(levels[level].scale, point.xyz);
+        for (var corner = 0u; corner < 8u; corner++) {
+            let weight = share * corner_weight(cell, corner);
+            let entry = corner_entry(levels[level], cell, corner);
+            for (var f = 0u; f < FEATURES; f++) {
+                sum[f] += weight * entries[entry * FEATURES + f];
+            }
         }
     }
     let row = sample * params.stride;

@@ -1,0 +1,39 @@
+//! Positional encodings on the CPU. They have no parameters, so nothing flows back.
+
+use super::{Encoding, Left, Places};
+use crate::simd::Simd;
+use trimip_core::encoders::frequencies;
+use trimip_core::{Aabb, Config};
+
+/// The encoding.
+pub(crate) struct Frequencies(frequencies::Encoding<f32>);
+
+impl Encoding for Frequencies {
+    type Gradient = ();
+
+    fn new(_: Simd, config: &Config, _: bool) -> Self {
+        Self(frequencies::Encoding::new(&config.frequencies, &Aabb::new(&config.scene)))
+    }
+
+    fn gradient(&self) {}
+
+    fn forward(&self, _: &[f32], at: Places<'_>, _: &mut [f32], features: &mut [f32], stride: usize) {
+        let width = self.0.width();
+        let samples = at.owners.iter().zip(at.intervals).zip(at.spheres);
+        for (((owner, interval), sphere), row) in samples.zip(features.chunks_exact_mut(stride)) {
+            let direction = at.rays[*owner as usize].direction;
+            let moments =
+                self.0.moments(sphere.position, sphere.radius, direction, interval.t, interval.length);
+            self.0.write(moments, row);
+            row[width..].fill(0.0);
+        }
+    }
+
+    fn backward(&self, _: &[f32], _: Places<'_>, _: &[f32], _: &[f32], _: usize, (): &mut ()) {}
+
+    fn flush(&mut self, _: &mut [&mut ()], _: &mut [f32]) {}
+
+    fn left(_: &Config) -> Left {
+        Left { by_sample: 0, by_deposit: 0 }
+    }
+}

@@ -1,0 +1,71 @@
+// Twin of `trimip_core::encoders::frequencies`: one invocation writes the features of one sample.
+
+struct Params {
+    // Size of the box, world units.
+    extent: vec3<f32>,
+    count: u32,
+    integrated: u32,
+    identity: u32,
+    // Floats in a row of features.
+    stride: u32,
+    counter: u32,
+    // Ratio of mip-NeRF's radius to that of a disc.
+    radius: f32,
+}
+
+@group(0) @binding(0) var<storage, read> rays: array<Ray>;
+@group(0) @binding(1) var<storage, read> owners: array<u32>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read> intervals: array<vec2<f32>>;
+@group(0) @binding(4) var<storage, read_write> features: array<f32>;
+@group(0) @binding(5) var<storage, read> counts: array<u32>;
+@group(0) @binding(6) var<storage, read> spheres: array<vec4<f32>>;
+
+// An angle reduced to about [-π, π], by 2π in two parts: drivers lose the sine of large angles.
+fn reduced(angle: f32) -> f32 {
+    let turns = round(angle * 0.15915494);
+    return (angle - turns * 6.28125) - turns * 1.9353072e-3;
+}
+
+@compute @workgroup_size(GROUP)
+fn frequencies(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= counts[params.counter] {
+        return;
+    }
+    let sphere = spheres[i];
+    var mean = (sphere.xyz - 0.5) * params.extent;
+    var variance = vec3<f32>(0.0);
+    if params.integrated != 0u {
+        let direction = rays[owners[i]].direction;
+        let wide = vec4<f32>(sphere.xyz, params.radius * sphere.w);
+        let own = gaussian_of(wide, params.extent, direction, intervals[i]);
+        mean = (own.mean - 0.5) * params.extent;
+        variance = own.along * direction * direction + own.across * (1.0 - direction * direction);
+    }
+    var at = params.stride * i;
+    if params.identity != 0u {
+        for (var axis = 0u; axis < 3u; axis++) {
+            features[at] = mean[axis];
+            at++;
+        }
+    }
+    var factor = 1.0;
+    for (var k = 0u; k < params.count; k++) {
+        for (var axis = 0u; axis < 3u; axis++) {
+            let angle = reduced(factor * mean[axis]);
+            let share = exp(-0.5 * factor * factor * variance[axis]);
+            features[at + axis] = share * sin(angle);
+            features[at + 3u + axis] = share * cos(angle);
+        }
+        at += 6u;
+        factor *= 2.0;
+    }
+    for (; at < params.stride * (i + 1u); at++) {
+        features[at] = 0.0;
+    }
+}

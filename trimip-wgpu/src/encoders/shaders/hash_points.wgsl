@@ -1,0 +1,61 @@
+// The points at which a sample reads the grid; twin of `trimip_core::encoders::hash_grid::Points`. One invocation per point.
+
+struct Params {
+    // Size of the box, world units, and its longest side.
+    extent: vec3<f32>,
+    longest: f32,
+    // 1 or 6.
+    points: u32,
+    counter: u32,
+}
+
+@group(0) @binding(0) var<storage, read> rays: array<Ray>;
+@group(0) @binding(1) var<storage, read> owners: array<u32>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read> intervals: array<vec2<f32>>;
+@group(0) @binding(4) var<storage, read_write> points: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> counts: array<u32>;
+@group(0) @binding(6) var<storage, read> spheres: array<vec4<f32>>;
+
+// Sixths of a circle.
+const TURNS = array<f32, 6>(0.0, 2.0, 4.0, 3.0, 5.0, 1.0);
+
+@compute @workgroup_size(GROUP)
+fn hash_points(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    let sample = i / params.points;
+    if sample >= counts[params.counter] {
+        return;
+    }
+    let sphere = spheres[sample];
+    let t = intervals[sample].x;
+    if params.points == 1u || !(t > 0.0) {
+        points[i] = vec4<f32>(sphere.xyz, 0.35355339 * sphere.w / params.longest);
+        return;
+    }
+    let j = i % params.points;
+    let d = rays[owners[sample]].direction;
+    let h = min(0.5 * intervals[sample].y, t);
+    let hh = h * h;
+    let tt = t * t;
+    let spread = 1.1338934 * (0.4 * f32(j) - 1.0) * sqrt((hh - tt) * (hh - tt) + 4.0 * tt * tt);
+    let end = t + h;
+    let at = (t - h) + h / (hh + 3.0 * tt) * (end * end + 2.0 * tt + spread);
+    // The cone's radius at the point.
+    let radius = sphere.w / t * at;
+    var turns = TURNS;
+    let angle = turns[j] * 1.04719755;
+    // Two unit vectors around the ray (Duff et al. 2017).
+    let side = select(1.0, -1.0, d.z < 0.0);
+    let a = -1.0 / (side + d.z);
+    let b = d.x * d.y * a;
+    let u = vec3<f32>(1.0 + side * d.x * d.x * a, side * b, -side * d.x);
+    let v = vec3<f32>(b, side + d.y * d.y * a, -d.y);
+    let offset = (at - t) * d + 0.70710678 * radius * (cos(angle) * u + sin(angle) * v);
+    let place = clamp(sphere.xyz + offset / params.extent, vec3<f32>(0.0), vec3<f32>(1.0));
+    points[i] = vec4<f32>(place, 0.35355339 * radius / params.longest);
+}
