@@ -93,12 +93,17 @@ pub fn duration(place: &str, text: &str) -> Result<f64> {
 }
 
 /// Default name of the run folder: `runs/` and the stem of the configuration file, or the scene's folder, and the system.
-pub fn default_folder(config: Option<&Path>, scene: Option<&Path>, system: Option<&str>) -> std::path::PathBuf {
+pub fn default_folder(
+    config: Option<&Path>,
+    scene: Option<&Path>,
+    system: Option<&str>,
+) -> std::path::PathBuf {
     let whole = scene.map(|scene| scene.canonicalize().unwrap_or_else(|_| scene.to_path_buf()));
     let folder =
         whole.as_deref().map(|whole| if whole.is_file() { whole.parent().unwrap_or(whole) } else { whole });
     let name = config.and_then(Path::file_stem).or(folder.and_then(Path::file_name));
-    let names = name.map(|name| name.to_string_lossy().into_owned()).into_iter().chain(system.map(String::from));
+    let names =
+        name.map(|name| name.to_string_lossy().into_owned()).into_iter().chain(system.map(String::from));
     let name = names.collect::<Vec<_>>().join("-");
     Path::new("runs").join(if name.is_empty() { "default" } else { &name })
 }

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use trimip_core::{Error, Result, config::DataConfig};
 
 /// The eight Blender scenes (Mildenhall et al. 2020), in the order of the papers' tables.
-pub const BLENDER_SCENES: [&str; 8] = ["chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship"];
+pub const BLENDER_SCENES: [&str; 8] =
+    ["chair", "drums", "ficus", "hotdog", "lego", "materials", "mic", "ship"];
 
 /// The Blender scenes in a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,7 +25,11 @@ impl Collection {
     pub fn open(folder: &Path) -> Result<Self> {
         if !folder.is_dir() {
             let what = if folder.exists() { "is not a folder" } else { "does not exist" };
-            return Err(Error::input(folder.display(), what, "name the folder of a scene, or one that holds scenes"));
+            return Err(Error::input(
+                folder.display(),
+                what,
+                "name the folder of a scene, or one that holds scenes",
+            ));
         }
         let (there, missing): (Vec<_>, Vec<_>) =
             BLENDER_SCENES.into_iter().partition(|name| is_scene(&folder.join(name)));
@@ -63,7 +68,8 @@ mod tests {
             std::fs::create_dir(folder.path().join(name)).unwrap();
         }
         for name in ["ship", "lego", "other"] {
-            std::fs::write(folder.path().join(name).join("transforms_train.json"), "{\"frames\": []}").unwrap();
+            std::fs::write(folder.path().join(name).join("transforms_train.json"), "{\"frames\": []}")
+                .unwrap();
         }
         let collection = Collection::open(folder.path()).unwrap();
         assert_eq!(collection.found, ["lego", "ship"].map(|name| folder.path().join(name)));

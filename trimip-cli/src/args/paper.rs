@@ -45,7 +45,7 @@ pub struct PaperArguments {
     #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
     pub systems: Vec<String>,
     /// Seconds of training of each run [default: 300]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub seconds: Option<f64>,
     /// When a run ends
     #[arg(long, value_enum, default_value_t)]
@@ -65,7 +65,7 @@ pub struct PaperArguments {
     /// Configuration file (TOML) that lies over the settings of every system
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Override one setting of every system; may be given many times
+    /// Override one setting of every system, or of those with its encoder; may be given many times
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
     /// Folder of paper.html, paper.json, paper.md and of the runs, SCENE/SYSTEM/SEED; the same command goes on where it

@@ -76,6 +76,5 @@ impl Figures {
 /// Trained numbers of the encoder and of the networks.
 fn parameters(config: &Config) -> [u64; 2] {
     let layout = Layout::new(config);
-    [layout.encoder(), layout.networks()]
-        .map(|slots| slots.iter().map(|slot| slot.range.len() as u64).sum())
+    [layout.encoder(), layout.networks()].map(|slots| slots.iter().map(|slot| slot.range.len() as u64).sum())
 }

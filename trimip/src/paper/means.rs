@@ -215,8 +215,11 @@ pub(super) mod tests {
     fn the_mean_of_scenes_is_that_of_each_scenes_mean() {
         let system = find("ngp").unwrap();
         // Two seeds on one scene, one on the other: seeds have no more weight than their scene.
-        let (a, b, c) =
-            (run("ngp", "lego", 1, [20.0, 30.0]), run("ngp", "lego", 2, [22.0, 32.0]), run("ngp", "ship", 1, [28.0, 40.0]));
+        let (a, b, c) = (
+            run("ngp", "lego", 1, [20.0, 30.0]),
+            run("ngp", "lego", 2, [22.0, 32.0]),
+            run("ngp", "ship", 1, [28.0, 40.0]),
+        );
         let lego = scene_row(system, Scales::Four, "lego", &[&a, &b]);
         let ship = scene_row(system, Scales::Four, "ship", &[&c]);
         assert_eq!((lego.cell.psnr, lego.cell.spread, lego.cell.plain), (26.0, 2.0, 25.0));
@@ -233,9 +236,12 @@ pub(super) mod tests {
     fn what_failed_is_counted_and_not_averaged() {
         let system = find("ngp").unwrap();
         let good = run("ngp", "lego", 1, [20.0, 30.0]);
-        let bad = Run { status: Status::Failed("why".into()), figures: None, ..run("ngp", "ship", 1, [0.0, 0.0]) };
-        let rows =
-            [scene_row(system, Scales::Four, "lego", &[&good]), scene_row(system, Scales::Four, "ship", &[&bad])];
+        let bad =
+            Run { status: Status::Failed("why".into()), figures: None, ..run("ngp", "ship", 1, [0.0, 0.0]) };
+        let rows = [
+            scene_row(system, Scales::Four, "lego", &[&good]),
+            scene_row(system, Scales::Four, "ship", &[&bad]),
+        ];
         assert!(rows[1].cell.psnr.is_nan());
         let whole = whole_row(system, Scales::Four, &rows, false);
         assert_eq!((whole.scenes, whole.failed, whole.cell.psnr), ([1, 2], 1, 25.0));

@@ -19,11 +19,7 @@ fn column(head: impl Into<String>, text: impl Fn(&Row) -> String + 'static) -> C
 }
 
 /// A column whose greatest value is the best.
-fn compared(
-    head: impl Into<String>,
-    digits: usize,
-    value: impl Fn(&Row) -> f64 + Clone + 'static,
-) -> Column {
+fn compared(head: impl Into<String>, digits: usize, value: impl Fn(&Row) -> f64 + Clone + 'static) -> Column {
     let shown = value.clone();
     Column {
         head: head.into(),
@@ -44,11 +40,16 @@ fn known(value: f64, text: impl Fn(f64) -> String) -> String {
 pub fn columns(scales: Scales, rows: &[Row]) -> Vec<Column> {
     let mut columns = Vec::new();
     let factors = rows.iter().map(|row| &row.scales).max_by_key(|scales| scales.len());
-    for factor in factors.into_iter().flatten().map(|(factor, _)| *factor).filter(|_| scales == Scales::Four) {
-        let of = move |row: &Row| row.scales.iter().find(|(own, _)| *own == factor).map_or(f64::NAN, |(_, psnr)| *psnr);
+    for factor in factors.into_iter().flatten().map(|(factor, _)| *factor).filter(|_| scales == Scales::Four)
+    {
+        let of = move |row: &Row| {
+            row.scales.iter().find(|(own, _)| *own == factor).map_or(f64::NAN, |(_, psnr)| *psnr)
+        };
         columns.push(compared(if factor == 1 { "1/1".into() } else { scale_name(factor) }, 2, of));
     }
-    columns.push(compared(if scales == Scales::Four { "mean / dB" } else { "PSNR / dB" }, 2, |row| row.cell.psnr));
+    columns.push(compared(if scales == Scales::Four { "mean / dB" } else { "PSNR / dB" }, 2, |row| {
+        row.cell.psnr
+    }));
     if rows.iter().any(|row| row.runs[1] > row.scenes[1]) {
         columns.push(column("± seeds", |row| number(0.5 * row.cell.spread, 2)));
     }
@@ -60,7 +61,8 @@ pub fn columns(scales: Scales, rows: &[Row]) -> Vec<Column> {
     columns.push(column("time", |row| known(row.cell.seconds, units::duration)));
     columns.push(column("model", |row| known(row.cell.model_bytes, |bytes| units::bytes(bytes as u64))));
     columns.push(column("parameters", |row| known(row.cell.parameters, |count| units::number(count, ""))));
-    columns.push(column("peak memory", |row| known(row.cell.memory_bytes, |bytes| units::bytes(bytes as u64))));
+    columns
+        .push(column("peak memory", |row| known(row.cell.memory_bytes, |bytes| units::bytes(bytes as u64))));
     if rows.iter().any(|row| row.runs[0] < row.runs[1]) {
         columns.push(column("runs", |row| {
             let failed = if row.failed > 0 { format!(", {} failed", row.failed) } else { String::new() };
@@ -74,10 +76,23 @@ pub fn columns(scales: Scales, rows: &[Row]) -> Vec<Column> {
 pub fn published_columns(scales: Scales) -> Vec<&'static str> {
     match scales {
         Scales::Four => vec![
-            "system", "1/1", "1/2", "1/4", "1/8", "mean / dB", "SSIM", "lego / dB", "time, GPU", "model", "trained on",
-            "background", "source",
+            "system",
+            "1/1",
+            "1/2",
+            "1/4",
+            "1/8",
+            "mean / dB",
+            "SSIM",
+            "lego / dB",
+            "time, GPU",
+            "model",
+            "trained on",
+            "background",
+            "source",
         ],
-        Scales::One => vec!["system", "PSNR / dB", "lego / dB", "model", "trained on", "background", "source"],
+        Scales::One => {
+            vec!["system", "PSNR / dB", "lego / dB", "model", "trained on", "background", "source"]
+        }
     }
 }
 
@@ -106,7 +121,8 @@ pub fn published_cells(scales: Scales) -> Vec<Vec<String>> {
         cells.extend(ends);
         cells
     };
-    let there = |row: &&Published| if scales == Scales::Four { row.average.is_some() } else { row.single.is_some() };
+    let there =
+        |row: &&Published| if scales == Scales::Four { row.average.is_some() } else { row.single.is_some() };
     PUBLISHED.iter().filter(there).map(row).collect()
 }
 
@@ -125,7 +141,10 @@ pub fn markdown(comparison: &Comparison) -> String {
     for &scales in &comparison.scales {
         text += &format!("\n## {}\n", scales.title());
         if comparison.scenes.len() > 1 {
-            text += &format!("\nMean over the scenes of each scene's mean:\n\n{}", table(scales, &comparison.whole_rows(scales)));
+            text += &format!(
+                "\nMean over the scenes of each scene's mean:\n\n{}",
+                table(scales, &comparison.whole_rows(scales))
+            );
         }
         for scene in &comparison.scenes {
             text += &format!("\n{scene}:\n\n{}", table(scales, &comparison.scene_rows(scales, scene)));
@@ -140,7 +159,8 @@ pub fn markdown(comparison: &Comparison) -> String {
     }
     text += "\n## The systems\n\n";
     for system in &comparison.systems {
-        text += &format!("- `{}`, {} ({}): {}.\n", system.name, system.title, system.kind.word(), system.differs);
+        text +=
+            &format!("- `{}`, {} ({}): {}.\n", system.name, system.title, system.kind.word(), system.differs);
     }
     let failed: Vec<String> = comparison
         .runs
@@ -223,9 +243,13 @@ mod tests {
         assert!(tables[1].contains("31.83") && !tables[2].contains("31.83"));
         assert!(tables[3].contains("| Tri-MipRF | 33.32 |") && tables[3].contains("3 days"));
         assert!(text.contains("out of \\| luck") && text.contains("LPIPS"));
-        let json: serde_json::Value = serde_json::from_str(&super::super::json(&comparison).unwrap()).unwrap();
+        let json: serde_json::Value =
+            serde_json::from_str(&super::super::json(&comparison).unwrap()).unwrap();
         assert_eq!(json["tables"][0]["mean"][1]["psnr"], 32.0);
         assert_eq!(json["tables"][0]["mean"][1]["memory_bytes"], serde_json::Value::Null);
-        assert_eq!((&json["runs"][3]["status"], &json["runs"][3]["reason"]), (&"failed".into(), &"out of | luck".into()));
+        assert_eq!(
+            (&json["runs"][3]["status"], &json["runs"][3]["reason"]),
+            (&"failed".into(), &"out of | luck".into())
+        );
     }
 }

@@ -152,7 +152,9 @@ mod tests {
             system.apply(&mut settings).unwrap_or_else(|error| panic!("{error}"));
             Config::from_settings(&settings).unwrap_or_else(|error| panic!("{}: {error}", system.name));
             // Scene, seed, splits and evaluation are the comparison's.
-            let own = |path: &str| ["data.", "eval.", "seed", "backend", "threads"].iter().any(|p| path.starts_with(p));
+            let own = |path: &str| {
+                ["data.", "eval.", "seed", "backend", "threads"].iter().any(|p| path.starts_with(p))
+            };
             for (path, _, origin) in settings.iter().filter(|(path, ..)| own(path)) {
                 assert_eq!(*origin, Origin::Default, "{}: {path}", system.name);
             }

@@ -52,14 +52,22 @@ const NONE: Published = Published {
 };
 
 const TABLES: &str = "Tri-MipRF (ICCV 2023), tables 1 and 2 and supplement";
-const MIP_NERF: &str = "Tri-MipRF, tables 1 and 2; the multi-scale figures are those of Mip-NeRF (ICCV 2021), table 1";
+const MIP_NERF: &str =
+    "Tri-MipRF, tables 1 and 2; the multi-scale figures are those of Mip-NeRF (ICCV 2021), table 1";
 const NOTES: &str = "second-hand notes on arXiv 2405.02386; the original tables were not seen";
 const BOTH: &str = "train + val (its code)";
 const THREE_DAYS: Option<f64> = Some(3.0 * 24.0 * 60.0);
 
 /// A row of the multi-scale table: scales, average, SSIM, *lego*.
 const fn multi(name: &'static str, scales: [f64; 4], average: f64, ssim: f64, lego: f64) -> Published {
-    Published { name, scales: Some(scales), average: Some(average), ssim: Some(ssim), lego: Some(lego), ..NONE }
+    Published {
+        name,
+        scales: Some(scales),
+        average: Some(average),
+        ssim: Some(ssim),
+        lego: Some(lego),
+        ..NONE
+    }
 }
 
 /// A row of the single-scale table alone: average, *lego*.

@@ -80,7 +80,7 @@ pub fn section(comparison: &Comparison, scales: Scales) -> Result<String> {
     Ok(format!(
         "<section class=\"wide\"><h2>The same places, {}</h2><p class=\"lead\">Where the photograph has the most detail. Below each \
          rendering the PSNR of its whole view at that scale, and the error as the mean absolute difference of red, green and blue. \
-         The first seed of each system.</p>{}{html}</section>\n",
+         The first seed of each system.</p><div class=\"short-bar\">{}</div>{html}</section>\n",
         scales.title().to_lowercase(),
         difference::bar()
     ))
@@ -89,12 +89,16 @@ pub fn section(comparison: &Comparison, scales: Scales) -> Result<String> {
 /// The systems with pictures of a scene, by their first run that has any.
 fn shown(comparison: &Comparison, scales: Scales, scene: &str) -> Vec<Shown> {
     let of = |system: &&'static System| {
-        comparison.runs_of(scales, scene, system.name).into_iter().filter(|run| run.figures.is_some()).find_map(|run| {
-            let folder = RunFolder::new(&run.folder);
-            let mut views = FileStore::read(&folder);
-            views.retain(|view| view.comparison.is_some());
-            (!views.is_empty()).then(|| Shown { system, images: folder.images(), views })
-        })
+        comparison
+            .runs_of(scales, scene, system.name)
+            .into_iter()
+            .filter(|run| run.figures.is_some())
+            .find_map(|run| {
+                let folder = RunFolder::new(&run.folder);
+                let mut views = FileStore::read(&folder);
+                views.retain(|view| view.comparison.is_some());
+                (!views.is_empty()).then(|| Shown { system, images: folder.images(), views })
+            })
     };
     comparison.systems.iter().filter_map(of).collect()
 }
@@ -109,7 +113,8 @@ fn crops(scene: &str, shown: &[Shown], view: &ViewRecord) -> Result<String> {
     for own in shown {
         head += &format!("<th>{}{}</th>", mark(own.system.name), escape(own.system.title));
     }
-    let mut scales: Vec<u32> = shown[0].views.iter().filter(|own| own.index == view.index).map(|own| own.scale).collect();
+    let mut scales: Vec<u32> =
+        shown[0].views.iter().filter(|own| own.index == view.index).map(|own| own.scale).collect();
     scales.sort_unstable();
     let mut rows = String::new();
     for scale in scales {
@@ -143,10 +148,11 @@ fn crops(scene: &str, shown: &[Shown], view: &ViewRecord) -> Result<String> {
         rows += "</tr>";
     }
     Ok(format!(
-        "<div class=\"where\">{}<h3>{}, {}</h3></div><div class=\"crops\"><table><tr>{head}</tr>{rows}</table></div>",
+        "<div class=\"where\">{}<h3>{}, {}</h3></div><div class=\"crops\" style=\"--columns:{}\"><table><tr>{head}</tr>{rows}</table></div>",
         whereabouts(&photograph, place)?,
         escape(scene),
-        escape(&view.name)
+        escape(&view.name),
+        shown.len() + 1
     ))
 }
 
@@ -181,7 +187,8 @@ fn most_detail(photograph: &RgbImage) -> Place {
             let here = level(x, y);
             let (right, below) = (level((x + 1).min(width - 1), y), level(x, (y + 1).min(height - 1)));
             let i = (y as usize + 1) * row + x as usize + 1;
-            sums[i] = here.abs_diff(right) + here.abs_diff(below) + sums[i - 1] + sums[i - row] - sums[i - row - 1];
+            sums[i] =
+                here.abs_diff(right) + here.abs_diff(below) + sums[i - 1] + sums[i - row] - sums[i - row - 1];
         }
     }
     let sum = |x: u32, y: u32| {
@@ -191,7 +198,8 @@ fn most_detail(photograph: &RgbImage) -> Place {
     let starts = |side: u32, part: u32| (0..=(side - part) / STEP).map(|i| i * STEP);
     let places = starts(height, h).flat_map(|y| starts(width, w).map(move |x| (x, y)));
     // The first of equal ones.
-    let best = places.fold((0, 0), |best, place| if sum(place.0, place.1) > sum(best.0, best.1) { place } else { best });
+    let best = places
+        .fold((0, 0), |best, place| if sum(place.0, place.1) > sum(best.0, best.1) { place } else { best });
     Place { x: best.0, y: best.1, width: w, height: h }
 }
 

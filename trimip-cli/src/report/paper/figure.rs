@@ -6,18 +6,28 @@ use super::{headline, look};
 use crate::report::page;
 use crate::report::svg::{DASHED, Line, Point};
 use crate::terminal;
-use trimip::paper::{Comparison, Run, Scales, mean_curve};
+use trimip::paper::{Comparison, Figures, Row, Run, Scales, mean_curve};
 use trimip::run::curve::Measure;
-use trimip::systems::{System, published::PUBLISHED};
+use trimip::systems::{
+    System,
+    published::{PUBLISHED, Published},
+};
 
 /// The curves of all systems: one a system where its runs have equally many points, else one a run.
 pub fn curves(comparison: &Comparison, scales: Scales) -> String {
-    let lines: Vec<Line> = comparison.systems.iter().flat_map(|system| lines(comparison, scales, system)).collect();
+    let lines: Vec<Line> =
+        comparison.systems.iter().flat_map(|system| lines(comparison, scales, system)).collect();
     let whole = lines.iter().all(|line| line.class.contains("mean"));
     let note = match (comparison.scenes.len(), whole) {
-        (1, true) => "One line for each system, the mean of its seeds, on about four test views.",
-        (_, true) => "One line for each system, the mean of its seeds and scenes, on about four test views of each scene.",
-        _ => "One line for each system, or for each of its runs while some are open, on about four test views of each scene.",
+        (1, true) => {
+            "One line for each system, the mean of its seeds, on about four test views; the rings at the end are on all measured views."
+        }
+        (_, true) => {
+            "One line for each system, the mean of its seeds and scenes, on about four test views of each scene; the rings at the end are on all measured views."
+        }
+        _ => {
+            "One line for each system, or for each of its runs while some are open, on about four test views of each scene; the rings at the end are on all measured views."
+        }
     };
     page::plot(&format!("Quality against time, {}", scales.title().to_lowercase()), &lines, note)
 }
@@ -25,11 +35,16 @@ pub fn curves(comparison: &Comparison, scales: Scales) -> String {
 fn lines(comparison: &Comparison, scales: Scales, system: &System) -> Vec<Line> {
     let mine = |run: &&Run| run.scales == scales && run.system == system.name;
     let all: Vec<&Run> = comparison.runs.iter().filter(mine).collect();
-    let known: Vec<(&Run, &[Measure])> =
-        all.iter().filter_map(|run| Some((*run, &run.figures.as_ref()?.curve[..]))).collect();
-    let curves: Vec<&[Measure]> = known.iter().map(|(_, curve)| *curve).collect();
+    let known: Vec<(&Run, &Figures)> =
+        all.iter().filter_map(|run| Some((*run, run.figures.as_ref()?))).collect();
+    let curves: Vec<&[Measure]> = known.iter().map(|(_, figures)| &figures.curve[..]).collect();
     let (color, dashed) = look(system.name);
-    let line = |points: &[Measure], of: &str, mean: bool| Line {
+    let point = |m: &Measure, of: &str| Point {
+        seconds: m.seconds,
+        psnr: m.psnr,
+        hint: format!("{}{of}: {:.2} dB after {}", system.title, m.psnr, terminal::duration(m.seconds)),
+    };
+    let line = |points: &[Measure], end: Measure, of: &str, mean: bool| Line {
         name: system.title.into(),
         color: color.into(),
         class: match (mean, dashed) {
@@ -38,19 +53,23 @@ fn lines(comparison: &Comparison, scales: Scales, system: &System) -> Vec<Line> 
             (false, false) => "run",
             (false, true) => DASHED,
         },
-        points: points
+        points: points.iter().map(|m| point(m, of)).collect(),
+        // If it is the end of the curve, it is already drawn.
+        ring: (points.last() != Some(&end)).then(|| point(&end, &format!("{of}, all measured views"))),
+    };
+    let headline = headline(comparison, scales).into_iter().find(|row| row.system == system.name);
+    match mean_curve(&curves).filter(|_| known.len() == all.len()).zip(headline) {
+        Some((mean, row)) => {
+            let end = Measure { seconds: row.cell.seconds, psnr: row.cell.psnr };
+            vec![line(&mean, end, "", true)]
+        }
+        None => known
             .iter()
-            .map(|m| Point {
-                seconds: m.seconds,
-                psnr: m.psnr,
-                hint: format!("{}{of}: {:.2} dB after {}", system.title, m.psnr, terminal::duration(m.seconds)),
+            .map(|(run, figures)| {
+                let end = Measure { seconds: figures.seconds, psnr: figures.mean.psnr };
+                line(&figures.curve, end, &format!(" on {}", run.scene), false)
             })
             .collect(),
-        ring: None,
-    };
-    match mean_curve(&curves).filter(|_| known.len() == all.len()) {
-        Some(mean) => vec![line(&mean, "", true)],
-        None => known.iter().map(|(run, curve)| line(curve, &format!(" on {}", run.scene), false)).collect(),
     }
 }
 
@@ -63,8 +82,8 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    let measured = |value: &dyn Fn(&trimip::paper::Row) -> f64, unit: &dyn Fn(f64) -> String| -> Vec<Mark> {
-        let mark = |row: &trimip::paper::Row| Mark {
+    let measured = |value: &dyn Fn(&Row) -> f64, unit: &dyn Fn(f64) -> String| -> Vec<Mark> {
+        let mark = |row: &Row| Mark {
             x: value(row),
             psnr: row.cell.psnr,
             label: row.title.into(),
@@ -74,8 +93,8 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
         };
         rows.iter().map(mark).filter(Mark::is_drawn).collect()
     };
-    let published = |value: &dyn Fn(&trimip::systems::published::Published) -> Option<f64>, unit: &str| -> Vec<Mark> {
-        let mark = |row: &trimip::systems::published::Published| {
+    let published = |value: &dyn Fn(&Published) -> Option<f64>, unit: &str| -> Vec<Mark> {
+        let mark = |row: &Published| {
             let psnr = if scales == Scales::Four { row.average } else { row.single }?;
             let x = value(row)?;
             let hint = format!("{}, published: {psnr:.2} dB, {x} {unit}", row.name);
@@ -95,7 +114,11 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
             format!("<figure><figcaption>{caption}</figcaption>{svg}</figure>")
         })
     };
-    let published_times = if scales == Scales::Four { figure("Published: on GPUs", &time[1], "training time / min") } else { String::new() };
+    let published_times = if scales == Scales::Four {
+        figure("Published: on GPUs", &time[1], "training time / min")
+    } else {
+        String::new()
+    };
     format!(
         "<section><h2>Quality against size and time, {}</h2><div class=\"panels\">{}{}{}{published_times}</div>\
          <p class=\"lead\">To the left what was measured here{}, to the right what the papers state for the eight Blender scenes, \

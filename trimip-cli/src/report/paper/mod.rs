@@ -83,7 +83,11 @@ fn head(comparison: &Comparison) -> String {
         ("budget", comparison.budget.clone()),
         (
             "machine",
-            format!("{}, {}", comparison.machine.cpu, terminal::count(comparison.machine.cores as u64, "core")),
+            format!(
+                "{}, {}",
+                comparison.machine.cpu,
+                terminal::count(comparison.machine.cores as u64, "core")
+            ),
         ),
     ];
     if !comparison.missing.is_empty() {
@@ -130,7 +134,9 @@ fn state(comparison: &Comparison) -> String {
 
 fn remarks() -> String {
     let items: String = REMARKS.iter().map(|remark| format!("<li>{}</li>", escape(remark))).collect();
-    format!("<section><h2>What has to be known of published figures</h2><ul class=\"remarks\">{items}</ul></section>\n")
+    format!(
+        "<section><h2>What has to be known of published figures</h2><ul class=\"remarks\">{items}</ul></section>\n"
+    )
 }
 
 /// Views, background and convention of what was measured here.
@@ -143,18 +149,29 @@ fn measure(comparison: &Comparison) -> String {
         if texts.is_empty() { "nothing yet".into() } else { texts.join("; ") }
     };
     let rows = [
-        ("test views", each(&|f| match f.test_views {
-            Some(all) => format!("{} of {all}", f.views),
-            None => f.views.to_string(),
-        })),
-        ("background", each(&|f| {
-            let [r, g, b] = f.background;
-            format!("({r:.2}, {g:.2}, {b:.2})")
-        })),
-        ("coarse photographs", each(&|f| match f.convention {
-            Convention::Public => "means of straight RGBA truncated to 8 bits, as the public multi-scale set".into(),
-            Convention::Premultiplied => "means of premultiplied RGBA rounded to 8 bits".into(),
-        })),
+        (
+            "test views",
+            each(&|f| match f.test_views {
+                Some(all) => format!("{} of {all}", f.views),
+                None => f.views.to_string(),
+            }),
+        ),
+        (
+            "background",
+            each(&|f| {
+                let [r, g, b] = f.background;
+                format!("({r:.2}, {g:.2}, {b:.2})")
+            }),
+        ),
+        (
+            "coarse photographs",
+            each(&|f| match f.convention {
+                Convention::Public => {
+                    "means of straight RGBA truncated to 8 bits, as the public multi-scale set".into()
+                }
+                Convention::Premultiplied => "means of premultiplied RGBA rounded to 8 bits".into(),
+            }),
+        ),
         ("trained on", comparison.split.join(" + ")),
     ];
     format!(

@@ -10,7 +10,9 @@ const RIGHT: f64 = 12.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 44.0;
 /// About the width of a letter of 12 pixels.
-const LETTER: f64 = 6.3;
+const LETTER: f64 = 7.0;
+/// Gap between a point and its name.
+const GAP: f64 = 9.0;
 /// Height of a line of text.
 const LINE: f64 = 14.0;
 
@@ -41,6 +43,14 @@ impl Mark {
 /// A rectangle: left, top, right, bottom.
 type Area = [f64; 4];
 
+/// The place of a name.
+#[derive(Clone, Copy, Debug)]
+struct Label {
+    area: Area,
+    /// The name ends at the right of its area, which is as wide as letters are on average.
+    at_right: bool,
+}
+
 /// The range of quality that holds every value, rounded outwards.
 pub fn range(psnr: &[f64]) -> [f64; 2] {
     let low = psnr.iter().copied().fold(f64::INFINITY, f64::min);
@@ -58,7 +68,8 @@ pub fn panel(marks: &[Mark], title: &str, quality: [f64; 2]) -> Option<String> {
     let (low, high) = ((low / 1.6).min(middle / 2.0), (high * 1.6).max(middle * 2.0));
     let x = Axis { low, high, logarithmic: true, start: LEFT, end: WIDTH - RIGHT };
     let y = Axis { low: quality[0], high: quality[1], logarithmic: false, start: HEIGHT - BOTTOM, end: TOP };
-    let mut svg = format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against {title}\">");
+    let mut svg =
+        format!("<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against {title}\">");
     for tick in y.ticks() {
         let at = y.place(tick);
         svg += &format!(
@@ -89,46 +100,59 @@ pub fn panel(marks: &[Mark], title: &str, quality: [f64; 2]) -> Option<String> {
     );
     let places: Vec<[f64; 2]> = marks.iter().map(|mark| [x.place(mark.x), y.place(mark.psnr)]).collect();
     let labels = labels(marks, &places);
-    for ((mark, [x, y]), [left, top, ..]) in marks.iter().zip(&places).zip(&labels) {
-        let class = if mark.quoted { "quoted" } else { "dot" };
-        svg += &format!(
-            "<g style=\"color:{}\"><circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"5\"><title>{}</title></circle></g>\
-             <text{} x=\"{left:.1}\" y=\"{:.1}\">{}</text>",
-            mark.color,
-            escape(&mark.hint),
-            if mark.quoted { " class=\"faint\"" } else { "" },
-            top + LINE - 3.0,
-            escape(&mark.label)
-        );
+    for ((mark, place), label) in marks.iter().zip(&places).zip(&labels) {
+        svg += &drawn(mark, *place, label);
     }
     Some(svg + "</svg>")
 }
 
-/// A place for each name beside its point, where it covers the least of points and of other names.
-fn labels(marks: &[Mark], places: &[[f64; 2]]) -> Vec<Area> {
+/// A point, its name, and a thin line between them if the name is not beside it.
+fn drawn(mark: &Mark, [x, y]: [f64; 2], label: &Label) -> String {
+    let [left, top, right, bottom] = label.area;
+    let (class, faint) = if mark.quoted { ("quoted", " class=\"faint\"") } else { ("dot", "") };
+    let (at, anchor) = if label.at_right { (right, " text-anchor=\"end\"") } else { (left, "") };
+    let nearest = [x.clamp(left, right), y.clamp(top + 3.0, bottom - 3.0)];
+    let far = (nearest[0] - x).hypot(nearest[1] - y) > GAP + 3.0;
+    let leader = match far {
+        true => format!(
+            "<line class=\"leader\" x1=\"{x:.1}\" y1=\"{y:.1}\" x2=\"{:.1}\" y2=\"{:.1}\"/>",
+            nearest[0], nearest[1]
+        ),
+        false => String::new(),
+    };
+    format!(
+        "{leader}<g style=\"color:{}\"><circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"5\"><title>{}</title></circle></g>\
+         <text{faint}{anchor} x=\"{at:.1}\" y=\"{:.1}\">{}</text>",
+        mark.color,
+        escape(&mark.hint),
+        top + LINE - 3.0,
+        escape(&mark.label)
+    )
+}
+
+/// A place for each name near its point, where it covers the least of points and of other names.
+fn labels(marks: &[Mark], places: &[[f64; 2]]) -> Vec<Label> {
     let points: Vec<Area> = places.iter().map(|[x, y]| [x - 6.0, y - 6.0, x + 6.0, y + 6.0]).collect();
-    let mut labels: Vec<Area> = Vec::new();
+    let mut labels: Vec<Label> = Vec::new();
     for (mark, [x, y]) in marks.iter().zip(places) {
         let width = LETTER * mark.label.chars().count() as f64;
-        let at = |left: f64, top: f64| {
+        let at = |left: f64, top: f64, at_right: bool| {
             let left = left.clamp(LEFT, (WIDTH - RIGHT - width).max(LEFT));
             let top = top.clamp(TOP, HEIGHT - BOTTOM - LINE);
-            [left, top, left + width, top + LINE]
+            Label { area: [left, top, left + width, top + LINE], at_right }
         };
         let mut tried = Vec::new();
-        for shift in [0.0, -10.0, 10.0, -20.0, 20.0, -32.0, 32.0] {
-            tried.push(at(x + 9.0, y - 0.5 * LINE + shift));
-            tried.push(at(x - 9.0 - width, y - 0.5 * LINE + shift));
+        for shift in [0.0, -9.0, 9.0, -18.0, 18.0, -30.0, 30.0, -44.0, 44.0] {
+            tried.push(at(x + GAP, y - 0.5 * LINE + shift, false));
+            tried.push(at(x - GAP - width, y - 0.5 * LINE + shift, true));
         }
-        tried.push(at(x - 0.5 * width, y - 8.0 - LINE));
-        tried.push(at(x - 0.5 * width, y + 8.0));
-        let covered = |area: &Area| {
-            let by = |others: &[Area]| others.iter().map(|other| shared(area, other)).sum::<f64>();
-            by(&points) + by(&labels)
+        let covered = |label: &Label| {
+            let of_points = points.iter().map(|other| shared(&label.area, other)).sum::<f64>();
+            of_points + labels.iter().map(|other| shared(&label.area, &other.area)).sum::<f64>()
         };
         // The first of equally good ones is the nearest.
-        let best = tried.iter().min_by(|a, b| covered(a).total_cmp(&covered(b)));
-        labels.push(best.copied().unwrap_or_else(|| at(*x, *y)));
+        let best = tried.iter().min_by(|a, b| covered(a).total_cmp(&covered(b))).copied();
+        labels.push(best.unwrap_or_else(|| at(*x, *y, false)));
     }
     labels
 }
@@ -161,7 +185,7 @@ mod tests {
         let near = marks(&points);
         let axis = |value: f64| (value.log10() * 100.0) + 60.0;
         let places: Vec<[f64; 2]> = points.iter().map(|(x, psnr)| [axis(*x), 400.0 - 10.0 * psnr]).collect();
-        let labels = labels(&near, &places);
+        let labels: Vec<Area> = labels(&near, &places).iter().map(|label| label.area).collect();
         for (i, one) in labels.iter().enumerate() {
             assert!(labels[..i].iter().all(|other| shared(one, other) == 0.0), "{labels:?}");
             assert!(one[0] >= LEFT && one[2] <= WIDTH - RIGHT + 1e-9 && one[1] >= TOP);

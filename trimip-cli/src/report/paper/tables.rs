@@ -82,7 +82,8 @@ fn ranks(rows: &[Row], value: &dyn Fn(&Row) -> f64) -> Vec<usize> {
 /// The published figures.
 pub fn published(scales: Scales) -> String {
     // The last three columns are words.
-    let class = |column: usize, count: usize| if column == 0 || column + 3 >= count { "" } else { " class=\"n\"" };
+    let class =
+        |column: usize, count: usize| if column == 0 || column + 3 >= count { "" } else { " class=\"n\"" };
     let head = published_columns(scales);
     let mut html = "<div class=\"scroll\"><table class=\"dense quote\"><tr>".to_string();
     for (i, name) in head.iter().enumerate() {

@@ -122,17 +122,24 @@ fn list() -> String {
     rows.extend(SYSTEMS.iter().map(|system| {
         vec![
             system.name.to_string(),
-            format!("{:<24}", system.title),
-            format!("{:<8}", system.kind.word()),
-            format!("{:<20}", system.beside.unwrap_or("–")),
+            system.title.to_string(),
+            system.kind.word().to_string(),
+            system.beside.unwrap_or("–").to_string(),
         ]
     }));
-    let mut text = aligned(&rows);
-    text += "\n";
-    for system in SYSTEMS {
-        text += &format!("\n{}: {}", system.name, system.differs);
-    }
-    text
+    // All columns are words, so all are left-aligned.
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..4).map(width).collect();
+    let line = |row: &Vec<String>| {
+        let cells: Vec<String> =
+            row.iter().zip(&widths).map(|(cell, width)| format!("{cell:width$}", width = *width)).collect();
+        cells.join("  ").trim_end().to_string()
+    };
+    let mut text: Vec<String> = rows.iter().map(line).collect();
+    text.push(String::new());
+    text.push("What differs from the published systems:".into());
+    text.extend(SYSTEMS.iter().map(|system| format!("  {}: {}", system.name, system.differs)));
+    text.join("\n")
 }
 
 /// A table for a terminal.

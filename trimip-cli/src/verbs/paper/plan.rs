@@ -67,11 +67,12 @@ fn time(jobs: &[Job], states: &[State], stride: u32) -> String {
     let known: Vec<f64> = states.iter().filter_map(|state| state.evaluation).collect();
     let mut text = format!("expected time: {} of training", duration(training));
     if !unknown.is_empty() {
-        text += &format!(", and the whole schedules of {}, known once one of each has begun", unknown.join(", "));
+        text +=
+            &format!(", and the whole schedules of {}, known once one of each has begun", unknown.join(", "));
     }
     let views = match stride {
         1 => "all test views".to_string(),
-        _ => format!("every {stride}. test view"),
+        _ => format!("1 in {stride} test views"),
     };
     text += &match known.len() {
         0 => format!("; evaluations of {views} are extra"),
@@ -90,7 +91,10 @@ fn left(job: &Job, state: &State, jobs: &[Job], states: &[State]) -> Option<f64>
     if train.steps == 0 {
         return Some((train.seconds - state.seconds).max(0.0));
     }
-    let alike = jobs.iter().zip(states).filter(|(other, _)| other.system.name == job.system.name && other.scales == job.scales);
+    let alike = jobs
+        .iter()
+        .zip(states)
+        .filter(|(other, _)| other.system.name == job.system.name && other.scales == job.scales);
     let rates: Vec<f64> =
         alike.filter(|(_, state)| state.done > 0.0).map(|(_, state)| state.seconds / state.done).collect();
     let whole = rates.iter().sum::<f64>() / rates.len() as f64;

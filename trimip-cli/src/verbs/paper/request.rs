@@ -89,6 +89,15 @@ impl Request {
                 }
             }
         }
+        for assignment in &arguments.set {
+            if !request.jobs.iter().any(|job| job.config.encoder.kind.takes(path(assignment))) {
+                return Err(Error::input(
+                    format!("--set {assignment}"),
+                    "is a setting of an encoder that none of these systems has",
+                    "leave it out, or name a system with this encoder in --systems",
+                ));
+            }
+        }
         request.check()?;
         Ok(request)
     }
@@ -148,7 +157,8 @@ fn scenes(folders: &[PathBuf]) -> Result<(Vec<Scene>, Vec<&'static str>)> {
     let mut scenes: Vec<Scene> = Vec::new();
     for root in roots {
         let whole = std::fs::canonicalize(&root).unwrap_or_else(|_| PathBuf::from(&root));
-        let name = whole.file_name().map_or_else(|| "scene".into(), |name| name.to_string_lossy().into_owned());
+        let name =
+            whole.file_name().map_or_else(|| "scene".into(), |name| name.to_string_lossy().into_owned());
         if name == SINGLE || scenes.iter().any(|scene| scene.name == name) {
             return Err(Error::input(
                 &root,
@@ -173,6 +183,11 @@ fn tables(wanted: &[TableScales]) -> Vec<Scales> {
     let has = |scales| wanted.contains(&scales);
     let all = [(TableScales::Four, Scales::Four), (TableScales::One, Scales::One)];
     all.into_iter().filter(|(own, _)| has(*own)).map(|(_, scales)| scales).collect()
+}
+
+/// The setting that an assignment names, as a dotted path.
+fn path(assignment: &str) -> &str {
+    assignment.split('=').next().unwrap_or_default().trim()
 }
 
 /// The layers of settings that lie over those of a system.
@@ -208,7 +223,11 @@ impl Layers {
             (Schedule::Equal, seconds) => {
                 let seconds = seconds.unwrap_or(SECONDS);
                 if !(seconds.is_finite() && seconds > 0.0) {
-                    return Err(Error::input(format!("--seconds {seconds}"), "is no time", "give a number above 0"));
+                    return Err(Error::input(
+                        format!("--seconds {seconds}"),
+                        "is no time",
+                        "give a number above 0",
+                    ));
                 }
                 shared.push(format!("train.seconds={seconds:?}"));
             }
@@ -217,7 +236,14 @@ impl Layers {
     }
 
     /// The run of a system; `seed` counts from the configured one.
-    fn job(&self, system: &'static System, scene: &Scene, scales: Scales, seed: u32, out: &Path) -> Result<Job> {
+    fn job(
+        &self,
+        system: &'static System,
+        scene: &Scene,
+        scales: Scales,
+        seed: u32,
+        out: &Path,
+    ) -> Result<Job> {
         let mut settings = Settings::defaults();
         system.apply(&mut settings)?;
         if let Some((name, text)) = &self.file {
@@ -227,7 +253,12 @@ impl Layers {
             format!("data.root={}", toml::Value::String(scene.root.clone())),
             format!("data.scales={}", scales.count()),
         ];
-        for assignment in data.iter().chain(&self.shared).chain(&self.set) {
+        for assignment in data.iter().chain(&self.shared) {
+            settings.apply_assignment(assignment)?;
+        }
+        // A setting of one encoder is for the systems that have it.
+        let encoder = Config::from_settings(&settings)?.encoder.kind;
+        for assignment in self.set.iter().filter(|assignment| encoder.takes(path(assignment))) {
             settings.apply_assignment(assignment)?;
         }
         let seed = Config::from_settings(&settings)?.seed + u64::from(seed);
