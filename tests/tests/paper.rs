@@ -47,10 +47,10 @@ const SETTINGS: [&str; 17] = [
     "threads=2",
 ];
 
-/// `paper` with `more` arguments and these settings.
-fn arguments<'a>(more: &[&'a str]) -> Vec<&'a str> {
-    let settings = SETTINGS.into_iter().flat_map(|setting| ["--set", setting]);
-    ["paper"].into_iter().chain(more.iter().copied()).chain(settings).collect()
+/// `paper` with `more` arguments and these settings, without those of the encoders that `others` names.
+fn arguments<'a>(others: &[&str], more: &[&'a str]) -> Vec<&'a str> {
+    let own = SETTINGS.into_iter().filter(|setting| !others.iter().any(|other| setting.starts_with(other)));
+    ["paper"].into_iter().chain(more.iter().copied()).chain(own.flat_map(|set| ["--set", set])).collect()
 }
 
 fn json(here: &Path) -> Value {
@@ -70,7 +70,7 @@ fn every_system_is_on_the_page_with_the_means_of_its_runs() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     scenes(here);
-    let all = arguments(&["scenes", "--out", "out", "--stride", "1", "--scales", "four,one"]);
+    let all = arguments(&[], &["scenes", "--out", "out", "--stride", "1", "--scales", "four,one"]);
     let answer = run(here, &all);
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     for told in
@@ -147,7 +147,7 @@ fn a_run_that_fails_is_reported_and_ends_no_other() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     scenes(here);
-    let job = arguments(&["scenes/lego", "--out", "out", "--systems", "tri-mip,ngp,ngp-17"]);
+    let job = arguments(&["rip_map."], &["scenes/lego", "--out", "out", "--systems", "tri-mip,ngp,ngp-17"]);
     // Files of somebody else where a run would be.
     fs::create_dir_all(here.join("out/lego/ngp-17/42")).unwrap();
     fs::write(here.join("out/lego/ngp-17/42/model.safetensors"), "theirs").unwrap();
@@ -175,7 +175,8 @@ fn a_job_that_is_killed_goes_on_to_the_same_runs() {
     scenes(here);
     let more = ["scenes/lego", "--systems", "tri-mip-paper,ngp", "--seeds", "2", "--out"];
     let every = ["--set", "train.checkpoint_seconds=0.001", "--set", "train.steps=200"];
-    let job = |out: &'static str| [&arguments(&[&more[..], &[out]].concat())[..], &every].concat();
+    let job =
+        |out: &'static str| [&arguments(&["rip_map."], &[&more[..], &[out]].concat())[..], &every].concat();
     let whole = run(here, &job("whole"));
     assert_eq!(whole.code, Some(0), "{}", whole.err);
 
@@ -252,12 +253,8 @@ fn one_system_is_trained_by_its_name_and_settings_lie_over_it() {
     assert!(value("kind").contains("hash-grid") && value("kind").contains("configs/systems/ngp.toml"));
     refuses(here, &["config", "--system", "nerf"], &["system `nerf`", "ngp-17"]);
     scenes(here);
-    let others = ["encoder.", "rip_map."];
-    let own = SETTINGS.into_iter().filter(|setting| !others.iter().any(|other| setting.starts_with(other)));
-    let train: Vec<&str> = ["train", "scenes/lego", "--system", "ngp"]
-        .into_iter()
-        .chain(own.flat_map(|set| ["--set", set]))
-        .collect();
+    let mut train = arguments(&["encoder.", "rip_map."], &["scenes/lego", "--system", "ngp"]);
+    train[0] = "train";
     let answer = run(here, &train);
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     let model = Model::read(&here.join("runs/lego-ngp/model.safetensors")).unwrap();

@@ -59,8 +59,8 @@ pub struct PaperArguments {
     /// Splits to train on
     #[arg(long, value_enum, default_value_t)]
     pub split: Split,
-    /// Measure every n-th test view; 1 = all, as published figures do
-    #[arg(long, default_value_t = 8, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    /// Measure every n-th test view at the end; 1 = all, as published figures do
+    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub stride: u32,
     /// Configuration file (TOML) that lies over the settings of every system
     #[arg(long, value_name = "FILE")]

@@ -1,7 +1,10 @@
 //! Means as tables of papers form them: over the seeds of a scene, then over the scenes.
 
 use super::{Figures, Run, Scales, Status};
-use crate::{run::curve::Measure, systems::System};
+use crate::{
+    run::curve::Measure,
+    systems::{Kind, System, published::Published},
+};
 use serde::Serialize;
 
 /// A row of a table: a system on one scene, or the mean of several. A value that is not known is NaN, `null` in JSON.
@@ -22,7 +25,8 @@ pub struct Row {
     /// The figures.
     #[serde(flatten)]
     pub cell: Cell,
-    /// The published figure that belongs in this place: *lego* of that scene's row, the mean of the eight scenes of theirs.
+    /// The published figure that belongs in this place, dB: that of *lego* in the row of this scene, the mean of the eight scenes in
+    /// theirs. A smaller variant has none.
     pub published: Option<f64>,
 }
 
@@ -95,6 +99,11 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / count as f64
 }
 
+/// The published row whose figures belong beside those of a system: a smaller variant has none.
+fn quoted(system: &System) -> Option<&'static Published> {
+    system.published().filter(|_| system.kind != Kind::Smaller)
+}
+
 /// The row of a system on a scene: the mean of its seeds.
 pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&Run]) -> Row {
     let known: Vec<&Figures> = runs.iter().filter_map(|run| run.figures.as_ref()).collect();
@@ -105,7 +114,7 @@ pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&
     let of_scale = |i: usize| {
         mean(known.iter().map(|figures| figures.scales.get(i).map_or(f64::NAN, |q| q.measures.psnr)))
     };
-    let published = system.published().filter(|_| scene == "lego").and_then(|row| match scales {
+    let published = quoted(system).filter(|_| scene == "lego").and_then(|row| match scales {
         Scales::Four => row.lego,
         Scales::One => row.single_lego,
     });
@@ -133,7 +142,7 @@ pub fn whole_row(system: &'static System, scales: Scales, rows: &[Row], whole_se
     let first = known.first().map_or_else(Vec::new, |row| factors(row));
     let alike = known.iter().all(|row| factors(row) == first);
     let of_scale = |i: usize| mean(known.iter().map(|row| row.scales[i].1));
-    let published = system.published().filter(|_| whole_set).and_then(|row| match scales {
+    let published = quoted(system).filter(|_| whole_set).and_then(|row| match scales {
         Scales::Four => row.average,
         Scales::One => row.single,
     });
@@ -154,17 +163,38 @@ pub fn whole_row(system: &'static System, scales: Scales, rows: &[Row], whole_se
     }
 }
 
-/// The mean of curves with equally many points, point by point; `None` if they have different numbers of them.
+/// The mean of curves at the times of the one with the fewest points, as far as all of them reach; between points a curve is
+/// straight over the logarithm of time. Curves with equally many points are averaged point by point. `None` without curves or
+/// a time that all of them reach.
 pub fn mean_curve(curves: &[&[Measure]]) -> Option<Vec<Measure>> {
-    let first = curves.first()?;
-    if first.is_empty() || curves.iter().any(|curve| curve.len() != first.len()) {
-        return None;
-    }
-    let at = |i: usize| Measure {
-        seconds: mean(curves.iter().map(|curve| curve[i].seconds)),
-        psnr: mean(curves.iter().map(|curve| curve[i].psnr)),
+    let fewest = curves.iter().min_by_key(|curve| curve.len())?;
+    let points: Vec<Measure> = if curves.iter().all(|curve| curve.len() == fewest.len()) {
+        let at = |i: usize| Measure {
+            seconds: mean(curves.iter().map(|curve| curve[i].seconds)),
+            psnr: mean(curves.iter().map(|curve| curve[i].psnr)),
+        };
+        (0..fewest.len()).map(at).collect()
+    } else {
+        let at = |seconds: f64| {
+            let psnr: Option<Vec<f64>> = curves.iter().map(|curve| between(curve, seconds)).collect();
+            psnr.map(|psnr| Measure { seconds, psnr: mean(psnr.into_iter()) })
+        };
+        fewest.iter().filter_map(|point| at(point.seconds)).collect()
     };
-    Some((0..first.len()).map(at).collect())
+    (!points.is_empty()).then_some(points)
+}
+
+/// A curve's PSNR at a time; `None` where it does not reach. Times within a hundredth of a point are that point's.
+fn between(curve: &[Measure], seconds: f64) -> Option<f64> {
+    let near = |point: &&Measure| (point.seconds - seconds).abs() <= 0.01 * seconds;
+    if let Some(point) = curve.iter().find(near) {
+        return Some(point.psnr);
+    }
+    let pair = curve
+        .windows(2)
+        .find(|pair| pair[0].seconds > 0.0 && (pair[0].seconds..=pair[1].seconds).contains(&seconds))?;
+    let share = (seconds / pair[0].seconds).ln() / (pair[1].seconds / pair[0].seconds).ln();
+    Some(pair[0].psnr + share * (pair[1].psnr - pair[0].psnr))
 }
 
 #[cfg(test)]
@@ -248,11 +278,15 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn curves_are_averaged_point_by_point() {
+    fn curves_are_averaged_at_common_times() {
         let point = |seconds, psnr| Measure { seconds, psnr };
         let (a, b) = ([point(1.0, 20.0), point(2.0, 22.0)], [point(3.0, 30.0), point(4.0, 34.0)]);
         assert_eq!(mean_curve(&[&a, &b]), Some(vec![point(2.0, 25.0), point(3.0, 28.0)]));
-        assert_eq!(mean_curve(&[&a, &b[..1]]), None);
+        // A curve that began earlier is read at the other's times, halfway in the logarithm here, and where both reach.
+        let (long, short) =
+            ([point(1.0, 20.0), point(4.0, 24.0), point(16.0, 30.0)], [point(8.0, 20.0), point(30.0, 40.0)]);
+        assert_eq!(mean_curve(&[&long, &short]), Some(vec![point(8.0, 23.5)]));
+        assert_eq!(mean_curve(&[&a[..1], &b]), None);
         assert_eq!(mean_curve(&[]), None);
     }
 }

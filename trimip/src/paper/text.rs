@@ -4,6 +4,9 @@ use super::{Comparison, Row, Scales, Status};
 use crate::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS};
 use crate::{report::scale_name, units};
 
+/// A value of a row.
+pub type Value = Box<dyn Fn(&Row) -> f64>;
+
 /// A column of a table: its head, and its text for a row. `better` compares values where one is better than another.
 pub struct Column {
     /// Head.
@@ -11,7 +14,7 @@ pub struct Column {
     /// Text of a row.
     pub text: Box<dyn Fn(&Row) -> String>,
     /// The value to compare, greater is better; `None` in columns where nothing is compared.
-    pub value: Option<Box<dyn Fn(&Row) -> f64>>,
+    pub value: Option<Value>,
 }
 
 fn column(head: impl Into<String>, text: impl Fn(&Row) -> String + 'static) -> Column {

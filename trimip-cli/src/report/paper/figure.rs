@@ -26,7 +26,7 @@ pub fn curves(comparison: &Comparison, scales: Scales) -> String {
             "One line for each system, the mean of its seeds and scenes, on about four test views of each scene; the rings at the end are on all measured views."
         }
         _ => {
-            "One line for each system, or for each of its runs while some are open, on about four test views of each scene; the rings at the end are on all measured views."
+            "One line for each system, or for each of its runs while not all are measured, on about four test views of each scene; the rings at the end are on all measured views."
         }
     };
     page::plot(&format!("Quality against time, {}", scales.title().to_lowercase()), &lines, note)
@@ -55,7 +55,8 @@ fn lines(comparison: &Comparison, scales: Scales, system: &System) -> Vec<Line> 
         },
         points: points.iter().map(|m| point(m, of)).collect(),
         // If it is the end of the curve, it is already drawn.
-        ring: (points.last() != Some(&end)).then(|| point(&end, &format!("{of}, all measured views"))),
+        ring: (!points.last().is_some_and(|last| same(last, &end)))
+            .then(|| point(&end, &format!("{of}, all measured views"))),
     };
     let headline = headline(comparison, scales).into_iter().find(|row| row.system == system.name);
     match mean_curve(&curves).filter(|_| known.len() == all.len()).zip(headline) {
@@ -71,6 +72,11 @@ fn lines(comparison: &Comparison, scales: Scales, system: &System) -> Vec<Line> 
             })
             .collect(),
     }
+}
+
+/// True for measures that differ by rounding at most.
+fn same(a: &Measure, b: &Measure) -> bool {
+    (a.seconds - b.seconds).abs() <= 1e-6 * b.seconds && (a.psnr - b.psnr).abs() < 1e-6
 }
 
 /// Quality against time and against size, measured and published; empty if nothing was measured.
@@ -114,22 +120,27 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
             format!("<figure><figcaption>{caption}</figcaption>{svg}</figure>")
         })
     };
-    let published_times = if scales == Scales::Four {
-        figure("Published: on GPUs", &time[1], "training time / min")
-    } else {
-        String::new()
+    let mut panels =
+        figure("Measured here", &size[0], "model / MB") + &figure("Published", &size[1], "model / MB");
+    // At equal time the curves say all, and the points would stand above each other.
+    let ends = || time[0].iter().map(|mark| mark.x);
+    let apart = ends().fold(0.0, f64::max) > 1.1 * ends().fold(f64::INFINITY, f64::min);
+    if apart {
+        panels += &figure("Measured here: on this machine", &time[0], "training time / s");
+    }
+    if scales == Scales::Four {
+        panels += &figure("Published: on GPUs", &time[1], "training time / min");
+    }
+    let here = match &comparison.scenes[..] {
+        [scene] => page::escape(scene),
+        scenes => terminal::count(scenes.len() as u64, "scene"),
     };
+    let equal =
+        if apart { "" } else { " All systems were trained for the same time here: see the curves above." };
     format!(
-        "<section><h2>Quality against size and time, {}</h2><div class=\"panels\">{}{}{}{published_times}</div>\
-         <p class=\"lead\">To the left what was measured here{}, to the right what the papers state for the eight Blender scenes, \
-         with their splits and backgrounds, on GPUs. Better is higher and further to the left.</p></section>\n",
-        scales.title().to_lowercase(),
-        figure("Measured here", &size[0], "model / MB"),
-        figure("Published", &size[1], "model / MB"),
-        figure("Measured here: on this machine", &time[0], "training time / s"),
-        match &comparison.scenes[..] {
-            [scene] => format!(" on {}", page::escape(scene)),
-            _ => String::new(),
-        },
+        "<section><h2>Quality against size and time, {}</h2><div class=\"panels\">{panels}</div><p class=\"lead\">Dots were measured here, on {here}; rings are \
+         what the papers state for the eight Blender scenes, with their splits and backgrounds, on GPUs. Better is higher and \
+         further to the left.{equal}</p></section>\n",
+        scales.title().to_lowercase()
     )
 }

@@ -13,8 +13,8 @@ use crate::{terminal, verbs::train};
 use request::{Job, Request};
 use std::sync::atomic::Ordering;
 use trimip::paper::{Comparison, Figures, Row, Run, Scales, Status, columns, json, markdown};
-use trimip::run::folder::create_writable;
-use trimip::{Error, ErrorKind, Result, RunFolder, Training, machine, systems::SYSTEMS};
+use trimip::run::{folder::create_writable, history::History};
+use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
 
 /// Trains what is not trained yet, and writes the pages.
 pub fn run(arguments: &PaperArguments) -> Result<u8> {
@@ -62,15 +62,29 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
     }
 }
 
-/// Trains a run, or finds it finished. Returns its state and, if it was evaluated, its figures.
+/// Trains a run and measures it, or finds it finished. Returns its state and, if it was measured, its figures.
 fn carry_out(job: &Job) -> (Status, Option<Figures>) {
     let style = if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json };
+    machine::reset_peak_memory();
+    if !History::of(&job.folder.events()).finished {
+        let trained = train::train(Training::new(job.training.clone(), job.folder.root()), style);
+        let whole = |trained: &Trained| {
+            matches!(trained.outcome, Ok(Ended::Finished | Ended::Before)) && trained.unwritten.is_none()
+        };
+        if !trained.as_ref().is_ok_and(whole) {
+            return concluded(trained, style);
+        }
+    }
+    concluded(train::train(Training::new(job.measuring.clone(), job.folder.root()), style), style)
+}
+
+/// The state and the figures of a training that has ended.
+fn concluded(trained: Result<Trained>, style: ProgressStyle) -> (Status, Option<Figures>) {
     let failed = |error: Error| match error.kind {
         ErrorKind::Stopped => Status::Stopped,
         _ => Status::Failed(error.message),
     };
-    machine::reset_peak_memory();
-    match train::train(Training::new(job.settings.clone(), job.folder.root()), style) {
+    match trained {
         Err(error) => (failed(error), None),
         Ok(trained) => {
             let status = match train::conclude(&trained, style) {

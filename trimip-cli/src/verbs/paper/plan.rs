@@ -98,5 +98,5 @@ fn left(job: &Job, state: &State, jobs: &[Job], states: &[State]) -> Option<f64>
     let rates: Vec<f64> =
         alike.filter(|(_, state)| state.done > 0.0).map(|(_, state)| state.seconds / state.done).collect();
     let whole = rates.iter().sum::<f64>() / rates.len() as f64;
-    whole.is_finite().then(|| whole * (1.0 - state.done))
+    whole.is_finite().then_some(whole * (1.0 - state.done))
 }

@@ -32,7 +32,11 @@ pub struct Job {
     pub scene: String,
     pub system: &'static System,
     pub seed: u64,
-    pub settings: Settings,
+    /// Settings of the training. Its evaluations take a share of the time, so that a fog at its beginning takes no hours.
+    pub training: Settings,
+    /// Settings of the evaluation at the end, which has no limit.
+    pub measuring: Settings,
+    /// The configuration of `measuring`.
     pub config: Config,
     pub folder: RunFolder,
 }
@@ -136,7 +140,7 @@ impl Request {
                 }
             }
         }
-        self.jobs.iter().try_for_each(|job| expect_same(&job.settings, &job.folder))
+        self.jobs.iter().try_for_each(|job| expect_same(&job.measuring, &job.folder))
     }
 }
 
@@ -198,6 +202,8 @@ struct Layers {
     shared: Vec<String>,
     /// The user's assignments.
     set: Vec<String>,
+    /// Every n-th test view is measured at the end.
+    stride: u32,
 }
 
 impl Layers {
@@ -209,12 +215,7 @@ impl Layers {
             }
             None => None,
         };
-        let mut shared = vec![
-            format!("data.train={:?}", request.split),
-            format!("eval.final={}", request.stride),
-            // All systems are measured on the same views.
-            "eval.share=0".into(),
-        ];
+        let mut shared = vec![format!("data.train={:?}", request.split)];
         match (arguments.schedule, arguments.seconds) {
             (Schedule::Own, Some(_)) => {
                 return Err(Error::input("--schedule own", "has no --seconds", "give one of the two"));
@@ -232,7 +233,7 @@ impl Layers {
                 shared.push(format!("train.seconds={seconds:?}"));
             }
         }
-        Ok(Self { file, shared, set: arguments.set.clone() })
+        Ok(Self { file, shared, set: arguments.set.clone(), stride: request.stride })
     }
 
     /// The run of a system; `seed` counts from the configured one.
@@ -263,9 +264,12 @@ impl Layers {
         }
         let seed = Config::from_settings(&settings)?.seed + u64::from(seed);
         let settings = settings.with("seed", seed.cast_signed())?;
-        let config = Config::from_settings(&settings)?;
+        // All systems are measured on the same views, however long that takes.
+        let measuring = settings.clone().with("eval.final", i64::from(self.stride))?.with("eval.share", 0)?;
+        let training = settings.with("eval.final", false)?;
+        let config = Config::from_settings(&measuring)?;
         let root = if scales == Scales::One { out.join(SINGLE) } else { out.to_path_buf() };
         let folder = RunFolder::new(&root.join(&scene.name).join(system.name).join(seed.to_string()));
-        Ok(Job { scales, scene: scene.name.clone(), system, seed, settings, config, folder })
+        Ok(Job { scales, scene: scene.name.clone(), system, seed, training, measuring, config, folder })
     }
 }
