@@ -285,7 +285,7 @@ pub(super) mod tests {
         // A curve that began earlier is read at the other's times, halfway in the logarithm here, and where both reach.
         let (long, short) =
             ([point(1.0, 20.0), point(4.0, 24.0), point(16.0, 30.0)], [point(8.0, 20.0), point(30.0, 40.0)]);
-        assert_eq!(mean_curve(&[&long, &short]), Some(vec![point(8.0, 23.5)]));
+        assert_eq!(mean_curve(&[&long[..], &short[..]]), Some(vec![point(8.0, 23.5)]));
         assert_eq!(mean_curve(&[&a[..1], &b]), None);
         assert_eq!(mean_curve(&[]), None);
     }
