@@ -9,7 +9,7 @@ mod text;
 pub use figures::Figures;
 pub use json::json;
 pub use means::{Cell, Row, mean_curve, scene_row, whole_row};
-pub use text::{Column, columns, markdown, published_cells, published_columns};
+pub use text::{Column, columns, markdown, published_caption, published_cells, published_columns};
 
 use crate::machine::Machine;
 use crate::systems::System;

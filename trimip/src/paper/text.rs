@@ -1,7 +1,7 @@
 //! The tables as text: their columns, for the page and the terminal, and `paper.md`.
 
 use super::{Comparison, Row, Scales, Status};
-use crate::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS};
+use crate::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS, SOURCES};
 use crate::{report::scale_name, units};
 
 /// A value of a row.
@@ -99,6 +99,15 @@ pub fn published_columns(scales: Scales) -> Vec<&'static str> {
     }
 }
 
+/// What the published figures of a table are means of, and where they stand.
+pub fn published_caption(scales: Scales) -> String {
+    let on = match scales {
+        Scales::Four => format!("on {CONVENTION}"),
+        Scales::One => "at 1/1 alone".into(),
+    };
+    format!("means of the eight Blender scenes, 200 test views each, {on}. {SOURCES}")
+}
+
 /// The published rows that have figures for the table, as text below [`published_columns`].
 pub fn published_cells(scales: Scales) -> Vec<Vec<String>> {
     let db = |value: Option<f64>| value.map_or("–".into(), |value| format!("{value:.2}"));
@@ -154,7 +163,7 @@ pub fn markdown(comparison: &Comparison) -> String {
         }
         let mut rows = vec![published_columns(scales).into_iter().map(String::from).collect()];
         rows.extend(published_cells(scales));
-        text += &format!("\nPublished, mean of the eight Blender scenes; {CONVENTION}:\n\n{}", lines(&rows));
+        text += &format!("\nPublished, {}:\n\n{}", published_caption(scales), lines(&rows));
     }
     text += "\n## What has to be known\n\n";
     for remark in REMARKS {

@@ -3,8 +3,10 @@
 
 use super::mark;
 use crate::report::page::escape;
-use trimip::paper::{Comparison, Row, Scales, columns, published_cells, published_columns};
-use trimip::systems::{Kind, SYSTEMS, published::CONVENTION};
+use trimip::paper::{
+    Comparison, Row, Scales, columns, published_caption, published_cells, published_columns,
+};
+use trimip::systems::{Kind, SYSTEMS};
 
 /// Number of scenes up to which each has its table in sight.
 const OPEN: usize = 2;
@@ -82,8 +84,11 @@ fn ranks(rows: &[Row], value: &dyn Fn(&Row) -> f64) -> Vec<usize> {
 /// The published figures.
 pub fn published(scales: Scales) -> String {
     // The last three columns are words.
-    let class =
-        |column: usize, count: usize| if column == 0 || column + 3 >= count { "" } else { " class=\"n\"" };
+    let class = |column: usize, count: usize| match column {
+        0 => "",
+        _ if column + 3 >= count => " class=\"w\"",
+        _ => " class=\"n\"",
+    };
     let head = published_columns(scales);
     let mut html = "<div class=\"scroll\"><table class=\"dense quote\"><tr>".to_string();
     for (i, name) in head.iter().enumerate() {
@@ -98,9 +103,10 @@ pub fn published(scales: Scales) -> String {
         html += "</tr>";
     }
     format!(
-        "<section class=\"wide\"><h2>{}, published</h2><p class=\"lead\">Quoted, not measured here: means of the eight Blender scenes, \
-         on {CONVENTION}; 200 test views a scene.</p>{html}</table></div></section>\n",
-        scales.title()
+        "<section class=\"wide\"><h2>{}, published</h2><p class=\"lead\">Quoted, not measured here: {}.</p>{html}</table></div>\
+         </section>\n",
+        scales.title(),
+        published_caption(scales)
     )
 }
 
