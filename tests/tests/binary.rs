@@ -269,9 +269,10 @@ fn verbs_answer() {
 #[test]
 fn every_shipped_configuration_is_accepted() {
     let mut count = 0;
-    for entry in fs::read_dir(root().join("configs")).unwrap() {
+    let files = |folder: &str| fs::read_dir(root().join(folder)).unwrap();
+    for entry in files("configs").chain(files("configs/systems")) {
         let path = entry.unwrap().path();
-        if path.extension().is_some_and(|end| end == "json") {
+        if path.extension().is_none_or(|end| end != "toml") {
             continue;
         }
         let answer = run(&root(), &["config", "--config", path.to_str().unwrap()]);

@@ -1,6 +1,9 @@
 //! The command line: verbs, their options and help.
 
+mod paper;
+
 use clap::{Args, Parser, Subcommand, ValueEnum};
+pub use paper::{PaperArguments, Schedule, Split, TableScales};
 use std::path::PathBuf;
 
 /// Anti-aliased radiance fields from photographs (Tri-MipRF): plan, train, evaluate, render and report.
@@ -45,6 +48,9 @@ pub enum Verb {
     Compare(CompareArguments),
     /// Error against time: training over a set of configurations and seeds, or rendering a model in many ways
     Bench(BenchArguments),
+    /// Train the systems of the paper's tables on the same scenes, splits and seeds, at equal time, and lay them beside
+    /// each other and the published figures: tables, curves and crops on one page
+    Paper(PaperArguments),
     /// Run the catalogue of stiff and extreme cases; exit code 1 if a law is violated
     Check(CheckArguments),
     /// Show what this machine and this build support
@@ -54,6 +60,9 @@ pub enum Verb {
 /// Sources of settings.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SettingsArguments {
+    /// A system, by the name that `paper --list` shows: its settings lie over the defaults and under all others
+    #[arg(long, value_name = "NAME")]
+    pub system: Option<String>,
     /// Configuration file (TOML); missing settings have their defaults
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -94,14 +103,14 @@ pub struct TrainArguments {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Run folder [default: runs/ and the name of the configuration file, or of FOLDER]
+    /// Run folder [default: runs/ and the name of the configuration file, or of FOLDER, and of the system]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Start over: replaces the run in the folder
     #[arg(long)]
     pub fresh: bool,
     /// Continue a finished run for this time, e.g. 90s, 5m, 1h: its schedule stretches to the new length
-    #[arg(long, value_name = "TIME", conflicts_with_all = ["fresh", "minutes", "config"])]
+    #[arg(long, value_name = "TIME", conflicts_with_all = ["fresh", "minutes", "config", "system"])]
     pub continue_for: Option<String>,
     /// Stop and save after this many steps, as if interrupted; the same command resumes from there
     #[arg(long, value_name = "STEPS")]
@@ -351,7 +360,7 @@ pub struct MeshArguments {
 pub struct BenchArguments {
     /// Benchmark rendering instead of training: error of this model's pictures against time per frame (run folder or
     /// model file)
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["vary", "no_base", "seeds", "config"])]
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["vary", "no_base", "seeds", "config", "system"])]
     pub render: Option<PathBuf>,
     /// Rendering: 1, 2x2, 4x4 and 8x8 cones a pixel at every scale of the test views, against the photographs and
     /// against each other
@@ -483,7 +492,7 @@ pub struct ConfigArguments {
     #[command(flatten)]
     pub settings: SettingsArguments,
     /// Print the documented table of defaults instead
-    #[arg(long, conflicts_with_all = ["config", "set", "folder", "minutes"])]
+    #[arg(long, conflicts_with_all = ["config", "system", "set", "folder", "minutes"])]
     pub defaults: bool,
 }
 

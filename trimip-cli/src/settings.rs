@@ -2,12 +2,15 @@
 
 use crate::args::{SceneArguments, SettingsArguments};
 use std::path::Path;
-use trimip::{Config, Error, Result, Settings};
+use trimip::{Config, Error, Result, Settings, systems};
 use trimip_core::text;
 
-/// Settings of a configuration file and the command line. Checks every range.
+/// Settings of a system, a configuration file and the command line. Checks every range.
 pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     let mut settings = Settings::defaults();
+    if let Some(name) = &arguments.system {
+        systems::find(name)?.apply(&mut settings)?;
+    }
     if let Some(path) = &arguments.config {
         let text = text::read(path, "name an existing configuration file, such as configs/quickstart.toml")?;
         settings.apply_file(&path.display().to_string(), &text)?;
@@ -32,7 +35,7 @@ pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Resu
         set.push(format!("train.seconds={:?}", 60.0 * minutes));
     }
     set.extend(arguments.set.iter().cloned());
-    load(&SettingsArguments { config: arguments.config.clone(), set })
+    load(&SettingsArguments { set, ..arguments.clone() })
 }
 
 /// The folder of a scene as `data.root`. An invalid folder gives an error that suggests what to type.
@@ -89,13 +92,20 @@ pub fn duration(place: &str, text: &str) -> Result<f64> {
         .ok_or_else(|| Error::input(place, format!("`{text}` is no duration"), "write 90s, 5m or 1h"))
 }
 
-/// Default name of the run folder: `runs/` and the stem of the configuration file, or the scene's folder.
-pub fn default_folder(config: Option<&Path>, scene: Option<&Path>) -> std::path::PathBuf {
+/// Default name of the run folder: `runs/` and the stem of the configuration file, or the scene's folder, and the system.
+pub fn default_folder(
+    config: Option<&Path>,
+    scene: Option<&Path>,
+    system: Option<&str>,
+) -> std::path::PathBuf {
     let whole = scene.map(|scene| scene.canonicalize().unwrap_or_else(|_| scene.to_path_buf()));
     let folder =
         whole.as_deref().map(|whole| if whole.is_file() { whole.parent().unwrap_or(whole) } else { whole });
     let name = config.and_then(Path::file_stem).or(folder.and_then(Path::file_name));
-    Path::new("runs").join(name.map_or("default".into(), |name| name.to_string_lossy()).as_ref())
+    let names =
+        name.map(|name| name.to_string_lossy().into_owned()).into_iter().chain(system.map(String::from));
+    let name = names.collect::<Vec<_>>().join("-");
+    Path::new("runs").join(if name.is_empty() { "default" } else { &name })
 }
 
 #[cfg(test)]
@@ -129,7 +139,10 @@ mod tests {
             }
         }
         assert!(scene_root(Path::new("rendr")).unwrap_err().message.contains("--help"));
-        assert_eq!(default_folder(None, Some(folder.path())).file_name(), folder.path().file_name());
+        assert_eq!(default_folder(None, Some(folder.path()), None).file_name(), folder.path().file_name());
+        let named = |config: Option<&str>, system| default_folder(config.map(Path::new), None, system);
+        assert_eq!(named(Some("a/b.toml"), Some("ngp")), Path::new("runs/b-ngp"));
+        assert_eq!((named(None, Some("ngp")), named(None, None)), ("runs/ngp".into(), "runs/default".into()));
         std::fs::write(path("model.safetensors"), "").unwrap();
         let error = scene_root(folder.path()).unwrap_err();
         assert!(error.exit_code() == 2 && error.message.contains("--continue-for"), "{error}");
@@ -141,10 +154,10 @@ mod tests {
         let mut count = 0;
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
-            if path.extension().is_some_and(|end| end == "json") {
+            if path.extension().is_none_or(|end| end != "toml") {
                 continue;
             }
-            let arguments = SettingsArguments { config: Some(path.clone()), set: vec![] };
+            let arguments = SettingsArguments { config: Some(path.clone()), ..Default::default() };
             let (_, config) = load(&arguments).unwrap_or_else(|error| panic!("{error}"));
             trimip::backends::check(&config.backend).unwrap_or_else(|error| panic!("{error}"));
             assert!(

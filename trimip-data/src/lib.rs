@@ -20,6 +20,7 @@
 mod blender;
 pub mod builtin;
 pub mod checks;
+mod collection;
 pub mod colmap;
 mod describe;
 mod division;
@@ -50,6 +51,7 @@ mod watch;
 mod workers;
 mod write;
 
+pub use collection::{BLENDER_SCENES, Collection, has_split, is_scene};
 pub use describe::{Inspection, examine, inspect};
 pub use lens::{lens_of, lens_terms};
 pub use memory::{available_memory, resident_memory};

@@ -6,7 +6,8 @@
 //!   opens a bare [`Session`] for a custom training loop;
 //! - models: [`read_model`] and [`model::Model::write`] load and save a model, [`backends::load`] opens a [`Viewer`];
 //! - pictures: [`Viewer::render`] returns a [`Frame`], [`view::write`] writes it as PNG or EXR;
-//! - metrics: [`view::evaluate`] compares a model with its test photographs.
+//! - metrics: [`view::evaluate`] compares a model with its test photographs;
+//! - systems: [`systems`] are settings of Tri-MipRF and the systems beside it, [`paper`] their figures in the paper's tables.
 //!
 //! ```
 //! # fn main() -> trimip::Result<()> {
@@ -39,9 +40,11 @@ pub mod backends;
 pub mod inspect;
 pub mod machine;
 pub mod mesh;
+pub mod paper;
 pub mod report;
 pub mod run;
 pub mod settings;
+pub mod systems;
 pub mod units;
 pub mod view;
 

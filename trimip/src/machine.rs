@@ -52,6 +52,12 @@ pub fn peak_memory() -> Option<u64> {
     kilobytes(&read("/proc/self/status"), "VmHWM:")
 }
 
+/// Forgets the peak of [`peak_memory`], so that it is that of what follows. Where the system cannot do that, the peak stays
+/// that of the whole process; false then.
+pub fn reset_peak_memory() -> bool {
+    std::fs::write("/proc/self/clear_refs", "5").is_ok()
+}
+
 /// Free bytes, for an ordinary user, on the disk that holds `path`.
 #[cfg(unix)]
 pub fn disk_free(path: &Path) -> Option<u64> {
@@ -124,6 +130,19 @@ mod tests {
         assert_eq!(kilobytes(status, "VmPeak:"), None);
         assert_eq!(field("PRETTY_NAME=\"A B\"", "PRETTY_NAME", '='), Some("A B".into()));
         assert_eq!(field("", "model name", ':'), None);
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn the_peak_of_memory_is_that_since_it_was_reset() {
+        let large = std::hint::black_box(vec![1_u8; 1 << 28]);
+        let before = peak_memory().unwrap();
+        assert!(before > large.len() as u64);
+        drop(large);
+        // A container may forbid it.
+        if reset_peak_memory() {
+            assert!(peak_memory().unwrap() < before);
+        }
     }
 
     #[test]

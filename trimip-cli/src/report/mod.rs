@@ -1,5 +1,5 @@
 //! The program's pages: the report of a run, one self-contained HTML file, the page of an inspected capture, and the parts
-//! they share with the pages of `bench` and `compare`.
+//! they share with the pages of `bench`, `compare` and `paper`.
 
 pub mod beside;
 mod difference;
@@ -8,6 +8,7 @@ mod example;
 mod html;
 pub mod inspect;
 pub mod page;
+pub mod paper;
 mod pictures;
 mod settings;
 pub mod svg;

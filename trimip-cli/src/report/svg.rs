@@ -17,26 +17,29 @@ const BOTTOM: f64 = 48.0;
 pub const COLORS: [&str; 8] =
     ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#a6761d"];
 
+/// Class of a dashed line: the same colours again, for more lines than there are colours.
+pub const DASHED: &str = "dashed";
+
 /// An axis: the range of its values and the pixels it covers.
 #[derive(Clone, Copy, Debug)]
-struct Axis {
-    low: f64,
-    high: f64,
-    logarithmic: bool,
-    start: f64,
-    end: f64,
+pub(super) struct Axis {
+    pub(super) low: f64,
+    pub(super) high: f64,
+    pub(super) logarithmic: bool,
+    pub(super) start: f64,
+    pub(super) end: f64,
 }
 
 impl Axis {
     /// Pixel position of a value.
-    fn place(&self, value: f64) -> f64 {
+    pub(super) fn place(&self, value: f64) -> f64 {
         let f = |x: f64| if self.logarithmic { x.log10() } else { x };
         let fraction = (f(value) - f(self.low)) / (f(self.high) - f(self.low));
         self.start + fraction * (self.end - self.start)
     }
 
     /// Round values for the tick labels.
-    fn ticks(&self) -> Vec<f64> {
+    pub(super) fn ticks(&self) -> Vec<f64> {
         if self.logarithmic {
             let digits: &[f64] = if self.high / self.low > 2e3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
             let decades = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
@@ -152,8 +155,10 @@ pub fn plot(lines: &[Line], logarithmic: bool) -> Option<String> {
 
 /// The legend of a plot as HTML.
 pub fn legend(lines: &[Line]) -> String {
-    let entry =
-        |line: &&Line| format!("<span><i style=\"color:{}\"></i>{}</span>", line.color, escape(&line.name));
+    let entry = |line: &&Line| {
+        let dashed = if line.class.contains(DASHED) { " class=\"dashed\"" } else { "" };
+        format!("<span><i{dashed} style=\"color:{}\"></i>{}</span>", line.color, escape(&line.name))
+    };
     let mut legend: String = named(lines).iter().map(entry).collect();
     if lines.iter().any(|line| line.ring.is_some()) {
         legend += "<span><i class=\"ring\"></i>final</span>";
@@ -299,7 +304,7 @@ fn group(line: &Line, x: Axis, y: Axis) -> String {
 }
 
 /// A tick's value in few characters.
-fn short(value: f64) -> String {
+pub(super) fn short(value: f64) -> String {
     let digits = if value.abs() >= 9.995 { 1 } else { 3 };
     let text = format!("{value:.digits$}");
     let trimmed = text.trim_end_matches('0').trim_end_matches('.');

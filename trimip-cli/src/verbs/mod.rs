@@ -9,6 +9,7 @@ mod data;
 mod doctor;
 mod eval;
 mod export;
+mod paper;
 mod plan;
 mod render;
 mod strip;
@@ -44,6 +45,7 @@ pub fn run(arguments: Arguments) -> Result<u8> {
         Some(Verb::Config(config)) => config::run(&config),
         Some(Verb::Compare(compare)) => compare::run(&compare),
         Some(Verb::Bench(bench)) => bench::run(&bench),
+        Some(Verb::Paper(paper)) => paper::run(&paper),
         Some(Verb::Check(check)) => check::run(&check),
         Some(Verb::Doctor) => doctor::run(),
     }

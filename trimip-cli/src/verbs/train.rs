@@ -16,8 +16,11 @@ use trimip::{Ended, Listeners, Result, RunFolder, Trained, Training, backends, e
 pub fn run(arguments: &TrainArguments) -> Result<u8> {
     let started = Instant::now();
     let (scene, file) = (&arguments.scene.folder, &arguments.settings.config);
-    let root =
-        arguments.out.clone().unwrap_or_else(|| settings::default_folder(file.as_deref(), scene.as_deref()));
+    let system = arguments.settings.system.as_deref();
+    let root = arguments
+        .out
+        .clone()
+        .unwrap_or_else(|| settings::default_folder(file.as_deref(), scene.as_deref(), system));
     let training = match &arguments.continue_for {
         Some(time) => extension(arguments, &root, time)?,
         None => {

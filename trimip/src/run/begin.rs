@@ -108,6 +108,23 @@ impl Beginning {
     }
 }
 
+/// Refuses a folder with a run of other settings than `given`, as a training into it does. Reads no checkpoint, so it is
+/// quick.
+///
+/// # Errors
+/// When the folder holds another run, or the settings are invalid.
+pub fn expect_same(given: &Settings, folder: &RunFolder) -> Result<()> {
+    let text = std::fs::read_to_string(folder.config());
+    let Some(text) = text.ok().filter(|_| folder.checkpoint().exists()) else { return Ok(()) };
+    let mut settings = given.clone();
+    if let Some(findings) = folder.findings()? {
+        scene_plan::adopt(&mut settings, &findings)?;
+    }
+    keep_extension(&mut settings, folder)?;
+    let there = Config::from_toml(&folder.config().display().to_string(), &text)?;
+    folder.expect_none(&Config::from_settings(&settings)?.differences(&there))
+}
+
 /// Keeps the budget of an earlier extension if the given budget is smaller. The settings that began a run then still
 /// match it, and find it finished.
 fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {

@@ -3,7 +3,7 @@
 use trimip_core::{Error, Result};
 
 /// A point of a curve.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Measure {
     /// Seconds of training.
     pub seconds: f64,

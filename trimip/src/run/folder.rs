@@ -154,23 +154,7 @@ impl RunFolder {
         let path = self.checkpoint();
         if path.exists() {
             let checkpoint = Checkpoint::read(&path)?;
-            let differences = config.differences(&checkpoint.config);
-            if !differences.is_empty() {
-                let budget =
-                    |text: &String| text.starts_with("train.seconds") || text.starts_with("train.steps");
-                let longer = match differences.iter().all(budget) {
-                    true => ", --continue-for 5m to train a finished one longer",
-                    false => "",
-                };
-                return Err(Error::input(
-                    self.root.display(),
-                    format!("holds a run with other settings ({})", differences.join(", ")),
-                    format!(
-                        "give the same settings to go on with it{longer}, --fresh to replace it, or another --out folder to \
-                         keep both"
-                    ),
-                ));
-            }
+            self.expect_none(&config.differences(&checkpoint.config))?;
             return Ok(Some(checkpoint));
         }
         if self.model().exists() {
@@ -181,6 +165,29 @@ impl RunFolder {
             ));
         }
         Ok(None)
+    }
+
+    /// Refuses the folder if its run differs from the given one in `differences`.
+    ///
+    /// # Errors
+    /// When there are any.
+    pub(super) fn expect_none(&self, differences: &[String]) -> Result<()> {
+        if differences.is_empty() {
+            return Ok(());
+        }
+        let budget = |text: &String| text.starts_with("train.seconds") || text.starts_with("train.steps");
+        let longer = match differences.iter().all(budget) {
+            true => ", --continue-for 5m to train a finished one longer",
+            false => "",
+        };
+        Err(Error::input(
+            self.root.display(),
+            format!("holds a run with other settings ({})", differences.join(", ")),
+            format!(
+                "give the same settings to go on with it{longer}, --fresh to replace it, or another --out folder to \
+                 keep both"
+            ),
+        ))
     }
 
     /// Paths of all files that a run writes, except pictures, whether they exist or not; the events last.

@@ -13,4 +13,5 @@ mod recorder;
 pub mod store;
 pub mod train;
 
+pub use begin::expect_same;
 pub use guard::Lock;

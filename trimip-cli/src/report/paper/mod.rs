@@ -1,0 +1,207 @@
+//! `paper.html`: systems beside each other on one self-contained page: curves, points of quality against size and time, the
+//! tables, crops of the same places, and the published figures, drawn apart.
+
+mod crops;
+mod figure;
+mod scatter;
+mod tables;
+
+use super::page::{self, escape, pairs};
+use super::svg::{COLORS, DASHED};
+use crate::terminal;
+use trimip::paper::{Comparison, Figures, Row, Scales, Status};
+use trimip::systems::{SYSTEMS, published::REMARKS};
+use trimip::{Result, config::Convention, machine};
+
+/// The whole page.
+///
+/// # Errors
+/// When a picture cannot be encoded.
+pub fn page(comparison: &Comparison) -> Result<String> {
+    let mut content = vec![head(comparison), state(comparison)];
+    let all = &comparison.scales;
+    // One plot with a choice of its axis has room on a page; the first table is the one it belongs to.
+    content.extend(all.first().map(|&scales| figure::curves(comparison, scales)));
+    content.extend(all.iter().map(|&scales| figure::points(comparison, scales)));
+    content.extend(all.iter().map(|&scales| tables::measured(comparison, scales)));
+    for &scales in all {
+        content.push(crops::section(comparison, scales)?);
+    }
+    content.extend(all.iter().map(|&scales| tables::published(scales)));
+    content.extend([remarks(), measure(comparison), systems(comparison)]);
+    Ok(page::whole("Systems beside each other – Tri-MipRF", &content.concat()))
+}
+
+/// Colour of a system, and whether its lines are dashed. Both stay the same whatever systems a page has.
+fn look(system: &str) -> (&'static str, bool) {
+    let place = SYSTEMS.iter().position(|own| own.name == system).unwrap_or(0);
+    (COLORS[place % COLORS.len()], place >= COLORS.len())
+}
+
+/// The mark of a system as HTML.
+fn mark(system: &str) -> String {
+    let (color, dashed) = look(system);
+    let dashed = if dashed { format!(" {DASHED}") } else { String::new() };
+    format!("<i class=\"mark{dashed}\" style=\"color:{color}\"></i>")
+}
+
+/// The rows that stand for all scenes: those of the only scene, or the means.
+fn headline(comparison: &Comparison, scales: Scales) -> Vec<Row> {
+    match &comparison.scenes[..] {
+        [scene] => comparison.scene_rows(scales, scene),
+        _ => comparison.whole_rows(scales),
+    }
+}
+
+fn head(comparison: &Comparison) -> String {
+    let scenes = match &comparison.scenes[..] {
+        [scene] => scene.clone(),
+        scenes => terminal::count(scenes.len() as u64, "scene"),
+    };
+    let figures = || comparison.runs.iter().filter_map(|run| run.figures.as_ref());
+    let done = figures().count();
+    let mut tiles = vec![
+        (format!("{done} of {}", comparison.runs.len()), "runs measured".to_string()),
+        (terminal::duration(figures().map(|figures| figures.seconds).sum()), "training in all".into()),
+    ];
+    let best = comparison.scales.first().and_then(|&scales| {
+        let rows = headline(comparison, scales).into_iter();
+        // A mean of fewer scenes is no rival.
+        let whole = rows.filter(|row| row.scenes[0] == row.scenes[1] && row.cell.psnr.is_finite());
+        whole.max_by(|a, b| a.cell.psnr.total_cmp(&b.cell.psnr))
+    });
+    if let Some(row) = best {
+        tiles.insert(0, (format!("{:.2} dB", row.cell.psnr), format!("best mean: {}", row.title)));
+    }
+    let tiles: String = tiles
+        .iter()
+        .map(|(value, name)| format!("<div><b>{}</b><span>{}</span></div>", escape(value), escape(name)))
+        .collect();
+    let mut rows = vec![
+        ("scenes", comparison.scenes.join(", ")),
+        ("trained on", comparison.split.join(" + ")),
+        ("budget", comparison.budget.clone()),
+        (
+            "machine",
+            format!(
+                "{}, {}",
+                comparison.machine.cpu,
+                terminal::count(comparison.machine.cores as u64, "core")
+            ),
+        ),
+    ];
+    if !comparison.missing.is_empty() {
+        rows.insert(1, ("not there", comparison.missing.join(", ")));
+    }
+    rows.extend(comparison.command.iter().map(|command| ("command", command.clone())));
+    rows.push(("version", format!("trimip-cli {}", machine::version())));
+    format!(
+        "<header><h1>{} <span class=\"scene\">on {}</span></h1>\n<p class=\"lead\">The systems of the paper’s tables, trained by \
+         one program on the same photographs and the same machine.</p>\n<div class=\"tiles\">{tiles}</div>\n\
+         <div class=\"origin\">{}</div></header>\n",
+        terminal::count(comparison.systems.len() as u64, "system"),
+        escape(&scenes),
+        pairs(&rows)
+    )
+}
+
+/// What failed, and what is not run yet.
+fn state(comparison: &Comparison) -> String {
+    let mut items = String::new();
+    for (run, reason) in comparison.failed() {
+        items += &format!(
+            "<li><b class=\"badge bad\">failed</b> {}, {}, seed {}: {}</li>",
+            escape(&run.scene),
+            escape(run.system),
+            run.seed,
+            escape(reason)
+        );
+    }
+    let open = comparison.open();
+    if open > 0 {
+        let stopped = comparison.runs.iter().filter(|run| run.status == Status::Stopped).count();
+        let stopped = if stopped > 0 { format!(", {stopped} of them begun") } else { String::new() };
+        items += &format!(
+            "<li><b class=\"badge doubtful\">open</b> {} to go{stopped}; the same command goes on.</li>",
+            terminal::count(open as u64, "run")
+        );
+    }
+    if items.is_empty() {
+        return items;
+    }
+    format!("<section><h2>State</h2><ul class=\"warnings\">{items}</ul></section>\n")
+}
+
+fn remarks() -> String {
+    let items: String = REMARKS.iter().map(|remark| format!("<li>{}</li>", escape(remark))).collect();
+    format!(
+        "<section><h2>What has to be known of published figures</h2><ul class=\"remarks\">{items}</ul></section>\n"
+    )
+}
+
+/// Views, background and convention of what was measured here.
+fn measure(comparison: &Comparison) -> String {
+    let figures: Vec<&Figures> = comparison.runs.iter().filter_map(|run| run.figures.as_ref()).collect();
+    let each = |text: &dyn Fn(&Figures) -> String| {
+        let mut texts: Vec<String> = figures.iter().map(|figures| text(figures)).collect();
+        texts.sort();
+        texts.dedup();
+        if texts.is_empty() { "nothing yet".into() } else { texts.join("; ") }
+    };
+    let rows = [
+        (
+            "test views",
+            each(&|f| match f.test_views {
+                Some(all) => format!("{} of {all}", f.views),
+                None => f.views.to_string(),
+            }),
+        ),
+        (
+            "background",
+            each(&|f| {
+                let [r, g, b] = f.background;
+                format!("({r:.2}, {g:.2}, {b:.2})")
+            }),
+        ),
+        (
+            "coarse photographs",
+            each(&|f| match f.convention {
+                Convention::Public => {
+                    "means of straight RGBA truncated to 8 bits, as the public multi-scale set".into()
+                }
+                Convention::Premultiplied => "means of premultiplied RGBA rounded to 8 bits".into(),
+            }),
+        ),
+        ("trained on", comparison.split.join(" + ")),
+    ];
+    format!(
+        "<section><h2>How it was measured here</h2>{}<p>PSNR is −10·log<sub>10</sub> of the mean squared error of one image, \
+         unrounded, in the photographs’ own sRGB values. A scale’s figure is the mean over its images, “mean” that of the scales; \
+         seeds are averaged within a scene, then scenes. “plain” is without the edge exponents of the set, which the scene plan \
+         fits to the training photographs of <i>tri-mip</i> alone: published figures are plain. Size is that of the model file, \
+         its occupancy grid included; peak memory that of the process from the run’s beginning, decoded photographs included. \
+         Curves are measured on about four test views.</p></section>\n",
+        pairs(&rows)
+    )
+}
+
+/// The systems: what each is, how it differs from the published one, and its settings.
+fn systems(comparison: &Comparison) -> String {
+    let mut html = String::new();
+    for system in &comparison.systems {
+        html += &format!(
+            "<details><summary>{} <code>{}</code> <span class=\"tag\">{}</span></summary><p>What differs from the published \
+             system: {}.</p><pre>{}</pre></details>",
+            escape(system.title),
+            system.name,
+            system.kind.word(),
+            escape(system.differs),
+            escape(system.settings)
+        );
+    }
+    format!(
+        "<section><h2>The systems</h2><p class=\"lead\">Each is a layer of settings over the defaults: the published system \
+         (whole), without a part (ablation), with fewer parameters (smaller), or with changes of this program (changed).</p>\
+         {html}</section>\n"
+    )
+}

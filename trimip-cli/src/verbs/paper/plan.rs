@@ -1,0 +1,102 @@
+//! What a command will run and how long that takes, printed before it begins.
+
+use super::request::{Job, Request};
+use crate::terminal::{count, duration};
+use trimip::run::history::History;
+use trimip_core::run::progress;
+
+/// How far a run is.
+struct State {
+    /// From 0 to 1.
+    done: f64,
+    /// Seconds of training so far.
+    seconds: f64,
+    /// Seconds of evaluations, if it is finished.
+    evaluation: Option<f64>,
+}
+
+impl State {
+    fn of(job: &Job) -> Self {
+        let history = History::of(&job.folder.events());
+        let finished = history.last().is_some() && job.folder.model().exists();
+        // Without a checkpoint a run starts from its beginning.
+        let begun = job.folder.checkpoint().exists();
+        Self {
+            done: if begun { progress(&job.config, &history.totals).clamp(0.0, 1.0) } else { 0.0 },
+            seconds: if begun { history.totals.seconds } else { 0.0 },
+            evaluation: finished.then(|| history.evaluation_seconds()),
+        }
+    }
+}
+
+/// The plan, one line each.
+pub fn lines(request: &Request) -> Vec<String> {
+    let states: Vec<State> = request.jobs.iter().map(State::of).collect();
+    let finished = states.iter().filter(|state| state.evaluation.is_some()).count();
+    let begun = states.iter().filter(|state| state.evaluation.is_none() && state.done > 0.0).count();
+    let names = |names: Vec<&str>| names.join(", ");
+    let mut lines = vec![
+        format!("systems: {}", names(request.systems.iter().map(|system| system.name).collect())),
+        format!("scenes: {}", names(request.scenes.iter().map(|scene| scene.name.as_str()).collect())),
+    ];
+    if !request.missing.is_empty() {
+        lines.push(format!("not there: {}", names(request.missing.clone())));
+    }
+    lines.push(format!(
+        "runs: {}, {finished} finished, {begun} begun; trained on {}; {}",
+        request.jobs.len(),
+        request.split.join(" + "),
+        request.budget().to_lowercase()
+    ));
+    lines.push(time(&request.jobs, &states, request.stride));
+    lines.push(format!("page: {}", request.page().display()));
+    lines
+}
+
+/// The expected time of what is left.
+fn time(jobs: &[Job], states: &[State], stride: u32) -> String {
+    let (mut training, mut unknown) = (0.0, Vec::new());
+    for (job, state) in jobs.iter().zip(states).filter(|(_, state)| state.evaluation.is_none()) {
+        match left(job, state, jobs, states) {
+            Some(seconds) => training += seconds,
+            None if unknown.contains(&job.system.name) => {}
+            None => unknown.push(job.system.name),
+        }
+    }
+    let open = states.iter().filter(|state| state.evaluation.is_none()).count();
+    let known: Vec<f64> = states.iter().filter_map(|state| state.evaluation).collect();
+    let mut text = format!("expected time: {} of training", duration(training));
+    if !unknown.is_empty() {
+        text +=
+            &format!(", and the whole schedules of {}, known once one of each has begun", unknown.join(", "));
+    }
+    let views = match stride {
+        1 => "all test views".to_string(),
+        _ => format!("1 in {stride} test views"),
+    };
+    text += &match known.len() {
+        0 => format!("; evaluations of {views} are extra"),
+        runs => {
+            let mean = known.iter().sum::<f64>() / runs as f64;
+            let noun = count(open as u64, "evaluation");
+            format!("; {} for {noun} of {views}, as finished ones took", duration(mean * open as f64))
+        }
+    };
+    text
+}
+
+/// Seconds of training left; `None` for a budget of steps whose time nothing tells.
+fn left(job: &Job, state: &State, jobs: &[Job], states: &[State]) -> Option<f64> {
+    let train = &job.config.train;
+    if train.steps == 0 {
+        return Some((train.seconds - state.seconds).max(0.0));
+    }
+    let alike = jobs
+        .iter()
+        .zip(states)
+        .filter(|(other, _)| other.system.name == job.system.name && other.scales == job.scales);
+    let rates: Vec<f64> =
+        alike.filter(|(_, state)| state.done > 0.0).map(|(_, state)| state.seconds / state.done).collect();
+    let whole = rates.iter().sum::<f64>() / rates.len() as f64;
+    whole.is_finite().then_some(whole * (1.0 - state.done))
+}

@@ -1,0 +1,205 @@
+//! The systems that are compared: each a layer of settings from `configs/systems`, its title, and the published figures that
+//! it is laid beside. A system is applied over the defaults and under everything that a user sets.
+//!
+//! A new system is a file in `configs/systems` and an entry in [`SYSTEMS`].
+
+pub mod published;
+
+use published::Published;
+use serde::Serialize;
+use trimip_core::{Error, Result, Settings};
+
+/// How a system relates to the published one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Kind {
+    /// The system as published, as far as `differs` says.
+    Whole,
+    /// The system without one of its parts, as the paper has it.
+    Ablation,
+    /// A variant with fewer parameters or less work than the published one. It never has its name.
+    Smaller,
+    /// The published system with changes of this program.
+    Changed,
+}
+
+impl Kind {
+    /// The kind in a word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Whole => "whole",
+            Self::Ablation => "ablation",
+            Self::Smaller => "smaller",
+            Self::Changed => "changed",
+        }
+    }
+}
+
+/// A system.
+#[derive(Clone, Copy, Debug)]
+pub struct System {
+    /// Name: that of its file in `configs/systems`, and of the folders of its runs.
+    pub name: &'static str,
+    /// Title in tables.
+    pub title: &'static str,
+    /// How it relates to the published system.
+    pub kind: Kind,
+    /// The text of its settings.
+    pub settings: &'static str,
+    /// Name of the published row that it is laid beside; see [`published::PUBLISHED`].
+    pub beside: Option<&'static str>,
+    /// What differs from the published system, one line.
+    pub differs: &'static str,
+}
+
+impl System {
+    /// The published row that it is laid beside.
+    pub fn published(&self) -> Option<&'static Published> {
+        self.beside.and_then(published::find)
+    }
+
+    /// Applies its settings.
+    ///
+    /// # Errors
+    /// When a setting does not exist or has another type; names file, line and column.
+    pub fn apply(&self, settings: &mut Settings) -> Result<()> {
+        settings.apply_file(&format!("configs/systems/{}.toml", self.name), self.settings)
+    }
+}
+
+macro_rules! file {
+    ($name:literal) => {
+        include_str!(concat!("../../../configs/systems/", $name, ".toml"))
+    };
+}
+
+/// Every system, in the order of tables.
+pub const SYSTEMS: &[System] = &[
+    System {
+        name: "ngp",
+        title: "Instant-ngp",
+        kind: Kind::Whole,
+        settings: file!("ngp"),
+        beside: Some("Instant-ngp"),
+        differs: "no running mean of the weights, no decay of the networks' weights, 15 of the density network's 16 outputs go on to \
+                  the colour network, smooth-L1 for Huber; the published figures come from a GPU",
+    },
+    System {
+        name: "ngp-17",
+        title: "Hash grid 2^17",
+        kind: Kind::Smaller,
+        settings: file!("ngp-17"),
+        beside: Some("Instant-ngp"),
+        differs: "2^17 entries a level instead of 2^19; else as ngp",
+    },
+    System {
+        name: "tri-mip-no-mipmap",
+        title: "Tri-MipRF w/o mipmap",
+        kind: Kind::Ablation,
+        settings: file!("tri-mip-no-mipmap"),
+        beside: Some("Tri-MipRF w/o mipmap"),
+        differs: "as tri-mip-paper",
+    },
+    System {
+        name: "tri-mip-paper",
+        title: "Tri-MipRF by the paper",
+        kind: Kind::Whole,
+        settings: file!("tri-mip-paper"),
+        beside: Some("Tri-MipRF"),
+        differs: "nothing that the paper states; at a budget of time it has as many of its 25,000 steps as fit",
+    },
+    System {
+        name: "tri-mip",
+        title: "Tri-MipRF, this program",
+        kind: Kind::Changed,
+        settings: file!("tri-mip"),
+        beside: Some("Tri-MipRF"),
+        differs: "the scene plan chooses box, detail, networks and batch; the visual hull; wide pixels are means of several cones; edge \
+                  exponents of the set",
+    },
+    System {
+        name: "rip-nerf",
+        title: "Rip-NeRF",
+        kind: Kind::Whole,
+        settings: file!("rip-nerf"),
+        beside: Some("Rip-NeRF"),
+        differs: "planes cover the projection of the whole box, not of the unit ball; the published figures are second-hand",
+    },
+];
+
+/// The system of this name.
+///
+/// # Errors
+/// When there is none; the message lists the names.
+pub fn find(name: &str) -> Result<&'static System> {
+    SYSTEMS.iter().find(|system| system.name == name).ok_or_else(|| {
+        let names: Vec<&str> = SYSTEMS.iter().map(|system| system.name).collect();
+        Error::input(format!("system `{name}`"), "is unknown", format!("name one of: {}", names.join(", ")))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::published::PUBLISHED;
+    use super::*;
+    use std::path::Path;
+    use trimip_core::{Config, Origin};
+
+    #[test]
+    fn every_system_is_accepted_and_stands_beside_a_published_row() {
+        for system in SYSTEMS {
+            let mut settings = Settings::defaults();
+            system.apply(&mut settings).unwrap_or_else(|error| panic!("{error}"));
+            Config::from_settings(&settings).unwrap_or_else(|error| panic!("{}: {error}", system.name));
+            // Scene, seed, splits and evaluation are the comparison's.
+            let own = |path: &str| {
+                ["data.", "eval.", "seed", "backend", "threads"].iter().any(|p| path.starts_with(p))
+            };
+            for (path, _, origin) in settings.iter().filter(|(path, ..)| own(path)) {
+                assert_eq!(*origin, Origin::Default, "{}: {path}", system.name);
+            }
+            assert_eq!(system.beside.is_some(), system.published().is_some(), "{}", system.name);
+            assert!(system.settings.starts_with("# ") && !system.differs.is_empty(), "{}", system.name);
+        }
+    }
+
+    #[test]
+    fn the_registry_has_every_file_once() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/systems");
+        let mut files: Vec<String> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
+            .collect();
+        let mut names: Vec<String> = SYSTEMS.iter().map(|system| system.name.to_string()).collect();
+        files.sort();
+        names.sort();
+        assert_eq!(files, names);
+        assert_eq!(find("nerf").unwrap_err().exit_code(), 2);
+    }
+
+    #[test]
+    fn what_is_not_the_published_system_never_has_its_name() {
+        let plain = |text: &str| text.to_lowercase().replace(|c: char| !c.is_alphanumeric(), "");
+        for system in SYSTEMS.iter().filter(|system| matches!(system.kind, Kind::Smaller | Kind::Changed)) {
+            for row in PUBLISHED {
+                for own in [system.name, system.title] {
+                    assert_ne!(plain(own), plain(row.name), "{own}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn variants_differ_from_their_systems_as_they_say() {
+        let changed = |name: &str, other: &str| {
+            let config = |name: &str| {
+                let mut settings = Settings::defaults();
+                find(name).unwrap().apply(&mut settings).unwrap();
+                Config::from_settings(&settings).unwrap()
+            };
+            config(name).differences(&config(other))
+        };
+        assert_eq!(changed("ngp-17", "ngp"), ["hash_grid.log2_entries is 17, was 19"]);
+        assert_eq!(changed("tri-mip-no-mipmap", "tri-mip-paper"), ["encoder.mipmap is false, was true"]);
+    }
+}
