@@ -35,6 +35,11 @@ fn a_pixel_is_the_mean_of_its_cones() {
 }
 
 #[test]
+fn a_quincunx_is_the_mean_of_five_pixels() {
+    reproducibly(|make| suite::cones::quincunx(make));
+}
+
+#[test]
 fn scales_have_the_cones_of_the_rule() {
     reproducibly(|make| suite::cones::by_scale(make));
 }

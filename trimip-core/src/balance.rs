@@ -1,7 +1,11 @@
 //! Distribution of a step's pixels over the scales of a set: how many each scale gets, their loss weight, and their
 //! cones.
 
-use crate::{Config, Scale, ViewSet, cones::Division, config::TrainConfig};
+use crate::{
+    Config, Scale, ViewSet,
+    cones::{Division, QUINCUNX, count},
+    config::TrainConfig,
+};
 
 /// The scales of a training set, and the schedules by which they share the pixels of a step.
 #[derive(Clone, Debug)]
@@ -22,7 +26,8 @@ impl Shares {
     /// The balance at `progress` in [0, 1].
     pub fn at(&self, progress: f64) -> Balance {
         let most = self.train.cones.at(progress) as u32;
-        let sides = self.sides.iter().map(|&side| side.min(most).max(1)).collect();
+        let within = |&side: &u32| if side == QUINCUNX { side } else { side.min(most).max(1) };
+        let sides = self.sides.iter().map(within).collect();
         Balance::new(&self.scales, self.train.scale_balance.at(progress), sides)
     }
 }
@@ -84,7 +89,7 @@ impl Balance {
         if self.sides.iter().all(|&side| side == 1) {
             return 1.0;
         }
-        self.shares.iter().zip(&self.sides).map(|(share, &side)| share * f64::from(side * side)).sum()
+        self.shares.iter().zip(&self.sides).map(|(share, &side)| share * f64::from(count(side))).sum()
     }
 }
 
@@ -144,7 +149,7 @@ impl Draw {
     /// First pixel, end, and cones of a pixel of each scale.
     fn parts(&self) -> impl Iterator<Item = (u32, u32, u32)> + '_ {
         let ends = self.begins.iter().copied().skip(1).chain([self.pixels]);
-        self.begins.iter().zip(ends).zip(&self.sides).map(|((&begin, end), &side)| (begin, end, side * side))
+        self.begins.iter().zip(ends).zip(&self.sides).map(|((&begin, end), &side)| (begin, end, count(side)))
     }
 }
 

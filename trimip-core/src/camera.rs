@@ -2,6 +2,7 @@
 //! upper left one; its centre lies at (0.5, 0.5). A camera model is a [`Projection`], in f32 and f64, with a twin in
 //! WGSL: a pinhole, or a [`Lens`] that bends its rays.
 
+use crate::cones::QUINCUNX;
 use crate::lens::{Lens, Unbent};
 use crate::scalar::Real;
 use glam::{DMat3, DVec3};
@@ -219,9 +220,20 @@ impl Camera {
         self.cone_in(x, y, 0, 1)
     }
 
-    /// Cone number `index`, row by row, of the `side` × `side` parts of pixel (`x`, `y`).
+    /// Cone number `index`, row by row, of the `side` × `side` parts of pixel (`x`, `y`), or of its
+    /// [quincunx](crate::cones::QUINCUNX).
     #[inline]
     pub fn cone_in<R: Real>(&self, x: u32, y: u32, index: u32, side: u32) -> Cone<R> {
+        if side == QUINCUNX {
+            // The centre, then the four half-way to the corners.
+            let offset = |upper: bool| match (index, upper) {
+                (0, _) => R::from_f64(0.5),
+                (_, false) => R::from_f64(0.25),
+                (_, true) => R::from_f64(0.75),
+            };
+            let [right, down] = [index == 2 || index == 4, index > 2].map(offset);
+            return self.cone_at([R::from_u32(x) + right, R::from_u32(y) + down], R::one());
+        }
         let part = R::from_u32(side).recip();
         let place = |pixel: u32, i: u32| R::from_u32(pixel) + (R::from_u32(i) + R::from_f64(0.5)) * part;
         self.cone_at([place(x, index % side), place(y, index / side)], part)

@@ -2,8 +2,18 @@
 //! along the ray as much as across, and a network of averaged features is not the average of the network. A wider pixel
 //! is therefore the mean of several cones.
 
-use crate::{Aabb, Camera, Config, ViewSet};
+use crate::{Aabb, Camera, Config, ViewSet, config::ConePattern};
 use glam::DVec3;
+
+/// Cones along a side that stand for the quincunx: five cones of the pixel's width, at its centre and at (±¼, ±¼) of a pixel
+/// around it.
+pub const QUINCUNX: u32 = 0x100;
+
+/// Number of cones of a pixel with `side` cones along each side.
+#[inline]
+pub fn count(side: u32) -> u32 {
+    if side == QUINCUNX { 5 } else { side * side }
+}
 
 /// The rule by which pixels are divided into cones.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,6 +22,7 @@ pub struct Division {
     most: u32,
     /// Width that a cone should have in the middle of the box, world units; 0 divides every pixel as far as possible.
     width: f64,
+    pattern: ConePattern,
     aabb: Aabb<f64>,
 }
 
@@ -21,11 +32,12 @@ impl Division {
         Self {
             most: config.renderer.cones,
             width: config.renderer.cone_width.into(),
+            pattern: config.renderer.pattern,
             aabb: Aabb::new(&config.scene),
         }
     }
 
-    /// Cones along each side of a pixel of `camera`: 1 to `renderer.cones`.
+    /// Cones along each side of a pixel of `camera`: 1 to `renderer.cones`, or [`QUINCUNX`].
     pub fn side(&self, camera: &Camera) -> u32 {
         self.side_of(footprint(camera, &self.aabb))
     }
@@ -38,6 +50,9 @@ impl Division {
     }
 
     fn side_of(&self, footprint: f64) -> u32 {
+        if self.pattern == ConePattern::Quincunx {
+            return QUINCUNX;
+        }
         // A width of 0 gives infinity, and the conversion saturates.
         ((footprint / self.width).round() as u32).clamp(1, self.most)
     }

@@ -7,9 +7,10 @@ mod encoders;
 mod sections;
 
 pub use choices::{
-    Contraction, Convention, Decomposition, DensityFunction, Exposure, FilePrecision, FinalEval, Finish,
-    Format, HybridRule, LevelFormula, LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs, PixelStore,
-    PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
+    ConePattern, Contraction, Convention, Decomposition, DensityFunction, Exposure, FilePrecision, FinalEval,
+    Finish, Format, HybridRule, LevelFormula, LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs,
+    PixelStore, PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
+    ViewEncoding,
 };
 pub use encoders::{
     EncoderConfig, EncoderKind, FrequenciesConfig, HashGridConfig, RipMapConfig, TensorConfig,

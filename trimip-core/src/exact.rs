@@ -2,7 +2,7 @@
 //! occupancy grid, which is part of the model.
 
 use crate::activation::{Density, sigmoid};
-use crate::cones::Division;
+use crate::cones::{self, Division};
 use crate::encoders::{self, Place, Twin};
 use crate::model::{Model, OCCUPANCY};
 use crate::networks::{Network, append_frequencies, color_network, density_network, geometry_width, view};
@@ -92,7 +92,7 @@ impl Exact {
     pub fn pixel(&self, camera: &Camera, x: u32, y: u32, steps: u32) -> [f64; 3] {
         let camera = Camera { origin: camera.origin - self.centre, ..*camera };
         let side = self.division.side(&camera);
-        let count = side * side;
+        let count = cones::count(side);
         let cones = (0..count).map(|i| self.cone(&camera.cone_in(x, y, i, side), steps));
         cones.fold([0.0; 3], |sum, rgb| std::array::from_fn(|c| sum[c] + rgb[c] / f64::from(count)))
     }

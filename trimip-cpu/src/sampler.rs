@@ -6,7 +6,7 @@ use std::ops::Range;
 use trimip_core::backend::Sampler;
 use trimip_core::balance::{Balance, Draw, Shares};
 use trimip_core::batch::{Rays, Segment, Target};
-use trimip_core::cones::Division;
+use trimip_core::cones::{self, Division};
 use trimip_core::config::{DataConfig, Exposure, TrainConfig};
 use trimip_core::exposure::photographs;
 use trimip_core::rng::{Random, Stream, below};
@@ -53,10 +53,10 @@ impl CpuSampler {
     }
 }
 
-/// Generates the `side` × `side` cones of the next pixel of a span.
+/// Generates the cones of the next pixel of a span, `side` along each side.
 #[inline]
-fn cones(camera: &Camera, [x, y]: [u32; 2], side: u32, rays: &mut Rays<CpuBackend>) {
-    let (start, count) = (rays.rays.len() as u32, side * side);
+fn divide(camera: &Camera, [x, y]: [u32; 2], side: u32, rays: &mut Rays<CpuBackend>) {
+    let (start, count) = (rays.rays.len() as u32, cones::count(side));
     rays.groups.push(Segment { start, count });
     // The usual case, without divisions.
     if side == 1 {
@@ -119,7 +119,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             let within = (pixel - view.offset) as u32;
             let width = view.camera.intrinsics.width;
             let first = rays.rays.len();
-            cones(&view.camera, [within % width, within / width], side, rays);
+            divide(&view.camera, [within % width, within / width], side, rays);
             // Nothing is learned from pixels that the lens has no ray for.
             if rays.rays[first..].iter().any(|ray| ray.slope == 0.0) {
                 weight = 0.0;
@@ -149,7 +149,7 @@ impl Sampler<CpuBackend> for CpuSampler {
         let (width, side) = (camera.intrinsics.width, self.division.side(camera));
         rays.first = 0;
         for index in range {
-            cones(camera, [index % width, index / width], side, rays);
+            divide(camera, [index % width, index / width], side, rays);
         }
     }
 }

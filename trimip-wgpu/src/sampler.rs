@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex};
 use trimip_core::backend::Sampler;
 use trimip_core::balance::{Balance, Draw, Shares};
 use trimip_core::batch::Rays;
-use trimip_core::cones::Division;
+use trimip_core::cones::{self, Division};
 use trimip_core::config::{Exposure, Photographs, TrainConfig};
 use trimip_core::exposure;
 use trimip_core::rng::{Random, Stream, below};
@@ -323,7 +323,7 @@ impl Sampler<WgpuBackend> for WgpuSampler {
 
     fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {
         let side = self.division.side(camera);
-        make_room(rays, &range, 0..range.len() as u32 * side * side);
+        make_room(rays, &range, 0..range.len() as u32 * cones::count(side));
         rays.targets.resize(0);
         self.gpu.write(self.camera.raw(), &[GpuView::new(camera, 0)]);
         let params = Params {

@@ -7,6 +7,7 @@ use trimip_core::{
     Backend, Camera, Intrinsics, Layout, Renderer, Result, Viewer,
     backend::Sampler,
     batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere},
+    config::ConePattern,
     schedule::Schedule,
     trainer::Trainer,
 };
@@ -62,6 +63,37 @@ pub fn parts<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 let bound = PIXEL_TOLERANCE * expected.abs().max(1.0);
                 assert!((found - expected).abs() < bound, "{n}, pixel {i}: {found}, not {expected}");
             }
+        }
+    }
+    Ok(())
+}
+
+/// A pixel of the quincunx is the mean of the same pixel of five cameras, moved by a quarter of a pixel.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn quincunx<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let intrinsics =
+        Intrinsics { width: 7, height: 6, fx: 6.0, fy: 5.5, cx: 3.3, cy: 3.1, ..Intrinsics::default() };
+    let mut config = small();
+    let parameters = lively(&Layout::new(&config), 9);
+    let mut render = |pattern: ConePattern, [x, y]: [f64; 2]| {
+        config.renderer.pattern = pattern;
+        let mut trainer = Trainer::new(make(), &config, noise(1, 8, 1, 1))?;
+        trainer.set_parameters(&parameters);
+        trainer.occupy_all();
+        // The place (x, y) in a pixel takes the part of its centre.
+        let moved = Intrinsics { cx: intrinsics.cx + 0.5 - x, cy: intrinsics.cy + 0.5 - y, ..intrinsics };
+        trainer.render(&Camera::look_at(moved, DVec3::new(2.0, -3.0, 1.5), DVec3::ZERO, DVec3::Z))
+    };
+    let found = render(ConePattern::Quincunx, [0.5, 0.5])?;
+    let places = [[0.5, 0.5], [0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]];
+    let five: Vec<_> =
+        places.into_iter().map(|place| render(ConePattern::Grid, place)).collect::<Result<_>>()?;
+    for (i, pixel) in found.pixels.iter().enumerate() {
+        for c in 0..3 {
+            let mean = five.iter().map(|frame| frame.pixels[i].rgb[c]).sum::<f32>() / 5.0;
+            assert!((pixel.rgb[c] - mean).abs() < PIXEL_TOLERANCE, "pixel {i}: {}, not {mean}", pixel.rgb[c]);
         }
     }
     Ok(())

@@ -1,8 +1,8 @@
 //! What settings must be together, beyond the range of each number, which the table of defaults states.
 
 use super::{
-    Config, Contraction, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig, OccupancyConfig,
-    Precision, RendererConfig, SceneConfig, TrainConfig,
+    ConePattern, Config, Contraction, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig,
+    OccupancyConfig, Precision, RendererConfig, SceneConfig, TrainConfig,
 };
 use crate::{Error, Result, Settings, encoders, range, settings::shown};
 
@@ -175,6 +175,11 @@ impl FieldConfig {
 
 impl RendererConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.together(
+            self.pattern == ConePattern::Grid || (self.cones == 1 && self.cone_width == 0.0),
+            &["renderer.pattern", "renderer.cones", "renderer.cone_width"],
+            "renderer.cones = 1 and renderer.cone_width = 0 for the quincunx, which has five cones a pixel",
+        )?;
         to.check(
             self.step_scale.is_whole(),
             "renderer.step_scale",

@@ -98,6 +98,15 @@ choice!(
     }
 );
 choice!(
+    /// How a pixel is divided into cones.
+    ConePattern {
+        /// Into square parts, as many along both sides.
+        Grid,
+        /// Into five cones of its own width: in its centre and half-way to its corners.
+        Quincunx,
+    }
+);
+choice!(
     /// How a tensor is a sum of products.
     Decomposition {
         /// Of planes and the lines across them.

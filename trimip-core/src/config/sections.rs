@@ -1,9 +1,9 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    Contraction, Convention, DensityFunction, Exposure, FilePrecision, FinalEval, Finish, Format, HybridRule,
-    LossRays, MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule,
-    RendererKind, TrainBackground, Untouched, ViewEncoding,
+    ConePattern, Contraction, Convention, DensityFunction, Exposure, FilePrecision, FinalEval, Finish,
+    Format, HybridRule, LossRays, MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision,
+    RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -61,7 +61,7 @@ section!(
 section!(
     /// Ray marching and compositing.
     RendererConfig, "renderer" {
-        kind: RendererKind, cones: u32, cone_width: f32, steps_per_diagonal: u32, step_scale: Schedule, step_per_radius: f32, min_transmittance: f32,
+        kind: RendererKind, pattern: ConePattern, cones: u32, cone_width: f32, steps_per_diagonal: u32, step_scale: Schedule, step_per_radius: f32, min_transmittance: f32,
         min_weight: f32,
     }
 );

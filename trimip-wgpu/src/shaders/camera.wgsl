@@ -115,11 +115,26 @@ fn project(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     return LocalCone(vec3<f32>(across.x, -across.y, -cos(angle)), 1.0, own * sqrt(narrower), cos(angle));
 }
 
-// Cone number `index` of the side * side parts of a pixel.
+// Twin of `trimip_core::cones::QUINCUNX`.
+const QUINCUNX: u32 = 0x100u;
+
+// Number of cones of a pixel.
+fn cones_in(side: u32) -> u32 {
+    return select(side * side, 5u, side == QUINCUNX);
+}
+
+// Cone number `index` of the side * side parts of a pixel, or of its quincunx.
 fn cone_in(view: View, x: u32, y: u32, index: u32, side: u32) -> Ray {
-    let part = 1.0 / f32(side);
-    let within = vec2<f32>(f32(index % side), f32(index / side)) + 0.5;
-    let cone = project(view, vec2<f32>(f32(x), f32(y)) + within * part, part);
+    var part = 1.0 / f32(side);
+    var within = part * (vec2<f32>(f32(index % side), f32(index / side)) + 0.5);
+    if side == QUINCUNX {
+        part = 1.0;
+        within = vec2<f32>(0.5);
+        if index > 0u {
+            within = vec2<f32>(select(0.25, 0.75, index % 2u == 0u), select(0.25, 0.75, index > 2u));
+        }
+    }
+    let cone = project(view, vec2<f32>(f32(x), f32(y)) + within, part);
     var ray: Ray;
     for (var i = 0u; i < 3u; i++) {
         let row = view.pose[i];

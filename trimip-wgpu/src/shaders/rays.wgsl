@@ -44,7 +44,7 @@ struct Scale {
 // Generates the cones of pixel number `i` of the span; the first of them is number `start`.
 // Returns false if the lens has no ray for one of them.
 fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) -> bool {
-    let count = side * side;
+    let count = cones_in(side);
     pixel_groups[i] = vec2<u32>(start, count);
     var all = true;
     for (var index = 0u; index < count; index++) {
@@ -65,7 +65,7 @@ fn cones_before(index: u32) -> u32 {
             end = params.begins[(j + 1u) / 4u][(j + 1u) % 4u];
         }
         let side = params.sides[j / 4u][j % 4u];
-        cones += (clamp(index, begin, end) - begin) * side * side;
+        cones += (clamp(index, begin, end) - begin) * cones_in(side);
     }
     return cones;
 }
@@ -82,7 +82,7 @@ fn camera_rays(
     }
     let pixel = params.first + i;
     let side = params.sides[0].x;
-    cones_of(i, i * side * side, side, views[0], pixel % views[0].width, pixel / views[0].width);
+    cones_of(i, i * cones_in(side), side, views[0], pixel % views[0].width, pixel / views[0].width);
 }
 
 @compute @workgroup_size(GROUP)

@@ -76,6 +76,40 @@ macro_rules! file {
 /// Every system, in the order of tables.
 pub const SYSTEMS: &[System] = &[
     System {
+        name: "nerf-occ-64",
+        title: "NeRF's form, 8×64",
+        kind: Kind::Smaller,
+        settings: file!("nerf-occ-64"),
+        beside: Some("NeRF"),
+        differs: "one network of a quarter of the width; uniform steps through an occupancy grid for two passes",
+    },
+    System {
+        name: "mip-occ-64",
+        title: "mip-NeRF's form, 8×64",
+        kind: Kind::Smaller,
+        settings: file!("mip-occ-64"),
+        beside: Some("MipNeRF"),
+        differs: "a quarter of the width; uniform steps through an occupancy grid for two passes; the sigmoid is not widened, no \
+                  sine warm-up",
+    },
+    System {
+        name: "tensorf-vm",
+        title: "TensoRF",
+        kind: Kind::Whole,
+        settings: file!("tensorf-vm"),
+        beside: Some("TensoRF"),
+        differs: "an occupancy grid for the alpha mask; the box is found at the start; colours of all kept samples are computed; as many \
+                  samples a step, not rays; the published figures come from a GPU",
+    },
+    System {
+        name: "tensorf-cp",
+        title: "TensoRF CP",
+        kind: Kind::Whole,
+        settings: file!("tensorf-cp"),
+        beside: None,
+        differs: "as tensorf-vm",
+    },
+    System {
         name: "ngp",
         title: "Instant-ngp",
         kind: Kind::Whole,
@@ -91,6 +125,30 @@ pub const SYSTEMS: &[System] = &[
         settings: file!("ngp-17"),
         beside: Some("Instant-ngp"),
         differs: "2^17 entries a level instead of 2^19; else as ngp",
+    },
+    System {
+        name: "ngp-5x",
+        title: "Instant-ngp 5×",
+        kind: Kind::Whole,
+        settings: file!("ngp-5x"),
+        beside: Some("Instant-ngp 5×"),
+        differs: "as ngp; where the four outer rays of a pixel lie is not published: half-way to its corners",
+    },
+    System {
+        name: "ngp-down",
+        title: "Hash grid, narrow cells weighed down",
+        kind: Kind::Changed,
+        settings: file!("ngp-down"),
+        beside: Some("Zip-NeRF"),
+        differs: "ngp with Zip-NeRF's weights alone, without their input to the networks",
+    },
+    System {
+        name: "ngp-zip",
+        title: "Hash grid, six points a sample",
+        kind: Kind::Changed,
+        settings: file!("ngp-zip"),
+        beside: Some("Zip-NeRF"),
+        differs: "ngp with Zip-NeRF's points and weights; no proposals, contraction, anti-aliased loss or random turns",
     },
     System {
         name: "tri-mip-no-mipmap",
@@ -200,6 +258,8 @@ mod tests {
             config(name).differences(&config(other))
         };
         assert_eq!(changed("ngp-17", "ngp"), ["hash_grid.log2_entries is 17, was 19"]);
+        assert_eq!(changed("ngp-down", "ngp"), ["hash_grid.downweight is true, was false"]);
+        assert_eq!(changed("ngp-zip", "ngp-down"), ["hash_grid.points is 6, was 1"]);
         assert_eq!(changed("tri-mip-no-mipmap", "tri-mip-paper"), ["encoder.mipmap is false, was true"]);
     }
 }
