@@ -227,6 +227,7 @@ mod tests {
         let scale = |scale, psnr| ScaleQuality {
             scale,
             images: 3,
+            perceived: 0,
             measures: Measures { psnr, psnr_constant: 12.0, ssim: 0.5, ..Measures::UNKNOWN },
         };
         let lines = table(&[scale(1, 20.0), scale(2, 30.0)]);

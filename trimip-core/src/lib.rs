@@ -49,6 +49,7 @@ pub mod metrics;
 pub mod model;
 pub mod occupancy;
 pub mod params;
+pub mod perception;
 pub mod pixels;
 pub mod proxy;
 pub mod quality;
