@@ -269,7 +269,10 @@ mod tests {
             measures: Measures { psnr: 30.5, ssim: 0.25, ..Measures::UNKNOWN },
         };
         let text = serde_json::to_string(&scale).unwrap();
-        assert!(text.starts_with(r#"{"scale":2,"images":3,"perceived":0,"psnr":30.5,"psnr_8bit":null,"#), "{text}");
+        assert!(
+            text.starts_with(r#"{"scale":2,"images":3,"perceived":0,"psnr":30.5,"psnr_8bit":null,"#),
+            "{text}"
+        );
         for text in [&text, r#"{"scale":2,"images":3,"psnr":30.5,"ssim":0.25}"#] {
             let read: ScaleQuality = serde_json::from_str(text).unwrap();
             assert_eq!((read.scale, read.images), (2, 3));
