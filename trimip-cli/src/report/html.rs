@@ -147,7 +147,7 @@ fn measure(report: &Report<'_>) -> String {
          K<sub>2</sub> = 0.03; MS-SSIM follows Wang et al. 2003: five scales, the published weights, images of at least \
          {LEAST_SIDE} pixels. FLIP is the mean of LDR-FLIP (Andersson et al. 2020) on values rounded to 8 bits, as seen with \
          {PIXELS_PER_DEGREE:.0} pixels per degree; 0 is equal, 1 the greatest error. LPIPS (Zhang et al. 2018) has the network \
-         of eval.lpips.</p>\n<p>Coarser photographs are {convention}. Trained on {}, tested on {}.</p></section>\n",
+         of <code>eval.lpips</code>.</p>\n<p>Coarser photographs are {convention}. Trained on {}, tested on {}.</p></section>\n",
         escape(&data.train.join(" + ")),
         escape(&data.tested_on()),
     )
