@@ -29,10 +29,17 @@ fn assert_report(report: &Value, steps: u64, scales: usize) {
         assert_eq!(scale["scale"], 1 << i);
         assert_eq!(scale["images"], 2);
         assert!(scale["ssim"].is_f64());
+        assert!(scale["flip"].as_f64().is_some_and(|flip| flip > 0.0 && flip < 1.0), "{scale}");
+        assert!(
+            scale["ms_ssim"].is_null() && scale["lpips"].is_null(),
+            "too small, and without weights: {scale}"
+        );
+        assert_eq!(scale["perceived"], 2);
         sum += scale["psnr"].as_f64().unwrap();
     }
     assert!((report["mean"]["psnr"].as_f64().unwrap() - sum / scales as f64).abs() < 1e-9);
-    assert!(report["mean"]["ssim"].is_f64());
+    assert!(report["mean"]["ssim"].is_f64() && report["mean"]["flip"].is_f64());
+    assert_eq!(report["measure"]["flip_pixels_per_degree"], 67.0);
     assert!(!list("curve").is_empty());
     for point in list("curve") {
         assert!(point["seconds"].is_f64() && point["step"].is_u64() && point["samples"].is_u64());
@@ -51,7 +58,16 @@ fn a_run_leaves_a_whole_folder_and_is_not_run_twice() {
     }
     let run_folder = folder.path().join("run");
     assert_report(&json(&run_folder.join("report.json")), 20, 2);
-    assert!(json(&run_folder.join("views.json")).as_array().is_some_and(|views| views.len() == 4));
+    let views = json(&run_folder.join("views.json"));
+    assert_eq!(views.as_array().map(Vec::len), Some(4));
+    for view in views.as_array().unwrap() {
+        let map = view["flip_map"].as_str().expect("every view has a picture");
+        assert!(view["flip"].is_f64() && run_folder.join("images").join(map).is_file(), "{view}");
+    }
+    // Evaluations on the way do without.
+    let events = fs::read_to_string(run_folder.join("metrics.jsonl")).unwrap();
+    let first = events.lines().find(|line| line.contains("\"kind\":\"evaluation\"")).unwrap();
+    assert!(first.contains("\"flip\":null") && first.contains("\"last\":false"), "{first}");
     for line in fs::read_to_string(run_folder.join("metrics.jsonl")).unwrap().lines() {
         serde_json::from_str::<Event>(line).unwrap_or_else(|error| panic!("{error}: {line}"));
     }
@@ -181,7 +197,7 @@ fn verbs_answer() {
     good(&tiny_and(&["--out", "run"]));
 
     let table = good(&["eval", "run", "--json", "eval.json"]);
-    assert!(["full", "1/2", "mean"].iter().all(|row| table.contains(row)), "{table}");
+    assert!(["full", "1/2", "mean", "FLIP"].iter().all(|row| table.contains(row)), "{table}");
     let (measured, reported) = (json(&here.join("eval.json")), json(&here.join("run/report.json")));
     assert_eq!(measured["scales"], reported["scales"], "eval measures what training reported");
     good(&["eval", "run", "--json", "black.json", "--set", "data.background=[0.0, 0.0, 0.0]"]);
@@ -195,6 +211,11 @@ fn verbs_answer() {
     let compared =
         good(&["compare", "first=run", "run", "--reach", "1,99", "--svg", "plot.svg", "--json", "c.json"]);
     assert!(compared.contains("first") && compared.lines().count() == 3, "{compared}");
+    assert!(
+        compared.contains("SSIM") && compared.contains("FLIP") && !compared.contains("LPIPS"),
+        "{compared}"
+    );
+    assert_eq!(json(&here.join("c.json"))[0]["mean"]["flip"], reported["mean"]["flip"]);
     assert_eq!(json(&here.join("c.json"))[0]["reaches"][1]["seconds"], Value::Null);
     assert!(fs::read_to_string(here.join("plot.svg")).unwrap().ends_with("</svg>\n"));
 

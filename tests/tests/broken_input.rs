@@ -104,7 +104,7 @@ fn wrong_settings_and_arguments_are_refused() {
     let here = folder.path();
     fs::write(here.join("wrong.toml"), "seed = 1\n[train]\n  stepz = 3\n").unwrap();
     fs::write(here.join("broken.toml"), "[train\n").unwrap();
-    let cases: [(&[&str], &[&str]); 15] = [
+    let cases: [(&[&str], &[&str]); 16] = [
         (&["--config", "wrong.toml"], &["wrong.toml:3:3", "train.stepz", "train.steps"]),
         (&["--config", "broken.toml"], &["broken.toml:1:"]),
         (&["--config", "gone.toml"], &["gone.toml"]),
@@ -116,6 +116,11 @@ fn wrong_settings_and_arguments_are_refused() {
         (&["--set"], &["--set"]),
         (&["--frobnicate"], &["--frobnicate"]),
         (&["--stop-after", "soon"], &["--stop-after", "soon"]),
+        // Before it reads photographs or trains, whether the build has LPIPS or not.
+        (
+            &["--set", "data.format=builtin", "--set", "eval.lpips=gone.onnx"],
+            &["gone.onnx", "eval.lpips=\"\""],
+        ),
         (&["eval"], &["MODEL"]),
         (&["eval", "gone"], &["gone"]),
         (&["render", "gone", "--turntable", "0"], &["--turntable"]),

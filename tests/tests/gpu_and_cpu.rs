@@ -371,6 +371,7 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
             config: &config,
             session: &mut trainer,
             frames: scene.test.as_ref(),
+            perception: &mut (),
             store: &mut shelf,
             events: &mut |event: &Event| events.push(event.clone()),
             stop: &AtomicBool::new(false),

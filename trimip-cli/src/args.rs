@@ -32,7 +32,11 @@ pub enum Verb {
     Train(TrainArguments),
     /// Show what the scene does not need, and measure the cost and savings of leaving it out
     Plan(PlanArguments),
-    /// Measure a model on its test set: PSNR and SSIM per scale
+    /// Measure a model on its test set: PSNR, SSIM, MS-SSIM, FLIP and LPIPS per scale
+    #[command(
+        after_help = "LPIPS needs a build with --features lpips and weights: tools/lpips_onnx.py FILE.onnx makes \
+                            them, --set eval.lpips=FILE.onnx names them."
+    )]
     Eval(EvalArguments),
     /// Render views of a model as PNG or EXR
     Render(RenderArguments),

@@ -106,6 +106,12 @@ impl Curve {
         }
     }
 
+    /// The `report.json` of its run; null if there is none.
+    pub fn report(&self) -> serde_json::Value {
+        let text = self.folder.as_ref().and_then(|folder| std::fs::read(folder.join("report.json")).ok());
+        text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
+    }
+
     /// Converts the curve to JSON, with the times at which it reaches each PSNR.
     pub fn json(&self, reach: &[f64]) -> serde_json::Value {
         let pair = |m: &Measure| serde_json::json!({ "seconds": m.seconds, "psnr": m.psnr });
@@ -113,6 +119,7 @@ impl Curve {
             "name": self.name,
             "curve": self.points.iter().map(pair).collect::<Vec<_>>(),
             "final": self.last.as_ref().map(pair),
+            "mean": self.report()["mean"],
             "reaches": reach.iter().map(|&psnr| reach_json(psnr, self.reaches(psnr))).collect::<Vec<_>>(),
         })
     }
@@ -129,8 +136,23 @@ pub fn reach_json(psnr: f64, reach: Option<Reach>) -> serde_json::Value {
 
 /// The [`rows`] for a terminal.
 pub fn table(curves: &[Curve], reach: &[f64]) -> String {
-    aligned(&rows(curves, reach))
+    let mut rows = rows(curves, reach);
+    let reports: Vec<_> = curves.iter().map(Curve::report).collect();
+    for (name, key) in [("LPIPS", "lpips"), ("FLIP", "flip"), ("MS-SSIM", "ms_ssim"), ("SSIM", "ssim")] {
+        let values: Vec<Option<f64>> = reports.iter().map(|report| report["mean"][key].as_f64()).collect();
+        if values.iter().all(Option::is_none) {
+            continue;
+        }
+        let cells = values.iter().map(|value| value.map_or("–".into(), |value| format!("{value:.4}")));
+        for (row, cell) in rows.iter_mut().zip([name.to_string()].into_iter().chain(cells)) {
+            row.insert(BEFORE_REACH, cell);
+        }
+    }
+    aligned(&rows)
 }
+
+/// Number of columns before the times at which PSNRs are reached.
+const BEFORE_REACH: usize = 4;
 
 /// A header, then one row per curve: its end, and the time at which it reaches each PSNR.
 pub fn rows(curves: &[Curve], reach: &[f64]) -> Vec<Vec<String>> {

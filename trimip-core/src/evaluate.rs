@@ -5,6 +5,7 @@ use crate::{
     config::DataConfig,
     exposure::exposed_by_the_other_half,
     metrics::{psnr, psnr_8bit, psnr_of_constant, ssim},
+    perception::{Pair, Perceived},
     quality::{Measures, ViewQuality, capped},
 };
 
@@ -24,6 +25,8 @@ pub struct ViewResult<'a> {
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
+    /// What [`Watch::perceive`] measured.
+    pub perceived: &'a Perceived,
 }
 
 /// The background that makes transparency most visible: per channel, black if the colour is bright and white if it is dark.
@@ -31,12 +34,20 @@ pub fn opposite(background: [f32; 3]) -> [f32; 3] {
     background.map(|channel| if channel < 0.5 { 1.0 } else { 0.0 })
 }
 
-/// Callbacks of an evaluation; each returns false to stop it.
+/// Callbacks of an evaluation; those that return false stop it.
 pub trait Watch {
     /// `rows` of the `of` rows of a frame, over all its scales, are rendered.
     fn rows(&mut self, rows: u32, of: u32) -> bool {
         let _ = (rows, of);
         true
+    }
+    /// Measures of perception of a view of frame `index`; none by default.
+    ///
+    /// # Errors
+    /// When one cannot be computed.
+    fn perceive(&mut self, index: usize, pair: &Pair<'_>) -> Result<Perceived> {
+        let _ = (index, pair);
+        Ok(Perceived::NOTHING)
     }
     /// A view was rendered and measured.
     fn view(&mut self, view: &ViewResult<'_>) -> Result<bool>;
@@ -123,20 +134,23 @@ pub fn evaluate_frame(
             capped(psnr(&seen(moved), &seen(set.composited(view, other))))
         };
         let rendered = rendered.shown(background, exponent);
-        let (psnr, psnr_8bit, psnr_exposed, ssim) = {
+        let (psnr, psnr_8bit, psnr_exposed, ssim, perceived) = {
             let mut rgb = rendered.rgb();
             let pairs = rgb.iter_mut().zip(&target).zip(&excluded);
             for (pixel, target) in pairs.filter_map(|(pair, excluded)| excluded.then_some(pair)) {
                 *pixel = *target;
             }
-            let ssim = ssim(&rgb, &target, rendered.width as usize, rendered.height as usize);
+            let (width, height) = (rendered.width as usize, rendered.height as usize);
+            let ssim = ssim(&rgb, &target, width, height);
+            let pair = Pair { rendered: &rgb, target: &target, width, height, excluded: &excluded };
+            let perceived = watch.perceive(index, &pair)?;
             let rgb = seen(rgb);
             let left = (0..target.len() as u32).map(|i| 2 * (i % rendered.width) < rendered.width).collect();
             let left = without(&excluded, left);
             let behind = seen(photographed_background(&set, view, background));
             let exposed = exposed_by_the_other_half(&rgb, &behind, &target_seen, &left);
             let against = |rgb: &[[f32; 3]]| capped(psnr(rgb, &target_seen));
-            (against(&rgb), capped(psnr_8bit(&rgb, &target_seen)), against(&exposed), ssim)
+            (against(&rgb), capped(psnr_8bit(&rgb, &target_seen)), against(&exposed), ssim, perceived)
         };
         let psnr_constant = capped(psnr_of_constant(&target_seen));
         let measures = Measures {
@@ -148,6 +162,9 @@ pub fn evaluate_frame(
             psnr_exposed,
             psnr_constant,
             ssim,
+            ms_ssim: perceived.ms_ssim,
+            flip: perceived.flip,
+            lpips: perceived.lpips,
         };
         let result = ViewResult {
             index,
@@ -157,6 +174,7 @@ pub fn evaluate_frame(
             target: &target,
             psnr,
             ssim,
+            perceived: &perceived,
         };
         qualities.push(ViewQuality { index, scale: factor, measures });
         if !watch.view(&result)? {

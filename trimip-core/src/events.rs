@@ -182,6 +182,7 @@ mod tests {
         let scales = vec![ScaleQuality {
             scale: 1,
             images: 1,
+            perceived: 0,
             measures: Measures { psnr: f64::INFINITY, ssim: 1.0, ..Measures::UNKNOWN },
         }];
         let event = Event::Evaluation {

@@ -50,6 +50,7 @@ pub mod model;
 pub mod networks;
 pub mod occupancy;
 pub mod params;
+pub mod perception;
 pub mod pixels;
 pub mod proxy;
 pub mod quality;

@@ -1,5 +1,9 @@
 //! Image metrics on RGB values in [0, 1]: PSNR, and SSIM of Wang et al. 2004 (Gaussian window 11, σ = 1.5, K1 = 0.01,
-//! K2 = 0.03, channels averaged, borders left out as in the original).
+//! K2 = 0.03, channels averaged, borders left out as in the original), and the same at five scales.
+
+mod ms_ssim;
+
+pub use ms_ssim::{LEAST_SIDE, ms_ssim};
 
 const WINDOW: usize = 11;
 const SIGMA: f64 = 1.5;
@@ -55,7 +59,15 @@ pub fn ssim(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: usize
     assert_eq!(target.len(), width * height, "target of the stated size");
     let across = gaussian(WINDOW.min(width));
     let down = gaussian(WINDOW.min(height));
-    (0..3).map(|channel| ssim_channel(image, target, width, channel, &across, &down)).sum::<f64>() / 3.0
+    (0..3).map(|channel| similarity(image, target, width, channel, &across, &down).whole).sum::<f64>() / 3.0
+}
+
+/// Means of one channel's similarities over all windows that fit.
+struct Similarity {
+    /// Luminance times contrast and structure.
+    whole: f64,
+    /// Contrast and structure alone.
+    structure: f64,
 }
 
 /// Normalised Gaussian of `length` taps.
@@ -68,14 +80,14 @@ fn gaussian(length: usize) -> Vec<f64> {
 }
 
 /// One channel: five filtered moments (μx, μy, x², y², xy), rows first into a ring of `down.len()` rows.
-fn ssim_channel(
+fn similarity(
     image: &[[f32; 3]],
     target: &[[f32; 3]],
     width: usize,
     channel: usize,
     across: &[f64],
     down: &[f64],
-) -> f64 {
+) -> Similarity {
     let columns = width + 1 - across.len();
     let filter_row = |row: usize| -> Vec<[f64; 5]> {
         let x = &image[row * width..][..width];
@@ -92,7 +104,7 @@ fn ssim_channel(
     };
     let height = image.len() / width;
     let mut ring: std::collections::VecDeque<Vec<[f64; 5]>> = (0..down.len() - 1).map(&filter_row).collect();
-    let (mut sum, mut windows) = (0.0, 0_usize);
+    let (mut sum, mut structures, mut windows) = (0.0, 0.0, 0_usize);
     for row in down.len() - 1..height {
         ring.push_back(filter_row(row));
         for column in 0..columns {
@@ -106,11 +118,13 @@ fn ssim_channel(
             let luminance = (2.0 * mx * my + C1) / (mx * mx + my * my + C1);
             let structure = (2.0 * (xy - mx * my) + C2) / (xx - mx * mx + yy - my * my + C2);
             sum += luminance * structure;
+            structures += structure;
             windows += 1;
         }
         ring.pop_front();
     }
-    sum / windows as f64
+    let windows = windows as f64;
+    Similarity { whole: sum / windows, structure: structures / windows }
 }
 
 fn weighted(taps: &[f64], values: &[[f64; 5]]) -> [f64; 5] {

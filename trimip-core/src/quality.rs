@@ -56,6 +56,15 @@ pub struct Measures {
     /// Structural similarity.
     #[serde(deserialize_with = "float_or_null")]
     pub ssim: f64,
+    /// Structural similarity at five scales ([`ms_ssim`](crate::metrics::ms_ssim)).
+    #[serde(default = "unknown", deserialize_with = "float_or_null")]
+    pub ms_ssim: f64,
+    /// Mean LDR-FLIP error, 0 (equal) to 1 ([`perception`](crate::perception)).
+    #[serde(default = "unknown", deserialize_with = "float_or_null")]
+    pub flip: f64,
+    /// LPIPS distance, 0 (equal) and up ([`perception`](crate::perception)).
+    #[serde(default = "unknown", deserialize_with = "float_or_null")]
+    pub lpips: f64,
 }
 
 impl Measures {
@@ -69,11 +78,18 @@ impl Measures {
         psnr_exposed: f64::NAN,
         psnr_constant: f64::NAN,
         ssim: f64::NAN,
+        ms_ssim: f64::NAN,
+        flip: f64::NAN,
+        lpips: f64::NAN,
     };
 
-    /// The mean of each measure; NaN of none.
+    /// The mean of each measure; NaN of none. Those of perception are means over the elements that have them.
     pub fn mean(all: &[Self]) -> Self {
         let mean = |measure: fn(&Self) -> f64| all.iter().map(measure).sum::<f64>() / all.len() as f64;
+        let of_some = |measure: fn(&Self) -> f64| {
+            let known: Vec<f64> = all.iter().map(measure).filter(|value| !value.is_nan()).collect();
+            known.iter().sum::<f64>() / known.len() as f64
+        };
         Self {
             psnr: mean(|m| m.psnr),
             psnr_8bit: mean(|m| m.psnr_8bit),
@@ -83,7 +99,15 @@ impl Measures {
             psnr_exposed: mean(|m| m.psnr_exposed),
             psnr_constant: mean(|m| m.psnr_constant),
             ssim: mean(|m| m.ssim),
+            ms_ssim: of_some(|m| m.ms_ssim),
+            flip: of_some(|m| m.flip),
+            lpips: of_some(|m| m.lpips),
         }
+    }
+
+    /// True if a measure of perception was taken.
+    pub fn perceived(&self) -> bool {
+        [self.ms_ssim, self.flip, self.lpips].iter().any(|value| !value.is_nan())
     }
 
     /// False for a model that failed to learn: its PSNR is NaN, or less than `gain` dB above that of the mean colours.
@@ -149,6 +173,9 @@ pub struct ScaleQuality {
     pub scale: u32,
     /// Number of images.
     pub images: usize,
+    /// Number of those that `ms_ssim`, `flip` and `lpips` are means of; 0 in files of earlier versions.
+    #[serde(default)]
+    pub perceived: usize,
     /// Means over the images.
     #[serde(flatten)]
     pub measures: Measures,
@@ -169,7 +196,8 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
             let constant = views.iter().map(error).sum::<f64>() / views.len() as f64;
             let measures =
                 Measures { psnr_constant: capped(psnr_of_error(constant)), ..Measures::mean(&views) };
-            ScaleQuality { scale, images: views.len(), measures }
+            let perceived = views.iter().filter(|view| view.perceived()).count();
+            ScaleQuality { scale, images: views.len(), perceived, measures }
         })
         .collect()
 }
@@ -195,6 +223,10 @@ mod tests {
                 psnr_exposed: psnr + 3.0,
                 psnr_constant: 12.0,
                 ssim: 0.5,
+                // Of the finest scale two views in three are perceived, and none of the other scale is large enough.
+                ms_ssim: if scale == 1 && index < 2 { 0.01 * psnr } else { f64::NAN },
+                flip: if index < 2 { 0.1 * f64::from(scale) } else { f64::NAN },
+                lpips: f64::NAN,
             };
             ViewQuality { index, scale, measures }
         };
@@ -205,6 +237,10 @@ mod tests {
         let mean = mean_quality(&scales);
         assert_eq!((mean.psnr, mean.psnr_opposite, mean.ssim), (20.0, 18.0, 0.5));
         assert_eq!((mean.psnr_plain, mean.psnr_box, mean.psnr_exposed), (19.0, 21.0, 23.0));
+        assert_eq!((scales[0].perceived, scales[1].perceived), (2, 1));
+        assert_eq!((scales[0].measures.flip, scales[1].measures.flip), (0.1, 0.2));
+        assert!((mean.flip - 0.15).abs() < 1e-12 && (mean.ms_ssim - 0.25).abs() < 1e-12);
+        assert!(scales[1].measures.ms_ssim.is_nan() && mean.lpips.is_nan());
         assert!(mean.remark().is_some_and(|remark| remark.contains("18.00 dB")));
         let eval = |min_psnr, min_gain| EvalConfig { min_psnr, min_gain, ..crate::Config::default().eval };
         assert!(mean.judge(&eval(0.0, 1.0)).is_ok() && mean.judge(&eval(20.0, 0.0)).is_ok());
@@ -229,15 +265,20 @@ mod tests {
         let scale = ScaleQuality {
             scale: 2,
             images: 3,
+            perceived: 0,
             measures: Measures { psnr: 30.5, ssim: 0.25, ..Measures::UNKNOWN },
         };
         let text = serde_json::to_string(&scale).unwrap();
-        assert!(text.starts_with(r#"{"scale":2,"images":3,"psnr":30.5,"psnr_8bit":null,"#), "{text}");
+        assert!(
+            text.starts_with(r#"{"scale":2,"images":3,"perceived":0,"psnr":30.5,"psnr_8bit":null,"#),
+            "{text}"
+        );
         for text in [&text, r#"{"scale":2,"images":3,"psnr":30.5,"ssim":0.25}"#] {
             let read: ScaleQuality = serde_json::from_str(text).unwrap();
             assert_eq!((read.scale, read.images), (2, 3));
             assert_eq!((read.measures.psnr, read.measures.ssim), (30.5, 0.25));
-            assert!(read.measures.psnr_exposed.is_nan());
+            assert!(read.measures.psnr_exposed.is_nan() && read.perceived == 0);
+            assert!(!read.measures.perceived());
         }
     }
 }

@@ -7,6 +7,7 @@ use crate::{
     evaluate::{ViewResult, Watch, evaluate_frame},
     events::{Event, EventSink, Totals},
     model::Model,
+    perception::{Pair, Perceived, Perception},
     quality::{Measures, ViewQuality, mean_quality, per_scale},
     session::StepReport,
     timekeeper::{Timekeeper, strides},
@@ -65,6 +66,8 @@ pub struct Run<'a> {
     pub session: &'a mut dyn Session,
     /// Test frames.
     pub frames: &'a dyn Frames,
+    /// Takes the measures of perception in the final evaluation, of the views that `eval.perceived` asks for.
+    pub perception: &'a mut dyn Perception,
     /// Receives the results.
     pub store: &'a mut dyn Store,
     /// Receives the events.
@@ -369,8 +372,13 @@ impl Run<'_> {
         if !last && keeper.pixel() * of_a_view * least > allowed {
             return Ok(Sight::NoTime);
         }
-        let Self { session, store, events, stop, .. } = self;
+        let perceived = perceived_stride(strides, frames, self.config.eval.perceived as usize);
+        let Self { session, perception, store, events, stop, .. } = self;
         let mut watch = Watcher {
+            perception: match perceived {
+                Some(stride) if last => Some((&mut **perception, stride)),
+                _ => None,
+            },
             store: last.then_some(&mut **store),
             events: &mut **events,
             stop,
@@ -441,6 +449,8 @@ impl Run<'_> {
 
 /// Reports the progress of an evaluation, and ends the evaluation on request or when it takes too long.
 struct Watcher<'a> {
+    /// What measures perception, and of which views: those whose index is a multiple.
+    perception: Option<(&'a mut dyn Perception, usize)>,
     store: Option<&'a mut dyn Store>,
     events: &'a mut dyn EventSink,
     stop: &'a AtomicBool,
@@ -466,12 +476,25 @@ impl Watch for Watcher<'_> {
         self.goes_on()
     }
 
+    fn perceive(&mut self, index: usize, pair: &Pair<'_>) -> Result<Perceived> {
+        match &mut self.perception {
+            Some((perception, stride)) if index.is_multiple_of(*stride) => perception.perceive(pair),
+            _ => Ok(Perceived::NOTHING),
+        }
+    }
+
     fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {
         if let Some(store) = &mut self.store {
             store.view(view)?;
         }
         Ok(self.goes_on())
     }
+}
+
+/// The finest of `strides` by which at most `most` of `frames` views have measures of perception; `None` for none. An
+/// evaluation that had no time for finer strides has thus measured all or an even part of its views.
+fn perceived_stride(strides: &[usize], frames: usize, most: usize) -> Option<usize> {
+    strides.iter().copied().filter(|stride| frames.div_ceil(*stride) <= most).min()
 }
 
 /// The error of a run whose rays hit nothing.
@@ -497,6 +520,20 @@ pub fn evaluation_points(count: u32) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn perceived_views_are_evenly_spread_among_those_that_are_measured() {
+        let chain = strides(200, 50, 1);
+        assert_eq!(perceived_stride(&chain, 200, 40), Some(5));
+        assert_eq!(perceived_stride(&chain, 200, 200), Some(1));
+        assert_eq!(perceived_stride(&strides(7, 1, 1), 7, 40), Some(1));
+        assert_eq!(perceived_stride(&chain, 200, 0), None);
+        for most in 1..=200 {
+            let stride = perceived_stride(&chain, 200, most).unwrap();
+            assert!(200_usize.div_ceil(stride) <= most);
+            assert!(chain.iter().all(|other| other.is_multiple_of(stride) || stride.is_multiple_of(*other)));
+        }
+    }
 
     #[test]
     fn evaluation_points_rise_to_the_end() {

@@ -271,6 +271,7 @@ pub(super) fn events() -> Vec<Vec<u8>> {
         scales: vec![ScaleQuality {
             scale: 1,
             images: 4,
+            perceived: 0,
             measures: Measures { psnr: 30.5, ssim: 0.9, ..Measures::UNKNOWN },
         }],
         psnr: 30.5,
@@ -304,7 +305,11 @@ pub(super) fn views() -> Vec<Vec<u8>> {
         scale: 2,
         psnr: Some(30.5),
         ssim: None,
+        ms_ssim: None,
+        flip: Some(0.125),
+        lpips: None,
         comparison: Some("0003_r_3_scale2_compare.png".into()),
+        flip_map: Some("0003_r_3_scale2_flip.png".into()),
     };
     vec![serde_json::to_vec(&[record.clone(), record]).expect("records are JSON")]
 }

@@ -124,7 +124,9 @@ pub fn measures<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     assert_eq!(one.iter().map(|view| (view.index, view.scale)).collect::<Vec<_>>(), [(0, 1), (0, 2)]);
     for (one, other) in one.iter().zip(&other) {
         // Windows of the structural similarity reach over the edge of a mask, where both pictures have the same colours.
-        assert_eq!(Measures { ssim: one.measures.ssim, ..other.measures }, one.measures);
+        let other = Measures { ssim: one.measures.ssim, ..other.measures };
+        // Measures that were not taken are NaN, which equals nothing.
+        assert_eq!(format!("{other:?}"), format!("{:?}", one.measures));
     }
     // By hand: the mean over the right half.
     let set = frame(1, None);

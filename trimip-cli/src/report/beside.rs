@@ -33,7 +33,19 @@ impl Entry {
 
 /// A table of verdicts and figures of the entries that have a report; empty if none has.
 pub fn outcomes(entries: &[Entry]) -> String {
-    let head = ["run", "verdict", "scene", "views", "PSNR / dB", "SSIM", "samples", "model"];
+    let head = [
+        "run",
+        "verdict",
+        "scene",
+        "views",
+        "PSNR / dB",
+        "SSIM",
+        "MS-SSIM",
+        "FLIP",
+        "LPIPS",
+        "samples",
+        "model",
+    ];
     let mut rows = vec![head.map(String::from).to_vec()];
     for entry in entries {
         let report = entry.report();
@@ -55,6 +67,9 @@ pub fn outcomes(entries: &[Entry]) -> String {
             views,
             number(&report["mean"]["psnr"], 2),
             number(&report["mean"]["ssim"], 4),
+            number(&report["mean"]["ms_ssim"], 4),
+            number(&report["mean"]["flip"], 4),
+            number(&report["mean"]["lpips"], 4),
             report["samples"].as_f64().map_or("–".into(), |samples| terminal::number(samples, "")),
             report["model_bytes"].as_u64().map_or("–".into(), terminal::bytes),
         ]);
@@ -165,8 +180,10 @@ mod tests {
         for (index, scale) in pictured.iter().flat_map(|&index| [(index, 1), (index, 2)]) {
             let file = format!("{index}_{scale}.png");
             write_png(&folder.images().join(&file), side_by_side(1, 1, &[[0.0; 3]], &[[1.0; 3]])).unwrap();
-            let (name, comparison) = (format!("r_{index}"), Some(file));
-            views.push(ViewRecord { index, name, scale, psnr: Some(20.0), ssim: None, comparison });
+            let view = json!({
+                "index": index, "name": format!("r_{index}"), "scale": scale, "psnr": 20.0, "ssim": null, "comparison": file,
+            });
+            views.push(view);
         }
         std::fs::write(folder.views(), serde_json::to_string(&views).unwrap()).unwrap();
         let settings = json!({ "field.hidden": { "value": hidden }, "seed": { "value": 0 } });

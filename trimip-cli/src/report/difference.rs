@@ -3,6 +3,7 @@
 //! more).
 
 use image::{Rgb, RgbImage};
+use trimip::view::flip_colors;
 
 /// Difference at the bright end of the scale, as a fraction of the full range.
 const MOST: f32 = 0.25;
@@ -35,15 +36,29 @@ fn color(difference: f32) -> [u8; 3] {
 
 /// The scale as HTML: a bar of the colours with their differences below.
 pub fn bar() -> String {
-    let stops = COLORS.map(|[r, g, b]| format!("rgb({r},{g},{b})")).join(",");
     let steps = COLORS.len() - 1;
     let label = |i: usize| {
         let more = if i == steps { "≥ " } else { "" };
-        format!("<span>{more}{:.0} %</span>", 100.0 * MOST * i as f32 / steps as f32)
+        format!("{more}{:.0} %", 100.0 * MOST * i as f32 / steps as f32)
     };
+    bar_of(&COLORS, (0..=steps).map(label))
+}
+
+/// The scale of FLIP errors as HTML; `None` if this build has no FLIP.
+pub fn flip_bar() -> Option<String> {
+    let errors: [f32; 6] = std::array::from_fn(|i| i as f32 / 5.0);
+    let colors = flip_colors(6, 1, &errors)?;
+    let colors: Vec<[u8; 3]> = colors.pixels().map(|pixel| pixel.0).collect();
+    Some(bar_of(&colors, errors.iter().map(|error| format!("{error:.1}"))))
+}
+
+/// A bar of evenly spaced colours with labels below.
+fn bar_of(colors: &[[u8; 3]], labels: impl Iterator<Item = String>) -> String {
+    let stops: Vec<String> = colors.iter().map(|[r, g, b]| format!("rgb({r},{g},{b})")).collect();
     format!(
-        "<div class=\"bar\"><i style=\"background:linear-gradient(to right,{stops})\"></i><div>{}</div></div>",
-        (0..=steps).map(label).collect::<String>()
+        "<div class=\"bar\"><i style=\"background:linear-gradient(to right,{})\"></i><div>{}</div></div>",
+        stops.join(","),
+        labels.map(|label| format!("<span>{label}</span>")).collect::<String>()
     )
 }
 

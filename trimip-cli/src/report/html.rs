@@ -5,7 +5,8 @@ use super::{page, pictures, settings, svg};
 use crate::terminal;
 use std::path::Path;
 use trimip::report::{Report, Status, text};
-use trimip::{machine, run::provenance};
+use trimip::{machine, run::provenance, view::PIXELS_PER_DEGREE};
+use trimip_core::metrics::LEAST_SIDE;
 use trimip_core::quality::{MOST_PSNR, mean_quality};
 use trimip_core::{Result, config::Convention, encoders, run::progress};
 
@@ -41,6 +42,10 @@ fn head(report: &Report<'_>) -> String {
     if let Some(e) = report.headline() {
         tiles.push((format!("{:.2} dB", e.psnr), "mean PSNR"));
         tiles.push((format!("{:.4}", e.ssim), "mean SSIM"));
+        let flip = mean_quality(&e.scales).flip;
+        if !flip.is_nan() {
+            tiles.push((format!("{flip:.4}"), "mean FLIP"));
+        }
     }
     tiles.push((terminal::duration(totals.seconds), "training time"));
     tiles.push((terminal::number(totals.samples as f64, ""), "samples"));
@@ -101,6 +106,7 @@ fn quality(report: &Report<'_>) -> String {
     if !e.last {
         note += &format!("That is every {}. one; the final evaluation is not made yet. ", e.stride);
     }
+    note += &text::perceived(report);
     if let Some(remark) = mean_quality(&e.scales).remark() {
         note += &format!("Remark: {}. ", escape(&remark));
     }
@@ -138,7 +144,10 @@ fn measure(report: &Report<'_>) -> String {
          rendered values clipped to [0, 1] and not rounded, in the photographs’ own sRGB values from 0 to 1; the target is \
          the 8-bit photograph on the background ({r}, {g}, {b}); an image that equals it counts as {MOST_PSNR} dB. A scale’s figure is the mean over its images, the headline the mean \
          over the scales. SSIM follows Wang et al. 2004: Gaussian window of 11 pixels, σ = 1.5, K<sub>1</sub> = 0.01, \
-         K<sub>2</sub> = 0.03.</p>\n<p>Coarser photographs are {convention}. Trained on {}, tested on {}.</p></section>\n",
+         K<sub>2</sub> = 0.03; MS-SSIM follows Wang et al. 2003: five scales, the published weights, images of at least \
+         {LEAST_SIDE} pixels. FLIP is the mean of LDR-FLIP (Andersson et al. 2020) on values rounded to 8 bits, as seen with \
+         {PIXELS_PER_DEGREE:.0} pixels per degree; 0 is equal, 1 the greatest error. LPIPS (Zhang et al. 2018) has the network \
+         of <code>eval.lpips</code>.</p>\n<p>Coarser photographs are {convention}. Trained on {}, tested on {}.</p></section>\n",
         escape(&data.train.join(" + ")),
         escape(&data.tested_on()),
     )

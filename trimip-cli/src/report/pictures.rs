@@ -1,5 +1,5 @@
 //! Pictures of test views in the report: the worst and the best, then evenly spaced ones. A figure holds rendering,
-//! photograph and difference; the page's script adds a slider to the first two.
+//! photograph, difference and FLIP error; the page's script adds a slider to the first two.
 
 use super::{difference, page, page::escape};
 use base64::{Engine, prelude::BASE64_STANDARD};
@@ -20,6 +20,13 @@ const JPEG_QUALITY: u8 = 92;
 const THUMBNAIL_QUALITY: u8 = 84;
 /// Number of views listed as the worst and as the best.
 const NAMED: usize = 5;
+
+/// Name of a measure of perception, and its value of a view.
+type Perceived = (&'static str, fn(&ViewRecord) -> Option<f64>);
+
+/// The measures of perception, which some views have.
+const PERCEPTION: [Perceived; 3] =
+    [("MS-SSIM", |view| view.ms_ssim), ("FLIP", |view| view.flip), ("LPIPS", |view| view.lpips)];
 
 /// Both sections; empty if no view was evaluated. `images` is the folder of the comparisons.
 pub fn sections(report: &Report<'_>, images: &Path) -> Result<String> {
@@ -58,9 +65,18 @@ fn by_error(views: &[ViewRecord]) -> Vec<&ViewRecord> {
 /// The worst and the best views: their names, and their pictures if there are any.
 fn extremes(ordered: &[&ViewRecord], images: &Path) -> Result<String> {
     let count = (ordered.len() / 2).clamp(1, NAMED);
+    let perceived: Vec<_> =
+        PERCEPTION.into_iter().filter(|(_, of)| ordered.iter().any(|view| of(view).is_some())).collect();
     let list = |title: &str, views: &mut dyn Iterator<Item = &&ViewRecord>| {
-        let head = [title, "PSNR / dB", "SSIM"].map(String::from).to_vec();
-        let rows = views.map(|v| vec![v.name.clone(), measure(v.psnr, 2), measure(v.ssim, 4)]);
+        let mut head = [title, "PSNR / dB", "SSIM"].map(String::from).to_vec();
+        head.extend(perceived.iter().map(|(name, _)| name.to_string()));
+        let rows = views.map(|v| {
+            let mut row = vec![v.name.clone(), measure(v.psnr, 2), measure(v.ssim, 4)];
+            row.extend(
+                perceived.iter().map(|(_, of)| of(v).map_or("–".into(), |value| format!("{value:.4}"))),
+            );
+            row
+        });
         page::table(&std::iter::once(head).chain(rows).collect::<Vec<_>>(), false)
     };
     let (worst, best) = (ordered[0], ordered[ordered.len() - 1]);
@@ -89,21 +105,33 @@ fn measure(value: Option<f64>, digits: usize) -> String {
     value.map_or("no number".into(), |value| format!("{value:.digits$}"))
 }
 
-/// A figure of rendering, photograph and difference, with `title` before its caption; empty if the picture is missing.
+/// A figure of rendering, photograph, difference and, if there is one, the map of FLIP errors, with `title` before its caption; empty if the picture is missing.
 fn figure(images: &Path, view: &ViewRecord, title: &str) -> Result<String> {
     let Some([rendered, photograph]) = compared(images, view) else { return Ok(String::new()) };
     let heat = difference::map(&rendered, &photograph);
     let scale =
         if view.scale == 1 { "full size".into() } else { format!("scale {}", scale_name(view.scale)) };
-    let caption = format!(
+    let mut caption = format!(
         "{title}{} <b>·</b> {scale} <b>·</b> {} dB <b>·</b> SSIM {}",
         escape(&view.name),
         measure(view.psnr, 2),
         measure(view.ssim, 4)
     );
+    for (name, value) in PERCEPTION.iter().filter_map(|(name, of)| of(view).map(|value| (name, value))) {
+        caption += &format!(" <b>·</b> {name} {value:.4}");
+    }
+    let map = view.flip_map.as_ref().and_then(|map| image::open(images.join(map)).ok());
+    let flip = match map.zip(difference::flip_bar()) {
+        Some((map, bar)) => format!(
+            "<div class=\"pane\">{}<span>FLIP error</span>{bar}</div>",
+            embedded(map.into_rgb8(), "FLIP error")?
+        ),
+        None => String::new(),
+    };
+    let panes = if flip.is_empty() { "panes" } else { "panes four" };
     Ok(format!(
-        "<figure class=\"view\"><div class=\"panes\"><div class=\"pane\">{}<span>rendered</span></div>\
-         <div class=\"pane\">{}<span>photograph</span></div><div class=\"pane\">{}<span>difference</span>{}</div></div>\
+        "<figure class=\"view\"><div class=\"{panes}\"><div class=\"pane\">{}<span>rendered</span></div>\
+         <div class=\"pane\">{}<span>photograph</span></div><div class=\"pane\">{}<span>difference</span>{}</div>{flip}</div>\
          <figcaption>{caption}</figcaption></figure>",
         embedded(rendered, "rendered")?,
         embedded(photograph, "photograph")?,
@@ -190,7 +218,18 @@ mod tests {
 
     fn view(index: usize, scale: u32, psnr: Option<f64>, picked: bool) -> ViewRecord {
         let comparison = picked.then(|| "a.png".into());
-        ViewRecord { index, name: format!("r_{index}"), scale, psnr, ssim: Some(0.5), comparison }
+        ViewRecord {
+            index,
+            name: format!("r_{index}"),
+            scale,
+            psnr,
+            ssim: Some(0.5),
+            ms_ssim: None,
+            flip: picked.then_some(0.125),
+            lpips: None,
+            comparison,
+            flip_map: picked.then(|| "a_flip.png".into()),
+        }
     }
 
     #[test]
@@ -221,6 +260,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let sheet = pictures::side_by_side(2, 1, &[[0.0; 3]; 2], &[[1.0; 3]; 2]);
         pictures::write_png(&folder.path().join("a.png"), sheet).unwrap();
+        pictures::write_png(&folder.path().join("a_flip.png"), RgbImage::new(2, 1)).unwrap();
         super::super::example::example(|report| {
             let psnr = [Some(20.0), None, Some(31.0), Some(25.0)];
             let views = (0..4).map(|i| view(i, 1, psnr[i], i == 2)).collect();
@@ -228,7 +268,9 @@ mod tests {
             let html = sections(&report, folder.path()).unwrap();
             assert!(html.contains("<td>r_1</td><td class=\"n\">no number</td>"), "{html}");
             assert!(html.contains("best: r_2") && !html.contains("worst: r_"), "{html}");
-            assert_eq!(html.matches("<img").count(), 3);
+            assert_eq!(html.matches("<img").count(), if difference::flip_bar().is_some() { 4 } else { 3 });
+            assert!(html.contains("FLIP 0.1250") && html.contains("<td class=\"n\">0.1250</td>"), "{html}");
+            assert!(!html.contains("LPIPS"), "nothing was measured of it");
         });
     }
 

@@ -11,6 +11,7 @@ pub fn run() -> Result<u8> {
     let mut facts = vec![
         ("version", format!("trimip-cli {}", machine::version())),
         ("build", format!("{}, EXR {}", profile(), if cfg!(feature = "exr") { "yes" } else { "no" })),
+        ("measures", measures()),
         ("system", format!("{}, {}", machine.os, std::env::consts::ARCH)),
         ("processor", machine.cpu),
         ("cores", machine.cores.to_string()),
@@ -31,6 +32,21 @@ pub fn run() -> Result<u8> {
         terminal::line(format!("{name:<15} {value}"));
     }
     Ok(0)
+}
+
+/// The measures of this build, and how to get those that it lacks.
+fn measures() -> String {
+    let flip = if cfg!(feature = "flip") {
+        "FLIP"
+    } else {
+        "no FLIP (build with --features flip and a C++ compiler)"
+    };
+    let lpips = if cfg!(feature = "lpips") {
+        "LPIPS by eval.lpips (tools/lpips_onnx.py makes its file)"
+    } else {
+        "no LPIPS (build with --features lpips; tools/lpips_onnx.py makes its weights)"
+    };
+    format!("PSNR, SSIM, MS-SSIM, {flip}, {lpips}")
 }
 
 fn profile() -> &'static str {

@@ -1,4 +1,4 @@
-//! `eval`: PSNR and SSIM of a model per scale on its test set.
+//! `eval`: measures of a model per scale on its test set.
 
 use crate::{
     args::EvalArguments,
@@ -10,7 +10,7 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
 use trimip::run::folder as run_folder;
-use trimip::view::{Watching, evaluate};
+use trimip::view::{PIXELS_PER_DEGREE, Perceiver, Watching, evaluate};
 use trimip::{Error, Result, backends, settings};
 use trimip_core::{evaluate::ViewResult, tensors::write_atomically};
 
@@ -20,6 +20,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     settings::override_model(&mut model, &arguments.set)?;
     let config = model.config.clone();
     backends::check(&config.backend)?;
+    let mut perceiver = Perceiver::open(&config.eval)?;
     if let Some(parent) = arguments.json.as_deref().and_then(|path| path.parent()) {
         run_folder::create_writable(if parent.as_os_str().is_empty() { ".".as_ref() } else { parent })?;
     }
@@ -35,7 +36,8 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     let stride = arguments.stride as usize;
     let bar = bar("{bar:20} {percent:>3} %  {wide_msg}", 1000);
     let mut watch = OnBar { bar: &bar, stop: &stop };
-    let measured = evaluate(session.as_mut(), scene.frames.as_ref(), &config.data, stride, &mut watch)?;
+    let measured =
+        evaluate(session.as_mut(), scene.frames.as_ref(), &config.data, stride, &mut perceiver, &mut watch)?;
     bar.finish_and_clear();
     let Some(measured) = measured else { return Ok(interrupt::EXIT_CODE) };
 
@@ -49,6 +51,8 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
             "seconds": measured.seconds,
             "background": config.data.background,
             "edge_exponents": config.data.edge_exponents,
+            "flip_pixels_per_degree": PIXELS_PER_DEGREE,
+            "lpips": config.eval.lpips,
             "scales": measured.scales,
             "mean": measured.mean,
             "views": measured.views,

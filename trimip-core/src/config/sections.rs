@@ -100,7 +100,7 @@ section!(
 );
 section!(
     /// When and on which views the model is evaluated.
-    EvalConfig, "eval" { points: u32, stride: u32, r#final: FinalEval, share: f64, images: u32, min_psnr: f64, min_gain: f64 }
+    EvalConfig, "eval" { points: u32, stride: u32, r#final: FinalEval, share: f64, images: u32, perceived: u32, lpips: String, min_psnr: f64, min_gain: f64 }
 );
 
 section!(

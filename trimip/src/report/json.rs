@@ -1,7 +1,7 @@
 //! `report.json`: the report for programs. Sizes in bytes, times in seconds, PSNR in dB; unknown values are `null`.
 
 use super::{Report, Status};
-use crate::run::history::Evaluation;
+use crate::{run::history::Evaluation, view::PIXELS_PER_DEGREE};
 use serde_json::{Value, json};
 use trimip_core::quality::mean_quality;
 use trimip_core::{Error, Result};
@@ -57,22 +57,7 @@ fn value(report: &Report<'_>) -> Value {
         "peak_memory_bytes": history.peak_memory_bytes(),
         "predicted_memory_bytes": history.predicted_memory_bytes,
         "model_bytes": report.model_bytes,
-        "measure": {
-            "psnr": "-10 log10(mean squared error) per image, mean over images, then over scales; unrounded sRGB values",
-            "psnr_8bit": "the same of values rounded to 8 bits",
-            "psnr_plain": "the same of unrounded values without the set's edge exponents (data.edge_exponents)",
-            "psnr_box": "the same of unrounded values against a true box filter of the finest photographs",
-            "psnr_opposite": "the same of unrounded values on black where the background is bright, on white where it is dark",
-            "psnr_exposed": "the same of unrounded values times a gain for each channel, fitted on each half of a picture for the other",
-            "psnr_constant": "of each photograph's mean colour in place of the rendering, from the mean of their errors",
-            "background": config.data.background,
-            "convention": config.data.convention,
-            "split": config.data.tested_on(),
-            "stride": headline.map(|e| e.stride),
-            "views": headline.map(Evaluation::views),
-            "test_views": history.test_views(),
-            "complete": history.last().is_some(),
-        },
+        "measure": meanings(report),
         "scales": headline.map_or(json!([]), |e| json!(e.scales)),
         "mean": headline.map_or(Value::Null, |e| json!(mean_quality(&e.scales))),
         "curve": report.curve().into_iter().map(point).collect::<Vec<_>>(),
@@ -80,6 +65,33 @@ fn value(report: &Report<'_>) -> Value {
         "warnings": history.warnings,
         "machine": report.machine,
         "settings": origins,
+    })
+}
+
+/// What the measures mean, and what they were taken of.
+fn meanings(report: &Report<'_>) -> Value {
+    let (history, config, headline) = (report.history, report.config, report.headline());
+    json!({
+        "psnr": "-10 log10(mean squared error) per image, mean over images, then over scales; unrounded sRGB values",
+        "psnr_8bit": "the same of values rounded to 8 bits",
+        "psnr_plain": "the same of unrounded values without the set's edge exponents (data.edge_exponents)",
+        "psnr_box": "the same of unrounded values against a true box filter of the finest photographs",
+        "psnr_opposite": "the same of unrounded values on black where the background is bright, on white where it is dark",
+        "psnr_exposed": "the same of unrounded values times a gain for each channel, fitted on each half of a picture for the other",
+        "psnr_constant": "of each photograph's mean colour in place of the rendering, from the mean of their errors",
+        "ssim": "Wang et al. 2004: Gaussian window of 11 pixels, sigma 1.5, K1 = 0.01, K2 = 0.03, mean of the channels",
+        "ms_ssim": "Wang et al. 2003: five scales, the published weights, the windows of ssim; images of 176 pixels and more",
+        "flip": "mean LDR-FLIP of Andersson et al. 2020, of values rounded to 8 bits",
+        "flip_pixels_per_degree": PIXELS_PER_DEGREE,
+        "lpips": "Zhang et al. 2018, by the network of eval.lpips; images of 32 pixels and more",
+        "perceived": "number of images that ms_ssim, flip and lpips are means of; the mean is over the scales that have them",
+        "background": config.data.background,
+        "convention": config.data.convention,
+        "split": config.data.tested_on(),
+        "stride": headline.map(|e| e.stride),
+        "views": headline.map(Evaluation::views),
+        "test_views": history.test_views(),
+        "complete": history.last().is_some(),
     })
 }
 
@@ -128,8 +140,9 @@ mod tests {
             assert_eq!(
                 json["scales"][1],
                 json!({
-                    "scale": 2, "images": 8, "psnr": 25.5, "psnr_8bit": null, "psnr_opposite": null, "psnr_plain": null,
+                    "scale": 2, "images": 8, "perceived": 0, "psnr": 25.5, "psnr_8bit": null, "psnr_opposite": null, "psnr_plain": null,
                     "psnr_box": null, "psnr_exposed": null, "psnr_constant": 12.0, "ssim": 0.9,
+                    "ms_ssim": null, "flip": null, "lpips": null,
                 })
             );
             assert_eq!(json["curve"].as_array().unwrap().len(), 2);

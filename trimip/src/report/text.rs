@@ -3,11 +3,19 @@
 
 use super::{Report, scale_name};
 use crate::units;
-use trimip_core::quality::{Measures, mean_quality};
+use trimip_core::{
+    metrics::LEAST_SIDE,
+    quality::{Measures, mean_quality},
+};
 
-/// Header and rows of the table of metrics: one row per scale and one for their mean. Empty if nothing was measured.
+/// Header and rows of the table of metrics: one row per scale and one for their mean. Empty if nothing was measured. A
+/// measure of perception that no scale has is left out.
 pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
     let Some(e) = report.headline() else { return Vec::new() };
+    let mean = mean_quality(&e.scales);
+    let perception =
+        [("MS-SSIM", (|m| m.ms_ssim) as fn(&Measures) -> f64), ("FLIP", |m| m.flip), ("LPIPS", |m| m.lpips)];
+    let perception: Vec<_> = perception.into_iter().filter(|(_, of)| !of(&mean).is_nan()).collect();
     let head = [
         "scale",
         "images",
@@ -22,13 +30,16 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
         "SSIM",
     ];
     let mut rows = vec![head.map(String::from).to_vec()];
+    rows[0].extend(perception.iter().map(|(name, _)| name.to_string()));
     let row = |name: String, images: usize, range: String, m: &Measures| {
         let decibels = |psnr: f64| if psnr.is_nan() { "–".into() } else { format!("{psnr:.2}") };
         let others =
             [m.psnr_plain, m.psnr_box, m.psnr_8bit, m.psnr_exposed, m.psnr_opposite, m.psnr_constant];
         let mut row = vec![name, images.to_string(), decibels(m.psnr), range];
         row.extend(others.map(decibels));
-        row.push(format!("{:.4}", m.ssim));
+        let share = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.4}") };
+        row.push(share(m.ssim));
+        row.extend(perception.iter().map(|(_, of)| share(of(m))));
         row
     };
     for q in &e.scales {
@@ -38,8 +49,23 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
         rows.push(row(scale_name(q.scale), q.images, range, &q.measures));
     }
     let images = e.scales.iter().map(|q| q.images).sum();
-    rows.push(row("mean".into(), images, String::new(), &mean_quality(&e.scales)));
+    rows.push(row("mean".into(), images, String::new(), &mean));
     rows
+}
+
+/// What the measures of perception are means of, one sentence; empty if there is none.
+pub fn perceived(report: &Report<'_>) -> String {
+    let scales = report.headline().map_or(&[][..], |e| &e.scales);
+    let Some(most) = scales.iter().map(|q| q.perceived).max().filter(|&most| most > 0) else {
+        return String::new();
+    };
+    let all = scales.iter().all(|q| q.perceived == q.images);
+    let of = if all { "all views".to_string() } else { format!("{most} evenly spread views") };
+    let mut text = format!("MS-SSIM, FLIP and LPIPS are means over {of}");
+    if scales.iter().any(|q| q.measures.ms_ssim.is_nan()) {
+        text += &format!(", MS-SSIM without scales below {LEAST_SIDE} pixels");
+    }
+    text + ". "
 }
 
 /// Caption of the figures, one line.
@@ -75,6 +101,10 @@ pub fn markdown(report: &Report<'_>) -> String {
             text += &format!("|---|{}\n", "---:|".repeat(row.len() - 1));
         }
     }
+    let perceived = perceived(report);
+    if !perceived.is_empty() {
+        text += &format!("\n{}\n", perceived.trim_end());
+    }
     text
 }
 
@@ -83,6 +113,10 @@ pub fn latex(report: &Report<'_>) -> String {
     let rows = measures(report);
     let mut text = format!("% {}\n% Verdict: {}\n", caption(report), report.verdict().words());
     let Some(head) = rows.first() else { return text };
+    let perceived = perceived(report);
+    if !perceived.is_empty() {
+        text += &format!("% {}\n", perceived.trim_end());
+    }
     text += &format!("\\begin{{tabular}}{{l{}}}\n\\hline\n", "r".repeat(head.len() - 1));
     for (i, row) in rows.iter().enumerate() {
         let cells: Vec<_> = row.iter().map(|cell| tex(cell)).collect();

@@ -297,7 +297,11 @@ mod tests {
             scale,
             psnr: Some(psnr),
             ssim: None,
+            ms_ssim: None,
+            flip: None,
+            lpips: None,
             comparison: None,
+            flip_map: None,
         };
         let mut views = vec![view(1, 20.0), view(1, 31.0), view(1, 30.0), view(2, 5.0)];
         assert_eq!(below_median(&views), None, "three views have no median worth the name");

@@ -305,11 +305,11 @@ pub fn read_model(path: &Path) -> Result<Model> {
     Ok(Checkpoint::read(&folder.checkpoint())?.into_model())
 }
 
-/// True for names that [`picture_stem`] produces, of a picture or a comparison.
+/// True for names that [`picture_stem`] produces, of a picture, a comparison or a map of FLIP errors.
 fn is_picture(name: &str) -> bool {
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let Some(stem) = name.strip_suffix(".png") else { return false };
-    let stem = stem.strip_suffix("_compare").unwrap_or(stem);
+    let stem = ["_compare", "_flip"].iter().find_map(|end| stem.strip_suffix(end)).unwrap_or(stem);
     let Some((front, scale)) = stem.rsplit_once("_scale") else { return false };
     front.split_once('_').is_some_and(|(index, _)| index.len() >= 4 && digits(index)) && digits(scale)
 }
@@ -383,7 +383,11 @@ mod tests {
     fn files_of_others_stay() {
         let (_keep, folder) = folder();
         folder.prepare_images().unwrap();
-        let ours = [picture_stem(3, "r_3", 1), format!("{}_compare", picture_stem(12345, "a_scale_b", 16))];
+        let ours = [
+            picture_stem(3, "r_3", 1),
+            format!("{}_compare", picture_stem(12345, "a_scale_b", 16)),
+            format!("{}_flip", picture_stem(3, "r_3", 2)),
+        ];
         let theirs = ["r_3", "0001", "0001_scale", "a_0001_scale2", "0001_scale2_more"];
         let path = |stem: &str| folder.images().join(format!("{stem}.png"));
         for stem in ours.iter().map(String::as_str).chain(theirs) {

@@ -242,6 +242,7 @@ pub(crate) mod tests {
         let scale = |scale, psnr| ScaleQuality {
             scale,
             images: 8,
+            perceived: 0,
             measures: Measures { psnr, psnr_constant: 12.0, ssim: 0.9, ..Measures::UNKNOWN },
         };
         Event::Evaluation {

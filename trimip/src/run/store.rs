@@ -2,7 +2,7 @@
 //! views, and the worst and best view of the finest scale.
 
 use super::folder::{RunFolder, picture_stem};
-use crate::view::pictures;
+use crate::view::{flip_colors, flip_of_pictures, pictures};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -13,6 +13,9 @@ use trimip_core::{
 
 /// What the file name of a comparison has after that of its picture.
 const COMPARISON: &str = "_compare";
+
+/// What the file name of a map of FLIP errors has after that of its picture.
+const FLIP: &str = "_flip";
 
 /// Most bytes of a photograph's name in the name of its picture. File names have up to 255 bytes.
 const LONGEST: usize = 160;
@@ -30,8 +33,21 @@ pub struct ViewRecord {
     pub psnr: Option<f64>,
     /// Structural similarity.
     pub ssim: Option<f64>,
+    /// Structural similarity at five scales; `None` if it was not measured, as in files of earlier versions.
+    #[serde(default)]
+    pub ms_ssim: Option<f64>,
+    /// Mean FLIP error; `None` if it was not measured.
+    #[serde(default)]
+    pub flip: Option<f64>,
+    /// LPIPS distance; `None` if it was not measured.
+    #[serde(default)]
+    pub lpips: Option<f64>,
     /// File in `images/` with rendered | photograph | difference, if the view was selected for a picture.
     pub comparison: Option<String>,
+    /// File in `images/` with the FLIP error of each pixel in the colours of magma, 0 to 1; `None` without a picture, or of a
+    /// build without FLIP.
+    #[serde(default)]
+    pub flip_map: Option<String>,
 }
 
 /// A candidate for the worst or the best view; its pictures are kept until all views are seen.
@@ -41,8 +57,16 @@ struct Extreme {
     /// PSNR in dB; a value that is not finite counts as the worst.
     psnr: f64,
     stem: String,
+    shown: Shown,
+}
+
+/// Pictures of a view.
+#[derive(Clone)]
+struct Shown {
     rendered: RgbImage,
     sheet: RgbImage,
+    /// The FLIP error of each pixel, if it was measured.
+    errors: Option<Vec<f32>>,
 }
 
 /// Stores a run in its folder.
@@ -67,10 +91,12 @@ impl<'a> FileStore<'a> {
     /// `eval.images = 0` it writes no pictures.
     fn finish(&mut self) -> Result<()> {
         for extreme in [self.worst.take(), self.best.take()].into_iter().flatten() {
-            self.records[extreme.record].comparison =
-                Some(self.write(&extreme.stem, extreme.rendered, extreme.sheet)?);
+            let (comparison, flip_map) = self.write(&extreme.stem, extreme.shown)?;
+            let record = &mut self.records[extreme.record];
+            (record.comparison, record.flip_map) = (Some(comparison), flip_map);
         }
-        let kept: Vec<_> = self.records.iter().filter_map(|record| record.comparison.as_deref()).collect();
+        let names = |record: &ViewRecord| [record.comparison.clone(), record.flip_map.clone()];
+        let kept: Vec<String> = self.records.iter().flat_map(names).flatten().collect();
         for path in self.folder.pictures() {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             if !kept.iter().any(|keep| *keep == name || keep.replace(COMPARISON, "") == name) {
@@ -84,12 +110,21 @@ impl<'a> FileStore<'a> {
         write_atomically(&self.folder.views(), text.as_bytes())
     }
 
-    /// Writes a view's picture and its comparison; returns the file name of the comparison.
-    fn write(&self, stem: &str, rendered: RgbImage, sheet: RgbImage) -> Result<String> {
-        let (images, name) = (self.folder.images(), format!("{stem}{COMPARISON}.png"));
+    /// Writes a view's picture, its comparison and its FLIP errors, which are computed here if they were not measured.
+    /// Returns the file names of the comparison and of the errors.
+    fn write(&self, stem: &str, shown: Shown) -> Result<(String, Option<String>)> {
+        let Shown { rendered, sheet, errors } = shown;
+        let (images, comparison) = (self.folder.images(), format!("{stem}{COMPARISON}.png"));
+        let (width, height) = rendered.dimensions();
+        let [_, photograph, _] = pictures::panels(&sheet);
+        let errors = errors.or_else(|| flip_of_pictures(&rendered, &photograph));
+        let map = errors.and_then(|errors| flip_colors(width, height, &errors));
         pictures::write_png(&images.join(format!("{stem}.png")), rendered)?;
-        pictures::write_png(&images.join(&name), sheet)?;
-        Ok(name)
+        pictures::write_png(&images.join(&comparison), sheet)?;
+        let Some(map) = map else { return Ok((comparison, None)) };
+        let name = format!("{stem}{FLIP}.png");
+        pictures::write_png(&images.join(&name), map)?;
+        Ok((comparison, Some(name)))
     }
 
     /// Reads the views of the final evaluation; empty if there was none.
@@ -101,8 +136,11 @@ impl<'a> FileStore<'a> {
     pub fn is_whole(folder: &RunFolder) -> bool {
         let there = |name: &str| folder.images().join(name).is_file();
         let pictured = |comparison: &String| there(comparison) && there(&comparison.replace(COMPARISON, ""));
-        Self::recorded(folder)
-            .is_some_and(|views| views.iter().filter_map(|view| view.comparison.as_ref()).all(pictured))
+        let whole = |view: &ViewRecord| {
+            view.comparison.as_ref().is_none_or(pictured)
+                && view.flip_map.as_ref().is_none_or(|map| there(map))
+        };
+        Self::recorded(folder).is_some_and(|views| views.iter().all(whole))
     }
 
     fn recorded(folder: &RunFolder) -> Option<Vec<ViewRecord>> {
@@ -125,7 +163,7 @@ impl Store for FileStore<'_> {
         let wanted = finest && self.images > 0;
         let worst = wanted && self.worst.as_ref().is_none_or(|extreme| psnr < extreme.psnr);
         let best = wanted && self.best.as_ref().is_none_or(|extreme| psnr > extreme.psnr);
-        let mut comparison = None;
+        let (mut comparison, mut flip_map) = (None, None);
         if self.picked.len() < self.images && !self.picked.contains(&view.index) {
             self.picked.push(view.index);
         }
@@ -134,13 +172,14 @@ impl Store for FileStore<'_> {
             let (width, height, rgb) = (view.rendered.width, view.rendered.height, view.rendered.rgb());
             let rendered = pictures::rgb_image(width, height, &rgb);
             let sheet = pictures::side_by_side(width, height, &rgb, view.target);
+            let shown = Shown { rendered, sheet, errors: view.perceived.flip_map.clone() };
             let record = self.records.len();
             for (place, _) in [(&mut self.worst, worst), (&mut self.best, best)].into_iter().filter(|p| p.1) {
-                let (rendered, sheet, stem) = (rendered.clone(), sheet.clone(), stem.clone());
-                *place = Some(Extreme { record, psnr, stem, rendered, sheet });
+                *place = Some(Extreme { record, psnr, stem: stem.clone(), shown: shown.clone() });
             }
             if self.picked.contains(&view.index) {
-                comparison = Some(self.write(&stem, rendered, sheet)?);
+                let (sheet, map) = self.write(&stem, shown)?;
+                (comparison, flip_map) = (Some(sheet), map);
             }
         }
         self.records.push(ViewRecord {
@@ -149,7 +188,11 @@ impl Store for FileStore<'_> {
             scale: view.scale,
             psnr: finite(view.psnr),
             ssim: finite(view.ssim),
+            ms_ssim: finite(view.perceived.ms_ssim),
+            flip: finite(view.perceived.flip),
+            lpips: finite(view.perceived.lpips),
             comparison,
+            flip_map,
         });
         Ok(())
     }
@@ -179,7 +222,7 @@ pub fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trimip_core::Frame;
+    use trimip_core::{Frame, perception::Perceived};
 
     #[test]
     fn the_worst_and_the_best_view_have_pictures_too() {
@@ -194,7 +237,9 @@ mod tests {
             for (scale, psnr) in [(1, psnr), (2, if index == 0 { 1.0 } else { 50.0 })] {
                 let name = format!("r_{index}");
                 let (rendered, target, ssim) = (&rendered, &target[..], 0.5);
-                store.view(&ViewResult { index, name: &name, scale, rendered, target, psnr, ssim }).unwrap();
+                let perceived = &Perceived { flip: 0.25, ..Perceived::NOTHING };
+                let view = ViewResult { index, name: &name, scale, rendered, target, psnr, ssim, perceived };
+                store.view(&view).unwrap();
             }
         }
         assert!(!FileStore::is_whole(&folder), "its evaluation is not over");
@@ -207,7 +252,12 @@ mod tests {
         let places: Vec<_> = pictured.iter().map(|(index, scale, _)| (*index, *scale)).collect();
         assert_eq!(places, [(0, 1), (0, 2), (1, 1), (3, 1)]);
         assert!(pictured.iter().all(|(_, _, file)| folder.images().join(file).exists()));
-        assert_eq!(folder.pictures().len(), 8);
+        assert_eq!(folder.pictures().len(), if cfg!(feature = "flip") { 12 } else { 8 });
+        let views = FileStore::read(&folder);
+        assert!(views.iter().all(|view| (view.flip, view.ms_ssim, view.lpips) == (Some(0.25), None, None)));
+        for map in views.iter().filter_map(|view| view.flip_map.as_ref()) {
+            assert_eq!(image::open(folder.images().join(map)).unwrap().into_rgb8().dimensions(), (2, 1));
+        }
         for path in folder.pictures().into_iter().chain([folder.views()]) {
             let bytes = std::fs::read(&path).unwrap();
             std::fs::remove_file(&path).unwrap();

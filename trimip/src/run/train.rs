@@ -12,7 +12,7 @@ use super::{
     recorder::Recorder,
     store::FileStore,
 };
-use crate::{backends, machine};
+use crate::{backends, machine, view::Perceiver};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -208,6 +208,7 @@ impl Training {
         let Beginning { mut settings, mut findings, checkpoint, extended } = begin;
         let folder = &self.folder;
         let mut config = Config::from_settings(&settings)?;
+        let mut perceiver = Perceiver::open(&config.eval)?;
         folder.prepare()?;
         let scene = trimip_data::open_watched(&config.data, listeners.reading)?;
         let (compute, test) = (backends::compute(&config)?, scene.test.cameras());
@@ -271,6 +272,7 @@ impl Training {
             config: &config,
             session: session.as_mut(),
             frames: scene.test.as_ref(),
+            perception: &mut perceiver,
             store: &mut store,
             events: &mut recorder,
             stop: listeners.stop,

@@ -1,10 +1,11 @@
-//! PSNR and SSIM of a model per scale on a set of test photographs.
+//! Measures of a model per scale on a set of test photographs.
 
 use std::time::Instant;
 use trimip_core::{
     Frames, Result, Viewer,
     config::DataConfig,
     evaluate::{ViewResult, Watch, evaluate_frame},
+    perception::{Pair, Perceived, Perception},
     quality::{Measures, ScaleQuality, ViewQuality, mean_quality, per_scale},
 };
 
@@ -40,8 +41,8 @@ pub trait Watching {
 impl Watching for () {}
 
 /// Renders every `stride`-th test view at every scale, on the background and by the convention of
-/// `data`, and compares it with its photograph. Returns
-/// `None` if `watch` cancelled it.
+/// `data`, and compares it with its photograph; `perception` takes the slower measures ([`Perceiver`](super::Perceiver), or
+/// `&mut ()` for none). Returns `None` if `watch` cancelled it.
 ///
 /// # Errors
 /// When a photograph cannot be read, or the device fails.
@@ -50,10 +51,11 @@ pub fn evaluate(
     frames: &dyn Frames,
     data: &DataConfig,
     stride: usize,
+    perception: &mut dyn Perception,
     watch: &mut dyn Watching,
 ) -> Result<Option<Measured>> {
     let (started, stride) = (Instant::now(), stride.max(1));
-    let mut progress = Progress { watch, done: 0, total: frames.len().div_ceil(stride) };
+    let mut progress = Progress { perception, watch, done: 0, total: frames.len().div_ceil(stride) };
     let mut views = Vec::new();
     for index in (0..frames.len()).step_by(stride) {
         if !evaluate_frame(viewer, frames, index, 1, data, &mut progress, &mut views)? {
@@ -68,6 +70,7 @@ pub fn evaluate(
 
 /// Counts views.
 struct Progress<'a> {
+    perception: &'a mut dyn Perception,
     watch: &'a mut dyn Watching,
     done: usize,
     total: usize,
@@ -76,6 +79,10 @@ struct Progress<'a> {
 impl Watch for Progress<'_> {
     fn rows(&mut self, rows: u32, of: u32) -> bool {
         self.watch.rendering(self.done, self.total, f64::from(rows) / f64::from(of.max(1)))
+    }
+
+    fn perceive(&mut self, _: usize, pair: &Pair<'_>) -> Result<Perceived> {
+        self.perception.perceive(pair)
     }
 
     fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {

@@ -2,9 +2,14 @@
 
 pub mod cameras;
 mod files;
+#[cfg(feature = "flip")]
+mod flip;
 pub mod flythrough;
 mod job;
+#[cfg(feature = "lpips")]
+mod lpips;
 mod measure;
+mod perceiver;
 pub mod pictures;
 pub mod turntable;
 pub mod video;
@@ -13,3 +18,4 @@ pub use cameras::Named;
 pub use files::{CAMERAS, PictureFormat, Quantity, depth_range, expect_no_others, write, write_cameras};
 pub use job::Job;
 pub use measure::{Measured, Watching, evaluate};
+pub use perceiver::{PIXELS_PER_DEGREE, Perceiver, flip_colors, flip_of_pictures};
