@@ -34,7 +34,7 @@ fn normal(bits: [u32; 4], i: usize) -> f32 {
     // Above 0, so that the logarithm is finite.
     let radius = (-2.0 * (1.0 - unit(bits[pair])).max(f32::MIN_POSITIVE).ln()).sqrt();
     let angle = std::f32::consts::TAU * unit(bits[pair + 1]);
-    radius * if i % 2 == 0 { angle.cos() } else { angle.sin() }
+    radius * if i.is_multiple_of(2) { angle.cos() } else { angle.sin() }
 }
 
 impl Layout {

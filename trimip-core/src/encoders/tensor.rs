@@ -58,6 +58,11 @@ impl Shape {
         }
     }
 
+    /// The factors at every stage of growth, by the number of the stage.
+    pub fn all(config: &Config) -> Vec<Self> {
+        (0..config.tensor.sides.values().count() as u32).map(|stage| Self::new(config, stage)).collect()
+    }
+
     /// Number of planes: 3, or none.
     pub fn planes(&self) -> usize {
         match self.decomposition {

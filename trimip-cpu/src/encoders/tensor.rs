@@ -15,7 +15,8 @@ use trimip_core::encoders::tensor::{KINDS, Kind, LANES, LINE_AXES, PLANE_AXES, S
 /// The shape of the factors and where they are in the parameters.
 pub(crate) struct Factors {
     simd: Simd,
-    config: Config,
+    /// By stage of growth, and the one in use.
+    shapes: Vec<Shape>,
     shape: Shape,
     arrays: [Arrays; 2],
 }
@@ -70,7 +71,7 @@ impl Encoding for Factors {
 
     fn new(simd: Simd, config: &Config, _training: bool) -> Self {
         let shape = Shape::new(config, 0);
-        Self { simd, config: config.clone(), shape, arrays: Self::arrays(config) }
+        Self { simd, shapes: Shape::all(config), shape, arrays: Self::arrays(config) }
     }
 
     fn gradient(&self) -> Gradient {
@@ -83,7 +84,7 @@ impl Encoding for Factors {
     }
 
     fn grow(&mut self, stage: u32) {
-        self.shape = Shape::new(&self.config, stage);
+        self.shape = self.shapes[stage as usize].clone();
     }
 
     fn forward(

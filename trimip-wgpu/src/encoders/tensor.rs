@@ -51,7 +51,8 @@ struct Params {
 /// The shape of the factors, and room for gradients in fixed point.
 pub(crate) struct Factors {
     gpu: Arc<Gpu>,
-    config: Config,
+    /// By stage of growth, and the one in use.
+    shapes: Vec<Shape>,
     shape: Shape,
     /// Where the planes and lines of both tensors begin.
     starts: [u32; 4],
@@ -93,7 +94,7 @@ impl Encoding for Factors {
         let fixed = training && addition == Addition::Fixed;
         Self {
             gpu: Arc::clone(gpu),
-            config: config.clone(),
+            shapes: Shape::all(config),
             starts: [start(0, 0), start(0, each - 1), start(1, 0), start(1, each - 1)],
             shape,
             stride: (encoders::stride(config) / 4) as u32,
@@ -105,7 +106,7 @@ impl Encoding for Factors {
     }
 
     fn grow(&mut self, stage: u32) {
-        self.shape = Shape::new(&self.config, stage);
+        self.shape = self.shapes[stage as usize].clone();
     }
 
     fn forward(&self, parameters: &Buffer<f32>, at: &Places, _: &Buffer<f32>, features: &Buffer<f32>) {

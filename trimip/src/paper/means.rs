@@ -41,6 +41,12 @@ pub struct Cell {
     pub spread: f64,
     /// Mean SSIM of the scales.
     pub ssim: f64,
+    /// Mean MS-SSIM of the scales that have one.
+    pub ms_ssim: f64,
+    /// Mean FLIP of the scales.
+    pub flip: f64,
+    /// Mean LPIPS of the scales.
+    pub lpips: f64,
     /// Seconds of training.
     pub seconds: f64,
     /// Size of the model file, bytes.
@@ -58,6 +64,9 @@ impl Cell {
         plain: f64::NAN,
         spread: f64::NAN,
         ssim: f64::NAN,
+        ms_ssim: f64::NAN,
+        flip: f64::NAN,
+        lpips: f64::NAN,
         seconds: f64::NAN,
         model_bytes: f64::NAN,
         memory_bytes: f64::NAN,
@@ -71,6 +80,9 @@ impl Cell {
             plain: figures.mean.psnr_plain,
             spread: 0.0,
             ssim: figures.mean.ssim,
+            ms_ssim: figures.mean.ms_ssim,
+            flip: figures.mean.flip,
+            lpips: figures.mean.lpips,
             seconds: figures.seconds,
             model_bytes: bytes(figures.model_bytes),
             memory_bytes: bytes(figures.peak_memory_bytes),
@@ -86,6 +98,9 @@ impl Cell {
             plain: mean(|c| c.plain),
             spread: mean(|c| c.spread),
             ssim: mean(|c| c.ssim),
+            ms_ssim: mean(|c| c.ms_ssim),
+            flip: mean(|c| c.flip),
+            lpips: mean(|c| c.lpips),
             seconds: mean(|c| c.seconds),
             model_bytes: mean(|c| c.model_bytes),
             memory_bytes: mean(|c| c.memory_bytes),
@@ -211,6 +226,7 @@ pub(super) mod tests {
         let quality = |scale, psnr| ScaleQuality {
             scale,
             images: 2,
+            perceived: 0,
             measures: Measures { psnr, psnr_plain: psnr - 1.0, ssim: psnr / 100.0, ..Measures::UNKNOWN },
         };
         let scales = vec![quality(1, psnr[0]), quality(2, psnr[1])];

@@ -61,6 +61,19 @@ pub fn columns(scales: Scales, rows: &[Row]) -> Vec<Column> {
         columns.push(column("published", |row| row.published.map_or("–".into(), |psnr| number(psnr, 2))));
     }
     columns.push(compared("SSIM", 4, |row| row.cell.ssim));
+    // Where nobody measured them there is no column. The least FLIP and LPIPS are the best.
+    let mut perceived = |head: &str, value: fn(&Row) -> f64, sign: f64| {
+        if rows.iter().any(|row| value(row).is_finite()) {
+            columns.push(Column {
+                head: head.into(),
+                text: Box::new(move |row| number(value(row), 4)),
+                value: Some(Box::new(move |row| sign * value(row))),
+            });
+        }
+    };
+    perceived("MS-SSIM", |row| row.cell.ms_ssim, 1.0);
+    perceived("FLIP", |row| row.cell.flip, -1.0);
+    perceived("LPIPS", |row| row.cell.lpips, -1.0);
     columns.push(column("time", |row| known(row.cell.seconds, units::duration)));
     columns.push(column("model", |row| known(row.cell.model_bytes, |bytes| units::bytes(bytes as u64))));
     columns.push(column("parameters", |row| known(row.cell.parameters, |count| units::number(count, ""))));

@@ -189,7 +189,7 @@ pub const REMARKS: &[&str] = &[
      are 35.87 dB on lego and 32.35 dB in the mean (nerfacc). All systems that are measured here are evaluated on one background.",
     "The 64.1 MB of Instant-ngp are probably 16 · 2¹⁹ · 2 numbers of four bytes; its real tables have 46.5 MiB, because coarse levels \
      have fewer corners.",
-    "This page has no LPIPS, which the paper's tables have.",
+    "LPIPS, which the paper's tables have, needs weights that this program does not ship: eval.lpips names a file of them.",
     "NeRF and MipNeRF took three days, the others minutes, each on a GPU of its paper. Times that are measured here are those of one \
      machine; published points are drawn apart.",
 ];
