@@ -98,8 +98,8 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Whole,
         settings: file!("tensorf-vm"),
         beside: Some("TensoRF"),
-        differs: "an occupancy grid for the alpha mask; the box is found at the start; colours of all kept samples are computed; as many \
-                  samples a step, not rays; the published figures come from a GPU",
+        differs: "an occupancy grid for the alpha mask; the box is found at the start; colours of all kept samples are computed; \
+                  steps of 2^15 samples, not of 4,096 rays; the published figures come from a GPU",
     },
     System {
         name: "tensorf-cp",
@@ -116,7 +116,8 @@ pub const SYSTEMS: &[System] = &[
         settings: file!("ngp"),
         beside: Some("Instant-ngp"),
         differs: "no running mean of the weights, no decay of the networks' weights, 15 of the density network's 16 outputs go on to \
-                  the colour network, smooth-L1 for Huber; the published figures come from a GPU",
+                  the colour network, smooth-L1 for Huber; eight times as many steps of 2^15 samples instead of 2^18; this program's \
+                  refreshes of the grid; the published figures come from a GPU",
     },
     System {
         name: "ngp-17",
