@@ -193,6 +193,7 @@ fn a_checkpoint_whose_state_no_run_can_have_is_refused() {
     for (key, value) in [
         ("halvings", json!(1)),
         ("halvings", json!(64)),
+        ("moments_since", json!(1_u64 << 60)),
         ("step_scale", json!(1e-300)),
         ("step_scale", json!(-1.0)),
         ("rays_per_step", json!(1 << 20)),

@@ -83,6 +83,12 @@ impl TrainState {
             check(count <= MOST_COUNTED, name, &count, "0 to 2^53")?;
         }
         check(seconds.is_finite() && seconds >= 0.0, "seconds", &seconds, "0 or more")?;
+        check(
+            self.moments_since <= step,
+            "moments_since",
+            &self.moments_since,
+            &format!("0 to {step}, the step that it has reached"),
+        )?;
         let stage = encoders::of(config).stage(config, 0.0);
         check(self.stage <= stage, "halvings", &self.stage, &format!("0 to {stage}"))?;
         let spacing = |value: f64| (1.0 / MOST_SPACING..=MOST_SPACING).contains(&value);
