@@ -43,6 +43,14 @@ fn encoder_of(section: &str) -> &'static [&'static str] {
     match section {
         "hash_grid" => &["encoder.kind=hash-grid", "hash_grid.log2_entries=8", "hash_grid.levels=2"],
         "rip_map" => &["encoder.kind=rip-map", "rip_map.size=16", "rip_map.levels=3"],
+        "tensor" => &[
+            "encoder.kind=tensor",
+            "field.density_layers=0",
+            "tensor.sides=[[0.0, 6]]",
+            "tensor.density_components=16",
+            "tensor.color_components=16",
+        ],
+        "frequencies" => &["encoder.kind=frequencies", "frequencies.count=3"],
         _ => &["encoder.plane_size=16", "encoder.levels=3"],
     }
 }

@@ -163,6 +163,7 @@ pub fn view<R: Real>(config: &Config, direction: [R; 3]) -> Vec<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::EncoderKind;
 
     #[test]
     fn frequencies_are_those_of_the_equation_and_their_gradient_a_finite_difference() {
@@ -199,6 +200,17 @@ mod tests {
             let biases = |outputs: usize| if network.biases { outputs } else { 0 };
             layers.map(|i| network.weights(i)).map(|[k, n]| k * n + biases(n)).sum()
         };
+        // NeRF, one of its two networks, and mip-NeRF: 8 layers of 256, then 128 for colour.
+        let mut nerf = Config::default();
+        nerf.encoder.kind = EncoderKind::Frequencies;
+        let field = &mut nerf.field;
+        (field.hidden, field.density_layers, field.joined, field.geometry) = (256, 8, 5, 256);
+        (field.color_layers, field.color_hidden, field.biases) = (1, 128, true);
+        (field.view, field.view_frequencies) = (ViewEncoding::Frequencies, 4);
+        let all = |config: &Config| parameters(&density_network(config)) + parameters(&color_network(config));
+        assert_eq!(2 * all(&nerf), 1_191_688);
+        (nerf.frequencies.count, nerf.frequencies.identity) = (16, false);
+        assert_eq!(all(&nerf), 612_740);
         // TensoRF: 150 → 128 → 128 → 3 with biases.
         let mut config = Config::default();
         let field = &mut config.field;

@@ -52,6 +52,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn values_and_signs_are_the_published_ones() {
+        let found = spherical_harmonics([1.0, 2.0, 2.0].map(|x: f64| x / 3.0));
+        let published = [
+            0.282_095, -0.325_735, 0.325_735, -0.162_868, 0.242_789, -0.485_577, 0.105_131, -0.242_789,
+            -0.182_091,
+        ];
+        assert!(found.iter().zip(published).all(|(a, b): (&f64, f64)| (a - b).abs() < 1e-6), "{found:?}");
+        let squares: f64 = found[..9].iter().map(|value| value * value).sum();
+        assert!((squares - 9.0 / (4.0 * std::f64::consts::PI)).abs() < 1e-12);
+    }
+
+    #[test]
     fn the_basis_is_orthonormal_on_the_sphere() {
         // Product quadrature, exact for these polynomials: midpoints in φ, Gauss–Legendre (8 nodes) in cosθ.
         let nodes = [

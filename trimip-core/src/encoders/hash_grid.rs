@@ -185,10 +185,11 @@ mod tests {
         let levels = levels(19);
         let sides: Vec<u32> = levels.levels.iter().map(|level| level.side).collect();
         // b = exp(ln(2048/16)/15) = 1.3819. The scale is 16 b^l − 1; the side is its ceiling plus one.
-        assert_eq!((sides[0], sides[1], sides[15]), (16, 23, 2048));
-        // 16³ … 80³ corners fit into 2^19 entries, 111³ do not.
+        let published = [16, 23, 31, 43, 59, 81, 112, 154, 213, 295, 407, 562, 777, 1073, 1483, 2048];
+        assert_eq!(sides, published);
+        // 59³ corners fit into 2^19 entries, 81³ do not.
         let dense = levels.levels.iter().filter(|level| !level.hashed).count();
-        assert!(levels.levels[..dense].iter().all(|level| u64::from(level.side).pow(3) <= 1 << 19));
+        assert_eq!(dense, 5);
         assert!(levels.levels[dense..].iter().all(|level| level.entries == 1 << 19));
         // The published table has 12.2 M features.
         assert_eq!(levels.width(), 32);
@@ -222,6 +223,12 @@ mod tests {
         let mut seen = std::collections::HashSet::new();
         for corner in 0..16_u32.pow(3) {
             assert!(seen.insert(coarse.entry([corner % 16, corner / 16 % 16, corner / 256])));
+        }
+        let published = Levels::new(&Config::default().hash_grid).levels[15];
+        for (corner, entry) in
+            [([0, 1, 0], 489_905), ([0, 0, 1], 153_493), ([1, 2, 3], 128_476), ([100, 200, 300], 110_768)]
+        {
+            assert_eq!(published.entry(corner), entry, "{corner:?}");
         }
         let fine = levels.levels[15];
         let [x, y, z] = [1234_u32, 77, 2001];
