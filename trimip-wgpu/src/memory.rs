@@ -46,7 +46,7 @@ fn predict(config: &Config, views: &ViewSet, binding: u64) -> Vec<(String, u64)>
     let encoding = encoders::stride(config) + encoders::of(config).tape(config);
     let asked = (encoding + widths(&density)) * FLOAT;
     let per_marched = 2 * (samples + asked) + size_of::<Radiance>() + size_of::<u32>();
-    let hidden = padded(config.field.hidden as usize);
+    let hidden = padded(config.field.hidden.max(config.field.color_hidden) as usize);
     let by_inputs = padded(color[0][0]) + padded(density[density.len() - 1][1]) + encoders::stride(config);
     let by_outputs = padded(color[color.len() - 1][1]) + 2 * hidden;
     let per_kept = (padded(color[0][0]) + widths(&color) + by_inputs + by_outputs) * FLOAT

@@ -140,7 +140,7 @@ pub const SYSTEMS: &[System] = &[
         title: "Hash grid, narrow cells weighed down",
         kind: Kind::Changed,
         settings: file!("ngp-down"),
-        beside: Some("Zip-NeRF"),
+        beside: None,
         differs: "ngp with Zip-NeRF's weights alone, without their input to the networks",
     },
     System {
@@ -148,7 +148,7 @@ pub const SYSTEMS: &[System] = &[
         title: "Hash grid, six points a sample",
         kind: Kind::Changed,
         settings: file!("ngp-zip"),
-        beside: Some("Zip-NeRF"),
+        beside: None,
         differs: "ngp with Zip-NeRF's points and weights; no proposals, contraction, anti-aliased loss or random turns",
     },
     System {
