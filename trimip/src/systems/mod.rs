@@ -81,7 +81,8 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Smaller,
         settings: file!("nerf-occ-64"),
         beside: Some("NeRF"),
-        differs: "one network of a quarter of the width; uniform steps through an occupancy grid for two passes",
+        differs: "one network of a quarter of the width; uniform steps through an occupancy grid for two passes; a softplus \
+                  density that begins empty, four times the learning rate",
     },
     System {
         name: "mip-occ-64",
@@ -89,8 +90,8 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Smaller,
         settings: file!("mip-occ-64"),
         beside: Some("MipNeRF"),
-        differs: "a quarter of the width; uniform steps through an occupancy grid for two passes; the sigmoid is not widened, no \
-                  sine warm-up",
+        differs: "a quarter of the width; uniform steps through an occupancy grid for two passes; the density begins empty, four \
+                  times the learning rate; the sigmoid is not widened, no sine warm-up",
     },
     System {
         name: "tensorf-vm",
