@@ -168,6 +168,33 @@ fn small_frequencies(integrated: bool) -> Config {
     config
 }
 
+/// The same with a grid of densities and colours, and no networks.
+fn small_voxels() -> Config {
+    let (mut config, defaults) = (small(), Config::default());
+    config.encoder = EncoderConfig { kind: EncoderKind::Voxels, ..defaults.encoder };
+    config.optimizer.plane_scale = defaults.optimizer.plane_scale;
+    config.voxels.sides = Schedule::new(vec![[0.0, 7.0]]);
+    config.voxels.harmonics = 2;
+    config.voxels.density_rate = 3.0;
+    (config.field.density, config.field.density_shift) = (DensityFunction::Relu, -0.1);
+    config
+}
+
+/// The same with a grid that grows twice in the course of a run.
+pub fn growing_voxels() -> Config {
+    let mut config = small_voxels();
+    config.voxels.sides = Schedule::new(vec![[0.0, 4.0], [0.2, 5.0], [0.4, 7.0]]);
+    config
+}
+
+/// The same with nine harmonics, in a box with three different sides.
+fn other_voxels() -> Config {
+    let mut config = small_voxels();
+    config.voxels.harmonics = 3;
+    (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
+    config
+}
+
 /// The planes under networks like NeRF's: biases, the input joined again, another width for colour, a rectified density.
 pub fn nerf_networks() -> Config {
     let mut config = small();
@@ -202,6 +229,7 @@ pub fn encoded(config: Config, by: &Config) -> Config {
         rip_map,
         tensor: by.tensor.clone(),
         frequencies: by.frequencies.clone(),
+        voxels: by.voxels.clone(),
         field,
         optimizer,
         ..config
@@ -210,7 +238,7 @@ pub fn encoded(config: Config, by: &Config) -> Config {
 
 /// A small configuration for each encoder.
 pub fn every_encoder() -> Vec<Config> {
-    vec![small(), small_hash_grid(), small_rip_map(), small_tensor(), small_frequencies(true)]
+    vec![small(), small_hash_grid(), small_rip_map(), small_tensor(), small_frequencies(true), small_voxels()]
 }
 
 /// The same, and variants of them that compute their features another way.
@@ -220,7 +248,7 @@ pub fn every_variant() -> Vec<Config> {
     all.extend([small_zip(1), small_zip(6)]);
     all.push(with_level());
     all.extend(other_rip_maps());
-    all.extend([small_lines(), nerf_networks(), small_frequencies(false)]);
+    all.extend([small_lines(), nerf_networks(), small_frequencies(false), other_voxels()]);
     all
 }
 
@@ -229,7 +257,7 @@ pub fn every_variant() -> Vec<Config> {
 pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
     let mut draw = Draw::new(seed);
     let bound = |slot: &Slot| match slot.name.as_str() {
-        name if ["planes", "lines", "table"].iter().any(|factor| name.ends_with(factor)) => 1.0,
+        name if ["planes", "lines", "table", "voxels"].iter().any(|factor| name.ends_with(factor)) => 1.0,
         name if name.ends_with("bias") => 0.3,
         _ => 1.5 * (6.0 / (slot.shape[0] + slot.shape[1]) as f64).sqrt(),
     };

@@ -50,6 +50,7 @@ fn encoder_of(section: &str) -> &'static [&'static str] {
             "tensor.density_components=16",
             "tensor.color_components=16",
         ],
+        "voxels" => &["encoder.kind=voxels", "voxels.sides=[[0.0, 6]]"],
         "frequencies" => &["encoder.kind=frequencies", "frequencies.count=3"],
         _ => &["encoder.plane_size=16", "encoder.levels=3"],
     }

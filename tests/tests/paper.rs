@@ -27,7 +27,7 @@ fn scenes(here: &Path) {
 }
 
 /// The smallest models of every system, ten steps each.
-const SETTINGS: [&str; 20] = [
+const SETTINGS: [&str; 21] = [
     "encoder.plane_size=16",
     "encoder.levels=3",
     "hash_grid.levels=4",
@@ -38,6 +38,7 @@ const SETTINGS: [&str; 20] = [
     "tensor.sides=[[0.0, 6.0]]",
     "tensor.density_components=16",
     "tensor.color_components=16",
+    "voxels.sides=[[0.0, 6.0]]",
     "field.hidden=16",
     "occupancy.resolution=16",
     "renderer.steps_per_diagonal=64",
@@ -128,7 +129,7 @@ fn every_system_is_on_the_page_with_the_means_of_its_runs() {
     // The same command finds all runs finished.
     let before = fs::metadata(here.join("out/lego/ngp/42/model.safetensors")).unwrap().modified().unwrap();
     let again = run(here, &all);
-    assert!(again.code == Some(0) && again.err.contains("52 finished"), "{}", again.err);
+    assert!(again.code == Some(0) && again.err.contains("56 finished"), "{}", again.err);
     assert_eq!(
         fs::metadata(here.join("out/lego/ngp/42/model.safetensors")).unwrap().modified().unwrap(),
         before
@@ -152,7 +153,7 @@ fn a_run_that_fails_is_reported_and_ends_no_other() {
     let here = folder.path();
     scenes(here);
     let job = arguments(
-        &["rip_map.", "tensor."],
+        &["rip_map.", "tensor.", "voxels."],
         &["scenes/lego", "--out", "out", "--systems", "tri-mip,ngp,ngp-17"],
     );
     // Files of somebody else where a run would be.
@@ -183,7 +184,7 @@ fn a_job_that_is_killed_goes_on_to_the_same_runs() {
     let more = ["scenes/lego", "--systems", "tri-mip-paper,ngp", "--seeds", "2", "--out"];
     let every = ["--set", "train.checkpoint_seconds=0.001", "--set", "train.steps=200"];
     let job = |out: &'static str| {
-        [&arguments(&["rip_map.", "tensor."], &[&more[..], &[out]].concat())[..], &every].concat()
+        [&arguments(&["rip_map.", "tensor.", "voxels."], &[&more[..], &[out]].concat())[..], &every].concat()
     };
     let whole = run(here, &job("whole"));
     assert_eq!(whole.code, Some(0), "{}", whole.err);
@@ -257,7 +258,8 @@ fn one_system_is_trained_by_its_name_and_settings_lie_over_it() {
     assert!(value("kind").contains("hash-grid") && value("kind").contains("configs/systems/ngp.toml"));
     refuses(here, &["config", "--system", "nerf"], &["system `nerf`", "ngp-17"]);
     scenes(here);
-    let mut train = arguments(&["encoder.", "rip_map.", "tensor."], &["scenes/lego", "--system", "ngp"]);
+    let mut train =
+        arguments(&["encoder.", "rip_map.", "tensor.", "voxels."], &["scenes/lego", "--system", "ngp"]);
     train[0] = "train";
     let answer = run(here, &train);
     assert_eq!(answer.code, Some(0), "{}", answer.err);

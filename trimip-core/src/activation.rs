@@ -1,8 +1,10 @@
-//! Activations of the network outputs: density = exp(logit − 1) or another function of the logit, colour = sigmoid(logit),
-//! and their derivatives.
+//! Activations of the network outputs: density = exp(logit − 1) or another function of the logit, colour = sigmoid(logit) or,
+//! without networks, max(0, logit + ½), and their derivatives.
 
 use crate::{
+    Config,
     config::{DensityFunction, FieldConfig},
+    encoders,
     scalar::Real,
 };
 
@@ -48,6 +50,41 @@ impl Density {
             DensityFunction::Relu => R::zero(),
         };
         R::from_f64(self.scale) * slope
+    }
+}
+
+/// Map from the logit of a colour channel to its value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Color {
+    /// The logistic function, of the colour network's outputs.
+    Sigmoid,
+    /// max(0, logit + ½), of a field without networks (Plenoxels).
+    Clamped,
+}
+
+impl Color {
+    /// The map of a configuration.
+    pub fn new(config: &Config) -> Self {
+        if encoders::of(config).direct() { Self::Clamped } else { Self::Sigmoid }
+    }
+
+    /// Value of a channel from its logit.
+    #[inline(always)]
+    pub fn value<R: Real>(self, logit: R) -> R {
+        match self {
+            Self::Sigmoid => sigmoid(logit),
+            Self::Clamped => (logit + R::from_f64(0.5)).max(R::zero()),
+        }
+    }
+
+    /// Derivative by the logit, from the value.
+    #[inline(always)]
+    pub fn derivative<R: Real>(self, value: R) -> R {
+        match self {
+            Self::Sigmoid => sigmoid_derivative(value),
+            Self::Clamped if value > R::zero() => R::one(),
+            Self::Clamped => R::zero(),
+        }
     }
 }
 
@@ -107,6 +144,9 @@ mod tests {
             }
             let numeric = (sigmoid(logit + h) - sigmoid(logit - h)) / (2.0 * h);
             assert!((sigmoid_derivative(sigmoid(logit)) - numeric).abs() < 1e-9);
+            let clamped = |logit: f64| Color::Clamped.value(logit);
+            let numeric = (clamped(logit + h) - clamped(logit - h)) / (2.0 * h);
+            assert!((Color::Clamped.derivative(clamped(logit)) - numeric).abs() < 1e-8);
         }
     }
 

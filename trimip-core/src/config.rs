@@ -13,7 +13,7 @@ pub use choices::{
     ViewEncoding,
 };
 pub use encoders::{
-    EncoderConfig, EncoderKind, FrequenciesConfig, HashGridConfig, RipMapConfig, TensorConfig,
+    EncoderConfig, EncoderKind, FrequenciesConfig, HashGridConfig, RipMapConfig, TensorConfig, VoxelsConfig,
 };
 pub use sections::{
     DataConfig, EvalConfig, FieldConfig, FileConfig, HybridConfig, LossConfig, OccupancyConfig,
@@ -54,6 +54,8 @@ pub struct Config {
     pub tensor: TensorConfig,
     /// The positional encoding.
     pub frequencies: FrequenciesConfig,
+    /// The grid of voxels.
+    pub voxels: VoxelsConfig,
     /// The networks.
     pub field: FieldConfig,
     /// Marching and compositing.

@@ -1,7 +1,7 @@
 //! A model in f64, one ray at a time: the reference for errors of rendering. It is slow and takes no shortcuts except the
 //! occupancy grid, which is part of the model.
 
-use crate::activation::{Density, sigmoid};
+use crate::activation::{Color, Density};
 use crate::cones::{self, Division};
 use crate::encoders::{self, Place, Twin};
 use crate::model::{Model, OCCUPANCY};
@@ -22,6 +22,7 @@ pub struct Exact {
     density: Weighted,
     color: Weighted,
     activation: Density,
+    hue: Color,
     occupancy: Vec<u8>,
     resolution: u32,
     division: Division,
@@ -76,6 +77,7 @@ impl Exact {
             density: Weighted::new(density_network(&config), &layout, &values),
             color: Weighted::new(color_network(&config), &layout, &values),
             activation: Density::new(&config.field),
+            hue: Color::new(&config),
             config: config.clone(),
             occupancy,
             resolution,
@@ -145,12 +147,15 @@ impl Exact {
     }
 
     fn color(&self, view: &[f64], geometry: &[f64]) -> [f64; 3] {
+        if self.hue == Color::Clamped {
+            return [1, 2, 3].map(|c| self.hue.value(geometry[c]));
+        }
         let field = &self.config.field;
         let mut shape = geometry[1..].to_vec();
         shape.resize(geometry_width(&self.config), 0.0);
         append_frequencies(&mut shape, field.geometry as usize, field.geometry_frequencies);
         let logits = self.color.run(&[view, &shape].concat());
-        [0, 1, 2].map(|c| sigmoid(logits[c]))
+        [0, 1, 2].map(|c| self.hue.value(logits[c]))
     }
 
     /// Features of a sample.

@@ -2,7 +2,7 @@
 //!
 //! The density network maps an encoder's features to a logit and geometry features; the colour network maps the view and the
 //! geometry features to colour. The fields of Tri-MipRF and instant-ngp, of NeRF and mip-NeRF, and of TensoRF differ in their
-//! settings alone.
+//! settings alone. A field without networks (Plenoxels) has networks without layers, whose output is their input.
 
 use crate::{Config, config::ViewEncoding, encoders, scalar::Real, sh::spherical_harmonics};
 
@@ -11,7 +11,7 @@ use crate::{Config, config::ViewEncoding, encoders, scalar::Real, sh::spherical_
 pub struct Network {
     /// Name of its slots: `density` or `color`.
     pub name: &'static str,
-    /// [inputs, outputs] of each layer. There is a ReLU between layers.
+    /// [inputs, outputs] of each layer. There is a ReLU between layers. Without layers the output is the input.
     pub layers: Vec<[usize; 2]>,
     /// True if layers have biases.
     pub biases: bool,
@@ -22,9 +22,14 @@ pub struct Network {
 }
 
 impl Network {
-    /// Number of inputs.
+    /// The network without layers.
+    fn none(name: &'static str) -> Self {
+        Self { name, layers: Vec::new(), biases: false, joined: None, summed: 0 }
+    }
+
+    /// Number of inputs; 0 without layers.
     pub fn inputs(&self) -> usize {
-        self.layers[0][0]
+        self.layers.first().map_or(0, |[inputs, _]| *inputs)
     }
 
     /// Shape of the weights of a layer, [inputs, outputs].
@@ -61,6 +66,9 @@ impl Network {
 /// The density network: the encoder's features → hidden … → 1 logit and the geometry features.
 pub fn density_network(config: &Config) -> Network {
     let (encoder, field) = (encoders::of(config), &config.field);
+    if encoder.direct() {
+        return Network::none("density");
+    }
     let width = encoder.width(config);
     let mut layers = layers(width, field.hidden as usize, field.density_layers, 1 + field.geometry as usize);
     let joined = (field.joined > 0 && field.joined < field.density_layers).then_some(field.joined as usize);
@@ -74,6 +82,9 @@ pub fn density_network(config: &Config) -> Network {
 /// The colour network: the view and the geometry features, with their sines and cosines → hidden … → 3.
 pub fn color_network(config: &Config) -> Network {
     let field = &config.field;
+    if encoders::of(config).direct() {
+        return Network::none("color");
+    }
     let inputs = view_width(config) + geometry_width(config);
     let hidden = if field.color_hidden > 0 { field.color_hidden } else { field.hidden };
     let layers = layers(inputs, hidden as usize, field.color_layers, 3);
@@ -87,9 +98,18 @@ fn layers(inputs: usize, hidden: usize, count: u32, outputs: usize) -> Vec<[usiz
     widths.windows(2).map(|pair| [pair[0], pair[1]]).collect()
 }
 
+/// Number of geometry features: the outputs of the density network beside the logit. Without networks they are the logits of
+/// red, green and blue.
+pub fn geometry(config: &Config) -> usize {
+    if encoders::of(config).direct() { 3 } else { config.field.geometry as usize }
+}
+
 /// Number of values that the colour network sees of a direction; 0 if it sees none.
 pub fn view_width(config: &Config) -> usize {
     let field = &config.field;
+    if encoders::of(config).direct() {
+        return 0;
+    }
     match (field.directions, field.view) {
         (false, _) => 0,
         (true, ViewEncoding::Harmonics) => (field.harmonics as usize).pow(2),
@@ -99,7 +119,10 @@ pub fn view_width(config: &Config) -> usize {
 
 /// Number of values that the colour network sees of the geometry features.
 pub fn geometry_width(config: &Config) -> usize {
-    with_frequencies(config.field.geometry as usize, config.field.geometry_frequencies)
+    match encoders::of(config).direct() {
+        true => 0,
+        false => with_frequencies(config.field.geometry as usize, config.field.geometry_frequencies),
+    }
 }
 
 /// Number of values of `values` numbers with their sines and cosines at `frequencies` frequencies.

@@ -1,7 +1,9 @@
 //! The encoder stage on the CPU: the list of all encoders, and the dispatch to the configured one once per span.
 
 use crate::buffer::Buffer;
-use crate::encoders::{Encoding, Left, Piece, Places, frequencies, hash_grid, rip_map, tensor, tri_mip};
+use crate::encoders::{
+    Encoding, Left, Piece, Places, frequencies, hash_grid, rip_map, tensor, tri_mip, voxels,
+};
 use crate::gemm::padded;
 use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
@@ -167,4 +169,5 @@ encoders! {
     RipMap => rip_map::RipMaps,
     Tensor => tensor::Factors,
     Frequencies => frequencies::Frequencies,
+    Voxels => voxels::Grid,
 }

@@ -1,6 +1,7 @@
 //! Density and colour networks on the CPU. The density network outputs a logit and the geometry features. The colour
 //! network reads this output with a zero weight on the logit, and the view, which goes through the first layer once per
-//! ray. With sines and cosines of the geometry features it reads rows of its own.
+//! ray. With sines and cosines of the geometry features it reads rows of its own. Without networks the outputs are the
+//! features: a logit of density and those of colour.
 
 use crate::buffer::Buffer;
 
@@ -8,11 +9,12 @@ use crate::gemm::padded;
 use crate::mlp::{Activations, Mlp, MlpGradient, Passing, Row, Shared};
 use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
-use trimip_core::activation::{Density, sigmoid, sigmoid_derivative};
+use trimip_core::activation::{Color, Density};
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
 use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
 use trimip_core::networks::{
-    append_frequencies, color_network, density_network, geometry_width, pull_frequencies, view_width,
+    append_frequencies, color_network, density_network, geometry, geometry_width, pull_frequencies,
+    view_width,
 };
 use trimip_core::params::{ALIGNMENT, Slot};
 use trimip_core::sh::spherical_harmonics;
@@ -25,6 +27,9 @@ pub struct CpuField {
     color: Mlp,
     slots: Vec<Slot>,
     activation: Density,
+    hue: Color,
+    /// Index of red in a row of colour logits.
+    red: usize,
     config: FieldConfig,
     /// Padded width of the view; 0 if the colour network does not see directions.
     view: usize,
@@ -119,7 +124,7 @@ impl CpuField {
         let input = match shape {
             0 => {
                 // The density logit is not an input of the colour network.
-                let outputs = 1 + field.geometry as usize;
+                let outputs = 1 + geometry(config);
                 let row = |output| match (1..outputs).contains(&output) {
                     true => Row::Weights(view + output - 1),
                     false => Row::Zero,
@@ -138,6 +143,9 @@ impl CpuField {
             color: Mlp::new(&color, input, Row::all(view, padded_view), precision),
             slots: layout.networks().to_vec(),
             activation: Density::new(field),
+            hue: Color::new(config),
+            // Without networks the density logit comes before it.
+            red: usize::from(color.layers.is_empty()),
             config: field.clone(),
             view: padded_view,
             shape,
@@ -258,7 +266,7 @@ impl Field<CpuBackend> for CpuField {
         self.color.forward(self.simd, rows, self.color_input(density, shape), shared, color);
         let logits = tape.color.output();
         for (radiance, logits) in radiance.iter_mut().zip(logits.chunks_exact(self.color.outputs())) {
-            radiance.rgb = [0, 1, 2].map(|c| sigmoid(logits[c]));
+            radiance.rgb = [0, 1, 2].map(|c| self.hue.value(logits[self.red + c]));
         }
     }
 
@@ -290,7 +298,7 @@ impl Field<CpuBackend> for CpuField {
         let pairs = radiance.iter().zip(radiance_gradients.iter());
         for (out, (value, by_value)) in color_gradient.chunks_exact_mut(width).zip(pairs) {
             for c in 0..3 {
-                out[c] = by_value.rgb[c] * sigmoid_derivative(value.rgb[c]);
+                out[self.red + c] = by_value.rgb[c] * self.hue.derivative(value.rgb[c]);
             }
         }
         self.color.backward(

@@ -1,6 +1,7 @@
 //! A small ReLU network over rows of a tile, with or without biases. Widths are padded to multiples of 16 with zero weights,
 //! and up to four outputs to four; the parameters are not padded. Inputs that many rows share (all samples of a ray)
-//! may go through the first layer once per group of rows. One later layer may read the input again. Activations and gradients are f32. At bf16 the factors of a
+//! may go through the first layer once per group of rows. One later layer may read the input again. A network without
+//! layers copies its input. Activations and gradients are f32. At bf16 the factors of a
 //! layer's products are rounded immediately before the product, except in a last layer of few outputs.
 
 use crate::buffer::Buffer;
@@ -18,6 +19,8 @@ const FEW: usize = 4;
 /// Weights of the network, packed for the forward and the backward pass.
 pub struct Mlp {
     layers: Vec<Layer>,
+    /// Padded width of the rows that are copied, for a network without layers.
+    copied: usize,
     /// First-layer weights of the shared inputs, if there are any.
     shared: Option<Inputs>,
     /// Which layer reads the network's input again.
@@ -244,6 +247,7 @@ impl Mlp {
     pub fn new(shape: &Network, input_rows: Vec<Row>, shared_rows: Vec<Row>, precision: Precision) -> Self {
         let shared =
             (!shared_rows.is_empty()).then(|| Inputs::new(shared_rows, shape.layers[0][1], false, precision));
+        let copied = if shape.layers.is_empty() { input_rows.len() } else { 0 };
         let again = input_rows.clone();
         let mut rows = input_rows;
         let count = shape.layers.len();
@@ -269,7 +273,7 @@ impl Mlp {
         });
         let layers = layers.collect();
         let each = (0..padded(BLOCK) as u32).collect();
-        Self { layers, shared, joined: shape.joined, each, first: vec![0; padded(BLOCK)] }
+        Self { layers, copied, shared, joined: shape.joined, each, first: vec![0; padded(BLOCK)] }
     }
 
     /// Packs parameters: for each layer its weights, [inputs, outputs], and its biases if it has any.
@@ -296,12 +300,18 @@ impl Mlp {
 
     /// Padded width of the input.
     pub fn inputs(&self) -> usize {
-        self.layers[0].k()
+        self.layers.first().map_or(self.copied, Layer::k)
     }
 
     /// Padded width of the output.
     pub fn outputs(&self) -> usize {
-        self.layers[self.layers.len() - 1].n()
+        self.layers.last().map_or(self.copied, Layer::n)
+    }
+
+    /// Padded widths of the activations.
+    fn widths(&self) -> impl Iterator<Item = usize> {
+        let copied = self.layers.is_empty().then_some(self.copied);
+        self.layers.iter().map(Layer::n).chain(copied)
     }
 
     /// The layer that reads the network's input again, with the weights of that input and their transpose.
@@ -313,7 +323,7 @@ impl Mlp {
     /// Creates empty activations.
     pub fn activations(&self) -> Activations {
         Activations {
-            layers: self.layers.iter().map(|_| Buffer::zeros(0)).collect(),
+            layers: self.widths().map(|_| Buffer::zeros(0)).collect(),
             shared: Buffer::zeros(0),
             joined: Buffer::zeros(0),
             pairs: Buffer::zeros(0),
@@ -344,8 +354,11 @@ impl Mlp {
         activations: &mut Activations,
     ) {
         let Activations { layers: buffers, shared: group_rows, joined, pairs } = activations;
-        for (buffer, layer) in buffers.iter_mut().zip(&self.layers) {
-            buffer.resize(padded(rows) * layer.n());
+        for (buffer, width) in buffers.iter_mut().zip(self.widths()) {
+            buffer.resize(padded(rows) * width);
+        }
+        if self.layers.is_empty() {
+            return buffers[0].copy_from_slice(&input[..padded(rows) * self.copied]);
         }
         assert_eq!(self.shared.is_some(), shared.is_some(), "shared inputs");
         if let (Some(Inputs { forward: Forward::Wide(weights), .. }), Some(shared)) = (&self.shared, shared) {
@@ -412,6 +425,9 @@ impl Mlp {
         gradient: &mut MlpGradient,
     ) {
         input_gradient.resize(padded(rows) * self.inputs());
+        if self.layers.is_empty() {
+            return input_gradient.copy_from_slice(&output_gradient[..padded(rows) * self.copied]);
+        }
         let MlpGradient { layers: weights, shared: shared_weights, joined: joined_weights, biases } =
             gradient;
         let Passing { scratch: [above, below], sums, joined, pairs } = passing;
@@ -556,8 +572,7 @@ impl Activations {
 
     /// Keeps the rows `kept` and drops the others.
     pub fn keep(&mut self, mlp: &Mlp, kept: &[u32]) {
-        for (buffer, layer) in self.layers.iter_mut().zip(&mlp.layers) {
-            let width = layer.n();
+        for (buffer, width) in self.layers.iter_mut().zip(mlp.widths()) {
             buffer.keep_rows(kept, width);
             buffer.resize(padded(kept.len()) * width);
         }
@@ -570,15 +585,15 @@ impl Activations {
 
     /// Appends the rows `rows` of `from`.
     pub fn append(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
-        for ((buffer, from), layer) in self.layers.iter_mut().zip(&from.layers).zip(&mlp.layers) {
-            buffer.append_rows(from, rows, layer.n());
+        for ((buffer, from), width) in self.layers.iter_mut().zip(&from.layers).zip(mlp.widths()) {
+            buffer.append_rows(from, rows, width);
         }
     }
 
     /// Replaces all rows by the rows `rows` of `from`.
     pub fn gather(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
-        for ((buffer, from), layer) in self.layers.iter_mut().zip(&from.layers).zip(&mlp.layers) {
-            buffer.gather_rows(from, rows, layer.n(), padded(rows.len()));
+        for ((buffer, from), width) in self.layers.iter_mut().zip(&from.layers).zip(mlp.widths()) {
+            buffer.gather_rows(from, rows, width, padded(rows.len()));
         }
     }
 }

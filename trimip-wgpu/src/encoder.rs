@@ -3,7 +3,7 @@
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::Gpu;
-use crate::encoders::{Encoding, Left, Places, frequencies, hash_grid, rip_map, tensor, tri_mip};
+use crate::encoders::{Encoding, Left, Places, frequencies, hash_grid, rip_map, tensor, tri_mip, voxels};
 use crate::kernel::Addition;
 #[cfg(test)]
 use crate::kernel::Kernel;
@@ -150,4 +150,5 @@ encoders! {
     RipMap => rip_map::RipMaps,
     Tensor => tensor::Factors,
     Frequencies => frequencies::Frequencies,
+    Voxels => voxels::Grid,
 }

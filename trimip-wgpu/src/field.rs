@@ -1,6 +1,6 @@
 //! Density and colour networks on the GPU, layer by layer. The activations of a step stay on the device. Widths are
 //! padded to multiples of 16 with zero weights. Biases, and an input that joins again, are written before the product of a
-//! layer, which is added to them.
+//! layer, which is added to them. Without networks the outputs are the features: a logit of density and those of colour.
 
 use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
@@ -10,13 +10,13 @@ use crate::kernel::{
     SPREAD_BIASES, SUM_ROWS,
 };
 use crate::products::{Finish, GRADIENT_SCALE, Matrices, accumulate, multiply, multiplying, tile};
-use crate::rows::Rows;
+use crate::rows::{BLOCK, Rows};
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
 use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
-use trimip_core::networks::{Network, color_network, density_network, view_width};
+use trimip_core::networks::{self, Network, color_network, density_network, view_width};
 use trimip_core::{Config, Field, Layout};
 
 /// Number of chunks of a weight gradient, each over a run of samples; the chunks are added in order.
@@ -41,6 +41,8 @@ struct FieldParams {
     density: u32,
     shift: f32,
     scale: f32,
+    /// 1 without networks.
+    direct: u32,
 }
 
 #[repr(C)]
@@ -209,7 +211,10 @@ impl Layer {
     }
 }
 
-/// A ReLU network.
+/// Padded width of the outputs without networks.
+const DIRECT: usize = 16;
+
+/// A ReLU network. Without layers its output is a copy of its input.
 struct Mlp {
     layers: Vec<Layer>,
 }
@@ -254,6 +259,13 @@ impl Mlp {
 
     /// Runs rows through the network.
     fn forward(&self, gpu: &Gpu, rows: &Rows, first: &Buffer<f32>, activations: &mut Activations) {
+        if self.layers.is_empty() {
+            // The width of the features is that of the outputs.
+            let out = &mut activations[0];
+            rows.size(out, DIRECT);
+            let bytes = (rows.capacity.next_multiple_of(BLOCK) * DIRECT * size_of::<f32>()) as u64;
+            return gpu.copy(first.raw(), 0, out.raw(), 0, bytes);
+        }
         for (i, layer) in self.layers.iter().enumerate() {
             let (before, after) = activations.split_at_mut(i);
             let input = before.last().unwrap_or(first);
@@ -333,6 +345,10 @@ pub struct WgpuField {
     gpu: Arc<Gpu>,
     density: Mlp,
     color: Mlp,
+    /// True if there are no networks.
+    direct: bool,
+    /// Number of geometry features.
+    geometry: usize,
     /// Width of the colour network's input: the view, the geometry features with their sines and cosines, zeros.
     width: usize,
     /// Number of values of the view.
@@ -378,10 +394,12 @@ impl WgpuField {
             networks.each_ref().map(|network| Mlp::new(gpu, network, layout, matrices, &overflows));
         Self {
             gpu: Arc::clone(gpu),
+            direct: density.layers.is_empty(),
+            geometry: networks::geometry(config),
+            width: if density.layers.is_empty() { DIRECT } else { padded(networks[1].inputs()) },
+            view: view_width(config),
             density,
             color,
-            width: padded(networks[1].inputs()),
-            view: view_width(config),
             config: config.field.clone(),
             networks,
             layout: layout.clone(),
@@ -397,7 +415,7 @@ impl WgpuField {
 
     /// Number of geometry features.
     pub fn geometry(&self) -> usize {
-        self.config.geometry as usize
+        self.geometry
     }
 
     fn layers(&self) -> impl Iterator<Item = &Layer> {
@@ -410,14 +428,15 @@ impl WgpuField {
             counter: rows.counter,
             width: self.width as u32,
             view: self.view as u32,
-            geometry: field.geometry,
+            geometry: self.geometry as u32,
             outputs: self.outputs() as u32,
             frequencies_of_view: u32::from(field.view == ViewEncoding::Frequencies),
             view_frequencies: field.view_frequencies,
-            geometry_frequencies: field.geometry_frequencies,
+            geometry_frequencies: if self.direct { 0 } else { field.geometry_frequencies },
             density: field.density as u32,
             shift: field.density_shift,
             scale: field.density_scale,
+            direct: u32::from(self.direct),
         }
     }
 
@@ -456,7 +475,7 @@ impl Field<WgpuBackend> for WgpuField {
 
     fn tape(&self) -> Tape {
         let empty = || Buffer::zeros(&self.gpu, 0);
-        let layers = |mlp: &Mlp| mlp.layers.iter().map(|_| empty()).collect();
+        let layers = |mlp: &Mlp| (0..mlp.layers.len().max(1)).map(|_| empty()).collect();
         Tape {
             density: layers(&self.density),
             color: layers(&self.color),
@@ -499,8 +518,10 @@ impl Field<WgpuBackend> for WgpuField {
     }
 
     fn keep(&self, lane: &mut Lane, kept: &Buffer<u32>, tape: &mut Tape, radiance: &mut Buffer<Radiance>) {
-        for (layer, activations) in self.density.layers.iter().zip(&mut tape.density) {
-            lane.keep(kept, activations, layer.weights.n);
+        let widths = self.density.layers.iter().map(|layer| layer.weights.n);
+        let widths = widths.chain(self.direct.then_some(DIRECT));
+        for (width, activations) in widths.zip(&mut tape.density) {
+            lane.keep(kept, activations, width);
         }
         lane.keep(kept, radiance, 4);
     }
@@ -515,6 +536,11 @@ impl Field<WgpuBackend> for WgpuField {
     ) {
         let rows = Rows::of(&samples.spheres, &mut lane.count);
         let Tape { density, color, color_input, .. } = tape;
+        if self.direct {
+            let binds = [density[0].bind(), radiance.bind(), rows.bind()];
+            self.gpu.dispatch(&COLORS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+            return;
+        }
         rows.size(color_input, self.width);
         let outputs = &density[density.len() - 1];
         let binds = [outputs.bind(), rows.bind(), rays.rays.bind(), samples.rays.bind(), color_input.bind()];
@@ -541,26 +567,28 @@ impl Field<WgpuBackend> for WgpuField {
         rows.size(color_gradient, 16);
         let binds = [radiance.bind(), rows.bind(), color_gradient.bind(), radiance_gradients.bind()];
         self.gpu.dispatch(&COLOR_GRADIENTS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
-        self.color.backward(
-            &self.gpu,
-            &rows,
-            color_input,
-            color,
-            color_gradient,
-            scratch,
-            input_gradient,
-            &gradient.color,
-        );
-        rows.size(output_gradient, self.outputs());
+        if !self.direct {
+            self.color.backward(
+                &self.gpu,
+                &rows,
+                color_input,
+                color,
+                color_gradient,
+                scratch,
+                input_gradient,
+                &gradient.color,
+            );
+        }
+        let by_geometry = if self.direct { color_gradient } else { input_gradient };
+        let by_output = if self.direct { &mut *feature_gradients } else { &mut *output_gradient };
+        rows.size(by_output, self.outputs());
         let outputs = &density[density.len() - 1];
-        let binds = [
-            outputs.bind(),
-            output_gradient.bind(),
-            rows.bind(),
-            input_gradient.bind(),
-            radiance_gradients.bind(),
-        ];
+        let binds =
+            [outputs.bind(), by_output.bind(), rows.bind(), by_geometry.bind(), radiance_gradients.bind()];
         self.gpu.dispatch(&DENSITY_GRADIENT, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+        if self.direct {
+            return;
+        }
         self.density.backward(
             &self.gpu,
             &rows,

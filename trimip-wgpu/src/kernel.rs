@@ -105,7 +105,9 @@ const WEIGHTS_HALF: &[&str] =
     &[GRID, HALF, include_str!("shaders/weight_half.wgsl"), include_str!("shaders/weights.wgsl")];
 const ACTIVATION: &str = include_str!("shaders/activation.wgsl");
 const FIELD_PARAMS: &str = include_str!("shaders/field_params.wgsl");
-const FIELD: &[&str] = &[GRID, RAY, FIELD_PARAMS, ACTIVATION, include_str!("shaders/field.wgsl")];
+/// Spherical harmonics of a direction.
+pub const HARMONICS: &str = include_str!("shaders/harmonics.wgsl");
+const FIELD: &[&str] = &[GRID, RAY, FIELD_PARAMS, ACTIVATION, HARMONICS, include_str!("shaders/field.wgsl")];
 const DENSITY_GRADIENTS: &[&str] =
     &[GRID, FIELD_PARAMS, ACTIVATION, include_str!("shaders/density_gradients.wgsl")];
 const BIASES: &[&str] = &[GRID, include_str!("shaders/biases.wgsl")];

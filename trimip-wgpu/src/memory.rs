@@ -47,9 +47,11 @@ fn predict(config: &Config, views: &ViewSet, binding: u64) -> Vec<(String, u64)>
     let asked = (encoding + widths(&density)) * FLOAT;
     let per_marched = 2 * (samples + asked) + size_of::<Radiance>() + size_of::<u32>();
     let hidden = padded(config.field.hidden.max(config.field.color_hidden) as usize);
-    let by_inputs = padded(color[0][0]) + padded(density[density.len() - 1][1]) + encoders::stride(config);
-    let by_outputs = padded(color[color.len() - 1][1]) + 2 * hidden;
-    let per_kept = (padded(color[0][0]) + widths(&color) + by_inputs + by_outputs) * FLOAT
+    let color_inputs = color.first().map_or(0, |[inputs, _]| padded(*inputs));
+    let last = |layers: &[[usize; 2]]| layers.last().map_or(padded(1), |[_, outputs]| padded(*outputs));
+    let by_inputs = color_inputs + last(&density) + encoders::stride(config);
+    let by_outputs = last(&color) + 2 * hidden;
+    let per_kept = (color_inputs + widths(&color) + by_inputs + by_outputs) * FLOAT
         + size_of::<Radiance>()
         + size_of::<u32>();
 

@@ -12,6 +12,7 @@ mod rip_map;
 mod rounded;
 mod tensor;
 mod tri_mip;
+mod voxels;
 
 pub use adamw::{changes, moments};
 pub use frequencies::Frequencies;
@@ -21,6 +22,7 @@ pub use rip_map::RipMap;
 pub use rounded::{Gradient, bf16};
 pub use tensor::Tensor;
 pub use tri_mip::{AXES, TriMip, sides};
+pub use voxels::Voxels;
 
 use trimip_core::{
     Config, Layout,
@@ -103,6 +105,7 @@ impl Reference {
             EncoderKind::RipMap => Box::new(RipMap::new(config, first)),
             EncoderKind::Tensor => Box::new(Tensor::new(config, all)),
             EncoderKind::Frequencies => Box::new(Frequencies::new(config)),
+            EncoderKind::Voxels => Box::new(Voxels::new(config, all)),
         };
         let network = |name: &str| {
             let mut layers: Vec<Layer> = Vec::new();
@@ -130,6 +133,9 @@ impl Reference {
             let (density, color) = features.split_at(Tensor::density_features(&self.config));
             return [vec![density.iter().sum()], network(&self.density, color, None)].concat();
         }
+        if self.config.encoder.kind == EncoderKind::Voxels {
+            return features.to_vec();
+        }
         let joined = self.config.field.joined as usize;
         network(&self.density, features, (joined > 0).then_some(joined))
     }
@@ -148,6 +154,9 @@ impl Reference {
 
     /// Colour in a unit direction.
     pub fn color(&self, geometry: &[f64], direction: [f64; 3]) -> [f64; 3] {
+        if self.config.encoder.kind == EncoderKind::Voxels {
+            return [1, 2, 3].map(|c| (geometry[c] + 0.5).max(0.0));
+        }
         let field = &self.config.field;
         let mut input = match (field.directions, field.view) {
             (false, _) => Vec::new(),

@@ -43,7 +43,9 @@ pub fn steps<B: Backend>(trainer: &mut Trainer<B>, config: &Config, count: u64) 
 /// # Errors
 /// When a step or the file fails.
 pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Result<()> {
-    for encoder in fixtures::every_encoder().into_iter().chain([fixtures::growing_tensor()]) {
+    for encoder in
+        fixtures::every_encoder().into_iter().chain([fixtures::growing_tensor(), fixtures::growing_voxels()])
+    {
         resume_with(&make, &fixtures::encoded(configuration(), &encoder), file)?;
     }
     resume_with(&make, &super::exposure::exposed(), file)?;
@@ -215,6 +217,8 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
                 name if name.ends_with("_planes") || name.ends_with("_lines") => {
                     (config.tensor.rate, false, None)
                 }
+                "density_voxels" => (config.voxels.density_rate, false, Some(1)),
+                "color_voxels" => (config.voxels.color_rate, false, Some(1)),
                 "table" => (config.hash_grid.rate, false, Some(config.hash_grid.features as usize)),
                 _ => (1.0, true, None),
             };
@@ -242,10 +246,11 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
                 let [x, m, v] = [&old[0], &old[1], &old[2]].map(|values| f64::from(values[i]));
                 let [new_x, new_m, new_v] = [&new[0], &new[1], &new[2]].map(|values| f64::from(values[i]));
                 // The loss has `tensor.sparsity` times the mean of each of the three absolute factors of density (L1).
-                let sparsity = match slot.name.starts_with("density_") {
-                    true => 3.0 * f64::from(config.tensor.sparsity[0]) / slot.range.len() as f64,
-                    false => 0.0,
-                };
+                let sparsity =
+                    match config.encoder.kind == EncoderKind::Tensor && slot.name.starts_with("density_") {
+                        true => 3.0 * f64::from(config.tensor.sparsity[0]) / slot.range.len() as f64,
+                        false => 0.0,
+                    };
                 let g = f64::from(gradient[i]) + if x < 0.0 { -sparsity } else { sparsity };
                 let near = |what: &str, found: f64, expected: f64, tolerance: f64| {
                     let name = &slot.name;

@@ -82,6 +82,7 @@ impl Config {
         self.hash_grid.check(&checker)?;
         self.rip_map.check(&checker)?;
         self.tensor.check(&checker)?;
+        self.voxels.check(&checker)?;
         checker.together(
             self.field.density_layers == 0 || encoders::of(self).summed(self) == 0,
             &["field.density_layers", "encoder.kind"],

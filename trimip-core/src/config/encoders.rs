@@ -20,6 +20,8 @@ pub enum EncoderKind {
     Tensor,
     /// Positional encoding (NeRF), plain or integrated (mip-NeRF), settings in `[frequencies]`.
     Frequencies,
+    /// Grid of densities and spherical harmonics (Plenoxels), settings in `[voxels]`.
+    Voxels,
 }
 
 impl EncoderKind {
@@ -42,6 +44,7 @@ impl EncoderKind {
             Some(("rip_map", _)) => Some(Self::RipMap),
             Some(("tensor", _)) => Some(Self::Tensor),
             Some(("frequencies", _)) => Some(Self::Frequencies),
+            Some(("voxels", _)) => Some(Self::Voxels),
             _ => None,
         }
     }
@@ -77,6 +80,11 @@ section!(
         decomposition: Decomposition, density_components: u32, color_components: u32, sides: Schedule, init_deviation: f32, rate: f64,
         sparsity: [f32; 2],
     }
+);
+
+section!(
+    /// The grid of voxels.
+    VoxelsConfig, "voxels" { sides: Schedule, harmonics: u32, density_rate: f64, color_rate: f64 }
 );
 
 impl EncoderConfig {
@@ -127,13 +135,24 @@ impl TensorConfig {
         ] {
             to.check(count.is_multiple_of(16), path, "a multiple of 16 from 16 to 512")?;
         }
-        let sides = || self.sides.values();
-        to.check(
-            self.sides.is_whole()
-                && sides().all(|side| side.fract() == 0.0)
-                && sides().is_sorted_by(|a, b| a < b),
-            "tensor.sides",
-            "[[0.0, side], ... [fraction, side]] with rising fractions below 1 and rising whole numbers from 2 to 1024",
-        )
+        to.check(rising(&self.sides), "tensor.sides", &sides_from_2_to(1024))
     }
+}
+
+impl VoxelsConfig {
+    pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.check(rising(&self.sides), "voxels.sides", &sides_from_2_to(512))
+    }
+}
+
+/// True for a growing number of grid points along a side.
+fn rising(sides: &Schedule) -> bool {
+    let values = || sides.values();
+    sides.is_whole() && values().all(|side| side.fract() == 0.0) && values().is_sorted_by(|a, b| a < b)
+}
+
+fn sides_from_2_to(most: u32) -> String {
+    format!(
+        "[[0.0, side], ... [fraction, side]] with rising fractions below 1 and rising whole numbers from 2 to {most}"
+    )
 }

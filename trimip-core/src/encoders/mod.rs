@@ -6,6 +6,7 @@ pub mod hash_grid;
 pub mod rip_map;
 pub mod tensor;
 pub mod tri_mip;
+pub mod voxels;
 
 use crate::{
     Config, Slot,
@@ -26,6 +27,11 @@ pub trait Definition: Sync {
     /// is then a linear map of the other features.
     fn summed(&self, _config: &Config) -> usize {
         0
+    }
+
+    /// True if the features are the density logit and the logits of red, green and blue. The field has no networks then.
+    fn direct(&self) -> bool {
+        false
     }
 
     /// Floats kept per sample from forward to backward; 0 if features are linear in the parameters.
@@ -111,6 +117,7 @@ const ALL: &[(EncoderKind, &dyn Definition)] = &[
     (EncoderKind::RipMap, &rip_map::RipMap),
     (EncoderKind::Tensor, &tensor::Tensors),
     (EncoderKind::Frequencies, &frequencies::Frequencies),
+    (EncoderKind::Voxels, &voxels::Voxels),
 ];
 
 /// The encoder of a configuration.

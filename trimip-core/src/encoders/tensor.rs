@@ -123,7 +123,7 @@ fn part(slot: &Slot) -> (Kind, bool) {
 }
 
 /// Interpolates rows of `count` points with `width` floats each to `to` points; the first and the last stay.
-fn resample(values: &[f32], count: usize, width: usize, to: usize) -> Vec<f32> {
+pub(super) fn resample(values: &[f32], count: usize, width: usize, to: usize) -> Vec<f32> {
     let mut result = Vec::with_capacity(values.len() / count * to);
     for row in values.chunks_exact(count * width) {
         for i in 0..to {

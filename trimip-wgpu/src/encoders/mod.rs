@@ -6,6 +6,7 @@ pub mod hash_grid;
 pub mod rip_map;
 pub mod tensor;
 pub mod tri_mip;
+pub mod voxels;
 
 use crate::buffer::Buffer;
 use crate::device::{Bind, Gpu};

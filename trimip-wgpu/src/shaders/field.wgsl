@@ -9,34 +9,6 @@
 @group(0) @binding(6) var<storage, read_write> rows: array<f32>;
 @group(0) @binding(7) var<storage, read> gradients: array<vec4<f32>>;
 
-// Real spherical harmonics up to degree 4 of a unit direction; twin of `trimip_core::sh`, whose factors are `SH`.
-fn spherical_harmonics(d: vec3<f32>) -> array<f32, 16> {
-    let x = d.x;
-    let y = d.y;
-    let z = d.z;
-    let xx = x * x;
-    let yy = y * y;
-    let zz = z * z;
-    return array<f32, 16>(
-        SH[0],
-        -SH[1] * y,
-        SH[1] * z,
-        -SH[1] * x,
-        SH[2] * x * y,
-        -SH[2] * y * z,
-        SH[3] * zz - SH[4],
-        -SH[2] * x * z,
-        SH[5] * (xx - yy),
-        SH[6] * y * (yy - 3.0 * xx),
-        SH[7] * x * y * z,
-        SH[8] * y * (1.0 - 5.0 * zz),
-        SH[9] * z * (5.0 * zz - 3.0),
-        SH[8] * x * (1.0 - 5.0 * zz),
-        SH[10] * z * (xx - yy),
-        SH[6] * x * (3.0 * yy - xx),
-    );
-}
-
 @compute @workgroup_size(GROUP)
 fn densities(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -96,7 +68,8 @@ fn append_frequencies(first: u32, count: u32, j: u32, value: f32, frequencies: u
     }
 }
 
-// Colours from the colour network's outputs, [samples, 16], of which the first three are used.
+// Colours from the colour network's outputs, [samples, 16], of which the first three are used; without networks from those
+// after the density logit.
 @compute @workgroup_size(GROUP)
 fn colors(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -105,8 +78,12 @@ fn colors(
 ) {
     let i = index_of(group, groups, local);
     if i < counts[params.counter] {
-        let logits = vec3<f32>(outputs[16u * i], outputs[16u * i + 1u], outputs[16u * i + 2u]);
-        let rgb = vec3<f32>(sigmoid(logits.x), sigmoid(logits.y), sigmoid(logits.z));
+        let red = 16u * i + params.direct;
+        let logits = vec3<f32>(outputs[red], outputs[red + 1u], outputs[red + 2u]);
+        var rgb = vec3<f32>(sigmoid(logits.x), sigmoid(logits.y), sigmoid(logits.z));
+        if params.direct == 1u {
+            rgb = max(logits + 0.5, vec3<f32>(0.0));
+        }
         radiance[i] = vec4<f32>(rgb, radiance[i].w);
     }
 }
@@ -123,7 +100,9 @@ fn color_gradients(
         return;
     }
     for (var c = 0u; c < 3u; c++) {
-        rows[16u * i + c] = gradients[i][c] * sigmoid_derivative(radiance[i][c]);
+        let value = radiance[i][c];
+        let slope = select(sigmoid_derivative(value), select(0.0, 1.0, value > 0.0), params.direct == 1u);
+        rows[16u * i + c] = gradients[i][c] * slope;
     }
     for (var c = 3u; c < 16u; c++) {
         rows[16u * i + c] = 0.0;

@@ -16,6 +16,8 @@ struct Params {
     density: u32,
     shift: f32,
     scale: f32,
+    // 1 without networks: the outputs are logits of density and of colours.
+    direct: u32,
 }
 
 @group(0) @binding(2) var<uniform> params: Params;

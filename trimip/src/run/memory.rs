@@ -53,6 +53,7 @@ fn lowered_by(config: &Config, part: &str) -> &'static str {
             EncoderKind::RipMap => "lower rip_map.size",
             EncoderKind::Tensor => "lower tensor.sides",
             EncoderKind::Frequencies => "lower field.hidden",
+            EncoderKind::Voxels => "lower voxels.sides",
         },
     }
 }

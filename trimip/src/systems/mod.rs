@@ -94,6 +94,15 @@ pub const SYSTEMS: &[System] = &[
                   times the learning rate; the sigmoid is not widened, no sine warm-up",
     },
     System {
+        name: "plenoxels-160",
+        title: "Plenoxels' form, 160³",
+        kind: Kind::Smaller,
+        settings: file!("plenoxels-160"),
+        beside: Some("Plenoxels"),
+        differs: "160³ grid points, all of them, for 512³ of which most are left out; no total variation; steps of 2^16 samples, \
+                  moments that grow with the grid; an occupancy grid, random starts of rays",
+    },
+    System {
         name: "tensorf-vm",
         title: "TensoRF",
         kind: Kind::Whole,
