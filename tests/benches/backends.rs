@@ -126,7 +126,7 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         ..
     } = &mut space;
     let kept = backend.read(&samples.spheres).len() as u64;
-    bench("color", kept, &mut || stages.field.color(lane, origins, samples, tape, radiance));
+    bench("color", kept, &mut || stages.field.color(lane, origins, samples, 0.0, tape, radiance));
     bench("composite", kept, &mut || {
         stages.renderer.composite(lane, origins, samples, radiance, cones, pixels);
     });

@@ -6,7 +6,7 @@ use trimip_core::{
     Alpha, Camera, Config, Frames, Intrinsics, Layout, Result, Scale, View, ViewSet,
     config::{
         Decomposition, DensityFunction, EncoderConfig, EncoderKind, HashGridConfig, LevelFormula,
-        OptimizerConfig, RateSchedule, Untouched, ViewEncoding,
+        OptimizerConfig, RateSchedule, RendererConfig, Untouched, ViewEncoding,
     },
     params::Slot,
     schedule::Schedule,
@@ -92,10 +92,11 @@ fn small_hash_grid() -> Config {
     config
 }
 
-/// The same with entries of four features.
+/// The same with entries of four features, and colours of weighty samples alone.
 fn wide_hash_grid() -> Config {
     let mut config = small_hash_grid();
     (config.hash_grid.features, config.hash_grid.levels) = (4, 5);
+    config.renderer.color_weight = 0.02;
     config
 }
 
@@ -126,7 +127,7 @@ fn other_rip_maps() -> [Config; 2] {
     })
 }
 
-/// The same with the factors of small tensors and TensoRF's networks.
+/// The same with the factors of small tensors, TensoRF's networks, and colours of weighty samples alone.
 fn small_tensor() -> Config {
     let (mut config, defaults) = (small(), Config::default());
     config.encoder = EncoderConfig { kind: EncoderKind::Tensor, ..defaults.encoder };
@@ -137,6 +138,7 @@ fn small_tensor() -> Config {
     (field.density_layers, field.biases, field.geometry, field.geometry_frequencies) = (0, true, 6, 2);
     (field.view, field.view_frequencies) = (ViewEncoding::Frequencies, 2);
     (field.density, field.density_shift, field.density_scale) = (DensityFunction::Softplus, 2.0, 3.0);
+    config.renderer.color_weight = 0.02;
     config
 }
 
@@ -191,6 +193,7 @@ pub fn growing_voxels() -> Config {
 fn other_voxels() -> Config {
     let mut config = small_voxels();
     config.voxels.harmonics = 3;
+    config.renderer.color_weight = 0.02;
     (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
     config
 }
@@ -221,6 +224,7 @@ pub fn encoded(config: Config, by: &Config) -> Config {
         ..config.optimizer
     };
     let (encoder, hash_grid, rip_map) = (by.encoder.clone(), by.hash_grid.clone(), by.rip_map.clone());
+    let renderer = RendererConfig { color_weight: by.renderer.color_weight, ..config.renderer.clone() };
     // Features that sum up to the density need networks of their own.
     let field = if by.encoder.kind == EncoderKind::Tensor { by.field.clone() } else { config.field };
     Config {
@@ -231,6 +235,7 @@ pub fn encoded(config: Config, by: &Config) -> Config {
         frequencies: by.frequencies.clone(),
         voxels: by.voxels.clone(),
         field,
+        renderer,
         optimizer,
         ..config
     }

@@ -73,6 +73,16 @@ impl<R: Real> Pruning<R> {
     }
 }
 
+/// True if a sample of optical depth `depth` has at least the weight `least`; `before` is the optical depth before it, and
+/// grows by its own.
+#[inline]
+pub fn is_lit<R: Real>(before: &mut R, depth: R, least: R) -> bool {
+    let transmittance = (-*before).exp();
+    *before += depth;
+    // The comparison is false for NaN: such a sample has a colour, and the step reports it.
+    !(weight(transmittance, depth).0 < least)
+}
+
 /// Composites samples of optical depth, colour and distance, front to back.
 #[inline]
 pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, background: [R; 3]) -> Composite<R> {

@@ -264,7 +264,7 @@ pub(crate) fn forward<B: Backend>(
 ) {
     stages.renderer.see(stages, parameters, space, jitter);
     let Workspace { lane, rays, samples, tape, radiance, cones, pixels, .. } = space;
-    stages.field.color(lane, rays, samples, tape, radiance);
+    stages.field.color(lane, rays, samples, stages.renderer.color_weight(), tape, radiance);
     stages.renderer.composite(lane, rays, samples, radiance, cones, pixels);
 }
 

@@ -68,7 +68,7 @@ impl<B: Backend> LoadedModel<B> {
                         stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
                         stages.field.density(lane, samples, features, tape, radiance);
                         if colors {
-                            stages.field.color(lane, rays, samples, tape, radiance);
+                            stages.field.color(lane, rays, samples, 0.0, tape, radiance);
                         }
                     },
                     &|work| &work.radiance,

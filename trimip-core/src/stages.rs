@@ -141,12 +141,14 @@ pub trait Field<B: Backend>: Send + Sync {
         radiance: &mut B::Buffer<Radiance>,
     );
 
-    /// Evaluates the colour of every kept sample.
+    /// Evaluates the colour of every kept sample that has at least the weight `least` in its ray; the others are black, and
+    /// nothing flows back through their colours. With 0 all samples have a colour, and their segments are not read.
     fn color(
         &self,
         lane: &mut B::Lane,
         rays: &Rays<B>,
         samples: &Samples<B>,
+        least: f32,
         tape: &mut Self::Tape,
         radiance: &mut B::Buffer<Radiance>,
     );
@@ -183,6 +185,9 @@ pub trait Renderer<B: Backend>: Send + Sync {
 
     /// Applies the schedules of a run: sets the marching step for `progress` in [0, 1].
     fn follow(&mut self, progress: f64);
+
+    /// Weight of a sample in its ray below which it has no colour (`renderer.color_weight`).
+    fn color_weight(&self) -> f32;
 
     /// Places samples in occupied cells. `jitter` is the number of the training step; it selects the random offset, a
     /// fraction of a marching step, by which each ray's start is moved. `None` disables the offset.

@@ -100,7 +100,7 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
     stages.field.keep(lane, kept, tape, radiance);
     group.throughput(Throughput::Elements(samples.spheres.len() as u64));
     group.bench_function("color", |b| {
-        b.iter(|| stages.field.color(lane, black_box(rays), samples, tape, radiance));
+        b.iter(|| stages.field.color(lane, black_box(rays), samples, 0.0, tape, radiance));
     });
     group.bench_function("composite", |b| {
         b.iter(|| stages.renderer.composite(lane, black_box(rays), samples, radiance, cones, pixels));

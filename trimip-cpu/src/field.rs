@@ -11,6 +11,7 @@ use crate::simd::Simd;
 use crate::{CpuBackend, Lane};
 use trimip_core::activation::{Color, Density};
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
+use trimip_core::compositing::is_lit;
 use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
 use trimip_core::networks::{
     append_frequencies, color_network, density_network, geometry, geometry_width, pull_frequencies,
@@ -41,6 +42,7 @@ pub struct CpuField {
 pub struct Tape {
     density: Activations,
     color: Activations,
+    lit: Lit,
     directions: Directions,
     /// Geometry features with their sines and cosines, [samples (padded), `shape`].
     shape: Buffer<f32>,
@@ -49,6 +51,52 @@ pub struct Tape {
     shape_gradient: Buffer<f32>,
     output_gradient: Buffer<f32>,
     passing: Passing,
+}
+
+/// The samples that have a colour, if others are too faint for one.
+#[derive(Default)]
+struct Lit {
+    /// True if `rows` lists them; all samples have a colour otherwise.
+    listed: bool,
+    rows: Vec<u32>,
+    /// Their rows of the density network's output, padded, and the gradient by these.
+    outputs: Buffer<f32>,
+    gradient: Buffer<f32>,
+}
+
+impl Lit {
+    /// Lists the samples that have at least the weight `least` in their ray; all of them if it is 0.
+    fn choose(&mut self, samples: &Samples<CpuBackend>, radiance: &[Radiance], least: f32) {
+        self.listed = least > 0.0;
+        self.rows.clear();
+        if !self.listed {
+            return;
+        }
+        for segment in samples.segments.iter() {
+            let mut before = 0.0;
+            for row in segment.range() {
+                let depth = radiance[row].density * samples.intervals[row].length;
+                if is_lit(&mut before, depth, least) {
+                    self.rows.push(row as u32);
+                }
+            }
+        }
+    }
+
+    /// Number of samples with a colour, of `all` samples.
+    fn count(&self, all: usize) -> usize {
+        if self.listed { self.rows.len() } else { all }
+    }
+
+    /// The row of the sample with the colour number `i`.
+    fn row(&self, i: usize) -> usize {
+        if self.listed { self.rows[i] as usize } else { i }
+    }
+
+    /// The density network's outputs of these samples.
+    fn of<'a>(&'a self, density: &'a Activations) -> &'a Buffer<f32> {
+        if self.listed { &self.outputs } else { density.output() }
+    }
 }
 
 /// The views of the rays that have samples.
@@ -68,12 +116,12 @@ impl Directions {
         field: &FieldConfig,
         width: usize,
         rays: &Rays<CpuBackend>,
-        samples: &Samples<CpuBackend>,
+        owners: impl Iterator<Item = u32>,
     ) {
         self.of.clear();
         self.views.clear();
         let (mut count, mut last) = (0, None);
-        for &ray in samples.rays.iter() {
+        for ray in owners {
             if last != Some(ray) {
                 last = Some(ray);
                 count += 1;
@@ -93,7 +141,7 @@ impl Directions {
         }
         self.count = count;
         self.views.resize(padded(count) * width);
-        self.of.resize(padded(samples.rays.len()), 0);
+        self.of.resize(padded(self.of.len()), 0);
     }
 
     fn shared(&self) -> Shared<'_> {
@@ -153,18 +201,18 @@ impl CpuField {
     }
 
     /// The input of the colour network beside the view.
-    fn color_input<'a>(&self, density: &'a Activations, shape: &'a Buffer<f32>) -> &'a Buffer<f32> {
-        if self.shape == 0 { density.output() } else { shape }
+    fn color_input<'a>(&self, outputs: &'a Buffer<f32>, shape: &'a Buffer<f32>) -> &'a Buffer<f32> {
+        if self.shape == 0 { outputs } else { shape }
     }
 
     /// Writes the geometry features with their sines and cosines.
-    fn append_shapes(&self, rows: usize, density: &Activations, shape: &mut Buffer<f32>) {
+    fn append_shapes(&self, rows: usize, outputs: &Buffer<f32>, shape: &mut Buffer<f32>) {
         if self.shape == 0 {
             return;
         }
         let count = self.config.geometry as usize;
         shape.resize(padded(rows) * self.shape);
-        let outputs = density.output().chunks_exact(self.density.outputs());
+        let outputs = outputs.chunks_exact(self.density.outputs());
         for (row, output) in shape.chunks_exact_mut(self.shape).zip(outputs) {
             row.fill(0.0);
             row[..count].copy_from_slice(&output[1..=count]);
@@ -205,6 +253,7 @@ impl Field<CpuBackend> for CpuField {
         Tape {
             density: self.density.activations(),
             color: self.color.activations(),
+            lit: Lit::default(),
             directions: Directions::default(),
             shape: Buffer::zeros(0),
             color_gradient: Buffer::zeros(0),
@@ -253,20 +302,28 @@ impl Field<CpuBackend> for CpuField {
         _: &mut Lane,
         rays: &Rays<CpuBackend>,
         samples: &Samples<CpuBackend>,
+        least: f32,
         tape: &mut Tape,
         radiance: &mut Buffer<Radiance>,
     ) {
-        let rows = samples.spheres.len();
-        let Tape { density, color, directions, shape, .. } = tape;
+        let Tape { density, color, lit, directions, shape, .. } = tape;
+        lit.choose(samples, radiance, least);
+        let rows = lit.count(samples.spheres.len());
+        if lit.listed {
+            let width = self.density.outputs();
+            lit.outputs.gather_rows(density.output(), &lit.rows, width, padded(rows));
+        }
         if self.view > 0 {
-            directions.gather(&self.config, self.view, rays, samples);
+            let owners = (0..rows).map(|i| samples.rays[lit.row(i)]);
+            directions.gather(&self.config, self.view, rays, owners);
         }
         let shared = (self.view > 0).then(|| directions.shared());
-        self.append_shapes(rows, density, shape);
-        self.color.forward(self.simd, rows, self.color_input(density, shape), shared, color);
-        let logits = tape.color.output();
-        for (radiance, logits) in radiance.iter_mut().zip(logits.chunks_exact(self.color.outputs())) {
-            radiance.rgb = [0, 1, 2].map(|c| self.hue.value(logits[self.red + c]));
+        let outputs = lit.of(density);
+        self.append_shapes(rows, outputs, shape);
+        self.color.forward(self.simd, rows, self.color_input(outputs, shape), shared, color);
+        let logits = color.output().chunks_exact(self.color.outputs());
+        for (i, logits) in logits.take(rows).enumerate() {
+            radiance[lit.row(i)].rgb = [0, 1, 2].map(|c| self.hue.value(logits[self.red + c]));
         }
     }
 
@@ -285,6 +342,7 @@ impl Field<CpuBackend> for CpuField {
         let Tape {
             density,
             color,
+            lit,
             directions,
             shape,
             color_gradient,
@@ -292,37 +350,50 @@ impl Field<CpuBackend> for CpuField {
             output_gradient,
             passing,
         } = tape;
-        let width = self.color.outputs();
-        color_gradient.resize(padded(rows) * width);
+        let (width, count) = (self.color.outputs(), lit.count(rows));
+        color_gradient.resize(padded(count) * width);
         color_gradient.fill(0.0);
-        let pairs = radiance.iter().zip(radiance_gradients.iter());
-        for (out, (value, by_value)) in color_gradient.chunks_exact_mut(width).zip(pairs) {
+        for (i, out) in color_gradient.chunks_exact_mut(width).take(count).enumerate() {
+            let row = lit.row(i);
+            let (value, by_value) = (radiance[row].rgb, radiance_gradients[row].rgb);
             for c in 0..3 {
-                out[self.red + c] = by_value.rgb[c] * self.hue.derivative(value.rgb[c]);
+                out[self.red + c] = by_value[c] * self.hue.derivative(value[c]);
             }
         }
+        let mut by_listed = std::mem::replace(&mut lit.gradient, Buffer::zeros(0));
         self.color.backward(
             simd,
-            rows,
-            self.color_input(density, shape),
+            count,
+            self.color_input(lit.of(density), shape),
             (self.view > 0).then(|| directions.shared()),
             color,
             color_gradient,
-            if self.shape == 0 { output_gradient } else { shape_gradient },
+            match (self.shape, lit.listed) {
+                (0, false) => output_gradient,
+                (0, true) => &mut by_listed,
+                _ => shape_gradient,
+            },
             passing,
             &mut gradient.color,
         );
         let width = self.density.outputs();
-        if self.shape > 0 {
-            let (count, frequencies) = (self.config.geometry as usize, self.config.geometry_frequencies);
+        if self.shape > 0 || lit.listed {
             output_gradient.resize(padded(rows) * width);
             output_gradient.fill(0.0);
+        }
+        if self.shape > 0 {
+            let (values, frequencies) = (self.config.geometry as usize, self.config.geometry_frequencies);
             let shapes = shape.chunks_exact(self.shape).zip(shape_gradient.chunks_exact_mut(self.shape));
-            for (out, (shape, by_shape)) in output_gradient.chunks_exact_mut(width).zip(shapes).take(rows) {
-                pull_frequencies(shape, by_shape, count, frequencies);
-                out[1..=count].copy_from_slice(&by_shape[..count]);
+            for (i, (shape, by_shape)) in shapes.take(count).enumerate() {
+                pull_frequencies(shape, by_shape, values, frequencies);
+                output_gradient[lit.row(i) * width + 1..][..values].copy_from_slice(&by_shape[..values]);
+            }
+        } else if lit.listed {
+            for (own, row) in by_listed.chunks_exact(width).zip(&lit.rows) {
+                output_gradient[*row as usize * width..][..width].copy_from_slice(own);
             }
         }
+        lit.gradient = by_listed;
         let outputs = density.output().chunks_exact(width).zip(radiance_gradients.iter());
         for (out, (output, by_value)) in output_gradient.chunks_exact_mut(width).zip(outputs) {
             out[0] = by_value.density * self.activation.derivative(output[0]);

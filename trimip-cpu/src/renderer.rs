@@ -49,6 +49,7 @@ pub struct CpuRenderer {
     /// Minimum length of a step, in radii of the ray's sphere in the middle of the box.
     step_per_radius: f32,
     pub(crate) pruning: Pruning<f32>,
+    color_weight: f32,
     background: [f32; 3],
     random: Random,
     kind: RendererKind,
@@ -70,6 +71,7 @@ impl CpuRenderer {
             step_scale,
             step_per_radius: config.renderer.step_per_radius,
             pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
+            color_weight: config.renderer.color_weight,
             background: config.data.background,
             random: Random::new(config.seed),
             kind: config.renderer.kind,
@@ -153,6 +155,10 @@ impl Renderer<CpuBackend> for CpuRenderer {
     fn equip(&mut self, assets: &Assets) -> Result<()> {
         self.hybrid = Guide::of(self.kind, &self.hybrid_config, assets)?.map(Hybrid);
         Ok(())
+    }
+
+    fn color_weight(&self) -> f32 {
+        self.color_weight
     }
 
     fn follow(&mut self, progress: f64) {

@@ -6,7 +6,7 @@ use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{Bind, GROUP, Gpu, Size};
 use crate::kernel::{
-    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, PACK, PACK_HALF, REDUCE,
+    COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, DIMMING, PACK, PACK_HALF, REDUCE,
     SPREAD_BIASES, SUM_ROWS,
 };
 use crate::products::{Finish, GRADIENT_SCALE, Matrices, accumulate, multiply, multiplying, tile};
@@ -65,6 +65,13 @@ struct BiasParams {
     width: u32,
     chunks: u32,
     stride: u32,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct DimParams {
+    count: u32,
+    least: f32,
 }
 
 /// Padded width of a matrix on the device.
@@ -531,23 +538,32 @@ impl Field<WgpuBackend> for WgpuField {
         lane: &mut Lane,
         rays: &Rays<WgpuBackend>,
         samples: &Samples<WgpuBackend>,
+        least: f32,
         tape: &mut Tape,
         radiance: &mut Buffer<Radiance>,
     ) {
         let rows = Rows::of(&samples.spheres, &mut lane.count);
         let Tape { density, color, color_input, .. } = tape;
-        if self.direct {
-            let binds = [density[0].bind(), radiance.bind(), rows.bind()];
-            self.gpu.dispatch(&COLORS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
-            return;
-        }
-        rows.size(color_input, self.width);
         let outputs = &density[density.len() - 1];
-        let binds = [outputs.bind(), rows.bind(), rays.rays.bind(), samples.rays.bind(), color_input.bind()];
-        self.gpu.dispatch(&COLOR_INPUTS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
-        self.color.forward(&self.gpu, &rows, color_input, color);
-        let binds = [color[color.len() - 1].bind(), radiance.bind(), rows.bind()];
+        let logits = if self.direct {
+            outputs
+        } else {
+            rows.size(color_input, self.width);
+            let binds =
+                [outputs.bind(), rows.bind(), rays.rays.bind(), samples.rays.bind(), color_input.bind()];
+            self.gpu.dispatch(&COLOR_INPUTS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+            self.color.forward(&self.gpu, &rows, color_input, color);
+            &color[color.len() - 1]
+        };
+        let binds = [logits.bind(), radiance.bind(), rows.bind()];
         self.gpu.dispatch(&COLORS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+        if least > 0.0 {
+            // A colour of 0 has no gradient: its derivative by the logit is 0.
+            let count = samples.segments.known_len().unwrap_or(0);
+            let binds = [samples.segments.bind(), radiance.bind(), samples.intervals.bind()];
+            let params = DimParams { count: count as u32, least };
+            self.gpu.dispatch(&DIMMING, &binds, &params, Size::Items(count as u64));
+        }
     }
 
     fn backward(

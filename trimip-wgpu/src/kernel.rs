@@ -116,6 +116,7 @@ const PRUNE: &[&str] = &[GRID, PRUNING, include_str!("shaders/prune.wgsl")];
 const GATHER: &[&str] = &[GRID, include_str!("shaders/gather.wgsl")];
 const COMPOSITING: &str = include_str!("shaders/compositing.wgsl");
 const SHARE: &[&str] = &[GRID, PRUNING, COMPOSITING, include_str!("shaders/share.wgsl")];
+const DIM: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/dim.wgsl")];
 const COMPOSITE: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite.wgsl")];
 const COMPOSITE_GRADIENT: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite_gradient.wgsl")];
 const DISTORTION: &[&str] = &[GRID, RAY, SPACE, COMPOSITING, include_str!("shaders/distortion.wgsl")];
@@ -205,6 +206,7 @@ pub static COLOR_INPUTS: Kernel = Kernel::new(
 );
 pub static COLORS: Kernel =
     Kernel::new("colors", FIELD, &[(0, Read), (1, Write), (2, Parameters), (3, Read)]);
+pub static DIMMING: Kernel = Kernel::new("dim", DIM, &[(0, Read), (1, Write), (2, Parameters), (3, Read)]);
 pub static COLOR_GRADIENTS: Kernel =
     Kernel::new("color_gradients", FIELD, &[(1, Write), (2, Parameters), (3, Read), (6, Write), (7, Read)]);
 pub static DENSITY_GRADIENT: Kernel = Kernel::new(
@@ -341,6 +343,7 @@ mod tests {
             &DENSITIES,
             &COLOR_INPUTS,
             &COLORS,
+            &DIMMING,
             &COLOR_GRADIENTS,
             &DENSITY_GRADIENT,
             &SEE,

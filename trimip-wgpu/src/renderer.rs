@@ -70,6 +70,7 @@ pub struct WgpuRenderer {
     pub(crate) step_length: f32,
     pub(crate) step_per_radius: f32,
     pub(crate) pruning: Pruning<f32>,
+    color_weight: f32,
     background: [f32; 3],
     random: Random,
     training: bool,
@@ -94,6 +95,7 @@ impl WgpuRenderer {
             step_scale,
             step_per_radius: config.renderer.step_per_radius,
             pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
+            color_weight: config.renderer.color_weight,
             background: config.data.background,
             random: Random::new(config.seed),
             training,
@@ -167,6 +169,10 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             Some(hybrid) if jitter.is_none() => hybrid.see(stages, parameters, space),
             _ => see_all(stages, parameters, space, jitter),
         }
+    }
+
+    fn color_weight(&self) -> f32 {
+        self.color_weight
     }
 
     fn follow(&mut self, progress: f64) {

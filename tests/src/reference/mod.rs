@@ -191,7 +191,17 @@ impl Reference {
                 (self.density(&geometry), self.color(&geometry, direction))
             })
             .collect();
+        let radiance = self.without_faint(samples, radiance);
         composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
+    }
+
+    /// The same, black where a weight is below `renderer.color_weight`.
+    fn without_faint(&self, samples: &[Sample], radiance: Vec<(f64, [f64; 3])>) -> Vec<(f64, [f64; 3])> {
+        let least = f64::from(self.config.renderer.color_weight);
+        let depth = |k: usize| radiance[k].0 * samples[k].length;
+        let weight = |i: usize| (-(0..i).map(depth).sum::<f64>()).exp() * (1.0 - (-depth(i)).exp());
+        let shown = |i: usize| if weight(i) < least { [0.0; 3] } else { radiance[i].1 };
+        (0..samples.len()).map(|i| (radiance[i].0, shown(i))).collect()
     }
 
     /// The loss over pixels with the given cones and kept samples: Σ weight·(mean of smooth-L1 + that of opacity + mean

@@ -121,7 +121,7 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let Bench { backend, stages, space, .. } = &mut bench;
         let (lane, samples, tape) = (&mut space.lane, &space.samples, &mut space.tape);
         stages.field.density(lane, samples, &space.features, tape, &mut space.radiance);
-        stages.field.color(lane, &space.rays, samples, tape, &mut space.radiance);
+        stages.field.color(lane, &space.rays, samples, 0.0, tape, &mut space.radiance);
         let radiance = backend.read(&space.radiance);
         for (i, found) in radiance.iter().enumerate().take(spheres.len()) {
             let geometry = reference.geometry(&wide(&features[stride * i..][..width]));

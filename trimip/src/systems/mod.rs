@@ -108,7 +108,7 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Whole,
         settings: file!("tensorf-vm"),
         beside: Some("TensoRF"),
-        differs: "an occupancy grid for the alpha mask; the box is found at the start; colours of all kept samples are computed; \
+        differs: "an occupancy grid for the alpha mask; the box is found at the start; \
                   steps of 2^15 samples, not of 4,096 rays; the published figures come from a GPU",
     },
     System {

@@ -123,7 +123,7 @@ fn on<B: Backend>(
         wait();
     });
     let color = timed(backend, || {
-        stages.field.color(lane, own, samples, tape, radiance);
+        stages.field.color(lane, own, samples, stages.renderer.color_weight(), tape, radiance);
         wait();
     });
     let composing = timed(backend, || {
