@@ -366,25 +366,25 @@ fn harmonics() {
     };
     let bound = (5e-7, 1e-6);
     compare(
-        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[0], h[1], h[2], h[3]);"),
+        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "harmonics.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[0], h[1], h[2], h[3]);"),
         &directions,
         expected(0),
         bound,
     );
     compare(
-        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[4], h[5], h[6], h[7]);"),
+        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "harmonics.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[4], h[5], h[6], h[7]);"),
         &directions,
         expected(4),
         bound,
     );
     compare(
-        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[8], h[9], h[10], h[11]);"),
+        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "harmonics.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[8], h[9], h[10], h[11]);"),
         &directions,
         expected(8),
         bound,
     );
     compare(
-        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[12], h[13], h[14], h[15]);"),
+        files!("grid.wgsl", "ray.wgsl", "field_params.wgsl", "activation.wgsl", "harmonics.wgsl", "field.wgsl"; "let h = spherical_harmonics(x.xyz); return vec4<f32>(h[12], h[13], h[14], h[15]);"),
         &directions,
         expected(12),
         bound,
