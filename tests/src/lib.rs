@@ -12,4 +12,5 @@ pub mod formats;
 pub mod gpu;
 pub mod reference;
 pub mod suite;
+pub mod watching;
 pub mod whole;

@@ -4,6 +4,7 @@ mod paper;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use paper::{PaperArguments, Schedule, Split, TableScales};
+use std::net::IpAddr;
 use std::path::PathBuf;
 
 /// Anti-aliased radiance fields from photographs (Tri-MipRF): plan, train, evaluate, render and report.
@@ -40,6 +41,8 @@ pub enum Verb {
     Eval(EvalArguments),
     /// Render views of a model as PNG or EXR
     Render(RenderArguments),
+    /// Show a model in a browser: turn, zoom, compare with the photographs
+    View(ViewArguments),
     /// Compute the proxy of a model, by which pictures need few samples, and keep it in the model file
     Bake(BakeArguments),
     /// Write a model as something that other programs read: a triangle mesh
@@ -183,6 +186,22 @@ pub struct EvalArguments {
     /// Also write the result as JSON
     #[arg(long, value_name = "FILE", value_parser = ending("json"))]
     pub json: Option<PathBuf>,
+}
+
+/// Options of `view`.
+#[derive(Args, Debug)]
+pub struct ViewArguments {
+    /// Run folder or model file
+    pub model: PathBuf,
+    /// Address to listen at; others than loopback let everybody in who knows the token
+    #[arg(long, default_value = "127.0.0.1", value_name = "ADDRESS")]
+    pub bind: IpAddr,
+    /// Port; 0 takes a free one
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub port: u16,
+    /// Override a setting of data, renderer, hybrid, backend, threads or wgpu (data.root=.. for a moved data set)
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    pub set: Vec<String>,
 }
 
 /// File format of rendered views.

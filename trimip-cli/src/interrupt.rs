@@ -11,6 +11,11 @@ static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
 /// Installs the handler once. The first signal (interrupt, terminate or hang-up) sets the returned flag.
 pub fn install() -> Result<Arc<AtomicBool>> {
+    install_for("stopping after this step and saving; press Ctrl-C again to end at once")
+}
+
+/// The same; `answer` is what a signal prints.
+pub fn install_for(answer: &'static str) -> Result<Arc<AtomicBool>> {
     if let Some(stop) = STOP.get() {
         return Ok(Arc::clone(stop));
     }
@@ -21,7 +26,7 @@ pub fn install() -> Result<Arc<AtomicBool>> {
         if flag.swap(true, Ordering::SeqCst) {
             std::process::exit(EXIT_CODE.into());
         }
-        crate::terminal::note("\nstopping after this step and saving; press Ctrl-C again to end at once");
+        crate::terminal::note(format!("\n{answer}"));
     })
     .map_err(|error| {
         Error::device(format!("cannot watch for Ctrl-C: {error}; raise the limit of processes (ulimit -u)"))

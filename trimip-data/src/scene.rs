@@ -42,6 +42,8 @@ pub struct TestSet {
     pub frames: Box<dyn Frames>,
     /// Cameras of the training views at their finest scale.
     pub train: Vec<Camera>,
+    /// Training frames, as `frames`.
+    pub photographs: Box<dyn Frames>,
     /// Warnings about the data, to be shown beside every result.
     pub warnings: Vec<String>,
 }
@@ -83,8 +85,9 @@ pub fn open_test(config: &DataConfig) -> Result<TestSet> {
         let named = format!("data.test = \"{}\"", config.test);
         return Err(Error::input(named, "the test split holds no view", "name another data.test"));
     }
-    let train = train.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect();
-    Ok(TestSet { name, frames: frames(test, alpha), train, warnings })
+    let cameras = train.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect();
+    let photographs = frames(train, alpha);
+    Ok(TestSet { name, frames: frames(test, alpha), train: cameras, photographs, warnings })
 }
 
 /// Frames that are decoded or rendered on request.

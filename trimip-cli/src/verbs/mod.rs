@@ -14,6 +14,7 @@ mod plan;
 mod render;
 mod strip;
 mod train;
+mod view;
 
 use crate::args::{Arguments, Verb};
 use crate::terminal;
@@ -38,6 +39,7 @@ pub fn run(arguments: Arguments) -> Result<u8> {
         Some(Verb::Train(train)) => train::run(&train),
         Some(Verb::Plan(plan)) => plan::run(&plan),
         Some(Verb::Eval(eval)) => eval::run(&eval),
+        Some(Verb::View(view)) => view::run(&view),
         Some(Verb::Bake(bake)) => bake::run(&bake),
         Some(Verb::Export(export)) => export::run(&export),
         Some(Verb::Render(render)) => render::run(&render),

@@ -1,0 +1,299 @@
+//! `view`: who may enter, what is answered, and the page in a real browser.
+
+use serde_json::{Value, json};
+use std::io::Write;
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::Stdio;
+use trimip_tests::binary::{command, refuses, run, tiny_and};
+use trimip_tests::watching::{Browser, Page, Received, Shown, view};
+
+/// A trained run in `here/run`.
+fn trained(here: &Path) {
+    let answer = run(here, &tiny_and(&["--out", "run"]));
+    assert_eq!(answer.code, Some(0), "{answer:?}");
+}
+
+fn enter(shown: &Shown) -> Page {
+    shown.join(&shown.token, Some(&format!("http://{}", shown.host))).expect("the page may enter")
+}
+
+fn pixels(received: &Received) -> image::RgbImage {
+    image::load_from_memory(&received.jpeg).expect("a JPEG").to_rgb8()
+}
+
+#[test]
+fn only_who_knows_the_token_and_comes_from_the_page_may_enter() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let mut shown = Shown::start(here, "run");
+    let own = format!("/{}/", shown.token);
+    let (status, page) = shown.get(&own, &[]);
+    let page = String::from_utf8(page).unwrap();
+    assert!(status == 200 && page.contains("<canvas"), "{page}");
+    assert!(!page.contains("http://") && !page.contains("https://"), "nothing is fetched from elsewhere");
+    for file in ["main.js", "orbit.js", "link.js", "frusta.js", "style.css", "scene.json"] {
+        assert_eq!(shown.get(&format!("{own}{file}"), &[]).0, 200, "{file}");
+    }
+    assert_eq!(shown.get(&format!("{own}photo/test/0?width=8&height=8"), &[]).0, 200);
+    assert_eq!(shown.get(&format!("{own}photo/test/99?width=8&height=8"), &[]).0, 404);
+    assert_eq!(shown.get(&format!("{own}photo/test/0?width=8&height=99999"), &[]).0, 400);
+    let wrong = format!("/{}/", "0".repeat(32));
+    for path in [
+        "/",
+        "/main.js",
+        &wrong,
+        &format!("{wrong}main.js"),
+        &format!("{wrong}photo/test/0?width=8&height=8"),
+    ] {
+        assert_eq!(shown.get(path, &[]).0, 403, "{path}");
+    }
+    assert_eq!(shown.get(&own, &["Origin: http://elsewhere.example"]).0, 403);
+    assert_eq!(shown.get(&own, &["Host: elsewhere.example"]).0, 403, "a name that points here");
+    assert_eq!(shown.join(&"0".repeat(32), None).err(), Some(403));
+    let token = shown.token.clone();
+    assert_eq!(shown.join(&token, Some("http://elsewhere.example")).err(), Some(403));
+    assert_eq!(shown.join(&token, Some("null")).err(), Some(403));
+    enter(&shown);
+    assert!(shown.lives());
+}
+
+#[test]
+fn a_view_is_the_picture_that_render_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let shown = Shown::start(here, "run");
+    let mut page = enter(&shown);
+    let request = view(1, [3.0, 1.0, 2.0], 40, 30);
+    let received = page.finest(&request).unwrap();
+    assert_eq!((&received.header["width"], &received.header["height"]), (&json!(40), &json!(30)));
+    let numbers: Vec<String> =
+        request["pose"].as_array().unwrap().iter().map(|number| number.to_string()).collect();
+    let pose = format!("[{}]", numbers.join(","));
+    let answer = run(
+        here,
+        &[
+            "render", "run", "--pose", &pose, "--width", "40", "--height", "30", "--fov", "40", "--out",
+            "there",
+        ],
+    );
+    assert_eq!(answer.code, Some(0), "{answer:?}");
+    let expected = image::open(here.join("there/pose_color.png")).unwrap().to_rgb8();
+    let found = pixels(&received);
+    let errors = found.as_raw().iter().zip(expected.as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2));
+    let psnr = 20.0 * 255_f64.log10() - 10.0 * (errors.sum::<f64>() / found.as_raw().len() as f64).log10();
+    assert!(psnr > 30.0, "{psnr:.1} dB, which JPEG alone does not explain");
+
+    // A photograph brings its camera, and its difference is not its colour.
+    let mut compared = request.clone();
+    compared["photo"] = json!({ "split": "test", "index": 1 });
+    compared["id"] = json!(2);
+    let color = pixels(&page.finest(&compared).unwrap());
+    assert_eq!(color.dimensions(), (40, 40), "photographs are square");
+    let mut before = color;
+    for (id, show) in [(3, "difference"), (4, "depth"), (5, "opacity"), (6, "normals")] {
+        (compared["show"], compared["id"]) = (json!(show), json!(id));
+        let found = pixels(&page.finest(&compared).unwrap());
+        assert_ne!(found, before, "{show}");
+        before = found;
+    }
+}
+
+#[test]
+fn nonsense_is_answered_and_giants_are_shown_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let mut shown = Shown::start(here, "run");
+    let mut page = enter(&shown);
+    for text in ["", "{", "[]", "{\"id\":1}", &"[".repeat(10_000)] {
+        page.send(text).unwrap();
+        let error = page.receive().err().expect("an error");
+        assert!(error.contains("error"), "{error}");
+    }
+    let mut wrong = view(1, [3.0, 1.0, 2.0], 40, 30);
+    for (key, value) in [
+        ("width", json!(0)),
+        ("width", json!(1_000_000)),
+        ("fov", json!(1e9)),
+        ("pose", json!([1, 2])),
+        ("photo", json!({ "split": "test", "index": 1_000_000 })),
+    ] {
+        let right = wrong[key].clone();
+        wrong[key] = value;
+        page.send(&wrong.to_string()).unwrap();
+        assert!(page.receive().is_err(), "{key}");
+        wrong[key] = right;
+    }
+    page.finest(&view(9, [3.0, 1.0, 2.0], 20, 20)).expect("it goes on after mistakes");
+    // The server closes the socket, at the latest when it has read the whole message.
+    let giant = "x".repeat(4 << 20);
+    let closed = page.send(&giant).is_err() || page.receive().is_err();
+    assert!(closed && shown.lives());
+    enter(&shown).finest(&view(1, [3.0, 1.0, 2.0], 20, 20)).expect("others are not disturbed");
+}
+
+#[test]
+fn pages_do_not_disturb_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let shown = Shown::start(here, "run");
+    let (mut first, mut second) = (enter(&shown), enter(&shown));
+    let alone = pixels(&first.finest(&view(1, [3.0, 1.0, 2.0], 40, 30)).unwrap());
+    first.send(&view(2, [3.0, 1.0, 2.0], 40, 30).to_string()).unwrap();
+    second.send(&view(7, [-1.0, 3.0, 2.0], 24, 24).to_string()).unwrap();
+    let finest = |page: &mut Page, id: u64| loop {
+        let received = page.receive().unwrap();
+        if received.header["id"] == id && received.header["done"] == true {
+            return pixels(&received);
+        }
+    };
+    assert_eq!(finest(&mut first, 2), alone);
+    assert_eq!(finest(&mut second, 7).dimensions(), (24, 24));
+}
+
+#[test]
+fn it_survives_a_thousand_connections() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let mut shown = Shown::start(here, "run");
+    enter(&shown).finest(&view(1, [3.0, 1.0, 2.0], 20, 20)).unwrap();
+    let before = shown.memory();
+    for i in 0..1000 {
+        let mut stream = TcpStream::connect(&shown.host).expect("the server listens");
+        match i % 4 {
+            0 => {}
+            1 => drop(stream.write_all(b"GET / HT")),
+            2 => drop(enter(&shown).send(&view(1, [3.0, 1.0, 2.0], 400, 400).to_string())),
+            _ => drop(stream.write_all(&[0xff; 256])),
+        }
+    }
+    enter(&shown).finest(&view(2, [3.0, 1.0, 2.0], 20, 20)).expect("it still answers");
+    assert!(shown.lives());
+    if let (Some(before), Some(after)) = (before, shown.memory()) {
+        assert!(after < before + (64 << 20), "{before} bytes became {after}");
+    }
+}
+
+#[test]
+fn a_wrong_model_or_address_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    refuses(here, &["view", "nothing"], &["nothing"]);
+    refuses(here, &["view", "run", "--set", "field.hidden=32"], &["belongs to the trained model"]);
+    refuses(here, &["view", "run", "--bind", "192.0.2.1"], &["192.0.2.1", "cannot listen"]);
+    let shown = Shown::start(here, "run");
+    let port = shown.host.rsplit(':').next().unwrap();
+    refuses(here, &["view", "run", "--port", port], &[port, "cannot listen"]);
+    // A model without its photographs is shown.
+    std::fs::create_dir(here.join("alone")).unwrap();
+    std::fs::copy(here.join("run/model.safetensors"), here.join("alone/model.safetensors")).unwrap();
+    let mut child = command(
+        here,
+        &["view", "alone/model.safetensors", "--set", "data.format=blender", "--set", "data.root=gone"],
+    )
+    .stdout(Stdio::piped())
+    .stderr(Stdio::piped())
+    .spawn()
+    .unwrap();
+    let mut line = String::new();
+    std::io::BufRead::read_line(&mut std::io::BufReader::new(child.stdout.as_mut().unwrap()), &mut line)
+        .unwrap();
+    assert!(line.starts_with("http://127.0.0.1:"), "{line}");
+    child.kill().unwrap();
+    let mut err = String::new();
+    std::io::Read::read_to_string(child.stderr.as_mut().unwrap(), &mut err).unwrap();
+    assert!(err.contains("warning: no photographs"), "{err}");
+    child.wait().unwrap();
+}
+
+/// Bytes of the canvas, as a number that differs for different pictures.
+const PICTURE: &str = "(() => { const c = document.getElementById('view'); const d = c.getContext('2d')
+    .getImageData(0, 0, c.width, c.height).data; let h = 0; for (const b of d) h = (h * 31 + b) | 0; return h; })()";
+
+#[test]
+fn the_page_works_in_a_browser() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let shown = Shown::start(here, "run");
+    let Some(mut browser) = Browser::start(1200, 800) else { return };
+    browser.open(&shown.address());
+    browser.wait("document.getElementById('view')?.dataset.done === 'true'");
+    assert_eq!(browser.value("document.getElementById('name').textContent"), "run");
+    let first = browser.value(PICTURE);
+
+    browser.drag([300.0, 300.0], [500.0, 340.0]);
+    browser.wait("document.getElementById('view').dataset.done === 'true'");
+    browser.wait(&format!("{PICTURE} !== {first}"));
+    for id in ["rendered", "waited", "size"] {
+        let text = browser.value(&format!("document.getElementById('{id}').textContent"));
+        assert!(
+            text.as_str().is_some_and(|text| text.contains(|c: char| c.is_ascii_digit())),
+            "{id}: {text}"
+        );
+    }
+
+    // Keys turn the view too.
+    let turned = browser.value(PICTURE);
+    browser.value("document.getElementById('view').focus()");
+    for kind in ["keyDown", "keyUp"] {
+        let key =
+            json!({ "type": kind, "key": "ArrowLeft", "code": "ArrowLeft", "windowsVirtualKeyCode": 37 });
+        browser.call("Input.dispatchKeyEvent", key);
+    }
+    browser.wait(&format!("{PICTURE} !== {turned}"));
+
+    // A photograph beside the model, behind a slider.
+    assert_eq!(
+        browser.value("document.getElementById('photo').hidden || document.getElementById('split').hidden"),
+        true
+    );
+    browser.value("document.getElementById('next').click()");
+    browser.wait(
+        "(() => { const c = document.getElementById('photo'); const d = c.getContext('2d')
+            .getImageData(0, 0, c.width, c.height).data; return !c.hidden && d.some((b) => b !== 0); })()",
+    );
+    assert_eq!(browser.value("document.getElementById('cameras').value"), "test 0");
+    let clip = "document.getElementById('photo').style.clipPath";
+    let middle = browser.value(clip);
+    browser.value(
+        "(() => { const s = document.getElementById('split'); s.value = 80; s.dispatchEvent(new Event('input')); })()",
+    );
+    assert_ne!(browser.value(clip), middle);
+
+    // Another quantity is another picture; cameras are drawn over it.
+    browser.wait("document.getElementById('view').dataset.done === 'true'");
+    let color = browser.value(PICTURE);
+    browser.value("(() => { const s = document.getElementById('show'); s.value = 'normals'; s.dispatchEvent(new Event('change')); })()");
+    browser.wait(&format!("{PICTURE} !== {color}"));
+    browser.value("document.getElementById('show-frusta').click()");
+    let drawn = browser.value(
+        "(() => { const c = document.getElementById('frusta'); const d = c.getContext('2d')
+            .getImageData(0, 0, c.width, c.height).data; return !c.hidden && d.some((b) => b !== 0); })()",
+    );
+    assert_eq!(drawn, true);
+
+    // A path is what `render --path` takes.
+    browser.value("document.getElementById('add').click()");
+    let path = browser.value(
+        "(async () => { const create = URL.createObjectURL; let blob; URL.createObjectURL = (b) => (blob = b, create(b));
+            document.getElementById('path').click(); URL.createObjectURL = create; return await blob.text(); })()",
+    );
+    std::fs::write(here.join("path.json"), path.as_str().unwrap()).unwrap();
+    let frames: Value = serde_json::from_str(path.as_str().unwrap()).unwrap();
+    assert_eq!(frames["frames"].as_array().unwrap().len(), 1);
+    let answer = run(here, &["render", "run", "--path", "path.json", "--out", "film"]);
+    assert_eq!(answer.code, Some(0), "{answer:?}");
+
+    let picture = browser.screenshot();
+    assert!(image::load_from_memory(&picture).is_ok_and(|picture| picture.width() >= 1000));
+    if let Some(folder) = std::env::var_os("TRIMIP_SCREENSHOTS") {
+        std::fs::write(Path::new(&folder).join("view.png"), picture).unwrap();
+    }
+}

@@ -1,0 +1,33 @@
+//! `view`: shows a model in a browser, until Ctrl-C.
+
+use crate::{args::ViewArguments, interrupt, terminal};
+use std::net::SocketAddr;
+use std::sync::atomic::Ordering;
+use std::thread;
+use std::time::Duration;
+use trimip::backends;
+use trimip_core::Result;
+use trimip_view::{Door, Scene};
+
+/// How often the program looks whether it should end.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Opens the model and serves it.
+pub fn run(arguments: &ViewArguments) -> Result<u8> {
+    let (scene, renderers) = Scene::open(&arguments.model, &arguments.set)?;
+    backends::software_remark(&scene.config)
+        .iter()
+        .for_each(|remark| terminal::aside(format!("warning: {remark}")));
+    scene.notes.iter().for_each(|note| terminal::aside(format!("warning: {note}")));
+    let stop = interrupt::install_for("ending; press Ctrl-C again to end at once")?;
+    let door = Door::open(SocketAddr::new(arguments.bind, arguments.port), scene, renderers)?;
+    if !arguments.bind.is_loopback() {
+        terminal::aside("warning: everybody who knows the address below can look, and nothing is encrypted");
+    }
+    terminal::line(&door.address);
+    terminal::aside("open this address in a browser; Ctrl-C ends");
+    while !stop.load(Ordering::Relaxed) {
+        thread::sleep(LOOK);
+    }
+    Ok(0)
+}

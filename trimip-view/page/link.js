@@ -1,0 +1,76 @@
+// The web socket: one request is under way at a time, the newest waits. It is opened again when it breaks.
+
+/** Milliseconds after which a request without an answer is taken for lost. */
+const LOST = 10000;
+
+/** Milliseconds until the first and the last try to open it again. */
+const AGAIN = [300, 5000];
+
+export class Link {
+  /**
+   * `picture(header, jpeg, milliseconds)` is called with every picture and the time since its request was made, `failed(text)`
+   * with every error, `state(open)` when the socket opens or breaks.
+   */
+  constructor({ picture, failed, state }) {
+    Object.assign(this, { picture, failed, state });
+    this.id = 0;
+    this.wanted = null;
+    this.sent = new Map();
+    this.pause = AGAIN[0];
+    this.open();
+  }
+
+  open() {
+    const socket = new WebSocket(new URL("socket", location.href.replace(/^http/, "ws")));
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      this.pause = AGAIN[0];
+      this.state(true);
+      this.busy = null;
+      if (this.last) this.ask(this.last);
+    };
+    socket.onmessage = ({ data }) => this.receive(data);
+    socket.onclose = () => {
+      this.state(false);
+      this.socket = null;
+      setTimeout(() => this.open(), this.pause);
+      this.pause = Math.min(2 * this.pause, AGAIN[1]);
+    };
+    this.socket = socket;
+  }
+
+  receive(data) {
+    if (typeof data === "string") {
+      this.busy = null;
+      this.failed(JSON.parse(data).error);
+      return this.flush();
+    }
+    const length = new DataView(data).getUint32(0, true);
+    const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+    const jpeg = new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" });
+    if (this.busy === header.id) this.busy = null;
+    const made = this.sent.get(header.id);
+    for (const id of this.sent.keys()) if (id < header.id) this.sent.delete(id);
+    this.picture(header, jpeg, made === undefined ? null : performance.now() - made);
+    this.flush();
+  }
+
+  /** Asks for a view; of several only the newest is sent. */
+  ask(request) {
+    this.last = request;
+    this.wanted = { ...request, made: performance.now() };
+    this.flush();
+  }
+
+  flush() {
+    const free = this.busy === null || this.busy === undefined || performance.now() - this.since > LOST;
+    if (!this.wanted || !free || this.socket?.readyState !== WebSocket.OPEN) return;
+    const { made, ...request } = this.wanted;
+    this.wanted = null;
+    this.id += 1;
+    this.busy = this.id;
+    this.since = performance.now();
+    this.sent.set(this.id, made);
+    this.socket.send(JSON.stringify({ id: this.id, ...request }));
+  }
+}

@@ -1,0 +1,281 @@
+// The page: controls, and what happens when they change.
+
+import { Orbit } from "./orbit.js";
+import { Link } from "./link.js";
+import { drawFrusta } from "./frusta.js";
+
+const find = (id) => document.getElementById(id);
+const [view, photo, frusta] = [find("view"), find("photo"), find("frusta")];
+
+/** Milliseconds without a change after which the view stands still. */
+const STILL = 160;
+
+/** Largest side of a picture, pixels. */
+const MOST = 2048;
+
+const scene = await (await fetch("scene.json")).json();
+document.title = `${scene.name} · trimip`;
+find("name").textContent = scene.name;
+find("device").textContent = `${scene.encoder} · ${scene.device}`;
+for (const note of scene.notes) find("notes").append(Object.assign(document.createElement("li"), { textContent: note }));
+find("renderer").replaceChildren(...scene.renderers.map((name) => new Option(name, name)));
+find("renderer").value = scene.renderers.at(-1);
+for (const { split, views } of scene.cameras) {
+  const group = document.createElement("optgroup");
+  group.label = split === "test" ? "test views" : "training views";
+  views.forEach((_, index) => group.append(new Option(`${split} ${index}`, `${split} ${index}`)));
+  find("cameras").append(group);
+}
+
+const orbit = new Orbit(scene.box, scene.up, Number(find("fov").value));
+/** The chosen photograph: its set, its index, and its camera. */
+let chosen = null;
+let path = [];
+let shown = null;
+let lastBitmap = null;
+const times = [];
+
+const link = new Link({
+  picture: receive,
+  failed: (text) => say(text),
+  state: (open) => say(open ? "" : "The program does not answer. Trying again…"),
+});
+
+function say(text) {
+  find("message").textContent = text;
+}
+
+const currentPose = () => (chosen ? chosen.camera.pose : orbit.pose());
+const currentFov = () => (chosen ? chosen.camera.fov : orbit.fov);
+
+/** Size of the finest picture. A photograph's has the ratio of its sides. */
+function size() {
+  const factor = (Number(find("scale").value) / 100) * (window.devicePixelRatio || 1);
+  let [width, height] = [view.clientWidth * factor, view.clientHeight * factor];
+  if (chosen) {
+    const ratio = chosen.camera.width / chosen.camera.height;
+    [width, height] = width / height > ratio ? [height * ratio, height] : [width, width / ratio];
+  }
+  const least = Math.min(1, MOST / Math.max(width, height));
+  return [width, height].map((side) => Math.max(1, Math.round(side * least)));
+}
+
+function request(moving) {
+  const [width, height] = size();
+  link.ask({
+    pose: currentPose(),
+    fov: currentFov(),
+    width,
+    height,
+    show: find("show").value,
+    renderer: find("renderer").value,
+    moving,
+    photo: chosen ? { split: chosen.split, index: chosen.index } : null,
+  });
+}
+
+let still = null;
+function changed() {
+  request(true);
+  clearTimeout(still);
+  still = setTimeout(() => request(false), STILL);
+  overlay();
+}
+
+function settled() {
+  clearTimeout(still);
+  request(false);
+  overlay();
+}
+
+function overlay() {
+  [frusta.width, frusta.height] = size();
+  frusta.hidden = !find("show-frusta").checked;
+  if (!frusta.hidden) drawFrusta(frusta, scene.cameras, currentPose(), currentFov(), orbit.radius, chosen);
+}
+
+async function receive(header, jpeg, waited) {
+  const bitmap = await createImageBitmap(jpeg);
+  const [width, height] = size();
+  // The canvas has the finest size, so that coarse pictures fill the same place.
+  if (view.width !== width || view.height !== height) [view.width, view.height] = [width, height];
+  view.getContext("2d").drawImage(bitmap, 0, 0, width, height);
+  lastBitmap?.close();
+  lastBitmap = bitmap;
+  shown = header;
+  say("");
+  const now = performance.now();
+  times.push(now);
+  while (times.length && now - times[0] > 1000) times.shift();
+  find("rendered").textContent = `${header.rendered.toFixed(0)} ms`;
+  find("waited").textContent = waited === null ? "–" : `${waited.toFixed(0)} ms`;
+  find("rate").textContent = String(times.length);
+  find("size").textContent = `${header.width}×${header.height}, ${(jpeg.size / 1024).toFixed(1)} KB${header.done ? "" : " …"}`;
+  view.dataset.id = header.id;
+  view.dataset.done = header.done;
+  view.dataset.waited = waited;
+  view.dataset.bytes = jpeg.size;
+}
+
+/** Shows the photograph beside the model, or leaves it. */
+async function choose(value) {
+  const [split, index] = value.split(" ");
+  const camera = scene.cameras.find((set) => set.split === split)?.views[Number(index)];
+  chosen = camera ? { split, index: Number(index), camera } : null;
+  find("cameras").value = chosen ? value : "";
+  for (const option of find("show").options) {
+    if (option.value === "difference") option.disabled = !chosen;
+    if (option.value === "flip") option.disabled = !chosen || !scene.flip;
+  }
+  if (!chosen && ["difference", "flip"].includes(find("show").value)) find("show").value = "color";
+  photo.hidden = find("split").hidden = !chosen;
+  if (chosen) orbit.follow(camera.pose);
+  settled();
+  if (!chosen) return;
+  const [width, height] = size();
+  const answer = await fetch(`photo/${split}/${index}?width=${width}&height=${height}`);
+  if (!answer.ok) return say(`photograph ${value} cannot be shown`);
+  const bitmap = await createImageBitmap(await answer.blob());
+  [photo.width, photo.height] = [width, height];
+  photo.getContext("2d").drawImage(bitmap, 0, 0, width, height);
+  bitmap.close();
+  divide();
+}
+
+/** Shows the photograph right of the slider. */
+function divide() {
+  // The picture may be narrower than the stage.
+  const [stage, ratio] = [view.clientWidth, view.width / view.height];
+  const width = Math.min(stage, view.clientHeight * ratio);
+  const left = 0.5 * (stage - width) + (width * Number(find("split").value)) / 100;
+  photo.style.clipPath = `inset(0 0 0 ${left}px)`;
+  photo.hidden = !chosen || find("show").value !== "color";
+}
+
+/** A free view goes on from where the photograph was taken. */
+function leave() {
+  if (chosen) {
+    orbit.fov = chosen.camera.fov;
+    find("fov").value = orbit.fov;
+    choose("");
+  }
+}
+
+const pointers = new Map();
+view.addEventListener("pointerdown", (event) => {
+  view.setPointerCapture(event.pointerId);
+  pointers.set(event.pointerId, [event.clientX, event.clientY]);
+});
+for (const end of ["pointerup", "pointercancel"]) {
+  view.addEventListener(end, (event) => pointers.delete(event.pointerId));
+}
+view.addEventListener("pointermove", (event) => {
+  const before = pointers.get(event.pointerId);
+  if (!before) return;
+  const now = [event.clientX, event.clientY];
+  const by = [now[0] - before[0], now[1] - before[1]];
+  const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
+  pointers.set(event.pointerId, now);
+  if (by[0] === 0 && by[1] === 0) return;
+  leave();
+  const width = view.clientWidth;
+  if (other) {
+    const apart = (at) => Math.max(Math.hypot(at[0] - other[0], at[1] - other[1]), 1);
+    orbit.zoom(apart(before) / apart(now));
+    orbit.pan(-0.5 * by[0] / width, 0.5 * by[1] / width);
+  } else if (event.shiftKey || event.buttons & 6) {
+    orbit.pan(-by[0] / width, by[1] / width);
+  } else {
+    orbit.turn((-4 * by[0]) / width, (4 * by[1]) / width);
+  }
+  changed();
+});
+view.addEventListener("contextmenu", (event) => event.preventDefault());
+view.addEventListener(
+  "wheel",
+  (event) => {
+    event.preventDefault();
+    leave();
+    orbit.zoom(Math.exp(Math.min(Math.max(event.deltaY, -200), 200) / 500));
+    changed();
+  },
+  { passive: false },
+);
+view.addEventListener("keydown", (event) => {
+  const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+  const zooms = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 };
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key in steps) {
+    const [x, y] = steps[event.key];
+    leave();
+    if (event.shiftKey) orbit.pan(0.05 * x, 0.05 * y);
+    else orbit.turn(0.1 * x, 0.1 * y);
+  } else if (event.key in zooms) {
+    leave();
+    orbit.zoom(zooms[event.key]);
+  } else if (event.key === "Home") {
+    leave();
+    orbit.home();
+  } else {
+    return;
+  }
+  event.preventDefault();
+  changed();
+});
+
+function label() {
+  find("fov-value").textContent = `${Math.round(currentFov())}°`;
+  find("scale-value").textContent = `${find("scale").value} %`;
+}
+find("fov").addEventListener("input", () => {
+  leave();
+  orbit.fov = Number(find("fov").value);
+  label();
+  changed();
+});
+find("scale").addEventListener("input", () => (label(), changed()));
+find("show").addEventListener("change", () => (settled(), divide()));
+find("renderer").addEventListener("change", settled);
+find("split").addEventListener("input", divide);
+find("show-frusta").addEventListener("change", overlay);
+find("cameras").addEventListener("change", (event) => choose(event.target.value).then(label));
+function step(by) {
+  const all = [...find("cameras").options].map((option) => option.value).filter((value) => value);
+  if (!all.length) return;
+  const at = all.indexOf(find("cameras").value);
+  choose(all[at < 0 ? (by > 0 ? 0 : all.length - 1) : (at + by + all.length) % all.length]).then(label);
+}
+find("previous").addEventListener("click", () => step(-1));
+find("next").addEventListener("click", () => step(1));
+
+function download(name, blob) {
+  const anchor = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+  anchor.click();
+  setTimeout(() => URL.revokeObjectURL(anchor.href), 10000);
+}
+find("picture").addEventListener("click", () => view.toBlob((blob) => download(`${scene.name}.png`, blob)));
+const rows = (pose) => [pose.slice(0, 4), pose.slice(4, 8), pose.slice(8, 12), [0, 0, 0, 1]];
+find("pose").addEventListener("click", async () => {
+  const text = JSON.stringify(rows(currentPose()));
+  await navigator.clipboard.writeText(text).then(
+    () => say("The pose is in the clipboard: trimip-cli render … --pose '…'"),
+    () => say(text),
+  );
+});
+function count() {
+  find("count").textContent = path.length;
+  find("path").disabled = find("clear").disabled = path.length === 0;
+}
+find("add").addEventListener("click", () => {
+  const [w, h] = size();
+  path.push({ camera_angle_x: (currentFov() * Math.PI) / 180, w, h, transform_matrix: rows(currentPose()) });
+  count();
+});
+find("clear").addEventListener("click", () => ((path = []), count()));
+find("path").addEventListener("click", () => {
+  download("path.json", new Blob([JSON.stringify({ frames: path }, null, 1)], { type: "application/json" }));
+});
+
+new ResizeObserver(() => (changed(), divide())).observe(view);
+label();
+view.focus({ preventScroll: true });

@@ -1,0 +1,267 @@
+//! The server: the page and its modules, photographs, and the web socket. Only who knows the token of the address may enter,
+//! and no page of another origin.
+
+use crate::picture;
+use crate::protocol::{MOST_BYTES, MOST_SIDE, Photo, Request, Split};
+use crate::scene::{Renderers, Scene};
+use crate::studio::{Answer, Studio};
+use axum::Router;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{Path, Query, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use serde::Deserialize;
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use trimip_core::{Error, Result};
+
+/// Pages that may watch at a time.
+const MOST_PAGES: usize = 64;
+
+/// The files of the page: name, type, text.
+const FILES: [(&str, &str, &str); 6] = [
+    ("", "text/html; charset=utf-8", include_str!("../page/index.html")),
+    ("style.css", "text/css; charset=utf-8", include_str!("../page/style.css")),
+    ("main.js", "text/javascript; charset=utf-8", include_str!("../page/main.js")),
+    ("orbit.js", "text/javascript; charset=utf-8", include_str!("../page/orbit.js")),
+    ("link.js", "text/javascript; charset=utf-8", include_str!("../page/link.js")),
+    ("frusta.js", "text/javascript; charset=utf-8", include_str!("../page/frusta.js")),
+];
+
+/// Nothing comes from elsewhere.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
+                      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+struct Hall {
+    token: String,
+    /// The description of the scene, as JSON.
+    about: String,
+    scene: Arc<Scene>,
+    studio: Studio,
+}
+
+/// A server that runs.
+pub struct Door {
+    /// The address to open, with its token.
+    pub address: String,
+    hall: Arc<Hall>,
+    stop: watch::Sender<bool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Door {
+    /// Opens the door at an address; port 0 takes a free one.
+    ///
+    /// # Errors
+    /// When the address is taken or cannot be bound, or no thread can be started.
+    pub fn open(at: SocketAddr, scene: Scene, renderers: Renderers) -> Result<Self> {
+        let about = scene.describe(&renderers.names(), &renderers.device()).to_string();
+        let scene = Arc::new(scene);
+        let studio = Studio::start(Arc::clone(&scene), renderers)?;
+        let hall = Arc::new(Hall { token: token()?, about, scene, studio });
+        let failed = |error: std::io::Error| {
+            Error::input(
+                format!("{at}"),
+                format!("cannot listen: {error}"),
+                "choose another --bind or --port",
+            )
+        };
+        let listener = std::net::TcpListener::bind(at).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let own = listener.local_addr().map_err(failed)?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|error| Error::device(format!("cannot start the server: {error}")))?;
+        let (stop, mut stopped) = watch::channel(false);
+        let routes = Router::new()
+            .route("/{token}/", get(page))
+            .route("/{token}/scene.json", get(about_scene))
+            .route("/{token}/photo/{split}/{index}", get(photograph))
+            .route("/{token}/socket", get(socket))
+            .route("/{token}/{file}", get(file))
+            .fallback(async || StatusCode::FORBIDDEN)
+            .with_state(Arc::clone(&hall));
+        let serve = move || {
+            runtime.block_on(async {
+                let listener = match TcpListener::from_std(listener) {
+                    Ok(listener) => listener,
+                    Err(error) => return eprintln!("error: the server: {error}"),
+                };
+                let served = async {
+                    if let Err(error) = axum::serve(listener, routes).await {
+                        eprintln!("error: the server: {error}");
+                    }
+                };
+                tokio::select! {
+                    () = served => {}
+                    _ = stopped.wait_for(|stop| *stop) => {}
+                }
+            });
+        };
+        let thread = thread::Builder::new()
+            .name("server".into())
+            .spawn(serve)
+            .map_err(|error| Error::device(format!("cannot start the server: {error}")))?;
+        let address = format!("http://{own}/{}/", hall.token);
+        Ok(Self { address, hall, stop, thread: Some(thread) })
+    }
+
+    /// Number of pages that watch.
+    pub fn watchers(&self) -> usize {
+        self.hall.studio.watchers()
+    }
+}
+
+impl Drop for Door {
+    fn drop(&mut self) {
+        self.stop.send_replace(true);
+        self.hall.studio.close();
+        // A thread that panicked has printed why.
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+/// 128 random bits.
+fn token() -> Result<String> {
+    let mut bytes = [0_u8; 16];
+    getrandom::fill(&mut bytes).map_err(|error| Error::device(format!("no random numbers: {error}")))?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+impl Hall {
+    /// Fails unless the token is right and the request comes from the page itself: a browser names the page's origin, and
+    /// the host under which it found this server must be an address, not a name that somebody may point here.
+    fn admit(&self, token: &str, headers: &HeaderMap) -> std::result::Result<(), StatusCode> {
+        let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+        let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
+        let known = name == "localhost" || name.trim_matches(['[', ']']).parse::<IpAddr>().is_ok();
+        let origin = headers.get(header::ORIGIN).map(|origin| origin.to_str().unwrap_or_default());
+        let own = origin.is_none_or(|origin| origin == format!("http://{host}"));
+        let same = token.len() == self.token.len()
+            && token.bytes().zip(self.token.bytes()).fold(0, |all, (a, b)| all | (a ^ b)) == 0;
+        if same && own && known { Ok(()) } else { Err(StatusCode::FORBIDDEN) }
+    }
+}
+
+/// What a handler answers.
+type Answered = std::result::Result<Response, StatusCode>;
+
+fn text(kind: &'static str, body: String) -> Response {
+    let headers = [
+        (header::CONTENT_TYPE, kind),
+        (header::CACHE_CONTROL, "no-store"),
+        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    ];
+    (headers, body).into_response()
+}
+
+async fn page(State(hall): State<Arc<Hall>>, Path(token): Path<String>, headers: HeaderMap) -> Answered {
+    file(State(hall), Path((token, String::new())), headers).await
+}
+
+async fn file(
+    State(hall): State<Arc<Hall>>,
+    Path((token, name)): Path<(String, String)>,
+    headers: HeaderMap,
+) -> Answered {
+    hall.admit(&token, &headers)?;
+    let own = FILES.iter().find(|(own, ..)| *own == name).ok_or(StatusCode::NOT_FOUND)?;
+    Ok(text(own.1, own.2.into()))
+}
+
+async fn about_scene(
+    State(hall): State<Arc<Hall>>,
+    Path(token): Path<String>,
+    headers: HeaderMap,
+) -> Answered {
+    hall.admit(&token, &headers)?;
+    Ok(text("application/json", hall.about.clone()))
+}
+
+/// Size of a photograph.
+#[derive(Deserialize)]
+struct Size {
+    width: u32,
+    height: u32,
+}
+
+async fn photograph(
+    State(hall): State<Arc<Hall>>,
+    Path((token, split, index)): Path<(String, Split, usize)>,
+    Query(Size { width, height }): Query<Size>,
+    headers: HeaderMap,
+) -> Answered {
+    hall.admit(&token, &headers)?;
+    if ![width, height].iter().all(|side| (1..=MOST_SIDE).contains(side)) {
+        return Err(StatusCode::BAD_REQUEST);
+    }
+    let scene = Arc::clone(&hall.scene);
+    let work = move || {
+        let image = scene.photographs.image(Photo { split, index }, width, height)?;
+        picture::jpeg(&image)
+    };
+    let jpeg = tokio::task::spawn_blocking(work).await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?;
+    let jpeg = jpeg.map_err(|_| StatusCode::NOT_FOUND)?;
+    Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
+}
+
+async fn socket(
+    State(hall): State<Arc<Hall>>,
+    Path(token): Path<String>,
+    headers: HeaderMap,
+    upgrade: WebSocketUpgrade,
+) -> Answered {
+    hall.admit(&token, &headers)?;
+    if hall.studio.watchers() >= MOST_PAGES {
+        return Err(StatusCode::SERVICE_UNAVAILABLE);
+    }
+    let upgrade = upgrade.max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
+    Ok(upgrade.on_upgrade(move |socket| attend(hall, socket)))
+}
+
+/// Takes the requests of a page and sends it the newest answer, until it leaves.
+async fn attend(hall: Arc<Hall>, mut socket: WebSocket) {
+    let (id, mut answers) = hall.studio.enter();
+    loop {
+        let sent = tokio::select! {
+            message = socket.recv() => match message {
+                Some(Ok(Message::Text(text))) => match Request::read(&text) {
+                    Ok(request) => {
+                        hall.studio.ask(id, request);
+                        Ok(())
+                    }
+                    Err(error) => socket.send(failure(&error.to_string())).await,
+                },
+                Some(Ok(Message::Binary(_))) => socket.send(failure("a message has to be text")).await,
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => Ok(()),
+                Some(Ok(Message::Close(_)) | Err(_)) | None => break,
+            },
+            changed = answers.changed() => {
+                if changed.is_err() {
+                    break;
+                }
+                let answer = answers.borrow_and_update().clone();
+                match answer {
+                    Some(Answer::Picture(bytes)) => socket.send(Message::Binary(bytes.to_vec().into())).await,
+                    Some(Answer::Failed(error)) => socket.send(failure(&error)).await,
+                    None => Ok(()),
+                }
+            }
+        };
+        if sent.is_err() {
+            break;
+        }
+    }
+    hall.studio.leave(id);
+}
+
+fn failure(error: &str) -> Message {
+    Message::Text(serde_json::json!({ "error": error }).to_string().into())
+}

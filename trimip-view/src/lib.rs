@@ -1,0 +1,17 @@
+//! A model in a browser. A page of plain modules asks for views over a web socket; one thread renders them, coarse while the
+//! camera moves and fine when it stands still, and answers with JPEG pictures.
+//!
+//! Data flows one way: [`protocol`] (what a page may ask) → [`studio`] (the thread that renders) → [`picture`] (a frame as a
+//! picture) → [`door`] (the server: the page, the socket, who may enter). [`scene`] holds what is shown: the model, its box,
+//! and the photographs beside it.
+
+#![forbid(unsafe_code)]
+
+pub mod door;
+pub mod picture;
+pub mod protocol;
+pub mod scene;
+pub mod studio;
+
+pub use door::Door;
+pub use scene::Scene;

@@ -1,0 +1,212 @@
+//! The messages between page and server. A page sends a [`Request`] as JSON; the answer is one binary message: the length of
+//! a JSON header (u32, little-endian), the header (a [`Header`]), and a JPEG picture.
+
+use serde::{Deserialize, Serialize};
+use trimip::view::cameras::{posed, resized};
+use trimip_core::{Camera, Error, Intrinsics, Result};
+
+/// Largest width or height of a picture, pixels.
+pub const MOST_SIDE: u32 = 2048;
+
+/// Largest message of a page, bytes.
+pub const MOST_BYTES: usize = 16 << 10;
+
+/// What a picture shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Show {
+    /// Colour on the background of the model.
+    Color,
+    /// Opacity, black to white.
+    Opacity,
+    /// Distance along the optical axis, near to far within the box.
+    Depth,
+    /// Direction of the surface, from neighbouring depths: x, y, z of the world as red, green, blue.
+    Normals,
+    /// Absolute difference to the photograph, four times as bright.
+    Difference,
+    /// FLIP errors to the photograph.
+    Flip,
+}
+
+impl Show {
+    /// True if it needs a photograph.
+    pub fn compares(self) -> bool {
+        matches!(self, Self::Difference | Self::Flip)
+    }
+}
+
+/// How a view is rendered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Renderer {
+    /// Samples along the whole ray.
+    Volume,
+    /// Samples where the proxy of the model has weight.
+    Hybrid,
+}
+
+/// A set of photographs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// Test views.
+    Test,
+    /// Training views.
+    Train,
+}
+
+/// A photograph by its place in its set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Photo {
+    /// Its set.
+    pub split: Split,
+    /// Its index.
+    pub index: usize,
+}
+
+/// A view that a page asks for.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Request {
+    /// Number that the answer repeats.
+    pub id: u64,
+    /// Camera-to-world matrix [R|t], 12 numbers row by row, OpenGL axes.
+    pub pose: Vec<f64>,
+    /// Horizontal field of view, degrees.
+    pub fov: f64,
+    /// Size of the finest picture, pixels.
+    pub width: u32,
+    /// As `width`.
+    pub height: u32,
+    /// What it shows.
+    pub show: Show,
+    /// How it is rendered.
+    pub renderer: Renderer,
+    /// True while the camera moves: one coarse picture. False: finer ones until all pixels are rendered.
+    pub moving: bool,
+    /// The photograph whose camera takes the place of `pose`, `fov` and the ratio of the sides.
+    #[serde(default)]
+    pub photo: Option<Photo>,
+}
+
+impl Request {
+    /// Reads a message.
+    ///
+    /// # Errors
+    /// When it is no request, or a number is out of range; the text is shown on the page.
+    pub fn read(text: &str) -> Result<Self> {
+        let refuse = |what: String| Err(Error::input("message", what, "expected a view to render"));
+        let request: Self = match serde_json::from_str(text) {
+            Ok(request) => request,
+            Err(error) => return refuse(error.to_string()),
+        };
+        let sides = [request.width, request.height];
+        if sides.iter().any(|side| !(1..=MOST_SIDE).contains(side)) {
+            return refuse(format!("{} by {} pixels; a side has 1 to {MOST_SIDE}", sides[0], sides[1]));
+        }
+        if !(request.fov > 0.0 && request.fov < 180.0) {
+            return refuse(format!("a field of view of {} degrees", request.fov));
+        }
+        if request.show.compares() && request.photo.is_none() {
+            return refuse("a comparison without a photograph".into());
+        }
+        request.camera(None)?;
+        Ok(request)
+    }
+
+    /// The camera of the finest picture. `photographed` is that of the photograph, if there is one.
+    ///
+    /// # Errors
+    /// When the pose is not rigid.
+    pub fn camera(&self, photographed: Option<Camera>) -> Result<Camera> {
+        if let Some(camera) = photographed {
+            let factor = f64::from(self.width) / f64::from(camera.intrinsics.width.max(1));
+            return Ok(Camera { intrinsics: resized(camera.intrinsics, factor)?, ..camera });
+        }
+        let intrinsics = Intrinsics::from_angle(self.width, self.height, self.fov.to_radians());
+        posed("message: pose", &self.pose, intrinsics)
+    }
+}
+
+/// What stands before a picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Header {
+    /// Number of the request.
+    pub id: u64,
+    /// Size of the picture, pixels.
+    pub width: u32,
+    /// As `width`.
+    pub height: u32,
+    /// Milliseconds of rendering.
+    pub rendered: f64,
+    /// Milliseconds from the arrival of the request to the picture.
+    pub waited: f64,
+    /// True if no finer picture follows.
+    pub done: bool,
+}
+
+/// A binary message: header and picture.
+pub fn message(header: &Header, jpeg: &[u8]) -> Vec<u8> {
+    let json = serde_json::to_vec(header).unwrap_or_default();
+    [&(json.len() as u32).to_le_bytes()[..], &json, jpeg].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn json(more: &str) -> String {
+        let pose = "[1,0,0,0, 0,1,0,0, 0,0,1,4]";
+        format!(
+            r#"{{"id":7,"pose":{pose},"fov":50,"width":40,"height":30,"show":"color","renderer":"volume","moving":true{more}}}"#
+        )
+    }
+
+    #[test]
+    fn a_view_is_read_and_nonsense_is_refused() {
+        let request = Request::read(&json("")).unwrap();
+        let camera = request.camera(None).unwrap();
+        assert_eq!((request.id, camera.intrinsics.width, camera.origin.z), (7, 40, 4.0));
+        let broken = [
+            String::new(),
+            "{}".into(),
+            json(r#","more":1"#),
+            json("").replace("40", "0"),
+            json("").replace("30", "1000000"),
+            json("").replace("50", "180"),
+            json("").replace("50", "1e999"),
+            json("").replace("[1,0,0,0,", "[2,0,0,0,"),
+            json("").replace("[1,0,0,0,", "["),
+            json("").replace("color", "flip"),
+            json("").replace("color", "taste"),
+        ];
+        for text in broken {
+            assert!(Request::read(&text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_photograph_brings_its_camera_at_the_asked_width() {
+        let request = Request::read(&json(r#","photo":{"split":"train","index":3}"#)).unwrap();
+        let own = Camera::look_at(
+            Intrinsics::from_angle(800, 400, 0.7),
+            glam::DVec3::X,
+            glam::DVec3::ZERO,
+            glam::DVec3::Z,
+        );
+        let camera = request.camera(Some(own)).unwrap();
+        assert_eq!((camera.intrinsics.width, camera.intrinsics.height), (40, 20));
+        assert_eq!(camera.origin, own.origin);
+    }
+
+    #[test]
+    fn a_message_is_length_header_picture() {
+        let header = Header { id: 1, width: 2, height: 3, rendered: 4.0, waited: 5.0, done: true };
+        let bytes = message(&header, b"jpeg");
+        let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
+        assert_eq!(serde_json::from_slice::<Header>(&bytes[4..4 + length]).unwrap(), header);
+        assert_eq!(&bytes[4 + length..], b"jpeg");
+    }
+}

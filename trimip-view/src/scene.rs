@@ -1,0 +1,204 @@
+//! What is shown: the renderers of a model, its box, and the photographs beside it.
+
+use crate::protocol::{Photo, Renderer, Split};
+use image::RgbImage;
+use image::imageops::{self, FilterType};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
+use std::sync::Mutex;
+use trimip::view::pictures::rgb_image;
+use trimip::{backends, settings};
+use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, model::Model};
+
+/// Photographs that are kept decoded.
+const KEPT: usize = 4;
+
+/// A model to look at.
+pub struct Scene {
+    /// Name of the model, for the title.
+    pub name: String,
+    /// Its configuration.
+    pub config: Config,
+    /// What it was trained and tested on, if that is there.
+    pub photographs: Photographs,
+    /// What the user should know, a line each.
+    pub notes: Vec<String>,
+}
+
+impl Scene {
+    /// Opens the model of a run folder or a model file, and its photographs. `assignments` change its settings.
+    ///
+    /// # Errors
+    /// When there is no model, or a setting is wrong, or the backend cannot load it. Missing photographs are a note.
+    pub fn open(path: &Path, assignments: &[String]) -> Result<(Self, Renderers)> {
+        let mut model = trimip::read_model(path)?;
+        settings::override_model(&mut model, assignments)?;
+        let renderers = Renderers::open(&model)?;
+        let (photographs, mut notes) = match Photographs::open(&model.config) {
+            Ok(photographs) => (photographs, Vec::new()),
+            Err(error) => (Photographs::none(), vec![format!("no photographs: {error}")]),
+        };
+        notes.extend(renderers.notes());
+        let stem = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+        let name = if path.is_dir() { stem(path) } else { path.parent().and_then(stem) };
+        Ok((
+            Self { name: name.unwrap_or_else(|| "model".into()), config: model.config, photographs, notes },
+            renderers,
+        ))
+    }
+
+    /// What a page is told when it opens.
+    pub fn describe(&self, renderers: &[Renderer], device: &str) -> Value {
+        let scene = &self.config.scene;
+        json!({
+            "name": self.name,
+            "device": device,
+            "encoder": self.config.encoder.kind,
+            "box": { "min": scene.aabb_min, "max": scene.aabb_max },
+            "up": scene.up,
+            "background": self.config.data.background,
+            "renderers": renderers,
+            "flip": cfg!(feature = "flip"),
+            "notes": self.notes,
+            "cameras": self.photographs.describe(),
+        })
+    }
+}
+
+/// The ways in which a model is rendered.
+pub struct Renderers {
+    all: BTreeMap<Renderer, Box<dyn Viewer>>,
+}
+
+impl Renderers {
+    /// Loads a model once for each way that it allows. Hybrid rendering needs a proxy (`trimip-cli bake`).
+    ///
+    /// # Errors
+    /// When the backend cannot load it.
+    pub fn open(model: &Model) -> Result<Self> {
+        let load = |kind: &str| {
+            let mut model = model.clone();
+            settings::override_model(&mut model, &[format!("renderer.kind={kind}")])?;
+            backends::load(&model)
+        };
+        let mut all = BTreeMap::from([(Renderer::Volume, load("volume")?)]);
+        if let Ok(hybrid) = load("hybrid") {
+            all.insert(Renderer::Hybrid, hybrid);
+        }
+        Ok(Self { all })
+    }
+
+    /// Their names.
+    pub fn names(&self) -> Vec<Renderer> {
+        self.all.keys().copied().collect()
+    }
+
+    /// The device that renders.
+    pub fn device(&self) -> String {
+        self.all.values().next().map_or_else(String::new, |viewer| viewer.device_name())
+    }
+
+    /// One of them; volume rendering if it is not there.
+    pub fn get(&mut self, renderer: Renderer) -> Option<&mut Box<dyn Viewer>> {
+        let own = if self.all.contains_key(&renderer) { renderer } else { Renderer::Volume };
+        self.all.get_mut(&own)
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.all.values().next().map_or_else(Vec::new, |viewer| viewer.notes())
+    }
+}
+
+/// Photographs with their cameras, decoded when they are asked for.
+pub struct Photographs {
+    sets: BTreeMap<Split, Set>,
+    background: [f32; 3],
+    decoded: Mutex<VecDeque<(Photo, RgbImage)>>,
+}
+
+struct Set {
+    frames: Box<dyn Frames>,
+    cameras: Vec<Camera>,
+}
+
+impl Photographs {
+    fn none() -> Self {
+        Self { sets: BTreeMap::new(), background: [1.0; 3], decoded: Mutex::default() }
+    }
+
+    fn open(config: &Config) -> Result<Self> {
+        let test = trimip_data::open_test(&config.data)?;
+        let finest = |frames: &dyn Frames| {
+            // Cameras stand frame by frame, and within one from fine to coarse.
+            let all = frames.cameras();
+            let each = all.len() / frames.len().max(1);
+            all.into_iter().step_by(each.max(1)).collect::<Vec<_>>()
+        };
+        let set = |frames: Box<dyn Frames>| Set { cameras: finest(&*frames), frames };
+        let sets = BTreeMap::from([(Split::Test, set(test.frames)), (Split::Train, set(test.photographs))]);
+        Ok(Self { sets, background: config.data.background, decoded: Mutex::default() })
+    }
+
+    fn describe(&self) -> Value {
+        let camera = |camera: &Camera| {
+            let (r, t, k) = (camera.rotation, camera.origin, camera.intrinsics);
+            let row = |i: usize| [r.col(0)[i], r.col(1)[i], r.col(2)[i], t[i]];
+            let pose = [row(0), row(1), row(2)].concat();
+            let fov = 2.0 * (0.5 * f64::from(k.width) / k.fx).atan();
+            json!({ "pose": pose, "fov": fov.to_degrees(), "width": k.width, "height": k.height })
+        };
+        let sets = self.sets.iter().map(|(split, set)| {
+            let cameras: Vec<Value> = set.cameras.iter().map(camera).collect();
+            json!({ "split": split, "views": cameras })
+        });
+        sets.collect()
+    }
+
+    /// The camera of a photograph.
+    ///
+    /// # Errors
+    /// When there is no such photograph.
+    pub fn camera(&self, photo: Photo) -> Result<Camera> {
+        let own = self.sets.get(&photo.split).and_then(|set| set.cameras.get(photo.index));
+        own.copied().ok_or_else(|| {
+            Error::input(
+                format!("photograph {} of {:?}", photo.index, photo.split),
+                "is not there",
+                "choose another",
+            )
+        })
+    }
+
+    /// A photograph on the background, resampled to this size.
+    ///
+    /// # Errors
+    /// When there is no such photograph, or it cannot be decoded.
+    pub fn image(&self, photo: Photo, width: u32, height: u32) -> Result<RgbImage> {
+        self.camera(photo)?;
+        let mut decoded = self.decoded.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let whole = match decoded.iter().position(|(own, _)| *own == photo) {
+            Some(at) => decoded.remove(at).map(|(_, image)| image),
+            None => None,
+        };
+        let whole = match (whole, self.sets.get(&photo.split)) {
+            (Some(whole), _) => whole,
+            (None, Some(set)) => {
+                let views = set.frames.load(photo.index)?;
+                let Some(view) = views.views.first() else {
+                    return Err(Error::run(format!("photograph {} has no pixels", photo.index)));
+                };
+                let k = view.camera.intrinsics;
+                rgb_image(k.width, k.height, &views.composited(0, self.background))
+            }
+            (None, None) => return Err(Error::run("there are no photographs")),
+        };
+        let resized = match whole.dimensions() == (width, height) {
+            true => whole.clone(),
+            false => imageops::resize(&whole, width.max(1), height.max(1), FilterType::Triangle),
+        };
+        decoded.push_front((photo, whole));
+        decoded.truncate(KEPT);
+        Ok(resized)
+    }
+}

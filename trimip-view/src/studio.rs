@@ -1,0 +1,292 @@
+//! The thread that renders. Each page has one request, its newest. Pages take turns; a coarse picture of one goes before a
+//! fine picture of another, and a fine picture that somebody waits behind is given up and begun anew later.
+
+use crate::picture::{jpeg, picture};
+use crate::protocol::{Header, Request, message};
+use crate::scene::{Renderers, Scene};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+use tokio::sync::watch;
+use trimip::view::cameras::resized;
+use trimip_core::{Camera, Error, Result};
+
+/// Time of a coarse picture.
+const COARSE: Duration = Duration::from_millis(70);
+
+/// A first picture of a view that stands still may take this long; otherwise a coarse one comes before it.
+const PATIENCE: Duration = Duration::from_millis(140);
+
+/// Pixels per second that are assumed before the first picture.
+const ASSUMED_SPEED: f64 = 400_000.0;
+
+/// Weight of the newest picture in the mean speed.
+const NEWEST: f64 = 0.4;
+
+/// Fewest pixels along the longer side of a coarse picture.
+const LEAST_SIDE: f64 = 48.0;
+
+/// An answer: a binary message, or the text of an error.
+#[derive(Clone, Debug)]
+pub enum Answer {
+    /// Header and picture.
+    Picture(Arc<Vec<u8>>),
+    /// What went wrong.
+    Failed(String),
+}
+
+/// A page that watches.
+struct Client {
+    request: Option<(Request, Instant)>,
+    /// True if the request has had its coarse picture.
+    begun: bool,
+    answers: watch::Sender<Option<Answer>>,
+}
+
+#[derive(Default)]
+struct Desk {
+    clients: BTreeMap<u64, Client>,
+    next: u64,
+    /// The page that was served last.
+    last: u64,
+    closed: bool,
+}
+
+impl Desk {
+    /// The page to serve next, in turn: those without any picture of their view first.
+    fn choose(&self) -> Option<u64> {
+        let waiting = |begun: bool| {
+            let own = move |(_, client): &(&u64, &Client)| client.request.is_some() && client.begun == begun;
+            let after = self.clients.range(self.last + 1..).find(own);
+            after.or_else(|| self.clients.iter().find(own)).map(|(id, _)| *id)
+        };
+        waiting(false).or_else(|| waiting(true))
+    }
+
+    /// True if a fine picture of page `id` should be given up.
+    fn interrupts(&self, id: u64) -> bool {
+        let asks = |client: &Client| client.request.is_some() && !client.begun;
+        self.closed || !self.clients.contains_key(&id) || self.clients.values().any(asks)
+    }
+}
+
+#[derive(Default)]
+struct Shared {
+    desk: Mutex<Desk>,
+    bell: Condvar,
+}
+
+impl Shared {
+    fn desk(&self) -> MutexGuard<'_, Desk> {
+        self.desk.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
+
+/// The render thread and the desk where pages leave their requests.
+pub struct Studio {
+    shared: Arc<Shared>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Studio {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// When no thread can be started.
+    pub fn start(scene: Arc<Scene>, mut renderers: Renderers) -> Result<Self> {
+        let shared = Arc::new(Shared::default());
+        let own = Arc::clone(&shared);
+        let work = move || Painter { scene, speed: BTreeMap::new(), shared: own }.run(&mut renderers);
+        let thread = thread::Builder::new()
+            .name("render".into())
+            .spawn(work)
+            .map_err(|error| Error::device(format!("cannot start the render thread: {error}")))?;
+        Ok(Self { shared, thread: Mutex::new(Some(thread)) })
+    }
+
+    /// A page enters. It gets a number, and the newest answer to its requests.
+    pub fn enter(&self) -> (u64, watch::Receiver<Option<Answer>>) {
+        let mut desk = self.shared.desk();
+        desk.next += 1;
+        let (answers, receiver) = watch::channel(None);
+        let id = desk.next;
+        desk.clients.insert(id, Client { request: None, begun: false, answers });
+        (id, receiver)
+    }
+
+    /// Number of pages that watch.
+    pub fn watchers(&self) -> usize {
+        self.shared.desk().clients.len()
+    }
+
+    /// A page asks for a view; its earlier request is forgotten.
+    pub fn ask(&self, id: u64, request: Request) {
+        if let Some(client) = self.shared.desk().clients.get_mut(&id) {
+            client.request = Some((request, Instant::now()));
+            client.begun = false;
+        }
+        self.shared.bell.notify_all();
+    }
+
+    /// A page leaves.
+    pub fn leave(&self, id: u64) {
+        self.shared.desk().clients.remove(&id);
+    }
+
+    /// Ends the thread; a picture in progress is given up.
+    pub fn close(&self) {
+        self.shared.desk().closed = true;
+        self.shared.bell.notify_all();
+        let thread = self.thread.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
+        // A thread that panicked has printed why.
+        let _ = thread.map(JoinHandle::join);
+    }
+}
+
+/// What the render thread knows.
+struct Painter {
+    scene: Arc<Scene>,
+    /// Pixels per second, by renderer.
+    speed: BTreeMap<crate::protocol::Renderer, f64>,
+    shared: Arc<Shared>,
+}
+
+impl Painter {
+    fn run(mut self, renderers: &mut Renderers) {
+        while let Some((id, request, asked, begun)) = self.next() {
+            let outcome = self.serve(renderers, id, &request, asked, begun);
+            let mut desk = self.shared.desk();
+            let Some(client) = desk.clients.get_mut(&id) else { continue };
+            let current = client.request.as_ref().is_some_and(|(own, _)| *own == request);
+            match outcome {
+                // A newer request stays.
+                Ok(None) => {}
+                Ok(Some((bytes, done))) => {
+                    if current {
+                        client.begun = true;
+                        client.request = client.request.take().filter(|_| !done);
+                    }
+                    client.answers.send_replace(Some(Answer::Picture(Arc::new(bytes))));
+                }
+                Err(error) => {
+                    client.request = client.request.take().filter(|_| !current);
+                    client.answers.send_replace(Some(Answer::Failed(error.to_string())));
+                }
+            }
+        }
+    }
+
+    /// Waits for a request; `None` when the studio closes.
+    fn next(&self) -> Option<(u64, Request, Instant, bool)> {
+        let mut desk = self.shared.desk();
+        loop {
+            if desk.closed {
+                return None;
+            }
+            if let Some(id) = desk.choose() {
+                desk.last = id;
+                let client = desk.clients.get(&id)?;
+                let (request, asked) = client.request.clone()?;
+                return Some((id, request, asked, client.begun));
+            }
+            desk = self.shared.bell.wait(desk).unwrap_or_else(|poisoned| poisoned.into_inner());
+        }
+    }
+
+    /// The next picture of a request, and whether it is the last; `None` if it was given up.
+    fn serve(
+        &mut self,
+        renderers: &mut Renderers,
+        id: u64,
+        request: &Request,
+        asked: Instant,
+        begun: bool,
+    ) -> Result<Option<(Vec<u8>, bool)>> {
+        let photographs = &self.scene.photographs;
+        let photographed = request.photo.map(|photo| photographs.camera(photo)).transpose()?;
+        let finest = request.camera(photographed)?;
+        let pixels = f64::from(finest.intrinsics.width) * f64::from(finest.intrinsics.height);
+        let speed = self.speed.get(&request.renderer).copied().unwrap_or(ASSUMED_SPEED);
+        let limit = if request.moving { COARSE } else { PATIENCE };
+        let fine = begun || pixels / speed <= limit.as_secs_f64();
+        let factor = if fine { 1.0 } else { coarse(&finest, speed * COARSE.as_secs_f64()) };
+        let camera = Camera { intrinsics: resized(finest.intrinsics, factor)?, ..finest };
+        let Some(viewer) = renderers.get(request.renderer) else {
+            return Err(Error::run("there is no renderer"));
+        };
+        let started = Instant::now();
+        let shared = &self.shared;
+        let watch = &mut |_: u32, _: u32| !(begun && shared.desk().interrupts(id));
+        let Some(frame) = viewer.render_watched(&camera, watch)? else { return Ok(None) };
+        let rendered = started.elapsed().as_secs_f64();
+        let measured = f64::from(frame.width) * f64::from(frame.height) / rendered.max(1e-6);
+        self.speed.insert(request.renderer, speed + NEWEST * (measured - speed));
+        let photograph = match request.photo.filter(|_| request.show.compares()) {
+            Some(photo) => Some(photographs.image(photo, frame.width, frame.height)?),
+            None => None,
+        };
+        let shown = picture(&frame, &camera, &self.scene.config.scene, request.show, photograph.as_ref());
+        let done = request.moving || factor >= 1.0;
+        let header = Header {
+            id: request.id,
+            width: frame.width,
+            height: frame.height,
+            rendered: 1e3 * rendered,
+            waited: 1e3 * asked.elapsed().as_secs_f64(),
+            done,
+        };
+        Ok(Some((message(&header, &jpeg(&shown)?), done)))
+    }
+}
+
+/// The factor of the sides of a picture with about `pixels` pixels.
+fn coarse(finest: &Camera, pixels: f64) -> f64 {
+    let (width, height) = (f64::from(finest.intrinsics.width), f64::from(finest.intrinsics.height));
+    let least = LEAST_SIDE / width.max(height);
+    (pixels / (width * height)).sqrt().max(least).min(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn client(asks: bool, begun: bool) -> Client {
+        let text = r#"{"id":1,"pose":[1,0,0,0,0,1,0,0,0,0,1,4],"fov":50,"width":4,"height":3,"show":"color","renderer":"volume","moving":false}"#;
+        let request = Request::read(text).unwrap();
+        Client { request: asks.then(|| (request, Instant::now())), begun, answers: watch::channel(None).0 }
+    }
+
+    #[test]
+    fn pages_take_turns_and_first_pictures_go_before_fine_ones() {
+        let mut desk = Desk::default();
+        assert_eq!(desk.choose(), None);
+        desk.clients = BTreeMap::from([
+            (1, client(true, true)),
+            (2, client(true, false)),
+            (3, client(false, false)),
+            (4, client(true, false)),
+        ]);
+        assert_eq!(desk.choose(), Some(2));
+        desk.last = 2;
+        assert_eq!(desk.choose(), Some(4));
+        desk.last = 4;
+        assert_eq!(desk.choose(), Some(2), "in turn");
+        assert!(desk.interrupts(1), "somebody waits for a first picture");
+        desk.clients.retain(|id, _| [1, 3].contains(id));
+        assert_eq!(desk.choose(), Some(1));
+        assert!(!desk.interrupts(1) && desk.interrupts(9), "who left needs no picture");
+    }
+
+    #[test]
+    fn a_coarse_picture_has_the_pixels_that_the_time_allows() {
+        let intrinsics = trimip_core::Intrinsics::from_angle(400, 200, 0.7);
+        let camera = Camera::look_at(intrinsics, glam::DVec3::X, glam::DVec3::ZERO, glam::DVec3::Z);
+        assert_eq!(coarse(&camera, 1e9), 1.0);
+        assert!((coarse(&camera, 20_000.0) - 0.5).abs() < 1e-12);
+        assert!(
+            (coarse(&camera, 0.0) - 0.12).abs() < 1e-12,
+            "never less than 48 pixels along the longer side"
+        );
+    }
+}
