@@ -35,12 +35,50 @@ impl Shown {
             .stderr(Stdio::null())
             .spawn()
             .expect("the program starts");
-        let mut line = String::new();
         let out = child.stdout.take().expect("its output is piped");
-        BufReader::new(out).read_line(&mut line).expect("it prints its address");
-        let address = line.trim().strip_prefix("http://").expect("an address").trim_end_matches('/');
+        Self::at(child, BufReader::new(out))
+    }
+
+    /// Starts a training that is watched.
+    ///
+    /// # Panics
+    /// If it does not print an address.
+    pub fn training(folder: &Path, arguments: &[&str]) -> Self {
+        let mut child = command(folder, arguments)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let err = child.stderr.take().expect("its messages are piped");
+        Self::at(child, BufReader::new(err))
+    }
+
+    /// A program that tells its address in its first line.
+    fn at(child: Child, mut told: impl BufRead + Send + 'static) -> Self {
+        let mut line = String::new();
+        told.read_line(&mut line).expect("it prints its address");
+        let address = line.split_once("http://").map(|(_, rest)| rest).expect("an address");
+        let address = address.split_whitespace().next().expect("an address").trim_end_matches('/');
         let (host, token) = address.split_once('/').expect("a token");
-        Self { child, host: host.into(), token: token.into() }
+        let (host, token) = (host.to_string(), token.to_string());
+        // What it prints later is read, so that it never waits.
+        std::thread::spawn(move || std::io::copy(&mut told, &mut std::io::sink()));
+        Self { child, host, token }
+    }
+
+    /// Waits for the end of the program; its exit code.
+    ///
+    /// # Panics
+    /// If it does not end.
+    pub fn ended(&mut self) -> Option<i32> {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            if let Some(status) = self.child.try_wait().expect("a child of ours") {
+                return status.code();
+            }
+            assert!(Instant::now() < until, "it ends");
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 
     /// The address of the page.
@@ -83,7 +121,7 @@ impl Shown {
             request.headers_mut().insert("Origin", HeaderValue::from_str(origin).expect("a header"));
         }
         match tungstenite::connect(request) {
-            Ok((socket, _)) => Ok(Page { socket }),
+            Ok((socket, _)) => Ok(Page { socket: patient(socket) }),
             Err(tungstenite::Error::Http(answer)) => Err(answer.status().as_u16()),
             Err(error) => panic!("{error}"),
         }
@@ -109,6 +147,14 @@ impl Drop for Shown {
     }
 }
 
+/// A socket whose reads fail after [`PATIENCE`].
+fn patient(socket: WebSocket<MaybeTlsStream<TcpStream>>) -> WebSocket<MaybeTlsStream<TcpStream>> {
+    if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
+        stream.set_read_timeout(Some(PATIENCE)).expect("a socket has a timeout");
+    }
+    socket
+}
+
 /// An open web socket.
 pub struct Page {
     socket: WebSocket<MaybeTlsStream<TcpStream>>,
@@ -129,6 +175,37 @@ impl Page {
     /// When the socket is closed.
     pub fn send(&mut self, text: &str) -> Result<(), tungstenite::Error> {
         self.socket.send(Message::text(text))
+    }
+
+    /// The next state of the run that is watched; pictures before it are dropped.
+    ///
+    /// # Panics
+    /// If the socket closes first, or something else comes.
+    pub fn news(&mut self) -> Value {
+        loop {
+            match self.socket.read().expect("news") {
+                Message::Text(text) => {
+                    let words: Value = serde_json::from_str(&text).expect("JSON");
+                    assert!(words["training"].is_object(), "{text}");
+                    return words["training"].clone();
+                }
+                Message::Close(_) => panic!("closed"),
+                _ => {}
+            }
+        }
+    }
+
+    /// The next picture; news before it are dropped.
+    ///
+    /// # Panics
+    /// If the socket closes first, or an error comes.
+    pub fn picture(&mut self) -> Received {
+        loop {
+            match self.receive() {
+                Ok(received) => return received,
+                Err(text) => assert!(text.contains("training"), "{text}"),
+            }
+        }
     }
 
     /// The next message: a picture, or the text of an error.
@@ -196,6 +273,14 @@ impl Browser {
     /// # Panics
     /// If it does not start.
     pub fn start(width: u32, height: u32) -> Option<Self> {
+        Self::start_with(width, height, &["--disable-gpu"])
+    }
+
+    /// As [`start`](Self::start), with these options.
+    ///
+    /// # Panics
+    /// As [`start`](Self::start).
+    pub fn start_with(width: u32, height: u32, options: &[&str]) -> Option<Self> {
         let names = ["chromium", "chromium-browser", "google-chrome"];
         let folders: Vec<PathBuf> =
             std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default()).collect();
@@ -207,13 +292,8 @@ impl Browser {
         };
         let profile = tempfile::tempdir().expect("a folder");
         let child = Command::new(program)
-            .args([
-                "--headless=new",
-                "--no-sandbox",
-                "--disable-gpu",
-                "--disable-dev-shm-usage",
-                "--no-first-run",
-            ])
+            .args(["--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run"])
+            .args(options)
             .args(["--remote-debugging-port=0", "--remote-allow-origins=*"])
             .arg(format!("--window-size={width},{height}"))
             .arg(format!("--user-data-dir={}", profile.path().display()))
@@ -243,7 +323,7 @@ impl Browser {
             std::thread::sleep(Duration::from_millis(50));
         };
         let (socket, _) = tungstenite::connect(target).expect("Chromium answers");
-        let mut browser = Self { child, socket, next: 0, _profile: profile };
+        let mut browser = Self { child, socket: patient(socket), next: 0, _profile: profile };
         browser.call("Page.enable", json!({}));
         browser.call("Runtime.enable", json!({}));
         Some(browser)

@@ -72,6 +72,16 @@ fn a_step_may_be_smaller_than_a_pixel() {
 }
 
 #[test]
+fn a_pixel_has_the_samples_of_its_cones() {
+    on_every_cpu(|make| suite::looking::samples(make));
+}
+
+#[test]
+fn a_clipped_view_shows_its_box_alone() {
+    on_every_cpu(|make| suite::looking::clips(make));
+}
+
+#[test]
 fn queries_are_the_field_of_the_world() {
     on_every_cpu(|make| suite::probes::queries(make));
 }

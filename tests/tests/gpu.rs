@@ -55,6 +55,16 @@ fn a_step_may_be_smaller_than_a_pixel() {
 }
 
 #[test]
+fn a_pixel_has_the_samples_of_its_cones() {
+    reproducibly(|make| suite::looking::samples(make));
+}
+
+#[test]
+fn a_clipped_view_shows_its_box_alone() {
+    reproducibly(|make| suite::looking::clips(make));
+}
+
+#[test]
 fn queries_are_the_field_of_the_world() {
     reproducibly(|make| suite::probes::queries(make));
 }

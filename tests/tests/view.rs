@@ -33,7 +33,16 @@ fn only_who_knows_the_token_and_comes_from_the_page_may_enter() {
     let page = String::from_utf8(page).unwrap();
     assert!(status == 200 && page.contains("<canvas"), "{page}");
     assert!(!page.contains("http://") && !page.contains("https://"), "nothing is fetched from elsewhere");
-    for file in ["main.js", "orbit.js", "link.js", "frusta.js", "style.css", "scene.json"] {
+    for file in [
+        "main.js",
+        "orbit.js",
+        "gestures.js",
+        "link.js",
+        "frusta.js",
+        "training.js",
+        "style.css",
+        "scene.json",
+    ] {
         assert_eq!(shown.get(&format!("{own}{file}"), &[]).0, 200, "{file}");
     }
     assert_eq!(shown.get(&format!("{own}photo/test/0?width=8&height=8"), &[]).0, 200);
@@ -212,6 +221,104 @@ fn a_wrong_model_or_address_is_refused() {
     child.wait().unwrap();
 }
 
+/// A run of many steps that is watched.
+fn in_training(here: &Path) -> Shown {
+    let long = ["train.steps=1000000", "eval.points=400", "train.log_seconds=0.1"];
+    let sets: Vec<&str> = long.iter().flat_map(|set| ["--set", set]).collect();
+    Shown::training(here, &tiny_and(&[&sets[..], &["--out", "run", "--view"]].concat()))
+}
+
+#[test]
+fn a_run_is_watched_paused_and_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let mut run = in_training(here);
+    let mut page = enter(&run);
+    assert_eq!(page.news()["state"], "running");
+    let later = |page: &mut Page| loop {
+        let news = page.news();
+        if news["step"].as_u64().is_some_and(|step| step > 0) {
+            return news;
+        }
+    };
+    let news = later(&mut page);
+    assert!(news["progress"].as_f64().is_some_and(|share| (0.0..1.0).contains(&share)), "{news}");
+
+    // The model that is shown changes as it learns; no view is asked for again.
+    page.send(&view(1, [3.0, 1.0, 2.0], 40, 30).to_string()).unwrap();
+    let first = loop {
+        let received = page.picture();
+        if received.header["done"] == true {
+            break pixels(&received);
+        }
+    };
+    while pixels(&page.picture()) == first {}
+
+    // Paused, it does no step, and answers.
+    page.send(r#"{"command":"pause"}"#).unwrap();
+    let paused = loop {
+        let news = page.news();
+        if news["state"] == "paused" {
+            break news["step"].clone();
+        }
+    };
+    page.send(&view(2, [-3.0, 1.0, 2.0], 24, 24).to_string()).unwrap();
+    let received = loop {
+        let received = page.picture();
+        if received.header["id"] == 2 && received.header["done"] == true {
+            break received;
+        }
+    };
+    assert_eq!(pixels(&received).dimensions(), (24, 24));
+    let mut second = enter(&run);
+    let news = second.news();
+    assert_eq!((&news["state"], &news["step"]), (&json!("paused"), &paused), "who comes later is told");
+
+    page.send(r#"{"command":"resume"}"#).unwrap();
+    while page.news()["state"] != "running" {}
+    assert!(later(&mut page)["step"].as_u64() >= paused.as_u64());
+    page.send(r#"{"command":"stop"}"#).unwrap();
+    assert_eq!(run.ended(), Some(130), "as by Ctrl-C");
+    assert!(here.join("run/checkpoint.safetensors").is_file());
+}
+
+#[test]
+fn a_finished_model_has_no_run_to_steer() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let shown = Shown::start(here, "run");
+    let mut page = enter(&shown);
+    page.send(r#"{"command":"stop"}"#).unwrap();
+    let error = page.receive().err().expect("an error");
+    assert!(error.contains("no run"), "{error}");
+    page.finest(&view(1, [3.0, 1.0, 2.0], 20, 20)).expect("it goes on");
+}
+
+#[test]
+fn a_part_of_the_box_and_its_quantities_are_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let shown = Shown::start(here, "run");
+    let mut page = enter(&shown);
+    let mut request = view(1, [3.0, 1.0, 2.0], 40, 30);
+    request["show"] = json!("opacity");
+    let whole = pixels(&page.finest(&request).unwrap());
+    (request["id"], request["clip"]) = (json!(2), json!([[50.0, 50.0, 50.0], [51.0, 51.0, 51.0]]));
+    let nothing = pixels(&page.finest(&request).unwrap());
+    assert!(whole.pixels().any(|pixel| pixel.0[0] > 128));
+    assert!(nothing.pixels().all(|pixel| pixel.0[0] < 3), "outside of the box there is nothing");
+    (request["id"], request["clip"]) = (json!(3), Value::Null);
+    assert_eq!(pixels(&page.finest(&request).unwrap()), whole);
+    for (id, show) in [(4, "level"), (5, "samples")] {
+        (request["id"], request["show"]) = (json!(id), json!(show));
+        let received = page.finest(&request).unwrap();
+        let range = received.header["range"].as_array().expect("a scale of colours");
+        assert!(range[0] == 0.0 && range[1].as_f64() >= Some(1.0), "{show}: {range:?}");
+    }
+}
+
 /// Bytes of the canvas, as a number that differs for different pictures.
 const PICTURE: &str = "(() => { const c = document.getElementById('view'); const d = c.getContext('2d')
     .getImageData(0, 0, c.width, c.height).data; let h = 0; for (const b of d) h = (h * 31 + b) | 0; return h; })()";
@@ -291,9 +398,46 @@ fn the_page_works_in_a_browser() {
     let answer = run(here, &["render", "run", "--path", "path.json", "--out", "film"]);
     assert_eq!(answer.code, Some(0), "{answer:?}");
 
+    // Clipping changes the picture, and all comes back.
+    browser.wait("document.getElementById('view').dataset.done === 'true'");
+    let whole = browser.value(PICTURE);
+    browser.value(
+        "(() => { const s = document.querySelectorAll('#clips input')[5]; s.value = 40; s.dispatchEvent(new Event('input')); })()",
+    );
+    browser.wait(&format!("{PICTURE} !== {whole}"));
+    browser.value("document.getElementById('unclip').click()");
+    browser.wait(&format!("{PICTURE} === {whole}"));
+
     let picture = browser.screenshot();
     assert!(image::load_from_memory(&picture).is_ok_and(|picture| picture.width() >= 1000));
+    keep("view.png", &picture);
+}
+
+/// Keeps a screenshot for a person, where `TRIMIP_SCREENSHOTS` names a folder.
+fn keep(name: &str, picture: &[u8]) {
     if let Some(folder) = std::env::var_os("TRIMIP_SCREENSHOTS") {
-        std::fs::write(Path::new(&folder).join("view.png"), picture).unwrap();
+        std::fs::write(Path::new(&folder).join(name), picture).unwrap();
     }
+}
+
+#[test]
+fn a_run_is_watched_in_a_browser() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    // A small screen.
+    let Some(mut browser) = Browser::start(420, 800) else { return };
+    let mut run = in_training(here);
+    browser.open(&run.address());
+    browser.wait("document.getElementById('view')?.dataset.done === 'true'");
+    browser.wait("document.querySelectorAll('#curve circle').length > 1");
+    let first = browser.value(PICTURE);
+    browser.wait(&format!("{PICTURE} !== {first}"));
+    keep("training.png", &browser.screenshot());
+    browser.value("document.getElementById('pause').click()");
+    browser.wait("document.getElementById('state').textContent === 'paused'");
+    browser.value("document.getElementById('pause').click()");
+    browser.wait("document.getElementById('state').textContent === 'training'");
+    browser.value("document.getElementById('stop').click()");
+    assert_eq!(run.ended(), Some(130));
+    assert!(here.join("run/checkpoint.safetensors").is_file());
 }

@@ -125,6 +125,12 @@ pub struct TrainArguments {
     /// How progress is shown
     #[arg(long, value_enum, default_value_t, value_name = "STYLE")]
     pub progress: ProgressStyle,
+    /// Show the model in a browser as it is learned, with the curve of its error; prints the address
+    #[arg(long)]
+    pub view: bool,
+    /// Port of --view on this machine; 0 takes a free one
+    #[arg(long, default_value_t = 0, value_name = "N", requires = "view")]
+    pub port: u16,
 }
 
 impl TrainArguments {
@@ -341,6 +347,21 @@ pub struct ExportArguments {
 pub enum ExportWhat {
     /// The surface as triangles with normals and colours, in the units and axes of the cameras: PLY, OBJ or GLB
     Mesh(MeshArguments),
+    /// A folder for any static web server: the model, and a page that renders it with the visitor's own GPU (WebGPU)
+    Web(WebArguments),
+}
+
+/// Options of `export web`.
+#[derive(Args, Debug)]
+pub struct WebArguments {
+    /// Run folder or model file
+    pub model: PathBuf,
+    /// Folder [default: web beside the model]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Folder with the page's program, as tools/web.sh builds it
+    #[arg(long, value_name = "DIR", default_value = "target/web")]
+    pub viewer: PathBuf,
 }
 
 /// Options of `export mesh`.

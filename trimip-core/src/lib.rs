@@ -49,6 +49,7 @@ pub mod metrics;
 pub mod model;
 pub mod networks;
 pub mod occupancy;
+pub mod packed;
 pub mod params;
 pub mod perception;
 pub mod pixels;

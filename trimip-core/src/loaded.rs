@@ -1,18 +1,19 @@
 //! A model on a device, ready to render. It is written once over the traits, for every backend, and is a [`Viewer`].
 
 use crate::{
-    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Pixel, Query, Renderer, Result, ViewSet,
-    Viewer,
+    Aabb, Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Pixel, Query, Renderer, Result,
+    Space, ViewSet, Viewer,
     backend::{Occupancy, Sampler, Stages},
-    batch::{Radiance, Workspace},
+    batch::{Radiance, Segment, Workspace},
     config::{Exposure, RendererKind},
     model::{Assets, Model, OCCUPANCY, assets},
+    occupancy::coordinates,
     proxy::Proxy,
     tensors::{Tensor, TensorFile},
 };
 use glam::DVec3;
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Rays per span when a view is rendered.
 const RAYS_PER_SPAN: u32 = 256;
@@ -30,6 +31,8 @@ pub struct LoadedModel<B: Backend> {
     frame: B::Buffer<Pixel>,
     /// Data that the renderer needs beside the parameters.
     assets: Assets,
+    /// All bits of the occupancy grid, while some are left out.
+    unclipped: Option<Vec<u8>>,
 }
 
 impl<B: Backend> LoadedModel<B> {
@@ -66,6 +69,7 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Self {
             frame: backend.zeros(0),
             assets: Assets::new(),
+            unclipped: None,
             backend: Arc::new(backend),
             config: config.clone(),
             centre,
@@ -159,6 +163,50 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Some(bands.frame(pixels)))
     }
 
+    /// As [`Viewer::samples`].
+    fn count_samples(&mut self, camera: &Camera) -> Result<Vec<u32>> {
+        let bands = Bands::of(camera, B::RAYS_OF_A_BAND)?;
+        let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
+        let camera = &Camera { origin: camera.origin - self.centre, ..*camera };
+        let all = Mutex::new(vec![0; bands.pixels()]);
+        for (_, range) in bands {
+            let work = |space: &mut Workspace<B>, span: Range<u32>| {
+                camera_span(stages, parameters, space, camera, range.start, span.clone());
+                let segments = backend.read(&space.samples.segments);
+                let groups = backend.read(&space.rays.groups);
+                let of = |group: &Segment| {
+                    let cones = &segments[group.start as usize..][..group.count as usize];
+                    cones.iter().map(|cone| cone.count).sum()
+                };
+                let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+                let into = &mut all[(range.start + span.start) as usize..(range.start + span.end) as usize];
+                into.iter_mut().zip(&groups).for_each(|(count, group)| *count = of(group));
+            };
+            let (count, frame) = (range.len() as u32, &mut self.frame);
+            backend.install(|| {
+                backend.map_spans(&stages.field, count, RAYS_PER_SPAN, frame, &work, &|space| &space.pixels);
+            });
+            backend.health()?;
+        }
+        Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The bits of the occupancy grid `all`, without those of cells whose centre is outside of `keep`.
+    fn clipped(&self, all: &[u8], keep: &Aabb<f64>) -> Vec<u8> {
+        let space = Space::<f32>::new(&self.config.centred().0.scene);
+        let resolution = self.config.occupancy.resolution;
+        let mut bits = all.to_vec();
+        for cell in 0..self.cells() as u32 {
+            let place = coordinates(cell, resolution).map(|c| (c as f32 + 0.5) / resolution as f32);
+            let world = DVec3::from_array(space.to_world(place).map(f64::from)) + self.centre;
+            let inside = |axis: usize| world[axis] >= keep.min[axis] && world[axis] <= keep.max[axis];
+            if !(0..3).all(inside) {
+                bits[cell as usize / 8] &= !(1 << (cell % 8));
+            }
+        }
+        bits
+    }
+
     /// Rebuilds all data derived from the parameters.
     pub(crate) fn refresh(&mut self) {
         let Self { backend, stages, parameters, .. } = self;
@@ -177,6 +225,7 @@ impl<B: Backend> LoadedModel<B> {
         let values = self.layout.from_tensors(file, name, "")?;
         let bits = file.u8(name, OCCUPANCY, &[self.cells().div_ceil(8)])?;
         self.assets = assets(file);
+        self.unclipped = None;
         self.stages.renderer.equip(&self.assets)?;
         self.stages.occupancy.restore(bits, densities);
         self.set_parameters(&values);
@@ -309,5 +358,21 @@ impl<B: Backend> Viewer for LoadedModel<B> {
 
     fn densities(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
         Ok(self.evaluate(queries, false)?.into_iter().map(|radiance| radiance.density).collect())
+    }
+
+    fn features(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        self.encode(queries)
+    }
+
+    fn samples(&mut self, camera: &Camera) -> Result<Vec<u32>> {
+        self.count_samples(camera)
+    }
+
+    fn clip(&mut self, keep: Option<&Aabb<f64>>) -> Result<()> {
+        let all = self.unclipped.take().unwrap_or_else(|| self.stages.occupancy.bits());
+        let bits = keep.map_or_else(|| all.clone(), |keep| self.clipped(&all, keep));
+        self.stages.occupancy.restore(&bits, None);
+        self.unclipped = keep.is_some().then_some(all);
+        self.backend.health()
     }
 }

@@ -4,6 +4,7 @@
 use crate::{
     Config, Error, Layout, Result,
     config::FilePrecision,
+    packed,
     tensors::{Tensor, TensorFile},
 };
 use std::{collections::BTreeMap, path::Path};
@@ -81,6 +82,15 @@ impl Model {
         file.write(path, &[])
     }
 
+    /// Writes the model in few bytes, rounded to 8 bits a value, without assets ([`packed`]); returns its size in bytes.
+    /// [`read`](Self::read) reads it too.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write_packed(&self, path: &Path) -> Result<u64> {
+        packed::pack(&self.file, &self.in_f16().collect::<Vec<_>>())?.write(path, &[])
+    }
+
     /// Reads a model and checks it: its format, its settings, and every tensor's shape and numbers.
     ///
     /// # Errors
@@ -98,11 +108,18 @@ impl Model {
     }
 
     fn of(name: &str, mut file: TensorFile) -> Result<Self> {
-        expect_format(name, &file, FORMAT)?;
+        let is_packed = file.text(name, "format")? == packed::FORMAT;
+        if !is_packed {
+            expect_format(name, &file, FORMAT)?;
+        }
         for tensor in file.tensors.values_mut() {
             tensor.widen();
         }
         let config = Config::from_toml(&format!("{name} (its config)"), file.text(name, "config")?)?;
+        if is_packed {
+            file = packed::unpack(name, &file, &config)?;
+            file.metadata.insert("format".into(), FORMAT.into());
+        }
         expect_tensors(name, &file, &config, &[""])?;
         Ok(Self { config, file })
     }

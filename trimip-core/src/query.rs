@@ -2,9 +2,12 @@
 
 use crate::{
     Backend, Encoder, Field, Result, Space,
-    batch::{Interval, Radiance, Ray, Samples, Sphere},
+    batch::{Interval, Radiance, Ray, Samples, Sphere, Workspace},
+    encoders,
     loaded::LoadedModel,
 };
+use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 
 /// Places per span.
 const PLACES_PER_SPAN: u32 = 512;
@@ -82,6 +85,46 @@ impl<B: Backend> LoadedModel<B> {
             backend.health()?;
         }
         Ok(all)
+    }
+}
+
+impl<B: Backend> LoadedModel<B> {
+    /// As [`Viewer::features`](crate::Viewer::features).
+    pub(crate) fn encode(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        let (centred, centre) = self.config.centred();
+        let (width, stride) = (encoders::of(&centred).width(&centred), encoders::stride(&centred));
+        let space = Space::<f32>::new(&centred.scene);
+        let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
+        let mut out = backend.zeros::<Radiance>(0);
+        let all = Mutex::new(vec![0.0; queries.len() * width]);
+        for (i, queries) in queries.chunks(PLACES_AT_ONCE).enumerate() {
+            let (rays, intervals, spheres) = parts(queries, &space, centre.to_array());
+            let work = |work: &mut Workspace<B>, span: Range<u32>| {
+                let own = span.start as usize..span.end as usize;
+                backend.submit();
+                work.rays.place(backend, &rays[own.clone()]);
+                work.samples.place(backend, &intervals[own.clone()], &spheres[own.clone()]);
+                let Workspace { lane, rays, samples, tape, radiance, encoding, features, .. } = work;
+                stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
+                // The map's own result; it is not used.
+                stages.field.density(lane, samples, features, tape, radiance);
+                let rows = backend.read(features);
+                let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+                let first = (i * PLACES_AT_ONCE + own.start) * width;
+                let into = all[first..].chunks_exact_mut(width);
+                into.zip(rows.chunks_exact(stride)).take(own.len()).for_each(|(to, from)| {
+                    to.copy_from_slice(&from[..width]);
+                });
+            };
+            let count = queries.len() as u32;
+            backend.install(|| {
+                backend.map_spans(&stages.field, count, PLACES_PER_SPAN, &mut out, &work, &|work| {
+                    &work.radiance
+                });
+            });
+            backend.health()?;
+        }
+        Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner))
     }
 }
 

@@ -49,6 +49,24 @@ pub trait Store {
     fn evaluated(&mut self) -> Result<()>;
 }
 
+/// Looks at a run while it goes on.
+pub trait Onlooker {
+    /// Called between two steps; its time does not count as training, so a run is paused by waiting here. Returns true to get
+    /// the model as it is.
+    fn between(&mut self, totals: &Totals) -> bool {
+        let _ = totals;
+        false
+    }
+
+    /// Receives the model.
+    fn model(&mut self, model: Model) {
+        drop(model);
+    }
+}
+
+/// Nobody looks.
+impl Onlooker for () {}
+
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
@@ -72,6 +90,8 @@ pub struct Run<'a> {
     pub store: &'a mut dyn Store,
     /// Receives the events.
     pub events: &'a mut dyn EventSink,
+    /// Looks at the model between steps.
+    pub onlooker: &'a mut dyn Onlooker,
     /// Set by another thread to stop the run after the current step.
     pub stop: &'a AtomicBool,
     /// Counters at the last evaluation of an earlier part of the run; zero if there is none. Points of the curve that lie
@@ -166,6 +186,10 @@ impl Run<'_> {
                 self.log(&report, &totals, &logged_totals, &keeper);
                 logged_totals = totals;
                 told = self.tell(told);
+            }
+            if self.onlooker.between(&totals) {
+                let model = self.session.model()?;
+                self.onlooker.model(model);
             }
             let every = self.config.train.checkpoint_seconds;
             if every > 0.0 && totals.seconds - saved >= every && !done {

@@ -2,7 +2,8 @@
 //! trains.
 
 use crate::{
-    Camera, Frame, Query, Result, batch::Radiance, checkpoint::Checkpoint, events::Totals, model::Model,
+    Aabb, Camera, Error, Frame, Query, Result, batch::Radiance, checkpoint::Checkpoint, events::Totals,
+    model::Model,
 };
 
 /// Report on one training step. A device that runs ahead reports the latest step that it has finished.
@@ -64,6 +65,35 @@ pub trait Viewer: Send {
     /// When the device fails.
     fn densities(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
         Ok(self.query(queries)?.into_iter().map(|radiance| radiance.density).collect())
+    }
+
+    /// The encoder's features at places of the world: [queries, [width](crate::encoders::Definition::width)], row by row.
+    ///
+    /// # Errors
+    /// When the device fails, or this viewer has no encoder.
+    fn features(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        let _ = queries;
+        Err(Error::run("this viewer has no features"))
+    }
+
+    /// Number of samples in each pixel whose colour is evaluated, those of all its cones together.
+    ///
+    /// # Errors
+    /// As [`render`](Self::render), or when this viewer has no samples.
+    fn samples(&mut self, camera: &Camera) -> Result<Vec<u32>> {
+        let _ = camera;
+        Err(Error::run("this viewer has no samples"))
+    }
+
+    /// Renders only the cells of the occupancy grid whose centre is in `keep`, a box of the world; `None` = all.
+    ///
+    /// # Errors
+    /// When this viewer cannot leave cells out, as one in training.
+    fn clip(&mut self, keep: Option<&Aabb<f64>>) -> Result<()> {
+        match keep {
+            None => Ok(()),
+            Some(_) => Err(Error::run("this viewer cannot be clipped")),
+        }
     }
 }
 

@@ -9,10 +9,10 @@ const AGAIN = [300, 5000];
 export class Link {
   /**
    * `picture(header, jpeg, milliseconds)` is called with every picture and the time since its request was made, `failed(text)`
-   * with every error, `state(open)` when the socket opens or breaks.
+   * with every error, `training(run)` with the state of the run that is watched, `state(open)` when the socket opens or breaks.
    */
-  constructor({ picture, failed, state }) {
-    Object.assign(this, { picture, failed, state });
+  constructor({ picture, failed, training, state }) {
+    Object.assign(this, { picture, failed, training, state });
     this.id = 0;
     this.wanted = null;
     this.sent = new Map();
@@ -41,8 +41,10 @@ export class Link {
 
   receive(data) {
     if (typeof data === "string") {
+      const words = JSON.parse(data);
+      if (words.training) return this.training(words.training);
       this.busy = null;
-      this.failed(JSON.parse(data).error);
+      this.failed(words.error);
       return this.flush();
     }
     const length = new DataView(data).getUint32(0, true);
@@ -60,6 +62,11 @@ export class Link {
     this.last = request;
     this.wanted = { ...request, made: performance.now() };
     this.flush();
+  }
+
+  /** Steers the run: "pause", "resume" or "stop". */
+  command(command) {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ command }));
   }
 
   flush() {

@@ -2,7 +2,9 @@
 
 import { Orbit } from "./orbit.js";
 import { Link } from "./link.js";
+import { gestures } from "./gestures.js";
 import { drawFrusta } from "./frusta.js";
+import { steer, tell } from "./training.js";
 
 const find = (id) => document.getElementById(id);
 const [view, photo, frusta] = [find("view"), find("photo"), find("frusta")];
@@ -27,6 +29,8 @@ for (const { split, views } of scene.cameras) {
   find("cameras").append(group);
 }
 
+find("show").querySelector("[value=level]").disabled = !scene.levels;
+
 const orbit = new Orbit(scene.box, scene.up, Number(find("fov").value));
 /** The chosen photograph: its set, its index, and its camera. */
 let chosen = null;
@@ -38,8 +42,11 @@ const times = [];
 const link = new Link({
   picture: receive,
   failed: (text) => say(text),
+  training: tell,
   state: (open) => say(open ? "" : "The program does not answer. Trying again…"),
 });
+
+if (scene.training) steer((command) => link.command(command));
 
 function say(text) {
   find("message").textContent = text;
@@ -71,7 +78,43 @@ function request(moving) {
     renderer: find("renderer").value,
     moving,
     photo: chosen ? { split: chosen.split, index: chosen.index } : null,
+    clip: clip(),
   });
+}
+
+/** Two sliders for each axis: the ends of the part of the box that is shown. */
+const clips = ["x", "y", "z"].map((axis) =>
+  [0, 100].map((value, end) => {
+    const label = `${end ? "upper" : "lower"} end of the box along ${axis}`;
+    const slider = Object.assign(document.createElement("input"), { type: "range", min: 0, max: 100, value });
+    slider.setAttribute("aria-label", label);
+    slider.addEventListener("input", changed);
+    return slider;
+  }),
+);
+clips.forEach((ends, axis) => {
+  const label = Object.assign(document.createElement("label"), { textContent: "xyz"[axis] });
+  label.append(...ends);
+  find("clips").append(label);
+});
+find("unclip").addEventListener("click", () => {
+  clips.forEach((ends) => ends.forEach((slider, end) => (slider.value = end ? 100 : 0)));
+  settled();
+});
+
+/** The part of the box that is shown, or null for all. */
+function clip() {
+  const whole = clips.every(([low, high]) => low.value === "0" && high.value === "100");
+  find("unclip").disabled = whole;
+  if (whole) return null;
+  const { min, max } = scene.box;
+  const at = (axis, share) => min[axis] + share * (max[axis] - min[axis]);
+  const parts = clips.map(([low, high]) => {
+    const ends = [low, high].map((slider) => Number(slider.value) / 100).sort((a, b) => a - b);
+    // A box without inside shows a slice.
+    return ends[0] === ends[1] ? [ends[0] - 0.005, ends[1] + 0.005] : ends;
+  });
+  return [0, 1].map((end) => parts.map((part, axis) => at(axis, part[end])));
 }
 
 let still = null;
@@ -110,6 +153,12 @@ async function receive(header, jpeg, waited) {
   find("rendered").textContent = `${header.rendered.toFixed(0)} ms`;
   find("waited").textContent = waited === null ? "–" : `${waited.toFixed(0)} ms`;
   find("rate").textContent = String(times.length);
+  find("range").hidden = !header.range;
+  if (header.range) {
+    const short = (value) => (Number.isInteger(value) ? String(value) : value.toFixed(2));
+    [find("least").textContent, find("most").textContent] = header.range.map(short);
+    find("range").querySelector(".scale").classList.toggle("grey", find("show").value === "depth");
+  }
   find("size").textContent = `${header.width}×${header.height}, ${(jpeg.size / 1024).toFixed(1)} KB${header.done ? "" : " …"}`;
   view.dataset.id = header.id;
   view.dataset.done = header.done;
@@ -161,67 +210,7 @@ function leave() {
   }
 }
 
-const pointers = new Map();
-view.addEventListener("pointerdown", (event) => {
-  view.setPointerCapture(event.pointerId);
-  pointers.set(event.pointerId, [event.clientX, event.clientY]);
-});
-for (const end of ["pointerup", "pointercancel"]) {
-  view.addEventListener(end, (event) => pointers.delete(event.pointerId));
-}
-view.addEventListener("pointermove", (event) => {
-  const before = pointers.get(event.pointerId);
-  if (!before) return;
-  const now = [event.clientX, event.clientY];
-  const by = [now[0] - before[0], now[1] - before[1]];
-  const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
-  pointers.set(event.pointerId, now);
-  if (by[0] === 0 && by[1] === 0) return;
-  leave();
-  const width = view.clientWidth;
-  if (other) {
-    const apart = (at) => Math.max(Math.hypot(at[0] - other[0], at[1] - other[1]), 1);
-    orbit.zoom(apart(before) / apart(now));
-    orbit.pan(-0.5 * by[0] / width, 0.5 * by[1] / width);
-  } else if (event.shiftKey || event.buttons & 6) {
-    orbit.pan(-by[0] / width, by[1] / width);
-  } else {
-    orbit.turn((-4 * by[0]) / width, (4 * by[1]) / width);
-  }
-  changed();
-});
-view.addEventListener("contextmenu", (event) => event.preventDefault());
-view.addEventListener(
-  "wheel",
-  (event) => {
-    event.preventDefault();
-    leave();
-    orbit.zoom(Math.exp(Math.min(Math.max(event.deltaY, -200), 200) / 500));
-    changed();
-  },
-  { passive: false },
-);
-view.addEventListener("keydown", (event) => {
-  const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-  const zooms = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 };
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  if (event.key in steps) {
-    const [x, y] = steps[event.key];
-    leave();
-    if (event.shiftKey) orbit.pan(0.05 * x, 0.05 * y);
-    else orbit.turn(0.1 * x, 0.1 * y);
-  } else if (event.key in zooms) {
-    leave();
-    orbit.zoom(zooms[event.key]);
-  } else if (event.key === "Home") {
-    leave();
-    orbit.home();
-  } else {
-    return;
-  }
-  event.preventDefault();
-  changed();
-});
+gestures(view, orbit, changed, leave);
 
 function label() {
   find("fov-value").textContent = `${Math.round(currentFov())}°`;

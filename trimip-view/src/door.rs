@@ -1,8 +1,9 @@
 //! The server: the page and its modules, photographs, and the web socket. Only who knows the token of the address may enter,
 //! and no page of another origin.
 
+use crate::page;
 use crate::picture;
-use crate::protocol::{MOST_BYTES, MOST_SIDE, Photo, Request, Split};
+use crate::protocol::{self, Command, MOST_BYTES, MOST_SIDE, Photo, Split};
 use crate::scene::{Renderers, Scene};
 use crate::studio::{Answer, Studio};
 use axum::Router;
@@ -23,12 +24,14 @@ use trimip_core::{Error, Result};
 const MOST_PAGES: usize = 64;
 
 /// The files of the page: name, type, text.
-const FILES: [(&str, &str, &str); 6] = [
+const FILES: [(&str, &str, &str); 8] = [
     ("", "text/html; charset=utf-8", include_str!("../page/index.html")),
-    ("style.css", "text/css; charset=utf-8", include_str!("../page/style.css")),
+    ("style.css", "text/css; charset=utf-8", page::STYLE),
     ("main.js", "text/javascript; charset=utf-8", include_str!("../page/main.js")),
-    ("orbit.js", "text/javascript; charset=utf-8", include_str!("../page/orbit.js")),
+    ("orbit.js", "text/javascript; charset=utf-8", page::ORBIT),
+    ("gestures.js", "text/javascript; charset=utf-8", page::GESTURES),
     ("link.js", "text/javascript; charset=utf-8", include_str!("../page/link.js")),
+    ("training.js", "text/javascript; charset=utf-8", include_str!("../page/training.js")),
     ("frusta.js", "text/javascript; charset=utf-8", include_str!("../page/frusta.js")),
 ];
 
@@ -42,6 +45,40 @@ struct Hall {
     about: String,
     scene: Arc<Scene>,
     studio: Studio,
+    /// The state of the run that is watched, as JSON; empty without a run.
+    news: watch::Sender<Arc<str>>,
+    /// Takes what a page does to the run; `None` without a run.
+    steer: Option<Steer>,
+}
+
+/// What takes the commands of pages.
+pub type Steer = Box<dyn Fn(Command) + Send + Sync>;
+
+/// An address that is bound, and the token that will be asked for. Pages wait until the door opens.
+pub struct Threshold {
+    listener: std::net::TcpListener,
+    token: String,
+    /// The address to open, with its token.
+    pub address: String,
+}
+
+impl Threshold {
+    /// Binds an address; port 0 takes a free one.
+    ///
+    /// # Errors
+    /// When the address is taken or cannot be bound.
+    pub fn bind(at: SocketAddr) -> Result<Self> {
+        let failed = |error: std::io::Error| {
+            let advice = "choose another --bind or --port";
+            Error::input(format!("{at}"), format!("cannot listen: {error}"), advice)
+        };
+        let listener = std::net::TcpListener::bind(at).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let own = listener.local_addr().map_err(failed)?;
+        let token = token()?;
+        let address = format!("http://{own}/{token}/");
+        Ok(Self { listener, token, address })
+    }
 }
 
 /// A server that runs.
@@ -54,32 +91,30 @@ pub struct Door {
 }
 
 impl Door {
-    /// Opens the door at an address; port 0 takes a free one.
+    /// Opens the door. With `steer`, the pages watch a run.
     ///
     /// # Errors
-    /// When the address is taken or cannot be bound, or no thread can be started.
-    pub fn open(at: SocketAddr, scene: Scene, renderers: Renderers) -> Result<Self> {
-        let about = scene.describe(&renderers.names(), &renderers.device()).to_string();
+    /// When no thread can be started.
+    pub fn open(
+        threshold: Threshold,
+        scene: Scene,
+        renderers: Renderers,
+        steer: Option<Steer>,
+    ) -> Result<Self> {
+        let Threshold { listener, token, address } = threshold;
+        let mut about = scene.describe(&renderers.names(), &renderers.device());
+        about["training"] = steer.is_some().into();
         let scene = Arc::new(scene);
         let studio = Studio::start(Arc::clone(&scene), renderers)?;
-        let hall = Arc::new(Hall { token: token()?, about, scene, studio });
-        let failed = |error: std::io::Error| {
-            Error::input(
-                format!("{at}"),
-                format!("cannot listen: {error}"),
-                "choose another --bind or --port",
-            )
-        };
-        let listener = std::net::TcpListener::bind(at).map_err(failed)?;
-        listener.set_nonblocking(true).map_err(failed)?;
-        let own = listener.local_addr().map_err(failed)?;
+        let news = watch::channel(Arc::from("")).0;
+        let hall = Arc::new(Hall { token, about: about.to_string(), scene, studio, news, steer });
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
             .map_err(|error| Error::device(format!("cannot start the server: {error}")))?;
         let (stop, mut stopped) = watch::channel(false);
         let routes = Router::new()
-            .route("/{token}/", get(page))
+            .route("/{token}/", get(front))
             .route("/{token}/scene.json", get(about_scene))
             .route("/{token}/photo/{split}/{index}", get(photograph))
             .route("/{token}/socket", get(socket))
@@ -107,13 +142,17 @@ impl Door {
             .name("server".into())
             .spawn(serve)
             .map_err(|error| Error::device(format!("cannot start the server: {error}")))?;
-        let address = format!("http://{own}/{}/", hall.token);
         Ok(Self { address, hall, stop, thread: Some(thread) })
     }
 
-    /// Number of pages that watch.
-    pub fn watchers(&self) -> usize {
-        self.hall.studio.watchers()
+    /// The thread that renders.
+    pub fn studio(&self) -> &Studio {
+        &self.hall.studio
+    }
+
+    /// Tells every page, also those that come later, the state of the run: JSON.
+    pub fn tell(&self, news: &str) {
+        self.hall.news.send_replace(Arc::from(news));
     }
 }
 
@@ -162,7 +201,7 @@ fn text(kind: &'static str, body: String) -> Response {
     (headers, body).into_response()
 }
 
-async fn page(State(hall): State<Arc<Hall>>, Path(token): Path<String>, headers: HeaderMap) -> Answered {
+async fn front(State(hall): State<Arc<Hall>>, Path(token): Path<String>, headers: HeaderMap) -> Answered {
     file(State(hall), Path((token, String::new())), headers).await
 }
 
@@ -229,14 +268,23 @@ async fn socket(
 /// Takes the requests of a page and sends it the newest answer, until it leaves.
 async fn attend(hall: Arc<Hall>, mut socket: WebSocket) {
     let (id, mut answers) = hall.studio.enter();
+    let mut news = hall.news.subscribe();
+    news.mark_changed();
     loop {
         let sent = tokio::select! {
             message = socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => match Request::read(&text) {
-                    Ok(request) => {
+                Some(Ok(Message::Text(text))) => match protocol::Message::read(&text) {
+                    Ok(protocol::Message::View(request)) => {
                         hall.studio.ask(id, request);
                         Ok(())
                     }
+                    Ok(protocol::Message::Command(command)) => match &hall.steer {
+                        Some(steer) => {
+                            steer(command);
+                            Ok(())
+                        }
+                        None => socket.send(failure("there is no run to steer")).await,
+                    },
                     Err(error) => socket.send(failure(&error.to_string())).await,
                 },
                 Some(Ok(Message::Binary(_))) => socket.send(failure("a message has to be text")).await,
@@ -252,6 +300,16 @@ async fn attend(hall: Arc<Hall>, mut socket: WebSocket) {
                     Some(Answer::Picture(bytes)) => socket.send(Message::Binary(bytes.to_vec().into())).await,
                     Some(Answer::Failed(error)) => socket.send(failure(&error)).await,
                     None => Ok(()),
+                }
+            }
+            changed = news.changed() => {
+                if changed.is_err() {
+                    break;
+                }
+                let text = Arc::clone(&news.borrow_and_update());
+                match text.is_empty() {
+                    true => Ok(()),
+                    false => socket.send(Message::Text(text.as_ref().into())).await,
                 }
             }
         };

@@ -6,8 +6,10 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage};
 use trimip::view::pictures::{depth, difference, rgb_image};
 use trimip::view::{depth_range, flip_colors, flip_of_pictures};
-use trimip_core::config::SceneConfig;
-use trimip_core::{Camera, Error, Frame, Result};
+use trimip_core::cones::Division;
+use trimip_core::config::EncoderKind;
+use trimip_core::encoders::tri_mip::Pyramid;
+use trimip_core::{Aabb, Camera, Config, Error, Frame, Result, Space};
 
 /// Opacity below which a pixel has no surface.
 const SURFACE: f32 = 0.5;
@@ -21,39 +23,131 @@ const LEAST_BYTES: usize = 8000;
 /// JPEG qualities, tried in order until a picture is small enough.
 const QUALITIES: [u8; 4] = [90, 80, 65, 50];
 
-/// The picture of a frame. `photograph` has its size; a comparison without one shows the colours.
-pub fn picture(
-    frame: &Frame,
-    camera: &Camera,
-    scene: &SceneConfig,
-    show: Show,
-    photograph: Option<&RgbImage>,
-) -> RgbImage {
-    let (width, height) = (frame.width, frame.height);
-    let grey = |values: Vec<f32>| {
-        let rgb: Vec<[f32; 3]> = values.into_iter().map(|value| [value; 3]).collect();
-        rgb_image(width, height, &rgb)
-    };
-    match (show, photograph) {
-        (Show::Opacity, _) => grey(frame.pixels.iter().map(|pixel| pixel.opacity).collect()),
-        (Show::Depth, _) => {
-            let range = depth_range(scene, camera);
-            let span = (range.far - range.near).max(f32::MIN_POSITIVE);
-            grey(depth(frame, range.far).into_iter().map(|depth| 1.0 - (depth - range.near) / span).collect())
-        }
-        (Show::Normals, _) => normals(frame, camera),
-        (Show::Difference, Some(photograph)) => {
-            let target: Vec<[f32; 3]> =
-                photograph.pixels().map(|pixel| pixel.0.map(|value| f32::from(value) / 255.0)).collect();
-            rgb_image(width, height, &difference(&frame.rgb(), &target))
-        }
-        (Show::Flip, Some(photograph)) => {
-            let own = rgb_image(width, height, &frame.rgb());
-            let errors = flip_of_pictures(&own, photograph);
-            errors.and_then(|errors| flip_colors(width, height, &errors)).unwrap_or(own)
-        }
-        _ => rgb_image(width, height, &frame.rgb()),
+/// A rendered view and what stands beside it.
+pub struct Seen<'a> {
+    /// The view.
+    pub frame: &'a Frame,
+    /// Its camera.
+    pub camera: &'a Camera,
+    /// Settings of the model.
+    pub config: &'a Config,
+    /// Samples of each pixel; empty if they were not asked for.
+    pub samples: &'a [u32],
+    /// The photograph of the view, of the frame's size.
+    pub photograph: Option<&'a RgbImage>,
+}
+
+/// A picture, and what the ends of its scale of colours mean.
+pub struct Shown {
+    /// The picture.
+    pub picture: RgbImage,
+    /// The values of the darkest and the brightest colour; `None` without such a scale.
+    pub range: Option<[f32; 2]>,
+}
+
+impl From<RgbImage> for Shown {
+    fn from(picture: RgbImage) -> Self {
+        Self { picture, range: None }
     }
+}
+
+impl Seen<'_> {
+    /// The picture of a view. A comparison without a photograph shows the colours, as do mip levels of an encoder without.
+    pub fn picture(&self, show: Show) -> Shown {
+        let Self { frame, camera, .. } = *self;
+        let (width, height) = (frame.width, frame.height);
+        let own = || rgb_image(width, height, &frame.rgb());
+        let grey = |values: Vec<f32>| {
+            let rgb: Vec<[f32; 3]> = values.into_iter().map(|value| [value; 3]).collect();
+            rgb_image(width, height, &rgb)
+        };
+        match (show, self.photograph) {
+            (Show::Opacity, _) => grey(frame.pixels.iter().map(|pixel| pixel.opacity).collect()).into(),
+            (Show::Depth, _) => {
+                let range = depth_range(&self.config.scene, camera);
+                let span = (range.far - range.near).max(f32::MIN_POSITIVE);
+                let near = |depth| 1.0 - (depth - range.near) / span;
+                let picture = grey(depth(frame, range.far).into_iter().map(near).collect());
+                Shown { picture, range: Some([range.far, range.near]) }
+            }
+            (Show::Normals, _) => normals(frame, camera).into(),
+            (Show::Level, _) => match self.levels() {
+                Some((levels, top)) => self.scaled(&levels, top),
+                None => own().into(),
+            },
+            (Show::Samples, _) => {
+                let counts: Vec<f32> = self.samples.iter().map(|&count| count as f32).collect();
+                let most = counts.iter().copied().fold(1.0, f32::max);
+                self.scaled(&counts, most)
+            }
+            (Show::Difference, Some(photograph)) => {
+                let target: Vec<[f32; 3]> =
+                    photograph.pixels().map(|pixel| pixel.0.map(|value| f32::from(value) / 255.0)).collect();
+                rgb_image(width, height, &difference(&frame.rgb(), &target)).into()
+            }
+            (Show::Flip, Some(photograph)) => {
+                let own = own();
+                let errors = flip_of_pictures(&own, photograph);
+                errors.and_then(|errors| flip_colors(width, height, &errors)).unwrap_or(own).into()
+            }
+            _ => own().into(),
+        }
+    }
+
+    /// Values from 0 to `most` in a scale of colours; black where a value is not a number.
+    fn scaled(&self, values: &[f32], most: f32) -> Shown {
+        let color =
+            |value: &f32| if value.is_nan() { [0.0; 3] } else { scale(value / most.max(f32::MIN_POSITIVE)) };
+        let rgb: Vec<[f32; 3]> = values.iter().map(color).collect();
+        Shown { picture: rgb_image(self.frame.width, self.frame.height, &rgb), range: Some([0.0, most]) }
+    }
+
+    /// The mip level (Eq. 5) of the sphere at the surface of each pixel, and the coarsest one; NaN without surface. A pixel that
+    /// is divided into cones has the level of the first.
+    fn levels(&self) -> Option<(Vec<f32>, f32)> {
+        let Self { frame, camera, config, .. } = *self;
+        if config.encoder.kind != EncoderKind::TriMip {
+            return None;
+        }
+        let (space, aabb) = (Space::<f64>::new(&config.scene), Aabb::<f64>::new(&config.scene));
+        let pyramid = Pyramid::new(&config.encoder, &aabb);
+        let (side, depths) = (Division::new(config).side(camera), depth(frame, f32::NAN));
+        let level = |index: usize| {
+            if frame.pixels[index].opacity < SURFACE {
+                return f32::NAN;
+            }
+            let (x, y) = (index as u32 % frame.width, index as u32 / frame.width);
+            let cone = camera.cone_in::<f64>(x, y, 0, side);
+            let t = f64::from(depths[index]) / cone.cosine;
+            let point = std::array::from_fn(|axis| cone.origin[axis] + t * cone.direction[axis]);
+            let radius = cone.slope * t * space.scale(point);
+            let of = |plane| {
+                let blend = pyramid.blend(plane, radius.log2());
+                blend.lower as f64 + blend.fraction
+            };
+            ((of(0) + of(1) + of(2)) / 3.0) as f32
+        };
+        let top = (pyramid.levels - 1) as f32;
+        Some(((0..frame.pixels.len()).map(level).collect(), top))
+    }
+}
+
+/// Stops of the scale of colours, evenly spaced from 0 to 1: viridis by S. van der Walt and N. Smith, which grows evenly brighter.
+const STOPS: [[f32; 3]; 6] = [
+    [0.267, 0.005, 0.329],
+    [0.254, 0.265, 0.530],
+    [0.164, 0.471, 0.558],
+    [0.134, 0.659, 0.518],
+    [0.478, 0.821, 0.319],
+    [0.993, 0.906, 0.144],
+];
+
+/// The colour of a share of the scale.
+fn scale(share: f32) -> [f32; 3] {
+    let at = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
+    let lower = (at as usize).min(STOPS.len() - 2);
+    let part = at - lower as f32;
+    std::array::from_fn(|c| STOPS[lower][c] + part * (STOPS[lower + 1][c] - STOPS[lower][c]))
 }
 
 /// Directions of the surface from the points that neighbouring pixels see; grey where there is none.
@@ -106,7 +200,7 @@ pub fn jpeg(picture: &RgbImage) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trimip_core::{Config, Intrinsics, Pixel};
+    use trimip_core::{Intrinsics, Pixel};
 
     /// A frame that shows the plane z = `slope`·x, seen from z = 4.
     fn plane(slope: f64) -> (Frame, Camera) {
@@ -141,19 +235,68 @@ mod tests {
         }
     }
 
+    fn seen<'a>(frame: &'a Frame, camera: &'a Camera, config: &'a Config) -> Seen<'a> {
+        Seen { frame, camera, config, samples: &[], photograph: None }
+    }
+
     #[test]
     fn near_is_bright_and_nothing_is_black() {
         let (mut frame, camera) = plane(0.0);
         frame.pixels[0] = Pixel::default();
-        let scene = Config::default().scene;
-        let shown = picture(&frame, &camera, &scene, Show::Depth, None);
-        assert_eq!(shown.get_pixel(0, 0).0, [0; 3]);
-        assert!(shown.get_pixel(4, 4).0[0] > 60);
-        let opacity = picture(&frame, &camera, &scene, Show::Opacity, None);
+        let config = Config::default();
+        let seen = seen(&frame, &camera, &config);
+        let Shown { picture, range } = seen.picture(Show::Depth);
+        assert_eq!(picture.get_pixel(0, 0).0, [0; 3]);
+        assert!(
+            picture.get_pixel(4, 4).0[0] > 60 && range.is_some_and(|[far, near]| far > 4.0 && near < 4.0)
+        );
+        let opacity = seen.picture(Show::Opacity).picture;
         assert_eq!((opacity.get_pixel(0, 0).0, opacity.get_pixel(4, 4).0), ([0; 3], [255; 3]));
         let same = rgb_image(9, 9, &frame.rgb());
-        let none = picture(&frame, &camera, &scene, Show::Difference, Some(&same));
+        let none = Seen { photograph: Some(&same), ..seen }.picture(Show::Difference).picture;
         assert!(none.pixels().all(|pixel| pixel.0.iter().all(|value| *value < 5)));
+    }
+
+    #[test]
+    fn levels_follow_the_equation_and_grow_by_one_with_twice_the_distance() {
+        let mut config = Config::default();
+        config.encoder.plane_size = 512;
+        config.encoder.levels = 8;
+        config.encoder.mipmap = true;
+        let middle = |distance: f64| {
+            let camera = Camera::look_at(
+                Intrinsics::from_angle(9, 9, 0.6),
+                distance * DVec3::Z,
+                DVec3::ZERO,
+                DVec3::Y,
+            );
+            let pixel = Pixel { rgb: [0.5; 3], opacity: 1.0, depth: distance as f32 };
+            let frame = Frame { width: 9, height: 9, pixels: vec![pixel; 81] };
+            let seen = seen(&frame, &camera, &config);
+            let (levels, top) = seen.levels().unwrap();
+            assert_eq!((top, seen.picture(Show::Level).range), (7.0, Some([0.0, 7.0])));
+            // r of the middle pixel: of the sphere within the cone of a disc of its area (Eq. 3).
+            let disc = 1.0 / camera.intrinsics.fx / std::f64::consts::PI.sqrt();
+            let radius = distance * disc.atan().sin();
+            let base = Pyramid::new(&config.encoder, &Aabb::new(&config.scene)).log2_base_radius;
+            let expected = radius.log2() - base.iter().sum::<f64>() / 3.0;
+            assert!((f64::from(levels[40]) - expected).abs() < 1e-5, "{} {expected}", levels[40]);
+            levels[40]
+        };
+        let (near, far) = (middle(0.5), middle(1.0));
+        assert!((far - near - 1.0).abs() < 1e-4, "{near} {far}");
+    }
+
+    #[test]
+    fn samples_have_a_scale_from_none_to_most() {
+        let (frame, camera) = plane(0.0);
+        let (config, mut counts) = (Config::default(), [0; 81]);
+        counts[80] = 50;
+        let Shown { picture, range } =
+            Seen { samples: &counts, ..seen(&frame, &camera, &config) }.picture(Show::Samples);
+        assert_eq!(range, Some([0.0, 50.0]));
+        assert_eq!(picture.get_pixel(0, 0).0, STOPS[0].map(|c| (255.0 * c).round() as u8));
+        assert_eq!(picture.get_pixel(8, 8).0, STOPS[5].map(|c| (255.0 * c).round() as u8));
     }
 
     #[test]

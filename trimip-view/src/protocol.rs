@@ -23,6 +23,10 @@ pub enum Show {
     Depth,
     /// Direction of the surface, from neighbouring depths: x, y, z of the world as red, green, blue.
     Normals,
+    /// Mip level that the surface is read from, fine to coarse; the mean of the three planes.
+    Level,
+    /// Number of samples whose colour is evaluated, few to many.
+    Samples,
     /// Absolute difference to the photograph, four times as bright.
     Difference,
     /// FLIP errors to the photograph.
@@ -89,6 +93,49 @@ pub struct Request {
     /// The photograph whose camera takes the place of `pose`, `fov` and the ratio of the sides.
     #[serde(default)]
     pub photo: Option<Photo>,
+    /// The part of the box that is shown: its two corners, world units.
+    #[serde(default)]
+    pub clip: Option<[[f64; 3]; 2]>,
+}
+
+/// What a page does to the run that it watches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Command {
+    /// No step is done until [`Command::Resume`].
+    Pause,
+    /// Steps are done again.
+    Resume,
+    /// The run ends after the step and saves, as by Ctrl-C.
+    Stop,
+}
+
+/// A message of a page.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// It asks for a view.
+    View(Request),
+    /// It steers the run.
+    Command(Command),
+}
+
+impl Message {
+    /// Reads a message.
+    ///
+    /// # Errors
+    /// When it is neither, or a number is out of range; the text is shown on the page.
+    pub fn read(text: &str) -> Result<Self> {
+        /// `{"command": "pause"}`.
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Steering {
+            command: Command,
+        }
+        match serde_json::from_str::<Steering>(text) {
+            Ok(steering) => Ok(Self::Command(steering.command)),
+            Err(_) => Request::read(text).map(Self::View),
+        }
+    }
 }
 
 impl Request {
@@ -111,6 +158,11 @@ impl Request {
         }
         if request.show.compares() && request.photo.is_none() {
             return refuse("a comparison without a photograph".into());
+        }
+        if let Some([low, high]) = request.clip
+            && !(0..3).all(|axis| low[axis] < high[axis])
+        {
+            return refuse("a clipping box without inside".into());
         }
         request.camera(None)?;
         Ok(request)
@@ -145,6 +197,9 @@ pub struct Header {
     pub waited: f64,
     /// True if no finer picture follows.
     pub done: bool,
+    /// What the darkest and the brightest colour of the picture mean, where it shows a quantity by a scale of colours.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<[f32; 2]>,
 }
 
 /// A binary message: header and picture.
@@ -181,9 +236,20 @@ mod tests {
             json("").replace("[1,0,0,0,", "["),
             json("").replace("color", "flip"),
             json("").replace("color", "taste"),
+            json(r#","clip":[[0,0,0],[1,0,1]]"#),
+            json(r#","clip":[[0,0],[1,1]]"#),
         ];
         for text in broken {
             assert!(Request::read(&text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_message_asks_or_steers() {
+        assert_eq!(Message::read(r#"{"command":"pause"}"#).unwrap(), Message::Command(Command::Pause));
+        assert!(matches!(Message::read(&json("")).unwrap(), Message::View(request) if request.id == 7));
+        for text in [r#"{"command":"jump"}"#, r#"{"command":"stop","more":1}"#, "3"] {
+            assert!(Message::read(text).is_err(), "{text}");
         }
     }
 
@@ -203,7 +269,8 @@ mod tests {
 
     #[test]
     fn a_message_is_length_header_picture() {
-        let header = Header { id: 1, width: 2, height: 3, rendered: 4.0, waited: 5.0, done: true };
+        let header =
+            Header { id: 1, width: 2, height: 3, rendered: 4.0, waited: 5.0, done: true, range: None };
         let bytes = message(&header, b"jpeg");
         let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
         assert_eq!(serde_json::from_slice::<Header>(&bytes[4..4 + length]).unwrap(), header);

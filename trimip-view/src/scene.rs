@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use trimip::view::pictures::rgb_image;
 use trimip::{backends, settings};
-use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, model::Model};
+use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, model::Model};
 
 /// Photographs that are kept decoded.
 const KEPT: usize = 4;
@@ -34,18 +34,23 @@ impl Scene {
     pub fn open(path: &Path, assignments: &[String]) -> Result<(Self, Renderers)> {
         let mut model = trimip::read_model(path)?;
         settings::override_model(&mut model, assignments)?;
+        let stem = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+        let name = if path.is_dir() { stem(path) } else { path.parent().and_then(stem) };
+        Self::of(name.unwrap_or_else(|| "model".into()), model)
+    }
+
+    /// A model by this name, and its photographs.
+    ///
+    /// # Errors
+    /// When the backend cannot load it. Missing photographs are a note.
+    pub fn of(name: String, model: Model) -> Result<(Self, Renderers)> {
         let renderers = Renderers::open(&model)?;
         let (photographs, mut notes) = match Photographs::open(&model.config) {
             Ok(photographs) => (photographs, Vec::new()),
             Err(error) => (Photographs::none(), vec![format!("no photographs: {error}")]),
         };
         notes.extend(renderers.notes());
-        let stem = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
-        let name = if path.is_dir() { stem(path) } else { path.parent().and_then(stem) };
-        Ok((
-            Self { name: name.unwrap_or_else(|| "model".into()), config: model.config, photographs, notes },
-            renderers,
-        ))
+        Ok((Self { name, config: model.config, photographs, notes }, renderers))
     }
 
     /// What a page is told when it opens.
@@ -60,6 +65,7 @@ impl Scene {
             "background": self.config.data.background,
             "renderers": renderers,
             "flip": cfg!(feature = "flip"),
+            "levels": self.config.encoder.kind == EncoderKind::TriMip,
             "notes": self.notes,
             "cameras": self.photographs.describe(),
         })

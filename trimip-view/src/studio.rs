@@ -1,8 +1,9 @@
 //! The thread that renders. Each page has one request, its newest. Pages take turns; a coarse picture of one goes before a
-//! fine picture of another, and a fine picture that somebody waits behind is given up and begun anew later.
+//! fine picture of another, and a fine picture that somebody waits behind is given up and begun anew later. While a model is
+//! in training, each newer state of it is loaded between two pictures, and every page gets its view of it.
 
-use crate::picture::{jpeg, picture};
-use crate::protocol::{Header, Request, message};
+use crate::picture::{Seen, jpeg};
+use crate::protocol::{Header, Request, Show, message};
 use crate::scene::{Renderers, Scene};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
@@ -10,7 +11,8 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use trimip::view::cameras::resized;
-use trimip_core::{Camera, Error, Result};
+use trimip_core::model::Model;
+use trimip_core::{Aabb, Camera, Error, Result};
 
 /// Time of a coarse picture.
 const COARSE: Duration = Duration::from_millis(70);
@@ -39,6 +41,8 @@ pub enum Answer {
 /// A page that watches.
 struct Client {
     request: Option<(Request, Instant)>,
+    /// The newest request, served or not.
+    last: Option<Request>,
     /// True if the request has had its coarse picture.
     begun: bool,
     answers: watch::Sender<Option<Answer>>,
@@ -50,6 +54,8 @@ struct Desk {
     next: u64,
     /// The page that was served last.
     last: u64,
+    /// A newer state of the model, to be loaded.
+    model: Option<Model>,
     closed: bool,
 }
 
@@ -97,7 +103,9 @@ impl Studio {
     pub fn start(scene: Arc<Scene>, mut renderers: Renderers) -> Result<Self> {
         let shared = Arc::new(Shared::default());
         let own = Arc::clone(&shared);
-        let work = move || Painter { scene, speed: BTreeMap::new(), shared: own }.run(&mut renderers);
+        let work = move || {
+            Painter { scene, speed: BTreeMap::new(), shared: own, clips: BTreeMap::new() }.run(&mut renderers)
+        };
         let thread = thread::Builder::new()
             .name("render".into())
             .spawn(work)
@@ -111,7 +119,7 @@ impl Studio {
         desk.next += 1;
         let (answers, receiver) = watch::channel(None);
         let id = desk.next;
-        desk.clients.insert(id, Client { request: None, begun: false, answers });
+        desk.clients.insert(id, Client { request: None, last: None, begun: false, answers });
         (id, receiver)
     }
 
@@ -123,10 +131,22 @@ impl Studio {
     /// A page asks for a view; its earlier request is forgotten.
     pub fn ask(&self, id: u64, request: Request) {
         if let Some(client) = self.shared.desk().clients.get_mut(&id) {
+            client.last = Some(request.clone());
             client.request = Some((request, Instant::now()));
             client.begun = false;
         }
         self.shared.bell.notify_all();
+    }
+
+    /// Shows a newer state of the model from now on; an earlier one that was not loaded yet is dropped.
+    pub fn show(&self, model: Model) {
+        self.shared.desk().model = Some(model);
+        self.shared.bell.notify_all();
+    }
+
+    /// True while a newer state of the model waits to be loaded.
+    pub fn is_behind(&self) -> bool {
+        self.shared.desk().model.is_some()
     }
 
     /// A page leaves.
@@ -149,12 +169,29 @@ struct Painter {
     scene: Arc<Scene>,
     /// Pixels per second, by renderer.
     speed: BTreeMap<crate::protocol::Renderer, f64>,
+    /// The clipping box of each renderer.
+    clips: BTreeMap<crate::protocol::Renderer, [[f64; 3]; 2]>,
     shared: Arc<Shared>,
+}
+
+/// What the render thread does next.
+enum Work {
+    /// Loads a newer state of the model.
+    Load(Box<Model>),
+    /// Serves page `id`; the time of its request, and true if it has a coarse picture.
+    Serve(u64, Request, Instant, bool),
 }
 
 impl Painter {
     fn run(mut self, renderers: &mut Renderers) {
-        while let Some((id, request, asked, begun)) = self.next() {
+        while let Some(work) = self.next() {
+            let (id, request, asked, begun) = match work {
+                Work::Serve(id, request, asked, begun) => (id, request, asked, begun),
+                Work::Load(model) => {
+                    self.load(renderers, &model);
+                    continue;
+                }
+            };
             let outcome = self.serve(renderers, id, &request, asked, begun);
             let mut desk = self.shared.desk();
             let Some(client) = desk.clients.get_mut(&id) else { continue };
@@ -178,19 +215,42 @@ impl Painter {
     }
 
     /// Waits for a request; `None` when the studio closes.
-    fn next(&self) -> Option<(u64, Request, Instant, bool)> {
+    fn next(&self) -> Option<Work> {
         let mut desk = self.shared.desk();
         loop {
             if desk.closed {
                 return None;
             }
+            if let Some(model) = desk.model.take() {
+                return Some(Work::Load(Box::new(model)));
+            }
             if let Some(id) = desk.choose() {
                 desk.last = id;
                 let client = desk.clients.get(&id)?;
                 let (request, asked) = client.request.clone()?;
-                return Some((id, request, asked, client.begun));
+                return Some(Work::Serve(id, request, asked, client.begun));
             }
             desk = self.shared.bell.wait(desk).unwrap_or_else(|poisoned| poisoned.into_inner());
+        }
+    }
+
+    /// Loads a state of the model; every page asks again for what it saw last.
+    fn load(&mut self, renderers: &mut Renderers, model: &Model) {
+        let loaded = Renderers::open(model);
+        let mut desk = self.shared.desk();
+        match loaded {
+            Ok(loaded) => {
+                *renderers = loaded;
+                self.clips.clear();
+                for client in desk.clients.values_mut().filter(|client| client.request.is_none()) {
+                    client.request = client.last.clone().map(|request| (request, Instant::now()));
+                    // The last picture stays until the finer one is there.
+                    client.begun = client.request.is_some();
+                }
+            }
+            Err(error) => desk.clients.values().for_each(|client| {
+                client.answers.send_replace(Some(Answer::Failed(error.to_string())));
+            }),
         }
     }
 
@@ -215,6 +275,14 @@ impl Painter {
         let Some(viewer) = renderers.get(request.renderer) else {
             return Err(Error::run("there is no renderer"));
         };
+        if self.clips.get(&request.renderer) != request.clip.as_ref() {
+            let keep = request.clip.map(|[min, max]| Aabb { min, max });
+            viewer.clip(keep.as_ref())?;
+            match request.clip {
+                Some(clip) => self.clips.insert(request.renderer, clip),
+                None => self.clips.remove(&request.renderer),
+            };
+        }
         let started = Instant::now();
         let shared = &self.shared;
         let watch = &mut |_: u32, _: u32| !(begun && shared.desk().interrupts(id));
@@ -226,7 +294,19 @@ impl Painter {
             Some(photo) => Some(photographs.image(photo, frame.width, frame.height)?),
             None => None,
         };
-        let shown = picture(&frame, &camera, &self.scene.config.scene, request.show, photograph.as_ref());
+        let samples = match request.show {
+            Show::Samples => viewer.samples(&camera)?,
+            _ => Vec::new(),
+        };
+        let config = &self.scene.config;
+        let seen = Seen {
+            frame: &frame,
+            camera: &camera,
+            config,
+            samples: &samples,
+            photograph: photograph.as_ref(),
+        };
+        let shown = seen.picture(request.show);
         let done = request.moving || factor >= 1.0;
         let header = Header {
             id: request.id,
@@ -235,8 +315,9 @@ impl Painter {
             rendered: 1e3 * rendered,
             waited: 1e3 * asked.elapsed().as_secs_f64(),
             done,
+            range: shown.range,
         };
-        Ok(Some((message(&header, &jpeg(&shown)?), done)))
+        Ok(Some((message(&header, &jpeg(&shown.picture)?), done)))
     }
 }
 
@@ -254,7 +335,13 @@ mod tests {
     fn client(asks: bool, begun: bool) -> Client {
         let text = r#"{"id":1,"pose":[1,0,0,0,0,1,0,0,0,0,1,4],"fov":50,"width":4,"height":3,"show":"color","renderer":"volume","moving":false}"#;
         let request = Request::read(text).unwrap();
-        Client { request: asks.then(|| (request, Instant::now())), begun, answers: watch::channel(None).0 }
+        let last = Some(request.clone());
+        Client {
+            request: asks.then(|| (request, Instant::now())),
+            last,
+            begun,
+            answers: watch::channel(None).0,
+        }
     }
 
     #[test]

@@ -8,6 +8,7 @@ pub mod exchange;
 pub mod exposure;
 pub mod gradients;
 pub mod hybrid;
+pub mod looking;
 pub mod marching;
 pub mod masks;
 pub mod probes;

@@ -4,7 +4,7 @@
 use super::Bench;
 use crate::fixtures::{Draw, encoded, every_encoder, lively, noise, small};
 use trimip_core::{
-    Backend, Layout, Query, Result, Session, Space, Viewer, backend::Occupancy, batch::Radiance,
+    Backend, Layout, Query, Result, Session, Space, Viewer, backend::Occupancy, batch::Radiance, encoders,
     encoders::Place, exact::Exact, occupancy::OUTSIDE, trainer::Trainer,
 };
 
@@ -124,13 +124,24 @@ pub fn queries<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             .collect();
         let found = trainer.query(&queries)?;
         assert_eq!(found.len(), queries.len());
+        let features = trainer.features(&queries)?;
+        let width = encoders::of(&config).width(&config);
+        assert_eq!(features.len(), queries.len() * width);
         for (i, (query, found)) in queries.iter().zip(&found).enumerate() {
             let radius = f64::from(query.radius);
             let direction = query.direction.map(f64::from);
             // A query stands for an interval as long as its sphere is wide, one side of the box away from the eye.
             let (t, length) = (space.aabb().longest(), 2.0 * radius);
             let place = Place { position: space.to_cube(query.point), radius, direction, t, length };
-            let (density, rgb) = exact.radiance(&exact.features(&place), direction);
+            let expected = exact.features(&place);
+            for (found, expected) in features[i * width..].iter().zip(&expected[..width]) {
+                let apart = (f64::from(*found) - expected).abs();
+                assert!(
+                    apart <= 2e-3 * expected.abs().max(0.1),
+                    "query {i}: feature {found}, not {expected}"
+                );
+            }
+            let (density, rgb) = exact.radiance(&expected, direction);
             let close =
                 |found: f32, expected: f64| (f64::from(found) - expected).abs() <= 2e-3 * expected.max(0.1);
             assert!(
@@ -139,7 +150,7 @@ pub fn queries<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 config.encoder.kind
             );
         }
-        assert!(trainer.query(&[])?.is_empty());
+        assert!(trainer.query(&[])?.is_empty() && trainer.features(&[])?.is_empty());
     }
     Ok(())
 }

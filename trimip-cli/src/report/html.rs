@@ -17,6 +17,7 @@ pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
         warnings(report),
         quality(report),
         curve(report),
+        pictures::around(images.parent().unwrap_or(images))?,
         pictures::sections(report, images)?,
         measure(report),
         course(report),

@@ -6,7 +6,7 @@ use base64::{Engine, prelude::BASE64_STANDARD};
 use image::{RgbImage, codecs::jpeg::JpegEncoder, imageops};
 use std::path::Path;
 use trimip::report::{Report, scale_name};
-use trimip::{Error, Result, run::store::ViewRecord, view::pictures};
+use trimip::{Error, Result, RunFolder, run::store::ViewRecord, view::pictures};
 
 /// Longest side of a picture in a page, pixels.
 const LONGEST: u32 = 1024;
@@ -20,6 +20,17 @@ const JPEG_QUALITY: u8 = 92;
 const THUMBNAIL_QUALITY: u8 = 84;
 /// Number of views listed as the worst and as the best.
 const NAMED: usize = 5;
+
+/// The model of the run folder `root` from all around, and how to turn it; empty without the picture.
+pub fn around(root: &Path) -> Result<String> {
+    let Ok(strip) = image::open(RunFolder::new(root).turntable()) else { return Ok(String::new()) };
+    Ok(format!(
+        "<section><h2>From all around</h2><div class=\"wide\">{}</div><p class=\"lead\">Turn it in a browser: \
+         <code>trimip-cli view {}</code></p></section>\n",
+        embedded(strip.into_rgb8(), "eight views around the model")?,
+        escape(&root.display().to_string())
+    ))
+}
 
 /// Name of a measure of perception, and its value of a view.
 type Perceived = (&'static str, fn(&ViewRecord) -> Option<f64>);

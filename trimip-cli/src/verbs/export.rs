@@ -1,5 +1,7 @@
 //! `export`: writes a model as something that other programs read.
 
+mod web;
+
 use crate::{
     args::{ExportArguments, ExportWhat, MeshArguments},
     interrupt,
@@ -19,6 +21,7 @@ const BAR: u64 = 1000;
 pub fn run(arguments: &ExportArguments) -> Result<u8> {
     match &arguments.what {
         ExportWhat::Mesh(arguments) => export_mesh(arguments),
+        ExportWhat::Web(arguments) => web::export(arguments),
     }
 }
 

@@ -6,11 +6,15 @@ use crate::{
     progress::{Display, Reading, table},
     report, settings, terminal,
 };
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::report::{Report, Status};
-use trimip::{Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
+use trimip::view::{pictures, turntable};
+use trimip::{Config, Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
+use trimip_core::{run::Onlooker, tensors::write_atomically};
+use trimip_view::Audience;
 
 /// Trains with the given settings. All input is validated before any long work begins.
 pub fn run(arguments: &TrainArguments) -> Result<u8> {
@@ -32,7 +36,9 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
             Training::new(given, &root).fresh(arguments.fresh)
         }
     };
-    let trained = train(training.stop_after(arguments.stop_after).since(started), arguments.progress)?;
+    let audience = arguments.view.then(|| watched(&root, arguments.port)).transpose()?;
+    let training = training.stop_after(arguments.stop_after).since(started);
+    let trained = train_before(audience, training, arguments.progress)?;
     conclude(&trained, arguments.progress)
 }
 
@@ -47,22 +53,45 @@ fn extension(arguments: &TrainArguments, root: &Path, time: &str) -> Result<Trai
     Ok(Training::extend(root, seconds, sets))
 }
 
+/// Prints the address at which a browser shows the run of a folder.
+fn watched(root: &Path, port: u16) -> Result<Audience> {
+    let name = root.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned());
+    let at = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port);
+    let audience = Audience::await_at(at, name, interrupt::install()?)?;
+    terminal::aside(format!("watch at {} once the first step is done", audience.address()));
+    Ok(audience)
+}
+
 /// Trains with progress on the terminal; Ctrl-C stops it.
 ///
 /// # Errors
 /// When the settings, the data, the folder or the device are refused.
 pub fn train(training: Training, style: ProgressStyle) -> Result<Trained> {
+    train_before(None, training, style)
+}
+
+/// As [`train`], before an audience.
+fn train_before(audience: Option<Audience>, training: Training, style: ProgressStyle) -> Result<Trained> {
     let stop = interrupt::install()?;
+    let mut nobody = ();
+    let mut onlooker = audience.clone();
     let (display, reading) = (Display::new(style), Reading::default());
     let mut events = |event: &Event| {
         reading.finish();
         display.show(event);
+        if let Some(audience) = &audience {
+            audience.hear(event);
+        }
     };
     let rows = |done, total| {
         reading.rows(done, total);
         !stop.load(Ordering::Relaxed)
     };
-    let listeners = Listeners { events: &mut events, reading: &rows, stop: &stop };
+    let onlooker: &mut dyn Onlooker = match &mut onlooker {
+        Some(audience) => audience,
+        None => &mut nobody,
+    };
+    let listeners = Listeners { events: &mut events, reading: &rows, onlooker, stop: &stop };
     let trained = training.run_with(listeners);
     reading.finish();
     trained
@@ -81,6 +110,9 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
         Ok(Ended::Before) => return already_finished(trained, style, &gather),
         Err(error) => Status::Failed(error.message.clone()),
     };
+    if status == Status::Finished {
+        show_around(folder, config);
+    }
     let report = gather(status);
     let written = report::write(&report, folder);
     if let Some(last) = history.last() {
@@ -104,6 +136,25 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     Ok(if ended == Ended::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
 }
 
+/// Pixels along a side of each view of the strip in a report.
+const STRIP_SIDE: u32 = 192;
+
+/// Writes the strip of views around a finished model, unless it is there. A report without it is complete.
+fn show_around(folder: &RunFolder, config: &Config) {
+    let path = folder.turntable();
+    if path.exists() || config.eval.images == 0 {
+        return;
+    }
+    let drawn = || {
+        let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
+        let strip = turntable::strip(&mut *viewer, &config.scene, STRIP_SIDE)?;
+        write_atomically(&path, &pictures::png(strip)?)
+    };
+    if let Err(error) = drawn() {
+        terminal::aside(format!("warning: no picture of the model from all around: {error}"));
+    }
+}
+
 /// Tells that the folder already holds this run, writes its report again, and returns its exit code. The report may be
 /// that of an earlier stop, of another floor, or half of one.
 fn already_finished<'a>(
@@ -114,6 +165,9 @@ fn already_finished<'a>(
     let (folder, floor) = (&trained.folder, trained.judge());
     let status =
         floor.as_ref().map_or_else(|error| Status::Failed(error.message.clone()), |()| Status::Finished);
+    if status == Status::Finished {
+        show_around(folder, &trained.config);
+    }
     report::write(&gather(status), folder)?;
     Display::new(style).show(&Event::Plan {
         lines: vec![format!(

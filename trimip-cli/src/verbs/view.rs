@@ -7,7 +7,7 @@ use std::thread;
 use std::time::Duration;
 use trimip::backends;
 use trimip_core::Result;
-use trimip_view::{Door, Scene};
+use trimip_view::{Door, Scene, Threshold};
 
 /// How often the program looks whether it should end.
 const LOOK: Duration = Duration::from_millis(50);
@@ -20,7 +20,8 @@ pub fn run(arguments: &ViewArguments) -> Result<u8> {
         .for_each(|remark| terminal::aside(format!("warning: {remark}")));
     scene.notes.iter().for_each(|note| terminal::aside(format!("warning: {note}")));
     let stop = interrupt::install_for("ending; press Ctrl-C again to end at once")?;
-    let door = Door::open(SocketAddr::new(arguments.bind, arguments.port), scene, renderers)?;
+    let threshold = Threshold::bind(SocketAddr::new(arguments.bind, arguments.port))?;
+    let door = Door::open(threshold, scene, renderers, None)?;
     if !arguments.bind.is_loopback() {
         terminal::aside("warning: everybody who knows the address below can look, and nothing is encrypted");
     }

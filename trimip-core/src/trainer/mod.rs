@@ -276,6 +276,14 @@ impl<B: Backend> Viewer for Trainer<B> {
     fn densities(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
         self.loaded.densities(queries)
     }
+
+    fn features(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        self.loaded.features(queries)
+    }
+
+    fn samples(&mut self, camera: &Camera) -> Result<Vec<u32>> {
+        self.loaded.samples(camera)
+    }
 }
 
 impl<B: Backend> Session for Trainer<B> {

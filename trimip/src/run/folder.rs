@@ -19,13 +19,14 @@ pub struct RunFolder {
 }
 
 /// Names of all files that a run writes, except `images/`. The events come last: they mark a folder as a run's.
-const FILES: [&str; 12] = [
+const FILES: [&str; 13] = [
     "config.toml",
     "plan.json",
     "metrics.csv",
     "model.safetensors",
     "checkpoint.safetensors",
     "views.json",
+    "turntable.png",
     "error_vs_time.csv",
     "report.html",
     "report.json",
@@ -68,6 +69,11 @@ impl RunFolder {
     /// Metrics of every view of the final evaluation.
     pub fn views(&self) -> PathBuf {
         self.root.join("views.json")
+    }
+
+    /// The model from all around, in one picture.
+    pub fn turntable(&self) -> PathBuf {
+        self.root.join("turntable.png")
     }
 
     /// The decisions of the scene plan.

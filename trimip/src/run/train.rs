@@ -21,7 +21,7 @@ use trimip_core::{
     events::{Event, EventSink, Totals},
     model::Model,
     quality::mean_quality,
-    run::{Outcome, Run},
+    run::{Onlooker, Outcome, Run},
     scene_plan::{self, Facts},
     tensors::write_atomically,
 };
@@ -33,6 +33,8 @@ pub struct Listeners<'a> {
     pub events: &'a mut dyn EventSink,
     /// Receives the number of photograph rows read, and their total.
     pub reading: Watch<'a>,
+    /// Looks at the model between steps, and may pause the run.
+    pub onlooker: &'a mut dyn Onlooker,
     /// When set to true, the run stops after the current step and saves.
     pub stop: &'a AtomicBool,
 }
@@ -155,7 +157,8 @@ impl Training {
     /// When the settings, the data, the folder or the device are refused, or the training fails.
     pub fn run(self, events: &mut dyn EventSink) -> Result<Trained> {
         let stop = AtomicBool::new(false);
-        let trained = self.run_with(Listeners { events, reading: &trimip_data::unwatched, stop: &stop })?;
+        let reading = &trimip_data::unwatched;
+        let trained = self.run_with(Listeners { events, reading, onlooker: &mut (), stop: &stop })?;
         trained.outcome.clone()?;
         Ok(trained)
     }
@@ -256,6 +259,8 @@ impl Training {
             folder.write_findings(&findings)?;
         }
         folder.prepare_images()?;
+        // It shows an earlier model; there is none in a new folder.
+        let _ = std::fs::remove_file(folder.turntable());
         write_atomically(&folder.config(), config.to_toml().as_bytes())?;
         for message in warnings {
             recorder.emit(&Event::Warning { message });
@@ -275,6 +280,7 @@ impl Training {
             perception: &mut perceiver,
             store: &mut store,
             events: &mut recorder,
+            onlooker: listeners.onlooker,
             stop: listeners.stop,
             evaluated,
         }

@@ -1,0 +1,64 @@
+//! `export web`: a folder with a page that renders the model by itself.
+
+use crate::{args::WebArguments, terminal};
+use serde_json::json;
+use std::path::Path;
+use trimip::{Error, Result, run::folder as run_folder};
+use trimip_core::tensors::write_atomically;
+use trimip_view::page;
+
+/// Files of the page's program, which `tools/web.sh` builds.
+const PROGRAM: [&str; 2] = ["trimip_web.js", "trimip_web_bg.wasm"];
+
+/// Name of the model's file.
+const MODEL: &str = "model.trimip";
+
+/// Files of the page: name, text.
+const PAGE: [(&str, &str); 5] = [
+    ("index.html", include_str!("../../../../trimip-web/page/index.html")),
+    ("main.js", include_str!("../../../../trimip-web/page/main.js")),
+    ("orbit.js", page::ORBIT),
+    ("gestures.js", page::GESTURES),
+    ("style.css", page::STYLE),
+];
+
+/// Writes the folder.
+pub fn export(arguments: &WebArguments) -> Result<u8> {
+    let model = run_folder::read_model(&arguments.model)?;
+    let beside = || {
+        let own = &arguments.model;
+        let folder = if own.is_dir() { own } else { own.parent().unwrap_or(Path::new("")) };
+        folder.join("web")
+    };
+    let out = arguments.out.clone().unwrap_or_else(beside);
+    let mut program = Vec::new();
+    for name in PROGRAM {
+        let path = arguments.viewer.join(name);
+        let bytes = std::fs::read(&path).map_err(|error| {
+            let advice = "build the page's program with tools/web.sh, or name its folder with --viewer";
+            Error::input(path.display(), error, advice)
+        })?;
+        program.push((name, bytes));
+    }
+    let whole = arguments.model.canonicalize().unwrap_or_else(|_| arguments.model.clone());
+    let folder = if whole.is_dir() { Some(&*whole) } else { whole.parent() };
+    let name = folder.and_then(Path::file_name).map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    run_folder::create_writable(&out)?;
+    let about = json!({ "name": name, "model": MODEL }).to_string();
+    for (name, text) in PAGE.into_iter().chain([("about.json", &*about)]) {
+        write_atomically(&out.join(name), text.as_bytes())?;
+    }
+    let mut code = 0;
+    for (name, bytes) in &program {
+        write_atomically(&out.join(name), bytes)?;
+        code += bytes.len() as u64;
+    }
+    let bytes = model.write_packed(&out.join(MODEL))?;
+    terminal::line(format!(
+        "{}: the model {}, the page {}; put the folder on any web server",
+        out.display(),
+        terminal::bytes(bytes),
+        terminal::bytes(code + PAGE.iter().map(|(_, text)| text.len() as u64).sum::<u64>())
+    ));
+    Ok(0)
+}

@@ -1,0 +1,217 @@
+//! `trimip.Camera`: a pose, the size of a picture, a projection.
+
+use crate::error::{raised, refused};
+use crate::value;
+use glam::DVec3;
+use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike1, PyArrayLikeDyn, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use serde_json::Value;
+use trimip::view::cameras::{aimed, posed, resized};
+use trimip::{Intrinsics, data};
+
+/// Any array-like of numbers.
+pub type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+
+/// Three numbers.
+type Three<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
+
+/// A camera: a pose in the world, the size of its picture, and its projection.
+#[pyclass(frozen, from_py_object, module = "trimip")]
+#[derive(Clone)]
+pub struct Camera(pub trimip::Camera);
+
+/// How a camera projects, as Python gives it.
+struct Projection<'a, 'py> {
+    width: u32,
+    height: u32,
+    fov: Option<f64>,
+    focal: [Option<f64>; 2],
+    centre: [Option<f64>; 2],
+    lens: Option<&'a Bound<'py, PyDict>>,
+}
+
+impl Projection<'_, '_> {
+    fn intrinsics(&self) -> PyResult<Intrinsics> {
+        let Self { width, height, fov, focal: [fx, fy], centre: [cx, cy], lens } = *self;
+        if width == 0 || height == 0 {
+            return Err(refused("Camera", format!("{width} by {height} pixels"), "give at least one pixel"));
+        }
+        let mut k = match (fov, fx) {
+            (Some(fov), None) if fov > 0.0 && fov < 180.0 => {
+                Intrinsics::from_angle(width, height, fov.to_radians())
+            }
+            (None, Some(fx)) if fx > 0.0 && fx.is_finite() => {
+                Intrinsics { fx, fy: fx, ..Intrinsics::from_angle(width, height, 1.0) }
+            }
+            _ => {
+                let advice = "give `fov` (horizontal, degrees, above 0 and below 180) or `fx` (pixels, above 0), one of them";
+                return Err(refused("Camera", "no focal length", advice));
+            }
+        };
+        k.fy = fy.unwrap_or(k.fy);
+        k.cx = cx.unwrap_or(k.cx);
+        k.cy = cy.unwrap_or(k.cy);
+        if !(k.fy > 0.0 && [k.fy, k.cx, k.cy].iter().all(|number| number.is_finite())) {
+            return Err(refused("Camera", "a projection that is not finite", "check fy, cx and cy"));
+        }
+        if let Some(lens) = lens {
+            k.lens = data::lens_of("lens", &value::json(lens)?, &Value::Null).map_err(raised)?;
+        }
+        Ok(k)
+    }
+}
+
+#[pymethods]
+impl Camera {
+    /// A camera from a camera-to-world matrix [R|t], 3×4 or 4×4, OpenGL axes (x right, y up, the camera looks along −z).
+    /// Either `fov` (horizontal, degrees) or `fx` (pixels); `lens` has the keys of transforms.json (k1, k2, p1, p2, …).
+    #[new]
+    #[pyo3(signature = (pose, width, height, *, fov=None, fx=None, fy=None, cx=None, cy=None, lens=None))]
+    #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
+    fn new(
+        pose: Numbers<'_>,
+        width: u32,
+        height: u32,
+        fov: Option<f64>,
+        fx: Option<f64>,
+        fy: Option<f64>,
+        cx: Option<f64>,
+        cy: Option<f64>,
+        lens: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let k = Projection { width, height, fov, focal: [fx, fy], centre: [cx, cy], lens }.intrinsics()?;
+        let numbers: Vec<f64> = pose.as_array().iter().copied().collect();
+        Ok(Self(posed("pose", &numbers, k).map_err(raised)?))
+    }
+
+    /// A camera at `eye` that looks at `target`.
+    #[staticmethod]
+    #[pyo3(signature = (eye, target, width, height, *, up=None, fov=None, fx=None))]
+    fn look_at(
+        eye: Three<'_>,
+        target: Three<'_>,
+        width: u32,
+        height: u32,
+        up: Option<Three<'_>>,
+        fov: Option<f64>,
+        fx: Option<f64>,
+    ) -> PyResult<Self> {
+        let k = Projection { width, height, fov, focal: [fx, None], centre: [None; 2], lens: None };
+        let up = up.map_or(Ok(DVec3::Z), |up| vector("up", &up))?;
+        let (eye, target) = (vector("eye", &eye)?, vector("target", &target)?);
+        Ok(Self(aimed("Camera.look_at", eye, target, up, k.intrinsics()?).map_err(raised)?))
+    }
+
+    /// One camera for each matrix of `poses`, [N, 3|4, 4]; the projection is that of `Camera`, one number for all or one each.
+    #[staticmethod]
+    #[pyo3(signature = (poses, width, height, *, fov=None, fx=None, fy=None, cx=None, cy=None))]
+    #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
+    fn batch(
+        poses: Numbers<'_>,
+        width: u32,
+        height: u32,
+        fov: Option<Numbers<'_>>,
+        fx: Option<Numbers<'_>>,
+        fy: Option<Numbers<'_>>,
+        cx: Option<Numbers<'_>>,
+        cy: Option<Numbers<'_>>,
+    ) -> PyResult<Vec<Self>> {
+        let poses = poses.as_array();
+        if poses.ndim() != 3 {
+            let found = format!("an array of shape {:?}", poses.shape());
+            return Err(refused("poses", found, "give [N, 3, 4] or [N, 4, 4]"));
+        }
+        let count = poses.shape()[0];
+        let each = |name: &str, own: &Option<Numbers<'_>>| -> PyResult<Vec<Option<f64>>> {
+            let Some(own) = own else { return Ok(vec![None; count]) };
+            let own = own.as_array();
+            match own.len() {
+                1 => Ok(vec![own.first().copied(); count]),
+                length if length == count => Ok(own.iter().map(|&number| Some(number)).collect()),
+                length => {
+                    Err(refused(name, format!("{length} numbers for {count} poses"), "give one, or one each"))
+                }
+            }
+        };
+        let [fov, fx, fy, cx, cy] =
+            [each("fov", &fov)?, each("fx", &fx)?, each("fy", &fy)?, each("cx", &cx)?, each("cy", &cy)?];
+        let one = |(i, pose): (usize, numpy::ndarray::ArrayViewD<'_, f64>)| {
+            let (focal, centre) = ([fx[i], fy[i]], [cx[i], cy[i]]);
+            let k = Projection { width, height, fov: fov[i], focal, centre, lens: None }.intrinsics()?;
+            let numbers: Vec<f64> = pose.iter().copied().collect();
+            Ok(Self(posed(&format!("poses[{i}]"), &numbers, k).map_err(raised)?))
+        };
+        poses.outer_iter().map(|pose| pose.into_dyn()).enumerate().map(one).collect()
+    }
+
+    /// The same view with `factor` times as many pixels along each side.
+    fn resized(&self, factor: f64) -> PyResult<Self> {
+        let intrinsics = resized(self.0.intrinsics, factor).map_err(raised)?;
+        Ok(Self(trimip::Camera { intrinsics, ..self.0 }))
+    }
+
+    /// Camera-to-world matrix [R|t], [3, 4], OpenGL axes.
+    #[getter]
+    fn pose<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let (r, t) = (self.0.rotation, self.0.origin);
+        let row = |i: usize| [r.col(0)[i], r.col(1)[i], r.col(2)[i], t[i]];
+        PyArray1::from_vec(py, [row(0), row(1), row(2)].concat()).reshape([3, 4])
+    }
+
+    /// Width of the picture, pixels.
+    #[getter]
+    fn width(&self) -> u32 {
+        self.0.intrinsics.width
+    }
+
+    /// Height of the picture, pixels.
+    #[getter]
+    fn height(&self) -> u32 {
+        self.0.intrinsics.height
+    }
+
+    /// Focal length along x, pixels.
+    #[getter]
+    fn fx(&self) -> f64 {
+        self.0.intrinsics.fx
+    }
+
+    /// Focal length along y, pixels.
+    #[getter]
+    fn fy(&self) -> f64 {
+        self.0.intrinsics.fy
+    }
+
+    /// Principal point along x, pixels.
+    #[getter]
+    fn cx(&self) -> f64 {
+        self.0.intrinsics.cx
+    }
+
+    /// Principal point along y, pixels.
+    #[getter]
+    fn cy(&self) -> f64 {
+        self.0.intrinsics.cy
+    }
+
+    fn __repr__(&self) -> String {
+        let k = self.0.intrinsics;
+        format!(
+            "Camera({}×{}, fx={:.2}, fy={:.2}, at {:?})",
+            k.width,
+            k.height,
+            k.fx,
+            k.fy,
+            self.0.origin.to_array()
+        )
+    }
+}
+
+fn vector(name: &str, numbers: &Three<'_>) -> PyResult<DVec3> {
+    let numbers: Vec<f64> = numbers.as_array().iter().copied().collect();
+    match numbers[..] {
+        [x, y, z] if numbers.iter().all(|number| number.is_finite()) => Ok(DVec3::new(x, y, z)),
+        _ => Err(refused(name, format!("{} numbers", numbers.len()), "give three finite ones")),
+    }
+}

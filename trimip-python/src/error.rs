@@ -1,0 +1,30 @@
+//! Errors of the library as exceptions, by their cause.
+
+use pyo3::create_exception;
+use pyo3::exceptions::PyException;
+use pyo3::prelude::*;
+use trimip::ErrorKind;
+
+create_exception!(
+    trimip,
+    Error,
+    PyException,
+    "Any error of trimip: one line with what, where and what to do."
+);
+create_exception!(trimip, InputError, Error, "A file, a setting or an argument is wrong.");
+create_exception!(trimip, RunError, Error, "A run failed with valid input, or missed its quality floor.");
+create_exception!(trimip, DeviceError, Error, "The device is missing, too small or lost.");
+
+/// The exception of an error.
+pub fn raised(error: trimip::Error) -> PyErr {
+    match error.kind {
+        ErrorKind::Input => InputError::new_err(error.message),
+        ErrorKind::Run | ErrorKind::Stopped => RunError::new_err(error.message),
+        ErrorKind::Device => DeviceError::new_err(error.message),
+    }
+}
+
+/// An argument is wrong.
+pub fn refused(place: &str, what: impl std::fmt::Display, advice: &str) -> PyErr {
+    raised(trimip::Error::input(place, what, advice))
+}

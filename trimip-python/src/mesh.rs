@@ -1,0 +1,66 @@
+//! `trimip.Mesh`: the surface of a model.
+
+use crate::error::raised;
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use trimip::mesh;
+
+/// A triangle mesh in the world of the photographs' cameras.
+#[pyclass(frozen, module = "trimip")]
+pub struct Mesh(pub mesh::Mesh);
+
+#[pymethods]
+impl Mesh {
+    /// Places of the vertices: float32 [vertices, 3], world units.
+    #[getter]
+    fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        threes(py, &self.0.positions)
+    }
+
+    /// Unit normals of the vertices, outward: float32 [vertices, 3].
+    #[getter]
+    fn normals<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        threes(py, &self.0.normals)
+    }
+
+    /// Colours of the vertices: float32 [vertices, 3]; [0, 3] without.
+    #[getter]
+    fn colors<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        threes(py, &self.0.colors)
+    }
+
+    /// Vertices of the triangles, counterclockwise from outside: uint32 [triangles, 3].
+    #[getter]
+    fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+        threes(py, &self.0.triangles)
+    }
+
+    /// Enclosed volume, cubic world units.
+    #[getter]
+    fn volume(&self) -> f64 {
+        self.0.volume()
+    }
+
+    /// True if it is closed, manifold and oriented.
+    #[getter]
+    fn is_closed(&self) -> bool {
+        self.0.defects() == mesh::Defects::default()
+    }
+
+    /// Writes a PLY, OBJ or GLB file, by the ending of its name; returns its size in bytes.
+    fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
+        py.detach(|| mesh::write(&self.0, &path)).map_err(raised)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Mesh({} vertices, {} triangles)", self.0.positions.len(), self.0.triangles.len())
+    }
+}
+
+fn threes<'py, T: numpy::Element + Copy>(
+    py: Python<'py>,
+    rows: &[[T; 3]],
+) -> PyResult<Bound<'py, PyArray2<T>>> {
+    PyArray1::from_vec(py, rows.as_flattened().to_vec()).reshape([rows.len(), 3])
+}

@@ -1,0 +1,309 @@
+//! `trimip.Model`: a trained model, to render, to query and to measure.
+
+use crate::camera::{Camera, Numbers};
+use crate::error::{raised, refused};
+use crate::mesh::Mesh;
+use crate::value;
+use numpy::{PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use trimip::mesh::{self, Extraction, Goal};
+use trimip::view::{Perceiver, Watching, evaluate, pictures};
+use trimip::{Viewer, backends, data, settings};
+use trimip_core::{Query, evaluate::ViewResult};
+
+/// Views as arrays. One view has [height, width, …], several have [views, height, width, …].
+#[pyclass(frozen, get_all, module = "trimip")]
+pub struct Frame {
+    /// RGB on the background of the model: float32 […, 3].
+    color: Py<PyArrayDyn<f32>>,
+    /// Opacity in [0, 1]: float32.
+    opacity: Py<PyArrayDyn<f32>>,
+    /// Distance along the optical axis, world units; infinite where nothing is seen: float32.
+    depth: Py<PyArrayDyn<f32>>,
+}
+
+impl Frame {
+    /// Views of one size; `shape` is that of the opacities.
+    fn of(py: Python<'_>, shape: &[usize], frames: &[trimip::Frame]) -> PyResult<Self> {
+        let colors = frames.iter().flat_map(|frame| frame.rgb()).flatten().collect();
+        let opacities = frames.iter().flat_map(pictures::opacity).collect();
+        let depths = frames.iter().flat_map(|frame| pictures::depth(frame, f32::INFINITY)).collect();
+        let array = |numbers: Vec<f32>, shape: &[usize]| -> PyResult<Py<PyArrayDyn<f32>>> {
+            Ok(PyArray1::from_vec(py, numbers).reshape(shape.to_vec())?.unbind())
+        };
+        Ok(Self {
+            color: array(colors, &[shape, &[3]].concat())?,
+            opacity: array(opacities, shape)?,
+            depth: array(depths, shape)?,
+        })
+    }
+}
+
+#[pymethods]
+impl Frame {
+    fn __repr__(&self, py: Python<'_>) -> String {
+        format!("Frame({:?})", self.opacity.bind(py).shape())
+    }
+}
+
+/// Asks Python whether the user pressed Ctrl-C. The exception is kept until the work has stopped.
+#[derive(Default)]
+pub struct Interrupted(Option<PyErr>);
+
+impl Interrupted {
+    /// False once the user wants to stop.
+    pub fn goes_on(&mut self) -> bool {
+        if self.0.is_none() {
+            self.0 = Python::attach(|py| py.check_signals()).err();
+        }
+        self.0.is_none()
+    }
+
+    /// The exception, if there is one.
+    pub fn raise(self) -> PyResult<()> {
+        self.0.map_or(Ok(()), Err)
+    }
+}
+
+impl Watching for Interrupted {
+    fn rendering(&mut self, _: usize, _: usize, _: f64) -> bool {
+        self.goes_on()
+    }
+
+    fn view(&mut self, _: &ViewResult<'_>, _: usize, _: usize) -> bool {
+        self.goes_on()
+    }
+}
+
+/// A trained model on a backend. Several threads may use one; they take turns.
+#[pyclass(frozen, module = "trimip")]
+pub struct Model {
+    model: trimip::model::Model,
+    viewer: Mutex<Box<dyn Viewer>>,
+}
+
+impl Model {
+    /// Loads a model onto the backend that its settings name.
+    pub fn open(py: Python<'_>, model: trimip::model::Model) -> PyResult<Self> {
+        let viewer = py.detach(|| backends::load(&model)).map_err(raised)?;
+        Ok(Self { model, viewer: Mutex::new(viewer) })
+    }
+
+    /// Works with the viewer while the interpreter is free. A thread that holds the interpreter never waits for the viewer.
+    fn work<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&mut dyn Viewer, &mut Interrupted) -> trimip::Result<Option<T>> + Send,
+    ) -> PyResult<T> {
+        let mut interrupted = Interrupted::default();
+        let done = py.detach(|| {
+            let mut viewer = self.viewer.lock().unwrap_or_else(PoisonError::into_inner);
+            work(&mut **viewer, &mut interrupted)
+        });
+        interrupted.raise()?;
+        done.map_err(raised)?.ok_or_else(|| raised(trimip::Error::stopped()))
+    }
+
+    fn queries(
+        &self,
+        points: &Numbers<'_>,
+        directions: Option<&Numbers<'_>>,
+        radius: Option<f64>,
+    ) -> PyResult<Vec<Query>> {
+        let points = threes("points", points)?;
+        let count = points.len();
+        let directions = match directions.map(|given| threes("directions", given)).transpose()? {
+            None => vec![[0.0, 0.0, -1.0]; count],
+            Some(given) if given.len() == 1 => vec![given[0]; count],
+            Some(given) if given.len() == count => given,
+            Some(given) => {
+                let found = format!("{} rows for {count} points", given.len());
+                return Err(refused("directions", found, "give one, or one for each point"));
+            }
+        };
+        let radius = radius.unwrap_or_else(|| 0.5 * f64::from(self.model.config.step_length()));
+        if !(radius > 0.0 && radius.is_finite()) {
+            return Err(refused("radius", radius, "give a length above 0, world units"));
+        }
+        let one = |(point, direction): ([f64; 3], [f64; 3])| {
+            let unit = glam::DVec3::from_array(direction).try_normalize();
+            let unit = unit.ok_or_else(|| {
+                refused("directions", "a row without direction", "give vectors other than 0")
+            })?;
+            let direction = unit.to_array().map(|number| number as f32);
+            Ok(Query { point, radius: radius as f32, direction })
+        };
+        points.into_iter().zip(directions).map(one).collect()
+    }
+}
+
+#[pymethods]
+impl Model {
+    /// Loads the model of a run folder or a model file. `settings` change how it is rendered and where its photographs are.
+    #[staticmethod]
+    #[pyo3(signature = (path, settings=None))]
+    fn load(py: Python<'_>, path: PathBuf, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
+        let assignments = value::assignments(settings)?;
+        let model = py.detach(|| {
+            let mut model = trimip::read_model(&path)?;
+            settings::override_model(&mut model, &assignments)?;
+            Ok(model)
+        });
+        Self::open(py, model.map_err(raised)?)
+    }
+
+    /// Renders the view of a camera.
+    fn render(&self, py: Python<'_>, camera: &Camera) -> PyResult<Frame> {
+        let camera = camera.0;
+        let frame = self.work(py, |viewer, interrupted| {
+            viewer.render_watched(&camera, &mut |_, _| interrupted.goes_on())
+        })?;
+        Frame::of(py, &[frame.height as usize, frame.width as usize], &[frame])
+    }
+
+    /// Renders the views of several cameras of one size.
+    fn render_batch(&self, py: Python<'_>, cameras: Vec<Camera>) -> PyResult<Frame> {
+        let Some(first) = cameras.first().map(|camera| camera.0.intrinsics) else {
+            return Err(refused("cameras", "none", "give at least one"));
+        };
+        let size = [first.height, first.width];
+        if cameras.iter().any(|camera| [camera.0.intrinsics.height, camera.0.intrinsics.width] != size) {
+            return Err(refused("cameras", "pictures of different sizes", "render them one by one"));
+        }
+        let frames = self.work(py, |viewer, interrupted| {
+            let mut frames = Vec::with_capacity(cameras.len());
+            for camera in &cameras {
+                match viewer.render_watched(&camera.0, &mut |_, _| interrupted.goes_on())? {
+                    Some(frame) => frames.push(frame),
+                    None => return Ok(None),
+                }
+            }
+            Ok(Some(frames))
+        })?;
+        Frame::of(py, &[frames.len(), size[0] as usize, size[1] as usize], &frames)
+    }
+
+    /// Density and colour at places: `points` [N, 3] in world units, `directions` [N, 3] or one from the eye to the place (−z
+    /// without). `radius` is that of the sphere that is asked about (half a marching step without). Returns float32 [N],
+    /// per world unit, and float32 [N, 3].
+    #[pyo3(signature = (points, directions=None, radius=None))]
+    #[expect(clippy::type_complexity, reason = "two arrays")]
+    fn query<'py>(
+        &self,
+        py: Python<'py>,
+        points: Numbers<'py>,
+        directions: Option<Numbers<'py>>,
+        radius: Option<f64>,
+    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f32>>)> {
+        let queries = self.queries(&points, directions.as_ref(), radius)?;
+        let found = self.work(py, |viewer, _| viewer.query(&queries).map(Some))?;
+        let density = found.iter().map(|radiance| radiance.density).collect();
+        let color: Vec<f32> = found.iter().flat_map(|radiance| radiance.rgb).collect();
+        let color = PyArray1::from_vec(py, color).reshape([found.len(), 3])?;
+        Ok((PyArray1::from_vec(py, density), color))
+    }
+
+    /// The encoder's features at places, as for `query`: float32 [N, features].
+    #[pyo3(signature = (points, radius=None))]
+    fn features<'py>(
+        &self,
+        py: Python<'py>,
+        points: Numbers<'py>,
+        radius: Option<f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let queries = self.queries(&points, None, radius)?;
+        let found = self.work(py, |viewer, _| viewer.features(&queries).map(Some))?;
+        let width = found.len() / queries.len().max(1);
+        PyArray1::from_vec(py, found).reshape([queries.len(), width])
+    }
+
+    /// The surface as a closed mesh: where the density crosses `level` (by default that of which a marching step has an
+    /// optical depth of 0.2) on a grid of `resolution` cells along the longest side, simplified to about `triangles` (0 for
+    /// no simplification).
+    #[pyo3(signature = (resolution=512, *, level=None, triangles=100_000, specks=0.02, colors=true))]
+    fn mesh(
+        &self,
+        py: Python<'_>,
+        resolution: u32,
+        level: Option<f64>,
+        triangles: usize,
+        specks: f64,
+        colors: bool,
+    ) -> PyResult<Mesh> {
+        let goal = if triangles == 0 { Goal::Everything } else { Goal::Triangles(triangles) };
+        let what = Extraction { resolution, level, specks, goal, colors };
+        let model = &self.model;
+        let extracted = self.work(py, |viewer, interrupted| {
+            // Where the photographs are not there, what nobody sees at all is told from the surface alone.
+            let cameras = data::open_test(&model.config.data).map(|set| set.train).unwrap_or_default();
+            mesh::extract(viewer, model, &what, &cameras, &mut |_| interrupted.goes_on())
+        })?;
+        Ok(Mesh(extracted.mesh))
+    }
+
+    /// Measures every `stride`-th test view at every scale, as `trimip-cli eval` does. Returns a dictionary: `scales` and
+    /// `views` (PSNR, SSIM, …), `mean`, `seconds`.
+    #[pyo3(signature = (stride=1))]
+    fn evaluate<'py>(&self, py: Python<'py>, stride: usize) -> PyResult<Bound<'py, PyAny>> {
+        let config = &self.model.config;
+        let measured = self.work(py, |viewer, interrupted| {
+            let mut perceiver = Perceiver::open(&config.eval)?;
+            let set = data::open_test(&config.data)?;
+            evaluate(viewer, &*set.frames, &config.data, stride, &mut perceiver, interrupted)
+        })?;
+        value::python(
+            py,
+            &serde_json::json!({
+                "stride": stride,
+                "scales": measured.scales,
+                "mean": measured.mean,
+                "views": measured.views,
+                "seconds": measured.seconds,
+            }),
+        )
+    }
+
+    /// Writes the model file; returns its size in bytes.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
+        py.detach(|| self.model.write(&path)).map_err(raised)
+    }
+
+    /// All settings, as nested dictionaries.
+    #[getter]
+    fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let settings = settings::of(&self.model.config).map_err(raised)?;
+        value::python(py, &settings.table())
+    }
+
+    /// The box of the scene: its two corners, world units.
+    #[getter]
+    fn aabb(&self) -> ([f32; 3], [f32; 3]) {
+        (self.model.config.scene.aabb_min, self.model.config.scene.aabb_max)
+    }
+
+    /// Backend and device.
+    #[getter]
+    fn device(&self, py: Python<'_>) -> PyResult<String> {
+        self.work(py, |viewer, _| Ok(Some(format!("{}: {}", viewer.backend(), viewer.device_name()))))
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Model({:?}, {})", self.model.config.encoder.kind, self.model.config.backend)
+    }
+}
+
+/// Rows of three finite numbers; one row may stand alone.
+fn threes(name: &str, numbers: &Numbers<'_>) -> PyResult<Vec<[f64; 3]>> {
+    let array = numbers.as_array();
+    if array.ndim() == 0 || array.ndim() > 2 || array.shape().last() != Some(&3) {
+        return Err(refused(name, format!("an array of shape {:?}", array.shape()), "give [N, 3]"));
+    }
+    let flat: Vec<f64> = array.iter().copied().collect();
+    if flat.iter().any(|number| !number.is_finite()) {
+        return Err(refused(name, "a number that is not finite", "leave such rows out"));
+    }
+    Ok(flat.as_chunks::<3>().0.to_vec())
+}

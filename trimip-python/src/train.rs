@@ -1,0 +1,201 @@
+//! `trimip.train`, and what it returns.
+
+use crate::error::{raised, refused};
+use crate::model::Model;
+use crate::value;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use trimip::{Ended, Listeners, Settings, Training, events::Event};
+
+/// A run: its folder, how it ended, and its measures.
+#[pyclass(frozen, module = "trimip")]
+pub struct Run {
+    folder: PathBuf,
+    ended: Ended,
+    settings: Settings,
+    evaluations: Value,
+}
+
+#[pymethods]
+impl Run {
+    /// The run folder.
+    #[getter]
+    fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// "finished", "stopped", or "before" if the folder already held this run and nothing was done.
+    #[getter]
+    fn ended(&self) -> &'static str {
+        match self.ended {
+            Ended::Finished => "finished",
+            Ended::Stopped => "stopped",
+            Ended::Before => "before",
+        }
+    }
+
+    /// All settings, with those that the scene plan decided, as nested dictionaries.
+    #[getter]
+    fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        value::python(py, &self.settings.table())
+    }
+
+    /// The evaluations of the run, in order: dictionaries with `seconds` of training, `samples`, `psnr`, `ssim` and `scales`.
+    #[getter]
+    fn evaluations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        value::python(py, &self.evaluations)
+    }
+
+    /// The trained model.
+    fn model(&self, py: Python<'_>) -> PyResult<Model> {
+        let model = py.detach(|| trimip::read_model(&self.folder)).map_err(raised)?;
+        Model::open(py, model)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("Run({:?}, {})", self.folder.display().to_string(), self.ended())
+    }
+}
+
+/// Settings of a system, a file or a dictionary, and a dictionary over them; and the run folder's default name.
+fn given(
+    config: Option<&Bound<'_, PyAny>>,
+    settings: Option<&Bound<'_, PyDict>>,
+    system: Option<&str>,
+) -> PyResult<(Settings, PathBuf)> {
+    let mut all = Settings::defaults();
+    let mut name = None;
+    if let Some(system) = system {
+        trimip::systems::find(system).and_then(|system| system.apply(&mut all)).map_err(raised)?;
+        name = Some(system.to_string());
+    }
+    if let Some(config) = config {
+        if let Ok(values) = config.cast::<PyDict>() {
+            value::apply(&mut all, values)?;
+        } else {
+            let path: PathBuf = config.extract().map_err(|_| {
+                refused(
+                    "config",
+                    "neither a dictionary nor a path",
+                    "give settings, or a configuration file (TOML)",
+                )
+            })?;
+            let text =
+                trimip_core::text::read(&path, "name an existing configuration file").map_err(raised)?;
+            all.apply_file(&path.display().to_string(), &text).map_err(raised)?;
+            name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        }
+    }
+    if let Some(settings) = settings {
+        value::apply(&mut all, settings)?;
+    }
+    let root = trimip::Config::from_settings(&all).map_err(raised)?.data.root;
+    let scene = Path::new(&root).file_name().map(|name| name.to_string_lossy().into_owned());
+    let name = name.or(scene).unwrap_or_else(|| "python".into());
+    Ok((all, Path::new("runs").join(name)))
+}
+
+/// Trains into a run folder, or resumes the run that is there.
+///
+/// `config` is a dictionary of settings or the path of a configuration file, `settings` a dictionary over it, `system` one of
+/// `systems()`; `out` is `runs/<name>` without. `callback` gets every event as a dictionary; if it returns False, the run
+/// stops after the step and saves. So does Ctrl-C, which then raises KeyboardInterrupt; an exception of the callback does too.
+/// The same call resumes with the same bits.
+#[pyfunction]
+#[pyo3(signature = (config=None, out=None, *, settings=None, system=None, callback=None, fresh=false))]
+pub fn train(
+    py: Python<'_>,
+    config: Option<&Bound<'_, PyAny>>,
+    out: Option<PathBuf>,
+    settings: Option<&Bound<'_, PyDict>>,
+    system: Option<&str>,
+    callback: Option<Py<PyAny>>,
+    fresh: bool,
+) -> PyResult<Run> {
+    let (settings, default) = given(config, settings, system)?;
+    let out = out.unwrap_or(default);
+    let stop = AtomicBool::new(false);
+    let raised_by_python: Mutex<Option<PyErr>> = Mutex::new(None);
+    let keep = |error: PyErr| {
+        stop.store(true, Ordering::Relaxed);
+        let mut kept = raised_by_python.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        kept.get_or_insert(error);
+    };
+    let outcome = py.detach(|| {
+        let mut events = |event: &Event| {
+            Python::attach(|py| {
+                if let Err(error) = told(py, callback.as_ref(), event, &stop) {
+                    keep(error);
+                }
+            });
+        };
+        let reading = |_, _| {
+            if let Err(error) = Python::attach(|py| py.check_signals()) {
+                keep(error);
+            }
+            !stop.load(Ordering::Relaxed)
+        };
+        let listeners = Listeners { events: &mut events, reading: &reading, onlooker: &mut (), stop: &stop };
+        let trained = Training::new(settings, &out).fresh(fresh).run_with(listeners)?;
+        let ended = trained.outcome.clone()?;
+        if let Some(error) = &trained.unwritten {
+            return Err(error.clone());
+        }
+        trained.judge()?;
+        Ok((trained.folder.root().to_path_buf(), ended, trained.settings.clone(), evaluations(&trained)))
+    });
+    if let Some(error) = raised_by_python.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) {
+        return Err(error);
+    }
+    let (folder, ended, settings, evaluations) = outcome.map_err(raised)?;
+    Ok(Run { folder, ended, settings, evaluations })
+}
+
+/// Tells Python of an event.
+fn told(py: Python<'_>, callback: Option<&Py<PyAny>>, event: &Event, stop: &AtomicBool) -> PyResult<()> {
+    py.check_signals()?;
+    if let Some(callback) = callback {
+        let answer = callback.call1(py, (value::python(py, event)?,))?;
+        if answer.bind(py).is(pyo3::types::PyBool::new(py, false)) {
+            stop.store(true, Ordering::Relaxed);
+        }
+    }
+    Ok(())
+}
+
+fn evaluations(trained: &trimip::Trained) -> Value {
+    let one = |own: &trimip::run::history::Evaluation| {
+        json!({
+            "step": own.totals.step,
+            "seconds": own.totals.seconds,
+            "samples": own.totals.samples,
+            "psnr": own.psnr,
+            "ssim": own.ssim,
+            "scales": own.scales,
+            "last": own.last,
+        })
+    };
+    trained.history.evaluations.iter().map(one).collect()
+}
+
+/// All settings and their defaults, as nested dictionaries.
+#[pyfunction]
+pub fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    value::python(py, &Settings::defaults().table())
+}
+
+/// Names of the systems that `train` can begin with.
+#[pyfunction]
+pub fn systems() -> Vec<&'static str> {
+    trimip::systems::SYSTEMS.iter().map(|system| system.name).collect()
+}
+
+/// Names of the backends that work on this machine.
+#[pyfunction]
+pub fn backends() -> Vec<String> {
+    trimip::backends::usable()
+}

@@ -1,0 +1,93 @@
+//! Settings from Python's dictionaries, and JSON values as Python's.
+
+use crate::error::{raised, refused};
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
+use serde_json::Value as Json;
+use std::path::PathBuf;
+use toml::Value;
+use trimip::Settings;
+
+/// A TOML value; `path` names it in errors.
+fn toml_value(path: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
+    // `True` is an int too.
+    if let Ok(value) = value.cast::<PyBool>() {
+        return Ok(Value::Boolean(value.is_true()));
+    }
+    if value.is_instance_of::<PyInt>() {
+        return Ok(Value::Integer(value.extract()?));
+    }
+    if value.is_instance_of::<PyFloat>() {
+        return Ok(Value::Float(value.extract()?));
+    }
+    if value.is_instance_of::<PyString>() {
+        return Ok(Value::String(value.extract()?));
+    }
+    if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
+        let items = value.try_iter()?.map(|item| toml_value(path, &item?));
+        return Ok(Value::Array(items.collect::<PyResult<_>>()?));
+    }
+    // Paths, and numbers of numpy.
+    if let Ok(path) = value.extract::<PathBuf>() {
+        return Ok(Value::String(path.display().to_string()));
+    }
+    if value.hasattr("item")? {
+        return toml_value(path, &value.call_method0("item")?);
+    }
+    let kind = value.get_type().name()?.to_string();
+    Err(refused(
+        path,
+        format!("a value of type {kind}"),
+        "give a number, a text, a truth value or a list of them",
+    ))
+}
+
+/// Applies a dictionary: `{"train.seconds": 60}` or `{"train": {"seconds": 60}}`.
+pub fn apply(settings: &mut Settings, values: &Bound<'_, PyDict>) -> PyResult<()> {
+    put(settings, "", values)
+}
+
+fn put(settings: &mut Settings, section: &str, values: &Bound<'_, PyDict>) -> PyResult<()> {
+    for (key, value) in values {
+        let key: String = key.extract()?;
+        let path = if section.is_empty() { key } else { format!("{section}.{key}") };
+        match value.cast::<PyDict>() {
+            Ok(inner) => put(settings, &path, inner)?,
+            Err(_) => settings.set(&path, toml_value(&path, &value)?).map_err(raised)?,
+        }
+    }
+    Ok(())
+}
+
+/// A dictionary as the assignments of a command line, `section.key=value`.
+pub fn assignments(values: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<String>> {
+    let mut all = Vec::new();
+    if let Some(values) = values {
+        flatten(&mut all, "", values)?;
+    }
+    Ok(all)
+}
+
+fn flatten(all: &mut Vec<String>, section: &str, values: &Bound<'_, PyDict>) -> PyResult<()> {
+    for (key, value) in values {
+        let key: String = key.extract()?;
+        let path = if section.is_empty() { key } else { format!("{section}.{key}") };
+        match value.cast::<PyDict>() {
+            Ok(inner) => flatten(all, &path, inner)?,
+            Err(_) => all.push(format!("{path}={}", toml_value(&path, &value)?)),
+        }
+    }
+    Ok(())
+}
+
+/// A JSON value as Python's `json` reads it.
+pub fn python<'py>(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Bound<'py, PyAny>> {
+    let text = serde_json::to_string(value).map_err(|error| raised(trimip::Error::run(error)))?;
+    py.import("json")?.call_method1("loads", (text,))
+}
+
+/// A dictionary as JSON, by Python's `json`.
+pub fn json(value: &Bound<'_, PyDict>) -> PyResult<Json> {
+    let text: String = value.py().import("json")?.call_method1("dumps", (value,))?.extract()?;
+    serde_json::from_str(&text).map_err(|error| refused("lens", error, "give the keys of transforms.json"))
+}

@@ -1,0 +1,123 @@
+// A model in a page: loads it, renders coarse pictures while the camera moves and fine ones when it stands.
+
+import { Orbit } from "./orbit.js";
+import { gestures } from "./gestures.js";
+import start, { Viewer } from "./trimip_web.js";
+
+const find = (id) => document.getElementById(id);
+const view = find("view");
+
+/** Milliseconds of a picture while the camera moves. */
+const COARSE = 60;
+
+/** Milliseconds without a change after which the view stands still. */
+const STILL = 160;
+
+/** Fewest pixels along the longer side of a picture. */
+const LEAST = 48;
+
+function say(text) {
+  find("message").textContent = text;
+}
+
+async function bytes(file) {
+  const answer = await fetch(file);
+  if (!answer.ok) throw new Error(`${file}: ${answer.status} ${answer.statusText}`);
+  const [all, parts] = [Number(answer.headers.get("content-length")), []];
+  let have = 0;
+  for (const reader = answer.body.getReader(); ; ) {
+    const { done, value } = await reader.read();
+    if (done) break;
+    parts.push(value);
+    have += value.length;
+    say(`Loading: ${(have / 1e6).toFixed(1)}${all ? ` of ${(all / 1e6).toFixed(1)}` : ""} MB`);
+  }
+  const whole = new Uint8Array(have);
+  parts.reduce((at, part) => (whole.set(part, at), at + part.length), 0);
+  return whole;
+}
+
+async function open() {
+  if (!navigator.gpu || !(await navigator.gpu.requestAdapter())) {
+    throw new Error("This browser has no WebGPU, which this page renders with. Recent versions of Chrome, Edge, Firefox and Safari have it.");
+  }
+  await start();
+  const { name, model } = await (await fetch("about.json")).json();
+  document.title = `${name} · trimip`;
+  find("name").textContent = name;
+  const viewer = await Viewer.load(await bytes(model));
+  return [viewer, JSON.parse(viewer.about())];
+}
+
+let viewer, orbit;
+/** Pixels per millisecond, measured. */
+let speed = 20;
+let [busy, wanted] = [false, null];
+
+async function draw(moving) {
+  wanted = { moving };
+  if (busy) return;
+  busy = true;
+  try {
+    while (wanted) {
+      const { moving } = wanted;
+      wanted = null;
+      const factor = (Number(find("scale").value) / 100) * (window.devicePixelRatio || 1);
+      const whole = [view.clientWidth * factor, view.clientHeight * factor];
+      const fits = moving ? Math.sqrt((speed * COARSE) / (whole[0] * whole[1])) : 1;
+      const part = Math.min(1, Math.max(fits, LEAST / Math.max(...whole)));
+      const [width, height] = whole.map((side) => Math.max(1, Math.round(side * part)));
+      const begun = performance.now();
+      const pixels = await viewer.render(Float64Array.from(orbit.pose()), orbit.fov, width, height);
+      const took = performance.now() - begun;
+      speed += 0.4 * ((width * height) / took - speed);
+      [view.width, view.height] = [width, height];
+      view.getContext("2d").putImageData(new ImageData(new Uint8ClampedArray(pixels.buffer), width, height), 0, 0);
+      find("rendered").textContent = `${took.toFixed(0)} ms`;
+      find("size").textContent = `${width}×${height}`;
+      view.dataset.done = !moving;
+    }
+  } catch (error) {
+    say(String(error));
+  }
+  busy = false;
+}
+
+let still = null;
+function changed() {
+  draw(true);
+  clearTimeout(still);
+  still = setTimeout(() => draw(false), STILL);
+}
+
+try {
+  let about;
+  [viewer, about] = await open();
+  orbit = new Orbit(about.box, about.up, Number(find("fov").value));
+  gestures(view, orbit, changed);
+  find("fov").addEventListener("input", () => {
+    orbit.fov = Number(find("fov").value);
+    find("fov-value").textContent = `${orbit.fov}°`;
+    changed();
+  });
+  find("scale").addEventListener("input", () => {
+    find("scale-value").textContent = `${find("scale").value} %`;
+    changed();
+  });
+  find("home").addEventListener("click", () => (orbit.home(), changed()));
+  find("picture").addEventListener("click", async () => {
+    await draw(false);
+    view.toBlob((blob) => {
+      const anchor = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: `${find("name").textContent}.png` });
+      anchor.click();
+      setTimeout(() => URL.revokeObjectURL(anchor.href), 10000);
+    });
+  });
+  new ResizeObserver(changed).observe(view);
+  say("");
+  view.focus({ preventScroll: true });
+  // For scripts: RGBA of a view.
+  window.trimip = { render: (pose, fov, width, height) => viewer.render(Float64Array.from(pose), fov, width, height) };
+} catch (error) {
+  say(error.message ?? String(error));
+}

@@ -1,0 +1,82 @@
+//! A model in a page that no server stands behind: the renderer of trimip-wgpu as WebAssembly, over the browser's WebGPU.
+//! `tools/web.sh` builds it; `trimip-cli export web` writes a folder with it, a model and the page in `page/`.
+#![cfg(target_family = "wasm")]
+
+use glam::{DMat3, DVec3};
+use serde_json::json;
+use trimip_core::loaded::LoadedModel;
+use trimip_core::model::Model;
+use trimip_core::{Camera, Error, Intrinsics};
+use trimip_wgpu::WgpuBackend;
+use wasm_bindgen::prelude::*;
+
+/// A model on the browser's GPU.
+#[wasm_bindgen]
+pub struct Viewer {
+    loaded: LoadedModel<WgpuBackend>,
+    about: String,
+}
+
+fn thrown(error: Error) -> JsError {
+    JsError::new(&error.message)
+}
+
+#[wasm_bindgen]
+impl Viewer {
+    /// Loads a model from the bytes of its file.
+    ///
+    /// # Errors
+    /// When it is no model, or the browser has no GPU that it fits.
+    pub async fn load(bytes: Vec<u8>) -> Result<Viewer, JsError> {
+        let mut model = Model::from_bytes("the model", &bytes).map_err(thrown)?;
+        drop(bytes);
+        model.config.renderer.kind = trimip_core::config::RendererKind::Volume;
+        let scene = &model.config.scene;
+        let about = json!({
+            "box": { "min": scene.aabb_min, "max": scene.aabb_max },
+            "up": scene.up,
+            "background": model.config.data.background,
+        })
+        .to_string();
+        let loaded = trimip_wgpu::load_async(&model, "").await.map_err(thrown)?;
+        Ok(Self { loaded, about })
+    }
+
+    /// The scene's box, its up and its background, as JSON.
+    pub fn about(&self) -> String {
+        self.about.clone()
+    }
+
+    /// Renders a view. `pose` is a camera-to-world matrix [R|t] of 12 numbers row by row, OpenGL axes; `fov` is horizontal, in
+    /// degrees. Returns RGBA, 8 bits each, row by row.
+    ///
+    /// # Errors
+    /// When the pose has other numbers, or the device fails.
+    pub async fn render(
+        &mut self,
+        pose: Vec<f64>,
+        fov: f64,
+        width: u32,
+        height: u32,
+    ) -> Result<Vec<u8>, JsError> {
+        if pose.len() != 12 || !(fov > 0.0 && fov < 180.0) || width == 0 || height == 0 {
+            return Err(JsError::new("expected 12 numbers, a field of view and a size"));
+        }
+        let column = |c: usize| DVec3::new(pose[c], pose[4 + c], pose[8 + c]);
+        let camera = Camera {
+            intrinsics: Intrinsics::from_angle(width, height, fov.to_radians()),
+            rotation: DMat3::from_cols(column(0), column(1), column(2)),
+            origin: column(3),
+        };
+        let frame = self.loaded.render_async(&camera).await.map_err(thrown)?;
+        let byte = |value: f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
+        Ok(frame
+            .pixels
+            .iter()
+            .flat_map(|pixel| {
+                let [r, g, b] = pixel.rgb.map(byte);
+                [r, g, b, 255]
+            })
+            .collect())
+    }
+}
