@@ -55,6 +55,9 @@ fn only_who_knows_the_token_and_comes_from_the_page_may_enter() {
         &wrong,
         &format!("{wrong}main.js"),
         &format!("{wrong}photo/test/0?width=8&height=8"),
+        &format!("{wrong}photo/nonsense/0"),
+        &format!("{wrong}socket"),
+        &format!("{wrong}nothing"),
     ] {
         assert_eq!(shown.get(path, &[]).0, 403, "{path}");
     }

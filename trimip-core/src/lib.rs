@@ -29,6 +29,7 @@ pub mod compositing;
 pub mod cones;
 pub mod config;
 mod defaults;
+mod deflate;
 pub mod distortion;
 pub mod edges;
 mod elements;

@@ -164,12 +164,19 @@ impl<B: Backend> LoadedModel<B> {
     }
 
     /// As [`Viewer::samples`].
-    fn count_samples(&mut self, camera: &Camera) -> Result<Vec<u32>> {
+    fn count_samples(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Vec<u32>>> {
         let bands = Bands::of(camera, B::RAYS_OF_A_BAND)?;
         let (backend, stages, parameters) = (&*self.backend, &self.stages, &self.parameters);
         let camera = &Camera { origin: camera.origin - self.centre, ..*camera };
         let all = Mutex::new(vec![0; bands.pixels()]);
-        for (_, range) in bands {
+        for (row, range) in bands.clone() {
+            if !watch(row, bands.height) {
+                return Ok(None);
+            }
             let work = |space: &mut Workspace<B>, span: Range<u32>| {
                 camera_span(stages, parameters, space, camera, range.start, span.clone());
                 let segments = backend.read(&space.samples.segments);
@@ -188,7 +195,7 @@ impl<B: Backend> LoadedModel<B> {
             });
             backend.health()?;
         }
-        Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner))
+        Ok(Some(all.into_inner().unwrap_or_else(PoisonError::into_inner)))
     }
 
     /// The bits of the occupancy grid `all`, without those of cells whose centre is outside of `keep`.
@@ -364,8 +371,12 @@ impl<B: Backend> Viewer for LoadedModel<B> {
         self.encode(queries)
     }
 
-    fn samples(&mut self, camera: &Camera) -> Result<Vec<u32>> {
-        self.count_samples(camera)
+    fn samples(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Vec<u32>>> {
+        self.count_samples(camera, watch)
     }
 
     fn clip(&mut self, keep: Option<&Aabb<f64>>) -> Result<()> {

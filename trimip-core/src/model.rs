@@ -47,15 +47,9 @@ impl Model {
         Self { config, file }
     }
 
-    /// Names of the tensors that the file holds as f16.
-    fn in_f16(&self) -> impl Iterator<Item = String> + use<> {
-        let slots = Layout::new(&self.config).slots.into_iter();
-        slots.filter(|slot| slot.precision == FilePrecision::F16).map(|slot| slot.name)
-    }
-
     /// The same model, rounded as in its file.
     pub fn rounded(mut self) -> Self {
-        for name in self.in_f16() {
+        for name in in_f16(&self.config) {
             if let Some(tensor) = self.file.tensors.get_mut(&name) {
                 *tensor = tensor.to_f16();
                 tensor.widen();
@@ -69,7 +63,7 @@ impl Model {
     /// # Errors
     /// When the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<u64> {
-        let mut names = self.in_f16().peekable();
+        let mut names = in_f16(&self.config).peekable();
         if names.peek().is_none() {
             return self.file.write(path, &[]);
         }
@@ -88,7 +82,10 @@ impl Model {
     /// # Errors
     /// When the file cannot be written.
     pub fn write_packed(&self, path: &Path) -> Result<u64> {
-        packed::pack(&self.file, &self.in_f16().collect::<Vec<_>>())?.write(path, &[])
+        let mut coarse = self.config.clone();
+        coarse.file.planes = FilePrecision::F16;
+        let names: Vec<String> = in_f16(&coarse).collect();
+        packed::pack(&self.file, &names)?.write(path, &[])
     }
 
     /// Reads a model and checks it: its format, its settings, and every tensor's shape and numbers.
@@ -123,6 +120,12 @@ impl Model {
         expect_tensors(name, &file, &config, &[""])?;
         Ok(Self { config, file })
     }
+}
+
+/// Names of the tensors that a model file of this configuration holds as f16.
+fn in_f16(config: &Config) -> impl Iterator<Item = String> + use<> {
+    let slots = Layout::new(config).slots.into_iter();
+    slots.filter(|slot| slot.precision == FilePrecision::F16).map(|slot| slot.name)
 }
 
 /// Refuses a file whose tensors are not those of its configuration, or hold numbers that are not finite, before anything

@@ -6,11 +6,11 @@
 
 use crate::{
     Config, Error, Layout, Result,
+    deflate::{deflated, inflated},
     model::{ASSET, OCCUPANCY},
     tensors::{Tensor, TensorFile, Values},
 };
-use flate2::{Compression, read::DeflateDecoder, write::DeflateEncoder};
-use std::io::{Read, Write};
+use flate2::Compression;
 
 /// Value of the metadata `format` of a packed file.
 pub(crate) const FORMAT: &str = "trimip-packed-1";
@@ -21,25 +21,10 @@ const SCALES: &str = ".scales";
 /// Codes of a channel: 0 to this.
 const MOST: f32 = 255.0;
 
-fn deflated(bytes: &[u8]) -> Result<Tensor> {
-    let mut encoder = DeflateEncoder::new(Vec::new(), Compression::best());
-    encoder.write_all(bytes).map_err(Error::run)?;
-    let packed = encoder.finish().map_err(Error::run)?;
-    Ok(Tensor::u8(&[packed.len()], packed))
-}
-
-/// The `expected` bytes of the compressed tensor `tensor`.
-fn inflated(file: &str, tensor: &str, packed: &Tensor, expected: usize) -> Result<Vec<u8>> {
-    let broken =
-        |what: String| Error::input(file, format!("tensor `{tensor}` {what}"), "export the model again");
-    let Values::U8(packed) = &packed.values else { return Err(broken("is not of bytes".into())) };
-    let mut bytes = Vec::new();
-    // One byte more than expected is enough to see that there are too many.
-    match DeflateDecoder::new(&packed[..]).take(expected as u64 + 1).read_to_end(&mut bytes) {
-        Ok(count) if count == expected => Ok(bytes),
-        Ok(_) => Err(broken(format!("does not hold {expected} bytes"))),
-        Err(error) => Err(broken(format!("cannot be read: {error}"))),
-    }
+/// The `expected` bytes of the compressed tensor `tensor` of `file`.
+fn bytes(file: &str, tensor: &str, packed: &Tensor, expected: usize) -> Result<Vec<u8>> {
+    inflated(packed, expected)
+        .map_err(|what| Error::input(file, format!("tensor `{tensor}` {what}"), "export the model again"))
 }
 
 /// Codes and scales of a tensor with `channels` values in a row.
@@ -91,11 +76,11 @@ pub(crate) fn pack(file: &TensorFile, coarse: &[String]) -> Result<TensorFile> {
         match &wide.values {
             Values::F32(values) if coarse.contains(name) => {
                 let (codes, scales) = coded(values, channels);
-                packed.tensors.insert(name.clone(), deflated(&codes)?);
+                packed.tensors.insert(name.clone(), deflated(&codes, Compression::best())?);
                 packed.tensors.insert(format!("{name}{SCALES}"), Tensor::f32(&[channels, 2], scales));
             }
             Values::U8(bytes) => {
-                packed.tensors.insert(name.clone(), deflated(bytes)?);
+                packed.tensors.insert(name.clone(), deflated(bytes, Compression::best())?);
             }
             _ => {
                 packed.tensors.insert(name.clone(), wide);
@@ -122,10 +107,10 @@ pub(crate) fn unpack(name: &str, packed: &TensorFile, config: &Config) -> Result
         }
         let channels = slot.shape.last().copied().unwrap_or(1).max(1);
         let scales = packed.f32(name, &scales, &[channels, 2])?;
-        let codes = inflated(name, &slot.name, found, slot.shape.iter().product())?;
+        let codes = bytes(name, &slot.name, found, slot.shape.iter().product())?;
         file.tensors.insert(slot.name, Tensor::f32(&slot.shape, decoded(&codes, scales, channels)));
     }
-    let bits = inflated(name, OCCUPANCY, find(OCCUPANCY)?, config.occupancy.cells().div_ceil(8))?;
+    let bits = bytes(name, OCCUPANCY, find(OCCUPANCY)?, config.occupancy.cells().div_ceil(8))?;
     file.tensors.insert(OCCUPANCY.into(), Tensor::u8(&[bits.len()], bits));
     Ok(file)
 }

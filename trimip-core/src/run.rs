@@ -52,7 +52,7 @@ pub trait Store {
 /// Looks at a run while it goes on.
 pub trait Onlooker {
     /// Called between two steps; its time does not count as training, so a run is paused by waiting here. Returns true to get
-    /// the model as it is.
+    /// the model as it is, and is called again after it.
     fn between(&mut self, totals: &Totals) -> bool {
         let _ = totals;
         false
@@ -187,7 +187,7 @@ impl Run<'_> {
                 logged_totals = totals;
                 told = self.tell(told);
             }
-            if self.onlooker.between(&totals) {
+            while self.onlooker.between(&totals) {
                 let model = self.session.model()?;
                 self.onlooker.model(model);
             }

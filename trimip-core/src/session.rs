@@ -76,12 +76,17 @@ pub trait Viewer: Send {
         Err(Error::run("this viewer has no features"))
     }
 
-    /// Number of samples in each pixel whose colour is evaluated, those of all its cones together.
+    /// Number of samples in each pixel whose colour is evaluated, those of all its cones together. `watch` is that of
+    /// [`render_watched`](Self::render_watched).
     ///
     /// # Errors
     /// As [`render`](Self::render), or when this viewer has no samples.
-    fn samples(&mut self, camera: &Camera) -> Result<Vec<u32>> {
-        let _ = camera;
+    fn samples(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Vec<u32>>> {
+        let _ = (camera, watch);
         Err(Error::run("this viewer has no samples"))
     }
 

@@ -1,8 +1,8 @@
 //! Tri-MipRF from Python. The module `trimip._trimip`; `python/trimip` is the package around it.
 //!
 //! Arrays are numpy's, errors are exceptions with the text of the program, and the interpreter is free while this library
-//! works. Each file is one class: [`camera`], [`scene`], [`model`], [`mesh`], [`train`]; [`value`] converts settings and
-//! events, [`error`] errors.
+//! works. Each file is one class: `camera`, `scene`, `model`, `mesh`, `train`; `value` converts settings and
+//! events, `error` errors.
 
 mod camera;
 mod error;

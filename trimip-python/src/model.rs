@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 use trimip::mesh::{self, Extraction, Goal};
 use trimip::view::{Perceiver, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
-use trimip_core::{Query, evaluate::ViewResult};
+use trimip_core::{Query, encoders, evaluate::ViewResult};
 
 /// Views as arrays. One view has [height, width, …], several have [views, height, width, …].
 #[pyclass(frozen, get_all, module = "trimip")]
@@ -216,7 +216,8 @@ impl Model {
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let queries = self.queries(&points, None, radius)?;
         let found = self.work(py, |viewer, _| viewer.features(&queries).map(Some))?;
-        let width = found.len() / queries.len().max(1);
+        let config = &self.model.config;
+        let width = encoders::of(config).width(config);
         PyArray1::from_vec(py, found).reshape([queries.len(), width])
     }
 

@@ -276,6 +276,18 @@ class TestNerfstudio:
         (found,) = trimip.nerfstudio.cameras(theirs, [[20.0]], [[21.0]], [[8.0]], [[9.0]], 16, 18, world)
         assert np.allclose(found.pose, own) and (found.fx, found.fy, found.cx, found.cy) == (20, 21, 8, 9)
 
+    def test_the_world_of_processed_photographs(self, tmp_path):
+        """ns-process-data turns COLMAP's world by A and scales it by a; the dataparser maps COLMAP's world by T and s·a."""
+        transform = self.world(tmp_path)
+        applied = np.array([[0.0, 1, 0, 0.5], [1, 0, 0, 0], [0, 0, -1, 0]])
+        (tmp_path / "transforms.json").write_text(json.dumps({"applied_transform": applied.tolist(), "applied_scale": 2.0}))
+        own = camera().pose
+        square = lambda matrix: np.vstack([matrix, [0, 0, 0, 1]])
+        theirs = (square(transform) @ np.linalg.inv(square(applied)) @ square(own))[:3]
+        theirs[:, 3] *= 0.4 / 2.0
+        world = trimip.nerfstudio.World.load(tmp_path, tmp_path / "transforms.json")
+        assert np.allclose(world.back(theirs), own, atol=1e-12)
+
     def test_a_path_of_its_viewer_is_read(self, tmp_path):
         pose = np.vstack([camera().pose, [0, 0, 0, 1]])
         path = {"render_width": 32, "render_height": 16, "camera_path": [{"camera_to_world": pose.ravel().tolist(), "fov": 90, "aspect": 2}]}
@@ -284,6 +296,9 @@ class TestNerfstudio:
         assert np.allclose(found.pose, pose[:3]) and found.fx == pytest.approx(8) and found.width == 32
 
     def test_what_is_none_is_refused(self, tmp_path):
+        (tmp_path / "path.json").write_text('{"camera_type": "fisheye"}')
+        with pytest.raises(trimip.InputError, match="fisheye"):
+            trimip.nerfstudio.camera_path(tmp_path / "path.json")
         (tmp_path / "path.json").write_text("{}")
         with pytest.raises(trimip.InputError, match="path.json"):
             trimip.nerfstudio.camera_path(tmp_path / "path.json")

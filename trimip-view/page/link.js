@@ -53,6 +53,8 @@ export class Link {
     if (this.busy === header.id) this.busy = null;
     const made = this.sent.get(header.id);
     for (const id of this.sent.keys()) if (id < header.id) this.sent.delete(id);
+    // Pictures of a newer model repeat the number of the last request.
+    if (header.done) this.sent.delete(header.id);
     this.picture(header, jpeg, made === undefined ? null : performance.now() - made);
     this.flush();
   }

@@ -31,7 +31,7 @@ for (const { split, views } of scene.cameras) {
 
 find("show").querySelector("[value=level]").disabled = !scene.levels;
 
-const orbit = new Orbit(scene.box, scene.up, Number(find("fov").value));
+const orbit = new Orbit(scene.box, scene.up, Number(find("fov").value), view);
 /** The chosen photograph: its set, its index, and its camera. */
 let chosen = null;
 let path = [];
@@ -114,7 +114,9 @@ function clip() {
     // A box without inside shows a slice.
     return ends[0] === ends[1] ? [ends[0] - 0.005, ends[1] + 0.005] : ends;
   });
-  return [0, 1].map((end) => parts.map((part, axis) => at(axis, part[end])));
+  // An end that is not moved leaves everything beyond it: unbounded scenes go on outside of the box.
+  const far = (share) => (share <= 0 ? -1e30 : share >= 1 ? 1e30 : null);
+  return [0, 1].map((end) => parts.map((part, axis) => far(part[end]) ?? at(axis, part[end])));
 }
 
 let still = null;
@@ -137,11 +139,20 @@ function overlay() {
   if (!frusta.hidden) drawFrusta(frusta, scene.cameras, currentPose(), currentFov(), orbit.radius, chosen);
 }
 
+let [turns, drawn] = [0, 0];
 async function receive(header, jpeg, waited) {
+  turns += 1;
+  const turn = turns;
   const bitmap = await createImageBitmap(jpeg);
+  // A large picture may be decoded after a later small one.
+  if (turn < drawn) return bitmap.close();
+  drawn = turn;
   const [width, height] = size();
   // The canvas has the finest size, so that coarse pictures fill the same place.
-  if (view.width !== width || view.height !== height) [view.width, view.height] = [width, height];
+  if (view.width !== width || view.height !== height) {
+    [view.width, view.height] = [width, height];
+    divide();
+  }
   view.getContext("2d").drawImage(bitmap, 0, 0, width, height);
   lastBitmap?.close();
   lastBitmap = bitmap;
@@ -153,6 +164,8 @@ async function receive(header, jpeg, waited) {
   find("rendered").textContent = `${header.rendered.toFixed(0)} ms`;
   find("waited").textContent = waited === null ? "–" : `${waited.toFixed(0)} ms`;
   find("rate").textContent = String(times.length);
+  // They are counted where they are shown; the last count stays.
+  if (header.samples !== undefined) find("samples").textContent = header.samples.toFixed(1);
   find("range").hidden = !header.range;
   if (header.range) {
     const short = (value) => (Number.isInteger(value) ? String(value) : value.toFixed(2));
@@ -181,10 +194,12 @@ async function choose(value) {
   if (chosen) orbit.follow(camera.pose);
   settled();
   if (!chosen) return;
+  const mine = chosen;
   const [width, height] = size();
   const answer = await fetch(`photo/${split}/${index}?width=${width}&height=${height}`);
   if (!answer.ok) return say(`photograph ${value} cannot be shown`);
   const bitmap = await createImageBitmap(await answer.blob());
+  if (chosen !== mine) return bitmap.close();
   [photo.width, photo.height] = [width, height];
   photo.getContext("2d").drawImage(bitmap, 0, 0, width, height);
   bitmap.close();
@@ -217,8 +232,9 @@ function label() {
   find("scale-value").textContent = `${find("scale").value} %`;
 }
 find("fov").addEventListener("input", () => {
+  const fov = Number(find("fov").value);
   leave();
-  orbit.fov = Number(find("fov").value);
+  orbit.fov = find("fov").value = fov;
   label();
   changed();
 });
@@ -246,7 +262,8 @@ find("picture").addEventListener("click", () => view.toBlob((blob) => download(`
 const rows = (pose) => [pose.slice(0, 4), pose.slice(4, 8), pose.slice(8, 12), [0, 0, 0, 1]];
 find("pose").addEventListener("click", async () => {
   const text = JSON.stringify(rows(currentPose()));
-  await navigator.clipboard.writeText(text).then(
+  // Without https only this machine's own pages have a clipboard.
+  await (navigator.clipboard?.writeText(text) ?? Promise.reject()).then(
     () => say("The pose is in the clipboard: trimip-cli render … --pose '…'"),
     () => say(text),
   );

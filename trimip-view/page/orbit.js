@@ -15,8 +15,9 @@ const STEEPEST = 1.55;
 export const column = (pose, axis) => [pose[axis], pose[4 + axis], pose[8 + axis]];
 
 export class Orbit {
-  /** A camera around the middle of a box, far enough to see all of it. */
-  constructor(box, up, fov) {
+  /** A camera around the middle of a box, far enough to see all of it in a stage of this size. */
+  constructor(box, up, fov, stage) {
+    this.stage = stage;
     this.up = normalized(up);
     const other = Math.abs(this.up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
     this.first = normalized(cross(this.up, other));
@@ -29,7 +30,10 @@ export class Orbit {
 
   home() {
     this.target = [...this.middle];
-    this.distance = this.radius / Math.sin((this.fov * Math.PI) / 360);
+    const ratio = this.stage.clientHeight / this.stage.clientWidth || 1;
+    // The angle is that of the width.
+    const half = Math.atan(Math.tan((this.fov * Math.PI) / 360) * Math.min(1, ratio));
+    this.distance = this.radius / Math.sin(half);
     this.yaw = 0.7;
     this.pitch = 0.5;
   }

@@ -12,6 +12,7 @@ const WORDS = {
   running: "training",
   paused: "paused",
   stopped: "stopped and saved: the same command goes on",
+  measuring: "trained; measuring the test views",
   finished: "finished: trimip-cli view RUN shows it",
 };
 
@@ -30,7 +31,7 @@ export function tell(run) {
   const rows = [];
   if (run.seconds !== undefined) {
     rows.push(`step ${run.step.toLocaleString("en")}, ${clock(run.seconds)} of training`);
-    if (!over) rows.push(`${clock(run.seconds_left)} left, ${(run.samples_per_second / 1e6).toFixed(2)} M samples/s`);
+    if (run.state === "running" || run.state === "paused") rows.push(`${clock(run.seconds_left)} left, ${(run.samples_per_second / 1e6).toFixed(2)} M samples/s`);
     if (run.batch_psnr !== null) rows.push(`${run.batch_psnr.toFixed(2)} dB on training pixels`);
   }
   const last = run.curve.at(-1);
@@ -38,7 +39,8 @@ export function tell(run) {
   find("figures").replaceChildren(...rows.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
   find("pause").textContent = run.state === "paused" ? "resume" : "pause";
   find("pause").dataset.command = run.state === "paused" ? "resume" : "pause";
-  find("pause").disabled = find("stop").disabled = over;
+  find("pause").disabled = over || run.state === "measuring";
+  find("stop").disabled = over;
   draw(run.curve);
 }
 

@@ -17,6 +17,9 @@ use trimip_core::run::Onlooker;
 /// Shortest time between two states of the model that are shown.
 const RENEWED: Duration = Duration::from_secs(2);
 
+/// The same, in times of loading one: a GPU compiles its kernels again.
+const LOADS: u32 = 10;
+
 /// How often a paused run looks whether it goes on.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -90,7 +93,11 @@ impl Audience {
                 state.curve.push([totals.seconds, *psnr]);
             }
             Event::Stopped { .. } => state.news["state"] = "stopped".into(),
-            Event::Finished { .. } => state.news["state"] = "finished".into(),
+            // The final evaluation follows.
+            Event::Finished { .. } => state.news["state"] = "measuring".into(),
+            Event::SessionEnded { .. } if state.news["state"] == "measuring" => {
+                state.news["state"] = "finished".into();
+            }
             _ => return,
         }
         state.tell();
@@ -132,10 +139,10 @@ impl Onlooker for Audience {
         let Shared { paused, stop, .. } = &*self.shared;
         let wants = |state: &State| match &state.door {
             None => state.threshold.is_some(),
-            Some(door) => {
-                let old = state.shown.is_none_or(|shown| shown.elapsed() >= RENEWED);
-                old && door.studio().watchers() > 0 && !door.studio().is_behind()
-            }
+            Some(door) => door.studio().load_time().is_some_and(|load| {
+                let pause = RENEWED.max(LOADS * load);
+                state.shown.is_none_or(|shown| shown.elapsed() >= pause) && door.studio().watchers() > 0
+            }),
         };
         let mut state = self.shared.state();
         if paused.load(Ordering::Relaxed) {

@@ -1,27 +1,38 @@
 //! The server: the page and its modules, photographs, and the web socket. Only who knows the token of the address may enter,
 //! and no page of another origin.
 
+use crate::listener::Patient;
 use crate::page;
 use crate::picture;
 use crate::protocol::{self, Command, MOST_BYTES, MOST_SIDE, Photo, Split};
 use crate::scene::{Renderers, Scene};
 use crate::studio::{Answer, Studio};
 use axum::Router;
+use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
+use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use serde::Deserialize;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
+use tokio::time::{interval, timeout};
 use trimip_core::{Error, Result};
 
 /// Pages that may watch at a time.
 const MOST_PAGES: usize = 64;
+
+/// How often a page is asked whether it is there.
+const PULSE: Duration = Duration::from_secs(20);
+
+/// A page that does not take a message within this time is gone.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 /// The files of the page: name, type, text.
 const FILES: [(&str, &str, &str); 8] = [
@@ -45,6 +56,8 @@ struct Hall {
     about: String,
     scene: Arc<Scene>,
     studio: Studio,
+    /// Places for pages.
+    places: Arc<Semaphore>,
     /// The state of the run that is watched, as JSON; empty without a run.
     news: watch::Sender<Arc<str>>,
     /// Takes what a page does to the run; `None` without a run.
@@ -107,7 +120,15 @@ impl Door {
         let scene = Arc::new(scene);
         let studio = Studio::start(Arc::clone(&scene), renderers)?;
         let news = watch::channel(Arc::from("")).0;
-        let hall = Arc::new(Hall { token, about: about.to_string(), scene, studio, news, steer });
+        let hall = Arc::new(Hall {
+            token,
+            about: about.to_string(),
+            scene,
+            studio,
+            places: Arc::new(Semaphore::new(MOST_PAGES)),
+            news,
+            steer,
+        });
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
@@ -120,6 +141,7 @@ impl Door {
             .route("/{token}/socket", get(socket))
             .route("/{token}/{file}", get(file))
             .fallback(async || StatusCode::FORBIDDEN)
+            .layer(middleware::from_fn_with_state(Arc::clone(&hall), admitted))
             .with_state(Arc::clone(&hall));
         let serve = move || {
             runtime.block_on(async {
@@ -128,7 +150,7 @@ impl Door {
                     Err(error) => return eprintln!("error: the server: {error}"),
                 };
                 let served = async {
-                    if let Err(error) = axum::serve(listener, routes).await {
+                    if let Err(error) = axum::serve(Patient::new(listener), routes).await {
                         eprintln!("error: the server: {error}");
                     }
                 };
@@ -187,6 +209,13 @@ impl Hall {
     }
 }
 
+/// Answers 403 to everything that [`Hall::admit`] refuses, before anything else is read.
+async fn admitted(State(hall): State<Arc<Hall>>, request: Request, next: Next) -> Answered {
+    let token = request.uri().path().split('/').nth(1).unwrap_or_default();
+    hall.admit(token, request.headers())?;
+    Ok(next.run(request).await)
+}
+
 /// What a handler answers.
 type Answered = std::result::Result<Response, StatusCode>;
 
@@ -201,26 +230,16 @@ fn text(kind: &'static str, body: String) -> Response {
     (headers, body).into_response()
 }
 
-async fn front(State(hall): State<Arc<Hall>>, Path(token): Path<String>, headers: HeaderMap) -> Answered {
-    file(State(hall), Path((token, String::new())), headers).await
+async fn front() -> Answered {
+    file(Path((String::new(), String::new()))).await
 }
 
-async fn file(
-    State(hall): State<Arc<Hall>>,
-    Path((token, name)): Path<(String, String)>,
-    headers: HeaderMap,
-) -> Answered {
-    hall.admit(&token, &headers)?;
+async fn file(Path((_, name)): Path<(String, String)>) -> Answered {
     let own = FILES.iter().find(|(own, ..)| *own == name).ok_or(StatusCode::NOT_FOUND)?;
     Ok(text(own.1, own.2.into()))
 }
 
-async fn about_scene(
-    State(hall): State<Arc<Hall>>,
-    Path(token): Path<String>,
-    headers: HeaderMap,
-) -> Answered {
-    hall.admit(&token, &headers)?;
+async fn about_scene(State(hall): State<Arc<Hall>>) -> Answered {
     Ok(text("application/json", hall.about.clone()))
 }
 
@@ -233,11 +252,9 @@ struct Size {
 
 async fn photograph(
     State(hall): State<Arc<Hall>>,
-    Path((token, split, index)): Path<(String, Split, usize)>,
+    Path((_, split, index)): Path<(String, Split, usize)>,
     Query(Size { width, height }): Query<Size>,
-    headers: HeaderMap,
 ) -> Answered {
-    hall.admit(&token, &headers)?;
     if ![width, height].iter().all(|side| (1..=MOST_SIDE).contains(side)) {
         return Err(StatusCode::BAD_REQUEST);
     }
@@ -251,18 +268,13 @@ async fn photograph(
     Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
 }
 
-async fn socket(
-    State(hall): State<Arc<Hall>>,
-    Path(token): Path<String>,
-    headers: HeaderMap,
-    upgrade: WebSocketUpgrade,
-) -> Answered {
-    hall.admit(&token, &headers)?;
-    if hall.studio.watchers() >= MOST_PAGES {
-        return Err(StatusCode::SERVICE_UNAVAILABLE);
-    }
+async fn socket(State(hall): State<Arc<Hall>>, upgrade: WebSocketUpgrade) -> Answered {
+    let place = Arc::clone(&hall.places).try_acquire_owned().map_err(|_| StatusCode::SERVICE_UNAVAILABLE)?;
     let upgrade = upgrade.max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
-    Ok(upgrade.on_upgrade(move |socket| attend(hall, socket)))
+    Ok(upgrade.on_upgrade(async move |socket| {
+        attend(hall, socket).await;
+        drop(place);
+    }))
 }
 
 /// Takes the requests of a page and sends it the newest answer, until it leaves.
@@ -270,54 +282,55 @@ async fn attend(hall: Arc<Hall>, mut socket: WebSocket) {
     let (id, mut answers) = hall.studio.enter();
     let mut news = hall.news.subscribe();
     news.mark_changed();
+    let mut pulse = interval(PULSE);
     loop {
         let sent = tokio::select! {
+            _ = pulse.tick() => send(&mut socket, Message::Ping(Bytes::new())).await,
             message = socket.recv() => match message {
                 Some(Ok(Message::Text(text))) => match protocol::Message::read(&text) {
                     Ok(protocol::Message::View(request)) => {
                         hall.studio.ask(id, request);
-                        Ok(())
+                        true
                     }
                     Ok(protocol::Message::Command(command)) => match &hall.steer {
                         Some(steer) => {
                             steer(command);
-                            Ok(())
+                            true
                         }
-                        None => socket.send(failure("there is no run to steer")).await,
+                        None => send(&mut socket, failure("there is no run to steer")).await,
                     },
-                    Err(error) => socket.send(failure(&error.to_string())).await,
+                    Err(error) => send(&mut socket, failure(&error.to_string())).await,
                 },
-                Some(Ok(Message::Binary(_))) => socket.send(failure("a message has to be text")).await,
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => Ok(()),
-                Some(Ok(Message::Close(_)) | Err(_)) | None => break,
+                Some(Ok(Message::Binary(_))) => send(&mut socket, failure("a message has to be text")).await,
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => true,
+                Some(Ok(Message::Close(_)) | Err(_)) | None => false,
             },
             changed = answers.changed() => {
-                if changed.is_err() {
-                    break;
-                }
                 let answer = answers.borrow_and_update().clone();
-                match answer {
-                    Some(Answer::Picture(bytes)) => socket.send(Message::Binary(bytes.to_vec().into())).await,
-                    Some(Answer::Failed(error)) => socket.send(failure(&error)).await,
-                    None => Ok(()),
+                changed.is_ok() && match answer {
+                    Some(Answer::Picture(bytes)) => {
+                        send(&mut socket, Message::Binary(bytes.to_vec().into())).await
+                    }
+                    Some(Answer::Failed(error)) => send(&mut socket, failure(&error)).await,
+                    None => true,
                 }
             }
             changed = news.changed() => {
-                if changed.is_err() {
-                    break;
-                }
                 let text = Arc::clone(&news.borrow_and_update());
-                match text.is_empty() {
-                    true => Ok(()),
-                    false => socket.send(Message::Text(text.as_ref().into())).await,
-                }
+                let message = Message::Text(text.as_ref().into());
+                changed.is_ok() && (text.is_empty() || send(&mut socket, message).await)
             }
         };
-        if sent.is_err() {
+        if !sent {
             break;
         }
     }
     hall.studio.leave(id);
+}
+
+/// Sends a message; false if the page is gone, or takes nothing for long.
+async fn send(socket: &mut WebSocket, message: Message) -> bool {
+    timeout(PATIENCE, socket.send(message)).await.is_ok_and(|sent| sent.is_ok())
 }
 
 fn failure(error: &str) -> Message {

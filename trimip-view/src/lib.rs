@@ -9,6 +9,7 @@
 
 pub mod audience;
 pub mod door;
+mod listener;
 pub mod page;
 pub mod picture;
 pub mod protocol;

@@ -197,6 +197,9 @@ pub struct Header {
     pub waited: f64,
     /// True if no finer picture follows.
     pub done: bool,
+    /// Mean number of samples of a pixel, where they were counted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub samples: Option<f64>,
     /// What the darkest and the brightest colour of the picture mean, where it shows a quantity by a scale of colours.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range: Option<[f32; 2]>,
@@ -269,8 +272,16 @@ mod tests {
 
     #[test]
     fn a_message_is_length_header_picture() {
-        let header =
-            Header { id: 1, width: 2, height: 3, rendered: 4.0, waited: 5.0, done: true, range: None };
+        let header = Header {
+            id: 1,
+            width: 2,
+            height: 3,
+            rendered: 4.0,
+            waited: 5.0,
+            done: true,
+            samples: None,
+            range: None,
+        };
         let bytes = message(&header, b"jpeg");
         let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
         assert_eq!(serde_json::from_slice::<Header>(&bytes[4..4 + length]).unwrap(), header);

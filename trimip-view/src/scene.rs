@@ -9,7 +9,8 @@ use std::path::Path;
 use std::sync::Mutex;
 use trimip::view::pictures::rgb_image;
 use trimip::{backends, settings};
-use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, model::Model};
+use trimip_core::model::{Model, assets};
+use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, proxy::Proxy};
 
 /// Photographs that are kept decoded.
 const KEPT: usize = 4;
@@ -89,8 +90,8 @@ impl Renderers {
             backends::load(&model)
         };
         let mut all = BTreeMap::from([(Renderer::Volume, load("volume")?)]);
-        if let Ok(hybrid) = load("hybrid") {
-            all.insert(Renderer::Hybrid, hybrid);
+        if Proxy::is_in(&assets(&model.file)) {
+            all.insert(Renderer::Hybrid, load("hybrid")?);
         }
         Ok(Self { all })
     }
@@ -105,10 +106,14 @@ impl Renderers {
         self.all.values().next().map_or_else(String::new, |viewer| viewer.device_name())
     }
 
-    /// One of them; volume rendering if it is not there.
+    /// This one, or volume rendering if it is not there.
+    pub fn known(&self, renderer: Renderer) -> Renderer {
+        if self.all.contains_key(&renderer) { renderer } else { Renderer::Volume }
+    }
+
+    /// One of them.
     pub fn get(&mut self, renderer: Renderer) -> Option<&mut Box<dyn Viewer>> {
-        let own = if self.all.contains_key(&renderer) { renderer } else { Renderer::Volume };
-        self.all.get_mut(&own)
+        self.all.get_mut(&renderer)
     }
 
     fn notes(&self) -> Vec<String> {

@@ -3,7 +3,7 @@
 //! in training, each newer state of it is loaded between two pictures, and every page gets its view of it.
 
 use crate::picture::{Seen, jpeg};
-use crate::protocol::{Header, Request, Show, message};
+use crate::protocol::{Header, Renderer, Request, Show, message};
 use crate::scene::{Renderers, Scene};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
@@ -14,8 +14,14 @@ use trimip::view::cameras::resized;
 use trimip_core::model::Model;
 use trimip_core::{Aabb, Camera, Error, Result};
 
-/// Time of a coarse picture.
-const COARSE: Duration = Duration::from_millis(70);
+/// Time of a coarse picture. Hybrid rendering has four times the pixels in the same time, and shares them between finer and
+/// more pictures.
+fn coarse_time(renderer: Renderer) -> Duration {
+    match renderer {
+        Renderer::Volume => Duration::from_millis(70),
+        Renderer::Hybrid => Duration::from_millis(35),
+    }
+}
 
 /// A first picture of a view that stands still may take this long; otherwise a coarse one comes before it.
 const PATIENCE: Duration = Duration::from_millis(140);
@@ -56,6 +62,10 @@ struct Desk {
     last: u64,
     /// A newer state of the model, to be loaded.
     model: Option<Model>,
+    /// True while one is being loaded.
+    loading: bool,
+    /// How long the last one took.
+    load_time: Duration,
     closed: bool,
 }
 
@@ -144,9 +154,10 @@ impl Studio {
         self.shared.bell.notify_all();
     }
 
-    /// True while a newer state of the model waits to be loaded.
-    pub fn is_behind(&self) -> bool {
-        self.shared.desk().model.is_some()
+    /// Time that the last state of the model took to load; `None` while a newer one waits or is being loaded.
+    pub fn load_time(&self) -> Option<Duration> {
+        let desk = self.shared.desk();
+        (desk.model.is_none() && !desk.loading).then_some(desk.load_time)
     }
 
     /// A page leaves.
@@ -168,9 +179,9 @@ impl Studio {
 struct Painter {
     scene: Arc<Scene>,
     /// Pixels per second, by renderer.
-    speed: BTreeMap<crate::protocol::Renderer, f64>,
+    speed: BTreeMap<Renderer, f64>,
     /// The clipping box of each renderer.
-    clips: BTreeMap<crate::protocol::Renderer, [[f64; 3]; 2]>,
+    clips: BTreeMap<Renderer, [[f64; 3]; 2]>,
     shared: Arc<Shared>,
 }
 
@@ -222,6 +233,7 @@ impl Painter {
                 return None;
             }
             if let Some(model) = desk.model.take() {
+                desk.loading = true;
                 return Some(Work::Load(Box::new(model)));
             }
             if let Some(id) = desk.choose() {
@@ -236,8 +248,10 @@ impl Painter {
 
     /// Loads a state of the model; every page asks again for what it saw last.
     fn load(&mut self, renderers: &mut Renderers, model: &Model) {
+        let started = Instant::now();
         let loaded = Renderers::open(model);
         let mut desk = self.shared.desk();
+        (desk.loading, desk.load_time) = (false, started.elapsed());
         match loaded {
             Ok(loaded) => {
                 *renderers = loaded;
@@ -267,20 +281,22 @@ impl Painter {
         let photographed = request.photo.map(|photo| photographs.camera(photo)).transpose()?;
         let finest = request.camera(photographed)?;
         let pixels = f64::from(finest.intrinsics.width) * f64::from(finest.intrinsics.height);
-        let speed = self.speed.get(&request.renderer).copied().unwrap_or(ASSUMED_SPEED);
-        let limit = if request.moving { COARSE } else { PATIENCE };
+        let renderer = renderers.known(request.renderer);
+        let speed = self.speed.get(&renderer).copied().unwrap_or(ASSUMED_SPEED);
+        let coarse_time = coarse_time(renderer);
+        let limit = if request.moving { coarse_time } else { PATIENCE };
         let fine = begun || pixels / speed <= limit.as_secs_f64();
-        let factor = if fine { 1.0 } else { coarse(&finest, speed * COARSE.as_secs_f64()) };
+        let factor = if fine { 1.0 } else { coarse(&finest, speed * coarse_time.as_secs_f64()) };
         let camera = Camera { intrinsics: resized(finest.intrinsics, factor)?, ..finest };
-        let Some(viewer) = renderers.get(request.renderer) else {
+        let Some(viewer) = renderers.get(renderer) else {
             return Err(Error::run("there is no renderer"));
         };
-        if self.clips.get(&request.renderer) != request.clip.as_ref() {
+        if self.clips.get(&renderer) != request.clip.as_ref() {
             let keep = request.clip.map(|[min, max]| Aabb { min, max });
             viewer.clip(keep.as_ref())?;
             match request.clip {
-                Some(clip) => self.clips.insert(request.renderer, clip),
-                None => self.clips.remove(&request.renderer),
+                Some(clip) => self.clips.insert(renderer, clip),
+                None => self.clips.remove(&renderer),
             };
         }
         let started = Instant::now();
@@ -288,14 +304,15 @@ impl Painter {
         let watch = &mut |_: u32, _: u32| !(begun && shared.desk().interrupts(id));
         let Some(frame) = viewer.render_watched(&camera, watch)? else { return Ok(None) };
         let rendered = started.elapsed().as_secs_f64();
-        let measured = f64::from(frame.width) * f64::from(frame.height) / rendered.max(1e-6);
-        self.speed.insert(request.renderer, speed + NEWEST * (measured - speed));
         let photograph = match request.photo.filter(|_| request.show.compares()) {
             Some(photo) => Some(photographs.image(photo, frame.width, frame.height)?),
             None => None,
         };
         let samples = match request.show {
-            Show::Samples => viewer.samples(&camera)?,
+            Show::Samples => match viewer.samples(&camera, watch)? {
+                Some(samples) => samples,
+                None => return Ok(None),
+            },
             _ => Vec::new(),
         };
         let config = &self.scene.config;
@@ -307,6 +324,10 @@ impl Painter {
             photograph: photograph.as_ref(),
         };
         let shown = seen.picture(request.show);
+        // All that a picture of this kind takes.
+        let spent = started.elapsed().as_secs_f64();
+        let measured = f64::from(frame.width) * f64::from(frame.height) / spent.max(1e-6);
+        self.speed.insert(renderer, speed + NEWEST * (measured - speed));
         let done = request.moving || factor >= 1.0;
         let header = Header {
             id: request.id,
@@ -315,6 +336,8 @@ impl Painter {
             rendered: 1e3 * rendered,
             waited: 1e3 * asked.elapsed().as_secs_f64(),
             done,
+            samples: (!samples.is_empty())
+                .then(|| samples.iter().map(|&count| f64::from(count)).sum::<f64>() / samples.len() as f64),
             range: shown.range,
         };
         Ok(Some((message(&header, &jpeg(&shown.picture)?), done)))

@@ -13,6 +13,9 @@ const COARSE = 60;
 /** Milliseconds without a change after which the view stands still. */
 const STILL = 160;
 
+/** Largest side of a picture, pixels. */
+const MOST = 2048;
+
 /** Fewest pixels along the longer side of a picture. */
 const LEAST = 48;
 
@@ -38,6 +41,7 @@ async function bytes(file) {
 }
 
 async function open() {
+  if (!window.isSecureContext) throw new Error("WebGPU needs an address with https:// or localhost.");
   if (!navigator.gpu || !(await navigator.gpu.requestAdapter())) {
     throw new Error("This browser has no WebGPU, which this page renders with. Recent versions of Chrome, Edge, Firefox and Safari have it.");
   }
@@ -52,24 +56,29 @@ async function open() {
 let viewer, orbit;
 /** Pixels per millisecond, measured. */
 let speed = 20;
-let [busy, wanted] = [false, null];
+let [running, wanted] = [null, null];
 
-async function draw(moving) {
+/** Draws; the promise is kept once nothing is left to draw. */
+function draw(moving) {
   wanted = { moving };
-  if (busy) return;
-  busy = true;
+  running ??= drawAll().finally(() => (running = null));
+  return running;
+}
+
+async function drawAll() {
   try {
     while (wanted) {
       const { moving } = wanted;
       wanted = null;
       const factor = (Number(find("scale").value) / 100) * (window.devicePixelRatio || 1);
       const whole = [view.clientWidth * factor, view.clientHeight * factor];
-      const fits = moving ? Math.sqrt((speed * COARSE) / (whole[0] * whole[1])) : 1;
+      const most = MOST / Math.max(...whole);
+      const fits = Math.min(most, moving ? Math.sqrt((speed * COARSE) / (whole[0] * whole[1])) : 1);
       const part = Math.min(1, Math.max(fits, LEAST / Math.max(...whole)));
       const [width, height] = whole.map((side) => Math.max(1, Math.round(side * part)));
       const begun = performance.now();
       const pixels = await viewer.render(Float64Array.from(orbit.pose()), orbit.fov, width, height);
-      const took = performance.now() - begun;
+      const took = Math.max(performance.now() - begun, 1);
       speed += 0.4 * ((width * height) / took - speed);
       [view.width, view.height] = [width, height];
       view.getContext("2d").putImageData(new ImageData(new Uint8ClampedArray(pixels.buffer), width, height), 0, 0);
@@ -80,7 +89,6 @@ async function draw(moving) {
   } catch (error) {
     say(String(error));
   }
-  busy = false;
 }
 
 let still = null;
@@ -93,7 +101,7 @@ function changed() {
 try {
   let about;
   [viewer, about] = await open();
-  orbit = new Orbit(about.box, about.up, Number(find("fov").value));
+  orbit = new Orbit(about.box, about.up, Number(find("fov").value), view);
   gestures(view, orbit, changed);
   find("fov").addEventListener("input", () => {
     orbit.fov = Number(find("fov").value);

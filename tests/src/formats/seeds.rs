@@ -231,7 +231,9 @@ pub(super) fn models() -> Vec<Vec<u8>> {
         let mut baked = Model::new(config.clone(), tensors(&config, &[""]));
         let mut viewer = trimip::backends::load(&baked).expect("the processor renders it");
         add_proxy(&mut *viewer, &mut baked).expect("the proxy is computed");
-        [plain, baked].iter().map(|model| written(|path| model.write(path))).collect()
+        let packed = written(|path| plain.write_packed(path));
+        let whole = [plain, baked];
+        whole.iter().map(|model| written(|path| model.write(path))).chain([packed]).collect()
     });
     files.clone()
 }

@@ -49,7 +49,7 @@ pub fn samples<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         assert_eq!(side > 1, most > 1, "the camera's pixels are wide");
         let aabb = Aabb::<f64>::new(&config.scene);
         let step = f64::from(config.step_length()) * config.renderer.step_scale.at(1.0);
-        let found = viewer.samples(&camera)?;
+        let found = viewer.samples(&camera, &mut |_, _| true)?.expect("nobody stops it");
         assert_eq!(found.len(), 9 * 7);
         let mut seen = 0;
         for (pixel, &found) in found.iter().enumerate() {
@@ -65,7 +65,8 @@ pub fn samples<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             seen += u32::from(found > 0);
         }
         assert!(seen > 20 && seen < 63, "{seen} pixels see the box, others do not");
-        assert_eq!(viewer.samples(&camera)?, found, "the same again");
+        assert_eq!(viewer.samples(&camera, &mut |_, _| true)?, Some(found), "the same again");
+        assert_eq!(viewer.samples(&camera, &mut |_, _| false)?, None);
     }
     Ok(())
 }

@@ -3,11 +3,11 @@
 use super::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, densities};
 use crate::{
     Error, Result,
+    deflate::{deflated, inflated},
     model::{ASSET, Assets},
     tensors::{Tensor, Values},
 };
-use flate2::{Compression, read::DeflateDecoder, write::DeflateEncoder};
-use std::io::{Read, Write};
+use flate2::Compression;
 
 /// Cells along each axis, width of a cell, radius of the spheres.
 const SHAPE: &str = "proxy.shape";
@@ -29,26 +29,11 @@ fn broken(what: impl std::fmt::Display) -> Error {
     Error::input("the model's proxy", what, "compute it again: `trimip-cli bake RUN`")
 }
 
-fn deflated(bytes: &[u8]) -> Result<Tensor> {
-    let mut encoder = DeflateEncoder::new(Vec::new(), Compression::default());
-    encoder.write_all(bytes).map_err(Error::run)?;
-    let packed = encoder.finish().map_err(Error::run)?;
-    Ok(Tensor::u8(&[packed.len()], packed))
-}
-
 /// The `expected` bytes of a compressed tensor.
-fn inflated(assets: &Assets, part: &str, expected: usize) -> Result<Vec<u8>> {
-    let Some(Tensor { values: Values::U8(packed), .. }) = assets.get(&name(part)) else {
-        return Err(broken(format!("no bytes `{}`", name(part))));
-    };
-    let mut bytes = Vec::new();
-    // One byte more than expected is enough to see that there are too many.
-    let found = DeflateDecoder::new(&packed[..]).take(expected as u64 + 1).read_to_end(&mut bytes);
-    match found {
-        Ok(count) if count == expected => Ok(bytes),
-        Ok(_) => Err(broken(format!("`{}` does not hold {expected} bytes", name(part)))),
-        Err(error) => Err(broken(format!("`{}` cannot be read: {error}", name(part)))),
-    }
+fn part(assets: &Assets, part: &str, expected: usize) -> Result<Vec<u8>> {
+    let full = name(part);
+    let Some(tensor) = assets.get(&full) else { return Err(broken(format!("no bytes `{full}`"))) };
+    inflated(tensor, expected).map_err(|what| broken(format!("`{full}` {what}")))
 }
 
 impl Proxy {
@@ -70,8 +55,8 @@ impl Proxy {
         // Bricks are numbered in the order in which they lie.
         Ok([
             (name(SHAPE), Tensor::f32(&[5], vec![x, y, z, self.width, self.radius])),
-            (name(BRICKS), deflated(&bits)?),
-            (name(CODES), deflated(&self.codes)?),
+            (name(BRICKS), deflated(&bits, Compression::default())?),
+            (name(CODES), deflated(&self.codes, Compression::default())?),
         ]
         .into())
     }
@@ -98,7 +83,7 @@ impl Proxy {
             return Err(broken(format!("a grid of {x} x {y} x {z} cells of {width}, spheres of {radius}")));
         }
         let bricks = all as usize / BRICK_CELLS;
-        let bits = inflated(assets, BRICKS, bricks.div_ceil(8))?;
+        let bits = part(assets, BRICKS, bricks.div_ceil(8))?;
         let mut count = 0;
         let index = (0..bricks)
             .map(|brick| {
@@ -107,7 +92,7 @@ impl Proxy {
                 filled * count
             })
             .collect();
-        let codes = inflated(assets, CODES, count as usize * BRICK_BYTES)?;
+        let codes = part(assets, CODES, count as usize * BRICK_BYTES)?;
         Ok(Some(Self { cells, width, radius, index, codes, densities: densities(width) }))
     }
 }

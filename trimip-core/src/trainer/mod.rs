@@ -281,8 +281,12 @@ impl<B: Backend> Viewer for Trainer<B> {
         self.loaded.features(queries)
     }
 
-    fn samples(&mut self, camera: &Camera) -> Result<Vec<u32>> {
-        self.loaded.samples(camera)
+    fn samples(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Vec<u32>>> {
+        self.loaded.samples(camera, watch)
     }
 }
 

@@ -1,5 +1,6 @@
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from os import PathLike
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ from . import nerfstudio as nerfstudio
 
 __version__: str
 
-Settings = Mapping[str, Any]
+Settings = dict[str, Any]
 Split = Literal["train", "test"]
 
 class Error(Exception): ...
@@ -29,7 +30,7 @@ class Camera:
         fy: float | None = None,
         cx: float | None = None,
         cy: float | None = None,
-        lens: Mapping[str, Any] | None = None,
+        lens: dict[str, Any] | None = None,
     ) -> Camera: ...
     @staticmethod
     def look_at(
@@ -133,7 +134,7 @@ class Model:
 
 class Run:
     @property
-    def folder(self) -> PathLike[str]: ...
+    def folder(self) -> Path: ...
     @property
     def ended(self) -> Literal["finished", "stopped", "before"]: ...
     @property

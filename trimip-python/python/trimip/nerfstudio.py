@@ -26,6 +26,11 @@ def _read(path: str | os.PathLike[str]) -> dict:
         raise InputError(f"{os.fspath(path)}: {error}; name an existing JSON file of nerfstudio") from error
 
 
+def _square(matrix: ArrayLike) -> NDArray[np.float64]:
+    """[R|t] as a 4×4 matrix."""
+    return np.vstack([np.asarray(matrix, dtype=np.float64).reshape(-1, 4)[:3], [0.0, 0.0, 0.0, 1.0]])
+
+
 @dataclass(frozen=True)
 class World:
     """The map from the photographs' world to nerfstudio's: x ↦ scale · (R·x + t)."""
@@ -35,14 +40,19 @@ class World:
     scale: float
 
     @staticmethod
-    def load(path: str | os.PathLike[str]) -> World:
-        """Reads ``dataparser_transforms.json``, or the one in the folder of a run."""
+    def load(path: str | os.PathLike[str], transforms: str | os.PathLike[str] | None = None) -> World:
+        """Reads ``dataparser_transforms.json``, or the one in the folder of a run.
+
+        Its map begins in the world of the COLMAP model. Where the photographs' cameras come from a ``transforms.json`` that
+        ``ns-process-data`` wrote, name that file: it says how its own world lies in COLMAP's (``applied_transform``,
+        ``applied_scale``).
+        """
         path = os.path.join(path, "dataparser_transforms.json") if os.path.isdir(path) else path
-        data = _read(path)
+        data, applied = _read(path), (_read(transforms) if transforms is not None else {})
         try:
-            transform = np.asarray(data["transform"], dtype=np.float64).reshape(3, 4)
-            return World(transform, float(data["scale"]))
-        except (KeyError, TypeError, ValueError) as error:
+            transform = _square(data["transform"]) @ np.linalg.inv(_square(applied.get("applied_transform", np.eye(4)[:3])))
+            return World(transform[:3], float(data["scale"]) / float(applied.get("applied_scale", 1.0)))
+        except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
             raise InputError(f"{os.fspath(path)}: no transform [3, 4] and scale; {error}") from error
 
     def back(self, poses: ArrayLike) -> NDArray[np.float64]:
@@ -76,6 +86,9 @@ def cameras(
 def camera_path(path: str | os.PathLike[str], world: World | None = None) -> list[Camera]:
     """The cameras of a path that nerfstudio's viewer saved (``camera_path.json``), in the world of the photographs."""
     data = _read(path)
+    kind = data.get("camera_type", "perspective")
+    if kind != "perspective":
+        raise InputError(f"{os.fspath(path)}: a path of {kind} cameras; save it with perspective ones")
     try:
         width, height = int(data["render_width"]), int(data["render_height"])
         frames = data["camera_path"]

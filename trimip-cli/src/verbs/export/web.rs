@@ -3,7 +3,7 @@
 use crate::{args::WebArguments, terminal};
 use serde_json::json;
 use std::path::Path;
-use trimip::{Error, Result, run::folder as run_folder};
+use trimip::{Config, Error, Result, model::Model, run::folder as run_folder};
 use trimip_core::tensors::write_atomically;
 use trimip_view::page;
 
@@ -12,6 +12,9 @@ const PROGRAM: [&str; 2] = ["trimip_web.js", "trimip_web_bg.wasm"];
 
 /// Name of the model's file.
 const MODEL: &str = "model.trimip";
+
+/// Name of the file that tells the page its model, and this program that the folder is its own.
+const ABOUT: &str = "about.json";
 
 /// Files of the page: name, text.
 const PAGE: [(&str, &str); 5] = [
@@ -25,6 +28,10 @@ const PAGE: [(&str, &str); 5] = [
 /// Writes the folder.
 pub fn export(arguments: &WebArguments) -> Result<u8> {
     let model = run_folder::read_model(&arguments.model)?;
+    // Where the photographs lie is nobody else's business.
+    let mut config = model.config.clone();
+    config.data.root = Config::default().data.root;
+    let model = Model::new(config, model.file);
     let beside = || {
         let own = &arguments.model;
         let folder = if own.is_dir() { own } else { own.parent().unwrap_or(Path::new("")) };
@@ -43,9 +50,12 @@ pub fn export(arguments: &WebArguments) -> Result<u8> {
     let whole = arguments.model.canonicalize().unwrap_or_else(|_| arguments.model.clone());
     let folder = if whole.is_dir() { Some(&*whole) } else { whole.parent() };
     let name = folder.and_then(Path::file_name).map_or_else(|| "model".into(), |name| name.to_string_lossy());
+    if out.join("index.html").exists() && !out.join(ABOUT).exists() {
+        return Err(Error::input(out.display(), "holds a page of something else", "choose another --out"));
+    }
     run_folder::create_writable(&out)?;
     let about = json!({ "name": name, "model": MODEL }).to_string();
-    for (name, text) in PAGE.into_iter().chain([("about.json", &*about)]) {
+    for (name, text) in PAGE.into_iter().chain([(ABOUT, &*about)]) {
         write_atomically(&out.join(name), text.as_bytes())?;
     }
     let mut code = 0;
@@ -55,7 +65,7 @@ pub fn export(arguments: &WebArguments) -> Result<u8> {
     }
     let bytes = model.write_packed(&out.join(MODEL))?;
     terminal::line(format!(
-        "{}: the model {}, the page {}; put the folder on any web server",
+        "{}: the model {}, the page {}; put the folder on a web server with https",
         out.display(),
         terminal::bytes(bytes),
         terminal::bytes(code + PAGE.iter().map(|(_, text)| text.len() as u64).sum::<u64>())

@@ -1,0 +1,104 @@
+//! Connections, as many as a page needs: more wait, and one that sends nothing for long is closed.
+
+use axum::serve::Listener;
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::time::{Instant, Sleep, sleep};
+
+/// Connections at a time. Each is an open file, which the run of this process needs too.
+const MOST: usize = 256;
+
+/// A connection that sends nothing for this long is closed. Browsers answer the pings of a web socket more often.
+const SILENCE: Duration = Duration::from_secs(60);
+
+/// Pause after a connection that could not be accepted.
+const AGAIN: Duration = Duration::from_millis(200);
+
+/// Accepts connections.
+pub struct Patient {
+    listener: TcpListener,
+    seats: Arc<Semaphore>,
+}
+
+impl Patient {
+    /// Accepts the connections of `listener`.
+    pub fn new(listener: TcpListener) -> Self {
+        Self { listener, seats: Arc::new(Semaphore::new(MOST)) }
+    }
+}
+
+impl Listener for Patient {
+    type Io = Connection;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Connection, SocketAddr) {
+        loop {
+            // The semaphore is never closed.
+            let seat = Arc::clone(&self.seats).acquire_owned().await.ok();
+            match self.listener.accept().await {
+                Ok((stream, address)) => {
+                    // A picture's last part is not held back; without it, it is only later.
+                    let _ = stream.set_nodelay(true);
+                    let silence = Box::pin(sleep(SILENCE));
+                    return (Connection { stream, silence, _seat: seat }, address);
+                }
+                Err(_) => sleep(AGAIN).await,
+            }
+        }
+    }
+
+    fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.listener.local_addr()
+    }
+}
+
+/// A connection that is closed when it is silent.
+pub struct Connection {
+    stream: TcpStream,
+    silence: Pin<Box<Sleep>>,
+    _seat: Option<OwnedSemaphorePermit>,
+}
+
+impl AsyncRead for Connection {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        match Pin::new(&mut self.stream).poll_read(context, buffer) {
+            Poll::Ready(read) => {
+                self.silence.as_mut().reset(Instant::now() + SILENCE);
+                Poll::Ready(read)
+            }
+            Poll::Pending => {
+                self.silence.as_mut().poll(context).map(|()| Err(io::ErrorKind::TimedOut.into()))
+            }
+        }
+    }
+}
+
+impl AsyncWrite for Connection {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write(context, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(context)
+    }
+}
