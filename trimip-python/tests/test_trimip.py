@@ -108,7 +108,7 @@ def test_places_have_densities_colours_and_features(model):
     assert density.shape == (50,) and color.shape == (50, 3) and (density >= 0).all()
     assert np.array_equal(model.query(points[7], [0, 0, 1], 0.01)[0], density[7:8])
     features = model.features(points, radius=0.01)
-    width = 3 * model.config["encoder"]["features"]
+    width = 3 * 16  # three planes, sixteen channels
     assert features.shape == (50, width) and np.isfinite(features).all()
     assert np.array_equal(model.features(points[3:4], radius=0.01)[0], features[3])
     # Far spheres see coarse texels.
