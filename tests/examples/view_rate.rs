@@ -11,6 +11,9 @@ use trimip_tests::watching::{Browser, Shown};
 /// How long the camera turns.
 const TURNING: Duration = Duration::from_secs(10);
 
+/// Until the finest picture is there.
+const SETTLING: Duration = Duration::from_secs(3);
+
 /// Interval between two moves of the mouse: those of a display with 60 Hz.
 const MOVE: Duration = Duration::from_millis(16);
 
@@ -24,18 +27,18 @@ fn main() {
     let side: u32 = rest.get(1).and_then(|side| side.parse().ok()).unwrap_or(400);
     let run = Path::new(run).canonicalize().expect("a run folder");
     let shown = Shown::start(Path::new("."), run.to_str().expect("a path of UTF-8"));
-    // The stage is what the controls leave of the window.
-    let mut browser = Browser::start(side + 304, side).expect("Chromium");
-    let size = json!({ "width": side + 304, "height": side, "deviceScaleFactor": 1, "mobile": false });
+    let mut browser = Browser::start(side + 600, side + 100).expect("Chromium");
+    let size = json!({ "width": side + 600, "height": side + 100, "deviceScaleFactor": 1, "mobile": false });
     browser.call("Emulation.setDeviceMetricsOverride", size);
     browser.open(&shown.address());
     browser.wait("document.getElementById('view')?.dataset.done === 'true'");
     browser.value(&format!(
-        "(() => {{ for (const [id, value] of [['scale', 100], ['renderer', '{renderer}']]) {{
+        "(() => {{ document.getElementById('stage').style = 'width: {side}px; height: {side}px';
+            for (const [id, value] of [['scale', 100], ['renderer', '{renderer}']]) {{
             const s = document.getElementById(id); s.value = value;
             s.dispatchEvent(new Event(id === 'scale' ? 'input' : 'change')); }} }})()"
     ));
-    browser.wait("document.getElementById('view').dataset.done === 'true'");
+    std::thread::sleep(SETTLING);
     browser.value(
         "(() => { window.seen = []; new MutationObserver(() => { const d = document.getElementById('view').dataset;
             seen.push([performance.now(), Number(d.waited), Number(d.bytes), document.getElementById('size').textContent]); })
@@ -77,7 +80,7 @@ fn main() {
     println!("bytes of a picture: median {:.0}, most {:.0}", quantile(&bytes, 0.5), quantile(&bytes, 1.0));
     println!("a picture while moving: {}", seen[seen.len() / 2][3].as_str().unwrap_or_default());
     let still: Value = {
-        browser.wait("document.getElementById('view').dataset.done === 'true'");
+        std::thread::sleep(SETTLING);
         browser.value("document.getElementById('size').textContent")
     };
     println!("a picture when still: {}", still.as_str().unwrap_or_default());
