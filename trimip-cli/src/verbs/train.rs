@@ -110,11 +110,9 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
         Ok(Ended::Before) => return already_finished(trained, style, &gather),
         Err(error) => Status::Failed(error.message.clone()),
     };
-    if status == Status::Finished {
-        show_around(folder, config);
-    }
+    let drawn = if status == Status::Finished { show_around(folder, config) } else { Ok(()) };
     let report = gather(status);
-    let written = report::write(&report, folder);
+    let written = drawn.and(report::write(&report, folder));
     if let Some(last) = history.last() {
         terminal::note(format!("verdict: {}", report.verdict().words()));
         if last.bounded {
@@ -139,20 +137,18 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
 /// Pixels along a side of each view of the strip in a report.
 const STRIP_SIDE: u32 = 192;
 
-/// Writes the strip of views around a finished model, unless it is there. A report without it is complete.
-fn show_around(folder: &RunFolder, config: &Config) {
+/// Writes the strip of views around a finished model, unless it is there.
+///
+/// # Errors
+/// When the model cannot be loaded or rendered, or the picture not written.
+fn show_around(folder: &RunFolder, config: &Config) -> Result<()> {
     let path = folder.turntable();
     if path.exists() || config.eval.images == 0 {
-        return;
+        return Ok(());
     }
-    let drawn = || {
-        let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
-        let strip = turntable::strip(&mut *viewer, &config.scene, STRIP_SIDE)?;
-        write_atomically(&path, &pictures::png(strip)?)
-    };
-    if let Err(error) = drawn() {
-        terminal::aside(format!("warning: no picture of the model from all around: {error}"));
-    }
+    let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
+    let strip = turntable::strip(&mut *viewer, &config.scene, STRIP_SIDE)?;
+    write_atomically(&path, &pictures::png(strip)?)
 }
 
 /// Tells that the folder already holds this run, writes its report again, and returns its exit code. The report may be
@@ -166,7 +162,7 @@ fn already_finished<'a>(
     let status =
         floor.as_ref().map_or_else(|error| Status::Failed(error.message.clone()), |()| Status::Finished);
     if status == Status::Finished {
-        show_around(folder, &trained.config);
+        show_around(folder, &trained.config)?;
     }
     report::write(&gather(status), folder)?;
     Display::new(style).show(&Event::Plan {
