@@ -414,6 +414,17 @@ fn the_page_works_in_a_browser() {
     let picture = browser.screenshot();
     assert!(image::load_from_memory(&picture).is_ok_and(|picture| picture.width() >= 1000));
     keep("view.png", &picture);
+
+    // The report of the run, and back.
+    assert_eq!(browser.value("document.getElementById('report').hidden"), false);
+    browser.value("document.querySelector('#report a').click()");
+    browser.wait(
+        "location.pathname.endsWith('report.html') && document.getElementById('viewer')?.hidden === false",
+    );
+    assert_eq!(browser.value("document.querySelector('main img').naturalWidth > 0"), true);
+    assert_eq!(browser.value("origin"), "null", "the report has no part in the viewer's origin");
+    browser.value("document.getElementById('viewer').click()");
+    browser.wait("document.getElementById('view')?.dataset.done === 'true'");
 }
 
 /// Keeps a screenshot for a person, where `TRIMIP_SCREENSHOTS` names a folder.

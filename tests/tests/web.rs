@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use trimip::{backends, view::cameras};
-use trimip_core::{Intrinsics, metrics};
+use trimip_core::{Intrinsics, config::RendererKind, metrics};
 use trimip_tests::binary::{refuses, run, tiny_and};
 use trimip_tests::watching::{Browser, view};
 
@@ -81,6 +81,14 @@ fn a_packed_model_is_small_and_near() {
         [&model, &packed].map(|model| backends::load(model).unwrap().render(&camera).unwrap().rgb());
     let psnr = metrics::psnr(&near, &exact);
     assert!(psnr > 40.0, "{psnr:.1} dB");
+    // A proxy does not travel, so what is packed renders by volume.
+    let baked = run(here, &["bake", "run"]);
+    assert_eq!(baked.code, Some(0), "{baked:?}");
+    let baked = trimip::read_model(&here.join("run")).unwrap();
+    assert_eq!(baked.config.renderer.kind, RendererKind::Hybrid);
+    baked.write_packed(&small).unwrap();
+    let volume = trimip::read_model(&small).unwrap();
+    assert!(backends::load(&volume).unwrap().render(&camera).unwrap().rgb() == near);
     // What was packed is packed again with the same bits.
     packed.write_packed(&here.join("again.trimip")).unwrap();
     let again = trimip::read_model(&here.join("again.trimip")).unwrap();

@@ -3,7 +3,7 @@
 
 use crate::{
     Config, Error, Layout, Result,
-    config::FilePrecision,
+    config::{FilePrecision, RendererKind},
     packed,
     tensors::{Tensor, TensorFile},
 };
@@ -77,7 +77,7 @@ impl Model {
     }
 
     /// Writes the model in few bytes, rounded to 8 bits a value, without assets ([`packed`]); returns its size in bytes.
-    /// [`read`](Self::read) reads it too.
+    /// Hybrid rendering needs an asset, so the written model renders by volume. [`read`](Self::read) reads it too.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -85,7 +85,11 @@ impl Model {
         let mut coarse = self.config.clone();
         coarse.file.planes = FilePrecision::F16;
         let names: Vec<String> = in_f16(&coarse).collect();
-        packed::pack(&self.file, &names)?.write(path, &[])
+        let mut config = self.config.clone();
+        config.renderer.kind = RendererKind::Volume;
+        let mut packed = packed::pack(&self.file, &names)?;
+        packed.metadata.insert("config".into(), config.to_toml());
+        packed.write(path, &[])
     }
 
     /// Reads a model and checks it: its format, its settings, and every tensor's shape and numbers.

@@ -94,7 +94,7 @@ pub fn compute(threads: u32) -> Compute {
     };
     let simd = Simd::detect();
     Compute {
-        name: format!("{threads} {} of {simd:?}", if threads == 1 { "thread" } else { "threads" }),
+        name: format!("{threads} {} of {simd}", if threads == 1 { "thread" } else { "threads" }),
         samples_per_second: threads as f64 * samples_per_second(simd),
         bf16: simd.has_bf16(),
         wide: false,
@@ -103,7 +103,7 @@ pub fn compute(threads: u32) -> Compute {
 
 /// The instruction sets of this processor, widest first; the first is used.
 pub fn features() -> String {
-    Simd::available().iter().map(|simd| format!("{simd:?}")).collect::<Vec<_>>().join(", ")
+    Simd::available().iter().map(|simd| simd.to_string()).collect::<Vec<_>>().join(", ")
 }
 
 /// Loads a finished model to render with `threads` threads (0: all cores).

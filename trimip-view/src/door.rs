@@ -50,6 +50,12 @@ const FILES: [(&str, &str, &str); 8] = [
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
+/// A report has its style and script in its one file. It may be a stranger's: the page has an origin of its own, from which
+/// nothing here can be reached.
+const REPORT_POLICY: &str = "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; \
+                             style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; \
+                             frame-ancestors 'none'";
+
 struct Hall {
     token: String,
     /// The description of the scene, as JSON.
@@ -137,6 +143,7 @@ impl Door {
         let routes = Router::new()
             .route("/{token}/", get(front))
             .route("/{token}/scene.json", get(about_scene))
+            .route("/{token}/report.html", get(report))
             .route("/{token}/photo/{split}/{index}", get(photograph))
             .route("/{token}/socket", get(socket))
             .route("/{token}/{file}", get(file))
@@ -220,10 +227,15 @@ async fn admitted(State(hall): State<Arc<Hall>>, request: Request, next: Next) -
 type Answered = std::result::Result<Response, StatusCode>;
 
 fn text(kind: &'static str, body: String) -> Response {
+    bounded(kind, POLICY, body)
+}
+
+/// A text that may do what `policy` allows.
+fn bounded(kind: &'static str, policy: &'static str, body: String) -> Response {
     let headers = [
         (header::CONTENT_TYPE, kind),
         (header::CACHE_CONTROL, "no-store"),
-        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::CONTENT_SECURITY_POLICY, policy),
         (header::REFERRER_POLICY, "no-referrer"),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
     ];
@@ -241,6 +253,15 @@ async fn file(Path((_, name)): Path<(String, String)>) -> Answered {
 
 async fn about_scene(State(hall): State<Arc<Hall>>) -> Answered {
     Ok(text("application/json", hall.about.clone()))
+}
+
+/// The report of the model's run, as it is now.
+async fn report(State(hall): State<Arc<Hall>>) -> Answered {
+    let path = hall.scene.report.clone().ok_or(StatusCode::NOT_FOUND)?;
+    let read = tokio::task::spawn_blocking(move || std::fs::read_to_string(path));
+    let page =
+        read.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?.map_err(|_| StatusCode::NOT_FOUND)?;
+    Ok(bounded("text/html; charset=utf-8", REPORT_POLICY, page))
 }
 
 /// Size of a photograph.

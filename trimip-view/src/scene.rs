@@ -5,8 +5,9 @@ use image::RgbImage;
 use image::imageops::{self, FilterType};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Mutex;
+use trimip::run::folder::RunFolder;
 use trimip::view::pictures::rgb_image;
 use trimip::{backends, settings};
 use trimip_core::model::{Model, assets};
@@ -25,6 +26,8 @@ pub struct Scene {
     pub photographs: Photographs,
     /// What the user should know, a line each.
     pub notes: Vec<String>,
+    /// Where the report of its run is, or may be later.
+    pub report: Option<PathBuf>,
 }
 
 impl Scene {
@@ -37,7 +40,9 @@ impl Scene {
         settings::override_model(&mut model, assignments)?;
         let stem = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
         let name = if path.is_dir() { stem(path) } else { path.parent().and_then(stem) };
-        Self::of(name.unwrap_or_else(|| "model".into()), model)
+        let (mut scene, renderers) = Self::of(name.unwrap_or_else(|| "model".into()), model)?;
+        scene.report = path.is_dir().then(|| RunFolder::new(path).html());
+        Ok((scene, renderers))
     }
 
     /// A model by this name, and its photographs.
@@ -51,7 +56,7 @@ impl Scene {
             Err(error) => (Photographs::none(), vec![format!("no photographs: {error}")]),
         };
         notes.extend(renderers.notes());
-        Ok((Self { name, config: model.config, photographs, notes }, renderers))
+        Ok((Self { name, config: model.config, photographs, notes, report: None }, renderers))
     }
 
     /// What a page is told when it opens.
@@ -68,6 +73,7 @@ impl Scene {
             "flip": cfg!(feature = "flip"),
             "levels": self.config.encoder.kind == EncoderKind::TriMip,
             "notes": self.notes,
+            "report": self.report.as_ref().is_some_and(|path| path.is_file()),
             "cameras": self.photographs.describe(),
         })
     }

@@ -26,7 +26,7 @@ pub fn around(root: &Path) -> Result<String> {
     let Ok(strip) = image::open(RunFolder::new(root).turntable()) else { return Ok(String::new()) };
     Ok(format!(
         "<section><h2>From all around</h2><div class=\"wide\">{}</div><p class=\"lead\">Turn it in a browser: \
-         <code>trimip-cli view {}</code></p></section>\n",
+         <code>trimip-cli view {}</code> <a id=\"viewer\" href=\"./\" hidden>open it in the viewer</a></p></section>\n",
         embedded(strip.into_rgb8(), "eight views around the model")?,
         escape(&root.display().to_string())
     ))

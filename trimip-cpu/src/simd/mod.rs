@@ -13,6 +13,8 @@ mod plain;
 #[cfg(test)]
 mod tests;
 
+use std::fmt;
+
 pub use bf16::{bf16, pair};
 pub use plain::Plain;
 
@@ -29,6 +31,18 @@ pub enum Simd {
     Neon,
     /// Any processor.
     Portable,
+}
+
+impl fmt::Display for Simd {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Avx512Bf16 => "AVX-512 BF16",
+            Self::Avx512 => "AVX-512",
+            Self::Avx2 => "AVX2",
+            Self::Neon => "NEON",
+            Self::Portable => "no vector instructions",
+        })
+    }
 }
 
 impl Simd {
