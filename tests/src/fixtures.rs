@@ -96,7 +96,7 @@ fn small_hash_grid() -> Config {
 fn wide_hash_grid() -> Config {
     let mut config = small_hash_grid();
     (config.hash_grid.features, config.hash_grid.levels) = (4, 5);
-    config.renderer.color_weight = 0.02;
+    config.renderer.color_weight = Schedule::new(vec![[0.0, 0.02]]);
     config
 }
 
@@ -138,7 +138,7 @@ fn small_tensor() -> Config {
     (field.density_layers, field.biases, field.geometry, field.geometry_frequencies) = (0, true, 6, 2);
     (field.view, field.view_frequencies) = (ViewEncoding::Frequencies, 2);
     (field.density, field.density_shift, field.density_scale) = (DensityFunction::Softplus, 2.0, 3.0);
-    config.renderer.color_weight = 0.02;
+    config.renderer.color_weight = Schedule::new(vec![[0.0, 0.02]]);
     config
 }
 
@@ -193,7 +193,7 @@ pub fn growing_voxels() -> Config {
 fn other_voxels() -> Config {
     let mut config = small_voxels();
     config.voxels.harmonics = 3;
-    config.renderer.color_weight = 0.02;
+    config.renderer.color_weight = Schedule::new(vec![[0.0, 0.02]]);
     (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
     config
 }
@@ -224,7 +224,8 @@ pub fn encoded(config: Config, by: &Config) -> Config {
         ..config.optimizer
     };
     let (encoder, hash_grid, rip_map) = (by.encoder.clone(), by.hash_grid.clone(), by.rip_map.clone());
-    let renderer = RendererConfig { color_weight: by.renderer.color_weight, ..config.renderer.clone() };
+    let renderer =
+        RendererConfig { color_weight: by.renderer.color_weight.clone(), ..config.renderer.clone() };
     // Features that sum up to the density need networks of their own.
     let field = if by.encoder.kind == EncoderKind::Tensor { by.field.clone() } else { config.field };
     Config {

@@ -123,7 +123,7 @@ impl Exact {
             let before = (-depth).exp();
             depth += own;
             let weight = before * -(-own).exp_m1();
-            if weight > OPAQUE && weight >= self.config.renderer.color_weight.into() {
+            if weight > OPAQUE && weight >= self.config.renderer.color_weight.at(1.0) {
                 let color = self.color(&view, &geometry);
                 (0..3).for_each(|c| rgb[c] += weight * color[c]);
             }

@@ -49,6 +49,7 @@ pub struct CpuRenderer {
     /// Minimum length of a step, in radii of the ray's sphere in the middle of the box.
     step_per_radius: f32,
     pub(crate) pruning: Pruning<f32>,
+    color_weights: Schedule,
     color_weight: f32,
     background: [f32; 3],
     random: Random,
@@ -71,7 +72,8 @@ impl CpuRenderer {
             step_scale,
             step_per_radius: config.renderer.step_per_radius,
             pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
-            color_weight: config.renderer.color_weight,
+            color_weight: config.renderer.color_weight.at(0.0) as f32,
+            color_weights: config.renderer.color_weight.clone(),
             background: config.data.background,
             random: Random::new(config.seed),
             kind: config.renderer.kind,
@@ -163,6 +165,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
 
     fn follow(&mut self, progress: f64) {
         self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
+        self.color_weight = self.color_weights.at(progress) as f32;
     }
 
     fn see(

@@ -70,6 +70,7 @@ pub struct WgpuRenderer {
     pub(crate) step_length: f32,
     pub(crate) step_per_radius: f32,
     pub(crate) pruning: Pruning<f32>,
+    color_weights: Schedule,
     color_weight: f32,
     background: [f32; 3],
     random: Random,
@@ -95,7 +96,8 @@ impl WgpuRenderer {
             step_scale,
             step_per_radius: config.renderer.step_per_radius,
             pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
-            color_weight: config.renderer.color_weight,
+            color_weight: config.renderer.color_weight.at(0.0) as f32,
+            color_weights: config.renderer.color_weight.clone(),
             background: config.data.background,
             random: Random::new(config.seed),
             training,
@@ -177,6 +179,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
 
     fn follow(&mut self, progress: f64) {
         self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
+        self.color_weight = self.color_weights.at(progress) as f32;
     }
 
     fn march(

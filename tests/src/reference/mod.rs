@@ -197,7 +197,7 @@ impl Reference {
 
     /// The same, black where a weight is below `renderer.color_weight`.
     fn without_faint(&self, samples: &[Sample], radiance: Vec<(f64, [f64; 3])>) -> Vec<(f64, [f64; 3])> {
-        let least = f64::from(self.config.renderer.color_weight);
+        let least = self.config.renderer.color_weight.at(1.0);
         let depth = |k: usize| radiance[k].0 * samples[k].length;
         let weight = |i: usize| (-(0..i).map(depth).sum::<f64>()).exp() * (1.0 - (-depth(i)).exp());
         let shown = |i: usize| if weight(i) < least { [0.0; 3] } else { radiance[i].1 };

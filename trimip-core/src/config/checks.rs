@@ -185,6 +185,11 @@ impl RendererConfig {
             self.step_scale.is_whole(),
             "renderer.step_scale",
             "[[0.0, scale], ...] with rising fractions below 1 and scales from 0.25 to 64",
+        )?;
+        to.check(
+            self.color_weight.is_whole(),
+            "renderer.color_weight",
+            "[[0.0, weight], ...] with rising fractions below 1 and weights from 0 to 0.999",
         )
     }
 }

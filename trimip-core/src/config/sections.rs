@@ -62,7 +62,7 @@ section!(
     /// Ray marching and compositing.
     RendererConfig, "renderer" {
         kind: RendererKind, pattern: ConePattern, cones: u32, cone_width: f32, steps_per_diagonal: u32, step_scale: Schedule, step_per_radius: f32, min_transmittance: f32,
-        min_weight: f32, color_weight: f32,
+        min_weight: f32, color_weight: Schedule,
     }
 );
 section!(
