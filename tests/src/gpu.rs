@@ -11,7 +11,7 @@ pub const ADDITIONS: [Addition; 3] = [Addition::Fixed, Addition::Atomic, Additio
 ///
 /// # Panics
 /// If `part` fails, or if an adapter is required and there is none.
-pub fn with(additions: &[Addition], part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
+pub fn with(additions: &[Addition], part: impl Fn(&(dyn Fn() -> WgpuBackend + Sync)) -> Result<()>) {
     if trimip_wgpu::adapters().is_empty() {
         assert!(
             std::env::var_os("TRIMIP_REQUIRE_GPU").is_none(),
@@ -33,6 +33,6 @@ pub fn with(additions: &[Addition], part: impl Fn(&dyn Fn() -> WgpuBackend) -> R
 }
 
 /// Runs a test that needs bitwise reproducible results.
-pub fn reproducibly(part: impl Fn(&dyn Fn() -> WgpuBackend) -> Result<()>) {
+pub fn reproducibly(part: impl Fn(&(dyn Fn() -> WgpuBackend + Sync)) -> Result<()>) {
     with(&[Addition::Fixed], part);
 }

@@ -10,6 +10,7 @@ pub mod fixtures;
 pub mod formats;
 #[cfg(feature = "wgpu")]
 pub mod gpu;
+pub mod ranks;
 pub mod reference;
 pub mod suite;
 pub mod watching;

@@ -1,8 +1,8 @@
 //! The suite for every backend, on the CPU with each instruction set and several numbers of threads.
 
-use trimip_core::{Result, config::Precision};
-use trimip_cpu::{CpuBackend, simd::Simd};
-use trimip_tests::suite;
+use trimip_core::{Result, config::Precision, exchange::Exchange};
+use trimip_cpu::{CpuBackend, Together, simd::Simd};
+use trimip_tests::{ranks::Threads, suite};
 
 /// Runs a test of the suite on every CPU backend that this processor supports.
 fn on_every_cpu(part: impl Fn(&dyn Fn() -> CpuBackend) -> Result<()>) {
@@ -148,15 +148,24 @@ fn a_step_moves_parameters_by_the_written_rule() {
 }
 
 #[test]
-fn a_twin_machine_with_the_same_rays_changes_no_bit() {
-    with_threads(&[2], |make| suite::exchange::twin(make));
+fn any_number_of_ranks_has_the_bits_of_one() {
+    let together =
+        |ranks| Box::new(Together::new(ranks).expect("few ranks")) as Box<dyn Exchange<CpuBackend>>;
+    let simd = Simd::detect();
+    suite::exchange::same_bits(|| CpuBackend::new(2, simd).expect("threads start"), &together)
+        .expect("all train");
 }
 
 #[test]
-fn two_machines_keep_the_same_parameters() {
-    for simd in Simd::available() {
-        suite::exchange::together(|| CpuBackend::new(1, simd).expect("threads start")).expect("both train");
-    }
+fn ranks_that_add_gradients_learn_the_same() {
+    suite::exchange::summed(|| CpuBackend::new(2, Simd::detect()).expect("threads start"))
+        .expect("all train");
+}
+
+#[test]
+fn more_ranks_than_parts_are_refused() {
+    let refused = Together::new(Threads::new(25).remove(0)).err().expect("too many");
+    assert!(refused.exit_code() == 2 && refused.message.contains("25 ranks"), "{refused}");
 }
 
 #[test]
@@ -259,5 +268,4 @@ fn exposed_pixels_are_the_literal_ones() {
 #[test]
 fn gains_of_photographs_are_beside_the_model() {
     on_every_cpu(|make| suite::exposure::beside_the_model(make));
-    on_every_cpu(|make| suite::exchange::no_gains(make));
 }

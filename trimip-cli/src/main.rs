@@ -12,6 +12,7 @@ mod check;
 mod curves;
 mod interrupt;
 mod progress;
+mod ranks;
 mod report;
 mod settings;
 mod terminal;
@@ -38,7 +39,7 @@ fn main() -> ExitCode {
             return ended(Err(Error::input("command line", what, "see trimip-cli --help")));
         }
     };
-    ended(verbs::run(arguments))
+    ended(ranks::among(|| verbs::run(&arguments), |ranks| verbs::help(&arguments, ranks)))
 }
 
 /// The exit code of a program with this outcome. What could not be printed is an error of a program without another.

@@ -6,6 +6,7 @@ use crate::{
     Config, Result, ViewSet,
     balance::Draw,
     batch::{Deposit, StepResult, Workspace},
+    exchange::Share,
 };
 use bytemuck::Pod;
 use std::ops::Range;
@@ -73,11 +74,13 @@ pub trait Backend: Sized + Send + Sync + 'static {
 
     /// Runs `work` over the pixels of a step in spans of about `per_span` cones. Spans that share a deposit run one
     /// after the other, in order. Which spans share a deposit depends only on `draw`, `per_span` and the number of
-    /// deposits, so the sums have the same bits for any number of workers. A GPU takes all pixels as one span.
+    /// deposits, so the sums have the same bits for any number of workers. A GPU takes all pixels as one span. Only the pixels of
+    /// this rank's `share` are worked on.
     fn train_spans(
         &self,
         field: &Self::Field,
         draw: &Draw,
+        share: Share,
         per_span: u32,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,

@@ -167,6 +167,28 @@ pub struct StepResult {
 }
 
 impl StepResult {
+    /// All numbers as bits, to be sent to another process.
+    pub fn to_words(&self) -> Vec<u64> {
+        let StepSums { loss, weight, squared_error, rays, marched, kept, non_finite } = self.sums;
+        let sums = [loss, weight, squared_error].map(f64::to_bits).into_iter();
+        let counts = [rays, marched, kept, non_finite];
+        sums.chain(counts).chain(self.exposures.as_flattened().iter().map(|value| value.to_bits())).collect()
+    }
+
+    /// The result of these [`to_words`](Self::to_words); zeros if there are too few.
+    pub fn of_words(words: &[u64]) -> Self {
+        let Some((&[loss, weight, squared_error, rays, marched, kept, non_finite], exposures)) =
+            words.split_first_chunk()
+        else {
+            return Self::default();
+        };
+        let [loss, weight, squared_error] = [loss, weight, squared_error].map(f64::from_bits);
+        Self {
+            sums: StepSums { loss, weight, squared_error, rays, marched, kept, non_finite },
+            exposures: exposures.as_chunks().0.iter().map(|gains| gains.map(f64::from_bits)).collect(),
+        }
+    }
+
     /// Adds the result of another span.
     pub fn add(&mut self, other: &Self) {
         self.sums.add(&other.sums);

@@ -169,9 +169,20 @@ impl Checkpoint {
     /// # Errors
     /// When the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<u64> {
+        self.file.write(path, &self.metadata()?)
+    }
+
+    /// The bytes of the file that [`write`](Self::write) writes.
+    ///
+    /// # Errors
+    /// When the state cannot be written as JSON.
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        self.file.to_bytes(&self.metadata()?)
+    }
+
+    fn metadata(&self) -> Result<[(&'static str, String); 3]> {
         let state = serde_json::to_string(&self.state).map_err(Error::run)?;
-        let metadata = [("format", FORMAT.to_string()), ("config", self.config.to_toml()), ("state", state)];
-        self.file.write(path, &metadata)
+        Ok([("format", FORMAT.to_string()), ("config", self.config.to_toml()), ("state", state)])
     }
 
     /// Reads a checkpoint and checks it: its format, its settings, its state, and every tensor's shape and numbers.

@@ -17,6 +17,18 @@ pub enum ErrorKind {
     Stopped,
 }
 
+impl ErrorKind {
+    /// 1 the run failed, 2 the input is wrong, 3 the device failed, 130 the user stopped the program.
+    pub fn exit_code(self) -> u8 {
+        match self {
+            Self::Run => 1,
+            Self::Input => 2,
+            Self::Device => 3,
+            Self::Stopped => STOPPED,
+        }
+    }
+}
+
 /// An error: its cause and one line of text.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("{message}")]
@@ -56,14 +68,9 @@ impl Error {
         Self { kind: ErrorKind::Stopped, message: message.into() }
     }
 
-    /// 1 the run failed, 2 the input is wrong, 3 the device failed, 130 the user stopped the program.
+    /// The exit code of its kind.
     pub fn exit_code(&self) -> u8 {
-        match self.kind {
-            ErrorKind::Run => 1,
-            ErrorKind::Input => 2,
-            ErrorKind::Device => 3,
-            ErrorKind::Stopped => STOPPED,
-        }
+        self.kind.exit_code()
     }
 }
 

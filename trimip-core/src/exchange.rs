@@ -1,43 +1,214 @@
-//! The interface for training on several machines. In every training step there is one moment at which the gradient
-//! of all parameters and the sum of the weights of its rays are complete on this machine, and no parameter has
-//! changed yet. Machines that train one model together sum both at this moment. Each machine then updates its own
-//! copy of the parameters, with the same bits.
+//! The interface for training one model in several processes, called ranks. Every rank computes a share of each step's
+//! pixels. An [`Exchange`] brings together what they computed, and every rank takes the same step with the same bits.
+//! [`Ranks`] is the transport below it: MPI, or channels between threads.
 
-use crate::{Backend, batch::Deposit};
+use crate::{
+    Backend, Result,
+    backend::Stages,
+    batch::{Deposit, StepResult},
+};
+use std::sync::Arc;
 
-/// What an [`Exchange`] did to the gradient.
+/// A rank's share of the work of all ranks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Exchanged {
-    /// Nothing: gradient and weight are still this machine's.
-    Nothing,
-    /// The gradient may be non-zero anywhere, even at parameters that no ray of this machine touched.
-    Everything,
+pub struct Share {
+    /// Number of this rank, from 0.
+    pub rank: usize,
+    /// Number of ranks.
+    pub of: usize,
 }
 
-/// Sums the gradient and the weight of a step over all machines.
-///
-/// The trainer calls it once per step, after [`Stages::flush`](crate::backend::Stages::flush) and before
-/// [`Backend::update`]. The result must have the same bits on every machine; only then do their parameters stay
-/// equal.
+impl Share {
+    /// All of the work.
+    pub const WHOLE: Self = Self { rank: 0, of: 1 };
+
+    /// True if item `index` of work that is dealt out in turn belongs to this rank.
+    pub fn has(self, index: usize) -> bool {
+        index % self.of == self.rank
+    }
+
+    /// The part of `count` items that belongs to this rank, if every rank takes a contiguous part.
+    pub fn part(self, count: u32) -> std::ops::Range<u32> {
+        let bound = |rank: usize| (u64::from(count) * rank as u64 / self.of as u64) as u32;
+        bound(self.rank)..bound(self.rank + 1)
+    }
+}
+
+/// The processes that train one model together. Every rank makes the same calls in the same order; a call returns when
+/// this rank has what it needs from the others.
+pub trait Ranks: Send + Sync {
+    /// This rank among all of them.
+    fn share(&self) -> Share;
+
+    /// This rank among those on the same machine.
+    fn on_machine(&self) -> Share {
+        self.share()
+    }
+
+    /// Sends `out[r]` to every other rank r, and puts what rank r sent here into `into[r]`. Both have one entry per rank;
+    /// that of this rank is left alone.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()>;
+
+    /// Replaces `bytes` on every rank by those of rank 0.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()>;
+
+    /// Sends a message to one rank, which has to [`receive`](Self::receive) it.
+    ///
+    /// # Errors
+    /// When that rank is gone.
+    fn send(&self, to: usize, bytes: &[u8]) -> Result<()>;
+
+    /// Waits for a message of any rank; returns its sender too.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn receive(&self) -> Result<(usize, Vec<u8>)>;
+
+    /// A message of any rank that has come; returns its sender too.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn try_receive(&self) -> Result<Option<(usize, Vec<u8>)>>;
+
+    /// Told after a step: the bytes of the part of the gradient that the step touched.
+    fn tally(&self, touched: u64) {
+        let _ = touched;
+    }
+}
+
+/// Brings together what the ranks computed in a step. The trainer calls its functions in the order in which they stand here,
+/// [`moments`](Self::moments) excepted.
 pub trait Exchange<B: Backend>: Send {
-    /// Exchanges one step. `gradient` is flat, in the order of the layout, and not yet divided by the weight;
-    /// [`Backend::read`] and [`Backend::write`] give access to it. The weight is stored in the deposits;
-    /// [`Backend::weight`] and [`Backend::set_weight`] read and replace it. A machine whose rays hit nothing makes
-    /// the call too, with a gradient and a weight of zero.
-    fn exchange(
+    /// The share of a step's pixels that this rank computes.
+    fn share(&self) -> Share {
+        Share::WHOLE
+    }
+
+    /// Called when the share's deposits are complete, before they are posted or flushed.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn deposits(&mut self, backend: &B, stages: &mut Stages<B>, deposits: &mut [Deposit<B>]) -> Result<()> {
+        let _ = (backend, stages, deposits);
+        Ok(())
+    }
+
+    /// Called with the sums of a step that were posted on this rank; returns those of all ranks.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn sums(&mut self, sums: StepResult) -> Result<StepResult> {
+        Ok(sums)
+    }
+
+    /// Computes new parameters, as [`Backend::update`] does, from the gradients of all ranks. `gradient` is flat, in the order of
+    /// the layout, and not yet divided by the weight; a rank whose rays hit nothing makes the call too, with a gradient and
+    /// a weight of zero.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    #[allow(clippy::too_many_arguments)]
+    fn update(
         &mut self,
         backend: &B,
+        stages: &mut Stages<B>,
+        parameters: &mut B::Buffer<f32>,
         gradient: &mut B::Buffer<f32>,
         deposits: &mut [Deposit<B>],
-    ) -> Exchanged;
+        learning_rate: f64,
+        step: u64,
+    ) -> Result<()> {
+        backend.update(stages, parameters, gradient, deposits, learning_rate, step);
+        Ok(())
+    }
+
+    /// Called before the optimiser's moments are read: afterwards every rank has all of them.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn moments(&mut self, backend: &B, stages: &mut Stages<B>) -> Result<()> {
+        let _ = (backend, stages);
+        Ok(())
+    }
 }
 
-/// A single machine: leaves everything unchanged.
+/// A single process: leaves everything unchanged.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Alone;
 
-impl<B: Backend> Exchange<B> for Alone {
-    fn exchange(&mut self, _: &B, _: &mut B::Buffer<f32>, _: &mut [Deposit<B>]) -> Exchanged {
-        Exchanged::Nothing
+impl<B: Backend> Exchange<B> for Alone {}
+
+/// For any backend: every rank adds up the gradients of all ranks in the order of the ranks, and takes the whole step. Every
+/// rank has the same bits; another number of ranks rounds the sums in another way.
+pub struct Summed {
+    ranks: Arc<dyn Ranks>,
+    received: Vec<Vec<u8>>,
+}
+
+impl Summed {
+    /// An exchange over `ranks`.
+    pub fn new(ranks: Arc<dyn Ranks>) -> Self {
+        let received = vec![Vec::new(); ranks.share().of];
+        Self { ranks, received }
+    }
+
+    /// Sends `own` to every rank; calls `add` with what each rank sent, in order.
+    fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8])) -> Result<()> {
+        let Self { ranks, received } = self;
+        let share = ranks.share();
+        ranks.trade(&vec![own; share.of], received)?;
+        for (rank, bytes) in received.iter().enumerate() {
+            add(if rank == share.rank { own } else { bytes });
+        }
+        Ok(())
+    }
+}
+
+impl<B: Backend> Exchange<B> for Summed {
+    fn share(&self) -> Share {
+        self.ranks.share()
+    }
+
+    fn sums(&mut self, sums: StepResult) -> Result<StepResult> {
+        let own = sums.to_words();
+        let mut all = StepResult::default();
+        self.gather(bytemuck::cast_slice(&own), |bytes| {
+            let words = bytes.chunks_exact(size_of::<u64>()).map(bytemuck::pod_read_unaligned);
+            all.add(&StepResult::of_words(&words.collect::<Vec<_>>()));
+        })?;
+        Ok(all)
+    }
+
+    fn update(
+        &mut self,
+        backend: &B,
+        stages: &mut Stages<B>,
+        parameters: &mut B::Buffer<f32>,
+        gradient: &mut B::Buffer<f32>,
+        deposits: &mut [Deposit<B>],
+        learning_rate: f64,
+        step: u64,
+    ) -> Result<()> {
+        let mut own = backend.read(gradient);
+        let mut message = bytemuck::bytes_of(&backend.weight(deposits)).to_vec();
+        message.extend_from_slice(bytemuck::cast_slice(&own));
+        let mut weight = 0.0;
+        own.fill(0.0);
+        self.gather(&message, |bytes| {
+            let (head, tail) = bytes.split_at(size_of::<f64>());
+            weight += bytemuck::pod_read_unaligned::<f64>(head);
+            let values = tail.chunks_exact(size_of::<f32>()).map(bytemuck::pod_read_unaligned::<f32>);
+            own.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+        })?;
+        backend.write(gradient, &own);
+        backend.set_weight(deposits, weight);
+        backend.update_all(stages, parameters, gradient, deposits, learning_rate, step);
+        Ok(())
     }
 }

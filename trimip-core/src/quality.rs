@@ -155,7 +155,7 @@ impl Measures {
 }
 
 /// Measures of one view, kept after its pixels are gone.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewQuality {
     /// Index of the frame in the test split.
     pub index: usize,

@@ -162,6 +162,24 @@ impl TensorFile {
     /// # Errors
     /// When the file cannot be written.
     pub fn write(&self, path: &Path, metadata: &[(&str, String)]) -> Result<u64> {
+        self.encode(metadata, |parts| {
+            replace_atomically(path, |file| {
+                parts.iter().try_for_each(|part| file.write_all(part))?;
+                Ok(parts.iter().map(|part| part.len() as u64).sum())
+            })
+        })
+    }
+
+    /// The bytes of the file that [`write`](Self::write) writes.
+    ///
+    /// # Errors
+    /// When the metadata cannot be written as JSON.
+    pub fn to_bytes(&self, metadata: &[(&str, String)]) -> Result<Vec<u8>> {
+        self.encode(metadata, |parts| Ok(parts.concat()))
+    }
+
+    /// Calls `write` with the parts of the file, in order.
+    fn encode<R>(&self, metadata: &[(&str, String)], write: impl FnOnce(&[&[u8]]) -> Result<R>) -> Result<R> {
         let mut all = self.metadata.clone();
         all.extend(metadata.iter().map(|(key, value)| ((*key).to_string(), value.clone())));
         // Wider types come first, so that every tensor is aligned.
@@ -179,12 +197,10 @@ impl TensorFile {
         let header = Metadata::new(Some(own), infos.collect()).map_err(Error::run)?;
         let mut header = serde_json::to_vec(&header).map_err(Error::run)?;
         header.resize(header.len().next_multiple_of(LENGTH), b' ');
-        replace_atomically(path, |file| {
-            file.write_all(&(header.len() as u64).to_le_bytes())?;
-            file.write_all(&header)?;
-            tensors.iter().try_for_each(|(.., (bytes, _))| file.write_all(bytes))?;
-            Ok((LENGTH + header.len() + end) as u64)
-        })
+        let length = (header.len() as u64).to_le_bytes();
+        let mut parts: Vec<&[u8]> = vec![&length, &header];
+        parts.extend(tensors.iter().map(|(.., (bytes, _))| &bytes[..]));
+        write(&parts)
     }
 
     /// Parses the bytes of a file; `file` is used in errors.

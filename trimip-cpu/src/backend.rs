@@ -2,7 +2,7 @@
 
 use crate::buffer::{Buffer, take_mut};
 use crate::encoder::CpuEncoder;
-use crate::field::CpuField;
+use crate::field::{CpuField, PARTS};
 use crate::loss::CpuLoss;
 use crate::occupancy::CpuOccupancy;
 use crate::optimizer::CpuOptimizer;
@@ -19,6 +19,7 @@ use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::balance::Draw;
 use trimip_core::batch::{Deposit, Segment, StepResult, Workspace};
 use trimip_core::config::Precision;
+use trimip_core::exchange::Share;
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
 
 /// Approximate maximum of samples in the rays that a worker renders at once; it bounds the worker's memory.
@@ -60,6 +61,11 @@ const SAMPLES_PER_DEPOSIT: u32 = 1024;
 /// Number of deposits of a step of `samples` samples: enough to balance the load of many cores.
 pub fn deposits(samples: u32) -> usize {
     (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
+}
+
+/// True if a rank with this share computes deposit `index`.
+pub(crate) fn has(share: Share, index: usize) -> bool {
+    share.has(index % PARTS)
 }
 
 /// The CPU with a given number of threads and a given instruction set.
@@ -209,13 +215,15 @@ impl Backend for CpuBackend {
         &self,
         field: &CpuField,
         draw: &Draw,
+        share: Share,
         per_span: u32,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,
     ) {
         let count = deposits.len() as u64;
         let bound = |i: u64| (u64::from(draw.cones()) * i / count) as u32;
-        deposits.par_iter_mut().enumerate().with_max_len(1).for_each(|(i, deposit)| {
+        let own: Vec<_> = deposits.iter_mut().enumerate().filter(|(i, _)| has(share, *i)).collect();
+        own.into_par_iter().with_max_len(1).for_each(|(i, deposit)| {
             let (from, to) = (bound(i as u64), bound(i as u64 + 1));
             self.with_workspace(field, |workspace| {
                 for start in (from..to).step_by(per_span as usize) {

@@ -2,10 +2,11 @@
 
 use crate::buffer::Buffer;
 use crate::encoders::{
-    Encoding, Left, Piece, Places, frequencies, hash_grid, rip_map, tensor, tri_mip, voxels,
+    Divided, Encoding, Left, Piece, Places, frequencies, hash_grid, rip_map, tensor, tri_mip, voxels,
 };
 use crate::gemm::padded;
 use crate::simd::Simd;
+use crate::wire::Reader;
 use crate::{CpuBackend, Lane};
 use trimip_core::batch::{Deposit, Rays, Samples};
 use trimip_core::config::EncoderKind;
@@ -65,6 +66,29 @@ macro_rules! encoders {
             /// See [`Encoding::touched`].
             pub(crate) fn touched(&self) -> Option<Vec<Piece<'_>>> {
                 match &self.any { $(Any::$name(encoding) => encoding.touched()),* }
+            }
+
+            /// See [`Encoding::put`].
+            pub(crate) fn put(&self, gradient: &EncoderGradient, to: usize, out: &mut Vec<u8>) {
+                match (&self.any, &gradient.0) {
+                    $((Any::$name(encoding), AnyGradient::$name(gradient)) => encoding.put(gradient, to, out),)*
+                    #[allow(unreachable_patterns)]
+                    _ => unreachable!("a gradient is made by its own encoder"),
+                }
+            }
+
+            /// See [`Encoding::take`].
+            pub(crate) fn take(&self, from: &mut Reader<'_>, gradient: &mut EncoderGradient) {
+                match (&self.any, &mut gradient.0) {
+                    $((Any::$name(encoding), AnyGradient::$name(gradient)) => encoding.take(from, gradient),)*
+                    #[allow(unreachable_patterns)]
+                    _ => unreachable!("a gradient is made by its own encoder"),
+                }
+            }
+
+            /// See [`Encoding::divided`].
+            pub(crate) fn divided(&mut self) -> Option<&mut dyn Divided> {
+                match &mut self.any { $(Any::$name(encoding) => encoding.divided()),* }
             }
 
             /// Rebuilds the data derived from the parameters that the last gradient touched.

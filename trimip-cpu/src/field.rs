@@ -4,15 +4,17 @@
 //! features: a logit of density and those of colour.
 
 use crate::buffer::Buffer;
-
 use crate::gemm::padded;
 use crate::mlp::{Activations, Mlp, MlpGradient, Passing, Row, Shared};
 use crate::simd::Simd;
+use crate::wire::Reader;
 use crate::{CpuBackend, Lane};
+use rayon::prelude::*;
 use trimip_core::activation::{Color, Density};
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
 use trimip_core::compositing::is_lit;
 use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
+use trimip_core::exchange::Share;
 use trimip_core::networks::{
     append_frequencies, color_network, density_network, geometry, geometry_width, pull_frequencies,
     view_width,
@@ -36,6 +38,8 @@ pub struct CpuField {
     view: usize,
     /// Padded width of the geometry features with their sines and cosines; 0 if there are none of these.
     shape: usize,
+    /// True if the weight gradients of this step are summed by parts.
+    is_folded: bool,
 }
 
 /// Activations of a span.
@@ -155,7 +159,46 @@ pub struct FieldGradient {
     color: MlpGradient,
 }
 
+/// Parts of a step whose weight gradients are summed apart, and then in order: deposit i belongs to part i % `PARTS`. Ranks
+/// take whole parts, so the sums have the same bits for any number of ranks.
+pub const PARTS: usize = 24;
+
+impl FieldGradient {
+    fn fold(&mut self, other: &mut Self) {
+        self.density.fold(&mut other.density);
+        self.color.fold(&mut other.color);
+    }
+
+    /// Writes all numbers.
+    pub(crate) fn put(&self, out: &mut Vec<u8>) {
+        self.density.put(out);
+        self.color.put(out);
+    }
+
+    /// Replaces all numbers by those that were put.
+    pub(crate) fn take(&mut self, from: &mut Reader<'_>) {
+        self.density.take(from);
+        self.color.take(from);
+    }
+}
+
 impl CpuField {
+    /// Sums the weight gradients of each part of `share` into its first deposit. Does nothing if it was done in this step.
+    pub(crate) fn fold(&mut self, deposits: &mut [Deposit<CpuBackend>], share: Share) {
+        if std::mem::replace(&mut self.is_folded, true) {
+            return;
+        }
+        let (first, rest) = deposits.split_at_mut(PARTS.min(deposits.len()));
+        let mut parts: Vec<Vec<&mut FieldGradient>> =
+            first.iter_mut().map(|deposit| vec![&mut deposit.field]).collect();
+        rest.iter_mut().enumerate().for_each(|(i, deposit)| parts[i % PARTS].push(&mut deposit.field));
+        parts.par_iter_mut().enumerate().filter(|(part, _)| share.has(*part)).for_each(|(_, part)| {
+            if let [sum, others @ ..] = &mut part[..] {
+                others.iter_mut().for_each(|other| sum.fold(other));
+            }
+        });
+    }
+
     /// Creates the networks of a configuration, with products in `precision`.
     pub fn new(simd: Simd, config: &Config, layout: &Layout, precision: Precision) -> Self {
         let (density, color) = (density_network(config), color_network(config));
@@ -197,6 +240,7 @@ impl CpuField {
             config: field.clone(),
             view: padded_view,
             shape,
+            is_folded: false,
         }
     }
 
@@ -413,9 +457,12 @@ impl Field<CpuBackend> for CpuField {
     }
 
     fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {
+        self.fold(deposits, Share::WHOLE);
+        self.is_folded = false;
+        let parts = PARTS.min(deposits.len());
         for (i, slot) in self.slots.iter().enumerate() {
             let out = &mut parameter_gradient[slot.range.clone()];
-            let fields = deposits.iter_mut().map(|deposit| &mut deposit.field);
+            let fields = deposits[..parts].iter_mut().map(|deposit| &mut deposit.field);
             match i.checked_sub(self.density.slots()) {
                 None => self.density.flush(i, fields.map(|field| &mut field.density), out),
                 Some(i) => self.color.flush(i, fields.map(|field| &mut field.color), out),

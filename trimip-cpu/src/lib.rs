@@ -40,6 +40,8 @@ mod renderer;
 mod sampler;
 mod see;
 pub mod simd;
+mod together;
+mod wire;
 
 pub use backend::{CpuBackend, Lane};
 pub use buffer::Buffer;
@@ -47,8 +49,11 @@ pub use encoder::CpuEncoder;
 pub use field::CpuField;
 pub use occupancy::CpuOccupancy;
 pub use renderer::CpuRenderer;
+pub use together::Together;
 
 use simd::Simd;
+use std::sync::Arc;
+use trimip_core::exchange::Ranks;
 use trimip_core::loaded::LoadedModel;
 use trimip_core::model::Model;
 use trimip_core::scene_plan::Compute;
@@ -62,6 +67,18 @@ use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
     Ok(Box::new(Trainer::new(backend, config, views)?))
+}
+
+/// As [`open`], trained together with other ranks, with the bits of one.
+///
+/// # Errors
+/// As [`open`], and when there are more ranks than a step has parts.
+pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
+    let exchange = Together::new(ranks)?;
+    let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
+    let mut trainer = Trainer::new(backend, config, views)?;
+    trainer.exchange_by(Box::new(exchange));
+    Ok(Box::new(trainer))
 }
 
 /// Predicts the memory of a training with these settings and views: name and bytes of each part.

@@ -7,6 +7,7 @@
 use crate::buffer::Buffer;
 use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded, pair_columns, pair_rows};
 use crate::simd::Simd;
+use crate::wire::{Reader, put};
 use trimip_core::config::Precision;
 use trimip_core::networks::Network;
 
@@ -105,6 +106,34 @@ pub struct MlpGradient {
     shared: Buffer<f32>,
     joined: Buffer<f32>,
     biases: Vec<Buffer<f32>>,
+}
+
+impl MlpGradient {
+    fn buffers(&self) -> impl Iterator<Item = &Buffer<f32>> {
+        self.layers.iter().chain([&self.shared, &self.joined]).chain(&self.biases)
+    }
+
+    fn buffers_mut(&mut self) -> impl Iterator<Item = &mut Buffer<f32>> {
+        self.layers.iter_mut().chain([&mut self.shared, &mut self.joined]).chain(&mut self.biases)
+    }
+
+    /// Adds another gradient, and sets it to zero.
+    pub fn fold(&mut self, other: &mut Self) {
+        for (sums, values) in self.buffers_mut().zip(other.buffers_mut()) {
+            sums.iter_mut().zip(values.iter()).for_each(|(sum, value)| *sum += value);
+            values.fill(0.0);
+        }
+    }
+
+    /// Writes all numbers.
+    pub fn put(&self, out: &mut Vec<u8>) {
+        self.buffers().for_each(|values| put(out, values));
+    }
+
+    /// Replaces all numbers by those that were put.
+    pub fn take(&mut self, from: &mut Reader<'_>) {
+        self.buffers_mut().for_each(|values| from.copy(values));
+    }
 }
 
 /// A worker's buffers for a backward pass, used by one network at a time.

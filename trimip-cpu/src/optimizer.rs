@@ -49,7 +49,13 @@ impl CpuOptimizer {
         self.config.untouched == Untouched::Skip
     }
 
-    /// As [`Optimizer::step`], for an encoder whose first slot has a gradient of zero outside of `touched`.
+    /// Counts what another rank left out.
+    pub(crate) fn count_non_finite(&mut self, count: u64) {
+        *self.non_finite.get_mut() += count;
+    }
+
+    /// As [`Optimizer::step`], for an encoder whose first slot has a gradient of zero outside of `touched`. Returns how many
+    /// gradients of that slot were left out.
     pub(crate) fn step_within(
         &mut self,
         parameters: &mut Buffer<f32>,
@@ -58,10 +64,12 @@ impl CpuOptimizer {
         learning_rate: f64,
         step: u64,
         touched: Option<Vec<Piece<'_>>>,
-    ) {
+    ) -> u64 {
         let weight: f64 = deposits.iter().map(|deposit| deposit.sums.sums.weight).sum();
         let scale = (1.0 / weight) as f32;
         let Self { simd, config, slots, m, v, non_finite, parts } = self;
+        let before = *non_finite.get_mut();
+        let mut first = 0;
         for (index, (slot, part)) in slots.iter().zip(parts).enumerate() {
             let rule = Rule { sparsity: part.sparsity as f32, ..Rule::of(config, slot, learning_rate, step) };
             let whole = &part.range;
@@ -100,7 +108,11 @@ impl CpuOptimizer {
                     }
                 });
             }
+            if index == 0 {
+                first = *non_finite.get_mut() - before;
+            }
         }
+        first
     }
 }
 

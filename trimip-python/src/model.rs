@@ -253,7 +253,7 @@ impl Model {
         let measured = self.work(py, |viewer, interrupted| {
             let mut perceiver = Perceiver::open(&config.eval)?;
             let set = data::open_test(&config.data)?;
-            evaluate(viewer, &*set.frames, &config.data, stride, &mut perceiver, interrupted)
+            evaluate(viewer, &*set.frames, &config.data, stride, &mut perceiver, interrupted, None)
         })?;
         value::python(
             py,

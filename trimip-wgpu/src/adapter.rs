@@ -96,6 +96,22 @@ pub fn choose(name: &str) -> Result<wgpu::Adapter> {
     choose_among(all_adapters(), name)
 }
 
+/// As [`choose`], but the adapter number `index` of those that are as good, counted around.
+///
+/// # Errors
+/// As [`choose`].
+pub fn choose_one_of(name: &str, index: usize) -> Result<wgpu::Adapter> {
+    let best = choose(name)?.get_info();
+    let mut alike = all_adapters();
+    alike.retain(|a| {
+        let info = a.get_info();
+        info.name.to_lowercase().contains(&name.to_lowercase())
+            && (info.device_type, info.backend) == (best.device_type, best.backend)
+    });
+    let count = alike.len().max(1);
+    alike.into_iter().nth(index % count).map_or_else(|| choose(name), Ok)
+}
+
 /// As [`choose`], without blocking.
 ///
 /// # Errors

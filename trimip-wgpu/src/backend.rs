@@ -24,6 +24,7 @@ use trimip_core::backend::{Stages, TrainWork};
 use trimip_core::balance::Draw;
 use trimip_core::batch::{Deposit, Segment, StepResult, StepSums, Workspace};
 use trimip_core::config::Precision;
+use trimip_core::exchange::Share;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
 /// Iterations after which llvmpipe ends the loops of an invocation, minus some for its other loops.
@@ -119,6 +120,15 @@ impl WgpuBackend {
     /// When there is no such adapter, or it cannot open a device.
     pub fn new(adapter: &str, deterministic: bool) -> Result<Self> {
         Ok(Self::of(Gpu::open(adapter)?, deterministic))
+    }
+
+    /// As [`WgpuBackend::new`], on the adapter number `index` of those that are as good, counted around: one for each rank on a
+    /// machine.
+    ///
+    /// # Errors
+    /// As [`WgpuBackend::new`].
+    pub fn one_of(adapter: &str, index: usize, deterministic: bool) -> Result<Self> {
+        Ok(Self::of(Gpu::open_one_of(adapter, index)?, deterministic))
     }
 
     /// As [`WgpuBackend::new`], without blocking, for a page in a browser.
@@ -354,12 +364,13 @@ impl Backend for WgpuBackend {
         &self,
         field: &WgpuField,
         draw: &Draw,
+        share: Share,
         _: u32,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,
     ) {
         let Some(deposit) = deposits.first_mut() else { return };
-        self.with_workspace(field, |workspace| work(workspace, deposit, 0..draw.pixels()));
+        self.with_workspace(field, |workspace| work(workspace, deposit, share.part(draw.pixels())));
     }
 
     fn map_spans<T: Pod + Send + Sync>(

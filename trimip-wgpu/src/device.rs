@@ -1,7 +1,7 @@
 //! The device: the choice of adapter and limits, and the recorder that collects the dispatches of a whole step for a
 //! single submission.
 
-use crate::adapter::{COOPERATION, choose, choose_async, matrices};
+use crate::adapter::{COOPERATION, choose, choose_async, choose_one_of, matrices};
 use crate::kernel::{Access, Kernel};
 use crate::pipelines::Pipelines;
 use crate::products::Matrices;
@@ -127,6 +127,14 @@ impl Gpu {
     /// When there is no such adapter, or it cannot open a device.
     pub fn open(name: &str) -> Result<Arc<Self>> {
         pollster::block_on(Self::of(choose(name)?))
+    }
+
+    /// As [`Gpu::open`], but the adapter number `index` of those that are as good, counted around.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub fn open_one_of(name: &str, index: usize) -> Result<Arc<Self>> {
+        pollster::block_on(Self::of(choose_one_of(name, index)?))
     }
 
     /// As [`Gpu::open`], without blocking.

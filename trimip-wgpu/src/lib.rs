@@ -41,6 +41,8 @@ pub use device::Counts;
 pub use kernel::Addition;
 pub use memory::memory;
 
+use std::sync::Arc;
+use trimip_core::exchange::{Ranks, Summed};
 use trimip_core::loaded::LoadedModel;
 use trimip_core::model::Model;
 use trimip_core::trainer::Trainer;
@@ -53,6 +55,18 @@ use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     let backend = WgpuBackend::new(&config.wgpu.adapter, config.wgpu.deterministic)?;
     Ok(Box::new(Trainer::new(backend, config, views)?))
+}
+
+/// As [`open`], trained together with other ranks, each on a GPU of its own where a machine has several.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
+    let gpu = ranks.on_machine().rank;
+    let backend = WgpuBackend::one_of(&config.wgpu.adapter, gpu, config.wgpu.deterministic)?;
+    let mut trainer = Trainer::new(backend, config, views)?;
+    trainer.exchange_by(Box::new(Summed::new(ranks)));
+    Ok(Box::new(trainer))
 }
 
 /// Loads a finished model to render on the adapter whose name contains `adapter`.

@@ -2,11 +2,16 @@
 
 #[cfg(feature = "wgpu")]
 use crate::units;
+use std::sync::Arc;
 use trimip_core::{
-    Backend, Config, Error, Result, Session, ViewSet, Viewer, model::Model, scene_plan::Compute,
+    Backend, Config, Error, Result, Session, ViewSet, Viewer, exchange::Ranks, model::Model,
+    scene_plan::Compute,
 };
 #[cfg(feature = "wgpu")]
 use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND};
+
+/// Opens a session that ranks share.
+type TrainOver = fn(&Config, ViewSet, Arc<dyn Ranks>) -> Result<Box<dyn Session>>;
 
 /// A registered backend.
 struct Entry {
@@ -14,6 +19,7 @@ struct Entry {
     describe: fn() -> String,
     usable: fn() -> bool,
     train: fn(&Config, ViewSet) -> Result<Box<dyn Session>>,
+    train_over: TrainOver,
     load: fn(&Model) -> Result<Box<dyn Viewer>>,
     memory: fn(&Config, &ViewSet) -> Vec<(String, u64)>,
     compute: fn(&Config) -> Result<Compute>,
@@ -28,6 +34,7 @@ const ENTRIES: &[Entry] = &[
         describe: trimip_cpu::features,
         usable: || true,
         train: trimip_cpu::open,
+        train_over: trimip_cpu::open_over,
         load: |model| trimip_cpu::load(model, model.config.threads),
         memory: trimip_cpu::memory,
         compute: |config| Ok(trimip_cpu::compute(config.threads)),
@@ -39,6 +46,7 @@ const ENTRIES: &[Entry] = &[
         describe: || "any of the adapters below".into(),
         usable: || !trimip_wgpu::adapters().is_empty(),
         train: trimip_wgpu::open,
+        train_over: trimip_wgpu::open_over,
         load: |model| trimip_wgpu::load(model, &model.config.wgpu.adapter),
         memory: trimip_wgpu::memory,
         compute: |config| trimip_wgpu::compute(&config.wgpu.adapter),
@@ -111,6 +119,14 @@ pub fn check(name: &str) -> Result<()> {
 /// When the backend or its device does not exist, or the configuration does not fit it.
 pub fn train(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     (entry(&config.backend)?.train)(config, views)
+}
+
+/// As [`train`], together with other ranks: each has to make the call, with the same configuration and views.
+///
+/// # Errors
+/// As [`train`], and when the backend cannot be divided among so many.
+pub fn train_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
+    (entry(&config.backend)?.train_over)(config, views, ranks)
 }
 
 /// Opens a trained model for rendering on the backend that its configuration names.

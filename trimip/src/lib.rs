@@ -41,6 +41,7 @@ pub mod inspect;
 pub mod machine;
 pub mod mesh;
 pub mod paper;
+pub mod ranks;
 pub mod report;
 pub mod run;
 pub mod settings;

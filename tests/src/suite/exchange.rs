@@ -1,55 +1,28 @@
-//! Tests of the gradient exchange between machines: it runs in every step, between the complete gradient and the
-//! update.
+//! Tests of training on several ranks, which are threads here.
 
+use super::exposure::exposed;
 use super::training::{configuration, scheduled, steps};
 use crate::fixtures;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use crate::ranks::Threads;
+use std::sync::Arc;
 use trimip_core::{
-    Backend, Config, Result,
-    batch::Deposit,
+    Backend, Config, Result, Session,
+    checkpoint::Checkpoint,
     config::Untouched,
-    exchange::{Exchange, Exchanged},
+    exchange::{Exchange, Ranks, Summed},
+    tensors::Values,
     trainer::Trainer,
 };
 
-/// A second machine with the same rays: the sum of gradients is twice the gradient, and so is the sum of weights.
-struct Twin;
-
-impl<B: Backend> Exchange<B> for Twin {
-    fn exchange(
-        &mut self,
-        backend: &B,
-        gradient: &mut B::Buffer<f32>,
-        deposits: &mut [Deposit<B>],
-    ) -> Exchanged {
-        let doubled: Vec<f32> = backend.read(gradient).iter().map(|g| 2.0 * g).collect();
-        backend.write(gradient, &doubled);
-        backend.set_weight(deposits, 2.0 * backend.weight(deposits));
-        Exchanged::Everything
-    }
-}
-
-/// An exchange that returns a zero gradient and zero weight.
-struct Nothing;
-
-impl<B: Backend> Exchange<B> for Nothing {
-    fn exchange(
-        &mut self,
-        backend: &B,
-        gradient: &mut B::Buffer<f32>,
-        deposits: &mut [Deposit<B>],
-    ) -> Exchanged {
-        let length = backend.read(gradient).len();
-        backend.write(gradient, &vec![0.0; length]);
-        backend.set_weight(deposits, 0.0);
-        Exchanged::Everything
-    }
-}
+/// Makes the exchange of a backend.
+type Make<'a, B> = &'a (dyn Fn(Arc<dyn Ranks>) -> Box<dyn Exchange<B>> + Sync);
 
 /// Configurations that cover every path from the gradient to the parameters.
 fn configurations() -> Result<Vec<Config>> {
-    let mut all = vec![scheduled()?];
-    for encoder in fixtures::every_encoder() {
+    let mut all = vec![scheduled()?, exposed()];
+    for encoder in
+        fixtures::every_encoder().into_iter().chain([fixtures::growing_tensor(), fixtures::growing_voxels()])
+    {
         for untouched in [Untouched::Decay, Untouched::Skip] {
             let mut config = fixtures::encoded(configuration(), &encoder);
             config.optimizer.untouched = untouched;
@@ -59,95 +32,99 @@ fn configurations() -> Result<Vec<Config>> {
     Ok(all)
 }
 
-/// Training next to a twin with the same rays moves the parameters by the same bits as training alone; with zero weight
-/// nothing moves.
+/// `count` steps on `ranks` ranks, from `checkpoint` on; returns the checkpoint of every rank.
+fn train<B: Backend>(
+    make: &(impl Fn() -> B + Sync),
+    exchange: Make<'_, B>,
+    config: &Config,
+    ranks: usize,
+    checkpoint: Option<&Checkpoint>,
+    count: u64,
+) -> Result<Vec<Checkpoint>> {
+    let one = |rank: Option<Arc<Threads>>| -> Result<Checkpoint> {
+        let mut trainer = Trainer::new(make(), config, fixtures::noise(3, 16, 2, 7))?;
+        if let Some(rank) = rank {
+            trainer.exchange_by(exchange(rank));
+        }
+        if let Some(checkpoint) = checkpoint {
+            trainer.restore(checkpoint)?;
+        }
+        steps(&mut trainer, config, count)?;
+        trainer.checkpoint()
+    };
+    if ranks == 0 {
+        return Ok(vec![one(None)?]);
+    }
+    std::thread::scope(|scope| {
+        let run = |rank| scope.spawn(|| one(Some(rank)));
+        let runs: Vec<_> = Threads::new(ranks).into_iter().map(run).collect();
+        runs.into_iter().map(|run| run.join().expect("a rank trains")).collect()
+    })
+}
+
+/// True if two checkpoints hold the same bits, counters included.
+fn same(a: &Checkpoint, b: &Checkpoint) -> bool {
+    let bits = |checkpoint: &Checkpoint| format!("{:?}", checkpoint.state);
+    bits(a) == bits(b) && a.file == b.file
+}
+
+/// Any number of ranks has the bits of one process, on every rank: parameters, moments, occupancy, gains and counters. A run
+/// goes on from a checkpoint with another number of ranks.
 ///
 /// # Errors
 /// When a step fails.
-pub fn twin<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+pub fn same_bits<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>) -> Result<()> {
     for config in configurations()? {
-        let fresh = || Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2));
-        let (mut alone, mut beside, mut idle) = (fresh()?, fresh()?, fresh()?);
-        let first = idle.parameters();
-        beside.exchange_by(Twin)?;
-        idle.exchange_by(Nothing)?;
-        steps(&mut alone, &config, 12)?;
-        steps(&mut beside, &config, 12)?;
-        steps(&mut idle, &config, 3)?;
-        let bits = |values: Vec<f32>| values.into_iter().map(f32::to_bits).collect::<Vec<_>>();
         let name = format!("{:?}, {:?}", config.encoder.kind, config.optimizer.untouched);
-        assert!(alone.parameters() != first, "{name}: twelve steps move something");
-        assert!(bits(alone.parameters()) == bits(beside.parameters()), "{name}: a twin changes no bit");
-        assert!(idle.parameters() == first, "{name}: without weight nothing moves");
+        let half = train(&make, exchange, &config, 0, None, 6)?.remove(0);
+        let whole = train(&make, exchange, &config, 0, Some(&half), 6)?.remove(0);
+        assert!(!same(&half, &whole), "{name}: six steps change something");
+        for ranks in [1, 2, 3, 4] {
+            for checkpoint in train(&make, exchange, &config, ranks, None, 12)? {
+                assert!(same(&checkpoint, &whole), "{name}: {ranks} ranks");
+            }
+        }
+        let [first, then] = [3, 2];
+        let begun = train(&make, exchange, &config, first, None, 6)?.remove(first - 1);
+        assert!(same(&begun, &half), "{name}: {first} ranks, half of the steps");
+        let ended = train(&make, exchange, &config, then, Some(&begun), 6)?.remove(0);
+        assert!(same(&ended, &whole), "{name}: {first} ranks, then {then}");
     }
     Ok(())
 }
 
-/// Gains of photographs are not exchanged: several machines refuse them.
-///
-/// # Errors
-/// When the backend refuses the configuration.
-pub fn no_gains<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    let mut trainer = Trainer::new(make(), &super::exposure::exposed(), fixtures::noise(3, 16, 2, 2))?;
-    let refused = trainer.exchange_by(Twin).expect_err("gains are this machine's own");
-    assert!(refused.exit_code() == 2 && refused.message.contains("loss.exposure"), "{refused}");
-    Ok(())
-}
-
-/// Sums gradients with one other machine.
-struct Link {
-    to: Sender<(Vec<f32>, f64)>,
-    from: Receiver<(Vec<f32>, f64)>,
-}
-
-impl<B: Backend> Exchange<B> for Link {
-    fn exchange(
-        &mut self,
-        backend: &B,
-        gradient: &mut B::Buffer<f32>,
-        deposits: &mut [Deposit<B>],
-    ) -> Exchanged {
-        let (mut sum, weight) = (backend.read(gradient), backend.weight(deposits));
-        self.to.send((sum.clone(), weight)).expect("the other machine listens");
-        let (other, its_weight) = self.from.recv().expect("the other machine answers");
-        // The sum of two values has the same bits in either order.
-        sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
-        backend.write(gradient, &sum);
-        backend.set_weight(deposits, weight + its_weight);
-        Exchanged::Everything
-    }
-}
-
-/// Two machines with different photographs and equal initial parameters keep equal parameters. These differ from what
-/// either machine reaches alone.
+/// Ranks that add up their gradients keep the same bits and see every pixel of a step once. Their gradient is that of one process
+/// but for rounding: the first moments after one step, of which it is a multiple, say so.
 ///
 /// # Errors
 /// When a step fails.
-pub fn together<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
-    for config in configurations()? {
-        let views = |machine| fixtures::noise(3, 16, 2, machine);
-        let (to_second, from_first) = channel();
-        let (to_first, from_second) = channel();
-        let train = |machine: u64, link: Option<Link>| -> Result<Vec<f32>> {
-            let mut trainer = Trainer::new(make(), &config, views(machine))?;
-            if let Some(link) = link {
-                trainer.exchange_by(link)?;
-            }
-            steps(&mut trainer, &config, 12)?;
-            Ok(trainer.parameters())
-        };
-        let (first, second) = std::thread::scope(|scope| {
-            let (first, second) =
-                (Link { to: to_second, from: from_second }, Link { to: to_first, from: from_first });
-            let other = scope.spawn(|| train(8, Some(second)));
-            (train(7, Some(first)), other.join().expect("the second machine trains"))
+pub fn summed<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
+    let exchange: Make<'_, B> = &|ranks| Box::new(Summed::new(ranks));
+    let gradient = |checkpoint: &Checkpoint| -> Vec<f64> {
+        let moments = checkpoint.file.tensors.iter().filter(|(name, _)| name.ends_with(".m"));
+        let values = moments.filter_map(|(_, tensor)| match &tensor.values {
+            Values::F32(values) => Some(values),
+            _ => None,
         });
-        let (first, second) = (first?, second?);
-        assert!(
-            first.iter().zip(&second).all(|(a, b)| a.to_bits() == b.to_bits()),
-            "both have the same bits"
-        );
-        assert!(first != train(7, None)? && second != train(8, None)?, "each learns from the other");
+        values.flatten().map(|value| f64::from(*value)).collect()
+    };
+    let norm = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>().sqrt();
+    for config in [configuration(), exposed()] {
+        let alone = train(&make, exchange, &config, 0, None, 1)?.remove(0);
+        let expected = gradient(&alone);
+        for ranks in [2, 3] {
+            let one = train(&make, exchange, &config, ranks, None, 1)?.remove(0);
+            assert_eq!(one.state.totals.rays, alone.state.totals.rays, "{ranks} ranks");
+            let apart: Vec<f64> = expected.iter().zip(gradient(&one)).map(|(a, b)| a - b).collect();
+            assert!(norm(&expected) > 0.0);
+            assert!(
+                norm(&apart) < 1e-5 * norm(&expected),
+                "{ranks} ranks: {:e}",
+                norm(&apart) / norm(&expected)
+            );
+            let all = train(&make, exchange, &config, ranks, None, 12)?;
+            assert!(all.iter().all(|other| same(other, &all[0])), "{ranks} ranks have the same bits");
+        }
     }
     Ok(())
 }

@@ -4,15 +4,15 @@ use crate::{
     args::EvalArguments,
     interrupt,
     progress::{bar, table},
-    terminal,
+    ranks, terminal,
 };
 use indicatif::ProgressBar;
 use serde_json::json;
 use std::sync::atomic::{AtomicBool, Ordering};
 use trimip::run::folder as run_folder;
-use trimip::view::{PIXELS_PER_DEGREE, Perceiver, Watching, evaluate};
+use trimip::view::{PIXELS_PER_DEGREE, Perceiver, Watching, evaluate, help_evaluate};
 use trimip::{Error, Result, backends, settings};
-use trimip_core::{evaluate::ViewResult, tensors::write_atomically};
+use trimip_core::{evaluate::ViewResult, exchange::Ranks, tensors::write_atomically};
 
 /// Evaluates a model; exit code 1 if it misses `eval.min_psnr`.
 pub fn run(arguments: &EvalArguments) -> Result<u8> {
@@ -36,8 +36,10 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     let stride = arguments.stride as usize;
     let bar = bar("{bar:20} {percent:>3} %  {wide_msg}", 1000);
     let mut watch = OnBar { bar: &bar, stop: &stop };
+    let all = ranks::all();
+    let (viewer, frames) = (session.as_mut(), scene.frames.as_ref());
     let measured =
-        evaluate(session.as_mut(), scene.frames.as_ref(), &config.data, stride, &mut perceiver, &mut watch)?;
+        evaluate(viewer, frames, &config.data, stride, &mut perceiver, &mut watch, all.as_deref())?;
     bar.finish_and_clear();
     let Some(measured) = measured else { return Ok(interrupt::EXIT_CODE) };
 
@@ -61,6 +63,20 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     }
     measured.mean.judge(&config.eval)?;
     Ok(0)
+}
+
+/// Does its part of [`run`] on another rank than the first.
+///
+/// # Errors
+/// When the model or its test set cannot be opened here.
+pub fn help(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
+    let mut model = run_folder::read_model(&arguments.model)?;
+    settings::override_model(&mut model, &arguments.set)?;
+    let mut perceiver = Perceiver::open(&model.config.eval)?;
+    let scene = trimip_data::open_test(&model.config.data)?;
+    let (mut viewer, frames) = (backends::load(&model)?, scene.frames.as_ref());
+    let stride = arguments.stride as usize;
+    help_evaluate(viewer.as_mut(), frames, &model.config.data, stride, &mut perceiver, ranks)
 }
 
 /// Advances a bar with the rendered rows.

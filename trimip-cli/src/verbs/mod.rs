@@ -18,7 +18,7 @@ mod view;
 
 use crate::args::{Arguments, Verb};
 use crate::terminal;
-use trimip_core::Result;
+use trimip_core::{Error, Result, exchange::Ranks};
 
 /// Suggested commands, printed if the user typed no arguments.
 const NEXT: &str = "\
@@ -28,27 +28,42 @@ nothing to train on; type one of
   trimip-cli --config configs/quickstart.toml   the built-in scene, nothing to download
   trimip-cli --help                             every verb and option";
 
+/// Does its part of a verb's jobs on another rank than the first.
+///
+/// # Errors
+/// When it cannot do them.
+pub fn help(arguments: &Arguments, ranks: &dyn Ranks) -> Result<()> {
+    match &arguments.verb {
+        Some(Verb::Eval(eval)) => eval::help(eval, ranks),
+        Some(Verb::Render(render)) => render::help(render, ranks),
+        Some(Verb::Bench(bench)) => bench::training::help_run(bench, ranks),
+        Some(Verb::Paper(paper)) => paper::help(paper, ranks),
+        Some(Verb::Plan(plan)) => plan::help(plan, ranks),
+        _ => Err(Error::run("rank 0 hands out jobs of a verb that has none")),
+    }
+}
+
 /// Dispatches the command line to its verb.
-pub fn run(arguments: Arguments) -> Result<u8> {
-    match arguments.verb {
+pub fn run(arguments: &Arguments) -> Result<u8> {
+    match &arguments.verb {
         None if arguments.train.is_bare() => {
             terminal::aside(NEXT);
             Ok(2)
         }
         None => train::run(&arguments.train),
-        Some(Verb::Train(train)) => train::run(&train),
-        Some(Verb::Plan(plan)) => plan::run(&plan),
-        Some(Verb::Eval(eval)) => eval::run(&eval),
-        Some(Verb::View(view)) => view::run(&view),
-        Some(Verb::Bake(bake)) => bake::run(&bake),
-        Some(Verb::Export(export)) => export::run(&export),
-        Some(Verb::Render(render)) => render::run(&render),
-        Some(Verb::Data(data)) => data::run(&data),
-        Some(Verb::Config(config)) => config::run(&config),
-        Some(Verb::Compare(compare)) => compare::run(&compare),
-        Some(Verb::Bench(bench)) => bench::run(&bench),
-        Some(Verb::Paper(paper)) => paper::run(&paper),
-        Some(Verb::Check(check)) => check::run(&check),
+        Some(Verb::Train(train)) => train::run(train),
+        Some(Verb::Plan(plan)) => plan::run(plan),
+        Some(Verb::Eval(eval)) => eval::run(eval),
+        Some(Verb::View(view)) => view::run(view),
+        Some(Verb::Bake(bake)) => bake::run(bake),
+        Some(Verb::Export(export)) => export::run(export),
+        Some(Verb::Render(render)) => render::run(render),
+        Some(Verb::Data(data)) => data::run(data),
+        Some(Verb::Config(config)) => config::run(config),
+        Some(Verb::Compare(compare)) => compare::run(compare),
+        Some(Verb::Bench(bench)) => bench::run(bench),
+        Some(Verb::Paper(paper)) => paper::run(paper),
+        Some(Verb::Check(check)) => check::run(check),
         Some(Verb::Doctor) => doctor::run(),
     }
 }

@@ -9,8 +9,9 @@ use crate::verbs::bench::training::{self, Bench, Row, Variant};
 use crate::{settings, terminal};
 use serde::Serialize;
 use serde_json::json;
-use trimip::backends;
+use trimip::{backends, data::Scene};
 use trimip_core::config::PlanChoice;
+use trimip_core::exchange::Ranks;
 use trimip_core::scene_plan::{self, Facts, Finding};
 use trimip_core::{Config, Error, Result, ViewSet, tensors::write_atomically};
 
@@ -25,12 +26,7 @@ const CHANCE: f64 = 0.05;
 
 /// Prints a line for every decision, and measures them if requested.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
-    let (mut settings, configured) = settings::load_scene(&arguments.scene, &arguments.settings)?;
-    let scene = open(&configured.data)?;
-    let compute = backends::compute(&configured)?;
-    let test = scene.test.cameras();
-    let facts = Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };
-    let findings = scene_plan::make(&mut settings, &facts)?;
+    let Planned { scene, findings, config: planned, warnings } = Planned::of(arguments)?;
     terminal::line(format!("scene plan of {}", scene.name));
     for finding in &findings {
         terminal::prose(finding);
@@ -38,8 +34,7 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
             terminal::prose(format!("    {} = {} (was {})", change.path, change.to, change.from));
         }
     }
-    let planned = Config::from_settings(&settings)?;
-    for warning in scene_plan::warnings(&planned, &facts) {
+    for warning in warnings {
         terminal::line(format!("warning: {warning}"));
     }
     let mut report = json!({ "scene": scene.name, "findings": findings, "config": planned.to_toml() });
@@ -60,6 +55,40 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
         write_atomically(path, text.as_bytes())?;
     }
     Ok(0)
+}
+
+/// Does its part of the runs of [`run`] on another rank than the first.
+///
+/// # Errors
+/// When the scene cannot be opened here.
+pub fn help(arguments: &PlanArguments, ranks: &dyn Ranks) -> Result<()> {
+    let Planned { scene, findings, config, .. } = Planned::of(arguments)?;
+    let bench = bench(arguments, &config, &scene.train, &findings)?;
+    drop(scene);
+    training::help(&bench, ranks)
+}
+
+/// The plan of a scene.
+struct Planned {
+    scene: Scene,
+    findings: Vec<Finding>,
+    config: Config,
+    warnings: Vec<String>,
+}
+
+impl Planned {
+    fn of(arguments: &PlanArguments) -> Result<Self> {
+        let (mut settings, configured) = settings::load_scene(&arguments.scene, &arguments.settings)?;
+        let scene = open(&configured.data)?;
+        let compute = backends::compute(&configured)?;
+        let test = scene.test.cameras();
+        let facts =
+            Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };
+        let findings = scene_plan::make(&mut settings, &facts)?;
+        let config = Config::from_settings(&settings)?;
+        let warnings = scene_plan::warnings(&config, &facts);
+        Ok(Self { scene, findings, config, warnings })
+    }
 }
 
 /// The runs to compare: brief, at equal samples, evaluated at their end on held-out training views. The first leaves

@@ -5,17 +5,20 @@ use crate::{
     args::{PictureFormat, RenderArguments},
     cameras, interrupt,
     progress::bar,
-    terminal,
+    ranks, terminal,
 };
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
+use trimip::ranks::{farm, labour};
 use trimip::run::{folder as run_folder, store::file_stem};
 use trimip::view::{
     Job, Named, Quantity, cameras::resized, flythrough, turntable, turntable::Turntable, video, write_cameras,
 };
-use trimip::{Camera, Config, Error, Intrinsics, Result, backends, settings, view};
+use trimip::{Camera, Config, Error, Intrinsics, Result, Viewer, backends, model::Model, settings, view};
+use trimip_core::exchange::Ranks;
 
 /// Renders every camera that the arguments select.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
@@ -29,67 +32,67 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
             "use --format png, or build with feature `exr`",
         ));
     }
-    let format = match arguments.format {
-        PictureFormat::Png => view::PictureFormat::Png,
-        PictureFormat::Exr => view::PictureFormat::Exr,
-    };
-    let mut what: Vec<Quantity> = Vec::new();
-    for quantity in arguments.what.iter().map(|&quantity| quantity.into()) {
-        if !what.contains(&quantity) {
-            what.push(quantity);
-        }
-    }
-    let mut model = run_folder::read_model(&arguments.model)?;
-    settings::override_model(&mut model, &arguments.set)?;
-    let config = model.config.clone();
-    backends::check(&config.backend)?;
-    let cameras = resize(chosen(arguments, &config)?, arguments.scale)?;
+    let wanted = Wanted::of(arguments)?;
+    let Wanted { model, cameras, what, format, out } = &wanted;
+    let (config, what) = (&model.config, &what[..]);
     if let Some(video) = &arguments.video {
-        check_video(arguments, video, &what, &cameras)?;
+        check_video(arguments, video, what, cameras)?;
     }
-    let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
-    view::expect_no_others(&out, &cameras, &what, format)?;
-    run_folder::create_writable(&out)?;
+    view::expect_no_others(out, cameras, what, *format)?;
+    run_folder::create_writable(out)?;
     // Single views are quick; many go on where an interrupted command stopped.
     let mut job = match is_film(arguments) {
-        true => Some(Job::open(&out, &model, &cameras, &what, format, arguments.fresh)?),
+        true => Some(Job::open(out, model, cameras, what, *format, arguments.fresh)?),
         false => None,
     };
     let stop = interrupt::install()?;
-    let mut session = backends::load(&model)?;
-    backends::software_remark(&config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
+    let mut session = backends::load(model)?;
+    backends::software_remark(config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
     let ranged = what.contains(&Quantity::Depth).then_some(&config.scene);
-    write_cameras(&out.join(view::CAMERAS), &cameras, ranged)?;
+    write_cameras(&out.join(view::CAMERAS), cameras, ranged)?;
 
     let rows = |camera: &Camera| u64::from(camera.intrinsics.height);
     let bar =
         bar("{bar:30} {percent:>3} %  {eta} left", cameras.iter().map(|(_, camera)| rows(camera)).sum());
-    let (mut seconds, mut pictures) = (Vec::new(), Vec::new());
-    for (name, camera) in &cameras {
-        let started = Instant::now();
-        let before = bar.position();
-        if let Some(paths) = job.as_ref().and_then(|job| job.finished(name)) {
-            bar.set_position(before + rows(camera));
-            pictures.push(paths);
-            continue;
-        }
-        let watch = &mut |done: u32, _: u32| {
-            bar.set_position(before + u64::from(done));
+    let mut pictures: Vec<Option<Vec<PathBuf>>> =
+        cameras.iter().map(|(name, _)| job.as_ref().and_then(|job| job.finished(name))).collect();
+    let left: Vec<usize> = (0..cameras.len()).filter(|&view| pictures[view].is_none()).collect();
+    let earlier = cameras.len() - left.len();
+    let finished = cameras.iter().zip(&pictures).filter(|(_, paths)| paths.is_some());
+    bar.inc(finished.map(|((_, camera), _)| rows(camera)).sum());
+    let mut seconds = Vec::new();
+    let mut draw = |view: usize| {
+        let mut told = 0;
+        wanted.draw(session.as_mut(), view, &mut |done, _| {
+            bar.inc(u64::from(done - told));
+            told = done;
             !stop.load(Ordering::Relaxed)
-        };
-        let Some(frame) = session.render_watched(camera, watch)? else {
-            return Ok(interrupt::EXIT_CODE);
-        };
-        seconds.push(started.elapsed().as_secs_f64());
-        let paths = view::write(&out, name, &frame, camera, &what, format, &config.scene)?;
-        job.as_mut().map_or(Ok(()), |job| job.finish(name))?;
+        })
+    };
+    let mut keep = |view: usize, drawn: Option<Drawn>| -> Result<bool> {
+        let Some(Drawn { paths, took }) = drawn else { return Ok(false) };
+        seconds.push(took);
+        job.as_mut().map_or(Ok(()), |job| job.finish(&cameras[view].0))?;
         paths.iter().for_each(|path| bar.suspend(|| terminal::line(path.display())));
-        pictures.push(paths);
-        bar.set_position(before + rows(camera));
+        pictures[view] = Some(paths);
+        Ok(!stop.load(Ordering::Relaxed))
+    };
+    match ranks::all() {
+        // The jobs of other ranks are numbers of views.
+        Some(all) => farm(&*all, &left, draw, keep)?,
+        None => {
+            for view in left {
+                if !keep(view, draw(view)?)? {
+                    break;
+                }
+            }
+        }
+    }
+    if pictures.iter().any(Option::is_none) {
+        return Ok(interrupt::EXIT_CODE);
     }
     bar.finish_and_clear();
-    let earlier = cameras.len() - seconds.len();
     if earlier > 0 {
         let views = terminal::many(earlier as u64, "view");
         terminal::aside(format!("{views} rendered earlier; --fresh renders all again"));
@@ -99,12 +102,77 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     }
     let Some(path) = &arguments.video else { return Ok(0) };
     let color = what.iter().position(|&quantity| quantity == Quantity::Color).unwrap_or(0);
-    let colors: Vec<PathBuf> = pictures.into_iter().map(|mut paths| paths.swap_remove(color)).collect();
+    let colors: Vec<PathBuf> =
+        pictures.into_iter().flatten().map(|mut paths| paths.swap_remove(color)).collect();
     if !video::encode(path, &colors, arguments.rate, &mut |_| !stop.load(Ordering::Relaxed))? {
         return Ok(interrupt::EXIT_CODE);
     }
     terminal::line(path.display());
     Ok(0)
+}
+
+/// Does its part of [`run`] on another rank than the first.
+///
+/// # Errors
+/// When the model cannot be opened here.
+pub fn help(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
+    let wanted = Wanted::of(arguments)?;
+    let mut session = backends::load(&wanted.model)?;
+    labour(ranks, |view| wanted.draw(session.as_mut(), view, &mut |_, _| true))
+}
+
+/// What is rendered, and how.
+struct Wanted {
+    model: Model,
+    cameras: Vec<Named>,
+    what: Vec<Quantity>,
+    format: view::PictureFormat,
+    out: PathBuf,
+}
+
+/// The pictures of a view.
+#[derive(Serialize, Deserialize)]
+struct Drawn {
+    paths: Vec<PathBuf>,
+    /// Seconds of rendering.
+    took: f64,
+}
+
+impl Wanted {
+    fn of(arguments: &RenderArguments) -> Result<Self> {
+        let format = match arguments.format {
+            PictureFormat::Png => view::PictureFormat::Png,
+            PictureFormat::Exr => view::PictureFormat::Exr,
+        };
+        let mut what: Vec<Quantity> = Vec::new();
+        for quantity in arguments.what.iter().map(|&quantity| quantity.into()) {
+            if !what.contains(&quantity) {
+                what.push(quantity);
+            }
+        }
+        let mut model = run_folder::read_model(&arguments.model)?;
+        settings::override_model(&mut model, &arguments.set)?;
+        backends::check(&model.config.backend)?;
+        let cameras = resize(chosen(arguments, &model.config)?, arguments.scale)?;
+        let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
+        Ok(Self { model, cameras, what, format, out })
+    }
+
+    /// Renders a view and writes its pictures; `None` if `watch` stopped it.
+    fn draw(
+        &self,
+        session: &mut dyn Viewer,
+        view: usize,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Drawn>> {
+        let (name, camera) = &self.cameras[view];
+        let started = Instant::now();
+        let Some(frame) = session.render_watched(camera, watch)? else { return Ok(None) };
+        let took = started.elapsed().as_secs_f64();
+        let scene = &self.model.config.scene;
+        let paths = view::write(&self.out, name, &frame, camera, &self.what, self.format, scene)?;
+        Ok(Some(Drawn { paths, took }))
+    }
 }
 
 /// Whether the pictures follow one another.

@@ -4,16 +4,17 @@ use crate::{
     args::{ProgressStyle, TrainArguments},
     interrupt,
     progress::{Display, Reading, table},
-    report, settings, terminal,
+    ranks, report, settings, terminal,
 };
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
+use trimip::ranks::farm;
 use trimip::report::{Report, Status};
 use trimip::view::{pictures, turntable};
 use trimip::{Config, Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
-use trimip_core::{run::Onlooker, tensors::write_atomically};
+use trimip_core::{exchange::Ranks, run::Onlooker, tensors::write_atomically};
 use trimip_view::Audience;
 
 /// Trains with the given settings. All input is validated before any long work begins.
@@ -37,7 +38,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
         }
     };
     let audience = arguments.view.then(|| watched(&root, arguments.port)).transpose()?;
-    let training = training.stop_after(arguments.stop_after).since(started);
+    let training = training.stop_after(arguments.stop_after).since(started).over(ranks::all());
     let trained = train_before(audience, training, arguments.progress)?;
     conclude(&trained, arguments.progress)
 }
@@ -95,6 +96,40 @@ fn train_before(audience: Option<Audience>, training: Training, style: ProgressS
     let trained = training.run_with(listeners);
     reading.finish();
     trained
+}
+
+/// Trains without a word, as one job of several; returns why it failed, if it did.
+pub fn job(training: Result<Training>) -> Option<String> {
+    let quietly = |training: Training| {
+        let stop = interrupt::install()?;
+        let mut events = |_: &Event| {};
+        let going = |_, _| !stop.load(Ordering::Relaxed);
+        let listeners = Listeners { events: &mut events, reading: &going, onlooker: &mut (), stop: &stop };
+        training.run_with(listeners)?.outcome
+    };
+    training.and_then(quietly).err().map(|error| error.message)
+}
+
+/// Trains runs on all ranks, of which this is rank 0: a rank that is free takes the next one. A run that fails is left to the
+/// caller, who finds it unfinished. Returns false if the user stopped it.
+///
+/// # Errors
+/// When another rank is gone.
+pub fn spread(
+    ranks: &dyn Ranks,
+    runs: &[usize],
+    training: impl Fn(usize) -> Result<Training>,
+) -> Result<bool> {
+    let stop = interrupt::install()?;
+    let own = |run| Ok(job(training(run)));
+    farm(ranks, runs, own, |run, failure: Option<String>| {
+        match failure {
+            None => terminal::aside(format!("run {} of {} is trained", run + 1, runs.len())),
+            Some(reason) => terminal::aside(format!("run {} of {} failed: {reason}", run + 1, runs.len())),
+        }
+        Ok(!stop.load(Ordering::Relaxed))
+    })?;
+    Ok(!stop.load(Ordering::Relaxed))
 }
 
 /// Writes the report for any outcome, then returns the exit code.

@@ -1,12 +1,12 @@
 //! Changes in the course of a run: schedules of the stages, and parameters that grow.
 
 use super::{LEAST_RAYS, Trainer};
-use crate::{Backend, Encoder, Optimizer, Renderer, Slot, backend::Sampler, encoders, params::Part};
+use crate::{Backend, Encoder, Optimizer, Renderer, Result, Slot, backend::Sampler, encoders, params::Part};
 
 impl<B: Backend> Trainer<B> {
     /// Updates every stage to the schedules at `progress`. Moments grow with their parameters. When the marching step
     /// shrinks or pixels get more cones, pixels have more samples, and the batch gets fewer pixels.
-    pub(super) fn follow(&mut self, progress: f64) {
+    pub(super) fn follow(&mut self, progress: f64) -> Result<()> {
         self.loaded.stages.renderer.follow(progress);
         self.loaded.stages.sampler.follow(progress);
         let cones_per_pixel = self.loaded.stages.sampler.balance().cones_per_pixel();
@@ -19,12 +19,13 @@ impl<B: Backend> Trainer<B> {
         self.state.spacing = spacing;
         let stage = encoders::of(&self.loaded.config).stage(&self.loaded.config, progress);
         if stage >= self.state.stage {
-            return;
+            return Ok(());
         }
         let restarts = encoders::of(&self.loaded.config).restarted(&self.loaded.config, progress).is_some();
         if restarts {
             self.state.moments_since = self.state.totals.step;
         }
+        self.gather_moments()?;
         let mut values = self.parameters();
         self.grow(&mut values, stage);
         self.loaded.backend.write(&mut self.loaded.parameters, &values);
@@ -40,6 +41,12 @@ impl<B: Backend> Trainer<B> {
         }
         self.enter(stage);
         self.loaded.refresh();
+        Ok(())
+    }
+
+    /// Brings the optimiser's moments together on every rank.
+    pub(super) fn gather_moments(&mut self) -> Result<()> {
+        self.exchange.moments(&self.loaded.backend, &mut self.loaded.stages)
     }
 
     /// Grows the growing slots within flat `values` to `stage`.

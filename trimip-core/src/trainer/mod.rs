@@ -138,22 +138,9 @@ impl<B: Backend> Trainer<B> {
         Ok(trainer)
     }
 
-    /// Sums the gradient of every later step with those of other machines. Losses and counts remain this machine's
-    /// own.
-    ///
-    /// # Errors
-    /// With `loss.exposure = "gain"`: derivatives by log-gains are not exchanged, and each machine would choose a scale of
-    /// its own for the model's colours.
-    pub fn exchange_by(&mut self, exchange: impl Exchange<B> + 'static) -> Result<()> {
-        if self.exposures.is_some() {
-            return Err(Error::input(
-                "loss.exposure = \"gain\"",
-                "several machines do not exchange the gains of their photographs",
-                "use loss.exposure = \"none\", or train on one machine",
-            ));
-        }
-        self.exchange = Box::new(exchange);
-        Ok(())
+    /// Trains together with other ranks from now on: every later step has the pixels of all of them.
+    pub fn exchange_by(&mut self, exchange: Box<dyn Exchange<B>>) {
+        self.exchange = exchange;
     }
 
     /// The log-gains of the training photographs minus their mean, RGB of each, by the numbers of

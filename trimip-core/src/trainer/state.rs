@@ -36,6 +36,7 @@ impl<B: Backend> Trainer<B> {
 
     pub(super) fn freeze(&mut self) -> Result<Checkpoint> {
         self.settle()?;
+        self.gather_moments()?;
         let mut file = self.loaded.tensors(&self.parameters());
         for (suffix, moments) in [".m", ".v"].into_iter().zip(self.loaded.stages.optimizer.moments()) {
             self.layout().to_tensors(&self.device().read(moments), suffix, &mut file);

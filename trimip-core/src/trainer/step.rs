@@ -9,7 +9,6 @@ use crate::{
     adamw::learning_rate,
     backend::{Loss, Occupancy, Sampler},
     batch::{StepSums, Workspace},
-    exchange::Exchanged,
     loaded::forward,
     metrics::psnr_of_error,
 };
@@ -40,44 +39,60 @@ impl<B: Backend> Trainer<B> {
         let (backend, stages, parameters) =
             (&*self.loaded.backend, &self.loaded.stages, &self.loaded.parameters);
         let draw = stages.sampler.balance().draw(pixels);
-        backend.train_spans(&stages.field, &draw, per_span, &mut self.deposits, &|space, deposit, range| {
-            stages.sampler.training_rays(&mut space.lane, step, &draw, range, &mut space.rays);
-            forward(stages, parameters, space, Some(step));
-            let Workspace { lane, rays, samples, encoding, features, tape, radiance, cones, pixels, .. } =
-                space;
-            stages.loss.evaluate(lane, rays, samples, pixels, &mut space.pixel_gradients, &mut deposit.sums);
-            let radiance_gradients = &mut space.radiance_gradients;
-            stages.renderer.backward(
-                lane,
-                rays,
-                samples,
-                radiance,
-                cones,
-                &space.pixel_gradients,
-                radiance_gradients,
-            );
-            stages.loss.distort(lane, rays, samples, radiance, radiance_gradients, &mut deposit.sums);
-            let (feature_gradients, weights) = (&mut space.feature_gradients, &mut deposit.field);
-            stages.field.backward(
-                lane,
-                samples,
-                features,
-                tape,
-                radiance,
-                radiance_gradients,
-                feature_gradients,
-                weights,
-            );
-            stages.encoder.backward(
-                lane,
-                parameters,
-                rays,
-                samples,
-                encoding,
-                feature_gradients,
-                &mut deposit.encoder,
-            );
-        });
+        let share = self.exchange.share();
+        backend.train_spans(
+            &stages.field,
+            &draw,
+            share,
+            per_span,
+            &mut self.deposits,
+            &|space, deposit, range| {
+                stages.sampler.training_rays(&mut space.lane, step, &draw, range, &mut space.rays);
+                forward(stages, parameters, space, Some(step));
+                let Workspace {
+                    lane, rays, samples, encoding, features, tape, radiance, cones, pixels, ..
+                } = space;
+                stages.loss.evaluate(
+                    lane,
+                    rays,
+                    samples,
+                    pixels,
+                    &mut space.pixel_gradients,
+                    &mut deposit.sums,
+                );
+                let radiance_gradients = &mut space.radiance_gradients;
+                stages.renderer.backward(
+                    lane,
+                    rays,
+                    samples,
+                    radiance,
+                    cones,
+                    &space.pixel_gradients,
+                    radiance_gradients,
+                );
+                stages.loss.distort(lane, rays, samples, radiance, radiance_gradients, &mut deposit.sums);
+                let (feature_gradients, weights) = (&mut space.feature_gradients, &mut deposit.field);
+                stages.field.backward(
+                    lane,
+                    samples,
+                    features,
+                    tape,
+                    radiance,
+                    radiance_gradients,
+                    feature_gradients,
+                    weights,
+                );
+                stages.encoder.backward(
+                    lane,
+                    parameters,
+                    rays,
+                    samples,
+                    encoding,
+                    feature_gradients,
+                    &mut deposit.encoder,
+                );
+            },
+        );
     }
 
     /// Evaluates the density of the cells that the occupancy grid selected.
@@ -119,25 +134,22 @@ impl<B: Backend> Trainer<B> {
         self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
     }
 
-    /// Computes new parameters from the deposits. Between the two is the one point at which machines that train
-    /// together exchange gradient and weight.
-    fn update(&mut self, rate: f64, step: u64) {
+    /// Computes new parameters from the deposits, with those of the other ranks.
+    fn update(&mut self, rate: f64, step: u64) -> Result<()> {
         let Self { loaded, gradient, deposits, exchange, .. } = self;
         let (backend, stages, parameters) = (&*loaded.backend, &mut loaded.stages, &mut loaded.parameters);
         stages.flush(deposits, parameters, gradient);
-        match exchange.exchange(backend, gradient, deposits) {
-            Exchanged::Nothing => backend.update(stages, parameters, gradient, deposits, rate, step),
-            Exchanged::Everything => backend.update_all(stages, parameters, gradient, deposits, rate, step),
-        }
+        exchange.update(backend, stages, parameters, gradient, deposits, rate, step)
     }
 
     pub(super) fn train_step(&mut self, progress: f64) -> Result<StepReport> {
         let step = self.state.totals.step;
-        self.follow(progress);
+        self.follow(progress)?;
         if step.is_multiple_of(u64::from(self.loaded.config.occupancy.every)) {
             self.refresh_occupancy();
         }
         self.gradients(self.state.rays_per_step);
+        self.exchange.deposits(&self.loaded.backend, &mut self.loaded.stages, &mut self.deposits)?;
         let posted = Arrival::Posted(self.device().post(&self.deposits));
         self.pending.push_back(Pending { spacing: self.state.spacing, sums: posted });
         // Without lag, the sums are read before any parameter moves.
@@ -149,7 +161,7 @@ impl<B: Backend> Trainer<B> {
             return Err(error);
         }
         let rate = learning_rate(&self.loaded.config, progress);
-        self.update(rate, step + 1 - self.state.moments_since);
+        self.update(rate, step + 1 - self.state.moments_since)?;
         self.device().submit();
         let late = if B::LAG > 0 { self.oldest_sums()? } else { None };
         if let Some((_, sums)) = &late {

@@ -43,7 +43,7 @@ impl<B: Backend> Trainer<B> {
         match sums {
             Arrival::Counted(sums) => Ok(sums),
             Arrival::Posted(receipt) => {
-                let result = self.device().redeem(receipt)?;
+                let result = self.exchange.sums(self.loaded.backend.redeem(receipt)?)?;
                 self.count(&result.sums);
                 if let Some(exposures) = &mut self.exposures
                     && is_finite(&result.sums)

@@ -18,7 +18,8 @@ pub fn first_row(band: usize, rows: usize) -> usize {
 }
 
 /// Columns of a row, as a half-open interval.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Extent {
     start: u32,
     end: u32,

@@ -2,6 +2,7 @@
 
 use super::{Encoding, Left, Places};
 use crate::simd::Simd;
+use crate::wire::Reader;
 use trimip_core::encoders::frequencies;
 use trimip_core::{Aabb, Config};
 
@@ -32,6 +33,10 @@ impl Encoding for Frequencies {
     fn backward(&self, _: &[f32], _: Places<'_>, _: &[f32], _: &[f32], _: usize, (): &mut ()) {}
 
     fn flush(&mut self, _: &mut [&mut ()], _: &mut [f32]) {}
+
+    fn put(&self, (): &(), _: usize, _: &mut Vec<u8>) {}
+
+    fn take(&self, _: &mut Reader<'_>, (): &mut ()) {}
 
     fn left(_: &Config) -> Left {
         Left { by_sample: 0, by_deposit: 0 }

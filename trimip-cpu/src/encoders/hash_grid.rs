@@ -4,6 +4,7 @@
 use super::{Encoding, Left, Places};
 use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd};
+use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use trimip_core::encoders::hash_grid::{Level, Levels, Points};
 use trimip_core::{Aabb, Config};
@@ -118,6 +119,16 @@ impl Encoding for Grid {
             gradient.places.clear();
             gradient.rows.clear();
         }
+    }
+
+    fn put(&self, gradient: &Gradient, _: usize, out: &mut Vec<u8>) {
+        put_counted(out, &gradient.places);
+        put_counted(out, &gradient.rows);
+    }
+
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
+        from.buffer(&mut gradient.places);
+        from.buffer(&mut gradient.rows);
     }
 
     fn left(config: &Config) -> Left {

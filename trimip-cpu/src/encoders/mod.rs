@@ -9,9 +9,11 @@ pub mod tri_mip;
 pub mod voxels;
 
 use crate::simd::Simd;
+use crate::wire::Reader;
 use std::ops::Range;
 use trimip_core::Config;
 use trimip_core::batch::{Interval, Ray, Sphere};
+use trimip_core::exchange::Share;
 
 /// The interface of an encoder on the CPU.
 pub(crate) trait Encoding: Sized + Send + Sync {
@@ -59,10 +61,53 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     /// Memory of the deposited gradients.
     fn left(config: &Config) -> Left;
 
+    /// Writes what rank `to` needs of a deposit.
+    fn put(&self, gradient: &Self::Gradient, to: usize, out: &mut Vec<u8>);
+
+    /// Replaces a deposit by what another rank put.
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Self::Gradient);
+
+    /// For an encoder whose parameters ranks can divide among them; otherwise every rank needs all deposits, and sums them
+    /// all.
+    fn divided(&mut self) -> Option<&mut dyn Divided> {
+        None
+    }
+
     /// Pieces of the first slot outside of which the last gradient is zero; `None` if unknown.
     fn touched(&self) -> Option<Vec<Piece<'_>>> {
         None
     }
+}
+
+/// The interface of an encoder whose parameters are divided among ranks. Each rank sums the gradient of its part and updates
+/// it; then the ranks tell each other what changed.
+pub(crate) trait Divided {
+    /// Chooses this rank's part. With [`Share::WHOLE`] nothing is divided.
+    fn divide(&mut self, share: Share);
+
+    /// After [`Encoding::flush`]: writes the part of the gradient that every rank needs.
+    fn put_common(&self, out: &mut Vec<u8>);
+
+    /// Takes what `rank` put.
+    fn take_common(&mut self, from: &mut Reader<'_>, rank: usize);
+
+    /// Completes the gradient of this rank's part.
+    fn complete(&mut self, gradient: &mut [f32]);
+
+    /// The touched pieces of this rank's part, see [`Encoding::touched`].
+    fn pieces(&self) -> Option<Vec<Piece<'_>>>;
+
+    /// After the update: writes the changed parameters of this rank's part.
+    fn put_changed(&self, parameters: &[f32], out: &mut Vec<u8>);
+
+    /// Takes what `rank` put.
+    fn take_changed(&mut self, from: &mut Reader<'_>, rank: usize, parameters: &mut [f32]);
+
+    /// The parameters of the part of `rank`: ranges of the first slot.
+    fn part(&self, rank: usize) -> Vec<Range<usize>>;
+
+    /// Number of touched parameters, once all that changed is here.
+    fn count_touched(&self) -> usize;
 }
 
 /// Memory in bytes of a gradient that is collected until the end of a step.

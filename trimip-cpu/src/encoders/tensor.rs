@@ -6,6 +6,7 @@ use super::bands::{BANDS, first_row, owner};
 use super::{Encoding, Left, Places};
 use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd, fetch};
+use crate::wire::{Reader, put, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::Config;
@@ -170,6 +171,20 @@ impl Encoding for Factors {
             gradient.bands.iter_mut().for_each(Vec::clear);
             gradient.lines.iter_mut().for_each(|lines| lines.fill(0.0));
         }
+    }
+
+    fn put(&self, gradient: &Gradient, _: usize, out: &mut Vec<u8>) {
+        put_counted(out, &gradient.places);
+        put_counted(out, &gradient.rows);
+        gradient.bands.iter().for_each(|band| put_counted(out, band));
+        gradient.lines.iter().for_each(|lines| put(out, lines));
+    }
+
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
+        from.buffer(&mut gradient.places);
+        from.buffer(&mut gradient.rows);
+        gradient.bands.iter_mut().for_each(|band| from.list(band));
+        gradient.lines.iter_mut().for_each(|lines| from.copy(lines));
     }
 
     fn left(config: &Config) -> Left {

@@ -5,6 +5,7 @@ use super::bands::{BANDS, first_row, owner};
 use super::{Encoding, Left, Places};
 use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd};
+use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::Config;
@@ -120,6 +121,16 @@ impl Encoding for Grid {
             gradient.touches.clear();
             gradient.bands.iter_mut().for_each(Vec::clear);
         }
+    }
+
+    fn put(&self, gradient: &Gradient, _: usize, out: &mut Vec<u8>) {
+        put_counted(out, &gradient.touches);
+        gradient.bands.iter().for_each(|band| put_counted(out, band));
+    }
+
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
+        from.buffer(&mut gradient.touches);
+        gradient.bands.iter_mut().for_each(|band| from.list(band));
     }
 
     fn left(_: &Config) -> Left {

@@ -12,13 +12,15 @@ use super::{
     recorder::Recorder,
     store::FileStore,
 };
-use crate::{backends, machine, view::Perceiver};
+use crate::{backends, machine, ranks, view::Perceiver};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 use trimip_core::{
     Config, Error, Result, Settings,
     events::{Event, EventSink, Totals},
+    exchange::Ranks,
     model::Model,
     quality::mean_quality,
     run::{Onlooker, Outcome, Run},
@@ -40,12 +42,13 @@ pub struct Listeners<'a> {
 }
 
 /// A training, ready to run.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Training {
     folder: RunFolder,
     work: Work,
     stop_after: Option<u64>,
     started: Instant,
+    ranks: Option<Arc<dyn Ranks>>,
 }
 
 #[derive(Clone, Debug)]
@@ -125,7 +128,7 @@ impl Training {
     }
 
     fn of(folder: &Path, work: Work) -> Self {
-        Self { folder: RunFolder::new(folder), work, stop_after: None, started: Instant::now() }
+        Self { folder: RunFolder::new(folder), work, stop_after: None, started: Instant::now(), ranks: None }
     }
 
     /// If `wanted`, replaces an existing run in the folder.
@@ -141,6 +144,13 @@ impl Training {
     #[must_use]
     pub fn stop_after(mut self, steps: Option<u64>) -> Self {
         self.stop_after = steps;
+        self
+    }
+
+    /// Trains on all of these ranks. This is rank 0; the others [`follow`](crate::ranks::follow).
+    #[must_use]
+    pub fn over(mut self, ranks: Option<Arc<dyn Ranks>>) -> Self {
+        self.ranks = ranks;
         self
     }
 
@@ -239,7 +249,10 @@ impl Training {
             warnings.extend(memory::check(&config, &predicted)?);
         }
         warnings.extend(backends::software_warning(&config));
-        let mut session = backends::train(&config, scene.train)?;
+        let mut session = match &self.ranks {
+            Some(ranks) => ranks::train(&config, scene.train, ranks)?,
+            None => backends::train(&config, scene.train)?,
+        };
         let resumed = checkpoint.is_some();
         // Drop the checkpoint once it is restored: both need not be in memory together.
         if let Some(checkpoint) = checkpoint {

@@ -1,10 +1,13 @@
 //! Measures of a model per scale on a set of test photographs.
 
+use crate::ranks;
+use std::cell::RefCell;
 use std::time::Instant;
 use trimip_core::{
     Frames, Result, Viewer,
     config::DataConfig,
     evaluate::{ViewResult, Watch, evaluate_frame},
+    exchange::Ranks,
     perception::{Pair, Perceived, Perception},
     quality::{Measures, ScaleQuality, ViewQuality, mean_quality, per_scale},
 };
@@ -42,10 +45,11 @@ impl Watching for () {}
 
 /// Renders every `stride`-th test view at every scale, on the background and by the convention of
 /// `data`, and compares it with its photograph; `perception` takes the slower measures ([`Perceiver`](super::Perceiver), or
-/// `&mut ()` for none). Returns `None` if `watch` cancelled it.
+/// `&mut ()` for none). Returns `None` if `watch` cancelled it. With `ranks`, of which this is rank 0, all of them measure; the
+/// others call [`help_evaluate`] with the same model and frames.
 ///
 /// # Errors
-/// When a photograph cannot be read, or the device fails.
+/// When a photograph cannot be read, the device fails, or another rank is gone.
 pub fn evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
@@ -53,19 +57,69 @@ pub fn evaluate(
     stride: usize,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
+    ranks: Option<&dyn Ranks>,
 ) -> Result<Option<Measured>> {
     let (started, stride) = (Instant::now(), stride.max(1));
-    let mut progress = Progress { perception, watch, done: 0, total: frames.len().div_ceil(stride) };
+    let total = frames.len().div_ceil(stride);
+    let mut progress = Progress { perception, watch, done: 0, total };
     let mut views = Vec::new();
-    for index in (0..frames.len()).step_by(stride) {
-        if !evaluate_frame(viewer, frames, index, 1, data, &mut progress, &mut views)? {
-            return Ok(None);
+    match ranks {
+        None => {
+            for job in 0..total {
+                if !evaluate_frame(viewer, frames, job * stride, 1, data, &mut progress, &mut views)? {
+                    return Ok(None);
+                }
+                progress.done += 1;
+            }
         }
-        progress.done += 1;
+        Some(ranks) => {
+            let progress = RefCell::new(progress);
+            let own = |job| {
+                let (mut views, progress) = (Vec::new(), &mut *progress.borrow_mut());
+                let whole = evaluate_frame(viewer, frames, job * stride, 1, data, progress, &mut views)?;
+                Ok(whole.then_some(views))
+            };
+            let mut is_whole = true;
+            ranks::farm(
+                ranks,
+                &(0..total).collect::<Vec<_>>(),
+                own,
+                |_, measured: Option<Vec<ViewQuality>>| {
+                    let progress = &mut *progress.borrow_mut();
+                    progress.done += 1;
+                    is_whole = measured.is_some() && progress.watch.rendering(progress.done, total, 0.0);
+                    views.extend(measured.unwrap_or_default());
+                    Ok(is_whole)
+                },
+            )?;
+            if !is_whole {
+                return Ok(None);
+            }
+        }
     }
     let scales = per_scale(&views, 1);
     let mean = mean_quality(&scales);
     Ok(Some(Measured { views, scales, mean, seconds: started.elapsed().as_secs_f64() }))
+}
+
+/// Measures the test views that rank 0 hands out in [`evaluate`].
+///
+/// # Errors
+/// When rank 0 is gone.
+pub fn help_evaluate(
+    viewer: &mut dyn Viewer,
+    frames: &dyn Frames,
+    data: &DataConfig,
+    stride: usize,
+    perception: &mut dyn Perception,
+    ranks: &dyn Ranks,
+) -> Result<()> {
+    let mut progress = Progress { perception, watch: &mut (), done: 0, total: 0 };
+    ranks::labour(ranks, |job| {
+        let mut views = Vec::new();
+        evaluate_frame(viewer, frames, job * stride.max(1), 1, data, &mut progress, &mut views)?;
+        Ok(Some(views))
+    })
 }
 
 /// Counts views.

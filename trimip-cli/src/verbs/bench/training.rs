@@ -7,12 +7,14 @@ use crate::args::{BenchArguments, ProgressStyle};
 use crate::curves::{Curve, Measure, Reach, aligned};
 use crate::interrupt::EXIT_CODE;
 use crate::report::svg;
-use crate::{settings, terminal, verbs::train};
+use crate::{ranks, settings, terminal, verbs::train};
 use std::path::PathBuf;
 use trimip::events::Totals;
 use trimip::quality::{Measures, mean_quality};
+use trimip::ranks::labour;
 use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
+use trimip_core::exchange::Ranks;
 
 /// A configuration of the benchmark.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,14 +86,46 @@ pub struct Row {
 pub fn run(arguments: &BenchArguments) -> Result<u8> {
     let mut reach: Vec<f64> = arguments.reach.iter().copied().filter(|psnr| psnr.is_finite()).collect();
     reach.sort_by(f64::total_cmp);
-    let bench = Bench {
+    Ok(if measure(&bench(arguments, reach)?)?.is_some() { 0 } else { EXIT_CODE })
+}
+
+fn bench(arguments: &BenchArguments, reach: Vec<f64>) -> Result<Bench> {
+    Ok(Bench {
         variants: variants(arguments)?,
         base: settings::load(&arguments.settings)?.0,
         seeds: arguments.seeds,
         reach,
         out: arguments.out.clone(),
-    };
-    Ok(if measure(&bench)?.is_some() { 0 } else { EXIT_CODE })
+    })
+}
+
+/// Does its part of [`run`] on another rank than the first.
+///
+/// # Errors
+/// When a setting is wrong.
+pub fn help_run(arguments: &BenchArguments, ranks: &dyn Ranks) -> Result<()> {
+    help(&bench(arguments, Vec::new())?, ranks)
+}
+
+/// Does its part of [`measure`] on another rank than the first.
+///
+/// # Errors
+/// When rank 0 is gone.
+pub fn help(bench: &Bench, ranks: &dyn Ranks) -> Result<()> {
+    labour(ranks, |run| Ok(train::job(bench.training(run))))
+}
+
+impl Bench {
+    /// Folder of a run.
+    fn folder(&self, variant: &Variant, seed: u32) -> PathBuf {
+        self.out.join(format!("{}-{seed}", slug(&variant.name)))
+    }
+
+    /// Run number `run` of all variants and seeds.
+    fn training(&self, run: usize) -> Result<Training> {
+        let (variant, seed) = (&self.variants[run / self.seeds as usize], (run % self.seeds as usize) as u32);
+        Ok(Training::new(with(&self.base, variant, seed)?, &self.folder(variant, seed)))
+    }
 }
 
 /// Trains every variant with every seed, prints the table and writes the benchmark's pages; `None` if the user stopped
@@ -115,13 +149,25 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
     }
     run_folder::create_writable(out)?;
     let style = if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json };
+    if let Some(ranks) = ranks::all() {
+        // Afterwards the runs are found finished; one that failed elsewhere is tried here once more.
+        let runs: Vec<usize> = (0..variants.len() * *seeds as usize).collect();
+        terminal::aside(format!(
+            "{} on {} ranks",
+            terminal::count(runs.len() as u64, "run"),
+            ranks.share().of
+        ));
+        if !train::spread(&*ranks, &runs, |run| bench.training(run))? {
+            return Ok(None);
+        }
+    }
     let (mut rows, mut lines) = (Vec::new(), Vec::new());
     for (variant, color) in variants.iter().zip(svg::COLORS) {
         let mut outcomes = Vec::new();
         for seed in 0..*seeds {
             terminal::aside(format!("{}, seed {} of {seeds}", variant.name, seed + 1));
-            let folder = out.join(format!("{}-{seed}", slug(&variant.name)));
-            let trained = train::train(Training::new(with(base, variant, seed)?, &folder), style)?;
+            let training = Training::new(with(base, variant, seed)?, &bench.folder(variant, seed));
+            let trained = train::train(training, style)?;
             if train::conclude(&trained, style)? != 0 {
                 return Ok(None);
             }

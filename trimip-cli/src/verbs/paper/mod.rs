@@ -9,12 +9,14 @@ use crate::args::{PaperArguments, ProgressStyle};
 use crate::curves::aligned;
 use crate::interrupt;
 use crate::report::{paper as page, save};
-use crate::{terminal, verbs::train};
+use crate::{ranks, terminal, verbs::train};
 use request::{Job, Request};
 use std::sync::atomic::Ordering;
 use trimip::paper::{Comparison, Figures, Row, Run, Scales, Status, columns, json, markdown};
+use trimip::ranks::labour;
 use trimip::run::{folder::create_writable, history::History};
 use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
+use trimip_core::exchange::Ranks;
 
 /// Trains what is not trained yet, and writes the pages.
 pub fn run(arguments: &PaperArguments) -> Result<u8> {
@@ -29,6 +31,14 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
     let _held = RunFolder::new(&request.out).lock()?;
     let mut comparison = request.comparison();
     let stop = interrupt::install()?;
+    if let Some(ranks) = ranks::all() {
+        // Afterwards the runs are found trained, and are measured here.
+        let waiting: Vec<usize> =
+            (0..request.jobs.len()).filter(|&i| !request.jobs[i].is_trained()).collect();
+        if !train::spread(&*ranks, &waiting, |i| Ok(request.jobs[i].training()))? {
+            return Ok(interrupt::EXIT_CODE);
+        }
+    }
     for (i, job) in request.jobs.iter().enumerate() {
         terminal::aside(format!("run {} of {}: {}", i + 1, request.jobs.len(), job.name()));
         let (status, figures) = carry_out(job);
@@ -62,12 +72,32 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
     }
 }
 
+/// Does its part of [`run`] on another rank than the first.
+///
+/// # Errors
+/// When a scene or a setting is wrong.
+pub fn help(arguments: &PaperArguments, ranks: &dyn Ranks) -> Result<()> {
+    let request = Request::new(arguments)?;
+    labour(ranks, |i| Ok(train::job(Ok(request.jobs[i].training()))))
+}
+
+impl Job {
+    /// True if the run is trained; it may not be measured yet.
+    fn is_trained(&self) -> bool {
+        History::of(&self.folder.events()).finished
+    }
+
+    fn training(&self) -> Training {
+        Training::new(self.training.clone(), self.folder.root())
+    }
+}
+
 /// Trains a run and measures it, or finds it finished. Returns its state and, if it was measured, its figures.
 fn carry_out(job: &Job) -> (Status, Option<Figures>) {
     let style = if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json };
     machine::reset_peak_memory();
-    if !History::of(&job.folder.events()).finished {
-        let trained = train::train(Training::new(job.training.clone(), job.folder.root()), style);
+    if !job.is_trained() {
+        let trained = train::train(job.training(), style);
         let whole = |trained: &Trained| {
             matches!(trained.outcome, Ok(Ended::Finished | Ended::Before)) && trained.unwritten.is_none()
         };

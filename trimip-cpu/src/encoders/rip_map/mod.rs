@@ -9,6 +9,7 @@ use super::bands::{BANDS, Extent};
 use super::{Encoding, Left, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
 use crate::simd::{Kernel, Lanes, Simd, fetch};
+use crate::wire::{Reader, put_counted};
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::rip_map::{CHANNELS, Gaussian, Plane, TAPE, planes};
 use trimip_core::{Aabb, Config};
@@ -124,6 +125,18 @@ impl Encoding for RipMaps {
             gradient.rows.clear();
             gradient.bands.iter_mut().for_each(Vec::clear);
         }
+    }
+
+    fn put(&self, gradient: &Gradient, _: usize, out: &mut Vec<u8>) {
+        put_counted(out, &gradient.gaussians);
+        put_counted(out, &gradient.rows);
+        gradient.bands.iter().for_each(|band| put_counted(out, band));
+    }
+
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
+        from.buffer(&mut gradient.gaussians);
+        from.buffer(&mut gradient.rows);
+        gradient.bands.iter_mut().for_each(|band| from.list(band));
     }
 
     fn left(config: &Config) -> Left {

@@ -28,6 +28,11 @@ impl Extents {
         &self.levels[level]
     }
 
+    /// The extent of a row, by its place among the rows of its level.
+    pub fn row_mut(&mut self, level: usize, row: usize) -> &mut Extent {
+        &mut self.levels[level][row]
+    }
+
     /// The extents of every level's rows.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut Vec<Extent>> {
         self.levels.iter_mut()

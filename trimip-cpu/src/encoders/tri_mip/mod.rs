@@ -1,18 +1,23 @@
 //! Tri-mip encoding on the CPU: a texel's 16 channels are one vector register; a query adds up to 24 of them.
 
+mod divided;
+mod division;
 mod extents;
 mod scatter;
 
+use self::division::Division;
 use self::extents::Extents;
 use self::scatter::{Sort, spread};
 use super::bands::{BANDS, Extent};
-use super::{Encoding, Left, Piece, Places};
+use super::{Divided, Encoding, Left, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
 use crate::simd::{Kernel, Lanes, Simd, fetch};
+use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, level_input, taps};
+use trimip_core::exchange::Share;
 use trimip_core::{Aabb, Config};
 
 /// The planes and their mip levels.
@@ -21,6 +26,8 @@ pub(crate) struct Planes {
     pyramid: Pyramid,
     /// The pyramid of the planes in full size.
     whole: Pyramid,
+    /// Its rows by worker and rank.
+    division: Division,
     /// The texels whose gradient may be non-zero.
     touched: Extents,
     /// Levels above the base, see [`Pyramid::offset`].
@@ -49,8 +56,10 @@ impl Encoding for Planes {
         let derived = Buffer::zeros(pyramid.derived_len());
         let derived_gradient = Buffer::zeros(if training { pyramid.derived_len() } else { 0 });
         let touched = Extents::whole(&pyramid);
+        let division = Division::new(&pyramid, Share::WHOLE);
         let reference = config.encoder.level_input.then(|| pyramid.reference() as f32);
-        Self { simd, whole: pyramid.clone(), pyramid, touched, derived, derived_gradient, reference }
+        let whole = pyramid.clone();
+        Self { simd, whole, division, pyramid, touched, derived, derived_gradient, reference }
     }
 
     fn gradient(&self) -> Gradient {
@@ -59,6 +68,7 @@ impl Encoding for Planes {
 
     fn grow(&mut self, stage: u32) {
         self.pyramid = self.whole.halved(stage);
+        self.division = Division::new(&self.pyramid, self.division.share);
         self.touched = Extents::whole(&self.pyramid);
     }
 
@@ -107,43 +117,46 @@ impl Encoding for Planes {
         for (kept, row) in kept.zip(rows.chunks_exact(stride)) {
             kept.copy_from_slice(&row[..FEATURES]);
         }
-        let (pyramid, bands) = (&self.pyramid, &mut gradient.bands);
-        self.simd.run(Sort { pyramid, spheres, first: first as u32, bands });
+        let (Self { pyramid, division, .. }, bands) = (self, &mut gradient.bands);
+        self.simd.run(Sort { pyramid, division, spheres, first: first as u32, bands });
     }
 
     fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
         let base = &mut parameter_gradient[..self.pyramid.base_len()];
-        spread(self.simd, &self.pyramid, gradients, base, &mut self.derived_gradient, &mut self.touched);
-        // Pull from coarse to fine: each texel gets a quarter of its parent's gradient.
-        let Self { simd, pyramid, derived_gradient, touched, .. } = self;
-        for level in (1..pyramid.levels).rev() {
-            let (derived, coarser) = derived_gradient.split_at_mut(pyramid.offset(level, 0));
-            let mut finer =
-                if level == 1 { &mut base[..] } else { &mut derived[pyramid.offset(level - 1, 0)..] };
-            let mut coarser = &coarser[..];
-            let (mut fine_extents, mut extents) = touched.levels_mut(level - 1);
-            for plane in 0..3 {
-                let Shape { rows, .. } = pyramid.shape(level, plane);
-                let row = pyramid.shape(level, plane).row();
-                let coarse = take(&mut coarser, rows * row);
-                let fine = take_mut(&mut finer, 4 * rows * row).par_chunks_mut(4 * row);
-                let fine_rows = fine.zip(take_mut(&mut fine_extents, 2 * rows).par_chunks_mut(2));
-                let rows = fine_rows.zip(take(&mut extents, rows)).enumerate().with_min_len(4);
-                rows.for_each(|(r, ((fine, fine_extents), extent))| {
-                    if extent.is_empty() {
-                        return;
-                    }
-                    let columns = extent.texels();
-                    simd.run(PullRow { coarse: &coarse[r * row..][..row], fine, columns });
-                    fine_extents.iter_mut().for_each(|fine| *fine = fine.union(extent.doubled()));
-                });
-            }
+        let Self { simd, pyramid, division, derived_gradient, touched, .. } = self;
+        spread(*simd, pyramid, division, gradients, base, derived_gradient, touched);
+        if self.division.share == Share::WHOLE {
+            self.pull(parameter_gradient);
         }
         for gradient in gradients {
             gradient.spheres.clear();
             gradient.rows.clear();
             gradient.bands.iter_mut().for_each(Vec::clear);
         }
+    }
+
+    fn put(&self, gradient: &Gradient, to: usize, out: &mut Vec<u8>) {
+        if self.division.share == Share::WHOLE {
+            put_counted(out, &gradient.spheres);
+            put_counted(out, &gradient.rows);
+            gradient.bands.iter().for_each(|band| put_counted(out, band));
+        } else {
+            divided::put_samples(&self.division, gradient, to, out);
+        }
+    }
+
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
+        if self.division.share == Share::WHOLE {
+            from.buffer(&mut gradient.spheres);
+            from.buffer(&mut gradient.rows);
+            gradient.bands.iter_mut().for_each(|band| from.list(band));
+        } else {
+            divided::take_samples(&self.division, from, gradient);
+        }
+    }
+
+    fn divided(&mut self) -> Option<&mut dyn Divided> {
+        Some(self)
     }
 
     fn left(_: &Config) -> Left {
@@ -168,6 +181,43 @@ impl Encoding for Planes {
 }
 
 impl Planes {
+    /// Takes the gradient from coarse to fine: each texel gets a quarter of its parent's. Rows of other ranks are left out.
+    fn pull(&mut self, parameter_gradient: &mut [f32]) {
+        let Self { simd, pyramid, division, derived_gradient, touched, .. } = self;
+        let base = &mut parameter_gradient[..pyramid.base_len()];
+        for level in (1..pyramid.levels).rev() {
+            let (derived, coarser) = derived_gradient.split_at_mut(pyramid.offset(level, 0));
+            let mut finer =
+                if level == 1 { &mut base[..] } else { &mut derived[pyramid.offset(level - 1, 0)..] };
+            let mut coarser = &coarser[..];
+            let (mut fine_extents, mut extents) = touched.levels_mut(level - 1);
+            for plane in 0..3 {
+                let Shape { rows, .. } = pyramid.shape(level, plane);
+                let row = pyramid.shape(level, plane).row();
+                let coarse = take(&mut coarser, rows * row);
+                let fine = take_mut(&mut finer, 4 * rows * row).par_chunks_mut(4 * row);
+                let fine_rows = fine.zip(take_mut(&mut fine_extents, 2 * rows).par_chunks_mut(2));
+                let rows = fine_rows.zip(take(&mut extents, rows)).enumerate().with_min_len(4);
+                rows.for_each(|(r, ((fine, fine_extents), extent))| {
+                    if extent.is_empty() {
+                        return;
+                    }
+                    let is_here = |row: &usize| {
+                        division.is_common(plane, level - 1)
+                            || division.is_own(plane, division.owner(plane, level - 1, 2 * r + row))
+                    };
+                    let half = fine.len() / 2;
+                    for own in [0, 1].into_iter().filter(is_here) {
+                        let fine = &mut fine[own * half..][..half];
+                        let columns = extent.texels();
+                        simd.run(PullRow { coarse: &coarse[r * row..][..row], fine, columns });
+                        fine_extents[own] = fine_extents[own].union(extent.doubled());
+                    }
+                });
+            }
+        }
+    }
+
     /// Rebuilds the mip levels above the base texels in `changed`.
     fn average(&mut self, parameters: &[f32], changed: &Extents) {
         let Self { simd, pyramid, derived, .. } = self;
@@ -226,7 +276,7 @@ impl Kernel for AverageRow<'_> {
     }
 }
 
-/// Adds a quarter of each coarse texel's gradient to its four children, for some columns of a row.
+/// Adds a quarter of each coarse texel's gradient to its two children in a row, for some columns.
 struct PullRow<'a> {
     coarse: &'a [f32],
     fine: &'a mut [f32],
@@ -237,16 +287,13 @@ impl Kernel for PullRow<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let half = self.fine.len() / 2;
         let Range { start, end } = self.columns;
         let parents = self.coarse[CHANNELS * start..CHANNELS * end].as_chunks().0;
-        for row in self.fine.chunks_exact_mut(half) {
-            let children = row[2 * CHANNELS * start..2 * CHANNELS * end].as_chunks_mut::<TWO>().0;
-            for (children, parent) in children.iter_mut().zip(parents) {
-                let parent = L::of(parent);
-                for child in children.as_chunks_mut().0 {
-                    parent.mul_add(L::splat(0.25), L::of(child)).put(child);
-                }
+        let children = self.fine[2 * CHANNELS * start..2 * CHANNELS * end].as_chunks_mut::<TWO>().0;
+        for (children, parent) in children.iter_mut().zip(parents) {
+            let parent = L::of(parent);
+            for child in children.as_chunks_mut().0 {
+                parent.mul_add(L::splat(0.25), L::of(child)).put(child);
             }
         }
     }

@@ -3,9 +3,10 @@
 //! in sample order. A row of a level belongs to exactly one band.
 
 use super::Gradient;
+use super::division::Division;
 use super::extents::Extents;
 use crate::buffer::take_mut;
-use crate::encoders::bands::{BANDS, Extent, first_row, owner};
+use crate::encoders::bands::{BANDS, Extent};
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -38,6 +39,8 @@ fn reads(pyramid: &Pyramid, plane: usize, log2_radius: f32) -> [(usize, f32); 2]
 pub struct Sort<'a> {
     /// The planes.
     pub pyramid: &'a Pyramid,
+    /// Their division.
+    pub division: &'a Division,
     /// Position and radius of each sample.
     pub spheres: &'a [Sphere],
     /// Index of the first sample.
@@ -50,7 +53,7 @@ impl Kernel for Sort<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { pyramid, spheres, first, bands } = self;
+        let Self { pyramid, division, spheres, first, bands } = self;
         for (sphere, index) in spheres.iter().zip(first..) {
             let log2_radius = sphere.radius.log2();
             for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
@@ -59,7 +62,8 @@ impl Kernel for Sort<'_> {
                     if share != 0.0 {
                         let shape = pyramid.shape(level, plane);
                         let [lower, upper] = taps(shape, sphere.position[a], sphere.position[b]).rows;
-                        touched |= 1 << owner(lower, shape.rows) | 1 << owner(upper, shape.rows);
+                        let owner = |row| division.owner(plane, level, row);
+                        touched |= 1 << owner(lower) | 1 << owner(upper);
                     }
                 }
                 while touched != 0 {
@@ -72,10 +76,11 @@ impl Kernel for Sort<'_> {
 }
 
 /// Overwrites `base` and `derived` with the sums of all deposits. Both are zero outside of `touched`, before and
-/// after.
+/// after. Of the bands of other ranks nothing is touched.
 pub fn spread(
     simd: Simd,
     pyramid: &Pyramid,
+    division: &Division,
     gradients: &[&mut Gradient],
     base: &mut [f32],
     derived: &mut [f32],
@@ -90,7 +95,8 @@ pub fn spread(
         let texels = &mut rest[usize::from(level > 0)];
         for band in &mut bands {
             let shape = pyramid.shape(level, band.plane);
-            let (from, to) = (first_row(band.band, shape.rows), first_row(band.band + 1, shape.rows));
+            let [from, to] =
+                [band.band, band.band + 1].map(|next| division.first_row(band.plane, level, next));
             band.levels.push(LevelBand {
                 first_row: from,
                 texels: take_mut(texels, (to - from) * shape.row()),
@@ -98,11 +104,13 @@ pub fn spread(
             });
         }
     }
-    bands.into_par_iter().with_max_len(1).for_each(|band| simd.run(SpreadBand { pyramid, gradients, band }));
+    let work = bands.into_par_iter().with_max_len(1);
+    work.for_each(|band| simd.run(SpreadBand { pyramid, division, gradients, band }));
 }
 
 struct SpreadBand<'a> {
     pyramid: &'a Pyramid,
+    division: &'a Division,
     gradients: &'a [&'a mut Gradient],
     band: Band<'a>,
 }
@@ -111,14 +119,22 @@ impl Kernel for SpreadBand<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Band { plane, band, mut levels } = self.band;
+        let Self { division, band: Band { plane, band, mut levels }, .. } = self;
+        let is_own = division.is_own(plane, band);
         for (level, LevelBand { texels, extents, .. }) in levels.iter_mut().enumerate() {
             let rows = texels.chunks_exact_mut(self.pyramid.shape(level, plane).row());
+            // The gradient of another rank's rows is here on common levels alone.
+            let is_here = is_own || division.is_common(plane, level);
             for (row, extent) in rows.zip(extents.iter_mut()) {
                 let Range { start, end } = extent.texels();
-                row[start * CHANNELS..end * CHANNELS].fill(0.0);
+                if is_here {
+                    row[start * CHANNELS..end * CHANNELS].fill(0.0);
+                }
                 *extent = Extent::EMPTY;
             }
+        }
+        if !is_own {
+            return;
         }
         let [a, b] = PLANE_AXES[plane];
         for gradient in self.gradients {
@@ -134,7 +150,7 @@ impl Kernel for SpreadBand<'_> {
                     let taps = taps(shape, sphere.position[a], sphere.position[b]);
                     let LevelBand { first_row, texels, extents } = &mut levels[level];
                     for i in 0..2 {
-                        if owner(taps.rows[i], shape.rows) != band {
+                        if division.owner(plane, level, taps.rows[i]) != band {
                             continue;
                         }
                         extents[taps.rows[i] - *first_row].add(taps.columns[0], taps.columns[1]);

@@ -1,0 +1,103 @@
+//! Ranks that are threads of one process.
+
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use trimip_core::exchange::{Ranks, Share};
+use trimip_core::{Error, Result};
+
+/// A rank that is silent for so long has ended.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+type Message = (usize, Vec<u8>);
+
+/// One rank. Messages of a trade and those that are sent and received have channels of their own.
+pub struct Threads {
+    share: Share,
+    traded: Vec<Sender<Message>>,
+    trades: Mutex<Inbox>,
+    sent: Vec<Sender<Message>>,
+    received: Mutex<Receiver<Message>>,
+    /// Bytes sent in trades.
+    pub bytes: Mutex<u64>,
+}
+
+/// What came in, by sender. A rank may be one trade ahead of another.
+struct Inbox {
+    receiver: Receiver<Message>,
+    early: Vec<Vec<Vec<u8>>>,
+}
+
+impl Threads {
+    /// `count` ranks that know each other.
+    pub fn new(count: usize) -> Vec<Arc<Self>> {
+        let (traded, trades): (Vec<_>, Vec<_>) = (0..count).map(|_| channel()).unzip();
+        let (sent, received): (Vec<_>, Vec<_>) = (0..count).map(|_| channel()).unzip();
+        let ranks = trades.into_iter().zip(received).enumerate().map(|(rank, (receiver, received))| {
+            let early = vec![Vec::new(); count];
+            Arc::new(Self {
+                share: Share { rank, of: count },
+                traded: traded.clone(),
+                trades: Mutex::new(Inbox { receiver, early }),
+                sent: sent.clone(),
+                received: Mutex::new(received),
+                bytes: Mutex::new(0),
+            })
+        });
+        ranks.collect()
+    }
+}
+
+/// The error of a rank whose thread has ended.
+fn gone<E>(_: E) -> Error {
+    Error::device("another rank has ended")
+}
+
+impl Ranks for Threads {
+    fn share(&self) -> Share {
+        self.share
+    }
+
+    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
+        let others = || (0..self.share.of).filter(|rank| *rank != self.share.rank);
+        for to in others() {
+            *self.bytes.lock().unwrap() += out[to].len() as u64;
+            self.traded[to].send((self.share.rank, out[to].to_vec())).map_err(gone)?;
+        }
+        let Inbox { receiver, early } = &mut *self.trades.lock().unwrap();
+        for from in others() {
+            while early[from].is_empty() {
+                let (sender, bytes) = receiver.recv_timeout(PATIENCE).map_err(gone)?;
+                early[sender].push(bytes);
+            }
+            into[from] = early[from].remove(0);
+        }
+        Ok(())
+    }
+
+    fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()> {
+        let own = if self.share.rank == 0 { bytes.clone() } else { Vec::new() };
+        let mut into = vec![Vec::new(); self.share.of];
+        self.trade(&vec![&own[..]; self.share.of], &mut into)?;
+        if self.share.rank != 0 {
+            *bytes = std::mem::take(&mut into[0]);
+        }
+        Ok(())
+    }
+
+    fn send(&self, to: usize, bytes: &[u8]) -> Result<()> {
+        self.sent[to].send((self.share.rank, bytes.to_vec())).map_err(gone)
+    }
+
+    fn try_receive(&self) -> Result<Option<Message>> {
+        match self.received.lock().unwrap().try_recv() {
+            Ok(message) => Ok(Some(message)),
+            Err(TryRecvError::Empty) => Ok(None),
+            Err(error) => Err(gone(error)),
+        }
+    }
+
+    fn receive(&self) -> Result<Message> {
+        self.received.lock().unwrap().recv_timeout(PATIENCE).map_err(gone)
+    }
+}

@@ -1,0 +1,214 @@
+//! The processes of an MPI program.
+
+use mpi::environment::Universe;
+use mpi::point_to_point::MatchedReceiveVec;
+use mpi::topology::SimpleCommunicator;
+use mpi::traits::{Communicator, CommunicatorCollectives, Destination, Source};
+use mpi::{Rank, Tag, Threading, request};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+use trimip_core::exchange::{Ranks, Share};
+use trimip_core::{Error, Result};
+
+/// Tags of messages.
+const TRADE: Tag = 1;
+const ORDER: Tag = 2;
+const MESSAGE: Tag = 3;
+
+/// Bytes of a message at most: MPI counts in i32.
+const MOST: usize = 1 << 30;
+
+/// A rank that waits for an order looks for it all the time for so long, and then now and again, so that it leaves its core to
+/// others.
+const EAGER: Duration = Duration::from_millis(5);
+const NAP: Duration = Duration::from_micros(200);
+
+/// What a rank has sent in trades.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Traffic {
+    /// Steps.
+    pub steps: u64,
+    /// Bytes sent to other ranks.
+    pub bytes: u64,
+    /// Bytes of the touched parts of the gradients of all steps.
+    pub touched: u64,
+    /// Seconds spent in trades, waiting for slower ranks included.
+    pub trading: f64,
+    /// Seconds from the first trade to the end of the last.
+    pub seconds: f64,
+}
+
+/// All processes that were launched together.
+#[derive(Default)]
+pub struct World {
+    /// This rank among all, and among those on its machine; known once MPI is in use.
+    shares: OnceLock<[Share; 2]>,
+    traffic: Mutex<(Traffic, Option<Instant>)>,
+    /// One thread at a time calls MPI.
+    calls: Mutex<()>,
+    /// Held from the start to the end.
+    universe: Mutex<Option<Universe>>,
+}
+
+impl World {
+    /// Begins to use MPI.
+    ///
+    /// # Errors
+    /// When it was begun before, or the library lets only one thread call it.
+    pub fn start(&self) -> Result<()> {
+        let (universe, threading) = mpi::initialize_with_threading(Threading::Serialized)
+            .ok_or_else(|| Error::device("MPI has been started before"))?;
+        if threading < Threading::Serialized {
+            return Err(Error::device(
+                "this MPI library lets only the first thread of a program call it; use one with MPI_THREAD_SERIALIZED",
+            ));
+        }
+        let world = universe.world();
+        let near = world.split_shared(world.rank());
+        let share = |rank: Rank, of: Rank| Share { rank: rank as usize, of: of as usize };
+        self.shares.get_or_init(|| [share(world.rank(), world.size()), share(near.rank(), near.size())]);
+        *lock(&self.universe) = Some(universe);
+        Ok(())
+    }
+
+    /// What this rank has sent.
+    pub fn traffic(&self) -> Traffic {
+        lock(&self.traffic).0
+    }
+
+    /// Ends the use of MPI: waits until every rank does.
+    pub fn end(&self) {
+        let _calls = lock(&self.calls);
+        drop(lock(&self.universe).take());
+    }
+
+    /// Ends all ranks at once with this exit code.
+    pub fn abort(&self, code: u8) -> ! {
+        SimpleCommunicator::world().abort(code.into())
+    }
+
+    fn shares(&self) -> [Share; 2] {
+        self.shares.get().copied().unwrap_or([Share::WHOLE; 2])
+    }
+}
+
+/// Locks; a thread that panicked has ended the program.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A rank as MPI counts it.
+fn number(rank: usize) -> Rank {
+    rank as Rank
+}
+
+impl Ranks for World {
+    fn share(&self) -> Share {
+        self.shares()[0]
+    }
+
+    fn on_machine(&self) -> Share {
+        self.shares()[1]
+    }
+
+    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
+        let started = Instant::now();
+        let _calls = lock(&self.calls);
+        let world = SimpleCommunicator::world();
+        let lengths: Vec<u64> = out.iter().map(|bytes| bytes.len() as u64).collect();
+        let mut coming = vec![0_u64; self.share().of];
+        world.all_to_all_into(&lengths[..], &mut coming[..]);
+        let mut sent = 0;
+        request::scope(|scope| {
+            let mut requests = Vec::new();
+            let own = self.share().rank;
+            for (from, bytes) in into.iter_mut().enumerate().filter(|(from, _)| *from != own) {
+                bytes.resize(coming[from] as usize, 0);
+                for part in bytes.chunks_mut(MOST) {
+                    let process = world.process_at_rank(number(from));
+                    requests.push(process.immediate_receive_into_with_tag(scope, part, TRADE));
+                }
+            }
+            let mut sends = Vec::new();
+            for (to, bytes) in out.iter().enumerate().filter(|(to, _)| *to != own) {
+                sent += bytes.len() as u64;
+                for part in bytes.chunks(MOST) {
+                    let process = world.process_at_rank(number(to));
+                    sends.push(process.immediate_send_with_tag(scope, part, TRADE));
+                }
+            }
+            requests.into_iter().chain(sends).for_each(|request| {
+                request.wait();
+            });
+        });
+        let (traffic, since) = &mut *lock(&self.traffic);
+        traffic.seconds = since.get_or_insert(started).elapsed().as_secs_f64();
+        traffic.bytes += sent;
+        traffic.trading += started.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()> {
+        let world = SimpleCommunicator::world();
+        if self.share().rank == 0 {
+            let _calls = lock(&self.calls);
+            for to in 1..self.share().of {
+                let process = world.process_at_rank(number(to));
+                process.send_with_tag(&[bytes.len() as u64][..], ORDER);
+                bytes.chunks(MOST).for_each(|part| process.send_with_tag(part, ORDER));
+            }
+            return Ok(());
+        }
+        let started = Instant::now();
+        let leader = world.process_at_rank(0);
+        loop {
+            let _calls = lock(&self.calls);
+            if leader.immediate_probe_with_tag(ORDER).is_some() {
+                let mut length = [0_u64];
+                leader.receive_into_with_tag(&mut length[..], ORDER);
+                bytes.clear();
+                bytes.resize(length[0] as usize, 0);
+                bytes.chunks_mut(MOST).for_each(|part| {
+                    leader.receive_into_with_tag(part, ORDER);
+                });
+                return Ok(());
+            }
+            drop(_calls);
+            if started.elapsed() > EAGER {
+                std::thread::sleep(NAP);
+            }
+        }
+    }
+
+    fn send(&self, to: usize, bytes: &[u8]) -> Result<()> {
+        let _calls = lock(&self.calls);
+        SimpleCommunicator::world().process_at_rank(number(to)).send_with_tag(bytes, MESSAGE);
+        Ok(())
+    }
+
+    fn receive(&self) -> Result<(usize, Vec<u8>)> {
+        loop {
+            if let Some(message) = self.try_receive()? {
+                return Ok(message);
+            }
+            std::thread::sleep(NAP);
+        }
+    }
+
+    fn try_receive(&self) -> Result<Option<(usize, Vec<u8>)>> {
+        let _calls = lock(&self.calls);
+        let world = SimpleCommunicator::world();
+        let found = world.any_process().immediate_matched_probe_with_tag(MESSAGE);
+        Ok(found.map(|(message, status)| {
+            let from = status.source_rank() as usize;
+            let (bytes, _) = (message, status).matched_receive_vec();
+            (from, bytes)
+        }))
+    }
+
+    fn tally(&self, touched: u64) {
+        let (traffic, _) = &mut *lock(&self.traffic);
+        traffic.steps += 1;
+        traffic.touched += touched;
+    }
+}

@@ -1,0 +1,108 @@
+//! The session of rank 0, through which it leads a training.
+
+use super::Order;
+use crate::{backends, machine};
+use std::sync::Arc;
+use trimip_core::{
+    Camera, Config, Frame, Query, Result, Session, StepReport, ViewSet, Viewer, batch::Radiance,
+    checkpoint::Checkpoint, exchange::Ranks, fingerprint::Fingerprint, model::Model,
+};
+
+/// A session of rank 0 that all ranks share.
+struct Lead {
+    session: Box<dyn Session>,
+    ranks: Arc<dyn Ranks>,
+}
+
+/// As [`backends::train`], on all ranks: rank 0 calls it, while the others [`follow`](super::follow).
+///
+/// # Errors
+/// As [`backends::train_over`].
+pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
+    let data = Fingerprint::of(&views);
+    let session = backends::train_over(config, views, Arc::clone(ranks))?;
+    Order::Train { version: machine::version(), config: config.to_toml(), data }.give(&**ranks)?;
+    Ok(Box::new(Lead { session, ranks: Arc::clone(ranks) }))
+}
+
+impl Drop for Lead {
+    fn drop(&mut self) {
+        // A rank that is gone needs no order.
+        let _ = Order::Close.give(&*self.ranks);
+    }
+}
+
+impl Viewer for Lead {
+    fn backend(&self) -> &str {
+        self.session.backend()
+    }
+
+    fn device_name(&self) -> String {
+        format!("{} ranks, each {}", self.ranks.share().of, self.session.device_name())
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.session.notes()
+    }
+
+    fn render(&mut self, camera: &Camera) -> Result<Frame> {
+        self.session.render(camera)
+    }
+
+    fn render_watched(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Frame>> {
+        self.session.render_watched(camera, watch)
+    }
+
+    fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
+        self.session.query(queries)
+    }
+
+    fn densities(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        self.session.densities(queries)
+    }
+
+    fn features(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        self.session.features(queries)
+    }
+
+    fn samples(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Vec<u32>>> {
+        self.session.samples(camera, watch)
+    }
+}
+
+impl Session for Lead {
+    fn step(&mut self, progress: f64) -> Result<StepReport> {
+        Order::Step(progress).give(&*self.ranks)?;
+        self.session.step(progress)
+    }
+
+    fn model(&mut self) -> Result<Model> {
+        Order::Model.give(&*self.ranks)?;
+        self.session.model()
+    }
+
+    fn finish(&mut self) -> Result<Model> {
+        Order::Finish.give(&*self.ranks)?;
+        self.session.finish()
+    }
+
+    fn checkpoint(&mut self) -> Result<Checkpoint> {
+        Order::Checkpoint.give(&*self.ranks)?;
+        self.session.checkpoint()
+    }
+
+    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+        // Refused here first: the others would only say the same.
+        self.session.restore(checkpoint)?;
+        Order::Restore.give(&*self.ranks)?;
+        self.ranks.broadcast(&mut checkpoint.to_bytes()?)
+    }
+}

@@ -1,0 +1,118 @@
+//! Several processes, called ranks, that work as one program. Rank 0 runs the program, reads and writes every file of a run, and
+//! leads; the others [`follow`] its orders. Rank 0 trains through a session that gives the same orders to all of them, so that
+//! every rank takes the same steps.
+
+mod jobs;
+mod lead;
+
+pub use jobs::{farm, labour};
+pub use lead::train;
+
+use crate::{backends, machine};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use trimip_core::{
+    Config, Error, ErrorKind, Result, checkpoint::Checkpoint, exchange::Ranks, fingerprint::Fingerprint,
+};
+
+/// What rank 0 tells the others to do.
+#[derive(Serialize, Deserialize)]
+enum Order {
+    /// Open the data of this configuration, TOML, and train on it. The views have to be these.
+    Train {
+        version: String,
+        config: String,
+        data: Fingerprint,
+    },
+    /// One step of the training.
+    Step(f64),
+    /// Take part in collecting a model, the finished model, a checkpoint.
+    Model,
+    Finish,
+    Checkpoint,
+    /// Continue from the checkpoint whose bytes come next.
+    Restore,
+    /// The training is over.
+    Close,
+    /// Work on the jobs that are sent one by one.
+    Jobs,
+    /// The program ends.
+    Quit,
+}
+
+impl Order {
+    fn give(&self, ranks: &dyn Ranks) -> Result<()> {
+        ranks.broadcast(&mut serde_json::to_vec(self).map_err(Error::run)?)
+    }
+
+    fn await_from(ranks: &dyn Ranks) -> Result<Self> {
+        let mut bytes = Vec::new();
+        ranks.broadcast(&mut bytes)?;
+        serde_json::from_slice(&bytes)
+            .map_err(|error| Error::run(format!("an order of rank 0 is not understood: {error}")))
+    }
+}
+
+/// Tells all ranks to end.
+///
+/// # Errors
+/// When another rank is gone.
+pub fn dismiss(ranks: &dyn Ranks) -> Result<()> {
+    Order::Quit.give(ranks)
+}
+
+/// Does what rank 0 orders, until it dismisses this rank. `work` does the jobs of [`farm`]: it ends with [`labour`].
+///
+/// # Errors
+/// When this rank cannot do what it has to; the others then wait for it in vain, and the caller ends them.
+pub fn follow(ranks: &Arc<dyn Ranks>, work: &mut dyn FnMut(&dyn Ranks) -> Result<()>) -> Result<()> {
+    loop {
+        match Order::await_from(&**ranks)? {
+            Order::Train { version, config, data } => {
+                if version != machine::version() {
+                    return Err(Error::input(
+                        "this program",
+                        format!("is {}, that of rank 0 is {version}", machine::version()),
+                        "install the same program on every machine",
+                    ));
+                }
+                follow_training(ranks, &Config::from_toml("the orders of rank 0", &config)?, data)?;
+            }
+            Order::Jobs => work(&**ranks)?,
+            Order::Quit => return Ok(()),
+            _ => return Err(Error::run("rank 0 gives orders to a session that is not there")),
+        }
+    }
+}
+
+fn follow_training(ranks: &Arc<dyn Ranks>, config: &Config, data: Fingerprint) -> Result<()> {
+    let scene = trimip_data::open(&config.data)?;
+    if let Some(difference) = Fingerprint::of(&scene.train).difference(&data) {
+        return Err(Error::input(
+            &config.data.root,
+            format!("not the photographs of rank 0: {difference}"),
+            "give every machine the same data under the same path",
+        ));
+    }
+    let mut session = backends::train_over(config, scene.train, Arc::clone(ranks))?;
+    loop {
+        let done = match Order::await_from(&**ranks)? {
+            Order::Step(progress) => session.step(progress).map(drop),
+            Order::Model => session.model().map(drop),
+            Order::Finish => session.finish().map(drop),
+            Order::Checkpoint => session.checkpoint().map(drop),
+            Order::Restore => {
+                let mut bytes = Vec::new();
+                ranks.broadcast(&mut bytes)?;
+                session.restore(&Checkpoint::from_bytes("the checkpoint of rank 0", &bytes)?)
+            }
+            Order::Close => return Ok(()),
+            _ => Err(Error::run("rank 0 gives other orders while a session is open")),
+        };
+        match done {
+            // Every rank has the same sums, so a step that fails does so on all of them, and rank 0 says it.
+            Err(error) if error.kind == ErrorKind::Device => return Err(error),
+            Err(_) | Ok(()) => {}
+        }
+    }
+}
