@@ -150,7 +150,7 @@ fn a_step_moves_parameters_by_the_written_rule() {
 #[test]
 fn any_number_of_ranks_has_the_bits_of_one() {
     let together =
-        |ranks| Box::new(Together::new(ranks).expect("few ranks")) as Box<dyn Exchange<CpuBackend>>;
+        |ranks| Box::new(Together::new(ranks, 4).expect("few ranks")) as Box<dyn Exchange<CpuBackend>>;
     let simd = Simd::detect();
     suite::exchange::same_bits(|| CpuBackend::new(2, simd).expect("threads start"), &together)
         .expect("all train");
@@ -164,8 +164,8 @@ fn ranks_that_add_gradients_learn_the_same() {
 
 #[test]
 fn more_ranks_than_parts_are_refused() {
-    let refused = Together::new(Threads::new(25).remove(0)).err().expect("too many");
-    assert!(refused.exit_code() == 2 && refused.message.contains("25 ranks"), "{refused}");
+    let refused = Together::new(Threads::new(5).remove(0), 4).err().expect("too many");
+    assert!(refused.exit_code() == 2 && refused.message.contains("5 ranks"), "{refused}");
 }
 
 #[test]

@@ -64,6 +64,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Copies the buffer's values to the host; waits for the device.
     fn read<T: Pod + Send + Sync>(&self, buffer: &Self::Buffer<T>) -> Vec<T>;
 
+    /// Calls `look` with the buffer's values; waits for the device. A backend whose buffers are memory of the host makes no copy.
+    fn look<T: Pod + Send + Sync, R>(&self, buffer: &Self::Buffer<T>, look: impl FnOnce(&[T]) -> R) -> R {
+        look(&self.read(buffer))
+    }
+
     /// As [`Backend::read`], without blocking: the future is pending while the device works.
     fn read_async<T: Pod + Send + Sync>(&self, buffer: &Self::Buffer<T>) -> impl Future<Output = Vec<T>> {
         async { self.read(buffer) }

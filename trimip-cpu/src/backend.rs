@@ -2,7 +2,7 @@
 
 use crate::buffer::{Buffer, take_mut};
 use crate::encoder::CpuEncoder;
-use crate::field::{CpuField, PARTS};
+use crate::field::CpuField;
 use crate::loss::CpuLoss;
 use crate::occupancy::CpuOccupancy;
 use crate::optimizer::CpuOptimizer;
@@ -61,11 +61,6 @@ const SAMPLES_PER_DEPOSIT: u32 = 1024;
 /// Number of deposits of a step of `samples` samples: enough to balance the load of many cores.
 pub fn deposits(samples: u32) -> usize {
     (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
-}
-
-/// True if a rank with this share computes deposit `index`.
-pub(crate) fn has(share: Share, index: usize) -> bool {
-    share.has(index % PARTS)
 }
 
 /// The CPU with a given number of threads and a given instruction set.
@@ -207,6 +202,10 @@ impl Backend for CpuBackend {
         buffer.to_vec()
     }
 
+    fn look<T: Pod + Send + Sync, R>(&self, buffer: &Buffer<T>, look: impl FnOnce(&[T]) -> R) -> R {
+        look(buffer)
+    }
+
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         self.pool.install(work)
     }
@@ -222,7 +221,8 @@ impl Backend for CpuBackend {
     ) {
         let count = deposits.len() as u64;
         let bound = |i: u64| (u64::from(draw.cones()) * i / count) as u32;
-        let own: Vec<_> = deposits.iter_mut().enumerate().filter(|(i, _)| has(share, *i)).collect();
+        let parts = field.parts(deposits.len());
+        let own: Vec<_> = deposits.iter_mut().enumerate().filter(|(i, _)| parts.has(share, *i)).collect();
         own.into_par_iter().with_max_len(1).for_each(|(i, deposit)| {
             let (from, to) = (bound(i as u64), bound(i as u64 + 1));
             self.with_workspace(field, |workspace| {

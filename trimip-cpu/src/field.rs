@@ -6,10 +6,12 @@
 use crate::buffer::Buffer;
 use crate::gemm::padded;
 use crate::mlp::{Activations, Mlp, MlpGradient, Passing, Row, Shared};
+use crate::parts::{Parts, halves};
 use crate::simd::Simd;
 use crate::wire::Reader;
 use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
+use std::ops::Range;
 use trimip_core::activation::{Color, Density};
 use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
 use trimip_core::compositing::is_lit;
@@ -38,8 +40,10 @@ pub struct CpuField {
     view: usize,
     /// Padded width of the geometry features with their sines and cosines; 0 if there are none of these.
     shape: usize,
-    /// True if the weight gradients of this step are summed by parts.
-    is_folded: bool,
+    /// `train.parts`.
+    wanted_parts: u32,
+    /// Number of ranks whose sums of weight gradients are here; 0 if none is summed yet in this step.
+    shared_by: usize,
 }
 
 /// Activations of a span.
@@ -159,10 +163,6 @@ pub struct FieldGradient {
     color: MlpGradient,
 }
 
-/// Parts of a step whose weight gradients are summed apart, and then in order: deposit i belongs to part i % `PARTS`. Ranks
-/// take whole parts, so the sums have the same bits for any number of ranks.
-pub const PARTS: usize = 24;
-
 impl FieldGradient {
     fn fold(&mut self, other: &mut Self) {
         self.density.fold(&mut other.density);
@@ -182,21 +182,43 @@ impl FieldGradient {
     }
 }
 
+/// Adds up gradients in a balanced tree over `range`; `at` is where each is. The sum is where the first was, and the others are
+/// zero.
+fn join(deposits: &mut [Deposit<CpuBackend>], range: Range<usize>, at: &impl Fn(usize) -> usize) {
+    if range.len() < 2 {
+        return;
+    }
+    let [left, right] = halves(range);
+    let (sum, other) = (at(left.start), at(right.start));
+    join(deposits, left, at);
+    join(deposits, right, at);
+    let (head, tail) = deposits.split_at_mut(other);
+    head[sum].field.fold(&mut tail[0].field);
+}
+
 impl CpuField {
-    /// Sums the weight gradients of each part of `share` into its first deposit. Does nothing if it was done in this step.
+    /// The parts of a step of so many deposits.
+    pub(crate) fn parts(&self, deposits: usize) -> Parts {
+        Parts::new(self.wanted_parts, deposits)
+    }
+
+    /// Sums the weight gradients of the parts of `share` into the first of their deposits. The rest is zero.
     pub(crate) fn fold(&mut self, deposits: &mut [Deposit<CpuBackend>], share: Share) {
-        if std::mem::replace(&mut self.is_folded, true) {
-            return;
-        }
-        let (first, rest) = deposits.split_at_mut(PARTS.min(deposits.len()));
-        let mut parts: Vec<Vec<&mut FieldGradient>> =
+        let parts = self.parts(deposits.len());
+        let own = parts.of(share);
+        let (first, rest) = deposits.split_at_mut(parts.count());
+        let mut sums: Vec<Vec<&mut FieldGradient>> =
             first.iter_mut().map(|deposit| vec![&mut deposit.field]).collect();
-        rest.iter_mut().enumerate().for_each(|(i, deposit)| parts[i % PARTS].push(&mut deposit.field));
-        parts.par_iter_mut().enumerate().filter(|(part, _)| share.has(*part)).for_each(|(_, part)| {
+        for (i, deposit) in rest.iter_mut().enumerate() {
+            sums[i % parts.count()].push(&mut deposit.field);
+        }
+        sums[own.clone()].par_iter_mut().for_each(|part| {
             if let [sum, others @ ..] = &mut part[..] {
                 others.iter_mut().for_each(|other| sum.fold(other));
             }
         });
+        join(deposits, own, &|part| part);
+        self.shared_by = share.of;
     }
 
     /// Creates the networks of a configuration, with products in `precision`.
@@ -240,7 +262,8 @@ impl CpuField {
             config: field.clone(),
             view: padded_view,
             shape,
-            is_folded: false,
+            wanted_parts: config.train.parts,
+            shared_by: 0,
         }
     }
 
@@ -457,12 +480,17 @@ impl Field<CpuBackend> for CpuField {
     }
 
     fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {
-        self.fold(deposits, Share::WHOLE);
-        self.is_folded = false;
-        let parts = PARTS.min(deposits.len());
+        match std::mem::take(&mut self.shared_by) {
+            0 => self.fold(deposits, Share::WHOLE),
+            of => {
+                let parts = self.parts(deposits.len());
+                join(deposits, 0..of, &|rank| parts.of(Share { rank, of }).start);
+            }
+        }
+        self.shared_by = 0;
         for (i, slot) in self.slots.iter().enumerate() {
             let out = &mut parameter_gradient[slot.range.clone()];
-            let fields = deposits[..parts].iter_mut().map(|deposit| &mut deposit.field);
+            let fields = deposits[..1].iter_mut().map(|deposit| &mut deposit.field);
             match i.checked_sub(self.density.slots()) {
                 None => self.density.flush(i, fields.map(|field| &mut field.density), out),
                 Some(i) => self.color.flush(i, fields.map(|field| &mut field.color), out),

@@ -36,6 +36,7 @@ mod memory;
 mod mlp;
 mod occupancy;
 mod optimizer;
+mod parts;
 mod renderer;
 mod sampler;
 mod see;
@@ -74,7 +75,7 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
 /// # Errors
 /// As [`open`], and when there are more ranks than a step has parts.
 pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
-    let exchange = Together::new(ranks)?;
+    let exchange = Together::new(ranks, config.train.parts)?;
     let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
     let mut trainer = Trainer::new(backend, config, views)?;
     trainer.exchange_by(Box::new(exchange));

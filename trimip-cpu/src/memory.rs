@@ -50,7 +50,7 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
     let weights: usize = layout.networks().iter().map(|slot| slot.range.len()).sum();
     let cells = (config.occupancy.resolution as usize).pow(3);
     let left = left(config);
-    let copies = floats(4 * layout.len() + cells);
+    let copies = floats(3 * layout.len() + cells);
     // Indices of the sampled cells, in an array that grows by doubling, and the densities of these cells.
     let probe = DOUBLED * WORD + size_of::<Radiance>();
     let asked = config.occupancy.warmup_fraction.max(DRAWN_TWICE * config.occupancy.fraction);

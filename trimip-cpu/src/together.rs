@@ -1,15 +1,14 @@
-//! Training on several ranks with the bits of one. A step's deposits do not depend on the number of ranks. Each rank computes
-//! some of them and sends every other rank what it needs, and all sums have the order of the deposits.
+//! Training on several ranks with the bits of one. Neither a step's deposits nor the tree in which they are added up
+//! ([`Parts`](crate::parts::Parts)) depend on the number of ranks.
 //!
-//! An encoder that can be divided ([`Divided`](crate::encoders::Divided)) does its part of the sums and of the update on each
-//! rank, and the ranks then send each other the parameters that changed. Any other encoder gets all deposits on every rank.
+//! An encoder that can be divided ([`Divided`](crate::encoders::Divided)) sums the parts of a step on the ranks that have them.
+//! Each rank adds these sums up for a part of the parameters, updates it, and sends the others what changed. Any other encoder gets
+//! all deposits on every rank.
 
 use crate::CpuBackend;
-use crate::backend::has;
 use crate::buffer::Buffer;
 use crate::encoder::CpuEncoder;
 use crate::encoders::Divided;
-use crate::field::PARTS;
 use crate::optimizer::CpuOptimizer;
 use crate::wire::{Reader, put, put_counted};
 use std::sync::Arc;
@@ -28,17 +27,17 @@ pub struct Together {
 }
 
 impl Together {
-    /// An exchange over `ranks`.
+    /// An exchange over `ranks`, of steps of so many parts (`train.parts`).
     ///
     /// # Errors
-    /// When there are more ranks than parts of a step.
-    pub fn new(ranks: Arc<dyn Ranks>) -> Result<Self> {
+    /// When there are more ranks than parts.
+    pub fn new(ranks: Arc<dyn Ranks>, parts: u32) -> Result<Self> {
         let share = ranks.share();
-        if share.of > PARTS {
+        if share.of > parts as usize {
             return Err(Error::input(
                 format!("{} ranks", share.of),
-                format!("a step of the CPU backend has {PARTS} parts"),
-                format!("start at most {PARTS} ranks, with more threads each"),
+                format!("a step of the CPU backend has {parts} parts"),
+                format!("set train.parts to {} or more, or start fewer ranks", share.of.next_power_of_two()),
             ));
         }
         let messages = || vec![Vec::new(); share.of];
@@ -82,20 +81,25 @@ impl Exchange<CpuBackend> for Together {
         stages: &mut Stages<CpuBackend>,
         deposits: &mut [Deposit<CpuBackend>],
     ) -> Result<()> {
-        if let Some(divided) = self.divided(&mut stages.encoder, &stages.optimizer) {
+        let divided = self.divided(&mut stages.encoder, &stages.optimizer);
+        let is_divided = divided.is_some();
+        if let Some(divided) = divided {
             divided.divide(self.share);
         }
         stages.field.fold(deposits, self.share);
-        let parts = PARTS.min(deposits.len());
+        let parts = stages.field.parts(deposits.len());
+        let own = parts.of(self.share).start;
         for to in self.others() {
             let out = &mut self.out[to];
             out.clear();
-            for (i, deposit) in deposits.iter().enumerate().filter(|(i, _)| has(self.share, *i)) {
-                if i < parts {
-                    deposit.field.put(out);
-                }
+            deposits[own].field.put(out);
+            for deposit in
+                deposits.iter().enumerate().filter_map(|(i, d)| parts.has(self.share, i).then_some(d))
+            {
                 put_counted(out, &deposit.sums.to_words());
-                stages.encoder.put(&deposit.encoder, to, out);
+                if !is_divided {
+                    stages.encoder.put(&deposit.encoder, to, out);
+                }
             }
         }
         self.trade()?;
@@ -103,13 +107,13 @@ impl Exchange<CpuBackend> for Together {
         for from in self.others() {
             let mut reader = Reader::new(&self.into[from]);
             let share = Share { rank: from, ..self.share };
-            for (i, deposit) in deposits.iter_mut().enumerate().filter(|(i, _)| has(share, *i)) {
-                if i < parts {
-                    deposit.field.take(&mut reader);
-                }
+            deposits[parts.of(share).start].field.take(&mut reader);
+            for (_, deposit) in deposits.iter_mut().enumerate().filter(|(i, _)| parts.has(share, *i)) {
                 reader.list(&mut words);
                 deposit.sums = StepResult::of_words(&words);
-                stages.encoder.take(&mut reader, &mut deposit.encoder);
+                if !is_divided {
+                    stages.encoder.take(&mut reader, &mut deposit.encoder);
+                }
             }
         }
         Ok(())
@@ -132,18 +136,19 @@ impl Exchange<CpuBackend> for Together {
         }
         let Stages { encoder, optimizer, field, .. } = stages;
         let Some(divided) = encoder.divided() else { return Ok(()) };
-        let mut message = std::mem::take(&mut self.out[self.share.rank]);
-        message.clear();
-        divided.put_common(&mut message);
-        self.tell(&message)?;
-        for from in self.others() {
-            divided.take_common(&mut Reader::new(&self.into[from]), from);
+        for to in self.others() {
+            let out = &mut self.out[to];
+            out.clear();
+            divided.put_sums(gradient, to, out);
         }
+        self.trade()?;
+        divided.take_sums(&self.into, gradient);
         divided.complete(gradient);
         // Without a weight nothing moves, on any rank.
         if backend.weight(deposits) > 0.0 {
             let left_out =
                 optimizer.step_within(parameters, gradient, deposits, learning_rate, step, divided.pieces());
+            let mut message = std::mem::take(&mut self.out[self.share.rank]);
             message.clear();
             put(&mut message, &[left_out]);
             divided.put_changed(parameters, &mut message);
@@ -154,10 +159,10 @@ impl Exchange<CpuBackend> for Together {
                 divided.take_changed(&mut reader, from, parameters);
             }
             self.ranks.tally((divided.count_touched() * size_of::<f32>()) as u64);
+            self.out[self.share.rank] = message;
             encoder.refresh_touched(parameters);
             field.refresh(parameters);
         }
-        self.out[self.share.rank] = message;
         Ok(())
     }
 

@@ -33,9 +33,21 @@ impl<'a> Reader<'a> {
     /// Overwrites `to` with the next values. Those behind the end are left.
     pub fn copy<T: Pod>(&mut self, to: &mut [T]) {
         let to: &mut [u8] = bytemuck::cast_slice_mut(to);
-        let (now, rest) = self.0.split_at(to.len().min(self.0.len()));
+        let now = self.bytes(to.len());
         to[..now.len()].copy_from_slice(now);
+    }
+
+    /// The next bytes; fewer at the end.
+    pub fn bytes(&mut self, count: usize) -> &'a [u8] {
+        let (now, rest) = self.0.split_at(count.min(self.0.len()));
         self.0 = rest;
+        now
+    }
+
+    /// The next bytes, whose number comes first.
+    pub fn counted_bytes(&mut self) -> &'a [u8] {
+        let count = self.one::<u64>() as usize;
+        self.bytes(count)
     }
 
     /// Replaces a buffer by what [`put_counted`] wrote.

@@ -32,9 +32,9 @@ pub struct Traffic {
     pub bytes: u64,
     /// Bytes of the touched parts of the gradients of all steps.
     pub touched: u64,
-    /// Seconds spent in trades, waiting for slower ranks included.
+    /// Seconds spent in trades but the first, waiting for slower ranks included.
     pub trading: f64,
-    /// Seconds from the first trade to the end of the last.
+    /// Seconds from the end of the first trade to that of the last.
     pub seconds: f64,
 }
 
@@ -142,9 +142,15 @@ impl Ranks for World {
             });
         });
         let (traffic, since) = &mut *lock(&self.traffic);
-        traffic.seconds = since.get_or_insert(started).elapsed().as_secs_f64();
         traffic.bytes += sent;
-        traffic.trading += started.elapsed().as_secs_f64();
+        match since {
+            Some(since) => {
+                traffic.trading += started.elapsed().as_secs_f64();
+                traffic.seconds = since.elapsed().as_secs_f64();
+            }
+            // In the first trade a rank waits for others that still read their data.
+            None => *since = Some(Instant::now()),
+        }
         Ok(())
     }
 

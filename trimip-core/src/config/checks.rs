@@ -202,6 +202,7 @@ impl OccupancyConfig {
 
 impl TrainConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.check(self.parts.is_power_of_two(), "train.parts", "a power of two from 1 to 64")?;
         to.together(
             self.steps > 0 || self.seconds > 0.0,
             &["train.seconds", "train.steps"],

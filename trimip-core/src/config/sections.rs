@@ -93,7 +93,7 @@ section!(
 section!(
     /// Length of the run and size of a step.
     TrainConfig, "train" {
-        steps: u64, seconds: f64, samples_per_step: u32, batch_scale: Schedule, scale_balance: Schedule, cones: Schedule, background: TrainBackground,
+        steps: u64, seconds: f64, samples_per_step: u32, parts: u32, batch_scale: Schedule, scale_balance: Schedule, cones: Schedule, background: TrainBackground,
         background_share: Schedule,
         checkpoint_seconds: f64, log_seconds: f64,
     }

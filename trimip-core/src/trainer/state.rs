@@ -37,9 +37,11 @@ impl<B: Backend> Trainer<B> {
     pub(super) fn freeze(&mut self) -> Result<Checkpoint> {
         self.settle()?;
         self.gather_moments()?;
-        let mut file = self.loaded.tensors(&self.parameters());
+        // Nothing is copied twice: a large model's moments are the peak of a run's memory.
+        let device = self.device();
+        let mut file = device.look(&self.loaded.parameters, |values| self.loaded.tensors(values));
         for (suffix, moments) in [".m", ".v"].into_iter().zip(self.loaded.stages.optimizer.moments()) {
-            self.layout().to_tensors(&self.device().read(moments), suffix, &mut file);
+            device.look(moments, |values| self.layout().to_tensors(values, suffix, &mut file));
         }
         // Reading the moments has updated the device's count.
         self.count_left_out();

@@ -85,11 +85,11 @@ pub(crate) trait Divided {
     /// Chooses this rank's part. With [`Share::WHOLE`] nothing is divided.
     fn divide(&mut self, share: Share);
 
-    /// After [`Encoding::flush`]: writes the part of the gradient that every rank needs.
-    fn put_common(&self, out: &mut Vec<u8>);
+    /// After [`Encoding::flush`], which has summed the parts of this rank: writes what rank `to` needs of these sums.
+    fn put_sums(&mut self, gradient: &mut [f32], to: usize, out: &mut Vec<u8>);
 
-    /// Takes what `rank` put.
-    fn take_common(&mut self, from: &mut Reader<'_>, rank: usize);
+    /// Adds what the other ranks put for this one, by rank. Afterwards the gradient of this rank's rows has the parts of all.
+    fn take_sums(&mut self, from: &[Vec<u8>], gradient: &mut [f32]);
 
     /// Completes the gradient of this rank's part.
     fn complete(&mut self, gradient: &mut [f32]);

@@ -22,6 +22,10 @@ pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<
     let data = Fingerprint::of(&views);
     let session = backends::train_over(config, views, Arc::clone(ranks))?;
     Order::Train { version: machine::version(), config: config.to_toml(), data }.give(&**ranks)?;
+    // The time of the first step is not that of reading the data elsewhere.
+    for _ in 1..ranks.share().of {
+        ranks.receive()?;
+    }
     Ok(Box::new(Lead { session, ranks: Arc::clone(ranks) }))
 }
 

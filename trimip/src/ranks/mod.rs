@@ -95,6 +95,7 @@ fn follow_training(ranks: &Arc<dyn Ranks>, config: &Config, data: Fingerprint) -
         ));
     }
     let mut session = backends::train_over(config, scene.train, Arc::clone(ranks))?;
+    ranks.send(0, b"ready")?;
     loop {
         let done = match Order::await_from(&**ranks)? {
             Order::Step(progress) => session.step(progress).map(drop),

@@ -1,66 +1,17 @@
-//! The planes divided among ranks. A rank gets the samples that touch its bands, sums them, updates its rows, and sends the
-//! changed texels. Columns travel as the intervals in which they are touched.
+//! The planes divided among ranks. A rank sums its parts of a step, gets what the others have of its bands, updates these, and
+//! sends the changed texels. Columns travel as the intervals in which they are touched.
 
-use super::{Gradient, Planes};
-use crate::encoders::bands::{BANDS, Extent};
+use super::Planes;
+use super::scatter::{Band, Sums};
+use crate::encoders::bands::Extent;
 use crate::encoders::tri_mip::division::Division;
 use crate::encoders::tri_mip::extents::Extents;
 use crate::encoders::{Divided, Encoding, Piece};
 use crate::wire::{Reader, put};
-use bytemuck::{Pod, Zeroable};
+use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES};
+use trimip_core::encoders::tri_mip::CHANNELS;
 use trimip_core::exchange::Share;
-
-/// A sample on one plane.
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct OnPlane {
-    index: u32,
-    /// Its position along the plane's axes, and its radius.
-    at: [f32; 2],
-    radius: f32,
-    gradient: [f32; CHANNELS],
-}
-
-/// Writes the samples of a deposit that touch the bands of rank `to`.
-pub fn put_samples(division: &Division, gradient: &Gradient, to: usize, out: &mut Vec<u8>) {
-    put(out, &[gradient.spheres.len() as u64]);
-    for (plane, band) in division.bands_of(to) {
-        let list = &gradient.bands[plane * BANDS + band];
-        put(out, &[list.len() as u64]);
-        let [a, b] = PLANE_AXES[plane];
-        for &index in list {
-            let sphere = &gradient.spheres[index as usize];
-            let mut values = [0.0; CHANNELS];
-            let first = index as usize * FEATURES + plane * CHANNELS;
-            values.copy_from_slice(&gradient.rows[first..first + CHANNELS]);
-            let at = [sphere.position[a], sphere.position[b]];
-            put(out, &[OnPlane { index, at, radius: sphere.radius, gradient: values }]);
-        }
-    }
-}
-
-/// Replaces a deposit by samples that touch this rank's bands. What belongs to other bands is not there.
-pub fn take_samples(division: &Division, from: &mut Reader<'_>, gradient: &mut Gradient) {
-    let samples = from.one::<u64>() as usize;
-    gradient.spheres.resize(samples);
-    gradient.rows.resize(samples * FEATURES);
-    for (plane, band) in division.bands_of(division.share.rank) {
-        let list = &mut gradient.bands[plane * BANDS + band];
-        list.clear();
-        let [a, b] = PLANE_AXES[plane];
-        for _ in 0..from.one::<u64>() {
-            let sample: OnPlane = from.one();
-            let sphere = &mut gradient.spheres[sample.index as usize];
-            (sphere.position[a], sphere.position[b], sphere.radius) =
-                (sample.at[0], sample.at[1], sample.radius);
-            let first = sample.index as usize * FEATURES + plane * CHANNELS;
-            gradient.rows[first..first + CHANNELS].copy_from_slice(&sample.gradient);
-            list.push(sample.index);
-        }
-    }
-}
 
 /// A row of a level of a plane.
 struct Row {
@@ -72,6 +23,14 @@ struct Row {
 }
 
 impl Planes {
+    /// The bands of all levels, and what sums over them.
+    pub(super) fn bands<'a>(&'a mut self, gradient: &'a mut [f32]) -> (Sums<'a>, Vec<Band<'a>>) {
+        let Self { simd, pyramid, division, derived_gradient, touched, scratch, .. } = self;
+        let base = &mut gradient[..pyramid.base_len()];
+        let sums = Sums { simd: *simd, pyramid, division, scratch };
+        (sums, Band::all(pyramid, division, base, derived_gradient, touched))
+    }
+
     /// The rows of a level in the bands of `rank`.
     fn rows_of(&self, rank: usize, level: usize) -> impl Iterator<Item = Row> + use<> {
         let shapes = [0, 1, 2].map(|plane| self.pyramid.shape(level, plane));
@@ -85,13 +44,6 @@ impl Planes {
             let row = shapes[plane].row();
             (from..to).map(move |own| Row { plane, index: rows + own, first: floats + own * row })
         })
-    }
-
-    /// The rows of the common levels in the bands of `rank`: level, and the row.
-    fn common_rows(&self, rank: usize) -> Vec<(usize, Row)> {
-        let levels =
-            (1..self.pyramid.levels).flat_map(|level| self.rows_of(rank, level).map(move |row| (level, row)));
-        levels.filter(|(level, row)| self.division.is_common(row.plane, *level)).collect()
     }
 
     /// The touched floats of a row, from the start of its level.
@@ -110,20 +62,27 @@ impl Divided for Planes {
         }
     }
 
-    fn put_common(&self, out: &mut Vec<u8>) {
-        for (level, row) in self.common_rows(self.division.share.rank) {
-            let (extent, floats) = self.touched_of(level, &row);
-            put(out, &[extent]);
-            put(out, &self.derived_gradient[self.pyramid.offset(level, 0)..][floats]);
+    fn put_sums(&mut self, gradient: &mut [f32], to: usize, out: &mut Vec<u8>) {
+        let to = Share { rank: to, of: self.division.share.of };
+        let (sums, bands) = self.bands(gradient);
+        for band in bands {
+            // The length comes first, so that bands are found without reading those before.
+            let start = out.len();
+            put(out, &[0_u64]);
+            sums.put(to, &band, out);
+            let length = (out.len() - start - size_of::<u64>()) as u64;
+            out[start..start + size_of::<u64>()].copy_from_slice(&length.to_ne_bytes());
         }
     }
 
-    fn take_common(&mut self, from: &mut Reader<'_>, rank: usize) {
-        for (level, row) in self.common_rows(rank) {
-            *self.touched.row_mut(level, row.index) = from.one();
-            let (_, floats) = self.touched_of(level, &row);
-            from.copy(&mut self.derived_gradient[self.pyramid.offset(level, 0)..][floats]);
-        }
+    fn take_sums(&mut self, from: &[Vec<u8>], gradient: &mut [f32]) {
+        let mut readers: Vec<Reader<'_>> = from.iter().map(|bytes| Reader::new(bytes)).collect();
+        let (sums, bands) = self.bands(gradient);
+        let work: Vec<_> = bands
+            .into_iter()
+            .map(|band| (band, readers.iter_mut().map(Reader::counted_bytes).collect::<Vec<_>>()))
+            .collect();
+        work.into_par_iter().with_max_len(1).for_each(|(mut band, from)| sums.gather(&from, &mut band));
     }
 
     fn complete(&mut self, gradient: &mut [f32]) {

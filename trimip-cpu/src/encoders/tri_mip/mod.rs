@@ -7,14 +7,16 @@ mod scatter;
 
 use self::division::Division;
 use self::extents::Extents;
-use self::scatter::{Sort, spread};
+use self::scatter::{Scratch, Sort};
 use super::bands::{BANDS, Extent};
 use super::{Divided, Encoding, Left, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
+use crate::parts::Parts;
 use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Mutex;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, level_input, taps};
 use trimip_core::exchange::Share;
@@ -28,6 +30,10 @@ pub(crate) struct Planes {
     whole: Pyramid,
     /// Its rows by worker and rank.
     division: Division,
+    /// `train.parts`.
+    parts: u32,
+    /// Unused memory for sums of parts.
+    scratch: Mutex<Vec<Scratch>>,
     /// The texels whose gradient may be non-zero.
     touched: Extents,
     /// Levels above the base, see [`Pyramid::offset`].
@@ -58,8 +64,18 @@ impl Encoding for Planes {
         let touched = Extents::whole(&pyramid);
         let division = Division::new(&pyramid, Share::WHOLE);
         let reference = config.encoder.level_input.then(|| pyramid.reference() as f32);
-        let whole = pyramid.clone();
-        Self { simd, whole, division, pyramid, touched, derived, derived_gradient, reference }
+        Self {
+            simd,
+            whole: pyramid.clone(),
+            division,
+            parts: config.train.parts,
+            scratch: Mutex::default(),
+            pyramid,
+            touched,
+            derived,
+            derived_gradient,
+            reference,
+        }
     }
 
     fn gradient(&self) -> Gradient {
@@ -122,10 +138,13 @@ impl Encoding for Planes {
     }
 
     fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
-        let base = &mut parameter_gradient[..self.pyramid.base_len()];
-        let Self { simd, pyramid, division, derived_gradient, touched, .. } = self;
-        spread(*simd, pyramid, division, gradients, base, derived_gradient, touched);
-        if self.division.share == Share::WHOLE {
+        let share = self.division.share;
+        let parts = Parts::new(self.parts, gradients.len());
+        let (sums, bands) = self.bands(parameter_gradient);
+        let from: &[&mut Gradient] = gradients;
+        let work = bands.into_par_iter().with_max_len(1);
+        work.for_each(|mut band| sums.spread(from, parts, parts.of(share), &mut band));
+        if share == Share::WHOLE {
             self.pull(parameter_gradient);
         }
         for gradient in gradients {
@@ -135,24 +154,16 @@ impl Encoding for Planes {
         }
     }
 
-    fn put(&self, gradient: &Gradient, to: usize, out: &mut Vec<u8>) {
-        if self.division.share == Share::WHOLE {
-            put_counted(out, &gradient.spheres);
-            put_counted(out, &gradient.rows);
-            gradient.bands.iter().for_each(|band| put_counted(out, band));
-        } else {
-            divided::put_samples(&self.division, gradient, to, out);
-        }
+    fn put(&self, gradient: &Gradient, _: usize, out: &mut Vec<u8>) {
+        put_counted(out, &gradient.spheres);
+        put_counted(out, &gradient.rows);
+        gradient.bands.iter().for_each(|band| put_counted(out, band));
     }
 
     fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
-        if self.division.share == Share::WHOLE {
-            from.buffer(&mut gradient.spheres);
-            from.buffer(&mut gradient.rows);
-            gradient.bands.iter_mut().for_each(|band| from.list(band));
-        } else {
-            divided::take_samples(&self.division, from, gradient);
-        }
+        from.buffer(&mut gradient.spheres);
+        from.buffer(&mut gradient.rows);
+        gradient.bands.iter_mut().for_each(|band| from.list(band));
     }
 
     fn divided(&mut self) -> Option<&mut dyn Divided> {

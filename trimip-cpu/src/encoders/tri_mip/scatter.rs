@@ -5,27 +5,111 @@
 use super::Gradient;
 use super::division::Division;
 use super::extents::Extents;
-use crate::buffer::take_mut;
+use crate::buffer::{Buffer, take_mut};
 use crate::encoders::bands::{BANDS, Extent};
+use crate::parts::{Parts, halves};
 use crate::simd::{Kernel, Lanes, Simd};
-use rayon::prelude::*;
+use crate::wire::{Reader, put};
 use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
+use trimip_core::exchange::Share;
 
 /// The rows of one band of one plane, on all levels.
 pub struct Band<'a> {
-    plane: usize,
-    band: usize,
+    /// Number of the plane.
+    pub plane: usize,
+    /// Number of the band in its plane.
+    pub band: usize,
     levels: Vec<LevelBand<'a>>,
 }
 
 /// The rows of a band that belong to one level.
 struct LevelBand<'a> {
     first_row: usize,
+    /// Floats in a row.
+    row: usize,
     texels: &'a mut [f32],
     /// The touched columns of each row.
     extents: &'a mut [Extent],
+}
+
+impl LevelBand<'_> {
+    /// Sets all gradients to zero.
+    fn clear(&mut self) {
+        for (row, extent) in self.texels.chunks_exact_mut(self.row).zip(self.extents.iter_mut()) {
+            let Range { start, end } = extent.texels();
+            row[start * CHANNELS..end * CHANNELS].fill(0.0);
+            *extent = Extent::EMPTY;
+        }
+    }
+}
+
+impl<'a> Band<'a> {
+    /// All bands of all planes, by plane. `base` and `derived` are the gradients of the levels.
+    pub fn all(
+        pyramid: &Pyramid,
+        division: &Division,
+        base: &'a mut [f32],
+        derived: &'a mut [f32],
+        touched: &'a mut Extents,
+    ) -> Vec<Self> {
+        let mut bands: Vec<Self> = (0..3 * BANDS)
+            .map(|i| Self { plane: i / BANDS, band: i % BANDS, levels: Vec::with_capacity(pyramid.levels) })
+            .collect();
+        let mut rest = [base, derived];
+        for (level, extents) in touched.iter_mut().enumerate() {
+            let mut extents = extents.as_mut_slice();
+            let texels = &mut rest[usize::from(level > 0)];
+            for band in &mut bands {
+                band.take_level(pyramid, division, level, texels, &mut extents);
+            }
+        }
+        bands
+    }
+
+    /// Adds the next level, from the front of these slices.
+    fn take_level(
+        &mut self,
+        pyramid: &Pyramid,
+        division: &Division,
+        level: usize,
+        texels: &mut &'a mut [f32],
+        extents: &mut &'a mut [Extent],
+    ) {
+        let row = pyramid.shape(level, self.plane).row();
+        let [from, to] = [self.band, self.band + 1].map(|next| division.first_row(self.plane, level, next));
+        self.levels.push(LevelBand {
+            first_row: from,
+            row,
+            texels: take_mut(texels, (to - from) * row),
+            extents: take_mut(extents, to - from),
+        });
+    }
+}
+
+/// Memory for a sum over one band; zero between uses.
+#[derive(Default)]
+pub struct Scratch {
+    texels: Buffer<f32>,
+    extents: Vec<Extent>,
+}
+
+impl Scratch {
+    /// A band with the rows of another.
+    fn like(&mut self, pyramid: &Pyramid, division: &Division, other: &Band<'_>) -> Band<'_> {
+        let floats: usize = other.levels.iter().map(|level| level.texels.len()).sum();
+        let rows: usize = other.levels.iter().map(|level| level.extents.len()).sum();
+        self.texels.resize(floats.max(self.texels.len()));
+        self.extents.resize(rows.max(self.extents.len()), Extent::EMPTY);
+        let mut band = Band { plane: other.plane, band: other.band, levels: Vec::new() };
+        let (mut texels, mut extents) = (&mut self.texels[..], &mut self.extents[..]);
+        for level in 0..other.levels.len() {
+            band.take_level(pyramid, division, level, &mut texels, &mut extents);
+        }
+        band
+    }
 }
 
 /// The reads of a sphere on a plane, at most two: level and weight.
@@ -75,94 +159,190 @@ impl Kernel for Sort<'_> {
     }
 }
 
-/// Overwrites `base` and `derived` with the sums of all deposits. Both are zero outside of `touched`, before and
-/// after. Of the bands of other ranks nothing is touched.
-pub fn spread(
-    simd: Simd,
-    pyramid: &Pyramid,
-    division: &Division,
-    gradients: &[&mut Gradient],
-    base: &mut [f32],
-    derived: &mut [f32],
-    touched: &mut Extents,
-) {
-    let mut bands: Vec<Band<'_>> = (0..3 * BANDS)
-        .map(|i| Band { plane: i / BANDS, band: i % BANDS, levels: Vec::with_capacity(pyramid.levels) })
-        .collect();
-    let mut rest = [base, derived];
-    for (level, extents) in touched.iter_mut().enumerate() {
-        let mut extents = extents.as_mut_slice();
-        let texels = &mut rest[usize::from(level > 0)];
-        for band in &mut bands {
-            let shape = pyramid.shape(level, band.plane);
-            let [from, to] =
-                [band.band, band.band + 1].map(|next| division.first_row(band.plane, level, next));
-            band.levels.push(LevelBand {
-                first_row: from,
-                texels: take_mut(texels, (to - from) * shape.row()),
-                extents: take_mut(&mut extents, to - from),
-            });
+/// Sums of gradients over bands.
+pub struct Sums<'a> {
+    /// Instruction set.
+    pub simd: Simd,
+    /// The planes.
+    pub pyramid: &'a Pyramid,
+    /// Their division.
+    pub division: &'a Division,
+    /// Unused memory.
+    pub scratch: &'a Mutex<Vec<Scratch>>,
+}
+
+impl Sums<'_> {
+    /// Overwrites a band with the sum of `own` of the parts of a step.
+    pub fn spread(&self, gradients: &[&mut Gradient], parts: Parts, own: Range<usize>, band: &mut Band<'_>) {
+        band.levels.iter_mut().for_each(LevelBand::clear);
+        self.add_parts(gradients, parts, own, band);
+    }
+
+    /// Adds the sum of parts to a band that is zero.
+    fn add_parts(&self, gradients: &[&mut Gradient], parts: Parts, own: Range<usize>, band: &mut Band<'_>) {
+        let list = band.plane * BANDS + band.band;
+        if own.len() == 1 {
+            let part = gradients.iter().skip(own.start).step_by(parts.count());
+            let Self { pyramid, division, .. } = *self;
+            for gradient in part.filter(|gradient| !gradient.bands[list].is_empty()) {
+                self.simd.run(SpreadBand { pyramid, division, gradient, band });
+            }
+            return;
+        }
+        let [left, right] = halves(own);
+        self.add_parts(gradients, parts, left, band);
+        self.beside(band, |other| self.add_parts(gradients, parts, right, other));
+    }
+
+    /// Fills a band of zeros, and adds it.
+    fn beside(&self, band: &mut Band<'_>, fill: impl FnOnce(&mut Band<'_>)) {
+        let unused = || self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut scratch = unused().pop().unwrap_or_default();
+        let mut other = scratch.like(self.pyramid, self.division, band);
+        fill(&mut other);
+        self.simd.run(AddBand { from: &mut other, band });
+        unused().push(scratch);
+    }
+
+    /// Completes a band that holds the sum of this rank by what the other ranks sent for it, by rank. Of another rank's band only
+    /// common levels are kept.
+    pub fn gather(&self, from: &[&[u8]], band: &mut Band<'_>) {
+        if !self.division.is_own(band.plane, band.band) {
+            let plane = band.plane;
+            let levels = band.levels.iter_mut().enumerate();
+            let foreign = levels.filter(|(level, _)| !self.division.is_common(plane, *level));
+            foreign.for_each(|(_, level)| level.clear());
+        }
+        self.add_ranks(from, 0..from.len(), band);
+    }
+
+    /// Adds the sums of ranks, in the tree of their parts, to a band that holds that of this rank, if it is among them, and
+    /// otherwise zero.
+    fn add_ranks(&self, from: &[&[u8]], ranks: Range<usize>, band: &mut Band<'_>) {
+        let own = self.division.share.rank;
+        if ranks.len() == 1 {
+            if ranks.start != own {
+                self.add_message(from[ranks.start], band);
+            }
+            return;
+        }
+        // A sum of two has the same bits in either order.
+        let [left, right] = halves(ranks);
+        let [here, other] = if right.contains(&own) { [right, left] } else { [left, right] };
+        self.add_ranks(from, here, band);
+        if other.len() == 1 {
+            self.add_message(from[other.start], band);
+        } else {
+            self.beside(band, |beside| self.add_ranks(from, other, beside));
         }
     }
-    let work = bands.into_par_iter().with_max_len(1);
-    work.for_each(|band| simd.run(SpreadBand { pyramid, division, gradients, band }));
+
+    /// The levels of a band that travel to a rank.
+    fn levels(&self, to: Share, band: &Band<'_>) -> Range<usize> {
+        let Self { division, pyramid, .. } = self;
+        let first_common = (0..pyramid.levels).find(|level| division.is_common(band.plane, *level));
+        match division.is_of(to, band.plane, band.band) {
+            true => 0..pyramid.levels,
+            false => first_common.unwrap_or(pyramid.levels)..pyramid.levels,
+        }
+    }
+
+    /// Writes what rank `to` needs of the sum of this rank.
+    pub fn put(&self, to: Share, band: &Band<'_>, out: &mut Vec<u8>) {
+        for LevelBand { row, texels, extents, .. } in &band.levels[self.levels(to, band)] {
+            for (row, extent) in texels.chunks_exact(*row).zip(extents.iter()) {
+                let Range { start, end } = extent.texels();
+                put(out, &[*extent]);
+                put(out, &row[start * CHANNELS..end * CHANNELS]);
+            }
+        }
+    }
+
+    /// Adds what another rank put for this one.
+    fn add_message(&self, message: &[u8], band: &mut Band<'_>) {
+        let levels = self.levels(self.division.share, band);
+        let mut reader = Reader::new(message);
+        for LevelBand { row, texels, extents, .. } in &mut band.levels[levels] {
+            for (row, extent) in texels.chunks_exact_mut(*row).zip(extents.iter_mut()) {
+                let other: Extent = reader.one();
+                let Range { start, end } = other.texels();
+                let values = reader.bytes((end - start) * CHANNELS * size_of::<f32>());
+                let values = values.as_chunks().0.iter().map(|bytes| f32::from_ne_bytes(*bytes));
+                let sums = row[start * CHANNELS..end * CHANNELS].iter_mut();
+                sums.zip(values).for_each(|(sum, value)| *sum += value);
+                *extent = extent.union(other);
+            }
+        }
+    }
 }
 
-struct SpreadBand<'a> {
+/// Adds the samples of a deposit to a band.
+struct SpreadBand<'a, 'b> {
     pyramid: &'a Pyramid,
     division: &'a Division,
-    gradients: &'a [&'a mut Gradient],
-    band: Band<'a>,
+    gradient: &'a Gradient,
+    band: &'a mut Band<'b>,
 }
 
-impl Kernel for SpreadBand<'_> {
+impl Kernel for SpreadBand<'_, '_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { division, band: Band { plane, band, mut levels }, .. } = self;
-        let is_own = division.is_own(plane, band);
-        for (level, LevelBand { texels, extents, .. }) in levels.iter_mut().enumerate() {
-            let rows = texels.chunks_exact_mut(self.pyramid.shape(level, plane).row());
-            // The gradient of another rank's rows is here on common levels alone.
-            let is_here = is_own || division.is_common(plane, level);
-            for (row, extent) in rows.zip(extents.iter_mut()) {
-                let Range { start, end } = extent.texels();
-                if is_here {
-                    row[start * CHANNELS..end * CHANNELS].fill(0.0);
-                }
-                *extent = Extent::EMPTY;
-            }
-        }
-        if !is_own {
-            return;
-        }
+        let Self { pyramid, division, gradient, band: Band { plane, band, levels } } = self;
+        let (plane, band) = (*plane, *band);
         let [a, b] = PLANE_AXES[plane];
-        for gradient in self.gradients {
-            for &index in &gradient.bands[plane * BANDS + band] {
-                let sphere = &gradient.spheres[index as usize];
-                let row = &gradient.rows[index as usize * FEATURES + plane * CHANNELS..];
-                let values = L::of(&row.as_chunks().0[0]);
-                for (level, share) in reads(self.pyramid, plane, sphere.radius.log2()) {
-                    if share == 0.0 {
+        for &index in &gradient.bands[plane * BANDS + band] {
+            let sphere = &gradient.spheres[index as usize];
+            let row = &gradient.rows[index as usize * FEATURES + plane * CHANNELS..];
+            let values = L::of(&row.as_chunks().0[0]);
+            for (level, share) in reads(pyramid, plane, sphere.radius.log2()) {
+                if share == 0.0 {
+                    continue;
+                }
+                let shape = pyramid.shape(level, plane);
+                let taps = taps(shape, sphere.position[a], sphere.position[b]);
+                let LevelBand { first_row, texels, extents, .. } = &mut levels[level];
+                for i in 0..2 {
+                    if division.owner(plane, level, taps.rows[i]) != band {
                         continue;
                     }
-                    let shape = self.pyramid.shape(level, plane);
-                    let taps = taps(shape, sphere.position[a], sphere.position[b]);
-                    let LevelBand { first_row, texels, extents } = &mut levels[level];
-                    for i in 0..2 {
-                        if division.owner(plane, level, taps.rows[i]) != band {
-                            continue;
-                        }
-                        extents[taps.rows[i] - *first_row].add(taps.columns[0], taps.columns[1]);
-                        for j in 0..2 {
-                            let row = (taps.rows[i] - *first_row) * shape.columns;
-                            let texel = (row + taps.columns[j]) * CHANNELS;
-                            let texel = &mut texels[texel..].as_chunks_mut().0[0];
-                            let weight = L::splat(share * taps.weights[i][j]);
-                            values.mul_add(weight, L::of(texel)).put(texel);
-                        }
+                    extents[taps.rows[i] - *first_row].add(taps.columns[0], taps.columns[1]);
+                    for j in 0..2 {
+                        let row = (taps.rows[i] - *first_row) * shape.columns;
+                        let texel = (row + taps.columns[j]) * CHANNELS;
+                        let texel = &mut texels[texel..].as_chunks_mut().0[0];
+                        let weight = L::splat(share * taps.weights[i][j]);
+                        values.mul_add(weight, L::of(texel)).put(texel);
                     }
                 }
+            }
+        }
+    }
+}
+
+/// Adds a band to another, and sets it to zero.
+struct AddBand<'a, 'b, 'c> {
+    from: &'a mut Band<'b>,
+    band: &'a mut Band<'c>,
+}
+
+impl Kernel for AddBand<'_, '_, '_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<L: Lanes>(self) {
+        for (from, to) in self.from.levels.iter_mut().zip(&mut self.band.levels) {
+            let rows = from.texels.chunks_exact_mut(from.row).zip(to.texels.chunks_exact_mut(to.row));
+            let extents = from.extents.iter_mut().zip(to.extents.iter_mut());
+            for ((from, to), (extent, union)) in rows.zip(extents) {
+                let Range { start, end } = extent.texels();
+                let columns = start * CHANNELS..end * CHANNELS;
+                let texels = from[columns.clone()].as_chunks_mut().0.iter_mut();
+                for (from, to) in texels.zip(to[columns].as_chunks_mut().0) {
+                    L::of(to).add(L::of(from)).put(to);
+                    *from = [0.0; CHANNELS];
+                }
+                *union = union.union(*extent);
+                *extent = Extent::EMPTY;
             }
         }
     }
