@@ -1,6 +1,6 @@
 //! The suite for every backend, on the CPU with each instruction set and several numbers of threads.
 
-use trimip_core::{Result, config::Precision, exchange::Exchange};
+use trimip_core::{Config, Result, config::Precision, exchange::Exchange};
 use trimip_cpu::{CpuBackend, Together, simd::Simd};
 use trimip_tests::{ranks::Threads, suite};
 
@@ -149,8 +149,10 @@ fn a_step_moves_parameters_by_the_written_rule() {
 
 #[test]
 fn any_number_of_ranks_has_the_bits_of_one() {
-    let together =
-        |ranks| Box::new(Together::new(ranks, 4).expect("few ranks")) as Box<dyn Exchange<CpuBackend>>;
+    let together = |ranks, config: &Config| {
+        let exchange = Together::new(ranks, config.train.parts).expect("few ranks");
+        Box::new(exchange) as Box<dyn Exchange<CpuBackend>>
+    };
     let simd = Simd::detect();
     suite::exchange::same_bits(|| CpuBackend::new(2, simd).expect("threads start"), &together)
         .expect("all train");

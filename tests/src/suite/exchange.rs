@@ -8,14 +8,14 @@ use std::sync::Arc;
 use trimip_core::{
     Backend, Config, Result, Session,
     checkpoint::Checkpoint,
-    config::Untouched,
+    config::{TrainConfig, Untouched},
     exchange::{Exchange, Ranks, Summed},
     tensors::Values,
     trainer::Trainer,
 };
 
 /// Makes the exchange of a backend.
-type Make<'a, B> = &'a (dyn Fn(Arc<dyn Ranks>) -> Box<dyn Exchange<B>> + Sync);
+type Make<'a, B> = &'a (dyn Fn(Arc<dyn Ranks>, &Config) -> Box<dyn Exchange<B>> + Sync);
 
 /// Configurations that cover every path from the gradient to the parameters.
 fn configurations() -> Result<Vec<Config>> {
@@ -44,7 +44,7 @@ fn train<B: Backend>(
     let one = |rank: Option<Arc<Threads>>| -> Result<Checkpoint> {
         let mut trainer = Trainer::new(make(), config, fixtures::noise(3, 16, 2, 7))?;
         if let Some(rank) = rank {
-            trainer.exchange_by(exchange(rank));
+            trainer.exchange_by(exchange(rank, config));
         }
         if let Some(checkpoint) = checkpoint {
             trainer.restore(checkpoint)?;
@@ -84,6 +84,12 @@ pub fn same_bits<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>)
                 assert!(same(&checkpoint, &whole), "{name}: {ranks} ranks");
             }
         }
+        // More ranks than the usual number of parts, and not a power of two.
+        let finer = Config { train: TrainConfig { parts: 8, ..config.train.clone() }, ..config.clone() };
+        let alone = train(&make, exchange, &finer, 0, None, 4)?.remove(0);
+        for checkpoint in train(&make, exchange, &finer, 5, None, 4)? {
+            assert!(same(&checkpoint, &alone), "{name}: 5 ranks");
+        }
         let [first, then] = [3, 2];
         let begun = train(&make, exchange, &config, first, None, 6)?.remove(first - 1);
         assert!(same(&begun, &half), "{name}: {first} ranks, half of the steps");
@@ -99,7 +105,7 @@ pub fn same_bits<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>)
 /// # Errors
 /// When a step fails.
 pub fn summed<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
-    let exchange: Make<'_, B> = &|ranks| Box::new(Summed::new(ranks));
+    let exchange: Make<'_, B> = &|ranks, _| Box::new(Summed::new(ranks));
     let gradient = |checkpoint: &Checkpoint| -> Vec<f64> {
         let moments = checkpoint.file.tensors.iter().filter(|(name, _)| name.ends_with(".m"));
         let values = moments.filter_map(|(_, tensor)| match &tensor.values {
