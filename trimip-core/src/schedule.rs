@@ -4,27 +4,10 @@ use serde::{Deserialize, Serialize};
 
 /// Pieces `[fraction, value]` with rising fractions; the first starts at 0. `[[0.0, 4.0], [0.5, 1.0]]` is 4 in the first
 /// half of a run and 1 in the second.
-/// Files may hold a single number for a constant.
+/// Settings may give a number in its place, which is a constant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(from = "Written")]
+#[serde(transparent)]
 pub struct Schedule(Vec<[f64; 2]>);
-
-/// What a file may hold.
-#[derive(Deserialize)]
-#[serde(untagged, expecting = "[[0.0, value], ...] or a number")]
-enum Written {
-    Constant(f64),
-    Pieces(Vec<[f64; 2]>),
-}
-
-impl From<Written> for Schedule {
-    fn from(written: Written) -> Self {
-        match written {
-            Written::Constant(value) => Self(vec![[0.0, value]]),
-            Written::Pieces(pieces) => Self(pieces),
-        }
-    }
-}
 
 impl Schedule {
     /// A schedule of pieces; see [`Schedule::is_whole`].

@@ -296,6 +296,10 @@ fn fit(default: &Value, value: Value) -> std::result::Result<Value, (String, &'s
     let found = shown(&value);
     match (default, value) {
         (Value::Float(_), Value::Integer(number)) => Ok(Value::Float(number as f64)),
+        // A schedule of one value.
+        (Value::Array(items), value @ (Value::Integer(_) | Value::Float(_))) if matches!(items.first(), Some(Value::Array(piece)) if piece.len() == 2) => {
+            fit(default, Value::Array(vec![Value::Array(vec![Value::Float(0.0), value])]))
+        }
         (Value::Array(items), Value::Array(values)) => match items.first() {
             None => Ok(Value::Array(values)),
             Some(item) => values
@@ -335,6 +339,17 @@ mod tests {
         assert_eq!(table["data"]["root"].as_str(), Some("some/folder"));
         assert_eq!(settings.place("seed"), "run.toml:1:1: seed = 7");
         assert_eq!(settings.place("train.steps"), "--set: train.steps = 20");
+    }
+
+    #[test]
+    fn a_number_is_a_schedule_of_one_value() {
+        let mut settings = Settings::defaults();
+        settings.apply_file("run.toml", "[renderer]\ncolor_weight = 0.5\n").unwrap();
+        settings.apply_assignment("renderer.step_scale=2").unwrap();
+        let config = crate::Config::from_settings(&settings).unwrap();
+        assert_eq!(config.renderer.color_weight.values().collect::<Vec<_>>(), [0.5]);
+        assert_eq!(config.renderer.step_scale.at(0.3), 2.0);
+        assert!(settings.apply_assignment("optimizer.milestones=0.5").is_err(), "a list of numbers is none");
     }
 
     #[test]

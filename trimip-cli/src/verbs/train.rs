@@ -9,7 +9,7 @@ use crate::{
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use trimip::ranks::farm;
 use trimip::report::{Report, Status};
 use trimip::view::{pictures, turntable};
@@ -172,18 +172,22 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
 /// Pixels along a side of each view of the strip in a report.
 const STRIP_SIDE: u32 = 192;
 
-/// Writes the strip of views around a finished model, unless it is there.
+/// A strip that takes longer is left out: views of some models take minutes.
+const STRIP_TIME: Duration = Duration::from_secs(20);
+
+/// Writes the strip of views around a finished model, unless it is there, or the run asks for no evaluation at its end. A report
+/// without it is complete.
 ///
 /// # Errors
 /// When the model cannot be loaded or rendered, or the picture not written.
 fn show_around(folder: &RunFolder, config: &Config) -> Result<()> {
     let path = folder.turntable();
-    if path.exists() || config.eval.images == 0 {
+    if path.exists() || config.eval.images == 0 || config.eval.final_stride(1).is_none() {
         return Ok(());
     }
     let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
-    let strip = turntable::strip(&mut *viewer, &config.scene, STRIP_SIDE)?;
-    write_atomically(&path, &pictures::png(strip)?)
+    let strip = turntable::strip(&mut *viewer, &config.scene, STRIP_SIDE, STRIP_TIME)?;
+    strip.map_or(Ok(()), |strip| write_atomically(&path, &pictures::png(strip)?))
 }
 
 /// Tells that the folder already holds this run, writes its report again, and returns its exit code. The report may be
