@@ -69,9 +69,9 @@ macro_rules! encoders {
             }
 
             /// See [`Encoding::put`].
-            pub(crate) fn put(&self, gradient: &EncoderGradient, to: usize, out: &mut Vec<u8>) {
+            pub(crate) fn put(&self, gradient: &EncoderGradient, out: &mut Vec<u8>) {
                 match (&self.any, &gradient.0) {
-                    $((Any::$name(encoding), AnyGradient::$name(gradient)) => encoding.put(gradient, to, out),)*
+                    $((Any::$name(encoding), AnyGradient::$name(gradient)) => encoding.put(gradient, out),)*
                     #[allow(unreachable_patterns)]
                     _ => unreachable!("a gradient is made by its own encoder"),
                 }

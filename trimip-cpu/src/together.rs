@@ -37,7 +37,10 @@ impl Together {
             return Err(Error::input(
                 format!("{} ranks", share.of),
                 format!("a step of the CPU backend has {parts} parts"),
-                format!("set train.parts to {} or more, or start fewer ranks", share.of.next_power_of_two()),
+                format!(
+                    "start fewer ranks, or raise train.parts to {} or more (steps below 32,768 samples have at most 16)",
+                    share.of.next_power_of_two()
+                ),
             ));
         }
         let messages = || vec![Vec::new(); share.of];
@@ -98,7 +101,7 @@ impl Exchange<CpuBackend> for Together {
             {
                 put_counted(out, &deposit.sums.to_words());
                 if !is_divided {
-                    stages.encoder.put(&deposit.encoder, to, out);
+                    stages.encoder.put(&deposit.encoder, out);
                 }
             }
         }

@@ -34,7 +34,7 @@ impl Encoding for Frequencies {
 
     fn flush(&mut self, _: &mut [&mut ()], _: &mut [f32]) {}
 
-    fn put(&self, (): &(), _: usize, _: &mut Vec<u8>) {}
+    fn put(&self, (): &(), _: &mut Vec<u8>) {}
 
     fn take(&self, _: &mut Reader<'_>, (): &mut ()) {}
 

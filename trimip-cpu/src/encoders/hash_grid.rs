@@ -121,7 +121,7 @@ impl Encoding for Grid {
         }
     }
 
-    fn put(&self, gradient: &Gradient, _: usize, out: &mut Vec<u8>) {
+    fn put(&self, gradient: &Gradient, out: &mut Vec<u8>) {
         put_counted(out, &gradient.places);
         put_counted(out, &gradient.rows);
     }

@@ -61,8 +61,8 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     /// Memory of the deposited gradients.
     fn left(config: &Config) -> Left;
 
-    /// Writes what rank `to` needs of a deposit.
-    fn put(&self, gradient: &Self::Gradient, to: usize, out: &mut Vec<u8>);
+    /// Writes a deposit.
+    fn put(&self, gradient: &Self::Gradient, out: &mut Vec<u8>);
 
     /// Replaces a deposit by what another rank put.
     fn take(&self, from: &mut Reader<'_>, gradient: &mut Self::Gradient);

@@ -123,7 +123,7 @@ impl Encoding for Grid {
         }
     }
 
-    fn put(&self, gradient: &Gradient, _: usize, out: &mut Vec<u8>) {
+    fn put(&self, gradient: &Gradient, out: &mut Vec<u8>) {
         put_counted(out, &gradient.touches);
         gradient.bands.iter().for_each(|band| put_counted(out, band));
     }

@@ -154,7 +154,7 @@ impl Encoding for Planes {
         }
     }
 
-    fn put(&self, gradient: &Gradient, _: usize, out: &mut Vec<u8>) {
+    fn put(&self, gradient: &Gradient, out: &mut Vec<u8>) {
         put_counted(out, &gradient.spheres);
         put_counted(out, &gradient.rows);
         gradient.bands.iter().for_each(|band| put_counted(out, band));
