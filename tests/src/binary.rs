@@ -54,23 +54,32 @@ pub fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
 /// If the program does not build.
 pub fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(|| {
-        // <target>/<profile>/deps/<test>
-        let test = std::env::current_exe().expect("a test knows its own path");
-        let folder = test.ancestors().nth(2).expect("tests lie in <profile>/deps");
-        let target = folder.parent().expect("profiles lie in a target folder");
-        let profile = match folder.file_name().and_then(|name| name.to_str()) {
-            Some("debug") | None => "dev",
-            Some(profile) => profile,
-        };
-        let built = Command::new(env!("CARGO"))
-            .args(["build", "--quiet", "--package", "trimip-cli", "--profile", profile, "--target-dir"])
-            .arg(target)
-            .current_dir(root())
-            .status();
-        assert!(built.is_ok_and(|status| status.success()), "cargo builds trimip-cli");
-        folder.join("trimip-cli").with_extension(std::env::consts::EXE_EXTENSION)
-    })
+    PROGRAM.get_or_init(|| build(&[]))
+}
+
+/// Builds `trimip-cli` with further arguments for cargo. Returns its path, which is the same for all arguments.
+///
+/// # Panics
+/// If the program does not build.
+pub fn build(arguments: &[&str]) -> PathBuf {
+    // <target>/<profile>/deps/<test>
+    let test = std::env::current_exe().expect("a test knows its own path");
+    let folder = test.ancestors().nth(2).expect("tests lie in <profile>/deps");
+    let target = folder.parent().expect("profiles lie in a target folder");
+    let profile = match folder.file_name().and_then(|name| name.to_str()) {
+        Some("debug") | None => "dev",
+        Some(profile) => profile,
+    };
+    // With an example, cargo gives dependencies the features that they have for the tests, and does not compile them again.
+    let built = Command::new(env!("CARGO"))
+        .args(["build", "--quiet", "--locked", "--workspace", "--bin", "trimip-cli", "--example", "corpus"])
+        .args(["--profile", profile, "--target-dir"])
+        .arg(target)
+        .args(arguments)
+        .current_dir(root())
+        .status();
+    assert!(built.is_ok_and(|status| status.success()), "cargo builds trimip-cli");
+    folder.join("trimip-cli").with_extension(std::env::consts::EXE_EXTENSION)
 }
 
 /// Root of the workspace.

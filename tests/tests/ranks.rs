@@ -1,12 +1,14 @@
 //! The program on several ranks, as `mpirun` starts it. Where there is no Open MPI these tests are skipped, and say so; with
 //! `TRIMIP_REQUIRE_MPI=1` they fail instead.
 
+use serde_json::Value;
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
-use std::time::Duration;
-use trimip_tests::binary::{Answer, command, program, root, run, tiny, tiny_and};
+use std::time::{Duration, Instant};
+use trimip_tests::binary::{Answer, build, command, run, tiny, tiny_and};
 use trimip_tests::files::files;
 use trimip_tests::whole::{Whole, is_sound};
 
@@ -19,23 +21,10 @@ fn program_of_ranks() -> Option<&'static Path> {
             assert!(std::env::var_os("TRIMIP_REQUIRE_MPI").is_none(), "Open MPI is not installed");
             return None;
         }
-        let usual = program();
-        let folder = usual.parent().expect("a program lies in a folder");
-        let profile = match folder.file_name().and_then(|name| name.to_str()) {
-            Some("debug") | None => "dev",
-            Some(profile) => profile,
-        };
-        let target = folder.parent().expect("profiles lie in a target folder");
-        let status = Command::new(env!("CARGO"))
-            .args(["build", "--quiet", "--locked", "--package", "trimip-cli", "--features", "mpi"])
-            .args(["--profile", profile, "--target-dir"])
-            .arg(target)
-            .current_dir(root())
-            .status();
-        assert!(status.is_ok_and(|status| status.success()), "cargo builds trimip-cli with the feature mpi");
+        let built = build(&["--features", "trimip-cli/mpi"]);
         // The next build without the feature replaces it.
-        let own = folder.join("trimip-cli-of-ranks");
-        std::fs::copy(usual, &own).expect("room for a copy");
+        let own = built.with_file_name("trimip-cli-of-ranks");
+        std::fs::copy(built, &own).expect("room for a copy");
         Some(own)
     });
     if built.is_none() {
@@ -114,7 +103,7 @@ fn views_are_rendered_and_measured_by_all_ranks() {
     }
     let numbers = |path: &str| {
         let text = std::fs::read_to_string(here.join(path)).unwrap();
-        let mut report: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let mut report: Value = serde_json::from_str(&text).unwrap();
         report["seconds"].take();
         report
     };
@@ -136,13 +125,60 @@ fn runs_are_trained_by_all_ranks() {
     assert_eq!(run(here, &[&bench[..], &["--out", "alone"]].concat()).code, Some(0));
     let Some(answer) = answer(2, here, &[&bench[..], &["--out", "together"]].concat()) else { return };
     assert_eq!(answer.code, Some(0), "{answer:?}");
-    let models = |out: &str| {
-        let mut models = files(&here.join(out));
-        models.retain(|path, _| path.ends_with("model.safetensors"));
-        models
-    };
-    assert_eq!(models("alone").len(), 4);
-    assert!(models("alone") == models("together"), "the same models");
+    let [alone, together] = ["alone", "together"].map(|out| models(&here.join(out)));
+    assert_eq!(alone.len(), 4);
+    assert!(alone == together, "the same models");
+}
+
+/// The models below a folder, by their paths in it.
+fn models(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut models = files(folder);
+    models.retain(|path, _| path.ends_with("model.safetensors"));
+    models
+}
+
+/// The value of the key `psnr` in each row of a table of a report.
+fn qualities(report: &Path, table: &str) -> Vec<f64> {
+    let report: Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
+    let rows = report.pointer(table).and_then(Value::as_array).expect("a table");
+    rows.iter().map(|row| row["psnr"].as_f64().expect("a number")).collect()
+}
+
+#[test]
+fn systems_and_decisions_are_measured_by_all_ranks() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    assert_eq!(run(here, &[&["data", "builtin", "scene"], &tiny()[..]].concat()).code, Some(0));
+    let on_files: Vec<&str> = tiny().into_iter().filter(|set| *set != "data.format=builtin").collect();
+    let on_files: Vec<&str> = on_files[1..].to_vec();
+    let paper = ["paper", "scene", "--systems", "tri-mip,tri-mip-paper", "--seeds", "2"];
+    let plan = ["plan", "scene", "--measure", "--samples", "0.01", "--json"];
+    for ranks in [1, 2] {
+        let (paper_out, plan_out, json) = match ranks {
+            1 => ("paper1", "plan1", "plan1.json"),
+            _ => ("paper2", "plan2", "plan2.json"),
+        };
+        let jobs = [
+            [&paper[..], &["--out", paper_out], &on_files].concat(),
+            [&plan[..], &[json, "--out", plan_out], &on_files].concat(),
+        ];
+        for job in jobs {
+            let done = if ranks == 1 { Some(run(here, &job)) } else { answer(ranks, here, &job) };
+            let Some(done) = done else { return };
+            assert_eq!(done.code, Some(0), "{done:?}");
+        }
+    }
+    let [alone, together] = ["paper1", "paper2"].map(|out| models(&here.join(out)));
+    assert!(alone.len() == 4 && alone == together, "{} models of systems", alone.len());
+    let [alone, together] = ["plan1", "plan2"].map(|out| models(&here.join(out)));
+    assert!(alone.len() > 2 && alone == together, "{} models of decisions", alone.len());
+    for (alone, together, table) in [
+        ("paper1/paper.json", "paper2/paper.json", "/tables/0/mean"),
+        ("plan1.json", "plan2.json", "/effects"),
+    ] {
+        let [alone, together] = [alone, together].map(|report| qualities(&here.join(report), table));
+        assert!(alone.len() > 1 && alone == together, "{alone:?} and {together:?}");
+    }
 }
 
 #[test]
@@ -165,18 +201,29 @@ fn wrong_input_is_one_error_for_all() {
 #[test]
 fn a_build_without_ranks_refuses_them() {
     let folder = tempfile::tempdir().unwrap();
-    let mut command = command(folder.path(), &tiny_and(&["--out", "run"]));
-    let output = command.env("OMPI_COMM_WORLD_SIZE", "2").output().unwrap();
-    let err = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{err}");
-    assert!(err.contains("--features mpi"), "{err}");
-    assert!(files(folder.path()).is_empty());
+    for [rank, of] in [
+        ["OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"],
+        ["PMI_RANK", "PMI_SIZE"],
+        ["PMIX_RANK", "SLURM_STEP_NUM_TASKS"],
+    ] {
+        let mut command = command(folder.path(), &tiny_and(&["--out", "run"]));
+        let output = command.env(rank, "1").env(of, "2").output().unwrap();
+        let err = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{err}");
+        assert!(err.contains("2 processes") && err.contains("--features mpi"), "{err}");
+        assert!(files(folder.path()).is_empty());
+    }
 }
 
-/// Process numbers of the ranks that an `mpirun` started.
-fn ranks_of(mpirun: &Child) -> Vec<String> {
-    let output = Command::new("pgrep").args(["-P", &mpirun.id().to_string()]).output().expect("pgrep");
+/// Process numbers of the children of a process.
+fn children(parent: &str) -> Vec<String> {
+    let output = Command::new("pgrep").args(["-P", parent]).output().expect("pgrep");
     String::from_utf8_lossy(&output.stdout).lines().map(String::from).collect()
+}
+
+/// Process numbers of the ranks that an `mpirun` started: each is the child of the process that guards it.
+fn ranks_of(mpirun: &Child) -> Vec<String> {
+    children(&mpirun.id().to_string()).iter().flat_map(|guard| children(guard)).collect()
 }
 
 #[test]
@@ -195,22 +242,30 @@ fn a_rank_that_is_killed_ends_the_run_and_loses_nothing() {
     let arguments = |out| tiny_and(&[&more[..], &[out]].concat());
     assert_eq!(run(here, &arguments("whole")).code, Some(0));
     let whole = Whole::of(&here.join("whole"));
+    let mut killed = 0;
     for trial in 0..8 {
         let Some(mut command) = ranks(2, here, &arguments("killed")) else { return };
-        let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
-        let sign = ["step", "checkpoint", "evaluation_progress", "plan"][trial % 4];
+        let (sign, rank) = (["step", "checkpoint", "evaluation_progress", "plan"][trial % 4], trial / 4);
         lines.by_ref().find(|line| line.contains(&format!("\"kind\":\"{sign}\"")));
         std::thread::sleep(Duration::from_micros(300 * trial as u64));
-        let pids = ranks_of(&mpirun);
-        if let Some(pid) = pids.get(trial / 4) {
-            let _ = Command::new("kill").args(["-9", pid]).stderr(Stdio::null()).status();
-        }
+        let process = ranks_of(&mpirun).into_iter().nth(rank).expect("a rank");
+        let _ = Command::new("kill").args(["-9", &process]).stderr(Stdio::null()).status();
         lines.for_each(drop);
-        let code = mpirun.wait().unwrap().code();
-        assert!(code != Some(0) || here.join("killed/report.html").exists(), "{sign}: {code:?}");
+        let Output { status, stderr, .. } = mpirun.wait_with_output().unwrap();
+        let err = String::from_utf8_lossy(&stderr);
+        if status.success() {
+            assert!(here.join("killed/report.html").exists(), "it had ended: {err}");
+        } else {
+            killed += 1;
+            assert_eq!(status.code(), Some(3), "{sign}: {err}");
+            let told = format!("error: rank {rank} was killed");
+            assert_eq!(err.lines().filter(|line| line.starts_with(&told)).count(), 1, "{sign}: {err}");
+            assert_eq!(err.lines().filter(|line| line.starts_with("error: ")).count(), 1, "{sign}: {err}");
+        }
         if here.join("killed").exists() {
-            assert_eq!(is_sound(&here.join("killed")), Ok(()), "{sign}, rank {}", trial / 4);
+            assert_eq!(is_sound(&here.join("killed")), Ok(()), "{sign}, rank {rank}");
         }
         // With two ranks, or alone.
         let ended = if trial % 2 == 0 {
@@ -219,7 +274,60 @@ fn a_rank_that_is_killed_ends_the_run_and_loses_nothing() {
             run(here, &arguments("killed")).code
         };
         assert_eq!(ended, Some(0));
-        assert_eq!(whole.is_ended_by(&here.join("killed")), Ok(()), "{sign}, rank {}", trial / 4);
+        assert_eq!(whole.is_ended_by(&here.join("killed")), Ok(()), "{sign}, rank {rank}");
         std::fs::remove_dir_all(here.join("killed")).unwrap();
     }
+    assert!(killed >= 4, "only {killed} of 8 were killed before their end");
+}
+
+/// True while a process is there, and no zombie.
+fn lives(process: &str) -> bool {
+    let output = Command::new("ps").args(["-o", "stat=", "-p", process]).output().expect("ps");
+    let state = String::from_utf8_lossy(&output.stdout);
+    !state.trim().is_empty() && !state.trim().starts_with('Z')
+}
+
+#[test]
+fn nothing_outlives_its_launcher() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let endless = tiny_and(&["--progress", "json", "--set", "train.steps=10000000", "--out", "run"]);
+    for victim in ["a guard", "mpirun"] {
+        let Some(mut command) = ranks(2, here, &endless) else { return };
+        let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
+        assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
+        let ranks = ranks_of(&mpirun);
+        assert_eq!(ranks.len(), 2);
+        let killed = match victim {
+            "mpirun" => mpirun.id().to_string(),
+            _ => children(&mpirun.id().to_string()).remove(1),
+        };
+        assert!(Command::new("kill").args(["-9", &killed]).status().unwrap().success());
+        assert_ne!(mpirun.wait().unwrap().code(), Some(0));
+        // The pipe is closed when nobody writes to it any more.
+        lines.for_each(drop);
+        let deadline = Instant::now() + Duration::from_secs(60);
+        while ranks.iter().any(|rank| lives(rank)) {
+            assert!(Instant::now() < deadline, "{victim} was killed, and a rank lives on");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+#[test]
+fn an_interrupted_run_is_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let arguments = tiny_and(&["--progress", "json", "--set", "train.steps=10000000", "--out", "run"]);
+    let Some(mut command) = ranks(2, here, &arguments) else { return };
+    let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
+    assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
+    assert!(Command::new("kill").args(["-INT", &mpirun.id().to_string()]).status().unwrap().success());
+    let rest: Vec<String> = lines.collect();
+    assert_ne!(mpirun.wait().unwrap().code(), Some(0));
+    assert!(rest.iter().any(|line| line.contains("\"kind\":\"stopped\"")), "{rest:?}");
+    assert!(here.join("run/checkpoint.safetensors").exists());
+    assert_eq!(is_sound(&here.join("run")), Ok(()));
 }

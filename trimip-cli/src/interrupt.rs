@@ -16,19 +16,29 @@ pub fn install() -> Result<Arc<AtomicBool>> {
 
 /// The same; `answer` is what a signal prints.
 pub fn install_for(answer: &'static str) -> Result<Arc<AtomicBool>> {
+    catch(move |again| {
+        if again {
+            std::process::exit(EXIT_CODE.into());
+        }
+        crate::terminal::note(format!("\n{answer}"));
+    })
+}
+
+/// Signals do nothing but set the returned flag.
+#[cfg(feature = "mpi")]
+pub fn outlive() -> Result<Arc<AtomicBool>> {
+    catch(|_| {})
+}
+
+/// Calls `act` at every signal, with false at the first.
+fn catch(act: impl Fn(bool) + Send + 'static) -> Result<Arc<AtomicBool>> {
     if let Some(stop) = STOP.get() {
         return Ok(Arc::clone(stop));
     }
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
     let ignored = hang_up::ignore();
-    ctrlc::set_handler(move || {
-        if flag.swap(true, Ordering::SeqCst) {
-            std::process::exit(EXIT_CODE.into());
-        }
-        crate::terminal::note(format!("\n{answer}"));
-    })
-    .map_err(|error| {
+    ctrlc::set_handler(move || act(flag.swap(true, Ordering::SeqCst))).map_err(|error| {
         Error::device(format!("cannot watch for Ctrl-C: {error}; raise the limit of processes (ulimit -u)"))
     })?;
     if ignored {

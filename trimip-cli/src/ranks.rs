@@ -1,5 +1,8 @@
 //! The processes that `mpirun` or `srun` launched together. Rank 0 is the program; the others do what it orders.
 
+#[cfg(feature = "mpi")]
+mod guard;
+
 use std::sync::Arc;
 use trimip_core::{Result, exchange::Ranks};
 
@@ -13,11 +16,12 @@ pub fn all() -> Option<Arc<dyn Ranks>> {
 /// # Errors
 /// Those of the program, and when the ranks cannot work together.
 pub fn among(program: impl FnOnce() -> Result<u8>, help: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
-    if trimip_mpi::launched() == 1 { program() } else { launched::among(program, help) }
+    if trimip_mpi::launched().of == 1 { program() } else { launched::among(program, help) }
 }
 
 #[cfg(feature = "mpi")]
 mod launched {
+    use super::guard;
     use crate::{interrupt, terminal};
     use std::sync::{Arc, OnceLock};
     use trimip::ranks;
@@ -34,6 +38,10 @@ mod launched {
         program: impl FnOnce() -> Result<u8>,
         help: impl FnMut(&dyn Ranks) -> Result<()>,
     ) -> Result<u8> {
+        if !guard::is_there() {
+            return guard::watch();
+        }
+        guard::heed()?;
         let world = Arc::clone(WORLD.get_or_init(|| Arc::new(World::default())));
         world.start()?;
         let rank = world.share().rank;
@@ -102,7 +110,7 @@ mod launched {
 
     pub fn among(_: impl FnOnce() -> Result<u8>, _: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
         Err(Error::input(
-            format!("{} processes", trimip_mpi::launched()),
+            format!("{} processes", trimip_mpi::launched().of),
             "this build trains in one process",
             "start it without mpirun, or build it with --features mpi",
         ))

@@ -6,11 +6,19 @@ mod world;
 #[cfg(feature = "mpi")]
 pub use world::{Traffic, World};
 
-/// Variables of the environment that tell a process how many ranks were launched with it: Open MPI, MPICH and Slurm's PMI.
-const SIZES: [&str; 2] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"];
+use trimip_core::exchange::Share;
 
-/// Number of processes that a launcher of MPI programs started together with this one; 1 without a launcher.
-pub fn launched() -> usize {
-    let size = |name: &&str| std::env::var(name).ok()?.parse().ok();
-    SIZES.iter().find_map(size).unwrap_or(1)
+/// Variables of the environment in which a launcher tells a process its rank and the number of ranks: `mpirun` of Open MPI,
+/// the PMI of MPICH and Slurm, and PMIx under Slurm.
+const LAUNCHERS: [[&str; 2]; 3] = [
+    ["OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"],
+    ["PMI_RANK", "PMI_SIZE"],
+    ["PMIX_RANK", "SLURM_STEP_NUM_TASKS"],
+];
+
+/// This process among those that a launcher of MPI programs started together; the whole without a launcher.
+pub fn launched() -> Share {
+    let read = |name: &str| std::env::var(name).ok()?.parse().ok();
+    let told = |[rank, of]: [&str; 2]| Some(Share { rank: read(rank)?, of: read(of)? });
+    LAUNCHERS.into_iter().find_map(told).unwrap_or(Share::WHOLE)
 }

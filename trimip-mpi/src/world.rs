@@ -54,7 +54,7 @@ impl World {
     /// Begins to use MPI.
     ///
     /// # Errors
-    /// When it was begun before, or the library lets only one thread call it.
+    /// When it was begun before, the library lets only one thread call it, or it does not see the ranks that were launched.
     pub fn start(&self) -> Result<()> {
         let (universe, threading) = mpi::initialize_with_threading(Threading::Serialized)
             .ok_or_else(|| Error::device("MPI has been started before"))?;
@@ -64,6 +64,17 @@ impl World {
             ));
         }
         let world = universe.world();
+        let launched = crate::launched().of;
+        if world.size() as usize != launched {
+            return Err(Error::input(
+                format!("{launched} processes"),
+                format!(
+                    "the MPI library of this program sees {}: the launcher is that of another",
+                    world.size()
+                ),
+                "build the program where mpicc is that of the launcher",
+            ));
+        }
         let near = world.split_shared(world.rank());
         let share = |rank: Rank, of: Rank| Share { rank: rank as usize, of: of as usize };
         self.shares.get_or_init(|| [share(world.rank(), world.size()), share(near.rank(), near.size())]);
