@@ -15,7 +15,7 @@ use std::path::PathBuf;
     version,
     args_conflicts_with_subcommands = true,
     after_help = "Exit codes: 0 done (also after --stop-after), 1 the run failed or missed eval.min_psnr, \
-                  2 wrong input, 3 the device failed, 130 stopped by Ctrl-C (saved; the same command resumes)."
+                  2 wrong input, 3 the device or the system failed, 130 stopped by Ctrl-C (saved; the same command resumes)."
 )]
 pub struct Arguments {
     /// What to do; trains without one.
@@ -45,7 +45,7 @@ pub enum Verb {
     View(ViewArguments),
     /// Compute the proxy of a model, by which pictures need few samples, and keep it in the model file
     Bake(BakeArguments),
-    /// Write a model as something that other programs read: a triangle mesh
+    /// Write a model for other programs: a triangle mesh, or a page for any web server
     Export(ExportArguments),
     /// Inspect a data set or write one
     Data(DataArguments),
@@ -81,7 +81,7 @@ pub struct SettingsArguments {
 /// The scene and the duration of training.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SceneArguments {
-    /// Folder of the scene: photographs with transforms*.json or metadata.json (data.root)
+    /// Folder of the scene: photographs with transforms*.json, metadata.json or a COLMAP model (data.root)
     #[arg(value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
     /// Minutes of training; evaluation takes extra time (train.seconds) [default: 5]

@@ -1,5 +1,5 @@
 //! `trimip-cli`: plan, train, evaluate, render and report Tri-MipRF models. Exit codes: 0 done, 1 the run failed or
-//! missed its quality floor, 2 the user's input is wrong, 3 the device failed, 130 stopped by Ctrl-C (progress is
+//! missed its quality floor, 2 the user's input is wrong, 3 the device or the system failed, 130 stopped by Ctrl-C (progress is
 //! saved).
 
 #![deny(unsafe_code)]
