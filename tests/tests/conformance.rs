@@ -1,6 +1,6 @@
 //! The suite for every backend, on the CPU with each instruction set and several numbers of threads.
 
-use trimip_core::{Config, Result, config::Precision, exchange::Exchange};
+use trimip_core::{Config, Result, config::Precision, config::TrainConfig, exchange::Exchange};
 use trimip_cpu::{CpuBackend, Together, simd::Simd};
 use trimip_tests::{ranks::Threads, suite};
 
@@ -150,7 +150,7 @@ fn a_step_moves_parameters_by_the_written_rule() {
 #[test]
 fn any_number_of_ranks_has_the_bits_of_one() {
     let together = |ranks, config: &Config| {
-        let exchange = Together::new(ranks, config.train.parts).expect("few ranks");
+        let exchange = Together::new(ranks, &config.train).expect("few ranks");
         Box::new(exchange) as Box<dyn Exchange<CpuBackend>>
     };
     let simd = Simd::detect();
@@ -166,8 +166,18 @@ fn ranks_that_add_gradients_learn_the_same() {
 
 #[test]
 fn more_ranks_than_parts_are_refused() {
-    let refused = Together::new(Threads::new(5).remove(0), 4).err().expect("too many");
-    assert!(refused.exit_code() == 2 && refused.message.contains("5 ranks"), "{refused}");
+    // What binds is named: the parts that the settings ask for, the samples of a step, the most parts there are.
+    for (ranks, parts, samples, advice) in [
+        (5, 4, 262_144, "train.parts = 8"),
+        (17, 64, 16_384, "train.samples_per_step"),
+        (65, 64, 262_144, "at most 64"),
+    ] {
+        let train = TrainConfig { parts, samples_per_step: samples, ..Config::default().train };
+        let refused = Together::new(Threads::new(ranks).remove(0), &train).err().expect("too many");
+        let told = format!("{ranks} ranks");
+        assert!(refused.exit_code() == 2, "{refused}");
+        assert!(refused.message.contains(&told) && refused.message.contains(advice), "{refused}");
+    }
 }
 
 #[test]

@@ -182,11 +182,23 @@ fn systems_and_decisions_are_measured_by_all_ranks() {
 }
 
 #[test]
+fn a_plan_counts_all_ranks() {
+    let folder = tempfile::tempdir().unwrap();
+    let budget = ["train.steps=0", "train.seconds=0.5", "plan.schedule=on", "threads=1"];
+    let budget: Vec<&str> = budget.into_iter().flat_map(|setting| ["--set", setting]).collect();
+    let arguments = [&tiny_and(&budget)[..], &["--progress", "json", "--out", "run"]].concat();
+    let Some(answer) = answer(2, folder.path(), &arguments) else { return };
+    assert_eq!(answer.code, Some(0), "{answer:?}");
+    assert!(answer.out.contains("on 2 ranks, each 1 thread of"), "{}", answer.out);
+}
+
+#[test]
 fn wrong_input_is_one_error_for_all() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     for (arguments, part) in [
         (vec!["render", "nothing"], "nothing"),
+        (vec!["trian"], "trian"),
         (vec!["train", "nothing", "--out", "run"], "nothing"),
         (tiny_and(&["--out", "run", "--set", "optimizer.learning_rate=-1"]), "optimizer.learning_rate"),
     ] {
@@ -206,12 +218,16 @@ fn a_build_without_ranks_refuses_them() {
         ["PMI_RANK", "PMI_SIZE"],
         ["PMIX_RANK", "SLURM_STEP_NUM_TASKS"],
     ] {
-        let mut command = command(folder.path(), &tiny_and(&["--out", "run"]));
-        let output = command.env(rank, "1").env(of, "2").output().unwrap();
-        let err = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{err}");
-        assert!(err.contains("2 processes") && err.contains("--features mpi"), "{err}");
-        assert!(files(folder.path()).is_empty());
+        for number in ["0", "1"] {
+            let mut command = command(folder.path(), &tiny_and(&["--out", "run"]));
+            let output = command.env(rank, number).env(of, "2").output().unwrap();
+            let err = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(2), "{err}");
+            // It is told once.
+            let told = err.contains("2 processes") && err.contains("--features mpi");
+            assert!(if number == "0" { told } else { err.is_empty() }, "{err}");
+            assert!(files(folder.path()).is_empty());
+        }
     }
 }
 

@@ -25,6 +25,7 @@ use trimip_core::{Error, ErrorKind, Result};
 fn main() -> ExitCode {
     let arguments = match args::Arguments::try_parse() {
         Ok(arguments) => arguments,
+        Err(answer) if !ranks::speaks() => return ExitCode::from(answer.exit_code() as u8),
         // Help and version are not errors. Other parse results are, and are printed on one line like every error.
         Err(answer) if !answer.use_stderr() => {
             terminal::note_failure(answer.print());

@@ -6,6 +6,11 @@ mod guard;
 use std::sync::Arc;
 use trimip_core::{Result, exchange::Ranks};
 
+/// True for the process that says what all would say: that of rank 0, or the only one.
+pub fn speaks() -> bool {
+    trimip_mpi::launched().rank == 0
+}
+
 /// The ranks of this program, if there are several.
 pub fn all() -> Option<Arc<dyn Ranks>> {
     launched::all()
@@ -23,6 +28,7 @@ pub fn among(program: impl FnOnce() -> Result<u8>, help: impl FnMut(&dyn Ranks) 
 mod launched {
     use super::guard;
     use crate::{interrupt, terminal};
+    use std::panic::{AssertUnwindSafe, catch_unwind};
     use std::sync::{Arc, OnceLock};
     use trimip::ranks;
     use trimip_core::{Error, Result, exchange::Ranks};
@@ -44,17 +50,25 @@ mod launched {
         guard::heed()?;
         let world = Arc::clone(WORLD.get_or_init(|| Arc::new(World::default())));
         world.start()?;
+        trimip::backends::take_turn(world.on_machine().rank);
         let rank = world.share().rank;
+        let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, help) };
         // A rank that panics would leave the others waiting for it.
-        let (tell, held) = (std::panic::take_hook(), Arc::clone(&world));
-        std::panic::set_hook(Box::new(move |panic| {
-            tell(panic);
+        let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
             terminal::aside(format!("error: rank {rank} panicked"));
-            held.abort(3);
-        }));
-        let outcome = if rank == 0 { lead(&world, program) } else { follow(&world, rank, help) };
+            world.abort(3)
+        });
         world.end();
         outcome
+    }
+
+    /// The error with its rank, if it does not name one.
+    fn of_rank(rank: usize, error: &Error) -> Error {
+        let message = match error.message.starts_with("rank ") {
+            true => error.message.clone(),
+            false => format!("rank {rank}: {}", error.message),
+        };
+        Error { message, ..error.clone() }
     }
 
     fn lead(world: &World, program: impl FnOnce() -> Result<u8>) -> Result<u8> {
@@ -62,7 +76,7 @@ mod launched {
         match &outcome {
             // The others may be in the middle of a step and wait for this rank.
             Err(error) if error.exit_code() == 3 => {
-                terminal::error(&Error { message: format!("rank 0: {}", error.message), ..error.clone() });
+                terminal::error(&of_rank(0, error));
                 world.abort(3)
             }
             _ => ranks::dismiss(world)?,
@@ -72,11 +86,12 @@ mod launched {
     }
 
     fn follow(world: &Arc<World>, rank: usize, mut help: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
-        // Rank 0 gets the same signal, and tells the others when to end.
-        interrupt::install()?;
         let ranks: Arc<dyn Ranks> = Arc::clone(world) as Arc<dyn Ranks>;
-        ranks::follow(&ranks, &mut help).map(|()| 0).inspect_err(|error| {
-            terminal::error(&Error { message: format!("rank {rank}: {}", error.message), ..error.clone() });
+        let mut tell = |text| terminal::aside(format!("warning: rank {rank} {text}"));
+        // Rank 0 gets the same signal, and tells the others when to end.
+        let outcome = interrupt::install().and_then(|_| ranks::follow(&ranks, &mut help, &mut tell));
+        outcome.map(|()| 0).inspect_err(|error| {
+            terminal::error(&of_rank(rank, error));
             world.abort(error.exit_code())
         })
     }
@@ -109,6 +124,9 @@ mod launched {
     }
 
     pub fn among(_: impl FnOnce() -> Result<u8>, _: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
+        if !super::speaks() {
+            return Ok(2);
+        }
         Err(Error::input(
             format!("{} processes", trimip_mpi::launched().of),
             "this build trains in one process",

@@ -82,8 +82,8 @@ pub trait Ranks: Send + Sync {
     }
 }
 
-/// Brings together what the ranks computed in a step. The trainer calls its functions in the order in which they stand here,
-/// [`moments`](Self::moments) excepted.
+/// Brings together what the ranks computed in a step. The trainer calls [`deposits`](Self::deposits), then
+/// [`update`](Self::update); [`sums`](Self::sums) between the two on a backend without lag, else after them for an earlier step.
 pub trait Exchange<B: Backend>: Send {
     /// The share of a step's pixels that this rank computes.
     fn share(&self) -> Share {
@@ -206,6 +206,7 @@ impl<B: Backend> Exchange<B> for Summed {
             let values = tail.chunks_exact(size_of::<f32>()).map(bytemuck::pod_read_unaligned::<f32>);
             own.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
         })?;
+        self.ranks.tally(size_of_val(&own[..]) as u64);
         backend.write(gradient, &own);
         backend.set_weight(deposits, weight);
         backend.update_all(stages, parameters, gradient, deposits, learning_rate, step);

@@ -52,7 +52,6 @@ pub use occupancy::CpuOccupancy;
 pub use renderer::CpuRenderer;
 pub use together::Together;
 
-use parts::Parts;
 use simd::Simd;
 use std::sync::Arc;
 use trimip_core::exchange::Ranks;
@@ -76,9 +75,7 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
 /// # Errors
 /// As [`open`], and when there are more ranks than a step has parts.
 pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
-    // Small steps have fewer deposits than parts are asked for.
-    let parts = Parts::new(config.train.parts, backend::deposits(config.train.samples_per_step));
-    let exchange = Together::new(ranks, parts.count() as u32)?;
+    let exchange = Together::new(ranks, &config.train)?;
     let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
     let mut trainer = Trainer::new(backend, config, views)?;
     trainer.exchange_by(Box::new(exchange));

@@ -6,14 +6,17 @@
 //! all deposits on every rank.
 
 use crate::CpuBackend;
+use crate::backend::deposits;
 use crate::buffer::Buffer;
 use crate::encoder::CpuEncoder;
 use crate::encoders::Divided;
 use crate::optimizer::CpuOptimizer;
+use crate::parts::Parts;
 use crate::wire::{Reader, put, put_counted};
 use std::sync::Arc;
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Deposit, StepResult};
+use trimip_core::config::TrainConfig;
 use trimip_core::exchange::{Exchange, Ranks, Share};
 use trimip_core::{Backend, Error, Field, Optimizer, Result};
 
@@ -27,20 +30,26 @@ pub struct Together {
 }
 
 impl Together {
-    /// An exchange over `ranks`, of steps of so many parts (`train.parts`).
+    /// An exchange over `ranks` for steps with these settings.
     ///
     /// # Errors
     /// When there are more ranks than parts.
-    pub fn new(ranks: Arc<dyn Ranks>, parts: u32) -> Result<Self> {
+    pub fn new(ranks: Arc<dyn Ranks>, train: &TrainConfig) -> Result<Self> {
         let share = ranks.share();
-        if share.of > parts as usize {
+        // Small steps have fewer deposits than parts are asked for.
+        let parts = Parts::new(train.parts, deposits(train.samples_per_step)).count();
+        if share.of > parts {
+            let advice = match share.of.next_power_of_two() {
+                65.. => "start at most 64 ranks".into(),
+                needed if needed > train.parts as usize => format!(
+                    "start fewer ranks, or begin a new run with train.parts = {needed} (a run keeps its parts)"
+                ),
+                _ => "start fewer ranks, or begin a new run with a larger train.samples_per_step".into(),
+            };
             return Err(Error::input(
                 format!("{} ranks", share.of),
-                format!("a step of the CPU backend has {parts} parts"),
-                format!(
-                    "start fewer ranks, or raise train.parts to {} or more (steps below 32,768 samples have at most 16)",
-                    share.of.next_power_of_two()
-                ),
+                format!("a step of the CPU backend has {parts} parts here"),
+                advice,
             ));
         }
         let messages = || vec![Vec::new(); share.of];

@@ -1,6 +1,7 @@
 //! The adapters of this machine: their capabilities, and the choice among them.
 
 use crate::products::{COOPERATING, Matrices};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use trimip_core::{Error, Result, scene_plan::Compute};
 
 /// An adapter and its capabilities.
@@ -88,12 +89,25 @@ fn rank(info: &wgpu::AdapterInfo) -> u32 {
     }
 }
 
-/// The adapter whose name contains `name` (ignoring case), or the best one if `name` is empty.
+/// Number of this process among those that share the adapters of a machine.
+static TURN: AtomicUsize = AtomicUsize::new(0);
+
+/// From now on this process, number `turn` of those on its machine, uses the adapter with this number among those that are as
+/// good as the best, counted around.
+pub fn take_turn(turn: usize) {
+    TURN.store(turn, Ordering::Relaxed);
+}
+
+/// The adapter whose name contains `name` (ignoring case), or the best one if `name` is empty. Of several that are as good, that
+/// of this process ([`take_turn`]).
 ///
 /// # Errors
 /// When there is no such adapter.
 pub fn choose(name: &str) -> Result<wgpu::Adapter> {
-    choose_among(all_adapters(), name)
+    match TURN.load(Ordering::Relaxed) {
+        0 => choose_among(all_adapters(), name),
+        turn => choose_one_of(name, turn),
+    }
 }
 
 /// As [`choose`], but the adapter number `index` of those that are as good, counted around.
@@ -101,7 +115,7 @@ pub fn choose(name: &str) -> Result<wgpu::Adapter> {
 /// # Errors
 /// As [`choose`].
 pub fn choose_one_of(name: &str, index: usize) -> Result<wgpu::Adapter> {
-    let best = choose(name)?.get_info();
+    let best = choose_among(all_adapters(), name)?.get_info();
     let mut alike = all_adapters();
     alike.retain(|a| {
         let info = a.get_info();
@@ -109,7 +123,7 @@ pub fn choose_one_of(name: &str, index: usize) -> Result<wgpu::Adapter> {
             && (info.device_type, info.backend) == (best.device_type, best.backend)
     });
     let count = alike.len().max(1);
-    alike.into_iter().nth(index % count).map_or_else(|| choose(name), Ok)
+    alike.into_iter().nth(index % count).map_or_else(|| choose_among(all_adapters(), name), Ok)
 }
 
 /// As [`choose`], without blocking.

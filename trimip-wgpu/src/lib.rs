@@ -33,6 +33,7 @@ mod spans;
 
 pub use adapter::{
     AdapterFacts, SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, adapters, compute, software,
+    take_turn,
 };
 pub use backend::{Lane, WgpuBackend};
 pub use buffer::Buffer;

@@ -105,6 +105,14 @@ pub fn adapters() -> Vec<String> {
     vec!["none: this build has no wgpu backend".into()]
 }
 
+/// From now on this process, number `turn` of those on its machine, uses the device with this number of those that are as good.
+pub fn take_turn(turn: usize) {
+    #[cfg(feature = "wgpu")]
+    trimip_wgpu::take_turn(turn);
+    #[cfg(not(feature = "wgpu"))]
+    let _ = turn;
+}
+
 /// Checks that this build has a backend named `name`.
 ///
 /// # Errors

@@ -8,6 +8,7 @@ use crate::{
 };
 use indicatif::ProgressBar;
 use serde_json::json;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use trimip::run::folder as run_folder;
 use trimip::view::{PIXELS_PER_DEGREE, Perceiver, Watching, evaluate, help_evaluate};
@@ -76,7 +77,17 @@ pub fn help(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
     let scene = trimip_data::open_test(&model.config.data)?;
     let (mut viewer, frames) = (backends::load(&model)?, scene.frames.as_ref());
     let stride = arguments.stride as usize;
-    help_evaluate(viewer.as_mut(), frames, &model.config.data, stride, &mut perceiver, ranks)
+    let mut watch = Interrupted(interrupt::install()?);
+    help_evaluate(viewer.as_mut(), frames, &model.config.data, stride, &mut perceiver, &mut watch, ranks)
+}
+
+/// Stops when the user does.
+struct Interrupted(Arc<AtomicBool>);
+
+impl Watching for Interrupted {
+    fn rendering(&mut self, _: usize, _: usize, _: f64) -> bool {
+        !self.0.load(Ordering::Relaxed)
+    }
 }
 
 /// Advances a bar with the rendered rows.

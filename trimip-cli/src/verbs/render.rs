@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
-use trimip::ranks::{farm, labour};
+use trimip::ranks::{digest, farm, labour};
 use trimip::run::{folder as run_folder, store::file_stem};
 use trimip::view::{
     Job, Named, Quantity, cameras::resized, flythrough, turntable, turntable::Turntable, video, write_cameras,
@@ -80,7 +80,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     };
     match ranks::all() {
         // The jobs of other ranks are numbers of views.
-        Some(all) => farm(&*all, &left, draw, keep)?,
+        Some(all) => farm(&*all, &wanted.digest(), &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?,
         None => {
             for view in left {
                 if !keep(view, draw(view)?)? {
@@ -118,7 +118,9 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
 pub fn help(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
     let wanted = Wanted::of(arguments)?;
     let mut session = backends::load(&wanted.model)?;
-    labour(ranks, |view| wanted.draw(session.as_mut(), view, &mut |_, _| true))
+    let stop = interrupt::install()?;
+    let mut going = |_, _| !stop.load(Ordering::Relaxed);
+    labour(ranks, &wanted.digest(), |view| wanted.draw(session.as_mut(), view, &mut going))
 }
 
 /// What is rendered, and how.
@@ -156,6 +158,12 @@ impl Wanted {
         let cameras = resize(chosen(arguments, &model.config)?, arguments.scale)?;
         let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
         Ok(Self { model, cameras, what, format, out })
+    }
+
+    /// The same on every rank that has the same work.
+    fn digest(&self) -> String {
+        let Self { model, cameras, what, format, out } = self;
+        digest([model.config.to_toml(), format!("{cameras:?} {what:?} {format:?} {out:?}")])
     }
 
     /// Renders a view and writes its pictures; `None` if `watch` stopped it.

@@ -6,6 +6,7 @@ use crate::{
     progress::{Display, Reading, table},
     ranks, report, settings, terminal,
 };
+use serde::{Deserialize, Serialize};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -13,8 +14,10 @@ use std::time::{Duration, Instant};
 use trimip::ranks::farm;
 use trimip::report::{Report, Status};
 use trimip::view::{pictures, turntable};
-use trimip::{Config, Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
-use trimip_core::{exchange::Ranks, run::Onlooker, tensors::write_atomically};
+use trimip::{
+    Config, Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event, machine,
+};
+use trimip_core::{ErrorKind, exchange::Ranks, run::Onlooker, tensors::write_atomically};
 use trimip_view::Audience;
 
 /// Trains with the given settings. All input is validated before any long work begins.
@@ -98,38 +101,67 @@ fn train_before(audience: Option<Audience>, training: Training, style: ProgressS
     trained
 }
 
-/// Trains without a word, as one job of several; returns why it failed, if it did.
-pub fn job(training: Result<Training>) -> Option<String> {
+/// How a job ended.
+#[derive(Serialize, Deserialize)]
+pub enum JobEnd {
+    /// The run is trained.
+    Trained,
+    /// The user stopped it.
+    Stopped,
+    /// It failed, for this reason.
+    Failed(String),
+}
+
+/// Trains without a word, as one job of several.
+pub fn job(training: Result<Training>) -> JobEnd {
     let quietly = |training: Training| {
         let stop = interrupt::install()?;
+        machine::reset_peak_memory();
         let mut events = |_: &Event| {};
         let going = |_, _| !stop.load(Ordering::Relaxed);
         let listeners = Listeners { events: &mut events, reading: &going, onlooker: &mut (), stop: &stop };
         training.run_with(listeners)?.outcome
     };
-    training.and_then(quietly).err().map(|error| error.message)
+    match training.and_then(quietly) {
+        Ok(Ended::Stopped) => JobEnd::Stopped,
+        Ok(_) => JobEnd::Trained,
+        Err(error) if error.kind == ErrorKind::Stopped => JobEnd::Stopped,
+        Err(error) => JobEnd::Failed(error.message),
+    }
 }
 
 /// Trains runs on all ranks, of which this is rank 0: a rank that is free takes the next one. A run that fails is left to the
-/// caller, who finds it unfinished. Returns false if the user stopped it.
+/// caller, who finds it unfinished. `what` describes the runs. Returns false if the user stopped it.
 ///
 /// # Errors
 /// When another rank is gone.
 pub fn spread(
     ranks: &dyn Ranks,
+    what: &str,
     runs: &[usize],
     training: impl Fn(usize) -> Result<Training>,
 ) -> Result<bool> {
     let stop = interrupt::install()?;
-    let own = |run| Ok(job(training(run)));
-    farm(ranks, runs, own, |run, failure: Option<String>| {
-        match failure {
-            None => terminal::aside(format!("run {} of {} is trained", run + 1, runs.len())),
-            Some(reason) => terminal::aside(format!("run {} of {} failed: {reason}", run + 1, runs.len())),
-        }
-        Ok(!stop.load(Ordering::Relaxed))
-    })?;
-    Ok(!stop.load(Ordering::Relaxed))
+    let going = || !stop.load(Ordering::Relaxed);
+    let mut count = 0;
+    farm(
+        ranks,
+        what,
+        runs,
+        &going,
+        |run| Ok(job(training(run))),
+        |_, end| {
+            count += 1;
+            let told = |end| terminal::aside(format!("run {count} of {} {end}", runs.len()));
+            match end {
+                JobEnd::Trained => told("is trained".to_string()),
+                JobEnd::Failed(reason) => told(format!("failed: {reason}")),
+                JobEnd::Stopped => {}
+            }
+            Ok(going())
+        },
+    )?;
+    Ok(going())
 }
 
 /// Writes the report for any outcome, then returns the exit code.

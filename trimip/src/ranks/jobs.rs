@@ -2,15 +2,29 @@
 //! and their results come in order.
 
 use super::Order;
+use crate::machine;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 use trimip_core::{Error, ErrorKind, Result, exchange::Ranks};
 
 /// The job that means: no more.
 const NO_MORE: u64 = u64::MAX;
 
-/// Jobs that a rank has at a time: it begins the next one while rank 0 is busy.
+/// Jobs that a rank has at a time: it begins the next one at once.
 const AHEAD: usize = 2;
+
+/// How long rank 0 waits between two looks for results.
+const NAP: Duration = Duration::from_millis(1);
+
+/// A description of jobs for [`farm`] and [`labour`], which is the same if the parts are.
+pub fn digest(parts: impl IntoIterator<Item = String>) -> String {
+    let mut hasher = DefaultHasher::new();
+    parts.into_iter().for_each(|part| part.hash(&mut hasher));
+    format!("{:016x}", hasher.finish())
+}
 
 /// What a rank sends of a job.
 #[derive(Serialize, Deserialize)]
@@ -19,75 +33,168 @@ struct Done<T> {
     result: std::result::Result<T, (u8, String)>,
 }
 
-/// Does `jobs` on all ranks, of which this is rank 0; the others are in [`follow`](super::follow). `own` does a job on this
-/// rank. `take` gets the results in the order of the jobs, and returns false to stop.
+/// The jobs and their results, on rank 0.
+struct Desk<'a, T> {
+    jobs: &'a [usize],
+    state: Mutex<State<T>>,
+    changed: Condvar,
+}
+
+struct State<T> {
+    /// Place of the first job that nobody has.
+    next: usize,
+    /// No more jobs are given away.
+    closed: bool,
+    /// Nobody waits for results any more.
+    abandoned: bool,
+    /// Results by the place of their job.
+    done: BTreeMap<usize, Result<T>>,
+    /// Why the results of other ranks are not to be had.
+    broken: Option<Error>,
+}
+
+/// Does `jobs` on all ranks, of which this is rank 0; the others are in [`follow`](super::follow). `what` describes the jobs, and
+/// has to be the same on every rank. `own` does a job on this rank, while another thread hands out jobs to the others. `take`
+/// gets the results in the order of the jobs, and returns false to stop. No job begins when `going` has become false.
 ///
 /// # Errors
 /// The first error of a job or of `take`, or when another rank is gone.
-pub fn farm<T: DeserializeOwned + Serialize>(
+pub fn farm<T: DeserializeOwned + Serialize + Send>(
     ranks: &dyn Ranks,
+    what: &str,
     jobs: &[usize],
-    mut own: impl FnMut(usize) -> Result<T>,
-    mut take: impl FnMut(usize, T) -> Result<bool>,
+    going: &dyn Fn() -> bool,
+    own: impl FnMut(usize) -> Result<T>,
+    take: impl FnMut(usize, T) -> Result<bool>,
 ) -> Result<()> {
-    Order::Jobs.give(ranks)?;
-    let count = jobs.len();
-    let hand_out = |rank, place: usize| ranks.send(rank, &(jobs[place] as u64).to_le_bytes());
-    let place_of = |job: usize| jobs.iter().position(|own| *own == job).unwrap_or(0);
-    let others = 1..ranks.share().of;
-    let (mut next, mut waiting, mut taken) = (0, 0, 0);
-    let mut done: BTreeMap<usize, Result<T>> = BTreeMap::new();
-    let mut outcome = Ok(true);
-    // Deal in turn, so that every rank has its first job before any has its second.
-    for rank in others.clone().cycle().take(AHEAD * others.len()).take_while(|_| count > 0) {
-        if next + 1 < count {
-            hand_out(rank, next + 1)?;
-            (next, waiting) = (next + 1, waiting + 1);
-        }
+    Order::Jobs { version: machine::version() }.give(ranks)?;
+    // The first job is this rank's own: what stops all jobs is seen here first.
+    let state = State { next: 1, closed: false, abandoned: false, done: BTreeMap::new(), broken: None };
+    let desk = Desk { jobs, state: Mutex::new(state), changed: Condvar::new() };
+    std::thread::scope(|scope| {
+        let served = scope.spawn(|| desk.serve(ranks, what).inspect_err(|error| desk.fail(error.clone())));
+        let closing = Closing(&desk);
+        let outcome = desk.work(going, own, take);
+        drop(closing);
+        let served = served.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        outcome.and(served)
+    })
+}
+
+/// Closes a desk, also when its rank panics: the thread that serves others ends only then.
+struct Closing<'a, 'b, T>(&'a Desk<'b, T>);
+
+impl<T> Drop for Closing<'_, '_, T> {
+    fn drop(&mut self) {
+        let state = &mut *self.0.state();
+        (state.closed, state.abandoned) = (true, std::thread::panicking());
     }
-    // Job 0 is this rank's own: what stops all jobs is seen here first.
-    let mut mine = (count > 0).then_some(0);
-    if count > 0 {
-        next += 1;
-    }
-    while matches!(outcome, Ok(true)) && taken < count {
-        if let Some(job) = mine.take() {
-            done.insert(job, own(jobs[job]));
+}
+
+impl<T: DeserializeOwned + Send> Desk<'_, T> {
+    /// Hands out jobs and receives results until there are no more.
+    fn serve(&self, ranks: &dyn Ranks, what: &str) -> Result<()> {
+        let others = 1..ranks.share().of;
+        let mut waiting = 0;
+        let hand_out = |rank, waiting: &mut usize| -> Result<()> {
+            if let Some(place) = self.next() {
+                ranks.send(rank, &(self.jobs[place] as u64).to_le_bytes())?;
+                *waiting += 1;
+            }
+            Ok(())
+        };
+        for rank in others.clone() {
+            ranks.send(rank, what.as_bytes())?;
         }
-        while let Some((rank, bytes)) = ranks.try_receive()? {
+        // Deal in turn, so that every rank has its first job before any has its second.
+        for rank in others.clone().cycle().take(AHEAD * others.len()) {
+            hand_out(rank, &mut waiting)?;
+        }
+        // Every job that was handed out ends before the ranks hear that there are no more.
+        while waiting > 0 && !self.state().abandoned {
+            let Some((rank, bytes)) = ranks.try_receive()? else {
+                std::thread::sleep(NAP);
+                continue;
+            };
             waiting -= 1;
-            let (job, result) = read(rank, &bytes)?;
-            done.insert(place_of(job), result);
-            if next < count {
-                hand_out(rank, next)?;
-                (next, waiting) = (next + 1, waiting + 1);
+            self.receive(rank, &bytes);
+            hand_out(rank, &mut waiting)?;
+        }
+        for rank in others {
+            ranks.send(rank, &NO_MORE.to_le_bytes())?;
+        }
+        Ok(())
+    }
+
+    fn receive(&self, rank: usize, bytes: &[u8]) {
+        match read(rank, bytes) {
+            Ok((job, result)) => {
+                let place = self.jobs.iter().position(|own| *own == job).unwrap_or(0);
+                self.state().done.insert(place, result);
+                self.changed.notify_all();
+            }
+            Err(error) => self.fail(error),
+        }
+    }
+
+    /// Does this rank's jobs, and gives away the results of all.
+    fn work(
+        &self,
+        going: &dyn Fn() -> bool,
+        mut own: impl FnMut(usize) -> Result<T>,
+        mut take: impl FnMut(usize, T) -> Result<bool>,
+    ) -> Result<()> {
+        let mut taken = 0;
+        let mut mine = (!self.jobs.is_empty()).then_some(0);
+        while taken < self.jobs.len() && going() {
+            if let Some(place) = mine.take() {
+                let result = own(self.jobs[place]);
+                self.state().done.insert(place, result);
+            }
+            while let Some(result) = self.result(taken)? {
+                if !take(self.jobs[taken], result?)? {
+                    return Ok(());
+                }
+                taken += 1;
+            }
+            mine = self.next();
+            if mine.is_none() && taken < self.jobs.len() {
+                let waits = |state: &mut State<T>| state.broken.is_none() && !state.done.contains_key(&taken);
+                // Now and again, to see whether to stop.
+                let waited = self.changed.wait_timeout_while(self.state(), 100 * NAP, waits);
+                drop(waited.unwrap_or_else(PoisonError::into_inner));
             }
         }
-        while let Some(result) = done.remove(&taken) {
-            outcome = result.and_then(|result| take(jobs[taken], result));
-            taken += 1;
-            if !matches!(outcome, Ok(true)) {
-                break;
-            }
-        }
-        if next < count {
-            mine = Some(next);
-            next += 1;
-        } else if taken < count && !done.contains_key(&taken) && matches!(outcome, Ok(true)) {
-            let (rank, bytes) = ranks.receive()?;
-            waiting -= 1;
-            let (job, result) = read(rank, &bytes)?;
-            done.insert(place_of(job), result);
-        }
+        Ok(())
     }
-    // The jobs that were handed out end before the ranks hear that there are no more.
-    for _ in 0..waiting {
-        ranks.receive()?;
+
+    /// The result of the job at a place, if it has come.
+    fn result(&self, place: usize) -> Result<Option<Result<T>>> {
+        let state = &mut *self.state();
+        state.broken.clone().map_or(Ok(()), Err)?;
+        Ok(state.done.remove(&place))
     }
-    for rank in others {
-        ranks.send(rank, &NO_MORE.to_le_bytes())?;
+
+    /// Gives away the next job.
+    fn next(&self) -> Option<usize> {
+        let state = &mut *self.state();
+        let next = (!state.closed && state.next < self.jobs.len()).then_some(state.next)?;
+        state.next += 1;
+        Some(next)
     }
-    outcome.map(drop)
+}
+
+impl<T> Desk<'_, T> {
+    fn fail(&self, error: Error) {
+        let state = &mut *self.state();
+        state.closed = true;
+        state.broken.get_or_insert(error);
+        self.changed.notify_all();
+    }
+
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 fn read<T: DeserializeOwned>(rank: usize, bytes: &[u8]) -> Result<(usize, Result<T>)> {
@@ -106,8 +213,20 @@ fn read<T: DeserializeOwned>(rank: usize, bytes: &[u8]) -> Result<(usize, Result
 /// Does the jobs that rank 0 hands to this rank, until there are no more.
 ///
 /// # Errors
-/// When rank 0 is gone. A job that fails is told to rank 0.
-pub fn labour<T: Serialize>(ranks: &dyn Ranks, mut own: impl FnMut(usize) -> Result<T>) -> Result<()> {
+/// When rank 0 is gone, or its jobs are not those that `what` describes. A job that fails is told to rank 0.
+pub fn labour<T: Serialize>(
+    ranks: &dyn Ranks,
+    what: &str,
+    mut own: impl FnMut(usize) -> Result<T>,
+) -> Result<()> {
+    let (_, theirs) = ranks.receive()?;
+    if theirs != what.as_bytes() {
+        return Err(Error::input(
+            "the jobs of this rank",
+            "are not those of rank 0",
+            "give every machine the same files under the same paths, and the same number of threads (threads = N)",
+        ));
+    }
     loop {
         let (_, bytes) = ranks.receive()?;
         let job = <[u8; 8]>::try_from(&bytes[..]).map_or(NO_MORE, u64::from_le_bytes);

@@ -21,7 +21,8 @@ struct Lead {
 pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
     let data = Fingerprint::of(&views);
     let session = backends::train_over(config, views, Arc::clone(ranks))?;
-    Order::Train { version: machine::version(), config: config.to_toml(), data }.give(&**ranks)?;
+    let computes = super::computes_with(config)?;
+    Order::Train { version: machine::version(), config: config.to_toml(), data, computes }.give(&**ranks)?;
     // The time of the first step is not that of reading the data elsewhere.
     for _ in 1..ranks.share().of {
         ranks.receive()?;
@@ -89,12 +90,10 @@ impl Session for Lead {
     }
 
     fn model(&mut self) -> Result<Model> {
-        Order::Model.give(&*self.ranks)?;
         self.session.model()
     }
 
     fn finish(&mut self) -> Result<Model> {
-        Order::Finish.give(&*self.ranks)?;
         self.session.finish()
     }
 

@@ -5,7 +5,7 @@
 mod jobs;
 mod lead;
 
-pub use jobs::{farm, labour};
+pub use jobs::{digest, farm, labour};
 pub use lead::train;
 
 use crate::{backends, machine};
@@ -13,29 +13,25 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use trimip_core::{
     Config, Error, ErrorKind, Result, checkpoint::Checkpoint, exchange::Ranks, fingerprint::Fingerprint,
+    scene_plan::Compute,
 };
 
 /// What rank 0 tells the others to do.
 #[derive(Serialize, Deserialize)]
 enum Order {
-    /// Open the data of this configuration, TOML, and train on it. The views have to be these.
-    Train {
-        version: String,
-        config: String,
-        data: Fingerprint,
-    },
+    /// Open the data of this configuration, TOML, and train on it. The views have to be these; `computes` is what rank 0 computes
+    /// with.
+    Train { version: String, config: String, data: Fingerprint, computes: String },
     /// One step of the training.
     Step(f64),
-    /// Take part in collecting a model, the finished model, a checkpoint.
-    Model,
-    Finish,
+    /// Take part in collecting a checkpoint.
     Checkpoint,
     /// Continue from the checkpoint whose bytes come next.
     Restore,
     /// The training is over.
     Close,
     /// Work on the jobs that are sent one by one.
-    Jobs,
+    Jobs { version: String },
     /// The program ends.
     Quit,
 }
@@ -64,24 +60,64 @@ pub fn dismiss(ranks: &dyn Ranks) -> Result<()> {
 /// Does what rank 0 orders, until it dismisses this rank. `work` does the jobs of [`farm`]: it ends with [`labour`].
 ///
 /// # Errors
-/// When this rank cannot do what it has to; the others then wait for it in vain, and the caller ends them.
-pub fn follow(ranks: &Arc<dyn Ranks>, work: &mut dyn FnMut(&dyn Ranks) -> Result<()>) -> Result<()> {
+/// When this rank cannot do what it has to; the others then wait for it in vain, and the caller ends them. `tell` gets what is
+/// worth a warning.
+pub fn follow(
+    ranks: &Arc<dyn Ranks>,
+    work: &mut dyn FnMut(&dyn Ranks) -> Result<()>,
+    tell: &mut dyn FnMut(String),
+) -> Result<()> {
     loop {
         match Order::await_from(&**ranks)? {
-            Order::Train { version, config, data } => {
-                if version != machine::version() {
-                    return Err(Error::input(
-                        "this program",
-                        format!("is {}, that of rank 0 is {version}", machine::version()),
-                        "install the same program on every machine",
+            Order::Train { version, config, data, computes } => {
+                expect_own(&version)?;
+                let config = Config::from_toml("the orders of rank 0", &config)?;
+                let own = computes_with(&config)?;
+                if own != computes {
+                    tell(format!(
+                        "computes with {own}, rank 0 with {computes}: one process would have other bits"
                     ));
                 }
-                follow_training(ranks, &Config::from_toml("the orders of rank 0", &config)?, data)?;
+                follow_training(ranks, &config, data)?;
             }
-            Order::Jobs => work(&**ranks)?,
+            Order::Jobs { version } => {
+                expect_own(&version)?;
+                work(&**ranks)?;
+            }
             Order::Quit => return Ok(()),
             _ => return Err(Error::run("rank 0 gives orders to a session that is not there")),
         }
+    }
+}
+
+fn expect_own(version: &str) -> Result<()> {
+    let own = machine::version();
+    if version == own {
+        return Ok(());
+    }
+    Err(Error::input(
+        "this program",
+        format!("is {own}, that of rank 0 is {version}"),
+        "install the same program on every machine",
+    ))
+}
+
+/// The device of this rank, or the instruction set of its processor.
+fn computes_with(config: &Config) -> Result<String> {
+    Ok(match config.backend.as_str() {
+        // The widest set comes first, and is used.
+        "cpu" => trimip_cpu::features().split(',').next().unwrap_or_default().into(),
+        _ => backends::compute(config)?.name,
+    })
+}
+
+/// What all ranks together compute with, if each has this.
+pub fn together(compute: Compute, ranks: &dyn Ranks) -> Compute {
+    let of = ranks.share().of;
+    Compute {
+        name: format!("{of} ranks, each {}", compute.name),
+        samples_per_second: of as f64 * compute.samples_per_second,
+        ..compute
     }
 }
 
@@ -99,16 +135,18 @@ fn follow_training(ranks: &Arc<dyn Ranks>, config: &Config, data: Fingerprint) -
     loop {
         let done = match Order::await_from(&**ranks)? {
             Order::Step(progress) => session.step(progress).map(drop),
-            Order::Model => session.model().map(drop),
-            Order::Finish => session.finish().map(drop),
             Order::Checkpoint => session.checkpoint().map(drop),
             Order::Restore => {
-                let mut bytes = Vec::new();
-                ranks.broadcast(&mut bytes)?;
-                session.restore(&Checkpoint::from_bytes("the checkpoint of rank 0", &bytes)?)
+                let checkpoint = {
+                    let mut bytes = Vec::new();
+                    ranks.broadcast(&mut bytes)?;
+                    Checkpoint::from_bytes("the checkpoint of rank 0", &bytes)?
+                };
+                session.restore(&checkpoint)?;
+                Ok(())
             }
             Order::Close => return Ok(()),
-            _ => Err(Error::run("rank 0 gives other orders while a session is open")),
+            _ => return Err(Error::run("rank 0 gives other orders while a session is open")),
         };
         match done {
             // Every rank has the same sums, so a step that fails does so on all of them, and rank 0 says it.

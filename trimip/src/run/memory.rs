@@ -3,37 +3,45 @@
 use crate::{machine, units};
 use trimip_core::{Config, Error, Result, config::EncoderKind, config::MemoryChoice};
 
-/// Compares a run's predicted memory, by parts, with what this process may have. Returns a warning if it is too little and
-/// the settings allow that.
+/// Compares a run's predicted memory, by parts, with what this process may have; `ranks` processes on this machine need it each.
+/// Returns a warning if it is too little and the settings allow that.
 ///
 /// # Errors
 /// When it is too little; names the largest part and what lowers it.
-pub fn check(config: &Config, parts: &[(String, u64)]) -> Result<Option<String>> {
+pub fn check(config: &Config, parts: &[(String, u64)], ranks: usize) -> Result<Option<String>> {
     let resident = trimip_data::resident_memory().unwrap_or(0);
     // What is in use already, such as the photographs, is part of the prediction.
     let Some(most) = machine::Machine::detect().memory_available_bytes.map(|more| more + resident) else {
         return Ok(None);
     };
-    match (shortage(config, parts, most), config.memory) {
+    match (shortage(config, parts, ranks, most), config.memory) {
         (Some(error), MemoryChoice::Refuse) => Err(error),
         (shortage, _) => Ok(shortage.map(|error| error.message)),
     }
 }
 
-/// The error of a run that needs more than `most` bytes.
-fn shortage(config: &Config, parts: &[(String, u64)], most: u64) -> Option<Error> {
+/// The error of a run whose ranks together need more than `most` bytes.
+fn shortage(config: &Config, parts: &[(String, u64)], ranks: usize, most: u64) -> Option<Error> {
     let needed = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
     let (largest, bytes) = parts.iter().max_by_key(|(_, bytes)| *bytes)?;
-    (needed > most).then(|| {
+    let (each, having, fewer) = match ranks {
+        1 => (String::new(), "this process may have", ""),
+        _ => (
+            format!(" in each of {ranks} ranks on this machine"),
+            "together they may have",
+            "start fewer ranks on it, ",
+        ),
+    };
+    (needed.saturating_mul(ranks as u64) > most).then(|| {
         Error::input(
             "memory",
             format!(
-                "the run needs about {}, of which {largest} {}, but this process may have {}",
+                "the run needs about {}{each}, of which {largest} {}, but {having} {}",
                 units::bytes(needed),
                 units::bytes(*bytes),
                 units::bytes(most)
             ),
-            format!("{}, or set memory = \"warn\" to begin all the same", lowered_by(config, largest)),
+            format!("{fewer}{}, or set memory = \"warn\" to begin all the same", lowered_by(config, largest)),
         )
     })
 }
@@ -81,9 +89,11 @@ mod tests {
         ];
         for (change, setting) in cases {
             let mut config = Config::default();
-            assert!(shortage(&config, &parts(&config), 2_000_000_000).is_none(), "the defaults fit");
+            assert!(shortage(&config, &parts(&config), 1, 2_000_000_000).is_none(), "the defaults fit");
+            let error = shortage(&config, &parts(&config), 8, 2_000_000_000).expect("eight times as much");
+            assert!(error.message.contains("fewer ranks"), "{error}");
             change(&mut config);
-            let error = shortage(&config, &parts(&config), 600_000_000).expect(setting);
+            let error = shortage(&config, &parts(&config), 1, 600_000_000).expect(setting);
             assert!(error.exit_code() == 2 && error.message.contains(setting), "{setting}: {error}");
             assert!(
                 !error.message.contains("--out") && error.message.contains("memory = \"warn\""),

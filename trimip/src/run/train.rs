@@ -224,7 +224,10 @@ impl Training {
         let mut perceiver = Perceiver::open(&config.eval)?;
         folder.prepare()?;
         let scene = trimip_data::open_watched(&config.data, listeners.reading)?;
-        let (compute, test) = (backends::compute(&config)?, scene.test.cameras());
+        let (mut compute, test) = (backends::compute(&config)?, scene.test.cameras());
+        if let Some(ranks) = &self.ranks {
+            compute = ranks::together(compute, &**ranks);
+        }
         let facts =
             Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };
         if checkpoint.is_none() {
@@ -246,7 +249,8 @@ impl Training {
         let mut warnings = scene.warnings.clone();
         warnings.extend(doubts);
         if on_host {
-            warnings.extend(memory::check(&config, &predicted)?);
+            let near = self.ranks.as_ref().map_or(1, |ranks| ranks.on_machine().of);
+            warnings.extend(memory::check(&config, &predicted, near)?);
         }
         warnings.extend(backends::software_warning(&config));
         let mut session = match &self.ranks {

@@ -82,7 +82,9 @@ pub fn evaluate(
             let mut is_whole = true;
             ranks::farm(
                 ranks,
+                &description(frames, data, stride),
                 &(0..total).collect::<Vec<_>>(),
+                &|| true,
                 own,
                 |_, measured: Option<Vec<ViewQuality>>| {
                     let progress = &mut *progress.borrow_mut();
@@ -102,23 +104,30 @@ pub fn evaluate(
     Ok(Some(Measured { views, scales, mean, seconds: started.elapsed().as_secs_f64() }))
 }
 
-/// Measures the test views that rank 0 hands out in [`evaluate`].
+/// What the jobs of [`evaluate`] are.
+fn description(frames: &dyn Frames, data: &DataConfig, stride: usize) -> String {
+    ranks::digest([frames.len().to_string(), stride.to_string(), format!("{data:?}")])
+}
+
+/// Measures the test views that rank 0 hands out in [`evaluate`]; `watch` stops a view.
 ///
 /// # Errors
-/// When rank 0 is gone.
+/// When rank 0 is gone, or measures other views.
 pub fn help_evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
     data: &DataConfig,
     stride: usize,
     perception: &mut dyn Perception,
+    watch: &mut dyn Watching,
     ranks: &dyn Ranks,
 ) -> Result<()> {
-    let mut progress = Progress { perception, watch: &mut (), done: 0, total: 0 };
-    ranks::labour(ranks, |job| {
+    let stride = stride.max(1);
+    let mut progress = Progress { perception, watch, done: 0, total: 0 };
+    ranks::labour(ranks, &description(frames, data, stride), |job| {
         let mut views = Vec::new();
-        evaluate_frame(viewer, frames, job * stride.max(1), 1, data, &mut progress, &mut views)?;
-        Ok(Some(views))
+        let whole = evaluate_frame(viewer, frames, job * stride, 1, data, &mut progress, &mut views)?;
+        Ok(whole.then_some(views))
     })
 }
 

@@ -11,7 +11,7 @@ use crate::{ranks, settings, terminal, verbs::train};
 use std::path::PathBuf;
 use trimip::events::Totals;
 use trimip::quality::{Measures, mean_quality};
-use trimip::ranks::labour;
+use trimip::ranks::{digest, labour};
 use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
 use trimip_core::exchange::Ranks;
@@ -110,15 +110,22 @@ pub fn help_run(arguments: &BenchArguments, ranks: &dyn Ranks) -> Result<()> {
 /// Does its part of [`measure`] on another rank than the first.
 ///
 /// # Errors
-/// When rank 0 is gone.
+/// When rank 0 is gone, or has other runs.
 pub fn help(bench: &Bench, ranks: &dyn Ranks) -> Result<()> {
-    labour(ranks, |run| Ok(train::job(bench.training(run))))
+    labour(ranks, &bench.digest()?, |run| Ok(train::job(bench.training(run))))
 }
 
 impl Bench {
     /// Folder of a run.
     fn folder(&self, variant: &Variant, seed: u32) -> PathBuf {
         self.out.join(format!("{}-{seed}", slug(&variant.name)))
+    }
+
+    /// The same on every rank that has the same runs.
+    fn digest(&self) -> Result<String> {
+        let settings = |variant| Ok(Config::from_settings(&with(&self.base, variant, 0)?)?.to_toml());
+        let variants = self.variants.iter().map(settings).collect::<Result<Vec<_>>>()?;
+        Ok(digest(variants.into_iter().chain([format!("{} {:?}", self.seeds, self.out)])))
     }
 
     /// Run number `run` of all variants and seeds.
@@ -157,7 +164,7 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
             terminal::count(runs.len() as u64, "run"),
             ranks.share().of
         ));
-        if !train::spread(&*ranks, &runs, |run| bench.training(run))? {
+        if !train::spread(&*ranks, &bench.digest()?, &runs, |run| bench.training(run))? {
             return Ok(None);
         }
     }

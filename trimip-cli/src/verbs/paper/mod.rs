@@ -13,7 +13,7 @@ use crate::{ranks, terminal, verbs::train};
 use request::{Job, Request};
 use std::sync::atomic::Ordering;
 use trimip::paper::{Comparison, Figures, Row, Run, Scales, Status, columns, json, markdown};
-use trimip::ranks::labour;
+use trimip::ranks::{digest, labour};
 use trimip::run::{folder::create_writable, history::History};
 use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
 use trimip_core::exchange::Ranks;
@@ -35,7 +35,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
         // Afterwards the runs are found trained, and are measured here.
         let waiting: Vec<usize> =
             (0..request.jobs.len()).filter(|&i| !request.jobs[i].is_trained()).collect();
-        if !train::spread(&*ranks, &waiting, |i| Ok(request.jobs[i].training()))? {
+        if !train::spread(&*ranks, &request.digest(), &waiting, |i| Ok(request.jobs[i].training()))? {
             return Ok(interrupt::EXIT_CODE);
         }
     }
@@ -78,7 +78,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
 /// When a scene or a setting is wrong.
 pub fn help(arguments: &PaperArguments, ranks: &dyn Ranks) -> Result<()> {
     let request = Request::new(arguments)?;
-    labour(ranks, |i| Ok(train::job(Ok(request.jobs[i].training()))))
+    labour(ranks, &request.digest(), |i| Ok(train::job(Ok(request.jobs[i].training()))))
 }
 
 impl Job {
@@ -135,6 +135,12 @@ fn write(request: &Request, comparison: &Comparison) -> Result<()> {
 }
 
 impl Request {
+    /// The same on every rank that has the same jobs.
+    fn digest(&self) -> String {
+        let job = |job: &Job| format!("{} {:?}", job.config.to_toml(), job.folder.root());
+        digest(self.jobs.iter().map(job))
+    }
+
     /// The comparison before its first run.
     fn comparison(&self) -> Comparison {
         let run = |job: &Job| Run {

@@ -1,0 +1,126 @@
+//! Jobs that rank 0 hands out, on ranks that are threads.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+use trimip::ranks::{dismiss, farm, follow, labour};
+use trimip_core::exchange::Ranks;
+use trimip_core::{Error, Result};
+use trimip_tests::ranks::Threads;
+
+const WHAT: &str = "squares";
+
+/// Runs `lead` as rank 0 of `count`, of which the others do jobs by `own`.
+fn with_others(
+    count: usize,
+    own: impl Fn(usize) -> Result<usize> + Sync,
+    lead: impl FnOnce(&dyn Ranks) -> Result<()>,
+) -> Result<()> {
+    let mut ranks = Threads::new(count).into_iter();
+    let first = ranks.next().expect("a first rank");
+    std::thread::scope(|scope| {
+        for rank in ranks {
+            let (rank, own): (Arc<dyn Ranks>, _) = (rank, &own);
+            scope.spawn(move || {
+                follow(&rank, &mut |ranks| labour(ranks, WHAT, own), &mut |text| panic!("{text}"))
+                    .expect("it follows to the end");
+            });
+        }
+        let outcome = lead(&*first);
+        dismiss(&*first).expect("the others are there");
+        outcome
+    })
+}
+
+/// The jobs and results that `take` got, in order.
+fn squares(jobs: &[usize], taken: &[(usize, usize)]) -> bool {
+    jobs.iter().map(|job| (*job, job * job)).eq(taken.iter().copied())
+}
+
+#[test]
+fn results_come_in_the_order_of_the_jobs() {
+    for (count, jobs) in [(2, 0..40), (3, 5..9), (4, 0..1), (5, 0..0)] {
+        let jobs: Vec<usize> = jobs.rev().collect();
+        let mut taken = Vec::new();
+        // Later jobs are the quicker ones.
+        let own = |job: usize| {
+            std::thread::sleep(Duration::from_millis(job as u64 % 4));
+            Ok(job * job)
+        };
+        let take = |job, result| {
+            taken.push((job, result));
+            Ok(true)
+        };
+        with_others(count, own, |ranks| farm(ranks, WHAT, &jobs, &|| true, own, take)).expect("all is done");
+        assert!(squares(&jobs, &taken), "{count} ranks: {taken:?}");
+    }
+}
+
+#[test]
+fn other_ranks_work_on_while_rank_0_has_a_long_job() {
+    let jobs: Vec<usize> = (0..20).collect();
+    let (done, mut taken) = (AtomicUsize::new(0), Vec::new());
+    let theirs = |job: usize| {
+        done.fetch_add(1, Ordering::SeqCst);
+        Ok(job * job)
+    };
+    let own = |job: usize| {
+        // Ends only when all others are done.
+        while job == 0 && done.load(Ordering::SeqCst) < 19 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Ok(job * job)
+    };
+    let take = |job, result| {
+        taken.push((job, result));
+        Ok(true)
+    };
+    with_others(3, theirs, |ranks| farm(ranks, WHAT, &jobs, &|| true, own, take)).expect("all is done");
+    assert!(squares(&jobs, &taken), "{taken:?}");
+}
+
+#[test]
+fn a_job_that_fails_is_told_with_its_rank() {
+    let jobs: Vec<usize> = (0..9).collect();
+    let failed = AtomicBool::new(false);
+    let theirs = |_| {
+        failed.store(true, Ordering::SeqCst);
+        Err(Error::input("photograph 1", "is no picture", "replace it"))
+    };
+    let own = |job: usize| {
+        while !failed.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Ok(job * job)
+    };
+    let error = with_others(2, theirs, |ranks| farm(ranks, WHAT, &jobs, &|| true, own, |_, _| Ok(true)))
+        .expect_err("a job fails");
+    assert!(error.exit_code() == 2 && error.message.starts_with("rank 1: photograph 1"), "{error}");
+}
+
+#[test]
+fn no_job_begins_after_a_stop() {
+    let jobs: Vec<usize> = (0..1000).collect();
+    let (going, begun) = (AtomicBool::new(true), AtomicUsize::new(0));
+    let own = |job: usize| {
+        begun.fetch_add(1, Ordering::SeqCst);
+        Ok(job)
+    };
+    let take = |job, _| {
+        if job == 3 {
+            going.store(false, Ordering::SeqCst);
+        }
+        Ok(true)
+    };
+    with_others(3, own, |ranks| farm(ranks, WHAT, &jobs, &|| going.load(Ordering::SeqCst), own, take))
+        .expect("a stop is no error");
+    assert!(begun.load(Ordering::SeqCst) < 500, "{begun:?} jobs were begun");
+}
+
+#[test]
+fn a_rank_with_other_jobs_refuses() {
+    let ranks = Threads::new(2);
+    ranks[0].send(1, b"cubes").unwrap();
+    let refused = labour(&*ranks[1], WHAT, Ok::<usize, _>).expect_err("these are other jobs");
+    assert!(refused.exit_code() == 2 && refused.message.contains("not those of rank 0"), "{refused}");
+}
