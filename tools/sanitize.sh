@@ -13,9 +13,11 @@ if ! ls "$(rustc --print sysroot)/lib/rustlib/$host/lib/"*rt.asan* >/dev/null 2>
 fi
 # The option is unstable, and the compiler's own runtime is stable.
 export RUSTC_BOOTSTRAP=1 RUSTFLAGS="-Zsanitizer=address"
-under_asan() { cargo test --locked --target "$host" --target-dir target/asan "$@"; }
-under_asan -p trimip-cpu --lib -- --nocapture
-under_asan -p trimip-data --lib store
+# Dependencies are not optimized here: their code is not what is tested, and they build faster.
+under_asan() {
+  cargo test --locked --target "$host" --target-dir target/asan --config 'profile.dev.package."*".opt-level=0' "$@"
+}
+under_asan -p trimip-cpu -p trimip-data --lib
 # Finite differences ask the reference most of the time, which is safe code.
 if [ "${1:-}" = all ]; then
   under_asan -p trimip-tests --no-default-features --test conformance -- --skip finite_differences
