@@ -128,6 +128,14 @@ pub trait Session: Viewer {
     /// When the device failed, or a pending step was not finite.
     fn checkpoint(&mut self) -> Result<Checkpoint>;
 
+    /// Takes part in the checkpoint of rank 0, without one of its own.
+    ///
+    /// # Errors
+    /// As [`checkpoint`](Self::checkpoint).
+    fn join_checkpoint(&mut self) -> Result<()> {
+        self.checkpoint().map(drop)
+    }
+
     /// Continues from a checkpoint.
     ///
     /// # Errors

@@ -295,6 +295,10 @@ impl<B: Backend> Session for Trainer<B> {
         self.freeze()
     }
 
+    fn join_checkpoint(&mut self) -> Result<()> {
+        self.gather()
+    }
+
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {
         self.thaw(checkpoint)
     }

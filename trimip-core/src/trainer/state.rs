@@ -34,9 +34,14 @@ impl<B: Backend> Trainer<B> {
         Ok(model)
     }
 
-    pub(super) fn freeze(&mut self) -> Result<Checkpoint> {
+    /// Collects what a checkpoint needs of other ranks and of the device.
+    pub(super) fn gather(&mut self) -> Result<()> {
         self.settle()?;
-        self.gather_moments()?;
+        self.gather_moments()
+    }
+
+    pub(super) fn freeze(&mut self) -> Result<Checkpoint> {
+        self.gather()?;
         // Nothing is copied twice: a large model's moments are the peak of a run's memory.
         let device = self.device();
         let mut file = device.look(&self.loaded.parameters, |values| self.loaded.tensors(values));

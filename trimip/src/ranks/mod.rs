@@ -135,7 +135,7 @@ fn follow_training(ranks: &Arc<dyn Ranks>, config: &Config, data: Fingerprint) -
     loop {
         let done = match Order::await_from(&**ranks)? {
             Order::Step(progress) => session.step(progress).map(drop),
-            Order::Checkpoint => session.checkpoint().map(drop),
+            Order::Checkpoint => session.join_checkpoint(),
             Order::Restore => {
                 let checkpoint = {
                     let mut bytes = Vec::new();
