@@ -213,8 +213,16 @@ def test_an_exception_of_a_callback_is_raised_and_nothing_is_lost(tmp_path):
     assert trimip.train(slow, tmp_path / "run").ended == "finished"
 
 
-def test_ctrl_c_stops_a_run(tmp_path):
-    long = {**TINY, "train.steps": 10_000_000}
+@pytest.fixture
+def keyboard():
+    """Ctrl-C raises KeyboardInterrupt. Python leaves it ignored if its parent does, as a shell does for `command &`."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_stops_a_run(keyboard, tmp_path):
+    long = {**TINY, "train.seconds": 60.0, "train.steps": 10_000_000}
     threading.Timer(1.5, lambda: signal.raise_signal(signal.SIGINT)).start()
     begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
