@@ -88,6 +88,19 @@ fn a_flythrough_goes_along_the_training_cameras_and_goes_on() {
         answer.out.lines().count()
     };
     assert_eq!([film(&[]), film(&[])], [5, 0]);
+    let size = |folder: &str, picture: &str| {
+        image::image_dimensions(here.join("run").join(folder).join(picture)).unwrap()
+    };
+    assert_eq!(size("renders", "0004_color.png"), (24, 17));
+    // Without a size a film has that of the photographs; with one side, their aspect.
+    for (given, side) in [(&[][..], 16), (&["--height", "20"][..], 20)] {
+        let answer = run(
+            here,
+            &[&["render", "run", "--flythrough", "2", "--out", "run/own", "--fresh"], given].concat(),
+        );
+        assert_eq!(answer.code, Some(0), "{}", answer.err);
+        assert_eq!(size("own", "0001_color.png"), (side, side));
+    }
     let text = fs::read(here.join("run/renders/cameras.json")).unwrap();
     let cameras: serde_json::Value = serde_json::from_slice(&text).unwrap();
     let origins: Vec<[f64; 3]> = (0..5)
@@ -103,6 +116,11 @@ fn a_flythrough_goes_along_the_training_cameras_and_goes_on() {
     assert!(origins.iter().all(|o| away(o) < farthest + 1e-6), "{origins:?}");
     let answer = run(here, &["render", "run", "--flythrough", "1"]);
     assert_eq!(answer.code, Some(2), "{}", answer.err);
+    for views in [&["--views", "0", "--width", "24"][..], &["--fov", "30"]] {
+        let answer = run(here, &[&["render", "run"], views].concat());
+        assert_eq!(answer.code, Some(2), "{}", answer.err);
+        assert!(answer.err.contains("--scale"), "{}", answer.err);
+    }
 }
 
 #[test]

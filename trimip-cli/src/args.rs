@@ -1,9 +1,17 @@
 //! The command line: verbs, their options and help.
 
+mod bench;
+mod data;
+mod export;
 mod paper;
+mod render;
 
+pub use bench::BenchArguments;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+pub use data::{DataAction, DataArguments};
+pub use export::{ExportArguments, ExportWhat, MeshArguments, WebArguments};
 pub use paper::{PaperArguments, Schedule, Split, TableScales};
+pub use render::{PictureFormat, RenderArguments};
 use std::net::IpAddr;
 use std::path::PathBuf;
 
@@ -151,8 +159,8 @@ pub struct PlanArguments {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Train with and without each decision, briefly and at equal samples, measured on held-out training views: dB,
-    /// seconds and bytes
+    /// Train with and without each part that the plan leaves out, briefly and at equal samples, measured on held-out
+    /// training views: dB, seconds and bytes
     #[arg(long)]
     pub measure: bool,
     /// Million samples of each of these runs
@@ -210,117 +218,6 @@ pub struct ViewArguments {
     pub set: Vec<String>,
 }
 
-/// File format of rendered views.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum PictureFormat {
-    /// Colour as 8-bit sRGB, depth (the file stores its range) and opacity as 16-bit grey, one file each
-    Png,
-    /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity
-    Exr,
-}
-
-/// A quantity of a view that can be written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Quantity {
-    /// Colour on the configured background
-    Color,
-    /// Distance along the optical axis
-    Depth,
-    /// 1 - transmittance
-    Opacity,
-}
-
-impl From<Quantity> for trimip::view::Quantity {
-    fn from(quantity: Quantity) -> Self {
-        match quantity {
-            Quantity::Color => Self::Color,
-            Quantity::Depth => Self::Depth,
-            Quantity::Opacity => Self::Opacity,
-        }
-    }
-}
-
-/// Options of `render`.
-#[derive(Args, Debug)]
-#[command(group(clap::ArgGroup::new("cameras").args(["views", "pose", "look_at", "path", "turntable", "flythrough"])))]
-pub struct RenderArguments {
-    /// Run folder or model file
-    pub model: PathBuf,
-    /// Output folder [default: `renders` beside the model]
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Test views by number, e.g. 0,25,50 (needs the data set) [default cameras: view 0]
-    #[arg(long, value_name = "N,..", value_delimiter = ',')]
-    pub views: Vec<usize>,
-    /// One camera-to-world matrix: 12 or 16 numbers in row-major order, or JSON, or a file with either
-    #[arg(long, value_name = "NUMBERS|FILE", allow_hyphen_values = true)]
-    pub pose: Option<String>,
-    /// One camera by position and target, e.g. 4,0,2/0,0,0
-    #[arg(long, value_name = "X,Y,Z/X,Y,Z", allow_hyphen_values = true)]
-    pub look_at: Option<String>,
-    /// A camera path: JSON like transforms_test.json (frames with transform_matrix)
-    #[arg(long, value_name = "FILE")]
-    pub path: Option<PathBuf>,
-    /// A circle of N cameras around the model's box
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub turntable: Option<u32>,
-    /// A film of N cameras along the training cameras, through their lens without its distortion (needs the data set)
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
-    pub flythrough: Option<u32>,
-    /// Turntable: degrees above the horizon
-    // `requires` alone is waived if another camera option conflicts with the turntable.
-    #[arg(long, default_value_t = 30.0, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path", "flythrough"], allow_hyphen_values = true)]
-    pub elevation: f64,
-    /// Turntable: distance from the box's centre [default: the minimum at which every picture shows the whole box]
-    #[arg(long, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path", "flythrough"], allow_hyphen_values = true)]
-    pub distance: Option<f64>,
-    /// Up direction in the picture, for --look-at and --turntable [default: scene.up of the model]
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
-    pub up: Option<String>,
-    /// Width in pixels, for cameras without one
-    #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(1..=16_384))]
-    pub width: u32,
-    /// Height in pixels, for cameras without one
-    #[arg(long, default_value_t = 800, value_parser = clap::value_parser!(u32).range(1..=16_384))]
-    pub height: u32,
-    /// Horizontal field of view in degrees, for cameras without one (39.6: the Blender scenes')
-    #[arg(long, default_value_t = 39.597_758_2, allow_hyphen_values = true)]
-    pub fov: f64,
-    /// Resize the pictures, e.g. 0.5 for half the width, with the same field of view
-    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
-    pub scale: f64,
-    /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, the original below
-    #[arg(long, conflicts_with_all = ["format", "what"])]
-    pub strip: bool,
-    /// Strip: another model, in a separate row; may be given many times
-    #[arg(long, value_name = "RUN", requires = "strip")]
-    pub against: Vec<PathBuf>,
-    /// File format
-    #[arg(long, value_enum, default_value = "png")]
-    pub format: PictureFormat,
-    /// What to write
-    #[arg(
-        long,
-        value_enum,
-        value_delimiter = ',',
-        default_value = "color",
-        value_name = "color,depth,opacity"
-    )]
-    pub what: Vec<Quantity>,
-    /// Path, turntable and flythrough: also encode the colours as a video (.mp4, .mov, .mkv, .webm), by the program ffmpeg
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["views", "pose", "look_at", "strip"])]
-    pub video: Option<PathBuf>,
-    /// Video: pictures a second
-    #[arg(long, default_value_t = 30.0, requires = "video")]
-    pub rate: f64,
-    /// Path, turntable and flythrough: render all views again; otherwise the same command goes on where it was interrupted
-    #[arg(long)]
-    pub fresh: bool,
-    /// Override a setting of data, eval, renderer, hybrid, backend, threads or wgpu
-    #[arg(long, value_name = "SECTION.KEY=VALUE")]
-    pub set: Vec<String>,
-}
-
 /// Options of `bake`.
 #[derive(Args, Debug)]
 pub struct BakeArguments {
@@ -332,115 +229,6 @@ pub struct BakeArguments {
     /// Override a setting of hybrid, renderer, backend, threads or wgpu
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
-}
-
-/// Options of `export`.
-#[derive(Args, Debug)]
-pub struct ExportArguments {
-    /// What to write.
-    #[command(subcommand)]
-    pub what: ExportWhat,
-}
-
-/// What `export` writes.
-#[derive(Subcommand, Debug)]
-pub enum ExportWhat {
-    /// The surface as triangles with normals and colours, in the units and axes of the cameras: PLY, OBJ or GLB
-    Mesh(MeshArguments),
-    /// A folder for any static web server: the model, and a page that renders it with the visitor's own GPU (WebGPU)
-    Web(WebArguments),
-}
-
-/// Options of `export web`.
-#[derive(Args, Debug)]
-pub struct WebArguments {
-    /// Run folder or model file
-    pub model: PathBuf,
-    /// Folder [default: web beside the model]
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Folder with the page's program, as tools/web.sh builds it
-    #[arg(long, value_name = "DIR", default_value = "target/web")]
-    pub viewer: PathBuf,
-}
-
-/// Options of `export mesh`.
-#[derive(Args, Debug)]
-pub struct MeshArguments {
-    /// Run folder or model file
-    pub model: PathBuf,
-    /// File; its name ends in .ply, .obj or .glb [default: mesh.ply beside the model]
-    #[arg(long, value_name = "FILE")]
-    pub out: Option<PathBuf>,
-    /// Cells of the grid along the longest side of the box
-    #[arg(long, default_value_t = 512, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=2048))]
-    pub resolution: u32,
-    /// Density of the surface, per world unit [default: that of which a marching step has an optical depth of 0.2]
-    #[arg(long, value_name = "DENSITY")]
-    pub level: Option<f64>,
-    /// Leave out connected parts with a smaller diagonal, as a share of the longest side of the box
-    #[arg(long, default_value_t = 0.02, value_name = "SHARE")]
-    pub specks: f64,
-    /// Simplify to about this many triangles; 0 = keep all
-    #[arg(long, default_value_t = 100_000, value_name = "N")]
-    pub triangles: usize,
-    /// Simplify as far as the surface moves by less than this share of the mesh's largest side, instead of to a number of
-    /// triangles
-    #[arg(long, value_name = "SHARE", conflicts_with = "triangles")]
-    pub error: Option<f64>,
-    /// Leave out the colours of the vertices
-    #[arg(long)]
-    pub no_colors: bool,
-    /// Compare the silhouettes with the masks of every N-th test view (needs the data set)
-    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
-    pub silhouettes: Option<u32>,
-    /// Override a setting of data, backend, threads or wgpu
-    #[arg(long, value_name = "SECTION.KEY=VALUE")]
-    pub set: Vec<String>,
-}
-
-/// Options of `bench`.
-#[derive(Args, Debug)]
-pub struct BenchArguments {
-    /// Benchmark rendering instead of training: error of this model's pictures against time per frame (run folder or
-    /// model file)
-    #[arg(long, value_name = "RUN", conflicts_with_all = ["vary", "no_base", "seeds", "config", "system"])]
-    pub render: Option<PathBuf>,
-    /// Rendering: 1, 2x2, 4x4 and 8x8 cones a pixel at every scale of the test views, against the photographs and
-    /// against each other
-    #[arg(long, requires = "render", conflicts_with = "variants")]
-    pub cones: bool,
-    /// Rendering: ways to few samples at every scale of the test views, against the photographs and against converged
-    /// volume rendering; --try names other ways than those of the catalogue
-    #[arg(long, requires = "render", conflicts_with = "cones")]
-    pub ways: bool,
-    /// Rendering of test views (--cones, --ways): their number
-    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
-    pub views: u32,
-    /// Rendering: width of the picture (the f64 reference is slow)
-    #[arg(long, default_value_t = 48, value_parser = clap::value_parser!(u32).range(4..=800))]
-    pub width: u32,
-    /// Settings shared by all variants.
-    #[command(flatten)]
-    pub settings: SettingsArguments,
-    /// A variant: its name and its settings, e.g. 'no mipmap: encoder.mipmap=false; train.seconds=60'
-    #[arg(long = "try", value_name = "NAME: KEY=VALUE; ..")]
-    pub variants: Vec<String>,
-    /// One variant for each value of a setting, e.g. 'field.hidden=32|64|128'
-    #[arg(long, value_name = "KEY=VALUE|..")]
-    pub vary: Vec<String>,
-    /// Do not run the shared settings as a separate variant
-    #[arg(long)]
-    pub no_base: bool,
-    /// Seeds of each variant: their spread is the random variation
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
-    pub seeds: u32,
-    /// PSNR levels in dB whose times are reported
-    #[arg(long, value_name = "DB,..", value_delimiter = ',', default_value = "25,28,30,32,34")]
-    pub reach: Vec<f64>,
-    /// Folder of the runs and of bench.csv, bench.json, bench.svg and bench.html
-    #[arg(long, default_value = "runs/bench", value_name = "DIR")]
-    pub out: PathBuf,
 }
 
 /// Options of `check`.
@@ -481,49 +269,6 @@ pub struct CompareArguments {
     /// Write the table as JSON
     #[arg(long, value_name = "FILE", value_parser = ending("json"))]
     pub json: Option<PathBuf>,
-}
-
-/// Options of `data`.
-#[derive(Args, Debug)]
-pub struct DataArguments {
-    /// What to do with the data.
-    #[command(subcommand)]
-    pub action: DataAction,
-}
-
-/// Actions of `data`.
-#[derive(Debug, Subcommand)]
-pub enum DataAction {
-    /// Describe a data set and check it
-    Inspect {
-        /// Folder of the scene; overrides data.root
-        root: Option<PathBuf>,
-        /// Also write a page: cameras and box from three sides, thumbnails, warnings and checks, in one file
-        #[arg(long, value_name = "FILE", value_parser = ending("html"))]
-        html: Option<PathBuf>,
-        /// Settings.
-        #[command(flatten)]
-        settings: SettingsArguments,
-    },
-    /// Write a data set at the scales 1, 1/2, 1/4, 1/8 in the public layout (metadata.json)
-    Multiscale {
-        /// Folder to write
-        out: PathBuf,
-        /// Folder of the scene; overrides data.root
-        #[arg(long, value_name = "DIR")]
-        root: Option<PathBuf>,
-        /// Settings.
-        #[command(flatten)]
-        settings: SettingsArguments,
-    },
-    /// Write the built-in procedural scene as a Blender data set
-    Builtin {
-        /// Folder to write
-        out: PathBuf,
-        /// Settings.
-        #[command(flatten)]
-        settings: SettingsArguments,
-    },
 }
 
 /// Options of `config`.

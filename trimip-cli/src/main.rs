@@ -11,6 +11,7 @@ mod cameras;
 mod check;
 mod curves;
 mod interrupt;
+mod measures;
 mod progress;
 mod ranks;
 mod report;

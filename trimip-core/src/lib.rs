@@ -20,6 +20,7 @@
 pub mod aabb;
 pub mod activation;
 pub mod adamw;
+pub mod atomic;
 pub mod backend;
 pub mod balance;
 pub mod batch;

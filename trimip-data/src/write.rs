@@ -22,8 +22,8 @@ use std::{
 };
 use trimip_core::{
     Alpha, Camera, Error, Intrinsics, Result,
+    atomic::write_atomically,
     config::{Convention, DataConfig, Format},
-    tensors::write_atomically,
 };
 
 /// Result of writing a scene.

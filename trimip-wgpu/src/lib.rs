@@ -17,6 +17,7 @@ mod kernel;
 mod loss;
 mod mapping;
 mod memory;
+mod mlp;
 mod occupancy;
 mod optimizer;
 mod pipelines;

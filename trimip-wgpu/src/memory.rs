@@ -1,7 +1,7 @@
 //! Predicts the GPU memory of a training run, by parts, before anything is allocated.
 
 use crate::adapter::largest_binding;
-use crate::field::{CHUNKS, padded};
+use crate::mlp::{CHUNKS, padded};
 use crate::rooms::rooms;
 use trimip_core::batch::{Interval, Radiance, Ray, Segment, Sphere, Target};
 use trimip_core::config::Photographs;

@@ -1,7 +1,7 @@
 //! The number of samples that arrays have room for. It is fixed before the first step, so that memory can be
 //! predicted.
 
-use crate::field::padded;
+use crate::mlp::padded;
 use crate::rows::BLOCK;
 use trimip_core::params::{color_layers, density_layers};
 use trimip_core::{Config, encoders};

@@ -15,7 +15,7 @@ pub mod svg;
 
 use std::path::Path;
 use trimip::{Error, Result, RunFolder, report::Report};
-use trimip_core::tensors::write_atomically;
+use trimip_core::atomic::write_atomically;
 
 /// Writes all files of the report, the page last.
 ///

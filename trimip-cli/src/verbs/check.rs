@@ -4,7 +4,7 @@ use crate::check::{Catalogue, Finding};
 use crate::{args::CheckArguments, progress::spinner, terminal};
 use serde_json::json;
 use trimip::{Error, Result, backends};
-use trimip_core::tensors::write_atomically;
+use trimip_core::atomic::write_atomically;
 
 /// Prints a line for every case; exit code 1 when a law is broken.
 pub fn run(arguments: &CheckArguments) -> Result<u8> {

@@ -1,11 +1,6 @@
 //! `eval`: measures of a model per scale on its test set.
 
-use crate::{
-    args::EvalArguments,
-    interrupt,
-    progress::{bar, table},
-    ranks, terminal,
-};
+use crate::{args::EvalArguments, interrupt, measures::table, progress::bar, ranks, terminal};
 use indicatif::ProgressBar;
 use serde_json::json;
 use std::sync::Arc;
@@ -13,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use trimip::run::folder as run_folder;
 use trimip::view::{PIXELS_PER_DEGREE, Perceiver, Watching, evaluate, help_evaluate};
 use trimip::{Error, Result, backends, settings};
-use trimip_core::{evaluate::ViewResult, exchange::Ranks, tensors::write_atomically};
+use trimip_core::{atomic::write_atomically, evaluate::ViewResult, exchange::Ranks};
 
 /// Evaluates a model; exit code 1 if it misses `eval.min_psnr`.
 pub fn run(arguments: &EvalArguments) -> Result<u8> {

@@ -9,6 +9,7 @@ mod data;
 mod doctor;
 mod eval;
 mod export;
+mod jobs;
 mod paper;
 mod plan;
 mod render;

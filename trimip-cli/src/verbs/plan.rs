@@ -13,7 +13,7 @@ use trimip::{backends, data::Scene};
 use trimip_core::config::PlanChoice;
 use trimip_core::exchange::Ranks;
 use trimip_core::scene_plan::{self, Facts, Finding};
-use trimip_core::{Config, Error, Result, ViewSet, tensors::write_atomically};
+use trimip_core::{Config, Error, Result, ViewSet, atomic::write_atomically};
 
 /// Number of held-out training views to measure on.
 const KEPT_BACK: usize = 4;

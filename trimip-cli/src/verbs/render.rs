@@ -20,6 +20,15 @@ use trimip::view::{
 use trimip::{Camera, Config, Error, Intrinsics, Result, Viewer, backends, model::Model, settings, view};
 use trimip_core::exchange::Ranks;
 
+/// Width and height of pictures in pixels, for cameras without.
+const SIDE: u32 = 800;
+
+/// Horizontal field of view in degrees, for cameras without: that of the Blender scenes.
+const FOV: f64 = 39.597_758_2;
+
+/// Largest width or height of a picture, pixels.
+const LARGEST_SIDE: f64 = 16_384.0;
+
 /// Renders every camera that the arguments select.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
     if arguments.strip {
@@ -233,14 +242,16 @@ pub fn beside(model: &Path) -> PathBuf {
 
 /// The cameras that the arguments select.
 pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>> {
-    if !(arguments.fov > 0.0 && arguments.fov < 180.0) {
+    if let Some(fov) = arguments.fov
+        && !(fov > 0.0 && fov < 180.0)
+    {
         return Err(Error::input(
-            format!("--fov {}", arguments.fov),
+            format!("--fov {fov}"),
             "out of range",
             "expected degrees above 0 and below 180",
         ));
     }
-    let intrinsics = Intrinsics::from_angle(arguments.width, arguments.height, arguments.fov.to_radians());
+    let intrinsics = stated(arguments, Intrinsics::from_angle(SIDE, SIDE, FOV.to_radians()));
     let up = match &arguments.up {
         Some(given) => cameras::vector("--up", given)?,
         None => DVec3::from_array(config.scene.up.map(f64::from)),
@@ -260,9 +271,34 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
     }
     if let Some(count) = arguments.flythrough {
         let (_, half) = turntable::middle(&config.scene);
-        return flythrough::cameras(&trimip_data::open_test(&config.data)?.train, count, half.length());
+        let along = flythrough::cameras(&trimip_data::open_test(&config.data)?.train, count, half.length())?;
+        let sized = |camera: Camera| Camera { intrinsics: stated(arguments, camera.intrinsics), ..camera };
+        return Ok(along.into_iter().map(|(name, camera)| (name, sized(camera))).collect());
+    }
+    let RenderArguments { width, height, fov, .. } = arguments;
+    let given = [("--width", width.is_some()), ("--height", height.is_some()), ("--fov", fov.is_some())];
+    if let Some((option, _)) = given.iter().find(|(_, given)| *given) {
+        return Err(Error::input(
+            *option,
+            "test views have the size and the field of view of their photographs",
+            "use --scale, or choose another camera (--pose, --look-at, --path, --turntable, --flythrough)",
+        ));
     }
     test_views(config, &arguments.views)
+}
+
+/// The projection of `--width`, `--height` and `--fov` with square pixels; what is not given is that of `like`.
+fn stated(arguments: &RenderArguments, like: Intrinsics) -> Intrinsics {
+    let RenderArguments { width, height, fov, .. } = *arguments;
+    if (width, height, fov) == (None, None, None) {
+        return like;
+    }
+    let aspect = f64::from(like.width) / f64::from(like.height);
+    let side = |pixels: f64| pixels.round().clamp(1.0, LARGEST_SIDE) as u32;
+    let width = width.or(height.map(|height| side(f64::from(height) * aspect))).unwrap_or(like.width);
+    let height = height.unwrap_or_else(|| side(f64::from(width) / aspect));
+    let angle = fov.map_or_else(|| 2.0 * (0.5 * f64::from(like.width) / like.fx).atan(), f64::to_radians);
+    Intrinsics::from_angle(width, height, angle)
 }
 
 /// The first test view that the arguments select, or view 0; `None` if they select another camera.

@@ -152,7 +152,7 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     if samples >= FINE_STEPS[1] {
         changes.push(("optimizer.milestones", Value::Array(MILESTONES.map(Value::Float).to_vec())));
     }
-    changes.retain(|(path, _)| !context.given(path));
+    changes.retain(|(path, _)| !context.given(path) && config.encoder.kind.takes(path));
     if changes.is_empty() {
         return Proposal::Keep("all that follows the budget is given".into());
     }

@@ -135,6 +135,18 @@ fn ripmaps_are_as_fine_as_planes_and_have_the_levels_that_cameras_need() {
     assert_eq!(given.rip_map.levels, 7, "a setting that is given stays");
 }
 
+/// The plan tells what it sets, and no more.
+#[test]
+fn the_budget_says_nothing_of_the_settings_of_another_encoder() {
+    let train = views(true);
+    for (kind, levels) in [("tri-mip", true), ("hash-grid", false), ("rip-map", false)] {
+        let (config, findings) = planned(&train, &[&format!("encoder.kind={kind}")]).unwrap();
+        let schedule = of(&findings, "schedule");
+        assert_eq!(schedule.reason.contains("encoder.level_bias"), levels, "{kind}: {}", schedule.reason);
+        assert_eq!(config.encoder.level_bias != 0.0, levels, "{kind}");
+    }
+}
+
 #[test]
 fn a_small_object_needs_a_small_box_and_given_texels_steps_and_cells_stay_as_wide() {
     let before = Config::default();

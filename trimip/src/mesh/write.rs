@@ -4,7 +4,7 @@
 use super::Mesh;
 use serde_json::json;
 use std::path::Path;
-use trimip_core::{Error, Result, tensors::write_atomically};
+use trimip_core::{Error, Result, atomic::write_atomically};
 
 /// A format of mesh files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

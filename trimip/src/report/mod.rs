@@ -14,7 +14,7 @@ use crate::{
         store::{FileStore, ViewRecord},
     },
 };
-use trimip_core::{Config, Result, Settings, tensors::write_atomically};
+use trimip_core::{Config, Result, Settings, atomic::write_atomically};
 use verdict::Verdict;
 
 /// State of the run, shown at the head of the report.

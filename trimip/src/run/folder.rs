@@ -5,11 +5,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use trimip_core::{
     Config, Error, Result,
+    atomic::{temporary, write_atomically},
     checkpoint::Checkpoint,
     events::Event,
     model::Model,
     scene_plan::Finding,
-    tensors::{temporary, write_atomically},
 };
 
 /// Paths of a run's files.

@@ -7,8 +7,8 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trimip_core::{
-    Error, Result, checkpoint::Checkpoint, evaluate::ViewResult, model::Model, run::Store,
-    tensors::write_atomically,
+    Error, Result, atomic::write_atomically, checkpoint::Checkpoint, evaluate::ViewResult, model::Model,
+    run::Store,
 };
 
 /// What the file name of a comparison has after that of its picture.

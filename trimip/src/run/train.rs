@@ -19,13 +19,13 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 use trimip_core::{
     Config, Error, Result, Settings,
+    atomic::write_atomically,
     events::{Event, EventSink, Totals},
     exchange::Ranks,
     model::Model,
     quality::mean_quality,
     run::{Onlooker, Outcome, Run},
     scene_plan::{self, Facts},
-    tensors::write_atomically,
 };
 use trimip_data::Watch;
 

@@ -109,7 +109,8 @@ pub const SYSTEMS: &[System] = &[
         settings: file!("tensorf-vm"),
         beside: Some("TensoRF"),
         differs: "an occupancy grid for the alpha mask; the box is found at the start; \
-                  steps of 2^15 samples, not of 4,096 rays; the published figures come from a GPU",
+                  steps of 2^15 samples, not of 4,096 rays, so colours begin for all samples (renderer.color_weight); the published \
+                  figures come from a GPU",
     },
     System {
         name: "tensorf-cp",

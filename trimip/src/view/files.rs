@@ -7,7 +7,7 @@ use super::{
 };
 use serde_json::json;
 use std::path::{Path, PathBuf};
-use trimip_core::{Camera, Error, Frame, Result, config::SceneConfig, tensors::write_atomically};
+use trimip_core::{Camera, Error, Frame, Result, atomic::write_atomically, config::SceneConfig};
 
 /// File format of rendered views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,11 +6,7 @@ use std::hash::{DefaultHasher, Hasher};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::{collections::BTreeSet, fs};
-use trimip_core::{
-    Error, Result,
-    model::Model,
-    tensors::{Values, write_atomically},
-};
+use trimip_core::{Error, Result, atomic::write_atomically, model::Model, tensors::Values};
 
 /// File of a folder that lists its finished views: the first line names the job, each other line a view.
 const LIST: &str = "views.txt";

@@ -4,7 +4,7 @@
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage, imageops};
 use std::io::Cursor;
 use std::path::Path;
-use trimip_core::{Error, Frame, Result, tensors::write_atomically};
+use trimip_core::{Error, Frame, Result, atomic::write_atomically};
 
 /// Gain of the absolute difference in comparisons: 1/4 of the range is shown at full brightness.
 pub const DIFFERENCE_GAIN: f32 = 4.0;

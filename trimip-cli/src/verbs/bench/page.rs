@@ -8,7 +8,7 @@ use crate::terminal;
 use serde_json::{Value, json};
 use trimip::machine::{Machine, version};
 use trimip::{Config, Error, Result};
-use trimip_core::tensors::write_atomically;
+use trimip_core::atomic::write_atomically;
 
 /// Writes all four files; `lines` are the curves of all runs, by variant.
 pub fn write(bench: &Bench, rows: &[Row], lines: &[svg::Line]) -> Result<()> {

@@ -23,8 +23,8 @@ use trimip_core::metrics::psnr_of_error;
 use trimip_core::model::{Model, OCCUPANCY, assets};
 use trimip_core::occupancy;
 use trimip_core::proxy::Proxy;
-use trimip_core::tensors::{Tensor, write_atomically};
 use trimip_core::{Camera, Error, Result};
+use trimip_core::{atomic::write_atomically, tensors::Tensor};
 use trimip_data::Watch;
 
 /// Steps along the diagonal of the reference. A picture with half as many shows the reference's own distance from its

@@ -7,7 +7,10 @@ use crate::args::{BenchArguments, ProgressStyle};
 use crate::curves::{Curve, Measure, Reach, aligned};
 use crate::interrupt::EXIT_CODE;
 use crate::report::svg;
-use crate::{ranks, settings, terminal, verbs::train};
+use crate::{
+    ranks, settings, terminal,
+    verbs::{jobs, train},
+};
 use std::path::PathBuf;
 use trimip::events::Totals;
 use trimip::quality::{Measures, mean_quality};
@@ -112,7 +115,7 @@ pub fn help_run(arguments: &BenchArguments, ranks: &dyn Ranks) -> Result<()> {
 /// # Errors
 /// When rank 0 is gone, or has other runs.
 pub fn help(bench: &Bench, ranks: &dyn Ranks) -> Result<()> {
-    labour(ranks, &bench.digest()?, |run| Ok(train::job(bench.training(run))))
+    labour(ranks, &bench.digest()?, |run| Ok(jobs::job(bench.training(run))))
 }
 
 impl Bench {
@@ -164,7 +167,7 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
             terminal::count(runs.len() as u64, "run"),
             ranks.share().of
         ));
-        if !train::spread(&*ranks, &bench.digest()?, &runs, |run| bench.training(run))? {
+        if !jobs::spread(&*ranks, &bench.digest()?, &runs, |run| bench.training(run))? {
             return Ok(None);
         }
     }

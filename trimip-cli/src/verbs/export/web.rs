@@ -4,7 +4,7 @@ use crate::{args::WebArguments, terminal};
 use serde_json::json;
 use std::path::Path;
 use trimip::{Config, Error, Result, model::Model, run::folder as run_folder};
-use trimip_core::tensors::write_atomically;
+use trimip_core::atomic::write_atomically;
 use trimip_view::page;
 
 /// Files of the page's program, which `tools/web.sh` builds.

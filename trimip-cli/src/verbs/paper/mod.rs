@@ -9,7 +9,10 @@ use crate::args::{PaperArguments, ProgressStyle};
 use crate::curves::aligned;
 use crate::interrupt;
 use crate::report::{paper as page, save};
-use crate::{ranks, terminal, verbs::train};
+use crate::{
+    ranks, terminal,
+    verbs::{jobs, train},
+};
 use request::{Job, Request};
 use std::sync::atomic::Ordering;
 use trimip::paper::{Comparison, Figures, Row, Run, Scales, Status, columns, json, markdown};
@@ -35,7 +38,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
         // Afterwards the runs are found trained, and are measured here.
         let waiting: Vec<usize> =
             (0..request.jobs.len()).filter(|&i| !request.jobs[i].is_trained()).collect();
-        if !train::spread(&*ranks, &request.digest(), &waiting, |i| Ok(request.jobs[i].training()))? {
+        if !jobs::spread(&*ranks, &request.digest(), &waiting, |i| Ok(request.jobs[i].training()))? {
             return Ok(interrupt::EXIT_CODE);
         }
     }
@@ -78,7 +81,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
 /// When a scene or a setting is wrong.
 pub fn help(arguments: &PaperArguments, ranks: &dyn Ranks) -> Result<()> {
     let request = Request::new(arguments)?;
-    labour(ranks, &request.digest(), |i| Ok(train::job(Ok(request.jobs[i].training()))))
+    labour(ranks, &request.digest(), |i| Ok(jobs::job(Ok(request.jobs[i].training()))))
 }
 
 impl Job {

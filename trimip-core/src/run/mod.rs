@@ -1,25 +1,20 @@
 //! A training run: steps, evaluations, checkpoints and events, in order. It uses a session and a store, and knows
 //! nothing of files, terminals or devices.
 
+mod evaluation;
+
 use crate::{
     Config, Error, ErrorKind, Frames, Result, Session,
     checkpoint::Checkpoint,
-    evaluate::{ViewResult, Watch, evaluate_frame},
+    evaluate::ViewResult,
     events::{Event, EventSink, Totals},
     model::Model,
-    perception::{Pair, Perceived, Perception},
-    quality::{Measures, ViewQuality, mean_quality, per_scale},
+    perception::Perception,
     session::StepReport,
-    timekeeper::{Timekeeper, strides},
+    timekeeper::Timekeeper,
 };
 use std::sync::atomic::{AtomicBool, Ordering};
-use web_time::{Duration, Instant};
-
-/// Interval between two progress events of an evaluation.
-const TELL_EVERY: Duration = Duration::from_millis(500);
-
-/// Up to this progress, an evaluation covers at least half of the curve's views or is skipped.
-const EARLY: f64 = 0.3;
+use web_time::Instant;
 
 /// Steps after which a run that has kept no sample fails: nothing will ever become visible.
 const BLIND_STEPS: u64 = 64;
@@ -97,25 +92,6 @@ pub struct Run<'a> {
     /// Counters at the last evaluation of an earlier part of the run; zero if there is none. Points of the curve that lie
     /// between it and the beginning of this part were interrupted, and are made up for.
     pub evaluated: Totals,
-}
-
-/// The extent of an evaluation.
-struct Look {
-    views: Vec<ViewQuality>,
-    /// Stride: every n-th test view was measured.
-    stride: usize,
-    /// True if finer scales were left out.
-    coarse: bool,
-}
-
-/// The outcome of an evaluation.
-enum Sight {
-    /// Views were measured.
-    Seen(Look),
-    /// There was no time for a single view.
-    NoTime,
-    /// The run was asked to stop.
-    Stopped,
 }
 
 impl Run<'_> {
@@ -307,218 +283,6 @@ impl Run<'_> {
             Err(unsaved) => Error { message: format!("{}; {}", error.message, unsaved.message), ..error },
         }
     }
-
-    /// Evaluates during training. Emits no result if the run was asked to stop or there is no time for a view.
-    fn evaluate_on_the_way(&mut self, totals: &Totals, keeper: &mut Timekeeper) -> Result<()> {
-        let started = Instant::now();
-        let frames = self.frames.len();
-        let stride = self.config.eval.stride_of(frames);
-        let allowed = keeper.on_the_way(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
-        let mut chain = strides(frames, stride, stride);
-        if self.progress(totals) < EARLY {
-            // Early in a run the scene is fog, which renders slowly. A missing point is better than one on other
-            // views than the later points.
-            let few = chain.len().saturating_sub(2);
-            chain.drain(..few);
-        }
-        let sight = self.look(&chain, allowed, keeper, false);
-        keeper.spend(started.elapsed().as_secs_f64());
-        if let Sight::Seen(look) = sight? {
-            self.report(&look.views, look.stride, stride, look.coarse, totals, false, started);
-        }
-        Ok(())
-    }
-
-    fn evaluate_at_the_end(&mut self, totals: &Totals, keeper: &mut Timekeeper) -> Result<Outcome> {
-        if 2 * totals.empty_batches > totals.step {
-            return Err(Error::run(format!(
-                "{} of {} steps kept no sample: nothing was learned from them; look at the pictures' cameras and the box \
-                 (trimip-cli plan), or lower occupancy.threshold",
-                totals.empty_batches, totals.step
-            )));
-        }
-        let frames = self.frames.len();
-        let Some(wanted) = self.config.eval.final_stride(frames).filter(|_| frames > 0) else {
-            return Ok(Outcome::Finished);
-        };
-        let started = Instant::now();
-        let curve = self.config.eval.stride_of(frames);
-        let allowed = keeper.at_the_end(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
-        let look = match self.look(&strides(frames, curve, wanted), allowed, keeper, true)? {
-            Sight::Seen(look) => look,
-            Sight::Stopped => {
-                self.events.emit(&Event::Stopped { totals: *totals });
-                return Ok(Outcome::Stopped);
-            }
-            Sight::NoTime => {
-                return Err(Error::run(format!(
-                    "no test view could be rendered within {allowed:.0} s; the model is written, trimip-cli eval measures it \
-                     without a limit, as eval.share = 0 does"
-                )));
-            }
-        };
-        self.store.evaluated()?;
-        // The last point of the curve uses the same views as the other points.
-        if self.config.eval.points > 0 && curve != look.stride && curve.is_multiple_of(look.stride) {
-            self.report(&look.views, curve, curve, look.coarse, totals, false, started);
-        }
-        let mean = self.report(&look.views, look.stride, wanted, look.coarse, totals, true, started);
-        mean.judge(&self.config.eval)?;
-        Ok(Outcome::Finished)
-    }
-
-    /// Mean number of pixels of a test frame, over all scales.
-    fn pixels_of_a_view(&self) -> f64 {
-        let area = |k: &crate::Intrinsics| f64::from(k.width) * f64::from(k.height);
-        let pixels: f64 = self.frames.cameras().iter().map(|camera| area(&camera.intrinsics)).sum();
-        pixels / self.frames.len().max(1) as f64
-    }
-
-    /// Measures every n-th view, where n is the finest of `strides` that fits into `allowed` seconds. If the time is
-    /// too short for one whole view, measures coarse scales only.
-    fn look(
-        &mut self,
-        strides: &[usize],
-        allowed: f64,
-        keeper: &mut Timekeeper,
-        last: bool,
-    ) -> Result<Sight> {
-        let (frames, started) = (self.frames.len(), Instant::now());
-        let whole = self.pixels_of_a_view();
-        let (mut finest, mut of_a_view) = (1, whole);
-        let coarsest = 1 << (self.config.data.scales - 1);
-        let least = strides.first().map_or(0, |&stride| frames.div_ceil(stride)) as f64;
-        // Finer scales are left out only if a single view is too slow. If several views are too slow, fewer are
-        // measured.
-        while least <= 1.0 && keeper.pixel() * of_a_view > allowed && finest < coarsest {
-            (finest, of_a_view) = (2 * finest, 0.25 * of_a_view);
-        }
-        if !last && keeper.pixel() * of_a_view * least > allowed {
-            return Ok(Sight::NoTime);
-        }
-        let perceived = perceived_stride(strides, frames, self.config.eval.perceived as usize);
-        let Self { session, perception, store, events, stop, .. } = self;
-        let mut watch = Watcher {
-            perception: match perceived {
-                Some(stride) if last => Some((&mut **perception, stride)),
-                _ => None,
-            },
-            store: last.then_some(&mut **store),
-            events: &mut **events,
-            stop,
-            // Predictions may be wrong; a view that takes longer than this is not worth its time.
-            deadline: Duration::try_from_secs_f64(4.0 * allowed.max(5.0))
-                .ok()
-                .and_then(|most| started.checked_add(most)),
-            told: None,
-            done: 0,
-            total: 1,
-        };
-        let mut look = None;
-        let mut views = Vec::new();
-        let mut measured = 0_usize;
-        for (i, &stride) in strides.iter().enumerate() {
-            let before = i.checked_sub(1).map(|before| strides[before]);
-            let is_new = |index: &usize| before.is_none_or(|before| !index.is_multiple_of(before));
-            let indices: Vec<usize> = (0..frames).step_by(stride).filter(is_new).collect();
-            let each = started.elapsed().as_secs_f64() / measured.max(1) as f64;
-            if measured > 0 && each * (measured + indices.len()) as f64 > allowed {
-                break;
-            }
-            watch.total = measured + indices.len();
-            for index in indices {
-                let data = &self.config.data;
-                if !evaluate_frame(*session, self.frames, index, finest, data, &mut watch, &mut views)? {
-                    if watch.stop.load(Ordering::Relaxed) {
-                        return Ok(Sight::Stopped);
-                    }
-                    return Ok(look.map_or(Sight::NoTime, Sight::Seen));
-                }
-                (measured, watch.done) = (measured + 1, measured + 1);
-            }
-            look = Some(Look { views: views.clone(), stride, coarse: finest > 1 });
-        }
-        keeper.rendered(started.elapsed().as_secs_f64(), measured as f64 * of_a_view);
-        Ok(look.map_or(Sight::NoTime, Sight::Seen))
-    }
-
-    /// Emits the results of an evaluation; `wanted` is the requested stride.
-    #[allow(clippy::too_many_arguments)]
-    fn report(
-        &mut self,
-        views: &[ViewQuality],
-        stride: usize,
-        wanted: usize,
-        coarse: bool,
-        totals: &Totals,
-        last: bool,
-        started: Instant,
-    ) -> Measures {
-        let scales = per_scale(views, stride);
-        let mean = mean_quality(&scales);
-        self.events.emit(&Event::Evaluation {
-            totals: *totals,
-            stride,
-            frames: self.frames.len(),
-            bounded: coarse || stride > wanted,
-            last,
-            psnr: mean.psnr,
-            ssim: mean.ssim,
-            scales,
-            seconds: started.elapsed().as_secs_f64(),
-        });
-        mean
-    }
-}
-
-/// Reports the progress of an evaluation, and ends the evaluation on request or when it takes too long.
-struct Watcher<'a> {
-    /// What measures perception, and of which views: those whose index is a multiple.
-    perception: Option<(&'a mut dyn Perception, usize)>,
-    store: Option<&'a mut dyn Store>,
-    events: &'a mut dyn EventSink,
-    stop: &'a AtomicBool,
-    deadline: Option<Instant>,
-    told: Option<Instant>,
-    done: usize,
-    total: usize,
-}
-
-impl Watcher<'_> {
-    fn goes_on(&self) -> bool {
-        !self.stop.load(Ordering::Relaxed) && self.deadline.is_none_or(|deadline| Instant::now() < deadline)
-    }
-}
-
-impl Watch for Watcher<'_> {
-    fn rows(&mut self, rows: u32, of: u32) -> bool {
-        if self.told.is_none_or(|told| told.elapsed() >= TELL_EVERY) {
-            self.told = Some(Instant::now());
-            let part = f64::from(rows) / f64::from(of.max(1));
-            self.events.emit(&Event::EvaluationProgress { done: self.done, total: self.total, part });
-        }
-        self.goes_on()
-    }
-
-    fn perceive(&mut self, index: usize, pair: &Pair<'_>) -> Result<Perceived> {
-        match &mut self.perception {
-            Some((perception, stride)) if index.is_multiple_of(*stride) => perception.perceive(pair),
-            _ => Ok(Perceived::NOTHING),
-        }
-    }
-
-    fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {
-        if let Some(store) = &mut self.store {
-            store.view(view)?;
-        }
-        Ok(self.goes_on())
-    }
-}
-
-/// The finest of `strides` by which at most `most` of `frames` views have measures of perception; `None` for none. An
-/// evaluation that had no time for finer strides has thus measured all or an even part of its views.
-fn perceived_stride(strides: &[usize], frames: usize, most: usize) -> Option<usize> {
-    strides.iter().copied().filter(|stride| frames.div_ceil(*stride) <= most).min()
 }
 
 /// The error of a run whose rays hit nothing.
@@ -544,20 +308,6 @@ pub fn evaluation_points(count: u32) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn perceived_views_are_evenly_spread_among_those_that_are_measured() {
-        let chain = strides(200, 50, 1);
-        assert_eq!(perceived_stride(&chain, 200, 40), Some(5));
-        assert_eq!(perceived_stride(&chain, 200, 200), Some(1));
-        assert_eq!(perceived_stride(&strides(7, 1, 1), 7, 40), Some(1));
-        assert_eq!(perceived_stride(&chain, 200, 0), None);
-        for most in 1..=200 {
-            let stride = perceived_stride(&chain, 200, most).unwrap();
-            assert!(200_usize.div_ceil(stride) <= most);
-            assert!(chain.iter().all(|other| other.is_multiple_of(stride) || stride.is_multiple_of(*other)));
-        }
-    }
 
     #[test]
     fn evaluation_points_rise_to_the_end() {

@@ -4,18 +4,22 @@
 //! layers copies its input. Activations and gradients are f32. At bf16 the factors of a
 //! layer's products are rounded immediately before the product, except in a last layer of few outputs.
 
+mod activations;
+mod gradient;
+mod inputs;
+
 use crate::buffer::Buffer;
-use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded, pair_columns, pair_rows};
+use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded, pair_columns};
 use crate::simd::Simd;
-use crate::wire::{Reader, put};
+pub use activations::Activations;
+pub use gradient::{MlpGradient, Passing};
+pub use inputs::Row;
+use inputs::{FEW, Forward, Inputs};
 use trimip_core::config::Precision;
 use trimip_core::networks::Network;
 
 /// Rows that go through all layers together. Their activations and a layer's weights fit into half of a 1 MiB L2.
 pub const BLOCK: usize = 21 * ROWS;
-
-/// Maximum number of outputs for which a last layer is computed by dot products.
-const FEW: usize = 4;
 
 /// Weights of the network, packed for the forward and the backward pass.
 pub struct Mlp {
@@ -43,40 +47,6 @@ struct Layer {
     outputs: usize,
 }
 
-/// What a padded input of a layer is multiplied by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Row {
-    /// Nothing: padding.
-    Zero,
-    /// A row of the weights.
-    Weights(usize),
-    /// One, for the first output alone, which has no weights then.
-    One,
-}
-
-impl Row {
-    /// The padded inputs `0..stride` for a network that has weights for the first `inputs` of them.
-    pub fn all(inputs: usize, stride: usize) -> Vec<Self> {
-        (0..stride).map(|row| if row < inputs { Self::Weights(row) } else { Self::Zero }).collect()
-    }
-}
-
-/// The weights of some inputs of a layer.
-struct Inputs {
-    forward: Forward,
-    /// One per padded input.
-    rows: Vec<Row>,
-    /// Outputs before those that have weights: 1 where the first one is a sum.
-    offset: usize,
-}
-
-enum Forward {
-    /// A product over column panels.
-    Wide(Packed),
-    /// [outputs, inputs], for few outputs.
-    Few(Buffer<f32>),
-}
-
 /// Inputs that groups of rows share.
 #[derive(Clone, Copy)]
 pub struct Shared<'a> {
@@ -88,102 +58,6 @@ pub struct Shared<'a> {
     pub of: &'a [u32],
 }
 
-/// Activations of every layer except the input: hidden layers after their ReLU, then the output.
-#[derive(Default)]
-pub struct Activations {
-    layers: Vec<Buffer<f32>>,
-    /// Contribution of the shared inputs to the first layer, [groups (padded), outputs of that layer].
-    shared: Buffer<f32>,
-    /// Contribution of the input to the layer that it joins again, for one block.
-    joined: Buffer<f32>,
-    /// The rows of a block as pairs of columns.
-    pairs: Buffer<f32>,
-}
-
-/// Weight gradients, padded as the packed weights are.
-pub struct MlpGradient {
-    layers: Vec<Buffer<f32>>,
-    shared: Buffer<f32>,
-    joined: Buffer<f32>,
-    biases: Vec<Buffer<f32>>,
-}
-
-impl MlpGradient {
-    fn buffers(&self) -> impl Iterator<Item = &Buffer<f32>> {
-        self.layers.iter().chain([&self.shared, &self.joined]).chain(&self.biases)
-    }
-
-    fn buffers_mut(&mut self) -> impl Iterator<Item = &mut Buffer<f32>> {
-        self.layers.iter_mut().chain([&mut self.shared, &mut self.joined]).chain(&mut self.biases)
-    }
-
-    /// Adds another gradient, and sets it to zero.
-    pub fn fold(&mut self, other: &mut Self) {
-        for (sums, values) in self.buffers_mut().zip(other.buffers_mut()) {
-            sums.iter_mut().zip(values.iter()).for_each(|(sum, value)| *sum += value);
-            values.fill(0.0);
-        }
-    }
-
-    /// Writes all numbers.
-    pub fn put(&self, out: &mut Vec<u8>) {
-        self.buffers().for_each(|values| put(out, values));
-    }
-
-    /// Replaces all numbers by those that were put.
-    pub fn take(&mut self, from: &mut Reader<'_>) {
-        self.buffers_mut().for_each(|values| from.copy(values));
-    }
-}
-
-/// A worker's buffers for a backward pass, used by one network at a time.
-#[derive(Default)]
-pub struct Passing {
-    /// The gradients above and below a layer, for one block.
-    scratch: [Buffer<f32>; 2],
-    /// Gradients of the first layer's outputs, summed over each group.
-    sums: Buffer<f32>,
-    /// Gradient of the input from the layer that it joins again, for one block.
-    joined: Buffer<f32>,
-    pairs: Pairs,
-}
-
-/// The factors of a block as pairs of bf16.
-#[derive(Default)]
-struct Pairs {
-    /// Gradient of a layer's outputs, in pairs of neighbouring columns.
-    columns: Buffer<f32>,
-    /// A layer's inputs and the gradient of its outputs, in pairs of neighbouring rows.
-    rows: [Buffer<f32>; 2],
-}
-
-impl Pairs {
-    /// Adds `input`ᵀ·`by_output` to the weight gradient of a layer.
-    #[allow(clippy::too_many_arguments)]
-    fn accumulate(
-        &mut self,
-        simd: Simd,
-        precision: Precision,
-        rows: usize,
-        [k, n]: [usize; 2],
-        input: &[f32],
-        by_output: &[f32],
-        weights: &mut [f32],
-    ) {
-        match precision {
-            Precision::F32 | Precision::F16 => {
-                accumulate(simd, precision, rows, k, n, input, by_output, weights)
-            }
-            Precision::Bf16 => {
-                let [a, d] = &mut self.rows;
-                pair_rows(simd, rows, k, input, a);
-                pair_rows(simd, rows, n, by_output, d);
-                accumulate(simd, precision, rows.div_ceil(2), k, n, a, d, weights);
-            }
-        }
-    }
-}
-
 /// Rows of `w.k` values as the left factor of a product with `w`; packed into `pairs` if `w` is bf16.
 fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a mut Buffer<f32>) -> &'a [f32] {
     match w.precision() {
@@ -193,59 +67,6 @@ fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a m
             pairs.resize(count / 2);
             pair_columns(simd, &values[..count], pairs);
             pairs
-        }
-    }
-}
-
-impl Inputs {
-    fn new(rows: Vec<Row>, outputs: usize, last: bool, precision: Precision) -> Self {
-        let forward = if last && outputs <= FEW {
-            Forward::Few(Buffer::zeros(outputs * rows.len()))
-        } else {
-            Forward::Wide(Packed::zeros(rows.len(), outputs.next_multiple_of(16), precision))
-        };
-        let offset = usize::from(rows.contains(&Row::One));
-        Self { forward, rows, offset }
-    }
-
-    /// The weight at a padded row and column; `weights` has rows of `outputs` − offset values.
-    fn weight(&self, outputs: usize, weights: &[f32], row: usize, column: usize) -> f32 {
-        let weighted = self.offset..outputs;
-        match self.rows[row] {
-            Row::Weights(row) if weighted.contains(&column) => {
-                weights[row * weighted.len() + column - self.offset]
-            }
-            Row::One if column == 0 => 1.0,
-            _ => 0.0,
-        }
-    }
-
-    fn fill(&mut self, outputs: usize, weights: &[f32]) {
-        let mut forward = std::mem::replace(&mut self.forward, Forward::Few(Buffer::zeros(0)));
-        let value = |row: usize, column: usize| self.weight(outputs, weights, row, column);
-        match &mut forward {
-            Forward::Wide(packed) => packed.fill(value),
-            Forward::Few(dots) => {
-                for (place, weight) in dots.iter_mut().enumerate() {
-                    *weight = value(place % self.rows.len(), place / self.rows.len());
-                }
-            }
-        }
-        self.forward = forward;
-    }
-
-    /// Adds a padded gradient to parameters [inputs, outputs − offset].
-    fn unpack(&self, outputs: usize, gradient: &[f32], parameters: &mut [f32]) {
-        let weighted = self.offset..outputs;
-        for (padded_row, row) in self.rows.iter().enumerate() {
-            let Row::Weights(row) = row else { continue };
-            for column in weighted.clone() {
-                let place = match &self.forward {
-                    Forward::Wide(packed) => padded_row * packed.n() + column,
-                    Forward::Few(_) => column * self.rows.len() + padded_row,
-                };
-                parameters[row * weighted.len() + column - self.offset] += gradient[place];
-            }
         }
     }
 }
@@ -570,59 +391,6 @@ fn add_groups(sums: &mut [f32], rows: &[f32], of: &[u32], width: usize) {
     for (row, &group) in rows.chunks_exact(width).zip(of) {
         for (sum, value) in sums[group as usize * width..][..width].iter_mut().zip(row) {
             *sum += value;
-        }
-    }
-}
-
-impl Activations {
-    /// The output, with padded width.
-    pub fn output(&self) -> &Buffer<f32> {
-        &self.layers[self.layers.len() - 1]
-    }
-
-    /// Replaces the output rows `kept` by weighted sums: row i times `shares[i]`, minus each later row times its share as long
-    /// as that is negative.
-    pub fn blend(&mut self, mlp: &Mlp, kept: &[u32], shares: &[f32]) {
-        let width = mlp.outputs();
-        let Some(output) = self.layers.last_mut() else { return };
-        for &first in kept {
-            let first = first as usize;
-            let more = shares[first + 1..].iter().take_while(|share| **share < 0.0).count();
-            if more == 0 {
-                continue;
-            }
-            let (sum, rest) = output[first * width..(first + more + 1) * width].split_at_mut(width);
-            sum.iter_mut().for_each(|value| *value *= shares[first]);
-            for (row, share) in rest.chunks_exact(width).zip(&shares[first + 1..]) {
-                sum.iter_mut().zip(row).for_each(|(sum, value)| *sum -= share * value);
-            }
-        }
-    }
-
-    /// Keeps the rows `kept` and drops the others.
-    pub fn keep(&mut self, mlp: &Mlp, kept: &[u32]) {
-        for (buffer, width) in self.layers.iter_mut().zip(mlp.widths()) {
-            buffer.keep_rows(kept, width);
-            buffer.resize(padded(kept.len()) * width);
-        }
-    }
-
-    /// Removes all rows.
-    pub fn clear(&mut self) {
-        self.layers.iter_mut().for_each(Buffer::clear);
-    }
-
-    /// Appends the rows `rows` of `from`.
-    pub fn append(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
-        for ((buffer, from), width) in self.layers.iter_mut().zip(&from.layers).zip(mlp.widths()) {
-            buffer.append_rows(from, rows, width);
-        }
-    }
-
-    /// Replaces all rows by the rows `rows` of `from`.
-    pub fn gather(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
-        for ((buffer, from), width) in self.layers.iter_mut().zip(&from.layers).zip(mlp.widths()) {
-            buffer.gather_rows(from, rows, width, padded(rows.len()));
         }
     }
 }

@@ -1,0 +1,69 @@
+//! The options of `export`.
+
+use clap::{Args, Subcommand};
+use std::path::PathBuf;
+
+/// Options of `export`.
+#[derive(Args, Debug)]
+pub struct ExportArguments {
+    /// What to write.
+    #[command(subcommand)]
+    pub what: ExportWhat,
+}
+
+/// What `export` writes.
+#[derive(Subcommand, Debug)]
+pub enum ExportWhat {
+    /// The surface as triangles with normals and colours, in the units and axes of the cameras: PLY, OBJ or GLB
+    Mesh(MeshArguments),
+    /// A folder for any static web server: the model, and a page that renders it with the visitor's own GPU (WebGPU)
+    Web(WebArguments),
+}
+
+/// Options of `export web`.
+#[derive(Args, Debug)]
+pub struct WebArguments {
+    /// Run folder or model file
+    pub model: PathBuf,
+    /// Folder [default: web beside the model]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Folder with the page's program, as tools/web.sh builds it
+    #[arg(long, value_name = "DIR", default_value = "target/web")]
+    pub viewer: PathBuf,
+}
+
+/// Options of `export mesh`.
+#[derive(Args, Debug)]
+pub struct MeshArguments {
+    /// Run folder or model file
+    pub model: PathBuf,
+    /// File; its name ends in .ply, .obj or .glb [default: mesh.ply beside the model]
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Cells of the grid along the longest side of the box
+    #[arg(long, default_value_t = 512, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=2048))]
+    pub resolution: u32,
+    /// Density of the surface, per world unit [default: that of which a marching step has an optical depth of 0.2]
+    #[arg(long, value_name = "DENSITY")]
+    pub level: Option<f64>,
+    /// Leave out connected parts with a smaller diagonal, as a share of the longest side of the box
+    #[arg(long, default_value_t = 0.02, value_name = "SHARE")]
+    pub specks: f64,
+    /// Simplify to about this many triangles; 0 = keep all
+    #[arg(long, default_value_t = 100_000, value_name = "N")]
+    pub triangles: usize,
+    /// Simplify as far as the surface moves by less than this share of the mesh's largest side, instead of to a number of
+    /// triangles
+    #[arg(long, value_name = "SHARE", conflicts_with = "triangles")]
+    pub error: Option<f64>,
+    /// Leave out the colours of the vertices
+    #[arg(long)]
+    pub no_colors: bool,
+    /// Compare the silhouettes with the masks of every N-th test view (needs the data set)
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
+    pub silhouettes: Option<u32>,
+    /// Override a setting of data, backend, threads or wgpu
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    pub set: Vec<String>,
+}

@@ -1,0 +1,115 @@
+//! The options of `render`.
+
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// File format of rendered views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PictureFormat {
+    /// Colour as 8-bit sRGB, depth (the file stores its range) and opacity as 16-bit grey, one file each
+    Png,
+    /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity
+    Exr,
+}
+
+/// A quantity of a view that can be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Quantity {
+    /// Colour on the configured background
+    Color,
+    /// Distance along the optical axis
+    Depth,
+    /// 1 - transmittance
+    Opacity,
+}
+
+impl From<Quantity> for trimip::view::Quantity {
+    fn from(quantity: Quantity) -> Self {
+        match quantity {
+            Quantity::Color => Self::Color,
+            Quantity::Depth => Self::Depth,
+            Quantity::Opacity => Self::Opacity,
+        }
+    }
+}
+
+/// Options of `render`.
+#[derive(Args, Debug)]
+#[command(group(clap::ArgGroup::new("cameras").args(["views", "pose", "look_at", "path", "turntable", "flythrough"])))]
+pub struct RenderArguments {
+    /// Run folder or model file
+    pub model: PathBuf,
+    /// Output folder [default: `renders` beside the model]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Test views by number, e.g. 0,25,50 (needs the data set) [default cameras: view 0]
+    #[arg(long, value_name = "N,..", value_delimiter = ',')]
+    pub views: Vec<usize>,
+    /// One camera-to-world matrix: 12 or 16 numbers in row-major order, or JSON, or a file with either
+    #[arg(long, value_name = "NUMBERS|FILE", allow_hyphen_values = true)]
+    pub pose: Option<String>,
+    /// One camera by position and target, e.g. 4,0,2/0,0,0
+    #[arg(long, value_name = "X,Y,Z/X,Y,Z", allow_hyphen_values = true)]
+    pub look_at: Option<String>,
+    /// A camera path: JSON like transforms_test.json (frames with transform_matrix)
+    #[arg(long, value_name = "FILE")]
+    pub path: Option<PathBuf>,
+    /// A circle of N cameras around the model's box
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub turntable: Option<u32>,
+    /// A film of N cameras along the training cameras, without the distortion of their lens (needs the data set)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
+    pub flythrough: Option<u32>,
+    /// Turntable: degrees above the horizon
+    // `requires` alone is waived if another camera option conflicts with the turntable.
+    #[arg(long, default_value_t = 30.0, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path", "flythrough"], allow_hyphen_values = true)]
+    pub elevation: f64,
+    /// Turntable: distance from the box's centre [default: the minimum at which every picture shows the whole box]
+    #[arg(long, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path", "flythrough"], allow_hyphen_values = true)]
+    pub distance: Option<f64>,
+    /// Up direction in the picture, for --look-at and --turntable [default: scene.up of the model]
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub up: Option<String>,
+    /// Width in pixels [default: 800; a flythrough's: the photographs']
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=16_384))]
+    pub width: Option<u32>,
+    /// Height in pixels [default: 800; a flythrough's: the photographs' share of the width]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=16_384))]
+    pub height: Option<u32>,
+    /// Horizontal field of view in degrees [default: 39.6, the Blender scenes'; a flythrough's: the photographs']
+    #[arg(long, allow_hyphen_values = true)]
+    pub fov: Option<f64>,
+    /// Resize the pictures, e.g. 0.5 for half the width, with the same field of view
+    #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
+    pub scale: f64,
+    /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, the original below
+    #[arg(long, conflicts_with_all = ["format", "what"])]
+    pub strip: bool,
+    /// Strip: another model, in a separate row; may be given many times
+    #[arg(long, value_name = "RUN", requires = "strip")]
+    pub against: Vec<PathBuf>,
+    /// File format
+    #[arg(long, value_enum, default_value = "png")]
+    pub format: PictureFormat,
+    /// What to write
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        default_value = "color",
+        value_name = "color,depth,opacity"
+    )]
+    pub what: Vec<Quantity>,
+    /// Path, turntable and flythrough: also encode the colours as a video (.mp4, .mov, .mkv, .webm), by the program ffmpeg
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["views", "pose", "look_at", "strip"])]
+    pub video: Option<PathBuf>,
+    /// Video: pictures a second
+    #[arg(long, default_value_t = 30.0, requires = "video")]
+    pub rate: f64,
+    /// Path, turntable and flythrough: render all views again; otherwise the same command goes on where it was interrupted
+    #[arg(long)]
+    pub fresh: bool,
+    /// Override a setting of data, eval, renderer, hybrid, backend, threads or wgpu
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    pub set: Vec<String>,
+}

@@ -1,0 +1,98 @@
+//! Files that are replaced as a whole: they are written under a temporary name and renamed, so a killed run leaves no partial
+//! file.
+
+use crate::{Error, Result};
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Writes `bytes` to a temporary file and renames it: readers see the old file or the complete new one.
+///
+/// # Errors
+/// When the file cannot be written; the old one is then unchanged.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    replace_atomically(path, |file| file.write_all(bytes))
+}
+
+/// The file that stands beside `path` while it is written. Only a process that was killed leaves it behind.
+pub fn temporary(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".tmp");
+    name.into()
+}
+
+/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it, which is flushed too. On
+/// failure the old file stays and the temporary one is removed.
+pub(crate) fn replace_atomically<T>(
+    path: &Path,
+    fill: impl FnOnce(&mut File) -> std::io::Result<T>,
+) -> Result<T> {
+    let temporary = temporary(path);
+    let write = || {
+        let mut file = File::create(&temporary)?;
+        let result = fill(&mut file)?;
+        file.sync_all()?;
+        std::fs::rename(&temporary, path)?;
+        Ok(result)
+    };
+    let result = write().map_err(|error: std::io::Error| {
+        // A partial file only takes space, on a disk that may be full.
+        let _ = std::fs::remove_file(&temporary);
+        Error::input(
+            path.display(),
+            format!("cannot write: {error}"),
+            "free space there or choose another place",
+        )
+    })?;
+    sync_folder_of(path);
+    Ok(result)
+}
+
+/// Flushes the entry of a file in its folder to the disk: without it a power failure may undo a rename. Systems that
+/// cannot open a folder, and file systems that cannot flush one, have no better promise to give.
+fn sync_folder_of(path: &Path) {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if let Ok(folder) = File::open(folder) {
+        let _ = folder.sync_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_write_that_fails_leaves_the_old_file_and_no_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        write_atomically(&path, b"old").unwrap();
+        let error = replace_atomically(&path, |file| {
+            file.write_all(b"half of the ne")?;
+            Err::<(), _>(std::io::ErrorKind::StorageFull.into())
+        })
+        .unwrap_err();
+        assert!(error.to_string().contains("cannot write"), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_write_makes_one_temporary_file_of_a_known_name() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        replace_atomically(&path, |_| {
+            let names: Vec<_> =
+                std::fs::read_dir(folder.path())?.flatten().map(|entry| entry.path()).collect();
+            assert_eq!(names, [temporary(&path)]);
+            Ok(())
+        })
+        .unwrap();
+        // A plain file of the user has the same rights.
+        let rights = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
+        std::fs::write(folder.path().join("plain"), "").unwrap();
+        write_atomically(&path, b"new").unwrap();
+        assert_eq!(rights(&path), rights(&folder.path().join("plain")));
+    }
+}

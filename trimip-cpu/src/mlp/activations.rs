@@ -1,0 +1,70 @@
+//! The activations of a network: one buffer of rows a layer, of which rows can be kept, appended and gathered.
+
+use super::Mlp;
+use crate::buffer::Buffer;
+use crate::gemm::padded;
+
+/// Activations of every layer except the input: hidden layers after their ReLU, then the output.
+#[derive(Default)]
+pub struct Activations {
+    pub(super) layers: Vec<Buffer<f32>>,
+    /// Contribution of the shared inputs to the first layer, [groups (padded), outputs of that layer].
+    pub(super) shared: Buffer<f32>,
+    /// Contribution of the input to the layer that it joins again, for one block.
+    pub(super) joined: Buffer<f32>,
+    /// The rows of a block as pairs of columns.
+    pub(super) pairs: Buffer<f32>,
+}
+
+impl Activations {
+    /// The output, with padded width.
+    pub fn output(&self) -> &Buffer<f32> {
+        &self.layers[self.layers.len() - 1]
+    }
+
+    /// Replaces the output rows `kept` by weighted sums: row i times `shares[i]`, minus each later row times its share as long
+    /// as that is negative.
+    pub fn blend(&mut self, mlp: &Mlp, kept: &[u32], shares: &[f32]) {
+        let width = mlp.outputs();
+        let Some(output) = self.layers.last_mut() else { return };
+        for &first in kept {
+            let first = first as usize;
+            let more = shares[first + 1..].iter().take_while(|share| **share < 0.0).count();
+            if more == 0 {
+                continue;
+            }
+            let (sum, rest) = output[first * width..(first + more + 1) * width].split_at_mut(width);
+            sum.iter_mut().for_each(|value| *value *= shares[first]);
+            for (row, share) in rest.chunks_exact(width).zip(&shares[first + 1..]) {
+                sum.iter_mut().zip(row).for_each(|(sum, value)| *sum -= share * value);
+            }
+        }
+    }
+
+    /// Keeps the rows `kept` and drops the others.
+    pub fn keep(&mut self, mlp: &Mlp, kept: &[u32]) {
+        for (buffer, width) in self.layers.iter_mut().zip(mlp.widths()) {
+            buffer.keep_rows(kept, width);
+            buffer.resize(padded(kept.len()) * width);
+        }
+    }
+
+    /// Removes all rows.
+    pub fn clear(&mut self) {
+        self.layers.iter_mut().for_each(Buffer::clear);
+    }
+
+    /// Appends the rows `rows` of `from`.
+    pub fn append(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
+        for ((buffer, from), width) in self.layers.iter_mut().zip(&from.layers).zip(mlp.widths()) {
+            buffer.append_rows(from, rows, width);
+        }
+    }
+
+    /// Replaces all rows by the rows `rows` of `from`.
+    pub fn gather(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
+        for ((buffer, from), width) in self.layers.iter_mut().zip(&from.layers).zip(mlp.widths()) {
+            buffer.gather_rows(from, rows, width, padded(rows.len()));
+        }
+    }
+}
