@@ -3,7 +3,7 @@
 use crate::files::files;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// Output and exit code of a process.
 #[derive(Debug)]
@@ -54,14 +54,17 @@ pub fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
 /// If the program does not build.
 pub fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(|| build(&[]))
+    PROGRAM.get_or_init(|| build("plain", &[]))
 }
 
-/// Builds `trimip-cli` with further arguments for cargo. Returns its path, which is the same for all arguments.
+/// Builds `trimip-cli` with further arguments for cargo. Returns a path that only builds of this `name` have: the next build
+/// with other arguments replaces the file that cargo writes.
 ///
 /// # Panics
 /// If the program does not build.
-pub fn build(arguments: &[&str]) -> PathBuf {
+pub fn build(name: &str, arguments: &[&str]) -> PathBuf {
+    static BUILDING: Mutex<()> = Mutex::new(());
+    let _building = BUILDING.lock().unwrap_or_else(PoisonError::into_inner);
     // <target>/<profile>/deps/<test>
     let test = std::env::current_exe().expect("a test knows its own path");
     let folder = test.ancestors().nth(2).expect("tests lie in <profile>/deps");
@@ -79,7 +82,16 @@ pub fn build(arguments: &[&str]) -> PathBuf {
         .current_dir(root())
         .status();
     assert!(built.is_ok_and(|status| status.success()), "cargo builds trimip-cli");
-    folder.join("trimip-cli").with_extension(std::env::consts::EXE_EXTENSION)
+    let built = folder.join("trimip-cli").with_extension(std::env::consts::EXE_EXTENSION);
+    let own = folder.join("tested").join(name);
+    std::fs::create_dir_all(&own).expect("the target folder can be written");
+    let own = own.join(built.file_name().expect("a program has a name"));
+    let _ = std::fs::remove_file(&own);
+    // Cargo never changes a program that it has built, it replaces it.
+    std::fs::hard_link(&built, &own)
+        .or_else(|_| std::fs::copy(&built, &own).map(drop))
+        .expect("room for a copy of the program");
+    own
 }
 
 /// Root of the workspace.

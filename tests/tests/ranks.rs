@@ -21,11 +21,7 @@ fn program_of_ranks() -> Option<&'static Path> {
             assert!(std::env::var_os("TRIMIP_REQUIRE_MPI").is_none(), "Open MPI is not installed");
             return None;
         }
-        let built = build(&["--features", "trimip-cli/mpi"]);
-        // The next build without the feature replaces it.
-        let own = built.with_file_name("trimip-cli-of-ranks");
-        std::fs::copy(built, &own).expect("room for a copy");
-        Some(own)
+        Some(build("mpi", &["--features", "trimip-cli/mpi"]))
     });
     if built.is_none() {
         eprintln!("skipped: Open MPI is not installed");
@@ -38,6 +34,9 @@ fn ranks(count: usize, here: &Path, arguments: &[&str]) -> Option<Command> {
     let mut command = Command::new("mpirun");
     command
         .args(["--oversubscribe", "--bind-to", "none", "-n", &count.to_string()])
+        // How long `mpirun` waits for a rank that it has asked to stop. It asks only once, so a slow disk would lose the run;
+        // after an error it waits for nothing.
+        .args(["--mca", "odls_base_sigkill_timeout", "5"])
         .arg(program_of_ranks()?)
         .args(arguments)
         .current_dir(here)
@@ -266,8 +265,10 @@ fn a_rank_that_is_killed_ends_the_run_and_loses_nothing() {
         let (sign, rank) = (["step", "checkpoint", "evaluation_progress", "plan"][trial % 4], trial / 4);
         lines.by_ref().find(|line| line.contains(&format!("\"kind\":\"{sign}\"")));
         std::thread::sleep(Duration::from_micros(300 * trial as u64));
-        let process = ranks_of(&mpirun).into_iter().nth(rank).expect("a rank");
-        let _ = Command::new("kill").args(["-9", &process]).stderr(Stdio::null()).status();
+        let guard = children(&mpirun.id().to_string()).into_iter().nth(rank);
+        if let Some(process) = guard.and_then(|guard| children(&guard).pop()) {
+            let _ = Command::new("kill").args(["-9", &process]).stderr(Stdio::null()).status();
+        }
         lines.for_each(drop);
         let Output { status, stderr, .. } = mpirun.wait_with_output().unwrap();
         let err = String::from_utf8_lossy(&stderr);
@@ -313,21 +314,22 @@ fn nothing_outlives_its_launcher() {
         let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
         assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
-        let ranks = ranks_of(&mpirun);
-        assert_eq!(ranks.len(), 2);
+        std::thread::spawn(move || lines.for_each(drop));
+        let (guards, ranks) = (children(&mpirun.id().to_string()), ranks_of(&mpirun));
+        assert_eq!((guards.len(), ranks.len()), (2, 2));
         let killed = match victim {
             "mpirun" => mpirun.id().to_string(),
-            _ => children(&mpirun.id().to_string()).remove(1),
+            _ => guards[1].clone(),
         };
         assert!(Command::new("kill").args(["-9", &killed]).status().unwrap().success());
-        assert_ne!(mpirun.wait().unwrap().code(), Some(0));
-        // The pipe is closed when nobody writes to it any more.
-        lines.for_each(drop);
-        let deadline = Instant::now() + Duration::from_secs(60);
-        while ranks.iter().any(|rank| lives(rank)) {
-            assert!(Instant::now() < deadline, "{victim} was killed, and a rank lives on");
+        let deadline = Instant::now() + Duration::from_secs(100);
+        while mpirun.try_wait().unwrap().is_none()
+            || guards.iter().chain(&ranks).any(|process| lives(process))
+        {
+            assert!(Instant::now() < deadline, "{victim} was killed, and a process lives on");
             std::thread::sleep(Duration::from_millis(20));
         }
+        assert_ne!(mpirun.wait().unwrap().code(), Some(0));
     }
 }
 
@@ -346,4 +348,60 @@ fn an_interrupted_run_is_saved() {
     assert!(rest.iter().any(|line| line.contains("\"kind\":\"stopped\"")), "{rest:?}");
     assert!(here.join("run/checkpoint.safetensors").exists());
     assert_eq!(is_sound(&here.join("run")), Ok(()));
+}
+
+/// Some launchers signal only the processes that they started.
+#[test]
+fn a_guard_passes_a_stop_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let arguments = tiny_and(&["--progress", "json", "--set", "train.steps=10000000", "--out", "run"]);
+    let Some(mut command) = ranks(2, here, &arguments) else { return };
+    let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
+    assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
+    for guard in children(&mpirun.id().to_string()) {
+        assert!(Command::new("kill").args(["-TERM", &guard]).status().unwrap().success());
+    }
+    let rest: Vec<String> = lines.collect();
+    assert_eq!(mpirun.wait().unwrap().code(), Some(130));
+    assert!(rest.iter().any(|line| line.contains("\"kind\":\"stopped\"")), "{rest:?}");
+    assert_eq!(is_sound(&here.join("run")), Ok(()));
+}
+
+/// Two ranks in working directories of their own find other files under the same paths.
+#[test]
+fn ranks_with_other_photographs_or_models_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = ["a", "b"].map(|name| folder.path().join(name));
+    let on_files: Vec<&str> = tiny().into_iter().filter(|word| *word != "data.format=builtin").collect();
+    // The first word is the `--set` of the format.
+    let on_files = &on_files[1..];
+    for (here, seed) in here.iter().zip(["seed=1", "seed=2"]) {
+        std::fs::create_dir(here).unwrap();
+        assert_eq!(run(here, &[&["data", "builtin", "scene"], &tiny()[..]].concat()).code, Some(0));
+        let train = [&["train", "scene", "--out", "run", "--set", seed], on_files].concat();
+        assert_eq!(run(here, &train).code, Some(0));
+    }
+    let [a, b] = &here;
+    let photographs = b.join("scene/train");
+    std::fs::copy(photographs.join("r_1.png"), photographs.join("r_0.png")).unwrap();
+    let out = folder.path().join("out").display().to_string();
+    let bench = ["bench", "--set", "data.root=scene", "--seeds", "4", "--out", &out];
+    for (arguments, part) in [
+        (vec!["eval", "run"], "not those of rank 0"),
+        (vec!["render", "run", "--turntable", "3", "--out", &out], "not those of rank 0"),
+        (
+            [&["train", "scene", "--out", &out], on_files].concat(),
+            "not the photographs of rank 0: other pixels",
+        ),
+        ([&bench[..], on_files].concat(), "other photographs than those of"),
+    ] {
+        let Some(mut command) = ranks(1, a, &arguments) else { return };
+        let program = program_of_ranks().expect("it is there");
+        command.args([":", "-n", "1", "--wdir"]).arg(b).arg(program).args(&arguments);
+        let Output { status, stderr, .. } = command.output().expect("mpirun starts");
+        let err = String::from_utf8_lossy(&stderr);
+        assert!(status.code() == Some(2) && err.contains(part), "{arguments:?}: {status} {err}");
+    }
 }

@@ -1,13 +1,16 @@
 //! Ctrl-C: the first asks the run to stop and save, a second ends the program immediately.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use trimip_core::{Error, Result};
 
 pub use trimip_core::STOPPED as EXIT_CODE;
 
-/// The flag of the single signal handler.
-static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
+/// Whether the program is asked to stop.
+static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
+
+/// Set once the single signal handler is there.
+static WATCHED: Mutex<bool> = Mutex::new(false);
 
 /// Installs the handler once. The first signal (interrupt, terminate or hang-up) sets the returned flag.
 pub fn install() -> Result<Arc<AtomicBool>> {
@@ -24,27 +27,38 @@ pub fn install_for(answer: &'static str) -> Result<Arc<AtomicBool>> {
     })
 }
 
-/// Signals do nothing but set the returned flag.
+/// Asks the program to stop, as a signal does; however often, it never ends the program at once.
 #[cfg(feature = "mpi")]
-pub fn outlive() -> Result<Arc<AtomicBool>> {
-    catch(|_| {})
+pub fn ask() {
+    STOP.store(true, Ordering::SeqCst);
+}
+
+/// Signals set the returned flag and call `act`, and do nothing else.
+#[cfg(feature = "mpi")]
+pub fn outlive(act: impl Fn() + Send + 'static) -> Result<Arc<AtomicBool>> {
+    catch(move |_| act())
 }
 
 /// Calls `act` at every signal, with false at the first.
 fn catch(act: impl Fn(bool) + Send + 'static) -> Result<Arc<AtomicBool>> {
-    if let Some(stop) = STOP.get() {
-        return Ok(Arc::clone(stop));
+    let mut watched = WATCHED.lock().unwrap_or_else(PoisonError::into_inner);
+    if *watched {
+        return Ok(Arc::clone(&STOP));
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
     let ignored = hang_up::ignore();
-    ctrlc::set_handler(move || act(flag.swap(true, Ordering::SeqCst))).map_err(|error| {
+    let before = AtomicBool::new(false);
+    let signalled = move || {
+        STOP.store(true, Ordering::SeqCst);
+        act(before.swap(true, Ordering::SeqCst));
+    };
+    ctrlc::set_handler(signalled).map_err(|error| {
         Error::device(format!("cannot watch for Ctrl-C: {error}; raise the limit of processes (ulimit -u)"))
     })?;
     if ignored {
         hang_up::ignore();
     }
-    Ok(Arc::clone(STOP.get_or_init(|| stop)))
+    *watched = true;
+    Ok(Arc::clone(&STOP))
 }
 
 /// The signal of a terminal that closes. `nohup` starts a program with it ignored, and it has to stay so.

@@ -49,7 +49,10 @@ mod launched {
         }
         guard::heed()?;
         let world = Arc::clone(WORLD.get_or_init(|| Arc::new(World::default())));
-        world.start()?;
+        if let Err(error) = world.start() {
+            // All ranks have the same error.
+            return if super::speaks() { Err(error) } else { Ok(error.exit_code()) };
+        }
         trimip::backends::take_turn(world.on_machine().rank);
         let rank = world.share().rank;
         let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, help) };

@@ -42,7 +42,7 @@ impl Fingerprint {
 }
 
 /// Hash of bytes, the same on every machine. It tells accidents apart, not attacks.
-fn hash(bytes: &[u8]) -> u64 {
+pub fn hash(bytes: &[u8]) -> u64 {
     let mix = |sum: u64, word: u64| (sum ^ word).wrapping_mul(MULTIPLIER).rotate_left(29);
     let (words, rest) = bytes.as_chunks::<8>();
     let mut sums = [bytes.len() as u64; LANES];

@@ -4,7 +4,7 @@
 use crate::{
     Config, Error, Layout, Result,
     config::{FilePrecision, RendererKind},
-    packed,
+    fingerprint, packed,
     tensors::{Tensor, TensorFile},
 };
 use std::{collections::BTreeMap, path::Path};
@@ -90,6 +90,15 @@ impl Model {
         let mut packed = packed::pack(&self.file, &names)?;
         packed.metadata.insert("config".into(), config.to_toml());
         packed.write(path, &[])
+    }
+
+    /// Hash of all tensors and settings, the same on every machine.
+    ///
+    /// # Errors
+    /// When the metadata cannot be written as JSON.
+    pub fn hash(&self) -> Result<u64> {
+        let settings = [("now", self.config.to_toml())];
+        Ok(fingerprint::hash(&self.file.to_bytes(&settings)?))
     }
 
     /// Reads a model and checks it: its format, its settings, and every tensor's shape and numbers.

@@ -54,7 +54,7 @@ mod write;
 pub use collection::{BLENDER_SCENES, Collection, has_split, is_scene};
 pub use describe::{Inspection, examine, inspect};
 pub use lens::{lens_of, lens_terms};
-pub use memory::{available_memory, resident_memory};
+pub use memory::{available_memory, common_memory, own_memory, resident_memory};
 pub use points::{Observation, Point};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};
 pub use watch::{Watch, unwatched};

@@ -8,8 +8,12 @@ const RESERVED_BY_THREAD: u64 = 64 << 20;
 
 /// Memory that this process may still take, bytes; `None` where the system does not tell.
 pub fn available_memory() -> Option<u64> {
-    let machine = kilobytes("/proc/meminfo", "MemAvailable:");
-    [machine, of_groups(), of_addresses()].into_iter().flatten().min()
+    [common_memory(), own_memory()].into_iter().flatten().min()
+}
+
+/// Memory that the processes of this machine or container may still take together, bytes; `None` where the system does not tell.
+pub fn common_memory() -> Option<u64> {
+    [kilobytes("/proc/meminfo", "MemAvailable:"), of_groups()].into_iter().flatten().min()
 }
 
 /// Memory of this process that is in use, bytes.
@@ -46,8 +50,8 @@ fn left(limit: u64, used: u64, idle: u64) -> Option<u64> {
     Some(limit.saturating_sub(used.saturating_sub(idle)))
 }
 
-/// What the limit of this process's addresses (`ulimit -v`) leaves, less what its threads reserve.
-fn of_addresses() -> Option<u64> {
+/// What the limit of this process's addresses (`ulimit -v`) leaves, less what its threads reserve, bytes; `None` without one.
+pub fn own_memory() -> Option<u64> {
     let limits = read("/proc/self/limits");
     let limit = value(&limits, "Max address space")?;
     let taken = kilobytes("/proc/self/status", "VmSize:")?;

@@ -1,10 +1,12 @@
 //! The process that a launcher starts for a rank starts the program again, and that is the rank: a rank that is killed, by the
 //! system that has no memory left or by a crash in a library, is then told as any other error. A launcher alone would end with
-//! 128 + the signal.
+//! 128 + the signal. A pipe ties the two: a byte in it asks the rank to stop, its end ends the rank.
 
 use crate::{interrupt, terminal};
-use std::process::{Command, Stdio};
+use std::io::{Read, Write};
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::{Error, Result};
 
 /// Set in the environment of a rank.
@@ -12,6 +14,31 @@ const GUARDED: &str = "TRIMIP_RANK_IS_GUARDED";
 
 /// Exit code of a rank that was killed.
 const KILLED: u8 = 3;
+
+/// How a rank ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// With this exit code.
+    Code(u8),
+    /// By a signal that asks to stop, before it could heed it.
+    Stopped,
+    /// By another signal, or as a crash ends a process.
+    Killed,
+}
+
+impl End {
+    fn of(status: ExitStatus) -> Self {
+        #[cfg(unix)]
+        {
+            use nix::libc::{SIGHUP, SIGINT, SIGTERM};
+            use std::os::unix::process::ExitStatusExt;
+            if status.signal().is_some_and(|signal| [SIGHUP, SIGINT, SIGTERM].contains(&signal)) {
+                return Self::Stopped;
+            }
+        }
+        status.code().and_then(|code| u8::try_from(code).ok()).map_or(Self::Killed, Self::Code)
+    }
+}
 
 /// True in a rank; false in the process that a launcher started.
 pub fn is_there() -> bool {
@@ -23,8 +50,18 @@ pub fn is_there() -> bool {
 /// # Errors
 /// When no process can be started.
 pub fn watch() -> Result<u8> {
-    // The rank gets the same signals, and decides what they mean.
-    let signal = interrupt::outlive()?;
+    let tie: Arc<Mutex<Option<ChildStdin>>> = Arc::default();
+    let ask = {
+        let tie = Arc::clone(&tie);
+        move || {
+            if let Some(tie) = &mut *tie.lock().unwrap_or_else(PoisonError::into_inner) {
+                // A rank that has ended needs no word.
+                let _ = tie.write_all(b".");
+            }
+        }
+    };
+    // Some launchers signal all processes of a rank, others only this one.
+    let signalled = interrupt::outlive(ask.clone())?;
     let cannot = |error| Error::device(format!("cannot start the process of a rank: {error}"));
     let mut process = std::env::current_exe()
         .and_then(|program| {
@@ -35,30 +72,61 @@ pub fn watch() -> Result<u8> {
                 .spawn()
         })
         .map_err(cannot)?;
-    // Open as long as this process lives.
-    let _tie = process.stdin.take();
-    let status = process.wait().map_err(cannot)?;
-    if status.code().is_none() && !signal.load(Ordering::SeqCst) {
-        terminal::error(&Error::device(format!(
-            "rank {} was killed ({status}); if the machine ran out of memory, give it fewer ranks; the same command goes on from \
-             the last checkpoint",
-            trimip_mpi::launched().rank
-        )));
+    *tie.lock().unwrap_or_else(PoisonError::into_inner) = process.stdin.take();
+    if signalled.load(Ordering::SeqCst) {
+        ask();
     }
-    Ok(status.code().map_or(KILLED, |code| code as u8))
+    let status = process.wait().map_err(cannot)?;
+    let rank = trimip_mpi::launched().rank;
+    Ok(match End::of(status) {
+        End::Code(code) => code,
+        End::Stopped => interrupt::EXIT_CODE,
+        // A launcher that has asked a rank to stop kills it after a while.
+        End::Killed if signalled.load(Ordering::SeqCst) => {
+            terminal::aside(format!("warning: rank {rank} was killed while it stopped ({status})"));
+            KILLED
+        }
+        End::Killed => {
+            terminal::error(&Error::device(format!(
+                "rank {rank} was killed ({status}); if the machine ran out of memory, give it fewer ranks; the same command goes \
+                 on from the last checkpoint"
+            )));
+            KILLED
+        }
+    })
 }
 
-/// Ends this rank when its guard is gone: a launcher kills the process that it knows.
+/// Stops this rank when its guard says so, and ends it when its guard is gone: a launcher kills the process that it knows.
 ///
 /// # Errors
 /// When no thread can be started.
 pub fn heed() -> Result<()> {
     let tie = || {
-        let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
+        let mut guard = std::io::stdin().lock();
+        let mut byte = [0];
+        while guard.read_exact(&mut byte).is_ok() {
+            interrupt::ask();
+        }
         #[cfg(unix)]
         let _ = nix::sys::signal::raise(nix::sys::signal::SIGKILL);
         std::process::abort();
     };
     let started = std::thread::Builder::new().name("guard".into()).spawn(tie);
     started.map(drop).map_err(|error| Error::device(format!("cannot start a thread: {error}")))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_is_a_code_a_stop_or_a_kill() {
+        let end = |script: &str| End::of(Command::new("sh").args(["-c", script]).status().unwrap());
+        assert_eq!(end("exit 0"), End::Code(0));
+        assert_eq!(end("exit 130"), End::Code(130));
+        assert_eq!(end("kill -TERM $$"), End::Stopped);
+        assert_eq!(end("kill -INT $$"), End::Stopped);
+        assert_eq!(end("kill -KILL $$"), End::Killed);
+        assert_eq!(end("kill -SEGV $$"), End::Killed);
+    }
 }

@@ -2,70 +2,126 @@
 
 use crate::{interrupt, terminal};
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use trimip::ranks::farm;
 use trimip::{Ended, Listeners, Result, Training, events::Event, machine};
-use trimip_core::{ErrorKind, exchange::Ranks};
+use trimip_core::{Error, ErrorKind, config::DataConfig, exchange::Ranks, fingerprint::Fingerprint};
 
 /// How a job ended.
 #[derive(Serialize, Deserialize)]
 pub enum JobEnd {
-    /// The run is trained.
-    Trained,
+    /// The run is trained, on these photographs; `None` if it was before.
+    Trained(Option<Fingerprint>),
     /// The user stopped it.
     Stopped,
     /// It failed, for this reason.
     Failed(String),
 }
 
-/// Trains without a word, as one job of several.
-pub fn job(training: Result<Training>) -> JobEnd {
+/// Trains without a word, as one job of several; the other ranks of this machine do the same.
+pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
     let quietly = |training: Training| {
         let stop = interrupt::install()?;
         machine::reset_peak_memory();
         let mut events = |_: &Event| {};
         let going = |_, _| !stop.load(Ordering::Relaxed);
         let listeners = Listeners { events: &mut events, reading: &going, onlooker: &mut (), stop: &stop };
-        training.run_with(listeners)?.outcome
+        let trained = training.beside(ranks.on_machine().of).run_with(listeners)?;
+        trained.outcome.map(|ended| (ended, trained.data))
     };
     match training.and_then(quietly) {
-        Ok(Ended::Stopped) => JobEnd::Stopped,
-        Ok(_) => JobEnd::Trained,
+        Ok((Ended::Stopped, _)) => JobEnd::Stopped,
+        Ok((_, data)) => JobEnd::Trained(data),
         Err(error) if error.kind == ErrorKind::Stopped => JobEnd::Stopped,
         Err(error) => JobEnd::Failed(error.message),
     }
 }
 
 /// Trains runs on all ranks, of which this is rank 0: a rank that is free takes the next one. A run that fails is left to the
-/// caller, who finds it unfinished. `what` describes the runs. Returns false if the user stopped it.
+/// caller, who finds it unfinished. `what` describes the runs, `data` the data set of one. Returns false if the user stopped it
+/// on any rank.
 ///
 /// # Errors
-/// When another rank is gone.
+/// When another rank is gone, or two runs on one data set had different photographs.
 pub fn spread(
     ranks: &dyn Ranks,
     what: &str,
     runs: &[usize],
+    data: impl Fn(usize) -> Result<DataConfig>,
     training: impl Fn(usize) -> Result<Training>,
 ) -> Result<bool> {
     let stop = interrupt::install()?;
     let going = || !stop.load(Ordering::Relaxed);
-    let mut count = 0;
+    let (mut count, mut whole, mut seen) = (0, true, Vec::new());
     farm(
         ranks,
         what,
         runs,
         &going,
-        |run| Ok(job(training(run))),
-        |_, end| {
+        |run| Ok(job(ranks, training(run))),
+        |run, end| {
             count += 1;
             let told = |end| terminal::aside(format!("run {count} of {} {end}", runs.len()));
             match end {
-                JobEnd::Trained => told("is trained".to_string()),
+                JobEnd::Trained(views) => {
+                    told("is trained".to_string());
+                    if let Some(views) = views {
+                        let folder = training(run)?.folder().root().to_path_buf();
+                        seen.push(Seen { folder, data: format!("{:?}", data(run)?), views });
+                    }
+                    expect_one(&seen)?;
+                }
                 JobEnd::Failed(reason) => told(format!("failed: {reason}")),
-                JobEnd::Stopped => {}
+                // A rank that is stopped alone would end every run at once.
+                JobEnd::Stopped => whole = false,
             }
-            Ok(going())
+            Ok(whole && going())
         },
     )?;
-    Ok(going())
+    Ok(whole && going())
+}
+
+/// What a run was trained on.
+struct Seen {
+    folder: PathBuf,
+    /// The settings of its data set.
+    data: String,
+    views: Fingerprint,
+}
+
+/// Refuses the last of these runs if an earlier one on its data set had other photographs.
+fn expect_one(seen: &[Seen]) -> Result<()> {
+    let Some((last, earlier)) = seen.split_last() else { return Ok(()) };
+    let same = earlier.iter().filter(|run| run.data == last.data);
+    for run in same {
+        if let Some(difference) = last.views.difference(&run.views) {
+            return Err(Error::input(
+                last.folder.display(),
+                format!("other photographs than those of {}: {difference}", run.folder.display()),
+                "give every machine the same data under the same path, and remove the run that had others",
+            ));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_on_one_data_set_have_the_same_photographs() {
+        let run = |folder: &str, data: &str, pixels| Seen {
+            folder: folder.into(),
+            data: data.into(),
+            views: Fingerprint { views: 3, cameras: 1, pixels },
+        };
+        let mut seen = vec![run("a", "lego", 5), run("b", "chair", 6), run("c", "lego", 5)];
+        expect_one(&seen).expect("no two on one data set differ");
+        seen.push(run("d", "chair", 5));
+        let error = expect_one(&seen).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.starts_with("d: other photographs"), "{error}");
+        assert!(error.message.contains("of b: other pixels"), "{error}");
+    }
 }

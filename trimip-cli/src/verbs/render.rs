@@ -89,7 +89,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     };
     match ranks::all() {
         // The jobs of other ranks are numbers of views.
-        Some(all) => farm(&*all, &wanted.digest(), &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?,
+        Some(all) => farm(&*all, &wanted.digest()?, &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?,
         None => {
             for view in left {
                 if !keep(view, draw(view)?)? {
@@ -129,7 +129,7 @@ pub fn help(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
     let mut session = backends::load(&wanted.model)?;
     let stop = interrupt::install()?;
     let mut going = |_, _| !stop.load(Ordering::Relaxed);
-    labour(ranks, &wanted.digest(), |view| wanted.draw(session.as_mut(), view, &mut going))
+    labour(ranks, &wanted.digest()?, |view| wanted.draw(session.as_mut(), view, &mut going))
 }
 
 /// What is rendered, and how.
@@ -170,9 +170,9 @@ impl Wanted {
     }
 
     /// The same on every rank that has the same work.
-    fn digest(&self) -> String {
+    fn digest(&self) -> Result<String> {
         let Self { model, cameras, what, format, out } = self;
-        digest([model.config.to_toml(), format!("{cameras:?} {what:?} {format:?} {out:?}")])
+        Ok(digest([model.hash()?.to_string(), format!("{cameras:?} {what:?} {format:?} {out:?}")]))
     }
 
     /// Renders a view and writes its pictures; `None` if `watch` stopped it.

@@ -10,6 +10,9 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use trimip_core::{Error, ErrorKind, Result, exchange::Ranks};
 
+/// What a rank answers that has the jobs of rank 0.
+const READY: &[u8] = b"ready";
+
 /// The job that means: no more.
 const NO_MORE: u64 = u64::MAX;
 
@@ -36,6 +39,8 @@ struct Done<T> {
 /// The jobs and their results, on rank 0.
 struct Desk<'a, T> {
     jobs: &'a [usize],
+    /// False when the jobs are to stop.
+    going: &'a (dyn Fn() -> bool + Sync),
     state: Mutex<State<T>>,
     changed: Condvar,
 }
@@ -55,7 +60,7 @@ struct State<T> {
 
 /// Does `jobs` on all ranks, of which this is rank 0; the others are in [`follow`](super::follow). `what` describes the jobs, and
 /// has to be the same on every rank. `own` does a job on this rank, while another thread hands out jobs to the others. `take`
-/// gets the results in the order of the jobs, and returns false to stop. No job begins when `going` has become false.
+/// gets the results in the order of the jobs, and returns false to stop. No job is handed out when `going` has become false.
 ///
 /// # Errors
 /// The first error of a job or of `take`, or when another rank is gone.
@@ -63,18 +68,18 @@ pub fn farm<T: DeserializeOwned + Serialize + Send>(
     ranks: &dyn Ranks,
     what: &str,
     jobs: &[usize],
-    going: &dyn Fn() -> bool,
+    going: &(dyn Fn() -> bool + Sync),
     own: impl FnMut(usize) -> Result<T>,
     take: impl FnMut(usize, T) -> Result<bool>,
 ) -> Result<()> {
     Order::Jobs { version: machine::version() }.give(ranks)?;
     // The first job is this rank's own: what stops all jobs is seen here first.
     let state = State { next: 1, closed: false, abandoned: false, done: BTreeMap::new(), broken: None };
-    let desk = Desk { jobs, state: Mutex::new(state), changed: Condvar::new() };
+    let desk = Desk { jobs, going, state: Mutex::new(state), changed: Condvar::new() };
     std::thread::scope(|scope| {
         let served = scope.spawn(|| desk.serve(ranks, what).inspect_err(|error| desk.fail(error.clone())));
         let closing = Closing(&desk);
-        let outcome = desk.work(going, own, take);
+        let outcome = desk.work(own, take);
         drop(closing);
         let served = served.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         outcome.and(served)
@@ -95,7 +100,8 @@ impl<T: DeserializeOwned + Send> Desk<'_, T> {
     /// Hands out jobs and receives results until there are no more.
     fn serve(&self, ranks: &dyn Ranks, what: &str) -> Result<()> {
         let others = 1..ranks.share().of;
-        let mut waiting = 0;
+        // Every rank answers once whether it has these jobs, and then with the result of each that it is handed.
+        let (mut waiting, mut unready) = (others.len(), others.len());
         let hand_out = |rank, waiting: &mut usize| -> Result<()> {
             if let Some(place) = self.next() {
                 ranks.send(rank, &(self.jobs[place] as u64).to_le_bytes())?;
@@ -106,10 +112,6 @@ impl<T: DeserializeOwned + Send> Desk<'_, T> {
         for rank in others.clone() {
             ranks.send(rank, what.as_bytes())?;
         }
-        // Deal in turn, so that every rank has its first job before any has its second.
-        for rank in others.clone().cycle().take(AHEAD * others.len()) {
-            hand_out(rank, &mut waiting)?;
-        }
         // Every job that was handed out ends before the ranks hear that there are no more.
         while waiting > 0 && !self.state().abandoned {
             let Some((rank, bytes)) = ranks.try_receive()? else {
@@ -117,22 +119,35 @@ impl<T: DeserializeOwned + Send> Desk<'_, T> {
                 continue;
             };
             waiting -= 1;
-            self.receive(rank, &bytes);
+            if bytes == READY {
+                unready -= 1;
+            } else {
+                self.receive(rank, &bytes);
+            }
             hand_out(rank, &mut waiting)?;
+            if bytes == READY && unready == 0 {
+                // Every rank has its first job before any has one in advance.
+                for rank in others.clone().cycle().take((AHEAD - 1) * others.len()) {
+                    hand_out(rank, &mut waiting)?;
+                }
+            }
         }
         for rank in others {
             ranks.send(rank, &NO_MORE.to_le_bytes())?;
         }
-        Ok(())
+        self.state().broken.clone().map_or(Ok(()), Err)
     }
 
     fn receive(&self, rank: usize, bytes: &[u8]) {
         match read(rank, bytes) {
-            Ok((job, result)) => {
-                let place = self.jobs.iter().position(|own| *own == job).unwrap_or(0);
-                self.state().done.insert(place, result);
-                self.changed.notify_all();
-            }
+            Ok((job, result)) => match (self.jobs.iter().position(|own| *own == job), result) {
+                (Some(place), result) => {
+                    self.state().done.insert(place, result);
+                    self.changed.notify_all();
+                }
+                (None, Err(error)) => self.fail(error),
+                (None, Ok(_)) => self.fail(Error::run(format!("rank {rank} did a job that is not there"))),
+            },
             Err(error) => self.fail(error),
         }
     }
@@ -140,13 +155,12 @@ impl<T: DeserializeOwned + Send> Desk<'_, T> {
     /// Does this rank's jobs, and gives away the results of all.
     fn work(
         &self,
-        going: &dyn Fn() -> bool,
         mut own: impl FnMut(usize) -> Result<T>,
         mut take: impl FnMut(usize, T) -> Result<bool>,
     ) -> Result<()> {
         let mut taken = 0;
         let mut mine = (!self.jobs.is_empty()).then_some(0);
-        while taken < self.jobs.len() && going() {
+        while taken < self.jobs.len() && (self.going)() {
             if let Some(place) = mine.take() {
                 let result = own(self.jobs[place]);
                 self.state().done.insert(place, result);
@@ -177,6 +191,9 @@ impl<T: DeserializeOwned + Send> Desk<'_, T> {
 
     /// Gives away the next job.
     fn next(&self) -> Option<usize> {
+        if !(self.going)() {
+            return None;
+        }
         let state = &mut *self.state();
         let next = (!state.closed && state.next < self.jobs.len()).then_some(state.next)?;
         state.next += 1;
@@ -200,40 +217,50 @@ impl<T> Desk<'_, T> {
 fn read<T: DeserializeOwned>(rank: usize, bytes: &[u8]) -> Result<(usize, Result<T>)> {
     let Done { job, result } = serde_json::from_slice(bytes)
         .map_err(|error| Error::run(format!("a result of rank {rank} is not understood: {error}")))?;
-    let told = |(code, message): (u8, String)| {
-        let kind = [ErrorKind::Run, ErrorKind::Input, ErrorKind::Device]
-            .into_iter()
-            .find(|kind| kind.exit_code() == code)
-            .unwrap_or(ErrorKind::Run);
-        Error { kind, message: format!("rank {rank}: {message}") }
-    };
-    Ok((job as usize, result.map_err(told)))
+    Ok((job as usize, result.map_err(|told| error_of(rank, told))))
+}
+
+/// The error of another rank, of which it told the exit code and the message.
+pub(super) fn error_of(rank: usize, (code, message): (u8, String)) -> Error {
+    let kind = [ErrorKind::Run, ErrorKind::Input, ErrorKind::Device]
+        .into_iter()
+        .find(|kind| kind.exit_code() == code)
+        .unwrap_or(ErrorKind::Run);
+    Error { kind, message: format!("rank {rank}: {message}") }
 }
 
 /// Does the jobs that rank 0 hands to this rank, until there are no more.
 ///
 /// # Errors
-/// When rank 0 is gone, or its jobs are not those that `what` describes. A job that fails is told to rank 0.
+/// When rank 0 is gone. A job that fails is told to rank 0; so is it if its jobs are not those that `what` describes.
 pub fn labour<T: Serialize>(
     ranks: &dyn Ranks,
     what: &str,
     mut own: impl FnMut(usize) -> Result<T>,
 ) -> Result<()> {
     let (_, theirs) = ranks.receive()?;
-    if theirs != what.as_bytes() {
-        return Err(Error::input(
-            "the jobs of this rank",
-            "are not those of rank 0",
-            "give every machine the same files under the same paths, and the same number of threads (threads = N)",
-        ));
-    }
+    let done = |job, result: Result<T>| {
+        let result = result.map_err(|error| (error.exit_code(), error.message));
+        serde_json::to_vec(&Done { job, result }).map_err(Error::run)
+    };
+    let answer = match theirs == what.as_bytes() {
+        true => READY.to_vec(),
+        false => done(
+            NO_MORE,
+            Err(Error::input(
+                "the jobs of this rank",
+                "are not those of rank 0",
+                "give every machine the same files under the same paths, and the same number of threads (threads = N)",
+            )),
+        )?,
+    };
+    ranks.send(0, &answer)?;
     loop {
         let (_, bytes) = ranks.receive()?;
         let job = <[u8; 8]>::try_from(&bytes[..]).map_or(NO_MORE, u64::from_le_bytes);
         if job == NO_MORE {
             return Ok(());
         }
-        let result = own(job as usize).map_err(|error| (error.exit_code(), error.message));
-        ranks.send(0, &serde_json::to_vec(&Done { job, result }).map_err(Error::run)?)?;
+        ranks.send(0, &done(job, own(job as usize))?)?;
     }
 }

@@ -1,10 +1,10 @@
 //! The session of rank 0, through which it leads a training.
 
-use super::Order;
+use super::{Opened, Order, jobs::error_of};
 use crate::{backends, machine};
 use std::sync::Arc;
 use trimip_core::{
-    Camera, Config, Frame, Query, Result, Session, StepReport, ViewSet, Viewer, batch::Radiance,
+    Camera, Config, Error, Frame, Query, Result, Session, StepReport, ViewSet, Viewer, batch::Radiance,
     checkpoint::Checkpoint, exchange::Ranks, fingerprint::Fingerprint, model::Model,
 };
 
@@ -23,11 +23,15 @@ pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<
     let session = backends::train_over(config, views, Arc::clone(ranks))?;
     let computes = super::computes_with(config)?;
     Order::Train { version: machine::version(), config: config.to_toml(), data, computes }.give(&**ranks)?;
+    // Closes the session everywhere, also if a rank cannot open it.
+    let lead = Box::new(Lead { session, ranks: Arc::clone(ranks) });
     // The time of the first step is not that of reading the data elsewhere.
     for _ in 1..ranks.share().of {
-        ranks.receive()?;
+        let (rank, answer) = ranks.receive()?;
+        let opened: Opened = serde_json::from_slice(&answer).map_err(Error::run)?;
+        opened.map_err(|told| error_of(rank, told))?;
     }
-    Ok(Box::new(Lead { session, ranks: Arc::clone(ranks) }))
+    Ok(lead)
 }
 
 impl Drop for Lead {

@@ -8,12 +8,12 @@ mod lead;
 pub use jobs::{digest, farm, labour};
 pub use lead::train;
 
-use crate::{backends, machine};
+use crate::{backends, machine, run::memory};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use trimip_core::{
-    Config, Error, ErrorKind, Result, checkpoint::Checkpoint, exchange::Ranks, fingerprint::Fingerprint,
-    scene_plan::Compute,
+    Config, Error, ErrorKind, Result, Session, checkpoint::Checkpoint, exchange::Ranks,
+    fingerprint::Fingerprint, scene_plan::Compute,
 };
 
 /// What rank 0 tells the others to do.
@@ -35,6 +35,9 @@ enum Order {
     /// The program ends.
     Quit,
 }
+
+/// What a rank answers when it is told to train: nothing, or the exit code and the message of what prevents it.
+type Opened = std::result::Result<(), (u8, String)>;
 
 impl Order {
     fn give(&self, ranks: &dyn Ranks) -> Result<()> {
@@ -70,15 +73,10 @@ pub fn follow(
     loop {
         match Order::await_from(&**ranks)? {
             Order::Train { version, config, data, computes } => {
-                expect_own(&version)?;
-                let config = Config::from_toml("the orders of rank 0", &config)?;
-                let own = computes_with(&config)?;
-                if own != computes {
-                    tell(format!(
-                        "computes with {own}, rank 0 with {computes}: one process would have other bits"
-                    ));
-                }
-                follow_training(ranks, &config, data)?;
+                let session = open(ranks, &version, &config, data, &computes, tell);
+                let told = session.as_ref().map(drop).map_err(|error| (error.exit_code(), &error.message));
+                ranks.send(0, &serde_json::to_vec(&told).map_err(Error::run)?)?;
+                follow_training(ranks, session.ok())?;
             }
             Order::Jobs { version } => {
                 expect_own(&version)?;
@@ -121,7 +119,21 @@ pub fn together(compute: Compute, ranks: &dyn Ranks) -> Compute {
     }
 }
 
-fn follow_training(ranks: &Arc<dyn Ranks>, config: &Config, data: Fingerprint) -> Result<()> {
+/// Opens the session of a training that rank 0 leads.
+fn open(
+    ranks: &Arc<dyn Ranks>,
+    version: &str,
+    config: &str,
+    data: Fingerprint,
+    computes: &str,
+    tell: &mut dyn FnMut(String),
+) -> Result<Box<dyn Session>> {
+    expect_own(version)?;
+    let config = Config::from_toml("the orders of rank 0", config)?;
+    let own = computes_with(&config)?;
+    if own != computes {
+        tell(format!("computes with {own}, rank 0 with {computes}: one process would have other bits"));
+    }
     let scene = trimip_data::open(&config.data)?;
     if let Some(difference) = Fingerprint::of(&scene.train).difference(&data) {
         return Err(Error::input(
@@ -130,8 +142,25 @@ fn follow_training(ranks: &Arc<dyn Ranks>, config: &Config, data: Fingerprint) -
             "give every machine the same data under the same path",
         ));
     }
-    let mut session = backends::train_over(config, scene.train, Arc::clone(ranks))?;
-    ranks.send(0, b"ready")?;
+    let near = ranks.on_machine();
+    // The machine of rank 0 is checked there.
+    if config.backend == "cpu" && near.rank == 0 {
+        let predicted = backends::predict_memory(&config, &scene.train);
+        if let Some(warning) = memory::check(&config, &predicted, near.of)? {
+            tell(format!("warns: {warning}"));
+        }
+    }
+    backends::train_over(&config, scene.train, Arc::clone(ranks))
+}
+
+/// Does what rank 0 orders of a training, until it is over; without a session, waits for that.
+fn follow_training(ranks: &Arc<dyn Ranks>, session: Option<Box<dyn Session>>) -> Result<()> {
+    let Some(mut session) = session else {
+        return match Order::await_from(&**ranks)? {
+            Order::Close => Ok(()),
+            _ => Err(Error::run("rank 0 trains although this rank cannot")),
+        };
+    };
     loop {
         let done = match Order::await_from(&**ranks)? {
             Order::Step(progress) => session.step(progress).map(drop),

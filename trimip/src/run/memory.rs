@@ -1,7 +1,16 @@
 //! Whether a run fits into memory, before it begins.
 
-use crate::{machine, units};
+use crate::units;
 use trimip_core::{Config, Error, Result, config::EncoderKind, config::MemoryChoice};
+
+/// Memory that there is, bytes, what this process already has included.
+#[derive(Clone, Copy)]
+struct Memory {
+    /// Of this process.
+    own: u64,
+    /// Of all processes on this machine together.
+    common: u64,
+}
 
 /// Compares a run's predicted memory, by parts, with what this process may have; `ranks` processes on this machine need it each.
 /// Returns a warning if it is too little and the settings allow that.
@@ -11,28 +20,32 @@ use trimip_core::{Config, Error, Result, config::EncoderKind, config::MemoryChoi
 pub fn check(config: &Config, parts: &[(String, u64)], ranks: usize) -> Result<Option<String>> {
     let resident = trimip_data::resident_memory().unwrap_or(0);
     // What is in use already, such as the photographs, is part of the prediction.
-    let Some(most) = machine::Machine::detect().memory_available_bytes.map(|more| more + resident) else {
-        return Ok(None);
-    };
-    match (shortage(config, parts, ranks, most), config.memory) {
+    let with = |more: Option<u64>| more.map_or(u64::MAX, |more| more.saturating_add(resident));
+    let there = Memory { own: with(trimip_data::own_memory()), common: with(trimip_data::common_memory()) };
+    match (shortage(config, parts, ranks, there), config.memory) {
         (Some(error), MemoryChoice::Refuse) => Err(error),
         (shortage, _) => Ok(shortage.map(|error| error.message)),
     }
 }
 
-/// The error of a run whose ranks together need more than `most` bytes.
-fn shortage(config: &Config, parts: &[(String, u64)], ranks: usize, most: u64) -> Option<Error> {
+/// The error of a run that needs more memory than there is.
+fn shortage(config: &Config, parts: &[(String, u64)], ranks: usize, there: Memory) -> Option<Error> {
     let needed = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
     let (largest, bytes) = parts.iter().max_by_key(|(_, bytes)| *bytes)?;
-    let (each, having, fewer) = match ranks {
-        1 => (String::new(), "this process may have", ""),
-        _ => (
+    let together = ranks > 1 && needed <= there.own;
+    let (all, most) = match together {
+        true => (needed.saturating_mul(ranks as u64), there.common),
+        false => (needed, there.own.min(there.common)),
+    };
+    let (each, having, fewer) = match together {
+        false => (String::new(), "this process may have", ""),
+        true => (
             format!(" in each of {ranks} ranks on this machine"),
             "together they may have",
             "start fewer ranks on it, ",
         ),
     };
-    (needed.saturating_mul(ranks as u64) > most).then(|| {
+    (all > most).then(|| {
         Error::input(
             "memory",
             format!(
@@ -89,16 +102,25 @@ mod tests {
         ];
         for (change, setting) in cases {
             let mut config = Config::default();
-            assert!(shortage(&config, &parts(&config), 1, 2_000_000_000).is_none(), "the defaults fit");
-            let error = shortage(&config, &parts(&config), 8, 2_000_000_000).expect("eight times as much");
+            let there = Memory { own: u64::MAX, common: 2_000_000_000 };
+            assert!(shortage(&config, &parts(&config), 1, there).is_none(), "the defaults fit");
+            let error = shortage(&config, &parts(&config), 8, there).expect("eight times as much");
             assert!(error.message.contains("fewer ranks"), "{error}");
             change(&mut config);
-            let error = shortage(&config, &parts(&config), 1, 600_000_000).expect(setting);
+            let there = Memory { own: u64::MAX, common: 600_000_000 };
+            let error = shortage(&config, &parts(&config), 1, there).expect(setting);
             assert!(error.exit_code() == 2 && error.message.contains(setting), "{setting}: {error}");
+            // A limit of each process is not shared.
+            let own = Memory { own: 600_000_000, common: u64::MAX };
+            let error = shortage(&config, &parts(&config), 8, own).expect(setting);
+            assert!(error.message.contains("this process may have"), "{error}");
             assert!(
                 !error.message.contains("--out") && error.message.contains("memory = \"warn\""),
                 "{error}"
             );
         }
+        let each = Memory { own: 2_000_000_000, common: u64::MAX };
+        let config = Config::default();
+        assert!(shortage(&config, &parts(&config), 8, each).is_none(), "each of eight processes fits");
     }
 }

@@ -6,7 +6,7 @@ pub mod curve;
 pub mod folder;
 mod guard;
 pub mod history;
-mod memory;
+pub(crate) mod memory;
 pub mod overview;
 pub mod provenance;
 mod recorder;

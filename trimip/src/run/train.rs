@@ -22,6 +22,7 @@ use trimip_core::{
     atomic::write_atomically,
     events::{Event, EventSink, Totals},
     exchange::Ranks,
+    fingerprint::Fingerprint,
     model::Model,
     quality::mean_quality,
     run::{Onlooker, Outcome, Run},
@@ -49,6 +50,8 @@ pub struct Training {
     stop_after: Option<u64>,
     started: Instant,
     ranks: Option<Arc<dyn Ranks>>,
+    /// Processes on this machine that need as much memory at the same time, this one included.
+    processes: usize,
 }
 
 #[derive(Clone, Debug)]
@@ -87,6 +90,8 @@ pub struct Trained {
     pub outcome: Result<Ended>,
     /// Why the folder lacks the last events.
     pub unwritten: Option<Error>,
+    /// What it was trained on; `None` if nothing was done.
+    pub data: Option<Fingerprint>,
     _held: Lock,
 }
 
@@ -128,7 +133,19 @@ impl Training {
     }
 
     fn of(folder: &Path, work: Work) -> Self {
-        Self { folder: RunFolder::new(folder), work, stop_after: None, started: Instant::now(), ranks: None }
+        Self {
+            folder: RunFolder::new(folder),
+            work,
+            stop_after: None,
+            started: Instant::now(),
+            ranks: None,
+            processes: 1,
+        }
+    }
+
+    /// The folder that it trains into.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
     }
 
     /// If `wanted`, replaces an existing run in the folder.
@@ -150,7 +167,15 @@ impl Training {
     /// Trains on all of these ranks. This is rank 0; the others [`follow`](crate::ranks::follow).
     #[must_use]
     pub fn over(mut self, ranks: Option<Arc<dyn Ranks>>) -> Self {
+        self.processes = ranks.as_ref().map_or(1, |ranks| ranks.on_machine().of);
         self.ranks = ranks;
+        self
+    }
+
+    /// Tells that so many processes on this machine, this one included, train at the same time, and need as much memory.
+    #[must_use]
+    pub fn beside(mut self, processes: usize) -> Self {
+        self.processes = processes;
         self
     }
 
@@ -210,6 +235,7 @@ impl Training {
                 history,
                 outcome: Ok(Ended::Before),
                 unwritten: None,
+                data: None,
                 _held: held,
             });
         }
@@ -249,10 +275,10 @@ impl Training {
         let mut warnings = scene.warnings.clone();
         warnings.extend(doubts);
         if on_host {
-            let near = self.ranks.as_ref().map_or(1, |ranks| ranks.on_machine().of);
-            warnings.extend(memory::check(&config, &predicted, near)?);
+            warnings.extend(memory::check(&config, &predicted, self.processes)?);
         }
         warnings.extend(backends::software_warning(&config));
+        let data = Some(Fingerprint::of(&scene.train));
         let mut session = match &self.ranks {
             Some(ranks) => ranks::train(&config, scene.train, ranks)?,
             None => backends::train(&config, scene.train)?,
@@ -316,7 +342,7 @@ impl Training {
             Outcome::Stopped => Ended::Stopped,
         });
         let (folder, scene) = (folder.clone(), scene.name);
-        Ok(Trained { folder, scene, config, settings, history, outcome, unwritten, _held: held })
+        Ok(Trained { folder, scene, config, settings, history, outcome, unwritten, data, _held: held })
     }
 }
 

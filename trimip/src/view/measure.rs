@@ -8,6 +8,7 @@ use trimip_core::{
     config::DataConfig,
     evaluate::{ViewResult, Watch, evaluate_frame},
     exchange::Ranks,
+    model::Model,
     perception::{Pair, Perceived, Perception},
     quality::{Measures, ScaleQuality, ViewQuality, mean_quality, per_scale},
 };
@@ -43,9 +44,18 @@ pub trait Watching {
 /// No observer.
 impl Watching for () {}
 
+/// Ranks that measure a model together.
+#[derive(Clone, Copy)]
+pub struct Together<'a> {
+    /// The ranks.
+    pub ranks: &'a dyn Ranks,
+    /// The model, which has to be the same on all of them.
+    pub model: &'a Model,
+}
+
 /// Renders every `stride`-th test view at every scale, on the background and by the convention of
 /// `data`, and compares it with its photograph; `perception` takes the slower measures ([`Perceiver`](super::Perceiver), or
-/// `&mut ()` for none). Returns `None` if `watch` cancelled it. With `ranks`, of which this is rank 0, all of them measure; the
+/// `&mut ()` for none). Returns `None` if `watch` cancelled it. With `together`, of which this is rank 0, all ranks measure; the
 /// others call [`help_evaluate`] with the same model and frames.
 ///
 /// # Errors
@@ -57,13 +67,13 @@ pub fn evaluate(
     stride: usize,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
-    ranks: Option<&dyn Ranks>,
+    together: Option<Together<'_>>,
 ) -> Result<Option<Measured>> {
     let (started, stride) = (Instant::now(), stride.max(1));
     let total = frames.len().div_ceil(stride);
     let mut progress = Progress { perception, watch, done: 0, total };
     let mut views = Vec::new();
-    match ranks {
+    match together {
         None => {
             for job in 0..total {
                 if !evaluate_frame(viewer, frames, job * stride, 1, data, &mut progress, &mut views)? {
@@ -72,7 +82,7 @@ pub fn evaluate(
                 progress.done += 1;
             }
         }
-        Some(ranks) => {
+        Some(together) => {
             let progress = RefCell::new(progress);
             let own = |job| {
                 let (mut views, progress) = (Vec::new(), &mut *progress.borrow_mut());
@@ -81,8 +91,8 @@ pub fn evaluate(
             };
             let mut is_whole = true;
             ranks::farm(
-                ranks,
-                &description(frames, data, stride),
+                together.ranks,
+                &description(frames, data, stride, together.model)?,
                 &(0..total).collect::<Vec<_>>(),
                 &|| true,
                 own,
@@ -105,8 +115,16 @@ pub fn evaluate(
 }
 
 /// What the jobs of [`evaluate`] are.
-fn description(frames: &dyn Frames, data: &DataConfig, stride: usize) -> String {
-    ranks::digest([frames.len().to_string(), stride.to_string(), format!("{data:?}")])
+fn description(frames: &dyn Frames, data: &DataConfig, stride: usize, model: &Model) -> Result<String> {
+    // The last bits of f64 may differ between machines.
+    let cameras: Vec<f32> =
+        frames.cameras().iter().flat_map(|camera| camera.numbers()).map(|number| number as f32).collect();
+    Ok(ranks::digest([
+        frames.len().to_string(),
+        stride.to_string(),
+        format!("{data:?} {cameras:?}"),
+        model.hash()?.to_string(),
+    ]))
 }
 
 /// Measures the test views that rank 0 hands out in [`evaluate`]; `watch` stops a view.
@@ -120,11 +138,11 @@ pub fn help_evaluate(
     stride: usize,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
-    ranks: &dyn Ranks,
+    together: Together<'_>,
 ) -> Result<()> {
     let stride = stride.max(1);
     let mut progress = Progress { perception, watch, done: 0, total: 0 };
-    ranks::labour(ranks, &description(frames, data, stride), |job| {
+    ranks::labour(together.ranks, &description(frames, data, stride, together.model)?, |job| {
         let mut views = Vec::new();
         let whole = evaluate_frame(viewer, frames, job * stride, 1, data, &mut progress, &mut views)?;
         Ok(whole.then_some(views))

@@ -17,5 +17,5 @@ pub mod video;
 pub use cameras::Named;
 pub use files::{CAMERAS, PictureFormat, Quantity, depth_range, expect_no_others, write, write_cameras};
 pub use job::Job;
-pub use measure::{Measured, Watching, evaluate, help_evaluate};
+pub use measure::{Measured, Together, Watching, evaluate, help_evaluate};
 pub use perceiver::{PIXELS_PER_DEGREE, Perceiver, flip_colors, flip_of_pictures};

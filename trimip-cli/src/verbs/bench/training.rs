@@ -17,7 +17,7 @@ use trimip::quality::{Measures, mean_quality};
 use trimip::ranks::{digest, labour};
 use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
-use trimip_core::exchange::Ranks;
+use trimip_core::{config::DataConfig, exchange::Ranks};
 
 /// A configuration of the benchmark.
 #[derive(Clone, Debug, PartialEq)]
@@ -115,7 +115,7 @@ pub fn help_run(arguments: &BenchArguments, ranks: &dyn Ranks) -> Result<()> {
 /// # Errors
 /// When rank 0 is gone, or has other runs.
 pub fn help(bench: &Bench, ranks: &dyn Ranks) -> Result<()> {
-    labour(ranks, &bench.digest()?, |run| Ok(jobs::job(bench.training(run))))
+    labour(ranks, &bench.digest()?, |run| Ok(jobs::job(ranks, bench.training(run))))
 }
 
 impl Bench {
@@ -131,9 +131,20 @@ impl Bench {
         Ok(digest(variants.into_iter().chain([format!("{} {:?}", self.seeds, self.out)])))
     }
 
+    /// Variant and seed of run number `run` of all.
+    fn variant(&self, run: usize) -> (&Variant, u32) {
+        (&self.variants[run / self.seeds as usize], (run % self.seeds as usize) as u32)
+    }
+
+    /// Settings of the data set of run number `run`.
+    fn data(&self, run: usize) -> Result<DataConfig> {
+        let (variant, seed) = self.variant(run);
+        Ok(Config::from_settings(&with(&self.base, variant, seed)?)?.data)
+    }
+
     /// Run number `run` of all variants and seeds.
     fn training(&self, run: usize) -> Result<Training> {
-        let (variant, seed) = (&self.variants[run / self.seeds as usize], (run % self.seeds as usize) as u32);
+        let (variant, seed) = self.variant(run);
         Ok(Training::new(with(&self.base, variant, seed)?, &self.folder(variant, seed)))
     }
 }
@@ -167,7 +178,8 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
             terminal::count(runs.len() as u64, "run"),
             ranks.share().of
         ));
-        if !jobs::spread(&*ranks, &bench.digest()?, &runs, |run| bench.training(run))? {
+        if !jobs::spread(&*ranks, &bench.digest()?, &runs, |run| bench.data(run), |run| bench.training(run))?
+        {
             return Ok(None);
         }
     }

@@ -38,7 +38,13 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
         // Afterwards the runs are found trained, and are measured here.
         let waiting: Vec<usize> =
             (0..request.jobs.len()).filter(|&i| !request.jobs[i].is_trained()).collect();
-        if !jobs::spread(&*ranks, &request.digest(), &waiting, |i| Ok(request.jobs[i].training()))? {
+        if !jobs::spread(
+            &*ranks,
+            &request.digest(),
+            &waiting,
+            |i| Ok(request.jobs[i].config.data.clone()),
+            |i| Ok(request.jobs[i].training()),
+        )? {
             return Ok(interrupt::EXIT_CODE);
         }
     }
@@ -81,7 +87,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
 /// When a scene or a setting is wrong.
 pub fn help(arguments: &PaperArguments, ranks: &dyn Ranks) -> Result<()> {
     let request = Request::new(arguments)?;
-    labour(ranks, &request.digest(), |i| Ok(jobs::job(Ok(request.jobs[i].training()))))
+    labour(ranks, &request.digest(), |i| Ok(jobs::job(ranks, Ok(request.jobs[i].training()))))
 }
 
 impl Job {
