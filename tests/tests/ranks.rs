@@ -34,9 +34,6 @@ fn ranks(count: usize, here: &Path, arguments: &[&str]) -> Option<Command> {
     let mut command = Command::new("mpirun");
     command
         .args(["--oversubscribe", "--bind-to", "none", "-n", &count.to_string()])
-        // How long `mpirun` waits for a rank that it has asked to stop. It asks only once, so a slow disk would lose the run;
-        // after an error it waits for nothing.
-        .args(["--mca", "odls_base_sigkill_timeout", "5"])
         .arg(program_of_ranks()?)
         .args(arguments)
         .current_dir(here)
@@ -297,6 +294,18 @@ fn a_rank_that_is_killed_ends_the_run_and_loses_nothing() {
     assert!(killed >= 4, "only {killed} of 8 were killed before their end");
 }
 
+/// Two ranks that train into `run` without end and have begun, and the lines that they still write.
+fn endless(here: &Path) -> Option<(Child, impl Iterator<Item = String> + Send + use<>)> {
+    let arguments = tiny_and(&["--progress", "json", "--set", "train.steps=10000000", "--out", "run"]);
+    let mut command = ranks(2, here, &arguments)?;
+    // Seconds from the signal that asks a rank to stop to the one that kills it.
+    command.env("OMPI_MCA_odls_base_sigkill_timeout", "20");
+    let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
+    assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
+    Some((mpirun, lines))
+}
+
 /// True while a process is there, and no zombie.
 fn lives(process: &str) -> bool {
     let output = Command::new("ps").args(["-o", "stat=", "-p", process]).output().expect("ps");
@@ -308,12 +317,8 @@ fn lives(process: &str) -> bool {
 fn nothing_outlives_its_launcher() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let endless = tiny_and(&["--progress", "json", "--set", "train.steps=10000000", "--out", "run"]);
     for victim in ["a guard", "mpirun"] {
-        let Some(mut command) = ranks(2, here, &endless) else { return };
-        let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-        let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
-        assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
+        let Some((mut mpirun, lines)) = endless(here) else { return };
         std::thread::spawn(move || lines.for_each(drop));
         let (guards, ranks) = (children(&mpirun.id().to_string()), ranks_of(&mpirun));
         assert_eq!((guards.len(), ranks.len()), (2, 2));
@@ -337,11 +342,7 @@ fn nothing_outlives_its_launcher() {
 fn an_interrupted_run_is_saved() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let arguments = tiny_and(&["--progress", "json", "--set", "train.steps=10000000", "--out", "run"]);
-    let Some(mut command) = ranks(2, here, &arguments) else { return };
-    let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-    let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
-    assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
+    let Some((mut mpirun, lines)) = endless(here) else { return };
     assert!(Command::new("kill").args(["-INT", &mpirun.id().to_string()]).status().unwrap().success());
     let rest: Vec<String> = lines.collect();
     assert_ne!(mpirun.wait().unwrap().code(), Some(0));
@@ -355,11 +356,7 @@ fn an_interrupted_run_is_saved() {
 fn a_guard_passes_a_stop_on() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let arguments = tiny_and(&["--progress", "json", "--set", "train.steps=10000000", "--out", "run"]);
-    let Some(mut command) = ranks(2, here, &arguments) else { return };
-    let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
-    let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
-    assert!(lines.by_ref().any(|line| line.contains("\"kind\":\"step\"")), "it trains");
+    let Some((mut mpirun, lines)) = endless(here) else { return };
     for guard in children(&mpirun.id().to_string()) {
         assert!(Command::new("kill").args(["-TERM", &guard]).status().unwrap().success());
     }

@@ -26,9 +26,6 @@ const SIDE: u32 = 800;
 /// Horizontal field of view in degrees, for cameras without: that of the Blender scenes.
 const FOV: f64 = 39.597_758_2;
 
-/// Largest width or height of a picture, pixels.
-const LARGEST_SIDE: f64 = 16_384.0;
-
 /// Renders every camera that the arguments select.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
     if arguments.strip {
@@ -294,7 +291,7 @@ fn stated(arguments: &RenderArguments, like: Intrinsics) -> Intrinsics {
         return like;
     }
     let aspect = f64::from(like.width) / f64::from(like.height);
-    let side = |pixels: f64| pixels.round().clamp(1.0, LARGEST_SIDE) as u32;
+    let side = |pixels: f64| pixels.round().clamp(1.0, view::cameras::MAX_SIDE) as u32;
     let width = width.or(height.map(|height| side(f64::from(height) * aspect))).unwrap_or(like.width);
     let height = height.unwrap_or_else(|| side(f64::from(width) / aspect));
     let angle = fov.map_or_else(|| 2.0 * (0.5 * f64::from(like.width) / like.fx).atan(), f64::to_radians);

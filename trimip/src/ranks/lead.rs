@@ -24,14 +24,15 @@ pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<
     let computes = super::computes_with(config)?;
     Order::Train { version: machine::version(), config: config.to_toml(), data, computes }.give(&**ranks)?;
     // Closes the session everywhere, also if a rank cannot open it.
-    let lead = Box::new(Lead { session, ranks: Arc::clone(ranks) });
+    let lead: Box<dyn Session> = Box::new(Lead { session, ranks: Arc::clone(ranks) });
     // The time of the first step is not that of reading the data elsewhere.
+    let mut refused = None;
     for _ in 1..ranks.share().of {
         let (rank, answer) = ranks.receive()?;
         let opened: Opened = serde_json::from_slice(&answer).map_err(Error::run)?;
-        opened.map_err(|told| error_of(rank, told))?;
+        refused = refused.or(opened.err().map(|told| error_of(rank, told)));
     }
-    Ok(lead)
+    refused.map_or(Ok(lead), Err)
 }
 
 impl Drop for Lead {

@@ -8,7 +8,7 @@ use std::path::Path;
 use trimip_core::{Camera, Error, Intrinsics, Result, text};
 
 /// Largest width or height of a rendered picture, pixels.
-const MAX_SIDE: f64 = 16_384.0;
+pub const MAX_SIDE: f64 = 16_384.0;
 
 /// A camera and the name of its pictures.
 pub type Named = (String, Camera);
