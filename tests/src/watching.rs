@@ -181,7 +181,7 @@ impl Page {
     ///
     /// # Panics
     /// If the socket closes first, or something else comes.
-    pub fn news(&mut self) -> Value {
+    pub fn status(&mut self) -> Value {
         loop {
             match self.socket.read().expect("news") {
                 Message::Text(text) => {
@@ -195,7 +195,7 @@ impl Page {
         }
     }
 
-    /// The next picture; news before it are dropped.
+    /// The next picture; status messages before it are dropped.
     ///
     /// # Panics
     /// If the socket closes first, or an error comes.

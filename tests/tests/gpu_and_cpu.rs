@@ -372,7 +372,7 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
             session: &mut trainer,
             frames: scene.test.as_ref(),
             perception: &mut (),
-            onlooker: &mut (),
+            observer: &mut (),
             store: &mut shelf,
             events: &mut |event: &Event| events.push(event.clone()),
             stop: &AtomicBool::new(false),

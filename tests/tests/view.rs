@@ -237,15 +237,15 @@ fn a_run_is_watched_paused_and_stopped() {
     let here = folder.path();
     let mut run = in_training(here);
     let mut page = enter(&run);
-    assert_eq!(page.news()["state"], "running");
+    assert_eq!(page.status()["state"], "running");
     let later = |page: &mut Page| loop {
-        let news = page.news();
-        if news["step"].as_u64().is_some_and(|step| step > 0) {
-            return news;
+        let status = page.status();
+        if status["step"].as_u64().is_some_and(|step| step > 0) {
+            return status;
         }
     };
-    let news = later(&mut page);
-    assert!(news["progress"].as_f64().is_some_and(|share| (0.0..1.0).contains(&share)), "{news}");
+    let status = later(&mut page);
+    assert!(status["progress"].as_f64().is_some_and(|share| (0.0..1.0).contains(&share)), "{status}");
 
     // The model that is shown changes as it learns; no view is asked for again.
     page.send(&view(1, [3.0, 1.0, 2.0], 40, 30).to_string()).unwrap();
@@ -260,9 +260,9 @@ fn a_run_is_watched_paused_and_stopped() {
     // Paused, it does no step, and answers.
     page.send(r#"{"command":"pause"}"#).unwrap();
     let paused = loop {
-        let news = page.news();
-        if news["state"] == "paused" {
-            break news["step"].clone();
+        let status = page.status();
+        if status["state"] == "paused" {
+            break status["step"].clone();
         }
     };
     page.send(&view(2, [-3.0, 1.0, 2.0], 24, 24).to_string()).unwrap();
@@ -274,11 +274,11 @@ fn a_run_is_watched_paused_and_stopped() {
     };
     assert_eq!(pixels(&received).dimensions(), (24, 24));
     let mut second = enter(&run);
-    let news = second.news();
-    assert_eq!((&news["state"], &news["step"]), (&json!("paused"), &paused), "who comes later is told");
+    let status = second.status();
+    assert_eq!((&status["state"], &status["step"]), (&json!("paused"), &paused), "who comes later is told");
 
     page.send(r#"{"command":"resume"}"#).unwrap();
-    while page.news()["state"] != "running" {}
+    while page.status()["state"] != "running" {}
     assert!(later(&mut page)["step"].as_u64() >= paused.as_u64());
     page.send(r#"{"command":"stop"}"#).unwrap();
     assert_eq!(run.ended(), Some(130), "as by Ctrl-C");

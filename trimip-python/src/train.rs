@@ -139,7 +139,7 @@ pub fn train(
             }
             !stop.load(Ordering::Relaxed)
         };
-        let listeners = Listeners { events: &mut events, reading: &reading, onlooker: &mut (), stop: &stop };
+        let listeners = Listeners { events: &mut events, reading: &reading, observer: &mut (), stop: &stop };
         let trained = Training::new(settings, &out).fresh(fresh).run_with(listeners)?;
         let ended = trained.outcome.clone()?;
         if let Some(error) = &trained.unwritten {

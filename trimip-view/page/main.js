@@ -4,7 +4,7 @@ import { Orbit } from "./orbit.js";
 import { Link } from "./link.js";
 import { gestures } from "./gestures.js";
 import { drawFrusta } from "./frusta.js";
-import { steer, tell } from "./training.js";
+import { control, tell } from "./training.js";
 
 const find = (id) => document.getElementById(id);
 const [view, photo, frusta] = [find("view"), find("photo"), find("frusta")];
@@ -47,7 +47,7 @@ const link = new Link({
   state: (open) => say(open ? "" : "The program does not answer. Trying again…"),
 });
 
-if (scene.training) steer((command) => link.command(command));
+if (scene.training) control((command) => link.command(command));
 
 function say(text) {
   find("message").textContent = text;

@@ -1,4 +1,4 @@
-// A run that is watched: its state, the curve of its error, and the buttons that steer it.
+// A run that is watched: its state, the curve of its error, and the buttons that control it.
 
 const find = (id) => document.getElementById(id);
 
@@ -17,7 +17,7 @@ const WORDS = {
 };
 
 /** Lets the buttons send commands. */
-export function steer(send) {
+export function control(send) {
   find("training").hidden = false;
   find("pause").addEventListener("click", () => send(find("pause").dataset.command));
   find("stop").addEventListener("click", () => send("stop"));

@@ -24,7 +24,7 @@ const LEAST_BYTES: usize = 8000;
 const QUALITIES: [u8; 4] = [90, 80, 65, 50];
 
 /// A rendered view and what stands beside it.
-pub struct Seen<'a> {
+pub struct RenderedView<'a> {
     /// The view.
     pub frame: &'a Frame,
     /// Its camera.
@@ -51,7 +51,7 @@ impl From<RgbImage> for Shown {
     }
 }
 
-impl Seen<'_> {
+impl RenderedView<'_> {
     /// The picture of a view. A comparison without a photograph shows the colours, as do mip levels of an encoder without.
     pub fn picture(&self, show: Show) -> Shown {
         let Self { frame, camera, .. } = *self;
@@ -235,8 +235,8 @@ mod tests {
         }
     }
 
-    fn seen<'a>(frame: &'a Frame, camera: &'a Camera, config: &'a Config) -> Seen<'a> {
-        Seen { frame, camera, config, samples: &[], photograph: None }
+    fn rendered<'a>(frame: &'a Frame, camera: &'a Camera, config: &'a Config) -> RenderedView<'a> {
+        RenderedView { frame, camera, config, samples: &[], photograph: None }
     }
 
     #[test]
@@ -244,16 +244,16 @@ mod tests {
         let (mut frame, camera) = plane(0.0);
         frame.pixels[0] = Pixel::default();
         let config = Config::default();
-        let seen = seen(&frame, &camera, &config);
-        let Shown { picture, range } = seen.picture(Show::Depth);
+        let rendered = rendered(&frame, &camera, &config);
+        let Shown { picture, range } = rendered.picture(Show::Depth);
         assert_eq!(picture.get_pixel(0, 0).0, [0; 3]);
         assert!(
             picture.get_pixel(4, 4).0[0] > 60 && range.is_some_and(|[far, near]| far > 4.0 && near < 4.0)
         );
-        let opacity = seen.picture(Show::Opacity).picture;
+        let opacity = rendered.picture(Show::Opacity).picture;
         assert_eq!((opacity.get_pixel(0, 0).0, opacity.get_pixel(4, 4).0), ([0; 3], [255; 3]));
         let same = rgb_image(9, 9, &frame.rgb());
-        let none = Seen { photograph: Some(&same), ..seen }.picture(Show::Difference).picture;
+        let none = RenderedView { photograph: Some(&same), ..rendered }.picture(Show::Difference).picture;
         assert!(none.pixels().all(|pixel| pixel.0.iter().all(|value| *value < 5)));
     }
 
@@ -272,9 +272,9 @@ mod tests {
             );
             let pixel = Pixel { rgb: [0.5; 3], opacity: 1.0, depth: distance as f32 };
             let frame = Frame { width: 9, height: 9, pixels: vec![pixel; 81] };
-            let seen = seen(&frame, &camera, &config);
-            let (levels, top) = seen.levels().unwrap();
-            assert_eq!((top, seen.picture(Show::Level).range), (7.0, Some([0.0, 7.0])));
+            let rendered = rendered(&frame, &camera, &config);
+            let (levels, top) = rendered.levels().unwrap();
+            assert_eq!((top, rendered.picture(Show::Level).range), (7.0, Some([0.0, 7.0])));
             // r of the middle pixel: of the sphere within the cone of a disc of its area (Eq. 3).
             let disc = 1.0 / camera.intrinsics.fx / std::f64::consts::PI.sqrt();
             let radius = distance * disc.atan().sin();
@@ -293,7 +293,7 @@ mod tests {
         let (config, mut counts) = (Config::default(), [0; 81]);
         counts[80] = 50;
         let Shown { picture, range } =
-            Seen { samples: &counts, ..seen(&frame, &camera, &config) }.picture(Show::Samples);
+            RenderedView { samples: &counts, ..rendered(&frame, &camera, &config) }.picture(Show::Samples);
         assert_eq!(range, Some([0.0, 50.0]));
         assert_eq!(picture.get_pixel(0, 0).0, STOPS[0].map(|c| (255.0 * c).round() as u8));
         assert_eq!(picture.get_pixel(8, 8).0, STOPS[5].map(|c| (255.0 * c).round() as u8));

@@ -26,7 +26,7 @@ pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
         machine::reset_peak_memory();
         let mut events = |_: &Event| {};
         let going = |_, _| !stop.load(Ordering::Relaxed);
-        let listeners = Listeners { events: &mut events, reading: &going, onlooker: &mut (), stop: &stop };
+        let listeners = Listeners { events: &mut events, reading: &going, observer: &mut (), stop: &stop };
         let trained = training.beside(ranks.on_machine().of).run_with(listeners)?;
         trained.outcome.map(|ended| (ended, trained.data))
     };

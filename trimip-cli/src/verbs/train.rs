@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use trimip::report::{Report, Status};
 use trimip::view::{pictures, turntable};
 use trimip::{Config, Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
-use trimip_core::{atomic::write_atomically, run::Onlooker};
-use trimip_view::Audience;
+use trimip_core::{atomic::write_atomically, run::Observer};
+use trimip_view::LiveView;
 
 /// Trains with the given settings. All input is validated before any long work begins.
 pub fn run(arguments: &TrainArguments) -> Result<u8> {
@@ -37,9 +37,9 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
             Training::new(given, &root).fresh(arguments.fresh)
         }
     };
-    let audience = arguments.view.then(|| watched(&root, arguments.port)).transpose()?;
+    let live_view = arguments.view.then(|| watched(&root, arguments.port)).transpose()?;
     let training = training.stop_after(arguments.stop_after).since(started).over(ranks::all());
-    let trained = train_before(audience, training, arguments.progress)?;
+    let trained = train_before(live_view, training, arguments.progress)?;
     conclude(&trained, arguments.progress)
 }
 
@@ -55,12 +55,12 @@ fn extension(arguments: &TrainArguments, root: &Path, time: &str) -> Result<Trai
 }
 
 /// Prints the address at which a browser shows the run of a folder.
-fn watched(root: &Path, port: u16) -> Result<Audience> {
+fn watched(root: &Path, port: u16) -> Result<LiveView> {
     let name = root.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned());
     let at = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port);
-    let audience = Audience::await_at(at, name, interrupt::install()?)?;
-    terminal::aside(format!("watch at {} once the first step is done", audience.address()));
-    Ok(audience)
+    let live_view = LiveView::bind(at, name, interrupt::install()?)?;
+    terminal::aside(format!("watch at {} once the first step is done", live_view.address()));
+    Ok(live_view)
 }
 
 /// Trains with progress on the terminal; Ctrl-C stops it.
@@ -71,28 +71,28 @@ pub fn train(training: Training, style: ProgressStyle) -> Result<Trained> {
     train_before(None, training, style)
 }
 
-/// As [`train`], before an audience.
-fn train_before(audience: Option<Audience>, training: Training, style: ProgressStyle) -> Result<Trained> {
+/// As [`train`], before an live view.
+fn train_before(live_view: Option<LiveView>, training: Training, style: ProgressStyle) -> Result<Trained> {
     let stop = interrupt::install()?;
     let mut nobody = ();
-    let mut onlooker = audience.clone();
+    let mut observer = live_view.clone();
     let (display, reading) = (Display::new(style), Reading::default());
     let mut events = |event: &Event| {
         reading.finish();
         display.show(event);
-        if let Some(audience) = &audience {
-            audience.hear(event);
+        if let Some(live_view) = &live_view {
+            live_view.handle(event);
         }
     };
     let rows = |done, total| {
         reading.rows(done, total);
         !stop.load(Ordering::Relaxed)
     };
-    let onlooker: &mut dyn Onlooker = match &mut onlooker {
-        Some(audience) => audience,
+    let observer: &mut dyn Observer = match &mut observer {
+        Some(live_view) => live_view,
         None => &mut nobody,
     };
-    let listeners = Listeners { events: &mut events, reading: &rows, onlooker, stop: &stop };
+    let listeners = Listeners { events: &mut events, reading: &rows, observer, stop: &stop };
     let trained = training.run_with(listeners);
     reading.finish();
     trained

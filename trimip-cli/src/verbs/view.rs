@@ -7,7 +7,7 @@ use std::thread;
 use std::time::Duration;
 use trimip::backends;
 use trimip_core::Result;
-use trimip_view::{Door, Scene, Threshold};
+use trimip_view::{Listener, Scene, Server};
 
 /// How often the program looks whether it should end.
 const LOOK: Duration = Duration::from_millis(50);
@@ -20,12 +20,12 @@ pub fn run(arguments: &ViewArguments) -> Result<u8> {
         .for_each(|remark| terminal::aside(format!("warning: {remark}")));
     scene.notes.iter().for_each(|note| terminal::aside(format!("warning: {note}")));
     let stop = interrupt::install_for("ending; press Ctrl-C again to end at once")?;
-    let threshold = Threshold::bind(SocketAddr::new(arguments.bind, arguments.port))?;
-    let door = Door::open(threshold, scene, renderers, None)?;
+    let listener = Listener::bind(SocketAddr::new(arguments.bind, arguments.port))?;
+    let server = Server::open(listener, scene, renderers, None)?;
     if !arguments.bind.is_loopback() {
         terminal::aside("warning: everybody who knows the address below can look, and nothing is encrypted");
     }
-    terminal::line(&door.address);
+    terminal::line(&server.address);
     terminal::aside("open this address in a browser; Ctrl-C ends");
     while !stop.load(Ordering::Relaxed) {
         thread::sleep(LOOK);

@@ -45,7 +45,7 @@ pub trait Store {
 }
 
 /// Looks at a run while it goes on.
-pub trait Onlooker {
+pub trait Observer {
     /// Called between two steps; its time does not count as training, so a run is paused by waiting here. Returns true to get
     /// the model as it is, and is called again after it.
     fn between(&mut self, totals: &Totals) -> bool {
@@ -60,7 +60,7 @@ pub trait Onlooker {
 }
 
 /// Nobody looks.
-impl Onlooker for () {}
+impl Observer for () {}
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,7 +86,7 @@ pub struct Run<'a> {
     /// Receives the events.
     pub events: &'a mut dyn EventSink,
     /// Looks at the model between steps.
-    pub onlooker: &'a mut dyn Onlooker,
+    pub observer: &'a mut dyn Observer,
     /// Set by another thread to stop the run after the current step.
     pub stop: &'a AtomicBool,
     /// Counters at the last evaluation of an earlier part of the run; zero if there is none. Points of the curve that lie
@@ -163,9 +163,9 @@ impl Run<'_> {
                 logged_totals = totals;
                 told = self.tell(told);
             }
-            while self.onlooker.between(&totals) {
+            while self.observer.between(&totals) {
                 let model = self.session.model()?;
-                self.onlooker.model(model);
+                self.observer.model(model);
             }
             let every = self.config.train.checkpoint_seconds;
             if every > 0.0 && totals.seconds - saved >= every && !done {

@@ -25,7 +25,7 @@ use trimip_core::{
     fingerprint::Fingerprint,
     model::Model,
     quality::mean_quality,
-    run::{Onlooker, Outcome, Run},
+    run::{Observer, Outcome, Run},
     scene_plan::{self, Facts},
 };
 use trimip_data::Watch;
@@ -37,7 +37,7 @@ pub struct Listeners<'a> {
     /// Receives the number of photograph rows read, and their total.
     pub reading: Watch<'a>,
     /// Looks at the model between steps, and may pause the run.
-    pub onlooker: &'a mut dyn Onlooker,
+    pub observer: &'a mut dyn Observer,
     /// When set to true, the run stops after the current step and saves.
     pub stop: &'a AtomicBool,
 }
@@ -193,7 +193,7 @@ impl Training {
     pub fn run(self, events: &mut dyn EventSink) -> Result<Trained> {
         let stop = AtomicBool::new(false);
         let reading = &trimip_data::unwatched;
-        let trained = self.run_with(Listeners { events, reading, onlooker: &mut (), stop: &stop })?;
+        let trained = self.run_with(Listeners { events, reading, observer: &mut (), stop: &stop })?;
         trained.outcome.clone()?;
         Ok(trained)
     }
@@ -323,7 +323,7 @@ impl Training {
             perception: &mut perceiver,
             store: &mut store,
             events: &mut recorder,
-            onlooker: listeners.onlooker,
+            observer: listeners.observer,
             stop: listeners.stop,
             evaluated,
         }

@@ -1,8 +1,9 @@
-//! Pages that watch a run: they see the model as it is learned and the curve of its error, and pause, resume or stop it.
+//! The live view of a training run. Pages show the model as it is learned and the curve of its error, and can pause, resume or
+//! stop the run.
 
-use crate::door::{Door, Threshold};
 use crate::protocol::Command;
 use crate::scene::Scene;
+use crate::server::{Listener, Server};
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,7 +13,7 @@ use std::time::{Duration, Instant};
 use trimip_core::Result;
 use trimip_core::events::{Event, Totals};
 use trimip_core::model::Model;
-use trimip_core::run::Onlooker;
+use trimip_core::run::Observer;
 
 /// Shortest time between two states of the model that are shown.
 const RENEWED: Duration = Duration::from_secs(2);
@@ -23,9 +24,9 @@ const LOADS: u32 = 10;
 /// How often a paused run looks whether it goes on.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Who watches a run. Clones are the same audience: one receives the events, the other looks on.
+/// The pages that watch one run. Clones share their state: one receives the events, the other observes the run.
 #[derive(Clone)]
-pub struct Audience {
+pub struct LiveView {
     shared: Arc<Shared>,
 }
 
@@ -39,36 +40,36 @@ struct Shared {
 }
 
 struct State {
-    /// `None` once the door is open.
-    threshold: Option<Threshold>,
-    door: Option<Door>,
+    /// `None` once the server is open.
+    listener: Option<Listener>,
+    server: Option<Server>,
     /// When a state of the model was shown last.
     shown: Option<Instant>,
     /// True if the state at which the run was paused is shown.
     still: bool,
     /// What the pages are told, but for the points of the curve.
-    news: Value,
+    status: Value,
     /// Seconds of training and PSNR of each evaluation.
     curve: Vec<[f64; 2]>,
 }
 
-impl Audience {
+impl LiveView {
     /// Binds the address at which pages will watch the run `name`; they wait until its first step is done. `stop` ends the run.
     ///
     /// # Errors
     /// When the address is taken or cannot be bound.
-    pub fn await_at(at: SocketAddr, name: String, stop: Arc<AtomicBool>) -> Result<Self> {
-        let threshold = Threshold::bind(at)?;
+    pub fn bind(at: SocketAddr, name: String, stop: Arc<AtomicBool>) -> Result<Self> {
+        let listener = Listener::bind(at)?;
         let state = State {
-            door: None,
+            server: None,
             shown: None,
             still: false,
-            news: json!({ "state": "running" }),
+            status: json!({ "state": "running" }),
             curve: Vec::new(),
-            threshold: None,
+            listener: None,
         };
-        let (address, paused) = (threshold.address.clone(), Arc::new(AtomicBool::new(false)));
-        let state = Mutex::new(State { threshold: Some(threshold), ..state });
+        let (address, paused) = (listener.address.clone(), Arc::new(AtomicBool::new(false)));
+        let state = Mutex::new(State { listener: Some(listener), ..state });
         Ok(Self { shared: Arc::new(Shared { address, name, paused, stop, state }) })
     }
 
@@ -78,25 +79,25 @@ impl Audience {
     }
 
     /// Tells the pages what happened.
-    pub fn hear(&self, event: &Event) {
+    pub fn handle(&self, event: &Event) {
         let mut state = self.shared.state();
         match event {
             Event::Step { totals, progress, batch_psnr, samples_per_second, seconds_left, .. } => {
-                state.news["step"] = totals.step.into();
-                state.news["seconds"] = totals.seconds.into();
-                state.news["progress"] = (*progress).into();
-                state.news["batch_psnr"] = (*batch_psnr).into();
-                state.news["samples_per_second"] = (*samples_per_second).into();
-                state.news["seconds_left"] = (*seconds_left).into();
+                state.status["step"] = totals.step.into();
+                state.status["seconds"] = totals.seconds.into();
+                state.status["progress"] = (*progress).into();
+                state.status["batch_psnr"] = (*batch_psnr).into();
+                state.status["samples_per_second"] = (*samples_per_second).into();
+                state.status["seconds_left"] = (*seconds_left).into();
             }
             Event::Evaluation { totals, psnr, .. } if psnr.is_finite() => {
                 state.curve.push([totals.seconds, *psnr]);
             }
-            Event::Stopped { .. } => state.news["state"] = "stopped".into(),
+            Event::Stopped { .. } => state.status["state"] = "stopped".into(),
             // The final evaluation follows.
-            Event::Finished { .. } => state.news["state"] = "measuring".into(),
-            Event::SessionEnded { .. } if state.news["state"] == "measuring" => {
-                state.news["state"] = "finished".into();
+            Event::Finished { .. } => state.status["state"] = "measuring".into(),
+            Event::SessionEnded { .. } if state.status["state"] == "measuring" => {
+                state.status["state"] = "finished".into();
             }
             _ => return,
         }
@@ -109,46 +110,47 @@ impl Shared {
         self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// Opens the door, once there is a model.
+    /// Opens the server, once there is a model.
     fn open(&self, state: &mut State, model: Model) -> Result<()> {
-        let Some(threshold) = state.threshold.take() else { return Ok(()) };
+        let Some(listener) = state.listener.take() else { return Ok(()) };
         let (paused, stop) = (Arc::clone(&self.paused), Arc::clone(&self.stop));
-        let steer = move |command| match command {
+        let control = move |command| match command {
             Command::Pause => paused.store(true, Ordering::Relaxed),
             Command::Resume => paused.store(false, Ordering::Relaxed),
             Command::Stop => stop.store(true, Ordering::Relaxed),
         };
         let (scene, renderers) = Scene::of(self.name.clone(), model)?;
-        state.door = Some(Door::open(threshold, scene, renderers, Some(Box::new(steer)))?);
+        state.server = Some(Server::open(listener, scene, renderers, Some(Box::new(control)))?);
         Ok(())
     }
 }
 
 impl State {
     fn tell(&self) {
-        if let Some(door) = &self.door {
-            let mut news = self.news.clone();
-            news["curve"] = json!(self.curve);
-            door.tell(&json!({ "training": news }).to_string());
+        if let Some(server) = &self.server {
+            let mut status = self.status.clone();
+            status["curve"] = json!(self.curve);
+            server.tell(&json!({ "training": status }).to_string());
         }
     }
 }
 
-impl Onlooker for Audience {
+impl Observer for LiveView {
     fn between(&mut self, _: &Totals) -> bool {
         let Shared { paused, stop, .. } = &*self.shared;
-        let wants = |state: &State| match &state.door {
-            None => state.threshold.is_some(),
-            Some(door) => door.studio().load_time().is_some_and(|load| {
+        let wants = |state: &State| match &state.server {
+            None => state.listener.is_some(),
+            Some(server) => server.render_thread().load_time().is_some_and(|load| {
                 let pause = RENEWED.max(LOADS * load);
-                state.shown.is_none_or(|shown| shown.elapsed() >= pause) && door.studio().watchers() > 0
+                state.shown.is_none_or(|shown| shown.elapsed() >= pause)
+                    && server.render_thread().watchers() > 0
             }),
         };
         let mut state = self.shared.state();
         if paused.load(Ordering::Relaxed) {
             if !state.still {
                 state.still = true;
-                state.news["state"] = "paused".into();
+                state.status["state"] = "paused".into();
                 state.tell();
                 return true;
             }
@@ -160,7 +162,7 @@ impl Onlooker for Audience {
         }
         if state.still {
             state.still = false;
-            state.news["state"] = "running".into();
+            state.status["state"] = "running".into();
             state.tell();
         }
         wants(&state)
@@ -169,10 +171,10 @@ impl Onlooker for Audience {
     fn model(&mut self, model: Model) {
         let mut state = self.shared.state();
         state.shown = Some(Instant::now());
-        if let Some(door) = &state.door {
-            return door.studio().show(model);
+        if let Some(server) = &state.server {
+            return server.render_thread().show(model);
         }
-        // The run goes on without its audience.
+        // The run goes on without its live view.
         if let Err(error) = self.shared.open(&mut state, model) {
             eprintln!("warning: the run cannot be watched: {error}");
         }

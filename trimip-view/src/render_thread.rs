@@ -1,8 +1,9 @@
-//! The thread that renders. Each page has one request, its newest. Pages take turns; a coarse picture of one goes before a
-//! fine picture of another, and a fine picture that somebody waits behind is given up and begun anew later. While a model is
-//! in training, each newer state of it is loaded between two pictures, and every page gets its view of it.
+//! The render thread. Each page has one request, its newest, and pages are served in turn. A coarse picture of one page goes
+//! before a full-resolution picture of another, and a full-resolution render is cancelled and restarted later if another page
+//! waits for its first picture. While a model is in training, the thread loads each newer state of it between two pictures, and
+//! every page gets its view of that state.
 
-use crate::picture::{Seen, jpeg};
+use crate::picture::{RenderedView, jpeg};
 use crate::protocol::{Header, Renderer, Request, Show, message};
 use crate::scene::{Renderers, Scene};
 use std::collections::BTreeMap;
@@ -55,7 +56,7 @@ struct Client {
 }
 
 #[derive(Default)]
-struct Desk {
+struct Queue {
     clients: BTreeMap<u64, Client>,
     next: u64,
     /// The page that was served last.
@@ -69,9 +70,9 @@ struct Desk {
     closed: bool,
 }
 
-impl Desk {
+impl Queue {
     /// The page to serve next, in turn: those without any picture of their view first.
-    fn choose(&self) -> Option<u64> {
+    fn select(&self) -> Option<u64> {
         let waiting = |begun: bool| {
             let own = move |(_, client): &(&u64, &Client)| client.request.is_some() && client.begun == begun;
             let after = self.clients.range(self.last + 1..).find(own);
@@ -89,23 +90,23 @@ impl Desk {
 
 #[derive(Default)]
 struct Shared {
-    desk: Mutex<Desk>,
-    bell: Condvar,
+    queue: Mutex<Queue>,
+    changed: Condvar,
 }
 
 impl Shared {
-    fn desk(&self) -> MutexGuard<'_, Desk> {
-        self.desk.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 }
 
-/// The render thread and the desk where pages leave their requests.
-pub struct Studio {
+/// The render thread and the queue where pages leave their requests.
+pub struct RenderThread {
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-impl Studio {
+impl RenderThread {
     /// Starts the thread.
     ///
     /// # Errors
@@ -113,62 +114,62 @@ impl Studio {
     pub fn start(scene: Arc<Scene>, mut renderers: Renderers) -> Result<Self> {
         let shared = Arc::new(Shared::default());
         let own = Arc::clone(&shared);
-        let work = move || {
-            Painter { scene, speed: BTreeMap::new(), shared: own, clips: BTreeMap::new() }.run(&mut renderers)
+        let run = move || {
+            Worker { scene, speed: BTreeMap::new(), shared: own, clips: BTreeMap::new() }.run(&mut renderers)
         };
         let thread = thread::Builder::new()
             .name("render".into())
-            .spawn(work)
+            .spawn(run)
             .map_err(|error| Error::device(format!("cannot start the render thread: {error}")))?;
         Ok(Self { shared, thread: Mutex::new(Some(thread)) })
     }
 
     /// A page enters. It gets a number, and the newest answer to its requests.
     pub fn enter(&self) -> (u64, watch::Receiver<Option<Answer>>) {
-        let mut desk = self.shared.desk();
-        desk.next += 1;
+        let mut queue = self.shared.queue();
+        queue.next += 1;
         let (answers, receiver) = watch::channel(None);
-        let id = desk.next;
-        desk.clients.insert(id, Client { request: None, last: None, begun: false, answers });
+        let id = queue.next;
+        queue.clients.insert(id, Client { request: None, last: None, begun: false, answers });
         (id, receiver)
     }
 
     /// Number of pages that watch.
     pub fn watchers(&self) -> usize {
-        self.shared.desk().clients.len()
+        self.shared.queue().clients.len()
     }
 
     /// A page asks for a view; its earlier request is forgotten.
     pub fn ask(&self, id: u64, request: Request) {
-        if let Some(client) = self.shared.desk().clients.get_mut(&id) {
+        if let Some(client) = self.shared.queue().clients.get_mut(&id) {
             client.last = Some(request.clone());
             client.request = Some((request, Instant::now()));
             client.begun = false;
         }
-        self.shared.bell.notify_all();
+        self.shared.changed.notify_all();
     }
 
     /// Shows a newer state of the model from now on; an earlier one that was not loaded yet is dropped.
     pub fn show(&self, model: Model) {
-        self.shared.desk().model = Some(model);
-        self.shared.bell.notify_all();
+        self.shared.queue().model = Some(model);
+        self.shared.changed.notify_all();
     }
 
     /// Time that the last state of the model took to load; `None` while a newer one waits or is being loaded.
     pub fn load_time(&self) -> Option<Duration> {
-        let desk = self.shared.desk();
-        (desk.model.is_none() && !desk.loading).then_some(desk.load_time)
+        let queue = self.shared.queue();
+        (queue.model.is_none() && !queue.loading).then_some(queue.load_time)
     }
 
     /// A page leaves.
     pub fn leave(&self, id: u64) {
-        self.shared.desk().clients.remove(&id);
+        self.shared.queue().clients.remove(&id);
     }
 
     /// Ends the thread; a picture in progress is given up.
     pub fn close(&self) {
-        self.shared.desk().closed = true;
-        self.shared.bell.notify_all();
+        self.shared.queue().closed = true;
+        self.shared.changed.notify_all();
         let thread = self.thread.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
         // A thread that panicked has printed why.
         let _ = thread.map(JoinHandle::join);
@@ -176,7 +177,7 @@ impl Studio {
 }
 
 /// What the render thread knows.
-struct Painter {
+struct Worker {
     scene: Arc<Scene>,
     /// Pixels per second, by renderer.
     speed: BTreeMap<Renderer, f64>,
@@ -186,26 +187,26 @@ struct Painter {
 }
 
 /// What the render thread does next.
-enum Work {
+enum Task {
     /// Loads a newer state of the model.
     Load(Box<Model>),
     /// Serves page `id`; the time of its request, and true if it has a coarse picture.
     Serve(u64, Request, Instant, bool),
 }
 
-impl Painter {
+impl Worker {
     fn run(mut self, renderers: &mut Renderers) {
-        while let Some(work) = self.next() {
-            let (id, request, asked, begun) = match work {
-                Work::Serve(id, request, asked, begun) => (id, request, asked, begun),
-                Work::Load(model) => {
+        while let Some(run) = self.next() {
+            let (id, request, asked, begun) = match run {
+                Task::Serve(id, request, asked, begun) => (id, request, asked, begun),
+                Task::Load(model) => {
                     self.load(renderers, &model);
                     continue;
                 }
             };
             let outcome = self.serve(renderers, id, &request, asked, begun);
-            let mut desk = self.shared.desk();
-            let Some(client) = desk.clients.get_mut(&id) else { continue };
+            let mut queue = self.shared.queue();
+            let Some(client) = queue.clients.get_mut(&id) else { continue };
             let current = client.request.as_ref().is_some_and(|(own, _)| *own == request);
             match outcome {
                 // A newer request stays.
@@ -225,24 +226,24 @@ impl Painter {
         }
     }
 
-    /// Waits for a request; `None` when the studio closes.
-    fn next(&self) -> Option<Work> {
-        let mut desk = self.shared.desk();
+    /// Waits for a request; `None` when the thread closes.
+    fn next(&self) -> Option<Task> {
+        let mut queue = self.shared.queue();
         loop {
-            if desk.closed {
+            if queue.closed {
                 return None;
             }
-            if let Some(model) = desk.model.take() {
-                desk.loading = true;
-                return Some(Work::Load(Box::new(model)));
+            if let Some(model) = queue.model.take() {
+                queue.loading = true;
+                return Some(Task::Load(Box::new(model)));
             }
-            if let Some(id) = desk.choose() {
-                desk.last = id;
-                let client = desk.clients.get(&id)?;
+            if let Some(id) = queue.select() {
+                queue.last = id;
+                let client = queue.clients.get(&id)?;
                 let (request, asked) = client.request.clone()?;
-                return Some(Work::Serve(id, request, asked, client.begun));
+                return Some(Task::Serve(id, request, asked, client.begun));
             }
-            desk = self.shared.bell.wait(desk).unwrap_or_else(|poisoned| poisoned.into_inner());
+            queue = self.shared.changed.wait(queue).unwrap_or_else(|poisoned| poisoned.into_inner());
         }
     }
 
@@ -250,19 +251,19 @@ impl Painter {
     fn load(&mut self, renderers: &mut Renderers, model: &Model) {
         let started = Instant::now();
         let loaded = Renderers::open(model);
-        let mut desk = self.shared.desk();
-        (desk.loading, desk.load_time) = (false, started.elapsed());
+        let mut queue = self.shared.queue();
+        (queue.loading, queue.load_time) = (false, started.elapsed());
         match loaded {
             Ok(loaded) => {
                 *renderers = loaded;
                 self.clips.clear();
-                for client in desk.clients.values_mut().filter(|client| client.request.is_none()) {
+                for client in queue.clients.values_mut().filter(|client| client.request.is_none()) {
                     client.request = client.last.clone().map(|request| (request, Instant::now()));
                     // The last picture stays until the finer one is there.
                     client.begun = client.request.is_some();
                 }
             }
-            Err(error) => desk.clients.values().for_each(|client| {
+            Err(error) => queue.clients.values().for_each(|client| {
                 client.answers.send_replace(Some(Answer::Failed(error.to_string())));
             }),
         }
@@ -301,7 +302,7 @@ impl Painter {
         }
         let started = Instant::now();
         let shared = &self.shared;
-        let watch = &mut |_: u32, _: u32| !(begun && shared.desk().interrupts(id));
+        let watch = &mut |_: u32, _: u32| !(begun && shared.queue().interrupts(id));
         let Some(frame) = viewer.render_watched(&camera, watch)? else { return Ok(None) };
         let rendered = started.elapsed().as_secs_f64();
         let photograph = match request.photo.filter(|_| request.show.compares()) {
@@ -316,14 +317,14 @@ impl Painter {
             _ => Vec::new(),
         };
         let config = &self.scene.config;
-        let seen = Seen {
+        let view = RenderedView {
             frame: &frame,
             camera: &camera,
             config,
             samples: &samples,
             photograph: photograph.as_ref(),
         };
-        let shown = seen.picture(request.show);
+        let shown = view.picture(request.show);
         // All that a picture of this kind takes.
         let spent = started.elapsed().as_secs_f64();
         let measured = f64::from(frame.width) * f64::from(frame.height) / spent.max(1e-6);
@@ -369,23 +370,23 @@ mod tests {
 
     #[test]
     fn pages_take_turns_and_first_pictures_go_before_fine_ones() {
-        let mut desk = Desk::default();
-        assert_eq!(desk.choose(), None);
-        desk.clients = BTreeMap::from([
+        let mut queue = Queue::default();
+        assert_eq!(queue.select(), None);
+        queue.clients = BTreeMap::from([
             (1, client(true, true)),
             (2, client(true, false)),
             (3, client(false, false)),
             (4, client(true, false)),
         ]);
-        assert_eq!(desk.choose(), Some(2));
-        desk.last = 2;
-        assert_eq!(desk.choose(), Some(4));
-        desk.last = 4;
-        assert_eq!(desk.choose(), Some(2), "in turn");
-        assert!(desk.interrupts(1), "somebody waits for a first picture");
-        desk.clients.retain(|id, _| [1, 3].contains(id));
-        assert_eq!(desk.choose(), Some(1));
-        assert!(!desk.interrupts(1) && desk.interrupts(9), "who left needs no picture");
+        assert_eq!(queue.select(), Some(2));
+        queue.last = 2;
+        assert_eq!(queue.select(), Some(4));
+        queue.last = 4;
+        assert_eq!(queue.select(), Some(2), "in turn");
+        assert!(queue.interrupts(1), "somebody waits for a first picture");
+        queue.clients.retain(|id, _| [1, 3].contains(id));
+        assert_eq!(queue.select(), Some(1));
+        assert!(!queue.interrupts(1) && queue.interrupts(9), "who left needs no picture");
     }
 
     #[test]

@@ -1,12 +1,12 @@
-//! The server: the page and its modules, photographs, and the web socket. Only who knows the token of the address may enter,
-//! and no page of another origin.
+//! The server: the page and its modules, photographs, and the web socket. Requests without the token, or from another origin,
+//! are rejected.
 
 use crate::listener::Patient;
 use crate::page;
 use crate::picture;
 use crate::protocol::{self, Command, MOST_BYTES, MOST_SIDE, Photo, Split};
+use crate::render_thread::{Answer, RenderThread};
 use crate::scene::{Renderers, Scene};
-use crate::studio::{Answer, Studio};
 use axum::Router;
 use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
@@ -56,32 +56,32 @@ const REPORT_POLICY: &str = "sandbox allow-scripts; default-src 'none'; script-s
                              style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; \
                              frame-ancestors 'none'";
 
-struct Hall {
+struct ServerState {
     token: String,
     /// The description of the scene, as JSON.
     about: String,
     scene: Arc<Scene>,
-    studio: Studio,
+    render_thread: RenderThread,
     /// Places for pages.
     places: Arc<Semaphore>,
     /// The state of the run that is watched, as JSON; empty without a run.
-    news: watch::Sender<Arc<str>>,
+    status: watch::Sender<Arc<str>>,
     /// Takes what a page does to the run; `None` without a run.
-    steer: Option<Steer>,
+    control: Option<Control>,
 }
 
 /// What takes the commands of pages.
-pub type Steer = Box<dyn Fn(Command) + Send + Sync>;
+pub type Control = Box<dyn Fn(Command) + Send + Sync>;
 
-/// An address that is bound, and the token that will be asked for. Pages wait until the door opens.
-pub struct Threshold {
+/// A bound address with its token. Connections wait until the [`Server`] starts.
+pub struct Listener {
     listener: std::net::TcpListener,
     token: String,
     /// The address to open, with its token.
     pub address: String,
 }
 
-impl Threshold {
+impl Listener {
     /// Binds an address; port 0 takes a free one.
     ///
     /// # Errors
@@ -101,39 +101,39 @@ impl Threshold {
 }
 
 /// A server that runs.
-pub struct Door {
+pub struct Server {
     /// The address to open, with its token.
     pub address: String,
-    hall: Arc<Hall>,
+    state: Arc<ServerState>,
     stop: watch::Sender<bool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Door {
-    /// Opens the door. With `steer`, the pages watch a run.
+impl Server {
+    /// Starts serving. With `control`, pages watch a run.
     ///
     /// # Errors
     /// When no thread can be started.
     pub fn open(
-        threshold: Threshold,
+        listener: Listener,
         scene: Scene,
         renderers: Renderers,
-        steer: Option<Steer>,
+        control: Option<Control>,
     ) -> Result<Self> {
-        let Threshold { listener, token, address } = threshold;
+        let Listener { listener, token, address } = listener;
         let mut about = scene.describe(&renderers.names(), &renderers.device());
-        about["training"] = steer.is_some().into();
+        about["training"] = control.is_some().into();
         let scene = Arc::new(scene);
-        let studio = Studio::start(Arc::clone(&scene), renderers)?;
-        let news = watch::channel(Arc::from("")).0;
-        let hall = Arc::new(Hall {
+        let render_thread = RenderThread::start(Arc::clone(&scene), renderers)?;
+        let status = watch::channel(Arc::from("")).0;
+        let state = Arc::new(ServerState {
             token,
             about: about.to_string(),
             scene,
-            studio,
+            render_thread,
             places: Arc::new(Semaphore::new(MOST_PAGES)),
-            news,
-            steer,
+            status,
+            control,
         });
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -148,8 +148,8 @@ impl Door {
             .route("/{token}/socket", get(socket))
             .route("/{token}/{file}", get(file))
             .fallback(async || StatusCode::FORBIDDEN)
-            .layer(middleware::from_fn_with_state(Arc::clone(&hall), admitted))
-            .with_state(Arc::clone(&hall));
+            .layer(middleware::from_fn_with_state(Arc::clone(&state), admitted))
+            .with_state(Arc::clone(&state));
         let serve = move || {
             runtime.block_on(async {
                 let listener = match TcpListener::from_std(listener) {
@@ -171,24 +171,24 @@ impl Door {
             .name("server".into())
             .spawn(serve)
             .map_err(|error| Error::device(format!("cannot start the server: {error}")))?;
-        Ok(Self { address, hall, stop, thread: Some(thread) })
+        Ok(Self { address, state, stop, thread: Some(thread) })
     }
 
     /// The thread that renders.
-    pub fn studio(&self) -> &Studio {
-        &self.hall.studio
+    pub fn render_thread(&self) -> &RenderThread {
+        &self.state.render_thread
     }
 
     /// Tells every page, also those that come later, the state of the run: JSON.
-    pub fn tell(&self, news: &str) {
-        self.hall.news.send_replace(Arc::from(news));
+    pub fn tell(&self, status: &str) {
+        self.state.status.send_replace(Arc::from(status));
     }
 }
 
-impl Drop for Door {
+impl Drop for Server {
     fn drop(&mut self) {
         self.stop.send_replace(true);
-        self.hall.studio.close();
+        self.state.render_thread.close();
         // A thread that panicked has printed why.
         let _ = self.thread.take().map(JoinHandle::join);
     }
@@ -201,7 +201,7 @@ fn token() -> Result<String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-impl Hall {
+impl ServerState {
     /// Fails unless the token is right and the request comes from the page itself: a browser names the page's origin, and
     /// the host under which it found this server must be an address, not a name that somebody may point here.
     fn admit(&self, token: &str, headers: &HeaderMap) -> std::result::Result<(), StatusCode> {
@@ -216,10 +216,10 @@ impl Hall {
     }
 }
 
-/// Answers 403 to everything that [`Hall::admit`] refuses, before anything else is read.
-async fn admitted(State(hall): State<Arc<Hall>>, request: Request, next: Next) -> Answered {
+/// Answers 403 to everything that [`ServerState::admit`] refuses, before anything else is read.
+async fn admitted(State(state): State<Arc<ServerState>>, request: Request, next: Next) -> Answered {
     let token = request.uri().path().split('/').nth(1).unwrap_or_default();
-    hall.admit(token, request.headers())?;
+    state.admit(token, request.headers())?;
     Ok(next.run(request).await)
 }
 
@@ -251,13 +251,13 @@ async fn file(Path((_, name)): Path<(String, String)>) -> Answered {
     Ok(text(own.1, own.2.into()))
 }
 
-async fn about_scene(State(hall): State<Arc<Hall>>) -> Answered {
-    Ok(text("application/json", hall.about.clone()))
+async fn about_scene(State(state): State<Arc<ServerState>>) -> Answered {
+    Ok(text("application/json", state.about.clone()))
 }
 
 /// The report of the model's run, as it is now.
-async fn report(State(hall): State<Arc<Hall>>) -> Answered {
-    let path = hall.scene.report.clone().ok_or(StatusCode::NOT_FOUND)?;
+async fn report(State(state): State<Arc<ServerState>>) -> Answered {
+    let path = state.scene.report.clone().ok_or(StatusCode::NOT_FOUND)?;
     let read = tokio::task::spawn_blocking(move || std::fs::read_to_string(path));
     let page =
         read.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?.map_err(|_| StatusCode::NOT_FOUND)?;
@@ -272,14 +272,14 @@ struct Size {
 }
 
 async fn photograph(
-    State(hall): State<Arc<Hall>>,
+    State(state): State<Arc<ServerState>>,
     Path((_, split, index)): Path<(String, Split, usize)>,
     Query(Size { width, height }): Query<Size>,
 ) -> Answered {
     if ![width, height].iter().all(|side| (1..=MOST_SIDE).contains(side)) {
         return Err(StatusCode::BAD_REQUEST);
     }
-    let scene = Arc::clone(&hall.scene);
+    let scene = Arc::clone(&state.scene);
     let work = move || {
         let image = scene.photographs.image(Photo { split, index }, width, height)?;
         picture::jpeg(&image)
@@ -289,20 +289,20 @@ async fn photograph(
     Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
 }
 
-async fn socket(State(hall): State<Arc<Hall>>, upgrade: WebSocketUpgrade) -> Answered {
-    let place = Arc::clone(&hall.places).try_acquire_owned().map_err(|_| StatusCode::SERVICE_UNAVAILABLE)?;
+async fn socket(State(state): State<Arc<ServerState>>, upgrade: WebSocketUpgrade) -> Answered {
+    let place = Arc::clone(&state.places).try_acquire_owned().map_err(|_| StatusCode::SERVICE_UNAVAILABLE)?;
     let upgrade = upgrade.max_message_size(MOST_BYTES).max_frame_size(MOST_BYTES);
     Ok(upgrade.on_upgrade(async move |socket| {
-        attend(hall, socket).await;
+        attend(state, socket).await;
         drop(place);
     }))
 }
 
 /// Takes the requests of a page and sends it the newest answer, until it leaves.
-async fn attend(hall: Arc<Hall>, mut socket: WebSocket) {
-    let (id, mut answers) = hall.studio.enter();
-    let mut news = hall.news.subscribe();
-    news.mark_changed();
+async fn attend(state: Arc<ServerState>, mut socket: WebSocket) {
+    let (id, mut answers) = state.render_thread.enter();
+    let mut status = state.status.subscribe();
+    status.mark_changed();
     let mut pulse = interval(PULSE);
     loop {
         let sent = tokio::select! {
@@ -310,15 +310,15 @@ async fn attend(hall: Arc<Hall>, mut socket: WebSocket) {
             message = socket.recv() => match message {
                 Some(Ok(Message::Text(text))) => match protocol::Message::read(&text) {
                     Ok(protocol::Message::View(request)) => {
-                        hall.studio.ask(id, request);
+                        state.render_thread.ask(id, request);
                         true
                     }
-                    Ok(protocol::Message::Command(command)) => match &hall.steer {
-                        Some(steer) => {
-                            steer(command);
+                    Ok(protocol::Message::Command(command)) => match &state.control {
+                        Some(control) => {
+                            control(command);
                             true
                         }
-                        None => send(&mut socket, failure("there is no run to steer")).await,
+                        None => send(&mut socket, failure("there is no run to control")).await,
                     },
                     Err(error) => send(&mut socket, failure(&error.to_string())).await,
                 },
@@ -336,8 +336,8 @@ async fn attend(hall: Arc<Hall>, mut socket: WebSocket) {
                     None => true,
                 }
             }
-            changed = news.changed() => {
-                let text = Arc::clone(&news.borrow_and_update());
+            changed = status.changed() => {
+                let text = Arc::clone(&status.borrow_and_update());
                 let message = Message::Text(text.as_ref().into());
                 changed.is_ok() && (text.is_empty() || send(&mut socket, message).await)
             }
@@ -346,7 +346,7 @@ async fn attend(hall: Arc<Hall>, mut socket: WebSocket) {
             break;
         }
     }
-    hall.studio.leave(id);
+    state.render_thread.leave(id);
 }
 
 /// Sends a message; false if the page is gone, or takes nothing for long.
