@@ -6,7 +6,7 @@ use criterion::{Criterion, Throughput};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use trimip_core::backend::{Loss, Occupancy, Sampler};
-use trimip_core::batch::{Deposit, Workspace};
+use trimip_core::batch::{Deposit, FieldBackward, Tile, Update, Workspace};
 use trimip_core::config::{Format, Precision};
 use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
@@ -97,22 +97,21 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         stages.sampler.training_rays(&mut space.lane, 1, &draw, 0..rays, &mut space.rays);
     });
     stages.sampler.training_rays(&mut space.lane, 1, &draw, 0..rays, &mut space.rays);
-    let Workspace { lane, rays: origins, samples, encoding, features, tape, radiance, .. } = &mut space;
-    stages.renderer.march(lane, origins, &stages.occupancy, Some(1), samples);
+    let Workspace { lane, rays, samples, encoding, features, tape, radiance, .. } = &mut space;
+    stages.renderer.march(lane, rays, &stages.occupancy, Some(1), samples);
     let marched = backend.read(&samples.spheres).len() as u64;
     bench("march", marched, &mut || {
-        stages.renderer.march(lane, origins, &stages.occupancy, Some(1), samples);
+        stages.renderer.march(lane, rays, &stages.occupancy, Some(1), samples);
     });
-    bench("encode", marched, &mut || {
-        stages.encoder.forward(lane, &parameters, origins, samples, encoding, features);
-    });
-    bench("density", marched, &mut || stages.field.density(lane, samples, features, tape, radiance));
+    let tile = &mut Tile { stream: lane, parameters: &parameters, rays, samples };
+    bench("encode", marched, &mut || stages.encoder.forward(tile, encoding, features));
+    bench("density", marched, &mut || stages.field.density(tile, features, tape, radiance));
     bench("march to density, pruned", marched, &mut || {
         stages.renderer.see(&stages, &parameters, &mut space, Some(1));
     });
     let Workspace {
         lane,
-        rays: origins,
+        rays,
         samples,
         encoding,
         features,
@@ -126,35 +125,30 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         ..
     } = &mut space;
     let kept = backend.read(&samples.spheres).len() as u64;
-    bench("color", kept, &mut || stages.field.color(lane, origins, samples, 0.0, tape, radiance));
-    bench("composite", kept, &mut || {
-        stages.renderer.composite(lane, origins, samples, radiance, cones, pixels);
-    });
+    let tile = &mut Tile { stream: lane, parameters: &parameters, rays, samples };
+    bench("color", kept, &mut || stages.field.color(tile, 0.0, tape, radiance));
+    bench("composite", kept, &mut || stages.renderer.composite(tile, radiance, cones, pixels));
     bench("loss", kept, &mut || {
-        stages.loss.evaluate(lane, origins, samples, pixels, pixel_gradients, &mut deposits[0].sums);
+        let sums = &mut deposits[0].sums;
+        stages.loss.evaluate(tile.stream, rays, samples, pixels, pixel_gradients, sums);
     });
     bench("composite backward", kept, &mut || {
-        let gradients = &mut *radiance_gradients;
-        stages.renderer.backward(lane, origins, samples, radiance, cones, pixel_gradients, gradients);
+        stages.renderer.backward(tile, radiance, cones, pixel_gradients, radiance_gradients);
     });
     bench("field backward", kept, &mut || {
-        stages.field.backward(
-            lane,
-            samples,
-            features,
-            tape,
-            radiance,
-            radiance_gradients,
-            feature_gradients,
-            &mut deposits[0].field,
-        );
+        let feature_gradients = &mut *feature_gradients;
+        let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
+        stages.field.backward(tile, arrays, tape, &mut deposits[0].field);
     });
     bench("scatter and end of step", kept, &mut || {
-        let deposit = &mut deposits[0].encoder;
-        let gradients = &*feature_gradients;
-        stages.encoder.backward(lane, &parameters, origins, samples, encoding, gradients, deposit);
+        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+        stages.encoder.backward(tile, encoding, feature_gradients, &mut deposits[0].encoder);
         stages.flush(&mut deposits, &parameters, &mut gradient);
-        backend.update(&mut stages, &mut parameters, &gradient, &deposits, 1e-3, 1);
+        let (parameters, gradient, deposits) = (&mut parameters, &mut gradient, &mut deposits);
+        backend.update(
+            &mut stages,
+            &mut Update { parameters, gradient, deposits, learning_rate: 1e-3, step: 1 },
+        );
     });
     backend.health().expect("the device works");
 }

@@ -4,9 +4,7 @@ pub use crate::stages::{Encoder, Field, Loss, Occupancy, Optimizer, Renderer, Sa
 
 use crate::{
     Config, Result, ViewSet,
-    balance::Draw,
-    batch::{Deposit, StepResult, Workspace},
-    exchange::Share,
+    batch::{Batch, Deposit, StepResult, Tile, Tiling, Update, Workspace},
 };
 use bytemuck::Pod;
 use std::ops::Range;
@@ -77,26 +75,23 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Runs `work` in the device's worker pool; operations on whole arrays inside `work` use the workers.
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
 
-    /// Runs `work` over the pixels of a step in spans of about `per_span` cones. Spans that share a deposit run one
-    /// after the other, in order. Which spans share a deposit depends only on `draw`, `per_span` and the number of
-    /// deposits, so the sums have the same bits for any number of workers. A GPU takes all pixels as one span. Only the pixels of
-    /// this rank's `share` are worked on.
+    /// Runs `work` over the pixels of a step in spans of about `batch.per_tile` cones. Spans that share a deposit run one
+    /// after the other, in order. Which spans share a deposit depends only on the batch and the number of deposits, so the sums
+    /// have the same bits for any number of workers. A GPU takes all pixels as one span. Only the pixels of this rank's share
+    /// are worked on.
     fn train_spans(
         &self,
         field: &Self::Field,
-        draw: &Draw,
-        share: Share,
-        per_span: u32,
+        batch: &Batch<'_>,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,
     );
 
-    /// Runs `work` over spans of `0..count` and collects the `result` of each span into `out`, in order.
+    /// Runs `work` over spans of `0..tiling.count` and collects the `result` of each span into `out`, in order.
     fn map_spans<T: Pod + Send + Sync>(
         &self,
         field: &Self::Field,
-        count: u32,
-        per_span: u32,
+        tiling: Tiling,
         out: &mut Self::Buffer<T>,
         work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
         result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
@@ -106,43 +101,26 @@ pub trait Backend: Sized + Send + Sync + 'static {
     fn map_spans_async<T: Pod + Send + Sync>(
         &self,
         field: &Self::Field,
-        count: u32,
-        per_span: u32,
+        tiling: Tiling,
         out: &mut Self::Buffer<T>,
         work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
         result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
     ) -> impl Future<Output = ()> {
-        async move { self.install(|| self.map_spans(field, count, per_span, out, work, result)) }
+        async move { self.install(|| self.map_spans(field, tiling, out, work, result)) }
     }
 
     /// Computes new parameters and everything derived from them, given the complete gradient of this machine's rays
     /// ([`Stages::flush`]). If the sum of the weights is zero, nothing changes. A backend may skip parameters that
     /// its own rays did not touch, provided that all parameters get the same bits as from [`Backend::update_all`].
-    fn update(
-        &self,
-        stages: &mut Stages<Self>,
-        parameters: &mut Self::Buffer<f32>,
-        gradient: &Self::Buffer<f32>,
-        deposits: &[Deposit<Self>],
-        learning_rate: f64,
-        step: u64,
-    ) {
-        self.update_all(stages, parameters, gradient, deposits, learning_rate, step);
+    fn update(&self, stages: &mut Stages<Self>, update: &mut Update<'_, Self>) {
+        self.update_all(stages, update);
     }
 
     /// As [`Backend::update`], for a gradient that may be non-zero anywhere.
-    fn update_all(
-        &self,
-        stages: &mut Stages<Self>,
-        parameters: &mut Self::Buffer<f32>,
-        gradient: &Self::Buffer<f32>,
-        deposits: &[Deposit<Self>],
-        learning_rate: f64,
-        step: u64,
-    ) {
-        stages.optimizer.step(parameters, gradient, deposits, learning_rate, step);
-        stages.encoder.refresh(parameters);
-        stages.field.refresh(parameters);
+    fn update_all(&self, stages: &mut Stages<Self>, update: &mut Update<'_, Self>) {
+        stages.optimizer.step(update);
+        stages.encoder.refresh(update.parameters);
+        stages.field.refresh(update.parameters);
     }
 
     /// Returns the sum of the weights of the step's rays over all deposits. The optimiser divides the gradient by it.
@@ -199,8 +177,9 @@ pub fn see_all<B: Backend>(
 ) {
     let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, .. } = space;
     stages.renderer.march(lane, rays, &stages.occupancy, jitter, samples);
-    stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
-    stages.field.density(lane, samples, features, tape, radiance);
+    let tile = &mut Tile { stream: lane, parameters, rays, samples };
+    stages.encoder.forward(tile, encoding, features);
+    stages.field.density(tile, features, tape, radiance);
     stages.renderer.prune(lane, radiance, samples, kept);
     stages.encoder.keep(lane, kept, encoding, features);
     stages.field.keep(lane, kept, tape, radiance);

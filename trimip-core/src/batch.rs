@@ -3,7 +3,7 @@
 
 pub use crate::elements::{Interval, Radiance, Ray, Segment, Sphere, Target};
 
-use crate::{Backend, Field, Pixel, backend::Encoder};
+use crate::{Backend, Field, Pixel, backend::Encoder, balance::Draw, exchange::Share};
 use serde::{Deserialize, Serialize};
 
 /// Cones of a span. The cones of a pixel are consecutive.
@@ -56,6 +56,30 @@ pub struct Samples<B: Backend> {
     pub spheres: B::Buffer<Sphere>,
     /// Number of samples marched, and number of those kept.
     pub counts: B::Buffer<[u32; 2]>,
+}
+
+/// What the stages of a tile of rays have in common: where they issue their work, and what all of them read.
+pub struct Tile<'a, B: Backend> {
+    /// The stream on which the work is issued.
+    pub stream: &'a mut B::Lane,
+    /// All parameters, flat.
+    pub parameters: &'a B::Buffer<f32>,
+    /// The cones of the tile.
+    pub rays: &'a Rays<B>,
+    /// The samples along them.
+    pub samples: &'a Samples<B>,
+}
+
+/// The arrays of a field's backward pass.
+pub struct FieldBackward<'a, B: Backend> {
+    /// Encoded samples, [samples, stride].
+    pub features: &'a B::Buffer<f32>,
+    /// Density and colour of each sample.
+    pub radiance: &'a B::Buffer<Radiance>,
+    /// Gradient of `radiance`.
+    pub radiance_gradients: &'a B::Buffer<Radiance>,
+    /// Receives the gradient of `features`, of the same shape.
+    pub feature_gradients: &'a mut B::Buffer<f32>,
 }
 
 /// All buffers of a span, from its rays to its gradients; the next span reuses them.
@@ -123,6 +147,40 @@ pub struct Deposit<B: Backend> {
     pub encoder: <B::Encoder as Encoder<B>>::Gradient,
     /// Losses and counts.
     pub sums: B::Sums,
+}
+
+/// The pixels of a training step that a rank works on, and how they are cut into tiles.
+#[derive(Clone, Copy, Debug)]
+pub struct Batch<'a> {
+    /// The pixels of the whole step, of all ranks.
+    pub draw: &'a Draw,
+    /// The share of this rank.
+    pub share: Share,
+    /// Cones of a tile, about.
+    pub per_tile: u32,
+}
+
+/// Items that are worked on in tiles.
+#[derive(Clone, Copy, Debug)]
+pub struct Tiling {
+    /// Number of items.
+    pub count: u32,
+    /// Items of a tile.
+    pub per_tile: u32,
+}
+
+/// The arrays from which a step computes new parameters.
+pub struct Update<'a, B: Backend> {
+    /// All parameters, flat; they get their new values.
+    pub parameters: &'a mut B::Buffer<f32>,
+    /// The gradient of all parameters, flat, not yet divided by the sum of the weights.
+    pub gradient: &'a mut B::Buffer<f32>,
+    /// The step's deposits, for the sum of the weights.
+    pub deposits: &'a mut [Deposit<B>],
+    /// Learning rate of the networks.
+    pub learning_rate: f64,
+    /// Number of the step, counted from 1.
+    pub step: u64,
 }
 
 /// Losses and counts of a step.

@@ -62,6 +62,17 @@ impl<F: FnMut(&ViewResult<'_>) -> Result<bool>> Watch for OnView<F> {
     }
 }
 
+/// Test frames, and how they are compared with renderings.
+#[derive(Clone, Copy)]
+pub struct TestFrames<'a> {
+    /// The frames.
+    pub frames: &'a dyn Frames,
+    /// The background, and the convention of the photographs.
+    pub data: &'a DataConfig,
+    /// The finest scale that is compared: 1, 2, 4, ..; the coarsest of a frame that has none so coarse.
+    pub finest: u32,
+}
+
 /// Renders every `stride`-th frame at every scale, on the background and by the convention of `data`; `on_view` sees each
 /// result and returns false to stop early.
 pub fn evaluate(
@@ -72,29 +83,28 @@ pub fn evaluate(
     on_view: impl FnMut(&ViewResult<'_>) -> Result<bool>,
 ) -> Result<Vec<ViewQuality>> {
     let (mut qualities, mut watch) = (Vec::new(), OnView(on_view));
+    let test = TestFrames { frames, data, finest: 1 };
     for index in (0..frames.len()).step_by(stride.max(1)) {
-        if !evaluate_frame(viewer, frames, index, 1, data, &mut watch, &mut qualities)? {
+        if !evaluate_frame(viewer, test, index, &mut watch, &mut qualities)? {
             break;
         }
     }
     Ok(qualities)
 }
 
-/// Renders frame `index` at its scales from `finest` on (1, 2, 4, ..; where it has none so coarse, at its coarsest) and
-/// adds their measures to `qualities`. Pixels that the lens has no ray for are not compared, nor those of which a mask keeps
+/// Renders frame `index` at its scales from the finest that is compared on, and adds their measures to `qualities`. Pixels that the lens has no ray for are not compared, nor those of which a mask keeps
 /// less than half; a view without others is left out. False if `watch` stopped it; the current view is then not included.
 ///
 /// # Errors
 /// When a photograph cannot be read, the device fails, or `watch` fails.
 pub fn evaluate_frame(
     viewer: &mut dyn Viewer,
-    frames: &dyn Frames,
+    test: TestFrames<'_>,
     index: usize,
-    finest: u32,
-    data: &DataConfig,
     watch: &mut dyn Watch,
     qualities: &mut Vec<ViewQuality>,
 ) -> Result<bool> {
+    let TestFrames { frames, data, finest } = test;
     let (set, background) = (frames.load(index)?, data.background);
     let finest = set.scales.iter().map(|scale| scale.factor).filter(|&f| f <= finest).max().unwrap_or(1);
     let scales = || set.scales.iter().filter(|scale| scale.factor >= finest);

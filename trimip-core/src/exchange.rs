@@ -5,7 +5,7 @@
 use crate::{
     Backend, Result,
     backend::Stages,
-    batch::{Deposit, StepResult},
+    batch::{Deposit, StepResult, Update},
 };
 use std::sync::Arc;
 
@@ -107,24 +107,13 @@ pub trait Exchange<B: Backend>: Send {
         Ok(sums)
     }
 
-    /// Computes new parameters, as [`Backend::update`] does, from the gradients of all ranks. `gradient` is flat, in the order of
-    /// the layout, and not yet divided by the weight; a rank whose rays hit nothing makes the call too, with a gradient and
-    /// a weight of zero.
+    /// Computes new parameters, as [`Backend::update`] does, from the gradients of all ranks. A rank whose rays hit nothing makes
+    /// the call too, with a gradient and a weight of zero.
     ///
     /// # Errors
     /// When another rank is gone.
-    #[allow(clippy::too_many_arguments)]
-    fn update(
-        &mut self,
-        backend: &B,
-        stages: &mut Stages<B>,
-        parameters: &mut B::Buffer<f32>,
-        gradient: &mut B::Buffer<f32>,
-        deposits: &mut [Deposit<B>],
-        learning_rate: f64,
-        step: u64,
-    ) -> Result<()> {
-        backend.update(stages, parameters, gradient, deposits, learning_rate, step);
+    fn update(&mut self, backend: &B, stages: &mut Stages<B>, update: &mut Update<'_, B>) -> Result<()> {
+        backend.update(stages, update);
         Ok(())
     }
 
@@ -185,18 +174,9 @@ impl<B: Backend> Exchange<B> for Summed {
         Ok(all)
     }
 
-    fn update(
-        &mut self,
-        backend: &B,
-        stages: &mut Stages<B>,
-        parameters: &mut B::Buffer<f32>,
-        gradient: &mut B::Buffer<f32>,
-        deposits: &mut [Deposit<B>],
-        learning_rate: f64,
-        step: u64,
-    ) -> Result<()> {
-        let mut own = backend.read(gradient);
-        let mut message = bytemuck::bytes_of(&backend.weight(deposits)).to_vec();
+    fn update(&mut self, backend: &B, stages: &mut Stages<B>, update: &mut Update<'_, B>) -> Result<()> {
+        let mut own = backend.read(update.gradient);
+        let mut message = bytemuck::bytes_of(&backend.weight(update.deposits)).to_vec();
         message.extend_from_slice(bytemuck::cast_slice(&own));
         let mut weight = 0.0;
         own.fill(0.0);
@@ -207,9 +187,9 @@ impl<B: Backend> Exchange<B> for Summed {
             own.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
         })?;
         self.ranks.tally(size_of_val(&own[..]) as u64);
-        backend.write(gradient, &own);
-        backend.set_weight(deposits, weight);
-        backend.update_all(stages, parameters, gradient, deposits, learning_rate, step);
+        backend.write(update.gradient, &own);
+        backend.set_weight(update.deposits, weight);
+        backend.update_all(stages, update);
         Ok(())
     }
 }

@@ -4,7 +4,7 @@ use crate::{
     Aabb, Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Pixel, Query, Renderer, Result,
     Space, ViewSet, Viewer,
     backend::{Occupancy, Sampler, Stages},
-    batch::{Radiance, Segment, Workspace},
+    batch::{Radiance, Segment, Tile, Tiling, Workspace},
     config::{Exposure, RendererKind},
     model::{Assets, Model, OCCUPANCY, assets},
     occupancy::coordinates,
@@ -118,13 +118,11 @@ impl<B: Backend> LoadedModel<B> {
             let Self { backend, stages, parameters, frame, .. } = self;
             let (backend, stages, parameters) = (&**backend, &*stages, &*parameters);
             let camera = &Camera { origin: camera.origin - self.centre, ..*camera };
-            let count = range.len() as u32;
+            let tiling = Tiling { count: range.len() as u32, per_tile: RAYS_PER_SPAN };
             let work = |space: &mut Workspace<B>, span: Range<u32>| {
                 camera_span(stages, parameters, space, camera, range.start, span);
             };
-            backend
-                .map_spans_async(&stages.field, count, RAYS_PER_SPAN, frame, &work, &|space| &space.pixels)
-                .await;
+            backend.map_spans_async(&stages.field, tiling, frame, &work, &|space| &space.pixels).await;
             pixels.extend(backend.read_async(frame).await);
             backend.health()?;
         }
@@ -148,8 +146,7 @@ impl<B: Backend> LoadedModel<B> {
             backend.install(|| {
                 backend.map_spans(
                     &stages.field,
-                    range.len() as u32,
-                    RAYS_PER_SPAN,
+                    Tiling { count: range.len() as u32, per_tile: RAYS_PER_SPAN },
                     frame,
                     &|space, span| {
                         camera_span(stages, parameters, space, camera, range.start, span);
@@ -189,9 +186,10 @@ impl<B: Backend> LoadedModel<B> {
                 let into = &mut all[(range.start + span.start) as usize..(range.start + span.end) as usize];
                 into.iter_mut().zip(&groups).for_each(|(count, group)| *count = of(group));
             };
-            let (count, frame) = (range.len() as u32, &mut self.frame);
+            let tiling = Tiling { count: range.len() as u32, per_tile: RAYS_PER_SPAN };
+            let frame = &mut self.frame;
             backend.install(|| {
-                backend.map_spans(&stages.field, count, RAYS_PER_SPAN, frame, &work, &|space| &space.pixels);
+                backend.map_spans(&stages.field, tiling, frame, &work, &|space| &space.pixels);
             });
             backend.health()?;
         }
@@ -320,8 +318,9 @@ pub(crate) fn forward<B: Backend>(
 ) {
     stages.renderer.see(stages, parameters, space, jitter);
     let Workspace { lane, rays, samples, tape, radiance, cones, pixels, .. } = space;
-    stages.field.color(lane, rays, samples, stages.renderer.color_weight(), tape, radiance);
-    stages.renderer.composite(lane, rays, samples, radiance, cones, pixels);
+    let tile = &mut Tile { stream: lane, parameters, rays, samples };
+    stages.field.color(tile, stages.renderer.color_weight(), tape, radiance);
+    stages.renderer.composite(tile, radiance, cones, pixels);
 }
 
 impl<B: Backend> Viewer for LoadedModel<B> {

@@ -2,9 +2,7 @@
 //! threshold. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
 
 use crate::{
-    Space,
     config::OccupancyConfig,
-    elements::{Interval, Ray, Sphere},
     rng::{Draws, Random, Stream, unit},
 };
 
@@ -29,27 +27,6 @@ pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32;
     std::array::from_fn(|axis| (corner[axis] as f32 + offset[axis]) / resolution as f32)
 }
 
-/// The query of a refresh for one cell: a sample at a random point of the cell, one marching step long, on a ray from
-/// a random direction. The sphere at the sample has the given `radius`. The ray starts before the point, at a
-/// distance of the longest side of the space.
-#[inline]
-pub fn probe(
-    cell: u32,
-    resolution: u32,
-    random: &Random,
-    step: u64,
-    space: &Space<f32>,
-    radius: f32,
-    length: f32,
-) -> (Ray, Interval, Sphere) {
-    let position = point_in(cell, resolution, random, step);
-    let direction = direction_of(random.bits(Stream::Point, step, cell)[3]);
-    let (point, t) = (space.to_world(position), space.aabb().longest());
-    let origin = std::array::from_fn(|axis| point[axis] - t * direction[axis]);
-    let ray = Ray { origin, slope: radius / t, direction, cosine: 1.0 };
-    (ray, Interval { t, length }, Sphere { position, radius })
-}
-
 /// A unit direction from 32 random bits, uniform on the sphere. The upper half of the bits gives the height, the
 /// lower half the angle.
 #[inline]
@@ -71,12 +48,10 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// The choice at `step`, if `occupied` of `cells` cells are occupied. Warm-up steps use `warmup_fraction`.
-    pub fn new(config: &OccupancyConfig, seed: u64, step: u64, occupied: usize, cells: usize) -> Self {
-        let warm = step < u64::from(config.warmup);
-        let fraction = if warm { config.warmup_fraction } else { config.fraction };
+    /// The choice of a `fraction` of the cells by the random numbers of a step, if `occupied` of `cells` cells are occupied.
+    pub fn new(draws: Draws, fraction: f32, occupied: usize, cells: usize) -> Self {
         let occupied_probability = fraction * cells as f32 / occupied.max(1) as f32;
-        Self { draws: Random::new(seed).at(Stream::Cell, step), fraction, occupied_probability }
+        Self { draws, fraction, occupied_probability }
     }
 
     /// True if `cell` is updated.
@@ -165,24 +140,6 @@ mod tests {
             }
         }
         assert_eq!(cell_of([-1.0, 2.0, f32::NAN], 4), 12);
-    }
-
-    #[test]
-    fn a_refresh_asks_the_stated_shares() {
-        let config = OccupancyConfig { warmup_fraction: 1.0, fraction: 0.25, ..Config::default().occupancy };
-        let cells = 200_000;
-        let count = |choice: &Choice, occupied: bool| {
-            (0..cells).filter(|&cell| choice.includes(cell, occupied)).count() as f64 / f64::from(cells)
-        };
-        let warm = Choice::new(&config, 1, 16, 0, cells as usize);
-        assert_eq!(count(&warm, false), 1.0);
-        // Half the cells are occupied. An occupied cell is drawn uniformly (1/4) or among the occupied ones (1/2).
-        let later = Choice::new(&config, 1, 512, cells as usize / 2, cells as usize);
-        assert!((count(&later, false) - 0.25).abs() < 0.005);
-        assert!((count(&later, true) - (1.0 - 0.75 * 0.5)).abs() < 0.005);
-        // Few occupied cells: all of them are drawn.
-        let sparse = Choice::new(&config, 1, 512, 100, cells as usize);
-        assert_eq!(count(&sparse, true), 1.0);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::{
     Backend, Encoder, Field, Result, Space,
-    batch::{Interval, Radiance, Ray, Samples, Sphere, Workspace},
+    batch::{Interval, Radiance, Ray, Samples, Sphere, Tile, Tiling, Workspace},
     encoders,
     loaded::LoadedModel,
 };
@@ -56,8 +56,7 @@ impl<B: Backend> LoadedModel<B> {
             backend.install(|| {
                 backend.map_spans(
                     &stages.field,
-                    queries.len() as u32,
-                    PLACES_PER_SPAN,
+                    Tiling { count: queries.len() as u32, per_tile: PLACES_PER_SPAN },
                     &mut out,
                     &|work, span| {
                         let own = span.start as usize..span.end as usize;
@@ -65,13 +64,12 @@ impl<B: Backend> LoadedModel<B> {
                         backend.submit();
                         work.rays.place(backend, &rays[own.clone()]);
                         work.samples.place(backend, &intervals[own.clone()], &spheres[own]);
-                        let (lane, rays, samples) = (&mut work.lane, &work.rays, &work.samples);
-                        let (tape, radiance) = (&mut work.tape, &mut work.radiance);
-                        let (encoding, features) = (&mut work.encoding, &mut work.features);
-                        stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
-                        stages.field.density(lane, samples, features, tape, radiance);
+                        let Workspace { lane, rays, samples, encoding, features, tape, radiance, .. } = work;
+                        let tile = &mut Tile { stream: lane, parameters, rays, samples };
+                        stages.encoder.forward(tile, encoding, features);
+                        stages.field.density(tile, features, tape, radiance);
                         if colors {
-                            stages.field.color(lane, rays, samples, 0.0, tape, radiance);
+                            stages.field.color(tile, 0.0, tape, radiance);
                         }
                     },
                     &|work| &work.radiance,
@@ -105,9 +103,10 @@ impl<B: Backend> LoadedModel<B> {
                 work.rays.place(backend, &rays[own.clone()]);
                 work.samples.place(backend, &intervals[own.clone()], &spheres[own.clone()]);
                 let Workspace { lane, rays, samples, tape, radiance, encoding, features, .. } = work;
-                stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
+                let tile = &mut Tile { stream: lane, parameters, rays, samples };
+                stages.encoder.forward(tile, encoding, features);
                 // The map's own result; it is not used.
-                stages.field.density(lane, samples, features, tape, radiance);
+                stages.field.density(tile, features, tape, radiance);
                 let rows = backend.read(features);
                 let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
                 let first = (i * PLACES_AT_ONCE + own.start) * width;
@@ -116,11 +115,9 @@ impl<B: Backend> LoadedModel<B> {
                     to.copy_from_slice(&from[..width]);
                 });
             };
-            let count = queries.len() as u32;
+            let tiling = Tiling { count: queries.len() as u32, per_tile: PLACES_PER_SPAN };
             backend.install(|| {
-                backend.map_spans(&stages.field, count, PLACES_PER_SPAN, &mut out, &work, &|work| {
-                    &work.radiance
-                });
+                backend.map_spans(&stages.field, tiling, &mut out, &work, &|work| &work.radiance);
             });
             backend.health()?;
         }

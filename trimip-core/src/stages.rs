@@ -1,15 +1,17 @@
 //! The traits of the stages. Each stage processes a whole span of rays, from one batch to the next, and knows nothing of
-//! the other stages. Its first argument is the lane on which the work is issued (a worker's scratch memory on a CPU, a
-//! command encoder on a GPU). No stage returns a value that lives on the device: a GPU records a whole step and reads
-//! nothing back.
+//! the other stages. Its first argument is the [`Tile`] that it works on, or its lane alone: where the work is issued (a
+//! worker's scratch memory on a CPU, a command encoder on a GPU). No stage returns a value that lives on the device: a GPU
+//! records a whole step and reads nothing back. What the host decides for a stage is its [`policy`](crate::policy).
 
 use crate::{
     Backend, Camera, Pixel, Result,
     backend::see_all,
     balance::{Balance, Draw},
-    batch::{Deposit, Radiance, Rays, Samples, Workspace},
+    batch::{Deposit, FieldBackward, Radiance, Rays, Samples, Tile, Update, Workspace},
     model::Assets,
     params::Part,
+    policy::{OptimizerPolicy, RendererPolicy, SamplerPolicy},
+    proxy::Guide,
 };
 use std::ops::Range;
 
@@ -63,15 +65,7 @@ pub trait Encoder<B: Backend>: Send + Sync {
 
     /// Encodes every sample. `features` becomes [samples, [`stride`](crate::encoders::stride)]. `tape` becomes
     /// [samples, [`tape`](crate::encoders::Definition::tape)]: what the backward pass needs of each sample.
-    fn forward(
-        &self,
-        lane: &mut B::Lane,
-        parameters: &B::Buffer<f32>,
-        rays: &Rays<B>,
-        samples: &Samples<B>,
-        tape: &mut B::Buffer<f32>,
-        features: &mut B::Buffer<f32>,
-    );
+    fn forward(&self, tile: &mut Tile<'_, B>, tape: &mut B::Buffer<f32>, features: &mut B::Buffer<f32>);
 
     /// Keeps the rows of tape and features that survived pruning and drops the others.
     fn keep(
@@ -83,13 +77,9 @@ pub trait Encoder<B: Backend>: Send + Sync {
     );
 
     /// Adds the gradient of the span's features to the deposit.
-    #[allow(clippy::too_many_arguments)]
     fn backward(
         &self,
-        lane: &mut B::Lane,
-        parameters: &B::Buffer<f32>,
-        rays: &Rays<B>,
-        samples: &Samples<B>,
+        tile: &mut Tile<'_, B>,
         tape: &B::Buffer<f32>,
         feature_gradients: &B::Buffer<f32>,
         gradient: &mut Self::Gradient,
@@ -125,8 +115,7 @@ pub trait Field<B: Backend>: Send + Sync {
     /// Evaluates the density of every sample; stores geometry features and activations on the tape.
     fn density(
         &self,
-        lane: &mut B::Lane,
-        samples: &Samples<B>,
+        tile: &mut Tile<'_, B>,
         features: &B::Buffer<f32>,
         tape: &mut Self::Tape,
         radiance: &mut B::Buffer<Radiance>,
@@ -145,25 +134,18 @@ pub trait Field<B: Backend>: Send + Sync {
     /// nothing flows back through their colours. With 0 all samples have a colour, and their segments are not read.
     fn color(
         &self,
-        lane: &mut B::Lane,
-        rays: &Rays<B>,
-        samples: &Samples<B>,
+        tile: &mut Tile<'_, B>,
         least: f32,
         tape: &mut Self::Tape,
         radiance: &mut B::Buffer<Radiance>,
     );
 
     /// Maps gradients of density and colour to gradients of features; adds to the weight gradients.
-    #[allow(clippy::too_many_arguments)]
     fn backward(
         &self,
-        lane: &mut B::Lane,
-        samples: &Samples<B>,
-        features: &B::Buffer<f32>,
+        tile: &mut Tile<'_, B>,
+        arrays: FieldBackward<'_, B>,
         tape: &mut Self::Tape,
-        radiance: &B::Buffer<Radiance>,
-        radiance_gradients: &B::Buffer<Radiance>,
-        feature_gradients: &mut B::Buffer<f32>,
         gradient: &mut Self::Gradient,
     );
 
@@ -175,19 +157,36 @@ pub trait Field<B: Backend>: Send + Sync {
 /// Maps rays to samples and samples to pixels (cones sampled in uniform steps; volume rendering, NeRF Eq. 3). A pixel
 /// is the mean of its group of cones.
 pub trait Renderer<B: Backend>: Send + Sync {
+    /// Steps, thresholds and background.
+    fn policy(&self) -> &RendererPolicy;
+
+    /// The policy, mutable.
+    fn policy_mut(&mut self) -> &mut RendererPolicy;
+
+    /// Sets what chooses the samples of pictures; `None` for volume rendering.
+    ///
+    /// # Errors
+    /// When the device cannot hold it.
+    fn set_guide(&mut self, guide: Option<Guide>) -> Result<()>;
+
     /// Sets the assets of the model's scene. Called once, before the first view is rendered.
     ///
     /// # Errors
-    /// When an asset that the renderer needs is missing or broken.
-    fn equip(&mut self, _assets: &Assets) -> Result<()> {
-        Ok(())
+    /// When an asset that the renderer needs is missing or broken, or the device cannot hold it.
+    fn equip(&mut self, assets: &Assets) -> Result<()> {
+        let guide = self.policy().guide(assets)?;
+        self.set_guide(guide)
     }
 
     /// Applies the schedules of a run: sets the marching step for `progress` in [0, 1].
-    fn follow(&mut self, progress: f64);
+    fn follow(&mut self, progress: f64) {
+        self.policy_mut().follow(progress);
+    }
 
     /// Weight of a sample in its ray below which it has no colour (`renderer.color_weight`).
-    fn color_weight(&self) -> f32;
+    fn color_weight(&self) -> f32 {
+        self.policy().color_weight()
+    }
 
     /// Places samples in occupied cells. `jitter` is the number of the training step; it selects the random offset, a
     /// fraction of a marching step, by which each ray's start is moved. `None` disables the offset.
@@ -226,9 +225,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
     /// targets. `cones` gets one value per ray, `pixels` one per group, the mean of its cones.
     fn composite(
         &self,
-        lane: &mut B::Lane,
-        rays: &Rays<B>,
-        samples: &Samples<B>,
+        tile: &mut Tile<'_, B>,
         radiance: &B::Buffer<Radiance>,
         cones: &mut B::Buffer<Pixel>,
         pixels: &mut B::Buffer<Pixel>,
@@ -236,12 +233,9 @@ pub trait Renderer<B: Backend>: Send + Sync {
 
     /// Maps gradients of pixels to gradients of density and colour. `cones` is the output of
     /// [`composite`](Self::composite).
-    #[allow(clippy::too_many_arguments)]
     fn backward(
         &self,
-        lane: &mut B::Lane,
-        rays: &Rays<B>,
-        samples: &Samples<B>,
+        tile: &mut Tile<'_, B>,
         radiance: &B::Buffer<Radiance>,
         cones: &B::Buffer<Pixel>,
         pixel_gradients: &B::Buffer<[f32; 4]>,
@@ -251,19 +245,19 @@ pub trait Renderer<B: Backend>: Send + Sync {
 
 /// Maps gradients to new parameters (AdamW, Loshchilov and Hutter 2019).
 pub trait Optimizer<B: Backend>: Send + Sync {
-    /// Performs step number `step` (counted from 1) at the networks' learning rate. Gradients are first divided by
-    /// `sums.weight` of the deposits.
-    fn step(
-        &mut self,
-        parameters: &mut B::Buffer<f32>,
-        gradient: &B::Buffer<f32>,
-        deposits: &[Deposit<B>],
-        learning_rate: f64,
-        step: u64,
-    );
+    /// The rules by which parameters are updated.
+    fn policy(&self) -> &OptimizerPolicy;
+
+    /// The policy, mutable.
+    fn policy_mut(&mut self) -> &mut OptimizerPolicy;
+
+    /// Performs a step. Gradients are first divided by `sums.weight` of the deposits.
+    fn step(&mut self, update: &mut Update<'_, B>);
 
     /// Restricts updates to these parts of the slots, one per slot. Only a part of a growing slot is in use.
-    fn restrict(&mut self, parts: &[Part]);
+    fn restrict(&mut self, parts: &[Part]) {
+        self.policy_mut().restrict(parts);
+    }
 
     /// First and second moments, flat as the parameters.
     fn moments(&self) -> [&B::Buffer<f32>; 2];
@@ -279,11 +273,21 @@ pub trait Optimizer<B: Backend>: Send + Sync {
 
 /// Generates rays.
 pub trait Sampler<B: Backend>: Send + Sync {
+    /// Scales, schedules and random numbers.
+    fn policy(&self) -> &SamplerPolicy;
+
+    /// The policy, mutable.
+    fn policy_mut(&mut self) -> &mut SamplerPolicy;
+
     /// Distributes the pixels of later steps among the scales, by the schedules at `progress` in [0, 1].
-    fn follow(&mut self, progress: f64);
+    fn follow(&mut self, progress: f64) {
+        self.policy_mut().follow(progress);
+    }
 
     /// The balance of the scales, by the last [`follow`](Self::follow).
-    fn balance(&self) -> &Balance;
+    fn balance(&self) -> &Balance {
+        self.policy().balance()
+    }
 
     /// Generates the cones of the pixels `range` of a training step. `draw` tells which scale each pixel belongs to;
     /// within a scale, pixels are drawn uniformly.

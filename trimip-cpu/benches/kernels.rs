@@ -5,7 +5,9 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use std::hint::black_box;
 use trimip_core::config::Precision;
 use trimip_cpu::Buffer;
-use trimip_cpu::gemm::{Finish, Packed, Start, accumulate, multiply, pair_columns, pair_rows};
+use trimip_cpu::gemm::{
+    Epilogue, Finish, Packed, Product, Start, accumulate, multiply, pair_columns, pair_rows,
+};
 use trimip_cpu::simd::{Kernel, Lanes, Simd};
 
 const ROWS: usize = 504;
@@ -65,19 +67,22 @@ fn kernels(criterion: &mut Criterion) {
         let (mut c, mut g) = (values(ROWS * n), values(k * n));
         let mut group = criterion.benchmark_group(format!("{k} to {n}"));
         group.throughput(Throughput::Elements((ROWS * k * n) as u64));
+        let epilogue = Epilogue { start: Start::Zero, finish: Finish::Relu };
         for simd in Simd::available() {
+            let product = Product { simd, precision: Precision::F32, rows: ROWS, k, n };
+            let half = Product { precision: Precision::Bf16, rows: ROWS / 2, ..product };
             group.bench_function(BenchmarkId::new("multiply", format!("{simd:?}")), |b| {
-                b.iter(|| multiply(simd, ROWS, black_box(&a), &packed, &mut c, Start::Zero, Finish::Relu));
+                b.iter(|| multiply(simd, ROWS, black_box(&a), &packed, &mut c, epilogue));
             });
             group.bench_function(BenchmarkId::new("accumulate", format!("{simd:?}")), |b| {
-                b.iter(|| accumulate(simd, Precision::F32, ROWS, k, n, black_box(&a), &d, &mut g));
+                b.iter(|| accumulate(product, black_box(&a), &d, &mut g));
             });
             // Rounding to bf16 is timed as part of the product.
             let mut columns = values(ROWS * k / 2);
             group.bench_function(BenchmarkId::new("multiply bf16", format!("{simd:?}")), |b| {
                 b.iter(|| {
                     pair_columns(simd, black_box(&a), &mut columns);
-                    multiply(simd, ROWS, &columns, &halves, &mut c, Start::Zero, Finish::Relu);
+                    multiply(simd, ROWS, &columns, &halves, &mut c, epilogue);
                 });
             });
             let mut rows = [values(0), values(0)];
@@ -85,7 +90,7 @@ fn kernels(criterion: &mut Criterion) {
                 b.iter(|| {
                     pair_rows(simd, ROWS, k, black_box(&a), &mut rows[0]);
                     pair_rows(simd, ROWS, n, &d, &mut rows[1]);
-                    accumulate(simd, Precision::Bf16, ROWS / 2, k, n, &rows[0], &rows[1], &mut g);
+                    accumulate(half, &rows[0], &rows[1], &mut g);
                 });
             });
         }

@@ -7,7 +7,7 @@ use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterio
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use trimip_core::backend::{Loss, Occupancy, Optimizer, Sampler, Stages};
-use trimip_core::batch::{Deposit, Radiance, StepResult, Workspace};
+use trimip_core::batch::{Deposit, FieldBackward, Radiance, StepResult, Tile, Update, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
@@ -90,20 +90,24 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
         b.iter(|| stages.renderer.march(lane, black_box(rays), &stages.occupancy, Some(1), samples));
     });
     group.bench_function("encode", |b| {
-        b.iter(|| stages.encoder.forward(lane, &parameters, rays, black_box(samples), encoding, features));
+        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+        b.iter(|| stages.encoder.forward(black_box(tile), encoding, features));
     });
     group.bench_function("density", |b| {
-        b.iter(|| stages.field.density(lane, samples, black_box(features), tape, radiance));
+        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+        b.iter(|| stages.field.density(tile, black_box(features), tape, radiance));
     });
     stages.renderer.prune(lane, radiance, samples, kept);
     stages.encoder.keep(lane, kept, encoding, features);
     stages.field.keep(lane, kept, tape, radiance);
     group.throughput(Throughput::Elements(samples.spheres.len() as u64));
     group.bench_function("color", |b| {
-        b.iter(|| stages.field.color(lane, black_box(rays), samples, 0.0, tape, radiance));
+        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+        b.iter(|| stages.field.color(black_box(tile), 0.0, tape, radiance));
     });
     group.bench_function("composite", |b| {
-        b.iter(|| stages.renderer.composite(lane, black_box(rays), samples, radiance, cones, pixels));
+        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+        b.iter(|| stages.renderer.composite(black_box(tile), radiance, cones, pixels));
     });
     let (mut pixel_gradients, mut radiance_gradients) = (backend.zeros(0), backend.zeros::<Radiance>(0));
     group.bench_function("loss", |b| {
@@ -115,23 +119,18 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
     group.bench_function("composite backward", |b| {
         b.iter(|| {
             let pixel_gradients = black_box(&pixel_gradients);
-            let out = &mut radiance_gradients;
-            stages.renderer.backward(lane, rays, samples, radiance, cones, pixel_gradients, out);
+            let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+            stages.renderer.backward(tile, radiance, cones, pixel_gradients, &mut radiance_gradients);
         });
     });
     let mut feature_gradients = backend.zeros(0);
     group.bench_function("field backward", |b| {
         b.iter(|| {
-            stages.field.backward(
-                lane,
-                samples,
-                features,
-                tape,
-                radiance,
-                black_box(&radiance_gradients),
-                &mut feature_gradients,
-                &mut deposit.field,
-            );
+            let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+            let radiance_gradients = black_box(&radiance_gradients);
+            let feature_gradients = &mut feature_gradients;
+            let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
+            stages.field.backward(tile, arrays, tape, &mut deposit.field);
         });
     });
     // Accumulating a span's gradients is timed apart from joining them at the end of the step.
@@ -142,12 +141,18 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
         for step in 0..count {
             let start = Instant::now();
             let deposit = &mut deposits[0].encoder;
-            let gradients = &feature_gradients;
-            stages.encoder.backward(lane, &parameters, rays, samples, encoding, gradients, deposit);
+            let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+            stages.encoder.backward(tile, encoding, &feature_gradients, deposit);
             let deposited = start.elapsed();
             stages.flush(&mut deposits, &parameters, &mut gradient);
             if end_of_step {
-                stages.optimizer.step(&mut parameters, &gradient, &deposits, 1e-3, step + 1);
+                stages.optimizer.step(&mut Update {
+                    parameters: &mut parameters,
+                    gradient: &mut gradient,
+                    deposits: &mut deposits,
+                    learning_rate: 1e-3,
+                    step: step + 1,
+                });
                 stages.encoder.refresh(&parameters);
                 stages.field.refresh(&parameters);
             }

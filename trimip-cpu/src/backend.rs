@@ -16,10 +16,8 @@ use std::any::TypeId;
 use std::ops::Range;
 use std::sync::Mutex;
 use trimip_core::backend::{Stages, TrainWork};
-use trimip_core::balance::Draw;
-use trimip_core::batch::{Deposit, Segment, StepResult, Workspace};
+use trimip_core::batch::{Batch, Deposit, Segment, StepResult, Tiling, Update, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::exchange::Share;
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
 
 /// Approximate maximum of samples in the rays that a worker renders at once; it bounds the worker's memory.
@@ -213,12 +211,11 @@ impl Backend for CpuBackend {
     fn train_spans(
         &self,
         field: &CpuField,
-        draw: &Draw,
-        share: Share,
-        per_span: u32,
+        batch: &Batch<'_>,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,
     ) {
+        let Batch { draw, share, per_tile } = *batch;
         let count = deposits.len() as u64;
         let bound = |i: u64| (u64::from(draw.cones()) * i / count) as u32;
         let parts = field.parts(deposits.len());
@@ -226,8 +223,8 @@ impl Backend for CpuBackend {
         own.into_par_iter().with_max_len(1).for_each(|(i, deposit)| {
             let (from, to) = (bound(i as u64), bound(i as u64 + 1));
             self.with_workspace(field, |workspace| {
-                for start in (from..to).step_by(per_span as usize) {
-                    let span = draw.pixel_from(start)..draw.pixel_from((start + per_span).min(to));
+                for start in (from..to).step_by(per_tile as usize) {
+                    let span = draw.pixel_from(start)..draw.pixel_from((start + per_tile).min(to));
                     if !span.is_empty() {
                         work(workspace, deposit, span);
                     }
@@ -239,20 +236,20 @@ impl Backend for CpuBackend {
     fn map_spans<T: Pod + Send + Sync>(
         &self,
         field: &CpuField,
-        count: u32,
-        per_span: u32,
+        tiling: Tiling,
         out: &mut Buffer<T>,
         work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
+        let Tiling { count, per_tile } = tiling;
         // A ray has hundreds of samples or none; a probe has exactly one.
         let rays = TypeId::of::<T>() == TypeId::of::<Pixel>();
         out.resize(count as usize);
         // Enough jobs that no thread waits long for the last one, and few enough that each goes on where it was.
-        let spans = count.div_ceil(per_span) as usize;
+        let spans = count.div_ceil(per_tile) as usize;
         let most = (spans / (SHARES * rayon::current_num_threads())).clamp(1, 8);
-        out.par_chunks_mut(per_span as usize).enumerate().with_max_len(most).for_each(|(i, mut out)| {
-            let mut start = i as u32 * per_span;
+        out.par_chunks_mut(per_tile as usize).enumerate().with_max_len(most).for_each(|(i, mut out)| {
+            let mut start = i as u32 * per_tile;
             self.with_workspace(field, |workspace| {
                 while !out.is_empty() {
                     let most = if rays { workspace.lane.pixels_at_once() } else { out.len() };
@@ -270,37 +267,21 @@ impl Backend for CpuBackend {
         });
     }
 
-    fn update(
-        &self,
-        stages: &mut Stages<Self>,
-        parameters: &mut Buffer<f32>,
-        gradient: &Buffer<f32>,
-        deposits: &[Deposit<Self>],
-        learning_rate: f64,
-        step: u64,
-    ) {
-        if !stages.optimizer.skips_untouched() || self.weight(deposits) <= 0.0 {
-            return self.update_all(stages, parameters, gradient, deposits, learning_rate, step);
+    fn update(&self, stages: &mut Stages<Self>, update: &mut Update<'_, Self>) {
+        if !stages.optimizer.policy().skips_untouched() || self.weight(update.deposits) <= 0.0 {
+            return self.update_all(stages, update);
         }
         let touched = stages.encoder.touched();
-        stages.optimizer.step_within(parameters, gradient, deposits, learning_rate, step, touched);
-        stages.encoder.refresh_touched(parameters);
-        stages.field.refresh(parameters);
+        stages.optimizer.step_within(update, touched);
+        stages.encoder.refresh_touched(update.parameters);
+        stages.field.refresh(update.parameters);
     }
 
-    fn update_all(
-        &self,
-        stages: &mut Stages<Self>,
-        parameters: &mut Buffer<f32>,
-        gradient: &Buffer<f32>,
-        deposits: &[Deposit<Self>],
-        learning_rate: f64,
-        step: u64,
-    ) {
-        if self.weight(deposits) > 0.0 {
-            stages.optimizer.step(parameters, gradient, deposits, learning_rate, step);
-            stages.encoder.refresh(parameters);
-            stages.field.refresh(parameters);
+    fn update_all(&self, stages: &mut Stages<Self>, update: &mut Update<'_, Self>) {
+        if self.weight(update.deposits) > 0.0 {
+            stages.optimizer.step(update);
+            stages.encoder.refresh(update.parameters);
+            stages.field.refresh(update.parameters);
         }
     }
 

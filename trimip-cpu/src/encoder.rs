@@ -8,14 +8,14 @@ use crate::gemm::padded;
 use crate::simd::Simd;
 use crate::wire::Reader;
 use crate::{CpuBackend, Lane};
-use trimip_core::batch::{Deposit, Rays, Samples};
+use trimip_core::batch::{Deposit, Samples, Tile};
 use trimip_core::config::EncoderKind;
 use trimip_core::{Config, Encoder, encoders};
 
-/// The geometry of a span's samples.
-fn places<'a>(rays: &'a Rays<CpuBackend>, samples: &'a Samples<CpuBackend>) -> Places<'a> {
-    let Samples { rays: owners, intervals, spheres, .. } = samples;
-    Places { rays: &rays.rays, owners, intervals, spheres }
+/// The parameters, and the geometry of a span's samples.
+fn places<'a>(tile: &Tile<'a, CpuBackend>) -> Places<'a> {
+    let Samples { rays: owners, intervals, spheres, .. } = tile.samples;
+    Places { parameters: tile.parameters, rays: &tile.rays.rays, owners, intervals, spheres }
 }
 
 /// Generates the enum of all encoders and its dispatch from a list.
@@ -116,19 +116,16 @@ macro_rules! encoders {
 
             fn forward(
                 &self,
-                _: &mut Lane,
-                parameters: &Buffer<f32>,
-                rays: &Rays<CpuBackend>,
-                samples: &Samples<CpuBackend>,
+                tile: &mut Tile<'_, CpuBackend>,
                 tape: &mut Buffer<f32>,
                 features: &mut Buffer<f32>,
             ) {
-                let at = places(rays, samples);
+                let at = places(tile);
                 tape.resize(at.spheres.len() * self.tape);
                 features.resize(padded(at.spheres.len()) * self.stride);
                 match &self.any {
                     $(Any::$name(encoding) => {
-                        encoding.forward(parameters, at, tape, features, self.stride);
+                        encoding.forward(at, tape, features, self.stride);
                     })*
                 }
             }
@@ -147,19 +144,16 @@ macro_rules! encoders {
 
             fn backward(
                 &self,
-                _: &mut Lane,
-                parameters: &Buffer<f32>,
-                rays: &Rays<CpuBackend>,
-                samples: &Samples<CpuBackend>,
+                tile: &mut Tile<'_, CpuBackend>,
                 tape: &Buffer<f32>,
                 feature_gradients: &Buffer<f32>,
                 gradient: &mut EncoderGradient,
             ) {
-                let at = places(rays, samples);
+                let at = places(tile);
                 let rows = &feature_gradients[..at.spheres.len() * self.stride];
                 match (&self.any, &mut gradient.0) {
                     $((Any::$name(encoding), AnyGradient::$name(gradient)) => {
-                        encoding.backward(parameters, at, tape, rows, self.stride, gradient);
+                        encoding.backward(at, tape, rows, self.stride, gradient);
                     })*
                     #[allow(unreachable_patterns)]
                     _ => unreachable!("a gradient is made by its own encoder"),

@@ -5,37 +5,32 @@
 
 use crate::buffer::Buffer;
 use crate::gemm::padded;
-use crate::mlp::{Activations, Mlp, MlpGradient, Passing, Row, Shared};
+use crate::mlp::{Activations, Batch, Flow, Mlp, MlpGradient, Passing, Row, Shared};
 use crate::parts::{Parts, halves};
 use crate::simd::Simd;
 use crate::wire::Reader;
 use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::activation::{Color, Density};
-use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
+use trimip_core::batch::{Deposit, FieldBackward, Radiance, Rays, Samples, Tile};
 use trimip_core::compositing::is_lit;
 use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
 use trimip_core::exchange::Share;
-use trimip_core::networks::{
-    append_frequencies, color_network, density_network, geometry, geometry_width, pull_frequencies,
-    view_width,
-};
+use trimip_core::networks::{append_frequencies, pull_frequencies};
 use trimip_core::params::{ALIGNMENT, Slot};
+use trimip_core::policy::FieldPolicy;
 use trimip_core::sh::spherical_harmonics;
 use trimip_core::{Config, Field, Layout, encoders};
 
 /// The density and colour networks.
 pub struct CpuField {
     simd: Simd,
+    policy: FieldPolicy,
     density: Mlp,
     color: Mlp,
     slots: Vec<Slot>,
-    activation: Density,
-    hue: Color,
     /// Index of red in a row of colour logits.
     red: usize,
-    config: FieldConfig,
     /// Padded width of the view; 0 if the colour network does not see directions.
     view: usize,
     /// Padded width of the geometry features with their sines and cosines; 0 if there are none of these.
@@ -223,21 +218,22 @@ impl CpuField {
 
     /// Creates the networks of a configuration, with products in `precision`.
     pub fn new(simd: Simd, config: &Config, layout: &Layout, precision: Precision) -> Self {
-        let (density, color) = (density_network(config), color_network(config));
+        let policy = FieldPolicy::new(config);
+        let (density, color) = (&policy.density, &policy.color);
         let features = (0..encoders::stride(config)).map(|row| match row {
             _ if row < density.summed => Row::One,
             _ if row < density.inputs() => Row::Weights(row - density.summed),
             _ => Row::Zero,
         });
-        let (view, field) = (view_width(config), &config.field);
-        let shape = match field.geometry_frequencies {
+        let (view, geometry_width) = (policy.view, policy.geometry_width);
+        let shape = match policy.settings.geometry_frequencies {
             0 => 0,
-            _ => geometry_width(config).next_multiple_of(ALIGNMENT),
+            _ => geometry_width.next_multiple_of(ALIGNMENT),
         };
         let input = match shape {
             0 => {
                 // The density logit is not an input of the colour network.
-                let outputs = 1 + geometry(config);
+                let outputs = 1 + policy.geometry;
                 let row = |output| match (1..outputs).contains(&output) {
                     true => Row::Weights(view + output - 1),
                     false => Row::Zero,
@@ -245,21 +241,19 @@ impl CpuField {
                 (0..outputs.next_multiple_of(ALIGNMENT)).map(row).collect()
             }
             _ => {
-                let row = |i| if i < geometry_width(config) { Row::Weights(view + i) } else { Row::Zero };
+                let row = |i| if i < geometry_width { Row::Weights(view + i) } else { Row::Zero };
                 (0..shape).map(row).collect()
             }
         };
         let padded_view = if view == 0 { 0 } else { view.next_multiple_of(ALIGNMENT) };
         Self {
             simd,
-            density: Mlp::new(&density, features.collect(), Vec::new(), precision),
-            color: Mlp::new(&color, input, Row::all(view, padded_view), precision),
+            density: Mlp::new(density, features.collect(), Vec::new(), precision),
+            color: Mlp::new(color, input, Row::all(view, padded_view), precision),
             slots: layout.networks().to_vec(),
-            activation: Density::new(field),
-            hue: Color::new(config),
             // Without networks the density logit comes before it.
-            red: usize::from(color.layers.is_empty()),
-            config: field.clone(),
+            red: usize::from(policy.is_direct()),
+            policy,
             view: padded_view,
             shape,
             wanted_parts: config.train.parts,
@@ -277,13 +271,13 @@ impl CpuField {
         if self.shape == 0 {
             return;
         }
-        let count = self.config.geometry as usize;
+        let count = self.policy.settings.geometry as usize;
         shape.resize(padded(rows) * self.shape);
         let outputs = outputs.chunks_exact(self.density.outputs());
         for (row, output) in shape.chunks_exact_mut(self.shape).zip(outputs) {
             row.fill(0.0);
             row[..count].copy_from_slice(&output[1..=count]);
-            append_frequencies(row, count, self.config.geometry_frequencies);
+            append_frequencies(row, count, self.policy.settings.geometry_frequencies);
         }
     }
 }
@@ -343,19 +337,19 @@ impl Field<CpuBackend> for CpuField {
 
     fn density(
         &self,
-        _: &mut Lane,
-        samples: &Samples<CpuBackend>,
+        tile: &mut Tile<'_, CpuBackend>,
         features: &Buffer<f32>,
         tape: &mut Tape,
         radiance: &mut Buffer<Radiance>,
     ) {
-        let rows = samples.spheres.len();
-        self.density.forward(self.simd, rows, features, None, &mut tape.density);
+        let rows = tile.samples.spheres.len();
+        let batch = Batch { simd: self.simd, rows, input: features, shared: None };
+        self.density.forward(batch, &mut tape.density);
         radiance.resize(rows);
         for (radiance, output) in
             radiance.iter_mut().zip(tape.density.output().chunks_exact(self.density.outputs()))
         {
-            *radiance = Radiance { rgb: [0.0; 3], density: self.activation.value(output[0]) };
+            *radiance = Radiance { rgb: [0.0; 3], density: self.policy.density_activation.value(output[0]) };
         }
     }
 
@@ -366,13 +360,12 @@ impl Field<CpuBackend> for CpuField {
 
     fn color(
         &self,
-        _: &mut Lane,
-        rays: &Rays<CpuBackend>,
-        samples: &Samples<CpuBackend>,
+        tile: &mut Tile<'_, CpuBackend>,
         least: f32,
         tape: &mut Tape,
         radiance: &mut Buffer<Radiance>,
     ) {
+        let (rays, samples) = (tile.rays, tile.samples);
         let Tape { density, color, lit, directions, shape, .. } = tape;
         lit.choose(samples, radiance, least);
         let rows = lit.count(samples.spheres.len());
@@ -382,30 +375,29 @@ impl Field<CpuBackend> for CpuField {
         }
         if self.view > 0 {
             let owners = (0..rows).map(|i| samples.rays[lit.row(i)]);
-            directions.gather(&self.config, self.view, rays, owners);
+            directions.gather(&self.policy.settings, self.view, rays, owners);
         }
         let shared = (self.view > 0).then(|| directions.shared());
         let outputs = lit.of(density);
         self.append_shapes(rows, outputs, shape);
-        self.color.forward(self.simd, rows, self.color_input(outputs, shape), shared, color);
+        let batch = Batch { simd: self.simd, rows, input: self.color_input(outputs, shape), shared };
+        self.color.forward(batch, color);
         let logits = color.output().chunks_exact(self.color.outputs());
         for (i, logits) in logits.take(rows).enumerate() {
-            radiance[lit.row(i)].rgb = [0, 1, 2].map(|c| self.hue.value(logits[self.red + c]));
+            radiance[lit.row(i)].rgb =
+                [0, 1, 2].map(|c| self.policy.color_activation.value(logits[self.red + c]));
         }
     }
 
     fn backward(
         &self,
-        _: &mut Lane,
-        samples: &Samples<CpuBackend>,
-        features: &Buffer<f32>,
+        tile: &mut Tile<'_, CpuBackend>,
+        arrays: FieldBackward<'_, CpuBackend>,
         tape: &mut Tape,
-        radiance: &Buffer<Radiance>,
-        radiance_gradients: &Buffer<Radiance>,
-        feature_gradients: &mut Buffer<f32>,
         gradient: &mut FieldGradient,
     ) {
-        let (simd, rows) = (self.simd, samples.spheres.len());
+        let (simd, rows) = (self.simd, tile.samples.spheres.len());
+        let FieldBackward { features, radiance, radiance_gradients, feature_gradients } = arrays;
         let Tape {
             density,
             color,
@@ -424,32 +416,30 @@ impl Field<CpuBackend> for CpuField {
             let row = lit.row(i);
             let (value, by_value) = (radiance[row].rgb, radiance_gradients[row].rgb);
             for c in 0..3 {
-                out[self.red + c] = by_value[c] * self.hue.derivative(value[c]);
+                out[self.red + c] = by_value[c] * self.policy.color_activation.derivative(value[c]);
             }
         }
         let mut by_listed = std::mem::replace(&mut lit.gradient, Buffer::zeros(0));
-        self.color.backward(
-            simd,
-            count,
-            self.color_input(lit.of(density), shape),
-            (self.view > 0).then(|| directions.shared()),
-            color,
-            color_gradient,
-            match (self.shape, lit.listed) {
+        let input = self.color_input(lit.of(density), shape);
+        let shared = (self.view > 0).then(|| directions.shared());
+        let flow = Flow {
+            output: color_gradient,
+            input: match (self.shape, lit.listed) {
                 (0, false) => output_gradient,
                 (0, true) => &mut by_listed,
                 _ => shape_gradient,
             },
-            passing,
-            &mut gradient.color,
-        );
+            weights: &mut gradient.color,
+        };
+        self.color.backward(Batch { simd, rows: count, input, shared }, color, flow, passing);
         let width = self.density.outputs();
         if self.shape > 0 || lit.listed {
             output_gradient.resize(padded(rows) * width);
             output_gradient.fill(0.0);
         }
         if self.shape > 0 {
-            let (values, frequencies) = (self.config.geometry as usize, self.config.geometry_frequencies);
+            let settings = &self.policy.settings;
+            let (values, frequencies) = (settings.geometry as usize, settings.geometry_frequencies);
             let shapes = shape.chunks_exact(self.shape).zip(shape_gradient.chunks_exact_mut(self.shape));
             for (i, (shape, by_shape)) in shapes.take(count).enumerate() {
                 pull_frequencies(shape, by_shape, values, frequencies);
@@ -463,20 +453,11 @@ impl Field<CpuBackend> for CpuField {
         lit.gradient = by_listed;
         let outputs = density.output().chunks_exact(width).zip(radiance_gradients.iter());
         for (out, (output, by_value)) in output_gradient.chunks_exact_mut(width).zip(outputs) {
-            out[0] = by_value.density * self.activation.derivative(output[0]);
+            out[0] = by_value.density * self.policy.density_activation.derivative(output[0]);
         }
         let weights = &mut gradient.density;
-        self.density.backward(
-            simd,
-            rows,
-            features,
-            None,
-            density,
-            output_gradient,
-            feature_gradients,
-            passing,
-            weights,
-        );
+        let flow = Flow { output: output_gradient, input: feature_gradients, weights };
+        self.density.backward(Batch { simd, rows, input: features, shared: None }, density, flow, passing);
     }
 
     fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {

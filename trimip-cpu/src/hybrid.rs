@@ -41,7 +41,7 @@ impl Hybrid {
     ) -> bool {
         let guide = &self.0;
         let mut cursor = renderer.start(ray, None, 0).with_step(guide.step);
-        let way = renderer.space.way(ray, occupancy.resolution());
+        let way = renderer.policy.space.way(ray, occupancy.resolution());
         let mut choose = |chosen: Chosen| {
             let Chosen { t, .. } = chosen;
             place(

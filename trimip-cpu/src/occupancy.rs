@@ -6,25 +6,18 @@ use crate::distance::distances as fill_distances;
 use crate::{CpuBackend, Lane};
 use rayon::prelude::*;
 use std::ops::Range;
+use trimip_core::Config;
 use trimip_core::backend::Occupancy;
 use trimip_core::batch::{Radiance, Rays, Samples};
-use trimip_core::config::OccupancyConfig;
-use trimip_core::occupancy::{Choice, coordinates, decayed, mean, probe, threshold};
-use trimip_core::rng::Random;
-use trimip_core::{Config, Space};
+use trimip_core::occupancy::{coordinates, decayed, mean, threshold};
+use trimip_core::policy::OccupancyPolicy;
 
 /// Cells along a side of a block.
 const BLOCK: u32 = 4;
 
 /// Grid, bits and running densities.
 pub struct CpuOccupancy {
-    config: OccupancyConfig,
-    seed: u64,
-    space: Space<f32>,
-    /// World length of one marching step.
-    step_length: f32,
-    /// Radius of a sphere whose great circle has the area of a cell's face, world units.
-    radius: f32,
+    policy: OccupancyPolicy,
     densities: Vec<f32>,
     /// Blocks in the order x + B·(y + B·z); within a block, bit x + 4·(y + 4·z).
     blocks: Vec<u64>,
@@ -37,15 +30,10 @@ pub struct CpuOccupancy {
 impl CpuOccupancy {
     /// A grid in which every cell is occupied.
     pub fn new(config: &Config) -> Self {
-        let space = Space::new(&config.scene);
-        let resolution = config.occupancy.resolution;
-        let cells = (resolution as usize).pow(3);
+        let policy = OccupancyPolicy::new(config);
+        let cells = policy.cells() as usize;
         let mut grid = Self {
-            config: config.occupancy.clone(),
-            seed: config.seed,
-            space,
-            step_length: config.step_length(),
-            radius: space.cell(resolution) / std::f32::consts::PI.sqrt(),
+            policy,
             densities: vec![0.0; cells],
             blocks: vec![0; cells / (BLOCK * BLOCK * BLOCK) as usize],
             distances: Vec::new(),
@@ -59,21 +47,21 @@ impl CpuOccupancy {
     /// Cells along a side.
     #[inline]
     pub fn resolution(&self) -> u32 {
-        self.config.resolution
+        self.policy.resolution()
     }
 
     /// Cells that marching may skip around a cell: all those closer than this, in each direction, are empty. 0 if the
     /// cell itself is occupied.
     #[inline(always)]
     pub fn empty_around(&self, [x, y, z]: [u32; 3]) -> u32 {
-        let side = self.config.resolution;
+        let side = self.policy.resolution();
         self.distances[(x + side * (y + side * z)) as usize].into()
     }
 
     /// Block index and bit index of a cell.
     fn place(&self, cell: u32) -> (usize, u32) {
-        let blocks = self.config.resolution / BLOCK;
-        let [x, y, z] = coordinates(cell, self.config.resolution);
+        let blocks = self.policy.resolution() / BLOCK;
+        let [x, y, z] = coordinates(cell, self.policy.resolution());
         let block = x / BLOCK + blocks * (y / BLOCK + blocks * (z / BLOCK));
         (block as usize, bit_of([x, y, z]))
     }
@@ -89,7 +77,7 @@ impl CpuOccupancy {
 
     /// Sets every cell's bit to `occupied(cell)`.
     fn set_bits(&mut self, occupied: impl Fn(u32) -> bool + Sync) {
-        let (resolution, blocks) = (self.config.resolution, self.config.resolution / BLOCK);
+        let (resolution, blocks) = (self.policy.resolution(), self.policy.resolution() / BLOCK);
         self.blocks.par_iter_mut().enumerate().for_each(|(i, word)| {
             let corner = coordinates(i as u32, blocks).map(|c| c * BLOCK);
             *word = 0;
@@ -121,7 +109,7 @@ fn bit_of([x, y, z]: [u32; 3]) -> u32 {
 
 impl Occupancy<CpuBackend> for CpuOccupancy {
     fn choose(&mut self, step: u64) -> u32 {
-        let choice = Choice::new(&self.config, self.seed, step, self.occupied, self.densities.len());
+        let choice = self.policy.choice(step, self.occupied);
         let chosen: Vec<u32> = (0..self.cells())
             .into_par_iter()
             .filter(|&cell| self.densities[cell as usize] >= 0.0)
@@ -139,15 +127,13 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
         rays: &mut Rays<CpuBackend>,
         samples: &mut Samples<CpuBackend>,
     ) {
-        let (random, resolution) = (Random::new(self.seed), self.config.resolution);
         let cells = &self.chosen[range.start as usize..range.end as usize];
         rays.rays.resize(cells.len());
         samples.rays.resize(cells.len());
         samples.intervals.resize(cells.len());
         samples.spheres.resize(cells.len());
         for (i, &cell) in cells.iter().enumerate() {
-            let (ray, interval, sphere) =
-                probe(cell, resolution, &random, step, &self.space, self.radius, self.step_length);
+            let (ray, interval, sphere) = self.policy.probe(cell, step);
             samples.rays[i] = i as u32;
             (rays.rays[i], samples.intervals[i], samples.spheres[i]) = (ray, interval, sphere);
         }
@@ -156,9 +142,10 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
     fn absorb(&mut self, radiance: &Buffer<Radiance>) {
         for (&cell, radiance) in self.chosen.iter().zip(radiance.iter()) {
             let density = &mut self.densities[cell as usize];
-            *density = decayed(*density, radiance.density * self.step_length, self.config.decay);
+            let new = radiance.density * self.policy.step_length;
+            *density = decayed(*density, new, self.policy.settings.decay);
         }
-        let limit = threshold(mean(&self.densities), &self.config);
+        let limit = threshold(mean(&self.densities), &self.policy.settings);
         let densities = std::mem::take(&mut self.densities);
         self.set_bits(|cell| densities[cell as usize] > limit);
         // If all cells equal their mean, none is above it; without this rule such a grid would stay empty for ever.

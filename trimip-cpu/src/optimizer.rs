@@ -7,9 +7,9 @@ use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trimip_core::adamw::Rule;
-use trimip_core::batch::Deposit;
-use trimip_core::config::{OptimizerConfig, Untouched};
-use trimip_core::params::{ALIGNMENT, Part, Slot};
+use trimip_core::batch::Update;
+use trimip_core::params::ALIGNMENT;
+use trimip_core::policy::{OptimizerPolicy, SlotUpdate};
 use trimip_core::{Config, Layout, Optimizer};
 
 /// Parameters per task.
@@ -18,13 +18,10 @@ const CHUNK: usize = 1 << 15;
 /// Moments of all parameters.
 pub struct CpuOptimizer {
     simd: Simd,
-    config: OptimizerConfig,
-    slots: Vec<Slot>,
+    policy: OptimizerPolicy,
     m: Buffer<f32>,
     v: Buffer<f32>,
     non_finite: AtomicU64,
-    /// The part of each slot that is in use, up to the next alignment.
-    parts: Vec<Part>,
 }
 
 impl CpuOptimizer {
@@ -33,22 +30,15 @@ impl CpuOptimizer {
         let length = if training { layout.len() } else { 0 };
         Self {
             simd,
-            config: config.optimizer.clone(),
-            slots: layout.slots.clone(),
+            policy: OptimizerPolicy::new(config, layout),
             m: Buffer::zeros(length),
             v: Buffer::zeros(length),
             non_finite: AtomicU64::new(0),
-            parts: layout.slots.iter().map(Part::whole).collect(),
         }
     }
 }
 
 impl CpuOptimizer {
-    /// True if texels without a gradient are not updated.
-    pub(crate) fn skips_untouched(&self) -> bool {
-        self.config.untouched == Untouched::Skip
-    }
-
     /// Counts what another rank left out.
     pub(crate) fn count_non_finite(&mut self, count: u64) {
         *self.non_finite.get_mut() += count;
@@ -58,22 +48,18 @@ impl CpuOptimizer {
     /// gradients of that slot were left out.
     pub(crate) fn step_within(
         &mut self,
-        parameters: &mut Buffer<f32>,
-        gradient: &Buffer<f32>,
-        deposits: &[Deposit<CpuBackend>],
-        learning_rate: f64,
-        step: u64,
+        update: &mut Update<'_, CpuBackend>,
         touched: Option<Vec<Piece<'_>>>,
     ) -> u64 {
+        let Update { parameters, gradient, deposits, learning_rate, step } = update;
         let weight: f64 = deposits.iter().map(|deposit| deposit.sums.sums.weight).sum();
         let scale = (1.0 / weight) as f32;
-        let Self { simd, config, slots, m, v, non_finite, parts } = self;
+        let Self { simd, policy, m, v, non_finite } = self;
         let before = *non_finite.get_mut();
         let mut first = 0;
-        for (index, (slot, part)) in slots.iter().zip(parts).enumerate() {
-            let rule = Rule { sparsity: part.sparsity as f32, ..Rule::of(config, slot, learning_rate, step) };
-            let whole = &part.range;
-            let group = slot.group.filter(|_| config.untouched == Untouched::Skip);
+        for (index, SlotUpdate { range: whole, rule, group }) in
+            policy.updates(*learning_rate, *step).enumerate()
+        {
             // Row by row if the encoder reports the touched part of each row.
             let mut pieces = Vec::new();
             match touched.as_deref() {
@@ -94,7 +80,7 @@ impl CpuOptimizer {
                     .zip(gradient[range].par_chunks(chunk));
                 chunks.enumerate().with_min_len(4).for_each(|(i, (((parameters, m), v), gradient))| {
                     let within = rows.map_or(0..parameters.len(), |within| within(i));
-                    let skipped = simd.run(Update {
+                    let skipped = simd.run(Lines {
                         rule,
                         scale,
                         group,
@@ -117,22 +103,16 @@ impl CpuOptimizer {
 }
 
 impl Optimizer<CpuBackend> for CpuOptimizer {
-    fn step(
-        &mut self,
-        parameters: &mut Buffer<f32>,
-        gradient: &Buffer<f32>,
-        deposits: &[Deposit<CpuBackend>],
-        learning_rate: f64,
-        step: u64,
-    ) {
-        self.step_within(parameters, gradient, deposits, learning_rate, step, None);
+    fn policy(&self) -> &OptimizerPolicy {
+        &self.policy
     }
 
-    fn restrict(&mut self, parts: &[Part]) {
-        self.parts = parts.to_vec();
-        for part in &mut self.parts {
-            part.range.end = part.range.end.next_multiple_of(ALIGNMENT);
-        }
+    fn policy_mut(&mut self) -> &mut OptimizerPolicy {
+        &mut self.policy
+    }
+
+    fn step(&mut self, update: &mut Update<'_, CpuBackend>) {
+        self.step_within(update, None);
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {
@@ -148,7 +128,7 @@ impl Optimizer<CpuBackend> for CpuOptimizer {
     }
 }
 
-struct Update<'a> {
+struct Lines<'a> {
     rule: Rule<f32>,
     scale: f32,
     /// Groups of this many values are skipped if they have no gradient.
@@ -159,7 +139,7 @@ struct Update<'a> {
     gradient: &'a [f32],
 }
 
-impl Kernel for Update<'_> {
+impl Kernel for Lines<'_> {
     /// Number of gradients whose square overflows f32.
     type Output = u64;
     #[inline(always)]
@@ -202,8 +182,9 @@ impl Kernel for Update<'_> {
 mod tests {
     use super::*;
     use trimip_core::Backend;
-    use trimip_core::batch::{StepResult, StepSums};
-    use trimip_core::config::FilePrecision;
+    use trimip_core::batch::{Deposit, StepResult, StepSums};
+    use trimip_core::config::{FilePrecision, Untouched};
+    use trimip_core::params::Slot;
 
     /// Slots of lengths that no register divides: dense and sparse ones, each with its own rate and decay.
     fn odd() -> Layout {
@@ -252,7 +233,7 @@ mod tests {
                 trimip_core::Field::gradient(&stages.field),
                 trimip_core::Encoder::gradient(&stages.encoder),
             );
-            let deposits = [Deposit { field, encoder, sums }];
+            let mut deposits = [Deposit { field, encoder, sums }];
             let mut optimizer = CpuOptimizer::new(simd, &config, &layout, true);
             let mut parameters = Buffer::zeros(layout.len());
             parameters.copy_from_slice(&layout.initial(&config));
@@ -268,7 +249,13 @@ mod tests {
                             if idle { 0.0 } else { ((i as u64 * 37 + step * 11) % 17) as f32 - 7.5 };
                     }
                 }
-                optimizer.step(&mut parameters, &gradient, &deposits, 1e-2, step);
+                optimizer.step(&mut Update {
+                    parameters: &mut parameters,
+                    gradient: &mut gradient,
+                    deposits: &mut deposits,
+                    learning_rate: 1e-2,
+                    step,
+                });
                 for slot in &layout.slots {
                     for i in slot.range.clone() {
                         let group = (i - slot.range.start) / slot.group.unwrap_or(1);

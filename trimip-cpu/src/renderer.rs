@@ -7,15 +7,13 @@ use crate::see::see;
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::{CpuBackend, Lane};
 use trimip_core::backend::Stages;
-use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Target, Workspace};
-use trimip_core::compositing::{Pruning, Seen, composite, composite_gradient};
-use trimip_core::config::{HybridConfig, RendererKind};
-use trimip_core::model::Assets;
+use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Target, Tile, Workspace};
+use trimip_core::compositing::{Seen, composite, composite_gradient};
+use trimip_core::policy::RendererPolicy;
 use trimip_core::proxy::Guide;
-use trimip_core::rng::{Random, Stream};
-use trimip_core::schedule::Schedule;
+use trimip_core::rng::Stream;
 use trimip_core::space::Path;
-use trimip_core::{Config, Pixel, Renderer, Result, Space};
+use trimip_core::{Config, Pixel, Renderer, Result};
 
 /// The progress of marching along a ray.
 #[derive(Clone, Copy, Debug)]
@@ -37,24 +35,10 @@ impl Cursor {
     }
 }
 
-/// Space, step and background of a renderer.
+/// The renderer: its policy, and what chooses the samples of pictures.
 pub struct CpuRenderer {
     pub(crate) simd: Simd,
-    pub(crate) space: Space<f32>,
-    /// Length of a step at scale 1 of the schedule.
-    uniform_step: f32,
-    step_scale: Schedule,
-    /// Current length of a step, by the schedule.
-    step_length: f32,
-    /// Minimum length of a step, in radii of the ray's sphere in the middle of the box.
-    step_per_radius: f32,
-    pub(crate) pruning: Pruning<f32>,
-    color_weights: Schedule,
-    color_weight: f32,
-    background: [f32; 3],
-    random: Random,
-    kind: RendererKind,
-    hybrid_config: HybridConfig,
+    pub(crate) policy: RendererPolicy,
     /// Chooses the samples of pictures; none in training, and for volume rendering.
     pub(crate) hybrid: Option<Hybrid>,
 }
@@ -62,34 +46,18 @@ pub struct CpuRenderer {
 impl CpuRenderer {
     /// Creates the renderer of a configuration.
     pub fn new(simd: Simd, config: &Config) -> Self {
-        let uniform_step = config.step_length();
-        let step_scale = config.renderer.step_scale.clone();
-        Self {
-            simd,
-            space: Space::new(&config.scene),
-            uniform_step,
-            step_length: uniform_step * step_scale.at(0.0) as f32,
-            step_scale,
-            step_per_radius: config.renderer.step_per_radius,
-            pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
-            color_weight: config.renderer.color_weight.at(0.0) as f32,
-            color_weights: config.renderer.color_weight.clone(),
-            background: config.data.background,
-            random: Random::new(config.seed),
-            kind: config.renderer.kind,
-            hybrid_config: config.hybrid.clone(),
-            hybrid: None,
-        }
+        Self { simd, policy: RendererPolicy::new(config), hybrid: None }
     }
 
     /// The cursor of a ray at its entry into the box, before its first step. `jitter` moves the first step by a
     /// random fraction of a step; `index` is the ray's index within the training step.
     pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
-        let (enter, leave) = self.space.course(ray.origin, ray.direction).range();
-        let offset = jitter.map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, index)[0]);
-        let by_radius = self.step_per_radius * ray.slope * 0.5 * (enter + leave);
+        let policy = &self.policy;
+        let (enter, leave) = policy.space.course(ray.origin, ray.direction).range();
+        let offset = jitter.map_or(0.0, |step| policy.random.uniform(Stream::Jitter, step, index)[0]);
+        let by_radius = policy.step_per_radius * ray.slope * 0.5 * (enter + leave);
         // A comparison with NaN is false and selects the uniform step.
-        let step = if by_radius > self.step_length { by_radius } else { self.step_length };
+        let step = if by_radius > policy.step_length() { by_radius } else { policy.step_length() };
         let first = enter + offset * step;
         let hits = leave > first && leave.is_finite();
         Cursor { first, leave: if hits { leave } else { f32::NEG_INFINITY }, step, index: 0.0 }
@@ -107,11 +75,10 @@ impl CpuRenderer {
         cursor: &mut Cursor,
         place: impl FnMut(Interval, Sphere) -> bool,
     ) -> bool {
-        match self.space.ball() {
-            None => follow(&self.space.way(ray, occupancy.resolution()), occupancy, cursor, place),
-            Some(ball) => {
-                follow(&self.space.detour(*ball, ray, occupancy.resolution()), occupancy, cursor, place)
-            }
+        let space = &self.policy.space;
+        match space.ball() {
+            None => follow(&space.way(ray, occupancy.resolution()), occupancy, cursor, place),
+            Some(ball) => follow(&space.detour(*ball, ray, occupancy.resolution()), occupancy, cursor, place),
         }
     }
 }
@@ -154,18 +121,17 @@ fn follow(
 }
 
 impl Renderer<CpuBackend> for CpuRenderer {
-    fn equip(&mut self, assets: &Assets) -> Result<()> {
-        self.hybrid = Guide::of(self.kind, &self.hybrid_config, assets)?.map(Hybrid);
+    fn policy(&self) -> &RendererPolicy {
+        &self.policy
+    }
+
+    fn policy_mut(&mut self) -> &mut RendererPolicy {
+        &mut self.policy
+    }
+
+    fn set_guide(&mut self, guide: Option<Guide>) -> Result<()> {
+        self.hybrid = guide.map(Hybrid);
         Ok(())
-    }
-
-    fn color_weight(&self) -> f32 {
-        self.color_weight
-    }
-
-    fn follow(&mut self, progress: f64) {
-        self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
-        self.color_weight = self.color_weights.at(progress) as f32;
     }
 
     fn see(
@@ -202,7 +168,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
             let mut depth = 0.0;
             for i in segment.start..segment.start + segment.count {
                 let own = radiance[i as usize].density * samples.intervals[i as usize].length;
-                match self.pruning.see(&mut depth, own) {
+                match self.policy.pruning.see(&mut depth, own) {
                     Seen::Yes => kept.push(i),
                     Seen::No => {}
                     Seen::Hidden => break,
@@ -218,13 +184,12 @@ impl Renderer<CpuBackend> for CpuRenderer {
 
     fn composite(
         &self,
-        _: &mut Lane,
-        rays: &Rays<CpuBackend>,
-        samples: &Samples<CpuBackend>,
+        tile: &mut Tile<'_, CpuBackend>,
         radiance: &Buffer<Radiance>,
         cones: &mut Buffer<Pixel>,
         pixels: &mut Buffer<Pixel>,
     ) {
+        let (rays, samples) = (tile.rays, tile.samples);
         cones.resize(rays.rays.len());
         pixels.resize(rays.groups.len());
         let (segments, rays_of, targets): (&[Segment], &[Ray], &[Target]) =
@@ -232,7 +197,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
         let (intervals, radiance): (&[Interval], &[Radiance]) = (&samples.intervals, radiance);
         let cones: &mut [Pixel] = cones;
         for (i, (pixel, group)) in pixels.iter_mut().zip(rays.groups.iter()).enumerate() {
-            let background = targets.get(i).map_or(self.background, |target| target.background);
+            let background = targets.get(i).map_or(self.policy.background, |target| target.background);
             let group = group.range();
             let parts = segments[group.clone()].iter().zip(&rays_of[group.clone()]);
             for (cone, (segment, ray)) in cones[group.clone()].iter_mut().zip(parts) {
@@ -250,14 +215,13 @@ impl Renderer<CpuBackend> for CpuRenderer {
 
     fn backward(
         &self,
-        _: &mut Lane,
-        rays: &Rays<CpuBackend>,
-        samples: &Samples<CpuBackend>,
+        tile: &mut Tile<'_, CpuBackend>,
         radiance: &Buffer<Radiance>,
         cones: &Buffer<Pixel>,
         pixel_gradients: &Buffer<[f32; 4]>,
         radiance_gradients: &mut Buffer<Radiance>,
     ) {
+        let (rays, samples) = (tile.rays, tile.samples);
         radiance_gradients.resize(radiance.len());
         for (group, &gradient) in rays.groups.iter().zip(pixel_gradients.iter()) {
             let share = (group.count as f32).recip();
@@ -298,7 +262,7 @@ impl Kernel for March<'_> {
     fn run<L: Lanes>(self) {
         let Self { renderer, rays, occupancy, jitter, samples } = self;
         samples.segments.resize(rays.rays.len());
-        let most_samples = renderer.space.most_steps(renderer.step_length);
+        let most_samples = renderer.policy.most_samples();
         let mut count = 0;
         for (i, ray) in rays.rays.iter().enumerate() {
             let start = count;

@@ -10,7 +10,7 @@ use crate::renderer::{CpuRenderer, Cursor};
 use crate::simd::{Kernel, Lanes};
 use crate::{CpuBackend, CpuField, Lane};
 use trimip_core::backend::Stages;
-use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Workspace};
+use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Tile, Workspace};
 use trimip_core::compositing::{Pruning, Seen};
 use trimip_core::{Encoder, Field, Renderer};
 
@@ -113,8 +113,9 @@ fn evaluate_chosen(
     std::mem::swap(samples, chosen);
     let count = samples.spheres.len();
     samples.counts.resize(1);
-    stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
-    stages.field.density(lane, samples, features, tape, radiance);
+    let tile = &mut Tile { stream: lane, parameters, rays, samples };
+    stages.encoder.forward(tile, encoding, features);
+    stages.field.density(tile, features, tape, radiance);
     stages.renderer.prune(lane, radiance, samples, kept);
     // Only training needs the features again.
     if kept.len() < count {
@@ -176,10 +177,10 @@ impl Scratch {
             }
             let samples = &piece.samples;
             marched += samples.spheres.len();
-            let (encoding, features) = (&mut piece.encoding, &mut piece.features);
-            stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
-            stages.field.density(lane, samples, &piece.features, &mut piece.tape, &mut piece.radiance);
-            look(walkers, samples, &piece.radiance, &renderer.pruning, seen);
+            let tile = &mut Tile { stream: &mut *lane, parameters, rays, samples };
+            stages.encoder.forward(tile, &mut piece.encoding, &mut piece.features);
+            stages.field.density(tile, &piece.features, &mut piece.tape, &mut piece.radiance);
+            look(walkers, samples, &piece.radiance, &renderer.policy.pruning, seen);
             staged.samples.rays.append_rows(&samples.rays, seen, 1);
             staged.samples.intervals.append_rows(&samples.intervals, seen, 1);
             staged.samples.spheres.append_rows(&samples.spheres, seen, 1);

@@ -7,7 +7,6 @@
 
 use crate::CpuBackend;
 use crate::backend::deposits;
-use crate::buffer::Buffer;
 use crate::encoder::CpuEncoder;
 use crate::encoders::Divided;
 use crate::optimizer::CpuOptimizer;
@@ -15,7 +14,7 @@ use crate::parts::Parts;
 use crate::wire::{Reader, put, put_counted};
 use std::sync::Arc;
 use trimip_core::backend::Stages;
-use trimip_core::batch::{Deposit, StepResult};
+use trimip_core::batch::{Deposit, StepResult, Update};
 use trimip_core::config::TrainConfig;
 use trimip_core::exchange::{Exchange, Ranks, Share};
 use trimip_core::{Backend, Error, Field, Optimizer, Result};
@@ -78,7 +77,7 @@ impl Together {
         encoder: &'a mut CpuEncoder,
         optimizer: &CpuOptimizer,
     ) -> Option<&'a mut dyn Divided> {
-        encoder.divided().filter(|_| self.share.of > 1 && optimizer.skips_untouched())
+        encoder.divided().filter(|_| self.share.of > 1 && optimizer.policy().skips_untouched())
     }
 }
 
@@ -135,15 +134,11 @@ impl Exchange<CpuBackend> for Together {
         &mut self,
         backend: &CpuBackend,
         stages: &mut Stages<CpuBackend>,
-        parameters: &mut Buffer<f32>,
-        gradient: &mut Buffer<f32>,
-        deposits: &mut [Deposit<CpuBackend>],
-        learning_rate: f64,
-        step: u64,
+        update: &mut Update<'_, CpuBackend>,
     ) -> Result<()> {
         if self.divided(&mut stages.encoder, &stages.optimizer).is_none() {
-            backend.update(stages, parameters, gradient, deposits, learning_rate, step);
-            self.ranks.tally(size_of_val(&gradient[..]) as u64);
+            backend.update(stages, update);
+            self.ranks.tally(size_of_val(&update.gradient[..]) as u64);
             return Ok(());
         }
         let Stages { encoder, optimizer, field, .. } = stages;
@@ -151,29 +146,28 @@ impl Exchange<CpuBackend> for Together {
         for to in self.others() {
             let out = &mut self.out[to];
             out.clear();
-            divided.put_sums(gradient, to, out);
+            divided.put_sums(update.gradient, to, out);
         }
         self.trade()?;
-        divided.take_sums(&self.into, gradient);
-        divided.complete(gradient);
+        divided.take_sums(&self.into, update.gradient);
+        divided.complete(update.gradient);
         // Without a weight nothing moves, on any rank.
-        if backend.weight(deposits) > 0.0 {
-            let left_out =
-                optimizer.step_within(parameters, gradient, deposits, learning_rate, step, divided.pieces());
+        if backend.weight(update.deposits) > 0.0 {
+            let left_out = optimizer.step_within(update, divided.pieces());
             let mut message = std::mem::take(&mut self.out[self.share.rank]);
             message.clear();
             put(&mut message, &[left_out]);
-            divided.put_changed(parameters, &mut message);
+            divided.put_changed(update.parameters, &mut message);
             self.tell(&message)?;
             for from in self.others() {
                 let mut reader = Reader::new(&self.into[from]);
                 optimizer.count_non_finite(reader.one());
-                divided.take_changed(&mut reader, from, parameters);
+                divided.take_changed(&mut reader, from, update.parameters);
             }
             self.ranks.tally((divided.count_touched() * size_of::<f32>()) as u64);
             self.out[self.share.rank] = message;
-            encoder.refresh_touched(parameters);
-            field.refresh(parameters);
+            encoder.refresh_touched(update.parameters);
+            field.refresh(update.parameters);
         }
         Ok(())
     }

@@ -88,6 +88,7 @@ impl Camera {
     /// A camera at `eye` that looks at `target`.
     #[staticmethod]
     #[pyo3(signature = (eye, target, width, height, *, up=None, fov=None, fx=None))]
+    #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn look_at(
         eye: Three<'_>,
         target: Three<'_>,

@@ -10,7 +10,7 @@ use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use trimip::mesh::{self, Extraction, Goal};
-use trimip::view::{Perceiver, Watching, evaluate, pictures};
+use trimip::view::{Perceiver, TestViews, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
 use trimip_core::{Query, encoders, evaluate::ViewResult};
 
@@ -225,6 +225,7 @@ impl Model {
     /// optical depth of 0.2) on a grid of `resolution` cells along the longest side, simplified to about `triangles` (0 for
     /// no simplification).
     #[pyo3(signature = (resolution=512, *, level=None, triangles=100_000, specks=0.02, colors=true))]
+    #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn mesh(
         &self,
         py: Python<'_>,
@@ -253,7 +254,8 @@ impl Model {
         let measured = self.work(py, |viewer, interrupted| {
             let mut perceiver = Perceiver::open(&config.eval)?;
             let set = data::open_test(&config.data)?;
-            evaluate(viewer, &*set.frames, &config.data, stride, &mut perceiver, interrupted, None)
+            let test = TestViews { frames: &*set.frames, data: &config.data, stride };
+            evaluate(viewer, test, &mut perceiver, interrupted, None)
         })?;
         value::python(
             py,

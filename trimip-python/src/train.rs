@@ -107,6 +107,7 @@ fn given(
 /// The same call resumes with the same bits.
 #[pyfunction]
 #[pyo3(signature = (config=None, out=None, *, settings=None, system=None, callback=None, fresh=false))]
+#[expect(clippy::too_many_arguments, reason = "keywords in Python")]
 pub fn train(
     py: Python<'_>,
     config: Option<&Bound<'_, PyAny>>,

@@ -21,10 +21,8 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::backend::{Stages, TrainWork};
-use trimip_core::balance::Draw;
-use trimip_core::batch::{Deposit, Segment, StepResult, StepSums, Workspace};
+use trimip_core::batch::{Batch, Deposit, Segment, StepResult, StepSums, Tiling, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::exchange::Share;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
 /// Iterations after which llvmpipe ends the loops of an invocation, minus some for its other loops.
@@ -363,27 +361,26 @@ impl Backend for WgpuBackend {
     fn train_spans(
         &self,
         field: &WgpuField,
-        draw: &Draw,
-        share: Share,
-        _: u32,
+        batch: &Batch<'_>,
         deposits: &mut [Deposit<Self>],
         work: &TrainWork<'_, Self>,
     ) {
         let Some(deposit) = deposits.first_mut() else { return };
-        self.with_workspace(field, |workspace| work(workspace, deposit, share.part(draw.pixels())));
+        self.with_workspace(field, |workspace| {
+            work(workspace, deposit, batch.share.part(batch.draw.pixels()))
+        });
     }
 
     fn map_spans<T: Pod + Send + Sync>(
         &self,
         field: &WgpuField,
-        count: u32,
-        per_span: u32,
+        tiling: Tiling,
         out: &mut Buffer<T>,
         work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
-        out.resize(count as usize);
-        let mut spans = self.spans(count, per_span);
+        out.resize(tiling.count as usize);
+        let mut spans = self.spans(tiling.count, tiling.per_tile);
         self.with_workspace(field, |workspace| {
             while let Some(span) = spans.next() {
                 workspace.lane.marched = false;
@@ -399,14 +396,13 @@ impl Backend for WgpuBackend {
     async fn map_spans_async<T: Pod + Send + Sync>(
         &self,
         field: &WgpuField,
-        count: u32,
-        per_span: u32,
+        tiling: Tiling,
         out: &mut Buffer<T>,
         work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
-        out.resize(count as usize);
-        let mut spans = self.spans(count, per_span);
+        out.resize(tiling.count as usize);
+        let mut spans = self.spans(tiling.count, tiling.per_tile);
         let mut workspace = self.take_workspace(field);
         while let Some(span) = spans.next() {
             workspace.lane.marched = false;

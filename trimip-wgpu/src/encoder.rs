@@ -9,18 +9,19 @@ use crate::kernel::Addition;
 use crate::kernel::Kernel;
 use crate::rows::Rows;
 use std::sync::Arc;
-use trimip_core::batch::{Deposit, Rays, Samples};
+use trimip_core::batch::{Deposit, Tile};
 use trimip_core::config::EncoderKind;
 use trimip_core::{Config, Encoder, encoders};
 
 /// The geometry of a span's samples.
-fn places(lane: &mut Lane, rays: &Rays<WgpuBackend>, samples: &Samples<WgpuBackend>) -> Places {
+fn places(tile: &mut Tile<'_, WgpuBackend>) -> Places {
+    let Tile { stream, rays, samples, .. } = tile;
     Places {
         rays: rays.rays.raw().clone(),
         owners: samples.rays.raw().clone(),
         intervals: samples.intervals.raw().clone(),
         spheres: samples.spheres.raw().clone(),
-        rows: Rows::of(&samples.spheres, &mut lane.count),
+        rows: Rows::of(&samples.spheres, &mut stream.count),
     }
 }
 
@@ -82,14 +83,11 @@ macro_rules! encoders {
 
             fn forward(
                 &self,
-                lane: &mut Lane,
-                parameters: &Buffer<f32>,
-                rays: &Rays<WgpuBackend>,
-                samples: &Samples<WgpuBackend>,
+                tile: &mut Tile<'_, WgpuBackend>,
                 tape: &mut Buffer<f32>,
                 features: &mut Buffer<f32>,
             ) {
-                let at = places(lane, rays, samples);
+                let (at, parameters) = (places(tile), tile.parameters);
                 at.rows.size(features, self.stride);
                 if self.tape > 0 {
                     at.rows.size(tape, self.tape);
@@ -114,16 +112,13 @@ macro_rules! encoders {
 
             fn backward(
                 &self,
-                lane: &mut Lane,
-                _: &Buffer<f32>,
-                rays: &Rays<WgpuBackend>,
-                samples: &Samples<WgpuBackend>,
+                tile: &mut Tile<'_, WgpuBackend>,
                 tape: &Buffer<f32>,
                 feature_gradients: &Buffer<f32>,
                 gradient: &mut EncoderGradient,
             ) {
                 gradient.0 = Some(Left {
-                    at: places(lane, rays, samples),
+                    at: places(tile),
                     tape: tape.raw().clone(),
                     gradients: feature_gradients.raw().clone(),
                 });

@@ -4,14 +4,14 @@ use crate::backend::{Known, Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
 use crate::kernel::{COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, DIMMING};
-use crate::mlp::{Activations, DIRECT, Mlp, Partials, padded};
+use crate::mlp::{Activations, DIRECT, Flow, Mlp, Partials, padded};
 use crate::rows::Rows;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use trimip_core::batch::{Deposit, Radiance, Rays, Samples};
-use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
-use trimip_core::networks::{self, Network, color_network, density_network, view_width};
+use trimip_core::batch::{Deposit, FieldBackward, Radiance, Tile};
+use trimip_core::config::{Precision, ViewEncoding};
+use trimip_core::policy::FieldPolicy;
 use trimip_core::{Config, Field, Layout};
 
 /// Parameters of the kernels between the networks.
@@ -47,18 +47,11 @@ struct DimParams {
 /// The density and colour networks.
 pub struct WgpuField {
     gpu: Arc<Gpu>,
+    policy: FieldPolicy,
     density: Mlp,
     color: Mlp,
-    /// True if there are no networks.
-    direct: bool,
-    /// Number of geometry features.
-    geometry: usize,
     /// Width of the colour network's input: the view, the geometry features with their sines and cosines, zeros.
     width: usize,
-    /// Number of values of the view.
-    view: usize,
-    config: FieldConfig,
-    networks: [Network; 2],
     layout: Layout,
     overflows: Buffer<u32>,
     known: Arc<Known>,
@@ -93,19 +86,15 @@ impl WgpuField {
     pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout, known: Arc<Known>) -> Self {
         let overflows = Buffer::zeros(gpu, 1);
         let matrices = if config.field.precision == Precision::F16 { gpu.matrices() } else { None };
-        let networks = [density_network(config), color_network(config)];
-        let [density, color] =
-            networks.each_ref().map(|network| Mlp::new(gpu, network, layout, matrices, &overflows));
+        let policy = FieldPolicy::new(config);
+        let [density, color] = [&policy.density, &policy.color]
+            .map(|network| Mlp::new(gpu, network, layout, matrices, &overflows));
         Self {
             gpu: Arc::clone(gpu),
-            direct: density.is_empty(),
-            geometry: networks::geometry(config),
-            width: if density.is_empty() { DIRECT } else { padded(networks[1].inputs()) },
-            view: view_width(config),
+            width: if policy.is_direct() { DIRECT } else { padded(policy.color.inputs()) },
+            policy,
             density,
             color,
-            config: config.field.clone(),
-            networks,
             layout: layout.clone(),
             overflows,
             known,
@@ -119,24 +108,24 @@ impl WgpuField {
 
     /// Number of geometry features.
     pub fn geometry(&self) -> usize {
-        self.geometry
+        self.policy.geometry
     }
 
     fn params(&self, rows: &Rows) -> FieldParams {
-        let field = &self.config;
+        let field = &self.policy.settings;
         FieldParams {
             counter: rows.counter,
             width: self.width as u32,
-            view: self.view as u32,
-            geometry: self.geometry as u32,
+            view: self.policy.view as u32,
+            geometry: self.geometry() as u32,
             outputs: self.outputs() as u32,
             frequencies_of_view: u32::from(field.view == ViewEncoding::Frequencies),
             view_frequencies: field.view_frequencies,
-            geometry_frequencies: if self.direct { 0 } else { field.geometry_frequencies },
+            geometry_frequencies: self.policy.geometry_frequencies(),
             density: field.density as u32,
             shift: field.density_shift,
             scale: field.density_scale,
-            direct: u32::from(self.direct),
+            direct: u32::from(self.policy.is_direct()),
         }
     }
 
@@ -161,9 +150,7 @@ impl WgpuField {
 
     /// Switches to f32, once there was a factor that f16 cannot hold.
     fn fall_back(&mut self) {
-        let [density, color] = self
-            .networks
-            .each_ref()
+        let [density, color] = [&self.policy.density, &self.policy.color]
             .map(|network| Mlp::new(&self.gpu, network, &self.layout, None, &self.overflows));
         (self.density, self.color) = (density, color);
     }
@@ -200,13 +187,12 @@ impl Field<WgpuBackend> for WgpuField {
 
     fn density(
         &self,
-        lane: &mut Lane,
-        samples: &Samples<WgpuBackend>,
+        tile: &mut Tile<'_, WgpuBackend>,
         features: &Buffer<f32>,
         tape: &mut Tape,
         radiance: &mut Buffer<Radiance>,
     ) {
-        let rows = Rows::of(&samples.spheres, &mut lane.count);
+        let rows = Rows::of(&tile.samples.spheres, &mut tile.stream.count);
         self.density.forward(&self.gpu, &rows, features, &mut tape.density);
         rows.size(radiance, 1);
         let outputs = &tape.density[tape.density.len() - 1];
@@ -223,17 +209,16 @@ impl Field<WgpuBackend> for WgpuField {
 
     fn color(
         &self,
-        lane: &mut Lane,
-        rays: &Rays<WgpuBackend>,
-        samples: &Samples<WgpuBackend>,
+        tile: &mut Tile<'_, WgpuBackend>,
         least: f32,
         tape: &mut Tape,
         radiance: &mut Buffer<Radiance>,
     ) {
+        let Tile { stream: lane, rays, samples, .. } = tile;
         let rows = Rows::of(&samples.spheres, &mut lane.count);
         let Tape { density, color, color_input, .. } = tape;
         let outputs = &density[density.len() - 1];
-        let logits = if self.direct {
+        let logits = if self.policy.is_direct() {
             outputs
         } else {
             rows.size(color_input, self.width);
@@ -256,53 +241,45 @@ impl Field<WgpuBackend> for WgpuField {
 
     fn backward(
         &self,
-        lane: &mut Lane,
-        samples: &Samples<WgpuBackend>,
-        features: &Buffer<f32>,
+        tile: &mut Tile<'_, WgpuBackend>,
+        arrays: FieldBackward<'_, WgpuBackend>,
         tape: &mut Tape,
-        radiance: &Buffer<Radiance>,
-        radiance_gradients: &Buffer<Radiance>,
-        feature_gradients: &mut Buffer<f32>,
         gradient: &mut FieldGradient,
     ) {
+        let Tile { stream: lane, samples, .. } = tile;
+        let FieldBackward { features, radiance, radiance_gradients, feature_gradients } = arrays;
         let rows = Rows::of(&samples.spheres, &mut lane.count);
         let Tape { density, color, color_input, color_gradient, input_gradient, output_gradient, scratch } =
             tape;
         rows.size(color_gradient, 16);
         let binds = [radiance.bind(), rows.bind(), color_gradient.bind(), radiance_gradients.bind()];
         self.gpu.dispatch(&COLOR_GRADIENTS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
-        if !self.direct {
-            self.color.backward(
-                &self.gpu,
-                &rows,
-                color_input,
-                color,
-                color_gradient,
+        if !self.policy.is_direct() {
+            let flow = Flow {
+                by_output: color_gradient,
                 scratch,
-                input_gradient,
-                &gradient.color,
-            );
+                by_input: input_gradient,
+                partials: &gradient.color,
+            };
+            self.color.backward(&self.gpu, &rows, color_input, color, flow);
         }
-        let by_geometry = if self.direct { color_gradient } else { input_gradient };
-        let by_output = if self.direct { &mut *feature_gradients } else { &mut *output_gradient };
+        let by_geometry = if self.policy.is_direct() { color_gradient } else { input_gradient };
+        let by_output = if self.policy.is_direct() { &mut *feature_gradients } else { &mut *output_gradient };
         rows.size(by_output, self.outputs());
         let outputs = &density[density.len() - 1];
         let binds =
             [outputs.bind(), by_output.bind(), rows.bind(), by_geometry.bind(), radiance_gradients.bind()];
         self.gpu.dispatch(&DENSITY_GRADIENT, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
-        if self.direct {
+        if self.policy.is_direct() {
             return;
         }
-        self.density.backward(
-            &self.gpu,
-            &rows,
-            features,
-            density,
-            output_gradient,
+        let flow = Flow {
+            by_output: output_gradient,
             scratch,
-            feature_gradients,
-            &gradient.density,
-        );
+            by_input: feature_gradients,
+            partials: &gradient.density,
+        };
+        self.density.backward(&self.gpu, &rows, features, density, flow);
     }
 
     fn flush(&mut self, deposits: &mut [Deposit<WgpuBackend>], parameter_gradient: &mut Buffer<f32>) {

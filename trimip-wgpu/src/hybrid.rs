@@ -3,7 +3,7 @@
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{Gpu, Size};
-use crate::field::{Tape, WgpuField};
+use crate::field::Tape;
 use crate::kernel::{COUNT_CHOSEN, FILL_CHOSEN, SHARING};
 use crate::occupancy::WgpuOccupancy;
 use crate::renderer::{MARCHED, WgpuRenderer};
@@ -11,7 +11,7 @@ use crate::space::GpuSpace;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use trimip_core::backend::Stages;
-use trimip_core::batch::{Radiance, Rays, Samples, Workspace};
+use trimip_core::batch::{Radiance, Rays, Samples, Tile, Workspace};
 use trimip_core::proxy::{BEHIND, Guide, Layers, Rule};
 use trimip_core::{Encoder, Error, Field, Result};
 
@@ -109,9 +109,10 @@ impl Hybrid {
     ) {
         let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, .. } = space;
         self.choose(&stages.renderer, lane, rays, &stages.occupancy, samples);
-        stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
-        stages.field.density(lane, samples, features, tape, radiance);
-        self.share(&stages.renderer, &stages.field, lane, samples, tape, radiance);
+        let tile = &mut Tile { stream: lane, parameters, rays, samples };
+        stages.encoder.forward(tile, encoding, features);
+        stages.field.density(tile, features, tape, radiance);
+        self.share(stages, tile, tape, radiance);
         stages.renderer.list(lane, samples, kept);
         stages.field.keep_outputs(lane, kept, tape, radiance);
     }
@@ -126,7 +127,7 @@ impl Hybrid {
         samples: &mut Samples<WgpuBackend>,
     ) {
         let count = rays.rays.known_len().unwrap_or(0);
-        let most_samples = renderer.space.most_steps(self.step.min(renderer.step_length));
+        let most_samples = renderer.policy.space.most_steps(self.step.min(renderer.policy.step_length()));
         let room = renderer.room.min(count * most_samples).max(1);
         samples.segments.resize(count);
         samples.counts.resize(2);
@@ -134,7 +135,7 @@ impl Hybrid {
         lane.marched = true;
         let (Rule { least, opaque, .. }, layers) = (self.rule, self.layers);
         let params = ChooseParams {
-            space: GpuSpace::new(&renderer.space, occupancy.resolution()),
+            space: GpuSpace::new(&renderer.policy.space, occupancy.resolution()),
             cells: self.cells,
             count: count as u32,
             bricks: self.places[0],
@@ -142,8 +143,8 @@ impl Hybrid {
             capacity: room as u32,
             last: most_samples as f32,
             step: self.step,
-            step_length: renderer.step_length,
-            step_per_radius: renderer.step_per_radius,
+            step_length: renderer.policy.step_length(),
+            step_per_radius: renderer.policy.step_per_radius,
             widest: self.widest,
             least,
             opaque,
@@ -179,21 +180,21 @@ impl Hybrid {
     /// Marks the visible samples that have a colour of their own, and lets the others share it.
     fn share(
         &self,
-        renderer: &WgpuRenderer,
-        field: &WgpuField,
-        lane: &mut Lane,
-        samples: &Samples<WgpuBackend>,
+        stages: &Stages<WgpuBackend>,
+        tile: &mut Tile<'_, WgpuBackend>,
         tape: &Tape,
         radiance: &Buffer<Radiance>,
     ) {
+        let Stages { renderer, field, .. } = stages;
+        let Tile { stream: lane, samples, .. } = tile;
         let count = samples.segments.known_len().unwrap_or(0);
         lane.old_segments.resize(count);
         lane.marks.resize(samples.spheres.most());
         let params = ShareParams {
             count: count as u32,
             // WGSL cannot express infinity.
-            max_depth: renderer.pruning.max_depth.min(f32::MAX),
-            min_weight: renderer.pruning.min_weight,
+            max_depth: renderer.policy.pruning.max_depth.min(f32::MAX),
+            min_weight: renderer.policy.pruning.min_weight,
             share: self.rule.share,
             reach: self.rule.reach,
             outputs: field.outputs() as u32,

@@ -129,8 +129,7 @@ impl Weights {
         rows: &Rows,
         by_output: &Buffer<f32>,
         out: &Buffer<f32>,
-        mask: Option<&Buffer<f32>>,
-        finish: Finish,
+        (finish, mask): (Finish, Option<&Buffer<f32>>),
     ) {
         let mut binds = vec![by_output.bind(), self.backward.bind(), out.bind()];
         binds.extend(mask.map(Buffer::bind));
@@ -193,6 +192,18 @@ pub type Activations = Vec<Buffer<f32>>;
 
 /// Chunks of the gradients of a network's parts, layer by layer.
 pub type Partials = Vec<Vec<Buffer<f32>>>;
+
+/// The arrays of a backward pass.
+pub struct Flow<'a> {
+    /// Gradient of the network's output.
+    pub by_output: &'a Buffer<f32>,
+    /// The gradients above and below a layer.
+    pub scratch: &'a mut [Buffer<f32>; 2],
+    /// Receives the gradient of its input.
+    pub by_input: &'a mut Buffer<f32>,
+    /// Receive the gradients of its weights.
+    pub partials: &'a Partials,
+}
 
 impl Mlp {
     /// The network `shape` with the parameters `slots`.
@@ -296,20 +307,16 @@ impl Mlp {
         }
     }
 
-    /// Computes the gradient of the input from that of the output; writes weight gradients to `partials`.
-    #[allow(clippy::too_many_arguments)]
+    /// Computes the gradient of the input and of the weights from that of the output.
     pub fn backward(
         &self,
         gpu: &Gpu,
         rows: &Rows,
         first: &Buffer<f32>,
         activations: &Activations,
-        by_output: &Buffer<f32>,
-        scratch: &mut [Buffer<f32>; 2],
-        by_input: &mut Buffer<f32>,
-        partials: &Partials,
+        flow: Flow<'_>,
     ) {
-        let [above, below] = scratch;
+        let Flow { by_output, scratch: [above, below], by_input, partials } = flow;
         let mut joins = false;
         for (i, layer) in self.layers.iter().enumerate().rev() {
             let by_output = if i + 1 == self.layers.len() { by_output } else { &*above };
@@ -320,7 +327,7 @@ impl Mlp {
             if let Some(joined) = &layer.joined {
                 joined.accumulate(gpu, rows, first, by_output, partial());
                 rows.size(by_input, joined.k);
-                joined.pull(gpu, rows, by_output, by_input, None, Finish::Store);
+                joined.pull(gpu, rows, by_output, by_input, (Finish::Store, None));
                 joins = true;
             }
             if let Some(biases) = &layer.biases {
@@ -334,10 +341,10 @@ impl Mlp {
             if i == 0 {
                 rows.size(by_input, layer.weights.k);
                 let finish = if joins { Finish::Add } else { Finish::Store };
-                layer.weights.pull(gpu, rows, by_output, by_input, None, finish);
+                layer.weights.pull(gpu, rows, by_output, by_input, (finish, None));
             } else {
                 rows.size(below, layer.weights.k);
-                layer.weights.pull(gpu, rows, by_output, below, Some(input), Finish::Mask);
+                layer.weights.pull(gpu, rows, by_output, below, (Finish::Mask, Some(input)));
                 above.swap(below);
             }
         }

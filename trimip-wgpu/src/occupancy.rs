@@ -10,12 +10,12 @@ use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use trimip_core::Config;
 use trimip_core::backend::Occupancy;
 use trimip_core::batch::{Radiance, Rays, Samples};
-use trimip_core::config::OccupancyConfig;
 use trimip_core::occupancy::coordinates;
-use trimip_core::rng::{Random, Stream};
-use trimip_core::{Config, Space};
+use trimip_core::policy::OccupancyPolicy;
+use trimip_core::rng::Stream;
 
 /// Cells along a side of a block, and blocks along a side of a block of blocks.
 pub const SIDE: u32 = 4;
@@ -48,8 +48,7 @@ struct Params {
 /// Grid, bits and running densities.
 pub struct WgpuOccupancy {
     gpu: Arc<Gpu>,
-    config: OccupancyConfig,
-    random: Random,
+    policy: OccupancyPolicy,
     params: Params,
     /// Number of samples that a span has room for.
     room: usize,
@@ -65,15 +64,15 @@ pub struct WgpuOccupancy {
 impl WgpuOccupancy {
     /// Creates a grid in which every cell is occupied.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, room: usize, known: Arc<Known>) -> Self {
-        let (space, resolution) = (Space::new(&config.scene), config.occupancy.resolution);
-        let cells = resolution.pow(3);
+        let policy = OccupancyPolicy::new(config);
+        let cells = policy.cells();
         let params = Params {
-            space: GpuSpace::new(&space, resolution),
+            space: GpuSpace::new(&policy.space, policy.resolution()),
             cells,
-            radius: space.cell(resolution) / std::f32::consts::PI.sqrt(),
-            step_length: config.step_length(),
-            decay: config.occupancy.decay,
-            threshold: config.occupancy.threshold,
+            radius: policy.radius,
+            step_length: policy.step_length,
+            decay: policy.settings.decay,
+            threshold: policy.settings.threshold,
             blocks: cells.div_ceil(GROUP),
             inside: cells,
             ..Params::default()
@@ -81,8 +80,7 @@ impl WgpuOccupancy {
         let kept = if training { cells as usize } else { 1 };
         let mut grid = Self {
             gpu: Arc::clone(gpu),
-            config: config.occupancy.clone(),
-            random: Random::new(config.seed),
+            policy,
             params,
             room,
             state: Buffer::zeros(gpu, 4),
@@ -145,9 +143,8 @@ fn place(at: [u32; 3], blocks: u32) -> (usize, u32) {
 
 impl Occupancy<WgpuBackend> for WgpuOccupancy {
     fn choose(&mut self, step: u64) -> u32 {
-        let warm = step < u64::from(self.config.warmup);
-        self.params.fraction = if warm { self.config.warmup_fraction } else { self.config.fraction };
-        self.params.cell_draws = self.random.at(Stream::Cell, step).words();
+        self.params.fraction = self.policy.fraction(step);
+        self.params.cell_draws = self.policy.random.at(Stream::Cell, step).words();
         self.gpu.clear(self.state.raw(), u64::from(4 * CHOSEN), 4);
         let binds = [self.state.bind(), self.grid.bind(), self.chosen.bind(), self.densities.bind()];
         self.gpu.dispatch(&CHOOSE, &binds, &self.params, Size::Items(self.params.cells.into()));
@@ -169,7 +166,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         samples.intervals.count_by(room, state, ASKED, 1);
         samples.spheres.count_by(room, state, ASKED, 1);
         let params = Params {
-            point_draws: self.random.at(Stream::Point, step).words(),
+            point_draws: self.policy.random.at(Stream::Point, step).words(),
             first: range.start,
             capacity: room as u32,
             ..self.params

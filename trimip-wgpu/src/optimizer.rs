@@ -7,10 +7,8 @@ use crate::kernel::UPDATE;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use trimip_core::adamw::Rule;
-use trimip_core::batch::Deposit;
-use trimip_core::config::{OptimizerConfig, Untouched};
-use trimip_core::params::{ALIGNMENT, Part, Slot};
+use trimip_core::batch::Update;
+use trimip_core::policy::{OptimizerPolicy, SlotUpdate};
 use trimip_core::{Config, Layout, Optimizer};
 
 #[repr(C)]
@@ -33,15 +31,12 @@ struct Params {
 /// Moments of all parameters.
 pub struct WgpuOptimizer {
     gpu: Arc<Gpu>,
-    config: OptimizerConfig,
-    slots: Vec<Slot>,
+    policy: OptimizerPolicy,
     m: Buffer<f32>,
     v: Buffer<f32>,
     skipped: Buffer<u32>,
     /// Value of `skipped` when it was last read.
     known: AtomicU64,
-    /// The part of each slot that is in use, up to the next alignment.
-    parts: Vec<Part>,
 }
 
 impl WgpuOptimizer {
@@ -57,35 +52,28 @@ impl WgpuOptimizer {
         let length = if training { layout.len() } else { 4 };
         Self {
             gpu: Arc::clone(gpu),
-            config: config.optimizer.clone(),
-            slots: layout.slots.clone(),
+            policy: OptimizerPolicy::new(config, layout),
             m: Buffer::zeros(gpu, length),
             v: Buffer::zeros(gpu, length),
             skipped,
             known: AtomicU64::new(0),
-            parts: layout.slots.iter().map(Part::whole).collect(),
         }
     }
 }
 
 impl Optimizer<WgpuBackend> for WgpuOptimizer {
-    fn step(
-        &mut self,
-        parameters: &mut Buffer<f32>,
-        gradient: &Buffer<f32>,
-        deposits: &[Deposit<WgpuBackend>],
-        learning_rate: f64,
-        step: u64,
-    ) {
-        let Some(sums) = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref()) else { return };
-        self.move_all(parameters, gradient, &sums.buffer, learning_rate, step);
+    fn policy(&self) -> &OptimizerPolicy {
+        &self.policy
     }
 
-    fn restrict(&mut self, parts: &[Part]) {
-        self.parts = parts.to_vec();
-        for part in &mut self.parts {
-            part.range.end = part.range.end.next_multiple_of(ALIGNMENT);
-        }
+    fn policy_mut(&mut self) -> &mut OptimizerPolicy {
+        &mut self.policy
+    }
+
+    fn step(&mut self, update: &mut Update<'_, WgpuBackend>) {
+        let Update { parameters, gradient, deposits, learning_rate, step } = update;
+        let Some(sums) = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref()) else { return };
+        self.move_all(parameters, gradient, &sums.buffer, *learning_rate, *step);
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {
@@ -113,10 +101,8 @@ impl WgpuOptimizer {
         learning_rate: f64,
         step: u64,
     ) {
-        for (slot, part) in self.slots.iter().zip(&self.parts) {
-            let rule = Rule::<f32>::of(&self.config, slot, learning_rate, step);
-            let count = (part.range.len() / 4) as u32;
-            let group = slot.group.filter(|_| self.config.untouched == Untouched::Skip);
+        for SlotUpdate { range, rule, group } in self.policy.updates(learning_rate, step) {
+            let count = (range.len() / 4) as u32;
             let params = Params {
                 beta1: rule.beta1,
                 beta2: rule.beta2,
@@ -126,10 +112,10 @@ impl WgpuOptimizer {
                 rate: rule.rate,
                 root_correction: rule.root_correction,
                 shrink: rule.shrink,
-                start: (part.range.start / 4) as u32,
+                start: (range.start / 4) as u32,
                 count,
                 group: group.unwrap_or(0) as u32,
-                sparsity: part.sparsity as f32,
+                sparsity: rule.sparsity,
             };
             let sums = Bind { buffer: sums, offset: 0, size: None };
             let [m, v, skipped] = [self.m.bind(), self.v.bind(), self.skipped.bind()];
@@ -143,6 +129,8 @@ impl WgpuOptimizer {
 mod tests {
     use super::*;
     use crate::probe::gpu;
+    use trimip_core::config::Untouched;
+    use trimip_core::params::Slot;
 
     /// Algorithm 2 of Loshchilov and Hutter as printed: value and moments after step `step` at a learning rate of
     /// 1e-3.

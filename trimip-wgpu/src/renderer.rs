@@ -12,14 +12,12 @@ use crate::space::GpuSpace;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
 use trimip_core::backend::{Stages, see_all};
-use trimip_core::batch::{Radiance, Rays, Samples, Segment, Workspace};
+use trimip_core::batch::{Radiance, Rays, Samples, Segment, Tile, Workspace};
 use trimip_core::compositing::Pruning;
-use trimip_core::config::{HybridConfig, RendererKind};
-use trimip_core::model::Assets;
+use trimip_core::policy::RendererPolicy;
 use trimip_core::proxy::Guide;
-use trimip_core::rng::{Random, Stream};
-use trimip_core::schedule::Schedule;
-use trimip_core::{Config, Pixel, Renderer, Result, Space};
+use trimip_core::rng::Stream;
+use trimip_core::{Config, Pixel, Renderer, Result};
 
 /// Segments per workgroup of the prefix sums.
 const BLOCK: u32 = 4 * GROUP;
@@ -60,53 +58,22 @@ struct CompositeParams {
     targets: u32,
 }
 
-/// Space, step and background of a renderer.
+/// The renderer: its policy, the capacity of its arrays, and what chooses the samples of pictures.
 pub struct WgpuRenderer {
     gpu: Arc<Gpu>,
-    pub(crate) space: Space<f32>,
-    /// Length of a step at scale 1 of the schedule.
-    uniform_step: f32,
-    step_scale: Schedule,
-    pub(crate) step_length: f32,
-    pub(crate) step_per_radius: f32,
-    pub(crate) pruning: Pruning<f32>,
-    color_weights: Schedule,
-    color_weight: f32,
-    background: [f32; 3],
-    random: Random,
+    pub(crate) policy: RendererPolicy,
     training: bool,
     /// Number of marched samples that a span has room for, and number of kept ones.
     pub(crate) room: usize,
     kept_room: usize,
-    kind: RendererKind,
-    hybrid_config: HybridConfig,
     hybrid: Option<Hybrid>,
 }
 
 impl WgpuRenderer {
     /// Creates the renderer of a configuration, with room for `room` marched and `kept_room` kept samples per span.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, [room, kept_room]: [usize; 2]) -> Self {
-        let uniform_step = config.step_length();
-        let step_scale = config.renderer.step_scale.clone();
-        Self {
-            gpu: Arc::clone(gpu),
-            space: Space::new(&config.scene),
-            uniform_step,
-            step_length: uniform_step * step_scale.at(0.0) as f32,
-            step_scale,
-            step_per_radius: config.renderer.step_per_radius,
-            pruning: Pruning::new(config.renderer.min_transmittance, config.renderer.min_weight),
-            color_weight: config.renderer.color_weight.at(0.0) as f32,
-            color_weights: config.renderer.color_weight.clone(),
-            background: config.data.background,
-            random: Random::new(config.seed),
-            training,
-            room,
-            kept_room,
-            kind: config.renderer.kind,
-            hybrid_config: config.hybrid.clone(),
-            hybrid: None,
-        }
+        let policy = RendererPolicy::new(config);
+        Self { gpu: Arc::clone(gpu), policy, training, room, kept_room, hybrid: None }
     }
 
     /// Computes the start of every segment and writes the total to a counter.
@@ -146,7 +113,7 @@ impl WgpuRenderer {
     }
 
     fn prune_params(&self, count: usize, kept_room: usize) -> PruneParams {
-        let Pruning { max_depth, min_weight } = self.pruning;
+        let Pruning { max_depth, min_weight } = self.policy.pruning;
         // WGSL cannot express infinity.
         let max_depth = max_depth.min(f32::MAX);
         PruneParams { count: count as u32, max_depth, min_weight, capacity: kept_room as u32 }
@@ -154,8 +121,15 @@ impl WgpuRenderer {
 }
 
 impl Renderer<WgpuBackend> for WgpuRenderer {
-    fn equip(&mut self, assets: &Assets) -> Result<()> {
-        let guide = Guide::of(self.kind, &self.hybrid_config, assets)?;
+    fn policy(&self) -> &RendererPolicy {
+        &self.policy
+    }
+
+    fn policy_mut(&mut self) -> &mut RendererPolicy {
+        &mut self.policy
+    }
+
+    fn set_guide(&mut self, guide: Option<Guide>) -> Result<()> {
         self.hybrid = guide.map(|guide| Hybrid::new(&self.gpu, &guide)).transpose()?;
         Ok(())
     }
@@ -173,15 +147,6 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         }
     }
 
-    fn color_weight(&self) -> f32 {
-        self.color_weight
-    }
-
-    fn follow(&mut self, progress: f64) {
-        self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
-        self.color_weight = self.color_weights.at(progress) as f32;
-    }
-
     fn march(
         &self,
         lane: &mut Lane,
@@ -191,7 +156,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         samples: &mut Samples<WgpuBackend>,
     ) {
         let count = rays.rays.known_len().unwrap_or(0);
-        let most_samples = self.space.most_steps(self.step_length);
+        let most_samples = self.policy.most_samples();
         let words = most_samples.div_ceil(32);
         // A small view needs little room. In training, arrays have their full size from the first step on.
         let room = if self.training { self.room } else { self.room.min(count * most_samples).max(1) };
@@ -200,10 +165,10 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         lane.bits.resize(count * words);
         lane.marched = true;
         let params = MarchParams {
-            space: GpuSpace::new(&self.space, occupancy.resolution()),
-            draws: jitter.map_or([0; 4], |step| self.random.at(Stream::Jitter, step).words()),
-            step_length: self.step_length,
-            step_per_radius: self.step_per_radius,
+            space: GpuSpace::new(&self.policy.space, occupancy.resolution()),
+            draws: jitter.map_or([0; 4], |step| self.policy.random.at(Stream::Jitter, step).words()),
+            step_length: self.policy.step_length(),
+            step_per_radius: self.policy.step_per_radius,
             jitter: u32::from(jitter.is_some()),
             first: rays.first,
             count: count as u32,
@@ -256,19 +221,21 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
 
     fn composite(
         &self,
-        _: &mut Lane,
-        rays: &Rays<WgpuBackend>,
-        samples: &Samples<WgpuBackend>,
+        tile: &mut Tile<'_, WgpuBackend>,
         radiance: &Buffer<Radiance>,
         cones: &mut Buffer<Pixel>,
         pixels: &mut Buffer<Pixel>,
     ) {
+        let (rays, samples) = (tile.rays, tile.samples);
         let count = rays.groups.known_len().unwrap_or(0);
         cones.resize(rays.rays.known_len().unwrap_or(0));
         pixels.resize(count);
         let targets = rays.targets.known_len().unwrap_or(0) > 0;
-        let params =
-            CompositeParams { background: self.background, count: count as u32, targets: u32::from(targets) };
+        let params = CompositeParams {
+            background: self.policy.background,
+            count: count as u32,
+            targets: u32::from(targets),
+        };
         let binds = [
             samples.segments.bind(),
             pixels.bind(),
@@ -284,14 +251,13 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
 
     fn backward(
         &self,
-        _: &mut Lane,
-        rays: &Rays<WgpuBackend>,
-        samples: &Samples<WgpuBackend>,
+        tile: &mut Tile<'_, WgpuBackend>,
         radiance: &Buffer<Radiance>,
         cones: &Buffer<Pixel>,
         pixel_gradients: &Buffer<[f32; 4]>,
         radiance_gradients: &mut Buffer<Radiance>,
     ) {
+        let (rays, samples) = (tile.rays, tile.samples);
         let count = rays.groups.known_len().unwrap_or(0);
         match radiance.counter() {
             Some((counts, counter)) => radiance_gradients.count_by(radiance.most(), counts, counter, 1),

@@ -8,14 +8,14 @@ use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use trimip_core::backend::Sampler;
-use trimip_core::balance::{Balance, Draw, Shares};
+use trimip_core::balance::Draw;
 use trimip_core::batch::Rays;
-use trimip_core::cones::{self, Division};
-use trimip_core::config::{Exposure, Photographs, TrainConfig};
-use trimip_core::exposure;
-use trimip_core::rng::{Random, Stream, below};
+use trimip_core::cones;
+use trimip_core::config::Photographs;
+use trimip_core::policy::SamplerPolicy;
+use trimip_core::rng::Stream;
 use trimip_core::views::Alpha;
-use trimip_core::{Camera, Config, Error, Result, Scale, ViewSet};
+use trimip_core::{Camera, Config, Error, Result, ViewSet};
 
 /// Maximum number of threads that look up a step's pixels on the host.
 const MOST_THREADS: usize = 8;
@@ -92,15 +92,12 @@ struct Params {
     exponents: [f32; MOST_SCALES],
 }
 
-/// The training views on the device, and the distribution of a step's pixels among their scales.
+/// The training views on the device, and the policy by which a step's pixels are drawn from them.
 pub struct WgpuSampler {
     gpu: Arc<Gpu>,
-    train: TrainConfig,
+    policy: SamplerPolicy,
     training: Option<Training>,
-    balance: Balance,
-    division: Division,
     camera: Buffer<GpuView>,
-    random: Random,
     params: Params,
 }
 
@@ -111,11 +108,8 @@ struct Training {
     /// All pixels, if they stay on the host.
     host: Option<trimip_core::Pixels>,
     scales: Buffer<GpuScale>,
-    /// The scales, for the host.
-    shared: Vec<Scale>,
     /// The photograph of each view, with `loss.exposure`.
     photographs: Option<Buffer<u32>>,
-    shares: Shares,
 }
 
 impl WgpuSampler {
@@ -124,33 +118,23 @@ impl WgpuSampler {
     /// # Errors
     /// When the photographs exceed the device's largest binding.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, views: Option<ViewSet>) -> Result<Self> {
-        let mut params = Params { background: config.data.background, ..Params::default() };
+        let policy = SamplerPolicy::new(config, views.as_ref());
+        let mut params = Params {
+            background: policy.background,
+            scales: policy.scales.len() as u32,
+            exponents: padded(policy.exponents.iter().copied(), 0.0),
+            ..Params::default()
+        };
         let training = match views {
             None => None,
             Some(views) => {
                 params.alpha = meaning(views.alpha);
-                params.scales = views.scales.len() as u32;
-                let training = Training::new(gpu, config, views)?;
-                let scales = training.shared.iter();
-                params.exponents = padded(scales.map(|scale| config.data.edge_exponent(scale.factor)), 0.0);
+                let training = Training::new(gpu, config, &policy, views)?;
                 params.streamed = u32::from(training.host.is_some());
                 Some(training)
             }
         };
-        let random = Random::new(config.seed);
-        let train = config.train.clone();
-        let mut sampler = Self {
-            gpu: Arc::clone(gpu),
-            train,
-            training,
-            balance: Balance::default(),
-            division: Division::new(config),
-            camera: Buffer::zeros(gpu, 1),
-            random,
-            params,
-        };
-        sampler.follow(0.0);
-        Ok(sampler)
+        Ok(Self { gpu: Arc::clone(gpu), policy, training, camera: Buffer::zeros(gpu, 1), params })
     }
 }
 
@@ -171,7 +155,7 @@ fn make_room(rays: &mut Rays<WgpuBackend>, pixels: &Range<u32>, cones: Range<u32
 }
 
 impl Training {
-    fn new(gpu: &Arc<Gpu>, config: &Config, views: ViewSet) -> Result<Self> {
+    fn new(gpu: &Arc<Gpu>, config: &Config, policy: &SamplerPolicy, views: ViewSet) -> Result<Self> {
         let photographs = config.wgpu.photographs;
         let most = gpu.limits().max_storage_buffer_binding_size;
         let bytes = 4 * views.pixels.len() as u64;
@@ -195,14 +179,12 @@ impl Training {
             pixels: Mutex::new(Buffer::zeros(gpu, 0)),
             host: None,
             scales: Buffer::zeros(gpu, 0),
-            shared: views.scales.clone(),
-            photographs: (config.loss.exposure == Exposure::Gain).then(|| Buffer::zeros(gpu, 0)),
-            shares: Shares::new(config, &views),
+            photographs: (!policy.photographs.is_empty()).then(|| Buffer::zeros(gpu, 0)),
         };
         let table: Vec<GpuView> = views.views.iter().map(|v| GpuView::new(&v.camera, v.offset)).collect();
         training.views.write(&table);
         if let Some(of_views) = &mut training.photographs {
-            of_views.write(&exposure::photographs(&views));
+            of_views.write(&policy.photographs);
         }
         let scales: Vec<GpuScale> = views
             .scales
@@ -222,34 +204,23 @@ impl Training {
         }
         Ok(training)
     }
+}
 
-    /// Looks up the pixels `range` of a step, with the same random numbers as the device. A few threads share the work.
-    fn look_up(
-        &self,
-        host: &[[u8; 4]],
-        random: &Random,
-        step: u64,
-        draw: &Draw,
-        range: Range<u32>,
-    ) -> Vec<u32> {
-        let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
-        let part = range.len().div_ceil(threads).max(1);
-        let mut words = vec![0; range.len()];
-        std::thread::scope(|scope| {
-            for (words, first) in words.chunks_mut(part).zip(range.step_by(part)) {
-                let scales = &self.shared;
-                scope.spawn(move || {
-                    for (word, index) in words.iter_mut().zip(first..) {
-                        let pixels = &scales[draw.scale(index)].pixels;
-                        let bits = random.bits(Stream::Pixel, step, index);
-                        let pixel = pixels.start + below(bits[0], pixels.len() as u32) as usize;
-                        *word = u32::from_le_bytes(host[pixel]);
-                    }
-                });
-            }
-        });
-        words
-    }
+/// Looks up the pixels `range` of a step, with the same random numbers as the device. A few threads share the work.
+fn look_up(policy: &SamplerPolicy, host: &[[u8; 4]], step: u64, draw: &Draw, range: Range<u32>) -> Vec<u32> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
+    let part = range.len().div_ceil(threads).max(1);
+    let mut words = vec![0; range.len()];
+    std::thread::scope(|scope| {
+        for (words, first) in words.chunks_mut(part).zip(range.step_by(part)) {
+            scope.spawn(move || {
+                for (word, index) in words.iter_mut().zip(first..) {
+                    *word = u32::from_le_bytes(host[policy.pixel(step, draw, index).1]);
+                }
+            });
+        }
+    });
+    words
 }
 
 /// The values, followed by `rest`, which nothing reads.
@@ -260,15 +231,12 @@ fn padded<T: Copy>(values: impl Iterator<Item = T>, rest: T) -> [T; MOST_SCALES]
 }
 
 impl Sampler<WgpuBackend> for WgpuSampler {
-    fn follow(&mut self, progress: f64) {
-        if let Some(training) = &self.training {
-            self.balance = training.shares.at(progress);
-        }
-        self.params.random_share = self.train.random_share(progress);
+    fn policy(&self) -> &SamplerPolicy {
+        &self.policy
     }
 
-    fn balance(&self) -> &Balance {
-        &self.balance
+    fn policy_mut(&mut self) -> &mut SamplerPolicy {
+        &mut self.policy
     }
 
     fn training_rays(
@@ -284,24 +252,26 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             rays.targets.resize(0);
             return;
         };
+        let policy = &self.policy;
         let first_cone = draw.cones_before(range.start);
         make_room(rays, &range, first_cone..draw.cones_before(range.end));
         rays.targets.resize(range.len());
         let params = Params {
-            draws: self.random.at(Stream::Pixel, step).words(),
-            background_draws: self.random.at(Stream::Background, step).words(),
+            draws: policy.random.at(Stream::Pixel, step).words(),
+            background_draws: policy.random.at(Stream::Background, step).words(),
+            random_share: policy.random_share(),
             total: draw.pixels(),
             first: range.start,
             count: range.len() as u32,
             first_cone,
             begins: padded(draw.begins().iter().copied(), draw.pixels()),
-            weights: padded(self.balance.weights().iter().copied(), 0.0),
+            weights: padded(policy.balance().weights().iter().copied(), 0.0),
             sides: padded(draw.sides().iter().copied(), 1),
             ..self.params
         };
         let mut pixels = lock(&training.pixels);
         if let Some(host) = &training.host {
-            pixels.write(&training.look_up(host, &self.random, step, draw, range.clone()));
+            pixels.write(&look_up(policy, host, step, draw, range.clone()));
         }
         let Training { views, scales, photographs: of_views, .. } = training;
         rays.photographs.resize(if of_views.is_some() { range.len() } else { 0 });
@@ -322,7 +292,7 @@ impl Sampler<WgpuBackend> for WgpuSampler {
     }
 
     fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {
-        let side = self.division.side(camera);
+        let side = self.policy.division.side(camera);
         make_room(rays, &range, 0..range.len() as u32 * cones::count(side));
         rays.targets.resize(0);
         self.gpu.write(self.camera.raw(), &[GpuView::new(camera, 0)]);

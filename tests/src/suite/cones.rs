@@ -6,7 +6,7 @@ use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Intrinsics, Layout, Renderer, Result, Viewer,
     backend::Sampler,
-    batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere},
+    batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Tile},
     config::ConePattern,
     schedule::Schedule,
     trainer::Trainer,
@@ -187,7 +187,7 @@ pub fn equal<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         })
         .collect();
     let mut run = |count: u32| {
-        let Bench { backend, stages, space, .. } = &mut bench;
+        let Bench { backend, stages, space, parameters } = &mut bench;
         let all: Vec<_> = (0..count).flat_map(|_| cone.clone()).collect();
         let each = cone.len() as u32;
         space.rays.place(backend, &vec![Ray { cosine: 0.8, ..Ray::default() }; count as usize]);
@@ -200,12 +200,12 @@ pub fn equal<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         backend.write(spheres, &vec![Sphere::default(); all.len()]);
         backend.write(counts, &[[count * each; 2]]);
         backend.write(&mut space.radiance, &all.iter().map(|(_, value)| *value).collect::<Vec<_>>());
-        let (lane, rays, samples) = (&mut space.lane, &space.rays, &space.samples);
-        let (cones, pixels) = (&mut space.cones, &mut space.pixels);
-        stages.renderer.composite(lane, rays, samples, &space.radiance, cones, pixels);
+        let (rays, samples) = (&space.rays, &space.samples);
+        let tile = &mut Tile { stream: &mut space.lane, parameters, rays, samples };
+        stages.renderer.composite(tile, &space.radiance, &mut space.cones, &mut space.pixels);
         backend.write(&mut space.pixel_gradients, &[[0.3, -0.7, 1.1, 0.4]]);
         let (by_pixel, gradients) = (&space.pixel_gradients, &mut space.radiance_gradients);
-        stages.renderer.backward(lane, rays, samples, &space.radiance, &space.cones, by_pixel, gradients);
+        stages.renderer.backward(tile, &space.radiance, &space.cones, by_pixel, gradients);
         (backend.read(&space.pixels)[0], backend.read(&space.radiance_gradients))
     };
     let (one, gradient) = run(1);

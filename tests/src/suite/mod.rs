@@ -22,7 +22,7 @@ pub mod training;
 use trimip_core::{
     Backend, Config, Encoder, Field, Layout, Result, ViewSet,
     backend::Stages,
-    batch::{Interval, Ray, Samples, Segment, Sphere, Workspace},
+    batch::{Interval, Ray, Samples, Segment, Sphere, Tile, Workspace},
 };
 
 /// A backend, the stages of a configuration with uploaded parameters, and a workspace.
@@ -76,16 +76,11 @@ impl<B: Backend> Bench<B> {
 
     /// Features of the placed samples, in rows of the encoder's stride.
     pub fn features(&mut self) -> Vec<f32> {
-        let space = &mut self.space;
-        self.stages.encoder.forward(
-            &mut space.lane,
-            &self.parameters,
-            &space.rays,
-            &space.samples,
-            &mut space.encoding,
-            &mut space.features,
-        );
-        self.backend.read(&space.features)
+        let Self { backend, stages, space, parameters } = self;
+        let (rays, samples) = (&space.rays, &space.samples);
+        let tile = &mut Tile { stream: &mut space.lane, parameters, rays, samples };
+        stages.encoder.forward(tile, &mut space.encoding, &mut space.features);
+        backend.read(&space.features)
     }
 }
 

@@ -7,7 +7,7 @@ use crate::reference::{AXES, sides};
 use trimip_core::{
     Backend, Config, Encoder, Layout, Result,
     backend::Field,
-    batch::{Deposit, Sphere},
+    batch::{Deposit, Sphere, Tile},
     config::PlaneShape,
 };
 
@@ -115,16 +115,9 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
             encoder: stages.encoder.gradient(),
             sums: B::Sums::default(),
         }];
-        let deposit = &mut deposits[0].encoder;
-        stages.encoder.backward(
-            &mut space.lane,
-            values,
-            &space.rays,
-            &space.samples,
-            &space.encoding,
-            &space.feature_gradients,
-            deposit,
-        );
+        let (deposit, rays, samples) = (&mut deposits[0].encoder, &space.rays, &space.samples);
+        let tile = &mut Tile { stream: &mut space.lane, parameters: values, rays, samples };
+        stages.encoder.backward(tile, &space.encoding, &space.feature_gradients, deposit);
         let mut gradient = backend.zeros(layout.len());
         backend.install(|| stages.encoder.flush(&mut deposits, values, &mut gradient));
         let gradient = wide(&backend.read(&gradient)[..base]);

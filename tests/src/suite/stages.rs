@@ -8,7 +8,7 @@ use crate::{
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Field, Intrinsics, Layout, Pixel, Renderer, Result, Viewer,
-    batch::{Interval, Radiance, Ray, Samples, Segment, Sphere},
+    batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile},
     config::{LevelFormula, PlaneShape},
     encoders,
     trainer::Trainer,
@@ -118,10 +118,11 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             }
         }
 
-        let Bench { backend, stages, space, .. } = &mut bench;
-        let (lane, samples, tape) = (&mut space.lane, &space.samples, &mut space.tape);
-        stages.field.density(lane, samples, &space.features, tape, &mut space.radiance);
-        stages.field.color(lane, &space.rays, samples, 0.0, tape, &mut space.radiance);
+        let Bench { backend, stages, space, parameters } = &mut bench;
+        let (stream, samples, tape) = (&mut space.lane, &space.samples, &mut space.tape);
+        let tile = &mut Tile { stream, parameters, rays: &space.rays, samples };
+        stages.field.density(tile, &space.features, tape, &mut space.radiance);
+        stages.field.color(tile, 0.0, tape, &mut space.radiance);
         let radiance = backend.read(&space.radiance);
         for (i, found) in radiance.iter().enumerate().take(spheres.len()) {
             let geometry = reference.geometry(&wide(&features[stride * i..][..width]));
@@ -151,7 +152,8 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 pub fn compositing<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);
-    let Bench { backend, stages, mut space, .. } = Bench::new(make(), &config, None, &lively(&layout, 3))?;
+    let mut bench = Bench::new(make(), &config, None, &lively(&layout, 3))?;
+    let Bench { backend, stages, space, parameters } = &mut bench;
     let mut draw = Draw::new(11);
     let counts = [0_u32, 1, 40, 3, 0, 17];
     let (mut segments, mut intervals, mut radiance, mut owners) = (vec![], vec![], vec![], vec![]);
@@ -167,7 +169,7 @@ pub fn compositing<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     }
     let rays = [Ray { cosine: 0.8, ..Ray::default() }; 6];
     let total = intervals.len() as u32;
-    space.rays.place(&backend, &rays);
+    space.rays.place(backend, &rays);
     let Samples { segments: s, rays: r, intervals: v, spheres, counts: c } = &mut space.samples;
     backend.write(s, &segments);
     backend.write(r, &owners);
@@ -175,8 +177,9 @@ pub fn compositing<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     backend.write(spheres, &vec![Sphere::default(); total as usize]);
     backend.write(c, &[[total, total]]);
     backend.write(&mut space.radiance, &radiance);
-    let (lane, cones, pixels) = (&mut space.lane, &mut space.cones, &mut space.pixels);
-    stages.renderer.composite(lane, &space.rays, &space.samples, &space.radiance, cones, pixels);
+    let (stream, samples, pixels) = (&mut space.lane, &space.samples, &mut space.pixels);
+    let tile = &mut Tile { stream, parameters, rays: &space.rays, samples };
+    stages.renderer.composite(tile, &space.radiance, &mut space.cones, pixels);
     for (pixel, segment) in backend.read(pixels).iter().zip(&segments) {
         let range = segment.start as usize..(segment.start + segment.count) as usize;
         let sample = |interval: &Interval| Sample {

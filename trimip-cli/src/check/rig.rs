@@ -3,7 +3,7 @@
 use super::Make;
 use glam::DVec3;
 use trimip_core::backend::Stages;
-use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
+use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile, Workspace};
 use trimip_core::{
     Alpha, Backend, Camera, Config, Encoder, Field, Intrinsics, Layout, Pixel, Renderer, Result, Scale, View,
     ViewSet,
@@ -68,7 +68,7 @@ impl<B: Backend> Rig<B> {
         }
         let total = intervals.len() as u32;
         self.rays(&vec![Ray { cosine: 1.0, ..Ray::default() }; rays.len()]);
-        let Self { backend, stages, space, .. } = self;
+        let Self { backend, stages, space, parameters } = self;
         let Samples { segments: s, rays: r, intervals: v, spheres, counts } = &mut space.samples;
         backend.write(s, &segments);
         backend.write(r, &owners);
@@ -76,13 +76,12 @@ impl<B: Backend> Rig<B> {
         backend.write(spheres, &vec![Sphere::default(); intervals.len()]);
         backend.write(counts, &[[total, total]]);
         backend.write(&mut space.radiance, &radiance);
-        let (lane, samples) = (&mut space.lane, &space.samples);
-        let cones = &mut space.cones;
-        stages.renderer.composite(lane, &space.rays, samples, &space.radiance, cones, &mut space.pixels);
-        backend.write(&mut space.pixel_gradients, &vec![by_pixel; rays.len()]);
+        let (rays, samples, radiance) = (&space.rays, &space.samples, &space.radiance);
+        let tile = &mut Tile { stream: &mut space.lane, parameters, rays, samples };
+        stages.renderer.composite(tile, radiance, &mut space.cones, &mut space.pixels);
+        backend.write(&mut space.pixel_gradients, &vec![by_pixel; segments.len()]);
         let (by_pixel, gradients) = (&space.pixel_gradients, &mut space.radiance_gradients);
-        let (rays, radiance) = (&space.rays, &space.radiance);
-        stages.renderer.backward(lane, rays, samples, radiance, &space.cones, by_pixel, gradients);
+        stages.renderer.backward(tile, radiance, &space.cones, by_pixel, gradients);
         (backend.read(&space.pixels), backend.read(&space.radiance_gradients))
     }
 
@@ -110,8 +109,9 @@ impl<B: Backend> Rig<B> {
         backend.write(rays, &vec![0; spheres.len()]);
         backend.write(buffer, spheres);
         backend.write(counts, &[[count, count]]);
-        let (encoding, features) = (&mut space.encoding, &mut space.features);
-        stages.encoder.forward(&mut space.lane, parameters, &space.rays, &space.samples, encoding, features);
+        let (rays, samples) = (&space.rays, &space.samples);
+        let tile = &mut Tile { stream: &mut space.lane, parameters, rays, samples };
+        stages.encoder.forward(tile, &mut space.encoding, &mut space.features);
         backend.read(&space.features)
     }
 }

@@ -6,7 +6,7 @@ use serde_json::json;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use trimip::run::folder as run_folder;
-use trimip::view::{PIXELS_PER_DEGREE, Perceiver, Together, Watching, evaluate, help_evaluate};
+use trimip::view::{PIXELS_PER_DEGREE, Perceiver, TestViews, Together, Watching, evaluate, help_evaluate};
 use trimip::{Error, Result, backends, settings};
 use trimip_core::{atomic::write_atomically, evaluate::ViewResult, exchange::Ranks};
 
@@ -34,8 +34,9 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     let mut watch = OnBar { bar: &bar, stop: &stop };
     let all = ranks::all();
     let (viewer, frames) = (session.as_mut(), scene.frames.as_ref());
+    let test = TestViews { frames, data: &config.data, stride };
     let together = all.as_deref().map(|ranks| Together { ranks, model: &model });
-    let measured = evaluate(viewer, frames, &config.data, stride, &mut perceiver, &mut watch, together)?;
+    let measured = evaluate(viewer, test, &mut perceiver, &mut watch, together)?;
     bar.finish_and_clear();
     let Some(measured) = measured else { return Ok(interrupt::EXIT_CODE) };
 
@@ -72,9 +73,10 @@ pub fn help(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
     let scene = trimip_data::open_test(&model.config.data)?;
     let (mut viewer, frames) = (backends::load(&model)?, scene.frames.as_ref());
     let stride = arguments.stride as usize;
+    let test = TestViews { frames, data: &model.config.data, stride };
     let mut watch = Interrupted(interrupt::install()?);
     let together = Together { ranks, model: &model };
-    help_evaluate(viewer.as_mut(), frames, &model.config.data, stride, &mut perceiver, &mut watch, together)
+    help_evaluate(viewer.as_mut(), test, &mut perceiver, &mut watch, together)
 }
 
 /// Stops when the user does.

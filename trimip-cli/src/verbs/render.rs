@@ -184,7 +184,8 @@ impl Wanted {
         let Some(frame) = session.render_watched(camera, watch)? else { return Ok(None) };
         let took = started.elapsed().as_secs_f64();
         let scene = &self.model.config.scene;
-        let paths = view::write(&self.out, name, &frame, camera, &self.what, self.format, scene)?;
+        let view = view::Rendered { name, frame: &frame, camera };
+        let paths = view::write(&self.out, view, &self.what, self.format, scene)?;
         Ok(Some(Drawn { paths, took }))
     }
 }

@@ -158,8 +158,7 @@ impl Twin for GridTwin {
         let width = self.levels.features;
         let mut features = vec![0.0; self.levels.width()];
         for j in 0..self.points.count {
-            let [x, y, z, deviation] =
-                self.points.point(j, at.position, at.radius, at.direction, at.t, at.length);
+            let [x, y, z, deviation] = self.points.point(j, at);
             for (level, out) in self.levels.levels.iter().zip(features.chunks_exact_mut(width)) {
                 let share = self.points.share(level, deviation);
                 for (entry, weight) in level.corners([x, y, z]) {

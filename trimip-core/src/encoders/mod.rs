@@ -82,19 +82,19 @@ pub trait Twin: Send + Sync {
     fn features(&self, at: &Place) -> Vec<f64>;
 }
 
-/// The position of a sample, in f64.
+/// The position of a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Place {
+pub struct Place<R = f64> {
     /// Centre of its sphere, in coordinates of the unit cube.
-    pub position: [f64; 3],
+    pub position: [R; 3],
     /// Radius of its sphere, in the units of [`Space::aabb`](crate::Space::aabb).
-    pub radius: f64,
+    pub radius: R,
     /// Unit direction of its ray.
-    pub direction: [f64; 3],
+    pub direction: [R; 3],
     /// Distance along the ray, world units.
-    pub t: f64,
+    pub t: R,
     /// Length of its interval, world units.
-    pub length: f64,
+    pub length: R,
 }
 
 impl Place {

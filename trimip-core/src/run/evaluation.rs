@@ -3,7 +3,7 @@
 use super::{Outcome, Run, Store};
 use crate::{
     Error, Result,
-    evaluate::{ViewResult, Watch, evaluate_frame},
+    evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
     events::{Event, EventSink, Totals},
     perception::{Pair, Perceived, Perception},
     quality::{Measures, ViewQuality, mean_quality, per_scale},
@@ -25,6 +25,17 @@ struct Look {
     stride: usize,
     /// True if finer scales were left out.
     coarse: bool,
+}
+
+/// When an evaluation was made.
+#[derive(Clone, Copy)]
+struct Moment<'a> {
+    /// The totals of the run.
+    totals: &'a Totals,
+    /// True for the evaluation at the end of the run.
+    last: bool,
+    /// Its start.
+    started: Instant,
 }
 
 /// The outcome of an evaluation.
@@ -54,7 +65,7 @@ impl Run<'_> {
         let sight = self.look(&chain, allowed, keeper, false);
         keeper.spend(started.elapsed().as_secs_f64());
         if let Sight::Seen(look) = sight? {
-            self.report(&look.views, look.stride, stride, look.coarse, totals, false, started);
+            self.report(&look, [look.stride, stride], Moment { totals, last: false, started });
         }
         Ok(())
     }
@@ -94,9 +105,9 @@ impl Run<'_> {
         self.store.evaluated()?;
         // The last point of the curve uses the same views as the other points.
         if self.config.eval.points > 0 && curve != look.stride && curve.is_multiple_of(look.stride) {
-            self.report(&look.views, curve, curve, look.coarse, totals, false, started);
+            self.report(&look, [curve, curve], Moment { totals, last: false, started });
         }
-        let mean = self.report(&look.views, look.stride, wanted, look.coarse, totals, true, started);
+        let mean = self.report(&look, [look.stride, wanted], Moment { totals, last: true, started });
         mean.judge(&self.config.eval)?;
         Ok(Outcome::Finished)
     }
@@ -148,6 +159,7 @@ impl Run<'_> {
             done: 0,
             total: 1,
         };
+        let test = TestFrames { frames: self.frames, data: &self.config.data, finest };
         let mut look = None;
         let mut views = Vec::new();
         let mut measured = 0_usize;
@@ -161,8 +173,7 @@ impl Run<'_> {
             }
             watch.total = measured + indices.len();
             for index in indices {
-                let data = &self.config.data;
-                if !evaluate_frame(*session, self.frames, index, finest, data, &mut watch, &mut views)? {
+                if !evaluate_frame(*session, test, index, &mut watch, &mut views)? {
                     if watch.stop.load(Ordering::Relaxed) {
                         return Ok(Sight::Stopped);
                     }
@@ -176,25 +187,16 @@ impl Run<'_> {
         Ok(look.map_or(Sight::NoTime, Sight::Seen))
     }
 
-    /// Emits the results of an evaluation; `wanted` is the requested stride.
-    #[allow(clippy::too_many_arguments)]
-    fn report(
-        &mut self,
-        views: &[ViewQuality],
-        stride: usize,
-        wanted: usize,
-        coarse: bool,
-        totals: &Totals,
-        last: bool,
-        started: Instant,
-    ) -> Measures {
-        let scales = per_scale(views, stride);
+    /// Emits the results of an evaluation by every `stride`-th view; `wanted` is the requested stride.
+    fn report(&mut self, look: &Look, [stride, wanted]: [usize; 2], moment: Moment<'_>) -> Measures {
+        let Moment { totals, last, started } = moment;
+        let scales = per_scale(&look.views, stride);
         let mean = mean_quality(&scales);
         self.events.emit(&Event::Evaluation {
             totals: *totals,
             stride,
             frames: self.frames.len(),
-            bounded: coarse || stride > wanted,
+            bounded: look.coarse || stride > wanted,
             last,
             psnr: mean.psnr,
             ssim: mean.ssim,

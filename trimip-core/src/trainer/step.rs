@@ -7,8 +7,8 @@ use super::{
 use crate::{
     Backend, Encoder, Field, Renderer, Result, StepReport,
     adamw::learning_rate,
-    backend::{Loss, Occupancy, Sampler},
-    batch::{StepSums, Workspace},
+    backend::{Loss, Occupancy, Sampler, Stages},
+    batch::{Batch, Deposit, FieldBackward, StepSums, Tile, Tiling, Update, Workspace},
     loaded::forward,
     metrics::psnr_of_error,
 };
@@ -21,6 +21,26 @@ const MAX_RAYS_PER_SPAN: u32 = 256;
 
 /// Occupancy cells per span.
 const CELLS_PER_SPAN: u32 = 512;
+
+/// Maps pixels to the loss, and its gradient back to what the span leaves in the deposit.
+fn backward<B: Backend>(
+    stages: &Stages<B>,
+    parameters: &B::Buffer<f32>,
+    space: &mut Workspace<B>,
+    deposit: &mut Deposit<B>,
+) {
+    let Workspace { lane, rays, samples, encoding, features, tape, radiance, cones, pixels, .. } = space;
+    let (pixel_gradients, sums) = (&mut space.pixel_gradients, &mut deposit.sums);
+    let (radiance_gradients, feature_gradients) =
+        (&mut space.radiance_gradients, &mut space.feature_gradients);
+    stages.loss.evaluate(lane, rays, samples, pixels, pixel_gradients, sums);
+    let tile = &mut Tile { stream: lane, parameters, rays, samples };
+    stages.renderer.backward(tile, radiance, cones, pixel_gradients, radiance_gradients);
+    stages.loss.distort(tile.stream, rays, samples, radiance, radiance_gradients, sums);
+    let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
+    stages.field.backward(tile, arrays, tape, &mut deposit.field);
+    stages.encoder.backward(tile, encoding, &space.feature_gradients, &mut deposit.encoder);
+}
 
 impl<B: Backend> Trainer<B> {
     fn cones_per_span(&self) -> u32 {
@@ -35,64 +55,15 @@ impl<B: Backend> Trainer<B> {
         for deposit in &mut self.deposits {
             deposit.sums = B::Sums::default();
         }
-        let per_span = self.cones_per_span();
         let (backend, stages, parameters) =
             (&*self.loaded.backend, &self.loaded.stages, &self.loaded.parameters);
         let draw = stages.sampler.balance().draw(pixels);
-        let share = self.exchange.share();
-        backend.train_spans(
-            &stages.field,
-            &draw,
-            share,
-            per_span,
-            &mut self.deposits,
-            &|space, deposit, range| {
-                stages.sampler.training_rays(&mut space.lane, step, &draw, range, &mut space.rays);
-                forward(stages, parameters, space, Some(step));
-                let Workspace {
-                    lane, rays, samples, encoding, features, tape, radiance, cones, pixels, ..
-                } = space;
-                stages.loss.evaluate(
-                    lane,
-                    rays,
-                    samples,
-                    pixels,
-                    &mut space.pixel_gradients,
-                    &mut deposit.sums,
-                );
-                let radiance_gradients = &mut space.radiance_gradients;
-                stages.renderer.backward(
-                    lane,
-                    rays,
-                    samples,
-                    radiance,
-                    cones,
-                    &space.pixel_gradients,
-                    radiance_gradients,
-                );
-                stages.loss.distort(lane, rays, samples, radiance, radiance_gradients, &mut deposit.sums);
-                let (feature_gradients, weights) = (&mut space.feature_gradients, &mut deposit.field);
-                stages.field.backward(
-                    lane,
-                    samples,
-                    features,
-                    tape,
-                    radiance,
-                    radiance_gradients,
-                    feature_gradients,
-                    weights,
-                );
-                stages.encoder.backward(
-                    lane,
-                    parameters,
-                    rays,
-                    samples,
-                    encoding,
-                    feature_gradients,
-                    &mut deposit.encoder,
-                );
-            },
-        );
+        let batch = Batch { draw: &draw, share: self.exchange.share(), per_tile: self.cones_per_span() };
+        backend.train_spans(&stages.field, &batch, &mut self.deposits, &|space, deposit, range| {
+            stages.sampler.training_rays(&mut space.lane, step, &draw, range, &mut space.rays);
+            forward(stages, parameters, space, Some(step));
+            backward(stages, parameters, space, deposit);
+        });
     }
 
     /// Evaluates the density of the cells that the occupancy grid selected.
@@ -102,14 +73,14 @@ impl<B: Backend> Trainer<B> {
         let (stages, parameters) = (&self.loaded.stages, &self.loaded.parameters);
         self.loaded.backend.map_spans(
             &stages.field,
-            count,
-            CELLS_PER_SPAN,
+            Tiling { count, per_tile: CELLS_PER_SPAN },
             &mut self.probes,
             &|space, range| {
                 let Workspace { lane, rays, samples, encoding, features, tape, radiance, .. } = space;
                 stages.occupancy.probes(lane, step, range, rays, samples);
-                stages.encoder.forward(lane, parameters, rays, samples, encoding, features);
-                stages.field.density(lane, samples, features, tape, radiance);
+                let tile = &mut Tile { stream: lane, parameters, rays, samples };
+                stages.encoder.forward(tile, encoding, features);
+                stages.field.density(tile, features, tape, radiance);
             },
             &|space| &space.radiance,
         );
@@ -139,7 +110,8 @@ impl<B: Backend> Trainer<B> {
         let Self { loaded, gradient, deposits, exchange, .. } = self;
         let (backend, stages, parameters) = (&*loaded.backend, &mut loaded.stages, &mut loaded.parameters);
         stages.flush(deposits, parameters, gradient);
-        exchange.update(backend, stages, parameters, gradient, deposits, rate, step)
+        let update = &mut Update { parameters, gradient, deposits, learning_rate: rate, step };
+        exchange.update(backend, stages, update)
     }
 
     pub(super) fn train_step(&mut self, progress: f64) -> Result<StepReport> {

@@ -18,7 +18,7 @@ impl Encoding for Frequencies {
 
     fn gradient(&self) {}
 
-    fn forward(&self, _: &[f32], at: Places<'_>, _: &mut [f32], features: &mut [f32], stride: usize) {
+    fn forward(&self, at: Places<'_>, _: &mut [f32], features: &mut [f32], stride: usize) {
         let width = self.0.width();
         let samples = at.owners.iter().zip(at.intervals).zip(at.spheres);
         for (((owner, interval), sphere), row) in samples.zip(features.chunks_exact_mut(stride)) {
@@ -30,7 +30,7 @@ impl Encoding for Frequencies {
         }
     }
 
-    fn backward(&self, _: &[f32], _: Places<'_>, _: &[f32], _: &[f32], _: usize, (): &mut ()) {}
+    fn backward(&self, _: Places<'_>, _: &[f32], _: &[f32], _: usize, (): &mut ()) {}
 
     fn flush(&mut self, _: &mut [&mut ()], _: &mut [f32]) {}
 

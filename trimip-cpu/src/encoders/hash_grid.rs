@@ -6,6 +6,8 @@ use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
+use trimip_core::batch::{Interval, Sphere};
+use trimip_core::encoders::Place;
 use trimip_core::encoders::hash_grid::{Level, Levels, Points};
 use trimip_core::{Aabb, Config};
 
@@ -44,50 +46,31 @@ impl Encoding for Grid {
         Gradient { places: Buffer::zeros(0), rows: Buffer::zeros(0) }
     }
 
-    fn forward(
-        &self,
-        parameters: &[f32],
-        at: Places<'_>,
-        tape: &mut [f32],
-        features: &mut [f32],
-        stride: usize,
-    ) {
+    fn forward(&self, at: Places<'_>, tape: &mut [f32], features: &mut [f32], stride: usize) {
         if !self.points.is_plain() {
             let rows = tape.as_chunks_mut::<4>().0.chunks_exact_mut(self.points.count);
             for (((owner, interval), sphere), row) in
                 at.owners.iter().zip(at.intervals).zip(at.spheres).zip(rows)
             {
+                let Sphere { position, radius } = *sphere;
+                let Interval { t, length } = *interval;
                 let direction = at.rays[*owner as usize].direction;
+                let place = Place { position, radius, direction, t, length };
                 for (j, point) in row.iter_mut().enumerate() {
-                    *point = self.points.point(
-                        j,
-                        sphere.position,
-                        sphere.radius,
-                        direction,
-                        interval.t,
-                        interval.length,
-                    );
+                    *point = self.points.point(j, &place);
                 }
             }
         }
         let (levels, reads, places) = (&self.levels, &self.points, self.points(at, tape));
         match levels.features {
-            1 => self.simd.run(Read::<1> { levels, reads, table: parameters, places, features, stride }),
-            2 => self.simd.run(Read::<2> { levels, reads, table: parameters, places, features, stride }),
-            4 => self.simd.run(Read::<4> { levels, reads, table: parameters, places, features, stride }),
-            _ => self.simd.run(Read::<8> { levels, reads, table: parameters, places, features, stride }),
+            1 => self.simd.run(Read::<1> { levels, reads, table: at.parameters, places, features, stride }),
+            2 => self.simd.run(Read::<2> { levels, reads, table: at.parameters, places, features, stride }),
+            4 => self.simd.run(Read::<4> { levels, reads, table: at.parameters, places, features, stride }),
+            _ => self.simd.run(Read::<8> { levels, reads, table: at.parameters, places, features, stride }),
         }
     }
 
-    fn backward(
-        &self,
-        _: &[f32],
-        at: Places<'_>,
-        tape: &[f32],
-        rows: &[f32],
-        stride: usize,
-        gradient: &mut Gradient,
-    ) {
+    fn backward(&self, at: Places<'_>, tape: &[f32], rows: &[f32], stride: usize, gradient: &mut Gradient) {
         let (first, width) = (gradient.rows.len(), self.levels.width());
         gradient.rows.resize(first + at.spheres.len() * width);
         let own = gradient.rows[first..].chunks_exact_mut(width).zip(rows.chunks_exact(stride));

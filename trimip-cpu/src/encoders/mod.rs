@@ -35,19 +35,11 @@ pub(crate) trait Encoding: Sized + Send + Sync {
 
     /// Encodes every sample. Features are rows of `stride` floats; those beyond the encoder's width stay zero. The
     /// tape has rows of the definition's length.
-    fn forward(
-        &self,
-        parameters: &[f32],
-        at: Places<'_>,
-        tape: &mut [f32],
-        features: &mut [f32],
-        stride: usize,
-    );
+    fn forward(&self, at: Places<'_>, tape: &mut [f32], features: &mut [f32], stride: usize);
 
     /// Adds the gradient of the features, in rows of `stride` floats, to the deposit.
     fn backward(
         &self,
-        parameters: &[f32],
         at: Places<'_>,
         tape: &[f32],
         rows: &[f32],
@@ -118,9 +110,11 @@ pub(crate) struct Left {
     pub by_deposit: usize,
 }
 
-/// The geometry of a span's samples.
+/// The parameters, and the geometry of a span's samples.
 #[derive(Clone, Copy)]
 pub(crate) struct Places<'a> {
+    /// All parameters, flat; those of the encoder come first.
+    pub parameters: &'a [f32],
     /// Rays of the span.
     pub rays: &'a [Ray],
     /// Index of each sample's ray.

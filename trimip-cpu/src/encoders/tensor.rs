@@ -88,15 +88,8 @@ impl Encoding for Factors {
         self.shape = self.shapes[stage as usize].clone();
     }
 
-    fn forward(
-        &self,
-        parameters: &[f32],
-        at: Places<'_>,
-        _: &mut [f32],
-        features: &mut [f32],
-        stride: usize,
-    ) {
-        let Self { shape, arrays, .. } = self;
+    fn forward(&self, at: Places<'_>, _: &mut [f32], features: &mut [f32], stride: usize) {
+        let (Self { shape, arrays, .. }, parameters) = (self, at.parameters);
         let width = self.width();
         for row in features.chunks_exact_mut(stride) {
             row[width..].fill(0.0);
@@ -104,17 +97,9 @@ impl Encoding for Factors {
         self.simd.run(Read { shape, arrays, parameters, spheres: at.spheres, features, stride });
     }
 
-    fn backward(
-        &self,
-        parameters: &[f32],
-        at: Places<'_>,
-        _: &[f32],
-        rows: &[f32],
-        stride: usize,
-        gradient: &mut Gradient,
-    ) {
+    fn backward(&self, at: Places<'_>, _: &[f32], rows: &[f32], stride: usize, gradient: &mut Gradient) {
         let Self { shape, arrays, .. } = self;
-        let spheres = at.spheres;
+        let (parameters, spheres) = (at.parameters, at.spheres);
         if shape.planes() > 0 {
             let (first, width) = (gradient.places.len(), self.width());
             gradient.places.resize(first + spheres.len());

@@ -60,27 +60,12 @@ impl Encoding for Grid {
         self.shape = self.shapes[stage as usize].clone();
     }
 
-    fn forward(
-        &self,
-        parameters: &[f32],
-        at: Places<'_>,
-        _: &mut [f32],
-        features: &mut [f32],
-        stride: usize,
-    ) {
-        let (density, colors) = (&parameters[self.density.clone()], &parameters[self.colors.clone()]);
+    fn forward(&self, at: Places<'_>, _: &mut [f32], features: &mut [f32], stride: usize) {
+        let [density, colors] = [&self.density, &self.colors].map(|range| &at.parameters[range.clone()]);
         self.simd.run(Read { shape: &self.shape, density, colors, at, features, stride });
     }
 
-    fn backward(
-        &self,
-        _: &[f32],
-        at: Places<'_>,
-        _: &[f32],
-        rows: &[f32],
-        stride: usize,
-        gradient: &mut Gradient,
-    ) {
+    fn backward(&self, at: Places<'_>, _: &[f32], rows: &[f32], stride: usize, gradient: &mut Gradient) {
         let layers = self.shape.sides[2];
         let first = gradient.touches.len();
         gradient.touches.resize(first + at.spheres.len());

@@ -7,18 +7,24 @@ use trimip_core::config::Precision;
 /// Rows per pass of a weight gradient, so that its two panels stay in L1.
 const GRADIENT_ROWS: usize = 64;
 
-/// G += Aᵀ·D over exactly `rows` rows of words; A has `k` columns, D has `n`.
-#[allow(clippy::too_many_arguments)]
-pub fn accumulate(
-    simd: Simd,
-    precision: Precision,
-    rows: usize,
-    k: usize,
-    n: usize,
-    a: &[f32],
-    d: &[f32],
-    g: &mut [f32],
-) {
+/// How a weight gradient is computed, and the shapes of its factors: A is [rows, k], D is [rows, n].
+#[derive(Clone, Copy, Debug)]
+pub struct Product {
+    /// Instruction set.
+    pub simd: Simd,
+    /// Precision of the factors.
+    pub precision: Precision,
+    /// Number of rows of both factors.
+    pub rows: usize,
+    /// Columns of A.
+    pub k: usize,
+    /// Columns of D.
+    pub n: usize,
+}
+
+/// G += Aᵀ·D over exactly `product.rows` rows of words.
+pub fn accumulate(product: Product, a: &[f32], d: &[f32], g: &mut [f32]) {
+    let Product { simd, precision, rows, k, n } = product;
     assert!(a.len() >= rows * k && d.len() >= rows * n && g.len() >= k * n, "whole matrices");
     assert!(k.is_multiple_of(4) && n.is_multiple_of(16), "padded widths");
     match precision {

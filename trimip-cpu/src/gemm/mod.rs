@@ -13,9 +13,9 @@ mod pairs;
 #[cfg(test)]
 mod tests;
 
-pub use accumulate::accumulate;
+pub use accumulate::{Product, accumulate};
 pub use dots::dots;
-pub use multiply::{Finish, Start, multiply};
+pub use multiply::{Epilogue, Finish, Start, multiply};
 pub use packed::Packed;
 pub use pairs::{pair_columns, pair_rows};
 

@@ -29,17 +29,18 @@ pub enum Finish<'a> {
     Mask(&'a [f32]),
 }
 
-/// C = start + A·W for `rows` rows, padding included. A has the precision of W.
-pub fn multiply(
-    simd: Simd,
-    rows: usize,
-    a: &[f32],
-    w: &Packed,
-    c: &mut [f32],
-    start: Start<'_>,
-    finish: Finish<'_>,
-) {
-    let rows = padded(rows);
+/// What a product starts from, and what is done with it before it is stored.
+#[derive(Clone, Copy)]
+pub struct Epilogue<'a> {
+    /// Initial value.
+    pub start: Start<'a>,
+    /// Last operation.
+    pub finish: Finish<'a>,
+}
+
+/// C = finish(start + A·W) for `rows` rows, padding included. A has the precision of W.
+pub fn multiply(simd: Simd, rows: usize, a: &[f32], w: &Packed, c: &mut [f32], epilogue: Epilogue<'_>) {
+    let (rows, Epilogue { start, finish }) = (padded(rows), epilogue);
     assert!(a.len() >= rows * w.words() && c.len() >= rows * w.n(), "padded activations");
     if let Finish::Mask(mask) = finish {
         assert!(mask.len() >= rows * w.n(), "padded mask");

@@ -52,7 +52,7 @@ fn products_are_the_written_sums_on_every_set() {
             let starts = [Start::Zero, Start::Rows { rows: &shared, of: &of }];
             let finishes = [Finish::Store, Finish::Relu, Finish::Mask(&mask)];
             for (start, finish) in starts.iter().flat_map(|s| finishes.iter().map(move |f| (*s, *f))) {
-                multiply(simd, rows, &left, &packed, &mut c, start, finish);
+                multiply(simd, rows, &left, &packed, &mut c, Epilogue { start, finish });
                 for (i, &found) in c[..rows * n].iter().enumerate() {
                     let (row, column) = (i / n, i % n);
                     let product: f64 =
@@ -80,7 +80,7 @@ fn few_outputs_are_the_written_dot_products() {
             let (a, w) = (matrix(rows, k, 0.0), matrix(outputs, k, 1.0));
             let w = &w[..outputs * k];
             let mut c = vec![7.0; rows * 4];
-            dots(simd, rows, k, &a, w, &mut c, 4);
+            dots(simd, rows, [k, 4], &a, w, &mut c);
             for (i, &found) in c.iter().enumerate() {
                 let (row, output) = (i / 4, i % 4);
                 let product = |p| f64::from(a[row * k + p]) * f64::from(w[output * k + p]);
@@ -104,13 +104,14 @@ fn gradients_add_the_written_sums_and_leave_padding_out() {
             let (mut a, mut d, g) = (matrix(rows, k, 3.0), matrix(rows, n, 4.0), matrix(k, n, 5.0));
             a[rows * k..].fill(f32::NAN);
             let mut out = matrix(k, n, 5.0);
+            let product = Product { simd, precision, rows, k, n };
             match precision {
-                Precision::F32 | Precision::F16 => accumulate(simd, precision, rows, k, n, &a, &d, &mut out),
+                Precision::F32 | Precision::F16 => accumulate(product, &a, &d, &mut out),
                 Precision::Bf16 => {
                     let (mut left, mut right) = (Buffer::default(), Buffer::default());
                     pair_rows(simd, rows, k, &a, &mut left);
                     pair_rows(simd, rows, n, &d, &mut right);
-                    accumulate(simd, precision, rows.div_ceil(2), k, n, &left, &right, &mut out);
+                    accumulate(Product { rows: rows.div_ceil(2), ..product }, &left, &right, &mut out);
                 }
             }
             hold(&mut a[..rows * k], precision);

@@ -1,8 +1,7 @@
 //! Gradients of a network's weights, and a worker's buffers for the backward pass.
 
 use crate::buffer::Buffer;
-use crate::gemm::{accumulate, pair_rows};
-use crate::simd::Simd;
+use crate::gemm::{Product, accumulate, pair_rows};
 use crate::wire::{Reader, put};
 use trimip_core::config::Precision;
 
@@ -42,6 +41,16 @@ impl MlpGradient {
     }
 }
 
+/// The gradients of a backward pass.
+pub struct Flow<'a> {
+    /// Gradient of the network's output, with padded rows and width.
+    pub output: &'a [f32],
+    /// Receives the gradient of its input, likewise.
+    pub input: &'a mut Buffer<f32>,
+    /// Gets the gradient of the weights added.
+    pub weights: &'a mut MlpGradient,
+}
+
 /// A worker's buffers for a backward pass, used by one network at a time.
 #[derive(Default)]
 pub struct Passing {
@@ -65,26 +74,21 @@ pub(super) struct Pairs {
 
 impl Pairs {
     /// Adds `input`ᵀ·`by_output` to the weight gradient of a layer.
-    #[allow(clippy::too_many_arguments)]
     pub(super) fn accumulate(
         &mut self,
-        simd: Simd,
-        precision: Precision,
-        rows: usize,
-        [k, n]: [usize; 2],
+        product: Product,
         input: &[f32],
         by_output: &[f32],
         weights: &mut [f32],
     ) {
+        let Product { simd, precision, rows, k, n } = product;
         match precision {
-            Precision::F32 | Precision::F16 => {
-                accumulate(simd, precision, rows, k, n, input, by_output, weights)
-            }
+            Precision::F32 | Precision::F16 => accumulate(product, input, by_output, weights),
             Precision::Bf16 => {
                 let [a, d] = &mut self.rows;
                 pair_rows(simd, rows, k, input, a);
                 pair_rows(simd, rows, n, by_output, d);
-                accumulate(simd, precision, rows.div_ceil(2), k, n, a, d, weights);
+                accumulate(Product { rows: rows.div_ceil(2), ..product }, a, d, weights);
             }
         }
     }

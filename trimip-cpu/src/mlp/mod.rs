@@ -9,10 +9,12 @@ mod gradient;
 mod inputs;
 
 use crate::buffer::Buffer;
-use crate::gemm::{Finish, Packed, ROWS, Start, accumulate, dots, multiply, padded, pair_columns};
+use crate::gemm::{
+    Epilogue, Finish, Packed, Product, ROWS, Start, accumulate, dots, multiply, padded, pair_columns,
+};
 use crate::simd::Simd;
 pub use activations::Activations;
-pub use gradient::{MlpGradient, Passing};
+pub use gradient::{Flow, MlpGradient, Passing};
 pub use inputs::Row;
 use inputs::{FEW, Forward, Inputs};
 use trimip_core::config::Precision;
@@ -56,6 +58,19 @@ pub struct Shared<'a> {
     pub input: &'a [f32],
     /// Group of each row, padding included.
     pub of: &'a [u32],
+}
+
+/// The rows that go through a network.
+#[derive(Clone, Copy)]
+pub struct Batch<'a> {
+    /// Instruction set.
+    pub simd: Simd,
+    /// Number of rows.
+    pub rows: usize,
+    /// Shape: [rows (padded), inputs].
+    pub input: &'a [f32],
+    /// The inputs that groups of rows share, of a network that has such inputs.
+    pub shared: Option<Shared<'a>>,
 }
 
 /// Rows of `w.k` values as the left factor of a product with `w`; packed into `pairs` if `w` is bf16.
@@ -191,18 +206,12 @@ impl Mlp {
         }
     }
 
-    /// Runs `rows` rows through the network. Each block goes through all layers, so that its activations stay in L2.
+    /// Runs rows through the network. Each block goes through all layers, so that its activations stay in L2.
     ///
     /// # Panics
-    /// When `shared` is given and the network has no shared inputs, or the other way round.
-    pub fn forward(
-        &self,
-        simd: Simd,
-        rows: usize,
-        input: &[f32],
-        shared: Option<Shared<'_>>,
-        activations: &mut Activations,
-    ) {
+    /// When shared inputs are given and the network has none, or the other way round.
+    pub fn forward(&self, batch: Batch<'_>, activations: &mut Activations) {
+        let Batch { simd, rows, input, shared } = batch;
         let Activations { layers: buffers, shared: group_rows, joined, pairs } = activations;
         for (buffer, width) in buffers.iter_mut().zip(self.widths()) {
             buffer.resize(padded(rows) * width);
@@ -216,7 +225,8 @@ impl Mlp {
             let input = left(simd, shared.groups, shared.input, weights, pairs);
             let biases = vec![0; if self.layers[0].biases.is_empty() { 0 } else { padded(shared.groups) }];
             let start = self.layers[0].start(&biases);
-            multiply(simd, shared.groups, input, weights, group_rows, start, Finish::Store);
+            let epilogue = Epilogue { start, finish: Finish::Store };
+            multiply(simd, shared.groups, input, weights, group_rows, epilogue);
         }
         let last = self.layers.len() - 1;
         for first in (0..rows).step_by(BLOCK) {
@@ -229,8 +239,8 @@ impl Mlp {
                 if let Some((Inputs { forward: Forward::Wide(weights), .. }, _)) = &layer.joined {
                     joined.resize(padded(count) * layer.n());
                     let own = left(simd, count, own, weights, pairs);
-                    let start = layer.start(&self.first);
-                    multiply(simd, count, own, weights, joined, start, Finish::Store);
+                    let epilogue = Epilogue { start: layer.start(&self.first), finish: Finish::Store };
+                    multiply(simd, count, own, weights, joined, epilogue);
                 }
                 match &layer.inputs.forward {
                     Forward::Wide(weights) => {
@@ -243,10 +253,10 @@ impl Mlp {
                         };
                         let finish = if i == last { Finish::Store } else { Finish::Relu };
                         let input = left(simd, count, input, weights, pairs);
-                        multiply(simd, count, input, weights, out, start, finish);
+                        multiply(simd, count, input, weights, out, Epilogue { start, finish });
                     }
                     Forward::Few(weights) => {
-                        dots(simd, count, layer.k(), input, weights, out, layer.n());
+                        dots(simd, count, [layer.k(), layer.n()], input, weights, out);
                         if !layer.biases.is_empty() {
                             let rows = out.chunks_exact_mut(layer.n()).take(count);
                             rows.for_each(|row| {
@@ -259,21 +269,16 @@ impl Mlp {
         }
     }
 
-    /// Computes `input_gradient` from the gradient of the output, both with padded rows and width; adds to the weight
-    /// gradients.
-    #[allow(clippy::too_many_arguments)]
+    /// Computes the gradient of the input from that of the output; adds to the weight gradients.
     pub fn backward(
         &self,
-        simd: Simd,
-        rows: usize,
-        input: &[f32],
-        shared: Option<Shared<'_>>,
+        batch: Batch<'_>,
         activations: &Activations,
-        output_gradient: &[f32],
-        input_gradient: &mut Buffer<f32>,
+        flow: Flow<'_>,
         passing: &mut Passing,
-        gradient: &mut MlpGradient,
     ) {
+        let Batch { simd, rows, input, shared } = batch;
+        let Flow { output: output_gradient, input: input_gradient, weights: gradient } = flow;
         input_gradient.resize(padded(rows) * self.inputs());
         if self.layers.is_empty() {
             return input_gradient.copy_from_slice(&output_gradient[..padded(rows) * self.copied]);
@@ -290,28 +295,29 @@ impl Mlp {
             let count = (rows - first).min(BLOCK);
             for (i, layer) in self.layers.iter().enumerate().rev() {
                 let (k, n) = (layer.k(), layer.n());
+                let product = |precision, k, n| Product { simd, precision, rows: count, k, n };
                 let own = &input[first * self.inputs()..];
                 let input = if i == 0 { own } else { &activations.layers[i - 1][first * k..] };
                 let by_output =
                     if i + 1 == self.layers.len() { &output_gradient[first * n..] } else { &above[..] };
                 match &layer.inputs.forward {
                     Forward::Wide(w) => {
-                        let precision = w.precision();
-                        pairs.accumulate(simd, precision, count, [k, n], input, by_output, &mut weights[i]);
+                        pairs.accumulate(product(w.precision(), k, n), input, by_output, &mut weights[i]);
                     }
                     Forward::Few(_) => {
-                        accumulate(simd, Precision::F32, count, n, k, by_output, input, &mut weights[i]);
+                        accumulate(product(Precision::F32, n, k), by_output, input, &mut weights[i]);
                     }
                 }
                 if !layer.biases.is_empty() {
                     add_rows(&mut biases[i], &by_output[..count * n]);
                 }
                 if let Some((Inputs { forward: Forward::Wide(w), .. }, backward)) = &layer.joined {
-                    let shape = [self.inputs(), n];
-                    pairs.accumulate(simd, w.precision(), count, shape, own, by_output, joined_weights);
+                    let product = product(w.precision(), self.inputs(), n);
+                    pairs.accumulate(product, own, by_output, joined_weights);
                     joined.resize(padded(count) * self.inputs());
                     let by_output = left(simd, count, by_output, backward, &mut pairs.columns);
-                    multiply(simd, count, by_output, backward, joined, Start::Zero, Finish::Store);
+                    let epilogue = Epilogue { start: Start::Zero, finish: Finish::Store };
+                    multiply(simd, count, by_output, backward, joined, epilogue);
                 }
                 let mask = Finish::Mask(input);
                 if i == 0 {
@@ -325,11 +331,13 @@ impl Mlp {
                         Some(_) => Start::Rows { rows: joined, of: &self.each },
                         None => Start::Zero,
                     };
-                    multiply(simd, count, by_output, &layer.backward, out, start, Finish::Store);
+                    let epilogue = Epilogue { start, finish: Finish::Store };
+                    multiply(simd, count, by_output, &layer.backward, out, epilogue);
                 } else {
                     below.resize(padded(count) * k);
                     let by_output = left(simd, count, by_output, &layer.backward, &mut pairs.columns);
-                    multiply(simd, count, by_output, &layer.backward, below, Start::Zero, mask);
+                    let epilogue = Epilogue { start: Start::Zero, finish: mask };
+                    multiply(simd, count, by_output, &layer.backward, below, epilogue);
                     std::mem::swap(above, below);
                 }
             }
@@ -337,8 +345,9 @@ impl Mlp {
         if let (Some(inputs), Some(shared)) = (&self.shared, shared)
             && let Forward::Wide(w) = &inputs.forward
         {
-            let shape = [inputs.rows.len(), width];
-            pairs.accumulate(simd, w.precision(), shared.groups, shape, shared.input, sums, shared_weights);
+            let (precision, k) = (w.precision(), inputs.rows.len());
+            let product = Product { simd, precision, rows: shared.groups, k, n: width };
+            pairs.accumulate(product, shared.input, sums, shared_weights);
         }
     }
 

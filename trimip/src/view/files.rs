@@ -39,21 +39,30 @@ pub(super) fn paths(out: &Path, name: &str, what: &[Quantity], format: PictureFo
     }
 }
 
+/// A rendered view.
+#[derive(Clone, Copy)]
+pub struct Rendered<'a> {
+    /// Name, with which the names of its files begin.
+    pub name: &'a str,
+    /// Its pixels.
+    pub frame: &'a Frame,
+    /// The camera that it was rendered from.
+    pub camera: &'a Camera,
+}
+
 /// Writes the requested quantities of one view into the folder `out` and returns the paths: `name.exr`, or
 /// `name_color.png`, `name_depth.png` and `name_opacity.png`. `scene` is the box that the depth range is derived from.
 ///
 /// # Errors
 /// When a file cannot be written, or the build has no EXR.
-#[allow(clippy::too_many_arguments)]
 pub fn write(
     out: &Path,
-    name: &str,
-    frame: &Frame,
-    camera: &Camera,
+    view: Rendered<'_>,
     what: &[Quantity],
     format: PictureFormat,
     scene: &SceneConfig,
 ) -> Result<Vec<PathBuf>> {
+    let Rendered { name, frame, camera } = view;
     let (width, height) = (frame.width, frame.height);
     let paths = paths(out, name, what, format);
     if format == PictureFormat::Exr {

@@ -6,7 +6,7 @@ use std::time::Instant;
 use trimip_core::{
     Frames, Result, Viewer,
     config::DataConfig,
-    evaluate::{ViewResult, Watch, evaluate_frame},
+    evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
     exchange::Ranks,
     model::Model,
     perception::{Pair, Perceived, Perception},
@@ -53,8 +53,35 @@ pub struct Together<'a> {
     pub model: &'a Model,
 }
 
-/// Renders every `stride`-th test view at every scale, on the background and by the convention of
-/// `data`, and compares it with its photograph; `perception` takes the slower measures ([`Perceiver`](super::Perceiver), or
+/// The test views that a model is compared with.
+#[derive(Clone, Copy)]
+pub struct TestViews<'a> {
+    /// All test views.
+    pub frames: &'a dyn Frames,
+    /// The background, and the convention of the photographs.
+    pub data: &'a DataConfig,
+    /// Every n-th view is compared.
+    pub stride: usize,
+}
+
+impl<'a> TestViews<'a> {
+    /// Number of views that are compared.
+    fn count(&self) -> usize {
+        self.frames.len().div_ceil(self.stride.max(1))
+    }
+
+    /// Index of view number `job` of those that are compared.
+    fn index(&self, job: usize) -> usize {
+        job * self.stride.max(1)
+    }
+
+    /// The frames at all of their scales.
+    fn at_every_scale(&self) -> TestFrames<'a> {
+        TestFrames { frames: self.frames, data: self.data, finest: 1 }
+    }
+}
+
+/// Renders test views at every scale and compares them with their photographs; `perception` takes the slower measures ([`Perceiver`](super::Perceiver), or
 /// `&mut ()` for none). Returns `None` if `watch` cancelled it. With `together`, of which this is rank 0, all ranks measure; the
 /// others call [`help_evaluate`] with the same model and frames.
 ///
@@ -62,21 +89,18 @@ pub struct Together<'a> {
 /// When a photograph cannot be read, the device fails, or another rank is gone.
 pub fn evaluate(
     viewer: &mut dyn Viewer,
-    frames: &dyn Frames,
-    data: &DataConfig,
-    stride: usize,
+    test: TestViews<'_>,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
     together: Option<Together<'_>>,
 ) -> Result<Option<Measured>> {
-    let (started, stride) = (Instant::now(), stride.max(1));
-    let total = frames.len().div_ceil(stride);
+    let (started, frames, total) = (Instant::now(), test.at_every_scale(), test.count());
     let mut progress = Progress { perception, watch, done: 0, total };
     let mut views = Vec::new();
     match together {
         None => {
             for job in 0..total {
-                if !evaluate_frame(viewer, frames, job * stride, 1, data, &mut progress, &mut views)? {
+                if !evaluate_frame(viewer, frames, test.index(job), &mut progress, &mut views)? {
                     return Ok(None);
                 }
                 progress.done += 1;
@@ -86,13 +110,13 @@ pub fn evaluate(
             let progress = RefCell::new(progress);
             let own = |job| {
                 let (mut views, progress) = (Vec::new(), &mut *progress.borrow_mut());
-                let whole = evaluate_frame(viewer, frames, job * stride, 1, data, progress, &mut views)?;
+                let whole = evaluate_frame(viewer, frames, test.index(job), progress, &mut views)?;
                 Ok(whole.then_some(views))
             };
             let mut is_whole = true;
             ranks::farm(
                 together.ranks,
-                &description(frames, data, stride, together.model)?,
+                &description(test, together.model)?,
                 &(0..total).collect::<Vec<_>>(),
                 &|| true,
                 own,
@@ -115,13 +139,14 @@ pub fn evaluate(
 }
 
 /// What the jobs of [`evaluate`] are.
-fn description(frames: &dyn Frames, data: &DataConfig, stride: usize, model: &Model) -> Result<String> {
+fn description(test: TestViews<'_>, model: &Model) -> Result<String> {
+    let TestViews { frames, data, stride } = test;
     // The last bits of f64 may differ between machines.
     let cameras: Vec<f32> =
         frames.cameras().iter().flat_map(|camera| camera.numbers()).map(|number| number as f32).collect();
     Ok(ranks::digest([
         frames.len().to_string(),
-        stride.to_string(),
+        stride.max(1).to_string(),
         format!("{data:?} {cameras:?}"),
         model.hash()?.to_string(),
     ]))
@@ -133,18 +158,16 @@ fn description(frames: &dyn Frames, data: &DataConfig, stride: usize, model: &Mo
 /// When rank 0 is gone, or measures other views.
 pub fn help_evaluate(
     viewer: &mut dyn Viewer,
-    frames: &dyn Frames,
-    data: &DataConfig,
-    stride: usize,
+    test: TestViews<'_>,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
     together: Together<'_>,
 ) -> Result<()> {
-    let stride = stride.max(1);
     let mut progress = Progress { perception, watch, done: 0, total: 0 };
-    ranks::labour(together.ranks, &description(frames, data, stride, together.model)?, |job| {
+    ranks::labour(together.ranks, &description(test, together.model)?, |job| {
         let mut views = Vec::new();
-        let whole = evaluate_frame(viewer, frames, job * stride, 1, data, &mut progress, &mut views)?;
+        let whole =
+            evaluate_frame(viewer, test.at_every_scale(), test.index(job), &mut progress, &mut views)?;
         Ok(whole.then_some(views))
     })
 }

@@ -15,7 +15,9 @@ pub mod turntable;
 pub mod video;
 
 pub use cameras::Named;
-pub use files::{CAMERAS, PictureFormat, Quantity, depth_range, expect_no_others, write, write_cameras};
+pub use files::{
+    CAMERAS, PictureFormat, Quantity, Rendered, depth_range, expect_no_others, write, write_cameras,
+};
 pub use job::Job;
-pub use measure::{Measured, Together, Watching, evaluate, help_evaluate};
+pub use measure::{Measured, TestViews, Together, Watching, evaluate, help_evaluate};
 pub use perceiver::{PIXELS_PER_DEGREE, Perceiver, flip_colors, flip_of_pictures};

@@ -5,7 +5,7 @@
 use serde::Serialize;
 use std::time::Instant;
 use trimip::backends::{self, Visitor};
-use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
+use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::encoders::{self, Place};
 use trimip_core::exact::Exact;
@@ -114,20 +114,21 @@ fn on<B: Backend>(
     let spheres: Vec<Sphere> = backend.read(&samples.spheres)[..count].to_vec();
     let owners: Vec<u32> = backend.read(&samples.rays)[..count].to_vec();
     place(backend, samples, &segments, &intervals, &spheres, &owners);
+    let tile = &mut Tile { stream: lane, parameters: &parameters, rays: own, samples };
     let encoding = timed(backend, || {
-        stages.encoder.forward(lane, &parameters, own, samples, encoding, features);
+        stages.encoder.forward(tile, encoding, features);
         wait();
     });
     let density = timed(backend, || {
-        stages.field.density(lane, samples, features, tape, radiance);
+        stages.field.density(tile, features, tape, radiance);
         wait();
     });
     let color = timed(backend, || {
-        stages.field.color(lane, own, samples, stages.renderer.color_weight(), tape, radiance);
+        stages.field.color(tile, stages.renderer.color_weight(), tape, radiance);
         wait();
     });
     let composing = timed(backend, || {
-        stages.renderer.composite(lane, own, samples, radiance, cones, pixels);
+        stages.renderer.composite(tile, radiance, cones, pixels);
         wait();
     });
     let features = backend.read(features);

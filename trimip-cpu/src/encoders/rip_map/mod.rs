@@ -82,7 +82,7 @@ impl Encoding for RipMaps {
         }
     }
 
-    fn forward(&self, _: &[f32], at: Places<'_>, tape: &mut [f32], features: &mut [f32], stride: usize) {
+    fn forward(&self, at: Places<'_>, tape: &mut [f32], features: &mut [f32], stride: usize) {
         let (tape, _) = tape.as_chunks_mut::<TAPE>();
         let samples = at.owners.iter().zip(at.intervals).zip(at.spheres);
         for (((owner, interval), sphere), row) in samples.zip(&mut *tape) {
@@ -93,15 +93,7 @@ impl Encoding for RipMaps {
         self.simd.run(Gather { planes: &self.planes, maps: &self.maps, tape, features, stride });
     }
 
-    fn backward(
-        &self,
-        _: &[f32],
-        _: Places<'_>,
-        tape: &[f32],
-        rows: &[f32],
-        _: usize,
-        gradient: &mut Gradient,
-    ) {
+    fn backward(&self, _: Places<'_>, tape: &[f32], rows: &[f32], _: usize, gradient: &mut Gradient) {
         let (first, start) = (gradient.gaussians.len(), gradient.rows.len());
         let gaussians = tape.as_chunks::<TAPE>().0;
         gradient.gaussians.resize(first + gaussians.len());

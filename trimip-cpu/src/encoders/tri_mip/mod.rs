@@ -97,16 +97,9 @@ impl Encoding for Planes {
         self.touched = touched;
     }
 
-    fn forward(
-        &self,
-        parameters: &[f32],
-        at: Places<'_>,
-        _: &mut [f32],
-        features: &mut [f32],
-        stride: usize,
-    ) {
+    fn forward(&self, at: Places<'_>, _: &mut [f32], features: &mut [f32], stride: usize) {
         let Self { pyramid, derived, reference, .. } = self;
-        let (base, spheres) = (&parameters[..pyramid.base_len()], at.spheres);
+        let (base, spheres) = (&at.parameters[..pyramid.base_len()], at.spheres);
         self.simd.run(Gather { pyramid, base, derived, spheres, features, stride });
         if let Some(reference) = *reference {
             for (row, sphere) in features.chunks_exact_mut(stride).zip(spheres) {
@@ -115,15 +108,7 @@ impl Encoding for Planes {
         }
     }
 
-    fn backward(
-        &self,
-        _: &[f32],
-        at: Places<'_>,
-        _: &[f32],
-        rows: &[f32],
-        stride: usize,
-        gradient: &mut Gradient,
-    ) {
+    fn backward(&self, at: Places<'_>, _: &[f32], rows: &[f32], stride: usize, gradient: &mut Gradient) {
         let spheres = at.spheres;
         let (first, count) = (gradient.spheres.len(), spheres.len());
         gradient.spheres.resize(first + count);
