@@ -5,7 +5,7 @@
 use criterion::{Criterion, Throughput};
 use std::path::Path;
 use std::time::{Duration, Instant};
-use trimip_core::backend::{Loss, Occupancy, Sampler};
+use trimip_core::backend::{Loss, Occupancy, RenderedTile, Sampler};
 use trimip_core::batch::{Deposit, Workspace};
 use trimip_core::config::{Format, Precision};
 use trimip_core::trainer::Trainer;
@@ -131,7 +131,8 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         stages.renderer.composite(lane, origins, samples, radiance, cones, pixels);
     });
     bench("loss", kept, &mut || {
-        stages.loss.evaluate(lane, origins, samples, pixels, pixel_gradients, &mut deposits[0].sums);
+        let tile = RenderedTile { rays: origins, samples, radiance, pixels };
+        stages.loss.evaluate_pixels(lane, &tile, pixel_gradients, &mut deposits[0].sums);
     });
     bench("composite backward", kept, &mut || {
         let gradients = &mut *radiance_gradients;

@@ -7,7 +7,7 @@ use super::{
 use crate::{
     Backend, Encoder, Field, Renderer, Result, StepReport,
     adamw::learning_rate,
-    backend::{Loss, Occupancy, Sampler},
+    backend::{Loss, Occupancy, RenderedTile, Sampler},
     batch::{StepSums, Workspace},
     loaded::forward,
     metrics::psnr_of_error,
@@ -52,14 +52,8 @@ impl<B: Backend> Trainer<B> {
                 let Workspace {
                     lane, rays, samples, encoding, features, tape, radiance, cones, pixels, ..
                 } = space;
-                stages.loss.evaluate(
-                    lane,
-                    rays,
-                    samples,
-                    pixels,
-                    &mut space.pixel_gradients,
-                    &mut deposit.sums,
-                );
+                let tile = RenderedTile { rays, samples, radiance, pixels };
+                stages.loss.evaluate_pixels(lane, &tile, &mut space.pixel_gradients, &mut deposit.sums);
                 let radiance_gradients = &mut space.radiance_gradients;
                 stages.renderer.backward(
                     lane,
@@ -70,7 +64,7 @@ impl<B: Backend> Trainer<B> {
                     &space.pixel_gradients,
                     radiance_gradients,
                 );
-                stages.loss.distort(lane, rays, samples, radiance, radiance_gradients, &mut deposit.sums);
+                stages.loss.evaluate_rays(lane, &tile, radiance_gradients, &mut deposit.sums);
                 let (feature_gradients, weights) = (&mut space.feature_gradients, &mut deposit.field);
                 stages.field.backward(
                     lane,
