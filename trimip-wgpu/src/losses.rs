@@ -118,6 +118,7 @@ macro_rules! losses {
 losses! {
     photometric {
         SmoothL1 => "smooth_l1",
+        Charbonnier => "charbonnier",
     }
     pixel { "opacity" }
     ray { "distortion" }

@@ -5,6 +5,7 @@
 //! The loss of a pixel is the mean over its channels of the photometric term, plus weight · value of every other term
 //! that is at work; the loss of a step is the mean over its pixels, weighted by their areas.
 
+pub mod charbonnier;
 pub mod distortion;
 pub mod exposure;
 pub mod opacity;
@@ -18,7 +19,7 @@ use serde::{Deserialize, Serialize};
 section!(
     /// The loss.
     LossConfig, "loss" {
-        photometric: Photometric, beta: f32, opacity: f32, distortion: f32, exposure: Exposure, rays: LossRays,
+        photometric: Photometric, beta: f32, padding: f32, opacity: f32, distortion: f32, exposure: Exposure, rays: LossRays,
     }
 );
 
@@ -51,6 +52,8 @@ macro_rules! photometric {
 photometric! {
     /// Smooth-L1: quadratic up to `beta`, linear beyond.
     SmoothL1 => smooth_l1::SmoothL1,
+    /// Charbonnier: √(d² + `padding`²).
+    Charbonnier => charbonnier::Charbonnier,
 }
 
 /// The terms of single pixels.
