@@ -5,7 +5,7 @@
 use criterion::{Criterion, Throughput};
 use std::path::Path;
 use std::time::{Duration, Instant};
-use trimip_core::backend::{Loss, Occupancy, Sampler};
+use trimip_core::backend::{Loss, Occupancy, RenderedTile, Sampler};
 use trimip_core::batch::{Deposit, FieldBackward, Tile, Update, Workspace};
 use trimip_core::config::{Format, Precision};
 use trimip_core::trainer::Trainer;
@@ -129,8 +129,8 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     bench("color", kept, &mut || stages.field.color(tile, 0.0, tape, radiance));
     bench("composite", kept, &mut || stages.renderer.composite(tile, radiance, cones, pixels));
     bench("loss", kept, &mut || {
-        let sums = &mut deposits[0].sums;
-        stages.loss.evaluate(tile.stream, rays, samples, pixels, pixel_gradients, sums);
+        let rendered = RenderedTile { rays, samples, radiance, pixels };
+        stages.loss.evaluate_pixels(tile.stream, &rendered, pixel_gradients, &mut deposits[0].sums);
     });
     bench("composite backward", kept, &mut || {
         stages.renderer.backward(tile, radiance, cones, pixel_gradients, radiance_gradients);

@@ -102,8 +102,19 @@ fn bf16_gradients_are_those_of_the_rounded_factors() {
 }
 
 #[test]
-fn distortion_is_the_sum_over_all_pairs() {
-    on_every_cpu(|make| suite::distortion::as_written(make));
+fn terms_of_the_loss_are_their_equations() {
+    on_every_cpu(|make| suite::losses::as_written(make));
+}
+
+#[test]
+fn gradients_of_every_term_of_the_loss_are_finite_differences() {
+    with_threads(&[2], |make| suite::losses::finite_differences(make));
+}
+
+#[test]
+fn a_resumed_run_is_the_run_that_never_stopped_with_every_term_of_the_loss() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    with_threads(&[2], |make| suite::losses::resume(make, &folder.path().join("checkpoint")));
 }
 
 #[test]
@@ -272,8 +283,7 @@ fn an_empty_grid_recovers() {
 }
 
 #[test]
-fn exposed_pixels_are_the_literal_ones() {
-    on_every_cpu(|make| suite::exposure::finite_differences(make));
+fn slopes_by_log_gains_are_those_of_the_loss() {
     on_every_cpu(|make| suite::exposure::whole_step(make));
 }
 

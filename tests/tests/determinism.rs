@@ -53,6 +53,7 @@ fn threads_change_no_bit() {
     several_cones.loss.distortion = 0.3;
     several_cones.loss.exposure = Exposure::Gain;
     configurations.push(several_cones);
+    configurations.extend(suite::losses::examples(&fixtures::small()).into_iter().map(|(_, config)| config));
     for (encoder, (simd, precision)) in
         configurations.iter().flat_map(|encoder| sets.iter().map(move |&set| (encoder, set)))
     {
@@ -61,10 +62,9 @@ fn threads_change_no_bit() {
         for threads in [2, 3, 5] {
             let (found, same) = trained(encoder, simd, precision, threads, 42);
             let (kind, cones) = (encoder.encoder.kind, encoder.renderer.cones);
-            let distortion = encoder.loss.distortion;
-            let name = format!(
-                "{kind:?}, {cones} cones, distortion {distortion}, {simd:?}, {precision:?}, {threads} threads"
-            );
+            let loss = &encoder.loss;
+            let name =
+                format!("{kind:?}, {cones} cones, {loss:?}, {simd:?}, {precision:?}, {threads} threads");
             assert_eq!(found.state, expected.state, "{name}");
             for (tensor, value) in &expected.file.tensors {
                 assert!(found.file.tensors.get(tensor) == Some(value), "{name}: `{tensor}` differs");

@@ -146,8 +146,19 @@ fn pictures_of_contracted_space_are_those_of_the_model_in_f64() {
 }
 
 #[test]
-fn distortion_is_the_sum_over_all_pairs() {
-    reproducibly(|make| suite::distortion::as_written(make));
+fn terms_of_the_loss_are_their_equations() {
+    reproducibly(|make| suite::losses::as_written(make));
+}
+
+#[test]
+fn gradients_of_every_term_of_the_loss_are_finite_differences() {
+    reproducibly(|make| suite::losses::finite_differences(make));
+}
+
+#[test]
+fn a_resumed_run_is_the_run_that_never_stopped_with_every_term_of_the_loss() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    reproducibly(|make| suite::losses::resume(make, &folder.path().join("checkpoint")));
 }
 
 #[test]
@@ -264,8 +275,7 @@ fn an_empty_grid_recovers() {
 }
 
 #[test]
-fn exposed_pixels_are_the_literal_ones() {
-    reproducibly(|make| suite::exposure::finite_differences(make));
+fn slopes_by_log_gains_are_those_of_the_loss() {
     reproducibly(|make| suite::exposure::whole_step(make));
 }
 

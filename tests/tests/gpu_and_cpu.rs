@@ -117,9 +117,10 @@ fn models_are_the_same_pictures_on_both_backends() {
 }
 
 #[test]
-fn distortion_is_the_same_on_both_backends() {
+fn every_term_of_the_loss_is_the_same_on_both_backends() {
     reproducibly(|make| {
-        for (name, config) in suite::distortion::configurations() {
+        let examples = suite::losses::examples(&fixtures::small());
+        for (name, config) in suite::distortion::configurations().into_iter().chain(examples) {
             let parameters = fixtures::lively(&Layout::new(&config), 13);
             let views = || fixtures::noise(3, 24, 3, 21);
             let (mut on_cpu, mut on_gpu) =

@@ -1,6 +1,8 @@
 //! The device that a model runs on. The traits of its stages are in `stages.rs`.
 
-pub use crate::stages::{Encoder, Field, Loss, Occupancy, Optimizer, Renderer, Sampler, Stages};
+pub use crate::stages::{
+    Encoder, Field, Loss, Occupancy, Optimizer, RenderedTile, Renderer, Sampler, Stages,
+};
 
 use crate::{
     Config, Result, ViewSet,
@@ -31,7 +33,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
     type Sampler: Sampler<Self>;
     /// Occupancy grid.
     type Occupancy: Occupancy<Self>;
-    /// Photometric loss.
+    /// The terms of the loss.
     type Loss: Loss<Self>;
 
     /// Number of steps between a step and the use of its sums, at most [`crate::checkpoint::MOST_PENDING`]. It is

@@ -186,7 +186,8 @@ pub struct Update<'a, B: Backend> {
 /// Losses and counts of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepSums {
-    /// Σ weight · loss: the mean over channels of smooth-L1, and what is configured beside it.
+    /// Σ weight · loss: the photometric term averaged over channels, plus the other terms at work
+    /// ([`losses`](crate::losses)).
     pub loss: f64,
     /// Σ weight over the rays that the loss is averaged over.
     pub weight: f64,

@@ -16,9 +16,12 @@ pub use encoders::{
     EncoderConfig, EncoderKind, FrequenciesConfig, HashGridConfig, RipMapConfig, TensorConfig, VoxelsConfig,
 };
 pub use sections::{
-    DataConfig, EvalConfig, FieldConfig, FileConfig, HybridConfig, LossConfig, OccupancyConfig,
-    OptimizerConfig, PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
+    DataConfig, EvalConfig, FieldConfig, FileConfig, HybridConfig, OccupancyConfig, OptimizerConfig,
+    PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
 };
+
+pub use crate::losses::{LossConfig, Photometric};
+pub(crate) use sections::section;
 
 use crate::{Aabb, Error, Origin, Result, Settings, range};
 use glam::DVec3;

@@ -8,7 +8,7 @@ use crate::{
     batch::StepResult,
     checkpoint::MOST_PENDING,
     config::OptimizerConfig,
-    scalar::Real,
+    losses::exposure::exposed,
     tensors::{Tensor, TensorFile},
 };
 use std::collections::{BTreeMap, VecDeque};
@@ -40,16 +40,9 @@ pub fn photographs(views: &ViewSet) -> Vec<u32> {
     all
 }
 
-/// The colour that is compared with a photograph: its own part of `shown` times `gain`. `behind` is what the photograph
-/// itself shows of the background that its transparent part was put on, which no camera exposed.
-#[inline]
-pub fn exposed<R: Real>(shown: [R; 3], behind: [R; 3], gain: [R; 3]) -> [R; 3] {
-    std::array::from_fn(|c| gain[c] * (shown[c] - behind[c]) + behind[c])
-}
-
 /// A rendered picture at the exposure of its photograph, which no camera pose tells: each half (`left` and not) times the
 /// gain of each channel that fits the other half best, by least squares, within four stops. No pixel has a part in its own
-/// gain. `behind` is as in [`exposed`].
+/// gain. `behind` is as in [`exposed`](crate::losses::exposure::exposed).
 ///
 /// # Panics
 /// If the slices differ in length.

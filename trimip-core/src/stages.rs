@@ -336,33 +336,43 @@ pub trait Occupancy<B: Backend>: Send + Sync {
     fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>);
 }
 
-/// Maps pixels to the loss (smooth-L1, weighted by area), and the weights of their samples to the distortion loss.
-pub trait Loss<B: Backend>: Send + Sync {
-    /// Sets the gains (RGB) with which pixels of each photograph are compared, by the numbers in [`Rays::photographs`].
-    /// Without any, as at first, rendered colours are compared as they are.
-    fn expose(&mut self, gains: &[[f32; 3]]);
+/// What the loss reads of a tile of rays after the forward pass.
+pub struct RenderedTile<'a, B: Backend> {
+    /// The rays with the targets of their pixels.
+    pub rays: &'a Rays<B>,
+    /// The kept samples along them.
+    pub samples: &'a Samples<B>,
+    /// Density and colour of each sample.
+    pub radiance: &'a B::Buffer<Radiance>,
+    /// The composited pixels.
+    pub pixels: &'a B::Buffer<Pixel>,
+}
 
-    /// Evaluates the area-weighted smooth-L1 of each pixel, its gradient with respect to the pixel (not yet divided
-    /// by the sum of the weights), the sums, and with gains the derivatives by their logarithms.
-    fn evaluate(
+/// Maps pixels and the weights of their samples to the loss: the sum of the registered terms ([`losses`](crate::losses))
+/// that the configuration puts to work.
+pub trait Loss<B: Backend>: Send + Sync {
+    /// Sets the gains (RGB) of each photograph, by the numbers in [`Rays::photographs`], with which an adjustment changes
+    /// the colours that are compared. Without any, as at first, rendered colours are compared as they are.
+    fn set_gains(&mut self, gains: &[[f32; 3]]);
+
+    /// Evaluates the photometric term and the terms of pixels: writes their gradient with respect to each pixel, weighted
+    /// by area but not yet divided by the sum of the weights, and adds to the sums. With gains it also adds the
+    /// derivatives by their logarithms.
+    fn evaluate_pixels(
         &self,
         lane: &mut B::Lane,
-        rays: &Rays<B>,
-        samples: &Samples<B>,
-        pixels: &B::Buffer<Pixel>,
+        tile: &RenderedTile<'_, B>,
         pixel_gradients: &mut B::Buffer<[f32; 4]>,
         sums: &mut B::Sums,
     );
 
-    /// Adds the distortion loss of the pixels ([`distortion`](crate::distortion), the mean of their cones, weighted by area) to
-    /// the sums, and its gradient to the densities' in `radiance_gradients`, which [`Renderer::backward`] wrote. Called once
-    /// after [`evaluate`](Self::evaluate). Does nothing if the loss has no weight.
-    fn distort(
+    /// Adds the terms of rays (the mean over the cones of a pixel, weighted by area) to the sums, and their gradients to
+    /// the densities' in `radiance_gradients`, which [`Renderer::backward`] wrote. Called once after
+    /// [`evaluate_pixels`](Self::evaluate_pixels).
+    fn evaluate_rays(
         &self,
         lane: &mut B::Lane,
-        rays: &Rays<B>,
-        samples: &Samples<B>,
-        radiance: &B::Buffer<Radiance>,
+        tile: &RenderedTile<'_, B>,
         radiance_gradients: &mut B::Buffer<Radiance>,
         sums: &mut B::Sums,
     );

@@ -6,7 +6,7 @@ use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::{Duration, Instant};
-use trimip_core::backend::{Loss, Occupancy, Optimizer, Sampler, Stages};
+use trimip_core::backend::{Loss, Occupancy, Optimizer, RenderedTile, Sampler, Stages};
 use trimip_core::batch::{Deposit, FieldBackward, Radiance, StepResult, Tile, Update, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::trainer::Trainer;
@@ -112,8 +112,8 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
     let (mut pixel_gradients, mut radiance_gradients) = (backend.zeros(0), backend.zeros::<Radiance>(0));
     group.bench_function("loss", |b| {
         b.iter(|| {
-            let sums = &mut deposit.sums;
-            stages.loss.evaluate(lane, rays, samples, black_box(pixels), &mut pixel_gradients, sums);
+            let tile = RenderedTile { rays, samples, radiance, pixels: black_box(pixels) };
+            stages.loss.evaluate_pixels(lane, &tile, &mut pixel_gradients, &mut deposit.sums);
         });
     });
     group.bench_function("composite backward", |b| {

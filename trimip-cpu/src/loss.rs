@@ -1,19 +1,24 @@
-//! The loss on the CPU: of pixels, and of the samples' weights.
+//! The loss on the CPU: the registered terms of core in f32, over the pixels and the rays of a tile.
 
 use crate::buffer::Buffer;
 use crate::{CpuBackend, Lane};
-use trimip_core::backend::Loss;
-use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, StepResult, Target};
+use trimip_core::backend::{Loss, RenderedTile};
+use trimip_core::batch::{Interval, Radiance, Segment, StepResult, Target};
 use trimip_core::config::{LossConfig, LossRays};
-use trimip_core::distortion::{Part, distortion};
 use trimip_core::edges::{shown, shown_gradient};
-use trimip_core::exposure::exposed;
-use trimip_core::loss::smooth_l1;
+use trimip_core::losses::exposure::exposed;
+use trimip_core::losses::{
+    self, ConeSamples, PhotometricTerm, PhotometricVisitor, PixelTerm, RaySample, RayTerm,
+};
 use trimip_core::{Config, Pixel, Space};
 
-/// Area-weighted smooth-L1 of colour and opacity, and the distortion of cones.
+/// The terms that a configuration puts to work.
 pub struct CpuLoss {
     config: LossConfig,
+    /// Terms of pixels beside the photometric one, with their weights.
+    pixel_terms: Vec<(&'static dyn PixelTerm, f32)>,
+    /// Terms of rays, with their weights.
+    ray_terms: Vec<(&'static dyn RayTerm, f32)>,
     space: Space<f32>,
     /// Gains of the photographs, if they are compared with them.
     gains: Vec<[f32; 3]>,
@@ -22,85 +27,128 @@ pub struct CpuLoss {
 impl CpuLoss {
     /// Creates the configured loss.
     pub fn new(config: &Config) -> Self {
-        Self { config: config.loss.clone(), space: Space::new(&config.scene), gains: Vec::new() }
+        Self {
+            config: config.loss.clone(),
+            pixel_terms: losses::at_work(losses::PIXEL_TERMS, &config.loss),
+            ray_terms: losses::at_work(losses::RAY_TERMS, &config.loss),
+            space: Space::new(&config.scene),
+            gains: Vec::new(),
+        }
+    }
+
+    /// Replaces `out` by the samples of ray `index`, as the terms of rays read them.
+    fn collect(&self, tile: &RenderedTile<'_, CpuBackend>, index: usize, out: &mut Vec<RaySample<f32>>) {
+        let (ray, own) = (&tile.rays.rays[index], tile.samples.segments[index].range());
+        let course = self.space.course(ray.origin, ray.direction);
+        let sample = |(interval, radiance): (&Interval, &Radiance)| {
+            let Interval { t, length } = *interval;
+            let point = std::array::from_fn(|axis| ray.origin[axis] + t * ray.direction[axis]);
+            let [place, width] = self.space.along(&course, point, t, length);
+            RaySample { depth: radiance.density * length, t, place, width }
+        };
+        out.clear();
+        out.extend(tile.samples.intervals[own.clone()].iter().zip(&tile.radiance[own]).map(sample));
     }
 }
 
 impl Loss<CpuBackend> for CpuLoss {
-    fn expose(&mut self, gains: &[[f32; 3]]) {
+    fn set_gains(&mut self, gains: &[[f32; 3]]) {
         self.gains = gains.to_vec();
     }
 
-    fn evaluate(
+    fn evaluate_pixels(
         &self,
         _: &mut Lane,
-        rays: &Rays<CpuBackend>,
-        samples: &Samples<CpuBackend>,
-        pixels: &Buffer<Pixel>,
+        tile: &RenderedTile<'_, CpuBackend>,
         pixel_gradients: &mut Buffer<[f32; 4]>,
         sums: &mut StepResult,
     ) {
-        pixel_gradients.resize(pixels.len());
-        let [marched, kept] = samples.counts[0];
-        sums.sums.rays += pixels.len() as u64;
+        pixel_gradients.resize(tile.pixels.len());
+        let [marched, kept] = tile.samples.counts[0];
+        sums.sums.rays += tile.pixels.len() as u64;
         sums.sums.marched += u64::from(marched);
         sums.sums.kept += u64::from(kept);
         sums.exposures.resize(self.gains.len(), [0.0; 3]);
-        let (segments, groups): (&[Segment], &[Segment]) = (&samples.segments, &rays.groups);
-        let pixels = pixels.iter().zip(rays.targets.iter());
-        let rows = pixel_gradients.iter_mut().zip(pixels);
-        if segments.len() == groups.len() {
-            // Pixels of one cone each, which is the usual case.
-            let rows = rows.zip(segments).map(|(row, segment)| (row, segment.count > 0));
-            self.add(rows, &rays.photographs, sums);
-        } else {
-            let any = |group: &Segment| segments[group.range()].iter().any(|segment| segment.count > 0);
-            let rows = rows.zip(groups).map(|(row, group)| (row, any(group)));
-            self.add(rows, &rays.photographs, sums);
-        }
+        let pixels = Pixels { loss: self, tile, gradients: pixel_gradients, result: sums };
+        self.config.photometric.visit(pixels);
     }
 
-    fn distort(
+    fn evaluate_rays(
         &self,
         _: &mut Lane,
-        rays: &Rays<CpuBackend>,
-        samples: &Samples<CpuBackend>,
-        radiance: &Buffer<Radiance>,
+        tile: &RenderedTile<'_, CpuBackend>,
         radiance_gradients: &mut Buffer<Radiance>,
         sums: &mut StepResult,
     ) {
-        if self.config.distortion == 0.0 {
+        if self.ray_terms.is_empty() {
             return;
         }
-        for (group, target) in rays.groups.iter().zip(rays.targets.iter()) {
-            let share = self.config.distortion * target.weight / group.count as f32;
-            for (ray, segment) in rays.rays[group.range()].iter().zip(&samples.segments[group.range()]) {
-                let course = self.space.course(ray.origin, ray.direction);
-                let (own, intervals) = (&radiance[segment.range()], &samples.intervals[segment.range()]);
-                let gradients = &mut radiance_gradients[segment.range()];
-                let part = |i: usize| {
-                    let Interval { t, length } = intervals[i];
-                    let point = std::array::from_fn(|axis| ray.origin[axis] + t * ray.direction[axis]);
-                    let [place, width] = self.space.along(&course, point, t, length);
-                    Part { depth: own[i].density * length, place, width }
-                };
-                let value = distortion(own.len(), part, |i, by_depth| {
-                    gradients[i].density += share * by_depth * intervals[i].length;
-                });
-                sums.sums.loss += f64::from(share * value);
+        let (mut samples, mut by_depth) = (Vec::new(), Vec::new());
+        for (group, target) in tile.rays.groups.iter().zip(tile.rays.targets.iter()) {
+            for index in group.range() {
+                self.collect(tile, index, &mut samples);
+                let own = tile.samples.segments[index].range();
+                let intervals = &tile.samples.intervals[own.clone()];
+                let gradients = &mut radiance_gradients[own];
+                let cone = ConeSamples { target, samples: &samples };
+                for (term, weight) in &self.ray_terms {
+                    let share = weight * target.weight / group.count as f32;
+                    by_depth.clear();
+                    by_depth.resize(samples.len(), 0.0);
+                    let value = term.evaluate(&self.config, &cone, &mut by_depth);
+                    for ((gradient, by_depth), interval) in gradients.iter_mut().zip(&by_depth).zip(intervals)
+                    {
+                        gradient.density += share * by_depth * interval.length;
+                    }
+                    sums.sums.loss += f64::from(share * value);
+                }
             }
         }
     }
 }
 
+/// The pixels of a tile, to be compared by a photometric term.
+struct Pixels<'a> {
+    loss: &'a CpuLoss,
+    tile: &'a RenderedTile<'a, CpuBackend>,
+    gradients: &'a mut [[f32; 4]],
+    result: &'a mut StepResult,
+}
+
 /// A pixel's gradient, the pixel with its target, and whether it has any samples.
 type Row<'a> = ((&'a mut [f32; 4], (&'a Pixel, &'a Target)), bool);
+
+impl PhotometricVisitor for Pixels<'_> {
+    type Output = ();
+
+    fn visit<T: PhotometricTerm>(self, term: &T) {
+        let Self { loss, tile, gradients, result } = self;
+        let (segments, groups): (&[Segment], &[Segment]) = (&tile.samples.segments, &tile.rays.groups);
+        let pixels = tile.pixels.iter().zip(tile.rays.targets.iter());
+        let rows = gradients.iter_mut().zip(pixels);
+        if segments.len() == groups.len() {
+            // Pixels of one cone each, which is the usual case.
+            let rows = rows.zip(segments).map(|(row, segment)| (row, segment.count > 0));
+            loss.add(term, rows, &tile.rays.photographs, result);
+        } else {
+            let any = |group: &Segment| segments[group.range()].iter().any(|segment| segment.count > 0);
+            let rows = rows.zip(groups).map(|(row, group)| (row, any(group)));
+            loss.add(term, rows, &tile.rays.photographs, result);
+        }
+    }
+}
 
 impl CpuLoss {
     /// Adds the losses of pixels, of these photographs if they are compared with gains, to the sums, and writes their
     /// gradients.
     #[inline]
-    fn add<'a>(&self, rows: impl Iterator<Item = Row<'a>>, photographs: &[u32], result: &mut StepResult) {
+    fn add<'a, T: PhotometricTerm>(
+        &self,
+        term: &T,
+        rows: impl Iterator<Item = Row<'a>>,
+        photographs: &[u32],
+        result: &mut StepResult,
+    ) {
         let StepResult { sums, exposures } = result;
         for (i, ((gradient, (pixel, target)), live)) in rows.enumerate() {
             *gradient = [0.0; 4];
@@ -127,7 +175,7 @@ impl CpuLoss {
             sums.weight += f64::from(target.weight);
             let mut by_colour = [0.0; 3];
             for c in 0..3 {
-                let (value, slope) = smooth_l1(difference[c], self.config.beta);
+                let (value, slope) = term.evaluate(&self.config, difference[c]);
                 sums.loss += f64::from(target.weight * value) / 3.0;
                 by_colour[c] = target.weight * slope / 3.0;
             }
@@ -138,10 +186,10 @@ impl CpuLoss {
                 }
             }
             *gradient = shown_gradient(pixel.rgb, pixel.opacity, background, exponent, by_colour);
-            if self.config.opacity > 0.0 {
-                let (value, slope) = smooth_l1(pixel.opacity - target.opacity, self.config.beta);
-                sums.loss += f64::from(target.weight * self.config.opacity * value);
-                gradient[3] += target.weight * self.config.opacity * slope;
+            for (term, weight) in &self.pixel_terms {
+                let factor = target.weight * weight;
+                let value = term.evaluate(&self.config, pixel, target, factor, gradient);
+                sums.loss += f64::from(factor * value);
             }
         }
     }

@@ -78,7 +78,8 @@ pub const GRID: &str = include_str!("shaders/grid.wgsl");
 const RANDOM: &str = include_str!("shaders/random.wgsl");
 /// The layout of a ray.
 pub const RAY: &str = include_str!("shaders/ray.wgsl");
-const SPACE: &str = include_str!("shaders/space.wgsl");
+/// The map from the world to the cube.
+pub const SPACE: &str = include_str!("shaders/space.wgsl");
 const CAMERA: &str = include_str!("shaders/camera.wgsl");
 const ALL_RAYS: &str = include_str!("shaders/rays.wgsl");
 const RAYS: &[&str] = &[GRID, RANDOM, RAY, CAMERA, include_str!("shaders/photographs_none.wgsl"), ALL_RAYS];
@@ -114,15 +115,12 @@ const BIASES: &[&str] = &[GRID, include_str!("shaders/biases.wgsl")];
 const PRUNING: &str = include_str!("shaders/pruning.wgsl");
 const PRUNE: &[&str] = &[GRID, PRUNING, include_str!("shaders/prune.wgsl")];
 const GATHER: &[&str] = &[GRID, include_str!("shaders/gather.wgsl")];
-const COMPOSITING: &str = include_str!("shaders/compositing.wgsl");
+/// Weights of samples.
+pub const COMPOSITING: &str = include_str!("shaders/compositing.wgsl");
 const SHARE: &[&str] = &[GRID, PRUNING, COMPOSITING, include_str!("shaders/share.wgsl")];
 const DIM: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/dim.wgsl")];
 const COMPOSITE: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite.wgsl")];
 const COMPOSITE_GRADIENT: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite_gradient.wgsl")];
-const DISTORTION: &[&str] = &[GRID, RAY, SPACE, COMPOSITING, include_str!("shaders/distortion.wgsl")];
-const PHOTOMETRIC: &str = include_str!("shaders/loss.wgsl");
-const LOSS: &[&str] = &[GRID, include_str!("shaders/exposure_none.wgsl"), PHOTOMETRIC];
-const EXPOSED_LOSS: &[&str] = &[GRID, FIXED, include_str!("shaders/exposure_gain.wgsl"), PHOTOMETRIC];
 const ADAMW: &[&str] = &[GRID, include_str!("shaders/adamw.wgsl")];
 const OCCUPANCY: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, include_str!("shaders/occupancy.wgsl")];
 
@@ -240,45 +238,6 @@ pub static COMPOSITING_GRADIENT: Kernel = Kernel::new(
     COMPOSITE_GRADIENT,
     &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Read), (6, Read), (7, Read)],
 );
-pub static EVALUATE: Kernel = Kernel::new(
-    "evaluate",
-    LOSS,
-    &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Write), (7, Read), (8, Read)],
-);
-pub static EVALUATE_EXPOSED: Kernel = Kernel::new(
-    "evaluate",
-    EXPOSED_LOSS,
-    &[
-        (0, Read),
-        (1, Write),
-        (2, Parameters),
-        (3, Read),
-        (4, Write),
-        (7, Read),
-        (8, Read),
-        (9, Read),
-        (10, Write),
-    ],
-);
-pub static ADD_UP: Kernel =
-    Kernel::new("add_up", LOSS, &[(2, Parameters), (4, Write), (5, Write), (6, Read)]);
-pub static DISTORT: Kernel = Kernel::new(
-    "distort",
-    DISTORTION,
-    &[
-        (0, Read),
-        (1, Write),
-        (2, Parameters),
-        (3, Read),
-        (4, Read),
-        (5, Read),
-        (6, Read),
-        (7, Read),
-        (8, Write),
-    ],
-);
-pub static ADD_DISTORTION: Kernel =
-    Kernel::new("add_distortion", DISTORTION, &[(2, Parameters), (8, Write), (9, Write)]);
 pub static UPDATE: Kernel = Kernel::new(
     "update",
     ADAMW,
@@ -351,11 +310,6 @@ mod tests {
             &GATHERING,
             &COMPOSITING_RAYS,
             &COMPOSITING_GRADIENT,
-            &EVALUATE,
-            &EVALUATE_EXPOSED,
-            &ADD_UP,
-            &DISTORT,
-            &ADD_DISTORTION,
             &UPDATE,
             &CHOOSE,
             &PROBES,
@@ -384,6 +338,7 @@ mod tests {
             }
         }
         kernels.extend(crate::encoder::kernels());
+        kernels.extend(crate::losses::kernels());
         kernels
     }
 

@@ -15,6 +15,7 @@ mod field;
 mod hybrid;
 mod kernel;
 mod loss;
+mod losses;
 mod mapping;
 mod memory;
 mod mlp;

@@ -1,37 +1,44 @@
-//! The loss on the GPU: of pixels, and of the samples' weights. Sums stay on the device until the step is over.
+//! The loss on the GPU: the terms of pixels in one kernel, each term of rays in its own. Sums stay on the device until the step
+//! is over.
 
 use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{GROUP, Gpu, Size};
-use crate::kernel::{ADD_DISTORTION, ADD_UP, DISTORT, EVALUATE, EVALUATE_EXPOSED};
+use crate::losses::{ADD_UP, RAY_KERNELS, evaluate};
 use crate::space::GpuSpace;
 use bytemuck::{Pod, Zeroable};
 use std::sync::Arc;
-use trimip_core::backend::Loss;
-use trimip_core::batch::{Radiance, Rays, Samples};
+use trimip_core::backend::{Loss, RenderedTile};
+use trimip_core::batch::Radiance;
 use trimip_core::config::{LossConfig, LossRays};
-use trimip_core::{Config, Pixel, Space};
+use trimip_core::losses::{Definition, PIXEL_TERMS, RAY_TERMS};
+use trimip_core::{Config, Space};
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Params {
     count: u32,
     blocks: u32,
-    beta: f32,
     live: u32,
-    opacity: f32,
     photographs: u32,
-    padding: [u32; 2],
+    photometric: [f32; 4],
+    terms: [[f32; 4]; PIXEL_TERMS.len()],
 }
 
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
-struct DistortionParams {
+struct RayParams {
     space: GpuSpace,
+    term: [f32; 4],
     count: u32,
     blocks: u32,
-    distortion: f32,
-    padding: u32,
+    padding: [u32; 2],
+}
+
+/// Weight and numbers of a term, as the shaders read them.
+fn numbers<T: Definition + ?Sized>(term: &T, config: &LossConfig) -> [f32; 4] {
+    let [a, b, c] = term.numbers(config);
+    [term.weight(config), a, b, c]
 }
 
 /// A step's sums on the device: loss, weight, squared error, number of non-finite pixels, then counts of samples.
@@ -61,7 +68,7 @@ pub fn sums_of(words: &[u32]) -> Vec<[f64; 3]> {
     sums.as_chunks().0.to_vec()
 }
 
-/// Area-weighted smooth-L1 of pixels, and the distortion of cones.
+/// The terms that a configuration puts to work.
 pub struct WgpuLoss {
     gpu: Arc<Gpu>,
     config: LossConfig,
@@ -86,7 +93,7 @@ impl WgpuLoss {
 }
 
 impl Loss<WgpuBackend> for WgpuLoss {
-    fn expose(&mut self, gains: &[[f32; 3]]) {
+    fn set_gains(&mut self, gains: &[[f32; 3]]) {
         let words = (GAIN_WORDS + SUM_WORDS) * gains.len();
         if self.exposures.most() != words {
             self.exposures = Buffer::zeros(&self.gpu, words);
@@ -94,29 +101,26 @@ impl Loss<WgpuBackend> for WgpuLoss {
         self.gpu.write(self.exposures.raw(), gains.as_flattened());
     }
 
-    fn evaluate(
+    fn evaluate_pixels(
         &self,
         lane: &mut Lane,
-        rays: &Rays<WgpuBackend>,
-        samples: &Samples<WgpuBackend>,
-        pixels: &Buffer<Pixel>,
+        tile: &RenderedTile<'_, WgpuBackend>,
         pixel_gradients: &mut Buffer<[f32; 4]>,
         sums: &mut Sums,
     ) {
+        let RenderedTile { rays, samples, pixels, .. } = tile;
         let count = pixels.known_len().unwrap_or(0) as u32;
         let blocks = count.div_ceil(GROUP);
         pixel_gradients.resize(count as usize);
         lane.sums.resize(4 * blocks as usize);
         let photographs = self.exposures.most() / (GAIN_WORDS + SUM_WORDS);
-        let live = u32::from(self.config.rays == LossRays::Live);
         let params = Params {
             count,
             blocks,
-            beta: self.config.beta,
-            live,
-            opacity: self.config.opacity,
+            live: u32::from(self.config.rays == LossRays::Live),
             photographs: photographs as u32,
-            padding: [0; 2],
+            photometric: numbers(self.config.photometric.term(), &self.config),
+            terms: std::array::from_fn(|i| numbers(PIXEL_TERMS[i], &self.config)),
         };
         let mut binds = vec![
             pixels.bind(),
@@ -126,13 +130,12 @@ impl Loss<WgpuBackend> for WgpuLoss {
             samples.segments.bind(),
             rays.groups.bind(),
         ];
-        let mut kernel = &EVALUATE;
         if photographs > 0 {
             let [first, length] = [GAIN_WORDS, SUM_WORDS].map(|words| (4 * words * photographs) as u64);
             self.gpu.clear(self.exposures.raw(), first, length);
-            kernel = &EVALUATE_EXPOSED;
             binds.extend([rays.photographs.bind(), self.exposures.bind()]);
         }
+        let kernel = evaluate(self.config.photometric, photographs > 0);
         self.gpu.dispatch(kernel, &binds, &params, Size::Items(count.into()));
         let binds = [lane.sums.bind(), self.sums.bind(), samples.counts.bind()];
         self.gpu.dispatch(&ADD_UP, &binds, &params, Size::Groups(1));
@@ -140,41 +143,37 @@ impl Loss<WgpuBackend> for WgpuLoss {
         sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures });
     }
 
-    fn distort(
+    fn evaluate_rays(
         &self,
         lane: &mut Lane,
-        rays: &Rays<WgpuBackend>,
-        samples: &Samples<WgpuBackend>,
-        radiance: &Buffer<Radiance>,
+        tile: &RenderedTile<'_, WgpuBackend>,
         radiance_gradients: &mut Buffer<Radiance>,
         _: &mut Sums,
     ) {
-        if self.config.distortion == 0.0 {
-            return;
-        }
+        let RenderedTile { rays, samples, radiance, .. } = tile;
         let count = rays.groups.known_len().unwrap_or(0) as u32;
         let blocks = count.div_ceil(GROUP);
-        let params = DistortionParams {
-            space: self.space,
-            count,
-            blocks,
-            distortion: self.config.distortion,
-            padding: 0,
-        };
-        // The sums of `evaluate` are added up already.
-        lane.sums.resize(4 * blocks as usize);
-        let binds = [
-            samples.segments.bind(),
-            radiance_gradients.bind(),
-            radiance.bind(),
-            samples.intervals.bind(),
-            rays.rays.bind(),
-            rays.targets.bind(),
-            rays.groups.bind(),
-            lane.sums.bind(),
-        ];
-        self.gpu.dispatch(&DISTORT, &binds, &params, Size::Items(count.into()));
-        let binds = [lane.sums.bind(), self.sums.bind()];
-        self.gpu.dispatch(&ADD_DISTORTION, &binds, &params, Size::Groups(1));
+        for (term, [cones, sums]) in RAY_TERMS.iter().zip(&RAY_KERNELS) {
+            let term = numbers(*term, &self.config);
+            if term[0] == 0.0 {
+                continue;
+            }
+            let params = RayParams { space: self.space, term, count, blocks, padding: [0; 2] };
+            // The sums of the pixels are added up already.
+            lane.sums.resize(4 * blocks as usize);
+            let binds = [
+                samples.segments.bind(),
+                radiance_gradients.bind(),
+                radiance.bind(),
+                samples.intervals.bind(),
+                rays.rays.bind(),
+                rays.targets.bind(),
+                rays.groups.bind(),
+                lane.sums.bind(),
+            ];
+            self.gpu.dispatch(cones, &binds, &params, Size::Items(count.into()));
+            let binds = [lane.sums.bind(), self.sums.bind()];
+            self.gpu.dispatch(sums, &binds, &params, Size::Groups(1));
+        }
     }
 }

@@ -3,16 +3,18 @@
 use crate::buffer::Buffer;
 use crate::device::{Gpu, Size};
 use crate::kernel::{Access, Kernel};
+use crate::losses::PENALTIES;
 use crate::products::{Finish, GRADIENT_SCALE, accumulate, multiply, multiplying, tile};
 use crate::rows::Rows;
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
 use trimip_core::batch::Ray;
-use trimip_core::config::DensityFunction;
+use trimip_core::config::{DensityFunction, Photometric};
 use trimip_core::encoders::tri_mip::{Pyramid, Shape, level_input, taps};
+use trimip_core::losses::smooth_l1::smooth_l1;
 use trimip_core::space::Path;
 use trimip_core::{
-    Aabb, Camera, Cone, Intrinsics, Lens, Space, activation, camera, compositing, loss, rng, sh,
+    Aabb, Camera, Cone, Config, Intrinsics, Lens, Space, activation, camera, compositing, rng, sh,
 };
 
 /// Calls the function `probe`, which each probe defines, on every input.
@@ -142,23 +144,46 @@ fn thin_samples_keep_their_relative_accuracy() {
 }
 
 #[test]
-fn the_loss_and_what_is_finite() {
+fn penalties_of_the_loss() {
     compare(
-        files!("grid.wgsl", "exposure_none.wgsl", "loss.wgsl"; "return vec4<f32>(smooth_l1(x.x, 1.0), smooth_l1(x.x, 0.05));"),
+        files!("losses/smooth_l1.wgsl"; "return vec4<f32>(smooth_l1(x.x, vec3<f32>(1.0, 0.0, 0.0)), smooth_l1(x.x, vec3<f32>(0.05, 0.0, 0.0)));"),
         &singles(|_| true),
         |[x, ..]| {
-            let ((a, b), (c, d)) = (loss::smooth_l1(x, 1.0), loss::smooth_l1(x, f64::from(0.05_f32)));
+            let ((a, b), (c, d)) = (smooth_l1(x, 1.0), smooth_l1(x, f64::from(0.05_f32)));
             [a, b, c, d]
         },
         (0.0, 1e-6),
     );
+}
+
+#[test]
+fn photometric_terms() {
+    for term in Photometric::ALL.iter().map(|kind| kind.term()) {
+        let mut config = Config::default();
+        term.example(&mut config);
+        let [a, b, c] = term.numbers(&config.loss);
+        let call = format!("{}(x.x, vec3<f32>({a:?}, {b:?}, {c:?}))", term.name());
+        let body = format!("fn probe(x: vec4<f32>) -> vec4<f32> {{ return vec4<f32>({call}, 0.0, 0.0); }}\n");
+        // A kernel's files live as long as the program.
+        let files: &'static [&'static str] = vec![PENALTIES, body.leak(), SHELL].leak();
+        compare(
+            files,
+            &singles(|_| true),
+            |[x, ..]| {
+                let slope = term.evaluate(&config.loss, x as f32).1;
+                [term.reference(&config.loss, x), slope.into(), 0.0, 0.0]
+            },
+            (0.0, 4e-6),
+        );
+    }
+}
+
+#[test]
+fn what_is_finite() {
     let Some(gpu) = gpu() else { return };
     let inputs = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, f32::MAX, -1e-45].map(|x| [x; 4]);
-    let found = run(
-        &gpu,
-        files!("grid.wgsl", "exposure_none.wgsl", "loss.wgsl"; "return vec4<f32>(select(0.0, 1.0, is_finite(x.x)), 0.0, 0.0, 0.0);"),
-        &inputs,
-    );
+    let files = files!("finite.wgsl"; "return vec4<f32>(select(0.0, 1.0, is_finite(x.x)), 0.0, 0.0, 0.0);");
+    let found = run(&gpu, files, &inputs);
     assert_eq!(found.iter().map(|row| row[0]).collect::<Vec<_>>(), [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]);
 }
 

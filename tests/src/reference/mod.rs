@@ -4,10 +4,10 @@
 
 mod adamw;
 pub mod contraction;
-pub mod distortion;
 mod frequencies;
 mod harmonics;
 mod hash_grid;
+pub mod loss;
 mod rip_map;
 mod rounded;
 mod tensor;
@@ -28,6 +28,7 @@ use trimip_core::{
     Config, Layout,
     batch::{Interval, Ray, Sphere, Target},
     config::{DensityFunction, EncoderKind, LossRays, ViewEncoding},
+    losses::{self, RaySample},
 };
 
 /// An encoder written from its equations.
@@ -204,45 +205,40 @@ impl Reference {
         (0..samples.len()).map(|i| (radiance[i].0, shown(i))).collect()
     }
 
-    /// The loss over pixels with the given cones and kept samples: Σ weight·(mean of smooth-L1 + that of opacity + mean
-    /// distortion of the cones), divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent of its
-    /// photograph.
+    /// The loss over pixels with the given cones and kept samples: Σ weight·(photometric term + terms of pixels + terms of
+    /// rays), divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent
+    /// of its photograph, at gains of 1.
     pub fn loss(&self, pixels: &[(Target, Vec<Seen>)]) -> f64 {
-        let (beta, mut loss, mut weights) = (f64::from(self.config.loss.beta), 0.0, 0.0);
-        let smooth_l1 = |d: f64| if d < beta { d * d / (2.0 * beta) } else { d - beta / 2.0 };
+        let (config, mut loss, mut weights) = (&self.config, 0.0, 0.0);
+        let with_rays = !losses::at_work(losses::RAY_TERMS, &config.loss).is_empty();
         for (target, seen) in pixels {
-            if self.config.loss.rays == LossRays::Live && seen.iter().all(|(_, samples)| samples.is_empty()) {
+            if config.loss.rays == LossRays::Live && seen.iter().all(|(_, samples)| samples.is_empty()) {
                 continue;
             }
             let cones: Vec<_> =
                 seen.iter().map(|(ray, samples)| self.pixel_on(ray, samples, target.background)).collect();
             let mean =
                 |pick: &dyn Fn(&Composited) -> f64| cones.iter().map(pick).sum::<f64>() / cones.len() as f64;
-            let (rgb, opacity) = ([0, 1, 2].map(|c| mean(&|cone| cone.rgb[c])), mean(&|cone| cone.opacity));
+            let [r, g, b] = [0, 1, 2].map(|c| mean(&|cone| cone.rgb[c]));
+            let pixel = [r, g, b, mean(&|cone| cone.opacity)];
             let weight = f64::from(target.weight);
             weights += weight;
-            for c in 0..3 {
-                let behind = (1.0 - opacity) * f64::from(target.background[c]);
-                let shown = (rgb[c] - behind) * opacity.max(1e-4).powf(target.exponent.into()) + behind;
-                let d = (shown - f64::from(target.rgb[c])).abs();
-                loss += weight / 3.0 * smooth_l1(d);
-            }
-            let share = f64::from(self.config.loss.opacity);
-            loss += weight * share * smooth_l1((opacity - f64::from(target.opacity)).abs());
-            if self.config.loss.distortion > 0.0 {
-                let sum: f64 = seen.iter().map(|(ray, samples)| self.distortion(ray, samples)).sum();
-                loss += weight * f64::from(self.config.loss.distortion) * sum / seen.len() as f64;
+            loss += weight * loss::of_pixel(config, pixel, target, [1.0; 3]);
+            if with_rays {
+                let cones: Vec<_> =
+                    seen.iter().map(|(ray, samples)| self.ray_samples(ray, samples)).collect();
+                loss += weight * loss::of_cones(config, target, &cones);
             }
         }
         loss / weights
     }
 
-    /// The distortion of the weights of a ray's samples.
-    fn distortion(&self, ray: &Ray, samples: &[Sample]) -> f64 {
-        let densities = self.densities(samples);
-        let depths: Vec<_> = densities.iter().zip(samples).map(|(density, s)| density * s.length).collect();
-        let places: Vec<_> = samples.iter().map(|s| distortion::along(&self.config, ray, s)).collect();
-        distortion::distortion(&depths, &places)
+    /// The samples of a ray with their optical depths, as terms of rays see them.
+    fn ray_samples(&self, ray: &Ray, samples: &[Sample]) -> Vec<RaySample<f64>> {
+        let of = |(sample, density): (&Sample, &f64)| {
+            loss::ray_sample(&self.config, ray, sample, density * sample.length)
+        };
+        samples.iter().zip(&self.densities(samples)).map(of).collect()
     }
 }
 

@@ -9,6 +9,7 @@ pub mod exposure;
 pub mod gradients;
 pub mod hybrid;
 pub mod looking;
+pub mod losses;
 pub mod marching;
 pub mod masks;
 pub mod probes;

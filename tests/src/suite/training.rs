@@ -48,7 +48,6 @@ pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Resul
     {
         resume_with(&make, &fixtures::encoded(configuration(), &encoder), file)?;
     }
-    resume_with(&make, &super::exposure::exposed(), file)?;
     resume_with(&make, &scheduled()?, file)
 }
 
@@ -146,7 +145,11 @@ pub fn steady_batch<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &std::path::Path) -> Result<()> {
+/// The same for one configuration.
+///
+/// # Errors
+/// When a step or the file fails.
+pub fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &std::path::Path) -> Result<()> {
     let views = || fixtures::noise(3, 16, 2, 2);
     let mut whole = Trainer::new(make(), config, views())?;
     steps(&mut whole, config, 18)?;

@@ -1,9 +1,9 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    ConePattern, Contraction, Convention, DensityFunction, Exposure, FilePrecision, FinalEval, Finish,
-    Format, HybridRule, LossRays, MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision,
-    RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
+    ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, Finish, Format,
+    HybridRule, MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule,
+    RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ macro_rules! section {
     };
 }
 
-pub(super) use section;
+pub(crate) use section;
 
 section!(
     /// Where the photographs are and how they are read.
@@ -78,10 +78,6 @@ section!(
         resolution: u32, every: u32, warmup: u32, warmup_fraction: f32, fraction: f32, decay: f32,
         hull: bool, threshold: f32,
     }
-);
-section!(
-    /// The loss.
-    LossConfig, "loss" { beta: f32, opacity: f32, distortion: f32, exposure: Exposure, rays: LossRays }
 );
 section!(
     /// AdamW and its learning rate.

@@ -102,7 +102,7 @@ impl<B: Backend> Trainer<B> {
         let data = Some(Fingerprint::of(&views));
         let mut loaded = LoadedModel::build(backend, config, Some(views))?;
         if let Some(exposures) = &exposures {
-            loaded.stages.loss.expose(&exposures.gains());
+            loaded.stages.loss.set_gains(&exposures.gains());
         }
         if let Some(Hull { bits, densities }) = hull {
             loaded.stages.occupancy.restore(&bits, Some(&densities));
@@ -153,7 +153,7 @@ impl<B: Backend> Trainer<B> {
     pub fn set_log_gains(&mut self, values: &[[f32; 3]]) {
         if let Some(exposures) = &mut self.exposures {
             exposures.set(values);
-            self.loaded.stages.loss.expose(&exposures.gains());
+            self.loaded.stages.loss.set_gains(&exposures.gains());
         }
     }
 

@@ -77,7 +77,7 @@ impl<B: Backend> Trainer<B> {
             self.exposures.as_ref().map(|new| new.restored(&checkpoint.file, name)).transpose()?;
         self.loaded.restore_model(name, &checkpoint.file, Some(densities))?;
         if let Some(exposures) = exposures {
-            self.loaded.stages.loss.expose(&exposures.gains());
+            self.loaded.stages.loss.set_gains(&exposures.gains());
             self.exposures = Some(exposures);
         }
         for (buffer, values) in self.loaded.stages.optimizer.moments_mut().into_iter().zip([first, second]) {

@@ -7,7 +7,7 @@ use super::{
 use crate::{
     Backend, Encoder, Field, Renderer, Result, StepReport,
     adamw::learning_rate,
-    backend::{Loss, Occupancy, Sampler, Stages},
+    backend::{Loss, Occupancy, RenderedTile, Sampler, Stages},
     batch::{Batch, Deposit, FieldBackward, StepSums, Tile, Tiling, Update, Workspace},
     loaded::forward,
     metrics::psnr_of_error,
@@ -33,10 +33,11 @@ fn backward<B: Backend>(
     let (pixel_gradients, sums) = (&mut space.pixel_gradients, &mut deposit.sums);
     let (radiance_gradients, feature_gradients) =
         (&mut space.radiance_gradients, &mut space.feature_gradients);
-    stages.loss.evaluate(lane, rays, samples, pixels, pixel_gradients, sums);
+    let rendered = RenderedTile { rays, samples, radiance, pixels };
+    stages.loss.evaluate_pixels(lane, &rendered, pixel_gradients, sums);
     let tile = &mut Tile { stream: lane, parameters, rays, samples };
     stages.renderer.backward(tile, radiance, cones, pixel_gradients, radiance_gradients);
-    stages.loss.distort(tile.stream, rays, samples, radiance, radiance_gradients, sums);
+    stages.loss.evaluate_rays(tile.stream, &rendered, radiance_gradients, sums);
     let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
     stages.field.backward(tile, arrays, tape, &mut deposit.field);
     stages.encoder.backward(tile, encoding, &space.feature_gradients, &mut deposit.encoder);

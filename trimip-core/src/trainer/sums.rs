@@ -63,7 +63,7 @@ impl<B: Backend> Trainer<B> {
         let config = &self.loaded.config.optimizer;
         let rate = config.exposure_rate * rate / config.learning_rate;
         if exposures.advance(config, rate, self.state.totals.step, in_transit) {
-            self.loaded.stages.loss.expose(&exposures.gains());
+            self.loaded.stages.loss.set_gains(&exposures.gains());
         }
     }
 

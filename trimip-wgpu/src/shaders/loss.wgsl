@@ -1,16 +1,18 @@
-// Area-weighted smooth-L1 of each pixel, and its gradient with respect to the pixel. The sums over a workgroup's
-// pixels go to `partial`; `add_up` adds them in order.
+// The terms of each pixel, weighted by area, and their gradient with respect to the pixel. The sums over a workgroup's
+// pixels go to `partial`; `loss_sums.wgsl` adds them. Needs `total.wgsl`, `finite.wgsl` and an adjustment (`exposed`,
+// `unexposed`); `penalty` (the photometric term), `PixelTerms` and `pixel_terms` are composed of the registered terms.
 
 struct Params {
     count: u32,
     blocks: u32,
-    beta: f32,
     // 1 to average only over pixels with samples.
     live: u32,
-    // Weight of the opacity relative to the colour.
-    opacity: f32,
     // Number of photographs that have gains.
     photographs: u32,
+    // Weight, then numbers of the photometric term.
+    photometric: vec4<f32>,
+    // The same of each term of pixels.
+    terms: PixelTerms,
 }
 
 @group(0) @binding(0) var<storage, read> pixels: array<f32>;
@@ -19,28 +21,9 @@ struct Params {
 @group(0) @binding(3) var<storage, read> targets: array<f32>;
 // Loss, weight, squared error, number of non-finite pixels.
 @group(0) @binding(4) var<storage, read_write> partial: array<vec4<f32>>;
-// The same sums over the step, as bits; then samples marched and kept, and samples dropped from both for lack of
-// room. Counts are not stored as floats: the bits of small counts are denormal, and a device may flush them to zero.
-@group(0) @binding(5) var<storage, read_write> sums: array<u32>;
-@group(0) @binding(6) var<storage, read> counts: array<u32>;
 @group(0) @binding(7) var<storage, read> segments: array<vec2<u32>>;
 // First cone and number of cones of each pixel.
 @group(0) @binding(8) var<storage, read> pixel_groups: array<vec2<u32>>;
-
-var<workgroup> shared_sums: array<vec4<f32>, GROUP>;
-
-fn is_finite(x: f32) -> bool {
-    return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
-}
-
-// Value and derivative at `difference`; twin of `trimip_core::loss`.
-fn smooth_l1(difference: f32, beta: f32) -> vec2<f32> {
-    let size = abs(difference);
-    if size < beta {
-        return vec2<f32>(0.5 * difference * difference / beta, difference / beta);
-    }
-    return vec2<f32>(size - 0.5 * beta, sign(difference));
-}
 
 // Opacity below which the power of an edge exponent is constant; twin of `trimip_core::edges`.
 const LEAST_OPACITY = 1e-4;
@@ -64,19 +47,6 @@ fn shown_gradient(pixel: vec4<f32>, background: vec3<f32>, exponent: f32, by: ve
     let slope = select(0.0, exponent * factor / base, pixel.a > LEAST_OPACITY);
     let own = pixel.rgb - (1.0 - pixel.a) * background;
     return vec4<f32>(by * factor, dot(by, own * slope - background * (1.0 - factor)));
-}
-
-// Sum over the workgroup in a fixed order; valid in the first invocation.
-fn total(local: u32, own: vec4<f32>) -> vec4<f32> {
-    shared_sums[local] = own;
-    workgroupBarrier();
-    for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {
-        if local < stride {
-            shared_sums[local] += shared_sums[local + stride];
-        }
-        workgroupBarrier();
-    }
-    return shared_sums[0];
 }
 
 fn has_samples(own: vec2<u32>) -> bool {
@@ -111,7 +81,7 @@ fn evaluate(
         for (var c = 0u; c < 3u; c++) {
             let difference = seen[c] - targets[at + c];
             finite = finite && is_finite(difference);
-            let value = smooth_l1(difference, params.beta);
+            let value = penalty(difference);
             loss += value.x / 3.0;
             squared += select(0.0, difference * difference, weight > 0.0);
             by_colour[c] = select(0.0, weight * value.y / 3.0, counted);
@@ -119,13 +89,11 @@ fn evaluate(
         if finite {
             by_colour = unexposed(i, by_colour, seen - behind);
         }
-        let gradient = shown_gradient(pixel, background, exponent, by_colour);
-        let value = smooth_l1(pixel.a - targets[at + 7u], params.beta);
-        loss += params.opacity * value.x;
-        for (var c = 0u; c < 3u; c++) {
+        var gradient = shown_gradient(pixel, background, exponent, by_colour);
+        loss = pixel_terms(loss, pixel, at, select(0.0, weight, counted), &gradient);
+        for (var c = 0u; c < 4u; c++) {
             gradients[4u * i + c] = gradient[c];
         }
-        gradients[4u * i + 3u] = gradient.a + select(0.0, weight * params.opacity * value.y, counted);
         own = vec4<f32>(select(0.0, weight * loss, counted), select(0.0, weight, counted), squared, 0.0);
         if !finite {
             own = vec4<f32>(0.0, 0.0, 0.0, 1.0);
@@ -138,20 +106,5 @@ fn evaluate(
     let block = group.y * groups.x + group.x;
     if local == 0u && block < params.blocks {
         partial[block] = sum;
-    }
-}
-
-@compute @workgroup_size(GROUP)
-fn add_up(@builtin(local_invocation_index) local: u32) {
-    var own = vec4<f32>(0.0);
-    for (var i = local; i < params.blocks; i += GROUP) {
-        own += partial[i];
-    }
-    let sum = total(local, own);
-    if local == 0u {
-        for (var c = 0u; c < 4u; c++) {
-            sums[c] = bitcast<u32>(sum[c]);
-            sums[4u + c] = counts[c];
-        }
     }
 }

@@ -1,50 +1,72 @@
 //! The distortion loss of a ray (mip-NeRF 360, Barron et al. 2022, Eq. 15): L = Σ_ij w_i·w_j·|m_i − m_j| + ⅓·Σ_i w_i²·d_i. It is
 //! small where the weights of a ray are close together. Letters: w compositing weight of a sample, m its place along the ray, d
-//! its width, both as parameters of the ray's course in units of the box's longest side.
+//! its width, both as parameters of the ray's course in units of the box's longest side. `loss.distortion` is its weight.
 
-use crate::{compositing::weight, scalar::Real};
+use super::{ConeSamples, Definition, LossConfig, RaySample, RayTerm};
+use crate::{Config, compositing::weight, scalar::Real};
 
-/// A sample of a ray.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Part<R> {
-    /// Optical depth x = σ·δ.
-    pub depth: R,
-    /// m, not before the sample in front of it.
-    pub place: R,
-    /// d.
-    pub width: R,
+/// The distortion of the weights of a ray's samples.
+pub struct Distortion;
+
+impl Definition for Distortion {
+    fn name(&self) -> &'static str {
+        "distortion"
+    }
+
+    fn weight(&self, config: &LossConfig) -> f32 {
+        config.distortion
+    }
+
+    fn example(&self, config: &mut Config) {
+        config.loss.distortion = 0.8;
+    }
 }
 
-/// The loss of `count` samples given by index, front to back; calls `out(i, ∂L/∂x_i)` in their order. Without samples it is 0.
+impl RayTerm for Distortion {
+    fn evaluate(&self, _: &LossConfig, cone: &ConeSamples<'_, f32>, by_depth: &mut [f32]) -> f32 {
+        distortion(cone.samples, |i, derivative| by_depth[i] = derivative)
+    }
+
+    fn reference(&self, _: &LossConfig, cone: &ConeSamples<'_, f64>) -> f64 {
+        let samples = cone.samples;
+        let before = |i: usize| samples[..i].iter().map(|sample| sample.depth).sum::<f64>();
+        let w: Vec<_> =
+            (0..samples.len()).map(|i| (-before(i)).exp() * -(-samples[i].depth).exp_m1()).collect();
+        let mut sum = 0.0;
+        for (i, a) in samples.iter().enumerate() {
+            for (j, b) in samples.iter().enumerate() {
+                sum += w[i] * w[j] * (a.place - b.place).abs();
+            }
+            sum += w[i] * w[i] * a.width / 3.0;
+        }
+        sum
+    }
+}
+
+/// The loss of samples, front to back; calls `out(i, ∂L/∂x_i)` in their order. Without samples it is 0.
 ///
 /// The places are sorted, so sums over what lies in front of and behind a sample follow from those of its neighbour (Sun et al.
 /// 2022, DVGO v2): ∂L/∂w_i = 2·Σ_j w_j·|m_i − m_j| + ⅔·w_i·d_i. L then acts like a channel of the pixel in which a sample shows
 /// ∂L/∂w_i and the background 0, with the value Σ w_i·∂L/∂w_i = 2·L: see
 /// [`composite_gradient`](crate::compositing::composite_gradient).
 #[inline]
-pub fn distortion<R: Real>(
-    count: usize,
-    sample: impl Fn(usize) -> Part<R>,
-    mut out: impl FnMut(usize, R),
-) -> R {
+pub fn distortion<R: Real>(samples: &[RaySample<R>], mut out: impl FnMut(usize, R)) -> R {
     let (two, third) = (R::from_f64(2.0), R::from_f64(1.0 / 3.0));
     // Σ_j w_j·(m_j − m_0), and Σ_j w_j.
     let (mut value, mut behind, mut total) = (R::zero(), R::zero(), R::zero());
     let mut walk = Walk::new();
-    for i in 0..count {
-        let part = sample(i);
-        walk.advance(&part);
-        value += walk.weight * (two * walk.in_front + third * walk.weight * part.width);
+    for sample in samples {
+        walk.advance(sample);
+        value += walk.weight * (two * walk.in_front + third * walk.weight * sample.width);
         behind += walk.weight * walk.from_first;
         total += walk.weight;
     }
     let mut hidden = two * value;
     let mut walk = Walk::new();
-    for i in 0..count {
-        let part = sample(i);
-        walk.advance(&part);
+    for (i, sample) in samples.iter().enumerate() {
+        walk.advance(sample);
         behind = behind - (total - walk.before) * walk.gap;
-        let by_weight = two * (walk.in_front + behind + third * walk.weight * part.width);
+        let by_weight = two * (walk.in_front + behind + third * walk.weight * sample.width);
         hidden = hidden - walk.weight * by_weight;
         out(i, walk.transmittance * by_weight - hidden);
     }
@@ -89,14 +111,14 @@ impl<R: Real> Walk<R> {
 
     /// Moves on to the next sample.
     #[inline(always)]
-    fn advance(&mut self, part: &Part<R>) {
-        self.gap = if self.begun { part.place - self.place } else { R::zero() };
-        (self.begun, self.place) = (true, part.place);
+    fn advance(&mut self, sample: &RaySample<R>) {
+        self.gap = if self.begun { sample.place - self.place } else { R::zero() };
+        (self.begun, self.place) = (true, sample.place);
         self.before += self.weight;
         self.from_first += self.gap;
         self.in_front += self.before * self.gap;
-        self.weight = weight(self.transmittance, part.depth).0;
-        self.depth += part.depth;
+        self.weight = weight(self.transmittance, sample.depth).0;
+        self.depth += sample.depth;
         self.transmittance = (-self.depth).exp();
     }
 }
@@ -104,12 +126,14 @@ impl<R: Real> Walk<R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::batch::Target;
 
     /// Samples of all thicknesses at uneven places; two share a place.
-    fn ray() -> Vec<Part<f64>> {
+    fn ray() -> Vec<RaySample<f64>> {
         let part = |i: u32| {
             let x = f64::from(i);
-            Part {
+            RaySample {
+                t: x,
                 depth: (1.7 * x).sin().powi(2) * 0.5,
                 place: 0.2 + 0.03 * x + 0.02 * x.cos(),
                 width: 0.01 + 0.002 * x,
@@ -121,33 +145,23 @@ mod tests {
         parts
     }
 
-    fn weights(parts: &[Part<f64>]) -> Vec<f64> {
+    fn weights(parts: &[RaySample<f64>]) -> Vec<f64> {
         let before = |i: usize| parts[..i].iter().map(|part| part.depth).sum::<f64>();
         (0..parts.len()).map(|i| (-before(i)).exp() * (1.0 - (-parts[i].depth).exp())).collect()
     }
 
     /// Eq. 15 as written, over all pairs.
-    fn literal(parts: &[Part<f64>], w: &[f64]) -> f64 {
-        let mut sum = 0.0;
-        for (i, a) in parts.iter().enumerate() {
-            for (j, b) in parts.iter().enumerate() {
-                sum += w[i] * w[j] * (a.place - b.place).abs();
-            }
-            sum += w[i] * w[i] * a.width / 3.0;
-        }
-        sum
+    fn literal(samples: &[RaySample<f64>]) -> f64 {
+        let target = &Target::default();
+        Distortion.reference(&Config::default().loss, &ConeSamples { target, samples })
     }
 
-    fn found<R: Real>(parts: &[Part<R>]) -> (R, Vec<R>) {
+    fn found<R: Real>(parts: &[RaySample<R>]) -> (R, Vec<R>) {
         let mut gradient = Vec::new();
-        let value = distortion(
-            parts.len(),
-            |i| parts[i],
-            |i, by_depth| {
-                assert_eq!(i, gradient.len());
-                gradient.push(by_depth);
-            },
-        );
+        let value = distortion(parts, |i, by_depth| {
+            assert_eq!(i, gradient.len());
+            gradient.push(by_depth);
+        });
         (value, gradient)
     }
 
@@ -156,13 +170,13 @@ mod tests {
         let parts = ray();
         let (value, gradient) = found(&parts);
         let w = weights(&parts);
-        assert!((value - literal(&parts, &w)).abs() < 1e-15, "{value}");
+        assert!((value - literal(&parts)).abs() < 1e-15, "{value}");
         for i in 0..parts.len() {
             let h = 1e-6;
             let at = |by: f64| {
                 let mut parts = parts.clone();
                 parts[i].depth += by;
-                literal(&parts, &weights(&parts))
+                literal(&parts)
             };
             let expected = (at(h) - at(-h)) / (2.0 * h);
             assert!((gradient[i] - expected).abs() < 1e-9, "{i}: {}, not {expected}", gradient[i]);
@@ -180,7 +194,7 @@ mod tests {
     #[test]
     fn one_sample_has_its_width_alone_and_none_nothing() {
         assert_eq!(found::<f64>(&[]), (0.0, vec![]));
-        let part = Part { depth: 0.7, place: 0.4, width: 0.03 };
+        let part = RaySample { t: 1.0, depth: 0.7, place: 0.4, width: 0.03 };
         let w = 1.0 - (-0.7_f64).exp();
         let (value, gradient) = found(&[part]);
         assert!((value - w * w * 0.03 / 3.0).abs() < 1e-17);
@@ -203,7 +217,8 @@ mod tests {
 
     #[test]
     fn single_precision_is_near_and_extremes_stay_finite() {
-        let narrow = |part: &Part<f64>| Part {
+        let narrow = |part: &RaySample<f64>| RaySample {
+            t: part.t as f32,
             depth: part.depth as f32,
             place: part.place as f32,
             width: part.width as f32,
@@ -212,7 +227,7 @@ mod tests {
         let (near, by_depth) = found(&ray().iter().map(narrow).collect::<Vec<_>>());
         assert!((f64::from(near) - value).abs() < 1e-6 * value);
         assert!(by_depth.iter().zip(gradient).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6));
-        let part = |depth, place| Part { depth, place, width: 0.1 };
+        let part = |depth, place| RaySample { t: place, depth, place, width: 0.1 };
         for parts in [
             vec![part(f32::MAX, 0.1), part(f32::MAX, 0.2)],
             vec![part(0.0, 0.0), part(1e-38, 0.5), part(0.0, 1.0)],

@@ -1,0 +1,64 @@
+//! The loss by the equations of its registered terms, in f64. A term's equation is part of its definition in core.
+
+use super::{Sample, contraction};
+use trimip_core::{
+    Config,
+    batch::{Ray, Target},
+    config::Contraction,
+    losses::{ADJUSTMENTS, ConeSamples, Definition, PIXEL_TERMS, RAY_TERMS, RaySample},
+};
+
+/// Place and width of a sample: distance and length in a bounded space, both as parameters of the ray in a contracted one, in
+/// units of the longest side of the box.
+pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
+    if config.scene.contraction == Contraction::Ball {
+        return contraction::along(config, ray, sample);
+    }
+    let (low, high) = (config.scene.aabb_min.map(f64::from), config.scene.aabb_max.map(f64::from));
+    let longest = (0..3).map(|axis| high[axis] - low[axis]).fold(0.0, f64::max);
+    [sample.t / longest, sample.length / longest]
+}
+
+/// A sample of optical depth `depth`, as terms of rays see it.
+pub fn ray_sample(config: &Config, ray: &Ray, sample: &Sample, depth: f64) -> RaySample<f64> {
+    let [place, width] = along(config, ray, sample);
+    RaySample { depth, t: sample.t, place, width }
+}
+
+/// The colour that a photograph shows of a pixel [r, g, b, opacity]: P·A^γ + (1 − A)·background.
+pub fn shown(pixel: [f64; 4], target: &Target) -> [f64; 3] {
+    let [rgb @ .., opacity] = pixel;
+    let factor = opacity.max(1e-4).powf(target.exponent.into());
+    [0, 1, 2].map(|c| {
+        let behind = (1.0 - opacity) * f64::from(target.background[c]);
+        (rgb[c] - behind) * factor + behind
+    })
+}
+
+/// The loss of a pixel [r, g, b, opacity] of a photograph with `gains`, without the weight of its area.
+pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 3]) -> f64 {
+    let loss = &config.loss;
+    let behind = target.background.map(|b| (1.0 - f64::from(target.opacity)) * f64::from(b));
+    let mut compared = shown(pixel, target);
+    for adjustment in ADJUSTMENTS.iter().filter(|adjustment| adjustment.weight(loss) > 0.0) {
+        compared = adjustment.reference(compared, behind, gains);
+    }
+    let term = loss.photometric.term();
+    let channel = |c: usize| term.reference(loss, compared[c] - f64::from(target.rgb[c]));
+    let others = PIXEL_TERMS.iter().map(|term| weight(*term, config) * term.reference(loss, pixel, target));
+    (0..3).map(channel).sum::<f64>() / 3.0 + others.sum::<f64>()
+}
+
+/// The terms of rays of a pixel: the mean over its cones, without the weight of its area.
+pub fn of_cones(config: &Config, target: &Target, cones: &[Vec<RaySample<f64>>]) -> f64 {
+    let at_work = RAY_TERMS.iter().filter(|term| weight(**term, config) > 0.0);
+    let of = |term: &&dyn trimip_core::losses::RayTerm| {
+        let cone = |samples: &Vec<_>| term.reference(&config.loss, &ConeSamples { target, samples });
+        weight(*term, config) * cones.iter().map(cone).sum::<f64>() / cones.len() as f64
+    };
+    at_work.map(of).sum()
+}
+
+fn weight<T: Definition + ?Sized>(term: &T, config: &Config) -> f64 {
+    term.weight(&config.loss).into()
+}

@@ -1,0 +1,7 @@
+// The Charbonnier loss: value and derivative at `difference`; twin of `trimip_core::losses::charbonnier`. `numbers.x` is the
+// padding.
+
+fn charbonnier(difference: f32, numbers: vec3<f32>) -> vec2<f32> {
+    let value = sqrt(difference * difference + numbers.x * numbers.x);
+    return vec2<f32>(value, difference / value);
+}

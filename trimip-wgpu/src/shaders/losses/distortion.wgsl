@@ -1,0 +1,70 @@
+// The distortion of the weights of a cone's samples and its gradient with respect to their densities; twin of
+// `trimip_core::losses::distortion`.
+
+// A sample, and sums over the samples in front of it.
+struct Walk {
+    weight: f32,
+    // Transmittance behind the sample, and optical depth up to there.
+    transmittance: f32,
+    depth: f32,
+    place: f32,
+    width: f32,
+    // Distance to the sample before, and to the first one.
+    gap: f32,
+    from_first: f32,
+    // Sum of the weights in front, and of the weights times their distances.
+    before: f32,
+    in_front: f32,
+}
+
+// Begins at the place of the first sample.
+fn begin(place: f32) -> Walk {
+    return Walk(0.0, 1.0, 0.0, place, 0.0, 0.0, 0.0, 0.0, 0.0);
+}
+
+// Moves on to a sample of optical depth `depth`.
+fn advance(walk: Walk, depth: f32, at: vec2<f32>) -> Walk {
+    var next = walk;
+    next.gap = at.x - walk.place;
+    next.place = at.x;
+    next.width = at.y;
+    next.before += walk.weight;
+    next.from_first += next.gap;
+    next.in_front += next.before * next.gap;
+    next.weight = walk.transmittance * alpha_of(depth);
+    next.depth += depth;
+    next.transmittance = exp(-next.depth);
+    return next;
+}
+
+// The loss of a cone, times `share`.
+fn distortion(cone: u32, share: f32) -> f32 {
+    let segment = segments[cone];
+    if segment.y == 0u {
+        return 0.0;
+    }
+    let ray = rays[cone];
+    let course = course_of(params.space, ray);
+    let first = at_sample(course, ray, segment.x).x;
+    let end = segment.x + segment.y;
+    var value = 0.0;
+    var behind = 0.0;
+    var total = 0.0;
+    var walk = begin(first);
+    for (var j = segment.x; j < end; j++) {
+        walk = advance(walk, radiance[j].w * intervals[j].y, at_sample(course, ray, j));
+        value += walk.weight * (2.0 * walk.in_front + walk.weight * walk.width / 3.0);
+        behind += walk.weight * walk.from_first;
+        total += walk.weight;
+    }
+    var hidden = 2.0 * value;
+    walk = begin(first);
+    for (var j = segment.x; j < end; j++) {
+        walk = advance(walk, radiance[j].w * intervals[j].y, at_sample(course, ray, j));
+        behind -= (total - walk.before) * walk.gap;
+        let by_weight = 2.0 * (walk.in_front + behind + walk.weight * walk.width / 3.0);
+        hidden -= walk.weight * by_weight;
+        gradients[j].w += share * (walk.transmittance * by_weight - hidden) * intervals[j].y;
+    }
+    return share * value;
+}

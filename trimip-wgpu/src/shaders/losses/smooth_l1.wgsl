@@ -1,0 +1,11 @@
+// Smooth-L1: value and derivative at `difference`; twin of `trimip_core::losses::smooth_l1`. `numbers.x` is the size up to
+// which it is quadratic.
+
+fn smooth_l1(difference: f32, numbers: vec3<f32>) -> vec2<f32> {
+    let beta = numbers.x;
+    let size = abs(difference);
+    if size < beta {
+        return vec2<f32>(0.5 * difference * difference / beta, difference / beta);
+    }
+    return vec2<f32>(size - 0.5 * beta, sign(difference));
+}

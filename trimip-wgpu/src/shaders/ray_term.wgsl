@@ -1,0 +1,80 @@
+// A term of rays over each pixel's cones, and its gradient with respect to densities. The term's function `ray_term(cone,
+// share)` adds `share` times the gradient of a cone and returns `share` times its value. The sums over a workgroup's pixels go
+// to `partial`; `add_rays` adds them to the step's loss in order. Needs `space.wgsl` and `compositing.wgsl`.
+
+struct Params {
+    space: Space,
+    // Weight relative to the colour, then the numbers of the term.
+    term: vec4<f32>,
+    count: u32,
+    blocks: u32,
+}
+
+@group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
+// Colour and density of each sample; the gradients of the other terms are there already.
+@group(0) @binding(1) var<storage, read_write> gradients: array<vec4<f32>>;
+@group(0) @binding(2) var<uniform> params: Params;
+@group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
+@group(0) @binding(5) var<storage, read> rays: array<Ray>;
+// Nine floats per pixel; the fourth is its weight.
+@group(0) @binding(6) var<storage, read> targets: array<f32>;
+// First cone and number of cones of each pixel.
+@group(0) @binding(7) var<storage, read> pixel_groups: array<vec2<u32>>;
+@group(0) @binding(8) var<storage, read_write> partial: array<f32>;
+// Eight words: the first is the bits of the loss.
+@group(0) @binding(9) var<storage, read_write> sums: array<u32>;
+
+var<workgroup> shared_sums: array<f32, GROUP>;
+
+// Place and width of sample `j`.
+fn at_sample(course: Course, ray: Ray, j: u32) -> vec2<f32> {
+    return along(params.space, course, ray, intervals[j].x, intervals[j].y);
+}
+
+// Sum over the workgroup in a fixed order; valid in the first invocation.
+fn total_of(local: u32, own: f32) -> f32 {
+    shared_sums[local] = own;
+    workgroupBarrier();
+    for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {
+        if local < stride {
+            shared_sums[local] += shared_sums[local + stride];
+        }
+        workgroupBarrier();
+    }
+    return shared_sums[0];
+}
+
+@compute @workgroup_size(GROUP)
+fn evaluate_rays(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    var own = 0.0;
+    if i < params.count {
+        let cones = pixel_groups[i];
+        let share = params.term.x * targets[9u * i + 3u] / f32(cones.y);
+        for (var cone = cones.x; cone < cones.x + cones.y; cone++) {
+            own += ray_term(cone, share);
+        }
+    }
+    let sum = total_of(local, own);
+    let block = group.y * groups.x + group.x;
+    if local == 0u && block < params.blocks {
+        partial[block] = sum;
+    }
+}
+
+@compute @workgroup_size(GROUP)
+fn add_rays(@builtin(local_invocation_index) local: u32) {
+    var own = 0.0;
+    for (var i = local; i < params.blocks; i += GROUP) {
+        own += partial[i];
+    }
+    let sum = total_of(local, own);
+    if local == 0u {
+        sums[0] = bitcast<u32>(bitcast<f32>(sums[0]) + sum);
+    }
+}
