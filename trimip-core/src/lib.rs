@@ -47,6 +47,7 @@ pub mod hull;
 pub mod lens;
 pub mod loaded;
 pub mod loss;
+pub mod memory;
 pub mod metrics;
 pub mod model;
 pub mod networks;
