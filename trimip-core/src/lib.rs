@@ -24,6 +24,7 @@ pub mod atomic;
 pub mod backend;
 pub mod balance;
 pub mod batch;
+pub mod bits;
 pub mod camera;
 pub mod checkpoint;
 pub mod compositing;
