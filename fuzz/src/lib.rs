@@ -1,4 +1,4 @@
-//! Targets of libFuzzer, one for each reader of files: each gives the bytes to [`Format::check`], which the tests call too.
+//! Targets of libFuzzer, one for each reader of files, and `cameras` for every registered file of cameras. Each gives the bytes to [`Format::check`], which the tests call too.
 //! `docs/fuzzing.md` says how they are run.
 
 pub use libfuzzer_sys::fuzz_target;
@@ -7,7 +7,7 @@ pub use trimip_tests::formats::{Format, memory::Counting};
 /// The program that gives bytes to the reader of a format.
 #[macro_export]
 macro_rules! target {
-    ($name:literal) => {
+    ($name:expr) => {
         #[global_allocator]
         static ALLOCATOR: $crate::Counting = $crate::Counting;
 

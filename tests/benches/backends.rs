@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use trimip_core::backend::{Loss, Occupancy, RenderedTile, Sampler};
 use trimip_core::batch::{Deposit, FieldBackward, Tile, Update, Workspace};
-use trimip_core::config::{Format, Precision};
+use trimip_core::config::Precision;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
 use trimip_cpu::{CpuBackend, simd::Simd};
@@ -23,7 +23,7 @@ fn samples() -> u32 {
 /// The paper's model on small views of the built-in scene.
 fn scene(precision: Precision) -> (Config, ViewSet) {
     let mut config = trimip_tests::fixtures::as_code();
-    config.data.format = Format::Builtin;
+    config.data.format = "builtin".into();
     (config.data.builtin_size, config.data.builtin_train) = (64, 8);
     config.data.builtin_supersampling = 2;
     config.train.samples_per_step = samples();

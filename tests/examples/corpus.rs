@@ -6,7 +6,7 @@ use std::{fs, io};
 use trimip_tests::{binary::root, formats::FORMATS};
 
 fn main() -> io::Result<()> {
-    for format in &FORMATS {
+    for format in FORMATS.iter() {
         let folder = root().join("fuzz/corpus").join(format.name);
         fs::create_dir_all(&folder)?;
         for (index, bytes) in format.valid().iter().enumerate() {

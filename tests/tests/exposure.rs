@@ -2,7 +2,7 @@
 
 use trimip_core::{
     Config, Frame, Session, ViewSet, Viewer,
-    config::{Exposure, Format, OptimizerConfig},
+    config::{Exposure, OptimizerConfig},
     evaluate::evaluate,
     exposure,
     metrics::psnr_of_error,
@@ -43,7 +43,7 @@ fn multiplied(mut views: ViewSet, gains: &[[f64; 3]]) -> ViewSet {
 
 fn configuration() -> Config {
     let mut config = as_code();
-    config.data.format = Format::Builtin;
+    config.data.format = "builtin".into();
     (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 24, 3);
     (config.data.builtin_supersampling, config.data.scales) = (2, 2);
     config.data.background = [0.0; 3];

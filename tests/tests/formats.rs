@@ -1,6 +1,7 @@
 //! Any bytes: valid files of every format are changed at random, and every reader keeps its laws ([`trimip_tests::formats`]).
 //! `TRIMIP_FUZZ_CASES` is the number of changes of each format, `TRIMIP_FUZZ_SEED` begins others.
 
+use trimip_data::in_memory::camera_files;
 use trimip_tests::formats::{Format, memory::Counting};
 
 #[global_allocator]
@@ -17,6 +18,12 @@ fn keeps_its_laws(name: &str, otherwise: u64) {
     println!("{name}: {cases} executions, {valid} of them of valid files");
 }
 
+/// The files of all registered scene readers.
+#[test]
+fn cameras_of_any_bytes() {
+    camera_files().for_each(|file| keeps_its_laws(file.kind, 20_000));
+}
+
 macro_rules! formats {
     ($($test:ident $name:literal $cases:literal)*) => {
         $(#[test]
@@ -27,6 +34,7 @@ macro_rules! formats {
         #[test]
         fn every_format_has_a_test() {
             let mut tested = vec![$($name),*];
+            tested.extend(camera_files().map(|file| file.kind));
             let mut all: Vec<&str> = trimip_tests::formats::FORMATS.iter().map(|format| format.name).collect();
             tested.sort_unstable();
             all.sort_unstable();
@@ -36,8 +44,6 @@ macro_rules! formats {
 }
 
 formats! {
-    transforms_of_any_bytes "transforms" 20_000
-    metadata_of_any_bytes "metadata" 20_000
     text_models_of_any_bytes "colmap-text" 20_000
     binary_models_of_any_bytes "colmap-binary" 20_000
     points_of_any_bytes "ply" 20_000

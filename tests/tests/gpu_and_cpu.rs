@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 use trimip_core::{
     Camera, Config, Error, ErrorKind, Intrinsics, Layout, Lens, Result, Session, Viewer,
     checkpoint::Checkpoint,
-    config::{Format, Photographs},
+    config::Photographs,
     evaluate::{ViewResult, evaluate},
     events::{Event, Totals},
     loaded::LoadedModel,
@@ -395,7 +395,7 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
 /// The built-in scene at a small size.
 fn builtin() -> Config {
     let mut config = fixtures::as_code();
-    config.data.format = Format::Builtin;
+    config.data.format = "builtin".into();
     (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 8, 2);
     (config.data.builtin_supersampling, config.data.scales) = (2, 2);
     (config.encoder.plane_size, config.encoder.levels) = (32, 5);

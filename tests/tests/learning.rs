@@ -1,6 +1,6 @@
 //! Training on the built-in scene: held-out views are rendered better than any constant colour.
 
-use trimip_core::{Config, Session, config::Format, evaluate::evaluate, metrics::psnr, trainer::Trainer};
+use trimip_core::{Config, Session, evaluate::evaluate, metrics::psnr, trainer::Trainer};
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::fixtures::as_code;
 
@@ -12,7 +12,7 @@ const STEPS: u64 = 150;
 
 fn configuration() -> Config {
     let mut config = as_code();
-    config.data.format = Format::Builtin;
+    config.data.format = "builtin".into();
     (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 8, 2);
     (config.data.builtin_supersampling, config.data.scales) = (2, 2);
     (config.encoder.plane_size, config.encoder.levels) = (32, 5);

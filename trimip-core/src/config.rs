@@ -8,9 +8,8 @@ mod sections;
 
 pub use choices::{
     ConePattern, Contraction, Convention, Decomposition, DensityFunction, Exposure, FilePrecision, FinalEval,
-    Finish, Format, HybridRule, LevelFormula, LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs,
-    PixelStore, PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched,
-    ViewEncoding,
+    Finish, HybridRule, LevelFormula, LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs, PixelStore,
+    PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
 pub use encoders::{
     EncoderConfig, EncoderKind, FrequenciesConfig, HashGridConfig, RipMapConfig, TensorConfig, VoxelsConfig,

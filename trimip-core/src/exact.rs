@@ -7,7 +7,7 @@ use crate::encoders::{self, Place, Twin};
 use crate::model::{Model, OCCUPANCY};
 use crate::networks::{Network, append_frequencies, color_network, density_network, geometry_width, view};
 use crate::occupancy::cell_of;
-use crate::{Camera, Cone, Config, Layout, Result, Space};
+use crate::{Camera, Cone, Config, Layout, Result, Space, bits};
 use glam::DVec3;
 
 /// Transmittance below which nothing is visible in f64.
@@ -137,7 +137,7 @@ impl Exact {
 
     fn occupied(&self, position: [f64; 3]) -> bool {
         let cell = cell_of(position.map(|p| p as f32), self.resolution) as usize;
-        self.occupancy[cell / 8] >> (cell % 8) & 1 == 1
+        bits::is_set(&self.occupancy, cell)
     }
 
     /// Density per world unit and colour of a sample with these features, seen along a unit direction.

@@ -2,7 +2,7 @@
 //! Floaters have no place there, and no sample is spent on it.
 
 use crate::occupancy::OUTSIDE;
-use crate::{Aabb, Config, ViewSet, silhouettes};
+use crate::{Aabb, Config, ViewSet, bits, silhouettes};
 
 /// A grid whose cells outside of the visual hull are marked as [`OUTSIDE`].
 pub struct Hull {
@@ -17,10 +17,7 @@ impl Hull {
     /// silhouettes, or if they leave nothing.
     pub fn of(config: &Config, views: &ViewSet) -> Option<Self> {
         let inside = silhouettes::cells(views, &Aabb::new(&config.scene), config.occupancy.resolution)?;
-        let mut bits = vec![0; inside.len().div_ceil(8)];
-        for (cell, _) in inside.iter().enumerate().filter(|(_, inside)| **inside) {
-            bits[cell / 8] |= 1 << (cell % 8);
-        }
+        let bits = bits::of(inside.len(), |cell| inside[cell]);
         let densities = inside.iter().map(|inside| if *inside { 0.0 } else { OUTSIDE }).collect();
         inside.contains(&true).then_some(Self { bits, densities })
     }
@@ -59,7 +56,7 @@ mod tests {
         let Hull { bits, densities } = Hull::of(&config, &ball()).unwrap();
         let cell = 3.0 / 48.0;
         for (i, density) in densities.iter().enumerate() {
-            let inside = bits[i / 8] >> (i % 8) & 1 == 1;
+            let inside = bits::is_set(&bits, i);
             assert_eq!(*density, if inside { 0.0 } else { OUTSIDE });
             let at = |place: usize| (place as f64 + 0.5) * cell - 1.5;
             let centre = DVec3::new(at(i % 48), at(i / 48 % 48), at(i / 48 / 48));

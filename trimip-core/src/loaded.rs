@@ -5,6 +5,7 @@ use crate::{
     Space, ViewSet, Viewer,
     backend::{Occupancy, Sampler, Stages},
     batch::{Radiance, Segment, Tile, Tiling, Workspace},
+    bits,
     config::{Exposure, RendererKind},
     model::{Assets, Model, OCCUPANCY, assets},
     occupancy::coordinates,
@@ -206,7 +207,7 @@ impl<B: Backend> LoadedModel<B> {
             let world = DVec3::from_array(space.to_world(place).map(f64::from)) + self.centre;
             let inside = |axis: usize| world[axis] >= keep.min[axis] && world[axis] <= keep.max[axis];
             if !(0..3).all(inside) {
-                bits[cell as usize / 8] &= !(1 << (cell % 8));
+                bits::clear(&mut bits, cell as usize);
             }
         }
         bits

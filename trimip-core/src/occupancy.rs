@@ -2,6 +2,7 @@
 //! threshold. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
 
 use crate::{
+    Space, bits,
     config::OccupancyConfig,
     rng::{Draws, Random, Stream, unit},
 };
@@ -90,10 +91,10 @@ pub fn coarsened(bits: &[u8], resolution: u32) -> Vec<u8> {
     let half = resolution / 2;
     let mut coarse = vec![0; (half as usize).pow(3).div_ceil(8)];
     for cell in 0..resolution.pow(3) {
-        if bits[cell as usize / 8] >> (cell % 8) & 1 == 1 {
+        if bits::is_set(bits, cell as usize) {
             let [x, y, z] = coordinates(cell, resolution).map(|c| c / 2);
             let parent = x + half * (y + half * z);
-            coarse[parent as usize / 8] |= 1 << (parent % 8);
+            bits::set(&mut coarse, parent as usize);
         }
     }
     coarse
@@ -110,10 +111,7 @@ mod tests {
         for resolution in [4_u32, 6, 10] {
             let cells = resolution.pow(3);
             let occupied = |cell: u32| random.bits(Stream::Cell, 0, cell)[0].is_multiple_of(9);
-            let mut bits = vec![0_u8; (cells as usize).div_ceil(8)];
-            (0..cells)
-                .filter(|&cell| occupied(cell))
-                .for_each(|cell| bits[cell as usize / 8] |= 1 << (cell % 8));
+            let bits = bits::of(cells as usize, |cell| occupied(cell as u32));
             let coarse = coarsened(&bits, resolution);
             let half = resolution / 2;
             for parent in 0..half.pow(3) {
@@ -122,11 +120,7 @@ mod tests {
                     let [x, y, z] = [0, 1, 2].map(|axis| corner[axis] + (child >> axis & 1));
                     occupied(x + resolution * (y + resolution * z))
                 });
-                assert_eq!(
-                    coarse[parent as usize / 8] >> (parent % 8) & 1 == 1,
-                    any,
-                    "{resolution}: {parent}"
-                );
+                assert_eq!(bits::is_set(&coarse, parent as usize), any, "{resolution}: {parent}");
             }
         }
     }

@@ -17,7 +17,7 @@ use trimip_cpu::simd::Simd;
 /// The paper's model on small views of the built-in scene.
 fn scene(samples: u32) -> (Config, ViewSet) {
     let mut config = Config::default();
-    config.data.format = trimip_core::config::Format::Builtin;
+    config.data.format = "builtin".into();
     config.data.builtin_size = 64;
     config.data.builtin_train = 8;
     config.data.builtin_supersampling = 2;

@@ -146,7 +146,7 @@ impl Backend for CpuBackend {
 
     fn device_name(&self) -> String {
         let threads = self.pool.current_num_threads();
-        format!("{}, {threads} thread{}", self.simd, if threads == 1 { "" } else { "s" })
+        format!("{}, {}", self.simd, trimip_core::plural::count(threads, "thread"))
     }
 
     fn notes(&self, config: &Config) -> Vec<String> {

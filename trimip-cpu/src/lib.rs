@@ -2,14 +2,14 @@
 //! of threads.
 //!
 //! ```
-//! use trimip_core::{Config, config::Format};
+//! use trimip_core::Config;
 //!
 //! # fn main() -> trimip_core::Result<()> {
 //! let mut config = Config::default();
 //! config.encoder.plane_size = 32;
 //! config.encoder.levels = 4;
 //! config.train.samples_per_step = 1024;
-//! config.data.format = Format::Builtin;
+//! config.data.format = "builtin".into();
 //! (config.data.builtin_size, config.data.builtin_train) = (16, 4);
 //!
 //! let scene = trimip_data::open(&config.data)?;
@@ -112,7 +112,7 @@ pub fn compute(threads: u32) -> Compute {
     };
     let simd = Simd::detect();
     Compute {
-        name: format!("{threads} {} of {simd}", if threads == 1 { "thread" } else { "threads" }),
+        name: format!("{} of {simd}", trimip_core::plural::count(threads, "thread")),
         samples_per_second: threads as f64 * samples_per_second(simd),
         bf16: simd.has_bf16(),
         wide: false,

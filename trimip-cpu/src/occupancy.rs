@@ -11,6 +11,7 @@ use trimip_core::backend::Occupancy;
 use trimip_core::batch::{Radiance, Rays, Samples};
 use trimip_core::occupancy::{coordinates, decayed, mean, threshold};
 use trimip_core::policy::OccupancyPolicy;
+use trimip_core::bits;
 
 /// Cells along a side of a block.
 const BLOCK: u32 = 4;
@@ -164,15 +165,11 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
     }
 
     fn bits(&self) -> Vec<u8> {
-        let mut bits = vec![0; self.densities.len().div_ceil(8)];
-        for cell in 0..self.cells() {
-            bits[cell as usize / 8] |= u8::from(self.is_occupied(cell)) << (cell % 8);
-        }
-        bits
+        bits::of(self.densities.len(), |cell| self.is_occupied(cell as u32))
     }
 
     fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>) {
-        self.set_bits(|cell| bits[cell as usize / 8] >> (cell % 8) & 1 == 1);
+        self.set_bits(|cell| bits::is_set(bits, cell as usize));
         if let Some(densities) = densities {
             self.densities.copy_from_slice(densities);
         }

@@ -1,12 +1,11 @@
-//! Descriptions of scenes: the few lines that are kept with a run, and the longer report of `data inspect`.
+//! The description of a scene in a few lines, which is kept with a run.
 
-use crate::{
-    lens, masks,
-    scene::{Scene, Survey},
-    source::{Source, assemble_in},
-    watch::{Meter, Watch},
+use crate::{masks, source::Source, survey::Survey};
+use trimip_core::{
+    Alpha, ViewSet,
+    config::DataConfig,
+    plural::{count, noun},
 };
-use trimip_core::{Alpha, Camera, Result, ViewSet, config::DataConfig};
 
 /// The first lines of a run: layout, views, sizes, scales, convention, memory.
 pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet) -> Vec<String> {
@@ -33,7 +32,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
             config.tested_on()
         ),
         format!("images {}, {}", sizes(&survey.train), alpha(&survey.train)),
-        format!("scale{} {}: {convention}", if factors.len() == 1 { "" } else { "s" }, factors.join(", ")),
+        format!("{} {}: {convention}", noun(factors.len(), "scale"), factors.join(", ")),
         format!(
             "{:.1} MB of training pixels {}",
             4e-6 * train.pixels.len() as f64,
@@ -45,97 +44,8 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
     lines
 }
 
-/// Everything that is known about a scene without training.
-#[derive(Debug)]
-pub struct Inspection {
-    /// The scene, with its warnings.
-    pub scene: Scene,
-    /// Name of its layout.
-    pub layout: &'static str,
-    /// The scene in words, a line each, without warnings.
-    pub lines: Vec<String>,
-    /// Name and camera at full size of each test frame.
-    pub test: Vec<(String, Camera)>,
-}
-
-/// Everything that is known about a scene without training: lines, then warnings. Progress of reading goes to `watch`.
-///
-/// # Errors
-/// As [`open`](crate::open).
-pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
-    let Inspection { scene, mut lines, .. } = examine(config, watch)?;
-    lines.extend(scene.warnings.iter().map(|warning| format!("warning: {warning}")));
-    Ok(lines)
-}
-
-/// As [`inspect`], with the scene itself.
-///
-/// # Errors
-/// As [`open`](crate::open).
-pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
-    let survey = Survey::new(config)?;
-    let train = assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(&survey.train, watch))?;
-    let mut lines = description(&survey, config, &train);
-    for (name, sources) in [("train", &survey.train), ("test", &survey.test)] {
-        let cameras = || sources.iter().filter_map(|source| source.views.first().map(|(_, camera)| camera));
-        let fx = range(cameras().map(|camera| camera.intrinsics.fx));
-        let fy = range(cameras().map(|camera| camera.intrinsics.fy));
-        lines.push(format!("{name}: images {}, {}", sizes(sources), alpha(sources)));
-        lines.push(format!("{name}: focal length {fx} x {fy} pixels"));
-        let mut lenses: Vec<String> =
-            cameras().filter_map(|camera| lens::described(&camera.intrinsics.lens)).collect();
-        lenses.sort();
-        lenses.dedup();
-        match &lenses[..] {
-            [] => {}
-            [one] => lines.push(format!("{name}: lens {one}")),
-            all => lines.push(format!("{name}: {}, the first {}", count(all.len(), "lens model"), all[0])),
-        }
-        lines.push(format!(
-            "{name}: cameras {} from the origin, x {}, y {}, z {}",
-            range(cameras().map(|camera| camera.origin.length())),
-            range(cameras().map(|camera| camera.origin.x)),
-            range(cameras().map(|camera| camera.origin.y)),
-            range(cameras().map(|camera| camera.origin.z)),
-        ));
-    }
-    if let Some(scale) = train.scales.first() {
-        let pixels = &train.pixels[scale.pixels.clone()];
-        let share = |test: &dyn Fn(u8) -> bool| {
-            100.0 * pixels.iter().filter(|pixel| test(pixel[3])).count() as f64 / pixels.len().max(1) as f64
-        };
-        let [whole, part, none] = match train.alpha {
-            Alpha::Straight | Alpha::Premultiplied => ["opaque", "partly covered", "clear"],
-            Alpha::Kept => ["kept", "partly kept", "masked"],
-        };
-        lines.push(format!(
-            "train: {:.1} % of the pixels are {whole}, {:.1} % {part}, {:.1} % {none}",
-            share(&|alpha| alpha == 255),
-            share(&|alpha| alpha != 0 && alpha != 255),
-            share(&|alpha| alpha == 0),
-        ));
-    }
-    for scale in &train.scales {
-        lines.push(format!(
-            "train: scale 1/{}: {}, {:.2} million pixels of weight {}",
-            scale.factor,
-            count(scale.views.len(), "view"),
-            scale.pixels.len() as f64 / 1e6,
-            scale.weight
-        ));
-    }
-    let named = |source: &Source| Some((source.name.clone(), source.views.first()?.1));
-    let test = survey.test.iter().filter_map(named).collect();
-    Ok(Inspection { layout: survey.layout, lines, test, scene: survey.opened(config, train) })
-}
-
-/// "1 view", "12 views".
-pub(crate) fn count(count: usize, thing: &str) -> String {
-    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
-}
-
 /// "800x800", or the range of sizes.
-fn sizes(sources: &[Source]) -> String {
+pub(crate) fn sizes(sources: &[Source]) -> String {
     let mut sizes: Vec<(u32, u32)> = sources
         .iter()
         .filter_map(|source| source.views.first())
@@ -152,7 +62,8 @@ fn sizes(sources: &[Source]) -> String {
     }
 }
 
-fn alpha(sources: &[Source]) -> String {
+/// "with alpha", or how many of the photographs have it.
+pub(crate) fn alpha(sources: &[Source]) -> String {
     let files = || sources.iter().flat_map(|source| source.files());
     match (files().filter(|file| file.alpha).count(), files().count()) {
         (_, 0) => "alpha rendered".into(),
@@ -160,11 +71,4 @@ fn alpha(sources: &[Source]) -> String {
         (masked, total) if masked == total => "with alpha".into(),
         (masked, total) => format!("{masked} of {total} with alpha"),
     }
-}
-
-/// "4.03", or "3.90 to 4.10".
-fn range(values: impl Iterator<Item = f64>) -> String {
-    let (low, high) = values
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
-    if high - low <= 5e-4 * high.abs() { format!("{low:.2}") } else { format!("{low:.2} to {high:.2}") }
 }

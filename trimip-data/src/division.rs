@@ -2,13 +2,12 @@
 //! (nerfstudio's `train_filenames`, `val_filenames`, `test_filenames`).
 
 use crate::{
-    describe::count,
     json::Node,
-    names::{Index, Meant},
+    names::{Index, Match},
 };
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Error, Result};
+use trimip_core::{Error, Result, plural::count};
 
 /// Every n-th frame of a file without splits is a test frame, as in mip-NeRF 360 and Instant-NGP.
 pub(crate) const HOLD_OUT: usize = 8;
@@ -19,7 +18,7 @@ const LISTS: [(&str, &str); 3] =
 
 /// The frames of a file that belong to a split.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Part {
+pub(crate) enum Selection {
     All,
     Train,
     Test,
@@ -27,25 +26,25 @@ pub(crate) enum Part {
     Listed(Vec<usize>, usize),
 }
 
-impl Part {
+impl Selection {
     /// The frames among `frames`, in order.
     pub(crate) fn choose(&self, frames: usize) -> Vec<usize> {
         match self {
-            Part::All => (0..frames).collect(),
-            Part::Test => (0..frames).filter(|index| index.is_multiple_of(HOLD_OUT)).collect(),
-            Part::Train => (0..frames).filter(|index| !index.is_multiple_of(HOLD_OUT)).collect(),
-            Part::Listed(frames, _) => frames.clone(),
+            Selection::All => (0..frames).collect(),
+            Selection::Test => (0..frames).filter(|index| index.is_multiple_of(HOLD_OUT)).collect(),
+            Selection::Train => (0..frames).filter(|index| !index.is_multiple_of(HOLD_OUT)).collect(),
+            Selection::Listed(frames, _) => frames.clone(),
         }
     }
 
     /// What is to be known about the choice; `order` says how frames are ordered.
     pub(crate) fn warning(&self, file: &Path, order: &str) -> Option<String> {
         match self {
-            Part::Train | Part::Test => Some(format!(
+            Selection::Train | Selection::Test => Some(format!(
                 "{} names no splits: every {HOLD_OUT}th frame {order} is the test split, the others are train",
                 file.display()
             )),
-            Part::Listed(_, left) if *left > 0 => {
+            Selection::Listed(_, left) if *left > 0 => {
                 Some(format!("{} lists {} in no split", file.display(), count(*left, "frame")))
             }
             _ => None,
@@ -59,12 +58,12 @@ pub(crate) fn listed(file: &Node<'_>) -> Vec<&'static str> {
 }
 
 /// The frames of a split: those of its list if the file has lists, otherwise by their index.
-pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &str) -> Result<Part> {
+pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &str) -> Result<Selection> {
     let lists = listed(file);
     if lists.is_empty() {
         return match split {
-            "train" => Ok(Part::Train),
-            "test" => Ok(Part::Test),
+            "train" => Ok(Selection::Train),
+            "test" => Ok(Selection::Test),
             _ => Err(unknown(path, split, "train, test")),
         };
     }
@@ -82,9 +81,9 @@ pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &st
                 Error::input(place, what, "correct the list or export it again")
             };
             let frame = match index.find(named) {
-                Meant::One(frame) => frame,
-                Meant::None => return Err(wrong("is no frame of the file".into())),
-                Meant::Several => return Err(wrong("may be several frames of the file".into())),
+                Match::One(frame) => frame,
+                Match::None => return Err(wrong("is no frame of the file".into())),
+                Match::Several => return Err(wrong("may be several frames of the file".into())),
             };
             match owners[frame].replace(own) {
                 Some(other) if other == *own => return Err(wrong("is in the list twice".into())),
@@ -94,7 +93,7 @@ pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &st
         }
     }
     let frames = (0..entries.len()).filter(|&frame| owners[frame] == Some(split)).collect();
-    Ok(Part::Listed(frames, owners.iter().filter(|owner| owner.is_none()).count()))
+    Ok(Selection::Listed(frames, owners.iter().filter(|owner| owner.is_none()).count()))
 }
 
 /// The error for a split that is not there.
@@ -107,11 +106,11 @@ pub(crate) fn unknown(place: &Path, split: &str, known: &str) -> Error {
 }
 
 /// The error for a split without frames.
-pub(crate) fn empty(place: &Path, split: &str, frames: usize, part: &Part) -> Error {
-    let advice = match part {
-        Part::All => "export the frames again",
-        Part::Train | Part::Test => "at least two frames are needed",
-        Part::Listed(..) => "add frames to its list",
+pub(crate) fn empty(place: &Path, split: &str, frames: usize, selection: &Selection) -> Error {
+    let advice = match selection {
+        Selection::All => "export the frames again",
+        Selection::Train | Selection::Test => "at least two frames are needed",
+        Selection::Listed(..) => "add frames to its list",
     };
     Error::input(place.display(), format!("has no frame for split \"{split}\" among its {frames}"), advice)
 }

@@ -2,9 +2,20 @@
 //! what can be tried with any bytes. COLMAP models have [`Model::parse`](crate::colmap::Model::parse). `name` names the file
 //! in errors, which are of kind `Input` and state the place.
 
-use crate::{blender, mask, multiscale, photograph, ply, points::Point};
+use crate::{
+    mask, photograph, ply,
+    points::Point,
+    readers::{READERS, blender, multiscale},
+};
 use std::path::Path;
 use trimip_core::{Camera, Result};
+
+pub use crate::readers::reader::CameraFile;
+
+/// The files of cameras of all scene readers.
+pub fn camera_files() -> impl Iterator<Item = &'static CameraFile> {
+    READERS.iter().flat_map(|reader| reader.camera_files)
+}
 
 /// Short names and cameras of all frames of a transforms file. Photographs without a stated size have `size`.
 ///

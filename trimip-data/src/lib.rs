@@ -3,10 +3,10 @@
 //! lengths are world units, angles radians, focal lengths pixels.
 //!
 //! ```
-//! use trimip_core::{Config, Frames, config::Format};
+//! use trimip_core::{Config, Frames};
 //!
 //! let mut data = Config::default().data;
-//! data.format = Format::Builtin;
+//! data.format = trimip_data::builtin::FORMAT.into();
 //! (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 4, 2);
 //! let scene = trimip_data::open(&data)?;
 //! assert_eq!(scene.train.views.len(), 4 * 4); // four views at the scales 1, 1/2, 1/4, 1/8
@@ -17,7 +17,6 @@
 
 #![deny(unsafe_code)]
 
-mod blender;
 pub mod builtin;
 pub mod checks;
 mod collection;
@@ -26,6 +25,7 @@ mod describe;
 mod division;
 mod foreign;
 pub mod in_memory;
+mod inspect;
 mod intrinsics;
 mod json;
 mod layout;
@@ -33,8 +33,6 @@ mod lens;
 mod list;
 mod mask;
 mod masks;
-mod memory;
-mod multiscale;
 mod names;
 mod orientation;
 mod photograph;
@@ -42,19 +40,21 @@ mod ply;
 mod points;
 mod pose;
 pub mod pyramid;
+mod readers;
 mod scene;
 mod source;
 mod split;
-mod stated;
+mod stated_box;
 mod store;
+mod survey;
+mod warnings;
 mod watch;
 mod workers;
 mod write;
 
 pub use collection::{BLENDER_SCENES, Collection, has_split, is_scene};
-pub use describe::{Inspection, examine, inspect};
+pub use inspect::{Inspection, examine, inspect};
 pub use lens::{lens_of, lens_terms};
-pub use memory::{available_memory, common_memory, own_memory, resident_memory};
 pub use points::{Observation, Point};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};
 pub use watch::{Watch, unwatched};

@@ -2,7 +2,7 @@
 //! lines and lines that begin with # are left out.
 
 use crate::{
-    names::{Index, Meant},
+    names::{Index, Match},
     source::Source,
 };
 use std::path::Path;
@@ -22,9 +22,9 @@ pub(crate) fn divide(root: &Path, named: &str, sources: Vec<Source>) -> Result<(
     let (mut absent, mut several) = (Vec::new(), Vec::new());
     for name in names() {
         match index.find(name) {
-            Meant::One(frame) => tested[frame] = true,
-            Meant::None => absent.push(name),
-            Meant::Several => several.push(name),
+            Match::One(frame) => tested[frame] = true,
+            Match::None => absent.push(name),
+            Match::Several => several.push(name),
         }
     }
     if !absent.is_empty() {

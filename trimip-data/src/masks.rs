@@ -2,7 +2,6 @@
 //! frame (`mask_path`, nerfstudio), has the place of its photograph in a folder (COLMAP), or lies beside it (Instant-NGP).
 
 use crate::{
-    describe::count,
     mask::{Mask, Role},
     photograph::Photograph,
     source::{Pixels, Source, map_in_order},
@@ -14,6 +13,7 @@ use std::{
 use trimip_core::{
     Alpha, Error, Result, ViewSet,
     config::{DataConfig, MaskKeeps, MaskRole},
+    plural::count,
 };
 
 /// The folder that is looked into if none is named.
@@ -66,12 +66,12 @@ pub(crate) fn find(config: &DataConfig, sources: &mut [&mut Source]) -> Result<A
         let what = format!("{} is not a folder", folder.display());
         return Err(Error::input(place, what, "name a folder in data.root, or \"none\""));
     }
-    let look = Look { config, root, folder: folder.is_dir().then_some(folder.as_path()), named };
-    let found = map_in_order(sources, |_, source| look.mask_of(source))?;
+    let search = MaskSearch { config, root, folder: folder.is_dir().then_some(folder.as_path()), named };
+    let found = map_in_order(sources, |_, source| search.mask_of(source))?;
     unshared(sources, &found)?;
     let mut all = found.iter().flatten().map(|(_, mask)| mask);
     let Some(first) = all.next() else {
-        return if named { Err(look.none(sources)) } else { Ok(straight) };
+        return if named { Err(search.none(sources)) } else { Ok(straight) };
     };
     if let Some(other) = all.find(|other| other.role() != first.role()) {
         return Err(Error::input(
@@ -109,7 +109,7 @@ fn unshared(sources: &[&mut Source], found: &[Option<(Kind, Mask)>]) -> Result<(
 }
 
 /// Where masks are looked for.
-struct Look<'a> {
+struct MaskSearch<'a> {
     config: &'a DataConfig,
     root: &'a Path,
     folder: Option<&'a Path>,
@@ -117,7 +117,7 @@ struct Look<'a> {
     named: bool,
 }
 
-impl Look<'_> {
+impl MaskSearch<'_> {
     fn mask_of(&self, source: &Source) -> Result<Option<(Kind, Mask)>> {
         let Pixels::Photograph(photograph) = &source.pixels else { return Ok(None) };
         let Some((kind, path)) = self.place(source, photograph)? else { return Ok(None) };

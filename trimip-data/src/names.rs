@@ -68,7 +68,7 @@ pub(crate) struct Index {
 
 /// The images that a name means.
 #[derive(Debug, PartialEq)]
-pub(crate) enum Meant {
+pub(crate) enum Match {
     One(usize),
     None,
     Several,
@@ -85,19 +85,19 @@ impl Index {
     }
 
     /// The image of that path; otherwise the only one whose path ends so, or that the written path ends with.
-    pub(crate) fn find(&self, written: &str) -> Meant {
+    pub(crate) fn find(&self, written: &str) -> Match {
         let written = key(written);
         let near = self.stems.get(&stem(&written)).map_or(&[][..], Vec::as_slice);
         let only = |fits: &dyn Fn(&str) -> bool| {
             let mut found = near.iter().copied().filter(|&index| fits(&self.keys[index]));
             match (found.next(), found.next()) {
-                (None, _) => Meant::None,
-                (Some(index), None) => Meant::One(index),
-                _ => Meant::Several,
+                (None, _) => Match::None,
+                (Some(index), None) => Match::One(index),
+                _ => Match::Several,
             }
         };
         let exact = only(&|key| key == written);
-        if exact != Meant::None {
+        if exact != Match::None {
             return exact;
         }
         let ends = |long: &str, short: &str| long.strip_suffix(short).is_some_and(|rest| rest.ends_with('/'));
@@ -128,12 +128,12 @@ mod tests {
             Index::new(["images/left/0001.jpg", "images/right/0001.jpg", "images/left/0002.JPG"].iter());
         for written in ["images/left/0001.jpg", "./left/0001", "left\\0001.jpg", "/data/images/left/0001.png"]
         {
-            assert_eq!(index.find(written), Meant::One(0), "{written}");
+            assert_eq!(index.find(written), Match::One(0), "{written}");
         }
-        assert_eq!(index.find("0002"), Meant::One(2));
-        assert_eq!(index.find("0001.jpg"), Meant::Several);
+        assert_eq!(index.find("0002"), Match::One(2));
+        assert_eq!(index.find("0001.jpg"), Match::Several);
         for absent in ["0003", "eft/0001", "middle/0001.jpg", ""] {
-            assert_eq!(index.find(absent), Meant::None, "{absent}");
+            assert_eq!(index.find(absent), Match::None, "{absent}");
         }
     }
 }

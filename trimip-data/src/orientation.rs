@@ -1,7 +1,6 @@
 //! EXIF orientation: whether a photograph's cameras are for its pixels as stored, or turned as its tag says. The stated size
 //! decides; where it does not, pixels are used as stored, as COLMAP, nerfstudio and Instant-NGP do.
 
-use crate::source::Source;
 use image::metadata::Orientation;
 
 /// What is known about the orientation of a photograph.
@@ -33,18 +32,6 @@ pub(crate) fn turned((width, height): (u32, u32), tag: Orientation) -> (u32, u32
         Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH => (height, width),
         _ => (width, height),
     }
-}
-
-/// A warning if photographs have a tag that was not applied and may be meant.
-pub(crate) fn warning<'a>(sources: impl Iterator<Item = &'a Source>) -> Option<String> {
-    let mut doubtful = sources.flat_map(Source::files).filter(|file| file.turn == Turn::Doubtful);
-    let first = doubtful.next()?;
-    let count = 1 + doubtful.count();
-    Some(format!(
-        "{count} photographs, the first {}, have an EXIF orientation that is not applied, as no stated size asks for it; if \
-         their cameras are for the turned ones, turn the pixels (magick mogrify -auto-orient) or state w and h",
-        first.path.display()
-    ))
 }
 
 #[cfg(test)]

@@ -3,7 +3,6 @@
 
 use crate::{
     foreign,
-    memory::available_memory,
     orientation::{self, Turn},
 };
 use image::{DynamicImage, ImageDecoder, ImageReader, metadata::Orientation};
@@ -13,7 +12,7 @@ use std::{
     io::{BufRead, BufReader, Cursor, Seek},
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Result};
+use trimip_core::{Error, Result, memory::available_memory};
 
 /// Largest number of pixels of an image (1 GiB of RGBA): more than any photograph, and addressable everywhere.
 const MAX_PIXELS: u64 = 1 << 28;

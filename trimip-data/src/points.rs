@@ -1,8 +1,7 @@
 //! Points of a scene from structure from motion: where they are, how sure they are, which photographs saw them, and the box
 //! around them. World units of the poses; places in pixels.
 
-use crate::describe::count;
-use trimip_core::{Aabb, scene_plan::StatedBox};
+use trimip_core::{Aabb, plural::count, scene_plan::StatedBox};
 
 /// Share of the points dropped as outliers at each end of an axis.
 const OUTLIERS: f64 = 0.02;

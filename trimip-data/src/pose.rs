@@ -25,26 +25,37 @@ pub(crate) fn parse(place: &str, key: &str, value: &Value) -> Result<(DMat3, DVe
         .filter(|rows| rows.iter().all(|row| row.len() == 4))
         .ok_or_else(|| wrong("is not a 4x4 or 3x4 matrix of numbers".into()))?;
     if rows.iter().flatten().any(|entry| !entry.is_finite()) {
-        return Err(wrong("holds a number that is not finite".into()));
+        return Err(wrong(NOT_FINITE.into()));
     }
     if let Some(last) = rows.get(3)
         && (last[3] - 1.0).abs().max(last[0].abs()).max(last[1].abs()).max(last[2].abs()) > ROTATION_TOLERANCE
     {
         return Err(wrong(format!("has the last row {last:?} instead of 0 0 0 1")));
     }
+    checked([0, 1, 2].map(|row| [0, 1, 2, 3].map(|column| rows[row][column]))).map_err(wrong)
+}
+
+/// What a matrix is said to be that has such a number.
+const NOT_FINITE: &str = "holds a number that is not finite";
+
+/// Rotation and camera centre from the rows of a matrix. The error says what is wrong.
+pub(crate) fn checked(rows: [[f64; 4]; 3]) -> std::result::Result<(DMat3, DVec3), String> {
+    if rows.iter().flatten().any(|entry| !entry.is_finite()) {
+        return Err(NOT_FINITE.into());
+    }
     let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
     let rotation = DMat3::from_cols(column(0), column(1), column(2));
     let deviation = deviation(rotation);
     if deviation > ROTATION_TOLERANCE || !deviation.is_finite() {
         let lengths = [0, 1, 2].map(|c| column(c).length());
-        return Err(wrong(format!(
+        return Err(format!(
             "is not a rotation: |R R^T - I| is {deviation:.1e}, its axes have the lengths {:.4}, {:.4}, {:.4}",
             lengths[0], lengths[1], lengths[2]
-        )));
+        ));
     }
     let determinant = rotation.determinant();
     if determinant < 0.0 {
-        return Err(wrong(format!("mirrors the scene: its determinant is {determinant:.3} instead of 1")));
+        return Err(format!("mirrors the scene: its determinant is {determinant:.3} instead of 1"));
     }
     Ok((if deviation > CORRECTED_ABOVE { nearest_rotation(rotation) } else { rotation }, column(3)))
 }

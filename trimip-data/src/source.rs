@@ -170,6 +170,11 @@ impl Source {
     }
 }
 
+/// Rows of the finest views of `sources`, the total of progress.
+pub(crate) fn rows<'a>(sources: impl IntoIterator<Item = &'a Source>) -> u64 {
+    sources.into_iter().map(Source::rows).sum()
+}
+
 /// All views of `sources`, sorted by scale, then by frame; `meter` counts their rows.
 pub(crate) fn assemble(sources: &[Source], alpha: Alpha, meter: &Meter<'_>) -> Result<ViewSet> {
     assemble_in(PixelStore::Memory, sources, alpha, meter)
@@ -267,7 +272,7 @@ impl Frames for FrameList {
         let source = self.sources.get(index..=index).ok_or_else(|| {
             Error::run(format!("there is no frame {index}: there are {}", self.sources.len()))
         })?;
-        assemble(source, self.alpha, &Meter::new(source, &unwatched))
+        assemble(source, self.alpha, &Meter::new(rows(source), &unwatched))
     }
 }
 

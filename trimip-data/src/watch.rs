@@ -1,6 +1,5 @@
 //! Progress of reading or rendering a scene, in rows of pixels.
 
-use crate::source::Source;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use trimip_core::{Error, Result};
 
@@ -22,9 +21,8 @@ pub(crate) struct Meter<'a> {
 }
 
 impl<'a> Meter<'a> {
-    /// A meter over all rows of `sources`; reports 0 rows to the watch.
-    pub(crate) fn new<'s>(sources: impl IntoIterator<Item = &'s Source>, watch: Watch<'a>) -> Self {
-        let total = sources.into_iter().map(Source::rows).sum();
+    /// A meter of `total` rows; reports 0 rows to the watch.
+    pub(crate) fn new(total: u64, watch: Watch<'a>) -> Self {
         let stopped = !watch(0, total);
         Self { done: AtomicU64::new(0), total, stopped: stopped.into(), watch }
     }

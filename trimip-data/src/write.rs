@@ -3,13 +3,11 @@
 //! again by the same command. A file that is there already is never replaced.
 
 use crate::{
-    blender, builtin, colmap,
-    describe::count,
-    layout,
+    builtin, layout,
     lens::lens_terms,
-    multiscale::METADATA,
-    scene::Survey,
-    source::{Source, assemble, map_in_order},
+    readers::{self, blender, multiscale::METADATA},
+    source::{Source, assemble, map_in_order, rows},
+    survey::Survey,
     watch::{Meter, Watch},
 };
 use serde_json::{Value, json};
@@ -23,7 +21,8 @@ use std::{
 use trimip_core::{
     Alpha, Camera, Error, Intrinsics, Result,
     atomic::write_atomically,
-    config::{Convention, DataConfig, Format},
+    config::{Convention, DataConfig},
+    plural::count,
 };
 
 /// Result of writing a scene.
@@ -95,7 +94,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
     } else if !config.train.contains(&config.test) {
         splits.push((&config.test, &survey.test));
     }
-    let meter = Meter::new(splits.iter().flat_map(|(_, sources)| *sources), watch);
+    let meter = Meter::new(rows(splits.iter().flat_map(|(_, sources)| *sources)), watch);
     let mut metadata = serde_json::Map::new();
     let mut summary = Summary { folder: folder.into(), splits: Vec::new(), images: 0, bytes: 0 };
     for (split, sources) in splits {
@@ -181,15 +180,15 @@ fn columns(split: &str, sources: &[Source]) -> Value {
 /// Settings out of range; a folder that cannot be written or holds a scene already.
 pub fn write_builtin(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Result<Summary> {
     let mut summary = Summary { folder: folder.into(), splits: Vec::new(), images: 0, bytes: 0 };
-    let single = DataConfig { scales: 1, format: Format::Builtin, ..config.clone() };
-    let splits = ["train", "test"].map(|split| Ok((split, builtin::split(&single, split)?.sources)));
+    let single = DataConfig { scales: 1, format: builtin::FORMAT.into(), ..config.clone() };
+    let splits = ["train", "test"].map(|split| Ok((split, readers::builtin::split(&single, split)?.sources)));
     let splits = splits.into_iter().collect::<Result<Vec<_>>>()?;
     let documents: Vec<(PathBuf, String)> = splits
         .iter()
         .map(|(split, sources)| (folder.join(format!("transforms_{split}.json")), transforms(split, sources)))
         .collect();
     refuse_all_but(folder, &documents[1])?;
-    let meter = Meter::new(splits.iter().flat_map(|(_, sources)| sources), watch);
+    let meter = Meter::new(rows(splits.iter().flat_map(|(_, sources)| sources)), watch);
     for (split, sources) in splits {
         create_folder(&folder.join(split))?;
         let bytes = map_in_order(&sources, |_, source| {
@@ -220,8 +219,9 @@ fn transforms(split: &str, sources: &[Source]) -> String {
 
 /// Refuses a folder that holds a data set, unless all of it is the file that an unfinished set begins with.
 fn refuse_all_but(folder: &Path, (first, text): &(PathBuf, String)) -> Result<()> {
+    let foreign = readers::READERS.iter().filter(|reader| reader.format != blender::FORMAT);
     let others =
-        folder.join(METADATA).exists() || blender::undivided(folder).exists() || colmap::is_there(folder);
+        blender::undivided(folder).exists() || foreign.into_iter().any(|reader| (reader.recognises)(folder));
     let unfinished = match &blender::splits(folder)[..] {
         [] => true,
         [_] => fs::read(first).is_ok_and(|there| there == text.as_bytes()),

@@ -6,10 +6,7 @@ use common::{blender_scene, frame, save_image, settings, write};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::{
-    ErrorKind,
-    config::{DataConfig, Format},
-};
+use trimip_core::{ErrorKind, config::DataConfig};
 use trimip_data::{inspect, open};
 
 const TRAIN: &str = "transforms_train.json";
@@ -163,7 +160,7 @@ fn folders_without_a_scene_say_what_was_looked_for() {
 #[test]
 fn settings_out_of_range_are_errors() {
     let mut data = settings(Path::new(""), 1);
-    data.format = Format::Builtin;
+    data.format = "builtin".into();
     let changes: [fn(&mut DataConfig); 6] = [
         |data| data.scales = 0,
         |data| data.scales = 40,

@@ -10,11 +10,7 @@ use common::{
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::{
-    Camera, Cone, Config, ViewSet,
-    config::{DataConfig, Format},
-    tensors::TensorFile,
-};
+use trimip_core::{Camera, Cone, Config, ViewSet, config::DataConfig, tensors::TensorFile};
 use trimip_data::{Scene, colmap::Model, inspect, open, unwatched, write_multiscale};
 
 /// Photographs of a capture.
@@ -496,7 +492,7 @@ fn a_list_of_names_divides_any_scene() {
     config = listed(root.path(), list);
     config.test_list = "absent.txt".into();
     assert!(open(&config).unwrap_err().message.contains("absent.txt: cannot be read"));
-    config.format = Format::Builtin;
+    config.format = "builtin".into();
     assert!(open(&config).unwrap_err().message.contains("cannot divide the frames of a built-in scene"));
 }
 

@@ -7,7 +7,7 @@ use common::{colmap::capture, frame, save_image, settings, write};
 use proptest::{prelude::*, sample::Index, test_runner::TestRunner};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::{Error, ErrorKind, config::Format};
+use trimip_core::{Error, ErrorKind};
 use trimip_data::{open, unwatched, write_multiscale};
 
 /// A change of a file.
@@ -175,7 +175,7 @@ fn scenes_of_changed_transforms_lists_and_points_open_or_tell() {
 fn scenes_of_changed_metadata_open_or_tell() {
     let root = tempfile::tempdir().unwrap();
     let mut data = settings(root.path(), 2);
-    data.format = Format::Builtin;
+    data.format = "builtin".into();
     (data.builtin_size, data.builtin_train, data.builtin_test) = (8, 2, 1);
     write_multiscale(&data, root.path(), &unwatched).unwrap();
     scenes(root.path(), &["metadata.json"]);

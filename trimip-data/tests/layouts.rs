@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use std::fs;
 use trimip_core::{
     Alpha, Lens, ViewSet,
-    config::{Convention, DataConfig, Format, PixelStore},
+    config::{Convention, DataConfig, PixelStore},
 };
 use trimip_data::{Watch, builtin, inspect, open, open_watched, unwatched, write_builtin, write_multiscale};
 
@@ -129,7 +129,7 @@ fn a_written_multiscale_set_reads_back_the_same() {
     }
     write(&path, &document);
     let mut builtin = settings(folder.path(), 4);
-    builtin.format = Format::Builtin;
+    builtin.format = "builtin".into();
     (builtin.builtin_size, builtin.builtin_train, builtin.builtin_test) = (17, 5, 3);
     for config in [settings(folder.path(), 3), builtin] {
         let written = tempfile::tempdir().unwrap();
@@ -184,7 +184,7 @@ fn the_public_layout_has_its_columns() {
 #[test]
 fn the_built_in_scene_written_as_files_is_the_same_scene() {
     let mut config = settings(std::path::Path::new(""), 3);
-    config.format = Format::Builtin;
+    config.format = "builtin".into();
     (config.builtin_size, config.builtin_train, config.builtin_test) = (24, 3, 2);
     for convention in [Convention::Public, Convention::Premultiplied] {
         config.convention = convention;
@@ -215,7 +215,7 @@ fn progress_begins_at_nothing_rises_and_ends_with_every_row() {
     let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     blender_scene(folder.path());
     let mut rendered = settings(std::path::Path::new(""), 2);
-    rendered.format = Format::Builtin;
+    rendered.format = "builtin".into();
     (rendered.builtin_size, rendered.builtin_train, rendered.builtin_test) = (24, 3, 2);
     let photographs = settings(folder.path(), 2);
     let rows = |views: &ViewSet| {
@@ -282,7 +282,7 @@ fn inspection_names_splits_sizes_cameras_and_warnings() {
 #[test]
 fn photographs_on_disk_are_the_same_photographs() {
     let mut data = settings(std::path::Path::new(""), 4);
-    data.format = Format::Builtin;
+    data.format = "builtin".into();
     (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 3, 1);
     let [memory, disk] = [PixelStore::Memory, PixelStore::Disk]
         .map(|pixels| open(&DataConfig { pixels, ..data.clone() }).unwrap());

@@ -7,7 +7,7 @@ use common::{settings, shared};
 use glam::DVec3;
 use trimip_core::{
     Alpha, Camera,
-    config::{Convention, DataConfig, Format},
+    config::{Convention, DataConfig},
 };
 use trimip_data::{Scene, inspect, open};
 
@@ -124,7 +124,7 @@ fn a_model_of_colmap_sees_its_points_where_colmap_did() {
         // The scene named by its model: photographs are found above it.
         let config = DataConfig {
             train: vec!["train".into(), "test".into()],
-            format: Format::Colmap,
+            format: "colmap".into(),
             most_pixels: 2e5,
             ..settings(&fox.join("colmap").join(kind), 1)
         };
@@ -150,7 +150,7 @@ fn a_model_of_colmap_sees_its_points_where_colmap_did() {
     assert_eq!(all.len(), 81_798);
     assert!(median(all) < 1.0);
     // Of the whole scene, its transforms file has the word, and the model is found by name.
-    let whole = DataConfig { format: Format::Colmap, most_pixels: 2e5, ..settings(&fox, 1) };
+    let whole = DataConfig { format: "colmap".into(), most_pixels: 2e5, ..settings(&fox, 1) };
     let scene = open(&whole).unwrap();
     assert_eq!((scene.train.views.len(), scene.test.len()), (43, 7));
     assert!(!scene.warnings.iter().any(|warning| warning.contains("placed")), "{:?}", scene.warnings);

@@ -13,6 +13,7 @@ use std::sync::atomic::Ordering;
 use trimip_core::Config;
 use trimip_core::backend::Occupancy;
 use trimip_core::batch::{Radiance, Rays, Samples};
+use trimip_core::bits;
 use trimip_core::occupancy::coordinates;
 use trimip_core::policy::OccupancyPolicy;
 use trimip_core::rng::Stream;
@@ -208,17 +209,14 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
 
     fn bits(&self) -> Vec<u8> {
         let words = self.grid.read();
-        let mut bits = vec![0; (self.params.cells as usize).div_ceil(8)];
-        for cell in 0..self.params.cells {
-            let (block, bit) = self.place(cell);
-            let own = words[2 * block + bit as usize / 32] >> (bit % 32) & 1;
-            bits[cell as usize / 8] |= (own as u8) << (cell % 8);
-        }
-        bits
+        bits::of(self.params.cells as usize, |cell| {
+            let (block, bit) = self.place(cell as u32);
+            words[2 * block + bit as usize / 32] >> (bit % 32) & 1 == 1
+        })
     }
 
     fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>) {
-        self.set_bits(|cell| bits[cell as usize / 8] >> (cell % 8) & 1 == 1);
+        self.set_bits(|cell| bits::is_set(bits, cell as usize));
         if let Some(densities) = densities {
             self.params.inside = densities.iter().filter(|density| **density >= 0.0).count().max(1) as u32;
             self.densities.write(densities);

@@ -42,7 +42,7 @@ impl Machine {
             simd: simd(),
             os: os(),
             memory_total_bytes: smaller(total, limit),
-            memory_available_bytes: trimip_data::available_memory(),
+            memory_available_bytes: trimip_core::memory::available_memory(),
         }
     }
 }

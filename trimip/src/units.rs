@@ -1,13 +1,10 @@
 //! Numbers formatted for people: counts, bytes and large numbers with a prefix, durations.
 
-/// `1 view`, `25000 views`: a count with a noun whose plural ends in s.
-pub fn count(count: u64, thing: &str) -> String {
-    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
-}
+pub use trimip_core::plural::count;
 
 /// `1 pixel`, `92.5 M pixels`: a large count with a noun whose plural ends in s.
 pub fn many(count: u64, thing: &str) -> String {
-    if count == 1 { format!("1 {thing}") } else { number(count as f64, &format!("{thing}s")) }
+    if count == 1 { self::count(count, thing) } else { number(count as f64, &format!("{thing}s")) }
 }
 
 /// `1.5 GB`: bytes in decimal units, as on disks and in papers.
@@ -63,8 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn one_thing_has_no_s() {
-        assert_eq!([0, 1, 2].map(|n| count(n, "view")), ["0 views", "1 view", "2 views"]);
+    fn large_counts_have_a_prefix_and_one_thing_has_no_s() {
         assert_eq!([1, 1_000_000].map(|n| many(n, "pixel")), ["1 pixel", "1.00 M pixels"]);
     }
 

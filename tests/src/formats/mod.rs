@@ -19,10 +19,10 @@ pub struct Format {
     pub name: &'static str,
     /// Names with one of which every refusal begins.
     files: &'static [&'static str],
-    read: fn(&[u8]) -> Result<()>,
-    seeds: fn() -> Vec<Vec<u8>>,
+    read: Box<dyn Fn(&[u8]) -> Result<()> + Send + Sync>,
+    seeds: Box<dyn Fn() -> Vec<Vec<u8>> + Send + Sync>,
     /// The most memory of the reader, bytes, for these bytes.
-    limit: fn(&[u8]) -> usize,
+    limit: Box<dyn Fn(&[u8]) -> usize + Send + Sync>,
 }
 
 impl Format {
@@ -98,22 +98,22 @@ impl Format {
             let mut random = Random(Random(seed ^ case).next());
             let (one, other) = (random.below(seeds.len()), random.below(seeds.len()));
             let bytes = changed(&seeds[one], &seeds[other], &mut random);
-            let told = Told { format: self.name, case, bytes: &bytes };
+            let report = CaseReport { format: self.name, case, bytes: &bytes };
             valid += u64::from(self.check(&bytes));
-            drop(told);
+            drop(report);
         }
         valid
     }
 }
 
 /// Says which case it is that panics.
-struct Told<'a> {
+struct CaseReport<'a> {
     format: &'a str,
     case: u64,
     bytes: &'a [u8],
 }
 
-impl Drop for Told<'_> {
+impl Drop for CaseReport<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             let path = std::env::temp_dir().join(format!("trimip-{}-{}", self.format, self.case));

@@ -3,7 +3,7 @@
 
 use super::{Format, seeds};
 use image::ImageReader;
-use std::{fmt::Display, io::Cursor};
+use std::{fmt::Display, io::Cursor, sync::LazyLock};
 use trimip::{
     run::{curve, folder::events_of, history::History, store::ViewRecord},
     view::cameras,
@@ -17,7 +17,7 @@ use trimip_core::{
 };
 use trimip_data::{
     colmap::{Encoding, File, Model as Sparse},
-    in_memory,
+    in_memory::{self, CameraFile},
 };
 
 /// Defaults of settings, messages, the first entries of lists that grow.
@@ -27,122 +27,74 @@ const FIXED: usize = 1 << 20;
 const TEXT: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
 const BINARY: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
-/// All formats.
-pub static FORMATS: [Format; 16] = [
+/// All formats: those of the files of cameras that scene readers register, and all others.
+pub static FORMATS: LazyLock<Vec<Format>> =
+    LazyLock::new(|| in_memory::camera_files().map(of_cameras).chain(others()).collect());
+
+/// The format of a file that holds the cameras of a scene.
+fn of_cameras(file: &'static CameraFile) -> Format {
+    let read = |bytes: &[u8]| {
+        let cameras = (file.cameras)(file.file, bytes)?;
+        cameras.iter().for_each(|(_, camera)| expect_finite(camera));
+        Ok(())
+    };
     Format {
-        name: "transforms",
-        files: &["transforms.json"],
-        read: transforms,
-        seeds: seeds::transforms,
-        limit: |b| 160 * b.len() + FIXED,
-    },
-    Format {
-        name: "metadata",
-        files: &["metadata.json"],
-        read: metadata,
-        seeds: seeds::metadata,
-        limit: |b| 160 * b.len() + FIXED,
-    },
-    Format {
-        name: "colmap-text",
-        files: &TEXT,
-        read: |bytes| colmap(Encoding::Text, TEXT, bytes),
-        seeds: || seeds::colmap(false),
-        limit: |b| 8 * b.len() + FIXED,
-    },
-    Format {
-        name: "colmap-binary",
-        files: &BINARY,
-        read: |bytes| colmap(Encoding::Binary, BINARY, bytes),
-        seeds: || seeds::colmap(true),
-        limit: |b| 4 * b.len() + FIXED,
-    },
-    Format {
-        name: "ply",
-        files: &["points.ply"],
-        read: ply,
-        seeds: seeds::ply,
-        limit: |b| 24 * b.len() + FIXED,
-    },
-    Format {
-        name: "photograph",
-        files: &["photograph"],
-        read: |bytes| in_memory::photograph("photograph", bytes).map(drop),
-        seeds: seeds::pictures,
-        limit: picture,
-    },
-    Format {
-        name: "mask",
-        files: &["mask"],
-        read: |bytes| in_memory::mask("mask", bytes).map(drop),
-        seeds: seeds::pictures,
-        limit: picture,
-    },
-    Format {
-        name: "configuration",
-        files: &["run.toml"],
-        read: configuration,
-        seeds: seeds::configurations,
-        limit: |b| 400 * b.len() + FIXED,
-    },
-    Format {
-        name: "assignment",
-        files: &["--set"],
-        read: assignment,
-        seeds: seeds::assignments,
-        limit: |b| 400 * b.len() + FIXED,
-    },
-    Format {
-        name: "path",
-        files: &["path.json"],
-        read: path,
-        seeds: seeds::paths,
-        limit: |b| 160 * b.len() + FIXED,
-    },
-    Format {
-        name: "model",
-        files: &["model.safetensors", "the model's proxy"],
-        read: model,
-        seeds: seeds::models,
+        name: file.kind,
+        files: std::slice::from_ref(&file.file),
+        read: Box::new(read),
+        seeds: Box::new(|| [vec![(file.example)()], seeds::of_cameras(file.kind)].concat()),
+        limit: Box::new(|bytes| file.memory * bytes.len() + FIXED),
+    }
+}
+
+type Read = fn(&[u8]) -> Result<()>;
+type Seeds = fn() -> Vec<Vec<u8>>;
+type Limit = fn(&[u8]) -> usize;
+
+fn others() -> [Format; 14] {
+    let of = |name, files, read: Read, seeds: Seeds, limit: Limit| -> Format {
+        Format { name, files, read: Box::new(read), seeds: Box::new(seeds), limit: Box::new(limit) }
+    };
+    [
+        of(
+            "colmap-text",
+            &TEXT,
+            |bytes| colmap(Encoding::Text, TEXT, bytes),
+            || seeds::colmap(false),
+            |b| 8 * b.len() + FIXED,
+        ),
+        of(
+            "colmap-binary",
+            &BINARY,
+            |bytes| colmap(Encoding::Binary, BINARY, bytes),
+            || seeds::colmap(true),
+            |b| 4 * b.len() + FIXED,
+        ),
+        of("ply", &["points.ply"], ply, seeds::ply, |b| 24 * b.len() + FIXED),
+        of(
+            "photograph",
+            &["photograph"],
+            |bytes| in_memory::photograph("photograph", bytes).map(drop),
+            seeds::pictures,
+            picture,
+        ),
+        of("mask", &["mask"], |bytes| in_memory::mask("mask", bytes).map(drop), seeds::pictures, picture),
+        of("configuration", &["run.toml"], configuration, seeds::configurations, |b| 400 * b.len() + FIXED),
+        of("assignment", &["--set"], assignment, seeds::assignments, |b| 400 * b.len() + FIXED),
+        of("path", &["path.json"], path, seeds::paths, |b| 160 * b.len() + FIXED),
         // A proxy and a packed model are compressed: DEFLATE makes at most 1032 bytes of one, and each may be a float.
-        limit: |b| 5400 * b.len() + FIXED,
-    },
-    Format {
-        name: "checkpoint",
-        files: &["checkpoint.safetensors"],
-        read: checkpoint,
-        seeds: seeds::checkpoints,
-        limit: |b| 400 * b.len() + FIXED,
-    },
-    Format {
-        name: "curve",
-        files: &["curve.csv"],
-        read: csv,
-        seeds: seeds::curves,
-        limit: |b| 64 * b.len() + FIXED,
-    },
-    Format {
-        name: "events",
-        files: &[],
-        read: events,
-        seeds: seeds::events,
-        limit: |b| 64 * b.len() + FIXED,
-    },
-    Format {
-        name: "views",
-        files: &["views.json"],
-        read: views,
-        seeds: seeds::views,
-        limit: |b| 64 * b.len() + FIXED,
-    },
-    Format {
-        name: "plan",
-        files: &["plan.json"],
-        read: plan,
-        seeds: seeds::plans,
-        limit: |b| 64 * b.len() + FIXED,
-    },
-];
+        of("model", &["model.safetensors", "the model's proxy"], model, seeds::models, |b| {
+            5400 * b.len() + FIXED
+        }),
+        of("checkpoint", &["checkpoint.safetensors"], checkpoint, seeds::checkpoints, |b| {
+            400 * b.len() + FIXED
+        }),
+        of("curve", &["curve.csv"], csv, seeds::curves, |b| 64 * b.len() + FIXED),
+        of("events", &[], events, seeds::events, |b| 64 * b.len() + FIXED),
+        of("views", &["views.json"], views, seeds::views, |b| 64 * b.len() + FIXED),
+        of("plan", &["plan.json"], plan, seeds::plans, |b| 64 * b.len() + FIXED),
+    ]
+}
 
 /// Cameras that are read have finite numbers only.
 fn expect_finite(camera: &Camera) {
@@ -150,17 +102,6 @@ fn expect_finite(camera: &Camera) {
     assert!(camera.rotation.is_finite() && camera.origin.is_finite(), "{camera:?}");
     assert!([k.fx, k.fy, k.cx, k.cy].iter().all(|value| value.is_finite()), "{camera:?}");
     assert!(k.fx > 0.0 && k.fy > 0.0 && k.width > 0 && k.height > 0, "{camera:?}");
-}
-
-fn transforms(bytes: &[u8]) -> Result<()> {
-    let cameras = in_memory::transforms("transforms.json", bytes, [8, 6])?;
-    cameras.iter().for_each(|(_, camera)| expect_finite(camera));
-    Ok(())
-}
-
-fn metadata(bytes: &[u8]) -> Result<()> {
-    in_memory::metadata("metadata.json", bytes)?.iter().for_each(|(_, camera)| expect_finite(camera));
-    Ok(())
 }
 
 /// The first byte says which of the three files the others are; the two others are valid.

@@ -14,7 +14,7 @@ use trimip::run::store::ViewRecord;
 use trimip_core::{
     Config, Layout, Settings,
     checkpoint::{Checkpoint, OCCUPANCY_DENSITY, TrainState},
-    config::{DataConfig, Format},
+    config::DataConfig,
     events::{Event, Provenance, Totals},
     model::{Model, OCCUPANCY},
     quality::{Measures, ScaleQuality},
@@ -24,7 +24,16 @@ use trimip_core::{
 const POSE: [[f64; 4]; 4] =
     [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, -1.0, -4.0], [0.0, 1.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]];
 
-pub(super) fn transforms() -> Vec<Vec<u8>> {
+/// More files of a kind of cameras than the example that its reader has.
+pub(super) fn of_cameras(kind: &str) -> Vec<Vec<u8>> {
+    match kind {
+        "transforms" => transforms(),
+        "metadata" => metadata(),
+        _ => Vec::new(),
+    }
+}
+
+fn transforms() -> Vec<Vec<u8>> {
     let frame = |path: &str| json!({ "file_path": path, "transform_matrix": POSE });
     let with = |path: &str, more: Value| {
         let mut frame = frame(path);
@@ -49,12 +58,12 @@ pub(super) fn transforms() -> Vec<Vec<u8>> {
     [plain, nerfstudio, ngp].iter().map(|document| document.to_string().into_bytes()).collect()
 }
 
-pub(super) fn metadata() -> Vec<Vec<u8>> {
+fn metadata() -> Vec<Vec<u8>> {
     static FILE: OnceLock<Vec<u8>> = OnceLock::new();
     let written = FILE.get_or_init(|| {
         let folder = tempfile::tempdir().expect("a folder");
         let mut data: DataConfig = Config::default().data;
-        data.format = Format::Builtin;
+        data.format = "builtin".into();
         (data.scales, data.builtin_size, data.builtin_train, data.builtin_test) = (2, 8, 2, 1);
         trimip_data::write_multiscale(&data, folder.path(), &trimip_data::unwatched)
             .expect("the set is written");

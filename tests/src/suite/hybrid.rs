@@ -5,7 +5,7 @@ use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Frame, Intrinsics, Layout, Query, Result, Session, Viewer,
     batch::{Radiance, Ray},
-    config::{Format, RendererKind},
+    config::RendererKind,
     loaded::LoadedModel,
     metrics::psnr,
     model::Model,
@@ -23,7 +23,7 @@ const STEPS: u64 = 200;
 /// When training fails.
 pub fn model<B: Backend>(backend: B) -> Model {
     let mut config: Config = as_code();
-    config.data.format = Format::Builtin;
+    config.data.format = "builtin".into();
     (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (48, 12, 1);
     (config.data.builtin_supersampling, config.data.scales) = (2, 2);
     (config.encoder.plane_size, config.encoder.levels) = (64, 5);

@@ -8,7 +8,9 @@ use trimip_core::batch::{Ray, Sphere};
 use trimip_core::encoders::tri_mip::FEATURES;
 use trimip_core::model::Model;
 use trimip_core::tensors::{Tensor, TensorFile};
-use trimip_core::{Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Viewer, loaded::LoadedModel};
+use trimip_core::{
+    Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Viewer, bits, loaded::LoadedModel,
+};
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {
     Finding { part: "geometry", case: case.into(), law, worst, bound }
@@ -222,7 +224,7 @@ fn medium(config: &Config, density: f64, axis: usize) -> Model {
     let mut bits = vec![0_u8; (resolution.pow(3) as usize).div_ceil(8)];
     for cell in 0..resolution.pow(3) {
         if trimip_core::occupancy::coordinates(cell, resolution)[axis] < resolution / 2 {
-            bits[cell as usize / 8] |= 1 << (cell % 8);
+            bits::set(&mut bits, cell as usize);
         }
     }
     let mut file = TensorFile::default();

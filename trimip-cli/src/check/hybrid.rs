@@ -9,7 +9,7 @@ use trimip_core::loaded::LoadedModel;
 use trimip_core::model::Model;
 use trimip_core::proxy::{Baking, bake};
 use trimip_core::tensors::{Tensor, TensorFile};
-use trimip_core::{Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Viewer};
+use trimip_core::{Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Viewer, bits};
 
 /// Density of a field whose planes are zero.
 const DENSITY: f64 = 0.367_879_441_171_442_33;
@@ -34,7 +34,7 @@ fn ball(half: f32) -> Model {
         let at = [cell % cells, cell / cells % cells, cell / cells / cells];
         let at = at.map(|c| 2.0 * (f64::from(c) + 0.5) / f64::from(cells) - 1.0);
         if DVec3::from(at).length() < RADIUS {
-            bits[cell as usize / 8] |= 1 << (cell % 8);
+            bits::set(&mut bits, cell as usize);
         }
     }
     let mut file = TensorFile::default();

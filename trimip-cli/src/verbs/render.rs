@@ -316,11 +316,7 @@ fn test_views(config: &Config, views: &[usize]) -> Result<Vec<Named>> {
             if index >= frames.len() {
                 return Err(Error::input(
                     format!("--views {index}"),
-                    format!(
-                        "the test split holds {} view{}",
-                        frames.len(),
-                        if frames.len() == 1 { "" } else { "s" }
-                    ),
+                    format!("the test split holds {}", terminal::count(frames.len(), "view")),
                     format!("name views from 0 to {}", frames.len().saturating_sub(1)),
                 ));
             }

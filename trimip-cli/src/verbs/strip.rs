@@ -9,10 +9,7 @@ use trimip::run::folder as run_folder;
 use trimip::view::{cameras, pictures};
 use trimip::{backends, settings};
 use trimip_core::{
-    Alpha, Camera, Config, Error, Result,
-    config::{DataConfig, Format},
-    metrics::psnr,
-    views::composite_pixel,
+    Alpha, Camera, Config, Error, Result, config::DataConfig, metrics::psnr, views::composite_pixel,
 };
 
 /// Width of each column's pixels, in pixels of the camera.
@@ -101,7 +98,7 @@ fn check_size(width: u32, height: u32, rows: u32) -> Result<()> {
 /// The ground truth for the camera: rays traced through the built-in scene, or the photograph of the test view.
 fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Result<Option<Picture>> {
     let background = config.data.background;
-    if config.data.format == Format::Builtin {
+    if config.data.format == trimip_data::builtin::FORMAT {
         let DataConfig { builtin_supersampling, builtin_finish, .. } = config.data;
         let pixels = trimip_data::builtin::render(camera, builtin_supersampling, builtin_finish, &|| ());
         let rgb =

@@ -13,21 +13,6 @@ macro_rules! choice {
 }
 
 choice!(
-    /// Layout of a scene folder.
-    Format {
-        /// Detected from the files in the folder.
-        Auto,
-        /// `transforms_{split}.json` or `transforms.json`.
-        Blender,
-        /// The public multi-scale set's `metadata.json`.
-        Multiscale,
-        /// A sparse model of COLMAP.
-        Colmap,
-        /// The procedural scene, rendered when it is opened.
-        Builtin,
-    }
-);
-choice!(
     /// How RGBA is averaged to coarser scales.
     Convention {
         /// Means of straight RGBA, truncated to 8 bits, as in the public multi-scale set.

@@ -1,8 +1,8 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, Finish, Format,
-    HybridRule, MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule,
+    ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, Finish, HybridRule,
+    MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule,
     RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
 use crate::schedule::Schedule;
@@ -31,7 +31,7 @@ pub(crate) use section;
 section!(
     /// Where the photographs are and how they are read.
     DataConfig, "data" {
-        root: String, format: Format, images: String, train: Vec<String>, test: String, holdout: u32, test_list: String, lens: bool, masks: String, mask_keeps: MaskKeeps, mask_role: MaskRole, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
+        root: String, format: String, images: String, train: Vec<String>, test: String, holdout: u32, test_list: String, lens: bool, masks: String, mask_keeps: MaskKeeps, mask_role: MaskRole, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
         background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
         builtin_finish: Finish, most_pixels: f64, pixels: PixelStore,
     }

@@ -2,7 +2,7 @@
 
 use super::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, code};
 use crate::{
-    Aabb, Config, Error, Query, Result, Space, Viewer,
+    Aabb, Config, Error, Query, Result, Space, Viewer, bits,
     config::Contraction,
     model::{Model, OCCUPANCY},
     occupancy::cell_of,
@@ -61,7 +61,7 @@ pub fn bake(
     let bricks = cells.map(|count| count / BRICK);
     let occupied = |position: [f64; 3]| {
         let cell = cell_of(position.map(|p| p as f32), resolution);
-        bits[cell as usize / 8] >> (cell % 8) & 1 == 1
+        bits::is_set(&bits, cell as usize)
     };
     let centre = |brick: usize, cell: usize| -> [f64; 3] {
         let (brick, cell) = (brick as u32, cell as u32);

@@ -2,7 +2,7 @@
 
 use super::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, densities};
 use crate::{
-    Error, Result,
+    Error, Result, bits,
     deflate::{deflated, inflated},
     model::{ASSET, Assets},
     tensors::{Tensor, Values},
@@ -48,10 +48,7 @@ impl Proxy {
     /// When memory for the compressed bytes is missing.
     pub fn to_assets(&self) -> Result<Assets> {
         let [x, y, z] = self.cells.map(|count| count as f32);
-        let mut bits = vec![0_u8; self.index.len().div_ceil(8)];
-        for (brick, _) in self.index.iter().enumerate().filter(|(_, place)| **place > 0) {
-            bits[brick / 8] |= 1 << (brick % 8);
-        }
+        let bits = bits::of(self.index.len(), |brick| self.index[brick] > 0);
         // Bricks are numbered in the order in which they lie.
         Ok([
             (name(SHAPE), Tensor::f32(&[5], vec![x, y, z, self.width, self.radius])),
@@ -87,7 +84,7 @@ impl Proxy {
         let mut count = 0;
         let index = (0..bricks)
             .map(|brick| {
-                let filled = u32::from(bits[brick / 8] >> (brick % 8) & 1);
+                let filled = u32::from(bits::is_set(&bits, brick));
                 count += filled;
                 filled * count
             })

@@ -8,15 +8,13 @@ mod shapes;
 pub use scene::{radiance, shapes};
 pub use shapes::Shape;
 
-use crate::{
-    source::{Pixels, Source},
-    split::Split,
-};
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
-use trimip_core::config::{DataConfig, Finish};
-use trimip_core::{Camera, Error, Intrinsics, Result};
+use trimip_core::{Camera, Intrinsics, config::Finish};
+
+/// Its value of `data.format`.
+pub const FORMAT: &str = "builtin";
 
 /// Horizontal field of view in radians, that of NeRF-synthetic.
 pub const CAMERA_ANGLE_X: f64 = 0.691_111_207_008_361_8;
@@ -107,43 +105,6 @@ fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, finish: Finish) -> [u8;
     let byte = |value: f64| (255.0 * value).round() as u8;
     let [r, g, b] = (color / f64::from(hits)).to_array().map(byte);
     [r, g, b, byte(f64::from(hits) * step * step)]
-}
-
-/// Frames of a split, rendered on request.
-pub(crate) fn split(config: &DataConfig, split: &str) -> Result<Split> {
-    for (key, value, range) in [
-        ("data.builtin_size", config.builtin_size, 1..=16_384),
-        ("data.builtin_train", config.builtin_train, 1..=100_000),
-        ("data.builtin_test", config.builtin_test, 1..=100_000),
-        ("data.builtin_supersampling", config.builtin_supersampling, 1..=256),
-    ] {
-        if !range.contains(&value) {
-            let expected = format!("expected {} to {}", range.start(), range.end());
-            return Err(Error::input(key, format!("is {value}"), expected));
-        }
-    }
-    let k = Intrinsics::from_angle(config.builtin_size, config.builtin_size, CAMERA_ANGLE_X);
-    let cameras = match split {
-        "train" => train_cameras(k, config.builtin_train as usize),
-        "test" => test_cameras(k, config.builtin_test as usize),
-        _ => {
-            return Err(Error::input(
-                "builtin",
-                format!("has no split \"{split}\", only train, test"),
-                "choose one of them for data.train and data.test",
-            ));
-        }
-    };
-    let pixels =
-        || Pixels::Rendered { supersampling: config.builtin_supersampling, finish: config.builtin_finish };
-    let sources = cameras
-        .into_iter()
-        .enumerate()
-        .map(|(i, camera)| {
-            Source::averaged(format!("r_{i}"), camera, config.scales, "data.builtin_size", pixels())
-        })
-        .collect::<Result<_>>()?;
-    Ok(Split { sources, ..Split::default() })
 }
 
 #[cfg(test)]

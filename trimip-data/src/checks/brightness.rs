@@ -1,7 +1,10 @@
 //! Exposure: photographs of nearby cameras show much the same and are about equally bright. Brightness is the mean of linear
 //! luminance over what is kept of a photograph, in stops (powers of two) below white.
 
-use super::{Check, Suspect, Values, Verdict, cameras, coarsest, median, of_views};
+use super::{
+    check::{Check, Suspect, Values, Verdict},
+    views::{cameras, coarsest, median, of_views},
+};
 use glam::DVec3;
 use trimip_core::{Alpha, Camera, ViewSet};
 

@@ -1,7 +1,10 @@
 //! The box against the object: rays of pixels that show the object meet the planned box, or a part of the object is cut off.
 //! World units.
 
-use super::{Check, Suspect, Values, Verdict, coarsest, of_views, sampled};
+use super::{
+    check::{Check, Suspect, Values, Verdict},
+    views::{coarsest, of_views, sampled},
+};
 use trimip_core::{Aabb, ViewSet, silhouettes};
 
 /// Share of a view's object outside of the box from which it is doubted: less is the soft edge of a silhouette.

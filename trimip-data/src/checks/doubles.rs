@@ -1,7 +1,10 @@
 //! Doubles: cameras of one pose with different photographs, and one photograph with different poses. A photograph that is
 //! both trained and tested on makes measures too good.
 
-use super::{Check, Suspect, Verdict, cameras, coarsest, name};
+use super::{
+    check::{Check, Suspect, Verdict},
+    views::{cameras, coarsest, name},
+};
 use std::collections::HashMap;
 use trimip_core::{Camera, ViewSet};
 

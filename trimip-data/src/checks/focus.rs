@@ -1,7 +1,10 @@
 //! Axes of cameras: photographs of a subject have it in front of the camera. Poses with other axes than those of the
 //! file's layout look away from the place where their optical axes meet.
 
-use super::{Check, Suspect, Verdict, cameras, of_views};
+use super::{
+    check::{Check, Suspect, Verdict},
+    views::{cameras, of_views},
+};
 use crate::Point;
 use trimip_core::{Camera, ViewSet, scene_plan};
 

@@ -1,7 +1,10 @@
 //! Points of structure from motion against poses: where a camera projects the points that it saw, and whether they are in
 //! front of it. Pixels of the photographs as they are read.
 
-use super::{Check, Suspect, Values, Verdict, cameras, median, of_views};
+use super::{
+    check::{Check, Suspect, Values, Verdict},
+    views::{cameras, median, of_views},
+};
 use crate::Point;
 use trimip_core::{Camera, ViewSet};
 

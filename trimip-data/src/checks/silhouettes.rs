@@ -1,7 +1,10 @@
 //! Silhouettes against poses: the visual hull of the training silhouettes, seen by every camera again, covers what the
 //! photographs show. Shuffled poses have no common hull; one wrong pose or mask disagrees with the hull of the others.
 
-use super::{Check, Suspect, Values, Verdict, cameras, coarsest, median, of_views, sampled};
+use super::{
+    check::{Check, Suspect, Values, Verdict},
+    views::{cameras, coarsest, median, of_views, sampled},
+};
 use glam::DVec3;
 use rayon::prelude::*;
 use trimip_core::{Aabb, Camera, ViewSet, scene_plan, silhouettes::bounds_despite};

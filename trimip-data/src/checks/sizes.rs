@@ -1,7 +1,10 @@
 //! Sizes and focal lengths: one camera takes photographs of one size and one angle of view. Copies in another size, crops with
 //! the old focal length and zoomed shots differ.
 
-use super::{Check, Suspect, Verdict, cameras, median, of_views};
+use super::{
+    check::{Check, Suspect, Verdict},
+    views::{cameras, median, of_views},
+};
 use trimip_core::{Camera, ViewSet};
 
 /// Factor between the width of an image and the median width from which it is doubted: two cameras rarely differ by more,

@@ -6,8 +6,7 @@ use super::{
     model::{Model, ModelImage},
 };
 use crate::{
-    describe::count,
-    division::{self, Part},
+    division::{self, Selection},
     names,
     photograph::Photograph,
     points::{Cloud, Observation, Point},
@@ -20,7 +19,7 @@ use std::{
     collections::{BTreeSet, HashMap},
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Result, config::DataConfig};
+use trimip_core::{Camera, Error, Intrinsics, Result, config::DataConfig, plural::count};
 
 /// A capture with a model, before any photograph is decoded.
 pub(crate) struct Capture {
@@ -82,23 +81,23 @@ impl Capture {
 
     /// The frames of "train" or "test".
     pub(crate) fn split(&self, split: &str) -> Result<Split> {
-        let part = match split {
-            "train" => Part::Train,
-            "test" => Part::Test,
+        let selection = match split {
+            "train" => Selection::Train,
+            "test" => Selection::Test,
             _ => return Err(division::unknown(&self.file, split, "train, test")),
         };
-        self.part(split, part)
+        self.selected(split, &selection)
     }
 
     /// All frames.
     pub(crate) fn all(&self) -> Result<Split> {
-        self.part("train", Part::All)
+        self.selected("train", &Selection::All)
     }
 
-    fn part(&self, split: &str, part: Part) -> Result<Split> {
-        let chosen = part.choose(self.frames.len());
+    fn selected(&self, split: &str, selection: &Selection) -> Result<Split> {
+        let chosen = selection.choose(self.frames.len());
         if chosen.is_empty() {
-            return Err(division::empty(&self.file, split, self.frames.len(), &part));
+            return Err(division::empty(&self.file, split, self.frames.len(), selection));
         }
         let (frames, scales) = (&self.frames, self.scales);
         let sources = map_in_order(&chosen, |_, &index| {
@@ -110,7 +109,7 @@ impl Capture {
             Source::averaged(frame.name.clone(), frame.camera, scales, &frame.place, pixels)
         })?;
         let mut warnings = self.warnings.clone();
-        warnings.extend(part.warning(&self.file, "in order of their names"));
+        warnings.extend(selection.warning(&self.file, "in order of their names"));
         let cloud = self.cloud.take();
         let stated = cloud.stated("of the COLMAP model");
         Ok(Split { sources, warnings, notes: self.notes.clone(), stated, cloud })

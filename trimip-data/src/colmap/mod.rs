@@ -6,6 +6,7 @@ mod capture;
 mod lenses;
 mod locate;
 mod model;
+mod parse;
 mod text;
 
 pub(crate) use capture::Capture;

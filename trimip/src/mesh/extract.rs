@@ -7,7 +7,7 @@ use super::{
 };
 use glam::{DVec3, Vec3};
 use trimip_core::{
-    Aabb, Camera, Config, Error, Query, Result, Space, Viewer,
+    Aabb, Camera, Config, Error, Query, Result, Space, Viewer, bits,
     compositing::composite,
     model::{Model, OCCUPANCY},
     occupancy::cell_of,
@@ -207,7 +207,7 @@ impl Occupied {
             return false;
         }
         let cell = cell_of(position.map(|p| p as f32), self.resolution);
-        self.bits[cell as usize / 8] >> (cell % 8) & 1 == 1
+        bits::is_set(&self.bits, cell as usize)
     }
 
     /// Fills a layer of the grid with densities, zero where nothing is occupied.

@@ -1,7 +1,7 @@
 //! Whether a run fits into memory, before it begins.
 
 use crate::units;
-use trimip_core::{Config, Error, Result, config::EncoderKind, config::MemoryChoice};
+use trimip_core::{Config, Error, Result, config::EncoderKind, config::MemoryChoice, memory};
 
 /// Memory that there is, bytes, what this process already has included.
 #[derive(Clone, Copy)]
@@ -18,10 +18,10 @@ struct Memory {
 /// # Errors
 /// When it is too little; names the largest part and what lowers it.
 pub fn check(config: &Config, parts: &[(String, u64)], ranks: usize) -> Result<Option<String>> {
-    let resident = trimip_data::resident_memory().unwrap_or(0);
+    let resident = memory::resident_memory().unwrap_or(0);
     // What is in use already, such as the photographs, is part of the prediction.
     let with = |more: Option<u64>| more.map_or(u64::MAX, |more| more.saturating_add(resident));
-    let there = Memory { own: with(trimip_data::own_memory()), common: with(trimip_data::common_memory()) };
+    let there = Memory { own: with(memory::own_memory()), common: with(memory::common_memory()) };
     match (shortage(config, parts, ranks, there), config.memory) {
         (Some(error), MemoryChoice::Refuse) => Err(error),
         (shortage, _) => Ok(shortage.map(|error| error.message)),

@@ -1,8 +1,9 @@
 //! The Blender/NeRF layout, also of Instant-NGP and nerfstudio: `transforms_{split}.json`, or one `transforms.json` with all
 //! frames. Frame keys override file keys. Poses and lengths are used as they are written.
 
+use super::reader::{CameraFile, OpenScene, Reader};
 use crate::{
-    division::{self, Part},
+    division::{self, Selection},
     intrinsics::{Size, intrinsics},
     json::{self, Node},
     names,
@@ -10,12 +11,59 @@ use crate::{
     pose,
     source::{Pixels, Source, find_image, map_in_order},
     split::Split,
-    stated,
+    stated_box,
 };
 use glam::{DMat3, DVec3};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use trimip_core::{Camera, Error, Result};
+
+/// Its value of `data.format`.
+pub(crate) const FORMAT: &str = "blender";
+
+pub(super) static READER: Reader = Reader {
+    format: FORMAT,
+    name: "Blender layout",
+    files: Some("transforms_train.json, transforms.json"),
+    recognises: |root| undivided(root).is_file() || !splits(root).is_empty(),
+    open: |root, config| Ok(Box::new(Folder { root: root.into(), scales: config.scales })),
+    divisible: true,
+    camera_files: &[CameraFile {
+        kind: "transforms",
+        file: "transforms.json",
+        cameras: |name, bytes| cameras(Path::new(name), bytes, [8, 6]),
+        example,
+        memory: 160,
+    }],
+    ..Reader::PLAIN
+};
+
+/// One frame.
+fn example() -> Vec<u8> {
+    let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]];
+    let frames = json!([{ "file_path": "0.png", "transform_matrix": pose }]);
+    json!({ "camera_angle_x": 0.7, "frames": frames }).to_string().into_bytes()
+}
+
+/// A folder with transforms files, which are read with their splits.
+struct Folder {
+    root: PathBuf,
+    scales: u32,
+}
+
+impl OpenScene for Folder {
+    fn split(&self, split: &str) -> Result<Split> {
+        read(&self.root, split, self.scales)
+    }
+
+    fn has_split(&self, split: &str) -> Result<bool> {
+        has_split(&self.root, split)
+    }
+
+    fn undivided(&self) -> Result<Option<Split>> {
+        read_all(&self.root, self.scales)
+    }
+}
 
 /// Names of the splits with a file of their own.
 pub(crate) fn splits(root: &Path) -> Vec<String> {
@@ -32,7 +80,7 @@ pub(crate) fn splits(root: &Path) -> Vec<String> {
 }
 
 /// True if a folder has frames of a split.
-pub(crate) fn has_split(root: &Path, split: &str) -> Result<bool> {
+fn has_split(root: &Path, split: &str) -> Result<bool> {
     let found = splits(root);
     if !found.is_empty() {
         return Ok(found.iter().any(|name| name == split));
@@ -49,11 +97,11 @@ pub(crate) fn undivided(root: &Path) -> PathBuf {
 }
 
 /// The frames of `split` with the headers of their images.
-pub(crate) fn read(root: &Path, split: &str, scales: u32) -> Result<Split> {
+fn read(root: &Path, split: &str, scales: u32) -> Result<Split> {
     let found = splits(root);
     if found.iter().any(|name| name == split) {
         return read_file(root, &root.join(format!("transforms_{split}.json")), split, scales, |_, _| {
-            Ok(Part::All)
+            Ok(Selection::All)
         });
     }
     if !found.is_empty() {
@@ -71,11 +119,11 @@ pub(crate) fn read(root: &Path, split: &str, scales: u32) -> Result<Split> {
 }
 
 /// All frames of the file without splits; `None` if the splits have files of their own.
-pub(crate) fn read_all(root: &Path, scales: u32) -> Result<Option<Split>> {
+fn read_all(root: &Path, scales: u32) -> Result<Option<Split>> {
     if !splits(root).is_empty() {
         return Ok(None);
     }
-    read_file(root, &undivided(root), "train", scales, |_, _| Ok(Part::All)).map(Some)
+    read_file(root, &undivided(root), "train", scales, |_, _| Ok(Selection::All)).map(Some)
 }
 
 /// The frames of a file that `divide` chooses.
@@ -84,15 +132,15 @@ fn read_file(
     path: &Path,
     split: &str,
     scales: u32,
-    divide: impl Fn(&Node<'_>, &[Value]) -> Result<Part>,
+    divide: impl Fn(&Node<'_>, &[Value]) -> Result<Selection>,
 ) -> Result<Split> {
     let document = json::read(path)?;
     let transforms = Transforms::new(path, &document)?;
     let Transforms { file, entries, size, names, .. } = &transforms;
-    let part = divide(file, entries)?;
-    let chosen = part.choose(entries.len());
+    let selection = divide(file, entries)?;
+    let chosen = selection.choose(entries.len());
     if chosen.is_empty() {
-        return Err(division::empty(path, split, entries.len(), &part));
+        return Err(division::empty(path, split, entries.len(), &selection));
     }
     let sources = map_in_order(&chosen, |_, &index| {
         let entry = transforms.entry(index)?;
@@ -106,8 +154,8 @@ fn read_file(
         Ok(Source { mask_path: entry.mask_path.map(str::to_string), ..source })
     })?;
     check_shared_focal(file, entries, &chosen, &sources, *size)?;
-    let (stated, cloud) = stated::read(root, file)?;
-    let warnings = part.warning(path, "in file order").into_iter().collect();
+    let (stated, cloud) = stated_box::read(root, file)?;
+    let warnings = selection.warning(path, "in file order").into_iter().collect();
     Ok(Split { sources, warnings, notes: applied(file)?, stated, cloud })
 }
 
@@ -121,7 +169,7 @@ pub(crate) fn cameras(path: &Path, bytes: &[u8], size: [u32; 2]) -> Result<Vec<(
         division::divide(path, file, transforms.entries, split)?;
     }
     applied(file)?;
-    stated::cube(file)?;
+    stated_box::cube(file)?;
     let camera = |index: usize| {
         let entry = transforms.entry(index)?;
         let (width, height) = (entry.size.width.unwrap_or(size[0]), entry.size.height.unwrap_or(size[1]));

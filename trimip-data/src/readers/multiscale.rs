@@ -1,6 +1,7 @@
 //! The public multi-scale layout: `metadata.json` with, per split, the arrays file_path, cam2world, width, height,
 //! focal, lossmult (4^level) and optionally pix2cam. There is one image file per view; nothing is averaged.
 
+use super::reader::{CameraFile, OpenScene, Reader};
 use crate::{
     json::{self, Node},
     lens,
@@ -10,9 +11,37 @@ use crate::{
     source::{Pixels, Source, find_image, map_in_order},
     split::Split,
 };
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use trimip_core::{Camera, Error, Intrinsics, Result};
+use trimip_core::{
+    Camera, Error, Intrinsics, Result,
+    config::{Convention, DataConfig},
+};
+
+pub(super) static READER: Reader = Reader {
+    format: "multiscale",
+    name: "multi-scale set",
+    files: Some(METADATA),
+    recognises: |root| root.join(METADATA).is_file(),
+    open: |root, config| Ok(Box::new(Metadata::open(root, config)?)),
+    camera_files: &[CameraFile {
+        kind: "metadata",
+        file: METADATA,
+        cameras: |name, bytes| cameras(Path::new(name), bytes),
+        example,
+        memory: 160,
+    }],
+    ..Reader::PLAIN
+};
+
+/// One frame at one scale.
+fn example() -> Vec<u8> {
+    let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]];
+    let train = json!({
+        "file_path": ["0.png"], "cam2world": [pose], "width": [8], "height": [6], "focal": [9.0], "lossmult": [1],
+    });
+    json!({ "train": train }).to_string().into_bytes()
+}
 
 /// Name of the file that describes a multi-scale set.
 pub(crate) const METADATA: &str = "metadata.json";
@@ -20,14 +49,22 @@ pub(crate) const METADATA: &str = "metadata.json";
 const PIXEL_TOLERANCE: f64 = 1e-3;
 
 /// The parsed file.
-pub(crate) struct Metadata {
+struct Metadata {
     root: PathBuf,
     path: PathBuf,
     document: Value,
+    scales: u32,
 }
 
 impl Metadata {
-    pub(crate) fn open(root: &Path) -> Result<Self> {
+    fn open(root: &Path, config: &DataConfig) -> Result<Self> {
+        if config.convention == Convention::Premultiplied {
+            return Err(Error::input(
+                "data.convention",
+                "\"premultiplied\" cannot be had from a multi-scale set, whose levels are straight means",
+                "set it to \"public\", or data.root to the scene the set was made from",
+            ));
+        }
         let path = root.join(METADATA);
         if !path.is_file() {
             return Err(Error::input(
@@ -36,11 +73,14 @@ impl Metadata {
                 "set data.root to the folder of a multi-scale set, or data.format to \"auto\"",
             ));
         }
-        Ok(Self { root: root.into(), document: json::read(&path)?, path })
+        Ok(Self { root: root.into(), document: json::read(&path)?, path, scales: config.scales })
     }
+}
 
+impl OpenScene for Metadata {
     /// Frames of `split` at the first `scales` scales.
-    pub(crate) fn split(&self, split: &str, scales: u32) -> Result<Split> {
+    fn split(&self, split: &str) -> Result<Split> {
+        let scales = self.scales;
         let file = Node::new(self.path.display(), &self.document)?;
         let Some(value) = file.get(split) else {
             let known: Vec<&str> = file.keys().collect();

@@ -1,4 +1,5 @@
-//! Memory that this process may still take: the machine's, a container's, and what the limit of its addresses leaves.
+//! Memory that this process may still take: the machine's, a container's, and what the limit of its addresses leaves. In
+//! bytes, from `/proc` and the control groups of Linux.
 
 use std::fs;
 use std::path::Path;
@@ -34,19 +35,19 @@ fn of_groups() -> Option<u64> {
         .filter_map(|group| {
             let number = |name: &str| read(group.join(name)).trim().parse::<u64>().ok();
             let idle = value(&read(group.join("memory.stat")), "inactive_file ").unwrap_or(0);
-            left(number("memory.max")?, number("memory.current")?, idle)
+            remaining(number("memory.max")?, number("memory.current")?, idle)
         })
         .min();
     let first = || {
         let number = |name: &str| read(root.join("memory").join(name)).trim().parse::<u64>().ok();
         let idle = value(&read(root.join("memory/memory.stat")), "total_inactive_file ").unwrap_or(0);
-        left(number("memory.limit_in_bytes")?, number("memory.usage_in_bytes")?, idle)
+        remaining(number("memory.limit_in_bytes")?, number("memory.usage_in_bytes")?, idle)
     };
     second.or_else(first)
 }
 
 /// What a limit leaves beside `used` bytes, of which `idle` give way.
-fn left(limit: u64, used: u64, idle: u64) -> Option<u64> {
+fn remaining(limit: u64, used: u64, idle: u64) -> Option<u64> {
     Some(limit.saturating_sub(used.saturating_sub(idle)))
 }
 
@@ -89,8 +90,8 @@ mod tests {
 
     #[test]
     fn what_gives_way_is_not_counted() {
-        assert_eq!(left(100, 70, 30), Some(60));
-        assert_eq!(left(100, 170, 30), Some(0));
+        assert_eq!(remaining(100, 70, 30), Some(60));
+        assert_eq!(remaining(100, 170, 30), Some(0));
     }
 
     #[test]

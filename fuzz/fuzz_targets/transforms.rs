@@ -1,3 +1,0 @@
-#![no_main]
-
-trimip_fuzz::target!("transforms");

@@ -1,0 +1,48 @@
+//! Sets of cells or bricks as bits: eight of them to a byte, the first in the lowest bit. Model files and devices exchange
+//! occupancy in this form.
+
+/// True if the set holds `index`.
+///
+/// # Panics
+/// If the bytes end before it.
+pub fn is_set(bits: &[u8], index: usize) -> bool {
+    bits[index / 8] >> (index % 8) & 1 == 1
+}
+
+/// Adds `index` to the set.
+///
+/// # Panics
+/// As [`is_set`].
+pub fn set(bits: &mut [u8], index: usize) {
+    bits[index / 8] |= 1 << (index % 8);
+}
+
+/// Removes `index` from the set.
+///
+/// # Panics
+/// As [`is_set`].
+pub fn clear(bits: &mut [u8], index: usize) {
+    bits[index / 8] &= !(1 << (index % 8));
+}
+
+/// The set of those of `0..count` that `holds`; the bits behind the last one are 0.
+pub fn of(count: usize, holds: impl Fn(usize) -> bool) -> Vec<u8> {
+    let mut bits = vec![0; count.div_ceil(8)];
+    (0..count).filter(|&index| holds(index)).for_each(|index| set(&mut bits, index));
+    bits
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_set_holds_what_was_added_and_not_removed() {
+        let mut bits = of(21, |index| index % 3 == 0);
+        assert_eq!(bits, [0b0100_1001, 0b1001_0010, 0b0000_0100]);
+        assert!((0..21).all(|index| is_set(&bits, index) == (index % 3 == 0)));
+        clear(&mut bits, 18);
+        set(&mut bits, 20);
+        assert_eq!(bits[2], 0b0001_0000);
+    }
+}

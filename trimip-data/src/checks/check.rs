@@ -1,0 +1,73 @@
+//! A check and what it found: its figure, its limit, its conclusion and the views beyond the limit.
+
+use super::views::name;
+use trimip_core::ViewSet;
+
+/// Conclusion of a check.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Nothing is beyond a limit.
+    Fine,
+    /// Something is; the text says what to do.
+    Suspicious(&'static str),
+    /// The data do not tell.
+    Unknown,
+}
+
+/// A training view beyond a limit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Suspect {
+    /// Index among the views of the finest scale.
+    pub view: usize,
+    /// What was measured of it.
+    pub figure: String,
+}
+
+/// Figures of the training views.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Values {
+    /// What they are, with their unit.
+    pub name: &'static str,
+    /// One per view of the finest scale; `None` where it is not known.
+    pub of: Vec<Option<f64>>,
+}
+
+/// A check and what it found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Check {
+    /// What is checked.
+    pub name: &'static str,
+    /// What was measured.
+    pub figure: String,
+    /// What would be suspicious, and why.
+    pub limit: String,
+    /// The conclusion.
+    pub verdict: Verdict,
+    /// Views beyond a limit, the worst first.
+    pub suspects: Vec<Suspect>,
+    /// Figures of all views, if there are any.
+    pub values: Vec<Values>,
+}
+
+/// Views named in a warning.
+const NAMED: usize = 4;
+
+impl Check {
+    /// A check that the data do not allow, with the reason.
+    pub(super) fn unknown(name: &'static str, limit: String, reason: &str) -> Self {
+        let verdict = Verdict::Unknown;
+        Self { name, figure: reason.into(), limit, verdict, suspects: Vec::new(), values: Vec::new() }
+    }
+
+    /// The warning of a suspicious check, in one line; `train` holds the names of the views.
+    pub fn warning(&self, train: &ViewSet) -> Option<String> {
+        let Verdict::Suspicious(advice) = self.verdict else { return None };
+        let named = |suspect: &Suspect| Some(format!("{} ({})", name(train, suspect.view)?, suspect.figure));
+        let mut names: Vec<String> = self.suspects.iter().take(NAMED).filter_map(named).collect();
+        if self.suspects.len() > NAMED {
+            names.push(format!("{} more", self.suspects.len() - NAMED));
+        }
+        let views = if names.is_empty() { String::new() } else { format!(": {}", names.join(", ")) };
+        Some(format!("{}: {}{views}; {advice}", self.name, self.figure))
+    }
+}

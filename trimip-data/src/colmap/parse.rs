@@ -1,0 +1,99 @@
+//! A model from the bytes of its files, and what is checked across them: entries are unique and name what is there.
+
+use super::{
+    binary,
+    model::{Encoding, File, Model, ModelImage},
+    text,
+};
+use std::fmt::Display;
+use trimip_core::{Error, Result};
+
+impl Model {
+    /// The model in the bytes of its files. Binary files take at most twice their size in memory, and so do text files as COLMAP
+    /// writes them; those with the shortest lines possible take six times their size.
+    ///
+    /// # Errors
+    /// Of kind `Input`: syntax, numbers that are not finite, entries that occur twice, names of what is not there. The
+    /// message names the file, and the line, the byte or the entry.
+    pub fn parse(
+        encoding: Encoding,
+        cameras: File<'_>,
+        images: File<'_>,
+        points: Option<File<'_>>,
+    ) -> Result<Self> {
+        let model = match encoding {
+            Encoding::Text => Self {
+                cameras: text::cameras(cameras)?,
+                images: text::images(images)?,
+                points: points.map(text::points).transpose()?.unwrap_or_default(),
+            },
+            Encoding::Binary => Self {
+                cameras: binary::cameras(cameras)?,
+                images: binary::images(images)?,
+                points: points.map(binary::points).transpose()?.unwrap_or_default(),
+            },
+        };
+        model.check(cameras.name, images.name, points.map_or("", |file| file.name))?;
+        Ok(model)
+    }
+
+    /// Entries are unique and name what is there.
+    fn check(&self, cameras: &str, images: &str, points: &str) -> Result<()> {
+        let broken = |place: &str, entry: String, what: String| {
+            Err(Error::input(format!("{place}: {entry}"), what, "export the model again"))
+        };
+        let twice = || "is there twice".to_string();
+        let known = sorted(self.cameras.iter().map(|camera| camera.id));
+        if let Some(id) = double(&known) {
+            return broken(cameras, format!("camera {id}"), twice());
+        }
+        let mut order: Vec<usize> = (0..self.images.len()).collect();
+        order.sort_unstable_by_key(|&index| self.images[index].id);
+        for pair in order.windows(2) {
+            let [a, b] = [&self.images[pair[0]], &self.images[pair[1]]];
+            if a.id == b.id {
+                return broken(images, b.place(), twice());
+            }
+        }
+        for image in &self.images {
+            if known.binary_search(&image.camera).is_err() {
+                let what = format!("has the camera {}, which {cameras} does not hold", image.camera);
+                return broken(images, image.place(), what);
+            }
+        }
+        if let Some(id) = double(&sorted(self.points.iter().map(|point| point.id))) {
+            return broken(points, format!("point {id}"), twice());
+        }
+        for point in &self.points {
+            for [image, feature] in &point.track {
+                let Ok(at) = order.binary_search_by_key(image, |&index| self.images[index].id) else {
+                    let what = format!("was seen in image {image}, which {images} does not hold");
+                    return broken(points, format!("point {}", point.id), what);
+                };
+                let places = self.images[order[at]].places.len();
+                // Some programs drop the features but keep the tracks.
+                if places > 0 && *feature as usize >= places {
+                    let what = format!("is feature {feature} of image {image}, which has {places}");
+                    return broken(points, format!("point {}", point.id), what);
+                }
+            }
+        }
+        let mut names: Vec<&ModelImage> = self.images.iter().collect();
+        names.sort_unstable_by_key(|image| image.name.as_str());
+        if let Some(pair) = names.windows(2).find(|pair| pair[0].name == pair[1].name) {
+            return broken(images, pair[1].place(), format!("has the name of image {}", pair[0].id));
+        }
+        Ok(())
+    }
+}
+
+fn sorted<T: Ord>(ids: impl ExactSizeIterator<Item = T>) -> Vec<T> {
+    let mut ids: Vec<T> = ids.collect();
+    ids.sort_unstable();
+    ids
+}
+
+/// The first of the sorted numbers that is there twice.
+fn double<T: Copy + PartialEq + Display>(ids: &[T]) -> Option<T> {
+    ids.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0])
+}

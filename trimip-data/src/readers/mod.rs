@@ -1,0 +1,53 @@
+//! The registry of scene readers: one file each, and a line of the list below.
+
+pub(crate) mod blender;
+pub(crate) mod builtin;
+mod colmap;
+pub(crate) mod multiscale;
+pub(crate) mod reader;
+
+use reader::Reader;
+
+/// All readers, in the order in which a folder is recognised.
+pub(crate) static READERS: &[&Reader] =
+    &[&multiscale::READER, &blender::READER, &colmap::READER, &builtin::READER];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_unique_and_documented_in_the_order_of_recognition() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/formats.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let (_, table) = page.split_once("| `data.format` | scene | shown by |\n|---|---|---|\n").unwrap();
+        let rows: Vec<&str> = table.lines().take_while(|line| line.starts_with('|')).collect();
+        assert_eq!(rows.len(), READERS.len(), "docs/formats.md has a row for each reader");
+        for (row, reader) in rows.iter().zip(READERS) {
+            assert!(row.starts_with(&format!("| `{}` | {}", reader.format, reader.name)), "{row}");
+            assert!(
+                row.ends_with(&format!(
+                    " |{}|",
+                    reader.files.map_or(" ".into(), |files| format!(" {files} "))
+                ))
+            );
+        }
+    }
+
+    #[test]
+    fn examples_are_valid_and_no_reader_takes_another_for_its_own() {
+        for reader in READERS {
+            for file in reader.camera_files {
+                let folder = tempfile::tempdir().unwrap();
+                std::fs::write(folder.path().join(file.file), (file.example)()).unwrap();
+                let shown: Vec<&str> = READERS
+                    .iter()
+                    .filter(|other| (other.recognises)(folder.path()))
+                    .map(|other| other.format)
+                    .collect();
+                assert_eq!(shown, [reader.format]);
+                assert!(!(file.cameras)(file.file, &(file.example)()).unwrap().is_empty());
+            }
+        }
+    }
+}

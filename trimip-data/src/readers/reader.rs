@@ -1,0 +1,79 @@
+//! What a reader of scenes is: how it recognises a folder, what it is called, how it reads, what it advises. A reader is one
+//! file with one of these values, which a line of the registry names.
+
+use crate::split::Split;
+use std::path::Path;
+use trimip_core::{Camera, Result, config::DataConfig};
+
+/// A kind of scene and how it is read.
+pub(crate) struct Reader {
+    /// Its value of `data.format`.
+    pub(crate) format: &'static str,
+    /// The kind of scene in words, after "a" or "this is a".
+    pub(crate) name: &'static str,
+    /// The files by which it is recognised, in words; `None` if the scene needs no folder.
+    pub(crate) files: Option<&'static str>,
+    /// Whether the files of a folder show such a scene.
+    pub(crate) recognises: fn(&Path) -> bool,
+    /// Opens the scene in a folder. Cameras may be read here or with each split; no photograph is decoded.
+    pub(crate) open: fn(&Path, &DataConfig) -> Result<Box<dyn OpenScene>>,
+    /// What a folder lacks that holds no scene but parts of one of this kind, and what to do.
+    pub(crate) advises: fn(&Path) -> Option<String>,
+    /// Such scenes in words, if their photographs are looked for in `data.images`.
+    pub(crate) images: Option<&'static str>,
+    /// Whether `data.test_list` can divide its frames.
+    pub(crate) divisible: bool,
+    /// The files that hold all cameras of a split or of a scene.
+    pub(crate) camera_files: &'static [CameraFile],
+}
+
+impl Reader {
+    /// The reader of a folder without options; `..Reader::PLAIN` completes others.
+    pub(super) const PLAIN: Self = Self {
+        format: "",
+        name: "",
+        files: Some(""),
+        recognises: |_| false,
+        open: |_, _| Err(trimip_core::Error::run("a reader without a function that opens")),
+        advises: |_| None,
+        images: None,
+        divisible: false,
+        camera_files: &[],
+    };
+}
+
+/// A scene that a reader has opened.
+pub(crate) trait OpenScene {
+    /// The frames of a split with the headers of their photographs.
+    fn split(&self, split: &str) -> Result<Split>;
+
+    /// True unless the scene is known to have no such split. Others are known when they are read.
+    fn has_split(&self, _split: &str) -> Result<bool> {
+        Ok(true)
+    }
+
+    /// All frames, of which `data.test_list` chooses: those of a file without splits, or `None` if the splits `data.train` and
+    /// `data.test` hold them.
+    fn undivided(&self) -> Result<Option<Split>> {
+        Ok(None)
+    }
+}
+
+/// A file of cameras that is read by itself, from bytes in memory: what can be tried with any bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct CameraFile {
+    /// Name of its kind.
+    pub kind: &'static str,
+    /// Its usual file name, or the most usual of several.
+    pub file: &'static str,
+    /// Short names and cameras of all its frames. The first argument names the file in errors. Photographs without a stated
+    /// size have 8 × 6 pixels.
+    ///
+    /// # Errors
+    /// Of kind `Input`: syntax, and what is missing or out of range.
+    pub cameras: fn(&str, &[u8]) -> Result<Vec<(String, Camera)>>,
+    /// A small valid file.
+    pub example: fn() -> Vec<u8>,
+    /// The most memory that reading takes, as a multiple of the file's bytes.
+    pub memory: usize,
+}
