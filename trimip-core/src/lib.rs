@@ -71,6 +71,7 @@ pub mod silhouettes;
 mod slot;
 pub mod space;
 mod stages;
+pub mod tensor_names;
 pub mod tensors;
 pub mod text;
 mod timekeeper;
