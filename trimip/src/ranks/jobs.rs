@@ -5,10 +5,9 @@ use super::Order;
 use crate::machine;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use trimip_core::{Error, ErrorKind, Result, exchange::Ranks};
+use trimip_core::{Error, ErrorKind, Result, exchange::Ranks, fingerprint};
 
 /// What a rank answers that has the jobs of rank 0.
 const READY: &[u8] = b"ready";
@@ -24,9 +23,7 @@ const NAP: Duration = Duration::from_millis(1);
 
 /// A description of jobs for [`farm`] and [`labour`], which is the same if the parts are.
 pub fn digest(parts: impl IntoIterator<Item = String>) -> String {
-    let mut hasher = DefaultHasher::new();
-    parts.into_iter().for_each(|part| part.hash(&mut hasher));
-    format!("{:016x}", hasher.finish())
+    format!("{:016x}", fingerprint::hash_of(parts))
 }
 
 /// What a rank sends of a job.
