@@ -3,7 +3,7 @@
 //! [`Ranks`] is the transport below it: MPI, or channels between threads.
 
 use crate::{
-    Backend, Result,
+    Backend, Error, Result,
     backend::Stages,
     batch::{Deposit, StepResult},
 };
@@ -32,6 +32,12 @@ impl Share {
         let bound = |rank: usize| (u64::from(count) * rank as u64 / self.of as u64) as u32;
         bound(self.rank)..bound(self.rank + 1)
     }
+}
+
+/// The error of a message between ranks that is not what this rank reads. It is of the kind of a rank that is gone: what other
+/// ranks computed is not to be had.
+pub fn fault(what: impl std::fmt::Display) -> Error {
+    Error::device(format!("message of another rank: {what}; start the same build of the program on every rank"))
 }
 
 /// The processes that train one model together. Every rank makes the same calls in the same order; a call returns when
@@ -159,12 +165,12 @@ impl Summed {
     }
 
     /// Sends `own` to every rank; calls `add` with what each rank sent, in order.
-    fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8])) -> Result<()> {
+    fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         let Self { ranks, received } = self;
         let share = ranks.share();
         ranks.trade(&vec![own; share.of], received)?;
         for (rank, bytes) in received.iter().enumerate() {
-            add(if rank == share.rank { own } else { bytes });
+            add(if rank == share.rank { own } else { bytes })?;
         }
         Ok(())
     }
@@ -179,8 +185,13 @@ impl<B: Backend> Exchange<B> for Summed {
         let own = sums.to_words();
         let mut all = StepResult::default();
         self.gather(bytemuck::cast_slice(&own), |bytes| {
-            let words = bytes.chunks_exact(size_of::<u64>()).map(bytemuck::pod_read_unaligned);
-            all.add(&StepResult::of_words(&words.collect::<Vec<_>>()));
+            let (words, rest) = bytes.as_chunks();
+            if !rest.is_empty() {
+                return Err(fault(format_args!("expected words of 8 bytes, found {} bytes", bytes.len())));
+            }
+            let words: Vec<u64> = words.iter().map(|word| u64::from_ne_bytes(*word)).collect();
+            all.add(&StepResult::of_words(&words)?);
+            Ok(())
         })?;
         Ok(all)
     }
@@ -201,10 +212,14 @@ impl<B: Backend> Exchange<B> for Summed {
         let mut weight = 0.0;
         own.fill(0.0);
         self.gather(&message, |bytes| {
-            let (head, tail) = bytes.split_at(size_of::<f64>());
-            weight += bytemuck::pod_read_unaligned::<f64>(head);
-            let values = tail.chunks_exact(size_of::<f32>()).map(bytemuck::pod_read_unaligned::<f32>);
+            let Some((head, tail)) = bytes.split_first_chunk().filter(|_| bytes.len() == message.len()) else {
+                let (expected, found) = (message.len(), bytes.len());
+                return Err(fault(format_args!("expected a weight and a gradient of {expected} bytes, found {found}")));
+            };
+            weight += f64::from_ne_bytes(*head);
+            let values = tail.as_chunks().0.iter().map(|bytes| f32::from_ne_bytes(*bytes));
             own.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+            Ok(())
         })?;
         self.ranks.tally(size_of_val(&own[..]) as u64);
         backend.write(gradient, &own);

@@ -23,7 +23,7 @@ use trimip_core::networks::{
 };
 use trimip_core::params::{ALIGNMENT, Slot};
 use trimip_core::sh::spherical_harmonics;
-use trimip_core::{Config, Field, Layout, encoders};
+use trimip_core::{Config, Field, Layout, Result, encoders};
 
 /// The density and colour networks.
 pub struct CpuField {
@@ -176,9 +176,12 @@ impl FieldGradient {
     }
 
     /// Replaces all numbers by those that were put.
-    pub(crate) fn take(&mut self, from: &mut Reader<'_>) {
-        self.density.take(from);
-        self.color.take(from);
+    ///
+    /// # Errors
+    /// When the message has fewer.
+    pub(crate) fn take(&mut self, from: &mut Reader<'_>) -> Result<()> {
+        self.density.take(from)?;
+        self.color.take(from)
     }
 }
 

@@ -7,7 +7,11 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use trimip_core::{Error, ErrorKind, Result, exchange::Ranks, fingerprint};
+use trimip_core::{
+    Error, ErrorKind, Result,
+    exchange::{Ranks, fault},
+    fingerprint,
+};
 
 /// What a rank answers that has the jobs of rank 0.
 const READY: &[u8] = b"ready";
@@ -254,7 +258,9 @@ pub fn labour<T: Serialize>(
     ranks.send(0, &answer)?;
     loop {
         let (_, bytes) = ranks.receive()?;
-        let job = <[u8; 8]>::try_from(&bytes[..]).map_or(NO_MORE, u64::from_le_bytes);
+        let job = <[u8; 8]>::try_from(&bytes[..])
+            .map(u64::from_le_bytes)
+            .map_err(|_| fault(format_args!("expected a job of 8 bytes, found {} bytes", bytes.len())))?;
         if job == NO_MORE {
             return Ok(());
         }
