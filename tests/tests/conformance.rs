@@ -152,6 +152,11 @@ fn a_step_moves_parameters_by_the_written_rule() {
     on_every_cpu(|make| suite::training::update(make, 0.0));
 }
 
+#[test]
+fn no_checkpoint_has_an_update_by_a_loss_that_is_not_finite() {
+    with_threads(&[2], |make| suite::training::spoilt(make));
+}
+
 /// The exchange of the CPU backend.
 fn together(ranks: Arc<dyn Ranks>, config: &Config) -> Box<dyn Exchange<CpuBackend>> {
     Box::new(Together::new(ranks, &config.train).expect("few ranks"))

@@ -81,6 +81,8 @@ pub struct Trainer<B: Backend> {
     left_out_before: u64,
     /// Sums of the last steps that are not yet used, oldest first.
     pending: VecDeque<sums::Pending<B>>,
+    /// Why the parameters are of no use: they hold the update of a step whose loss was not finite.
+    spoilt: Option<Error>,
     exchange: Box<dyn Exchange<B>>,
     /// With `loss.exposure`.
     exposures: Option<Exposures>,
@@ -130,6 +132,7 @@ impl<B: Backend> Trainer<B> {
             deposits,
             left_out_before: 0,
             pending: VecDeque::new(),
+            spoilt: None,
             exchange: Box::new(Alone),
             exposures,
         };

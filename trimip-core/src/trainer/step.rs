@@ -143,6 +143,7 @@ impl<B: Backend> Trainer<B> {
     }
 
     pub(super) fn train_step(&mut self, progress: f64) -> Result<StepReport> {
+        self.expect_usable()?;
         let step = self.state.totals.step;
         self.follow(progress)?;
         if step.is_multiple_of(u64::from(self.loaded.config.occupancy.every)) {
@@ -165,7 +166,7 @@ impl<B: Backend> Trainer<B> {
         self.device().submit();
         let late = if B::LAG > 0 { self.oldest_sums()? } else { None };
         if let Some((_, sums)) = &late {
-            finite(step.saturating_sub(B::LAG as u64), sums)?;
+            self.expect_finite(step.saturating_sub(B::LAG as u64), sums)?;
         }
         self.state.totals.step += 1;
         let sums = early.or(late);
