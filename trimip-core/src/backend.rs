@@ -6,7 +6,7 @@ use crate::{
     Config, Result, ViewSet,
     balance::Draw,
     batch::{Deposit, StepResult, Workspace},
-    exchange::Share,
+    ranks::Share,
 };
 use bytemuck::Pod;
 use std::ops::Range;
@@ -36,7 +36,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Photometric loss.
     type Loss: Loss<Self>;
 
-    /// Number of steps between a step and the use of its sums, at most [`crate::checkpoint::MOST_PENDING`]. It is
+    /// Number of steps between a step and the use of its sums, at most [`crate::batch::MOST_PENDING`]. It is
     /// above 0 for a device that computes one step while the host records the next.
     const LAG: usize = 0;
 

@@ -3,7 +3,7 @@
 
 pub use crate::elements::{Interval, Radiance, Ray, Segment, Sphere, Target};
 
-use crate::{Backend, Field, Pixel, Result, backend::Encoder, exchange::fault};
+use crate::{Backend, Field, Pixel, Result, backend::Encoder, ranks::fault};
 use serde::{Deserialize, Serialize};
 
 /// Cones of a span. The cones of a pixel are consecutive.
@@ -156,6 +156,9 @@ impl StepSums {
         self.non_finite += other.non_finite;
     }
 }
+
+/// Largest number of steps whose sums are not read back yet.
+pub const MOST_PENDING: usize = 2;
 
 /// What a step leaves for the host.
 #[derive(Clone, Debug, Default, PartialEq)]

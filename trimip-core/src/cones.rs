@@ -2,18 +2,10 @@
 //! along the ray as much as across, and a network of averaged features is not the average of the network. A wider pixel
 //! is therefore the mean of several cones.
 
+pub use crate::cone_pattern::{QUINCUNX, count};
+
 use crate::{Aabb, Camera, Config, ViewSet, config::ConePattern};
 use glam::DVec3;
-
-/// Cones along a side that stand for the quincunx: five cones of the pixel's width, at its centre and at (±¼, ±¼) of a pixel
-/// around it.
-pub const QUINCUNX: u32 = 0x100;
-
-/// Number of cones of a pixel with `side` cones along each side.
-#[inline]
-pub fn count(side: u32) -> u32 {
-    if side == QUINCUNX { 5 } else { side * side }
-}
 
 /// The rule by which pixels are divided into cones.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,8 @@
 //! One training step: refresh of the occupancy grid, gradients, exchange between machines, update of the parameters.
 
 use super::{
-    LEAST_RAYS, MOST_RAYS_PER_SAMPLE, Trainer,
+    Trainer,
+    rays::{LEAST_RAYS, MOST_RAYS_PER_SAMPLE},
     sums::{Arrival, Pending, finite},
 };
 use crate::{

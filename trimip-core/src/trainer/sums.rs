@@ -2,7 +2,11 @@
 //! is always the same number of steps, whatever the timing.
 
 use super::Trainer;
-use crate::{Backend, Error, Result, backend::Loss, batch::StepSums, checkpoint::MOST_PENDING};
+use crate::{
+    Backend, Error, Result,
+    backend::Loss,
+    batch::{MOST_PENDING, StepSums},
+};
 
 /// Sums of a step that are not yet used.
 pub(super) struct Pending<B: Backend> {

@@ -1,7 +1,7 @@
 //! Jobs that any rank can do by itself: views to render or to measure, runs to train. They are handed out as ranks come free,
 //! and their results come in order.
 
-use super::Order;
+use super::orders::Order;
 use crate::machine;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;

@@ -118,7 +118,7 @@ fn is_checkpoint(path: &Path) -> bool {
 mod tests {
     use super::*;
     use crate::run::folder::picture_stem;
-    use crate::run::history::tests::evaluation;
+    use crate::run::fixtures::evaluation;
     use trimip_core::{Config, checkpoint::Checkpoint, checkpoint::TrainState};
 
     fn folder() -> (tempfile::TempDir, RunFolder) {

@@ -2,7 +2,6 @@
 
 pub mod cameras;
 mod files;
-#[cfg(feature = "flip")]
 mod flip;
 pub mod flythrough;
 mod job;
@@ -16,6 +15,7 @@ pub mod video;
 
 pub use cameras::Named;
 pub use files::{CAMERAS, PictureFormat, Quantity, depth_range, expect_no_others, write, write_cameras};
+pub use flip::{PIXELS_PER_DEGREE, flip_colors, flip_of_pictures};
 pub use job::Job;
 pub use measure::{Measured, Together, Watching, evaluate, help_evaluate};
-pub use perceiver::{PIXELS_PER_DEGREE, Perceiver, flip_colors, flip_of_pictures};
+pub use perceiver::Perceiver;
