@@ -76,9 +76,9 @@ impl<'a> Reader<'a> {
     /// The number of values that follow, which are there.
     fn count<T: Pod>(&mut self) -> Result<usize> {
         let count: u64 = self.one()?;
-        let fits = usize::try_from(count).ok().filter(|count| {
-            count.checked_mul(size_of::<T>()).is_some_and(|bytes| bytes <= self.rest.len())
-        });
+        let fits = usize::try_from(count)
+            .ok()
+            .filter(|count| count.checked_mul(size_of::<T>()).is_some_and(|bytes| bytes <= self.rest.len()));
         fits.ok_or_else(|| self.fault(format_args!("{count} values of {} bytes", size_of::<T>())))
     }
 
@@ -180,12 +180,18 @@ mod tests {
         for length in 0..whole.len() {
             let error = read(&whole[..length]).unwrap_err();
             assert_eq!(error.kind, ErrorKind::Device, "{length}: {error}");
-            assert!(error.message.contains("expected") && error.message.contains(&format!("of {length}")), "{error}");
+            assert!(
+                error.message.contains("expected") && error.message.contains(&format!("of {length}")),
+                "{error}"
+            );
         }
         let longer = [&whole[..], &[0]].concat();
         let error = read(&longer).unwrap_err();
         assert_eq!(error.kind, ErrorKind::Device);
-        assert!(error.message.contains(&format!("the end at byte {} of {}", whole.len(), longer.len())), "{error}");
+        assert!(
+            error.message.contains(&format!("the end at byte {} of {}", whole.len(), longer.len())),
+            "{error}"
+        );
     }
 
     #[test]

@@ -11,9 +11,9 @@ pub mod voxels;
 use crate::simd::Simd;
 use crate::wire::Reader;
 use std::ops::Range;
-use trimip_core::{Config, Result};
 use trimip_core::batch::{Interval, Ray, Sphere};
 use trimip_core::exchange::Share;
+use trimip_core::{Config, Result};
 
 /// The interface of an encoder on the CPU.
 pub(crate) trait Encoding: Sized + Send + Sync {

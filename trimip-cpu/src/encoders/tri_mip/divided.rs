@@ -89,7 +89,11 @@ impl Divided for Planes {
             });
             work.push((band, of_band.collect::<Result<Vec<_>>>()?));
         }
-        readers.iter().enumerate().filter(|(rank, _)| *rank != own).try_for_each(|(_, reader)| reader.end())?;
+        readers
+            .iter()
+            .enumerate()
+            .filter(|(rank, _)| *rank != own)
+            .try_for_each(|(_, reader)| reader.end())?;
         work.into_par_iter().with_max_len(1).try_for_each(|(mut band, from)| sums.gather(&from, &mut band))
     }
 
