@@ -101,7 +101,8 @@ pub fn spoilt<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let tensors = checkpoint.file.tensors.iter().filter(|(name, _)| !name.starts_with("occupancy"));
         tensors.map(|(name, tensor)| format!("{name} {tensor:?}")).collect::<Vec<_>>()
     };
-    let broken = (B::LAG == 0).then(|| trainer.checkpoint().map(|checkpoint| bits(&checkpoint))).transpose()?;
+    let broken =
+        (B::LAG == 0).then(|| trainer.checkpoint().map(|checkpoint| bits(&checkpoint))).transpose()?;
     let late = (6..).find(|step| trainer.step(progress(*step)).is_err()).map(|step| step - 6);
     assert_eq!(late, Some(B::LAG as u64), "steps until the error");
     match broken {
@@ -116,7 +117,10 @@ pub fn spoilt<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             for refused in refused {
                 let error = refused.expect_err("it holds an update by a loss that is not finite");
                 assert_eq!(error.kind, ErrorKind::Run);
-                assert!(error.message.starts_with("step 6: ") && error.message.contains("not finite"), "{error}");
+                assert!(
+                    error.message.starts_with("step 6: ") && error.message.contains("not finite"),
+                    "{error}"
+                );
             }
         }
     }
