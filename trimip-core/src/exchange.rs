@@ -135,9 +135,12 @@ impl<B: Backend> Exchange<B> for Summed {
         let mut weight = 0.0;
         own.fill(0.0);
         self.gather(&message, |bytes| {
-            let Some((head, tail)) = bytes.split_first_chunk().filter(|_| bytes.len() == message.len()) else {
+            let Some((head, tail)) = bytes.split_first_chunk().filter(|_| bytes.len() == message.len())
+            else {
                 let (expected, found) = (message.len(), bytes.len());
-                return Err(fault(format_args!("expected a weight and a gradient of {expected} bytes, found {found}")));
+                return Err(fault(format_args!(
+                    "expected a weight and a gradient of {expected} bytes, found {found}"
+                )));
             };
             weight += f64::from_ne_bytes(*head);
             let values = tail.as_chunks().0.iter().map(|bytes| f32::from_ne_bytes(*bytes));

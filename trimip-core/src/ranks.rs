@@ -30,7 +30,9 @@ impl Share {
 /// The error of a message between ranks that is not what this rank reads. It is of the kind of a rank that is gone: what other
 /// ranks computed is not to be had.
 pub fn fault(what: impl std::fmt::Display) -> Error {
-    Error::device(format!("message of another rank: {what}; start the same build of the program on every rank"))
+    Error::device(format!(
+        "message of another rank: {what}; start the same build of the program on every rank"
+    ))
 }
 
 /// The processes that train one model together. Every rank makes the same calls in the same order; a call returns when

@@ -39,7 +39,8 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
         models.push((path.display().to_string(), model));
     }
     let config = models[0].1.config.clone();
-    let camera = match selection::resize(selection::chosen(arguments, &config)?, arguments.scale)?.as_slice() {
+    let camera = match selection::resize(selection::chosen(arguments, &config)?, arguments.scale)?.as_slice()
+    {
         [(_, camera)] => *camera,
         many => {
             return Err(Error::input(

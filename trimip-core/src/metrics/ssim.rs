@@ -91,3 +91,42 @@ fn weighted(taps: &[f64], values: &[[f64; 5]]) -> [f64; 5] {
     }
     sum
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(width: usize, height: usize, f: impl Fn(usize, usize) -> f32) -> Vec<[f32; 3]> {
+        (0..width * height).map(|i| [f(i % width, i / width); 3]).collect()
+    }
+
+    #[test]
+    fn ssim_is_one_for_equal_images_and_known_for_constants() {
+        let a = image(20, 17, |x, y| ((x * 7 + y * 3) % 11) as f32 / 10.0);
+        assert!((ssim(&a, &a, 20, 17) - 1.0).abs() < 1e-12);
+        // Constants: structure term 1, luminance term (2ab + C1)/(a² + b² + C1).
+        let (dark, light) = (image(20, 17, |_, _| 0.2), image(20, 17, |_, _| 0.6));
+        let expected = (2.0 * 0.12 + C1) / (0.04 + 0.36 + C1);
+        assert!((ssim(&dark, &light, 20, 17) - expected).abs() < 1e-6);
+        assert!(ssim(&a[..9], &a[..9], 3, 3).is_finite(), "smaller than the window");
+    }
+
+    #[test]
+    fn ssim_is_the_written_formula_on_one_window() {
+        // An 11 × 11 image is one window: the literal double sum.
+        let a = image(11, 11, |x, y| ((x * x + 3 * y) % 13) as f32 / 12.0);
+        let b = image(11, 11, |x, y| ((x + y * y) % 7) as f32 / 6.0);
+        let weight =
+            |x: usize, y: usize| (-((x as f64 - 5.0).powi(2) + (y as f64 - 5.0).powi(2)) / 4.5).exp();
+        let total: f64 = (0..121).map(|i| weight(i % 11, i / 11)).sum();
+        let mean =
+            |f: &dyn Fn(usize) -> f64| (0..121).map(|i| weight(i % 11, i / 11) * f(i)).sum::<f64>() / total;
+        let value = |image: &[[f32; 3]], i: usize| f64::from(image[i][0]);
+        let (mx, my) = (mean(&|i| value(&a, i)), mean(&|i| value(&b, i)));
+        let vx = mean(&|i| (value(&a, i) - mx).powi(2));
+        let vy = mean(&|i| (value(&b, i) - my).powi(2));
+        let vxy = mean(&|i| (value(&a, i) - mx) * (value(&b, i) - my));
+        let expected = (2.0 * mx * my + C1) * (2.0 * vxy + C2) / ((mx * mx + my * my + C1) * (vx + vy + C2));
+        assert!((ssim(&a, &b, 11, 11) - expected).abs() < 1e-9);
+    }
+}

@@ -1,5 +1,6 @@
 //! Means as tables of papers form them: over the seeds of a scene, then over the scenes.
 
+use super::figures::Figures;
 use super::runs::{Run, Scales, Status};
 use crate::{
     run::curve::Measure,
