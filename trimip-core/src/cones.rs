@@ -53,7 +53,7 @@ impl Division {
 /// World width of a pixel of `camera` in the middle of the box. A camera within the box looks at points a quarter of
 /// its longest side away.
 pub fn footprint(camera: &Camera, aabb: &Aabb<f64>) -> f64 {
-    let middle = DVec3::from_array(std::array::from_fn(|axis| 0.5 * (aabb.min[axis] + aabb.max[axis])));
+    let middle = DVec3::from_array(aabb.centre());
     let distance = (camera.origin - middle).length().max(0.25 * aabb.longest());
     distance / (camera.intrinsics.fx * camera.intrinsics.fy).sqrt()
 }
