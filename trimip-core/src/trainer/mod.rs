@@ -1,6 +1,7 @@
 //! Training, written once over the traits. A model in training on any backend is a [`Session`].
 
 mod growth;
+mod probing;
 pub(crate) mod rays;
 mod state;
 mod step;
@@ -12,7 +13,7 @@ use crate::{
     Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, StepReport,
     ViewSet, Viewer,
     backend::{Loss, Occupancy, Optimizer, Sampler},
-    batch::{Deposit, Radiance, StepResult, StepSums},
+    batch::{Deposit, Radiance},
     checkpoint::{Checkpoint, TrainState},
     config::Exposure,
     encoders,
@@ -113,14 +114,6 @@ impl<B: Backend> Trainer<B> {
         self.exposures.as_ref().map(Exposures::log_gains).unwrap_or_default()
     }
 
-    /// Replaces the log-gains of the training photographs, RGB of each. Does nothing without `loss.exposure`.
-    pub fn set_log_gains(&mut self, values: &[[f32; 3]]) {
-        if let Some(exposures) = &mut self.exposures {
-            exposures.set(values);
-            self.loaded.stages.loss.expose(&exposures.gains());
-        }
-    }
-
     /// The backend, to read its counters.
     pub fn device(&self) -> &B {
         self.loaded.device()
@@ -158,40 +151,6 @@ impl<B: Backend> Trainer<B> {
 
     fn count_left_out(&mut self) {
         self.state.totals.non_finite = self.left_out_before + self.loaded.stages.optimizer.non_finite();
-    }
-
-    /// Loss and gradient of the current parameters on the rays of step `step`; does not change the parameters. The
-    /// gradient is flat and divided by the sum of the weights.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<f32>)> {
-        let StepResult { sums, .. } = self.result_of(step, rays)?;
-        let gradient = self.device().read(&self.gradient);
-        Ok((sums, gradient.iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect()))
-    }
-
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), by the log-gains of the photographs (RGB of each).
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn loss_and_exposure_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<[f32; 3]>)> {
-        let result = self.result_of(step, rays)?;
-        let gradient = self.exposures.as_ref().map(|exposures| exposures.gradient(&result));
-        Ok((result.sums, gradient.unwrap_or_default()))
-    }
-
-    /// Forward and backward over the rays of step `step`; the gradient is complete afterwards.
-    fn result_of(&mut self, step: u64, rays: u32) -> Result<StepResult> {
-        self.state.totals.step = step;
-        let backend = Arc::clone(&self.loaded.backend);
-        let receipt = backend.install(|| {
-            self.gradients(rays);
-            let receipt = backend.post(&self.deposits);
-            self.loaded.stages.flush(&mut self.deposits, &self.loaded.parameters, &mut self.gradient);
-            receipt
-        });
-        backend.redeem(receipt)
     }
 }
 
