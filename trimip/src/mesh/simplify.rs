@@ -7,6 +7,7 @@ use std::collections::HashMap;
 
 /// When simplification ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Goal {
     /// The mesh stays as it is.
     Everything,

@@ -8,6 +8,7 @@ use trimip_core::{Error, Result, atomic::write_atomically};
 
 /// A format of mesh files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum MeshFormat {
     /// Stanford PLY, binary little-endian; colours in 8 bits.
     Ply,

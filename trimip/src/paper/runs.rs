@@ -29,6 +29,7 @@ impl Scales {
 /// State of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "lowercase", tag = "status", content = "reason")]
+#[non_exhaustive]
 pub enum Status {
     /// Not begun by this command yet.
     Waiting,

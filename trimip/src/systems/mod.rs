@@ -12,6 +12,7 @@ use trimip_core::{Error, Result, Settings};
 /// How a system relates to the published one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Kind {
     /// The system as published, as far as `differs` says.
     Whole,
