@@ -1,14 +1,34 @@
-//! Passes the commit to the program, for the reports. Without git it passes nothing.
+//! Passes the commit to the program, for the reports: that of the repository, or the one that a package was made of. Without
+//! either it passes nothing.
 
 use std::path::Path;
 use std::process::Command;
 
+/// What cargo notes of the repository when it makes a package.
+const PACKAGED: &str = ".cargo_vcs_info.json";
+
 fn main() {
-    let repository = Path::new("../.git");
     println!("cargo::rerun-if-changed=build.rs");
-    // Inside another repository, that repository's commit would be wrong.
-    if !repository.exists() {
-        return;
+    let commit = if Path::new(PACKAGED).exists() { of_package() } else { of_repository() };
+    if let Some(commit) = commit {
+        println!("cargo::rustc-env=TRIMIP_COMMIT={commit}");
+    }
+}
+
+/// The commit in the note of a package, shortened as that of a repository.
+fn of_package() -> Option<String> {
+    println!("cargo::rerun-if-changed={PACKAGED}");
+    let note = std::fs::read_to_string(PACKAGED).ok()?;
+    let (_, tail) = note.split_once("\"sha1\"")?;
+    let hash = tail.split('"').nth(1)?;
+    (hash.len() >= 10 && hash.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| hash[..10].into())
+}
+
+/// The commit of the workspace's repository. Inside another repository, that repository's commit would be wrong.
+fn of_repository() -> Option<String> {
+    let repository = Path::new("../.git");
+    if !repository.exists() || !Path::new("../trimip-core/Cargo.toml").exists() {
+        return None;
     }
     // Files that change when a commit is made or a file is staged. A missing path would rerun the script always.
     for path in ["HEAD", "refs/heads", "packed-refs", "index"] {
@@ -17,7 +37,6 @@ fn main() {
         }
     }
     let described = Command::new("git").args(["describe", "--always", "--dirty=+", "--abbrev=10"]).output();
-    if let Some(output) = described.ok().filter(|output| output.status.success()) {
-        println!("cargo::rustc-env=TRIMIP_COMMIT={}", String::from_utf8_lossy(&output.stdout).trim());
-    }
+    let output = described.ok().filter(|output| output.status.success())?;
+    Some(String::from_utf8_lossy(&output.stdout).trim().into())
 }

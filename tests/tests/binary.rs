@@ -291,7 +291,7 @@ fn verbs_answer() {
 fn every_shipped_configuration_is_accepted() {
     let mut count = 0;
     let files = |folder: &str| fs::read_dir(root().join(folder)).unwrap();
-    for entry in files("configs").chain(files("configs/systems")) {
+    for entry in files("configs").chain(files("trimip/systems")) {
         let path = entry.unwrap().path();
         if path.extension().is_none_or(|end| end != "toml") {
             continue;

@@ -1,6 +1,11 @@
 //! The suite for every backend, on the CPU with each instruction set and several numbers of threads.
 
-use trimip_core::{Config, Result, config::Precision, config::TrainConfig, exchange::Exchange};
+use std::sync::Arc;
+use trimip_core::{
+    Config, Result,
+    config::{Precision, TrainConfig},
+    exchange::{Exchange, Ranks},
+};
 use trimip_cpu::{CpuBackend, Together, simd::Simd};
 use trimip_tests::{ranks::Threads, suite};
 
@@ -159,14 +164,26 @@ fn a_step_moves_parameters_by_the_written_rule() {
 }
 
 #[test]
+fn no_checkpoint_has_an_update_by_a_loss_that_is_not_finite() {
+    with_threads(&[2], |make| suite::training::spoilt(make));
+}
+
+/// The exchange of the CPU backend.
+fn together(ranks: Arc<dyn Ranks>, config: &Config) -> Box<dyn Exchange<CpuBackend>> {
+    Box::new(Together::new(ranks, &config.train).expect("few ranks"))
+}
+
+#[test]
 fn any_number_of_ranks_has_the_bits_of_one() {
-    let together = |ranks, config: &Config| {
-        let exchange = Together::new(ranks, &config.train).expect("few ranks");
-        Box::new(exchange) as Box<dyn Exchange<CpuBackend>>
-    };
     let simd = Simd::detect();
     suite::exchange::same_bits(|| CpuBackend::new(2, simd).expect("threads start"), &together)
         .expect("all train");
+}
+
+#[test]
+fn a_message_of_another_length_ends_the_run() {
+    suite::exchange::broken(|| CpuBackend::new(1, Simd::detect()).expect("threads start"), &together)
+        .expect("whole messages are read");
 }
 
 #[test]

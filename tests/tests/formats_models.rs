@@ -74,3 +74,23 @@ fn a_checkpoint_with_an_impossible_state_is_refused() {
         refused("checkpoint", &written(|path| checkpoint.write(path)), parts);
     }
 }
+
+/// A model keeps the settings that it is given after it is read: in its file, in its packed file and in its hash.
+#[test]
+fn settings_given_to_a_model_are_written_with_it() {
+    let mut changed = model();
+    let before = changed.hash().unwrap();
+    let given = ["renderer.min_transmittance=0.01", "data.background=[0.25, 0.5, 0.75]"].map(String::from);
+    trimip::settings::override_model(&mut changed, &given).unwrap();
+    assert_ne!(changed.config, model().config);
+    assert_ne!(changed.hash().unwrap(), before);
+    let again = Model::from_bytes("again", &written(|path| changed.write(path))).unwrap();
+    assert_eq!(again, changed);
+    assert_eq!(again.hash().unwrap(), changed.hash().unwrap());
+    let packed = Model::from_bytes("packed", &written(|path| changed.write_packed(path))).unwrap();
+    assert_eq!(packed.config, changed.config);
+    // A field that is assigned counts as one that is given.
+    changed.config.threads = 3;
+    let again = Model::from_bytes("again", &written(|path| changed.write(path))).unwrap();
+    assert_eq!(again.config.threads, 3);
+}

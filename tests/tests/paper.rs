@@ -255,7 +255,7 @@ fn one_system_is_trained_by_its_name_and_settings_lie_over_it() {
         line.split_once('=').unwrap().1.trim().to_string()
     };
     assert!(value("log2_entries").starts_with("15") && value("log2_entries").contains("--set"));
-    assert!(value("kind").contains("hash-grid") && value("kind").contains("configs/systems/ngp.toml"));
+    assert!(value("kind").contains("hash-grid") && value("kind").contains("trimip/systems/ngp.toml"));
     refuses(here, &["config", "--system", "nerf"], &["system `nerf`", "ngp-17"]);
     scenes(here);
     let mut train =

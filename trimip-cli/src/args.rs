@@ -5,6 +5,7 @@ mod data;
 mod export;
 mod paper;
 mod render;
+mod shared;
 
 pub use bench::BenchArguments;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -12,6 +13,8 @@ pub use data::{DataAction, DataArguments};
 pub use export::{ExportArguments, ExportWhat, MeshArguments, WebArguments};
 pub use paper::{PaperArguments, Schedule, Split, TableScales};
 pub use render::{PictureFormat, RenderArguments};
+use shared::ending;
+pub use shared::{SceneArguments, SettingsArguments};
 use std::net::IpAddr;
 use std::path::PathBuf;
 
@@ -70,31 +73,6 @@ pub enum Verb {
     Check(CheckArguments),
     /// Show what this machine and this build support
     Doctor,
-}
-
-/// Sources of settings.
-#[derive(Args, Clone, Debug, Default)]
-pub struct SettingsArguments {
-    /// A system, by the name that `paper --list` shows: its settings lie over the defaults and under all others
-    #[arg(long, value_name = "NAME")]
-    pub system: Option<String>,
-    /// Configuration file (TOML); missing settings have their defaults
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// Override one setting; may be given many times
-    #[arg(long, value_name = "SECTION.KEY=VALUE")]
-    pub set: Vec<String>,
-}
-
-/// The scene and the duration of training.
-#[derive(Args, Clone, Debug, Default)]
-pub struct SceneArguments {
-    /// Folder of the scene: photographs with transforms*.json, metadata.json or a COLMAP model (data.root)
-    #[arg(value_name = "FOLDER")]
-    pub folder: Option<PathBuf>,
-    /// Minutes of training; evaluation takes extra time (train.seconds) [default: 5]
-    #[arg(long, value_name = "N")]
-    pub minutes: Option<f64>,
 }
 
 /// How progress is shown.
@@ -175,15 +153,6 @@ pub struct PlanArguments {
     /// Also write the decisions as JSON
     #[arg(long, value_name = "FILE", value_parser = ending("json"))]
     pub json: Option<PathBuf>,
-}
-
-/// Parser of the name of a file to write. A name of another kind is a slip, and would cost the file that has it.
-fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> + Clone {
-    move |name| {
-        let path = PathBuf::from(name);
-        let fits = path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
-        if fits { Ok(path) } else { Err(format!("the name of such a file ends in .{ending}")) }
-    }
 }
 
 /// Options of `eval`.

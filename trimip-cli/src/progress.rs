@@ -165,7 +165,8 @@ fn show_on_bar(bar: &ProgressBar, event: &Event) {
             });
         }
         Event::SessionEnded { .. } => bar.finish_and_clear(),
-        Event::Checkpoint { .. } => {}
+        // Checkpoints, and events that a later version of the library may have.
+        _ => {}
     }
 }
 

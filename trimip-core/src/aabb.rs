@@ -26,6 +26,18 @@ impl<R: Real> Aabb<R> {
         std::array::from_fn(|i| self.max[i] - self.min[i])
     }
 
+    /// The point in the middle.
+    #[inline]
+    pub fn centre(&self) -> [R; 3] {
+        std::array::from_fn(|i| R::from_f64(0.5) * (self.min[i] + self.max[i]))
+    }
+
+    /// Half of each side: from the centre to a face.
+    #[inline]
+    pub fn half(&self) -> [R; 3] {
+        self.extent().map(|side| R::from_f64(0.5) * side)
+    }
+
     /// Longest side.
     pub fn longest(&self) -> R {
         let [x, y, z] = self.extent();
@@ -61,6 +73,12 @@ mod tests {
     use super::*;
 
     const CUBE: Aabb<f64> = Aabb { min: [-1.0; 3], max: [1.0; 3] };
+
+    #[test]
+    fn a_box_is_its_centre_and_halves() {
+        let aabb = Aabb { min: [-1.0, 2.0, 0.25], max: [3.0, 2.5, 0.75] };
+        assert_eq!((aabb.centre(), aabb.half()), ([1.0, 2.25, 0.5], [2.0, 0.25, 0.25]));
+    }
 
     #[test]
     fn rays_through_beside_and_along_the_box() {

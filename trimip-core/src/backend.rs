@@ -36,7 +36,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// The terms of the loss.
     type Loss: Loss<Self>;
 
-    /// Number of steps between a step and the use of its sums, at most [`crate::checkpoint::MOST_PENDING`]. It is
+    /// Number of steps between a step and the use of its sums, at most [`crate::batch::MOST_PENDING`]. It is
     /// above 0 for a device that computes one step while the host records the next.
     const LAG: usize = 0;
 

@@ -3,7 +3,12 @@
 
 pub use crate::elements::{Interval, Radiance, Ray, Segment, Sphere, Target};
 
-use crate::{Backend, Field, Pixel, backend::Encoder, balance::Draw, exchange::Share};
+use crate::{
+    Backend, Field, Pixel, Result,
+    backend::Encoder,
+    balance::Draw,
+    ranks::{Share, fault},
+};
 use serde::{Deserialize, Serialize};
 
 /// Cones of a span. The cones of a pixel are consecutive.
@@ -216,6 +221,9 @@ impl StepSums {
     }
 }
 
+/// Largest number of steps whose sums are not read back yet.
+pub const MOST_PENDING: usize = 2;
+
 /// What a step leaves for the host.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepResult {
@@ -234,18 +242,22 @@ impl StepResult {
         sums.chain(counts).chain(self.exposures.as_flattened().iter().map(|value| value.to_bits())).collect()
     }
 
-    /// The result of these [`to_words`](Self::to_words); zeros if there are too few.
-    pub fn of_words(words: &[u64]) -> Self {
+    /// The result of these [`to_words`](Self::to_words).
+    ///
+    /// # Errors
+    /// When their number is not 7 and three for each photograph.
+    pub fn of_words(words: &[u64]) -> Result<Self> {
         let Some((&[loss, weight, squared_error, rays, marched, kept, non_finite], exposures)) =
-            words.split_first_chunk()
+            words.split_first_chunk().filter(|(_, exposures)| exposures.len().is_multiple_of(3))
         else {
-            return Self::default();
+            let found = words.len();
+            return Err(fault(format_args!("expected 7 sums and 3 for each photograph, found {found}")));
         };
         let [loss, weight, squared_error] = [loss, weight, squared_error].map(f64::from_bits);
-        Self {
+        Ok(Self {
             sums: StepSums { loss, weight, squared_error, rays, marched, kept, non_finite },
             exposures: exposures.as_chunks().0.iter().map(|gains| gains.map(f64::from_bits)).collect(),
-        }
+        })
     }
 
     /// Adds the result of another span.
@@ -255,6 +267,39 @@ impl StepResult {
         self.exposures.resize(count, [0.0; 3]);
         for (own, other) in self.exposures.as_flattened_mut().iter_mut().zip(other.exposures.as_flattened()) {
             *own += other;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+
+    #[test]
+    fn a_result_is_that_of_its_words_and_of_no_other_number_of_them() {
+        let sums = StepSums {
+            loss: 0.5,
+            weight: 3.0,
+            squared_error: f64::NAN,
+            rays: 5,
+            marched: u64::MAX,
+            kept: 7,
+            non_finite: 1,
+        };
+        let words = StepResult { sums, exposures: vec![[0.25, -1.0, 2.0], [1e300, 0.0, -0.0]] }.to_words();
+        for count in 0..=words.len() {
+            match StepResult::of_words(&words[..count]) {
+                Ok(result) => {
+                    assert!(count >= 7 && count % 3 == 1, "{count}");
+                    assert_eq!(result.to_words(), words[..count]);
+                }
+                Err(error) => {
+                    assert!(count < 7 || count % 3 != 1, "{count}");
+                    assert_eq!(error.kind, ErrorKind::Device);
+                    assert!(error.message.contains(&format!("found {count}")), "{error}");
+                }
+            }
         }
     }
 }

@@ -1,6 +1,8 @@
 //! Everything that training needs to continue with the same bits: parameters, moments, occupancy, counters. Random
 //! numbers are hashes of (seed, step, index), so the step is the whole random state.
 
+pub use crate::{batch::MOST_PENDING, tensor_names::OCCUPANCY_DENSITY};
+
 use crate::{
     Config, Error, Result,
     batch::StepSums,
@@ -10,19 +12,13 @@ use crate::{
     fingerprint::Fingerprint,
     model::{Model, expect_format, expect_tensors},
     tensors::{TensorFile, Values},
-    trainer::most_rays,
+    trainer::rays::most_rays,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Value of the metadata `format` of a checkpoint file.
 pub const FORMAT: &str = "trimip-checkpoint-1";
-
-/// Name of the tensor of the grid's running maximum of densities.
-pub const OCCUPANCY_DENSITY: &str = "occupancy.density";
-
-/// Largest number of steps whose sums are not read back yet.
-pub const MOST_PENDING: usize = 2;
 
 /// State that is not in tensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

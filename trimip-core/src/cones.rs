@@ -2,18 +2,10 @@
 //! along the ray as much as across, and a network of averaged features is not the average of the network. A wider pixel
 //! is therefore the mean of several cones.
 
+pub use crate::cone_pattern::{QUINCUNX, count};
+
 use crate::{Aabb, Camera, Config, ViewSet, config::ConePattern};
 use glam::DVec3;
-
-/// Cones along a side that stand for the quincunx: five cones of the pixel's width, at its centre and at (±¼, ±¼) of a pixel
-/// around it.
-pub const QUINCUNX: u32 = 0x100;
-
-/// Number of cones of a pixel with `side` cones along each side.
-#[inline]
-pub fn count(side: u32) -> u32 {
-    if side == QUINCUNX { 5 } else { side * side }
-}
 
 /// The rule by which pixels are divided into cones.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,7 +53,7 @@ impl Division {
 /// World width of a pixel of `camera` in the middle of the box. A camera within the box looks at points a quarter of
 /// its longest side away.
 pub fn footprint(camera: &Camera, aabb: &Aabb<f64>) -> f64 {
-    let middle = DVec3::from_array(std::array::from_fn(|axis| 0.5 * (aabb.min[axis] + aabb.max[axis])));
+    let middle = DVec3::from_array(aabb.centre());
     let distance = (camera.origin - middle).length().max(0.25 * aabb.longest());
     distance / (camera.intrinsics.fx * camera.intrinsics.fy).sqrt()
 }

@@ -87,3 +87,14 @@ pub struct Radiance {
     /// Density per world unit.
     pub density: f32,
 }
+
+/// A place at which the field is evaluated: a sphere, and the direction in which it is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Query {
+    /// Centre, world units.
+    pub point: [f64; 3],
+    /// Radius, world units.
+    pub radius: f32,
+    /// Unit vector from the eye to the centre.
+    pub direction: [f32; 3],
+}

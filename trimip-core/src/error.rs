@@ -6,6 +6,7 @@ pub const STOPPED: u8 = 130;
 
 /// Cause of an [`Error`]; determines the exit code of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ErrorKind {
     /// The user's files, settings or arguments are wrong (exit code 2).
     Input,

@@ -39,6 +39,7 @@ pub struct Provenance {
 /// An event. Serialised with a `kind` field, one JSON object per line of `metrics.jsonl`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Event {
     /// Overview of a run, before it starts.
     Plan {

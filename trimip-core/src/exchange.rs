@@ -1,6 +1,8 @@
 //! The interface for training one model in several processes, called ranks. Every rank computes a share of each step's
-//! pixels. An [`Exchange`] brings together what they computed, and every rank takes the same step with the same bits.
-//! [`Ranks`] is the transport below it: MPI, or channels between threads.
+//! pixels. An [`Exchange`] brings together what they computed, and every rank takes the same step with the same bits. It sends
+//! its messages by [`Ranks`].
+
+pub use crate::ranks::{Ranks, Share, fault};
 
 use crate::{
     Backend, Result,
@@ -8,79 +10,6 @@ use crate::{
     batch::{Deposit, StepResult, Update},
 };
 use std::sync::Arc;
-
-/// A rank's share of the work of all ranks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Share {
-    /// Number of this rank, from 0.
-    pub rank: usize,
-    /// Number of ranks.
-    pub of: usize,
-}
-
-impl Share {
-    /// All of the work.
-    pub const WHOLE: Self = Self { rank: 0, of: 1 };
-
-    /// True if item `index` of work that is dealt out in turn belongs to this rank.
-    pub fn has(self, index: usize) -> bool {
-        index % self.of == self.rank
-    }
-
-    /// The part of `count` items that belongs to this rank, if every rank takes a contiguous part.
-    pub fn part(self, count: u32) -> std::ops::Range<u32> {
-        let bound = |rank: usize| (u64::from(count) * rank as u64 / self.of as u64) as u32;
-        bound(self.rank)..bound(self.rank + 1)
-    }
-}
-
-/// The processes that train one model together. Every rank makes the same calls in the same order; a call returns when
-/// this rank has what it needs from the others.
-pub trait Ranks: Send + Sync {
-    /// This rank among all of them.
-    fn share(&self) -> Share;
-
-    /// This rank among those on the same machine.
-    fn on_machine(&self) -> Share {
-        self.share()
-    }
-
-    /// Sends `out[r]` to every other rank r, and puts what rank r sent here into `into[r]`. Both have one entry per rank;
-    /// that of this rank is left alone.
-    ///
-    /// # Errors
-    /// When another rank is gone.
-    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()>;
-
-    /// Replaces `bytes` on every rank by those of rank 0.
-    ///
-    /// # Errors
-    /// When another rank is gone.
-    fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()>;
-
-    /// Sends a message to one rank, which has to [`receive`](Self::receive) it.
-    ///
-    /// # Errors
-    /// When that rank is gone.
-    fn send(&self, to: usize, bytes: &[u8]) -> Result<()>;
-
-    /// Waits for a message of any rank; returns its sender too.
-    ///
-    /// # Errors
-    /// When another rank is gone.
-    fn receive(&self) -> Result<(usize, Vec<u8>)>;
-
-    /// A message of any rank that has come; returns its sender too.
-    ///
-    /// # Errors
-    /// When another rank is gone.
-    fn try_receive(&self) -> Result<Option<(usize, Vec<u8>)>>;
-
-    /// Told after a step: the bytes of the part of the gradient that the step touched.
-    fn tally(&self, touched: u64) {
-        let _ = touched;
-    }
-}
 
 /// Brings together what the ranks computed in a step. The trainer calls [`deposits`](Self::deposits), then
 /// [`update`](Self::update); [`sums`](Self::sums) between the two on a backend without lag, else after them for an earlier step.
@@ -148,12 +77,12 @@ impl Summed {
     }
 
     /// Sends `own` to every rank; calls `add` with what each rank sent, in order.
-    fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8])) -> Result<()> {
+    fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         let Self { ranks, received } = self;
         let share = ranks.share();
         ranks.trade(&vec![own; share.of], received)?;
         for (rank, bytes) in received.iter().enumerate() {
-            add(if rank == share.rank { own } else { bytes });
+            add(if rank == share.rank { own } else { bytes })?;
         }
         Ok(())
     }
@@ -168,8 +97,13 @@ impl<B: Backend> Exchange<B> for Summed {
         let own = sums.to_words();
         let mut all = StepResult::default();
         self.gather(bytemuck::cast_slice(&own), |bytes| {
-            let words = bytes.chunks_exact(size_of::<u64>()).map(bytemuck::pod_read_unaligned);
-            all.add(&StepResult::of_words(&words.collect::<Vec<_>>()));
+            let (words, rest) = bytes.as_chunks();
+            if !rest.is_empty() {
+                return Err(fault(format_args!("expected words of 8 bytes, found {} bytes", bytes.len())));
+            }
+            let words: Vec<u64> = words.iter().map(|word| u64::from_ne_bytes(*word)).collect();
+            all.add(&StepResult::of_words(&words)?);
+            Ok(())
         })?;
         Ok(all)
     }
@@ -181,10 +115,17 @@ impl<B: Backend> Exchange<B> for Summed {
         let mut weight = 0.0;
         own.fill(0.0);
         self.gather(&message, |bytes| {
-            let (head, tail) = bytes.split_at(size_of::<f64>());
-            weight += bytemuck::pod_read_unaligned::<f64>(head);
-            let values = tail.chunks_exact(size_of::<f32>()).map(bytemuck::pod_read_unaligned::<f32>);
+            let Some((head, tail)) = bytes.split_first_chunk().filter(|_| bytes.len() == message.len())
+            else {
+                let (expected, found) = (message.len(), bytes.len());
+                return Err(fault(format_args!(
+                    "expected a weight and a gradient of {expected} bytes, found {found}"
+                )));
+            };
+            weight += f64::from_ne_bytes(*head);
+            let values = tail.as_chunks().0.iter().map(|bytes| f32::from_ne_bytes(*bytes));
             own.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+            Ok(())
         })?;
         self.ranks.tally(size_of_val(&own[..]) as u64);
         backend.write(update.gradient, &own);

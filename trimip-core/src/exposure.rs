@@ -5,8 +5,7 @@
 use crate::{
     Result, ViewSet,
     adamw::Rule,
-    batch::StepResult,
-    checkpoint::MOST_PENDING,
+    batch::{MOST_PENDING, StepResult},
     config::OptimizerConfig,
     losses::exposure::exposed,
     tensors::{Tensor, TensorFile},

@@ -1,6 +1,8 @@
 //! A finished model: the parameters by name, the occupancy grid, and the configuration they belong to. Its
 //! file is all that rendering needs.
 
+pub use crate::tensor_names::{ASSET, OCCUPANCY};
+
 use crate::{
     Config, Error, Layout, Result,
     config::{FilePrecision, RendererKind},
@@ -11,13 +13,6 @@ use std::{collections::BTreeMap, path::Path};
 
 /// Value of the metadata `format` of a model file.
 const FORMAT: &str = "trimip-model-1";
-
-/// Name of the occupancy grid's tensor: one bit per cell, cell order, lowest bit first.
-pub const OCCUPANCY: &str = "occupancy";
-
-/// Prefix of the names of scene assets: tensors that a renderer holds beside the parameters, such as a mesh or a
-/// hierarchy. Assets are saved with the model; a renderer ignores assets that it does not know.
-pub const ASSET: &str = "asset.";
 
 /// Assets of a scene by their names in the file.
 pub type Assets = BTreeMap<String, Tensor>;
@@ -31,19 +26,24 @@ pub fn assets(file: &TensorFile) -> Assets {
 /// Named tensors (see [`crate::params::Layout`]), the occupancy bits as tensor `occupancy` and the configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// The configuration the model was trained with.
+    /// The configuration. It stands here alone: every file is written with it.
     pub config: Config,
-    /// Tensors and metadata as in the file.
+    /// Tensors. Metadata that a file states beside format and configuration.
     pub file: TensorFile,
+}
+
+/// The metadata of a model file of this format and configuration.
+fn metadata(format: &str, config: &Config) -> [(&'static str, String); 3] {
+    let aabb = format!("{:?} {:?}", config.scene.aabb_min, config.scene.aabb_max);
+    [("format", format.into()), ("config", config.to_toml()), ("aabb", aabb)]
 }
 
 impl Model {
     /// A model from a configuration and tensors.
     pub fn new(config: Config, mut file: TensorFile) -> Self {
-        file.metadata.insert("format".into(), FORMAT.into());
-        file.metadata.insert("config".into(), config.to_toml());
-        file.metadata
-            .insert("aabb".into(), format!("{:?} {:?}", config.scene.aabb_min, config.scene.aabb_max));
+        for (key, _) in metadata(FORMAT, &config) {
+            file.metadata.remove(key);
+        }
         Self { config, file }
     }
 
@@ -58,14 +58,16 @@ impl Model {
         self
     }
 
-    /// Writes the model, atomically, each tensor in the precision that its slot declares; returns its size in bytes.
+    /// Writes the model with its configuration, atomically, each tensor in the precision that its slot declares; returns its size
+    /// in bytes.
     ///
     /// # Errors
     /// When the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<u64> {
+        let metadata = metadata(FORMAT, &self.config);
         let mut names = in_f16(&self.config).peekable();
         if names.peek().is_none() {
-            return self.file.write(path, &[]);
+            return self.file.write(path, &metadata);
         }
         let mut file = self.file.clone();
         for name in names {
@@ -73,7 +75,7 @@ impl Model {
                 *tensor = tensor.to_f16();
             }
         }
-        file.write(path, &[])
+        file.write(path, &metadata)
     }
 
     /// Writes the model in few bytes, rounded to 8 bits a value, without assets ([`packed`]); returns its size in bytes.
@@ -87,9 +89,7 @@ impl Model {
         let names: Vec<String> = in_f16(&coarse).collect();
         let mut config = self.config.clone();
         config.renderer.kind = RendererKind::Volume;
-        let mut packed = packed::pack(&self.file, &names)?;
-        packed.metadata.insert("config".into(), config.to_toml());
-        packed.write(path, &[])
+        packed::pack(&self.file, &names)?.write(path, &metadata(packed::FORMAT, &config))
     }
 
     /// Hash of all tensors and settings, the same on every machine.
@@ -97,8 +97,7 @@ impl Model {
     /// # Errors
     /// When the metadata cannot be written as JSON.
     pub fn hash(&self) -> Result<u64> {
-        let settings = [("now", self.config.to_toml())];
-        Ok(fingerprint::hash(&self.file.to_bytes(&settings)?))
+        Ok(fingerprint::hash(&self.file.to_bytes(&metadata(FORMAT, &self.config))?))
     }
 
     /// Reads a model and checks it: its format, its settings, and every tensor's shape and numbers.
@@ -128,10 +127,9 @@ impl Model {
         let config = Config::from_toml(&format!("{name} (its config)"), file.text(name, "config")?)?;
         if is_packed {
             file = packed::unpack(name, &file, &config)?;
-            file.metadata.insert("format".into(), FORMAT.into());
         }
         expect_tensors(name, &file, &config, &[""])?;
-        Ok(Self { config, file })
+        Ok(Self::new(config, file))
     }
 }
 

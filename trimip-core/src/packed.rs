@@ -7,7 +7,7 @@
 use crate::{
     Config, Error, Layout, Result,
     deflate::{deflated, inflated},
-    model::{ASSET, OCCUPANCY},
+    tensor_names::{ASSET, OCCUPANCY},
     tensors::{Tensor, TensorFile, Values},
 };
 use flate2::Compression;
@@ -68,7 +68,6 @@ fn decoded(codes: &[u8], scales: &[f32], channels: usize) -> Vec<f32> {
 /// When they cannot be compressed.
 pub(crate) fn pack(file: &TensorFile, coarse: &[String]) -> Result<TensorFile> {
     let mut packed = TensorFile { metadata: file.metadata.clone(), ..TensorFile::default() };
-    packed.metadata.insert("format".into(), FORMAT.into());
     for (name, tensor) in file.tensors.iter().filter(|(name, _)| !name.starts_with(ASSET)) {
         let mut wide = tensor.clone();
         wide.widen();

@@ -1,7 +1,7 @@
 //! Density and colour of a model at places of the world, without a picture: what a mesh or a volume is made of.
 
 use crate::{
-    Backend, Encoder, Field, Result, Space,
+    Backend, Encoder, Field, Query, Result, Space,
     batch::{Interval, Radiance, Ray, Samples, Sphere, Tile, Tiling, Workspace},
     encoders,
     loaded::LoadedModel,
@@ -14,17 +14,6 @@ const PLACES_PER_SPAN: u32 = 512;
 
 /// Places whose results are on the device at once.
 const PLACES_AT_ONCE: usize = 1 << 18;
-
-/// A place at which the field is evaluated: a sphere, and the direction in which it is seen.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Query {
-    /// Centre, world units.
-    pub point: [f64; 3],
-    /// Radius, world units.
-    pub radius: f32,
-    /// Unit vector from the eye to the centre.
-    pub direction: [f32; 3],
-}
 
 /// The three parts of a sample.
 type Parts = (Vec<Ray>, Vec<Interval>, Vec<Sphere>);

@@ -107,7 +107,14 @@ pub trait Session: Viewer {
     /// Performs one optimiser step; `progress` in [0, 1] drives the schedules. The caller updates `totals.seconds`.
     ///
     /// # Errors
-    /// When a loss or gradient is not finite, or the device fails. The parameters are then those before the step.
+    /// When the loss of a step is not finite, or the device fails.
+    ///
+    /// After a loss that is not finite no checkpoint holds an update by its gradient. A backend without lag
+    /// ([`Backend::LAG`](crate::Backend::LAG) = 0: `"cpu"`) checks the loss before the update: the parameters and moments are
+    /// those before the step, but for what [grows](crate::encoders::Definition::stage) at its progress. A backend that runs ahead
+    /// (`"wgpu"`: 2 steps) tells so that many steps later, and the updates up to then are done. From then on `step`,
+    /// [`checkpoint`](Self::checkpoint) and [`finish`](Self::finish) return the same error, until
+    /// [`restore`](Self::restore) replaces the state.
     fn step(&mut self, progress: f64) -> Result<StepReport>;
 
     /// Everything that rendering needs.
@@ -119,13 +126,13 @@ pub trait Session: Viewer {
     /// The model as its file will hold it. This ends the training: the session renders this model from now on.
     ///
     /// # Errors
-    /// When the device failed.
+    /// When the device failed, or an earlier step was not finite, see [`step`](Self::step).
     fn finish(&mut self) -> Result<Model>;
 
     /// Everything that is needed to continue the training with the same bits.
     ///
     /// # Errors
-    /// When the device failed, or a pending step was not finite.
+    /// When the device failed, or a step that is in the parameters was not finite, see [`step`](Self::step).
     fn checkpoint(&mut self) -> Result<Checkpoint>;
 
     /// Takes part in the checkpoint of rank 0, without one of its own.

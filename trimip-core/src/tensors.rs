@@ -18,6 +18,7 @@ const LENGTH: usize = size_of::<u64>();
 
 /// Values of a tensor.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Values {
     /// 32-bit floats.
     F32(Vec<f32>),

@@ -10,7 +10,7 @@ use crate::wire::Reader;
 use crate::{CpuBackend, Lane};
 use trimip_core::batch::{Deposit, Samples, Tile};
 use trimip_core::config::EncoderKind;
-use trimip_core::{Config, Encoder, encoders};
+use trimip_core::{Config, Encoder, Result, encoders};
 
 /// The parameters, and the geometry of a span's samples.
 fn places<'a>(tile: &Tile<'a, CpuBackend>) -> Places<'a> {
@@ -78,7 +78,7 @@ macro_rules! encoders {
             }
 
             /// See [`Encoding::take`].
-            pub(crate) fn take(&self, from: &mut Reader<'_>, gradient: &mut EncoderGradient) {
+            pub(crate) fn take(&self, from: &mut Reader<'_>, gradient: &mut EncoderGradient) -> Result<()> {
                 match (&self.any, &mut gradient.0) {
                     $((Any::$name(encoding), AnyGradient::$name(gradient)) => encoding.take(from, gradient),)*
                     #[allow(unreachable_patterns)]

@@ -20,7 +20,7 @@ use trimip_core::networks::{append_frequencies, pull_frequencies};
 use trimip_core::params::{ALIGNMENT, Slot};
 use trimip_core::policy::FieldPolicy;
 use trimip_core::sh::spherical_harmonics;
-use trimip_core::{Config, Field, Layout, encoders};
+use trimip_core::{Config, Field, Layout, Result, encoders};
 
 /// The density and colour networks.
 pub struct CpuField {
@@ -171,9 +171,12 @@ impl FieldGradient {
     }
 
     /// Replaces all numbers by those that were put.
-    pub(crate) fn take(&mut self, from: &mut Reader<'_>) {
-        self.density.take(from);
-        self.color.take(from);
+    ///
+    /// # Errors
+    /// When the message has fewer.
+    pub(crate) fn take(&mut self, from: &mut Reader<'_>) -> Result<()> {
+        self.density.take(from)?;
+        self.color.take(from)
     }
 }
 

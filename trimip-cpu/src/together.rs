@@ -118,14 +118,15 @@ impl Exchange<CpuBackend> for Together {
         for from in self.others() {
             let mut reader = Reader::new(&self.into[from]);
             let share = Share { rank: from, ..self.share };
-            deposits[parts.of(share).start].field.take(&mut reader);
+            deposits[parts.of(share).start].field.take(&mut reader)?;
             for (_, deposit) in deposits.iter_mut().enumerate().filter(|(i, _)| parts.has(share, *i)) {
-                reader.list(&mut words);
-                deposit.sums = StepResult::of_words(&words);
+                reader.list(&mut words)?;
+                deposit.sums = StepResult::of_words(&words)?;
                 if !is_divided {
-                    stages.encoder.take(&mut reader, &mut deposit.encoder);
+                    stages.encoder.take(&mut reader, &mut deposit.encoder)?;
                 }
             }
+            reader.end()?;
         }
         Ok(())
     }
@@ -149,7 +150,7 @@ impl Exchange<CpuBackend> for Together {
             divided.put_sums(update.gradient, to, out);
         }
         self.trade()?;
-        divided.take_sums(&self.into, update.gradient);
+        divided.take_sums(&self.into, update.gradient)?;
         divided.complete(update.gradient);
         // Without a weight nothing moves, on any rank.
         if backend.weight(update.deposits) > 0.0 {
@@ -161,8 +162,9 @@ impl Exchange<CpuBackend> for Together {
             self.tell(&message)?;
             for from in self.others() {
                 let mut reader = Reader::new(&self.into[from]);
-                optimizer.count_non_finite(reader.one());
-                divided.take_changed(&mut reader, from, update.parameters);
+                optimizer.count_non_finite(reader.one()?);
+                divided.take_changed(&mut reader, from, update.parameters)?;
+                reader.end()?;
             }
             self.ranks.tally((divided.count_touched() * size_of::<f32>()) as u64);
             self.out[self.share.rank] = message;
@@ -184,8 +186,9 @@ impl Exchange<CpuBackend> for Together {
         for from in self.others() {
             let mut reader = Reader::new(&self.into[from]);
             for moments in optimizer.moments_mut() {
-                parts[from].iter().for_each(|range| reader.copy(&mut moments[range.clone()]));
+                parts[from].iter().try_for_each(|range| reader.copy(&mut moments[range.clone()]))?;
             }
+            reader.end()?;
         }
         Ok(())
     }

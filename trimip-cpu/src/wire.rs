@@ -2,6 +2,7 @@
 
 use crate::buffer::Buffer;
 use bytemuck::Pod;
+use trimip_core::{Error, Result, exchange};
 
 /// Appends values.
 pub fn put<T: Pod>(out: &mut Vec<u8>, values: &[T]) {
@@ -14,75 +15,197 @@ pub fn put_counted<T: Pod>(out: &mut Vec<u8>, values: &[T]) {
     put(out, values);
 }
 
-/// A message that is being read.
-pub struct Reader<'a>(&'a [u8]);
+/// A message that is being read. A read that the message does not fill is an error, of the kind of a rank that is gone: what
+/// other ranks computed is not to be had. Nothing is allocated for values that are not there.
+pub struct Reader<'a> {
+    rest: &'a [u8],
+    /// Bytes of the whole message.
+    length: usize,
+}
 
 impl<'a> Reader<'a> {
     /// Reads from the beginning.
     pub fn new(bytes: &'a [u8]) -> Self {
-        Self(bytes)
+        Self { rest: bytes, length: bytes.len() }
     }
 
-    /// The next value; zero behind the end.
-    pub fn one<T: Pod>(&mut self) -> T {
-        let mut value = [T::zeroed()];
-        self.copy(&mut value);
-        value[0]
+    fn fault(&self, expected: impl std::fmt::Display) -> Error {
+        let at = self.length - self.rest.len();
+        exchange::fault(format_args!("expected {expected} at byte {at} of {}", self.length))
     }
 
-    /// Overwrites `to` with the next values. Those behind the end are left.
-    pub fn copy<T: Pod>(&mut self, to: &mut [T]) {
+    /// The next value.
+    ///
+    /// # Errors
+    /// When the message ends before it.
+    pub fn one<T: Pod>(&mut self) -> Result<T> {
+        self.bytes(size_of::<T>()).map(bytemuck::pod_read_unaligned)
+    }
+
+    /// Overwrites `to` with the next values.
+    ///
+    /// # Errors
+    /// When the message has fewer; `to` is then unchanged.
+    pub fn copy<T: Pod>(&mut self, to: &mut [T]) -> Result<()> {
         let to: &mut [u8] = bytemuck::cast_slice_mut(to);
-        let now = self.bytes(to.len());
-        to[..now.len()].copy_from_slice(now);
+        to.copy_from_slice(self.bytes(to.len())?);
+        Ok(())
     }
 
-    /// The next bytes; fewer at the end.
-    pub fn bytes(&mut self, count: usize) -> &'a [u8] {
-        let (now, rest) = self.0.split_at(count.min(self.0.len()));
-        self.0 = rest;
-        now
+    /// The next `count` bytes.
+    ///
+    /// # Errors
+    /// When the message has fewer.
+    pub fn bytes(&mut self, count: usize) -> Result<&'a [u8]> {
+        let Some((bytes, rest)) = self.rest.split_at_checked(count) else {
+            return Err(self.fault(format_args!("{count} bytes")));
+        };
+        self.rest = rest;
+        Ok(bytes)
     }
 
     /// The next bytes, whose number comes first.
-    pub fn counted_bytes(&mut self) -> &'a [u8] {
-        let count = self.one::<u64>() as usize;
+    ///
+    /// # Errors
+    /// When the message has fewer.
+    pub fn counted_bytes(&mut self) -> Result<&'a [u8]> {
+        let count = self.count::<u8>()?;
         self.bytes(count)
     }
 
+    /// The number of values that follow, which are there.
+    fn count<T: Pod>(&mut self) -> Result<usize> {
+        let count: u64 = self.one()?;
+        let fits = usize::try_from(count)
+            .ok()
+            .filter(|count| count.checked_mul(size_of::<T>()).is_some_and(|bytes| bytes <= self.rest.len()));
+        fits.ok_or_else(|| self.fault(format_args!("{count} values of {} bytes", size_of::<T>())))
+    }
+
     /// Replaces a buffer by what [`put_counted`] wrote.
-    pub fn buffer<T: Pod>(&mut self, to: &mut Buffer<T>) {
-        to.resize(self.one::<u64>() as usize);
-        self.copy(to);
+    ///
+    /// # Errors
+    /// When the message has fewer values than it says.
+    pub fn buffer<T: Pod>(&mut self, to: &mut Buffer<T>) -> Result<()> {
+        to.resize(self.count::<T>()?);
+        self.copy(to)
     }
 
     /// Replaces a list by what [`put_counted`] wrote.
-    pub fn list<T: Pod>(&mut self, to: &mut Vec<T>) {
+    ///
+    /// # Errors
+    /// When the message has fewer values than it says.
+    pub fn list<T: Pod>(&mut self, to: &mut Vec<T>) -> Result<()> {
         to.clear();
-        to.resize(self.one::<u64>() as usize, T::zeroed());
-        self.copy(to);
+        to.resize(self.count::<T>()?, T::zeroed());
+        self.copy(to)
+    }
+
+    /// Replaces a list by indices below `count` that [`put_counted`] wrote.
+    ///
+    /// # Errors
+    /// When the message has fewer indices than it says, or a larger one.
+    pub fn indices(&mut self, to: &mut Vec<u32>, count: usize) -> Result<()> {
+        self.list(to)?;
+        match to.iter().all(|index| (*index as usize) < count) {
+            true => Ok(()),
+            false => Err(self.fault(format_args!("indices below {count} before the values"))),
+        }
+    }
+
+    /// Refuses values of which there are `found` instead of `expected`.
+    ///
+    /// # Errors
+    /// When the numbers differ.
+    pub fn expect(&self, what: &str, found: usize, expected: usize) -> Result<()> {
+        match found == expected {
+            true => Ok(()),
+            false => Err(self.fault(format_args!("{expected} {what}, found {found},"))),
+        }
+    }
+
+    /// Ends the reading.
+    ///
+    /// # Errors
+    /// When the message goes on.
+    pub fn end(&self) -> Result<()> {
+        match self.rest.is_empty() {
+            true => Ok(()),
+            false => Err(self.fault("the end")),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use trimip_core::ErrorKind;
 
-    #[test]
-    fn arrays_of_all_lengths_and_alignments_come_back() {
-        let (mut bytes, mut list, mut buffer) = (Vec::new(), vec![9_u32], Buffer::<[f32; 3]>::zeros(7));
+    /// A message of every kind of value.
+    fn message() -> Vec<u8> {
+        let mut bytes = Vec::new();
         put(&mut bytes, &[7_u8]);
         put_counted(&mut bytes, &[1_u32, 2, 3]);
         put_counted::<u32>(&mut bytes, &[]);
         put_counted(&mut bytes, &[[0.5_f32; 3]; 2]);
-        let mut reader = Reader::new(&bytes);
-        assert_eq!(reader.one::<u8>(), 7);
-        reader.list(&mut list);
+        put(&mut bytes, &[1.5_f64, 2.5]);
+        put_counted(&mut bytes, b"end");
+        bytes
+    }
+
+    fn read(message: &[u8]) -> Result<()> {
+        let (mut list, mut buffer, mut two) = (vec![9_u32], Buffer::<[f32; 3]>::zeros(7), [0.0_f64; 2]);
+        let mut reader = Reader::new(message);
+        assert_eq!(reader.one::<u8>()?, 7);
+        reader.list(&mut list)?;
         assert_eq!(list, [1, 2, 3]);
-        reader.list(&mut list);
+        reader.list(&mut list)?;
         assert!(list.is_empty());
-        reader.buffer(&mut buffer);
+        reader.buffer(&mut buffer)?;
         assert_eq!(&buffer[..], &[[0.5; 3]; 2]);
-        assert_eq!(reader.one::<u64>(), 0, "behind the end");
+        reader.copy(&mut two)?;
+        assert_eq!(two, [1.5, 2.5]);
+        assert_eq!(reader.counted_bytes()?, b"end");
+        reader.end()
+    }
+
+    #[test]
+    fn arrays_of_all_lengths_and_alignments_come_back() {
+        read(&message()).unwrap();
+    }
+
+    #[test]
+    fn a_message_of_another_length_is_an_error_that_says_where() {
+        let whole = message();
+        for length in 0..whole.len() {
+            let error = read(&whole[..length]).unwrap_err();
+            assert_eq!(error.kind, ErrorKind::Device, "{length}: {error}");
+            assert!(
+                error.message.contains("expected") && error.message.contains(&format!("of {length}")),
+                "{error}"
+            );
+        }
+        let longer = [&whole[..], &[0]].concat();
+        let error = read(&longer).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::Device);
+        assert!(
+            error.message.contains(&format!("the end at byte {} of {}", whole.len(), longer.len())),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn nothing_is_allocated_for_values_that_are_not_there() {
+        for count in [2, 1 << 40, u64::MAX / 12 + 1, u64::MAX] {
+            let mut bytes = Vec::new();
+            put(&mut bytes, &[count]);
+            put(&mut bytes, &[[0.5_f32; 3]]);
+            let (mut list, mut buffer) = (Vec::<[f32; 3]>::new(), Buffer::<[f32; 3]>::zeros(0));
+            assert!(Reader::new(&bytes).list(&mut list).is_err() && list.capacity() == 0, "{count}");
+            assert!(Reader::new(&bytes).buffer(&mut buffer).is_err() && buffer.is_empty(), "{count}");
+        }
+        let mut bytes = Vec::new();
+        put(&mut bytes, &[u64::MAX]);
+        assert!(Reader::new(&bytes).counted_bytes().is_err());
     }
 }

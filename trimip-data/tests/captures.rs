@@ -10,7 +10,7 @@ use common::{
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::{Camera, Cone, Config, ViewSet, config::DataConfig, tensors::TensorFile};
+use trimip_core::{Camera, Cone, ViewSet, config::DataConfig};
 use trimip_data::{Scene, colmap::Model, inspect, open, unwatched, write_multiscale};
 
 /// Photographs of a capture.
@@ -88,21 +88,6 @@ fn exactly_posed() -> Sparse {
     sparse
 }
 
-/// The model after a few steps on the CPU.
-fn trained(set: ViewSet) -> TensorFile {
-    let mut config = Config::default();
-    (config.encoder.plane_size, config.field.hidden, config.occupancy.resolution) = (128, 16, 16);
-    (config.train.steps, config.train.samples_per_step) = (8, 2048);
-    let mut session = trimip_cpu::open(&config, set).unwrap();
-    let before = session.model().unwrap().file;
-    for step in 0..4 {
-        session.step(f64::from(step) / 8.0).unwrap();
-    }
-    let after = session.model().unwrap().file;
-    assert_ne!(before, after, "nothing was learned");
-    after
-}
-
 fn assert_same_cones(a: &Camera, b: &Camera) {
     let (width, height) = (a.intrinsics.width, a.intrinsics.height);
     assert_eq!((width, height), (b.intrinsics.width, b.intrinsics.height));
@@ -115,7 +100,7 @@ fn assert_same_cones(a: &Camera, b: &Camera) {
 }
 
 #[test]
-fn every_format_trains_to_the_same_bits() {
+fn every_format_opens_to_the_same_bits() {
     let sparse = exactly_posed();
     let roots = [0; 3].map(|_| tempfile::tempdir().unwrap());
     let [text, binary, frames] = [0, 1, 2].map(|i| roots[i].path());
@@ -124,11 +109,8 @@ fn every_format_trains_to_the_same_bits() {
     sparse.write_binary(&binary.join("sparse/0"));
     write(&frames.join("transforms.json"), &json!({ "frames": transforms(&sparse) }));
     let ours = scene(text).train;
-    let model = trained(ours.clone());
     for root in [binary, frames] {
-        let theirs = scene(root).train;
-        assert_same(&ours, &theirs);
-        assert!(trained(theirs) == model);
+        assert_same(&ours, &scene(root).train);
     }
 }
 

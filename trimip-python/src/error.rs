@@ -19,8 +19,8 @@ create_exception!(trimip, DeviceError, Error, "The device is missing, too small 
 pub fn raised(error: trimip::Error) -> PyErr {
     match error.kind {
         ErrorKind::Input => InputError::new_err(error.message),
-        ErrorKind::Run | ErrorKind::Stopped => RunError::new_err(error.message),
         ErrorKind::Device => DeviceError::new_err(error.message),
+        _ => RunError::new_err(error.message),
     }
 }
 

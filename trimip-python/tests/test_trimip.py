@@ -134,6 +134,14 @@ def test_a_saved_model_renders_the_same(model, tmp_path):
     assert np.array_equal(again.render(camera()).color, model.render(camera()).color)
 
 
+def test_settings_given_to_a_model_are_saved_with_it(trained, tmp_path):
+    given = {"renderer.min_transmittance": 0.25, "threads": 1}
+    assert trimip.Model.load(trained[0].folder).config["renderer"]["min_transmittance"] != 0.25
+    trimip.Model.load(trained[0].folder, given).save(tmp_path / "given.safetensors")
+    again = trimip.Model.load(tmp_path / "given.safetensors").config
+    assert again["renderer"]["min_transmittance"] == 0.25 and again["threads"] == 1
+
+
 def test_a_scene_has_its_photographs_and_cameras(model):
     scene = trimip.Scene(settings={key: value for key, value in TINY.items() if key == "data"})
     assert scene.name == "builtin" and scene.count("train") == 4 and scene.count() == 2

@@ -1,5 +1,5 @@
 //! A model in a page that no server stands behind: the renderer of trimip-wgpu as WebAssembly, over the browser's WebGPU.
-//! `tools/web.sh` builds it; `trimip-cli export web` writes a folder with it, a model and the page in `page/`.
+//! `tools/web.sh` builds it; `trimip-cli export web` writes a folder with it, a model and the page in `trimip-cli/page`.
 #![cfg(target_family = "wasm")]
 
 use glam::{DMat3, DVec3};

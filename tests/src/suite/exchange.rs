@@ -4,12 +4,15 @@ use super::exposure::exposed;
 use super::training::{configuration, scheduled, steps};
 use crate::fixtures;
 use crate::ranks::Threads;
-use std::sync::Arc;
+use std::sync::{
+    Arc,
+    atomic::{AtomicUsize, Ordering},
+};
 use trimip_core::{
-    Backend, Config, Result, Session,
+    Backend, Config, Error, ErrorKind, Result, Session,
     checkpoint::Checkpoint,
     config::{TrainConfig, Untouched},
-    exchange::{Exchange, Ranks, Summed},
+    exchange::{Exchange, Ranks, Share, Summed},
     tensors::Values,
     trainer::Trainer,
 };
@@ -138,6 +141,97 @@ pub fn summed<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
             );
             let all = train(&make, exchange, &config, ranks, None, 12)?;
             assert!(all.iter().all(|other| same(other, &all[0])), "{ranks} ranks have the same bits");
+        }
+    }
+    Ok(())
+}
+
+/// A rank that receives the messages of one trade with another length.
+struct Broken {
+    ranks: Arc<Threads>,
+    /// Trades until then.
+    trades: AtomicUsize,
+    change: fn(&mut Vec<u8>),
+}
+
+impl Ranks for Broken {
+    fn share(&self) -> Share {
+        self.ranks.share()
+    }
+
+    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
+        self.ranks.trade(out, into)?;
+        if self.trades.fetch_sub(1, Ordering::Relaxed) == 0 {
+            let own = self.share().rank;
+            into.iter_mut()
+                .enumerate()
+                .filter(|(from, _)| *from != own)
+                .for_each(|(_, bytes)| (self.change)(bytes));
+        }
+        Ok(())
+    }
+
+    fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()> {
+        self.ranks.broadcast(bytes)
+    }
+
+    fn send(&self, to: usize, bytes: &[u8]) -> Result<()> {
+        self.ranks.send(to, bytes)
+    }
+
+    fn receive(&self) -> Result<(usize, Vec<u8>)> {
+        self.ranks.receive()
+    }
+
+    fn try_receive(&self) -> Result<Option<(usize, Vec<u8>)>> {
+        self.ranks.try_receive()
+    }
+}
+
+/// Messages of another length than they were sent with end the run on every rank, with the error of a rank that is gone. No step
+/// is taken with what they seem to say.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn broken<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>) -> Result<()> {
+    let changes: [fn(&mut Vec<u8>); 4] = [
+        |bytes| bytes.truncate(bytes.len().saturating_sub(1)),
+        |bytes| bytes.push(0),
+        Vec::clear,
+        |bytes| bytes.truncate(bytes.len() / 2),
+    ];
+    let summed: Make<'_, B> = &|ranks, _| Box::new(Summed::new(ranks));
+    let mut skipping = configuration();
+    skipping.optimizer.untouched = Untouched::Skip;
+    let whole =
+        fixtures::every_encoder().into_iter().map(|encoder| fixtures::encoded(configuration(), &encoder));
+    // The trades of a step: its deposits; where planes are divided, sums and changed texels too, and moments at a checkpoint.
+    let mut cases: Vec<(Config, Make<'_, B>, usize)> = whole.map(|config| (config, exchange, 0)).collect();
+    cases.extend((0..4).map(|trade| (skipping.clone(), exchange, trade)));
+    cases.extend((0..2).map(|trade| (configuration(), summed, trade)));
+    for (config, exchange, trade) in &cases {
+        for change in changes {
+            let one = |ranks: Arc<Threads>| -> Result<Error> {
+                let mut trainer = Trainer::new(make(), config, fixtures::noise(3, 16, 2, 7))?;
+                let trades = AtomicUsize::new(*trade);
+                trainer.exchange_by(exchange(Arc::new(Broken { ranks, trades, change }), config));
+                let before = trainer.parameters();
+                let stepped = trainer.step(0.0).map(drop);
+                if stepped.is_err() {
+                    assert!(*trade > 1 || trainer.parameters() == before, "trade {trade}: nothing has moved");
+                }
+                let name = format!("{:?}, trade {trade}", config.encoder.kind);
+                Ok(stepped.and_then(|()| trainer.checkpoint().map(drop)).expect_err(&name))
+            };
+            let errors = std::thread::scope(|scope| {
+                let run = |rank| scope.spawn(|| one(rank));
+                let runs: Vec<_> = Threads::new(2).into_iter().map(run).collect();
+                runs.into_iter().map(|run| run.join().expect("a rank trains")).collect::<Result<Vec<_>>>()
+            })?;
+            for error in errors {
+                assert_eq!(error.kind, ErrorKind::Device, "{error}");
+                assert!(error.message.starts_with("message of another rank: expected "), "{error}");
+            }
         }
     }
     Ok(())

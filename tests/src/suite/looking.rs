@@ -81,7 +81,7 @@ pub fn clips<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let aabb = Aabb::<f64>::new(&config.scene);
     let step = f64::from(config.step_length()) * config.renderer.step_scale.at(1.0);
     // Every ray enters by the upper face and leaves by the lower one.
-    let middle = 0.5 * (DVec3::from_array(aabb.min) + DVec3::from_array(aabb.max));
+    let middle = DVec3::from_array(aabb.centre());
     let height = aabb.extent()[2];
     let intrinsics = Intrinsics::from_angle(6, 6, 0.15);
     let camera = Camera::look_at(intrinsics, middle + 2.0 * height * DVec3::Z, middle, DVec3::Y);

@@ -6,7 +6,7 @@ use crate::{
 };
 use glam::DVec3;
 use trimip_core::{
-    Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet, Viewer,
+    Backend, Camera, Config, ErrorKind, Intrinsics, Layout, Result, Session, ViewSet, Viewer,
     checkpoint::Checkpoint,
     config::{EncoderKind, FilePrecision, Untouched},
     encoders::tri_mip::CHANNELS,
@@ -77,6 +77,59 @@ pub fn scheduled() -> Result<Config> {
     settings.apply_file("schedules", text)?;
     config = Config::from_settings(&settings)?;
     Ok(config)
+}
+
+/// A loss that is not finite is an error at most [`Backend::LAG`] steps late. Without lag the parameters and moments are those
+/// before the step. With lag nothing of the state is given away. Either goes on from an earlier checkpoint with the bits of a run
+/// that was never broken.
+///
+/// # Errors
+/// When a healthy step fails.
+pub fn spoilt<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = configuration();
+    let views = || fixtures::noise(3, 16, 2, 2);
+    let progress = |step: u64| step as f64 / config.train.steps as f64;
+    let mut trainer = Trainer::new(make(), &config, views())?;
+    steps(&mut trainer, &config, 6)?;
+    let good = trainer.checkpoint()?;
+    let mut values = trainer.parameters();
+    let slot = trainer.layout().slots.iter().find(|slot| slot.name == "color.2.weight").expect("a layer");
+    values[slot.range.start + 5] = f32::NAN;
+    trainer.set_parameters(&values);
+    let bits = |checkpoint: &Checkpoint| {
+        let tensors = checkpoint.file.tensors.iter().filter(|(name, _)| !name.starts_with("occupancy"));
+        tensors.map(|(name, tensor)| format!("{name} {tensor:?}")).collect::<Vec<_>>()
+    };
+    let broken =
+        (B::LAG == 0).then(|| trainer.checkpoint().map(|checkpoint| bits(&checkpoint))).transpose()?;
+    let late = (6..).find(|step| trainer.step(progress(*step)).is_err()).map(|step| step - 6);
+    assert_eq!(late, Some(B::LAG as u64), "steps until the error");
+    match broken {
+        Some(broken) => assert!(bits(&trainer.checkpoint()?) == broken, "the state before the step"),
+        None => {
+            let refused = [
+                trainer.step(progress(9)).map(drop),
+                trainer.checkpoint().map(drop),
+                trainer.join_checkpoint(),
+                trainer.finish().map(drop),
+            ];
+            for refused in refused {
+                let error = refused.expect_err("it holds an update by a loss that is not finite");
+                assert_eq!(error.kind, ErrorKind::Run);
+                assert!(
+                    error.message.starts_with("step 6: ") && error.message.contains("not finite"),
+                    "{error}"
+                );
+            }
+        }
+    }
+    trainer.restore(&good)?;
+    steps(&mut trainer, &config, 6)?;
+    let mut healthy = Trainer::new(make(), &config, views())?;
+    healthy.restore(&good)?;
+    steps(&mut healthy, &config, 6)?;
+    assert!(trainer.checkpoint()? == healthy.checkpoint()?, "the bits of a run that was never broken");
+    Ok(())
 }
 
 /// Assets of a scene travel with checkpoints and models, whether the renderer knows them or not.

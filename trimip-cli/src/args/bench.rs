@@ -1,6 +1,6 @@
 //! The options of `bench`.
 
-use super::SettingsArguments;
+use super::shared::SettingsArguments;
 use clap::Args;
 use std::path::PathBuf;
 

@@ -1,6 +1,6 @@
 //! The options of `data`.
 
-use super::{SettingsArguments, ending};
+use super::shared::{SettingsArguments, ending};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 

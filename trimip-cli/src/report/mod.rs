@@ -3,6 +3,7 @@
 
 pub mod beside;
 mod difference;
+mod escape;
 #[cfg(test)]
 mod example;
 mod html;

@@ -1,6 +1,8 @@
 //! Shared parts of all pages: one self-contained HTML file with its style and script, escaped text, tables, and the
 //! plot with its legend and its two time axes.
 
+pub use super::escape::escape;
+
 use super::svg::{self, Line};
 use trimip::machine;
 
@@ -16,11 +18,6 @@ pub fn whole(title: &str, content: &str) -> String {
         escape(&machine::version()),
         include_str!("script.js"),
     )
-}
-
-/// Escapes text for HTML.
-pub fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 /// Rows of text as a table that scrolls if it is wider than its window. The first row is the header. The first column

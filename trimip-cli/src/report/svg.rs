@@ -2,7 +2,7 @@
 //! RMSE), the horizontal axis training seconds, linear or logarithmic. A report draws one line per scale and one for
 //! their mean; a comparison one line per run.
 
-use super::page::escape;
+use super::escape::escape;
 use crate::terminal;
 use trimip::{report::scale_name, run::history::Evaluation};
 

@@ -13,6 +13,7 @@ mod jobs;
 mod paper;
 mod plan;
 mod render;
+mod selection;
 mod strip;
 mod train;
 mod view;

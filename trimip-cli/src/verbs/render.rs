@@ -1,30 +1,24 @@
 //! `render`: renders views of a model as pictures, from test views, a pose, a camera path, a turntable or a flythrough.
 
-use super::strip;
+use super::{
+    selection::{beside, chosen, is_film, resize},
+    strip,
+};
 use crate::{
     args::{PictureFormat, RenderArguments},
-    cameras, interrupt,
+    interrupt,
     progress::bar,
     ranks, terminal,
 };
-use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::ranks::{digest, farm, labour};
-use trimip::run::{folder as run_folder, store::file_stem};
-use trimip::view::{
-    Job, Named, Quantity, cameras::resized, flythrough, turntable, turntable::Turntable, video, write_cameras,
-};
-use trimip::{Camera, Config, Error, Intrinsics, Result, Viewer, backends, model::Model, settings, view};
+use trimip::run::folder as run_folder;
+use trimip::view::{Job, Named, Quantity, video, write_cameras};
+use trimip::{Camera, Error, Result, Viewer, backends, model::Model, settings, view};
 use trimip_core::exchange::Ranks;
-
-/// Width and height of pictures in pixels, for cameras without.
-const SIDE: u32 = 800;
-
-/// Horizontal field of view in degrees, for cameras without: that of the Blender scenes.
-const FOV: f64 = 39.597_758_2;
 
 /// Renders every camera that the arguments select.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
@@ -190,11 +184,6 @@ impl Wanted {
     }
 }
 
-/// Whether the pictures follow one another.
-fn is_film(arguments: &RenderArguments) -> bool {
-    arguments.path.is_some() || arguments.turntable.is_some() || arguments.flythrough.is_some()
-}
-
 /// Fails before the work if a video could not be written after it.
 fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], cameras: &[Named]) -> Result<()> {
     let refuse =
@@ -230,113 +219,6 @@ fn speed(mut seconds: Vec<f64>) -> Option<String> {
         1 => format!("1 view rendered, {median:.3} s, {rate}"),
         count => format!("{count} views rendered, median {median:.3} s each, {rate}"),
     })
-}
-
-/// `renders` in the run folder, or beside the model file.
-pub fn beside(model: &Path) -> PathBuf {
-    let folder = if model.is_dir() { model } else { model.parent().unwrap_or(Path::new("")) };
-    folder.join("renders")
-}
-
-/// The cameras that the arguments select.
-pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>> {
-    if let Some(fov) = arguments.fov
-        && !(fov > 0.0 && fov < 180.0)
-    {
-        return Err(Error::input(
-            format!("--fov {fov}"),
-            "out of range",
-            "expected degrees above 0 and below 180",
-        ));
-    }
-    let intrinsics = stated(arguments, Intrinsics::from_angle(SIDE, SIDE, FOV.to_radians()));
-    let up = match &arguments.up {
-        Some(given) => cameras::vector("--up", given)?,
-        None => DVec3::from_array(config.scene.up.map(f64::from)),
-    };
-    if let Some(text) = &arguments.pose {
-        return Ok(vec![("pose".into(), cameras::pose(text, intrinsics)?)]);
-    }
-    if let Some(text) = &arguments.look_at {
-        return Ok(vec![("look_at".into(), cameras::look_at(text, up, intrinsics)?)]);
-    }
-    if let Some(file) = &arguments.path {
-        return view::cameras::path(file, intrinsics);
-    }
-    if let Some(count) = arguments.turntable {
-        let (elevation, distance) = (arguments.elevation, arguments.distance);
-        return turntable::cameras(&config.scene, &Turntable { count, elevation, distance, up }, intrinsics);
-    }
-    if let Some(count) = arguments.flythrough {
-        let (_, half) = turntable::middle(&config.scene);
-        let along = flythrough::cameras(&trimip_data::open_test(&config.data)?.train, count, half.length())?;
-        let sized = |camera: Camera| Camera { intrinsics: stated(arguments, camera.intrinsics), ..camera };
-        return Ok(along.into_iter().map(|(name, camera)| (name, sized(camera))).collect());
-    }
-    let RenderArguments { width, height, fov, .. } = arguments;
-    let given = [("--width", width.is_some()), ("--height", height.is_some()), ("--fov", fov.is_some())];
-    if let Some((option, _)) = given.iter().find(|(_, given)| *given) {
-        return Err(Error::input(
-            *option,
-            "test views have the size and the field of view of their photographs",
-            "use --scale, or choose another camera (--pose, --look-at, --path, --turntable, --flythrough)",
-        ));
-    }
-    test_views(config, &arguments.views)
-}
-
-/// The projection of `--width`, `--height` and `--fov` with square pixels; what is not given is that of `like`.
-fn stated(arguments: &RenderArguments, like: Intrinsics) -> Intrinsics {
-    let RenderArguments { width, height, fov, .. } = *arguments;
-    if (width, height, fov) == (None, None, None) {
-        return like;
-    }
-    let aspect = f64::from(like.width) / f64::from(like.height);
-    let side = |pixels: f64| pixels.round().clamp(1.0, view::cameras::MAX_SIDE) as u32;
-    let width = width.or(height.map(|height| side(f64::from(height) * aspect))).unwrap_or(like.width);
-    let height = height.unwrap_or_else(|| side(f64::from(width) / aspect));
-    let angle = fov.map_or_else(|| 2.0 * (0.5 * f64::from(like.width) / like.fx).atan(), f64::to_radians);
-    Intrinsics::from_angle(width, height, angle)
-}
-
-/// The first test view that the arguments select, or view 0; `None` if they select another camera.
-pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
-    let RenderArguments { pose, look_at, views, .. } = arguments;
-    let other = pose.is_some() || look_at.is_some() || is_film(arguments);
-    (!other).then(|| views.first().copied().unwrap_or(0))
-}
-
-/// Cameras of test views at full size; view 0 if `views` is empty.
-fn test_views(config: &Config, views: &[usize]) -> Result<Vec<Named>> {
-    let frames = trimip_data::open_test(&config.data)?.frames;
-    let views = if views.is_empty() { &[0] } else { views };
-    views
-        .iter()
-        .map(|&index| {
-            if index >= frames.len() {
-                return Err(Error::input(
-                    format!("--views {index}"),
-                    format!("the test split holds {}", terminal::count(frames.len(), "view")),
-                    format!("name views from 0 to {}", frames.len().saturating_sub(1)),
-                ));
-            }
-            let set = frames.load(index)?;
-            let view = set.views.first().ok_or_else(|| {
-                Error::input(format!("--views {index}"), "the view is empty", "choose another view")
-            })?;
-            Ok((format!("{index:04}_{}", file_stem(&view.name)), view.camera))
-        })
-        .collect()
-}
-
-/// The same views with `factor` times as many pixels along each side.
-pub fn resize(cameras: Vec<Named>, factor: f64) -> Result<Vec<Named>> {
-    cameras
-        .into_iter()
-        .map(|(name, camera)| {
-            Ok((name, Camera { intrinsics: resized(camera.intrinsics, factor)?, ..camera }))
-        })
-        .collect()
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! `render --strip`: one camera at increasing pixel sizes, as if from increasing distance, with every picture enlarged
 //! to one size. One row per model, the original below if there is one, and the PSNR of every picture against it in dB.
 
-use super::render;
+use super::selection;
 use crate::{args::RenderArguments, interrupt, terminal};
 use image::{GenericImage, RgbImage, imageops};
 use std::sync::atomic::Ordering;
@@ -36,7 +36,8 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
         models.push((path.display().to_string(), model));
     }
     let config = models[0].1.config.clone();
-    let camera = match render::resize(render::chosen(arguments, &config)?, arguments.scale)?.as_slice() {
+    let camera = match selection::resize(selection::chosen(arguments, &config)?, arguments.scale)?.as_slice()
+    {
         [(_, camera)] => *camera,
         many => {
             return Err(Error::input(
@@ -53,7 +54,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let columns = columns.into_iter().collect::<Result<Vec<_>>>()?;
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     check_size(width, height, models.len() as u32 + 1)?;
-    let out = arguments.out.clone().unwrap_or_else(|| render::beside(&arguments.model));
+    let out = arguments.out.clone().unwrap_or_else(|| selection::beside(&arguments.model));
     run_folder::create_writable(&out)?;
 
     let stop = interrupt::install()?;
@@ -105,7 +106,7 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
             pixels.into_iter().map(|pixel| composite_pixel(pixel, Alpha::Straight, background)).collect();
         return Ok(Some(Picture { width: camera.intrinsics.width, height: camera.intrinsics.height, rgb }));
     }
-    let Some(index) = render::test_view(arguments) else {
+    let Some(index) = selection::test_view(arguments) else {
         return Ok(None);
     };
     let set = trimip_data::open_test(&config.data)?.frames.load(index)?;

@@ -3,7 +3,7 @@
 //! colour features is the input of the colour network. Radii are not used.
 
 use super::{Definition, Place, Twin};
-use crate::config::{Decomposition, TensorConfig};
+use crate::config::Decomposition;
 use crate::scalar::Real;
 use crate::{Aabb, Config, Layout, Slot};
 
@@ -287,13 +287,6 @@ impl Twin for TensorTwin {
             }
         }
         features
-    }
-}
-
-impl TensorConfig {
-    /// Largest number of grid points along a side.
-    pub fn most_side(&self) -> f64 {
-        self.sides.values().fold(0.0, f64::max)
     }
 }
 

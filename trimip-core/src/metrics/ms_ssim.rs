@@ -1,7 +1,7 @@
 //! MS-SSIM of Wang, Simoncelli and Bovik 2003: contrast and structure at five scales, luminance at the coarsest, each to the
 //! power of its weight. Windows and constants are those of SSIM.
 
-use super::{WINDOW, gaussian, similarity};
+use super::ssim::{WINDOW, gaussian, similarity};
 
 /// The published weights, fine to coarse. They add up to 1.0001.
 const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];

@@ -1,6 +1,6 @@
 //! The proxy of a model is computed from the model itself, cell by cell.
 
-use super::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, code};
+use super::grid::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, code};
 use crate::{
     Aabb, Config, Error, Query, Result, Space, Viewer, bits,
     config::Contraction,

@@ -1,6 +1,6 @@
 //! The proxy as assets of a model file. Bytes are compressed (DEFLATE, RFC 1951).
 
-use super::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, densities};
+use super::grid::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, densities};
 use crate::{
     Error, Result, bits,
     deflate::{deflated, inflated},

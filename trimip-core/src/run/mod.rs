@@ -254,11 +254,9 @@ impl Run<'_> {
         checkpoint.state.totals.seconds = totals.seconds;
         let step = checkpoint.state.totals.step;
         if let Some((name, index, value)) = checkpoint.not_finite() {
-            let kept = kept.map_or("no checkpoint was written before".into(), |step| {
-                format!("the checkpoint of step {step} is kept")
-            });
             return Err(Error::run(format!(
-                "step {step}: {name}[{index}] is {value}, {kept}; lower optimizer.learning_rate"
+                "step {step}: {name}[{index}] is {value}, {}; lower optimizer.learning_rate",
+                remaining(kept)
             )));
         }
         Ok(checkpoint)
@@ -280,9 +278,20 @@ impl Run<'_> {
     fn save_after(&mut self, error: Error, totals: &Totals, kept: &mut Option<u64>) -> Error {
         match self.save(totals, kept) {
             Ok(()) => error,
+            // The session has no other state than that of the failed step.
+            Err(unsaved) if unsaved.message == error.message => {
+                Error { message: format!("{}; {}", error.message, remaining(*kept)), ..error }
+            }
             Err(unsaved) => Error { message: format!("{}; {}", error.message, unsaved.message), ..error },
         }
     }
+}
+
+/// The last good state: the checkpoint of step `kept`.
+fn remaining(kept: Option<u64>) -> String {
+    kept.map_or("no checkpoint was written before".into(), |step| {
+        format!("the checkpoint of step {step} is kept")
+    })
 }
 
 /// The error of a run whose rays hit nothing.

@@ -307,7 +307,7 @@ fn surroundings_are_contracted() {
     assert_eq!(config.scene.contraction, Contraction::Ball, "{findings:?}");
     config.validate().unwrap();
     let (ball, cameras) = (config.scene.subject(), train.views.iter().map(|view| view.camera.origin));
-    let (centre, radius) = (0.5 * (ball.min[0] + ball.max[0]), 0.5 * ball.longest());
+    let (centre, radius) = (ball.centre()[0], 0.5 * ball.longest());
     let mut distances: Vec<f64> = cameras.map(|origin| (origin - DVec3::splat(centre)).length()).collect();
     distances.sort_by(f64::total_cmp);
     assert!((distances[distances.len() / 2] / radius - 1.0).abs() < 1e-3, "{radius}: {distances:?}");

@@ -42,10 +42,7 @@ impl<R: Real> Space<R> {
     /// The space that contracts the world into the cube `aabb`: the ball of half its size in its middle keeps its shape.
     pub fn contracted(aabb: Aabb<R>) -> Self {
         let half = R::from_f64(0.5);
-        let ball = Ball {
-            centre: std::array::from_fn(|i| half * (aabb.min[i] + aabb.max[i])),
-            radius: half * half * aabb.longest(),
-        };
+        let ball = Ball { centre: aabb.centre(), radius: half * half * aabb.longest() };
         Self { ball: Some(ball), ..Self::of(aabb) }
     }
 

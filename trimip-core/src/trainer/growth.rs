@@ -1,6 +1,6 @@
 //! Changes in the course of a run: schedules of the stages, and parameters that grow.
 
-use super::{LEAST_RAYS, Trainer};
+use super::{Trainer, rays::LEAST_RAYS};
 use crate::{Backend, Encoder, Optimizer, Renderer, Result, Slot, backend::Sampler, encoders, params::Part};
 
 impl<B: Backend> Trainer<B> {

@@ -1,16 +1,20 @@
 //! Training, written once over the traits. A model in training on any backend is a [`Session`].
 
 mod growth;
+mod probing;
+pub(crate) mod rays;
 mod state;
 mod step;
 mod sums;
 
+pub use rays::{first_rays, longest_ray};
+
 use crate::{
-    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, Space, StepReport,
+    Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, StepReport,
     ViewSet, Viewer,
     backend::{Loss, Occupancy, Optimizer, Sampler},
-    batch::{Deposit, Radiance, StepResult, StepSums},
-    checkpoint::{Checkpoint, MOST_PENDING, TrainState},
+    batch::{Deposit, Radiance},
+    checkpoint::{Checkpoint, TrainState},
     config::Exposure,
     encoders,
     exchange::{Alone, Exchange},
@@ -19,56 +23,14 @@ use crate::{
     hull::Hull,
     loaded::LoadedModel,
     model::Model,
-    schedule::Schedule,
 };
+use rays::{FIRST_KEPT_PER_RAY, LEAST_RAYS, first_kept_per_ray};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Expected marched samples per ray before the first step, when about every second cell of the grid is occupied at
 /// random.
 const FIRST_MARCHED_PER_RAY: f32 = 128.0;
-
-/// Expected kept samples per ray, from which the first batch is sized.
-const FIRST_KEPT_PER_RAY: u32 = 256;
-
-/// Steps of the longest ray up to which these hold; beyond it each step more counts a quarter.
-const LONG_RAY: u32 = 4096;
-
-/// Minimum number of rays of a step.
-const LEAST_RAYS: u32 = 16;
-
-/// Most rays of a step, as a multiple of the samples that it aims at.
-const MOST_RAYS_PER_SAMPLE: u64 = 8;
-
-/// Most steps of a ray at the start of a run.
-pub fn longest_ray(config: &Config) -> usize {
-    let step = config.step_length() * config.renderer.step_scale.at(0.0) as f32;
-    Space::<f32>::new(&config.scene).most_steps(step)
-}
-
-/// Expected kept samples per ray of the first step.
-fn first_kept_per_ray(config: &Config) -> u32 {
-    FIRST_KEPT_PER_RAY + (longest_ray(config) as u32).saturating_sub(LONG_RAY) / 4
-}
-
-/// Rays of the first step.
-pub fn first_rays(config: &Config) -> u32 {
-    (config.train.samples_per_step / first_kept_per_ray(config)).max(LEAST_RAYS)
-}
-
-/// Most pixels of a step after steps that had `rays` of them.
-pub(crate) fn most_rays(config: &Config, rays: u64) -> u64 {
-    let span = |values: &Schedule| {
-        let (least, most) = values.values().fold((f64::MAX, 0.0_f64), |(a, b), x| (a.min(x), b.max(x)));
-        most / least
-    };
-    // Longer steps and fewer cones have more pixels at once. A step has at most twice as many as the one before it, and the
-    // totals do not know those of pending steps.
-    let ratio = span(&config.renderer.step_scale) * span(&config.train.cones).powi(2);
-    let doubled = rays.saturating_mul(1 << (MOST_PENDING + 1)).max(first_rays(config).into());
-    let limit = (MOST_RAYS_PER_SAMPLE * u64::from(config.train.samples_per_step)).max(LEAST_RAYS.into());
-    (doubled.min(limit) as f64 * ratio) as u64
-}
 
 /// A model in training on a backend.
 pub struct Trainer<B: Backend> {
@@ -81,6 +43,8 @@ pub struct Trainer<B: Backend> {
     left_out_before: u64,
     /// Sums of the last steps that are not yet used, oldest first.
     pending: VecDeque<sums::Pending<B>>,
+    /// Why the parameters are of no use: they hold the update of a step whose loss was not finite.
+    spoilt: Option<Error>,
     exchange: Box<dyn Exchange<B>>,
     /// With `loss.exposure`.
     exposures: Option<Exposures>,
@@ -130,6 +94,7 @@ impl<B: Backend> Trainer<B> {
             deposits,
             left_out_before: 0,
             pending: VecDeque::new(),
+            spoilt: None,
             exchange: Box::new(Alone),
             exposures,
         };
@@ -147,14 +112,6 @@ impl<B: Backend> Trainer<B> {
     /// [`exposure::photographs`]; empty without `loss.exposure`.
     pub fn log_gains(&self) -> Vec<[f64; 3]> {
         self.exposures.as_ref().map(Exposures::log_gains).unwrap_or_default()
-    }
-
-    /// Replaces the log-gains of the training photographs, RGB of each. Does nothing without `loss.exposure`.
-    pub fn set_log_gains(&mut self, values: &[[f32; 3]]) {
-        if let Some(exposures) = &mut self.exposures {
-            exposures.set(values);
-            self.loaded.stages.loss.set_gains(&exposures.gains());
-        }
     }
 
     /// The backend, to read its counters.
@@ -194,40 +151,6 @@ impl<B: Backend> Trainer<B> {
 
     fn count_left_out(&mut self) {
         self.state.totals.non_finite = self.left_out_before + self.loaded.stages.optimizer.non_finite();
-    }
-
-    /// Loss and gradient of the current parameters on the rays of step `step`; does not change the parameters. The
-    /// gradient is flat and divided by the sum of the weights.
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<f32>)> {
-        let StepResult { sums, .. } = self.result_of(step, rays)?;
-        let gradient = self.device().read(&self.gradient);
-        Ok((sums, gradient.iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect()))
-    }
-
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), by the log-gains of the photographs (RGB of each).
-    ///
-    /// # Errors
-    /// When the device fails.
-    pub fn loss_and_exposure_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<[f32; 3]>)> {
-        let result = self.result_of(step, rays)?;
-        let gradient = self.exposures.as_ref().map(|exposures| exposures.gradient(&result));
-        Ok((result.sums, gradient.unwrap_or_default()))
-    }
-
-    /// Forward and backward over the rays of step `step`; the gradient is complete afterwards.
-    fn result_of(&mut self, step: u64, rays: u32) -> Result<StepResult> {
-        self.state.totals.step = step;
-        let backend = Arc::clone(&self.loaded.backend);
-        let receipt = backend.install(|| {
-            self.gradients(rays);
-            let receipt = backend.post(&self.deposits);
-            self.loaded.stages.flush(&mut self.deposits, &self.loaded.parameters, &mut self.gradient);
-            receipt
-        });
-        backend.redeem(receipt)
     }
 }
 

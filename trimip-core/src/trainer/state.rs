@@ -24,6 +24,7 @@ impl<B: Backend> Trainer<B> {
     /// The model as its file will hold it. From now on the session renders as the file does, with the schedule at its
     /// end.
     pub(super) fn finished_model(&mut self) -> Result<Model> {
+        self.expect_usable()?;
         let model = self.full_model()?.rounded();
         self.loaded.stages.renderer.follow(1.0);
         if self.layout().slots.iter().any(|slot| slot.precision != FilePrecision::F32) {
@@ -36,6 +37,7 @@ impl<B: Backend> Trainer<B> {
 
     /// Collects what a checkpoint needs of other ranks and of the device.
     pub(super) fn gather(&mut self) -> Result<()> {
+        self.expect_usable()?;
         self.settle()?;
         self.gather_moments()
     }
@@ -83,6 +85,7 @@ impl<B: Backend> Trainer<B> {
         for (buffer, values) in self.loaded.stages.optimizer.moments_mut().into_iter().zip([first, second]) {
             self.loaded.backend.write(buffer, &values);
         }
+        self.spoilt = None;
         self.state = TrainState { data, ..checkpoint.state };
         self.left_out_before =
             self.state.totals.non_finite.saturating_sub(self.loaded.stages.optimizer.non_finite());

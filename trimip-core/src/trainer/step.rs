@@ -1,7 +1,8 @@
 //! One training step: refresh of the occupancy grid, gradients, exchange between machines, update of the parameters.
 
 use super::{
-    LEAST_RAYS, MOST_RAYS_PER_SAMPLE, Trainer,
+    Trainer,
+    rays::{LEAST_RAYS, MOST_RAYS_PER_SAMPLE},
     sums::{Arrival, Pending, finite},
 };
 use crate::{
@@ -116,6 +117,7 @@ impl<B: Backend> Trainer<B> {
     }
 
     pub(super) fn train_step(&mut self, progress: f64) -> Result<StepReport> {
+        self.expect_usable()?;
         let step = self.state.totals.step;
         self.follow(progress)?;
         if step.is_multiple_of(u64::from(self.loaded.config.occupancy.every)) {
@@ -138,7 +140,7 @@ impl<B: Backend> Trainer<B> {
         self.device().submit();
         let late = if B::LAG > 0 { self.oldest_sums()? } else { None };
         if let Some((_, sums)) = &late {
-            finite(step.saturating_sub(B::LAG as u64), sums)?;
+            self.expect_finite(step.saturating_sub(B::LAG as u64), sums)?;
         }
         self.state.totals.step += 1;
         let sums = early.or(late);

@@ -2,7 +2,11 @@
 //! is always the same number of steps, whatever the timing.
 
 use super::Trainer;
-use crate::{Backend, Error, Result, backend::Loss, batch::StepSums, checkpoint::MOST_PENDING};
+use crate::{
+    Backend, Error, Result,
+    backend::Loss,
+    batch::{MOST_PENDING, StepSums},
+};
 
 /// Sums of a step that are not yet used.
 pub(super) struct Pending<B: Backend> {
@@ -55,6 +59,16 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
+    /// Refuses sums that are not finite of a step whose update is done. Its parameters are then refused too.
+    pub(super) fn expect_finite(&mut self, step: u64, sums: &StepSums) -> Result<()> {
+        finite(step, sums).inspect_err(|error| self.spoilt = Some(error.clone()))
+    }
+
+    /// Refuses parameters that hold the update of a step whose loss was not finite.
+    pub(super) fn expect_usable(&self) -> Result<()> {
+        self.spoilt.clone().map_or(Ok(()), Err)
+    }
+
     /// Moves the exposures of photographs by the gradients that are due, at the networks' learning rate `rate`.
     pub(super) fn adapt_exposures(&mut self, rate: f64) {
         let Some(exposures) = &mut self.exposures else { return };
@@ -73,7 +87,7 @@ impl<B: Backend> Trainer<B> {
         let first = self.state.totals.step.saturating_sub(self.pending.len() as u64);
         for (place, Pending { spacing, sums }) in std::mem::take(&mut self.pending).into_iter().enumerate() {
             let sums = self.arrived(sums)?;
-            finite(first + place as u64, &sums)?;
+            self.expect_finite(first + place as u64, &sums)?;
             self.pending.push_back(Pending { spacing, sums: Arrival::Counted(sums) });
             self.state.pending[place] = Some((spacing, sums));
         }

@@ -1,7 +1,9 @@
 //! What encoders of planes share: bands of rows, each of which is summed by one worker, and the interval of columns
 //! that a step touches in a row.
 
+use crate::wire::Reader;
 use std::ops::Range;
+use trimip_core::{Result, exchange::fault};
 
 /// Bands per plane.
 pub const BANDS: usize = 16;
@@ -32,6 +34,18 @@ impl Extent {
     /// The interval of all columns of a row.
     pub fn whole(columns: usize) -> Self {
         Self { start: 0, end: columns as u32 }
+    }
+
+    /// The interval that another rank sent of a row of `columns` columns.
+    ///
+    /// # Errors
+    /// When the message ends before it, or it ends beyond the row.
+    pub fn read(from: &mut Reader<'_>, columns: usize) -> Result<Self> {
+        let extent: Self = from.one()?;
+        if !extent.is_empty() && extent.end as usize > columns {
+            return Err(fault(format_args!("expected columns up to {columns}, found {extent:?}")));
+        }
+        Ok(extent)
     }
 
     /// True if the interval has no columns.

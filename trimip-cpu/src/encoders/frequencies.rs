@@ -4,7 +4,7 @@ use super::{Encoding, Left, Places};
 use crate::simd::Simd;
 use crate::wire::Reader;
 use trimip_core::encoders::frequencies;
-use trimip_core::{Aabb, Config};
+use trimip_core::{Aabb, Config, Result};
 
 /// The encoding.
 pub(crate) struct Frequencies(frequencies::Encoding<f32>);
@@ -36,7 +36,9 @@ impl Encoding for Frequencies {
 
     fn put(&self, (): &(), _: &mut Vec<u8>) {}
 
-    fn take(&self, _: &mut Reader<'_>, (): &mut ()) {}
+    fn take(&self, _: &mut Reader<'_>, (): &mut ()) -> Result<()> {
+        Ok(())
+    }
 
     fn left(_: &Config) -> Left {
         Left { by_sample: 0, by_deposit: 0 }

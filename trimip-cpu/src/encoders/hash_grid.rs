@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use trimip_core::batch::{Interval, Sphere};
 use trimip_core::encoders::Place;
 use trimip_core::encoders::hash_grid::{Level, Levels, Points};
-use trimip_core::{Aabb, Config};
+use trimip_core::{Aabb, Config, Result};
 
 /// Levels of the grid and the instruction set.
 pub(crate) struct Grid {
@@ -109,9 +109,11 @@ impl Encoding for Grid {
         put_counted(out, &gradient.rows);
     }
 
-    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
-        from.buffer(&mut gradient.places);
-        from.buffer(&mut gradient.rows);
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) -> Result<()> {
+        from.buffer(&mut gradient.places)?;
+        from.buffer(&mut gradient.rows)?;
+        let points = if self.points.is_plain() { 1 } else { self.points.count };
+        from.expect("points", gradient.places.len() * self.levels.width(), gradient.rows.len() * points)
     }
 
     fn left(config: &Config) -> Left {

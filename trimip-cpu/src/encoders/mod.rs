@@ -11,9 +11,9 @@ pub mod voxels;
 use crate::simd::Simd;
 use crate::wire::Reader;
 use std::ops::Range;
-use trimip_core::Config;
 use trimip_core::batch::{Interval, Ray, Sphere};
 use trimip_core::exchange::Share;
+use trimip_core::{Config, Result};
 
 /// The interface of an encoder on the CPU.
 pub(crate) trait Encoding: Sized + Send + Sync {
@@ -57,7 +57,10 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     fn put(&self, gradient: &Self::Gradient, out: &mut Vec<u8>);
 
     /// Replaces a deposit by what another rank put.
-    fn take(&self, from: &mut Reader<'_>, gradient: &mut Self::Gradient);
+    ///
+    /// # Errors
+    /// When the message is not a deposit of this encoder.
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Self::Gradient) -> Result<()>;
 
     /// For an encoder whose parameters ranks can divide among them; otherwise every rank needs all deposits, and sums them
     /// all.
@@ -81,7 +84,10 @@ pub(crate) trait Divided {
     fn put_sums(&mut self, gradient: &mut [f32], to: usize, out: &mut Vec<u8>);
 
     /// Adds what the other ranks put for this one, by rank. Afterwards the gradient of this rank's rows has the parts of all.
-    fn take_sums(&mut self, from: &[Vec<u8>], gradient: &mut [f32]);
+    ///
+    /// # Errors
+    /// When a message is not what [`put_sums`](Self::put_sums) writes for this rank.
+    fn take_sums(&mut self, from: &[Vec<u8>], gradient: &mut [f32]) -> Result<()>;
 
     /// Completes the gradient of this rank's part.
     fn complete(&mut self, gradient: &mut [f32]);
@@ -93,7 +99,10 @@ pub(crate) trait Divided {
     fn put_changed(&self, parameters: &[f32], out: &mut Vec<u8>);
 
     /// Takes what `rank` put.
-    fn take_changed(&mut self, from: &mut Reader<'_>, rank: usize, parameters: &mut [f32]);
+    ///
+    /// # Errors
+    /// When the message is not what [`put_changed`](Self::put_changed) writes there.
+    fn take_changed(&mut self, from: &mut Reader<'_>, rank: usize, parameters: &mut [f32]) -> Result<()>;
 
     /// The parameters of the part of `rank`: ranges of the first slot.
     fn part(&self, rank: usize) -> Vec<Range<usize>>;

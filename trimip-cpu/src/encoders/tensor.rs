@@ -9,9 +9,9 @@ use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::Config;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tensor::{KINDS, Kind, LANES, LINE_AXES, PLANE_AXES, Shape, between, slots};
+use trimip_core::{Config, Result};
 
 /// The shape of the factors and where they are in the parameters.
 pub(crate) struct Factors {
@@ -165,11 +165,13 @@ impl Encoding for Factors {
         gradient.lines.iter().for_each(|lines| put(out, lines));
     }
 
-    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
-        from.buffer(&mut gradient.places);
-        from.buffer(&mut gradient.rows);
-        gradient.bands.iter_mut().for_each(|band| from.list(band));
-        gradient.lines.iter_mut().for_each(|lines| from.copy(lines));
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) -> Result<()> {
+        from.buffer(&mut gradient.places)?;
+        from.buffer(&mut gradient.rows)?;
+        let (samples, width) = (gradient.places.len(), self.width());
+        from.expect("gradients", gradient.rows.len(), samples * width)?;
+        gradient.bands.iter_mut().try_for_each(|band| from.indices(band, samples))?;
+        gradient.lines.iter_mut().try_for_each(|lines| from.copy(lines))
     }
 
     fn left(config: &Config) -> Left {

@@ -8,10 +8,10 @@ use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::Config;
 use trimip_core::encoders::tensor::between;
 use trimip_core::encoders::voxels::{Shape, WIDTH, slots};
 use trimip_core::sh::{COUNT, spherical_harmonics};
+use trimip_core::{Config, Result};
 
 /// Most floats of a grid point's colours.
 const MOST: usize = 3 * COUNT;
@@ -113,9 +113,10 @@ impl Encoding for Grid {
         gradient.bands.iter().for_each(|band| put_counted(out, band));
     }
 
-    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
-        from.buffer(&mut gradient.touches);
-        gradient.bands.iter_mut().for_each(|band| from.list(band));
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) -> Result<()> {
+        from.buffer(&mut gradient.touches)?;
+        let samples = gradient.touches.len();
+        gradient.bands.iter_mut().try_for_each(|band| from.indices(band, samples))
     }
 
     fn left(_: &Config) -> Left {

@@ -3,6 +3,7 @@
 use crate::buffer::Buffer;
 use crate::gemm::{Product, accumulate, pair_rows};
 use crate::wire::{Reader, put};
+use trimip_core::Result;
 use trimip_core::config::Precision;
 
 /// Weight gradients, padded as the packed weights are.
@@ -36,8 +37,11 @@ impl MlpGradient {
     }
 
     /// Replaces all numbers by those that were put.
-    pub fn take(&mut self, from: &mut Reader<'_>) {
-        self.buffers_mut().for_each(|values| from.copy(values));
+    ///
+    /// # Errors
+    /// When the message has fewer.
+    pub fn take(&mut self, from: &mut Reader<'_>) -> Result<()> {
+        self.buffers_mut().try_for_each(|values| from.copy(values))
     }
 }
 

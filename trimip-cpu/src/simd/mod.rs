@@ -20,6 +20,7 @@ pub use plain::Plain;
 
 /// An instruction set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Simd {
     /// x86-64 with AVX-512F, BW and BF16: one register, and dot products of bf16 pairs at twice the rate.
     Avx512Bf16,

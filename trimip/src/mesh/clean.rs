@@ -1,6 +1,6 @@
 //! Removes specks and cavities of a mesh: connected parts that are small, and parts that bound a void.
 
-use super::{Mesh, signed_volume};
+use super::surface::{Mesh, signed_volume};
 
 /// What was removed from a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -72,7 +72,7 @@ fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::tests::cube;
+    use crate::mesh::fixtures::cube;
 
     /// A cube with a side of `side` and its least corner at `corner`, turned inside out if `void`.
     fn part(corner: f32, side: f32, void: bool) -> Mesh {

@@ -171,10 +171,9 @@ pub fn extract(
 fn around(aabb: &Aabb<f64>, resolution: u32) -> Grid {
     let spacing = aabb.longest() / f64::from(resolution);
     let cells = aabb.extent().map(|side| (side / spacing - 1e-6).ceil().max(1.0));
+    let centre = aabb.centre();
     Grid {
-        origin: std::array::from_fn(|axis| {
-            0.5 * (aabb.min[axis] + aabb.max[axis]) - spacing * (0.5 * cells[axis] + 1.0)
-        }),
+        origin: std::array::from_fn(|axis| centre[axis] - spacing * (0.5 * cells[axis] + 1.0)),
         spacing,
         points: cells.map(|cells| cells as usize + 3),
     }

@@ -1,7 +1,7 @@
 //! Marching cubes (Lorensen and Cline 1987) over a grid that is sampled layer by layer. The triangles of each case are
 //! derived from one rule for the faces of a cell, which neighbours share, so every surface is closed and manifold.
 
-use super::Mesh;
+use super::surface::Mesh;
 use std::sync::LazyLock;
 use trimip_core::Result;
 

@@ -1,6 +1,6 @@
 //! Silhouettes of a mesh from cameras, and how well they fit the photographs' masks.
 
-use super::Mesh;
+use super::surface::Mesh;
 use glam::DVec3;
 use trimip_core::{Camera, Frames, Result};
 
@@ -124,7 +124,7 @@ pub fn overlap(mesh: &Mesh, frames: &dyn Frames, stride: usize) -> Result<Option
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::tests::cube;
+    use crate::mesh::fixtures::cube;
     use trimip_core::Intrinsics;
 
     #[test]

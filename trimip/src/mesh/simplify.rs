@@ -1,12 +1,13 @@
 //! Simplification by quadric error (Garland and Heckbert 1997), by `meshopt-rs`, and the repair of the edges that it
 //! leaves to more than two triangles.
 
-use super::Mesh;
+use super::surface::Mesh;
 use glam::DVec3;
 use std::collections::HashMap;
 
 /// When simplification ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Goal {
     /// The mesh stays as it is.
     Everything,
@@ -200,7 +201,7 @@ fn root(joined: &mut [usize], mut corner: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::{Defects, Grid, march, tests::cube};
+    use crate::mesh::{Defects, Grid, fixtures::cube, march};
     use proptest::prelude::*;
 
     /// Two cubes that touch along an edge, with common vertices on it.

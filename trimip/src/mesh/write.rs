@@ -1,13 +1,14 @@
 //! Mesh files: PLY (binary), OBJ and GLB (binary glTF 2.0), with normals and vertex colours where the mesh has them.
 //! Positions keep the units and axes of the scene; glTF calls its y axis up, which no axis of a scene need be.
 
-use super::Mesh;
+use super::surface::Mesh;
 use serde_json::json;
 use std::path::Path;
 use trimip_core::{Error, Result, atomic::write_atomically};
 
 /// A format of mesh files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum MeshFormat {
     /// Stanford PLY, binary little-endian; colours in 8 bits.
     Ply,

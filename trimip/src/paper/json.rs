@@ -1,6 +1,6 @@
 //! `paper.json`: the comparison for programs. PSNR in dB, sizes in bytes, times in seconds; unknown values are `null`.
 
-use super::Comparison;
+use super::comparison::Comparison;
 use crate::systems::published::{CONVENTION, PUBLISHED, REMARKS};
 use serde_json::{Value, json};
 use trimip_core::{Error, Result};

@@ -1,146 +1,18 @@
 //! Systems beside each other on several scenes: the runs, their figures, and the means that tables of papers state. JSON and
 //! Markdown are made here; the page is the program's.
 
+mod comparison;
 mod figures;
+#[cfg(test)]
+mod fixtures;
 mod json;
 mod means;
+mod runs;
 mod text;
 
+pub use comparison::Comparison;
 pub use figures::Figures;
 pub use json::json;
 pub use means::{Cell, Row, mean_curve, scene_row, whole_row};
+pub use runs::{Run, Scales, Status};
 pub use text::{Column, columns, markdown, published_caption, published_cells, published_columns};
-
-use crate::machine::Machine;
-use crate::systems::System;
-use serde::Serialize;
-use std::path::PathBuf;
-
-/// The scales of a table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Scales {
-    /// Trained and tested at 1/1, 1/2, 1/4 and 1/8.
-    Four,
-    /// Trained and tested at 1/1 alone.
-    One,
-}
-
-impl Scales {
-    /// Their number: `data.scales`.
-    pub fn count(self) -> u32 {
-        if self == Self::Four { 4 } else { 1 }
-    }
-
-    /// Title of the table.
-    pub fn title(self) -> &'static str {
-        if self == Self::Four { "Multi-scale" } else { "Single-scale" }
-    }
-}
-
-/// State of a run.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "lowercase", tag = "status", content = "reason")]
-pub enum Status {
-    /// Not begun by this command yet.
-    Waiting,
-    /// Stopped by the user; the same command resumes it.
-    Stopped,
-    /// Trained and evaluated.
-    Finished,
-    /// Why it failed, one line.
-    Failed(String),
-}
-
-/// One run: a system on a scene with a seed.
-#[derive(Clone, Debug, Serialize)]
-pub struct Run {
-    /// The scales that it is trained and tested at.
-    pub scales: Scales,
-    /// Name of the scene.
-    pub scene: String,
-    /// Name of the system.
-    pub system: &'static str,
-    /// Seed of its random numbers.
-    pub seed: u64,
-    /// Run folder.
-    pub folder: PathBuf,
-    /// State.
-    #[serde(flatten)]
-    pub status: Status,
-    /// Its figures, once it is trained and evaluated.
-    pub figures: Option<Figures>,
-}
-
-/// Everything that the page, the JSON and the Markdown are made of.
-#[derive(Clone, Debug)]
-pub struct Comparison {
-    /// The systems, in the order of the tables.
-    pub systems: Vec<&'static System>,
-    /// Names of the scenes, in order.
-    pub scenes: Vec<String>,
-    /// Blender scenes that are not there, in words; empty if the scenes were named one by one.
-    pub missing: Vec<&'static str>,
-    /// The tables, in order.
-    pub scales: Vec<Scales>,
-    /// Splits that are trained on.
-    pub split: Vec<String>,
-    /// The budget of a run in words.
-    pub budget: String,
-    /// All runs, also those that wait.
-    pub runs: Vec<Run>,
-    /// The machine.
-    pub machine: Machine,
-    /// Command line.
-    pub command: Option<String>,
-}
-
-impl Comparison {
-    /// The runs of a table's cell: a system on a scene, all seeds.
-    pub fn runs_of(&self, scales: Scales, scene: &str, system: &str) -> Vec<&Run> {
-        self.runs
-            .iter()
-            .filter(|run| run.scales == scales && run.scene == scene && run.system == system)
-            .collect()
-    }
-
-    /// One row per system of a scene.
-    pub fn scene_rows(&self, scales: Scales, scene: &str) -> Vec<Row> {
-        self.systems
-            .iter()
-            .map(|system| scene_row(system, scales, scene, &self.runs_of(scales, scene, system.name)))
-            .collect()
-    }
-
-    /// One row per system: the mean over the scenes of each scene's mean.
-    pub fn whole_rows(&self, scales: Scales) -> Vec<Row> {
-        let of_system = |system: &&'static System| {
-            let rows: Vec<Row> = self
-                .scenes
-                .iter()
-                .map(|scene| scene_row(system, scales, scene, &self.runs_of(scales, scene, system.name)))
-                .collect();
-            whole_row(system, scales, &rows, self.is_whole_set())
-        };
-        self.systems.iter().map(of_system).collect()
-    }
-
-    /// True if the scenes are the eight of the papers' tables.
-    pub fn is_whole_set(&self) -> bool {
-        let all = trimip_data::BLENDER_SCENES;
-        self.scenes.len() == all.len() && all.iter().all(|name| self.scenes.iter().any(|own| own == name))
-    }
-
-    /// The runs that failed.
-    pub fn failed(&self) -> impl Iterator<Item = (&Run, &str)> {
-        self.runs.iter().filter_map(|run| match &run.status {
-            Status::Failed(reason) => Some((run, reason.as_str())),
-            _ => None,
-        })
-    }
-
-    /// Number of runs that are not trained and evaluated yet and did not fail.
-    pub fn open(&self) -> usize {
-        self.runs.iter().filter(|run| matches!(run.status, Status::Waiting | Status::Stopped)).count()
-    }
-}

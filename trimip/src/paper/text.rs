@@ -1,6 +1,8 @@
 //! The tables as text: their columns, for the page and the terminal, and `paper.md`.
 
-use super::{Comparison, Row, Scales, Status};
+use super::comparison::Comparison;
+use super::means::Row;
+use super::runs::{Scales, Status};
 use crate::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS, SOURCES};
 use crate::{report::scale_name, units};
 
@@ -234,7 +236,7 @@ fn safe(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::means::tests::run;
+    use super::super::fixtures::run;
     use super::*;
     use crate::{machine::Machine, systems::find};
 

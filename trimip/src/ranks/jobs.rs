@@ -1,14 +1,17 @@
 //! Jobs that any rank can do by itself: views to render or to measure, runs to train. They are handed out as ranks come free,
 //! and their results come in order.
 
-use super::Order;
+use super::orders::Order;
 use crate::machine;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use trimip_core::{Error, ErrorKind, Result, exchange::Ranks};
+use trimip_core::{
+    Error, ErrorKind, Result,
+    exchange::{Ranks, fault},
+    fingerprint,
+};
 
 /// What a rank answers that has the jobs of rank 0.
 const READY: &[u8] = b"ready";
@@ -24,9 +27,7 @@ const NAP: Duration = Duration::from_millis(1);
 
 /// A description of jobs for [`farm`] and [`labour`], which is the same if the parts are.
 pub fn digest(parts: impl IntoIterator<Item = String>) -> String {
-    let mut hasher = DefaultHasher::new();
-    parts.into_iter().for_each(|part| part.hash(&mut hasher));
-    format!("{:016x}", hasher.finish())
+    format!("{:016x}", fingerprint::hash_of(parts))
 }
 
 /// What a rank sends of a job.
@@ -257,7 +258,9 @@ pub fn labour<T: Serialize>(
     ranks.send(0, &answer)?;
     loop {
         let (_, bytes) = ranks.receive()?;
-        let job = <[u8; 8]>::try_from(&bytes[..]).map_or(NO_MORE, u64::from_le_bytes);
+        let job = <[u8; 8]>::try_from(&bytes[..])
+            .map(u64::from_le_bytes)
+            .map_err(|_| fault(format_args!("expected a job of 8 bytes, found {} bytes", bytes.len())))?;
         if job == NO_MORE {
             return Ok(());
         }

@@ -1,6 +1,9 @@
 //! The session of rank 0, through which it leads a training.
 
-use super::{Opened, Order, jobs::error_of};
+use super::{
+    jobs::error_of,
+    orders::{Opened, Order, computes_with},
+};
 use crate::{backends, machine};
 use std::sync::Arc;
 use trimip_core::{
@@ -21,7 +24,7 @@ struct Lead {
 pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
     let data = Fingerprint::of(&views);
     let session = backends::train_over(config, views, Arc::clone(ranks))?;
-    let computes = super::computes_with(config)?;
+    let computes = computes_with(config)?;
     Order::Train { version: machine::version(), config: config.to_toml(), data, computes }.give(&**ranks)?;
     // Closes the session everywhere, also if a rank cannot open it.
     let lead: Box<dyn Session> = Box::new(Lead { session, ranks: Arc::clone(ranks) });

@@ -4,53 +4,18 @@
 
 mod jobs;
 mod lead;
+mod orders;
 
 pub use jobs::{digest, farm, labour};
 pub use lead::train;
 
 use crate::{backends, machine, run::memory};
-use serde::{Deserialize, Serialize};
+use orders::{Order, computes_with};
 use std::sync::Arc;
 use trimip_core::{
     Config, Error, ErrorKind, Result, Session, checkpoint::Checkpoint, exchange::Ranks,
     fingerprint::Fingerprint, scene_plan::Compute,
 };
-
-/// What rank 0 tells the others to do.
-#[derive(Serialize, Deserialize)]
-enum Order {
-    /// Open the data of this configuration, TOML, and train on it. The views have to be these; `computes` is what rank 0 computes
-    /// with.
-    Train { version: String, config: String, data: Fingerprint, computes: String },
-    /// One step of the training.
-    Step(f64),
-    /// Take part in collecting a checkpoint.
-    Checkpoint,
-    /// Continue from the checkpoint whose bytes come next.
-    Restore,
-    /// The training is over.
-    Close,
-    /// Work on the jobs that are sent one by one.
-    Jobs { version: String },
-    /// The program ends.
-    Quit,
-}
-
-/// What a rank answers when it is told to train: nothing, or the exit code and the message of what prevents it.
-type Opened = std::result::Result<(), (u8, String)>;
-
-impl Order {
-    fn give(&self, ranks: &dyn Ranks) -> Result<()> {
-        ranks.broadcast(&mut serde_json::to_vec(self).map_err(Error::run)?)
-    }
-
-    fn await_from(ranks: &dyn Ranks) -> Result<Self> {
-        let mut bytes = Vec::new();
-        ranks.broadcast(&mut bytes)?;
-        serde_json::from_slice(&bytes)
-            .map_err(|error| Error::run(format!("an order of rank 0 is not understood: {error}")))
-    }
-}
 
 /// Tells all ranks to end.
 ///
@@ -98,15 +63,6 @@ fn expect_own(version: &str) -> Result<()> {
         format!("is {own}, that of rank 0 is {version}"),
         "install the same program on every machine",
     ))
-}
-
-/// The device of this rank, or the instruction set of its processor.
-fn computes_with(config: &Config) -> Result<String> {
-    Ok(match config.backend.as_str() {
-        // The widest set comes first, and is used.
-        "cpu" => trimip_cpu::features().split(',').next().unwrap_or_default().into(),
-        _ => backends::compute(config)?.name,
-    })
 }
 
 /// What all ranks together compute with, if each has this.

@@ -131,7 +131,7 @@ pub fn scale_name(scale: u32) -> String {
 /// Passes a report of two evaluations on a small curve to `test`. For tests of the writers.
 #[cfg(test)]
 fn example(test: impl FnOnce(&Report<'_>)) {
-    use crate::run::history::tests::evaluation;
+    use crate::run::fixtures::evaluation;
     use trimip_core::events::{Event, Provenance};
     let settings = Settings::defaults();
     let config = Config::default();

@@ -154,7 +154,7 @@ fn evaluated(config: &Config, history: &History, totals: &Totals) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run::history::tests::evaluation;
+    use crate::run::fixtures::evaluation;
 
     #[test]
     fn a_run_is_finished_when_the_evaluation_asked_for_is_there() {

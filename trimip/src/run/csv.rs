@@ -90,7 +90,7 @@ fn steps(events: &[Event]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run::history::tests::{evaluation, step};
+    use crate::run::fixtures::{evaluation, step};
 
     #[test]
     fn step_events_become_lines_and_infinity_an_empty_cell() {

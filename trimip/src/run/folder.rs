@@ -347,7 +347,7 @@ pub fn create_writable(folder: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run::history::tests::evaluation;
+    use crate::run::fixtures::evaluation;
     use trimip_core::{
         Layout,
         checkpoint::{OCCUPANCY_DENSITY, TrainState},

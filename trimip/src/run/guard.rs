@@ -117,8 +117,8 @@ fn is_checkpoint(path: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::run::fixtures::evaluation;
     use crate::run::folder::picture_stem;
-    use crate::run::history::tests::evaluation;
     use trimip_core::{Config, checkpoint::Checkpoint, checkpoint::TrainState};
 
     fn folder() -> (tempfile::TempDir, RunFolder) {

@@ -3,6 +3,8 @@
 mod begin;
 pub mod csv;
 pub mod curve;
+#[cfg(test)]
+pub(crate) mod fixtures;
 pub mod folder;
 mod guard;
 pub mod history;

@@ -1,7 +1,7 @@
-//! The systems that are compared: each a layer of settings from `configs/systems`, its title, and the published figures that
+//! The systems that are compared: each a layer of settings from `trimip/systems`, its title, and the published figures that
 //! it is laid beside. A system is applied over the defaults and under everything that a user sets.
 //!
-//! A new system is a file in `configs/systems` and an entry in [`SYSTEMS`].
+//! A new system is a file in `trimip/systems` and an entry in [`SYSTEMS`].
 
 pub mod published;
 
@@ -12,6 +12,7 @@ use trimip_core::{Error, Result, Settings};
 /// How a system relates to the published one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Kind {
     /// The system as published, as far as `differs` says.
     Whole,
@@ -38,7 +39,7 @@ impl Kind {
 /// A system.
 #[derive(Clone, Copy, Debug)]
 pub struct System {
-    /// Name: that of its file in `configs/systems`, and of the folders of its runs.
+    /// Name: that of its file in `trimip/systems`, and of the folders of its runs.
     pub name: &'static str,
     /// Title in tables.
     pub title: &'static str,
@@ -63,13 +64,13 @@ impl System {
     /// # Errors
     /// When a setting does not exist or has another type; names file, line and column.
     pub fn apply(&self, settings: &mut Settings) -> Result<()> {
-        settings.apply_file(&format!("configs/systems/{}.toml", self.name), self.settings)
+        settings.apply_file(&format!("trimip/systems/{}.toml", self.name), self.settings)
     }
 }
 
 macro_rules! file {
     ($name:literal) => {
-        include_str!(concat!("../../../configs/systems/", $name, ".toml"))
+        include_str!(concat!("../../systems/", $name, ".toml"))
     };
 }
 
@@ -235,7 +236,7 @@ mod tests {
 
     #[test]
     fn the_registry_has_every_file_once() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/systems");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("systems");
         let mut files: Vec<String> = std::fs::read_dir(folder)
             .unwrap()
             .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())

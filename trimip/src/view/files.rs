@@ -11,6 +11,7 @@ use trimip_core::{Camera, Error, Frame, Result, atomic::write_atomically, config
 
 /// File format of rendered views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum PictureFormat {
     /// Colour as 8-bit sRGB; depth (the file stores its range) and opacity as 16-bit grey. One file each.
     Png,
@@ -20,6 +21,7 @@ pub enum PictureFormat {
 
 /// A quantity of a view that can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Quantity {
     /// Colour on the configured background.
     Color,

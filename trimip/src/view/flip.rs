@@ -1,15 +1,38 @@
-//! LDR-FLIP (Andersson et al. 2020) by NVIDIA's library.
+//! LDR-FLIP (Andersson et al. 2020) by NVIDIA's library, in builds with the feature `flip`.
 
-use super::perceiver::PIXELS_PER_DEGREE;
+use image::RgbImage;
+#[cfg(feature = "flip")]
 use nv_flip::{FlipImageFloat, FlipImageRgb8, flip, magma_lut};
 
-/// Error of each pixel, 0 (equal) to 1, of two sRGB pictures of 8 bits: three bytes a pixel, row by row.
-pub fn map(width: u32, height: u32, rendered: &[u8], target: &[u8]) -> Vec<f32> {
-    let picture = |bytes: &[u8]| FlipImageRgb8::with_data(width, height, bytes);
-    flip(picture(target), picture(rendered), PIXELS_PER_DEGREE).to_vec()
+/// Pixels per degree of the visual field for FLIP, its own default: a screen 0.7 m wide with 3840 pixels, seen from 0.7 m.
+pub const PIXELS_PER_DEGREE: f32 = 67.0;
+
+/// FLIP of each pixel of two pictures of one size, row by row, 0 (equal) to 1; `None` if this build has no FLIP.
+pub fn flip_of_pictures(rendered: &RgbImage, target: &RgbImage) -> Option<Vec<f32>> {
+    #[cfg(feature = "flip")]
+    {
+        let (width, height) = rendered.dimensions();
+        let picture = |bytes: &[u8]| FlipImageRgb8::with_data(width, height, bytes);
+        Some(flip(picture(target), picture(rendered), PIXELS_PER_DEGREE).to_vec())
+    }
+    #[cfg(not(feature = "flip"))]
+    {
+        let _ = (rendered, target);
+        None
+    }
 }
 
-/// Errors as colours of magma: black at 0, pale yellow at 1; three bytes a pixel.
-pub fn colors(width: u32, height: u32, errors: &[f32]) -> Vec<u8> {
-    FlipImageFloat::with_data(width, height, errors).apply_color_lut(&magma_lut()).to_vec()
+/// A map of FLIP errors as a picture in the colours of magma: black where nothing is seen, pale yellow at 1; `None` if this
+/// build has no FLIP.
+pub fn flip_colors(width: u32, height: u32, errors: &[f32]) -> Option<RgbImage> {
+    #[cfg(feature = "flip")]
+    {
+        let colors = FlipImageFloat::with_data(width, height, errors).apply_color_lut(&magma_lut()).to_vec();
+        RgbImage::from_raw(width, height, colors)
+    }
+    #[cfg(not(feature = "flip"))]
+    {
+        let _ = (width, height, errors);
+        None
+    }
 }

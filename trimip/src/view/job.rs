@@ -2,11 +2,10 @@
 
 use super::{Named, PictureFormat, Quantity, files::paths};
 use std::fs::{File, OpenOptions};
-use std::hash::{DefaultHasher, Hasher};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::{collections::BTreeSet, fs};
-use trimip_core::{Error, Result, atomic::write_atomically, model::Model, tensors::Values};
+use trimip_core::{Error, Result, atomic::write_atomically, fingerprint, model::Model};
 
 /// File of a folder that lists its finished views: the first line names the job, each other line a view.
 const LIST: &str = "views.txt";
@@ -39,7 +38,7 @@ impl Job {
     ) -> Result<Self> {
         let path = folder.join(LIST);
         let failed = |error| Error::run(format!("{}: {error}", path.display()));
-        let head = format!("{HEAD}{:016x}\n", identity(model, cameras, what, format));
+        let head = format!("{HEAD}{:016x}\n", identity(model, cameras, what, format)?);
         let text = match fs::read_to_string(&path) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
@@ -88,25 +87,19 @@ impl Job {
     }
 }
 
-/// A number that differs for jobs whose pictures differ.
-fn identity(model: &Model, cameras: &[Named], what: &[Quantity], format: PictureFormat) -> u64 {
-    let mut hash = DefaultHasher::new();
-    hash.write(env!("CARGO_PKG_VERSION").as_bytes());
-    hash.write(model.config.to_toml().as_bytes());
-    for (name, tensor) in &model.file.tensors {
-        hash.write(name.as_bytes());
-        match &tensor.values {
-            Values::F32(values) => values.iter().for_each(|value| hash.write_u32(value.to_bits())),
-            Values::F16(values) => values.iter().for_each(|value| hash.write_u16(value.to_bits())),
-            Values::U8(values) => hash.write(values),
-        }
-    }
+/// A number that differs for jobs whose pictures differ. The list of a folder holds it, so it is the same in every build of this
+/// version.
+fn identity(model: &Model, cameras: &[Named], what: &[Quantity], format: PictureFormat) -> Result<u64> {
+    let mut parts = vec![
+        env!("CARGO_PKG_VERSION").as_bytes().to_vec(),
+        model.hash()?.to_le_bytes().to_vec(),
+        format!("{what:?} {format:?}").into_bytes(),
+    ];
     for (name, camera) in cameras {
-        hash.write(name.as_bytes());
-        camera.numbers().into_iter().for_each(|number| hash.write_u64(number.to_bits()));
+        parts.push(name.as_bytes().to_vec());
+        parts.push(camera.numbers().into_iter().flat_map(f64::to_le_bytes).collect());
     }
-    hash.write(format!("{what:?} {format:?}").as_bytes());
-    hash.finish()
+    Ok(fingerprint::hash_of(parts))
 }
 
 #[cfg(test)]
@@ -185,5 +178,23 @@ mod tests {
         let refused = Job::open(here, &model(1), &cameras(4.0), COLOR, PictureFormat::Png, true);
         assert!(refused.is_err_and(|error| error.message.contains("not a list of rendered views")));
         assert_eq!(fs::read_to_string(here.join(LIST)).unwrap(), "milk\neggs\n");
+    }
+
+    /// The first line of a list, which other builds read. The hash of the model is stated here, as its settings grow.
+    #[test]
+    fn a_list_names_its_job_by_a_stated_hash() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = model(1);
+        drop(open(folder.path(), &model, &cameras(4.0)[..1], COLOR));
+        let list = fs::read_to_string(folder.path().join(LIST)).unwrap();
+        let numbers = cameras(4.0)[0].1.numbers().into_iter().flat_map(f64::to_le_bytes).collect();
+        let parts = [
+            env!("CARGO_PKG_VERSION").as_bytes().to_vec(),
+            model.hash().unwrap().to_le_bytes().to_vec(),
+            b"[Color] Png".to_vec(),
+            b"0000".to_vec(),
+            numbers,
+        ];
+        assert_eq!(list, format!("{HEAD}{:016x}\n", fingerprint::hash_of(parts)));
     }
 }

@@ -2,7 +2,6 @@
 
 pub mod cameras;
 mod files;
-#[cfg(feature = "flip")]
 mod flip;
 pub mod flythrough;
 mod job;
@@ -18,6 +17,7 @@ pub use cameras::Named;
 pub use files::{
     CAMERAS, PictureFormat, Quantity, Rendered, depth_range, expect_no_others, write, write_cameras,
 };
+pub use flip::{PIXELS_PER_DEGREE, flip_colors, flip_of_pictures};
 pub use job::Job;
 pub use measure::{Measured, TestViews, Together, Watching, evaluate, help_evaluate};
-pub use perceiver::{PIXELS_PER_DEGREE, Perceiver, flip_colors, flip_of_pictures};
+pub use perceiver::Perceiver;

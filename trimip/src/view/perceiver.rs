@@ -1,16 +1,12 @@
 //! Takes the measures of perception: MS-SSIM, LDR-FLIP and, with weights from a file, LPIPS.
 
-use super::pictures;
-use image::RgbImage;
+use super::{flip::flip_of_pictures, pictures};
 use trimip_core::{
     Result,
     config::EvalConfig,
     metrics::ms_ssim,
     perception::{Pair, Perceived, Perception},
 };
-
-/// Pixels per degree of the visual field for FLIP, its own default: a screen 0.7 m wide with 3840 pixels, seen from 0.7 m.
-pub const PIXELS_PER_DEGREE: f32 = 67.0;
 
 /// The measures that this build and the settings have. FLIP and MS-SSIM run beside each other; LPIPS has all cores.
 pub struct Perceiver {
@@ -78,29 +74,6 @@ fn flip(pair: &Pair<'_>) -> (f64, Option<Vec<f32>>) {
     (if finite { sum / compared as f64 } else { f64::NAN }, Some(errors))
 }
 
-/// FLIP of each pixel of two pictures of one size, row by row; `None` if this build has no FLIP.
-pub fn flip_of_pictures(rendered: &RgbImage, target: &RgbImage) -> Option<Vec<f32>> {
-    #[cfg(feature = "flip")]
-    return Some(super::flip::map(rendered.width(), rendered.height(), rendered, target));
-    #[cfg(not(feature = "flip"))]
-    {
-        let _ = (rendered, target);
-        None
-    }
-}
-
-/// A map of FLIP errors as a picture in the colours of magma: black where nothing is seen, pale yellow at 1; `None` if this
-/// build has no FLIP.
-pub fn flip_colors(width: u32, height: u32, errors: &[f32]) -> Option<RgbImage> {
-    #[cfg(feature = "flip")]
-    return RgbImage::from_raw(width, height, super::flip::colors(width, height, errors));
-    #[cfg(not(feature = "flip"))]
-    {
-        let _ = (width, height, errors);
-        None
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -142,6 +115,7 @@ mod tests {
     #[cfg(feature = "flip")]
     mod flip {
         use super::*;
+        use crate::view::flip_colors;
 
         /// FLIP of two pictures of one colour each by the equations of the paper, in f64: filters change nothing and there is
         /// no edge, so the colours' difference is left.

@@ -121,8 +121,7 @@ pub fn strip(
 /// Centre and half extents of the box around the subject.
 pub fn middle(scene: &SceneConfig) -> (DVec3, DVec3) {
     let subject = scene.subject();
-    let [low, high] = [subject.min, subject.max].map(DVec3::from);
-    (0.5 * (low + high), 0.5 * (high - low))
+    (subject.centre().into(), subject.half().into())
 }
 
 fn within(distance: f64, half: DVec3, place: String) -> Result<f64> {

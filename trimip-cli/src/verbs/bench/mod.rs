@@ -4,6 +4,7 @@
 mod cones;
 mod page;
 mod rendering;
+mod results;
 pub mod stages;
 pub mod training;
 mod ways;

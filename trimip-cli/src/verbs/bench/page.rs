@@ -1,6 +1,6 @@
 //! Output files of a training benchmark: `bench.json`, `bench.csv`, `bench.svg`, and `bench.html` for people.
 
-use super::training::{Bench, Row, cells};
+use super::results::{Bench, Row, cells};
 use crate::curves::reach_json;
 use crate::report::beside::{self, Entry};
 use crate::report::{page, svg};

@@ -3,6 +3,7 @@
 //! results.
 
 use super::page;
+pub use super::results::{Bench, Row, Variant, cells};
 use crate::args::{BenchArguments, ProgressStyle};
 use crate::curves::{Curve, Measure, Reach, aligned};
 use crate::interrupt::EXIT_CODE;
@@ -19,30 +20,6 @@ use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
 use trimip_core::{config::DataConfig, exchange::Ranks};
 
-/// A configuration of the benchmark.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Variant {
-    /// Name, also of the folders of its runs.
-    pub name: String,
-    /// Its assignments, `section.key=value` each.
-    pub assignments: Vec<String>,
-}
-
-/// Definition of a benchmark.
-#[derive(Clone, Debug)]
-pub struct Bench {
-    /// Settings shared by all variants.
-    pub base: Settings,
-    /// Variants to train.
-    pub variants: Vec<Variant>,
-    /// Seeds of each variant.
-    pub seeds: u32,
-    /// PSNR levels in dB whose times are reported, ascending.
-    pub reach: Vec<f64>,
-    /// Folder of the runs.
-    pub out: PathBuf,
-}
-
 /// Result of a run.
 struct Outcome {
     folder: PathBuf,
@@ -51,38 +28,6 @@ struct Outcome {
     model_bytes: Option<u64>,
     peak_memory_bytes: Option<u64>,
     curve: Curve,
-}
-
-/// Mean figures of a variant over its seeds.
-#[derive(Debug, serde::Serialize)]
-pub struct Row {
-    /// Name of the variant.
-    pub name: String,
-    /// Its assignments.
-    pub settings: Vec<String>,
-    /// Number of its runs.
-    pub seeds: usize,
-    /// Seconds of training.
-    pub seconds: f64,
-    /// Mean PSNR of the scales, dB.
-    pub psnr: f64,
-    /// Difference between the best and the worst seed, dB.
-    pub spread: f64,
-    /// Mean SSIM of the scales.
-    pub ssim: f64,
-    /// Samples kept.
-    pub samples: f64,
-    /// Size of the model file, bytes.
-    pub model_bytes: f64,
-    /// Peak resident memory in bytes, if known.
-    pub peak_memory_bytes: Option<f64>,
-    /// No other variant is both faster and better.
-    pub pareto: bool,
-    /// Mean time at which the seeds reach each PSNR, if all do. It is an upper bound if a seed reached it before its
-    /// first measurement.
-    pub reaches: Vec<Option<Reach>>,
-    /// Folders of its runs.
-    pub runs: Vec<PathBuf>,
 }
 
 /// Trains the runs that are not finished yet, then compares all of them.
@@ -319,38 +264,6 @@ fn mark_front(rows: &mut [Row]) {
         let beats = |other: &Measure| other.seconds <= own.seconds && other.psnr >= own.psnr && other != own;
         row.pareto = !points.iter().any(beats);
     }
-}
-
-/// A header, then one row per variant.
-pub fn cells(rows: &[Row], reach: &[f64]) -> Vec<Vec<String>> {
-    let mut cells = vec![vec![
-        "variant".to_string(),
-        "seeds".into(),
-        "seconds".into(),
-        "PSNR / dB".into(),
-        "spread".into(),
-        "SSIM".into(),
-        "samples".into(),
-        "model".into(),
-        "front".into(),
-    ]];
-    cells[0].extend(reach.iter().map(|psnr| format!("{psnr} dB after")));
-    for row in rows {
-        let mut line = vec![
-            row.name.clone(),
-            row.seeds.to_string(),
-            format!("{:.1}", row.seconds),
-            format!("{:.2}", row.psnr),
-            format!("{:.2}", row.spread),
-            format!("{:.4}", row.ssim),
-            terminal::number(row.samples, ""),
-            terminal::bytes(row.model_bytes as u64),
-            if row.pareto { "*".into() } else { String::new() },
-        ];
-        line.extend(row.reaches.iter().map(|time| time.map_or("–".into(), |reach| reach.to_string())));
-        cells.push(line);
-    }
-    cells
 }
 
 #[cfg(test)]

@@ -18,8 +18,8 @@ const ABOUT: &str = "about.json";
 
 /// Files of the page: name, text.
 const PAGE: [(&str, &str); 5] = [
-    ("index.html", include_str!("../../../../trimip-web/page/index.html")),
-    ("main.js", include_str!("../../../../trimip-web/page/main.js")),
+    ("index.html", include_str!("../../../page/index.html")),
+    ("main.js", include_str!("../../../page/main.js")),
     ("orbit.js", page::ORBIT),
     ("gestures.js", page::GESTURES),
     ("style.css", page::STYLE),

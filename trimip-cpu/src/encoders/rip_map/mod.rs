@@ -12,7 +12,7 @@ use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put_counted};
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::rip_map::{CHANNELS, Gaussian, Plane, TAPE, planes};
-use trimip_core::{Aabb, Config};
+use trimip_core::{Aabb, Config, Result};
 
 /// The planes and their ripmaps.
 pub(crate) struct RipMaps {
@@ -125,10 +125,12 @@ impl Encoding for RipMaps {
         gradient.bands.iter().for_each(|band| put_counted(out, band));
     }
 
-    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
-        from.buffer(&mut gradient.gaussians);
-        from.buffer(&mut gradient.rows);
-        gradient.bands.iter_mut().for_each(|band| from.list(band));
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) -> Result<()> {
+        from.buffer(&mut gradient.gaussians)?;
+        from.buffer(&mut gradient.rows)?;
+        let samples = gradient.gaussians.len();
+        from.expect("gradients", gradient.rows.len(), samples * self.planes.len() * CHANNELS)?;
+        gradient.bands.iter_mut().try_for_each(|band| from.indices(band, samples))
     }
 
     fn left(config: &Config) -> Left {

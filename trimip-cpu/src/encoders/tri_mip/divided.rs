@@ -10,6 +10,7 @@ use crate::encoders::{Divided, Encoding, Piece};
 use crate::wire::{Reader, put};
 use rayon::prelude::*;
 use std::ops::Range;
+use trimip_core::Result;
 use trimip_core::encoders::tri_mip::CHANNELS;
 use trimip_core::exchange::Share;
 
@@ -75,14 +76,25 @@ impl Divided for Planes {
         }
     }
 
-    fn take_sums(&mut self, from: &[Vec<u8>], gradient: &mut [f32]) {
+    fn take_sums(&mut self, from: &[Vec<u8>], gradient: &mut [f32]) -> Result<()> {
+        let own = self.division.share.rank;
         let mut readers: Vec<Reader<'_>> = from.iter().map(|bytes| Reader::new(bytes)).collect();
         let (sums, bands) = self.bands(gradient);
-        let work: Vec<_> = bands
-            .into_iter()
-            .map(|band| (band, readers.iter_mut().map(Reader::counted_bytes).collect::<Vec<_>>()))
-            .collect();
-        work.into_par_iter().with_max_len(1).for_each(|(mut band, from)| sums.gather(&from, &mut band));
+        let mut work = Vec::new();
+        for band in bands {
+            // This rank sends itself nothing.
+            let of_band = readers.iter_mut().enumerate().map(|(rank, reader)| match rank == own {
+                true => Ok(&[][..]),
+                false => reader.counted_bytes(),
+            });
+            work.push((band, of_band.collect::<Result<Vec<_>>>()?));
+        }
+        readers
+            .iter()
+            .enumerate()
+            .filter(|(rank, _)| *rank != own)
+            .try_for_each(|(_, reader)| reader.end())?;
+        work.into_par_iter().with_max_len(1).try_for_each(|(mut band, from)| sums.gather(&from, &mut band))
     }
 
     fn complete(&mut self, gradient: &mut [f32]) {
@@ -101,12 +113,14 @@ impl Divided for Planes {
         }
     }
 
-    fn take_changed(&mut self, from: &mut Reader<'_>, rank: usize, parameters: &mut [f32]) {
+    fn take_changed(&mut self, from: &mut Reader<'_>, rank: usize, parameters: &mut [f32]) -> Result<()> {
         for row in self.rows_of(rank, 0) {
-            *self.touched.row_mut(0, row.index) = from.one();
+            let columns = self.pyramid.shape(0, row.plane).columns;
+            *self.touched.row_mut(0, row.index) = Extent::read(from, columns)?;
             let (_, floats) = self.touched_of(0, &row);
-            from.copy(&mut parameters[floats]);
+            from.copy(&mut parameters[floats])?;
         }
+        Ok(())
     }
 
     fn part(&self, rank: usize) -> Vec<Range<usize>> {

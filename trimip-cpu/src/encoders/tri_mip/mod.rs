@@ -20,7 +20,7 @@ use std::sync::Mutex;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, level_input, taps};
 use trimip_core::exchange::Share;
-use trimip_core::{Aabb, Config};
+use trimip_core::{Aabb, Config, Result};
 
 /// The planes and their mip levels.
 pub(crate) struct Planes {
@@ -145,10 +145,12 @@ impl Encoding for Planes {
         gradient.bands.iter().for_each(|band| put_counted(out, band));
     }
 
-    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) {
-        from.buffer(&mut gradient.spheres);
-        from.buffer(&mut gradient.rows);
-        gradient.bands.iter_mut().for_each(|band| from.list(band));
+    fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) -> Result<()> {
+        from.buffer(&mut gradient.spheres)?;
+        from.buffer(&mut gradient.rows)?;
+        let samples = gradient.spheres.len();
+        from.expect("gradients", gradient.rows.len(), samples * FEATURES)?;
+        gradient.bands.iter_mut().try_for_each(|band| from.indices(band, samples))
     }
 
     fn divided(&mut self) -> Option<&mut dyn Divided> {

@@ -12,6 +12,7 @@ use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put};
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
+use trimip_core::Result;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
 use trimip_core::exchange::Share;
@@ -194,47 +195,50 @@ impl Sums<'_> {
         self.beside(band, |other| self.add_parts(gradients, parts, right, other));
     }
 
-    /// Fills a band of zeros, and adds it.
-    fn beside(&self, band: &mut Band<'_>, fill: impl FnOnce(&mut Band<'_>)) {
+    /// Fills a band of zeros, and adds it. Returns what `fill` returns.
+    fn beside<R>(&self, band: &mut Band<'_>, fill: impl FnOnce(&mut Band<'_>) -> R) -> R {
         let unused = || self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         let mut scratch = unused().pop().unwrap_or_default();
         let mut other = scratch.like(self.pyramid, self.division, band);
-        fill(&mut other);
+        let filled = fill(&mut other);
         self.simd.run(AddBand { from: &mut other, band });
         unused().push(scratch);
+        filled
     }
 
     /// Completes a band that holds the sum of this rank by what the other ranks sent for it, by rank. Of another rank's band only
     /// common levels are kept.
-    pub fn gather(&self, from: &[&[u8]], band: &mut Band<'_>) {
+    ///
+    /// # Errors
+    /// When a message is not what [`put`](Self::put) writes for this rank.
+    pub fn gather(&self, from: &[&[u8]], band: &mut Band<'_>) -> Result<()> {
         if !self.division.is_own(band.plane, band.band) {
             let plane = band.plane;
             let levels = band.levels.iter_mut().enumerate();
             let foreign = levels.filter(|(level, _)| !self.division.is_common(plane, *level));
             foreign.for_each(|(_, level)| level.clear());
         }
-        self.add_ranks(from, 0..from.len(), band);
+        self.add_ranks(from, 0..from.len(), band)
     }
 
     /// Adds the sums of ranks, in the tree of their parts, to a band that holds that of this rank, if it is among them, and
     /// otherwise zero.
-    fn add_ranks(&self, from: &[&[u8]], ranks: Range<usize>, band: &mut Band<'_>) {
+    fn add_ranks(&self, from: &[&[u8]], ranks: Range<usize>, band: &mut Band<'_>) -> Result<()> {
         let own = self.division.share.rank;
         if ranks.len() == 1 {
-            if ranks.start != own {
-                self.add_message(from[ranks.start], band);
-            }
-            return;
+            return match ranks.start == own {
+                true => Ok(()),
+                false => self.add_message(from[ranks.start], band),
+            };
         }
         // A sum of two has the same bits in either order.
         let [left, right] = halves(ranks);
         let [here, other] = if right.contains(&own) { [right, left] } else { [left, right] };
-        self.add_ranks(from, here, band);
+        self.add_ranks(from, here, band)?;
         if other.len() == 1 {
-            self.add_message(from[other.start], band);
-        } else {
-            self.beside(band, |beside| self.add_ranks(from, other, beside));
+            return self.add_message(from[other.start], band);
         }
+        self.beside(band, |beside| self.add_ranks(from, other, beside))
     }
 
     /// The levels of a band that travel to a rank.
@@ -259,20 +263,21 @@ impl Sums<'_> {
     }
 
     /// Adds what another rank put for this one.
-    fn add_message(&self, message: &[u8], band: &mut Band<'_>) {
+    fn add_message(&self, message: &[u8], band: &mut Band<'_>) -> Result<()> {
         let levels = self.levels(self.division.share, band);
         let mut reader = Reader::new(message);
         for LevelBand { row, texels, extents, .. } in &mut band.levels[levels] {
             for (row, extent) in texels.chunks_exact_mut(*row).zip(extents.iter_mut()) {
-                let other: Extent = reader.one();
+                let other = Extent::read(&mut reader, row.len() / CHANNELS)?;
                 let Range { start, end } = other.texels();
-                let values = reader.bytes((end - start) * CHANNELS * size_of::<f32>());
+                let values = reader.bytes((end - start) * CHANNELS * size_of::<f32>())?;
                 let values = values.as_chunks().0.iter().map(|bytes| f32::from_ne_bytes(*bytes));
                 let sums = row[start * CHANNELS..end * CHANNELS].iter_mut();
                 sums.zip(values).for_each(|(sum, value)| *sum += value);
                 *extent = extent.union(other);
             }
         }
+        reader.end()
     }
 }
 

@@ -1,0 +1,38 @@
+//! Options that several verbs have.
+
+use clap::Args;
+use std::path::PathBuf;
+
+/// Sources of settings.
+#[derive(Args, Clone, Debug, Default)]
+pub struct SettingsArguments {
+    /// A system, by the name that `paper --list` shows: its settings lie over the defaults and under all others
+    #[arg(long, value_name = "NAME")]
+    pub system: Option<String>,
+    /// Configuration file (TOML); missing settings have their defaults
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Override one setting; may be given many times
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// The scene and the duration of training.
+#[derive(Args, Clone, Debug, Default)]
+pub struct SceneArguments {
+    /// Folder of the scene: photographs with transforms*.json, metadata.json or a COLMAP model (data.root)
+    #[arg(value_name = "FOLDER")]
+    pub folder: Option<PathBuf>,
+    /// Minutes of training; evaluation takes extra time (train.seconds) [default: 5]
+    #[arg(long, value_name = "N")]
+    pub minutes: Option<f64>,
+}
+
+/// Parser of the name of a file to write. A name of another kind is a slip, and would cost the file that has it.
+pub fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> + Clone {
+    move |name| {
+        let path = PathBuf::from(name);
+        let fits = path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
+        if fits { Ok(path) } else { Err(format!("the name of such a file ends in .{ending}")) }
+    }
+}

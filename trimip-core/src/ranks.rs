@@ -1,0 +1,84 @@
+//! The transport between the processes that train one model, called ranks: MPI, or channels between threads.
+
+use crate::{Error, Result};
+
+/// A rank's share of the work of all ranks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Share {
+    /// Number of this rank, from 0.
+    pub rank: usize,
+    /// Number of ranks.
+    pub of: usize,
+}
+
+impl Share {
+    /// All of the work.
+    pub const WHOLE: Self = Self { rank: 0, of: 1 };
+
+    /// True if item `index` of work that is dealt out in turn belongs to this rank.
+    pub fn has(self, index: usize) -> bool {
+        index % self.of == self.rank
+    }
+
+    /// The part of `count` items that belongs to this rank, if every rank takes a contiguous part.
+    pub fn part(self, count: u32) -> std::ops::Range<u32> {
+        let bound = |rank: usize| (u64::from(count) * rank as u64 / self.of as u64) as u32;
+        bound(self.rank)..bound(self.rank + 1)
+    }
+}
+
+/// The error of a message between ranks that is not what this rank reads. It is of the kind of a rank that is gone: what other
+/// ranks computed is not to be had.
+pub fn fault(what: impl std::fmt::Display) -> Error {
+    Error::device(format!(
+        "message of another rank: {what}; start the same build of the program on every rank"
+    ))
+}
+
+/// The processes that train one model together. Every rank makes the same calls in the same order; a call returns when
+/// this rank has what it needs from the others.
+pub trait Ranks: Send + Sync {
+    /// This rank among all of them.
+    fn share(&self) -> Share;
+
+    /// This rank among those on the same machine.
+    fn on_machine(&self) -> Share {
+        self.share()
+    }
+
+    /// Sends `out[r]` to every other rank r, and puts what rank r sent here into `into[r]`. Both have one entry per rank;
+    /// that of this rank is left alone.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()>;
+
+    /// Replaces `bytes` on every rank by those of rank 0.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()>;
+
+    /// Sends a message to one rank, which has to [`receive`](Self::receive) it.
+    ///
+    /// # Errors
+    /// When that rank is gone.
+    fn send(&self, to: usize, bytes: &[u8]) -> Result<()>;
+
+    /// Waits for a message of any rank; returns its sender too.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn receive(&self) -> Result<(usize, Vec<u8>)>;
+
+    /// A message of any rank that has come; returns its sender too.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn try_receive(&self) -> Result<Option<(usize, Vec<u8>)>>;
+
+    /// Told after a step: the bytes of the part of the gradient that the step touched.
+    fn tally(&self, touched: u64) {
+        let _ = touched;
+    }
+}

@@ -1,0 +1,79 @@
+//! Everything that the page, the JSON and the Markdown of a comparison are made of.
+
+use super::means::{Row, scene_row, whole_row};
+use super::runs::{Run, Scales, Status};
+use crate::machine::Machine;
+use crate::systems::System;
+
+/// Everything that the page, the JSON and the Markdown are made of.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// The systems, in the order of the tables.
+    pub systems: Vec<&'static System>,
+    /// Names of the scenes, in order.
+    pub scenes: Vec<String>,
+    /// Blender scenes that are not there, in words; empty if the scenes were named one by one.
+    pub missing: Vec<&'static str>,
+    /// The tables, in order.
+    pub scales: Vec<Scales>,
+    /// Splits that are trained on.
+    pub split: Vec<String>,
+    /// The budget of a run in words.
+    pub budget: String,
+    /// All runs, also those that wait.
+    pub runs: Vec<Run>,
+    /// The machine.
+    pub machine: Machine,
+    /// Command line.
+    pub command: Option<String>,
+}
+
+impl Comparison {
+    /// The runs of a table's cell: a system on a scene, all seeds.
+    pub fn runs_of(&self, scales: Scales, scene: &str, system: &str) -> Vec<&Run> {
+        self.runs
+            .iter()
+            .filter(|run| run.scales == scales && run.scene == scene && run.system == system)
+            .collect()
+    }
+
+    /// One row per system of a scene.
+    pub fn scene_rows(&self, scales: Scales, scene: &str) -> Vec<Row> {
+        self.systems
+            .iter()
+            .map(|system| scene_row(system, scales, scene, &self.runs_of(scales, scene, system.name)))
+            .collect()
+    }
+
+    /// One row per system: the mean over the scenes of each scene's mean.
+    pub fn whole_rows(&self, scales: Scales) -> Vec<Row> {
+        let of_system = |system: &&'static System| {
+            let rows: Vec<Row> = self
+                .scenes
+                .iter()
+                .map(|scene| scene_row(system, scales, scene, &self.runs_of(scales, scene, system.name)))
+                .collect();
+            whole_row(system, scales, &rows, self.is_whole_set())
+        };
+        self.systems.iter().map(of_system).collect()
+    }
+
+    /// True if the scenes are the eight of the papers' tables.
+    pub fn is_whole_set(&self) -> bool {
+        let all = trimip_data::BLENDER_SCENES;
+        self.scenes.len() == all.len() && all.iter().all(|name| self.scenes.iter().any(|own| own == name))
+    }
+
+    /// The runs that failed.
+    pub fn failed(&self) -> impl Iterator<Item = (&Run, &str)> {
+        self.runs.iter().filter_map(|run| match &run.status {
+            Status::Failed(reason) => Some((run, reason.as_str())),
+            _ => None,
+        })
+    }
+
+    /// Number of runs that are not trained and evaluated yet and did not fail.
+    pub fn open(&self) -> usize {
+        self.runs.iter().filter(|run| matches!(run.status, Status::Waiting | Status::Stopped)).count()
+    }
+}

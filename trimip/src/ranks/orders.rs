@@ -1,0 +1,61 @@
+//! The orders of rank 0, as they are sent.
+
+use crate::backends;
+use serde::{Deserialize, Serialize};
+use trimip_core::{Config, Error, Result, exchange::Ranks, fingerprint::Fingerprint};
+
+/// What rank 0 tells the others to do.
+#[derive(Serialize, Deserialize)]
+pub enum Order {
+    /// Open the data of this configuration, TOML, and train on it. The views have to be these; `computes` is what rank 0 computes
+    /// with.
+    Train { version: String, config: String, data: Fingerprint, computes: String },
+    /// One step of the training.
+    Step(f64),
+    /// Take part in collecting a checkpoint.
+    Checkpoint,
+    /// Continue from the checkpoint whose bytes come next.
+    Restore,
+    /// The training is over.
+    Close,
+    /// Work on the jobs that are sent one by one.
+    Jobs { version: String },
+    /// The program ends.
+    Quit,
+}
+
+/// What a rank answers when it is told to train: nothing, or the exit code and the message of what prevents it.
+pub type Opened = std::result::Result<(), (u8, String)>;
+
+impl Order {
+    /// Gives the order to every other rank.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    pub fn give(&self, ranks: &dyn Ranks) -> Result<()> {
+        ranks.broadcast(&mut serde_json::to_vec(self).map_err(Error::run)?)
+    }
+
+    /// Waits for the next order of rank 0.
+    ///
+    /// # Errors
+    /// When rank 0 is gone, or its order is not understood.
+    pub fn await_from(ranks: &dyn Ranks) -> Result<Self> {
+        let mut bytes = Vec::new();
+        ranks.broadcast(&mut bytes)?;
+        serde_json::from_slice(&bytes)
+            .map_err(|error| Error::run(format!("an order of rank 0 is not understood: {error}")))
+    }
+}
+
+/// The device of this rank, or the instruction set of its processor.
+///
+/// # Errors
+/// When there is no such device.
+pub fn computes_with(config: &Config) -> Result<String> {
+    Ok(match config.backend.as_str() {
+        // The widest set comes first, and is used.
+        "cpu" => trimip_cpu::features().split(',').next().unwrap_or_default().into(),
+        _ => backends::compute(config)?.name,
+    })
+}
