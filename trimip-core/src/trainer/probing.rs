@@ -14,7 +14,7 @@ impl<B: Backend> Trainer<B> {
     pub fn set_log_gains(&mut self, values: &[[f32; 3]]) {
         if let Some(exposures) = &mut self.exposures {
             exposures.set(values);
-            self.loaded.stages.loss.expose(&exposures.gains());
+            self.loaded.stages.loss.set_gains(&exposures.gains());
         }
     }
 
