@@ -1,37 +1,103 @@
 //! The loss on the GPU: of pixels, and of the samples' weights. Sums stay on the device until the step is over.
 
-use crate::backend::{Lane, WgpuBackend};
-use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu, Size};
-use crate::kernel::{ADD_DISTORTION, ADD_UP, DISTORT, EVALUATE, EVALUATE_EXPOSED};
-use crate::space::GpuSpace;
-use bytemuck::{Pod, Zeroable};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Parts, Text};
+use crate::gpu::{Binds, Buffer, GRID, GROUP, Gpu, Kernel, Size};
+use crate::shaders::{COMPOSITING, FIXED, POINT, SUM, SUM_OF_FOUR};
+use crate::space::{GpuSpace, SPACE};
+use crate::workspace::{Lane, WgpuBackend};
 use std::sync::Arc;
 use trimip_core::backend::Loss;
 use trimip_core::batch::{Radiance, Rays, Samples};
 use trimip_core::config::{LossConfig, LossRays};
+use trimip_core::edges::LEAST_OPACITY;
 use trimip_core::{Config, Pixel, Space};
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Params {
-    count: u32,
-    blocks: u32,
-    beta: f32,
-    live: u32,
-    opacity: f32,
-    photographs: u32,
-    padding: [u32; 2],
+shared! {
+    /// Parameters of the loss of pixels.
+    struct Params as Params {
+        /// Number of pixels.
+        count: u32,
+        blocks: u32,
+        beta: f32,
+        /// 1 to average only over pixels with samples.
+        live: u32,
+        /// Weight of the opacity relative to the colour.
+        opacity: f32,
+        /// Number of photographs that have gains.
+        photographs: u32,
+    }
+
+    /// Parameters of the distortion.
+    struct DistortionParams as Params {
+        space: GpuSpace,
+        /// Number of pixels.
+        count: u32,
+        blocks: u32,
+        /// Weight of the distortion relative to the colour.
+        distortion: f32,
+    }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct DistortionParams {
-    space: GpuSpace,
-    count: u32,
-    blocks: u32,
-    distortion: f32,
-    padding: u32,
+/// The loss of pixels, without the exposure of photographs.
+pub const PHOTOMETRIC: Source = Parts(&[
+    GRID,
+    SUM_OF_FOUR,
+    Source::of::<Params>(),
+    Source::real("LEAST_OPACITY", LEAST_OPACITY as f32),
+    Text(include_str!("shaders/loss.wgsl")),
+]);
+
+/// One exposure for all photographs.
+pub const ONE_EXPOSURE: Source = Text(include_str!("shaders/exposure_none.wgsl"));
+
+const EXPOSURES: [Source; 2] = [FIXED, Text(include_str!("shaders/exposure_gain.wgsl"))];
+
+const DISTORTION: [Source; 6] = [
+    GRID,
+    SPACE,
+    COMPOSITING,
+    SUM,
+    Source::of::<DistortionParams>(),
+    Text(include_str!("shaders/distortion.wgsl")),
+];
+
+/// The kernel that evaluates the loss of pixels.
+fn evaluate() -> Kernel {
+    Kernel::new(
+        "evaluate",
+        &[PHOTOMETRIC],
+        &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Write), (7, Read), (8, Read)],
+    )
+}
+
+kernels! {
+    /// The kernels of the loss.
+    pub struct Kernels {
+        evaluate: evaluate().and(&[ONE_EXPOSURE], &[]),
+        evaluate_exposed: evaluate().and(&EXPOSURES, &[(9, Read), (10, Write)]),
+        add_up: Kernel::new(
+            "add_up",
+            &[PHOTOMETRIC, ONE_EXPOSURE],
+            &[(2, Parameters), (4, Write), (5, Write), (6, Read)],
+        ),
+        distort: Kernel::new(
+            "distort",
+            &DISTORTION,
+            &[
+                (0, Read),
+                (1, Write),
+                (2, Parameters),
+                (3, Read),
+                (4, Read),
+                (5, Read),
+                (6, Read),
+                (7, Read),
+                (8, Write),
+            ],
+        ),
+        add_distortion: Kernel::new("add_distortion", &DISTORTION, &[(2, Parameters), (8, Write), (9, Write)]),
+    }
 }
 
 /// A step's sums on the device: loss, weight, squared error, number of non-finite pixels, then counts of samples.
@@ -53,10 +119,10 @@ pub const GAIN_WORDS: usize = 3;
 /// As [`GAIN_WORDS`].
 pub const SUM_WORDS: usize = 6;
 
-/// The sums of the photographs' derivatives, RGB of each: 64-bit fixed point with 30 fractional bits, low words first.
+/// The sums of the photographs' derivatives, RGB of each: 64-bit fixed point, low words first.
 pub fn sums_of(words: &[u32]) -> Vec<[f64; 3]> {
     let fixed = |[low, high]: [u32; 2]| (i64::from(high.cast_signed()) << 32) | i64::from(low);
-    let value = |words: &[u32; 2]| fixed(*words) as f64 / f64::from(1 << 30);
+    let value = |words: &[u32; 2]| fixed(*words) as f64 / f64::from(POINT);
     let sums: Vec<f64> = words.as_chunks().0.iter().map(value).collect();
     sums.as_chunks().0.to_vec()
 }
@@ -64,6 +130,7 @@ pub fn sums_of(words: &[u32]) -> Vec<[f64; 3]> {
 /// Area-weighted smooth-L1 of pixels, and the distortion of cones.
 pub struct WgpuLoss {
     gpu: Arc<Gpu>,
+    kernels: Kernels,
     config: LossConfig,
     space: GpuSpace,
     sums: Buffer<u32>,
@@ -76,6 +143,7 @@ impl WgpuLoss {
     pub fn new(gpu: &Arc<Gpu>, config: &Config) -> Self {
         Self {
             gpu: Arc::clone(gpu),
+            kernels: Kernels::new(gpu),
             config: config.loss.clone(),
             // The loss needs no cells.
             space: GpuSpace::new(&Space::new(&config.scene), 1),
@@ -116,26 +184,24 @@ impl Loss<WgpuBackend> for WgpuLoss {
             live,
             opacity: self.config.opacity,
             photographs: photographs as u32,
-            padding: [0; 2],
         };
-        let mut binds = vec![
-            pixels.bind(),
+        let mut binds = Binds::new(pixels.bind()).and([
             pixel_gradients.bind(),
             rays.targets.bind(),
             lane.sums.bind(),
             samples.segments.bind(),
             rays.groups.bind(),
-        ];
-        let mut kernel = &EVALUATE;
+        ]);
+        let mut kernel = &self.kernels.evaluate;
         if photographs > 0 {
             let [first, length] = [GAIN_WORDS, SUM_WORDS].map(|words| (4 * words * photographs) as u64);
             self.gpu.clear(self.exposures.raw(), first, length);
-            kernel = &EVALUATE_EXPOSED;
-            binds.extend([rays.photographs.bind(), self.exposures.bind()]);
+            kernel = &self.kernels.evaluate_exposed;
+            binds = binds.and([rays.photographs.bind(), self.exposures.bind()]);
         }
         self.gpu.dispatch(kernel, &binds, &params, Size::Items(count.into()));
         let binds = [lane.sums.bind(), self.sums.bind(), samples.counts.bind()];
-        self.gpu.dispatch(&ADD_UP, &binds, &params, Size::Groups(1));
+        self.gpu.dispatch(&self.kernels.add_up, &binds, &params, Size::Groups(1));
         let exposures = (photographs > 0).then(|| (self.exposures.raw().clone(), photographs));
         sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures });
     }
@@ -154,13 +220,8 @@ impl Loss<WgpuBackend> for WgpuLoss {
         }
         let count = rays.groups.known_len().unwrap_or(0) as u32;
         let blocks = count.div_ceil(GROUP);
-        let params = DistortionParams {
-            space: self.space,
-            count,
-            blocks,
-            distortion: self.config.distortion,
-            padding: 0,
-        };
+        let params =
+            DistortionParams { space: self.space, count, blocks, distortion: self.config.distortion };
         // The sums of `evaluate` are added up already.
         lane.sums.resize(4 * blocks as usize);
         let binds = [
@@ -173,8 +234,8 @@ impl Loss<WgpuBackend> for WgpuLoss {
             rays.groups.bind(),
             lane.sums.bind(),
         ];
-        self.gpu.dispatch(&DISTORT, &binds, &params, Size::Items(count.into()));
+        self.gpu.dispatch(&self.kernels.distort, &binds, &params, Size::Items(count.into()));
         let binds = [lane.sums.bind(), self.sums.bind()];
-        self.gpu.dispatch(&ADD_DISTORTION, &binds, &params, Size::Groups(1));
+        self.gpu.dispatch(&self.kernels.add_distortion, &binds, &params, Size::Groups(1));
     }
 }

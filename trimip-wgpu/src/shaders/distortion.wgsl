@@ -1,14 +1,5 @@
 // The distortion loss of each pixel's cones and its gradient with respect to densities; twin of `trimip_core::distortion`. The
-// sums over a workgroup's pixels go to `partial`; `add_distortion` adds them to the step's loss in order. Needs `space.wgsl` and
-// `compositing.wgsl`.
-
-struct Params {
-    space: Space,
-    count: u32,
-    blocks: u32,
-    // Weight of the distortion relative to the colour.
-    distortion: f32,
-}
+// sums over a workgroup's pixels go to `partial`; `add_distortion` adds them to the step's loss in order.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
 // Colour and density of each sample; the gradients of the other losses are there already.
@@ -24,8 +15,6 @@ struct Params {
 @group(0) @binding(8) var<storage, read_write> partial: array<f32>;
 // Eight words: the first is the bits of the loss.
 @group(0) @binding(9) var<storage, read_write> sums: array<u32>;
-
-var<workgroup> shared_sums: array<f32, GROUP>;
 
 // A sample, and sums over the samples in front of it.
 struct Walk {
@@ -100,19 +89,6 @@ fn distort_cone(cone: u32, share: f32) -> f32 {
     return share * value;
 }
 
-// Sum over the workgroup in a fixed order; valid in the first invocation.
-fn total_of(local: u32, own: f32) -> f32 {
-    shared_sums[local] = own;
-    workgroupBarrier();
-    for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {
-        if local < stride {
-            shared_sums[local] += shared_sums[local + stride];
-        }
-        workgroupBarrier();
-    }
-    return shared_sums[0];
-}
-
 @compute @workgroup_size(GROUP)
 fn distort(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -128,7 +104,7 @@ fn distort(
             own += distort_cone(cone, share);
         }
     }
-    let sum = total_of(local, own);
+    let sum = workgroup_sum(local, own);
     let block = group.y * groups.x + group.x;
     if local == 0u && block < params.blocks {
         partial[block] = sum;
@@ -141,7 +117,7 @@ fn add_distortion(@builtin(local_invocation_index) local: u32) {
     for (var i = local; i < params.blocks; i += GROUP) {
         own += partial[i];
     }
-    let sum = total_of(local, own);
+    let sum = workgroup_sum(local, own);
     if local == 0u {
         sums[0] = bitcast<u32>(bitcast<f32>(sums[0]) + sum);
     }

@@ -1,18 +1,6 @@
 // Area-weighted smooth-L1 of each pixel, and its gradient with respect to the pixel. The sums over a workgroup's
 // pixels go to `partial`; `add_up` adds them in order.
 
-struct Params {
-    count: u32,
-    blocks: u32,
-    beta: f32,
-    // 1 to average only over pixels with samples.
-    live: u32,
-    // Weight of the opacity relative to the colour.
-    opacity: f32,
-    // Number of photographs that have gains.
-    photographs: u32,
-}
-
 @group(0) @binding(0) var<storage, read> pixels: array<f32>;
 @group(0) @binding(1) var<storage, read_write> gradients: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
@@ -27,8 +15,6 @@ struct Params {
 // First cone and number of cones of each pixel.
 @group(0) @binding(8) var<storage, read> pixel_groups: array<vec2<u32>>;
 
-var<workgroup> shared_sums: array<vec4<f32>, GROUP>;
-
 fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
 }
@@ -42,10 +28,7 @@ fn smooth_l1(difference: f32, beta: f32) -> vec2<f32> {
     return vec2<f32>(size - 0.5 * beta, sign(difference));
 }
 
-// Opacity below which the power of an edge exponent is constant; twin of `trimip_core::edges`.
-const LEAST_OPACITY = 1e-4;
-
-// The colour that a photograph shows of a pixel, which is P + (1 - A) * background: P * A^exponent on the background.
+// Twin of `trimip_core::edges`. The colour that a photograph shows of a pixel, which is P + (1 - A) * background: P * A^exponent on the background.
 fn shown(pixel: vec4<f32>, background: vec3<f32>, exponent: f32) -> vec3<f32> {
     if exponent == 0.0 {
         return pixel.rgb;
@@ -64,19 +47,6 @@ fn shown_gradient(pixel: vec4<f32>, background: vec3<f32>, exponent: f32, by: ve
     let slope = select(0.0, exponent * factor / base, pixel.a > LEAST_OPACITY);
     let own = pixel.rgb - (1.0 - pixel.a) * background;
     return vec4<f32>(by * factor, dot(by, own * slope - background * (1.0 - factor)));
-}
-
-// Sum over the workgroup in a fixed order; valid in the first invocation.
-fn total(local: u32, own: vec4<f32>) -> vec4<f32> {
-    shared_sums[local] = own;
-    workgroupBarrier();
-    for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {
-        if local < stride {
-            shared_sums[local] += shared_sums[local + stride];
-        }
-        workgroupBarrier();
-    }
-    return shared_sums[0];
 }
 
 fn has_samples(own: vec2<u32>) -> bool {
@@ -134,7 +104,7 @@ fn evaluate(
             }
         }
     }
-    let sum = total(local, own);
+    let sum = workgroup_sum(local, own);
     let block = group.y * groups.x + group.x;
     if local == 0u && block < params.blocks {
         partial[block] = sum;
@@ -147,7 +117,7 @@ fn add_up(@builtin(local_invocation_index) local: u32) {
     for (var i = local; i < params.blocks; i += GROUP) {
         own += partial[i];
     }
-    let sum = total(local, own);
+    let sum = workgroup_sum(local, own);
     if local == 0u {
         for (var c = 0u; c < 4u; c++) {
             sums[c] = bitcast<u32>(sum[c]);
