@@ -2,8 +2,8 @@
 //! is over.
 
 use crate::gpu::{Binds, Buffer, GROUP, Gpu, Size};
-use crate::shaders::POINT;
 use crate::losses::{Kernels, Params, PixelTerms, RayParams};
+use crate::shaders::POINT;
 use crate::space::GpuSpace;
 use crate::workspace::{Lane, WgpuBackend};
 use std::sync::Arc;

@@ -2,8 +2,8 @@
 
 use super::choices::{
     ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, Finish, HybridRule,
-    MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule,
-    RendererKind, TrainBackground, Untouched, ViewEncoding,
+    MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule, RendererKind,
+    TrainBackground, Untouched, ViewEncoding,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
