@@ -41,7 +41,7 @@ pub fn photographs(views: &ViewSet) -> Vec<u32> {
 
 /// A rendered picture at the exposure of its photograph, which no camera pose tells: each half (`left` and not) times the
 /// gain of each channel that fits the other half best, by least squares, within four stops. No pixel has a part in its own
-/// gain. `behind` is as in [`exposed`](crate::losses::exposure::exposed).
+/// gain. `behind` is as in [`exposed`].
 ///
 /// # Panics
 /// If the slices differ in length.
