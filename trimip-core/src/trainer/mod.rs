@@ -39,7 +39,8 @@ pub struct Trainer<B: Backend> {
     deposits: Vec<Deposit<B>>,
     probes: B::Buffer<Radiance>,
     state: TrainState,
-    /// Number of gradients left out before the optimiser's counter started.
+    /// Number of gradients left out that the optimiser's counter does not have, modulo 2^64: after a restored state it may have
+    /// more than belong to the run.
     left_out_before: u64,
     /// Sums of the last steps that are not yet used, oldest first.
     pending: VecDeque<sums::Pending<B>>,
@@ -150,7 +151,8 @@ impl<B: Backend> Trainer<B> {
     }
 
     fn count_left_out(&mut self) {
-        self.state.totals.non_finite = self.left_out_before + self.loaded.stages.optimizer.non_finite();
+        self.state.totals.non_finite =
+            self.left_out_before.wrapping_add(self.loaded.stages.optimizer.non_finite());
     }
 }
 

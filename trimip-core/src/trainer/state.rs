@@ -87,8 +87,10 @@ impl<B: Backend> Trainer<B> {
         }
         self.spoilt = None;
         self.state = TrainState { data, ..checkpoint.state };
+        // Reading the moments updates the device's count of the gradients that steps before the restored state left out.
+        let _ = self.loaded.stages.optimizer.moments();
         self.left_out_before =
-            self.state.totals.non_finite.saturating_sub(self.loaded.stages.optimizer.non_finite());
+            self.state.totals.non_finite.wrapping_sub(self.loaded.stages.optimizer.non_finite());
         let counted = |(spacing, sums)| Pending { spacing, sums: Arrival::Counted(sums) };
         self.pending = self.state.pending.into_iter().flatten().map(counted).collect();
         self.enter(self.state.stage);
