@@ -3,14 +3,16 @@
 pub(crate) mod blender;
 pub(crate) mod builtin;
 mod colmap;
+mod llff;
 pub(crate) mod multiscale;
+mod npy;
 pub(crate) mod reader;
 
 use reader::Reader;
 
 /// All readers, in the order in which a folder is recognised.
 pub(crate) static READERS: &[&Reader] =
-    &[&multiscale::READER, &blender::READER, &colmap::READER, &builtin::READER];
+    &[&multiscale::READER, &blender::READER, &colmap::READER, &llff::READER, &builtin::READER];
 
 #[cfg(test)]
 mod tests {

@@ -1,0 +1,179 @@
+//! Tables of numbers in NumPy's format of files (`numpy.lib.format`, versions 1 to 3): f4 and f8, little- and big-endian, by rows
+//! or by columns.
+
+use trimip_core::{Error, Result};
+
+/// The rows of a table of N numbers each. `name` names the file, and `advice` says what to do with one that is not valid.
+/// Nothing is allocated before the file is known to be as long as its header states.
+///
+/// # Errors
+/// Of kind `Input`: another format, kind of numbers or shape; a file of another length; numbers that are not finite.
+pub(super) fn rows<const N: usize>(name: &str, bytes: &[u8], advice: &str) -> Result<Vec<[f64; N]>> {
+    let wrong = |what: String| Error::input(name, what, advice);
+    let header = Header::parse(bytes).map_err(|what| wrong(format!("is no table of NumPy: {what}")))?;
+    let Header { big, size, by_columns, rows, columns, values } = header;
+    if columns != N || rows == 0 {
+        return Err(wrong(format!(
+            "holds {rows} x {columns} numbers, expected {N} in each of one or more rows"
+        )));
+    }
+    if rows.checked_mul(N * size) != Some(values.len()) {
+        let what = format!("states {rows} x {N} numbers of {size} bytes, and {} bytes follow", values.len());
+        return Err(wrong(what));
+    }
+    let row = |row: usize| {
+        let index = |column: usize| if by_columns { column * rows + row } else { row * N + column };
+        let own = std::array::from_fn(|column| number(&values[index(column) * size..][..size], big));
+        match own.iter().all(|value: &f64| value.is_finite()) {
+            true => Ok(own),
+            false => Err(wrong(format!("holds a number that is not finite in row {row}"))),
+        }
+    };
+    (0..rows).map(row).collect()
+}
+
+/// A number of four or eight bytes, the highest first if it is `big`.
+fn number(bytes: &[u8], big: bool) -> f64 {
+    let mut own = [0; 8];
+    for (index, byte) in bytes.iter().enumerate() {
+        own[if big { bytes.len() - 1 - index } else { index }] = *byte;
+    }
+    match (bytes.len(), own) {
+        (8, own) => f64::from_le_bytes(own),
+        (_, [a, b, c, d, ..]) => f32::from_le_bytes([a, b, c, d]).into(),
+    }
+}
+
+/// The header of a table, and the bytes behind it.
+struct Header<'a> {
+    /// Whether the highest byte of a number comes first.
+    big: bool,
+    /// Bytes of a number.
+    size: usize,
+    /// Whether columns follow each other instead of rows.
+    by_columns: bool,
+    rows: usize,
+    columns: usize,
+    values: &'a [u8],
+}
+
+impl<'a> Header<'a> {
+    /// The error says what is wrong.
+    fn parse(bytes: &'a [u8]) -> std::result::Result<Self, String> {
+        let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("its first bytes are others")?;
+        let (&[major, _], rest) = rest.split_first_chunk().ok_or("it ends early")?;
+        let (length, rest) = match (major, rest) {
+            (1, [a, b, rest @ ..]) => (usize::from(u16::from_le_bytes([*a, *b])), rest),
+            (2 | 3, [a, b, c, d, rest @ ..]) => (u32::from_le_bytes([*a, *b, *c, *d]) as usize, rest),
+            (1..=3, _) => return Err("it ends early".into()),
+            _ => return Err(format!("it has the version {major} of the format, known are 1 to 3")),
+        };
+        let (text, values) = rest.split_at_checked(length).ok_or("its header ends early")?;
+        let text = std::str::from_utf8(text).map_err(|_| "its header is no text")?;
+        // A Python dictionary with these three keys, in any order.
+        let after = |key: &str| {
+            let (_, value) =
+                text.split_once(&format!("'{key}':")).ok_or(format!("its header has no '{key}'"))?;
+            Ok::<&str, String>(value.trim_start())
+        };
+        let kind = after("descr")?
+            .strip_prefix('\'')
+            .and_then(|kind| kind.split_once('\''))
+            .map_or("", |kind| kind.0);
+        let (big, size) = match kind {
+            "<f8" => (false, 8),
+            "<f4" => (false, 4),
+            ">f8" => (true, 8),
+            ">f4" => (true, 4),
+            _ => return Err(format!("its numbers are '{}', known are f8 and f4", kind.escape_debug())),
+        };
+        let order = after("fortran_order")?;
+        let by_columns = order.starts_with("True");
+        if !by_columns && !order.starts_with("False") {
+            return Err("its 'fortran_order' is neither True nor False".into());
+        }
+        let shape = after("shape")?
+            .strip_prefix('(')
+            .and_then(|shape| shape.split_once(')'))
+            .map_or("", |shape| shape.0);
+        let sides: Vec<Option<usize>> =
+            shape.trim_end_matches(',').split(',').map(|side| side.trim().parse().ok()).collect();
+        match sides[..] {
+            [Some(rows), Some(columns)] => Ok(Self { big, size, by_columns, rows, columns, values }),
+            _ => Err(format!("its shape is ({}), expected two numbers", shape.escape_debug())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file of that header with the numbers 0, 1, .. of a kind.
+    fn file(version: u8, header: &str, numbers: impl Iterator<Item = Vec<u8>>) -> Vec<u8> {
+        let length = match version {
+            1 => (header.len() as u16).to_le_bytes().to_vec(),
+            _ => (header.len() as u32).to_le_bytes().to_vec(),
+        };
+        let start = [b"\x93NUMPY", &[version, 0][..], &length, header.as_bytes()].concat();
+        start.into_iter().chain(numbers.flatten()).collect()
+    }
+
+    fn header(kind: &str, order: &str, shape: &str) -> String {
+        format!("{{'descr': '{kind}', 'fortran_order': {order}, 'shape': {shape}, }}   \n")
+    }
+
+    #[test]
+    fn every_way_to_write_a_table_is_the_same_table() {
+        let expected = [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]];
+        for (kind, bytes) in [
+            ("<f8", (|v| f64::from(v).to_le_bytes().to_vec()) as fn(u8) -> Vec<u8>),
+            (">f8", |v| f64::from(v).to_be_bytes().to_vec()),
+            ("<f4", |v| f32::from(v).to_le_bytes().to_vec()),
+            (">f4", |v| f32::from(v).to_be_bytes().to_vec()),
+        ] {
+            for version in [1, 2, 3] {
+                for (order, numbers) in [("False", [0, 1, 2, 3, 4, 5]), ("True", [0, 3, 1, 4, 2, 5])] {
+                    let bytes = file(version, &header(kind, order, "(2, 3)"), numbers.into_iter().map(bytes));
+                    assert_eq!(
+                        rows::<3>("a.npy", &bytes, "again").unwrap(),
+                        expected,
+                        "{kind} {version} {order}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_no_table_of_that_width_is_refused() {
+        let numbers = || (0..6).map(|v| f64::from(v).to_le_bytes().to_vec());
+        let of = |header: &str| file(1, header, numbers());
+        let plain = of(&header("<f8", "False", "(2, 3)"));
+        let mut infinite = plain.clone();
+        let end = infinite.len();
+        infinite[end - 8..].copy_from_slice(&f64::INFINITY.to_le_bytes());
+        let cases: [(Vec<u8>, &str); 14] = [
+            (Vec::new(), "its first bytes"),
+            (b"\x93NUMPY".to_vec(), "ends early"),
+            (b"\x93NUMPY\x01\0\x05".to_vec(), "ends early"),
+            (b"\x93NUMPY\x09\0\0\0".to_vec(), "version 9"),
+            (b"\x93NUMPY\x02\0\xff\xff\xff\xff{".to_vec(), "header ends early"),
+            (of("{}"), "no 'descr'"),
+            (of(&header("<i8", "False", "(2, 3)")), "'<i8', known are f8 and f4"),
+            (of(&header("<f8", "Maybe", "(2, 3)")), "neither True nor False"),
+            (of(&header("<f8", "False", "(2, 3, 1)")), "expected two numbers"),
+            (of(&header("<f8", "False", "(6,)")), "expected two numbers"),
+            (of(&header("<f8", "False", "(3, 2)")), "holds 3 x 2 numbers, expected 3"),
+            (of(&header("<f8", "False", "(9223372036854775808, 3)")), "and 48 bytes follow"),
+            (plain[..end - 1].to_vec(), "and 47 bytes follow"),
+            (infinite, "not finite in row 1"),
+        ];
+        for (bytes, expected) in cases {
+            let error = rows::<3>("a.npy", &bytes, "again").unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.message.starts_with("a.npy: ") && error.message.ends_with("; again"), "{error}");
+            assert!(error.message.contains(expected), "{expected}: {error}");
+        }
+    }
+}
