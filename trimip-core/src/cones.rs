@@ -63,7 +63,7 @@ impl Division {
 pub fn footprint(camera: &Camera, aabb: &Aabb<f64>) -> f64 {
     let middle = DVec3::from_array(std::array::from_fn(|axis| 0.5 * (aabb.min[axis] + aabb.max[axis])));
     let distance = (camera.origin - middle).length().max(0.25 * aabb.longest());
-    distance / (camera.intrinsics.fx * camera.intrinsics.fy).sqrt()
+    camera.intrinsics.footprint(distance)
 }
 
 /// Median of [`footprint`] over the views of a scale; `None` if there is none, or if it is not a positive number.

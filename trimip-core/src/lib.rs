@@ -55,6 +55,7 @@ pub mod packed;
 pub mod params;
 pub mod perception;
 pub mod pixels;
+pub mod projections;
 pub mod proxy;
 pub mod quality;
 mod query;

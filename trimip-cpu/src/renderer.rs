@@ -87,7 +87,8 @@ impl CpuRenderer {
     pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
         let (enter, leave) = self.space.course(ray.origin, ray.direction).range();
         let offset = jitter.map_or(0.0, |step| self.random.uniform(Stream::Jitter, step, index)[0]);
-        let by_radius = self.step_per_radius * ray.slope * 0.5 * (enter + leave);
+        let radius = ray.radius * self.step_per_radius;
+        let by_radius = radius + self.step_per_radius * ray.slope * 0.5 * (enter + leave);
         // A comparison with NaN is false and selects the uniform step.
         let step = if by_radius > self.step_length { by_radius } else { self.step_length };
         let first = enter + offset * step;

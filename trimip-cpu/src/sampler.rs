@@ -5,7 +5,7 @@ use crate::{CpuBackend, Lane};
 use std::ops::Range;
 use trimip_core::backend::Sampler;
 use trimip_core::balance::{Balance, Draw, Shares};
-use trimip_core::batch::{Rays, Segment, Target};
+use trimip_core::batch::{Ray, Rays, Segment, Target};
 use trimip_core::cones::{self, Division};
 use trimip_core::config::{DataConfig, Exposure, TrainConfig};
 use trimip_core::exposure::photographs;
@@ -121,7 +121,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             let first = rays.rays.len();
             divide(&view.camera, [within % width, within / width], side, rays);
             // Nothing is learned from pixels that the lens has no ray for.
-            if rays.rays[first..].iter().any(|ray| ray.slope == 0.0) {
+            if rays.rays[first..].iter().any(Ray::is_none) {
                 weight = 0.0;
             }
             let mut background = self.data.background;

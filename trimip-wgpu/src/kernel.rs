@@ -4,6 +4,7 @@
 
 use crate::device::GROUP;
 use crate::occupancy::SIDE;
+use crate::projections::PROJECTIONS;
 use trimip_core::proxy::BRICK;
 use trimip_core::sh::FACTORS;
 
@@ -81,9 +82,10 @@ pub const RAY: &str = include_str!("shaders/ray.wgsl");
 const SPACE: &str = include_str!("shaders/space.wgsl");
 const CAMERA: &str = include_str!("shaders/camera.wgsl");
 const ALL_RAYS: &str = include_str!("shaders/rays.wgsl");
-const RAYS: &[&str] = &[GRID, RANDOM, RAY, CAMERA, include_str!("shaders/photographs_none.wgsl"), ALL_RAYS];
+const RAYS: &[&str] =
+    &[GRID, RANDOM, RAY, CAMERA, PROJECTIONS, include_str!("shaders/photographs_none.wgsl"), ALL_RAYS];
 const EXPOSED_RAYS: &[&str] =
-    &[GRID, RANDOM, RAY, CAMERA, include_str!("shaders/photographs_kept.wgsl"), ALL_RAYS];
+    &[GRID, RANDOM, RAY, CAMERA, PROJECTIONS, include_str!("shaders/photographs_kept.wgsl"), ALL_RAYS];
 const BLOCKS: &str = include_str!("shaders/blocks.wgsl");
 const WALK: &str = include_str!("shaders/walk.wgsl");
 const MARCH: &[&str] = &[GRID, RANDOM, RAY, SPACE, BLOCKS, WALK, include_str!("shaders/march.wgsl")];
@@ -117,7 +119,7 @@ const GATHER: &[&str] = &[GRID, include_str!("shaders/gather.wgsl")];
 const COMPOSITING: &str = include_str!("shaders/compositing.wgsl");
 const SHARE: &[&str] = &[GRID, PRUNING, COMPOSITING, include_str!("shaders/share.wgsl")];
 const DIM: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/dim.wgsl")];
-const COMPOSITE: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite.wgsl")];
+const COMPOSITE: &[&str] = &[GRID, RAY, COMPOSITING, include_str!("shaders/composite.wgsl")];
 const COMPOSITE_GRADIENT: &[&str] = &[GRID, COMPOSITING, include_str!("shaders/composite_gradient.wgsl")];
 const DISTORTION: &[&str] = &[GRID, RAY, SPACE, COMPOSITING, include_str!("shaders/distortion.wgsl")];
 const PHOTOMETRIC: &str = include_str!("shaders/loss.wgsl");

@@ -24,6 +24,7 @@ mod pipelines;
 #[cfg(test)]
 mod probe;
 mod products;
+mod projections;
 mod read_back;
 mod renderer;
 mod rooms;

@@ -4,6 +4,7 @@ use crate::buffer::Buffer;
 use crate::device::{Gpu, Size};
 use crate::kernel::{Access, Kernel};
 use crate::products::{Finish, GRADIENT_SCALE, accumulate, multiply, multiplying, tile};
+use crate::projections::PROJECTIONS;
 use crate::rows::Rows;
 use glam::{DMat3, DVec3};
 use std::sync::Arc;
@@ -31,9 +32,11 @@ const BINDINGS: &[(u32, Access)] = &[(20, Access::Read), (21, Access::Write), (2
 
 /// The WGSL files and the function body of a probe.
 macro_rules! files {
-    ($($file:literal),+; $body:literal) => {
+    ($($file:literal),+; $body:literal) => { files!($($file),+; with "", $body) };
+    ($($file:literal),+; with $more:expr, $body:literal) => {
         &[
             $(include_str!(concat!("shaders/", $file)),)+
+            $more,
             concat!("fn probe(x: vec4<f32>) -> vec4<f32> {\n", $body, "\n}\n"),
             SHELL,
         ]
@@ -169,7 +172,7 @@ fn spheres_in_cones() {
         .flat_map(|disc| [0.0_f32, 1e-3, 0.5, 4.0].map(|t| [disc, t, (1.0 + t * t).sqrt().recip(), 0.0]))
         .collect();
     compare(
-        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; "return vec4<f32>(sphere_slope(x.x, x.y, x.z), 0.0, 0.0, 0.0);"),
+        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; with PROJECTIONS, "return vec4<f32>(sphere_slope(x.x, x.y, x.z), 0.0, 0.0, 0.0);"),
         &inputs,
         |[disc, tangent, cosine, _]| [camera::sphere_slope(disc, tangent, cosine), 0.0, 0.0, 0.0],
         (0.0, 1e-6),
@@ -200,7 +203,7 @@ fn cones_of_pixels() {
         .collect();
     let cone = |x: [f64; 4]| camera.cone_in::<f64>(x[0] as u32, x[1] as u32, x[2] as u32, x[3] as u32);
     compare(
-        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; "let rows = array<vec4<f32>, 3>(vec4<f32>(0.36, -0.8, 0.48, 1.0), vec4<f32>(0.48, 0.6, 0.64, -2.0), vec4<f32>(-0.8, 0.0, 0.6, 0.5)); let view = View(rows, vec4<f32>(60.0, 50.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 3000.0), 64u, 0u, 0u, vec4<f32>(), vec4<f32>(), vec4<f32>()); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; with PROJECTIONS, "let rows = array<vec4<f32>, 3>(vec4<f32>(0.36, -0.8, 0.48, 1.0), vec4<f32>(0.48, 0.6, 0.64, -2.0), vec4<f32>(-0.8, 0.0, 0.6, 0.5)); let view = View(rows, vec4<f32>(60.0, 50.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 3000.0), 64u, 0u, 0u, vec4<f32>(), vec4<f32>(), vec4<f32>()); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         &inputs,
         |x| {
             let Cone { direction: [u, v, w], slope, .. } = cone(x);
@@ -229,7 +232,7 @@ fn bent(files: &'static [&'static str], lens: Lens) {
 #[test]
 fn cones_of_a_phone() {
     bent(
-        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 1u, vec4<f32>(0.0578421, -0.0805099, 0.01, -0.002), vec4<f32>(0.0, 0.0, 0.0, 10.0), vec4<f32>(-0.00098, 0.00015575, 0.0, 0.0)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; with PROJECTIONS, "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 1u, vec4<f32>(0.0578421, -0.0805099, 0.01, -0.002), vec4<f32>(0.0, 0.0, 0.0, 10.0), vec4<f32>(-0.00098, 0.00015575, 0.0, 0.0)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         Lens::perspective([0.0578421, -0.0805099, 0.01, -0.002], [-0.00098, 0.00015575], [0.0; 3]),
     );
 }
@@ -237,7 +240,7 @@ fn cones_of_a_phone() {
 #[test]
 fn cones_of_a_rational_lens() {
     bent(
-        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 1u, vec4<f32>(0.1, 0.02, 0.003, 0.0), vec4<f32>(0.3, 0.02, 0.001, 10.0), vec4<f32>(0.001, -0.002, 0.0, 0.0)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; with PROJECTIONS, "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 1u, vec4<f32>(0.1, 0.02, 0.003, 0.0), vec4<f32>(0.3, 0.02, 0.001, 10.0), vec4<f32>(0.001, -0.002, 0.0, 0.0)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         Lens::perspective([0.1, 0.02, 0.003, 0.0], [0.001, -0.002], [0.3, 0.02, 0.001]),
     );
 }
@@ -245,7 +248,7 @@ fn cones_of_a_rational_lens() {
 #[test]
 fn cones_of_a_fisheye() {
     bent(
-        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 2u, vec4<f32>(-0.02, 0.004, -0.002, 0.0003), vec4<f32>(0.0, 0.0, 0.0, 3.14159), vec4<f32>(0.001, -0.0005, 0.002, -0.001)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        files!("grid.wgsl", "ray.wgsl", "camera.wgsl"; with PROJECTIONS, "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 2u, vec4<f32>(-0.02, 0.004, -0.002, 0.0003), vec4<f32>(0.0, 0.0, 0.0, 3.14159), vec4<f32>(0.001, -0.0005, 0.002, -0.001)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         Lens::fisheye([-0.02, 0.004, -0.002, 0.0003], [0.001, -0.0005], [0.002, -0.001]),
     );
 }
@@ -256,7 +259,7 @@ fn rays_through_the_space() {
     let origin = [0.1, 2.9, 0.8];
     let inputs: Vec<[f32; 4]> = directions().into_iter().map(|[x, y, z, _]| [x, y, z, 0.17]).collect();
     compare(
-        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); return sphere_at(space, Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0), x.w);"),
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); return sphere_at(space, Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0, 0.0), x.w);"),
         &inputs,
         |[x, y, z, t]| {
             let [direction, origin] = [[x, y, z], origin.map(|o: f32| f64::from(o))];
@@ -269,11 +272,11 @@ fn rays_through_the_space() {
     // Enter, leave, and the exit of a block of four cells; all divide by a component of the direction.
     let near = Space::of(Aabb { min: [-1.0_f32, 2.0, 0.5], max: [3.0, 4.0, 1.5] });
     compare(
-        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); let ray = Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0); let cell = cell_of(space, sphere_at(space, ray, x.w).xyz); return vec4<f32>(intersect(space, ray), cells_exit(space, ray, x.w, cell, 4u), 0.0);"),
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); let ray = Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0, 0.0); let cell = cell_of(space, sphere_at(space, ray, x.w).xyz); return vec4<f32>(intersect(space, ray), cells_exit(space, ray, x.w, cell, 4u), 0.0);"),
         &inputs,
         |x| {
             let [u, v, w, t] = x.map(|x| x as f32);
-            let ray = Ray { origin, slope: 0.03, direction: [u, v, w], cosine: 1.0 };
+            let ray = Ray { origin, slope: 0.03, direction: [u, v, w], cosine: 1.0, ..Ray::default() };
             let way = near.way(&ray, 16);
             let exit = way.exit(t, way.cell(way.position(t)), 4);
             let (enter, leave) = near.course(ray.origin, ray.direction).range();
@@ -297,7 +300,7 @@ fn rays_through_a_contracted_space() {
         places.flat_map(|[x, y, z]| [0.17, 1.9, 31.0].map(|t| [x, y, z, t])).collect();
     let at = |[x, y, z, t]: [f64; 4]| [x + t * direction[0], y + t * direction[1], z + t * direction[2]];
     compare(
-        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0); let course = course_of(space, ray); return sphere_at(space, ray, x.w);"),
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let course = course_of(space, ray); return sphere_at(space, ray, x.w);"),
         &inputs,
         |x| {
             let [u, v, w] = space.to_cube(at(x));
@@ -306,7 +309,7 @@ fn rays_through_a_contracted_space() {
         (1e-6, 4e-6),
     );
     compare(
-        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0); let course = course_of(space, ray); return vec4<f32>(to_world(space, to_cube(space, ray.origin)), parameter_at(course, x.w));"),
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let course = course_of(space, ray); return vec4<f32>(to_world(space, to_cube(space, ray.origin)), parameter_at(course, x.w));"),
         &inputs,
         |x| {
             let [u, v, w, t] = x;
@@ -316,7 +319,7 @@ fn rays_through_a_contracted_space() {
         (2e-5, 2e-5),
     );
     compare(
-        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0); let course = course_of(space, ray); return vec4<f32>(course.enter, course.leave, distance_at(course, parameter_at(course, x.w)), length_at(space, course, ray, x.w, 0.01));"),
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let course = course_of(space, ray); return vec4<f32>(course.enter, course.leave, distance_at(course, parameter_at(course, x.w)), length_at(space, course, ray, x.w, 0.01));"),
         &inputs,
         |x| {
             let [u, v, w, t] = x;
@@ -329,7 +332,7 @@ fn rays_through_a_contracted_space() {
     // Place and width of a sample, and the same without contraction.
     let bounded = Space::of(Aabb { min: [-2.0, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
     compare(
-        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "var space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0); let curved = along(space, course_of(space, ray), ray, x.w, 0.25); space.ball = 0.0; return vec4<f32>(curved, along(space, course_of(space, ray), ray, x.w, 0.25));"),
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "var space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let curved = along(space, course_of(space, ray), ray, x.w, 0.25); space.ball = 0.0; return vec4<f32>(curved, along(space, course_of(space, ray), ray, x.w, 0.25));"),
         &inputs,
         |x| {
             let [u, v, w, t] = x;
@@ -342,7 +345,7 @@ fn rays_through_a_contracted_space() {
     // The parameter up to which a block of four cells is clear.
     let near = Space::contracted(Aabb { min: [-2.0_f32, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
     compare(
-        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0); let course = course_of(space, ray); let position = to_cube(space, ray.origin); return vec4<f32>(cells_clear(space, x.w, position, cell_of(space, position), 4u), 0.0, 0.0, 0.0);"),
+        files!("grid.wgsl", "ray.wgsl", "space.wgsl"; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let course = course_of(space, ray); let position = to_cube(space, ray.origin); return vec4<f32>(cells_clear(space, x.w, position, cell_of(space, position), 4u), 0.0, 0.0, 0.0);"),
         &inputs,
         |[x, y, z, s]| {
             let position = near.to_cube([x as f32, y as f32, z as f32]);

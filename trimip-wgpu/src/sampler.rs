@@ -50,7 +50,7 @@ impl GpuView {
             disc: (std::f64::consts::PI * k.fx * k.fy).sqrt().recip() as f32,
             width: k.width,
             offset: offset as u32,
-            lens: if lens.is_straight() { 0 } else { 1 + u32::from(lens.fisheye) },
+            lens: if lens.is_straight() { 0 } else { 1 + lens.model as u32 },
             radial: lens.radial.map(|k| k as f32),
             denominator: [d1, d2, d3, lens.domain()].map(|d| d as f32),
             shift: [p1, p2, s1, s2].map(|s| s as f32),

@@ -75,7 +75,7 @@ fn given(seed: u64) -> Given {
         for &count in cones {
             let origin = [0; 3].map(|_| draw.between(-1.0, 1.0) as f32);
             let direction = draw.direction().to_array().map(|x| x as f32);
-            all.rays.push(Ray { origin, direction, slope: 0.01, cosine: 1.0 });
+            all.rays.push(Ray { origin, direction, slope: 0.01, cosine: 1.0, ..Ray::default() });
             all.segments.push(Segment { start: all.intervals.len() as u32, count });
             let mut t = draw.between(0.0, 1.0);
             for i in 0..count {

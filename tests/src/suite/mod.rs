@@ -12,6 +12,7 @@ pub mod looking;
 pub mod marching;
 pub mod masks;
 pub mod probes;
+pub mod projections;
 pub mod pyramid;
 pub mod sampling;
 pub mod scenes;

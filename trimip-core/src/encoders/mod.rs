@@ -91,7 +91,7 @@ pub struct Place {
     pub radius: f64,
     /// Unit direction of its ray.
     pub direction: [f64; 3],
-    /// Distance along the ray, world units.
+    /// Distance from the apex of the ray's cone, world units.
     pub t: f64,
     /// Length of its interval, world units.
     pub length: f64,
@@ -104,7 +104,7 @@ impl Place {
             position: sphere.position.map(f64::from),
             radius: sphere.radius.into(),
             direction: ray.direction.map(f64::from),
-            t: interval.t.into(),
+            t: ray.apex_distance(interval.t).into(),
             length: interval.length.into(),
         }
     }

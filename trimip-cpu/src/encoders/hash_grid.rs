@@ -57,14 +57,14 @@ impl Encoding for Grid {
             for (((owner, interval), sphere), row) in
                 at.owners.iter().zip(at.intervals).zip(at.spheres).zip(rows)
             {
-                let direction = at.rays[*owner as usize].direction;
+                let ray = &at.rays[*owner as usize];
                 for (j, point) in row.iter_mut().enumerate() {
                     *point = self.points.point(
                         j,
                         sphere.position,
                         sphere.radius,
-                        direction,
-                        interval.t,
+                        ray.direction,
+                        ray.apex_distance(interval.t),
                         interval.length,
                     );
                 }
