@@ -186,3 +186,37 @@ fn models_of_colmap_are_those_of_the_registry() {
         }
     }
 }
+
+#[test]
+fn an_orthographic_camera_is_stated_by_pixels_a_unit_or_by_its_width() {
+    // The longer side of 24 pixels is 3 units wide. The angle of a lens that is not in use says nothing.
+    let scale = json!({ "camera_model": "ORTHOGRAPHIC", "ortho_scale": 3.0, "camera_angle_x": 0.7 });
+    let k = stated(scale.clone(), json!({})).unwrap().intrinsics;
+    assert_eq!((k.lens.model, k.fx, k.fy, k.cx, k.cy), (Model::Orthographic, 8.0, 8.0, 12.0, 8.0));
+    let own = stated(scale, json!({ "fl_x": 5.0, "fl_y": 6.0 })).unwrap().intrinsics;
+    assert_eq!((own.lens.model, own.fx, own.fy), (Model::Orthographic, 5.0, 6.0));
+    let flagged = stated(json!({ "fl_x": 5.0 }), json!({ "orthographic": true })).unwrap().intrinsics;
+    assert_eq!((flagged.lens.model, flagged.fx, flagged.fy), (Model::Orthographic, 5.0, 5.0));
+    for (file, what) in [
+        (json!({ "camera_model": "ORTHOPHOTO", "camera_angle_x": 0.7 }), "ortho_scale"),
+        (json!({ "camera_model": "ORTHOPHOTO", "ortho_scale": -1.0 }), "ortho_scale"),
+        (json!({ "camera_model": "ORTHOPHOTO", "fl_x": 5.0, "k1": 0.1 }), "k1 = 0.1"),
+        (json!({ "orthographic": "yes" }), "orthographic"),
+    ] {
+        let error = stated(file, json!({})).unwrap_err();
+        assert!(error.exit_code() == 2 && error.to_string().contains(what), "{error}");
+    }
+}
+
+#[test]
+fn the_built_in_scene_has_its_size_in_an_orthographic_picture() {
+    let k = Model::Orthographic.example(240, 240);
+    // From above, along −z, every surface lies where its x and y are: the picture is the scene's shadow at 80 pixels a unit.
+    let camera = Camera::look_at(k, DVec3::new(0.0, 0.0, 5.0), DVec3::ZERO, DVec3::Y);
+    let pixels = builtin::render(&camera, 1, Finish::Mixed, &|| ());
+    for (i, pixel) in pixels.iter().enumerate() {
+        let [x, y] = [(i % 240) as f64, (i / 240) as f64].map(|at| (at + 0.5 - 120.0) / 80.0);
+        let from = DVec3::new(x, -y, 5.0);
+        assert_eq!(pixel[3] == 255, builtin::radiance(from, -DVec3::Z).is_some(), "{from}");
+    }
+}

@@ -20,6 +20,7 @@ macro_rules! models {
 models! {
     1 => "perspective",
     2 => "fisheye",
+    3 => "orthographic",
 }
 
 #[cfg(test)]

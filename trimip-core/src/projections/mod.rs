@@ -3,6 +3,7 @@
 //! crate. Axes are those of the camera: x right, y up, −z ahead. Lengths in the image are pixels.
 
 mod fisheye;
+mod orthographic;
 mod perspective;
 
 use crate::camera::LocalCone;
@@ -221,6 +222,7 @@ macro_rules! models {
 models! {
     perspective::Perspective,
     fisheye::Fisheye,
+    orthographic::Orthographic,
 }
 
 impl Default for Model {
