@@ -220,3 +220,43 @@ fn the_built_in_scene_has_its_size_in_an_orthographic_picture() {
         assert_eq!(pixel[3] == 255, builtin::radiance(from, -DVec3::Z).is_some(), "{from}");
     }
 }
+
+#[test]
+fn a_panorama_is_stated_by_its_name_alone() {
+    let whole = (Model::Equirectangular, 12.0, 16.0, 12.0, 8.0);
+    for (file, own) in [
+        (json!({ "camera_model": "EQUIRECTANGULAR" }), json!({})),
+        (json!({ "camera_angle_x": 0.7 }), json!({ "camera_model": "equirectangular" })),
+        (json!({ "equirectangular": true }), json!({})),
+        (
+            json!({ "camera_model": "EQUIRECTANGULAR", "w": 24, "h": 16 }),
+            json!({ "fl_x": 12.0, "fl_y": 16.0 }),
+        ),
+    ] {
+        let k = stated(file, own).unwrap().intrinsics;
+        assert_eq!((k.lens.model, k.fx, k.fy, k.cx, k.cy), whole);
+    }
+    let error = stated(json!({ "camera_model": "EQUIRECTANGULAR", "k1": 0.1 }), json!({})).unwrap_err();
+    assert!(error.to_string().contains("k1 = 0.1"), "{error}");
+}
+
+#[test]
+fn a_panorama_shows_the_built_in_scene_in_the_directions_of_its_pixels() {
+    let focal = Model::Equirectangular.definition().focal.unwrap();
+    let [fx, fy] = focal(128.0, 64.0);
+    let k = Intrinsics { fx, fy, cx: 64.0, cy: 32.0, ..Model::Equirectangular.example(128, 64) };
+    let eye = DVec3::new(1.6, -1.4, 1.0);
+    let camera = Camera::look_at(k, eye, DVec3::ZERO, DVec3::Z);
+    let pixels = builtin::render(&camera, 1, Finish::Mixed, &|| ());
+    let pi = std::f64::consts::PI;
+    let mut seen = 0;
+    for (i, pixel) in pixels.iter().enumerate() {
+        let (longitude, latitude) =
+            (pi * ((i % 128) as f64 + 0.5 - 64.0) / 64.0, pi * (32.0 - (i / 128) as f64 - 0.5) / 64.0);
+        let local =
+            DVec3::new(longitude.sin() * latitude.cos(), latitude.sin(), -longitude.cos() * latitude.cos());
+        seen += usize::from(pixel[3] == 255);
+        assert_eq!(pixel[3] == 255, builtin::radiance(eye, camera.rotation * local).is_some(), "{i}");
+    }
+    assert!(seen > 100 && seen < 4096, "{seen}");
+}

@@ -21,6 +21,7 @@ models! {
     1 => "perspective",
     2 => "fisheye",
     3 => "orthographic",
+    4 => "equirectangular",
 }
 
 #[cfg(test)]

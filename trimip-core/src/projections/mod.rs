@@ -2,6 +2,7 @@
 //! file here, a WGSL file of the same name in `trimip-wgpu/src/shaders/projections`, and a line in the registry of each
 //! crate. Axes are those of the camera: x right, y up, −z ahead. Lengths in the image are pixels.
 
+mod equirectangular;
 mod fisheye;
 mod orthographic;
 mod perspective;
@@ -223,6 +224,7 @@ models! {
     perspective::Perspective,
     fisheye::Fisheye,
     orthographic::Orthographic,
+    equirectangular::Equirectangular,
 }
 
 impl Default for Model {
