@@ -41,6 +41,22 @@ fn whole_pixels_are_the_literal_ones() {
 }
 
 #[test]
+fn rays_of_every_camera_model_are_those_of_f64() {
+    on_every_cpu(|make| suite::projections::rays(make));
+    on_every_cpu(|make| suite::projections::training(make));
+}
+
+#[test]
+fn pixels_of_every_camera_model_are_the_literal_ones() {
+    with_threads(&[2], |make| suite::projections::pixels(make));
+}
+
+#[test]
+fn a_homogeneous_medium_is_exact_for_every_camera_model() {
+    with_threads(&[2], |make| suite::projections::homogeneous(make));
+}
+
+#[test]
 fn gradients_are_finite_differences() {
     // The reference loss is slow, and `determinism.rs` proves that threads change no bit.
     with_threads(&[2], |make| suite::gradients::finite_differences(make));

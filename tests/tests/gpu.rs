@@ -218,6 +218,22 @@ fn gradients_lose_nothing_on_the_way_to_the_base() {
 }
 
 #[test]
+fn rays_of_every_camera_model_are_those_of_f64() {
+    reproducibly(|make| suite::projections::rays(make));
+    reproducibly(|make| suite::projections::training(make));
+}
+
+#[test]
+fn pixels_of_every_camera_model_are_the_literal_ones() {
+    reproducibly(|make| suite::projections::pixels(make));
+}
+
+#[test]
+fn a_homogeneous_medium_is_exact_for_every_camera_model() {
+    reproducibly(|make| suite::projections::homogeneous(make));
+}
+
+#[test]
 fn a_homogeneous_medium_follows_beer_and_lambert() {
     reproducibly(|make| suite::scenes::homogeneous(make));
 }

@@ -1,14 +1,14 @@
 //! Cameras and the cones of their pixels. OpenGL axes: x right, y up, the camera looks along −z. Pixel (0, 0) is the
-//! upper left one; its centre lies at (0.5, 0.5). A camera model is a [`Projection`], in f32 and f64, with a twin in
-//! WGSL: a pinhole, or a [`Lens`] that bends its rays.
+//! upper left one; its centre lies at (0.5, 0.5). The camera model of a [`Lens`] maps pixels to rays, see
+//! [`projections`](crate::projections).
 
 use crate::cones::QUINCUNX;
-use crate::lens::{Lens, Unbent};
+use crate::lens::Lens;
 use crate::scalar::Real;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Image size, pinhole projection in pixels, and lens.
+/// Image size, focal lengths and principal point in pixels, and lens. What a focal length is, the lens' camera model says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Width of the image.
@@ -23,7 +23,7 @@ pub struct Intrinsics {
     pub cx: f64,
     /// Principal point, y.
     pub cy: f64,
-    /// The lens; the default bends nothing.
+    /// The lens; the default is a pinhole.
     #[serde(default, skip_serializing_if = "Lens::is_straight")]
     pub lens: Lens,
 }
@@ -67,101 +67,116 @@ impl Camera {
     /// All numbers of the camera. Equal cameras have equal numbers, and different ones differ in one.
     pub fn numbers(&self) -> Vec<f64> {
         let Intrinsics { width, height, fx, fy, cx, cy, lens } = self.intrinsics;
-        let plain = [width.into(), height.into(), fx, fy, cx, cy, f64::from(u8::from(lens.fisheye))];
+        let plain = [width.into(), height.into(), fx, fy, cx, cy, f64::from(lens.model as u8)];
         let lens = [&lens.radial[..], &lens.denominator, &lens.tangential, &lens.prism].concat();
         let pose = self.rotation.to_cols_array().into_iter().chain(self.origin.to_array());
         plain.into_iter().chain(lens).chain(pose).collect()
     }
 }
 
-/// The cone of one pixel: apex, unit axis, and the terms of Eq. 3.
+/// The cone of one pixel: apex, unit axis, and the terms of Eq. 3. The cone of parallel rays is a cylinder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cone<R> {
-    /// Apex: the centre of projection, world units.
+    /// Apex, world units: the centre of projection, or the place of the pixel where rays are parallel.
     pub origin: [R; 3],
+    /// Radius of the sphere at `origin`, world units: 0 for an apex.
+    pub radius: R,
     /// Unit direction of the axis, through the pixel's centre.
     pub direction: [R; 3],
-    /// Radius of the inscribed sphere per unit of distance along the axis (Eq. 3).
+    /// Growth of the inscribed sphere's radius per unit of distance along the axis (Eq. 3).
     pub slope: R,
     /// Cosine of the angle between axis and optical axis; depth = distance · cosine.
     pub cosine: R,
 }
 
-/// A camera model: maps a position in the image to a cone in the camera's axes.
-pub trait Projection {
-    /// The cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
-    fn cone<R: Real>(&self, at: [R; 2], side: R) -> LocalCone<R>;
+impl<R: Real> Cone<R> {
+    /// Radius of the inscribed sphere at a distance along the axis.
+    #[inline]
+    pub fn radius_at(&self, t: R) -> R {
+        self.radius + self.slope * t
+    }
+
+    /// True for the cone of a pixel that the camera has no ray for.
+    #[inline]
+    pub fn is_none(&self) -> bool {
+        self.slope == R::zero() && self.radius == R::zero()
+    }
 }
 
-/// A cone in its camera's axes, with its apex at the origin.
+/// A cone in its camera's axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalCone<R> {
+    /// Where its ray begins: the origin, unless rays are parallel.
+    pub origin: [R; 3],
     /// Direction of the axis, of any length.
     pub axis: [R; 3],
     /// One over the length of `axis`.
     pub inverse_length: R,
-    /// Radius of the inscribed sphere per unit of distance along the axis (Eq. 3).
+    /// Radius of the sphere at `origin`: 0 for an apex.
+    pub radius: R,
+    /// Growth of the inscribed sphere's radius per unit of distance along the axis (Eq. 3).
     pub slope: R,
-    /// Cosine of the angle between axis and optical axis.
+    /// Depth of a point of the axis over its distance: the cosine of the angle to the optical axis, or 1 where depth is
+    /// distance.
     pub cosine: R,
 }
 
 impl<R: Real> LocalCone<R> {
     /// The cone through a disc of radius `disc` around (x, y), x right and y down, on the plane at distance 1.
     #[inline]
-    fn through([x, y]: [R; 2], disc: R) -> Self {
+    pub(crate) fn through([x, y]: [R; 2], disc: R) -> Self {
         let v = -y;
         let tangent = (x * x + v * v).sqrt();
         let cosine = (R::one() + tangent * tangent).sqrt().recip();
         Self {
+            origin: [R::zero(); 3],
             axis: [x, v, -R::one()],
             inverse_length: cosine,
+            radius: R::zero(),
             slope: sphere_slope(disc, tangent, cosine),
             cosine,
         }
     }
 
-    /// The cone of a pixel that the lens has no ray for. It has no direction and meets nothing.
-    fn none() -> Self {
-        Self { axis: [R::zero(); 3], inverse_length: R::one(), slope: R::zero(), cosine: R::zero() }
+    /// The cone of a pixel that the camera has no ray for. It has no direction and meets nothing.
+    pub(crate) fn none() -> Self {
+        let zero = R::zero();
+        Self {
+            origin: [zero; 3],
+            axis: [zero; 3],
+            inverse_length: R::one(),
+            radius: zero,
+            slope: zero,
+            cosine: zero,
+        }
+    }
+
+    /// True for the cone of a pixel that the camera has no ray for.
+    pub fn is_none(&self) -> bool {
+        self.slope == R::zero() && self.radius == R::zero()
     }
 }
 
 impl Intrinsics {
-    /// The place in the image of a point in the camera's axes. `None` if no ray of the camera meets it.
-    pub fn image_of(&self, point: DVec3) -> Option<[f64; 2]> {
-        let (x, y, ahead) = (point.x, -point.y, -point.z);
-        let [u, v] = if self.lens.fisheye {
-            let across = x.hypot(y);
-            let angle = across.atan2(ahead);
-            if !(angle < self.lens.domain()) {
-                return None;
-            }
-            let share = if across > 0.0 { angle / across } else { 0.0 };
-            self.lens.bend([x * share, y * share]).0
-        } else if !(ahead > 0.0) {
-            return None;
-        } else if self.lens.is_straight() {
-            [x / ahead, y / ahead]
-        } else {
-            let at = [x / ahead, y / ahead];
-            if !(at[0].hypot(at[1]) < self.lens.domain()) {
-                return None;
-            }
-            self.lens.bend(at).0
-        };
-        Some([self.cx + self.fx * u, self.cy + self.fy * v])
+    /// A place in the image, from the principal point, in focal lengths: x right, y down.
+    #[inline]
+    pub(crate) fn normalised<R: Real>(&self, at: [R; 2]) -> [R; 2] {
+        let real = |value: f64| R::from_f64(value);
+        [(at[0] - real(self.cx)) / real(self.fx), (at[1] - real(self.cy)) / real(self.fy)]
     }
 
-    /// Number of pixels that the lens has no ray for.
+    /// Radius of the disc with the area of a square of the image of this `side`, in focal lengths.
+    #[inline]
+    pub(crate) fn disc<R: Real>(&self, side: R) -> R {
+        side * R::from_f64((std::f64::consts::PI * self.fx * self.fy).sqrt().recip())
+    }
+
+    /// Number of pixels that the camera has no ray for.
     pub fn blind_pixels(&self) -> u64 {
         if self.lens.is_straight() {
             return 0;
         }
-        let place = |pixel: u32, centre: f64, focal: f64| (f64::from(pixel) + 0.5 - centre) / focal;
-        let blind = |x: u32, y: u32| {
-            self.lens.unbend([place(x, self.cx, self.fx), place(y, self.cy, self.fy)]).is_none()
-        };
+        let blind = |x: u32, y: u32| self.cone([f64::from(x) + 0.5, f64::from(y) + 0.5], 1.0).is_none();
         // The domain has no holes: if the border is seen, all is seen.
         let (right, bottom) = (self.width.saturating_sub(1), self.height.saturating_sub(1));
         let border = (0..self.width).any(|x| blind(x, 0) || blind(x, bottom))
@@ -170,39 +185,6 @@ impl Intrinsics {
             return 0;
         }
         (0..self.height).map(|y| (0..self.width).filter(|&x| blind(x, y)).count() as u64).sum()
-    }
-}
-
-impl Projection for Intrinsics {
-    /// The disc of the part, on the plane at distance 1, has radius side · sqrt(Δx·Δy/π) with Δx = 1/fx, Δy = 1/fy.
-    /// The tangent of the angle to the optical axis is computed from the pixel's position: derived from the cosine in
-    /// f32, it would lose 8.5 % of its value near the centre of an 800-pixel image. A lens moves the axis and changes the
-    /// size of the disc by the Jacobian of its map. The cone of a fisheye has the solid angle of its part of the image.
-    #[inline]
-    fn cone<R: Real>(&self, at: [R; 2], side: R) -> LocalCone<R> {
-        let real = |value: f64| R::from_f64(value);
-        let u = (at[0] - real(self.cx)) / real(self.fx);
-        let v = (at[1] - real(self.cy)) / real(self.fy);
-        let disc = side * real((std::f64::consts::PI * self.fx * self.fy).sqrt().recip());
-        if self.lens.is_straight() {
-            return LocalCone::through([u, v], disc);
-        }
-        let Some(Unbent { at: [x, y], area }) = self.lens.unbend([u, v]) else { return LocalCone::none() };
-        // The part of the image covers 1/area of its own size before the lens.
-        let disc = disc / area.sqrt();
-        if !self.lens.fisheye {
-            return LocalCone::through([x, y], disc);
-        }
-        let angle = x.hypot(y);
-        let (sine, cosine) = angle.sin_cos();
-        // Circles around the axis are shorter on the sphere of directions than on the plane of angles.
-        let narrower = if angle > real(1e-3) { sine / angle } else { R::one() };
-        LocalCone {
-            axis: [x * narrower, -y * narrower, -cosine],
-            inverse_length: R::one(),
-            slope: disc * narrower.sqrt(),
-            cosine,
-        }
     }
 }
 
@@ -242,15 +224,41 @@ impl Camera {
     /// The cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
     #[inline]
     pub fn cone_at<R: Real>(&self, at: [R; 2], side: R) -> Cone<R> {
-        let LocalCone { axis, inverse_length, slope, cosine } = self.intrinsics.cone(at, side);
+        let LocalCone { origin: from, axis, inverse_length, radius, slope, cosine } =
+            self.intrinsics.cone(at, side);
         let real = |value: f64| R::from_f64(value);
         let axes = self.rotation.to_cols_array_2d();
-        let direction = std::array::from_fn(|i| {
-            let along = |axis: usize| real(axes[axis][i]);
-            (along(0) * axis[0] + along(1) * axis[1] + along(2) * axis[2]) * inverse_length
-        });
-        let origin = [real(self.origin.x), real(self.origin.y), real(self.origin.z)];
-        Cone { origin, direction, slope, cosine }
+        let turned = |local: [R; 3]| -> [R; 3] {
+            std::array::from_fn(|i| {
+                let along = |axis: usize| real(axes[axis][i]);
+                along(0) * local[0] + along(1) * local[1] + along(2) * local[2]
+            })
+        };
+        let direction = turned(axis).map(|value| value * inverse_length);
+        let mut origin = [real(self.origin.x), real(self.origin.y), real(self.origin.z)];
+        if radius > R::zero() {
+            let moved = turned(from);
+            origin = std::array::from_fn(|i| origin[i] + moved[i]);
+        }
+        Cone { origin, radius, direction, slope, cosine }
+    }
+}
+
+/// Largest distance to the apex over the distance to the origin, see [`apex_distance`].
+pub const FARTHEST_APEX: f64 = 32.0;
+
+/// Distance of the point at distance `t` along a ray from the apex of its cone, which has that radius at the origin. A cylinder
+/// gets an apex far behind its origin: for an interval of length δ around t, moments of the cone's slice are those of the
+/// cylinder's but for a share of (δ/64t)².
+#[inline(always)]
+pub fn apex_distance<R: Real>(radius: R, slope: R, t: R) -> R {
+    let farthest = R::from_f64(FARTHEST_APEX);
+    if radius == R::zero() {
+        t
+    } else if radius >= (farthest - R::one()) * slope * t {
+        farthest * t
+    } else {
+        t + radius / slope
     }
 }
 
@@ -264,6 +272,7 @@ pub fn sphere_slope<R: Real>(disc_radius: R, tangent: R, cosine: R) -> R {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::projections::Model;
 
     /// Eq. 3 as printed: r = ‖x−o‖·f·ṙ / (‖d‖·sqrt((sqrt(‖d‖²−f²) − ṙ)² + f²)), with d un-normalised to the image
     /// plane.
@@ -410,7 +419,8 @@ mod tests {
                 };
                 let (a, b) = (corner(0.5, 0.0) - corner(-0.5, 0.0), corner(0.0, 0.5) - corner(0.0, -0.5));
                 let solid = a.cross(b).length() / (part * part);
-                let slant = if camera.intrinsics.lens.fisheye { 1.0 } else { cone.cosine.sqrt() };
+                let slant =
+                    if camera.intrinsics.lens.model == Model::Fisheye { 1.0 } else { cone.cosine.sqrt() };
                 let expected = (solid / std::f64::consts::PI).sqrt() * slant;
                 assert!((cone.slope / expected - 1.0).abs() < 0.03, "{} {expected}", cone.slope);
             }

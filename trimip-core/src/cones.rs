@@ -55,7 +55,7 @@ impl Division {
 pub fn footprint(camera: &Camera, aabb: &Aabb<f64>) -> f64 {
     let middle = DVec3::from_array(aabb.centre());
     let distance = (camera.origin - middle).length().max(0.25 * aabb.longest());
-    distance / (camera.intrinsics.fx * camera.intrinsics.fy).sqrt()
+    camera.intrinsics.footprint(distance)
 }
 
 /// Median of [`footprint`] over the views of a scale; `None` if there is none, or if it is not a positive number.

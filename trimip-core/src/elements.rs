@@ -1,6 +1,7 @@
 //! The elements of the batches: plain values with the same layout on every device.
 
 use crate::Cone;
+use crate::camera::apex_distance;
 use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 
@@ -8,19 +9,44 @@ use std::ops::Range;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Ray {
-    /// Apex, world units.
+    /// Apex, or where a cylinder begins; world units.
     pub origin: [f32; 3],
-    /// Sphere radius per unit of distance (Eq. 3).
+    /// Growth of the sphere's radius per unit of distance (Eq. 3).
     pub slope: f32,
     /// Unit direction.
     pub direction: [f32; 3],
-    /// Cosine to the optical axis.
+    /// Cosine to the optical axis; depth = distance · cosine.
     pub cosine: f32,
+    /// Radius of the sphere at `origin`, world units: 0 for an apex.
+    pub radius: f32,
+    /// WGSL aligns vectors of three to four floats.
+    pub padding: [f32; 3],
+}
+
+impl Ray {
+    /// Radius of the inscribed sphere at distance `t`.
+    #[inline(always)]
+    pub fn radius_at(&self, t: f32) -> f32 {
+        self.radius + self.slope * t
+    }
+
+    /// Distance of the point at distance `t` from the cone's apex.
+    #[inline(always)]
+    pub fn apex_distance(&self, t: f32) -> f32 {
+        apex_distance(self.radius, self.slope, t)
+    }
+
+    /// True for a pixel that the camera has no ray for.
+    #[inline]
+    pub fn is_none(&self) -> bool {
+        self.slope == 0.0 && self.radius == 0.0
+    }
 }
 
 impl From<Cone<f32>> for Ray {
     fn from(cone: Cone<f32>) -> Self {
-        Self { origin: cone.origin, slope: cone.slope, direction: cone.direction, cosine: cone.cosine }
+        let Cone { origin, radius, direction, slope, cosine } = cone;
+        Self { origin, slope, direction, cosine, radius, padding: [0.0; 3] }
     }
 }
 

@@ -208,7 +208,7 @@ fn excluded(set: &ViewSet, view: usize) -> Vec<bool> {
     if !blind && !pixels.iter().any(|&pixel| set.alpha.leaves_out(pixel)) {
         return Vec::new();
     }
-    let unseen = |i: u32| blind && camera.cone::<f32>(i % k.width, i / k.width).slope == 0.0;
+    let unseen = |i: u32| blind && camera.cone::<f32>(i % k.width, i / k.width).is_none();
     (0..).zip(pixels).map(|(i, &pixel)| set.alpha.leaves_out(pixel) || unseen(i)).collect()
 }
 

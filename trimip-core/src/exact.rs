@@ -2,6 +2,7 @@
 //! occupancy grid, which is part of the model.
 
 use crate::activation::{Color, Density};
+use crate::camera::apex_distance;
 use crate::cones::{self, Division};
 use crate::encoders::{self, Place, Twin};
 use crate::model::{Model, OCCUPANCY};
@@ -115,9 +116,15 @@ impl Exact {
             if s >= leave || !self.occupied(position) {
                 continue;
             }
-            let radius = cone.slope * t * self.space.scale(point);
+            let radius = cone.radius_at(t) * self.space.scale(point);
             let length = course.length(t, step) * self.space.density_scale(point);
-            let at = Place { position, radius, direction: cone.direction, t, length };
+            let at = Place {
+                position,
+                radius,
+                direction: cone.direction,
+                t: apex_distance(cone.radius, cone.slope, t),
+                length,
+            };
             let geometry = self.density.run(&self.features(&at));
             let own = self.activation.value(geometry[0]) * length;
             let before = (-depth).exp();

@@ -31,7 +31,11 @@ mod tests {
 
     /// Silhouettes of a ball of radius 0.5 around the origin, from all sides.
     fn ball() -> ViewSet {
-        let k = Intrinsics::from_angle(128, 128, 0.7);
+        ball_through(Intrinsics::from_angle(128, 128, 0.7))
+    }
+
+    /// The same, by another camera.
+    fn ball_through(k: Intrinsics) -> ViewSet {
         let (mut views, mut pixels) = (Vec::new(), Vec::new());
         for i in 0..40 {
             let (turn, height) = (f64::from(i) * 2.4, f64::from(i) / 20.0 - 0.975);
@@ -40,8 +44,9 @@ mod tests {
             let camera = Camera::look_at(k, origin, DVec3::ZERO, DVec3::Z);
             views.push(View { name: i.to_string(), camera, offset: pixels.len() });
             for (y, x) in (0..128).flat_map(|y| (0..128).map(move |x| (y, x))) {
-                let direction = DVec3::from_array(camera.cone::<f64>(x, y).direction);
-                let nearest = (origin - direction * origin.dot(direction)).length();
+                let cone = camera.cone::<f64>(x, y);
+                let (from, direction) = (DVec3::from(cone.origin), DVec3::from(cone.direction));
+                let nearest = (from - direction * from.dot(direction)).length();
                 pixels.push([9, 9, 9, if nearest < 0.5 { 255 } else { 0 }]);
             }
         }
@@ -66,6 +71,24 @@ mod tests {
             }
             if centre.length() > 0.5 + 0.3 {
                 assert!(!inside, "{centre} is far away");
+            }
+        }
+    }
+
+    #[test]
+    fn every_camera_model_carves_around_the_ball() {
+        let mut config = Config::default();
+        config.occupancy.resolution = 24;
+        let cell = 3.0 / 24.0;
+        for model in crate::projections::Model::ALL {
+            let Hull { bits, .. } = Hull::of(&config, &ball_through(model.example(128, 128))).unwrap();
+            for i in 0..24_usize.pow(3) {
+                let at = |place: usize| (place as f64 + 0.5) * cell - 1.5;
+                let centre = DVec3::new(at(i % 24), at(i / 24 % 24), at(i / 24 / 24));
+                let inside = bits[i / 8] >> (i % 8) & 1 == 1;
+                // Half a cell's diagonal is 0.108; a pixel of a panorama is up to 0.066 wide.
+                assert!(inside || centre.length() > 0.5 + 0.108, "{}: {centre}", model.name());
+                assert!(!inside || centre.length() < 0.5 + 0.5, "{}: {centre}", model.name());
             }
         }
     }

@@ -9,8 +9,9 @@
 //! These are the models of OpenCV, COLMAP and nerfstudio: a perspective lens has k₁ to k₃, p₁, p₂ and d₁ to d₃ (OpenCV's k₄ to
 //! k₆) or k₄ (nerfstudio), a fisheye k₁ to k₄, COLMAP's thin-prism fisheye also p₁, p₂, s₁ and s₂.
 
+use crate::projections::Model;
 use crate::scalar::Real;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Most steps of Newton's method. Lenses converge within five or so.
 pub const MOST_ROUNDS: u32 = 24;
@@ -21,11 +22,12 @@ const WIDEST: f64 = 10.0;
 /// Steps in which the domain of a lens is searched.
 const DOMAIN_STEPS: u32 = 4096;
 
-/// The distortion of a lens.
+/// The camera model of a lens, and its distortion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Lens {
-    /// Whether the undistorted radius is the angle to the optical axis (a fisheye) or its tangent.
-    pub fisheye: bool,
+    /// The camera model: what the undistorted coordinates are. Files of before state `fisheye`, true or false.
+    #[serde(default, alias = "fisheye", deserialize_with = "model_or_flag")]
+    pub model: Model,
     /// k₁ to k₄.
     pub radial: [f64; 4],
     /// d₁ to d₃.
@@ -47,6 +49,21 @@ pub struct Unbent<R> {
     pub area: R,
 }
 
+/// Reads a model by its name, or from the flag of a fisheye.
+fn model_or_flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Model, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Stated {
+        Fisheye(bool),
+        Model(Model),
+    }
+    Ok(match Stated::deserialize(deserializer)? {
+        Stated::Fisheye(true) => Model::Fisheye,
+        Stated::Fisheye(false) => Model::Perspective,
+        Stated::Model(model) => model,
+    })
+}
+
 impl Lens {
     /// A perspective lens; coefficients that a model does not have are 0.
     pub fn perspective(radial: [f64; 4], tangential: [f64; 2], denominator: [f64; 3]) -> Self {
@@ -55,12 +72,22 @@ impl Lens {
 
     /// A fisheye with OpenCV's coefficients, and the thin prism of COLMAP's model.
     pub fn fisheye(radial: [f64; 4], tangential: [f64; 2], prism: [f64; 2]) -> Self {
-        Self { fisheye: true, radial, tangential, prism, ..Self::default() }.with_domain()
+        Self { model: Model::Fisheye, radial, tangential, prism, ..Self::default() }.with_domain()
+    }
+
+    /// A lens of this model without distortion.
+    pub fn of(model: Model) -> Self {
+        Self { model, ..Self::default() }.with_domain()
+    }
+
+    /// The lens of pictures on the way of a camera with this lens: a pinhole for a lens that bends, else the same.
+    pub fn without_distortion(&self) -> Self {
+        if self.model.definition().distorted { Self::default() } else { Self::of(self.model) }
     }
 
     /// True if the lens bends nothing: a pinhole.
     pub fn is_straight(&self) -> bool {
-        !self.fisheye
+        self.model == Model::Perspective
             && [&self.radial[..], &self.denominator, &self.tangential, &self.prism]
                 .iter()
                 .all(|part| part.iter().all(|&k| k == 0.0))
@@ -76,7 +103,7 @@ impl Lens {
         if self.is_straight() {
             return Self::default();
         }
-        let widest = if self.fisheye { std::f64::consts::PI } else { WIDEST };
+        let widest = if self.model == Model::Fisheye { std::f64::consts::PI } else { WIDEST };
         let image = |r: f64| r * self.factor(r * r)[0];
         let step = widest / f64::from(DOMAIN_STEPS);
         let grows = |i: u32| {
@@ -122,7 +149,7 @@ impl Lens {
 
     /// Largest factor by which lengths around a point of the plane at distance 1 grow in the image.
     pub fn stretch(&self, [x, y]: [f64; 2]) -> f64 {
-        let (at, inner) = if self.fisheye {
+        let (at, inner) = if self.model == Model::Fisheye {
             let radius = x.hypot(y);
             // Angles grow less than tangents in every direction.
             let share = if radius > 0.0 { radius.atan() / radius } else { 1.0 };
@@ -245,5 +272,17 @@ mod tests {
         let lens = Lens::fisheye([0.0; 4], [0.0; 2], [0.0; 2]);
         assert!(lens.unbend([3.1, 0.0]).is_some() && lens.unbend([3.2, 0.0]).is_none());
         assert!(Lens::perspective([0.0; 4], [0.0; 2], [0.0; 3]).is_straight() && !lens.is_straight());
+    }
+
+    #[test]
+    fn stored_lenses_come_back_also_those_with_the_flag_of_a_fisheye() {
+        for lens in lenses() {
+            let stored = serde_json::to_value(lens).unwrap();
+            assert_eq!(serde_json::from_value::<Lens>(stored.clone()).unwrap(), lens);
+            let mut flagged = stored;
+            flagged.as_object_mut().unwrap().remove("model");
+            flagged["fisheye"] = (lens.model == Model::Fisheye).into();
+            assert_eq!(serde_json::from_value::<Lens>(flagged).unwrap(), lens);
+        }
     }
 }

@@ -59,6 +59,7 @@ pub mod perception;
 pub mod pixels;
 pub mod plural;
 pub mod policy;
+pub mod projections;
 pub mod proxy;
 pub mod quality;
 mod query;

@@ -25,7 +25,13 @@ fn parts(queries: &[Query], space: &Space<f32>, centre: [f64; 3]) -> Parts {
     for Query { point, radius, direction } in queries {
         let point: [f32; 3] = std::array::from_fn(|axis| (point[axis] - centre[axis]) as f32);
         let origin = std::array::from_fn(|axis| point[axis] - reach * direction[axis]);
-        parts.0.push(Ray { origin, slope: radius / reach, direction: *direction, cosine: 1.0 });
+        parts.0.push(Ray {
+            origin,
+            slope: radius / reach,
+            direction: *direction,
+            cosine: 1.0,
+            ..Ray::default()
+        });
         parts.1.push(Interval { t: reach, length: 2.0 * radius });
         parts.2.push(Sphere { position: space.to_cube(point), radius: radius * space.scale(point) });
     }

@@ -2,6 +2,7 @@
 //! only background there; cells that no photograph decides are kept.
 
 use crate::occupancy::coordinates;
+use crate::projections::BallImage;
 use crate::{Aabb, Camera, Scale, ViewSet};
 use glam::DVec3;
 
@@ -62,22 +63,11 @@ impl Silhouette {
     fn verdict(&self, centre: DVec3, radius: f64) -> Verdict {
         let k = &self.camera.intrinsics;
         let at = self.camera.rotation.transpose() * (centre - self.camera.origin);
-        let depth = -at.z;
-        if depth <= 2.0 * radius {
-            return if depth < -radius { Verdict::Unseen } else { Verdict::Maybe };
-        }
-        // A point of the ball moves the farther, the wider it lies off the axis. A pixel more: an edge may lie between the
-        // centres of two.
-        let off_axis = (1.0 + (at.x * at.x + at.y * at.y) / (depth * depth)).sqrt();
-        let mut reach = k.fx.max(k.fy) * radius * off_axis / (depth - radius) + 1.0;
-        let mut place = [k.cx + k.fx * at.x / depth, k.cy - k.fy * at.y / depth];
-        if !k.lens.is_straight() {
-            // The lens stretches lengths around the middle of the ball; twice as much allows for its growth over the ball.
-            let Some(bent) = k.image_of(at) else { return Verdict::Maybe };
-            let straight = [at.x / depth, -at.y / depth];
-            reach = 1.0 + 2.0 * (reach - 1.0) * k.lens.stretch(straight);
-            place = bent;
-        }
+        let (place, reach) = match k.ball(at, radius) {
+            BallImage::None => return Verdict::Unseen,
+            BallImage::Anywhere => return Verdict::Maybe,
+            BallImage::Within { at, reach } => (at, reach),
+        };
         let [x, y] = place;
         let (width, height) = (f64::from(k.width), f64::from(k.height));
         if x + reach <= 0.0 || y + reach <= 0.0 || x - reach >= width || y - reach >= height {

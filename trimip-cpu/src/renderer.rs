@@ -55,7 +55,8 @@ impl CpuRenderer {
         let policy = &self.policy;
         let (enter, leave) = policy.space.course(ray.origin, ray.direction).range();
         let offset = jitter.map_or(0.0, |step| policy.random.uniform(Stream::Jitter, step, index)[0]);
-        let by_radius = policy.step_per_radius * ray.slope * 0.5 * (enter + leave);
+        let radius = ray.radius * policy.step_per_radius;
+        let by_radius = radius + policy.step_per_radius * ray.slope * 0.5 * (enter + leave);
         // A comparison with NaN is false and selects the uniform step.
         let step = if by_radius > policy.step_length() { by_radius } else { policy.step_length() };
         let first = enter + offset * step;

@@ -5,7 +5,7 @@ use crate::{CpuBackend, Lane};
 use std::ops::Range;
 use trimip_core::backend::Sampler;
 use trimip_core::balance::Draw;
-use trimip_core::batch::{Rays, Segment, Target};
+use trimip_core::batch::{Ray, Rays, Segment, Target};
 use trimip_core::cones;
 use trimip_core::policy::SamplerPolicy;
 use trimip_core::rng::Stream;
@@ -91,7 +91,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             let first = rays.rays.len();
             divide(&view.camera, [within % width, within / width], side, rays);
             // Nothing is learned from pixels that the lens has no ray for.
-            if rays.rays[first..].iter().any(|ray| ray.slope == 0.0) {
+            if rays.rays[first..].iter().any(Ray::is_none) {
                 weight = 0.0;
             }
             let mut background = policy.background;

@@ -1,8 +1,8 @@
 //! Intrinsics of a frame of a transforms file: size, focal lengths and principal point. Frame keys override file keys; without
-//! `fl_x` the focal length follows from `camera_angle_x`. Lengths in pixels, angles in radians.
+//! `fl_x` the focal length follows from `camera_angle_x`, or as the camera model says. Lengths in pixels, angles in radians.
 
 use crate::{json::Node, lens, photograph::Photograph};
-use trimip_core::{Error, Intrinsics, Result};
+use trimip_core::{Error, Intrinsics, Result, projections::Model};
 
 /// Image size from `w` and `h`.
 #[derive(Clone, Copy, Default)]
@@ -53,28 +53,41 @@ impl Size {
 
 /// The intrinsics of a frame whose image has that size.
 pub(crate) fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: u32) -> Result<Intrinsics> {
+    let lens = lens::read(file, frame)?;
     // The focal length of a frame overrides that of the file, in whichever form.
-    let (fx, fy) = match focal(frame, width, height)? {
-        Some(focal) => focal,
-        None => focal(file, width, height)?.ok_or_else(|| {
-            Error::input(
-                &file.place,
-                "has no focal length (\"fl_x\", \"camera_angle_x\")",
-                format!("add one of the keys, or add it to {}", frame.place),
-            )
-        })?,
+    let found = match focal(lens.model, frame, width, height)? {
+        Some(focal) => Some(focal),
+        None => focal(lens.model, file, width, height)?,
     };
+    let usual = || Some(lens.model.definition().focal?(width.into(), height.into()).into());
+    let (fx, fy) = found.or_else(usual).ok_or_else(|| {
+        let keys =
+            format!("\"fl_x\", \"{}\"", lens.model.definition().extent_key.unwrap_or("camera_angle_x"));
+        Error::input(
+            &file.place,
+            format!("has no focal length ({keys})"),
+            format!("add one of the keys, or add it to {}", frame.place),
+        )
+    })?;
     let centre = |key: &str, side: u32| -> Result<f64> {
         Ok(frame.number(key)?.or(file.number(key)?).unwrap_or(0.5 * f64::from(side)))
     };
-    let lens = lens::read(file, frame)?;
     Ok(Intrinsics { width, height, fx, fy, cx: centre("cx", width)?, cy: centre("cy", height)?, lens })
 }
 
-/// Focal lengths from one node: `fl_x` and `fl_y`, otherwise half the side over the tangent of half the field of view.
-fn focal(node: &Node<'_>, width: u32, height: u32) -> Result<Option<(f64, f64)>> {
-    let length = |key: &str, angle_key: &str, side: u32| -> Result<Option<f64>> {
-        let (key, stated, focal) = match (node.number(key)?, node.number(angle_key)?) {
+/// Focal lengths from one node: `fl_x` and `fl_y`, otherwise half the side over the tangent of half the field of view, or the
+/// longer side over its world width, as the camera model says.
+fn focal(model: Model, node: &Node<'_>, width: u32, height: u32) -> Result<Option<(f64, f64)>> {
+    let definition = model.definition();
+    if let Some(key) = definition.extent_key
+        && let (None, Some(extent)) = (node.number("fl_x")?, node.number(key)?)
+    {
+        let focal = positive(node, key, extent, f64::from(width.max(height)) / extent)?;
+        return Ok(Some((focal, node.number("fl_y")?.unwrap_or(focal))));
+    }
+    let length = |key: &'static str, angle_key: &'static str, side: u32| -> Result<Option<f64>> {
+        let angle = if definition.angles { node.number(angle_key)? } else { None };
+        let (key, stated, focal) = match (node.number(key)?, angle) {
             (Some(focal), _) => (key, focal, focal),
             (None, Some(angle)) if angle > 0.0 && angle < std::f64::consts::PI => {
                 (angle_key, angle, 0.5 * f64::from(side) / (0.5 * angle).tan())
@@ -82,16 +95,21 @@ fn focal(node: &Node<'_>, width: u32, height: u32) -> Result<Option<(f64, f64)>>
             (None, Some(angle)) => (angle_key, angle, f64::NAN),
             (None, None) => return Ok(None),
         };
-        if focal.is_finite() && focal > 0.0 {
-            return Ok(Some(focal));
-        }
-        Err(Error::input(
-            &node.place,
-            format!("\"{key}\" is {stated}, which makes no positive focal length"),
-            "expected pixels above 0 for a length, radians between 0 and pi for an angle",
-        ))
+        positive(node, key, stated, focal).map(Some)
     };
     let x = length("fl_x", "camera_angle_x", width)?;
     let y = length("fl_y", "camera_angle_y", height)?;
     Ok(x.or(y).map(|x| (x, y.unwrap_or(x))))
+}
+
+/// Refuses a focal length that is none, of the key that states it.
+fn positive(node: &Node<'_>, key: &str, stated: f64, focal: f64) -> Result<f64> {
+    if focal.is_finite() && focal > 0.0 {
+        return Ok(focal);
+    }
+    Err(Error::input(
+        &node.place,
+        format!("\"{key}\" is {stated}, which makes no positive focal length"),
+        "expected pixels above 0 for a length, radians between 0 and pi for an angle",
+    ))
 }

@@ -2,19 +2,7 @@
 
 use crate::json::Node;
 use serde_json::Value;
-use trimip_core::{Error, Lens, Result};
-
-/// Names of `camera_model`, which are COLMAP's.
-const MODELS: [&str; 8] = [
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "FULL_OPENCV",
-    "OPENCV_FISHEYE",
-    "THIN_PRISM_FISHEYE",
-];
+use trimip_core::{Error, Lens, Result, projections::Model};
 
 /// Coefficients in the files.
 const TERMS: [&str; 10] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "sx1", "sy1"];
@@ -27,14 +15,17 @@ pub fn lens_of(place: &str, file: &Value, frame: &Value) -> Result<Lens> {
     read(&Node::new(place, file)?, &Node::new(place, frame)?)
 }
 
-/// Name and coefficients of a lens as [`lens_of`] reads them, without those that are 0; none for a pinhole.
+/// Camera model and coefficients of a lens as [`lens_of`] reads them, without those that are 0; none for a pinhole.
 pub fn lens_terms(lens: &Lens) -> Option<(&'static str, Vec<(&'static str, f64)>)> {
     if lens.is_straight() {
         return None;
     }
     let ([k1, k2, k3, k4], [d1, d2, d3]) = (lens.radial, lens.denominator);
     let ([p1, p2], [s1, s2]) = (lens.tangential, lens.prism);
-    let (model, terms) = if lens.fisheye {
+    let definition = lens.model.definition();
+    let (model, terms) = if !definition.distorted {
+        (definition.file_names[0], [0.0; 10])
+    } else if lens.model == Model::Fisheye {
         let bent = [p1, p2, s1, s2] != [0.0; 4];
         let model = if bent { "THIN_PRISM_FISHEYE" } else { "OPENCV_FISHEYE" };
         (model, [k1, k2, k3, k4, 0.0, 0.0, p1, p2, s1, s2])
@@ -86,8 +77,10 @@ pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
             format!("this model has {known}: name the model of these numbers, or remove them"),
         ))
     };
-    let model = model(file, frame)?;
+    let (own, model) = model(file, frame)?;
     match model {
+        _ if !own.definition().distorted && terms == [0.0; 10] => Ok(Lens::of(own)),
+        _ if !own.definition().distorted => refuse(model, "no coefficients"),
         "OPENCV_FISHEYE" if [k5, k6, p1, p2, s1, s2] == [0.0; 6] => {
             Ok(Lens::fisheye([k1, k2, k3, k4], [0.0; 2], [0.0; 2]))
         }
@@ -96,6 +89,10 @@ pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
             Ok(Lens::fisheye([k1, k2, k3, k4], [p1, p2], [s1, s2]))
         }
         "THIN_PRISM_FISHEYE" => refuse(model, "k1 to k4, p1, p2, sx1 and sy1"),
+        _ if own == Model::Fisheye && [k3, k4, k5, k6, p1, p2, s1, s2] == [0.0; 8] => {
+            Ok(Lens::fisheye([k1, k2, 0.0, 0.0], [0.0; 2], [0.0; 2]))
+        }
+        _ if own == Model::Fisheye => refuse(model, "k1 and k2"),
         "FULL_OPENCV" if [s1, s2] == [0.0; 2] => {
             Ok(Lens::perspective([k1, k2, k3, 0.0], [p1, p2], [k4, k5, k6]))
         }
@@ -106,25 +103,33 @@ pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
     }
 }
 
-/// The camera model that is stated; without one, coefficients are those of nerfstudio's `OPENCV`, or of `OPENCV_FISHEYE` if
-/// instant-ngp's `is_fisheye` is true.
-fn model(file: &Node<'_>, frame: &Node<'_>) -> Result<&'static str> {
-    let Some((node, value)) =
-        [frame, file].into_iter().find_map(|node| Some((node, node.get("camera_model")?)))
-    else {
-        let flag = [frame, file].into_iter().find_map(|node| Some((node, node.get("is_fisheye")?)));
-        return match flag.map(|(node, value)| (node, value, value.as_bool())) {
-            None | Some((_, _, Some(false))) => Ok("OPENCV"),
-            Some((_, _, Some(true))) => Ok("OPENCV_FISHEYE"),
-            Some((node, value, None)) => Err(node.unexpected("is_fisheye", "true or false", value)),
-        };
+/// The camera model that is stated, and its name in the file. Without one, coefficients are those of nerfstudio's `OPENCV`, or
+/// of the model that a flag of instant-ngp chooses.
+fn model(file: &Node<'_>, frame: &Node<'_>) -> Result<(Model, &'static str)> {
+    let stated = |key: &str| [frame, file].into_iter().find_map(|node| Some((node, node.get(key)?)));
+    let Some((node, value)) = stated("camera_model") else {
+        for model in Model::ALL {
+            let definition = model.definition();
+            for flag in definition.flags {
+                match stated(flag).map(|(node, value)| (node, value, value.as_bool())) {
+                    None | Some((_, _, Some(false))) => {}
+                    Some((_, _, Some(true))) => return Ok((*model, definition.file_names[0])),
+                    Some((node, value, None)) => return Err(node.unexpected(flag, "true or false", value)),
+                }
+            }
+        }
+        return Ok((Model::Perspective, "OPENCV"));
     };
     let named = value.as_str().ok_or_else(|| node.unexpected("camera_model", "a text", value))?;
-    MODELS.into_iter().find(|model| *model == named).ok_or_else(|| {
+    let known = || {
+        Model::ALL.iter().flat_map(|model| model.definition().file_names.iter().map(|name| (*model, *name)))
+    };
+    known().find(|(_, name)| name.eq_ignore_ascii_case(named)).ok_or_else(|| {
+        let names: Vec<&str> = known().map(|(_, name)| name).collect();
         Error::input(
             &node.place,
             format!("\"camera_model\" is \"{}\"", named.chars().take(80).collect::<String>()),
-            format!("known are {}; undistort the images to one of them", MODELS.join(", ")),
+            format!("known are {}; undistort the images to one of them", names.join(", ")),
         )
     })
 }

@@ -11,7 +11,7 @@ use crate::{
 use rayon::prelude::*;
 use std::path::Path;
 use trimip_core::config::{Finish, PixelStore};
-use trimip_core::{Alpha, Camera, Error, Frames, Lens, Result, Scale, View, ViewSet};
+use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
 
 /// Memory of the photographs that are decoded at once, bytes, unless a single one takes more.
 const MOST_AT_ONCE: u64 = 2 << 30;
@@ -99,10 +99,10 @@ impl Source {
         self
     }
 
-    /// The same frame, of a pinhole.
+    /// The same frame, without the distortion of its lens.
     pub(crate) fn straighten(&mut self) {
         for (_, camera) in &mut self.views {
-            camera.intrinsics.lens = Lens::default();
+            camera.intrinsics.lens = camera.intrinsics.lens.without_distortion();
         }
     }
 

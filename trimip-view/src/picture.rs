@@ -120,7 +120,7 @@ impl RenderedView<'_> {
             let cone = camera.cone_in::<f64>(x, y, 0, side);
             let t = f64::from(depths[index]) / cone.cosine;
             let point = std::array::from_fn(|axis| cone.origin[axis] + t * cone.direction[axis]);
-            let radius = cone.slope * t * space.scale(point);
+            let radius = cone.radius_at(t) * space.scale(point);
             let of = |plane| {
                 let blend = pyramid.blend(plane, radius.log2());
                 blend.lower as f64 + blend.fraction
@@ -155,21 +155,19 @@ fn normals(frame: &Frame, camera: &Camera) -> RgbImage {
     let (k, depths) = (camera.intrinsics, depth(frame, 0.0));
     let point = |x: u32, y: u32| {
         let at = (y * frame.width + x) as usize;
-        let distance = f64::from(depths[at]);
-        let own = DVec3::new(
-            (f64::from(x) + 0.5 - k.cx) / k.fx * distance,
-            -(f64::from(y) + 0.5 - k.cy) / k.fy * distance,
-            -distance,
-        );
+        let cone = k.cone([f64::from(x) + 0.5, f64::from(y) + 0.5], 1.0);
+        let distance = f64::from(depths[at]) / cone.cosine;
+        let own = DVec3::from(cone.origin) + distance * cone.inverse_length * DVec3::from(cone.axis);
         (frame.pixels[at].opacity >= SURFACE).then_some(own)
     };
     let direction = |x: u32, y: u32| -> Option<DVec3> {
-        let here = point(x, y)?;
+        point(x, y)?;
         let right = point((x + 1).min(frame.width - 1), y)? - point(x.saturating_sub(1), y)?;
         let down = point(x, (y + 1).min(frame.height - 1))? - point(x, y.saturating_sub(1))?;
+        let ahead = DVec3::from(k.cone([f64::from(x) + 0.5, f64::from(y) + 0.5], 1.0).axis);
         let normal = (camera.rotation * down.cross(right)).try_normalize()?;
         // It points to the camera.
-        Some(if (camera.rotation * here).dot(normal) > 0.0 { -normal } else { normal })
+        Some(if (camera.rotation * ahead).dot(normal) > 0.0 { -normal } else { normal })
     };
     RgbImage::from_fn(frame.width, frame.height, |x, y| {
         let Some(normal) = direction(x, y) else { return Rgb([128; 3]) };

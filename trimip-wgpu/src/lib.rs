@@ -23,6 +23,7 @@ mod optimizer;
 #[cfg(test)]
 mod probe;
 mod products;
+mod projections;
 mod renderer;
 mod sampler;
 mod shaders;

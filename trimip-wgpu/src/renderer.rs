@@ -5,7 +5,7 @@ use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Size};
 use crate::hybrid::Hybrid;
 use crate::occupancy::WgpuOccupancy;
-use crate::shaders::{BLOCKS, COMPOSITING, PRUNING, RANDOM, SEGMENTS};
+use crate::shaders::{BLOCKS, COMPOSITING, PRUNING, RANDOM, RAY, SEGMENTS};
 use crate::space::{GpuSpace, SPACE};
 use crate::workspace::{Lane, WgpuBackend};
 use std::sync::Arc;
@@ -96,8 +96,8 @@ const SCAN: [Source; 4] = [
 ];
 const PRUNE: [Source; 5] =
     [GRID, PRUNING, SEGMENTS, Source::of::<PruneParams>(), Text(include_str!("shaders/prune.wgsl"))];
-const COMPOSITE: [Source; 4] =
-    [GRID, COMPOSITING, Source::of::<CompositeParams>(), Text(include_str!("shaders/composite.wgsl"))];
+const COMPOSITE: [Source; 5] =
+    [GRID, RAY, COMPOSITING, Source::of::<CompositeParams>(), Text(include_str!("shaders/composite.wgsl"))];
 const GRADIENT: [Source; 4] = [
     GRID,
     COMPOSITING,

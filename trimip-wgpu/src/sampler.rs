@@ -3,6 +3,7 @@
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Binds, Buffer, GRID, Gpu, Kernel, Size, lock};
+use crate::projections::PROJECTIONS;
 use crate::shaders::{RANDOM, RAY};
 use crate::workspace::{Lane, WgpuBackend};
 use std::ops::Range;
@@ -36,7 +37,7 @@ shared! {
         width: u32,
         /// Index of the view's first pixel.
         offset: u32,
-        /// 0 for a pinhole, 1 for a perspective lens, 2 for a fisheye.
+        /// 0 for a pinhole, otherwise one more than the camera model's place in its registry.
         lens: u32,
         /// The lens, with the letters of [`trimip_core::lens`]: k1 to k4; d1 to d3 and the domain; p1, p2, s1, s2.
         radial: [f32; 4],
@@ -88,6 +89,7 @@ pub const CAMERA: Source = Parts(&[
     Source::real("EPSILON", f32::EPSILON),
     Source::whole("QUINCUNX", QUINCUNX),
     Text(include_str!("shaders/camera.wgsl")),
+    Text(PROJECTIONS),
 ]);
 
 const RAYS: [Source; 6] = [
@@ -134,7 +136,7 @@ impl GpuView {
             disc: (std::f64::consts::PI * k.fx * k.fy).sqrt().recip() as f32,
             width: k.width,
             offset: offset as u32,
-            lens: if lens.is_straight() { 0 } else { 1 + u32::from(lens.fisheye) },
+            lens: if lens.is_straight() { 0 } else { 1 + lens.model as u32 },
             radial: lens.radial.map(|k| k as f32),
             denominator: [d1, d2, d3, lens.domain()].map(|d| d as f32),
             shift: [p1, p2, s1, s2].map(|s| s as f32),

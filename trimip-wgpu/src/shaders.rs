@@ -4,6 +4,7 @@
 use crate::gpu::Source::{self, Constant, Parts, Text};
 use crate::gpu::Value;
 use trimip_core::batch::Ray;
+use trimip_core::camera::FARTHEST_APEX;
 use trimip_core::config::DensityFunction;
 use trimip_core::sh::FACTORS;
 
@@ -13,10 +14,14 @@ pub const SIDE: u32 = 4;
 /// Fixed-point value of 1: gradients have 30 fractional bits.
 pub const POINT: u32 = 1 << 30;
 
-mirror!(Ray as Ray { origin: [f32; 3], slope: f32, direction: [f32; 3], cosine: f32 });
+mirror!(Ray as Ray { origin: [f32; 3], slope: f32, direction: [f32; 3], cosine: f32, radius: f32 });
 
 /// The axis of a cone.
-pub const RAY: Source = Source::of::<Ray>();
+pub const RAY: Source = Parts(&[
+    Source::of::<Ray>(),
+    Source::real("FARTHEST_APEX", FARTHEST_APEX as f32),
+    Text(include_str!("shaders/ray.wgsl")),
+]);
 
 /// Random numbers.
 pub const RANDOM: Source = Text(include_str!("shaders/random.wgsl"));

@@ -106,9 +106,10 @@ pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
         let length = radius * step * slowness;
         let sample = Sample {
             t: radius * t,
+            apex: super::apex(ray, radius * t),
             length: length / (n * n),
             position: place,
-            radius: f64::from(ray.slope) * radius * t * (2.0 * n - 1.0) / (n * n),
+            radius: super::radius(ray, radius * t) * (2.0 * n - 1.0) / (n * n),
             direction,
         };
         steps.push(Step { sample, length, left: radius * (end - s) });

@@ -22,7 +22,7 @@ impl Literal for Frequencies {
         let (mut mean, mut covariance) = (middle, DMat3::ZERO);
         if settings.integrated {
             // s and h are the middle and half the length of the interval, r the radius at distance 1.
-            let (s, h) = (sample.t, (0.5 * sample.length).min(sample.t));
+            let (s, h) = (sample.apex, (0.5 * sample.length).min(sample.apex));
             let disc = 1.0 / std::f64::consts::PI.sqrt();
             let r = sample.radius / s * (2.0 / 12_f64.sqrt()) / disc;
             let below = 3.0 * s.powi(2) + h.powi(2);

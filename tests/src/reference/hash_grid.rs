@@ -67,7 +67,7 @@ impl HashGrid {
             2.0 * axis * axis.dot(e) / axis.length_squared() - e
         };
         let (u, v) = (-turned(DVec3::X), -sign * turned(DVec3::Y));
-        let (s, h) = (sample.t, (0.5 * sample.length).min(sample.t));
+        let (s, h) = (sample.apex, (0.5 * sample.length).min(sample.apex));
         let (t0, t1) = (s - h, s + h);
         let angles = [0.0, 2.0, 4.0, 3.0, 5.0, 1.0].map(|sixth| sixth * std::f64::consts::PI / 3.0);
         let point = |(j, angle): (usize, &f64)| {

@@ -57,6 +57,8 @@ struct Layer {
 pub struct Sample {
     /// Distance along the ray.
     pub t: f64,
+    /// Distance from the apex of the ray's cone.
+    pub apex: f64,
     /// Length of its interval, δ.
     pub length: f64,
     /// Centre of its sphere in the unit box.
@@ -72,6 +74,7 @@ impl Sample {
     pub fn new(ray: &Ray, interval: &Interval, sphere: &Sphere) -> Self {
         Self {
             t: interval.t.into(),
+            apex: apex(ray, interval.t.into()),
             length: interval.length.into(),
             position: sphere.position.map(f64::from),
             radius: sphere.radius.into(),
@@ -314,6 +317,16 @@ pub fn span(config: &Config, origin: [f64; 3], direction: [f64; 3]) -> Option<(f
     (enter < leave).then_some((enter, leave))
 }
 
+/// Radius of the sphere of a ray at a distance.
+fn radius(ray: &Ray, t: f64) -> f64 {
+    f64::from(ray.radius) + f64::from(ray.slope) * t
+}
+
+/// Distance from the apex at a distance along the ray; that of a cylinder is very far.
+fn apex(ray: &Ray, t: f64) -> f64 {
+    if ray.radius > 0.0 { 1e5 * t } else { t }
+}
+
 /// World length of a marching step: longest side · √3 / steps.
 pub fn step_length(config: &Config) -> f64 {
     let scene = &config.scene;
@@ -322,12 +335,12 @@ pub fn step_length(config: &Config) -> f64 {
 }
 
 /// World length of a ray's step: the uniform step times its scale at `progress`, and at least the configured number of
-/// sphere radii (slope · t) at the midpoint between entering and leaving the box.
+/// sphere radii at the midpoint between entering and leaving the box.
 pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
     let uniform = step_length(config) * config.renderer.step_scale.at(progress);
     let (enter, leave) =
         span(config, ray.origin.map(f64::from), ray.direction.map(f64::from)).unwrap_or((0.0, 0.0));
-    let radius = f64::from(ray.slope) * (enter + leave) / 2.0;
+    let radius = radius(ray, (enter + leave) / 2.0);
     uniform.max(f64::from(config.renderer.step_per_radius) * radius)
 }
 
@@ -347,7 +360,8 @@ pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]
             (origin[axis] + t * direction[axis] - low) / (high - low)
         });
         if occupied(position) {
-            samples.push(Sample { t, length, position, radius: f64::from(ray.slope) * t, direction });
+            let (apex, radius) = (apex(ray, t), radius(ray, t));
+            samples.push(Sample { t, apex, length, position, radius, direction });
         }
     }
     samples

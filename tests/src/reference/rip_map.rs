@@ -121,7 +121,7 @@ impl Plane {
 
 impl Literal for RipMap {
     fn features(&self, sample: &Sample) -> Vec<f64> {
-        let (t, half, d) = (sample.t, sample.length / 2.0, sample.direction);
+        let (t, half, d) = (sample.apex, sample.length / 2.0, sample.direction);
         let extent = extent(&self.config);
         // mip-NeRF, Eq. 7, with the cone's radius at t instead of at distance 1.
         let (mut mean, mut along, mut across) = (0.0, half * half / 3.0, sample.radius.powi(2) / 4.0);

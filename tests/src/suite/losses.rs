@@ -113,7 +113,7 @@ impl Given {
     fn draw_cone(&mut self, count: u32, draw: &mut Draw) {
         let origin = [0; 3].map(|_| draw.between(-1.0, 1.0) as f32);
         let direction = draw.direction().to_array().map(|x| x as f32);
-        self.rays.push(Ray { origin, direction, slope: 0.01, cosine: 1.0 });
+        self.rays.push(Ray { origin, direction, slope: 0.01, cosine: 1.0, ..Ray::default() });
         self.segments.push(Segment { start: self.intervals.len() as u32, count });
         let mut t = draw.between(0.0, 1.0);
         for i in 0..count {

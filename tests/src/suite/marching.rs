@@ -26,6 +26,7 @@ pub fn rays(seed: u64) -> Vec<Ray> {
             direction: direction.to_array().map(|x| x as f32),
             slope: 0.01,
             cosine: 1.0,
+            ..Ray::default()
         });
     };
     for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
@@ -151,7 +152,13 @@ pub fn scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut config = configuration(8);
     config.renderer.step_scale = Schedule::new(vec![[0.0, 4.0], [0.5, 2.0]]);
     let mut bench = Bench::new(make(), &config, None, &lively(&Layout::new(&config), 1))?;
-    let ray = Ray { origin: [-4.0, 0.1, 0.2], direction: [1.0, 0.0, 0.0], slope: 0.0, cosine: 1.0 };
+    let ray = Ray {
+        origin: [-4.0, 0.1, 0.2],
+        direction: [1.0, 0.0, 0.0],
+        slope: 0.0,
+        cosine: 1.0,
+        ..Ray::default()
+    };
     for (progress, scale) in [(0.0, 4.0), (0.49, 4.0), (0.5, 2.0), (1.0, 2.0)] {
         bench.stages.renderer.follow(progress);
         let length = (scale * reference::step_length(&config)) as f32;
@@ -170,7 +177,13 @@ pub fn scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 pub fn jitter<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let config = configuration(8);
     let mut bench = Bench::new(make(), &config, None, &lively(&Layout::new(&config), 1))?;
-    let ray = Ray { origin: [-4.0, 0.1, 0.2], direction: [1.0, 0.0, 0.0], slope: 0.01, cosine: 1.0 };
+    let ray = Ray {
+        origin: [-4.0, 0.1, 0.2],
+        direction: [1.0, 0.0, 0.0],
+        slope: 0.01,
+        cosine: 1.0,
+        ..Ray::default()
+    };
     let length = reference::step_length(&config) as f32;
     let straight = marched(&mut bench, &[ray; 200], None);
     let mut firsts = Vec::new();

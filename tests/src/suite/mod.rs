@@ -13,6 +13,7 @@ pub mod losses;
 pub mod marching;
 pub mod masks;
 pub mod probes;
+pub mod projections;
 pub mod pyramid;
 pub mod sampling;
 pub mod scenes;

@@ -58,7 +58,7 @@ fn spheres<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
 fn directions() -> Vec<Ray> {
     let s = 0.5_f32.sqrt();
     let t = 3_f32.sqrt().recip();
-    let ray = |origin, direction| Ray { origin, direction, slope: 0.001, cosine: 1.0 };
+    let ray = |origin, direction| Ray { origin, direction, slope: 0.001, cosine: 1.0, ..Ray::default() };
     vec![
         ray([-4.0, 0.1, 0.2], [1.0, 0.0, 0.0]),
         ray([0.1, 5.0, 0.2], [0.0, -1.0, 0.0]),

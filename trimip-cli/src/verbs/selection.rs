@@ -81,6 +81,11 @@ fn stated(arguments: &RenderArguments, like: Intrinsics) -> Intrinsics {
     let side = |pixels: f64| pixels.round().clamp(1.0, view::cameras::MAX_SIDE) as u32;
     let width = width.or(height.map(|height| side(f64::from(height) * aspect))).unwrap_or(like.width);
     let height = height.unwrap_or_else(|| side(f64::from(width) / aspect));
+    if fov.is_none() && !like.lens.model.definition().angles {
+        let [x, y] = [f64::from(width) / f64::from(like.width), f64::from(height) / f64::from(like.height)];
+        let (fx, fy, cx, cy) = (like.fx * x, like.fy * y, like.cx * x, like.cy * y);
+        return Intrinsics { width, height, fx, fy, cx, cy, lens: like.lens };
+    }
     let angle = fov.map_or_else(|| 2.0 * (0.5 * f64::from(like.width) / like.fx).atan(), f64::to_radians);
     Intrinsics::from_angle(width, height, angle)
 }

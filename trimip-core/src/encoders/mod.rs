@@ -91,7 +91,7 @@ pub struct Place<R = f64> {
     pub radius: R,
     /// Unit direction of its ray.
     pub direction: [R; 3],
-    /// Distance along the ray, world units.
+    /// Distance from the apex of the ray's cone, world units.
     pub t: R,
     /// Length of its interval, world units.
     pub length: R,
@@ -104,7 +104,7 @@ impl Place {
             position: sphere.position.map(f64::from),
             radius: sphere.radius.into(),
             direction: ray.direction.map(f64::from),
-            t: interval.t.into(),
+            t: ray.apex_distance(interval.t).into(),
             length: interval.length.into(),
         }
     }

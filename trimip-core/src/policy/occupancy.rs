@@ -69,7 +69,7 @@ impl OccupancyPolicy {
         let direction = direction_of(random.bits(Stream::Point, step, cell)[3]);
         let (point, t) = (space.to_world(position), space.aabb().longest());
         let origin = std::array::from_fn(|axis| point[axis] - t * direction[axis]);
-        let ray = Ray { origin, slope: radius / t, direction, cosine: 1.0 };
+        let ray = Ray { origin, slope: radius / t, direction, cosine: 1.0, ..Ray::default() };
         (ray, Interval { t, length }, Sphere { position, radius })
     }
 }

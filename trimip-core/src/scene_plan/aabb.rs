@@ -142,8 +142,7 @@ fn surroundings(facts: &Facts<'_>) -> Option<(DVec3, f64, &'static str)> {
     let cameras = cameras(facts.train);
     let midst = cameras.iter().map(|camera| camera.origin).sum::<DVec3>() / cameras.len() as f64;
     let median = |centre: DVec3| {
-        let mut distances: Vec<f64> =
-            cameras.iter().map(|camera| (camera.origin - centre).length()).collect();
+        let mut distances: Vec<f64> = cameras.iter().map(|camera| distance(camera, centre)).collect();
         distances.sort_by(f64::total_cmp);
         distances.get(distances.len() / 2).copied().filter(|distance| distance.is_finite() && *distance > 0.0)
     };
@@ -155,6 +154,11 @@ fn surroundings(facts: &Facts<'_>) -> Option<(DVec3, f64, &'static str)> {
         Some(focus) => Some((focus, BALL * median(focus)?, "what the cameras look at")),
         None => Some((midst, BALL * median(midst)?, "the midst of the cameras")),
     }
+}
+
+/// Distance from a camera to what it looks at; where rays are parallel, the width of what it sees.
+fn distance(camera: &Camera, subject: DVec3) -> f64 {
+    camera.intrinsics.scale((camera.origin - subject).length())
 }
 
 /// The settings with another box, and planes of square texels of the same width.
@@ -174,7 +178,7 @@ fn start(facts: &Facts<'_>) -> Option<Start> {
     }
     let cameras = cameras(facts.train);
     let focus = focus(&cameras)?;
-    let mut distances: Vec<f64> = cameras.iter().map(|camera| (camera.origin - focus).length()).collect();
+    let mut distances: Vec<f64> = cameras.iter().map(|camera| distance(camera, focus)).collect();
     distances.sort_by(f64::total_cmp);
     let middle = *distances.get(distances.len() / 2)?;
     let cube = |half: f64| Aabb { min: (focus - half).to_array(), max: (focus + half).to_array() };

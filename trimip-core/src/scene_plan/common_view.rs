@@ -23,10 +23,12 @@ pub(super) fn cameras(views: &ViewSet) -> Vec<Camera> {
     finest.views.clone().step_by(stride).map(|view| views.views[view].camera).collect()
 }
 
-/// The point nearest to all optical axes, by least squares; `None` if they are parallel.
+/// The point nearest to all optical axes, by least squares; `None` if they are parallel. The axis of a panorama says nothing.
 pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
-    for camera in cameras {
+    let directed = |camera: &&Camera| camera.intrinsics.lens.model.definition().directed;
+    let cameras: Vec<&Camera> = cameras.iter().filter(directed).collect();
+    for camera in &cameras {
         let axis = camera.rotation.z_axis;
         let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
         matrix += across;

@@ -14,12 +14,12 @@ pub fn range<'a>(cameras: impl IntoIterator<Item = &'a Camera>, aabb: &Aabb<f64>
         let (right, lower) = (k.width.saturating_sub(1), k.height.saturating_sub(1));
         let pixels =
             [(0, 0), (right, 0), (0, lower), (right, lower), (clamp(k.cx, k.width), clamp(k.cy, k.height))];
-        let slopes = pixels.map(|(x, y)| camera.cone::<f64>(x, y).slope);
+        let cones = pixels.map(|(x, y)| camera.cone::<f64>(x, y));
         let nearest = (camera.origin.clamp(min, max) - camera.origin).length();
         let farthest = (camera.origin - min).abs().max((camera.origin - max).abs()).length();
         [
-            slopes.into_iter().fold(f64::INFINITY, f64::min) * nearest,
-            slopes.into_iter().fold(0.0, f64::max) * farthest,
+            cones.iter().map(|cone| cone.radius_at(nearest)).fold(f64::INFINITY, f64::min),
+            cones.iter().map(|cone| cone.radius_at(farthest)).fold(0.0, f64::max),
         ]
     };
     cameras.into_iter().map(of).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
@@ -50,8 +50,8 @@ mod tests {
                 let cone = camera.cone::<f64>(x, y);
                 let (enter, leave) = aabb.intersect(cone.origin, cone.direction);
                 if enter < leave {
-                    least = least.min(cone.slope * enter);
-                    most = most.max(cone.slope * leave);
+                    least = least.min(cone.radius_at(enter));
+                    most = most.max(cone.radius_at(leave));
                 }
             }
             // Bounds, and not much wider than what there is: the farthest corner need not be in the picture.

@@ -67,7 +67,7 @@ impl Path for Way {
 
     #[inline(always)]
     fn radius(&self, t: f32) -> f32 {
-        self.ray.slope * t
+        self.ray.radius_at(t)
     }
 
     #[inline(always)]
@@ -116,7 +116,7 @@ impl Path for Detour {
 
     #[inline(always)]
     fn radius(&self, t: f32) -> f32 {
-        self.way.ray.slope * t * self.ball.lateral(self.way.point(t))
+        self.way.ray.radius_at(t) * self.ball.lateral(self.way.point(t))
     }
 
     #[inline(always)]
@@ -189,7 +189,13 @@ mod tests {
     #[test]
     fn a_ray_leaves_a_block_of_cells_where_the_block_ends() {
         let space = Space::of(Aabb { min: [-1.0, 0.0, 0.0], max: [3.0, 2.0, 1.0] });
-        let ray = Ray { origin: [-2.0, 0.26, 0.3], direction: [0.8, 0.6, 0.0], slope: 0.01, cosine: 1.0 };
+        let ray = Ray {
+            origin: [-2.0, 0.26, 0.3],
+            direction: [0.8, 0.6, 0.0],
+            slope: 0.01,
+            cosine: 1.0,
+            ..Ray::default()
+        };
         let way = space.way(&ray, 16);
         let t = 1.5;
         let position = way.position(t);
@@ -213,7 +219,8 @@ mod tests {
             let aim = [(1.7 * turn).sin(), 1.0 + (0.3 * turn).cos(), 2.0 + (2.3 * turn).cos()];
             let d: [f32; 3] = std::array::from_fn(|axis| aim[axis] - origin[axis]);
             let norm = d.iter().map(|d| d * d).sum::<f32>().sqrt();
-            let ray = Ray { origin, slope: 0.01, direction: d.map(|d| d / norm), cosine: 1.0 };
+            let ray =
+                Ray { origin, slope: 0.01, direction: d.map(|d| d / norm), cosine: 1.0, ..Ray::default() };
             let path = space.detour(ball, &ray, 32);
             let (enter, leave) = space.course(ray.origin, ray.direction).range();
             let (mut s, distance) = (enter, 1 + i % 5);

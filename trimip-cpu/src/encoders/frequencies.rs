@@ -22,9 +22,9 @@ impl Encoding for Frequencies {
         let width = self.0.width();
         let samples = at.owners.iter().zip(at.intervals).zip(at.spheres);
         for (((owner, interval), sphere), row) in samples.zip(features.chunks_exact_mut(stride)) {
-            let direction = at.rays[*owner as usize].direction;
-            let moments =
-                self.0.moments(sphere.position, sphere.radius, direction, interval.t, interval.length);
+            let ray = &at.rays[*owner as usize];
+            let t = ray.apex_distance(interval.t);
+            let moments = self.0.moments(sphere.position, sphere.radius, ray.direction, t, interval.length);
             self.0.write(moments, row);
             row[width..].fill(0.0);
         }

@@ -53,9 +53,9 @@ impl Encoding for Grid {
                 at.owners.iter().zip(at.intervals).zip(at.spheres).zip(rows)
             {
                 let Sphere { position, radius } = *sphere;
-                let Interval { t, length } = *interval;
-                let direction = at.rays[*owner as usize].direction;
-                let place = Place { position, radius, direction, t, length };
+                let ray = &at.rays[*owner as usize];
+                let (direction, t) = (ray.direction, ray.apex_distance(interval.t));
+                let place = Place { position, radius, direction, t, length: interval.length };
                 for (j, point) in row.iter_mut().enumerate() {
                     *point = self.points.point(j, &place);
                 }

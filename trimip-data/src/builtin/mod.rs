@@ -79,6 +79,9 @@ pub fn render(camera: &Camera, supersampling: u32, finish: Finish, row: &(dyn Fn
 
 fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, finish: Finish) -> [u8; 4] {
     let k = &camera.intrinsics;
+    if !k.lens.is_straight() {
+        return render_cones(camera, [x, y], n, finish);
+    }
     let direction = |x: f64, y: f64| {
         (camera.rotation * DVec3::new((x - k.cx) / k.fx, -(y - k.cy) / k.fy, -1.0)).normalize()
     };
@@ -99,6 +102,27 @@ fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, finish: Finish) -> [u8;
             }
         }
     }
+    mean(color, hits, step)
+}
+
+/// A pixel of a camera that is no pinhole, by `n` × `n` of its rays.
+fn render_cones(camera: &Camera, [x, y]: [f64; 2], n: u32, finish: Finish) -> [u8; 4] {
+    let (mut color, mut hits) = (DVec3::ZERO, 0_u32);
+    let step = f64::from(n).recip();
+    for i in 0..n * n {
+        let [right, down] = [i % n, i / n].map(|part| (f64::from(part) + 0.5) * step);
+        let cone = camera.cone_at::<f64>([x + right, y + down], step);
+        let Some(ray) = DVec3::from(cone.direction).try_normalize() else { continue };
+        if let Some(hit) = scene::radiance_of(u32::MAX, DVec3::from(cone.origin), ray, finish) {
+            color += hit;
+            hits += 1;
+        }
+    }
+    mean(color, hits, step)
+}
+
+/// The pixel of `hits` rays with the sum `color`, each of which stands for `step`² of the pixel.
+fn mean(color: DVec3, hits: u32, step: f64) -> [u8; 4] {
     if hits == 0 {
         return [0; 4];
     }

@@ -77,7 +77,7 @@ impl Mask<'_> {
         for (x, y) in sampled(k.width, k.height, RAYS) {
             let cone = self.camera.cone::<f64>(x, y);
             // A pixel that the lens has no ray for.
-            if cone.slope == 0.0 {
+            if cone.is_none() {
                 continue;
             }
             let (shown, met) = (self.object(x, y), hull.meets(cone.origin, cone.direction));

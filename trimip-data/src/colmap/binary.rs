@@ -7,8 +7,8 @@ use super::{
 };
 use trimip_core::{Error, Result};
 
-/// Least bytes of an entry: number, model and size of a camera and its three parameters.
-const CAMERA: usize = 24 + 3 * 8;
+/// Least bytes of an entry: number, model and size of a camera and its two parameters.
+const CAMERA: usize = 24 + 2 * 8;
 /// Number, pose, camera, end of the name and count of features.
 const IMAGE: usize = 4 + 7 * 8 + 4 + 1 + 8;
 /// A place and the number of a point.
@@ -30,8 +30,8 @@ pub(super) fn cameras(file: File<'_>) -> Result<Vec<ModelCamera>> {
         };
         let kind = Kind::of_number(i32::from_le_bytes(rest.take()?)).map_err(|what| wrong(what, ADVICE))?;
         let size = [rest.u64()?, rest.u64()?];
-        rest.needs(kind.parameters.len(), 8, "parameters")?;
-        let parameters = (0..kind.parameters.len()).map(|_| rest.f64()).collect::<Result<_>>()?;
+        rest.needs(kind.parameters().len(), 8, "parameters")?;
+        let parameters = (0..kind.parameters().len()).map(|_| rest.f64()).collect::<Result<_>>()?;
         cameras.push(
             ModelCamera::new(id, kind, size, parameters)
                 .map_err(|what| wrong(what, "export the model again"))?,

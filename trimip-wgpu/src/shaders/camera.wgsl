@@ -1,56 +1,14 @@
-// Cameras and the cones of their pixels; twin of `trimip_core::camera`.
+// Cameras and the cones of their pixels; twin of `trimip_core::camera`. Needs `cone_of_model` of the registry of camera
+// models (`projections.rs`).
 
-// Undistorted coordinates, and the area of the image of a small surface around them over its own; 0 if there is no ray.
-struct Unbent {
-    at: vec2<f32>,
-    area: f32,
-}
-
-// The undistorted coordinates of an image; twin of `Lens::unbend`.
-fn unbend(view: View, image: vec2<f32>) -> Unbent {
-    let k = view.radial;
-    let d = view.denominator.xyz;
-    let p = view.shift.xy;
-    let s = view.shift.zw;
-    let domain = view.denominator.w;
-    let enough = 8.0 * EPSILON * (1.0 + abs(image.x) + abs(image.y));
-    let radius = length(image);
-    var at = image * select(1.0, domain / radius, radius > domain);
-    for (var round = 0u; round < MOST_ROUNDS; round++) {
-        let x = at.x;
-        let y = at.y;
-        let r2 = x * x + y * y;
-        let above = 1.0 + r2 * (k.x + r2 * (k.y + r2 * (k.z + r2 * k.w)));
-        let below = 1.0 + r2 * (d.x + r2 * (d.y + r2 * d.z));
-        let above_slope = k.x + r2 * (2.0 * k.y + r2 * (3.0 * k.z + r2 * 4.0 * k.w));
-        let below_slope = d.x + r2 * (2.0 * d.y + r2 * 3.0 * d.z);
-        let f = above / below;
-        let slope = (above_slope * below - above * below_slope) / (below * below);
-        let found = vec2<f32>(
-            x * f + 2.0 * p.x * x * y + p.y * (r2 + 2.0 * x * x) + s.x * r2,
-            y * f + p.x * (r2 + 2.0 * y * y) + 2.0 * p.y * x * y + s.y * r2,
-        );
-        let mixed = 2.0 * (x * y * slope + p.x * x + p.y * y);
-        let xx = f + 2.0 * x * x * slope + 2.0 * p.x * y + 6.0 * p.y * x + 2.0 * s.x * x;
-        let xy = mixed + 2.0 * s.x * y;
-        let yx = mixed + 2.0 * s.y * x;
-        let yy = f + 2.0 * y * y * slope + 6.0 * p.x * y + 2.0 * p.y * x + 2.0 * s.y * y;
-        let error = found - image;
-        let area = xx * yy - xy * yx;
-        if max(abs(error.x), abs(error.y)) <= enough {
-            let inside = length(at) < domain && area > 0.0;
-            return Unbent(at, select(0.0, area, inside));
-        }
-        let step = vec2<f32>(yy * error.x - xy * error.y, xx * error.y - yx * error.x) / area;
-        let size = length(step);
-        let most = 0.5 * domain;
-        at -= step * select(1.0, most / size, size > most);
-    }
-    return Unbent(at, 0.0);
-}
+const PI: f32 = 3.14159265358979;
 
 // A cone in its camera's axes.
 struct LocalCone {
+    // Where its ray begins: the origin, unless rays are parallel.
+    origin: vec3<f32>,
+    // Radius of the sphere at `origin`.
+    radius: f32,
     // Direction of the axis, of any length.
     axis: vec3<f32>,
     inverse_length: f32,
@@ -58,39 +16,39 @@ struct LocalCone {
     cosine: f32,
 }
 
-// Radius of the sphere inscribed in a cone per unit of distance along its axis (Eq. 3 with f = 1).
-fn sphere_slope(disc: f32, tangent: f32, cosine: f32) -> f32 {
-    let inner = tangent - disc;
-    return disc * cosine / sqrt(inner * inner + 1.0);
+// The cone of rays that meet at the origin.
+fn central_cone(axis: vec3<f32>, inverse_length: f32, slope: f32, cosine: f32) -> LocalCone {
+    return LocalCone(vec3<f32>(0.0), 0.0, axis, inverse_length, slope, cosine);
 }
 
-// The cone through a disc around (x, y) on the plane at distance 1.
-fn cone_through(at: vec2<f32>, disc: f32) -> LocalCone {
-    let v = -at.y;
-    let tangent = sqrt(at.x * at.x + v * v);
-    let cosine = 1.0 / sqrt(1.0 + tangent * tangent);
-    return LocalCone(vec3<f32>(at.x, v, -1.0), cosine, sphere_slope(disc, tangent, cosine), cosine);
+// The cone of a pixel without a ray: it has no direction and meets nothing.
+fn no_cone() -> LocalCone {
+    return central_cone(vec3<f32>(0.0), 1.0, 0.0, 0.0);
+}
+
+// The cone of a square part of a pixel by the derivatives of its ray by the place in the image; twin of `LocalRay::cone`.
+fn cone_of_ray(
+    origin: vec3<f32>,
+    direction: vec3<f32>,
+    origin_by: array<vec3<f32>, 2>,
+    direction_by: array<vec3<f32>, 2>,
+    side: f32,
+    cosine: f32,
+) -> LocalCone {
+    let areas = vec2<f32>(
+        abs(dot(cross(origin_by[0], origin_by[1]), direction)),
+        abs(dot(cross(direction_by[0], direction_by[1]), direction)),
+    );
+    let sizes = side * sqrt(areas / PI);
+    return LocalCone(origin, sizes.x, direction, 1.0, sizes.y, cosine);
 }
 
 // The cone of a square part of a pixel, given its centre and its side in pixels. A pixel without a ray has no direction.
 fn project(view: View, at: vec2<f32>, side: f32) -> LocalCone {
-    let image = (at - view.intrinsics.zw) / view.intrinsics.xy;
-    let disc = side * view.disc;
     if view.lens == 0u {
-        return cone_through(image, disc);
+        return cone_through((at - view.intrinsics.zw) / view.intrinsics.xy, side * view.disc);
     }
-    let unbent = unbend(view, image);
-    if !(unbent.area > 0.0) {
-        return LocalCone(vec3<f32>(0.0), 1.0, 0.0, 0.0);
-    }
-    let own = disc / sqrt(unbent.area);
-    if view.lens == 1u {
-        return cone_through(unbent.at, own);
-    }
-    let angle = length(unbent.at);
-    let narrower = select(1.0, sin(angle) / angle, angle > 1e-3);
-    let across = unbent.at * narrower;
-    return LocalCone(vec3<f32>(across.x, -across.y, -cos(angle)), 1.0, own * sqrt(narrower), cos(angle));
+    return cone_of_model(view, at, side);
 }
 
 // Number of cones of a pixel.
@@ -115,7 +73,11 @@ fn cone_in(view: View, x: u32, y: u32, index: u32, side: u32) -> Ray {
         let row = view.pose[i];
         ray.direction[i] = (row.x * cone.axis.x + row.y * cone.axis.y + row.z * cone.axis.z) * cone.inverse_length;
         ray.origin[i] = row.w;
+        if cone.radius > 0.0 {
+            ray.origin[i] += row.x * cone.origin.x + row.y * cone.origin.y + row.z * cone.origin.z;
+        }
     }
+    ray.radius = cone.radius;
     ray.slope = cone.slope;
     ray.cosine = cone.cosine;
     return ray;

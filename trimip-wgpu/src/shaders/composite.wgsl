@@ -6,8 +6,7 @@
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
-// Eight floats per ray; the last is the cosine.
-@group(0) @binding(5) var<storage, read> rays: array<f32>;
+@group(0) @binding(5) var<storage, read> rays: array<Ray>;
 // Eight floats per pixel: colour, weight, background, opacity.
 @group(0) @binding(6) var<storage, read> targets: array<f32>;
 // First cone and number of cones of each pixel.
@@ -33,7 +32,7 @@ fn composite_cone(cone: u32, background: vec3<f32>) -> array<f32, 5> {
         transmittance = exp(-depth_before);
     }
     rgb += transmittance * background;
-    return array<f32, 5>(rgb.r, rgb.g, rgb.b, min(opacity, 1.0), distance * rays[8u * cone + 7u]);
+    return array<f32, 5>(rgb.r, rgb.g, rgb.b, min(opacity, 1.0), distance * rays[cone].cosine);
 }
 
 @compute @workgroup_size(GROUP)

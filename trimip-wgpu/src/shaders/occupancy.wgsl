@@ -76,7 +76,7 @@ fn probes(
     let position = (corner + offset) / f32(params.space.resolution);
     let direction = direction_of(bits.w);
     let t = params.space.longest;
-    rays[i] = Ray(to_world(params.space, position) - t * direction, params.radius / t, direction, 1.0);
+    rays[i] = Ray(to_world(params.space, position) - t * direction, params.radius / t, direction, 1.0, 0.0);
     owners[i] = i;
     intervals[i] = vec2<f32>(t, params.step_length);
     spheres[i] = vec4<f32>(position, params.radius);

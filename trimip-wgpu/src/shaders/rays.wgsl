@@ -10,14 +10,14 @@
 @group(0) @binding(6) var<storage, read_write> pixel_groups: array<vec2<u32>>;
 
 // Generates the cones of pixel number `i` of the span; the first of them is number `start`.
-// Returns false if the lens has no ray for one of them.
+// Returns false if the camera has no ray for one of them.
 fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) -> bool {
     let count = cones_in(side);
     pixel_groups[i] = vec2<u32>(start, count);
     var all = true;
     for (var index = 0u; index < count; index++) {
         let ray = cone_in(view, x, y, index, side);
-        all = all && ray.slope > 0.0;
+        all = all && ray.slope + ray.radius > 0.0;
         rays[start + index] = ray;
     }
     return all;

@@ -126,7 +126,7 @@ fn radius_scale(space: Space, point: vec3<f32>) -> f32 {
 // The sphere of a ray at distance `t`: its centre in the cube, and its radius.
 fn sphere_at(space: Space, ray: Ray, t: f32) -> vec4<f32> {
     let point = ray.origin + t * ray.direction;
-    return vec4<f32>(to_cube(space, point), ray.slope * t * radius_scale(space, point));
+    return vec4<f32>(to_cube(space, point), (ray.radius + ray.slope * t) * radius_scale(space, point));
 }
 
 // Cell of a position.

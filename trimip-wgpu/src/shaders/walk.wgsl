@@ -22,7 +22,8 @@ fn march_along(course: Course, step: f32, offset: f32) -> March {
 
 // Length of the steps of volume rendering.
 fn volume_step(ray: Ray, course: Course) -> f32 {
-    let by_radius = params.step_per_radius * ray.slope * 0.5 * (course.enter + course.leave);
+    let radius = params.step_per_radius * ray.radius;
+    let by_radius = radius + params.step_per_radius * ray.slope * 0.5 * (course.enter + course.leave);
     return select(params.step_length, by_radius, by_radius > params.step_length);
 }
 

@@ -41,9 +41,7 @@ impl Bits {
 pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
     let all = (0..DIRECTIONS).map(towards);
     let sees = |camera: &Camera, direction: &[f64; 3]| {
-        let k = camera.intrinsics;
-        let [x, y] = [f64::from(k.width) / k.fx, f64::from(k.height) / k.fy].map(|extent| 0.5 * extent);
-        let half_angle = x.hypot(y).atan();
+        let half_angle = camera.intrinsics.half_angle();
         // A camera looks along its negative z axis.
         (-camera.rotation.z_axis).dot(DVec3::from_array(*direction)) >= half_angle.cos()
     };

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Camera, Error, Intrinsics, Result, text};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Result, text};
 
 /// Largest width or height of a rendered picture, pixels.
 pub const MAX_SIDE: f64 = 16_384.0;
@@ -80,6 +80,12 @@ struct Projection {
     cy: Option<f64>,
 }
 
+/// What a node of a path file states of a projection.
+struct Stated {
+    projection: Projection,
+    extent: Option<f64>,
+}
+
 /// Cameras of a file in the format of `transforms_test.json`; missing fields come from `fallback`.
 ///
 /// # Errors
@@ -109,24 +115,39 @@ pub fn path_of(place: &str, text: &str, fallback: Intrinsics) -> Result<Vec<Name
         let Some(matrix) = frame.get("transform_matrix").and_then(flatten) else {
             return Err(Error::input(place, "no `transform_matrix`", "add a 4×4 camera-to-world matrix"));
         };
-        let mut intrinsics = projected(&place, own, head, fallback)?;
-        intrinsics.lens = trimip_data::lens_of(&place, &json, frame)?;
+        let lens = trimip_data::lens_of(&place, &json, frame)?;
+        let own = Stated { projection: own, extent: extent(frame, lens) };
+        let head = Stated { projection: head, extent: extent(&json, lens) };
+        let intrinsics = Intrinsics { lens, ..projected(&place, own, head, lens, fallback)? };
         cameras.push((format!("{i:04}"), posed(&place, &matrix, intrinsics)?));
     }
     Ok(cameras)
 }
 
-fn projected(place: &str, own: Projection, head: Projection, fallback: Intrinsics) -> Result<Intrinsics> {
-    let pick = |f: fn(&Projection) -> Option<f64>| f(&own).or(f(&head));
+/// World width of the longer side of a picture, for models that state it.
+fn extent(node: &Value, lens: Lens) -> Option<f64> {
+    node.get(lens.model.definition().extent_key?)?.as_f64()
+}
+
+fn projected(place: &str, own: Stated, head: Stated, lens: Lens, fallback: Intrinsics) -> Result<Intrinsics> {
+    let definition = lens.model.definition();
+    let pick = |f: fn(&Projection) -> Option<f64>| f(&own.projection).or(f(&head.projection));
     let width = pick(|p| p.w).unwrap_or(fallback.width.into());
     let height = pick(|p| p.h).unwrap_or(fallback.height.into());
     // A frame's focal length overrides the file's, in either form.
-    let focal = |p: &Projection| {
-        let x = p.fl_x.or(p.camera_angle_x.map(|angle| 0.5 * width / (0.5 * angle).tan()));
+    let focal = |Stated { projection: p, extent }: &Stated| {
+        let angle = p.camera_angle_x.filter(|_| definition.angles);
+        let x = p.fl_x.or(angle.map(|angle| 0.5 * width / (0.5 * angle).tan()));
+        let x = x.or(extent.map(|extent| width.max(height) / extent));
         x.or(p.fl_y).map(|x| (x, p.fl_y.unwrap_or(x)))
     };
-    let fallback_focal = fallback.fx * width / f64::from(fallback.width);
-    let (fx, fy) = focal(&own).or(focal(&head)).unwrap_or((fallback_focal, fallback_focal));
+    let usual = || match definition.focal {
+        Some(focal) => focal(width, height).into(),
+        // The focal length of a pinhole is none of another model.
+        None if !definition.angles => (f64::NAN, f64::NAN),
+        None => [fallback.fx * width / f64::from(fallback.width); 2].into(),
+    };
+    let (fx, fy) = focal(&own).or(focal(&head)).unwrap_or_else(usual);
     let sane = [width, height].iter().all(|side| (1.0..=MAX_SIDE).contains(side));
     let (cx, cy) = (pick(|p| p.cx).unwrap_or(0.5 * width), pick(|p| p.cy).unwrap_or(0.5 * height));
     if !(sane && fx > 0.0 && fy > 0.0 && [fx, fy, cx, cy].iter().all(|value| value.is_finite())) {

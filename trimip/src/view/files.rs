@@ -191,7 +191,7 @@ mod tests {
     use super::*;
     use glam::DVec3;
     use serde_json::Value;
-    use trimip_core::{Intrinsics, Lens};
+    use trimip_core::{Intrinsics, Lens, projections::Model};
 
     /// Parses `eye/target` as a camera.
     fn look_at(text: &str, intrinsics: Intrinsics) -> Camera {
@@ -216,7 +216,9 @@ mod tests {
         let bent = Lens::perspective([0.1, -0.02, 0.0, 0.0], [0.0, 0.003], [0.0; 3]);
         let scene =
             SceneConfig { aabb_min: [-1.0; 3], aabb_max: [1.0; 3], ..trimip_core::Config::default().scene };
-        for (ranged, lens) in [(None, Lens::default()), (Some(&scene), Lens::default()), (None, bent)] {
+        let every = Model::ALL.iter().map(|model| (None, Lens::of(*model)));
+        let lenses = [(None, Lens::default()), (Some(&scene), Lens::default()), (None, bent)];
+        for (ranged, lens) in lenses.into_iter().chain(every) {
             let camera = look_at("3,1,2/0,0.5,0", Intrinsics { lens, ..intrinsics });
             write_cameras(&path, &[("a".into(), camera)], ranged).unwrap();
             let read = cameras::path(&path, Intrinsics::from_angle(1, 1, 1.0)).unwrap();

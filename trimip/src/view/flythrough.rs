@@ -32,7 +32,7 @@ pub fn cameras(photographed: &[Camera], count: u32, radius: f64) -> Result<Vec<N
     if !(last > 0.0) {
         return Err(refuse());
     }
-    let intrinsics = Intrinsics { lens: Default::default(), ..first.intrinsics };
+    let intrinsics = Intrinsics { lens: first.intrinsics.lens.without_distortion(), ..first.intrinsics };
     let places = places(&along, radius);
     let spread = SMOOTH * last / (along.len() - 1) as f64;
     let at = |i: u32| last * f64::from(i) / f64::from(count.max(2) - 1);

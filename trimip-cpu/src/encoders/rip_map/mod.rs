@@ -86,9 +86,9 @@ impl Encoding for RipMaps {
         let (tape, _) = tape.as_chunks_mut::<TAPE>();
         let samples = at.owners.iter().zip(at.intervals).zip(at.spheres);
         for (((owner, interval), sphere), row) in samples.zip(&mut *tape) {
-            let direction = at.rays[*owner as usize].direction;
-            let Sphere { position, radius } = *sphere;
-            *row = Gaussian::new(position, self.extent, radius, direction, interval.t, interval.length).row();
+            let ray = &at.rays[*owner as usize];
+            let (Sphere { position, radius }, t) = (*sphere, ray.apex_distance(interval.t));
+            *row = Gaussian::new(position, self.extent, radius, ray.direction, t, interval.length).row();
         }
         self.simd.run(Gather { planes: &self.planes, maps: &self.maps, tape, features, stride });
     }

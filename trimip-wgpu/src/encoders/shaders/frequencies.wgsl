@@ -28,9 +28,11 @@ fn frequencies(
     var mean = (sphere.xyz - 0.5) * params.extent;
     var variance = vec3<f32>(0.0);
     if params.integrated != 0u {
-        let direction = rays[owners[i]].direction;
+        let ray = rays[owners[i]];
+        let direction = ray.direction;
+        let interval = vec2<f32>(apex_distance(ray, intervals[i].x), intervals[i].y);
         let wide = vec4<f32>(sphere.xyz, params.radius * sphere.w);
-        let own = gaussian_of(wide, params.extent, direction, intervals[i]);
+        let own = gaussian_of(wide, params.extent, direction, interval);
         mean = (own.mean - 0.5) * params.extent;
         variance = own.along * direction * direction + own.across * (1.0 - direction * direction);
     }

@@ -20,13 +20,14 @@ fn hash_points(
         return;
     }
     let sphere = spheres[sample];
-    let t = intervals[sample].x;
+    let ray = rays[owners[sample]];
+    let t = apex_distance(ray, intervals[sample].x);
     if params.points == 1u || !(t > 0.0) {
         points[i] = vec4<f32>(sphere.xyz, 0.35355339 * sphere.w / params.longest);
         return;
     }
     let j = i % params.points;
-    let d = rays[owners[sample]].direction;
+    let d = ray.direction;
     let h = min(0.5 * intervals[sample].y, t);
     let hh = h * h;
     let tt = t * t;

@@ -16,6 +16,8 @@ fn rip_prepare(
 ) {
     let i = index_of(group, groups, local);
     if i < counts[params.counter] {
-        gaussians[i] = gaussian_of(spheres[i], params.extent, rays[owners[i]].direction, intervals[i]);
+        let ray = rays[owners[i]];
+        let interval = vec2<f32>(apex_distance(ray, intervals[i].x), intervals[i].y);
+        gaussians[i] = gaussian_of(spheres[i], params.extent, ray.direction, interval);
     }
 }
