@@ -6,7 +6,7 @@ use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
-use trimip_core::batch::{Interval, Sphere};
+use trimip_core::batch::Sphere;
 use trimip_core::encoders::Place;
 use trimip_core::encoders::hash_grid::{Level, Levels, Points};
 use trimip_core::{Aabb, Config, Result};
