@@ -2,7 +2,7 @@
 
 use crate::{
     Frame, Frames, Result, ViewSet, Viewer,
-    config::DataConfig,
+    config::PhotographsConfig,
     exposure::exposed_by_the_other_half,
     metrics::{psnr, psnr_8bit, psnr_of_constant, ssim},
     perception::{Pair, Perceived},
@@ -68,7 +68,7 @@ pub fn evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
     stride: usize,
-    data: &DataConfig,
+    data: &PhotographsConfig,
     on_view: impl FnMut(&ViewResult<'_>) -> Result<bool>,
 ) -> Result<Vec<ViewQuality>> {
     let (mut qualities, mut watch) = (Vec::new(), OnView(on_view));
@@ -91,7 +91,7 @@ pub fn evaluate_frame(
     frames: &dyn Frames,
     index: usize,
     finest: u32,
-    data: &DataConfig,
+    data: &PhotographsConfig,
     watch: &mut dyn Watch,
     qualities: &mut Vec<ViewQuality>,
 ) -> Result<bool> {

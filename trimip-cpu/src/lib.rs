@@ -2,17 +2,17 @@
 //! of threads.
 //!
 //! ```
-//! use trimip_core::{Config, config::Format};
+//! use trimip_core::Config;
+//! use trimip_data::settings::{DataConfig, Format};
 //!
 //! # fn main() -> trimip_core::Result<()> {
 //! let mut config = Config::default();
 //! config.encoder.plane_size = 32;
 //! config.encoder.levels = 4;
 //! config.train.samples_per_step = 1024;
-//! config.data.format = Format::Builtin;
-//! (config.data.builtin_size, config.data.builtin_train) = (16, 4);
 //!
-//! let scene = trimip_data::open(&config.data)?;
+//! let small = DataConfig { builtin_size: 16, builtin_train: 4, ..DataConfig::default() };
+//! let scene = trimip_data::open(&DataConfig { format: Format::Builtin, ..small })?;
 //! let camera = scene.train.views[0].camera;
 //! let mut session = trimip_cpu::open(&config, scene.train)?;
 //! for step in 0..4 {

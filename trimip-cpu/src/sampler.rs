@@ -7,7 +7,7 @@ use trimip_core::backend::Sampler;
 use trimip_core::balance::{Balance, Draw, Shares};
 use trimip_core::batch::{Rays, Segment, Target};
 use trimip_core::cones::{self, Division};
-use trimip_core::config::{DataConfig, Exposure, TrainConfig};
+use trimip_core::config::{Exposure, PhotographsConfig, TrainConfig};
 use trimip_core::exposure::photographs;
 use trimip_core::rng::{Random, Stream, below};
 use trimip_core::views::composite_pixel;
@@ -23,7 +23,7 @@ pub struct CpuSampler {
     photographs: Vec<u32>,
     balance: Balance,
     division: Division,
-    data: DataConfig,
+    data: PhotographsConfig,
     train: TrainConfig,
     /// Fraction of the pixels that get a random background.
     random_share: f32,

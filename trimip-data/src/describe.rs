@@ -1,12 +1,13 @@
 //! Descriptions of scenes: the few lines that are kept with a run, and the longer report of `data inspect`.
 
+use crate::settings::DataConfig;
 use crate::{
     lens, masks,
     scene::{Scene, Survey},
     source::{Source, assemble_in},
     watch::{Meter, Watch},
 };
-use trimip_core::{Alpha, Camera, Result, ViewSet, config::DataConfig};
+use trimip_core::{Alpha, Camera, Result, ViewSet};
 
 /// The first lines of a run: layout, views, sizes, scales, convention, memory.
 pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet) -> Vec<String> {

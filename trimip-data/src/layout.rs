@@ -1,5 +1,6 @@
 //! Layouts of scene folders: which one a folder has, and its frames by split.
 
+use crate::settings::{DataConfig, Format};
 use crate::{
     blender, builtin, colmap,
     multiscale::{METADATA, Metadata},
@@ -7,10 +8,7 @@ use crate::{
     split::Split,
 };
 use std::path::Path;
-use trimip_core::{
-    Error, Result,
-    config::{Convention, DataConfig, Format},
-};
+use trimip_core::{Error, Result, config::Convention};
 
 /// A scene folder of a known layout.
 pub(crate) enum Layout<'a> {

@@ -1,5 +1,6 @@
 //! Opening a scene: divides the frames of a folder, loads its training views, and gives access to its test frames.
 
+use crate::settings::DataConfig;
 use crate::{
     describe,
     division::HOLD_OUT,
@@ -12,9 +13,7 @@ use crate::{
     workers,
 };
 use std::path::Path;
-use trimip_core::{
-    Alpha, Camera, Error, Frames, Intrinsics, Result, ViewSet, config::DataConfig, scene_plan::StatedBox,
-};
+use trimip_core::{Alpha, Camera, Error, Frames, Intrinsics, Result, ViewSet, scene_plan::StatedBox};
 
 /// A scene ready to train and test on.
 pub struct Scene {

@@ -1,10 +1,11 @@
 //! Where decoded photographs are kept: in memory, or in a file without a name that the system pages in and drops as memory
 //! allows. Both hold the same pixels, so a run has the same bits.
 
+use crate::settings::PixelStore;
 use crate::{describe::count, memory::available_memory};
 use memmap2::{Mmap, MmapMut};
 use std::{fs, io::Write};
-use trimip_core::{Error, Pixels, Result, config::PixelStore};
+use trimip_core::{Error, Pixels, Result};
 
 /// Largest share of the available memory that photographs may take before they are kept on disk.
 const SHARE: f64 = 0.5;

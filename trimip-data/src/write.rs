@@ -2,6 +2,7 @@
 //! The JSON file that names the set is written last: a folder that has one is complete. What was stopped before is made
 //! again by the same command. A file that is there already is never replaced.
 
+use crate::settings::{DataConfig, Format};
 use crate::{
     blender, builtin, colmap,
     describe::count,
@@ -20,11 +21,7 @@ use std::{
     io::{Cursor, ErrorKind},
     path::{Path, PathBuf},
 };
-use trimip_core::{
-    Alpha, Camera, Error, Intrinsics, Result,
-    atomic::write_atomically,
-    config::{Convention, DataConfig, Format},
-};
+use trimip_core::{Alpha, Camera, Error, Intrinsics, Result, atomic::write_atomically, config::Convention};
 
 /// Result of writing a scene.
 #[derive(Clone, Debug, PartialEq)]

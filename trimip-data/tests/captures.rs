@@ -10,11 +10,8 @@ use common::{
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::{
-    Camera, Cone, Config, ViewSet,
-    config::{DataConfig, Format},
-    tensors::TensorFile,
-};
+use trimip_core::{Camera, Cone, Config, ViewSet, tensors::TensorFile};
+use trimip_data::settings::{DataConfig, Format};
 use trimip_data::{Scene, colmap::Model, inspect, open, unwatched, write_multiscale};
 
 /// Photographs of a capture.

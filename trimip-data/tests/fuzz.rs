@@ -7,7 +7,8 @@ use common::{colmap::capture, frame, save_image, settings, write};
 use proptest::{prelude::*, sample::Index, test_runner::TestRunner};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::{Error, ErrorKind, config::Format};
+use trimip_core::{Error, ErrorKind};
+use trimip_data::settings::Format;
 use trimip_data::{open, unwatched, write_multiscale};
 
 /// A change of a file.

@@ -5,10 +5,8 @@ mod common;
 
 use common::{settings, shared};
 use glam::DVec3;
-use trimip_core::{
-    Alpha, Camera,
-    config::{Convention, DataConfig, Format},
-};
+use trimip_core::{Alpha, Camera, config::Convention};
+use trimip_data::settings::{DataConfig, Format};
 use trimip_data::{Scene, inspect, open};
 
 #[test]

@@ -8,6 +8,7 @@ mod shapes;
 pub use scene::{radiance, shapes};
 pub use shapes::Shape;
 
+use crate::settings::{DataConfig, Finish};
 use crate::{
     source::{Pixels, Source},
     split::Split,
@@ -15,7 +16,6 @@ use crate::{
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
-use trimip_core::config::{DataConfig, Finish};
 use trimip_core::{Camera, Error, Intrinsics, Result};
 
 /// Horizontal field of view in radians, that of NeRF-synthetic.

@@ -5,6 +5,7 @@ use super::{
     locate,
     model::{Model, ModelImage},
 };
+use crate::settings::DataConfig;
 use crate::{
     describe::count,
     division::{self, Part},
@@ -20,7 +21,7 @@ use std::{
     collections::{BTreeSet, HashMap},
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Result, config::DataConfig};
+use trimip_core::{Camera, Error, Intrinsics, Result};
 
 /// A capture with a model, before any photograph is decoded.
 pub(crate) struct Capture {

@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::time::Instant;
 use trimip_core::{
     Frames, Result, Viewer,
-    config::DataConfig,
+    config::PhotographsConfig,
     evaluate::{ViewResult, Watch, evaluate_frame},
     exchange::Ranks,
     model::Model,
@@ -63,7 +63,7 @@ pub struct Together<'a> {
 pub fn evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
-    data: &DataConfig,
+    data: &PhotographsConfig,
     stride: usize,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
@@ -115,7 +115,12 @@ pub fn evaluate(
 }
 
 /// What the jobs of [`evaluate`] are.
-fn description(frames: &dyn Frames, data: &DataConfig, stride: usize, model: &Model) -> Result<String> {
+fn description(
+    frames: &dyn Frames,
+    data: &PhotographsConfig,
+    stride: usize,
+    model: &Model,
+) -> Result<String> {
     // The last bits of f64 may differ between machines.
     let cameras: Vec<f32> =
         frames.cameras().iter().flat_map(|camera| camera.numbers()).map(|number| number as f32).collect();
@@ -134,7 +139,7 @@ fn description(frames: &dyn Frames, data: &DataConfig, stride: usize, model: &Mo
 pub fn help_evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
-    data: &DataConfig,
+    data: &PhotographsConfig,
     stride: usize,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
