@@ -30,6 +30,7 @@ mod renderer;
 mod rooms;
 mod rows;
 mod sampler;
+mod settings;
 mod space;
 mod spans;
 
@@ -43,6 +44,7 @@ pub use ceilings::Ceilings;
 pub use device::Counts;
 pub use kernel::Addition;
 pub use memory::memory;
+pub use settings::{Photographs, SECTION, WgpuConfig};
 
 use std::sync::Arc;
 use trimip_core::exchange::{Ranks, Summed};
@@ -56,7 +58,8 @@ use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 /// # Errors
 /// When there is no such adapter, or the configuration does not fit it.
 pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
-    let backend = WgpuBackend::new(&config.wgpu.adapter, config.wgpu.deterministic)?;
+    let own: WgpuConfig = config.section()?;
+    let backend = WgpuBackend::new(&own.adapter, own.deterministic)?;
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
@@ -66,7 +69,8 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
 /// As [`open`].
 pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
     let gpu = ranks.on_machine().rank;
-    let backend = WgpuBackend::one_of(&config.wgpu.adapter, gpu, config.wgpu.deterministic)?;
+    let own: WgpuConfig = config.section()?;
+    let backend = WgpuBackend::one_of(&own.adapter, gpu, own.deterministic)?;
     let mut trainer = Trainer::new(backend, config, views)?;
     trainer.exchange_by(Box::new(Summed::new(ranks)));
     Ok(Box::new(trainer))

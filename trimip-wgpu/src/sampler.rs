@@ -4,6 +4,7 @@ use crate::backend::{Lane, WgpuBackend};
 use crate::buffer::Buffer;
 use crate::device::{Gpu, Size, lock};
 use crate::kernel::{CAMERA_RAYS, TRAINING_RAYS, TRAINING_RAYS_EXPOSED};
+use crate::settings::{Photographs, WgpuConfig};
 use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
@@ -11,7 +12,6 @@ use trimip_core::backend::Sampler;
 use trimip_core::balance::Draw;
 use trimip_core::batch::Rays;
 use trimip_core::cones;
-use trimip_core::config::Photographs;
 use trimip_core::policy::SamplerPolicy;
 use trimip_core::rng::Stream;
 use trimip_core::views::Alpha;
@@ -156,7 +156,7 @@ fn make_room(rays: &mut Rays<WgpuBackend>, pixels: &Range<u32>, cones: Range<u32
 
 impl Training {
     fn new(gpu: &Arc<Gpu>, config: &Config, policy: &SamplerPolicy, views: ViewSet) -> Result<Self> {
-        let photographs = config.wgpu.photographs;
+        let photographs = config.section::<WgpuConfig>()?.photographs;
         let most = gpu.limits().max_storage_buffer_binding_size;
         let bytes = 4 * views.pixels.len() as u64;
         if bytes > most && photographs == Photographs::Device {

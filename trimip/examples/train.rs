@@ -11,7 +11,8 @@ fn main() -> trimip::Result<()> {
 
 /// Trains into the run folder `out` as the arguments specify.
 pub fn run(arguments: &[String], out: &Path) -> trimip::Result<()> {
-    let mut settings = Settings::defaults().with("train.seconds", 60)?.with("data.format", "builtin")?;
+    let mut settings =
+        trimip::settings::defaults().with("train.seconds", 60)?.with("data.format", "builtin")?;
     for argument in arguments {
         match argument.contains('=') {
             true => settings.apply_assignment(argument)?,
@@ -23,7 +24,7 @@ pub fn run(arguments: &[String], out: &Path) -> trimip::Result<()> {
             println!("step {}: {batch_psnr:.2} dB", totals.step);
         }
     })?;
-    let camera = data::open(&trained.config.data)?.train.views[0].camera;
+    let camera = data::open(&trained.config.section()?)?.train.views[0].camera;
     let frame = backends::load(&trained.model()?)?.render(&camera)?;
     view::pictures::write_frame(&out.join("view.png"), &frame)
 }
