@@ -19,6 +19,7 @@ use trimip_tests::{
     gpu::{ADDITIONS, reproducibly, with},
     suite,
 };
+use trimip_wgpu::{Photographs, WgpuConfig};
 
 fn cpu() -> CpuBackend {
     CpuBackend::new(2, Simd::detect()).expect("threads start")

@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
-use trimip::{Config, Frames, Settings, ViewSet, data};
+use trimip::{Config, Frames, ViewSet, data};
 
 /// Photographs with their cameras: the training and the test views of a folder, or of the built-in scene.
 #[pyclass(frozen, module = "trimip")]

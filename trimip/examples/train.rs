@@ -3,7 +3,7 @@
 //! `cargo run --release -p trimip --example train -- [FOLDER] [SETTING=VALUE ..]`
 
 use std::path::Path;
-use trimip::{Settings, Training, backends, data, events::Event, view};
+use trimip::{Training, backends, data, events::Event, settings, view};
 
 fn main() -> trimip::Result<()> {
     run(&std::env::args().skip(1).collect::<Vec<_>>(), Path::new("runs/example"))
@@ -11,8 +11,7 @@ fn main() -> trimip::Result<()> {
 
 /// Trains into the run folder `out` as the arguments specify.
 pub fn run(arguments: &[String], out: &Path) -> trimip::Result<()> {
-    let mut settings =
-        trimip::settings::defaults().with("train.seconds", 60)?.with("data.format", "builtin")?;
+    let mut settings = settings::defaults().with("train.seconds", 60)?.with("data.format", "builtin")?;
     for argument in arguments {
         match argument.contains('=') {
             true => settings.apply_assignment(argument)?,

@@ -101,7 +101,7 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
     let data: DataConfig = config.section()?;
     if data.format == builtin::FORMAT {
         let DataConfig { builtin_supersampling, builtin_finish, .. } = data;
-        let pixels = trimip_data::builtin::render(camera, builtin_supersampling, builtin_finish, &|| ());
+        let pixels = builtin::render(camera, builtin_supersampling, builtin_finish, &|| ());
         let rgb =
             pixels.into_iter().map(|pixel| composite_pixel(pixel, Alpha::Straight, background)).collect();
         return Ok(Some(Picture { width: camera.intrinsics.width, height: camera.intrinsics.height, rgb }));
