@@ -7,7 +7,7 @@ use crate::scalar::Real;
 use crate::{Alpha, ViewSet};
 
 /// Opacity below which A^γ is taken as constant: its slope is infinite at 0.
-const LEAST_OPACITY: f64 = 1e-4;
+pub const LEAST_OPACITY: f64 = 1e-4;
 
 /// Most views of a scale that the fit reads.
 const FITTED_VIEWS: usize = 16;

@@ -13,7 +13,7 @@ use crate::scalar::Real;
 use serde::{Deserialize, Serialize};
 
 /// Most steps of Newton's method. Lenses converge within five or so.
-const MOST_ROUNDS: u32 = 24;
+pub const MOST_ROUNDS: u32 = 24;
 
 /// Largest radius at which a perspective lens is examined: 84 degrees.
 const WIDEST: f64 = 10.0;

@@ -2,7 +2,7 @@
 //! threshold. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
 
 use crate::{
-    Space, bits,
+    bits,
     config::OccupancyConfig,
     rng::{Draws, Random, Stream, unit},
 };

@@ -1,27 +1,23 @@
 //! The GPU backend. All stages record into one submission, a step is one span, and sums are read once they are
 //! available.
 
-use crate::buffer::Buffer;
-use crate::ceilings::Ceilings;
-use crate::device::{Bind, Counts, GROUP, Gpu, Size};
+use crate::capacity::{Capacity, LEAST_CAPACITY};
 use crate::encoder::WgpuEncoder;
 use crate::field::WgpuField;
-use crate::kernel::{Addition, GATHERING};
+use crate::gpu::{Buffer, Receipt, lock};
 use crate::loss::{GAIN_WORDS, SUM_WORDS, Sums, WgpuLoss, sums_of};
-use crate::occupancy::{OCCUPIED_AT, WgpuOccupancy};
+use crate::occupancy::{OCCUPIED, WgpuOccupancy};
 use crate::optimizer::WgpuOptimizer;
-use crate::read_back::Receipt;
 use crate::renderer::WgpuRenderer;
-use crate::rooms::{LEAST_ROOM, VIEW_SAMPLES, rooms};
 use crate::sampler::WgpuSampler;
 use crate::spans::Spans;
+use crate::workspace::{Lane, WgpuBackend};
 use bytemuck::Pod;
-use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use trimip_core::backend::{Stages, TrainWork};
-use trimip_core::batch::{Batch, Deposit, Segment, StepResult, StepSums, Tiling, Workspace};
+use trimip_core::batch::{Batch, Deposit, StepResult, StepSums, Tiling, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
@@ -37,168 +33,7 @@ const SAMPLES_PER_SPAN: usize = 512;
 /// Maximum number of pixels or probes in a first span, before their number of samples is known.
 const MOST_AT_FIRST: usize = 1 << 18;
 
-/// A GPU device with its workspaces and counters.
-pub struct WgpuBackend {
-    gpu: Arc<Gpu>,
-    addition: Addition,
-    workspaces: Mutex<Vec<Workspace<Self>>>,
-    known: Arc<Known>,
-    /// Counters of the model in training, read together with a step's sums: the occupancy grid's and the field's.
-    watched: Mutex<Option<[wgpu::Buffer; 2]>>,
-    room: Mutex<usize>,
-}
-
-/// The last values of the device's counters that were read.
-#[derive(Default)]
-pub struct Known {
-    /// Number of occupied cells.
-    pub occupied: AtomicU64,
-    /// Number of factors that f16 cannot hold.
-    pub overflows: AtomicU64,
-}
-
-/// Scratch memory of a workspace.
-pub struct Lane {
-    gpu: Arc<Gpu>,
-    /// A number of rows that is known to the host.
-    pub(crate) count: Buffer<u32>,
-    pub(crate) bits: Buffer<u32>,
-    pub(crate) blocks: Buffer<u32>,
-    pub(crate) old_segments: Buffer<Segment>,
-    pub(crate) marks: Buffer<u32>,
-    /// For hybrid rendering, one per ray: 1 if the proxy is sure of it.
-    pub(crate) sure: Buffer<u32>,
-    pub(crate) sums: Buffer<f32>,
-    /// Destination arrays for gathered rows, by row width in words.
-    spares: HashMap<usize, Buffer<u32>>,
-    /// True if rays were marched, so that samples may have been dropped for lack of room.
-    pub(crate) marched: bool,
-}
-
-impl Lane {
-    fn new(gpu: &Arc<Gpu>) -> Self {
-        let words = || Buffer::zeros(gpu, 0);
-        Self {
-            gpu: Arc::clone(gpu),
-            count: Buffer::zeros(gpu, 1),
-            bits: words(),
-            blocks: words(),
-            old_segments: Buffer::zeros(gpu, 0),
-            marks: words(),
-            sure: words(),
-            sums: Buffer::zeros(gpu, 0),
-            spares: HashMap::new(),
-            marched: false,
-        }
-    }
-
-    /// Keeps the rows `kept` of an array, of `width` words each, and drops the others.
-    pub(crate) fn keep<T: Pod>(&mut self, kept: &Buffer<u32>, array: &mut Buffer<T>, width: usize) {
-        let spare = self.spares.entry(width).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
-        let Some((counts, counter)) = kept.counter() else { return };
-        let values = width * 4 / size_of::<T>();
-        spare.reserve(array.capacity() * size_of::<T>() / 4);
-        spare.count_by(kept.most() * width, counts, counter, width);
-        let params = [width as u32, counter];
-        let counts = Bind { buffer: counts, offset: 0, size: None };
-        let binds = [array.bind(), spare.bind(), kept.bind(), counts];
-        let size =
-            Size::Counted { counts: counts.buffer, counter, per: width as u32, group: GROUP, times: 1 };
-        self.gpu.dispatch(&GATHERING, &binds, &params, size);
-        array.swap(spare);
-        array.count_by(kept.most() * values, counts.buffer, counter, values);
-    }
-}
-
 impl WgpuBackend {
-    /// Opens the adapter whose name contains `adapter`, or the best one if `adapter` is empty. `deterministic` sums
-    /// texel gradients in fixed point, which gives the same bits every time.
-    ///
-    /// # Errors
-    /// When there is no such adapter, or it cannot open a device.
-    pub fn new(adapter: &str, deterministic: bool) -> Result<Self> {
-        Ok(Self::of(Gpu::open(adapter)?, deterministic))
-    }
-
-    /// As [`WgpuBackend::new`], on the adapter number `index` of those that are as good, counted around: one for each rank on a
-    /// machine.
-    ///
-    /// # Errors
-    /// As [`WgpuBackend::new`].
-    pub fn one_of(adapter: &str, index: usize, deterministic: bool) -> Result<Self> {
-        Ok(Self::of(Gpu::open_one_of(adapter, index)?, deterministic))
-    }
-
-    /// As [`WgpuBackend::new`], without blocking, for a page in a browser.
-    ///
-    /// # Errors
-    /// As [`WgpuBackend::new`].
-    pub async fn new_async(adapter: &str, deterministic: bool) -> Result<Self> {
-        Ok(Self::of(Gpu::open_async(adapter).await?, deterministic))
-    }
-
-    fn of(gpu: Arc<Gpu>, deterministic: bool) -> Self {
-        let addition = match (deterministic, gpu.adds_floats()) {
-            (true, _) => Addition::Fixed,
-            (false, true) => Addition::Atomic,
-            (false, false) => Addition::Exchange,
-        };
-        Self::with(gpu, addition)
-    }
-
-    /// Opens an adapter as [`WgpuBackend::new`] does, but with the given way of adding texel gradients. Returns
-    /// `None` if the device does not support it.
-    ///
-    /// # Errors
-    /// When there is no such adapter, or it cannot open a device.
-    pub fn adding(adapter: &str, addition: Addition) -> Result<Option<Self>> {
-        let gpu = Gpu::open(adapter)?;
-        let can = addition != Addition::Atomic || gpu.adds_floats();
-        Ok(can.then(|| Self::with(gpu, addition)))
-    }
-
-    fn with(gpu: Arc<Gpu>, addition: Addition) -> Self {
-        Self {
-            gpu,
-            addition,
-            workspaces: Mutex::default(),
-            known: Arc::default(),
-            watched: Mutex::default(),
-            room: Mutex::new(VIEW_SAMPLES),
-        }
-    }
-
-    /// Counts of transfers between host and device, and of the host's waits.
-    pub fn counts(&self) -> Counts {
-        self.gpu.counts()
-    }
-
-    /// Measures the peak rates of the device.
-    pub fn ceilings(&self) -> Ceilings {
-        Ceilings::measure(&self.gpu)
-    }
-
-    /// True if the device has the cooperative matrices that `field.precision = "f16"` needs.
-    pub fn cooperates(&self) -> bool {
-        self.gpu.matrices().is_some()
-    }
-
-    /// The way in which texel gradients are added.
-    pub fn addition(&self) -> Addition {
-        self.addition
-    }
-
-    /// Returns a function that destroys the device, as a driver reset does. Tests use it to check what happens then.
-    pub fn destroyer(&self) -> impl Fn() + Send + use<> {
-        let gpu = Arc::clone(&self.gpu);
-        move || gpu.destroy()
-    }
-
-    /// Name and driver of the adapter.
-    pub fn adapter(&self) -> String {
-        self.gpu.name()
-    }
-
     fn with_workspace(&self, field: &WgpuField, work: impl FnOnce(&mut Workspace<Self>)) {
         let mut workspace = self.take_workspace(field);
         work(&mut workspace);
@@ -206,20 +41,20 @@ impl WgpuBackend {
     }
 
     fn take_workspace(&self, field: &WgpuField) -> Workspace<Self> {
-        let pooled = self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let pooled = lock(&self.workspaces).pop();
         pooled.unwrap_or_else(|| Workspace::new(self, field))
     }
 
     fn keep_workspace(&self, workspace: Workspace<Self>) {
-        self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).push(workspace);
+        lock(&self.workspaces).push(workspace);
     }
 
     /// The spans of a map over `count` items.
     fn spans(&self, count: u32, per_span: u32) -> Spans {
-        let room = *self.room.lock().unwrap_or_else(PoisonError::into_inner);
-        let chunk = (per_span as usize * (room / SAMPLES_PER_SPAN).max(1)).min(count as usize);
+        let capacity = *lock(&self.capacity);
+        let chunk = (per_span as usize * (capacity / SAMPLES_PER_SPAN).max(1)).min(count as usize);
         let chunk = chunk.min(MOST_AT_FIRST) as u32;
-        Spans::new(count, chunk, room)
+        Spans::new(count, chunk, capacity)
     }
 
     /// Copies a span's results into the result array.
@@ -299,31 +134,31 @@ impl Backend for WgpuBackend {
             ));
         }
         let binding = self.gpu.limits().max_storage_buffer_binding_size;
-        let (room, kept_room) = rooms(config, training, binding);
-        if room < LEAST_ROOM {
+        let capacity = Capacity::new(config, training, binding);
+        let Capacity { marched, kept } = capacity;
+        if marched < LEAST_CAPACITY {
             return Err(Error::input(
                 "field.hidden",
                 format!(
-                    "{} wide, {room} samples fit into the {binding} bytes that the device binds at once",
+                    "{} wide, {marched} samples fit into the {binding} bytes that the device binds at once",
                     config.field.hidden
                 ),
                 format!(
-                    "use a smaller field.hidden (a ray may have {LEAST_ROOM} samples), or backend = \"cpu\""
+                    "use a smaller field.hidden (a ray may have {LEAST_CAPACITY} samples), or backend = \"cpu\""
                 ),
             ));
         }
-        *self.room.lock().unwrap_or_else(PoisonError::into_inner) = room;
+        *lock(&self.capacity) = marched;
         let gpu = &self.gpu;
-        let occupancy = WgpuOccupancy::new(gpu, config, training, room, Arc::clone(&self.known));
+        let occupancy = WgpuOccupancy::new(gpu, config, training, marched, Arc::clone(&self.known));
         self.known.overflows.store(0, Ordering::Relaxed);
         let field = WgpuField::new(gpu, config, &layout, Arc::clone(&self.known));
-        *self.watched.lock().unwrap_or_else(PoisonError::into_inner) =
-            Some([occupancy.state().raw().clone(), field.overflows().raw().clone()]);
+        *lock(&self.watched) = Some([occupancy.state().raw().clone(), field.overflows().raw().clone()]);
         let skipped = Buffer::zeros(gpu, 1);
         let stages = Stages {
             encoder: WgpuEncoder::new(gpu, config, training, self.addition, &skipped),
             field,
-            renderer: WgpuRenderer::new(gpu, config, training, [room, kept_room]),
+            renderer: WgpuRenderer::new(gpu, config, training, [marched, kept]),
             optimizer: WgpuOptimizer::new(gpu, config, &layout, training, skipped),
             sampler: WgpuSampler::new(gpu, config, views)?,
             occupancy,
@@ -435,14 +270,14 @@ impl Backend for WgpuBackend {
 
     fn post(&self, deposits: &[Deposit<Self>]) -> Option<StepReceipt> {
         let sums = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref())?;
-        let watched = self.watched.lock().unwrap_or_else(PoisonError::into_inner);
+        let watched = lock(&self.watched);
         Some(StepReceipt {
             sums: self.gpu.send(&sums.buffer, 0, 8),
             exposures: sums.exposures.as_ref().map(|(buffer, photographs)| {
                 self.gpu.send(buffer, (4 * GAIN_WORDS * photographs) as u64, SUM_WORDS * photographs)
             }),
             watched: watched.as_ref().map(|[grid, field]| {
-                [self.gpu.send(grid, u64::from(4 * OCCUPIED_AT), 1), self.gpu.send(field, 0, 1)]
+                [self.gpu.send(grid, u64::from(4 * OCCUPIED), 1), self.gpu.send(field, 0, 1)]
             }),
             rays: sums.rays,
         })

@@ -1,13 +1,12 @@
 //! The encoder stage on the GPU: the list of all encoders, and the dispatch to the configured one once per span.
 
-use crate::backend::{Lane, WgpuBackend};
-use crate::buffer::Buffer;
-use crate::device::Gpu;
-use crate::encoders::{Encoding, Left, Places, frequencies, hash_grid, rip_map, tensor, tri_mip, voxels};
-use crate::kernel::Addition;
+use crate::encoders::{
+    Encoding, FeatureGradients, Places, frequencies, hash_grid, rip_map, tensor, tri_mip, voxels,
+};
 #[cfg(test)]
-use crate::kernel::Kernel;
-use crate::rows::Rows;
+use crate::gpu::Kernel;
+use crate::gpu::{Buffer, Gpu, Rows};
+use crate::workspace::{Addition, Lane, WgpuBackend};
 use std::sync::Arc;
 use trimip_core::batch::{Deposit, Tile};
 use trimip_core::config::EncoderKind;
@@ -27,7 +26,7 @@ fn places(tile: &mut Tile<'_, WgpuBackend>) -> Places {
 
 /// Feature gradients of a step, with the places they belong to.
 #[derive(Default)]
-pub struct EncoderGradient(Option<Left>);
+pub struct EncoderGradient(Option<FeatureGradients>);
 
 /// Generates the enum of all encoders and its dispatch from a list.
 macro_rules! encoders {
@@ -117,7 +116,7 @@ macro_rules! encoders {
                 feature_gradients: &Buffer<f32>,
                 gradient: &mut EncoderGradient,
             ) {
-                gradient.0 = Some(Left {
+                gradient.0 = Some(FeatureGradients {
                     at: places(tile),
                     tape: tape.raw().clone(),
                     gradients: feature_gradients.raw().clone(),

@@ -1,12 +1,12 @@
 //! Density and colour networks on the GPU. The activations of a step stay on the device. Without networks the outputs are the features: a logit of density and those of colour.
 
-use crate::backend::{Known, Lane, WgpuBackend};
-use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu, Size};
-use crate::kernel::{COLOR_GRADIENTS, COLOR_INPUTS, COLORS, DENSITIES, DENSITY_GRADIENT, DIMMING};
-use crate::mlp::{Activations, DIRECT, Flow, Mlp, Partials, padded};
-use crate::rows::Rows;
-use bytemuck::{Pod, Zeroable};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Parts, Text};
+use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Rows, Size};
+use crate::mlp::{Activations, DIRECT, Flow, Mlp, Partials};
+use crate::products::padded;
+use crate::shaders::{ACTIVATION, COMPOSITING, HARMONICS, RAY};
+use crate::workspace::{Known, Lane, WgpuBackend};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use trimip_core::batch::{Deposit, FieldBackward, Radiance, Tile};
@@ -14,39 +14,86 @@ use trimip_core::config::{Precision, ViewEncoding};
 use trimip_core::policy::FieldPolicy;
 use trimip_core::{Config, Field, Layout};
 
-/// Parameters of the kernels between the networks.
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct FieldParams {
-    counter: u32,
-    /// Width of the colour network's input.
-    width: u32,
-    /// Number of values of the view, number of geometry features, and width of the density network's output.
-    view: u32,
-    geometry: u32,
-    outputs: u32,
-    /// 1 if the view is coordinates with sines and cosines, 0 if it is spherical harmonics.
-    frequencies_of_view: u32,
-    view_frequencies: u32,
-    geometry_frequencies: u32,
-    /// Function of the density, its shift and its factor.
-    density: u32,
-    shift: f32,
-    scale: f32,
-    /// 1 without networks.
-    direct: u32,
+shared! {
+    /// Parameters of the kernels between the networks.
+    struct FieldParams as Params {
+        counter: u32,
+        /// Width of the colour network's input: the view, the geometry features with their sines and cosines, zeros.
+        width: u32,
+        /// Number of values of the view, and number of geometry features.
+        view: u32,
+        geometry: u32,
+        /// Width of the density network's output: a logit, geometry features, zeros.
+        outputs: u32,
+        /// 1 if the view is coordinates with sines and cosines, 0 if it is spherical harmonics.
+        frequencies_of_view: u32,
+        /// Numbers of frequencies.
+        view_frequencies: u32,
+        geometry_frequencies: u32,
+        /// Function of the density, its shift and its factor.
+        density: u32,
+        shift: f32,
+        scale: f32,
+        /// 1 without networks: the outputs are logits of density and of colours.
+        direct: u32,
+    }
+
+    /// Parameters of the kernel that blackens samples of little weight.
+    struct DimParams as Params {
+        /// Number of rays.
+        count: u32,
+        /// Least weight of a sample with a colour.
+        least: f32,
+    }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct DimParams {
-    count: u32,
-    least: f32,
+const PARAMS: Source = Parts(&[Source::of::<FieldParams>(), Text(include_str!("shaders/field_params.wgsl"))]);
+
+/// Operations between the layers of the two networks.
+pub const FIELD: Source = Parts(&[
+    GRID,
+    RAY,
+    PARAMS,
+    ACTIVATION,
+    HARMONICS,
+    Source::whole("DIRECT", DIRECT as u32),
+    Text(include_str!("shaders/field.wgsl")),
+]);
+
+const DENSITY_GRADIENTS: [Source; 4] =
+    [GRID, PARAMS, ACTIVATION, Text(include_str!("shaders/density_gradients.wgsl"))];
+
+const DIM: [Source; 4] =
+    [GRID, COMPOSITING, Source::of::<DimParams>(), Text(include_str!("shaders/dim.wgsl"))];
+
+kernels! {
+    /// The kernels of a field, apart from those of its networks.
+    pub struct Kernels {
+        densities: Kernel::new("densities", &[FIELD], &[(0, Read), (1, Write), (2, Parameters), (3, Read)]),
+        color_inputs: Kernel::new(
+            "color_inputs",
+            &[FIELD],
+            &[(0, Read), (2, Parameters), (3, Read), (4, Read), (5, Read), (6, Write)],
+        ),
+        colors: Kernel::new("colors", &[FIELD], &[(0, Read), (1, Write), (2, Parameters), (3, Read)]),
+        dim: Kernel::new("dim", &DIM, &[(0, Read), (1, Write), (2, Parameters), (3, Read)]),
+        color_gradients: Kernel::new(
+            "color_gradients",
+            &[FIELD],
+            &[(1, Write), (2, Parameters), (3, Read), (6, Write), (7, Read)],
+        ),
+        density_gradients: Kernel::new(
+            "density_gradients",
+            &DENSITY_GRADIENTS,
+            &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Read)],
+        ),
+    }
 }
 
 /// The density and colour networks.
 pub struct WgpuField {
     gpu: Arc<Gpu>,
+    kernels: Kernels,
     policy: FieldPolicy,
     density: Mlp,
     color: Mlp,
@@ -91,6 +138,7 @@ impl WgpuField {
             .map(|network| Mlp::new(gpu, network, layout, matrices, &overflows));
         Self {
             gpu: Arc::clone(gpu),
+            kernels: Kernels::new(gpu),
             width: if policy.is_direct() { DIRECT } else { padded(policy.color.inputs()) },
             policy,
             density,
@@ -197,7 +245,7 @@ impl Field<WgpuBackend> for WgpuField {
         rows.size(radiance, 1);
         let outputs = &tape.density[tape.density.len() - 1];
         let binds = [outputs.bind(), radiance.bind(), rows.bind()];
-        self.gpu.dispatch(&DENSITIES, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+        self.gpu.dispatch(&self.kernels.densities, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
     }
 
     fn keep(&self, lane: &mut Lane, kept: &Buffer<u32>, tape: &mut Tape, radiance: &mut Buffer<Radiance>) {
@@ -224,18 +272,23 @@ impl Field<WgpuBackend> for WgpuField {
             rows.size(color_input, self.width);
             let binds =
                 [outputs.bind(), rows.bind(), rays.rays.bind(), samples.rays.bind(), color_input.bind()];
-            self.gpu.dispatch(&COLOR_INPUTS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+            self.gpu.dispatch(
+                &self.kernels.color_inputs,
+                &binds,
+                &self.params(&rows),
+                rows.dispatch(1, GROUP),
+            );
             self.color.forward(&self.gpu, &rows, color_input, color);
             &color[color.len() - 1]
         };
         let binds = [logits.bind(), radiance.bind(), rows.bind()];
-        self.gpu.dispatch(&COLORS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+        self.gpu.dispatch(&self.kernels.colors, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
         if least > 0.0 {
             // A colour of 0 has no gradient: its derivative by the logit is 0.
             let count = samples.segments.known_len().unwrap_or(0);
             let binds = [samples.segments.bind(), radiance.bind(), samples.intervals.bind()];
             let params = DimParams { count: count as u32, least };
-            self.gpu.dispatch(&DIMMING, &binds, &params, Size::Items(count as u64));
+            self.gpu.dispatch(&self.kernels.dim, &binds, &params, Size::Items(count as u64));
         }
     }
 
@@ -251,9 +304,14 @@ impl Field<WgpuBackend> for WgpuField {
         let rows = Rows::of(&samples.spheres, &mut lane.count);
         let Tape { density, color, color_input, color_gradient, input_gradient, output_gradient, scratch } =
             tape;
-        rows.size(color_gradient, 16);
+        rows.size(color_gradient, DIRECT);
         let binds = [radiance.bind(), rows.bind(), color_gradient.bind(), radiance_gradients.bind()];
-        self.gpu.dispatch(&COLOR_GRADIENTS, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+        self.gpu.dispatch(
+            &self.kernels.color_gradients,
+            &binds,
+            &self.params(&rows),
+            rows.dispatch(1, GROUP),
+        );
         if !self.policy.is_direct() {
             let flow = Flow {
                 by_output: color_gradient,
@@ -269,7 +327,12 @@ impl Field<WgpuBackend> for WgpuField {
         let outputs = &density[density.len() - 1];
         let binds =
             [outputs.bind(), by_output.bind(), rows.bind(), by_geometry.bind(), radiance_gradients.bind()];
-        self.gpu.dispatch(&DENSITY_GRADIENT, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
+        self.gpu.dispatch(
+            &self.kernels.density_gradients,
+            &binds,
+            &self.params(&rows),
+            rows.dispatch(1, GROUP),
+        );
         if self.policy.is_direct() {
             return;
         }

@@ -1,59 +1,116 @@
 //! Hybrid rendering on the GPU: the samples of a ray are chosen by the densities of the proxy.
 
-use crate::backend::{Lane, WgpuBackend};
-use crate::buffer::Buffer;
-use crate::device::{Gpu, Size};
 use crate::field::Tape;
-use crate::kernel::{COUNT_CHOSEN, FILL_CHOSEN, SHARING};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Text};
+use crate::gpu::{Buffer, GRID, Gpu, Kernel, Size};
 use crate::occupancy::WgpuOccupancy;
-use crate::renderer::{MARCHED, WgpuRenderer};
+use crate::renderer::{MARCHED, WALK, WgpuRenderer};
+use crate::shaders::{COMPOSITING, PRUNING, SEGMENTS};
 use crate::space::GpuSpace;
-use bytemuck::{Pod, Zeroable};
+use crate::workspace::{Lane, WgpuBackend};
 use std::sync::Arc;
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Radiance, Rays, Samples, Tile, Workspace};
-use trimip_core::proxy::{BEHIND, Guide, Layers, Rule};
+use trimip_core::proxy::{BEHIND, BRICK, Guide, Layers, Rule};
 use trimip_core::{Encoder, Error, Field, Result};
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct ChooseParams {
-    space: GpuSpace,
-    cells: [u32; 3],
-    count: u32,
-    bricks: u32,
-    codes: u32,
-    capacity: u32,
-    last: f32,
-    step: f32,
-    step_length: f32,
-    step_per_radius: f32,
-    widest: f32,
-    least: f32,
-    opaque: f32,
-    behind: f32,
-    delta: f32,
-    surface: f32,
-    layers: u32,
-    samples: u32,
-    padding: u32,
+shared! {
+    /// Parameters of choosing samples.
+    struct ChooseParams as Params {
+        space: GpuSpace,
+        /// Cells of the proxy along each axis.
+        cells: [u32; 3],
+        /// Number of rays.
+        count: u32,
+        /// Index of the first word of the bricks, and of the codes, in the proxy.
+        bricks: u32,
+        codes: u32,
+        /// Maximum number of samples.
+        capacity: u32,
+        /// More than the steps of any ray.
+        last: f32,
+        /// Length of a step along the proxy, and of the steps of volume rendering.
+        step: f32,
+        step_length: f32,
+        step_per_radius: f32,
+        /// Largest radius of a sphere for which the proxy is used.
+        widest: f32,
+        /// See [`Rule`] and [`BEHIND`].
+        least: f32,
+        opaque: f32,
+        behind: f32,
+        /// See [`Layers`]; no layers stand for the rule of weights.
+        delta: f32,
+        surface: f32,
+        layers: u32,
+        samples: u32,
+    }
+
+    /// Parameters of sharing colours.
+    struct ShareParams as Params {
+        /// Number of rays.
+        count: u32,
+        max_depth: f32,
+        min_weight: f32,
+        /// See [`Rule`].
+        share: f32,
+        reach: f32,
+        /// Width of the density network's output: a logit, geometry features, zeros.
+        outputs: u32,
+        geometry: u32,
+    }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct ShareParams {
-    count: u32,
-    max_depth: f32,
-    min_weight: f32,
-    share: f32,
-    reach: f32,
-    outputs: u32,
-    geometry: u32,
+const CHOICE: [Source; 6] = [
+    GRID,
+    WALK,
+    SEGMENTS,
+    Source::whole("BRICK", BRICK),
+    Source::of::<ChooseParams>(),
+    Text(include_str!("shaders/choose.wgsl")),
+];
+const SHARE: [Source; 5] =
+    [GRID, PRUNING, COMPOSITING, Source::of::<ShareParams>(), Text(include_str!("shaders/share.wgsl"))];
+
+kernels! {
+    /// The kernels of hybrid rendering.
+    pub struct Kernels {
+        /// Counts the samples of each ray.
+        count: Kernel::new(
+            "count",
+            &CHOICE,
+            &[(0, Read), (1, Write), (2, Write), (3, Parameters), (4, Read), (8, Read)],
+        ),
+        /// Writes the samples.
+        fill: Kernel::new(
+            "fill",
+            &CHOICE,
+            &[
+                (0, Read),
+                (1, Write),
+                (2, Write),
+                (3, Parameters),
+                (4, Read),
+                (5, Write),
+                (6, Write),
+                (7, Write),
+                (8, Read),
+            ],
+        ),
+        /// Marks the visible samples that have a colour of their own.
+        share: Kernel::new(
+            "share",
+            &SHARE,
+            &[(0, Write), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Write), (6, Write), (7, Write)],
+        ),
+    }
 }
 
 /// The proxy of a model on the device.
 pub struct Hybrid {
     gpu: Arc<Gpu>,
+    kernels: Kernels,
     /// Optical depth and opacity of a step for each code, one word per brick, eight codes per word.
     proxy: Buffer<u32>,
     cells: [u32; 3],
@@ -90,6 +147,7 @@ impl Hybrid {
         proxy.write(&words);
         Ok(Self {
             gpu: Arc::clone(gpu),
+            kernels: Kernels::new(gpu),
             proxy,
             cells: guide.proxy.cells(),
             places: [bricks, codes],
@@ -153,12 +211,11 @@ impl Hybrid {
             surface: layers.map_or(0.0, |rule| rule.surface),
             layers: layers.map_or(0, |rule| rule.layers),
             samples: layers.map_or(0, |rule| rule.samples),
-            padding: 0,
         };
         let items = Size::Items(count as u64);
         let (rays, grid, proxy) = (rays.rays.bind(), occupancy.grid().bind(), self.proxy.bind());
         let binds = [rays, lane.sure.bind(), samples.segments.bind(), grid, proxy];
-        self.gpu.dispatch(&COUNT_CHOSEN, &binds, &params, items);
+        self.gpu.dispatch(&self.kernels.count, &binds, &params, items);
         renderer.scan(lane, &samples.segments, &samples.counts, MARCHED, room);
         let counts = samples.counts.raw().clone();
         samples.rays.count_by(room, &counts, MARCHED, 1);
@@ -174,7 +231,7 @@ impl Hybrid {
             samples.spheres.bind(),
             proxy,
         ];
-        self.gpu.dispatch(&FILL_CHOSEN, &binds, &params, items);
+        self.gpu.dispatch(&self.kernels.fill, &binds, &params, items);
     }
 
     /// Marks the visible samples that have a colour of their own, and lets the others share it.
@@ -209,6 +266,6 @@ impl Hybrid {
             lane.marks.bind(),
             tape.outputs().bind(),
         ];
-        self.gpu.dispatch(&SHARING, &binds, &params, Size::Items(count as u64));
+        self.gpu.dispatch(&self.kernels.share, &binds, &params, Size::Items(count as u64));
     }
 }

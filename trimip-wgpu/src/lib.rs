@@ -1,50 +1,44 @@
-//! The stages of Tri-MipRF on any GPU through wgpu: one WGSL file per stage in `shaders/`, twins of `trimip-core`'s
-//! mathematics under the same names. A training step is one submission. No parameters are transferred, and the sums
+//! The stages of Tri-MipRF on any GPU through wgpu: `gpu/` knows the device and no stage; each stage is a file with its
+//! kernels, and WGSL in `shaders/`, twins of `trimip-core`'s mathematics under the same names. Structs and constants in
+//! WGSL are generated from Rust. A training step is one submission. No parameters are transferred, and the sums
 //! of a step are read while later steps run.
 
 #![deny(unsafe_code)]
 
-mod adapter;
+#[macro_use]
+mod gpu;
+
 mod backend;
-mod buffer;
-mod ceilings;
-mod device;
+mod capacity;
 mod encoder;
 mod encoders;
 mod field;
 mod hybrid;
-mod kernel;
 mod loss;
 mod losses;
-mod mapping;
 mod memory;
 mod mlp;
 mod occupancy;
 mod optimizer;
-mod pipelines;
 #[cfg(test)]
 mod probe;
 mod products;
-mod read_back;
 mod renderer;
-mod rooms;
-mod rows;
 mod sampler;
 mod settings;
+mod shaders;
 mod space;
 mod spans;
+mod speed;
+#[cfg(test)]
+mod validation;
+mod workspace;
 
-pub use adapter::{
-    AdapterFacts, SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, adapters, compute, software,
-    take_turn,
-};
-pub use backend::{Lane, WgpuBackend};
-pub use buffer::Buffer;
-pub use ceilings::Ceilings;
-pub use device::Counts;
-pub use kernel::Addition;
+pub use gpu::{AdapterFacts, Buffer, Ceilings, Counts, adapters, software, take_turn};
 pub use memory::memory;
 pub use settings::{Photographs, SECTION, WgpuConfig};
+pub use speed::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, compute};
+pub use workspace::{Addition, Lane, WgpuBackend};
 
 use std::sync::Arc;
 use trimip_core::exchange::{Ranks, Summed};

@@ -1,39 +1,17 @@
 //! The loss on the GPU: the terms of pixels in one kernel, each term of rays in its own. Sums stay on the device until the step
 //! is over.
 
-use crate::backend::{Lane, WgpuBackend};
-use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu, Size};
-use crate::losses::{ADD_UP, RAY_KERNELS, evaluate};
+use crate::gpu::{Binds, Buffer, GROUP, Gpu, Size};
+use crate::losses::{Kernels, Params, PixelTerms, RayParams};
+use crate::shaders::POINT;
 use crate::space::GpuSpace;
-use bytemuck::{Pod, Zeroable};
+use crate::workspace::{Lane, WgpuBackend};
 use std::sync::Arc;
 use trimip_core::backend::{Loss, RenderedTile};
 use trimip_core::batch::Radiance;
 use trimip_core::config::{LossConfig, LossRays};
 use trimip_core::losses::{Definition, PIXEL_TERMS, RAY_TERMS};
 use trimip_core::{Config, Space};
-
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Params {
-    count: u32,
-    blocks: u32,
-    live: u32,
-    photographs: u32,
-    photometric: [f32; 4],
-    terms: [[f32; 4]; PIXEL_TERMS.len()],
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct RayParams {
-    space: GpuSpace,
-    term: [f32; 4],
-    count: u32,
-    blocks: u32,
-    padding: [u32; 2],
-}
 
 /// Weight and numbers of a term, as the shaders read them.
 fn numbers<T: Definition + ?Sized>(term: &T, config: &LossConfig) -> [f32; 4] {
@@ -60,10 +38,10 @@ pub const GAIN_WORDS: usize = 3;
 /// As [`GAIN_WORDS`].
 pub const SUM_WORDS: usize = 6;
 
-/// The sums of the photographs' derivatives, RGB of each: 64-bit fixed point with 30 fractional bits, low words first.
+/// The sums of the photographs' derivatives, RGB of each: 64-bit fixed point, low words first.
 pub fn sums_of(words: &[u32]) -> Vec<[f64; 3]> {
     let fixed = |[low, high]: [u32; 2]| (i64::from(high.cast_signed()) << 32) | i64::from(low);
-    let value = |words: &[u32; 2]| fixed(*words) as f64 / f64::from(1 << 30);
+    let value = |words: &[u32; 2]| fixed(*words) as f64 / f64::from(POINT);
     let sums: Vec<f64> = words.as_chunks().0.iter().map(value).collect();
     sums.as_chunks().0.to_vec()
 }
@@ -71,6 +49,7 @@ pub fn sums_of(words: &[u32]) -> Vec<[f64; 3]> {
 /// The terms that a configuration puts to work.
 pub struct WgpuLoss {
     gpu: Arc<Gpu>,
+    kernels: Kernels,
     config: LossConfig,
     space: GpuSpace,
     sums: Buffer<u32>,
@@ -83,6 +62,7 @@ impl WgpuLoss {
     pub fn new(gpu: &Arc<Gpu>, config: &Config) -> Self {
         Self {
             gpu: Arc::clone(gpu),
+            kernels: Kernels::new(gpu, config.loss.photometric),
             config: config.loss.clone(),
             // The loss needs no cells.
             space: GpuSpace::new(&Space::new(&config.scene), 1),
@@ -120,25 +100,25 @@ impl Loss<WgpuBackend> for WgpuLoss {
             live: u32::from(self.config.rays == LossRays::Live),
             photographs: photographs as u32,
             photometric: numbers(self.config.photometric.term(), &self.config),
-            terms: std::array::from_fn(|i| numbers(PIXEL_TERMS[i], &self.config)),
+            terms: PixelTerms::of(std::array::from_fn(|i| numbers(PIXEL_TERMS[i], &self.config))),
         };
-        let mut binds = vec![
-            pixels.bind(),
+        let mut binds = Binds::new(pixels.bind()).and([
             pixel_gradients.bind(),
             rays.targets.bind(),
             lane.sums.bind(),
             samples.segments.bind(),
             rays.groups.bind(),
-        ];
+        ]);
+        let mut kernel = &self.kernels.evaluate;
         if photographs > 0 {
             let [first, length] = [GAIN_WORDS, SUM_WORDS].map(|words| (4 * words * photographs) as u64);
             self.gpu.clear(self.exposures.raw(), first, length);
-            binds.extend([rays.photographs.bind(), self.exposures.bind()]);
+            kernel = &self.kernels.evaluate_exposed;
+            binds = binds.and([rays.photographs.bind(), self.exposures.bind()]);
         }
-        let kernel = evaluate(self.config.photometric, photographs > 0);
         self.gpu.dispatch(kernel, &binds, &params, Size::Items(count.into()));
         let binds = [lane.sums.bind(), self.sums.bind(), samples.counts.bind()];
-        self.gpu.dispatch(&ADD_UP, &binds, &params, Size::Groups(1));
+        self.gpu.dispatch(&self.kernels.add_up, &binds, &params, Size::Groups(1));
         let exposures = (photographs > 0).then(|| (self.exposures.raw().clone(), photographs));
         sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures });
     }
@@ -153,12 +133,12 @@ impl Loss<WgpuBackend> for WgpuLoss {
         let RenderedTile { rays, samples, radiance, .. } = tile;
         let count = rays.groups.known_len().unwrap_or(0) as u32;
         let blocks = count.div_ceil(GROUP);
-        for (term, [cones, sums]) in RAY_TERMS.iter().zip(&RAY_KERNELS) {
+        for (term, [cones, sums]) in RAY_TERMS.iter().zip(&self.kernels.rays) {
             let term = numbers(*term, &self.config);
             if term[0] == 0.0 {
                 continue;
             }
-            let params = RayParams { space: self.space, term, count, blocks, padding: [0; 2] };
+            let params = RayParams { space: self.space, term, count, blocks };
             // The sums of the pixels are added up already.
             lane.sums.resize(4 * blocks as usize);
             let binds = [

@@ -2,135 +2,206 @@
 //! defines a function of the term's name: `fn NAME(difference, numbers) -> vec2` of a photometric term, `fn NAME(pixel, at,
 //! numbers, factor, gradient) -> f32` of a term of pixels, `fn NAME(cone, share) -> f32` of a term of rays.
 
-use crate::kernel::Access::{self, Parameters, Read, Write};
-use crate::kernel::{COMPOSITING, FIXED, GRID, Kernel, RAY, SPACE};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Text};
+use crate::gpu::{GRID, Gpu, Kernel, Pipeline};
+use crate::shaders::{COMPOSITING, FIXED, SUM, SUM_OF_FOUR};
+use crate::space::{GpuSpace, SPACE};
 use trimip_core::config::Photometric;
+use trimip_core::edges::LEAST_OPACITY;
 use trimip_core::losses::RAY_TERMS;
 
-const TOTAL: &str = include_str!("shaders/total.wgsl");
-const FINITE: &str = include_str!("shaders/finite.wgsl");
-const LOSS: &str = include_str!("shaders/loss.wgsl");
-const RAY_TERM: &str = include_str!("shaders/ray_term.wgsl");
-const NOT_EXPOSED: &str = include_str!("shaders/losses/exposure_none.wgsl");
-const EXPOSED: &str = include_str!("shaders/losses/exposure_gain.wgsl");
+shared! {
+    /// Parameters of the terms of pixels.
+    pub struct Params as Params {
+        /// Number of pixels.
+        pub count: u32,
+        /// Number of workgroups.
+        pub blocks: u32,
+        /// 1 to average only over pixels with samples.
+        pub live: u32,
+        /// Number of photographs that have gains.
+        pub photographs: u32,
+        /// Weight, then numbers of the photometric term.
+        pub photometric: [f32; 4],
+        /// The same of each term of pixels.
+        pub terms: PixelTerms,
+    }
 
-/// Bindings of `evaluate` without gains, and with them.
-const BINDINGS: &[(u32, Access)] =
-    &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Write), (7, Read), (8, Read)];
-const EXPOSED_BINDINGS: &[(u32, Access)] = &[
-    (0, Read),
-    (1, Write),
-    (2, Parameters),
-    (3, Read),
-    (4, Write),
-    (7, Read),
-    (8, Read),
-    (9, Read),
-    (10, Write),
-];
-const RAY_BINDINGS: &[(u32, Access)] = &[
-    (0, Read),
-    (1, Write),
-    (2, Parameters),
-    (3, Read),
-    (4, Read),
-    (5, Read),
-    (6, Read),
-    (7, Read),
-    (8, Write),
-];
+    /// Parameters of a term of rays.
+    pub struct RayParams as Params {
+        pub space: GpuSpace,
+        /// Weight relative to the colour, then the numbers of the term.
+        pub term: [f32; 4],
+        /// Number of pixels.
+        pub count: u32,
+        /// Number of workgroups.
+        pub blocks: u32,
+    }
+}
 
-/// Adds up the sums of the pixels' workgroups.
-pub static ADD_UP: Kernel = Kernel::new(
-    "add_up",
-    &[TOTAL, include_str!("shaders/loss_sums.wgsl")],
-    &[(2, Parameters), (4, Write), (5, Write), (6, Read)],
-);
+const PARAMS: [Source; 2] = [Source::of::<PixelTerms>(), Source::of::<Params>()];
+const NOT_EXPOSED: [Source; 1] = [Text(include_str!("shaders/losses/exposure_none.wgsl"))];
+const EXPOSED: [Source; 2] = [FIXED, Text(include_str!("shaders/losses/exposure_gain.wgsl"))];
 
-/// Composes the kernels of all terms from a list.
+/// Whether a number is finite.
+pub const FINITE: Source = Text(include_str!("shaders/finite.wgsl"));
+
+/// The kernels of a configuration's loss.
+pub struct Kernels {
+    /// Evaluates the terms of pixels, without gains of photographs.
+    pub evaluate: Pipeline,
+    /// The same with gains.
+    pub evaluate_exposed: Pipeline,
+    /// Adds up the sums of the pixels' workgroups.
+    pub add_up: Pipeline,
+    /// For each term of rays, as core lists them: that of the cones, and that of their sums.
+    pub rays: [[Pipeline; 2]; RAY_TERMS.len()],
+}
+
+impl Kernels {
+    /// Finds the pipelines of a device.
+    pub fn new(gpu: &Gpu, kind: Photometric) -> Self {
+        let [evaluate, evaluate_exposed] = [false, true].map(|exposed| gpu.pipeline(evaluate(kind, exposed)));
+        let rays = RAY_SOURCES.map(|term| ray_kernels(term).map(|kernel| gpu.pipeline(kernel)));
+        Self { evaluate, evaluate_exposed, add_up: gpu.pipeline(add_up()), rays }
+    }
+}
+
+/// The kernel that evaluates pixels with the photometric term `kind`, with or without gains of photographs.
+fn evaluate(kind: Photometric, exposed: bool) -> Kernel {
+    let kernel = Kernel::new(
+        "evaluate",
+        &[
+            GRID,
+            FINITE,
+            SUM_OF_FOUR,
+            PARAMS[0],
+            PARAMS[1],
+            Source::real("LEAST_OPACITY", LEAST_OPACITY as f32),
+            Text(PENALTIES),
+            Text(TERMS),
+            Text(penalty(kind)),
+            Text(include_str!("shaders/loss.wgsl")),
+        ],
+        &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Write), (7, Read), (8, Read)],
+    );
+    if exposed { kernel.and(&EXPOSED, &[(9, Read), (10, Write)]) } else { kernel.and(&NOT_EXPOSED, &[]) }
+}
+
+fn add_up() -> Kernel {
+    Kernel::new(
+        "add_up",
+        &[SUM_OF_FOUR, PARAMS[0], PARAMS[1], Text(include_str!("shaders/loss_sums.wgsl"))],
+        &[(2, Parameters), (4, Write), (5, Write), (6, Read)],
+    )
+}
+
+/// The kernels of a term of rays: that of the cones, and that of their sums.
+fn ray_kernels(term: &'static str) -> [Kernel; 2] {
+    let sources = [
+        GRID,
+        SPACE,
+        COMPOSITING,
+        SUM,
+        Source::of::<RayParams>(),
+        Text(term),
+        Text(include_str!("shaders/ray_term.wgsl")),
+    ];
+    let bindings = [
+        (0, Read),
+        (1, Write),
+        (2, Parameters),
+        (3, Read),
+        (4, Read),
+        (5, Read),
+        (6, Read),
+        (7, Read),
+        (8, Write),
+    ];
+    [
+        Kernel::new("evaluate_rays", &sources, &bindings),
+        Kernel::new("add_rays", &sources, &[(2, Parameters), (8, Write), (9, Write)]),
+    ]
+}
+
+/// Composes the WGSL of all terms from a list.
 macro_rules! losses {
     (
-        photometric { $($kind:ident => $photometric:literal),* $(,)? }
-        pixel { $($pixel:literal),* $(,)? }
-        ray { $($ray:literal),* $(,)? }
+        photometric { $($kind:ident => $photometric:ident),* $(,)? }
+        pixel { $($pixel:ident),* $(,)? }
+        ray { $($ray:ident),* $(,)? }
     ) => {
+        shared! {
+            /// Weight and numbers of each term of pixels.
+            pub struct PixelTerms as PixelTerms {
+                $(pub $pixel: [f32; 4]),*
+            }
+        }
+
+        impl PixelTerms {
+            /// The terms in the order of core's list.
+            pub fn of([$($pixel),*]: [[f32; 4]; trimip_core::losses::PIXEL_TERMS.len()]) -> Self {
+                Self { $($pixel),* }
+            }
+        }
+
         /// The functions of the photometric terms.
         pub const PENALTIES: &str =
-            concat!($(include_str!(concat!("shaders/losses/", $photometric, ".wgsl"))),*);
+            concat!($(include_str!(concat!("shaders/losses/", stringify!($photometric), ".wgsl"))),*);
 
         /// The functions of the terms of pixels, and their weighted sum.
         const TERMS: &str = concat!(
-            $(include_str!(concat!("shaders/losses/", $pixel, ".wgsl")),)*
-            "struct PixelTerms {\n", $("    ", $pixel, ": vec4<f32>,\n",)* "}\n",
+            $(include_str!(concat!("shaders/losses/", stringify!($pixel), ".wgsl")),)*
             "fn pixel_terms(loss: f32, pixel: vec4<f32>, at: u32, weight: f32, gradient: ptr<function, vec4<f32>>) -> f32 {\n",
             "    var sum = loss;\n",
             $(
-                "    sum += params.terms.", $pixel, ".x * ", $pixel,
-                "(pixel, at, params.terms.", $pixel, ".yzw, weight * params.terms.", $pixel, ".x, gradient);\n",
+                "    sum += params.terms.", stringify!($pixel), ".x * ", stringify!($pixel),
+                "(pixel, at, params.terms.", stringify!($pixel), ".yzw, weight * params.terms.", stringify!($pixel),
+                ".x, gradient);\n",
             )*
             "    return sum;\n}\n",
         );
 
-        /// Names of the terms of pixels and of rays.
-        #[cfg(test)]
-        const PIXEL_NAMES: &[&str] = &[$($pixel),*];
-        #[cfg(test)]
-        const RAY_NAMES: &[&str] = &[$($ray),*];
-
-        /// Evaluates the pixels with the photometric term `kind`, with or without gains of photographs.
-        pub fn evaluate(kind: Photometric, exposed: bool) -> &'static Kernel {
+        /// The function that calls the photometric term.
+        fn penalty(kind: Photometric) -> &'static str {
             match kind {
-                $(Photometric::$kind => {
-                    const PENALTY: &str = concat!(
-                        "fn penalty(difference: f32) -> vec2<f32> {\n    return ",
-                        $photometric, "(difference, params.photometric.yzw);\n}\n",
-                    );
-                    static WITHOUT: Kernel = Kernel::new(
-                        "evaluate",
-                        &[GRID, FINITE, TOTAL, NOT_EXPOSED, PENALTIES, TERMS, PENALTY, LOSS],
-                        BINDINGS,
-                    );
-                    static WITH: Kernel = Kernel::new(
-                        "evaluate",
-                        &[GRID, FINITE, TOTAL, FIXED, EXPOSED, PENALTIES, TERMS, PENALTY, LOSS],
-                        EXPOSED_BINDINGS,
-                    );
-                    if exposed { &WITH } else { &WITHOUT }
-                })*
+                $(Photometric::$kind => concat!(
+                    "fn penalty(difference: f32) -> vec2<f32> {\n    return ",
+                    stringify!($photometric), "(difference, params.photometric.yzw);\n}\n",
+                )),*
             }
         }
 
-        /// The kernels of each term of rays, as core lists them: that of the cones, and that of their sums.
-        pub static RAY_KERNELS: [[Kernel; 2]; RAY_TERMS.len()] = [$({
-            const TERM: &str = concat!(
-                include_str!(concat!("shaders/losses/", $ray, ".wgsl")),
-                "fn ray_term(cone: u32, share: f32) -> f32 {\n    return ", $ray, "(cone, share);\n}\n",
-            );
-            const FILES: &[&str] = &[GRID, RAY, SPACE, COMPOSITING, TERM, RAY_TERM];
-            [
-                Kernel::new("evaluate_rays", FILES, RAY_BINDINGS),
-                Kernel::new("add_rays", FILES, &[(2, Parameters), (8, Write), (9, Write)]),
-            ]
-        }),*];
+        /// The function of each term of rays, and the one that calls it.
+        const RAY_SOURCES: [&str; RAY_TERMS.len()] = [$(concat!(
+            include_str!(concat!("shaders/losses/", stringify!($ray), ".wgsl")),
+            "fn ray_term(cone: u32, share: f32) -> f32 {\n    return ", stringify!($ray), "(cone, share);\n}\n",
+        )),*];
+
+        /// Names of the terms of pixels and of rays.
+        #[cfg(test)]
+        const PIXEL_NAMES: &[&str] = &[$(stringify!($pixel)),*];
+        #[cfg(test)]
+        const RAY_NAMES: &[&str] = &[$(stringify!($ray)),*];
     };
 }
 
 losses! {
     photometric {
-        SmoothL1 => "smooth_l1",
-        Charbonnier => "charbonnier",
+        SmoothL1 => smooth_l1,
+        Charbonnier => charbonnier,
     }
-    pixel { "opacity" }
-    ray { "distortion" }
+    pixel { opacity }
+    ray { distortion }
 }
 
 /// Every kernel, for validation.
 #[cfg(test)]
-pub fn kernels() -> Vec<Kernel> {
-    let photometric = Photometric::ALL
-        .iter()
-        .flat_map(|kind| [false, true].map(|exposed| evaluate(*kind, exposed).clone()));
-    photometric.chain(RAY_KERNELS.iter().flatten().cloned()).chain([ADD_UP.clone()]).collect()
+pub fn all() -> Vec<Kernel> {
+    let photometric =
+        Photometric::ALL.iter().flat_map(|kind| [false, true].map(|exposed| evaluate(*kind, exposed)));
+    photometric.chain(RAY_SOURCES.into_iter().flat_map(ray_kernels)).chain([add_up()]).collect()
 }
 
 #[cfg(test)]

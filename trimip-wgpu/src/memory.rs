@@ -1,8 +1,9 @@
 //! Predicts the GPU memory of a training run, by parts, before anything is allocated.
 
-use crate::adapter::largest_binding;
-use crate::mlp::{CHUNKS, padded};
-use crate::rooms::rooms;
+use crate::capacity::Capacity;
+use crate::gpu::largest_binding;
+use crate::mlp::CHUNKS;
+use crate::products::padded;
 use crate::settings::{Photographs, WgpuConfig};
 use trimip_core::batch::{Interval, Radiance, Ray, Segment, Sphere, Target};
 use trimip_core::encoders;
@@ -36,7 +37,7 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
     let layout = Layout::new(config);
     let derived = encoders::of(config).derived_bytes(config) as usize;
     let parameters: usize = layout.encoder().iter().map(|slot| slot.padded().len()).sum();
-    let (marched, kept) = rooms(config, true, binding);
+    let Capacity { marched, kept } = Capacity::new(config, true, binding);
     // A step has the same number of samples, however many cones a pixel has.
     let rays = config.train.samples_per_step as usize / KEPT_PER_RAY * RAYS_SPARE[0] / RAYS_SPARE[1];
     let widths = |layers: &[[usize; 2]]| layers.iter().map(|[_, outputs]| padded(*outputs)).sum::<usize>();

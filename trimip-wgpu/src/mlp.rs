@@ -1,12 +1,11 @@
 //! A network on the GPU, layer by layer, each layer a product of matrices. Widths are padded to multiples of 16 with zero
 //! weights. Biases, and an input that joins again, are written before the product of a layer, which is added to them.
 
-use crate::buffer::Buffer;
-use crate::device::{Bind, GROUP, Gpu, Size};
-use crate::kernel::{PACK, PACK_HALF, REDUCE, SPREAD_BIASES, SUM_ROWS};
-use crate::products::{Finish, GRADIENT_SCALE, Matrices, accumulate, multiply, multiplying, tile};
-use crate::rows::{BLOCK, Rows};
-use bytemuck::{Pod, Zeroable};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Text};
+use crate::gpu::{BLOCK, Bind, Binds, Buffer, GRID, GROUP, Gpu, Kernel, Matrices, Pipeline, Rows, Size};
+use crate::products::{Counter, Finish, GRADIENT_SCALE, accumulate, multiply, multiplying, padded, tile};
+use crate::shaders::HALF;
 use std::sync::Arc;
 use trimip_core::Layout;
 use trimip_core::networks::Network;
@@ -14,31 +13,76 @@ use trimip_core::networks::Network;
 /// Number of chunks of a weight gradient, each over a run of samples; the chunks are added in order.
 pub const CHUNKS: u32 = 64;
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct WeightParams {
-    start: u32,
-    inputs: u32,
-    outputs: u32,
-    k: u32,
-    n: u32,
-    chunks: u32,
-    scale: f32,
-    ones: u32,
+shared! {
+    /// Parameters of the conversion between parameters and padded matrices.
+    struct WeightParams as Params {
+        /// Index of the layer's first float in the parameters.
+        start: u32,
+        inputs: u32,
+        outputs: u32,
+        /// Padded shape.
+        k: u32,
+        n: u32,
+        chunks: u32,
+        /// Factor that the sum of the chunks is multiplied by.
+        scale: f32,
+        /// Leading inputs whose sum is the first output. They have no weights, nor has that output.
+        ones: u32,
+    }
+
+    /// Parameters of the kernels of biases.
+    struct BiasParams as Params {
+        counter: u32,
+        width: u32,
+        chunks: u32,
+        /// Floats between the sums of two chunks.
+        stride: u32,
+    }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct BiasParams {
-    counter: u32,
-    width: u32,
-    chunks: u32,
-    stride: u32,
+const WEIGHTS: [Source; 3] = [GRID, Source::of::<WeightParams>(), Text(include_str!("shaders/weights.wgsl"))];
+const WEIGHT_FLOAT: Source = Text(include_str!("shaders/weight_float.wgsl"));
+const WEIGHT_HALF: Source = Text(include_str!("shaders/weight_half.wgsl"));
+const BIASES: [Source; 3] = [GRID, Source::of::<BiasParams>(), Text(include_str!("shaders/biases.wgsl"))];
+
+kernels! {
+    /// The kernels of a network, apart from its products.
+    pub struct Kernels {
+        /// Writes a layer's matrix and its transpose, in f32 or in f16.
+        pack: Kernel::new("pack", &WEIGHTS, &[(0, Read), (1, Write), (2, Parameters), (3, Write)])
+            .and(&[WEIGHT_FLOAT], &[]),
+        pack_half: Kernel::new("pack", &WEIGHTS, &[(0, Read), (1, Write), (2, Parameters), (3, Write)])
+            .and(&[HALF, WEIGHT_HALF], &[])
+            .cooperative(),
+        /// Adds the chunks of a weight gradient.
+        reduce: Kernel::new("reduce", &WEIGHTS, &[(0, Read), (1, Write), (2, Parameters)])
+            .and(&[WEIGHT_FLOAT], &[]),
+        /// Writes the biases to every row.
+        spread: Kernel::new("spread", &BIASES, &[(0, Read), (2, Parameters), (3, Write), (5, Read)]),
+        /// Adds up the rows of a gradient in chunks.
+        sum_rows: Kernel::new("sum_rows", &BIASES, &[(0, Read), (2, Parameters), (3, Write), (5, Read)]),
+    }
 }
 
-/// Padded width of a matrix on the device.
-pub fn padded(width: usize) -> usize {
-    width.next_multiple_of(16)
+/// The products of a layer with its weights.
+struct Products {
+    /// By [`Finish`]: with the matrix, and with its transpose.
+    forward: [Pipeline; FINISHES.len()],
+    backward: [Pipeline; FINISHES.len()],
+    accumulate: Pipeline,
+}
+
+/// All ways to finish a product, in order.
+const FINISHES: [Finish; 5] = [Finish::Store, Finish::Relu, Finish::Mask, Finish::Add, Finish::AddRelu];
+
+impl Products {
+    fn new(gpu: &Gpu, k: usize, n: usize, matrices: Option<Matrices>) -> Self {
+        Self {
+            forward: FINISHES.map(|finish| gpu.pipeline(multiply(k, n, finish, matrices, 1))),
+            backward: FINISHES.map(|finish| gpu.pipeline(multiply(n, k, finish, matrices, GRADIENT_SCALE))),
+            accumulate: gpu.pipeline(accumulate(k, n, CHUNKS, matrices)),
+        }
+    }
 }
 
 /// Weights of some inputs of a layer, or its biases as a matrix of one row.
@@ -54,19 +98,16 @@ struct Weights {
     forward: Buffer<u32>,
     backward: Buffer<u32>,
     matrices: Option<Matrices>,
+    products: Products,
+    kernels: Arc<Kernels>,
     /// Number of factors that f16 cannot hold, over all layers.
     overflows: wgpu::Buffer,
 }
 
 impl Weights {
-    fn new(
-        gpu: &Arc<Gpu>,
-        start: usize,
-        shape: [usize; 2],
-        ones: usize,
-        matrices: Option<Matrices>,
-        overflows: &Buffer<u32>,
-    ) -> Self {
+    /// The weights `shape` from the parameter `start` on.
+    fn new(of: &Common<'_>, start: usize, shape: [usize; 2], ones: usize) -> Self {
+        let &Common { gpu, kernels, matrices, overflows } = of;
         let [k, n] = [shape[0] + ones, shape[1] + usize::from(ones > 0)].map(padded);
         let words = if matrices.is_some() { k * n / 2 } else { k * n };
         Self {
@@ -78,15 +119,15 @@ impl Weights {
             forward: Buffer::zeros(gpu, words),
             backward: Buffer::zeros(gpu, words),
             matrices,
+            products: Products::new(gpu, k, n, matrices),
+            kernels: Arc::clone(kernels),
             overflows: overflows.raw().clone(),
         }
     }
 
-    /// The bindings of a product or weight gradient, plus the overflow counter if the layer uses cooperative
-    /// matrices.
-    fn with_overflows<'a>(&'a self, binds: &[Bind<'a>]) -> Vec<Bind<'a>> {
-        let own = self.matrices.map(|_| Bind { buffer: &self.overflows, offset: 0, size: None });
-        binds.iter().copied().chain(own).collect()
+    /// The binding of the overflow counter, if the layer uses cooperative matrices.
+    fn overflows(&self) -> Option<Bind<'_>> {
+        self.matrices.map(|_| Bind::whole(&self.overflows))
     }
 
     fn params(&self) -> WeightParams {
@@ -104,7 +145,8 @@ impl Weights {
 
     fn pack(&self, gpu: &Gpu, parameters: &Buffer<f32>) {
         let binds = [parameters.bind(), self.forward.bind(), self.backward.bind()];
-        let kernel = if self.matrices.is_some() { &PACK_HALF } else { &PACK };
+        let Kernels { pack, pack_half, .. } = &*self.kernels;
+        let kernel = if self.matrices.is_some() { pack_half } else { pack };
         gpu.dispatch(kernel, &binds, &self.params(), Size::Items((self.k * self.n) as u64));
     }
 
@@ -112,14 +154,15 @@ impl Weights {
     fn reduce(&self, gpu: &Gpu, partial: &Buffer<f32>, parameter_gradient: &Buffer<f32>) {
         let binds = [partial.bind(), parameter_gradient.bind()];
         let items = self.shape.iter().product::<usize>() as u64;
-        gpu.dispatch(&REDUCE, &binds, &self.params(), Size::Items(items));
+        gpu.dispatch(&self.kernels.reduce, &binds, &self.params(), Size::Items(items));
     }
 
     /// The product of rows with the matrix.
     fn multiply(&self, gpu: &Gpu, rows: &Rows, input: &Buffer<f32>, out: &Buffer<f32>, finish: Finish) {
-        let binds = self.with_overflows(&[input.bind(), self.forward.bind(), out.bind(), rows.bind()]);
+        let binds = Binds::new(input.bind()).and([self.forward.bind(), out.bind(), rows.bind()]);
         let size = multiplying(rows, self.k, self.n, self.matrices);
-        gpu.dispatch(&multiply(self.k, self.n, finish, self.matrices, 1), &binds, &rows.counter, size);
+        let product = &self.products.forward[finish as usize];
+        gpu.dispatch(product, &binds.and(self.overflows()), &Counter { counter: rows.counter }, size);
     }
 
     /// The product of gradients with the transpose; `mask` belongs to [`Finish::Mask`].
@@ -131,12 +174,11 @@ impl Weights {
         out: &Buffer<f32>,
         (finish, mask): (Finish, Option<&Buffer<f32>>),
     ) {
-        let mut binds = vec![by_output.bind(), self.backward.bind(), out.bind()];
-        binds.extend(mask.map(Buffer::bind));
-        binds.push(rows.bind());
+        let binds = Binds::new(by_output.bind()).and([self.backward.bind(), out.bind()]);
+        let binds = binds.and(mask.map(Buffer::bind)).and([rows.bind()]).and(self.overflows());
         let size = multiplying(rows, self.n, self.k, self.matrices);
-        let kernel = multiply(self.n, self.k, finish, self.matrices, GRADIENT_SCALE);
-        gpu.dispatch(&kernel, &self.with_overflows(&binds), &rows.counter, size);
+        let product = &self.products.backward[finish as usize];
+        gpu.dispatch(product, &binds, &Counter { counter: rows.counter }, size);
     }
 
     /// Writes the chunks of the weights' gradient.
@@ -148,10 +190,10 @@ impl Weights {
         by_output: &Buffer<f32>,
         partial: &Buffer<f32>,
     ) {
-        let binds = [input.bind(), by_output.bind(), partial.bind(), rows.bind()];
+        let binds = Binds::new(input.bind()).and([by_output.bind(), partial.bind(), rows.bind()]);
         let groups = Size::Groups(self.tiles() * u64::from(CHUNKS));
-        let kernel = accumulate(self.k, self.n, CHUNKS, self.matrices);
-        gpu.dispatch(&kernel, &self.with_overflows(&binds), &rows.counter, groups);
+        let params = Counter { counter: rows.counter };
+        gpu.dispatch(&self.products.accumulate, &binds.and(self.overflows()), &params, groups);
     }
 
     /// Workgroups per chunk of the weight gradient.
@@ -179,12 +221,21 @@ impl Layer {
     }
 }
 
-/// Padded width of the outputs without networks.
+/// Padded width of the outputs without networks, and of the logits of colours.
 pub const DIRECT: usize = 16;
+
+/// What the layers of a network have in common.
+struct Common<'a> {
+    gpu: &'a Arc<Gpu>,
+    kernels: &'a Arc<Kernels>,
+    matrices: Option<Matrices>,
+    overflows: &'a Buffer<u32>,
+}
 
 /// A ReLU network. Without layers its output is a copy of its input.
 pub struct Mlp {
     layers: Vec<Layer>,
+    kernels: Arc<Kernels>,
 }
 
 /// Activations of a network: hidden layers after their ReLU, then the output.
@@ -214,21 +265,21 @@ impl Mlp {
         matrices: Option<Matrices>,
         overflows: &Buffer<u32>,
     ) -> Self {
+        let kernels = Arc::new(Kernels::new(gpu));
+        let of = Common { gpu, kernels: &kernels, matrices, overflows };
         let mut slots = layout.network(shape.name).map(|slot| slot.range.start);
         let mut next = || slots.next().unwrap_or_default();
         let layers = (0..shape.layers.len()).map(|i| {
             let ([inputs, outputs], start) = (shape.weights(i), next());
             let own = if shape.joined == Some(i) { inputs - shape.inputs() } else { inputs };
-            let weights = |start, inputs| {
-                Weights::new(gpu, start, [inputs, outputs], shape.summed, matrices, overflows)
-            };
+            let weights = |start, inputs| Weights::new(&of, start, [inputs, outputs], shape.summed);
             Layer {
                 weights: weights(start, own),
                 joined: (own < inputs).then(|| weights(start + own * outputs, inputs - own)),
                 biases: shape.biases.then(|| weights(next(), 1)),
             }
         });
-        Self { layers: layers.collect() }
+        Self { layers: layers.collect(), kernels }
     }
 
     /// True without layers.
@@ -290,7 +341,7 @@ impl Mlp {
                 let binds = [biases.forward.bind(), out.bind(), rows.bind()];
                 let params =
                     BiasParams { counter: rows.counter, width: biases.n as u32, chunks: 0, stride: 0 };
-                gpu.dispatch(&SPREAD_BIASES, &binds, &params, rows.dispatch(biases.n as u32, GROUP));
+                gpu.dispatch(&self.kernels.spread, &binds, &params, rows.dispatch(biases.n as u32, GROUP));
             }
             if let Some(joined) = &layer.joined {
                 let finish = if layer.biases.is_some() { Finish::Add } else { Finish::Store };
@@ -336,7 +387,7 @@ impl Mlp {
                     BiasParams { counter: rows.counter, width: biases.n as u32, chunks: CHUNKS, stride };
                 let binds = [by_output.bind(), partial().bind(), rows.bind()];
                 let items = u64::from(CHUNKS) * biases.n as u64;
-                gpu.dispatch(&SUM_ROWS, &binds, &params, Size::Items(items));
+                gpu.dispatch(&self.kernels.sum_rows, &binds, &params, Size::Items(items));
             }
             if i == 0 {
                 rows.size(by_input, layer.weights.k);

@@ -1,12 +1,12 @@
 //! The occupancy grid on the GPU. Densities, bits and the list of selected cells leave the device only for
 //! checkpoints.
 
-use crate::backend::{Known, Lane, WgpuBackend};
-use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu, Size};
-use crate::kernel::{ABSORB, CHOOSE, FILL_IF_EMPTY, PROBES, SET_BITS, SET_OUTER_BITS, SETTLE, SUM_DENSITIES};
-use crate::space::GpuSpace;
-use bytemuck::{Pod, Zeroable};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Text};
+use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Size};
+use crate::shaders::{BLOCKS, RANDOM, SIDE, SUM};
+use crate::space::{GpuSpace, SPACE};
+use crate::workspace::{Known, Lane, WgpuBackend};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -18,37 +18,88 @@ use trimip_core::occupancy::coordinates;
 use trimip_core::policy::OccupancyPolicy;
 use trimip_core::rng::Stream;
 
-/// Cells along a side of a block, and blocks along a side of a block of blocks.
-pub const SIDE: u32 = 4;
-
 /// Indices into the state: cells selected, cells occupied, cells queried in a span.
 const CHOSEN: u32 = 0;
-const OCCUPIED: u32 = 1;
+pub const OCCUPIED: u32 = 1;
 const ASKED: u32 = 2;
 
-#[repr(C)]
-#[derive(Clone, Copy, Default, Pod, Zeroable)]
-struct Params {
-    space: GpuSpace,
-    cell_draws: [u32; 4],
-    point_draws: [u32; 4],
-    cells: u32,
-    fraction: f32,
-    first: u32,
-    capacity: u32,
-    radius: f32,
-    step_length: f32,
-    decay: f32,
-    threshold: f32,
-    blocks: u32,
-    /// Number of cells inside of the visual hull.
-    inside: u32,
-    padding: [u32; 2],
+shared! {
+    /// Parameters of the occupancy grid.
+    struct Params as Params {
+        space: GpuSpace,
+        cell_draws: [u32; 4],
+        point_draws: [u32; 4],
+        cells: u32,
+        fraction: f32,
+        /// Index of the span's first selected cell, and maximum number of cells of the span.
+        first: u32,
+        capacity: u32,
+        radius: f32,
+        step_length: f32,
+        decay: f32,
+        threshold: f32,
+        /// Number of workgroups that sum densities.
+        blocks: u32,
+        /// Number of cells inside of the visual hull; the others have a negative density.
+        inside: u32,
+    }
+}
+
+const OCCUPANCY: [Source; 10] = [
+    GRID,
+    RANDOM,
+    SPACE,
+    BLOCKS,
+    SUM,
+    Source::of::<Params>(),
+    Source::whole("CHOSEN", CHOSEN),
+    Source::whole("OCCUPIED", OCCUPIED),
+    Source::whole("ASKED", ASKED),
+    Text(include_str!("shaders/occupancy.wgsl")),
+];
+
+kernels! {
+    /// The kernels of the occupancy grid.
+    pub struct Kernels {
+        /// Selects cells.
+        choose: Kernel::new(
+            "choose",
+            &OCCUPANCY,
+            &[(0, Write), (1, Write), (2, Parameters), (3, Write), (6, Write)],
+        ),
+        /// Places a sample in each selected cell.
+        probes: Kernel::new(
+            "probes",
+            &OCCUPANCY,
+            &[(0, Write), (2, Parameters), (3, Write), (4, Write), (8, Write), (9, Write), (10, Write)],
+        ),
+        /// Updates the running densities.
+        absorb: Kernel::new(
+            "absorb",
+            &OCCUPANCY,
+            &[(0, Write), (2, Parameters), (3, Write), (5, Read), (6, Write)],
+        ),
+        sum_densities: Kernel::new("sum_densities", &OCCUPANCY, &[(2, Parameters), (6, Write), (7, Write)]),
+        /// Computes the threshold.
+        settle: Kernel::new("settle", &OCCUPANCY, &[(0, Write), (2, Parameters), (7, Write)]),
+        set_bits: Kernel::new(
+            "set_bits",
+            &OCCUPANCY,
+            &[(0, Write), (1, Write), (2, Parameters), (6, Write), (7, Write)],
+        ),
+        fill_if_empty: Kernel::new(
+            "fill_if_empty",
+            &OCCUPANCY,
+            &[(0, Write), (1, Write), (2, Parameters), (6, Write)],
+        ),
+        set_outer_bits: Kernel::new("set_outer_bits", &OCCUPANCY, &[(0, Write), (1, Write), (2, Parameters)]),
+    }
 }
 
 /// Grid, bits and running densities.
 pub struct WgpuOccupancy {
     gpu: Arc<Gpu>,
+    kernels: Kernels,
     policy: OccupancyPolicy,
     params: Params,
     /// Number of samples that a span has room for.
@@ -81,6 +132,7 @@ impl WgpuOccupancy {
         let kept = if training { cells as usize } else { 1 };
         let mut grid = Self {
             gpu: Arc::clone(gpu),
+            kernels: Kernels::new(gpu),
             policy,
             params,
             room,
@@ -148,7 +200,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         self.params.cell_draws = self.policy.random.at(Stream::Cell, step).words();
         self.gpu.clear(self.state.raw(), u64::from(4 * CHOSEN), 4);
         let binds = [self.state.bind(), self.grid.bind(), self.chosen.bind(), self.densities.bind()];
-        self.gpu.dispatch(&CHOOSE, &binds, &self.params, Size::Items(self.params.cells.into()));
+        self.gpu.dispatch(&self.kernels.choose, &binds, &self.params, Size::Items(self.params.cells.into()));
         // Only the device knows how many cells were selected; this is the upper bound.
         self.params.cells
     }
@@ -180,23 +232,23 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
             samples.rays.bind(),
             samples.intervals.bind(),
         ];
-        self.gpu.dispatch(&PROBES, &binds, &params, Size::Items(room as u64));
+        self.gpu.dispatch(&self.kernels.probes, &binds, &params, Size::Items(room as u64));
     }
 
     fn absorb(&mut self, radiance: &Buffer<Radiance>) {
-        let Self { gpu, params, state, grid, chosen, densities, partial, .. } = self;
+        let Self { gpu, kernels, params, state, grid, chosen, densities, partial, .. } = self;
         let cells = Size::Items(params.cells.into());
         let binds = [state.bind(), chosen.bind(), radiance.bind(), densities.bind()];
-        gpu.dispatch(&ABSORB, &binds, params, cells);
-        gpu.dispatch(&SUM_DENSITIES, &[densities.bind(), partial.bind()], params, cells);
-        gpu.dispatch(&SETTLE, &[state.bind(), partial.bind()], params, Size::Groups(1));
+        gpu.dispatch(&kernels.absorb, &binds, params, cells);
+        gpu.dispatch(&kernels.sum_densities, &[densities.bind(), partial.bind()], params, cells);
+        gpu.dispatch(&kernels.settle, &[state.bind(), partial.bind()], params, Size::Groups(1));
         let blocks = u64::from(params.space.resolution / SIDE).pow(3);
         let binds = [state.bind(), grid.bind(), densities.bind(), partial.bind()];
-        gpu.dispatch(&SET_BITS, &binds, params, Size::Items(blocks));
+        gpu.dispatch(&kernels.set_bits, &binds, params, Size::Items(blocks));
         let binds = [state.bind(), grid.bind(), densities.bind()];
-        gpu.dispatch(&FILL_IF_EMPTY, &binds, params, Size::Items(blocks));
+        gpu.dispatch(&kernels.fill_if_empty, &binds, params, Size::Items(blocks));
         let binds = [state.bind(), grid.bind()];
-        gpu.dispatch(&SET_OUTER_BITS, &binds, params, Size::Items(blocks));
+        gpu.dispatch(&kernels.set_outer_bits, &binds, params, Size::Items(blocks));
     }
 
     fn occupied(&self) -> f64 {
@@ -223,6 +275,3 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         }
     }
 }
-
-/// Index of the number of occupied cells within the state.
-pub const OCCUPIED_AT: u32 = OCCUPIED;

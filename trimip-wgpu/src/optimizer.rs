@@ -1,36 +1,50 @@
 //! AdamW on the GPU: one dispatch per slot. If the step has no weight, nothing changes.
 
-use crate::backend::WgpuBackend;
-use crate::buffer::Buffer;
-use crate::device::{Bind, Gpu, Size};
-use crate::kernel::UPDATE;
-use bytemuck::{Pod, Zeroable};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Text};
+use crate::gpu::{Bind, Buffer, GRID, Gpu, Kernel, Pipeline, Size};
+use crate::workspace::WgpuBackend;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use trimip_core::batch::Update;
 use trimip_core::policy::{OptimizerPolicy, SlotUpdate};
 use trimip_core::{Config, Layout, Optimizer};
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Params {
-    beta1: f32,
-    beta2: f32,
-    share1: f32,
-    share2: f32,
-    epsilon: f32,
-    rate: f32,
-    root_correction: f32,
-    shrink: f32,
-    start: u32,
-    count: u32,
-    group: u32,
-    sparsity: f32,
+shared! {
+    /// Parameters of an update.
+    struct Params as Params {
+        beta1: f32,
+        beta2: f32,
+        share1: f32,
+        share2: f32,
+        epsilon: f32,
+        rate: f32,
+        root_correction: f32,
+        shrink: f32,
+        /// In units of four parameters: first and count.
+        start: u32,
+        count: u32,
+        /// Groups of this many parameters, a power of two up to 16, are skipped if none has a gradient; 0: all are
+        /// updated.
+        group: u32,
+        /// Added to the gradient with the sign of the parameter.
+        sparsity: f32,
+    }
+}
+
+/// Updates the parameters of a slot.
+pub fn update() -> Kernel {
+    Kernel::new(
+        "update",
+        &[GRID, Source::of::<Params>(), Text(include_str!("shaders/adamw.wgsl"))],
+        &[(0, Write), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read), (6, Write)],
+    )
 }
 
 /// Moments of all parameters.
 pub struct WgpuOptimizer {
     gpu: Arc<Gpu>,
+    update: Pipeline,
     policy: OptimizerPolicy,
     m: Buffer<f32>,
     v: Buffer<f32>,
@@ -52,6 +66,7 @@ impl WgpuOptimizer {
         let length = if training { layout.len() } else { 4 };
         Self {
             gpu: Arc::clone(gpu),
+            update: gpu.pipeline(update()),
             policy: OptimizerPolicy::new(config, layout),
             m: Buffer::zeros(gpu, length),
             v: Buffer::zeros(gpu, length),
@@ -117,10 +132,10 @@ impl WgpuOptimizer {
                 group: group.unwrap_or(0) as u32,
                 sparsity: rule.sparsity,
             };
-            let sums = Bind { buffer: sums, offset: 0, size: None };
+            let sums = Bind::whole(sums);
             let [m, v, skipped] = [self.m.bind(), self.v.bind(), self.skipped.bind()];
             let binds = [parameters.bind(), gradient.bind(), m, v, sums, skipped];
-            self.gpu.dispatch(&UPDATE, &binds, &params, Size::Items(count.into()));
+            self.gpu.dispatch(&self.update, &binds, &params, Size::Items(count.into()));
         }
     }
 }

@@ -1,40 +1,38 @@
 //! Kernels of matrix products, in f32 or with cooperative f16 matrices: sizes of their tiles and blocks of rows.
 
-use crate::device::Size;
-use crate::kernel::Access::{self, Parameters, Read, Write};
-use crate::kernel::Kernel;
-use crate::rows::Rows;
+use crate::gpu::Access::{self, Parameters, Read, Write};
+use crate::gpu::Source::{self, Parts, Text};
+use crate::gpu::{COOPERATING, Kernel, Matrices, Rows, Size};
+use crate::shaders::HALF;
 
-const PRODUCT: &str = include_str!("shaders/multiply.wgsl");
-const STORE: &str = include_str!("shaders/finish_store.wgsl");
-const RELU: &str = include_str!("shaders/finish_relu.wgsl");
-const MASK: &str = include_str!("shaders/finish_mask.wgsl");
-const ADD: &str = include_str!("shaders/finish_add.wgsl");
-const ADD_RELU: &str = include_str!("shaders/finish_add_relu.wgsl");
-const MULTIPLY: [&[&str]; 5] =
-    [&[STORE, PRODUCT], &[RELU, PRODUCT], &[MASK, PRODUCT], &[ADD, PRODUCT], &[ADD_RELU, PRODUCT]];
-const ACCUMULATE: &[&str] = &[include_str!("shaders/accumulate.wgsl")];
-/// Conversion to f16.
-pub const HALF: &str = include_str!("shaders/half.wgsl");
-const EIGHT: &str = include_str!("shaders/cooperative_8.wgsl");
-const SIXTEEN: &str = include_str!("shaders/cooperative_16.wgsl");
-const PRODUCT_HALF: &str = include_str!("shaders/multiply_cooperative.wgsl");
-/// By side of the matrices, then by [`Finish`].
-const MULTIPLY_COOPERATIVE: [[&[&str]; 3]; 2] = [
-    [
-        &[HALF, EIGHT, STORE, PRODUCT_HALF],
-        &[HALF, EIGHT, RELU, PRODUCT_HALF],
-        &[HALF, EIGHT, MASK, PRODUCT_HALF],
-    ],
-    [
-        &[HALF, SIXTEEN, STORE, PRODUCT_HALF],
-        &[HALF, SIXTEEN, RELU, PRODUCT_HALF],
-        &[HALF, SIXTEEN, MASK, PRODUCT_HALF],
-    ],
-];
-const ACCUMULATE_HALF: &str = include_str!("shaders/accumulate_cooperative.wgsl");
-const ACCUMULATE_COOPERATIVE: [&[&str]; 2] =
-    [&[HALF, EIGHT, ACCUMULATE_HALF], &[HALF, SIXTEEN, ACCUMULATE_HALF]];
+shared! {
+    /// Parameters of a product.
+    pub struct Counter as Params {
+        /// Index of the counter of rows: counts[counter].
+        pub counter: u32,
+    }
+}
+
+/// Invocations of a workgroup of the products in f32.
+const THREADS: u32 = 256;
+
+const PLAIN: Source = Parts(&[
+    Source::of::<Counter>(),
+    Source::whole("THREADS", THREADS),
+    Source::whole("ROWS", TILE_ROWS),
+    Text(include_str!("shaders/multiply.wgsl")),
+]);
+const ACCUMULATE: Source = Parts(&[
+    Source::of::<Counter>(),
+    Source::whole("THREADS", THREADS),
+    Text(include_str!("shaders/accumulate.wgsl")),
+]);
+const COOPERATIVE: Source =
+    Parts(&[HALF, Source::of::<Counter>(), Source::whole("COOPERATING", COOPERATING)]);
+const MULTIPLY_COOPERATIVE: Source =
+    Parts(&[COOPERATIVE, Text(include_str!("shaders/multiply_cooperative.wgsl"))]);
+const ACCUMULATE_COOPERATIVE: Source =
+    Parts(&[COOPERATIVE, Text(include_str!("shaders/accumulate_cooperative.wgsl"))]);
 
 /// Operation on a product before it is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,25 +49,35 @@ pub enum Finish {
     AddRelu,
 }
 
+impl Finish {
+    fn source(self) -> Source {
+        Text(match self {
+            Self::Store => include_str!("shaders/finish_store.wgsl"),
+            Self::Relu => include_str!("shaders/finish_relu.wgsl"),
+            Self::Mask => include_str!("shaders/finish_mask.wgsl"),
+            Self::Add => include_str!("shaders/finish_add.wgsl"),
+            Self::AddRelu => include_str!("shaders/finish_add_relu.wgsl"),
+        })
+    }
+
+    /// The bindings that it adds to those of a product.
+    fn bindings(self) -> &'static [(u32, Access)] {
+        if self == Self::Mask { &[(4, Read)] } else { &[] }
+    }
+}
+
 /// Rows per tile of a product in f32.
 const TILE_ROWS: u32 = 64;
+
+/// Padded width of a matrix on the device.
+pub fn padded(width: usize) -> usize {
+    width.next_multiple_of(16)
+}
 
 /// Columns of a tile, in units of 16, for a matrix of `n` columns.
 pub fn tile(n: usize) -> u32 {
     (1..=4).rev().find(|t| n.is_multiple_of(16 * t)).unwrap_or(1) as u32
 }
-
-/// Cooperative matrices of a device, with f16 factors and f32 sums.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Matrices {
-    /// Number of rows and columns: 8 or 16.
-    pub side: u32,
-    /// Minimum number of subgroups in a workgroup of [`COOPERATING`] invocations.
-    pub subgroups: u32,
-}
-
-/// Workgroup size of the kernels that use cooperative matrices.
-pub const COOPERATING: u32 = 128;
 
 /// Factor that keeps small gradients within the range of f16; it leaves room for gradients up to 255.
 pub const GRADIENT_SCALE: u32 = 256;
@@ -78,8 +86,12 @@ pub const GRADIENT_SCALE: u32 = 256;
 const BLOCK: usize = 8192;
 
 impl Matrices {
-    fn index(self) -> usize {
-        usize::from(self.side == 16)
+    /// Their types in WGSL.
+    fn source(self) -> Source {
+        Text(match self.side {
+            16 => include_str!("shaders/cooperative_16.wgsl"),
+            _ => include_str!("shaders/cooperative_8.wgsl"),
+        })
     }
 
     /// Number of adjacent matrices that a subgroup sums at once.
@@ -87,7 +99,7 @@ impl Matrices {
         (1..=4).rev().find(|t| n.is_multiple_of((self.side * t) as usize)).unwrap_or(1)
     }
 
-    /// Rows of a block of `k` columns. The number divides [`crate::rows::BLOCK`], to which arrays are padded, so that
+    /// Rows of a block of `k` columns. The number divides [`crate::gpu::BLOCK`], to which arrays are padded, so that
     /// no block exceeds its array.
     pub fn rows(self, k: usize) -> u32 {
         match BLOCK / k {
@@ -103,38 +115,23 @@ impl Matrices {
     }
 }
 
-const PLAIN: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read)];
-const MASKED: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (5, Read)];
-const SUMMED: &[(u32, Access)] = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read)];
-// The same bindings, and the counter of overflows.
-const PLAIN_HALF: &[(u32, Access)] =
-    &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (6, Write)];
-const MASKED_HALF: &[(u32, Access)] =
-    &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (5, Read), (6, Write)];
-const SUMMED_HALF: &[(u32, Access)] =
-    &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read), (6, Write)];
+/// The binding of the counter of overflows.
+const OVERFLOWS: &[(u32, Access)] = &[(6, Write)];
 
 /// The product of [rows, k] and [k, n], in f32 or with cooperative `matrices`. The latter multiply the left factor by
 /// `scale` and have one more binding, the counter of overflows.
 pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, scale: u32) -> Kernel {
-    let bindings = match (finish == Finish::Mask, matrices.is_some()) {
-        (false, false) => PLAIN,
-        (true, false) => MASKED,
-        (false, true) => PLAIN_HALF,
-        (true, true) => MASKED_HALF,
+    let bindings = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read)];
+    let shape = [("K", k as u32), ("N", n as u32)];
+    let kernel = match matrices {
+        None => Kernel::new("multiply", &[PLAIN], bindings).with(&shape).with(&[("TN", tile(n))]),
+        Some(matrices) => Kernel::new("multiply", &[MULTIPLY_COOPERATIVE, matrices.source()], bindings)
+            .and(&[], OVERFLOWS)
+            .cooperative()
+            .with(&shape)
+            .with(&[("TN", matrices.across(n)), ("ROWS", matrices.rows(k)), ("SCALE", scale)]),
     };
-    let mut constants = vec![("K", k as u32), ("N", n as u32)];
-    match matrices {
-        None => {
-            constants.push(("TN", tile(n)));
-            Kernel::new("multiply", MULTIPLY[finish as usize], bindings).with(&constants)
-        }
-        Some(matrices) => {
-            constants.extend([("TN", matrices.across(n)), ("ROWS", matrices.rows(k)), ("SCALE", scale)]);
-            let files = MULTIPLY_COOPERATIVE[matrices.index()][finish as usize];
-            Kernel::new("multiply", files, bindings).cooperative().with(&constants)
-        }
-    }
+    kernel.and(&[finish.source()], finish.bindings())
 }
 
 /// Workgroups of the product of [rows, k] and [k, n].
@@ -148,19 +145,44 @@ pub fn multiplying(rows: &Rows, k: usize, n: usize, matrices: Option<Matrices>) 
 /// The weight gradient [k, n] in `chunks` parts, in f32 or with cooperative `matrices`. The latter leave it
 /// multiplied by [`GRADIENT_SCALE`] and have one more binding, the counter of overflows.
 pub fn accumulate(k: usize, n: usize, chunks: u32, matrices: Option<Matrices>) -> Kernel {
-    let mut constants = vec![("K", k as u32), ("N", n as u32), ("CHUNKS", chunks)];
+    let bindings = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read)];
+    let shape = [("K", k as u32), ("N", n as u32), ("CHUNKS", chunks)];
     match matrices {
         None => {
-            constants.extend([("TK", tile(k)), ("TN", tile(n))]);
-            Kernel::new("accumulate", ACCUMULATE, SUMMED).with(&constants)
+            let tiles = [("TK", tile(k)), ("TN", tile(n))];
+            Kernel::new("accumulate", &[ACCUMULATE], bindings).with(&shape).with(&tiles)
         }
         Some(matrices) => {
             let (across, subgroups) = (matrices.across(n), matrices.subgroups);
-            constants.extend([("TN", across), ("SUBGROUPS", subgroups), ("SCALE", GRADIENT_SCALE)]);
-            let files = ACCUMULATE_COOPERATIVE[matrices.index()];
-            Kernel::new("accumulate", files, SUMMED_HALF).cooperative().with(&constants)
+            Kernel::new("accumulate", &[ACCUMULATE_COOPERATIVE, matrices.source()], bindings)
+                .and(&[], OVERFLOWS)
+                .cooperative()
+                .with(&shape)
+                .with(&[("TN", across), ("SUBGROUPS", subgroups), ("SCALE", GRADIENT_SCALE)])
         }
     }
+}
+
+/// All products and weight gradients that a configuration can select, or similar ones, for validation.
+#[cfg(test)]
+pub fn all() -> Vec<Kernel> {
+    let sizes = [(8, 16), (16, 4), (16, 1)];
+    let matrices = sizes.map(|(side, subgroups)| Some(Matrices { side, subgroups }));
+    let mut kernels = Vec::new();
+    for hidden in [16, 32, 48, 80, 128, 144, 160, 512] {
+        for (k, n) in [(48, hidden), (hidden, 16), (32, hidden), (hidden, hidden), (16, hidden)] {
+            for matrices in matrices.into_iter().chain([None]) {
+                let finishes = [Finish::Store, Finish::Relu, Finish::Mask];
+                kernels.extend(finishes.map(|f| multiply(k, n, f, matrices, GRADIENT_SCALE)));
+                if matrices.is_none() {
+                    let adding = [Finish::Add, Finish::AddRelu];
+                    kernels.extend(adding.map(|f| multiply(k, n, f, None, GRADIENT_SCALE)));
+                }
+                kernels.push(accumulate(k, n, 64, matrices));
+            }
+        }
+    }
+    kernels
 }
 
 #[cfg(test)]
@@ -173,7 +195,7 @@ mod tests {
         let matrices = Matrices { side: 16, subgroups: 4 };
         for k in (16..=512).step_by(16) {
             let rows = matrices.rows(k) as usize;
-            assert!(crate::rows::BLOCK.is_multiple_of(rows) && rows.is_multiple_of(16), "{k}");
+            assert!(crate::gpu::BLOCK.is_multiple_of(rows) && rows.is_multiple_of(16), "{k}");
             assert!(rows * k <= BLOCK, "{k}: workgroup memory");
         }
     }

@@ -1,15 +1,13 @@
 //! Marching, pruning and compositing on the GPU.
 
-use crate::backend::{Lane, WgpuBackend};
-use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu, Size};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Parts, Text};
+use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Size};
 use crate::hybrid::Hybrid;
-use crate::kernel::{
-    COMPOSITING_GRADIENT, COMPOSITING_RAYS, LIST, MARCHING, PLACING, SEE, START_SEGMENTS, SUM_ALL, SUM_BLOCKS,
-};
 use crate::occupancy::WgpuOccupancy;
-use crate::space::GpuSpace;
-use bytemuck::{Pod, Zeroable};
+use crate::shaders::{BLOCKS, COMPOSITING, PRUNING, RANDOM, SEGMENTS};
+use crate::space::{GpuSpace, SPACE};
+use crate::workspace::{Lane, WgpuBackend};
 use std::sync::Arc;
 use trimip_core::backend::{Stages, see_all};
 use trimip_core::batch::{Radiance, Rays, Samples, Segment, Tile, Workspace};
@@ -19,48 +17,144 @@ use trimip_core::proxy::Guide;
 use trimip_core::rng::Stream;
 use trimip_core::{Config, Pixel, Renderer, Result};
 
-/// Segments per workgroup of the prefix sums.
-const BLOCK: u32 = 4 * GROUP;
+/// Segments per invocation of the prefix sums.
+const EACH: u32 = 4;
 
-/// Indices of the counters in [`Samples::counts`]. The number of samples dropped for lack of room is two further.
+/// Segments per workgroup of the prefix sums.
+const BLOCK: u32 = EACH * GROUP;
+
+/// Indices of the counters in [`Samples::counts`].
 pub(crate) const MARCHED: u32 = 0;
 const KEPT: u32 = 1;
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct MarchParams {
-    space: GpuSpace,
-    draws: [u32; 4],
-    step_length: f32,
-    step_per_radius: f32,
-    jitter: u32,
-    first: u32,
-    count: u32,
-    words: u32,
-    capacity: u32,
-    padding: u32,
+/// Distance from a counter to that of the samples that do not fit into their arrays.
+const DROPPED: u32 = 2;
+
+shared! {
+    /// Parameters of marching.
+    struct MarchParams as Params {
+        space: GpuSpace,
+        draws: [u32; 4],
+        step_length: f32,
+        step_per_radius: f32,
+        jitter: u32,
+        /// Index of the span's first ray within the step.
+        first: u32,
+        /// Number of rays.
+        count: u32,
+        /// Words of bits per ray.
+        words: u32,
+        /// Maximum number of samples.
+        capacity: u32,
+    }
+
+    /// Parameters of the prefix sums of segments.
+    struct ScanParams as Params {
+        count: u32,
+        blocks: u32,
+        /// Index of the counter for the total, and maximum of the total.
+        counter: u32,
+        capacity: u32,
+    }
+
+    /// Parameters of pruning.
+    struct PruneParams as Params {
+        /// Number of rays.
+        count: u32,
+        max_depth: f32,
+        min_weight: f32,
+        /// Maximum number of kept samples.
+        capacity: u32,
+    }
+
+    /// Parameters of compositing.
+    struct CompositeParams as Params {
+        background: [f32; 3],
+        /// Number of pixels.
+        count: u32,
+        /// 1 if pixels have targets with their own backgrounds.
+        targets: u32,
+    }
+
+    /// Parameters of the gradient of compositing.
+    struct GradientParams as Params {
+        /// Number of pixels.
+        count: u32,
+    }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct PruneParams {
-    count: u32,
-    max_depth: f32,
-    min_weight: f32,
-    capacity: u32,
-}
+/// Walking rays in steps through the occupied cells of the grid.
+pub const WALK: Source = Parts(&[SPACE, BLOCKS, Text(include_str!("shaders/walk.wgsl"))]);
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct CompositeParams {
-    background: [f32; 3],
-    count: u32,
-    targets: u32,
+const MARCH: [Source; 6] =
+    [GRID, RANDOM, WALK, SEGMENTS, Source::of::<MarchParams>(), Text(include_str!("shaders/march.wgsl"))];
+const SCAN: [Source; 4] = [
+    Source::of::<ScanParams>(),
+    Source::whole("EACH", EACH),
+    Source::whole("DROPPED", DROPPED),
+    Text(include_str!("shaders/scan.wgsl")),
+];
+const PRUNE: [Source; 5] =
+    [GRID, PRUNING, SEGMENTS, Source::of::<PruneParams>(), Text(include_str!("shaders/prune.wgsl"))];
+const COMPOSITE: [Source; 4] =
+    [GRID, COMPOSITING, Source::of::<CompositeParams>(), Text(include_str!("shaders/composite.wgsl"))];
+const GRADIENT: [Source; 4] = [
+    GRID,
+    COMPOSITING,
+    Source::of::<GradientParams>(),
+    Text(include_str!("shaders/composite_gradient.wgsl")),
+];
+
+kernels! {
+    /// The kernels of the renderer.
+    pub struct Kernels {
+        /// Marks the steps in occupied cells and counts them.
+        march: Kernel::new("march", &MARCH, &[(0, Read), (1, Write), (2, Write), (3, Parameters), (4, Read)]),
+        /// Turns marks into samples.
+        place: Kernel::new(
+            "place",
+            &MARCH,
+            &[(0, Read), (1, Write), (2, Write), (3, Parameters), (5, Write), (6, Write), (7, Write)],
+        ),
+        /// The three passes of the prefix sums.
+        sum_blocks: Kernel::new("sum_blocks", &SCAN, &[(0, Write), (1, Write), (2, Parameters)]),
+        sum_all: Kernel::new("sum_all", &SCAN, &[(1, Write), (2, Parameters), (3, Write)]),
+        start_segments: Kernel::new("start_segments", &SCAN, &[(0, Write), (1, Write), (2, Parameters)]),
+        /// Marks the visible samples.
+        see: Kernel::new(
+            "see",
+            &PRUNE,
+            &[(0, Write), (2, Parameters), (3, Read), (4, Read), (5, Write), (6, Write)],
+        ),
+        /// Lists the marked samples.
+        list: Kernel::new("list", &PRUNE, &[(0, Write), (1, Write), (2, Parameters), (5, Write), (6, Write)]),
+        composite: Kernel::new(
+            "composite",
+            &COMPOSITE,
+            &[
+                (0, Read),
+                (1, Write),
+                (2, Parameters),
+                (3, Read),
+                (4, Read),
+                (5, Read),
+                (6, Read),
+                (7, Read),
+                (8, Write),
+            ],
+        ),
+        composite_gradient: Kernel::new(
+            "composite_gradient",
+            &GRADIENT,
+            &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Read), (6, Read), (7, Read)],
+        ),
+    }
 }
 
 /// The renderer: its policy, the capacity of its arrays, and what chooses the samples of pictures.
 pub struct WgpuRenderer {
     gpu: Arc<Gpu>,
+    kernels: Kernels,
     pub(crate) policy: RendererPolicy,
     training: bool,
     /// Number of marched samples that a span has room for, and number of kept ones.
@@ -73,7 +167,8 @@ impl WgpuRenderer {
     /// Creates the renderer of a configuration, with room for `room` marched and `kept_room` kept samples per span.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, [room, kept_room]: [usize; 2]) -> Self {
         let policy = RendererPolicy::new(config);
-        Self { gpu: Arc::clone(gpu), policy, training, room, kept_room, hybrid: None }
+        let kernels = Kernels::new(gpu);
+        Self { gpu: Arc::clone(gpu), kernels, policy, training, room, kept_room, hybrid: None }
     }
 
     /// Computes the start of every segment and writes the total to a counter.
@@ -88,12 +183,13 @@ impl WgpuRenderer {
         let count = segments.known_len().unwrap_or(segments.capacity()) as u32;
         let blocks = count.div_ceil(BLOCK);
         lane.blocks.resize(blocks as usize);
-        let params = [count, blocks, counter, room as u32];
+        let params = ScanParams { count, blocks, counter, capacity: room as u32 };
+        let Kernels { sum_blocks, sum_all, start_segments, .. } = &self.kernels;
         let groups = Size::Groups(blocks.into());
         let binds = [segments.bind(), lane.blocks.bind()];
-        self.gpu.dispatch(&SUM_BLOCKS, &binds, &params, groups);
-        self.gpu.dispatch(&SUM_ALL, &[lane.blocks.bind(), counts.bind()], &params, Size::Groups(1));
-        self.gpu.dispatch(&START_SEGMENTS, &binds, &params, groups);
+        self.gpu.dispatch(sum_blocks, &binds, &params, groups);
+        self.gpu.dispatch(sum_all, &[lane.blocks.bind(), counts.bind()], &params, Size::Groups(1));
+        self.gpu.dispatch(start_segments, &binds, &params, groups);
     }
 }
 
@@ -106,7 +202,7 @@ impl WgpuRenderer {
         kept.count_by(kept_room, samples.counts.raw(), KEPT, 1);
         let binds = [samples.segments.bind(), kept.bind(), lane.old_segments.bind(), lane.marks.bind()];
         let params = self.prune_params(count, kept_room);
-        self.gpu.dispatch(&LIST, &binds, &params, Size::Items(count as u64));
+        self.gpu.dispatch(&self.kernels.list, &binds, &params, Size::Items(count as u64));
         lane.keep(kept, &mut samples.rays, 1);
         lane.keep(kept, &mut samples.intervals, 2);
         lane.keep(kept, &mut samples.spheres, 4);
@@ -174,11 +270,10 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             count: count as u32,
             words: words as u32,
             capacity: room as u32,
-            padding: 0,
         };
         let items = Size::Items(count as u64);
         let binds = [rays.rays.bind(), lane.bits.bind(), samples.segments.bind(), occupancy.grid().bind()];
-        self.gpu.dispatch(&MARCHING, &binds, &params, items);
+        self.gpu.dispatch(&self.kernels.march, &binds, &params, items);
         self.scan(lane, &samples.segments, &samples.counts, MARCHED, room);
         let counts = samples.counts.raw().clone();
         samples.rays.count_by(room, &counts, MARCHED, 1);
@@ -192,7 +287,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             samples.intervals.bind(),
             samples.spheres.bind(),
         ];
-        self.gpu.dispatch(&PLACING, &binds, &params, items);
+        self.gpu.dispatch(&self.kernels.place, &binds, &params, items);
     }
 
     fn prune(
@@ -215,7 +310,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             lane.old_segments.bind(),
             lane.marks.bind(),
         ];
-        self.gpu.dispatch(&SEE, &binds, &params, Size::Items(count as u64));
+        self.gpu.dispatch(&self.kernels.see, &binds, &params, Size::Items(count as u64));
         self.list(lane, samples, kept);
     }
 
@@ -246,7 +341,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             rays.groups.bind(),
             cones.bind(),
         ];
-        self.gpu.dispatch(&COMPOSITING_RAYS, &binds, &params, Size::Items(count as u64));
+        self.gpu.dispatch(&self.kernels.composite, &binds, &params, Size::Items(count as u64));
     }
 
     fn backward(
@@ -272,6 +367,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             pixel_gradients.bind(),
             rays.groups.bind(),
         ];
-        self.gpu.dispatch(&COMPOSITING_GRADIENT, &binds, &(count as u32), Size::Items(count as u64));
+        let params = GradientParams { count: count as u32 };
+        self.gpu.dispatch(&self.kernels.composite_gradient, &binds, &params, Size::Items(count as u64));
     }
 }

@@ -1,17 +1,18 @@
 //! Ray generation on the GPU: views, pixels and scales are stored on the device.
 
-use crate::backend::{Lane, WgpuBackend};
-use crate::buffer::Buffer;
-use crate::device::{Gpu, Size, lock};
-use crate::kernel::{CAMERA_RAYS, TRAINING_RAYS, TRAINING_RAYS_EXPOSED};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Parts, Text};
+use crate::gpu::{Binds, Buffer, GRID, Gpu, Kernel, Size, lock};
 use crate::settings::{Photographs, WgpuConfig};
-use bytemuck::{Pod, Zeroable};
+use crate::shaders::{RANDOM, RAY};
+use crate::workspace::{Lane, WgpuBackend};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use trimip_core::backend::Sampler;
 use trimip_core::balance::Draw;
 use trimip_core::batch::Rays;
-use trimip_core::cones;
+use trimip_core::cones::{self, QUINCUNX};
+use trimip_core::lens::MOST_ROUNDS;
 use trimip_core::policy::SamplerPolicy;
 use trimip_core::rng::Stream;
 use trimip_core::views::Alpha;
@@ -23,18 +24,101 @@ const MOST_THREADS: usize = 8;
 /// Maximum number of scales of a data set.
 const MOST_SCALES: usize = 8;
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct GpuView {
-    pose: [[f32; 4]; 3],
-    intrinsics: [f32; 4],
-    disc: f32,
-    width: u32,
-    offset: u32,
-    lens: u32,
-    radial: [f32; 4],
-    denominator: [f32; 4],
-    shift: [f32; 4],
+shared! {
+    /// A camera and the place of its pixels.
+    struct GpuView as View {
+        /// Rows of the camera-to-world rotation, each followed by a component of the origin.
+        pose: [[f32; 4]; 3],
+        /// fx, fy, cx, cy.
+        intrinsics: [f32; 4],
+        /// Radius of the pixel's disc on the plane at distance 1.
+        disc: f32,
+        width: u32,
+        /// Index of the view's first pixel.
+        offset: u32,
+        /// 0 for a pinhole, 1 for a perspective lens, 2 for a fisheye.
+        lens: u32,
+        /// The lens, with the letters of [`trimip_core::lens`]: k1 to k4; d1 to d3 and the domain; p1, p2, s1, s2.
+        radial: [f32; 4],
+        denominator: [f32; 4],
+        shift: [f32; 4],
+    }
+
+    /// A scale of the training views.
+    struct GpuScale as Scale {
+        first_pixel: u32,
+        pixels: u32,
+        first_view: u32,
+        views: u32,
+    }
+
+    /// Parameters of ray generation.
+    struct Params as Params {
+        draws: [u32; 4],
+        background_draws: [u32; 4],
+        background: [f32; 3],
+        /// Fraction of the pixels that get a random background.
+        random_share: f32,
+        /// Number of pixels of the step; index of the first pixel and number of pixels of this span.
+        total: u32,
+        first: u32,
+        count: u32,
+        scales: u32,
+        /// What alpha is, see [`meaning`].
+        alpha: u32,
+        /// 1 if `pixels` holds only the drawn pixels, in the order of the rays.
+        streamed: u32,
+        /// Index within the step of the span's first cone.
+        first_cone: u32,
+        padding: u32,
+        /// Pixels of the step from this index on belong to this scale or a coarser one.
+        begins: [u32; MOST_SCALES],
+        /// By scale: loss weight of a pixel, cones along its side, edge exponent of its photographs.
+        weights: [f32; MOST_SCALES],
+        sides: [u32; MOST_SCALES],
+        exponents: [f32; MOST_SCALES],
+    }
+}
+
+/// Cameras and the cones of their pixels.
+pub const CAMERA: Source = Parts(&[
+    RAY,
+    Source::of::<GpuView>(),
+    Source::whole("MOST_ROUNDS", MOST_ROUNDS),
+    Source::real("EPSILON", f32::EPSILON),
+    Source::whole("QUINCUNX", QUINCUNX),
+    Text(include_str!("shaders/camera.wgsl")),
+]);
+
+const RAYS: [Source; 6] = [
+    GRID,
+    RANDOM,
+    CAMERA,
+    Source::of::<GpuScale>(),
+    Source::of::<Params>(),
+    Text(include_str!("shaders/rays.wgsl")),
+];
+const PHOTOGRAPHS_NONE: Source = Text(include_str!("shaders/photographs_none.wgsl"));
+const PHOTOGRAPHS_KEPT: Source = Text(include_str!("shaders/photographs_kept.wgsl"));
+
+/// The kernel that generates the rays of a training step.
+fn training_rays() -> Kernel {
+    Kernel::new(
+        "training_rays",
+        &RAYS,
+        &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Write), (6, Write)],
+    )
+}
+
+kernels! {
+    /// The kernels of ray generation.
+    pub struct Kernels {
+        camera_rays: Kernel::new("camera_rays", &RAYS, &[(0, Read), (1, Write), (2, Parameters), (6, Write)])
+            .and(&[PHOTOGRAPHS_NONE], &[]),
+        training_rays: training_rays().and(&[PHOTOGRAPHS_NONE], &[]),
+        /// The same, and each pixel keeps the number of its photograph.
+        training_rays_exposed: training_rays().and(&[PHOTOGRAPHS_KEPT], &[(7, Write), (8, Read)]),
+    }
 }
 
 impl GpuView {
@@ -58,43 +142,10 @@ impl GpuView {
     }
 }
 
-#[repr(C)]
-#[derive(Clone, Copy, Default, Pod, Zeroable)]
-struct GpuScale {
-    first_pixel: u32,
-    pixels: u32,
-    first_view: u32,
-    views: u32,
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Default, Pod, Zeroable)]
-struct Params {
-    draws: [u32; 4],
-    background_draws: [u32; 4],
-    background: [f32; 3],
-    random_share: f32,
-    total: u32,
-    first: u32,
-    count: u32,
-    scales: u32,
-    /// What alpha is, see [`meaning`].
-    alpha: u32,
-    /// 1 if `pixels` holds only the drawn pixels, in the order of the rays.
-    streamed: u32,
-    /// Index within the step of the span's first cone.
-    first_cone: u32,
-    padding: u32,
-    begins: [u32; MOST_SCALES],
-    weights: [f32; MOST_SCALES],
-    /// Cones along a side of a pixel of each scale.
-    sides: [u32; MOST_SCALES],
-    exponents: [f32; MOST_SCALES],
-}
-
 /// The training views on the device, and the policy by which a step's pixels are drawn from them.
 pub struct WgpuSampler {
     gpu: Arc<Gpu>,
+    kernels: Kernels,
     policy: SamplerPolicy,
     training: Option<Training>,
     camera: Buffer<GpuView>,
@@ -134,7 +185,8 @@ impl WgpuSampler {
                 Some(training)
             }
         };
-        Ok(Self { gpu: Arc::clone(gpu), policy, training, camera: Buffer::zeros(gpu, 1), params })
+        let kernels = Kernels::new(gpu);
+        Ok(Self { gpu: Arc::clone(gpu), kernels, policy, training, camera: Buffer::zeros(gpu, 1), params })
     }
 }
 
@@ -275,18 +327,17 @@ impl Sampler<WgpuBackend> for WgpuSampler {
         }
         let Training { views, scales, photographs: of_views, .. } = training;
         rays.photographs.resize(if of_views.is_some() { range.len() } else { 0 });
-        let mut binds = vec![
-            views.bind(),
+        let mut binds = Binds::new(views.bind()).and([
             rays.rays.bind(),
             pixels.bind(),
             scales.bind(),
             rays.targets.bind(),
             rays.groups.bind(),
-        ];
-        let mut kernel = &TRAINING_RAYS;
+        ]);
+        let mut kernel = &self.kernels.training_rays;
         if let Some(of_views) = of_views {
-            kernel = &TRAINING_RAYS_EXPOSED;
-            binds.extend([rays.photographs.bind(), of_views.bind()]);
+            kernel = &self.kernels.training_rays_exposed;
+            binds = binds.and([rays.photographs.bind(), of_views.bind()]);
         }
         self.gpu.dispatch(kernel, &binds, &params, Size::Items(range.len() as u64));
     }
@@ -303,6 +354,6 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             ..self.params
         };
         let binds = [self.camera.bind(), rays.rays.bind(), rays.groups.bind()];
-        self.gpu.dispatch(&CAMERA_RAYS, &binds, &params, Size::Items(range.len() as u64));
+        self.gpu.dispatch(&self.kernels.camera_rays, &binds, &params, Size::Items(range.len() as u64));
     }
 }

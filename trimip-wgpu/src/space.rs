@@ -1,23 +1,41 @@
-//! The space in the layout of the shaders.
+//! The space in the layout of the shaders, and its WGSL.
 
-use bytemuck::{Pod, Zeroable};
+use crate::gpu::Source::{self, Parts, Text};
+use crate::shaders::RAY;
 use trimip_core::Space;
+use trimip_core::space::contraction::{FARTHEST, STRETCH};
 
-/// The twin of `Space` in `space.wgsl`.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-pub struct GpuSpace {
-    aabb_min: [f32; 3],
-    /// Cells along each side of the occupancy grid.
-    pub resolution: u32,
-    aabb_max: [f32; 3],
-    longest: f32,
-    inverse_extent: [f32; 3],
-    /// Radius of the ball that keeps its shape; 0 in a bounded space.
-    ball: f32,
-    cell_extent: [f32; 3],
-    cell: f32,
+shared! {
+    /// A space and the cells of its occupancy grid.
+    pub struct GpuSpace as Space {
+        aabb_min: [f32; 3],
+        /// Cells along each side of the occupancy grid.
+        pub resolution: u32,
+        aabb_max: [f32; 3],
+        /// Longest side of the box.
+        longest: f32,
+        /// Quotients are computed on the host, exact to half an ulp; a device's own division may be less accurate.
+        inverse_extent: [f32; 3],
+        /// Radius of the ball in the middle of the box that keeps its shape; 0 in a bounded space.
+        ball: f32,
+        cell_extent: [f32; 3],
+        /// Shortest side of a cell.
+        cell: f32,
+    }
 }
+
+/// A distance beyond all others.
+const FAR: f32 = 3.0e38;
+
+/// The map from the world to the unit cube, and rays through it.
+pub const SPACE: Source = Parts(&[
+    RAY,
+    Source::of::<GpuSpace>(),
+    Source::real("FAR", FAR),
+    Source::real("FARTHEST", FARTHEST as f32),
+    Source::real("STRETCH", STRETCH as f32),
+    Text(include_str!("shaders/space.wgsl")),
+]);
 
 impl GpuSpace {
     /// Converts a space, with a grid of `resolution` cells along each side.

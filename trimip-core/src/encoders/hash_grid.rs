@@ -5,7 +5,7 @@
 
 mod points;
 
-pub use points::{Points, share};
+pub use points::{Points, TURNS, share};
 
 use super::{Definition, Place, Twin};
 use crate::config::HashGridConfig;

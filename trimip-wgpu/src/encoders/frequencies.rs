@@ -1,39 +1,46 @@
 //! Positional encodings on the GPU. They have no parameters, so nothing flows back.
 
-use super::{Encoding, GAUSSIANS, Left, Places, whole};
-use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu};
-use crate::kernel::Access::{Parameters, Read, Write};
-use crate::kernel::{Addition, GRID, Kernel, RAY};
-use bytemuck::{Pod, Zeroable};
+use super::{Encoding, FeatureGradients, GAUSSIANS, Places, whole};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Text};
+use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Pipeline};
+use crate::workspace::Addition;
 use std::sync::Arc;
 use trimip_core::encoders::frequencies::{self, RADIUS};
 use trimip_core::{Aabb, Config, encoders};
 
-/// Computes the features of samples.
-static WRITE: Kernel = Kernel::new(
-    "frequencies",
-    &[GRID, RAY, GAUSSIANS, include_str!("shaders/frequencies.wgsl")],
-    &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read), (6, Read)],
-);
+shared! {
+    /// Parameters of positional encodings.
+    struct Params as Params {
+        /// Size of the box, world units.
+        extent: [f32; 3],
+        /// Number of frequencies.
+        count: u32,
+        /// 1 for the mean over a Gaussian, 0 for its centre.
+        integrated: u32,
+        /// 1 if the position is a feature too.
+        identity: u32,
+        /// Floats in a row of features.
+        stride: u32,
+        counter: u32,
+        /// Ratio of mip-NeRF's radius to that of a disc.
+        radius: f32,
+    }
+}
 
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Params {
-    extent: [f32; 3],
-    count: u32,
-    integrated: u32,
-    identity: u32,
-    stride: u32,
-    counter: u32,
-    radius: f32,
-    /// A uniform structure ends at a multiple of 16 bytes.
-    padding: [u32; 3],
+/// Computes the features of samples.
+fn write() -> Kernel {
+    Kernel::new(
+        "frequencies",
+        &[GRID, GAUSSIANS, Source::of::<Params>(), Text(include_str!("shaders/frequencies.wgsl"))],
+        &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read), (6, Read)],
+    )
 }
 
 /// The encoding.
 pub(crate) struct Frequencies {
     gpu: Arc<Gpu>,
+    write: Pipeline,
     encoding: frequencies::Encoding<f32>,
     stride: u32,
 }
@@ -42,6 +49,7 @@ impl Encoding for Frequencies {
     fn new(gpu: &Arc<Gpu>, config: &Config, _: bool, _: Addition, _: &Buffer<u32>) -> Self {
         Self {
             gpu: Arc::clone(gpu),
+            write: gpu.pipeline(write()),
             encoding: frequencies::Encoding::new(&config.frequencies, &Aabb::new(&config.scene)),
             stride: encoders::stride(config) as u32,
         }
@@ -65,15 +73,14 @@ impl Encoding for Frequencies {
             stride: self.stride,
             counter: rows.counter,
             radius: RADIUS as f32,
-            padding: [0; 3],
         };
-        self.gpu.dispatch(&WRITE, &binds, &params, rows.dispatch(1, GROUP));
+        self.gpu.dispatch(&self.write, &binds, &params, rows.dispatch(1, GROUP));
     }
 
-    fn flush(&mut self, _: impl Iterator<Item = Left>, _: &Buffer<f32>, _: &Buffer<f32>) {}
+    fn flush(&mut self, _: impl Iterator<Item = FeatureGradients>, _: &Buffer<f32>, _: &Buffer<f32>) {}
 
     #[cfg(test)]
     fn kernels() -> Vec<Kernel> {
-        vec![WRITE.clone()]
+        vec![write()]
     }
 }

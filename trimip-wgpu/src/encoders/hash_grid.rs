@@ -1,101 +1,103 @@
 //! The hash grid on the GPU: one invocation per sample and level, forward and backward.
 
-use super::{Encoding, Left, Places, SETTLE_ENTRIES, whole};
-use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu, Size};
-use crate::kernel::Access::{self, Parameters, Read, Write};
-use crate::kernel::{ADD_ATOMIC, ADD_EXCHANGE, ADD_FIXED, Addition, FIXED, GRID, Kernel, RAY};
-use bytemuck::{Pod, Zeroable};
+use super::scatter::Scatter;
+use super::{Encoding, FeatureGradients, Places, whole};
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::Source::{self, Constant, Parts, Text};
+use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Pipeline, Value};
+use crate::shaders::RAY;
+use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::encoders::hash_grid::{Levels, PRIMES, Points};
+use trimip_core::encoders::hash_grid::{Levels, PRIMES, Points, TURNS};
 use trimip_core::params::ALIGNMENT;
 use trimip_core::{Aabb, Config, encoders};
 
-const HASH: &str = include_str!("shaders/hash_grid.wgsl");
-const READING: &[&str] = &[GRID, HASH, include_str!("shaders/hash_read.wgsl")];
-const ADDING: &str = include_str!("shaders/hash_add.wgsl");
-const ADDING_FIXED: &[&str] = &[GRID, HASH, FIXED, ADD_FIXED, ADDING];
-const ADDING_ATOMIC: &[&str] = &[GRID, HASH, ADD_ATOMIC, ADDING];
-const ADDING_EXCHANGE: &[&str] = &[GRID, HASH, ADD_EXCHANGE, ADDING];
+shared! {
+    /// A level.
+    struct Level as Level {
+        /// Cells across the box, minus one.
+        scale: f32,
+        /// Corners along a side; 0 if corners share entries through the hash.
+        side: u32,
+        /// Index of the first entry, and number of entries.
+        first: u32,
+        entries: u32,
+    }
+
+    /// Parameters of reads and of the sums of gradients.
+    struct Params as Params {
+        levels: u32,
+        /// Floats in a row of features.
+        stride: u32,
+        counter: u32,
+    }
+
+    /// Parameters of the points of samples.
+    struct Preparing as Params {
+        /// Size of the box, world units, and its longest side.
+        extent: [f32; 3],
+        longest: f32,
+        /// 1 or 6.
+        points: u32,
+        counter: u32,
+    }
+}
+
+const HASH: Source = Parts(&[
+    GRID,
+    Source::of::<Level>(),
+    Source::of::<Params>(),
+    Source::whole("PRIME_Y", PRIMES[1]),
+    Source::whole("PRIME_Z", PRIMES[2]),
+    Text(include_str!("shaders/hash_grid.wgsl")),
+]);
 
 /// Constants of the kernels for entries of `features` floats, read at the points of a sample.
-fn constants(features: u32, points: &Points<f32>) -> [(&'static str, u32); 5] {
-    let [_, y, z] = PRIMES;
-    let weighted = u32::from(points.downweight);
-    let points = points.count as u32;
-    [("FEATURES", features), ("POINTS", points), ("WEIGHTED", weighted), ("PRIME_Y", y), ("PRIME_Z", z)]
+fn constants(features: u32, points: &Points<f32>) -> [(&'static str, u32); 3] {
+    [("FEATURES", features), ("POINTS", points.count as u32), ("WEIGHTED", u32::from(points.downweight))]
 }
 
 /// Computes the points of samples.
-static PREPARE: Kernel = Kernel::new(
-    "hash_points",
-    &[GRID, RAY, include_str!("shaders/hash_points.wgsl")],
-    &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read), (6, Read)],
-);
-
-/// The kernel of trilinear reads.
-fn read(features: u32, points: &Points<f32>) -> Kernel {
-    let bindings = &[(0, Read), (1, Read), (2, Parameters), (4, Write), (5, Read), (9, Read)];
-    Kernel::new("hash_read", READING, bindings).with(&constants(features, points))
+fn prepare() -> Kernel {
+    let turns = Constant("TURNS", Value::Reals(&TURNS));
+    Kernel::new(
+        "hash_points",
+        &[GRID, RAY, Source::of::<Preparing>(), turns, Text(include_str!("shaders/hash_points.wgsl"))],
+        &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read), (6, Read)],
+    )
 }
 
-/// The kernel that adds gradients of entries.
+/// Trilinear reads.
+fn read(features: u32, points: &Points<f32>) -> Kernel {
+    Kernel::new(
+        "hash_read",
+        &[HASH, Text(include_str!("shaders/hash_read.wgsl"))],
+        &[(0, Read), (1, Read), (2, Parameters), (4, Write), (5, Read), (9, Read)],
+    )
+    .with(&constants(features, points))
+}
+
+/// Adds gradients of entries.
 fn add(features: u32, points: &Points<f32>, addition: Addition) -> Kernel {
-    const FLOATS: &[(u32, Access)] =
-        &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (9, Read)];
-    const WORDS: &[(u32, Access)] =
-        &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (6, Write), (8, Write), (9, Read)];
-    let kernel = match addition {
-        Addition::Fixed => Kernel::new("hash_add", ADDING_FIXED, WORDS),
-        Addition::Atomic => Kernel::new("hash_add", ADDING_ATOMIC, FLOATS),
-        Addition::Exchange => Kernel::new("hash_add", ADDING_EXCHANGE, FLOATS),
-    };
+    let kernel = addition.kernel(
+        "hash_add",
+        &[HASH, Text(include_str!("shaders/hash_add.wgsl"))],
+        &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read), (9, Read)],
+    );
     kernel.with(&constants(features, points))
 }
 
-/// A level in the layout of the shaders.
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Level {
-    scale: f32,
-    /// 0 if corners share entries through the hash.
-    side: u32,
-    first: u32,
-    entries: u32,
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Params {
-    levels: u32,
-    stride: u32,
-    counter: u32,
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Preparing {
-    extent: [f32; 3],
-    longest: f32,
-    points: u32,
-    counter: u32,
-}
-
-/// The levels, and room for gradients in fixed point.
+/// The levels, and the sums of the gradients of their entries.
 pub(crate) struct Grid {
     gpu: Arc<Gpu>,
-    features: u32,
     points: Points<f32>,
     levels: Buffer<Level>,
     count: u32,
     stride: u32,
-    /// Floats of the table, up to the next slot.
-    length: usize,
-    addition: Addition,
-    /// High words of the gradient in fixed point.
-    high: Buffer<f32>,
-    /// Counter of terms that do not fit into fixed point.
-    skipped: wgpu::Buffer,
+    prepare: Pipeline,
+    read: Pipeline,
+    /// Sums over the table, up to the next slot.
+    sums: Scatter,
 }
 
 impl Grid {
@@ -122,23 +124,23 @@ impl Encoding for Grid {
         });
         let mut levels = Buffer::zeros(gpu, 0);
         levels.write(&own.collect::<Vec<_>>());
-        let fixed = training && addition == Addition::Fixed;
+        let features = grid.features as u32;
+        let points = Points::new(&config.hash_grid, &Aabb::new(&config.scene));
+        let add = add(features, &points, addition);
         Self {
             gpu: Arc::clone(gpu),
-            features: grid.features as u32,
-            points: Points::new(&config.hash_grid, &Aabb::new(&config.scene)),
             levels,
             count: grid.levels.len() as u32,
             stride: encoders::stride(config) as u32,
-            length,
-            addition,
-            high: Buffer::zeros(gpu, if fixed { length } else { ALIGNMENT }),
-            skipped: skipped.raw().clone(),
+            prepare: gpu.pipeline(prepare()),
+            read: gpu.pipeline(read(features, &points)),
+            sums: Scatter::new(gpu, add, addition, training, length, skipped),
+            points,
         }
     }
 
     fn forward(&self, parameters: &Buffer<f32>, at: &Places, tape: &Buffer<f32>, features: &Buffer<f32>) {
-        let (table, rows) = (parameters.part(0, self.length), &at.rows);
+        let (table, rows) = (parameters.part(0, self.sums.length()), &at.rows);
         if !self.points.is_plain() {
             let binds = [
                 whole(&at.rays),
@@ -155,42 +157,28 @@ impl Encoding for Grid {
                 points,
                 counter: rows.counter,
             };
-            self.gpu.dispatch(&PREPARE, &binds, &preparing, rows.dispatch(points, GROUP));
+            self.gpu.dispatch(&self.prepare, &binds, &preparing, rows.dispatch(points, GROUP));
         }
         let places = if self.points.is_plain() { whole(&at.spheres) } else { tape.bind() };
         let binds = [table, places, features.bind(), rows.bind(), self.levels.bind()];
         let size = rows.dispatch(self.count, GROUP);
-        self.gpu.dispatch(&read(self.features, &self.points), &binds, &self.params(rows.counter), size);
+        self.gpu.dispatch(&self.read, &binds, &self.params(rows.counter), size);
     }
 
     fn flush(
         &mut self,
-        deposits: impl Iterator<Item = Left>,
+        deposits: impl Iterator<Item = FeatureGradients>,
         _: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     ) {
-        let bytes = |count: usize| (count * size_of::<f32>()) as u64;
-        self.gpu.clear(parameter_gradient.raw(), 0, bytes(self.length));
-        self.gpu.clear(self.high.raw(), 0, bytes(self.high.capacity()));
-        let fixed = self.addition == Addition::Fixed;
-        for left in deposits {
-            let (table, rows) = (parameter_gradient.part(0, self.length), &left.at.rows);
-            let places = if self.points.is_plain() { &left.at.spheres } else { &left.tape };
-            let mut binds = vec![whole(&left.gradients), whole(places), table, rows.bind()];
-            if fixed {
-                binds.push(self.high.bind());
-                binds.push(whole(&self.skipped));
-            }
-            binds.push(self.levels.bind());
-            let kernel = add(self.features, &self.points, self.addition);
-            let size = rows.dispatch(self.count, GROUP);
-            self.gpu.dispatch(&kernel, &binds, &self.params(rows.counter), size);
+        self.sums.clear(parameter_gradient);
+        for from in deposits {
+            let rows = &from.at.rows;
+            let places = if self.points.is_plain() { &from.at.spheres } else { &from.tape };
+            let work = (&self.params(rows.counter), rows.dispatch(self.count, GROUP));
+            self.sums.add(&from, places, parameter_gradient, &[self.levels.bind()], work);
         }
-        if fixed {
-            let count = self.length as u32 / 4;
-            let binds = [parameter_gradient.part(0, self.length), self.high.part(0, self.length)];
-            self.gpu.dispatch(&SETTLE_ENTRIES, &binds, &count, Size::Items(count.into()));
-        }
+        self.sums.settle(parameter_gradient);
     }
 
     #[cfg(test)]
@@ -202,11 +190,10 @@ impl Encoding for Grid {
             longest: 1.0,
         });
         let variants = [1, 2, 4, 8].into_iter().flat_map(|f| points.map(|points| (f, points)));
-        let ways = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
         let of = |(f, points): (u32, Points<f32>)| {
-            let adding = ways.map(|way| add(f, &points, way));
+            let adding = super::scatter::ADDITIONS.map(|way| add(f, &points, way));
             adding.into_iter().chain([read(f, &points)])
         };
-        variants.flat_map(of).chain([SETTLE_ENTRIES.clone(), PREPARE.clone()]).collect()
+        variants.flat_map(of).chain([super::scatter::settle(), prepare()]).collect()
     }
 }

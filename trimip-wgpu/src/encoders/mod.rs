@@ -4,30 +4,25 @@
 pub mod frequencies;
 pub mod hash_grid;
 pub mod rip_map;
+pub mod scatter;
 pub mod tensor;
 pub mod tri_mip;
 pub mod voxels;
 
-use crate::buffer::Buffer;
-use crate::device::{Bind, Gpu};
-use crate::kernel::Access::{Parameters, Write};
-use crate::kernel::{Addition, FIXED, GRID, Kernel, OWN_FIXED};
-use crate::rows::Rows;
+#[cfg(test)]
+use crate::gpu::Kernel;
+use crate::gpu::Source::{self, Parts, Text};
+use crate::gpu::{Bind, Buffer, Gpu, Rows};
+use crate::shaders::RAY;
+use crate::workspace::Addition;
 use std::sync::Arc;
 use trimip_core::Config;
 
 /// Gaussians of samples.
-const GAUSSIANS: &str = include_str!("shaders/rip_gaussians.wgsl");
+const GAUSSIANS: Source = Parts(&[RAY, Text(include_str!("shaders/rip_gaussians.wgsl"))]);
 
 /// Levels and texels of bilinear reads.
-const TEXELS: &str = include_str!("shaders/texels.wgsl");
-
-/// Converts gradients of texels or entries from fixed point to f32.
-static SETTLE_ENTRIES: Kernel = Kernel::new(
-    "settle_entries",
-    &[GRID, FIXED, OWN_FIXED, include_str!("shaders/settle_entries.wgsl")],
-    &[(0, Write), (2, Parameters), (3, Write)],
-);
+pub const TEXELS: Source = Text(include_str!("shaders/texels.wgsl"));
 
 /// The interface of an encoder on the GPU.
 pub(crate) trait Encoding: Sized + Send + Sync {
@@ -53,7 +48,7 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     /// Sums the deposits and overwrites the encoder's part of `parameter_gradient`.
     fn flush(
         &mut self,
-        deposits: impl Iterator<Item = Left>,
+        deposits: impl Iterator<Item = FeatureGradients>,
         parameters: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     );
@@ -78,7 +73,7 @@ pub(crate) struct Places {
 }
 
 /// Feature gradients of a step, with the places they belong to.
-pub(crate) struct Left {
+pub(crate) struct FeatureGradients {
     pub at: Places,
     pub tape: wgpu::Buffer,
     pub gradients: wgpu::Buffer,
@@ -86,5 +81,5 @@ pub(crate) struct Left {
 
 /// Binds a whole array.
 pub(crate) fn whole(buffer: &wgpu::Buffer) -> Bind<'_> {
-    Bind { buffer, offset: 0, size: None }
+    Bind::whole(buffer)
 }

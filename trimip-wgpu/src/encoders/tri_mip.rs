@@ -1,99 +1,110 @@
 //! Tri-mip encoding on the GPU. The planes are at the front of the parameters; the levels above them are one derived
 //! array.
 
-use super::{Encoding, Left, Places, TEXELS, whole};
-use crate::buffer::Buffer;
-use crate::device::{Bind, GROUP, Gpu, Size};
-use crate::kernel::Access::{self, Parameters, Read, Write};
-use crate::kernel::{
-    ADD_ATOMIC, ADD_EXCHANGE, ADD_FIXED, Addition, FIXED, GRID, Kernel, OWN_FIXED, OWN_FLOAT,
-};
-use bytemuck::{Pod, Zeroable};
+use super::scatter::{OWN_FIXED, OWN_FLOAT};
+use super::{Encoding, FeatureGradients, Places, TEXELS, whole};
+use crate::gpu::Access::{self, Parameters, Read, Write};
+use crate::gpu::Source::{self, Parts, Text};
+use crate::gpu::{Bind, Binds, Buffer, GRID, GROUP, Gpu, Kernel, Pipeline, Size};
+use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, Pyramid};
+use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, LEVELS_PER_UNIT, MOST_LEVEL_INPUT, Pyramid};
 use trimip_core::{Aabb, Config, encoders};
 
-const PLANES: &str = include_str!("shaders/planes.wgsl");
-const TRI_MIP: &str = include_str!("shaders/tri_mip.wgsl");
-const SCATTER: &str = include_str!("shaders/scatter.wgsl");
-const SCATTER_FIXED: &[&str] = &[GRID, PLANES, TEXELS, TRI_MIP, FIXED, ADD_FIXED, SCATTER];
-const SCATTER_ATOMIC: &[&str] = &[GRID, PLANES, TEXELS, TRI_MIP, ADD_ATOMIC, SCATTER];
-const SCATTER_EXCHANGE: &[&str] = &[GRID, PLANES, TEXELS, TRI_MIP, ADD_EXCHANGE, SCATTER];
-const PULL: &str = include_str!("shaders/pull.wgsl");
-const PULL_FIXED: &[&str] = &[GRID, PLANES, FIXED, OWN_FIXED, PULL];
-const PULL_FLOAT: &[&str] = &[GRID, PLANES, OWN_FLOAT, PULL];
+shared! {
+    /// Parameters of reads and of the sums of gradients.
+    struct Params as Pyramid {
+        /// log2 of each plane's base radius.
+        log2_base_radius: [f32; 3],
+        levels: u32,
+        /// Texels along x, y and z at level 0.
+        sides: [u32; 3],
+        /// Index of the counter of rows: counts[counter].
+        counter: u32,
+        /// log2 of the radius of level 0, for the level input.
+        reference: f32,
+        /// 1 if the level of a sample is one of its features.
+        level_input: u32,
+        /// Floats in a row of features.
+        stride: u32,
+    }
+
+    /// Parameters of a pass over a level.
+    struct LevelParams as Params {
+        /// Texels of the finer level along x, y and z.
+        sides: [u32; 3],
+        /// 1 if there is a coarser level.
+        has_coarse: u32,
+    }
+}
+
+const PLANES: Source = Parts(&[GRID, Text(include_str!("shaders/planes.wgsl"))]);
+
+/// The level of a sphere, and the texels that it reads.
+pub const TRI_MIP: Source = Parts(&[
+    PLANES,
+    TEXELS,
+    Source::of::<Params>(),
+    Source::whole("CHANNELS", CHANNELS as u32),
+    Source::whole("FOURS", FOURS),
+    Source::real("LEVELS_PER_UNIT", LEVELS_PER_UNIT as f32),
+    Source::real("MOST_LEVEL_INPUT", MOST_LEVEL_INPUT as f32),
+    Text(include_str!("shaders/tri_mip.wgsl")),
+]);
+
+/// The texels' features of a sample, in units of four.
+const FOURS: u32 = FEATURES as u32 / 4;
 
 /// Computes the features of samples.
-static ENCODE: Kernel = Kernel::new(
-    "encode",
-    &[GRID, PLANES, TEXELS, TRI_MIP, include_str!("shaders/encode.wgsl")],
-    &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read)],
-);
+fn encode() -> Kernel {
+    Kernel::new(
+        "encode",
+        &[TRI_MIP, Text(include_str!("shaders/encode.wgsl"))],
+        &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read)],
+    )
+}
 
 /// Computes a level from the next finer one.
-static AVERAGE: Kernel = Kernel::new(
-    "average",
-    &[GRID, PLANES, include_str!("shaders/average.wgsl")],
-    &[(0, Write), (1, Write), (2, Parameters)],
-);
+fn average() -> Kernel {
+    Kernel::new(
+        "average",
+        &[PLANES, Source::of::<LevelParams>(), Text(include_str!("shaders/average.wgsl"))],
+        &[(0, Write), (1, Write), (2, Parameters)],
+    )
+}
 
-/// The kernel that scatters feature gradients to texel gradients.
+/// Scatters feature gradients to texel gradients.
 fn scatter(addition: Addition) -> Kernel {
-    const FLOATS: &[(u32, Access)] =
-        &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read)];
-    const WORDS: &[(u32, Access)] = &[
-        (0, Read),
-        (1, Read),
-        (2, Parameters),
-        (3, Write),
-        (4, Write),
-        (5, Read),
-        (6, Write),
-        (7, Write),
-        (8, Write),
-    ];
-    match addition {
-        Addition::Fixed => Kernel::new("scatter", SCATTER_FIXED, WORDS),
-        Addition::Atomic => Kernel::new("scatter", SCATTER_ATOMIC, FLOATS),
-        Addition::Exchange => Kernel::new("scatter", SCATTER_EXCHANGE, FLOATS),
-    }
+    let own: &[(u32, Access)] =
+        if addition == Addition::Fixed { &[(6, Write), (7, Write), (8, Write)] } else { &[] };
+    Kernel::new(
+        "scatter",
+        &[TRI_MIP, Text(include_str!("shaders/scatter.wgsl"))],
+        &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Write), (5, Read)],
+    )
+    .and(&[addition.source()], own)
 }
 
-/// The kernel that pulls gradients from a coarse level to the next finer one.
+/// Pulls gradients from a coarse level to the next finer one.
 fn pull(addition: Addition) -> Kernel {
+    let kernel = Kernel::new(
+        "pull",
+        &[PLANES, Source::of::<LevelParams>(), Text(include_str!("shaders/pull.wgsl"))],
+        &[(0, Write), (1, Write), (2, Parameters)],
+    );
     match addition {
-        Addition::Fixed => {
-            Kernel::new("pull", PULL_FIXED, &[(0, Write), (1, Write), (2, Parameters), (3, Write)])
-        }
-        Addition::Atomic | Addition::Exchange => {
-            Kernel::new("pull", PULL_FLOAT, &[(0, Write), (1, Write), (2, Parameters)])
-        }
+        Addition::Fixed => kernel.and(&[OWN_FIXED], &[(3, Write)]),
+        Addition::Atomic | Addition::Exchange => kernel.and(&[OWN_FLOAT], &[]),
     }
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Params {
-    log2_base_radius: [f32; 3],
-    levels: u32,
-    sides: [u32; 3],
-    counter: u32,
-    reference: f32,
-    level_input: u32,
-    stride: u32,
-    unused: u32,
-}
-
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct LevelParams {
-    sides: [u32; 3],
-    has_coarse: u32,
 }
 
 /// The planes and their mip levels.
 pub(crate) struct Planes {
     gpu: Arc<Gpu>,
+    encode: Pipeline,
+    average: Pipeline,
+    scatter: Pipeline,
+    pull: Pipeline,
     pyramid: Pyramid,
     /// The pyramid of the planes in full size.
     whole: Pyramid,
@@ -121,7 +132,6 @@ impl Planes {
             reference: self.reference.unwrap_or_default(),
             level_input: self.reference.is_some().into(),
             stride: self.stride as u32,
-            unused: 0,
         }
     }
 
@@ -160,6 +170,10 @@ impl Encoding for Planes {
         let (base, fixed) = (pyramid.base_len(), training && addition == Addition::Fixed);
         Self {
             gpu: Arc::clone(gpu),
+            encode: gpu.pipeline(encode()),
+            average: gpu.pipeline(average()),
+            scatter: gpu.pipeline(scatter(addition)),
+            pull: gpu.pipeline(pull(addition)),
             reference: config.encoder.level_input.then(|| pyramid.reference() as f32),
             stride: encoders::stride(config),
             whole: pyramid.clone(),
@@ -182,20 +196,20 @@ impl Encoding for Planes {
                 self.level(level - 1, parameters, &self.derived),
                 self.level(level, parameters, &self.derived),
             ];
-            self.gpu.dispatch(&AVERAGE, &binds, &self.level_params(level - 1, true), self.items(level));
+            self.gpu.dispatch(&self.average, &binds, &self.level_params(level - 1, true), self.items(level));
         }
     }
 
     fn forward(&self, parameters: &Buffer<f32>, at: &Places, _: &Buffer<f32>, features: &Buffer<f32>) {
         let (planes, rows) = (parameters.part(0, self.pyramid.base_len()), &at.rows);
         let binds = [planes, self.derived.bind(), whole(&at.spheres), features.bind(), rows.bind()];
-        let size = rows.dispatch(FEATURES as u32 / 4, GROUP);
-        self.gpu.dispatch(&ENCODE, &binds, &self.params(rows.counter), size);
+        let size = rows.dispatch(FOURS, GROUP);
+        self.gpu.dispatch(&self.encode, &binds, &self.params(rows.counter), size);
     }
 
     fn flush(
         &mut self,
-        deposits: impl Iterator<Item = Left>,
+        deposits: impl Iterator<Item = FeatureGradients>,
         _: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     ) {
@@ -205,21 +219,19 @@ impl Encoding for Planes {
             self.gpu.clear(whole.raw(), 0, bytes(whole.capacity()));
         }
         let fixed = self.addition == Addition::Fixed;
-        for left in deposits {
-            let rows = &left.at.rows;
-            let mut binds = vec![
-                whole(&left.gradients),
-                whole(&left.at.spheres),
+        for from in deposits {
+            let rows = &from.at.rows;
+            let mut binds = Binds::new(whole(&from.gradients)).and([
+                whole(&from.at.spheres),
                 parameter_gradient.part(0, self.pyramid.base_len()),
                 self.derived_gradient.bind(),
                 rows.bind(),
-            ];
+            ]);
             if fixed {
-                binds.extend(self.high.iter().map(Buffer::bind));
-                binds.push(whole(&self.skipped));
+                binds = binds.and(self.high.iter().map(Buffer::bind)).and([whole(&self.skipped)]);
             }
-            let size = rows.dispatch(FEATURES as u32 / 4, GROUP);
-            self.gpu.dispatch(&scatter(self.addition), &binds, &self.params(rows.counter), size);
+            let size = rows.dispatch(FOURS, GROUP);
+            self.gpu.dispatch(&self.scatter, &binds, &self.params(rows.counter), size);
         }
         // Pull from coarse to fine: each texel gets a quarter of its parent's gradient.
         for level in (0..self.pyramid.levels).rev() {
@@ -229,19 +241,17 @@ impl Encoding for Planes {
                 true => self.level(level + 1, parameter_gradient, &self.derived_gradient),
                 false => self.derived.bind(),
             };
-            let mut binds = vec![self.level(level, parameter_gradient, &self.derived_gradient), coarse];
-            if fixed {
-                binds.push(self.level(level, &self.high[0], &self.high[1]));
-            }
+            let fine = self.level(level, parameter_gradient, &self.derived_gradient);
+            let high = fixed.then(|| self.level(level, &self.high[0], &self.high[1]));
+            let binds = Binds::new(fine).and([coarse]).and(high);
             let params = self.level_params(level, has_coarse);
-            self.gpu.dispatch(&pull(self.addition), &binds, &params, self.items(level));
+            self.gpu.dispatch(&self.pull, &binds, &params, self.items(level));
         }
     }
 
     #[cfg(test)]
     fn kernels() -> Vec<Kernel> {
-        let additions = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
         let of = |addition| [scatter(addition), pull(addition)];
-        additions.into_iter().flat_map(of).chain([ENCODE.clone(), AVERAGE.clone()]).collect()
+        super::scatter::ADDITIONS.into_iter().flat_map(of).chain([encode(), average()]).collect()
     }
 }

@@ -2,11 +2,6 @@
 // tile of 16·TK by 16·TN of one chunk; `reduce` adds the chunks in order. Without atomics, the result has the same
 // bits every time.
 
-struct Params {
-    // Index of the counter of rows: counts[counter].
-    counter: u32,
-}
-
 @group(0) @binding(0) var<storage, read> left: array<f32>;
 @group(0) @binding(1) var<storage, read> right: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
@@ -21,7 +16,7 @@ const TILES: u32 = (K / HEIGHT) * (N / WIDTH);
 var<workgroup> left_tile: array<f32, DEPTH * HEIGHT>;
 var<workgroup> right_tile: array<f32, DEPTH * WIDTH>;
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(THREADS)
 fn accumulate(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
@@ -38,7 +33,7 @@ fn accumulate(
     let column = local % 16u;
     var sums: array<array<f32, TN>, TK>;
     for (var first = begin; first < end; first += DEPTH) {
-        for (var i = local; i < DEPTH * HEIGHT; i += 256u) {
+        for (var i = local; i < DEPTH * HEIGHT; i += THREADS) {
             let r = first + i / HEIGHT;
             var value = 0.0;
             if r < end {
@@ -46,7 +41,7 @@ fn accumulate(
             }
             left_tile[i] = value;
         }
-        for (var i = local; i < DEPTH * WIDTH; i += 256u) {
+        for (var i = local; i < DEPTH * WIDTH; i += THREADS) {
             let r = first + i / WIDTH;
             var value = 0.0;
             if r < end {

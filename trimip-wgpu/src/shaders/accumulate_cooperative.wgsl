@@ -2,11 +2,6 @@
 // N. Each subgroup computes T rows by T·TN columns of one chunk. D is multiplied by SCALE so that small gradients do
 // not underflow in f16; `reduce` adds the chunks in order and divides by SCALE.
 
-struct Params {
-    // Index of the counter of rows: counts[counter].
-    counter: u32,
-}
-
 @group(0) @binding(0) var<storage, read> left: array<f32>;
 @group(0) @binding(1) var<storage, read> right: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
@@ -24,7 +19,7 @@ const DOWN: u32 = (K + HEIGHT - 1u) / HEIGHT;
 var<workgroup> left_tile: array<f16, DEPTH * HEIGHT>;
 var<workgroup> right_tile: array<f16, DEPTH * WIDTH>;
 
-@compute @workgroup_size(128)
+@compute @workgroup_size(COOPERATING)
 fn accumulate(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(local_invocation_index) local: u32,
@@ -45,7 +40,7 @@ fn accumulate(
     var lost = 0u;
     var sums: array<Sums, TN>;
     for (var first = begin; first < end; first += DEPTH) {
-        for (var i = local; i < DEPTH * HEIGHT; i += 128u) {
+        for (var i = local; i < DEPTH * HEIGHT; i += COOPERATING) {
             let r = first + i / HEIGHT;
             let k = first_k + i % HEIGHT;
             var value = 0.0;
@@ -55,7 +50,7 @@ fn accumulate(
             lost += too_large(value);
             left_tile[i] = half(value);
         }
-        for (var i = local; i < DEPTH * WIDTH; i += 128u) {
+        for (var i = local; i < DEPTH * WIDTH; i += COOPERATING) {
             let r = first + i / WIDTH;
             var value = 0.0;
             if r < end {

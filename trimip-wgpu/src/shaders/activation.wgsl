@@ -1,8 +1,5 @@
 // Twin of `trimip_core::activation`. The functions of density take the logit minus its shift.
 
-const EXP: u32 = 0u;
-const SOFTPLUS: u32 = 1u;
-
 fn density_of(kind: u32, x: f32) -> f32 {
     if kind == EXP {
         return exp(x);

@@ -1,25 +1,6 @@
 // AdamW: twin of `trimip_core::adamw::Rule`, four parameters per invocation. If the step has no weight, nothing
 // changes.
 
-struct Params {
-    beta1: f32,
-    beta2: f32,
-    share1: f32,
-    share2: f32,
-    epsilon: f32,
-    rate: f32,
-    root_correction: f32,
-    shrink: f32,
-    // In units of four parameters: first and count.
-    start: u32,
-    count: u32,
-    // Groups of this many parameters, a power of two up to 16, are skipped if none has a gradient; 0: all are
-    // updated.
-    group: u32,
-    // Added to the gradient with the sign of the parameter.
-    sparsity: f32,
-}
-
 @group(0) @binding(0) var<storage, read_write> parameters: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read> gradients: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -1,14 +1,6 @@
 // Biases of a layer with rows of `width` outputs: `spread` writes them to every row, `sum_rows` adds up the rows of a
 // gradient in chunks.
 
-struct Params {
-    counter: u32,
-    width: u32,
-    chunks: u32,
-    // Floats between the sums of two chunks.
-    stride: u32,
-}
-
 @group(0) @binding(0) var<storage, read> source: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read_write> rows: array<f32>;

@@ -1,26 +1,4 @@
-// Cameras and the cones of their pixels; twin of `trimip_core::camera`. Needs `ray.wgsl`.
-
-struct View {
-    // Rows of the camera-to-world rotation, each followed by a component of the origin.
-    pose: array<vec4<f32>, 3>,
-    // fx, fy, cx, cy.
-    intrinsics: vec4<f32>,
-    // Radius of the pixel's disc on the plane at distance 1.
-    disc: f32,
-    width: u32,
-    // Index of the view's first pixel.
-    offset: u32,
-    // 0 for a pinhole, 1 for a perspective lens, 2 for a fisheye.
-    lens: u32,
-    // The lens, with the letters of `trimip_core::lens`: k1 to k4; d1 to d3 and the domain; p1, p2, s1, s2.
-    radial: vec4<f32>,
-    denominator: vec4<f32>,
-    shift: vec4<f32>,
-}
-
-// Most steps of Newton's method.
-const MOST_ROUNDS: u32 = 24u;
-const EPSILON: f32 = 1.1920929e-7;
+// Cameras and the cones of their pixels; twin of `trimip_core::camera`.
 
 // Undistorted coordinates, and the area of the image of a small surface around them over its own; 0 if there is no ray.
 struct Unbent {
@@ -114,9 +92,6 @@ fn project(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     let across = unbent.at * narrower;
     return LocalCone(vec3<f32>(across.x, -across.y, -cos(angle)), 1.0, own * sqrt(narrower), cos(angle));
 }
-
-// Twin of `trimip_core::cones::QUINCUNX`.
-const QUINCUNX: u32 = 0x100u;
 
 // Number of cones of a pixel.
 fn cones_in(side: u32) -> u32 {

@@ -2,36 +2,6 @@
 // counts are summed, `fill` walks it again and writes them. A ray of which the proxy is unsure has the samples of volume
 // rendering. Twin of `trimip_core::proxy::Chooser` and the CPU's hybrid renderer.
 
-struct Params {
-    space: Space,
-    // Cells of the proxy along each axis.
-    cells: vec3<u32>,
-    // Number of rays.
-    count: u32,
-    // Index of the first word of the bricks, and of the codes, in `proxy`.
-    bricks: u32,
-    codes: u32,
-    // Maximum number of samples.
-    capacity: u32,
-    // More than the steps of any ray.
-    last: f32,
-    // Length of a step along the proxy, and of the steps of volume rendering.
-    step: f32,
-    step_length: f32,
-    step_per_radius: f32,
-    // Largest radius of a sphere for which the proxy is used.
-    widest: f32,
-    // See `trimip_core::proxy::Rule` and `BEHIND`.
-    least: f32,
-    opaque: f32,
-    behind: f32,
-    // See `trimip_core::proxy::Layers`; no layers stand for the rule of weights.
-    delta: f32,
-    surface: f32,
-    layers: u32,
-    samples: u32,
-}
-
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 // 1 for rays of which the proxy is sure.
 @group(0) @binding(1) var<storage, read_write> sure: array<u32>;
@@ -227,10 +197,7 @@ fn fill(
     if i >= params.count {
         return;
     }
-    // A batch larger than its buffer is truncated; the counters tell how many samples were dropped.
-    var segment = segments[i];
-    segment.x = min(segment.x, params.capacity);
-    segment.y = min(segment.y, params.capacity - segment.x);
+    let segment = fitting(segments[i], params.capacity);
     segments[i] = segment;
     let ray = rays[i];
     let end = segment.x + segment.y;

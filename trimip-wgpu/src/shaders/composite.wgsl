@@ -1,12 +1,5 @@
 // Volume rendering along each cone, and the mean of the cones of each pixel.
 
-struct Params {
-    background: vec3<f32>,
-    count: u32,
-    // 1 if pixels have targets with their own backgrounds.
-    targets: u32,
-}
-
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
 // Five floats per pixel: colour, opacity, depth.
 @group(0) @binding(1) var<storage, read_write> pixels: array<f32>;

@@ -1,9 +1,5 @@
 // Maps gradients of pixels to gradients of density and colour: what a sample adds to its pixel minus what it hides.
 
-struct Params {
-    count: u32,
-}
-
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> gradients: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -1,10 +1,5 @@
 // Colours of samples with less weight in their ray than the least: black. One invocation per ray.
 
-struct Params {
-    count: u32,
-    least: f32,
-}
-
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> radiance: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> params: Params;

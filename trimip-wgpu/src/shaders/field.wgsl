@@ -68,7 +68,7 @@ fn append_frequencies(first: u32, count: u32, j: u32, value: f32, frequencies: u
     }
 }
 
-// Colours from the colour network's outputs, [samples, 16], of which the first three are used; without networks from those
+// Colours from the colour network's outputs, [samples, DIRECT], of which the first three are used; without networks from those
 // after the density logit.
 @compute @workgroup_size(GROUP)
 fn colors(
@@ -78,7 +78,7 @@ fn colors(
 ) {
     let i = index_of(group, groups, local);
     if i < counts[params.counter] {
-        let red = 16u * i + params.direct;
+        let red = DIRECT * i + params.direct;
         let logits = vec3<f32>(outputs[red], outputs[red + 1u], outputs[red + 2u]);
         var rgb = vec3<f32>(sigmoid(logits.x), sigmoid(logits.y), sigmoid(logits.z));
         if params.direct == 1u {
@@ -88,7 +88,7 @@ fn colors(
     }
 }
 
-// Gradients of the colour logits, [samples, 16].
+// Gradients of the colour logits, [samples, DIRECT].
 @compute @workgroup_size(GROUP)
 fn color_gradients(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -102,9 +102,9 @@ fn color_gradients(
     for (var c = 0u; c < 3u; c++) {
         let value = radiance[i][c];
         let slope = select(sigmoid_derivative(value), select(0.0, 1.0, value > 0.0), params.direct == 1u);
-        rows[16u * i + c] = gradients[i][c] * slope;
+        rows[DIRECT * i + c] = gradients[i][c] * slope;
     }
-    for (var c = 3u; c < 16u; c++) {
-        rows[16u * i + c] = 0.0;
+    for (var c = 3u; c < DIRECT; c++) {
+        rows[DIRECT * i + c] = 0.0;
     }
 }

@@ -1,6 +1,5 @@
-// Sums of texel gradients in 64-bit fixed point with 30 fractional bits, as two words. Integer sums have the same
+// Sums of texel gradients in 64-bit fixed point, as two words; `POINT` is the fixed-point value of 1. Integer sums have the same
 // bits in any order. Before the division by the step's weight, gradients stay below 2^33 and are as exact as in f32.
-const POINT: f32 = 1073741824.0;
 const WORD: f32 = 4294967296.0;
 
 // True for values of magnitude below 2^24; 512 of them can be added without overflow.

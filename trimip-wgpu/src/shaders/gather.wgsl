@@ -1,10 +1,5 @@
 // Gathers the rows `kept` of an array, one float per invocation.
 
-struct Params {
-    width: u32,
-    counter: u32,
-}
-
 @group(0) @binding(0) var<storage, read> source: array<u32>;
 @group(0) @binding(1) var<storage, read_write> gathered: array<u32>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -1,19 +1,5 @@
 // The terms of each pixel, weighted by area, and their gradient with respect to the pixel. The sums over a workgroup's
-// pixels go to `partial`; `loss_sums.wgsl` adds them. Needs `total.wgsl`, `finite.wgsl` and an adjustment (`exposed`,
-// `unexposed`); `penalty` (the photometric term), `PixelTerms` and `pixel_terms` are composed of the registered terms.
-
-struct Params {
-    count: u32,
-    blocks: u32,
-    // 1 to average only over pixels with samples.
-    live: u32,
-    // Number of photographs that have gains.
-    photographs: u32,
-    // Weight, then numbers of the photometric term.
-    photometric: vec4<f32>,
-    // The same of each term of pixels.
-    terms: PixelTerms,
-}
+// pixels go to `partial`; `loss_sums.wgsl` adds them. Needs an adjustment (`exposed`, `unexposed`); `penalty` (the photometric term), `PixelTerms` and `pixel_terms` are composed of the registered terms.
 
 @group(0) @binding(0) var<storage, read> pixels: array<f32>;
 @group(0) @binding(1) var<storage, read_write> gradients: array<f32>;
@@ -25,10 +11,7 @@ struct Params {
 // First cone and number of cones of each pixel.
 @group(0) @binding(8) var<storage, read> pixel_groups: array<vec2<u32>>;
 
-// Opacity below which the power of an edge exponent is constant; twin of `trimip_core::edges`.
-const LEAST_OPACITY = 1e-4;
-
-// The colour that a photograph shows of a pixel, which is P + (1 - A) * background: P * A^exponent on the background.
+// Twin of `trimip_core::edges`. The colour that a photograph shows of a pixel, which is P + (1 - A) * background: P * A^exponent on the background.
 fn shown(pixel: vec4<f32>, background: vec3<f32>, exponent: f32) -> vec3<f32> {
     if exponent == 0.0 {
         return pixel.rgb;
@@ -102,7 +85,7 @@ fn evaluate(
             }
         }
     }
-    let sum = total(local, own);
+    let sum = workgroup_sum(local, own);
     let block = group.y * groups.x + group.x;
     if local == 0u && block < params.blocks {
         partial[block] = sum;

@@ -1,9 +1,4 @@
-// Adds the sums of the workgroups of `evaluate` in order. Needs `total.wgsl`.
-
-struct Params {
-    count: u32,
-    blocks: u32,
-}
+// Adds the sums of the workgroups of `evaluate` in order.
 
 @group(0) @binding(2) var<uniform> params: Params;
 // Loss, weight, squared error, number of non-finite pixels.
@@ -19,7 +14,7 @@ fn add_up(@builtin(local_invocation_index) local: u32) {
     for (var i = local; i < params.blocks; i += GROUP) {
         own += partial[i];
     }
-    let sum = total(local, own);
+    let sum = workgroup_sum(local, own);
     if local == 0u {
         for (var c = 0u; c < 4u; c++) {
             sums[c] = bitcast<u32>(sum[c]);

@@ -1,21 +1,6 @@
 // Marching. `march` decides once, with one bit per step, which steps lie in occupied cells, and counts them. After
 // the counts are summed, `place` turns the bits into samples. Twin of the CPU's renderer.
 
-struct Params {
-    space: Space,
-    draws: vec4<u32>,
-    step_length: f32,
-    step_per_radius: f32,
-    jitter: u32,
-    // Index of the span's first ray within the step.
-    first: u32,
-    count: u32,
-    // Words of bits per ray.
-    words: u32,
-    // Maximum number of samples.
-    capacity: u32,
-}
-
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read_write> bits: array<u32>;
 @group(0) @binding(2) var<storage, read_write> segments: array<vec2<u32>>;
@@ -81,10 +66,7 @@ fn place(
     if i >= params.count {
         return;
     }
-    var segment = segments[i];
-    // A batch larger than its buffer is truncated; the step's sums count the dropped samples.
-    segment.x = min(segment.x, params.capacity);
-    segment.y = min(segment.y, params.capacity - segment.x);
+    let segment = fitting(segments[i], params.capacity);
     segments[i] = segment;
     let ray = rays[i];
     let m = start(ray, params.first + i);

@@ -1,10 +1,5 @@
-// C[rows, N] = A[rows, K] · W[K, N]. A workgroup computes 64 rows by 16·TN columns, an invocation 4 rows by TN
+// C[rows, N] = A[rows, K] · W[K, N]. A workgroup computes ROWS rows by 16·TN columns, an invocation 4 rows by TN
 // columns. `finish` defines what is stored.
-
-struct Params {
-    // Index of the counter of rows: counts[counter].
-    counter: u32,
-}
 
 @group(0) @binding(0) var<storage, read> left: array<f32>;
 @group(0) @binding(1) var<storage, read> weights: array<f32>;
@@ -12,14 +7,13 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> product: array<f32>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
 
-const ROWS: u32 = 64u;
 const DEPTH: u32 = 16u;
 const COLUMNS: u32 = 16u * TN;
 
 var<workgroup> left_tile: array<f32, ROWS * DEPTH>;
 var<workgroup> weight_tile: array<f32, DEPTH * COLUMNS>;
 
-@compute @workgroup_size(256)
+@compute @workgroup_size(THREADS)
 fn multiply(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -37,7 +31,7 @@ fn multiply(
     let column = local % 16u;
     var sums: array<array<f32, TN>, 4>;
     for (var depth = 0u; depth < K; depth += DEPTH) {
-        for (var i = local; i < ROWS * DEPTH; i += 256u) {
+        for (var i = local; i < ROWS * DEPTH; i += THREADS) {
             let r = first_row + i / DEPTH;
             var value = 0.0;
             if r < rows {
@@ -45,7 +39,7 @@ fn multiply(
             }
             left_tile[(i % DEPTH) * ROWS + i / DEPTH] = value;
         }
-        for (var i = local; i < DEPTH * COLUMNS; i += 256u) {
+        for (var i = local; i < DEPTH * COLUMNS; i += THREADS) {
             weight_tile[i] = weights[(depth + i / COLUMNS) * N + first_column + i % COLUMNS];
         }
         workgroupBarrier();

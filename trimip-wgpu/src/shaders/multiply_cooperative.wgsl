@@ -3,11 +3,6 @@
 // f16. `finish` defines what is stored. Arrays are padded to whole blocks of rows: values after the last row are
 // overwritten and never read.
 
-struct Params {
-    // Index of the counter of rows: counts[counter].
-    counter: u32,
-}
-
 @group(0) @binding(0) var<storage, read> left: array<f32>;
 @group(0) @binding(1) var<storage, read> weights: array<f16>;
 @group(0) @binding(2) var<uniform> params: Params;
@@ -20,7 +15,7 @@ const STRIPS: u32 = N / (T * TN);
 
 var<workgroup> block: array<f16, ROWS * K>;
 
-@compute @workgroup_size(128)
+@compute @workgroup_size(COOPERATING)
 fn multiply(
     @builtin(workgroup_id) group: vec3<u32>,
     @builtin(num_workgroups) groups: vec3<u32>,
@@ -35,7 +30,7 @@ fn multiply(
         return;
     }
     var lost = 0u;
-    for (var i = local; i < ROWS * K; i += 128u) {
+    for (var i = local; i < ROWS * K; i += COOPERATING) {
         var value = 0.0;
         if first + i / K < rows {
             value = f32(SCALE) * left[first * K + i];
@@ -63,7 +58,7 @@ fn multiply(
         }
     }
     storageBarrier();
-    for (var i = local; i < ROWS * N; i += 128u) {
+    for (var i = local; i < ROWS * N; i += COOPERATING) {
         let at = first * N + i;
         if first + i / N < rows {
             product[at] = finish(product[at] / f32(SCALE), at);

@@ -1,23 +1,5 @@
 // The occupancy grid: selection of cells, their densities, and the occupied bits. Twin of `trimip_core::occupancy`
-// and of the CPU's grid. `state` holds: cells selected, cells occupied, cells queried in this span.
-
-struct Params {
-    space: Space,
-    cell_draws: vec4<u32>,
-    point_draws: vec4<u32>,
-    cells: u32,
-    fraction: f32,
-    // Index of the span's first selected cell, and maximum number of cells of the span.
-    first: u32,
-    capacity: u32,
-    radius: f32,
-    step_length: f32,
-    decay: f32,
-    threshold: f32,
-    blocks: u32,
-    // Number of cells inside of the visual hull; the others have a negative density.
-    inside: u32,
-}
+// and of the CPU's grid. `state` holds the numbers of cells selected, occupied, and queried in this span.
 
 @group(0) @binding(0) var<storage, read_write> state: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read_write> grid: array<u32>;
@@ -63,12 +45,12 @@ fn choose(
     var asked = params.fraction >= 1.0;
     if !asked {
         let bits = random_bits(params.cell_draws, cell);
-        let probability = params.fraction * f32(params.cells) / f32(max(atomicLoad(&state[1]), 1u));
+        let probability = params.fraction * f32(params.cells) / f32(max(atomicLoad(&state[OCCUPIED]), 1u));
         asked = unit(bits.x) < params.fraction
             || (is_occupied(coordinates(cell, params.space.resolution)) && unit(bits.y) < probability);
     }
     if asked {
-        chosen[atomicAdd(&state[0], 1u)] = cell;
+        chosen[atomicAdd(&state[CHOSEN], 1u)] = cell;
     }
 }
 
@@ -79,10 +61,10 @@ fn probes(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let all = atomicLoad(&state[0]);
+    let all = atomicLoad(&state[CHOSEN]);
     let count = min(all - min(all, params.first), params.capacity);
     if i == 0u {
-        atomicStore(&state[2], count);
+        atomicStore(&state[ASKED], count);
     }
     if i >= count {
         return;
@@ -107,25 +89,11 @@ fn absorb(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    if i >= atomicLoad(&state[0]) {
+    if i >= atomicLoad(&state[CHOSEN]) {
         return;
     }
     let cell = chosen[i];
     densities[cell] = max(params.decay * densities[cell], radiance[i].w * params.step_length);
-}
-
-var<workgroup> shared_sums: array<f32, GROUP>;
-
-fn total(local: u32, own: f32) -> f32 {
-    shared_sums[local] = own;
-    workgroupBarrier();
-    for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {
-        if local < stride {
-            shared_sums[local] += shared_sums[local + stride];
-        }
-        workgroupBarrier();
-    }
-    return shared_sums[0];
 }
 
 @compute @workgroup_size(GROUP)
@@ -139,7 +107,7 @@ fn sum_densities(
     if i < params.cells {
         own = max(densities[i], 0.0);
     }
-    let sum = total(local, own);
+    let sum = workgroup_sum(local, own);
     let block = group.y * groups.x + group.x;
     if local == 0u && block < params.blocks {
         partial[block] = sum;
@@ -153,10 +121,10 @@ fn settle(@builtin(local_invocation_index) local: u32) {
     for (var i = local; i < params.blocks; i += GROUP) {
         own += partial[i];
     }
-    let sum = total(local, own);
+    let sum = workgroup_sum(local, own);
     if local == 0u {
         partial[0] = min(sum / f32(params.inside), params.threshold);
-        atomicStore(&state[1], 0u);
+        atomicStore(&state[OCCUPIED], 0u);
     }
 }
 
@@ -189,7 +157,7 @@ fn set_bits(
     let words = denser(block, partial[0]);
     grid[2u * block] = words.x;
     grid[2u * block + 1u] = words.y;
-    atomicAdd(&state[1], countOneBits(words.x) + countOneBits(words.y));
+    atomicAdd(&state[OCCUPIED], countOneBits(words.x) + countOneBits(words.y));
 }
 
 // If all cells equal their mean, none is above it; without this rule such a grid would stay empty for ever.
@@ -201,7 +169,7 @@ fn fill_if_empty(
 ) {
     let block = index_of(group, groups, local);
     let side = params.space.resolution / SIDE;
-    if block < side * side * side && atomicLoad(&state[1]) == 0u {
+    if block < side * side * side && atomicLoad(&state[OCCUPIED]) == 0u {
         let words = denser(block, -0.5);
         grid[2u * block] = words.x;
         grid[2u * block + 1u] = words.y;
@@ -237,7 +205,7 @@ fn set_outer_bits(
     grid[at] = words.x;
     grid[at + 1u] = words.y;
     // If `fill_if_empty` filled the grid, all cells of the hull count as occupied.
-    if outer == 0u && atomicLoad(&state[1]) == 0u {
-        atomicStore(&state[1], params.inside);
+    if outer == 0u && atomicLoad(&state[OCCUPIED]) == 0u {
+        atomicStore(&state[OCCUPIED], params.inside);
     }
 }

@@ -1,14 +1,6 @@
 // Pruning. `see` walks each ray front to back and marks the samples to keep. After the counts are summed, `list`
 // writes their rows. Twin of `compositing::Pruning`.
 
-struct Params {
-    count: u32,
-    max_depth: f32,
-    min_weight: f32,
-    // Maximum number of kept samples.
-    capacity: u32,
-}
-
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> kept: array<u32>;
 @group(0) @binding(2) var<uniform> params: Params;
@@ -54,10 +46,7 @@ fn list(
     if i >= params.count {
         return;
     }
-    // A batch larger than its buffer is truncated.
-    var segment = segments[i];
-    segment.x = min(segment.x, params.capacity);
-    segment.y = min(segment.y, params.capacity - segment.x);
+    let segment = fitting(segments[i], params.capacity);
     segments[i] = segment;
     let old = old_segments[i];
     var at = segment.x;

@@ -1,14 +1,6 @@
 // A term of rays over each pixel's cones, and its gradient with respect to densities. The term's function `ray_term(cone,
 // share)` adds `share` times the gradient of a cone and returns `share` times its value. The sums over a workgroup's pixels go
-// to `partial`; `add_rays` adds them to the step's loss in order. Needs `space.wgsl` and `compositing.wgsl`.
-
-struct Params {
-    space: Space,
-    // Weight relative to the colour, then the numbers of the term.
-    term: vec4<f32>,
-    count: u32,
-    blocks: u32,
-}
+// to `partial`; `add_rays` adds them to the step's loss in order.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
 // Colour and density of each sample; the gradients of the other terms are there already.
@@ -25,24 +17,9 @@ struct Params {
 // Eight words: the first is the bits of the loss.
 @group(0) @binding(9) var<storage, read_write> sums: array<u32>;
 
-var<workgroup> shared_sums: array<f32, GROUP>;
-
 // Place and width of sample `j`.
 fn at_sample(course: Course, ray: Ray, j: u32) -> vec2<f32> {
     return along(params.space, course, ray, intervals[j].x, intervals[j].y);
-}
-
-// Sum over the workgroup in a fixed order; valid in the first invocation.
-fn total_of(local: u32, own: f32) -> f32 {
-    shared_sums[local] = own;
-    workgroupBarrier();
-    for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {
-        if local < stride {
-            shared_sums[local] += shared_sums[local + stride];
-        }
-        workgroupBarrier();
-    }
-    return shared_sums[0];
 }
 
 @compute @workgroup_size(GROUP)
@@ -60,7 +37,7 @@ fn evaluate_rays(
             own += ray_term(cone, share);
         }
     }
-    let sum = total_of(local, own);
+    let sum = workgroup_sum(local, own);
     let block = group.y * groups.x + group.x;
     if local == 0u && block < params.blocks {
         partial[block] = sum;
@@ -73,7 +50,7 @@ fn add_rays(@builtin(local_invocation_index) local: u32) {
     for (var i = local; i < params.blocks; i += GROUP) {
         own += partial[i];
     }
-    let sum = total_of(local, own);
+    let sum = workgroup_sum(local, own);
     if local == 0u {
         sums[0] = bitcast<u32>(bitcast<f32>(sums[0]) + sum);
     }

@@ -1,37 +1,5 @@
 // Ray generation: random pixels of the training views, or all pixels of a camera. Twin of the CPU's sampler.
 
-struct Params {
-    draws: vec4<u32>,
-    background_draws: vec4<u32>,
-    background: vec3<f32>,
-    // Fraction of the pixels that get a random background.
-    random_share: f32,
-    // Number of pixels of the step; index of the first pixel and number of pixels of this span.
-    total: u32,
-    first: u32,
-    count: u32,
-    scales: u32,
-    // What alpha is: opacity beside straight colours, opacity that colours are multiplied by, share that counts.
-    alpha: u32,
-    // 1 if `pixels` holds only this span's pixels, in order.
-    streamed: u32,
-    // Index within the step of the span's first cone.
-    first_cone: u32,
-    // Pixels of the step from this index on belong to this scale or a coarser one.
-    begins: array<vec4<u32>, 2>,
-    // By scale: loss weight of a pixel, cones along its side, edge exponent of its photographs.
-    weights: array<vec4<f32>, 2>,
-    sides: array<vec4<u32>, 2>,
-    exponents: array<vec4<f32>, 2>,
-}
-
-struct Scale {
-    first_pixel: u32,
-    pixels: u32,
-    first_view: u32,
-    views: u32,
-}
-
 @group(0) @binding(0) var<storage, read> views: array<View>;
 @group(0) @binding(1) var<storage, read_write> rays: array<Ray>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -1,16 +1,7 @@
 // Exclusive prefix sums of the segments' counts. `sum_blocks` sums blocks of BLOCK segments, `sum_all` scans the
 // blocks, and `start_segments` writes the start of every segment. The order of all additions is fixed.
 
-struct Params {
-    count: u32,
-    blocks: u32,
-    // Index of the counter for the total, and maximum of the total. The excess goes to the counter two further.
-    counter: u32,
-    capacity: u32,
-}
-
-// Segments per invocation, and per workgroup.
-const EACH: u32 = 4u;
+// Segments per workgroup.
 const BLOCK: u32 = EACH * GROUP;
 
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
@@ -73,7 +64,7 @@ fn sum_all(@builtin(local_invocation_index) local: u32) {
     }
     if local == 0u {
         counts[params.counter] = min(done, params.capacity);
-        counts[params.counter + 2u] = done - min(done, params.capacity);
+        counts[params.counter + DROPPED] = done - min(done, params.capacity);
     }
 }
 

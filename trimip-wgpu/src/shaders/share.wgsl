@@ -2,18 +2,6 @@
 // optical depth, the length and the mean distance of its group, and the mean of its geometry features. A ray of which the
 // proxy is unsure keeps all its visible samples. Twin of `trimip_core::proxy::share_colors`.
 
-struct Params {
-    count: u32,
-    max_depth: f32,
-    min_weight: f32,
-    // See `trimip_core::proxy::Rule`.
-    share: f32,
-    reach: f32,
-    // Width of the density network's output: a logit, geometry features, zeros.
-    outputs: u32,
-    geometry: u32,
-}
-
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read> sure: array<u32>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -1,26 +1,4 @@
-// The map from the world to the unit cube; twin of `trimip_core::space`. Needs `ray.wgsl`.
-
-const FAR: f32 = 3.0e38;
-// Distance, in radii of the ball, at which rays of an unbounded space end.
-const FARTHEST: f32 = 1000.0;
-// Upper bound of the movement in contracted space per parameter of a ray.
-const STRETCH: f32 = 2.2361;
-
-struct Space {
-    aabb_min: vec3<f32>,
-    // Cells along each side of the occupancy grid.
-    resolution: u32,
-    aabb_max: vec3<f32>,
-    // Longest side of the box.
-    longest: f32,
-    // Quotients are computed on the host, exact to half an ulp; a device's own division may be less accurate.
-    inverse_extent: vec3<f32>,
-    // Radius of the ball in the middle of the box that keeps its shape; 0 in a bounded space.
-    ball: f32,
-    cell_extent: vec3<f32>,
-    // Shortest side of a cell.
-    cell: f32,
-}
+// The map from the world to the unit cube; twin of `trimip_core::space`.
 
 // How the parameter of steps along a ray follows its distance: the distance itself if `speed` is 0, in a bounded space.
 struct Course {

@@ -1,4 +1,4 @@
-// Walking rays in steps through the occupied cells of the grid. Needs `space.wgsl`, `blocks.wgsl`, and parameters with
+// Walking rays in steps through the occupied cells of the grid. Needs parameters with
 // `space`, `step_length` and `step_per_radius`.
 
 // One bit per cell in blocks of 4x4x4 cells (two words per block), then one bit per block in blocks of blocks.

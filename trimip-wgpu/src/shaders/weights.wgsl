@@ -1,21 +1,6 @@
 // Conversion between parameters [inputs, outputs] and padded matrices. `pack` writes a layer's matrix and its
 // transpose; `reduce` adds the chunks of a weight gradient and drops the padding.
 
-struct Params {
-    // Index of the layer's first float in the parameters.
-    start: u32,
-    inputs: u32,
-    outputs: u32,
-    // Padded shape.
-    k: u32,
-    n: u32,
-    chunks: u32,
-    // Factor that the sum of the chunks is multiplied by.
-    scale: f32,
-    // Leading inputs whose sum is the first output. They have no weights, nor has that output.
-    ones: u32,
-}
-
 @group(0) @binding(0) var<storage, read> source: array<f32>;
 @group(0) @binding(1) var<storage, read_write> forward: array<Weight>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -98,7 +98,7 @@ fn evaluation_line(config: &Config, views: usize) -> String {
     let way = match eval.points {
         0 => "none on the way".to_string(),
         points => {
-            let times = units::count(points.into(), "time");
+            let times = units::count(points, "time");
             format!("{times} on the way on {}", on(eval.stride_of(views)))
         }
     };

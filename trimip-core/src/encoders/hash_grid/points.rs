@@ -8,7 +8,7 @@ use crate::config::HashGridConfig;
 use crate::scalar::Real;
 
 /// Turn of each point around the ray, in sixths of a circle.
-const TURNS: [f64; 6] = [0.0, 2.0, 4.0, 3.0, 5.0, 1.0];
+pub const TURNS: [f64; 6] = [0.0, 2.0, 4.0, 3.0, 5.0, 1.0];
 
 /// Points of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]

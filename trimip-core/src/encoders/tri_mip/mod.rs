@@ -22,9 +22,11 @@ pub const CHANNELS: usize = 16;
 /// Features that a sample reads: the three planes' channels, concatenated.
 pub const FEATURES: usize = 3 * CHANNELS;
 
-/// Levels per unit of the networks' level input, and the largest input: 0 to 8 levels span the range of the features.
-const LEVELS_PER_UNIT: f64 = 4.0;
-const MOST_LEVEL_INPUT: f64 = 2.0;
+/// Levels per unit of the networks' level input: 0 to 8 levels span the range of the features.
+pub const LEVELS_PER_UNIT: f64 = 4.0;
+
+/// Largest level input of the networks, of either sign.
+pub const MOST_LEVEL_INPUT: f64 = 2.0;
 
 /// Sizes and offsets of the planes' levels. Level 0 of the three planes, one after the other, is the parameter
 /// `planes`, [texels, 16]. The levels above it are one derived array, level by level, plane by plane. On level l, a

@@ -1,11 +1,6 @@
 // Mip levels: each texel is the mean of four texels of the finer level. One invocation computes four channels of one
 // texel.
 
-struct Params {
-    // Texels of the finer level along x, y and z.
-    sides: vec3<u32>,
-}
-
 @group(0) @binding(0) var<storage, read_write> fine: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read_write> coarse: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -21,11 +21,11 @@ fn encode(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let sample = i / 12u;
+    let sample = i / FOURS;
     if sample >= counts[pyramid.counter] {
         return;
     }
-    let plane = i % 12u / 4u;
+    let plane = i % FOURS / 4u;
     let part = i % 4u;
     let sphere = spheres[sample];
     let at = plane_axes(sphere.xyz, plane);
@@ -48,11 +48,11 @@ fn encode(
         }
     }
     let row = sample * (pyramid.stride / 4u);
-    features[row + i % 12u] = sum;
+    features[row + i % FOURS] = sum;
     // Columns beyond the width are zero.
-    if i % 12u == 11u && pyramid.level_input == 1u {
-        features[row + 12u] = vec4<f32>(level_feature(log2(sphere.w), pyramid.reference), 0.0, 0.0, 0.0);
-        for (var at = 13u; at < pyramid.stride / 4u; at++) {
+    if i % FOURS == FOURS - 1u && pyramid.level_input == 1u {
+        features[row + FOURS] = vec4<f32>(level_feature(log2(sphere.w), pyramid.reference), 0.0, 0.0, 0.0);
+        for (var at = FOURS + 1u; at < pyramid.stride / 4u; at++) {
             features[row + at] = vec4<f32>(0.0);
         }
     }

@@ -1,18 +1,5 @@
 // Twin of `trimip_core::encoders::frequencies`: one invocation writes the features of one sample.
 
-struct Params {
-    // Size of the box, world units.
-    extent: vec3<f32>,
-    count: u32,
-    integrated: u32,
-    identity: u32,
-    // Floats in a row of features.
-    stride: u32,
-    counter: u32,
-    // Ratio of mip-NeRF's radius to that of a disc.
-    radius: f32,
-}
-
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read> owners: array<u32>;
 @group(0) @binding(2) var<uniform> params: Params;

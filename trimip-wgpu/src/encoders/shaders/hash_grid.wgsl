@@ -1,22 +1,5 @@
 // Twin of `trimip_core::encoders::hash_grid`.
 
-struct Level {
-    // Cells across the box, minus one.
-    scale: f32,
-    // Corners along a side; 0 if corners share entries through the hash.
-    side: u32,
-    // Index of the first entry, and number of entries.
-    first: u32,
-    entries: u32,
-}
-
-struct Params {
-    levels: u32,
-    // Floats in a row of features.
-    stride: u32,
-    counter: u32,
-}
-
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(9) var<storage, read> levels: array<Level>;
 

@@ -1,14 +1,5 @@
 // The points at which a sample reads the grid; twin of `trimip_core::encoders::hash_grid::Points`. One invocation per point.
 
-struct Params {
-    // Size of the box, world units, and its longest side.
-    extent: vec3<f32>,
-    longest: f32,
-    // 1 or 6.
-    points: u32,
-    counter: u32,
-}
-
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read> owners: array<u32>;
 @group(0) @binding(2) var<uniform> params: Params;
@@ -16,9 +7,6 @@ struct Params {
 @group(0) @binding(4) var<storage, read_write> points: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
 @group(0) @binding(6) var<storage, read> spheres: array<vec4<f32>>;
-
-// Sixths of a circle.
-const TURNS = array<f32, 6>(0.0, 2.0, 4.0, 3.0, 5.0, 1.0);
 
 @compute @workgroup_size(GROUP)
 fn hash_points(

@@ -1,13 +1,6 @@
 // Pulls gradients down the mip levels: each texel gets a quarter of its parent's gradient. One invocation computes
 // four channels of one texel. `own_gradient` reads the sum that `scatter` wrote.
 
-struct Params {
-    // Texels of the finer level along x, y and z.
-    sides: vec3<u32>,
-    // 1 if there is a coarser level to pull from.
-    has_coarse: u32,
-}
-
 @group(0) @binding(0) var<storage, read_write> fine: array<vec4<u32>>;
 @group(0) @binding(1) var<storage, read_write> coarse: array<vec4<u32>>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -29,7 +29,7 @@ fn rip_add(
                 let texel = read_texel(plane, read.levels, taps.rows[r], taps.columns[c]);
                 let value = read.share * tap_weight(taps, r, c) * gradient;
                 for (var channel = 0u; channel < 4u; channel++) {
-                    add_base(16u * texel + 4u * (i % 4u) + channel, value[channel]);
+                    add_base(CHANNELS * texel + 4u * (i % 4u) + channel, value[channel]);
                 }
             }
         }

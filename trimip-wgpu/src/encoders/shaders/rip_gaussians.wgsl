@@ -1,4 +1,4 @@
-// Gaussians of samples; twin of `trimip_core::encoders::rip_map::Gaussian`. Needs `ray.wgsl`.
+// Gaussians of samples; twin of `trimip_core::encoders::rip_map::Gaussian`.
 
 struct Gaussian {
     // Mean in the unit cube, and variance across the ray.

@@ -1,11 +1,4 @@
-// What a Gaussian reads on a plane; twin of `trimip_core::encoders::rip_map::Plane::reads`. Needs `rip_planes.wgsl`,
-// `rip_gaussians.wgsl` and `texels.wgsl`.
-
-struct Params {
-    planes: u32,
-    levels: u32,
-    counter: u32,
-}
+// What a Gaussian reads on a plane; twin of `trimip_core::encoders::rip_map::Plane::reads`.
 
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<uniform> params: Params;

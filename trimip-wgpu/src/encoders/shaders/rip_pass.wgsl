@@ -1,12 +1,5 @@
 // Passes over all ripmaps. One invocation computes four channels of one texel of a level along the rows or across
-// them. Needs `rip_planes.wgsl`.
-
-struct Pass {
-    planes: u32,
-    levels: u32,
-    // The level that is computed, or that gives its gradient.
-    level: u32,
-}
+// them.
 
 @group(0) @binding(0) var<storage, read_write> maps: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> pass_: Pass;

@@ -1,18 +1,5 @@
 // Planes with ripmaps; twin of `trimip_core::encoders::rip_map::Plane`.
 
-struct Plane {
-    // From the unit cube to the place along a row and across the rows: factors, and the place of the origin.
-    places: array<vec4<f32>, 2>,
-    // Unit vectors along the two axes, and half of log2 of the variance that reads level 0.
-    axes: array<vec4<f32>, 2>,
-    // Columns and rows of level (0, 0).
-    sides: vec2<u32>,
-    // First texel of level (0, 0) in the parameters.
-    first: u32,
-    // First texel in the ripmaps of all planes.
-    start: u32,
-}
-
 @group(0) @binding(9) var<storage, read> planes: array<Plane>;
 
 // First column (axis 0) or row (axis 1) of a level in a plane's ripmap; its width or height for the number of levels.

@@ -1,11 +1,5 @@
 // Computes the Gaussian of every sample, one per invocation.
 
-struct Params {
-    // Size of the unit cube, world units.
-    extent: vec3<f32>,
-    counter: u32,
-}
-
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read> owners: array<u32>;
 @group(0) @binding(2) var<uniform> params: Params;

@@ -13,16 +13,16 @@ fn scatter(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let sample = i / 12u;
+    let sample = i / FOURS;
     if sample >= counts[pyramid.counter] {
         return;
     }
-    let plane = i % 12u / 4u;
+    let plane = i % FOURS / 4u;
     let part = i % 4u;
     let sphere = spheres[sample];
     let at = plane_axes(sphere.xyz, plane);
     let blend = blend_levels(pyramid, plane, log2(sphere.w));
-    let gradient = gradients[sample * (pyramid.stride / 4u) + i % 12u];
+    let gradient = gradients[sample * (pyramid.stride / 4u) + i % FOURS];
     for (var upper = 0u; upper < 2u; upper++) {
         let share = select(1.0 - blend.fraction, blend.fraction, upper == 1u);
         if share == 0.0 {
@@ -37,7 +37,7 @@ fn scatter(
                 let texel = start + taps.rows[r] * shape.x + taps.columns[c];
                 let value = share * tap_weight(taps, r, c) * gradient;
                 for (var channel = 0u; channel < 4u; channel++) {
-                    let place = 16u * texel + 4u * part + channel;
+                    let place = CHANNELS * texel + 4u * part + channel;
                     if level == 0u {
                         add_base(place, value[channel]);
                     } else {

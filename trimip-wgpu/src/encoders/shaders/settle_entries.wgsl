@@ -1,10 +1,5 @@
 // Converts gradients of texels or entries from fixed point to f32, four per invocation.
 
-struct Settling {
-    // Number of groups of four.
-    count: u32,
-}
-
 @group(0) @binding(0) var<storage, read_write> fine: array<vec4<u32>>;
 @group(0) @binding(2) var<uniform> settling: Settling;
 

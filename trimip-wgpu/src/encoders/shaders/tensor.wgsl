@@ -1,19 +1,5 @@
 // Twin of `trimip_core::encoders::tensor`, four components at a time.
 
-struct Params {
-    // Grid points along the box's axes.
-    sides: vec3<u32>,
-    // 3, or 0 for products of three lines.
-    planes: u32,
-    // Where the planes and the lines of the density and of the colour tensor begin, in units of four floats.
-    starts: vec4<u32>,
-    // Components of the density and of the colour tensor, in units of four.
-    components: vec2<u32>,
-    // Floats in a row of features, in units of four.
-    stride: u32,
-    counter: u32,
-}
-
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(9) var<storage, read> factors: array<vec4<f32>>;
 

@@ -1,21 +1,4 @@
-// Twin of `trimip_core::tri_mip`: the level of a sphere (Eq. 5) and the texels that a query reads. Needs
-// `planes.wgsl` and `texels.wgsl`.
-
-struct Pyramid {
-    // log2 of each plane's base radius.
-    log2_base_radius: vec3<f32>,
-    levels: u32,
-    // Texels along x, y and z at level 0.
-    sides: vec3<u32>,
-    // Index of the counter of rows: counts[counter].
-    counter: u32,
-    // log2 of the radius of level 0, for the level input.
-    reference: f32,
-    // 1 if the level of a sample is one of its features.
-    level_input: u32,
-    // Floats in a row of features.
-    stride: u32,
-}
+// Twin of `trimip_core::encoders::tri_mip`: the level of a sphere (Eq. 5) and the texels that a query reads.
 
 // Coordinates along a row of texels and across the rows.
 fn plane_axes(position: vec3<f32>, plane: u32) -> vec2<f32> {
@@ -35,9 +18,9 @@ fn level_start(pyramid: Pyramid, level: u32, plane: u32) -> u32 {
     return start;
 }
 
-// A sphere's level as an input of the networks: a quarter of log2(r / r̈), within ±2.
+// A sphere's level as an input of the networks: log2(r / r̈) in units of LEVELS_PER_UNIT.
 fn level_feature(log2_radius: f32, reference: f32) -> f32 {
-    return clamp((log2_radius - reference) / 4.0, -2.0, 2.0);
+    return clamp((log2_radius - reference) / LEVELS_PER_UNIT, -MOST_LEVEL_INPUT, MOST_LEVEL_INPUT);
 }
 
 fn blend_levels(pyramid: Pyramid, plane: u32, log2_radius: f32) -> Blend {

@@ -1,18 +1,5 @@
 // Twin of `trimip_core::encoders::voxels`.
 
-struct Params {
-    // Grid points along the box's axes.
-    sides: vec3<u32>,
-    // Floats in a row of features.
-    stride: u32,
-    // Where the densities and the colours begin.
-    density: u32,
-    colors: u32,
-    // Spherical harmonics of a colour.
-    harmonics: u32,
-    counter: u32,
-}
-
 @group(0) @binding(2) var<uniform> params: Params;
 
 // The cell that contains a position: its first grid point, and the position within it.

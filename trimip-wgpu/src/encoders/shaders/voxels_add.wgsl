@@ -3,8 +3,8 @@
 @group(0) @binding(0) var<storage, read> gradients: array<f32>;
 @group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
-@group(0) @binding(7) var<storage, read> rays: array<Ray>;
-@group(0) @binding(9) var<storage, read> owners: array<u32>;
+@group(0) @binding(9) var<storage, read> rays: array<Ray>;
+@group(0) @binding(10) var<storage, read> owners: array<u32>;
 
 @compute @workgroup_size(GROUP)
 fn voxels_add(
@@ -13,11 +13,11 @@ fn voxels_add(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let sample = i / 4u;
+    let sample = i / WIDTH;
     if sample >= counts[params.counter] {
         return;
     }
-    let feature = i % 4u;
+    let feature = i % WIDTH;
     let gradient = gradients[sample * params.stride + feature];
     let cell = cell_around(spheres[sample].xyz);
     var basis = spherical_harmonics(rays[owners[sample]].direction);

@@ -14,11 +14,11 @@ fn voxels_read(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let sample = i / 4u;
+    let sample = i / WIDTH;
     if sample >= counts[params.counter] {
         return;
     }
-    let feature = i % 4u;
+    let feature = i % WIDTH;
     let cell = cell_around(spheres[sample].xyz);
     var basis = spherical_harmonics(rays[owners[sample]].direction);
     var sum = 0.0;
@@ -37,7 +37,7 @@ fn voxels_read(
     }
     let row = sample * params.stride;
     features[row + feature] = sum;
-    for (var at = 4u + feature; at < params.stride; at += 4u) {
+    for (var at = WIDTH + feature; at < params.stride; at += WIDTH) {
         features[row + at] = 0.0;
     }
 }

@@ -1,7 +1,7 @@
 //! The number of rows that a kernel works on: a counter on the device, whether device or host determined the number.
 
-use crate::buffer::Buffer;
-use crate::device::Size;
+use super::bind::{Bind, Size};
+use super::buffer::Buffer;
 use bytemuck::Pod;
 
 /// Maximum number of rows per workgroup. Arrays have room for whole blocks.
@@ -46,7 +46,7 @@ impl Rows {
     }
 
     /// Binds all counters.
-    pub fn bind(&self) -> crate::device::Bind<'_> {
-        crate::device::Bind { buffer: &self.counts, offset: 0, size: None }
+    pub fn bind(&self) -> Bind<'_> {
+        Bind::whole(&self.counts)
     }
 }

@@ -1,8 +1,9 @@
 //! A flat array on the device. Its length is either known to the host or stored in a counter on the device, so that
 //! the host never waits for the number of samples of a step.
 
-use crate::device::{Bind, Gpu};
-use crate::read_back::Receipt;
+use super::bind::Bind;
+use super::device::Gpu;
+use super::read_back::Receipt;
 use bytemuck::Pod;
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -12,7 +13,7 @@ pub struct Buffer<T> {
     gpu: Arc<Gpu>,
     raw: wgpu::Buffer,
     /// Size of the allocation in bytes.
-    room: usize,
+    bytes: usize,
     length: Length,
     values: PhantomData<T>,
 }
@@ -32,7 +33,7 @@ enum Length {
 
 impl<T> Drop for Buffer<T> {
     fn drop(&mut self) {
-        self.gpu.released(self.room as u64);
+        self.gpu.released(self.bytes as u64);
     }
 }
 
@@ -43,7 +44,7 @@ impl<T: Pod> Buffer<T> {
         Self {
             gpu: Arc::clone(gpu),
             raw,
-            room: length * size_of::<T>(),
+            bytes: length * size_of::<T>(),
             length: Length::Known(length),
             values: PhantomData,
         }
@@ -53,7 +54,7 @@ impl<T: Pod> Buffer<T> {
     /// empty gets a quarter more than it needs, so that an array that grows step by step is seldom reallocated.
     pub fn reserve(&mut self, capacity: usize) {
         if capacity > self.capacity() {
-            let spare = if self.room > 0 { capacity / 4 } else { 0 };
+            let spare = if self.bytes > 0 { capacity / 4 } else { 0 };
             *self = Self::zeros(&self.gpu, capacity + spare);
         }
     }
@@ -73,13 +74,13 @@ impl<T: Pod> Buffer<T> {
     /// Swaps the contents with an array of another type.
     pub fn swap<U>(&mut self, other: &mut Buffer<U>) {
         std::mem::swap(&mut self.raw, &mut other.raw);
-        std::mem::swap(&mut self.room, &mut other.room);
+        std::mem::swap(&mut self.bytes, &mut other.bytes);
         std::mem::swap(&mut self.length, &mut other.length);
     }
 
     /// Number of values that fit into the allocation.
     pub fn capacity(&self) -> usize {
-        self.room / size_of::<T>()
+        self.bytes / size_of::<T>()
     }
 
     /// Maximum number of values.

@@ -1,7 +1,8 @@
-var<workgroup> shared_sums: array<vec4<f32>, GROUP>;
+// Sums over a workgroup. `Sum` is the type of the summands.
+var<workgroup> shared_sums: array<Sum, GROUP>;
 
 // Sum over the workgroup in a fixed order; valid in the first invocation.
-fn total(local: u32, own: vec4<f32>) -> vec4<f32> {
+fn workgroup_sum(local: u32, own: Sum) -> Sum {
     shared_sums[local] = own;
     workgroupBarrier();
     for (var stride = GROUP / 2u; stride > 0u; stride /= 2u) {

@@ -1,6 +1,6 @@
 //! The mapping of a buffer into the host's memory, which can be awaited by blocking or as a future.
 
-use crate::device::lock;
+use super::lock::lock;
 use std::future::poll_fn;
 use std::sync::{Arc, Mutex};
 use std::task::{Poll, Waker};

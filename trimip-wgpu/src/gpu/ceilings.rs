@@ -1,9 +1,12 @@
 //! Measures the peak rates of a device: bytes copied and multiply-adds per second. They put the speed of a stage in
 //! relation to what the device can do.
 
-use crate::buffer::Buffer;
-use crate::device::{GROUP, Gpu, Size};
-use crate::kernel::PEAK;
+use super::bind::Size;
+use super::buffer::Buffer;
+use super::device::Gpu;
+use super::kernel::Access::{Parameters, Write};
+use super::kernel::{GROUP, Kernel};
+use super::source::Source;
 use std::sync::Arc;
 use web_time::{Duration, Instant};
 
@@ -14,6 +17,19 @@ pub struct Ceilings {
     pub bytes: f64,
     /// f32 operations per second; a multiply-add counts as two.
     pub operations: f64,
+}
+
+shared! {
+    /// Parameters of the kernel of multiply-adds.
+    struct Peak as Params {
+        rounds: u32,
+    }
+}
+
+/// Multiply-adds without memory accesses.
+pub fn peak() -> Kernel {
+    let sources = [Source::of::<Peak>(), Source::Text(include_str!("shaders/peak.wgsl"))];
+    Kernel::new("peak", &sources, &[(0, Write), (1, Parameters)])
 }
 
 /// Operations per invocation and round of `peak.wgsl`.
@@ -49,10 +65,12 @@ impl Ceilings {
             2.0 * bytes as f64 * times as f64
         };
         let results = Buffer::<[f32; 4]>::zeros(gpu, 1 << 16);
+        let pipeline = gpu.pipeline(peak());
         let (rounds, invocations) = (256_u32, u64::from(GROUP) << 8);
         let sums = |times: u64| {
             let items = invocations * times;
-            gpu.dispatch(&PEAK, &[results.bind()], &rounds, Size::Items(items.min(u64::from(u32::MAX))));
+            let size = Size::Items(items.min(u64::from(u32::MAX)));
+            gpu.dispatch(&pipeline, &[results.bind()], &Peak { rounds }, size);
             OPERATIONS * f64::from(rounds) * items as f64
         };
         Self { bytes: rate(&copies), operations: rate(&sums) }

@@ -1,68 +1,36 @@
-//! The device: the choice of adapter and limits, and the recorder that collects the dispatches of a whole step for a
-//! single submission.
+//! The device: its limits, buffers, transfers and failures. All work goes through its recorder.
 
-use crate::adapter::{COOPERATION, choose, choose_async, choose_one_of, matrices};
-use crate::kernel::{Access, Kernel};
-use crate::pipelines::Pipelines;
-use crate::products::Matrices;
+use super::adapter::{choose, choose_async, choose_one_of};
+use super::bind::{Bind, Size};
+use super::kernel::Kernel;
+use super::lock::lock;
+use super::matrices::{COOPERATION, Matrices};
+use super::pipeline::{Pipeline, Pipelines};
+use super::recorder::{Recorder, arguments};
+use super::shared::Shared;
 use bytemuck::Pod;
-use std::collections::VecDeque;
-use std::num::NonZeroU64;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use trimip_core::{Error, Result};
-
-/// Bytes between the parameters of two dispatches: an alignment that every device supports.
-const PARAMETERS_STRIDE: usize = 256;
-
-/// Dispatches per submission. More are submitted in several parts.
-const DISPATCHES: usize = 2048;
-
-/// Bytes of the arguments of an indirect dispatch.
-const SIZES: u64 = 16;
-
-/// Maximum number of workgroups along x; every device supports it.
-const MOST_GROUPS: u64 = 65_535;
-
-/// Workgroup size of the kernels that work item by item.
-pub const GROUP: u32 = 64;
 
 /// A device, its pipelines and its recorder.
 pub struct Gpu {
-    pub(crate) device: wgpu::Device,
+    pub(super) device: wgpu::Device,
     queue: wgpu::Queue,
     info: wgpu::AdapterInfo,
     limits: wgpu::Limits,
     matrices: Option<Matrices>,
     pipelines: Pipelines,
     recorder: Mutex<Recorder>,
-    pub(crate) counters: Counters,
+    pub(super) counters: Counters,
     /// The reason why the device was lost or refused work; the first cause is kept.
-    pub(crate) failure: Arc<Mutex<Option<String>>>,
+    pub(super) failure: Arc<Mutex<Option<String>>>,
 }
-
-/// Work that is recorded and not yet submitted.
-pub(crate) struct Recorder {
-    encoder: Option<wgpu::CommandEncoder>,
-    /// Parameters of the dispatches, one per stride.
-    parameters: Vec<u8>,
-    uniforms: wgpu::Buffer,
-    /// Arguments of indirect dispatches.
-    sizes: wgpu::Buffer,
-    indirect: u32,
-    /// Number of the submission being recorded.
-    pub number: u64,
-    /// The latest submissions, newest last.
-    pub submitted: VecDeque<(u64, wgpu::SubmissionIndex)>,
-}
-
-/// Number of submissions that are remembered, so that the host can wait for one without waiting for later ones.
-const REMEMBERED: usize = 16;
 
 /// Counters of transfers between host and device, and of the host's waits.
 #[derive(Default)]
-pub(crate) struct Counters {
+pub(super) struct Counters {
     written: AtomicU64,
     pub read: AtomicU64,
     submissions: AtomicU64,
@@ -85,39 +53,6 @@ pub struct Counts {
     pub stalls: u64,
     /// Peak number of bytes held by arrays on the device.
     pub most_held: u64,
-}
-
-/// A part of a buffer, bound to a kernel.
-#[derive(Clone, Copy)]
-pub struct Bind<'a> {
-    /// The buffer.
-    pub buffer: &'a wgpu::Buffer,
-    /// Offset in bytes; a multiple of 256.
-    pub offset: u64,
-    /// Size in bytes; `None` for the rest of the buffer.
-    pub size: Option<u64>,
-}
-
-/// The amount of work of a dispatch.
-#[derive(Clone, Copy)]
-pub enum Size<'a> {
-    /// Number of invocations, in workgroups of [`GROUP`].
-    Items(u64),
-    /// Number of workgroups.
-    Groups(u64),
-    /// A count on the device times `per` items, `times` workgroups for every `group` items.
-    Counted {
-        /// Counters on the device.
-        counts: &'a wgpu::Buffer,
-        /// Index of the counter.
-        counter: u32,
-        /// Items per count.
-        per: u32,
-        /// Items that a workgroup covers.
-        group: u32,
-        /// Workgroups that cover the same items.
-        times: u32,
-    },
 }
 
 impl Gpu {
@@ -150,7 +85,7 @@ impl Gpu {
         let info = adapter.get_info();
         // Requests the adapter's own limits: the defaults are those of the least capable adapter.
         let limits = adapter.limits();
-        let matrices = matrices(&adapter);
+        let matrices = Matrices::of(&adapter);
         let mut wanted = wgpu::Features::SHADER_FLOAT32_ATOMIC | wgpu::Features::TIMESTAMP_QUERY;
         if matrices.is_some() {
             wanted |= COOPERATION;
@@ -180,33 +115,10 @@ impl Gpu {
         device.set_device_lost_callback(move |reason, message| {
             *lock(&lost) = Some(format!("the device was lost ({reason:?}): {message}"));
         });
-        let buffer = |label, size, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
-        let recorder = Recorder {
-            encoder: None,
-            parameters: Vec::new(),
-            uniforms: buffer(
-                "parameters",
-                (DISPATCHES * PARAMETERS_STRIDE) as u64,
-                wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            ),
-            sizes: buffer(
-                "sizes",
-                DISPATCHES as u64 * SIZES,
-                wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT,
-            ),
-            indirect: 0,
-            number: 0,
-            submitted: VecDeque::new(),
-        };
+        let pipelines = Pipelines::default();
+        let recorder = Recorder::new(&device, pipelines.of(arguments()));
         Ok(Arc::new(Self {
-            pipelines: Pipelines::new(device.clone()),
+            pipelines,
             device,
             queue,
             info,
@@ -297,105 +209,35 @@ impl Gpu {
 
     /// Sets a range of bytes of a buffer to zero.
     pub fn clear(&self, buffer: &wgpu::Buffer, offset: u64, size: u64) {
-        let mut recorder = self.recorder();
-        self.encoder(&mut recorder).clear_buffer(buffer, offset, Some(size));
+        self.recorder().encoder().clear_buffer(buffer, offset, Some(size));
     }
 
     /// Copies bytes between buffers, from byte `first` of `from` to byte `place` of `to`.
     pub fn copy(&self, from: &wgpu::Buffer, first: u64, to: &wgpu::Buffer, place: u64, bytes: u64) {
-        let mut recorder = self.recorder();
-        self.encoder(&mut recorder).copy_buffer_to_buffer(from, first, to, place, bytes);
+        self.recorder().encoder().copy_buffer_to_buffer(from, first, to, place, bytes);
     }
 
-    /// Records a dispatch of a kernel with its bindings, in the order of [`Kernel::bindings`], and its parameters.
-    pub fn dispatch<P: Pod>(&self, kernel: &Kernel, binds: &[Bind<'_>], parameters: &P, size: Size<'_>) {
-        let groups = match size {
-            Size::Items(items) => items.div_ceil(GROUP.into()),
-            Size::Groups(groups) => groups,
-            Size::Counted { .. } => 1,
-        };
-        if groups == 0 {
+    /// The pipeline of a kernel. A stage asks for it once, when it is built.
+    pub fn pipeline(&self, kernel: Kernel) -> Pipeline {
+        self.pipelines.of(kernel)
+    }
+
+    /// Records a dispatch with its bindings of buffers, in the order of [`Kernel::bindings`], and its parameters.
+    pub fn dispatch<P: Shared>(
+        &self,
+        pipeline: &Pipeline,
+        binds: &[Bind<'_>],
+        parameters: &P,
+        size: Size<'_>,
+    ) {
+        if matches!(size, Size::Items(0) | Size::Groups(0)) {
             return;
         }
         let mut recorder = self.recorder();
-        if recorder.parameters.len() >= (DISPATCHES - 1) * PARAMETERS_STRIDE {
+        if recorder.is_full() {
             self.submit_recorder(&mut recorder);
         }
-        let indirect = match size {
-            Size::Counted { counts, counter, per, group, times } => {
-                let slot = recorder.indirect;
-                recorder.indirect += 1;
-                let sizes = recorder.sizes.clone();
-                let binds = [counts, &sizes].map(|buffer| Bind { buffer, offset: 0, size: None });
-                self.record(
-                    &mut recorder,
-                    &crate::kernel::ARGUMENTS,
-                    &binds,
-                    &[counter, per, group, times, slot],
-                    Err((1, 1)),
-                );
-                Some((sizes, u64::from(slot) * SIZES))
-            }
-            _ => None,
-        };
-        let size = match &indirect {
-            Some((sizes, offset)) => Ok((sizes, *offset)),
-            None => Err((groups.min(MOST_GROUPS) as u32, groups.div_ceil(MOST_GROUPS) as u32)),
-        };
-        self.record(&mut recorder, kernel, binds, parameters, size);
-    }
-
-    fn record<P: Pod>(
-        &self,
-        recorder: &mut Recorder,
-        kernel: &Kernel,
-        binds: &[Bind<'_>],
-        parameters: &P,
-        size: std::result::Result<(&wgpu::Buffer, u64), (u32, u32)>,
-    ) {
-        let pipeline = self.pipelines.of(kernel);
-        let offset = recorder.parameters.len();
-        recorder.parameters.extend_from_slice(bytemuck::bytes_of(parameters));
-        recorder.parameters.resize(offset + PARAMETERS_STRIDE, 0);
-        let uniform = wgpu::BufferBinding {
-            buffer: &recorder.uniforms,
-            offset: 0,
-            size: NonZeroU64::new(PARAMETERS_STRIDE as u64),
-        };
-        // Kernel and call are written side by side in this crate, and every kernel runs in the tests.
-        let storage = kernel.bindings.iter().filter(|(_, access)| *access != Access::Parameters).count();
-        assert_eq!(binds.len(), storage, "{}: bindings", kernel.entry);
-        let mut binds = binds.iter();
-        let entries: Vec<wgpu::BindGroupEntry<'_>> = kernel
-            .bindings
-            .iter()
-            .filter_map(|&(binding, access)| {
-                let resource = match access {
-                    Access::Parameters => uniform.clone(),
-                    Access::Read | Access::Write => binds.next().map(|bind| wgpu::BufferBinding {
-                        buffer: bind.buffer,
-                        offset: bind.offset,
-                        size: bind.size.and_then(NonZeroU64::new),
-                    })?,
-                };
-                Some(wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::Buffer(resource) })
-            })
-            .collect();
-        let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(kernel.entry),
-            layout: &pipeline.layout,
-            entries: &entries,
-        });
-        let mut pass = self.encoder(recorder).begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some(kernel.entry),
-            timestamp_writes: None,
-        });
-        pass.set_pipeline(&pipeline.pipeline);
-        pass.set_bind_group(0, &group, &[offset as u32]);
-        match size {
-            Ok((sizes, offset)) => pass.dispatch_workgroups_indirect(sizes, offset),
-            Err((x, y)) => pass.dispatch_workgroups(x, y, 1),
-        }
+        recorder.dispatch(pipeline, binds, parameters, size);
     }
 
     /// Submits all recorded work.
@@ -403,20 +245,10 @@ impl Gpu {
         self.submit_recorder(&mut self.recorder());
     }
 
-    pub(crate) fn submit_recorder(&self, recorder: &mut Recorder) {
-        let Some(encoder) = recorder.encoder.take() else { return };
-        if !recorder.parameters.is_empty() {
-            self.queue.write_buffer(&recorder.uniforms, 0, &recorder.parameters);
-        }
-        let index = self.queue.submit([encoder.finish()]);
-        recorder.submitted.push_back((recorder.number, index));
-        if recorder.submitted.len() > REMEMBERED {
-            recorder.submitted.pop_front();
-        }
-        recorder.number += 1;
-        self.counters.submissions.fetch_add(1, Ordering::Relaxed);
-        recorder.parameters.clear();
-        recorder.indirect = 0;
+    /// As [`Gpu::submit`], for who holds the recorder.
+    pub(super) fn submit_recorder(&self, recorder: &mut Recorder) {
+        let submitted = recorder.submit(&self.queue);
+        self.counters.submissions.fetch_add(submitted.into(), Ordering::Relaxed);
     }
 
     /// Checks whether anything has failed on the device so far.
@@ -444,7 +276,7 @@ impl Gpu {
 
     /// Polls the device; returns false if it failed. wgpu panics if a driver loses its device during a wait; this
     /// catches the panic and records it as an ordinary failure.
-    pub(crate) fn poll(&self, how: wgpu::PollType) -> bool {
+    pub(super) fn poll(&self, how: wgpu::PollType) -> bool {
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(how))) {
             Ok(polled) => polled.is_ok(),
             Err(panic) => {
@@ -457,18 +289,10 @@ impl Gpu {
         }
     }
 
-    pub(crate) fn recorder(&self) -> MutexGuard<'_, Recorder> {
+    /// The recorder.
+    pub(super) fn recorder(&self) -> MutexGuard<'_, Recorder> {
         lock(&self.recorder)
     }
-
-    pub(crate) fn encoder<'a>(&self, recorder: &'a mut Recorder) -> &'a mut wgpu::CommandEncoder {
-        recorder.encoder.get_or_insert_with(|| self.device.create_command_encoder(&Default::default()))
-    }
-}
-
-/// Locks a mutex. A poisoned mutex is used as it is: no thread leaves its data half changed.
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Leave for the experimental features that are requested.

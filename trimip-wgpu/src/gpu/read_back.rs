@@ -1,8 +1,9 @@
 //! Transfers from the device to the host. A copy is recorded with the other work and read once the device has
 //! executed it.
 
-use crate::device::{Gpu, lock};
-use crate::mapping::Mapping;
+use super::device::Gpu;
+use super::lock::lock;
+use super::mapping::Mapping;
 use bytemuck::Pod;
 use std::sync::atomic::Ordering;
 
@@ -27,13 +28,8 @@ impl Gpu {
         });
         let mut recorder = self.recorder();
         if bytes > 0 {
-            self.encoder(&mut recorder).copy_buffer_to_buffer(
-                buffer,
-                offset,
-                &staging,
-                0,
-                bytes.next_multiple_of(4),
-            );
+            let whole = bytes.next_multiple_of(4);
+            recorder.encoder().copy_buffer_to_buffer(buffer, offset, &staging, 0, whole);
         }
         Receipt { staging, count, number: recorder.number, kind: std::marker::PhantomData }
     }

@@ -1,9 +1,5 @@
 // Peak rate of multiply-adds: eight chains of vectors without memory accesses.
 
-struct Params {
-    rounds: u32,
-}
-
 @group(0) @binding(0) var<storage, read_write> results: array<vec4<f32>>;
 @group(0) @binding(1) var<uniform> params: Params;
 

@@ -1,8 +1,8 @@
 //! The adapters of this machine: their capabilities, and the choice among them.
 
-use crate::products::{COOPERATING, Matrices};
+use super::matrices::Matrices;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use trimip_core::{Error, Result, scene_plan::Compute};
+use trimip_core::{Error, Result};
 
 /// An adapter and its capabilities.
 #[derive(Clone, Debug)]
@@ -51,31 +51,11 @@ fn facts(adapter: &wgpu::Adapter) -> AdapterFacts {
             ("f16", has(wgpu::Features::SHADER_F16)),
             (
                 "cooperative matrices",
-                matrices(adapter).map_or("no".into(), |m| format!("{0}x{0}, f16 with sums of f32", m.side)),
+                Matrices::of(adapter)
+                    .map_or("no".into(), |m| format!("{0}x{0}, f16 with sums of f32", m.side)),
             ),
         ],
     }
-}
-
-/// The features that cooperative matrices need.
-pub const COOPERATION: wgpu::Features = wgpu::Features::SHADER_F16
-    .union(wgpu::Features::SUBGROUP)
-    .union(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX);
-
-/// The cooperative matrices that the kernels support: square, of side 8 or 16, with f16 factors and f32 sums.
-pub fn matrices(adapter: &wgpu::Adapter) -> Option<Matrices> {
-    use wgpu::CooperativeScalarType::{F16, F32};
-    if !adapter.features().contains(COOPERATION) {
-        return None;
-    }
-    let fits = |p: &wgpu::CooperativeMatrixProperties| {
-        [p.n_size, p.k_size] == [p.m_size; 2]
-            && matches!(p.m_size, 8 | 16)
-            && (p.ab_type, p.cr_type) == (F16, F32)
-    };
-    let side = adapter.cooperative_matrix_properties().iter().filter(|p| fits(p)).map(|p| p.m_size).max()?;
-    let largest = adapter.get_info().subgroup_max_size.clamp(1, COOPERATING);
-    Some(Matrices { side, subgroups: COOPERATING / largest })
 }
 
 /// Ranks adapters for a user who names none: hardware first, software last.
@@ -149,31 +129,6 @@ fn choose_among(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Result<wgpu::Ad
             "no adapter has a name that contains this",
             format!("choose one of {}", names.join(", ")),
         ),
-    })
-}
-
-/// Kept samples per second expected of a GPU in training: the paper's figure for an A100. Not measured here.
-const EXPECTED: f64 = 2.2e7;
-
-/// Kept samples per second of training on a software adapter: llvmpipe of Mesa 22.3 on two cores of an AMD EPYC
-/// (AVX2), with the quickstart's model.
-pub const SOFTWARE_SAMPLES_PER_SECOND: f64 = 1_000.0;
-
-/// Occupancy-grid cells whose density is evaluated per second on the same adapter.
-pub const SOFTWARE_CELLS_PER_SECOND: f64 = 12_000.0;
-
-/// The training speed of the adapter with this name.
-///
-/// # Errors
-/// When there is no such adapter.
-pub fn compute(name: &str) -> Result<Compute> {
-    let info = choose(name)?.get_info();
-    let software = info.device_type == wgpu::DeviceType::Cpu;
-    Ok(Compute {
-        name: info.name,
-        samples_per_second: if software { SOFTWARE_SAMPLES_PER_SECOND } else { EXPECTED },
-        bf16: false,
-        wide: !software,
     })
 }
 

@@ -1,0 +1,112 @@
+//! Kernels: an entry point in WGSL, the parts that it is composed of, and the bindings that it uses. A stage declares its
+//! kernels in its own file with `kernels!`.
+
+use super::shared::Layout;
+use super::source::Source;
+
+/// Workgroup size of the kernels that work item by item; the constant `GROUP` of every kernel.
+pub const GROUP: u32 = 64;
+
+/// Index of the invocation.
+pub const GRID: Source = Source::Text(include_str!("shaders/grid.wgsl"));
+
+/// How a kernel uses a binding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Reads values.
+    Read,
+    /// Reads and writes values.
+    Write,
+    /// The dispatch's own parameters.
+    Parameters,
+}
+
+/// A compute kernel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Kernel {
+    /// Name of the entry point.
+    pub entry: &'static str,
+    /// WGSL, in order.
+    sources: Vec<Source>,
+    /// True for kernels with f16 and cooperative matrices.
+    cooperative: bool,
+    /// Constants of this variant.
+    constants: Vec<(&'static str, u32)>,
+    /// Binding numbers and their access, in order.
+    bindings: Vec<(u32, Access)>,
+}
+
+impl Kernel {
+    /// The kernel with the entry point `entry`.
+    pub fn new(entry: &'static str, sources: &[Source], bindings: &[(u32, Access)]) -> Self {
+        let mut kernel = Self {
+            entry,
+            sources: Vec::new(),
+            cooperative: false,
+            constants: Vec::new(),
+            bindings: bindings.to_vec(),
+        };
+        sources.iter().for_each(|source| source.flatten(&mut kernel.sources));
+        kernel
+    }
+
+    /// The kernel with f16 and cooperative matrices enabled.
+    pub fn cooperative(mut self) -> Self {
+        self.cooperative = true;
+        self
+    }
+
+    /// The kernel with additional constants.
+    pub fn with(mut self, constants: &[(&'static str, u32)]) -> Self {
+        self.constants.extend_from_slice(constants);
+        self
+    }
+
+    /// The kernel with additional parts and bindings.
+    pub fn and(mut self, sources: &[Source], bindings: &[(u32, Access)]) -> Self {
+        sources.iter().for_each(|source| source.flatten(&mut self.sources));
+        self.bindings.extend_from_slice(bindings);
+        self.bindings.sort_by_key(|(binding, _)| *binding);
+        self
+    }
+
+    /// Binding numbers and their access, in order.
+    pub fn bindings(&self) -> &[(u32, Access)] {
+        &self.bindings
+    }
+
+    /// The structs that the kernel shares with Rust.
+    pub fn layouts(&self) -> impl Iterator<Item = &'static Layout> {
+        self.sources.iter().filter_map(|source| match source {
+            Source::Struct(layout) => Some(*layout),
+            _ => None,
+        })
+    }
+
+    /// The complete WGSL source.
+    pub fn source(&self) -> String {
+        let enables = if self.cooperative { "enable f16;\nenable wgpu_cooperative_matrix;\n" } else { "" };
+        let constants = self.constants.iter().copied().chain([("GROUP", GROUP)]);
+        let constants = constants.map(|(name, value)| Source::whole(name, value));
+        let parts = constants.chain(self.sources.iter().copied()).map(|source| source.text() + "\n");
+        enables.to_string() + &parts.collect::<String>()
+    }
+}
+
+#[cfg(test)]
+impl Kernel {
+    /// True for kernels with f16 and cooperative matrices.
+    pub fn is_cooperative(&self) -> bool {
+        self.cooperative
+    }
+
+    /// True if `source` is among the parts.
+    pub fn has(&self, source: Source) -> bool {
+        self.sources.contains(&source)
+    }
+
+    /// Entry point and constants.
+    pub fn name(&self) -> String {
+        format!("{} {:?}", self.entry, self.constants)
+    }
+}

@@ -1,0 +1,8 @@
+//! Locks that survive a panic of another thread.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Locks a mutex. A poisoned mutex is used as it is: no thread leaves its data half changed.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,208 @@
+//! The recorder collects the dispatches of a whole step for a single submission, together with their parameters and the
+//! arguments of those whose size only the device knows.
+
+use super::bind::{Bind, MOST_GROUPS, Size};
+use super::kernel::Access::{self, Parameters, Read, Write};
+use super::kernel::{GROUP, Kernel};
+use super::pipeline::{MOST_BINDINGS, Pipeline};
+use super::shared::Shared;
+use super::source::Source;
+use std::array::from_fn;
+use std::collections::VecDeque;
+use std::num::NonZeroU64;
+
+/// Bytes between the parameters of two dispatches: an alignment that every device supports.
+const PARAMETERS_STRIDE: usize = 256;
+
+/// Dispatches per submission. More are submitted in several parts.
+const DISPATCHES: usize = 2048;
+
+/// Bytes of the arguments of an indirect dispatch.
+const SIZES: u64 = 16;
+
+/// Number of submissions that are remembered, so that the host can wait for one without waiting for later ones.
+const REMEMBERED: usize = 16;
+
+shared! {
+    /// Parameters of the kernel that computes the arguments of an indirect dispatch.
+    struct Arguments as Params {
+        /// The number of items is counts[counter] · per; `times` workgroups cover every `group` items.
+        counter: u32,
+        per: u32,
+        group: u32,
+        times: u32,
+        /// Index of the dispatch.
+        slot: u32,
+    }
+}
+
+/// The kernel that computes the arguments of an indirect dispatch.
+pub fn arguments() -> Kernel {
+    let sources = [
+        Source::of::<Arguments>(),
+        Source::whole("MOST_GROUPS", MOST_GROUPS),
+        Source::Text(include_str!("shaders/arguments.wgsl")),
+    ];
+    Kernel::new("size", &sources, &[(0, Read), (1, Write), (2, Parameters)])
+}
+
+/// Work that is recorded and not yet submitted.
+pub struct Recorder {
+    device: wgpu::Device,
+    encoder: Option<wgpu::CommandEncoder>,
+    /// Parameters of the dispatches, one per stride.
+    parameters: Vec<u8>,
+    uniforms: wgpu::Buffer,
+    /// Arguments of indirect dispatches.
+    sizes: wgpu::Buffer,
+    indirect: u32,
+    arguments: Pipeline,
+    /// Number of the submission being recorded.
+    pub number: u64,
+    /// The latest submissions, newest last.
+    pub submitted: VecDeque<(u64, wgpu::SubmissionIndex)>,
+}
+
+/// Workgroups of a dispatch.
+enum Groups {
+    Known(u32, u32),
+    /// Byte offset of the arguments.
+    Counted(u64),
+}
+
+impl Recorder {
+    /// A recorder without work.
+    pub fn new(device: &wgpu::Device, arguments: Pipeline) -> Self {
+        let buffer = |label, size, usage| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
+                usage,
+                mapped_at_creation: false,
+            })
+        };
+        Self {
+            device: device.clone(),
+            encoder: None,
+            parameters: Vec::new(),
+            uniforms: buffer(
+                "parameters",
+                (DISPATCHES * PARAMETERS_STRIDE) as u64,
+                wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            ),
+            sizes: buffer(
+                "sizes",
+                DISPATCHES as u64 * SIZES,
+                wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::INDIRECT,
+            ),
+            indirect: 0,
+            arguments,
+            number: 0,
+            submitted: VecDeque::new(),
+        }
+    }
+
+    /// The encoder of the commands.
+    pub fn encoder(&mut self) -> &mut wgpu::CommandEncoder {
+        self.encoder.get_or_insert_with(|| self.device.create_command_encoder(&Default::default()))
+    }
+
+    /// True if there is no room for another dispatch.
+    pub fn is_full(&self) -> bool {
+        self.parameters.len() >= (DISPATCHES - 1) * PARAMETERS_STRIDE
+    }
+
+    /// Records a dispatch with its bindings, in the order of [`Kernel::bindings`], and its parameters.
+    pub fn dispatch<P: Shared>(
+        &mut self,
+        pipeline: &Pipeline,
+        binds: &[Bind<'_>],
+        parameters: &P,
+        size: Size<'_>,
+    ) {
+        let known = |groups: u64| {
+            let most = u64::from(MOST_GROUPS);
+            Groups::Known(groups.min(most) as u32, groups.div_ceil(most) as u32)
+        };
+        let groups = match size {
+            Size::Items(items) => known(items.div_ceil(GROUP.into())),
+            Size::Groups(groups) => known(groups),
+            Size::Counted { counts, counter, per, group, times } => {
+                let slot = self.indirect;
+                self.indirect += 1;
+                let (sizes, arguments) = (self.sizes.clone(), self.arguments.clone());
+                let params = Arguments { counter, per, group, times, slot };
+                let binds = [counts, &sizes].map(Bind::whole);
+                self.record(&arguments, &binds, &params, Groups::Known(1, 1));
+                Groups::Counted(u64::from(slot) * SIZES)
+            }
+        };
+        self.record(pipeline, binds, parameters, groups);
+    }
+
+    fn record<P: Shared>(&mut self, pipeline: &Pipeline, binds: &[Bind<'_>], parameters: &P, groups: Groups) {
+        // Kernel and call are written side by side in this crate, and every kernel runs in the tests.
+        assert_eq!(binds.len(), pipeline.buffers(), "{}: bindings", pipeline.entry());
+        debug_assert!(pipeline.shares(&P::LAYOUT), "{}: parameters", pipeline.entry());
+        let offset = self.parameters.len();
+        self.parameters.extend_from_slice(bytemuck::bytes_of(parameters));
+        self.parameters.resize(offset + PARAMETERS_STRIDE, 0);
+        let uniform = wgpu::BufferBinding {
+            buffer: &self.uniforms,
+            offset: 0,
+            size: NonZeroU64::new(PARAMETERS_STRIDE as u64),
+        };
+        let mut binds = binds.iter();
+        let mut resource = |access: Access| {
+            let bind = if access == Parameters { None } else { binds.next() };
+            bind.map_or_else(
+                || uniform.clone(),
+                |bind| wgpu::BufferBinding {
+                    buffer: bind.buffer,
+                    offset: bind.offset,
+                    size: bind.size.and_then(NonZeroU64::new),
+                },
+            )
+        };
+        let bindings = pipeline.bindings();
+        let entries: [wgpu::BindGroupEntry<'_>; MOST_BINDINGS] = from_fn(|i| {
+            // Entries beyond the bindings are not used.
+            let (binding, access) = bindings.get(i).copied().unwrap_or((0, Parameters));
+            wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::Buffer(resource(access)) }
+        });
+        let compiled = pipeline.compiled(&self.device);
+        let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(pipeline.entry()),
+            layout: &compiled.layout,
+            entries: &entries[..bindings.len()],
+        });
+        let sizes = self.sizes.clone();
+        let mut pass = self.encoder().begin_compute_pass(&wgpu::ComputePassDescriptor {
+            label: Some(pipeline.entry()),
+            timestamp_writes: None,
+        });
+        pass.set_pipeline(&compiled.pipeline);
+        pass.set_bind_group(0, &group, &[offset as u32]);
+        match groups {
+            Groups::Known(x, y) => pass.dispatch_workgroups(x, y, 1),
+            Groups::Counted(offset) => pass.dispatch_workgroups_indirect(&sizes, offset),
+        }
+    }
+
+    /// Submits the recorded work. Returns false if there is none.
+    pub fn submit(&mut self, queue: &wgpu::Queue) -> bool {
+        let Some(encoder) = self.encoder.take() else { return false };
+        if !self.parameters.is_empty() {
+            queue.write_buffer(&self.uniforms, 0, &self.parameters);
+        }
+        let index = queue.submit([encoder.finish()]);
+        self.submitted.push_back((self.number, index));
+        if self.submitted.len() > REMEMBERED {
+            self.submitted.pop_front();
+        }
+        self.number += 1;
+        self.parameters.clear();
+        self.indirect = 0;
+        true
+    }
+}

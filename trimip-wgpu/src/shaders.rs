@@ -1,0 +1,64 @@
+//! The parts of WGSL that several stages share, most of them twins of core's mathematics, and the constants that they
+//! have in common with Rust.
+
+use crate::gpu::Source::{self, Constant, Parts, Text};
+use crate::gpu::Value;
+use trimip_core::batch::Ray;
+use trimip_core::config::DensityFunction;
+use trimip_core::sh::FACTORS;
+
+/// Cells along a side of a block of the occupancy grid, and blocks along a side of a block of blocks.
+pub const SIDE: u32 = 4;
+
+/// Fixed-point value of 1: gradients have 30 fractional bits.
+pub const POINT: u32 = 1 << 30;
+
+mirror!(Ray as Ray { origin: [f32; 3], slope: f32, direction: [f32; 3], cosine: f32 });
+
+/// The axis of a cone.
+pub const RAY: Source = Source::of::<Ray>();
+
+/// Random numbers.
+pub const RANDOM: Source = Text(include_str!("shaders/random.wgsl"));
+
+/// Location of a cell's bit.
+pub const BLOCKS: Source = Parts(&[Source::whole("SIDE", SIDE), Text(include_str!("shaders/blocks.wgsl"))]);
+
+/// The part of a segment that fits into its arrays.
+pub const SEGMENTS: Source = Text(include_str!("shaders/segments.wgsl"));
+
+/// Opacity of a sample.
+pub const COMPOSITING: Source = Text(include_str!("shaders/compositing.wgsl"));
+
+/// Whether a sample is visible.
+pub const PRUNING: Source = Text(include_str!("shaders/pruning.wgsl"));
+
+/// Functions of the outputs of networks.
+pub const ACTIVATION: Source = Parts(&[
+    Source::whole("EXP", DensityFunction::Exp as u32),
+    Source::whole("SOFTPLUS", DensityFunction::Softplus as u32),
+    Text(include_str!("shaders/activation.wgsl")),
+]);
+
+/// Spherical harmonics of a direction.
+pub const HARMONICS: Source =
+    Parts(&[Constant("SH", Value::Reals(&FACTORS)), Text(include_str!("shaders/harmonics.wgsl"))]);
+
+/// 64-bit fixed point.
+pub const FIXED: Source =
+    Parts(&[Source::real("POINT", POINT as f32), Text(include_str!("shaders/fixed.wgsl"))]);
+
+const SUMS: Source = Text(include_str!("shaders/sums.wgsl"));
+
+/// Sums of an f32 over a workgroup.
+pub const SUM: Source = Parts(&[Text("alias Sum = f32;\n"), SUMS]);
+
+/// Sums of four f32 over a workgroup.
+pub const SUM_OF_FOUR: Source = Parts(&[Text("alias Sum = vec4<f32>;\n"), SUMS]);
+
+/// Largest f16.
+const MOST_HALF: f32 = 65504.0;
+
+/// Conversion to f16.
+pub const HALF: Source =
+    Parts(&[Source::real("MOST_HALF", MOST_HALF), Text(include_str!("shaders/half.wgsl"))]);

@@ -1,0 +1,29 @@
+//! The training speed that is expected of an adapter, for the scene plan.
+
+use crate::gpu::choose;
+use trimip_core::{Result, scene_plan::Compute};
+
+/// Kept samples per second expected of a GPU in training: the paper's figure for an A100. Not measured here.
+const EXPECTED: f64 = 2.2e7;
+
+/// Kept samples per second of training on a software adapter: llvmpipe of Mesa 22.3 on two cores of an AMD EPYC
+/// (AVX2), with the quickstart's model.
+pub const SOFTWARE_SAMPLES_PER_SECOND: f64 = 1_000.0;
+
+/// Occupancy-grid cells whose density is evaluated per second on the same adapter.
+pub const SOFTWARE_CELLS_PER_SECOND: f64 = 12_000.0;
+
+/// The training speed of the adapter with this name.
+///
+/// # Errors
+/// When there is no such adapter.
+pub fn compute(name: &str) -> Result<Compute> {
+    let info = choose(name)?.get_info();
+    let software = info.device_type == wgpu::DeviceType::Cpu;
+    Ok(Compute {
+        name: info.name,
+        samples_per_second: if software { SOFTWARE_SAMPLES_PER_SECOND } else { EXPECTED },
+        bf16: false,
+        wide: !software,
+    })
+}

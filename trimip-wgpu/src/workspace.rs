@@ -1,0 +1,204 @@
+//! What the stages know of their backend: its device, its pool of workspaces, and the scratch memory of a workspace.
+
+use crate::capacity::VIEW_SAMPLES;
+use crate::gpu::Access::{Parameters, Read, Write};
+use crate::gpu::{Bind, Buffer, Ceilings, Counts, GRID, GROUP, Gpu, Kernel, Pipeline, Size, Source};
+use bytemuck::Pod;
+use std::collections::HashMap;
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex};
+use trimip_core::Result;
+use trimip_core::batch::{Segment, Workspace};
+
+/// A GPU device with its workspaces and counters.
+pub struct WgpuBackend {
+    pub(crate) gpu: Arc<Gpu>,
+    pub(crate) addition: Addition,
+    pub(crate) workspaces: Mutex<Vec<Workspace<Self>>>,
+    pub(crate) known: Arc<Known>,
+    /// Counters of the model in training, read together with a step's sums: the occupancy grid's and the field's.
+    pub(crate) watched: Mutex<Option<[wgpu::Buffer; 2]>>,
+    /// Number of samples that the arrays of a span have the capacity for.
+    pub(crate) capacity: Mutex<usize>,
+}
+
+/// The last values of the device's counters that were read.
+#[derive(Default)]
+pub struct Known {
+    /// Number of occupied cells.
+    pub occupied: AtomicU64,
+    /// Number of factors that f16 cannot hold.
+    pub overflows: AtomicU64,
+}
+
+/// Scratch memory of a workspace.
+pub struct Lane {
+    gpu: Arc<Gpu>,
+    gather: Pipeline,
+    /// A number of rows that is known to the host.
+    pub(crate) count: Buffer<u32>,
+    pub(crate) bits: Buffer<u32>,
+    pub(crate) blocks: Buffer<u32>,
+    pub(crate) old_segments: Buffer<Segment>,
+    pub(crate) marks: Buffer<u32>,
+    /// For hybrid rendering, one per ray: 1 if the proxy is sure of it.
+    pub(crate) sure: Buffer<u32>,
+    pub(crate) sums: Buffer<f32>,
+    /// Destination arrays for gathered rows, by row width in words.
+    spares: HashMap<usize, Buffer<u32>>,
+    /// True if rays were marched, so that samples may have been dropped for lack of room.
+    pub(crate) marched: bool,
+}
+
+shared! {
+    /// Parameters of the kernel that keeps rows.
+    struct Gather as Params {
+        /// Words of a row.
+        width: u32,
+        counter: u32,
+    }
+}
+
+/// Gathers the rows `kept` of an array.
+pub fn gather() -> Kernel {
+    let sources = [GRID, Source::of::<Gather>(), Source::Text(include_str!("shaders/gather.wgsl"))];
+    Kernel::new("gather", &sources, &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read)])
+}
+
+impl Lane {
+    /// Scratch memory without contents.
+    pub(crate) fn new(gpu: &Arc<Gpu>) -> Self {
+        let words = || Buffer::zeros(gpu, 0);
+        Self {
+            gpu: Arc::clone(gpu),
+            gather: gpu.pipeline(gather()),
+            count: Buffer::zeros(gpu, 1),
+            bits: words(),
+            blocks: words(),
+            old_segments: Buffer::zeros(gpu, 0),
+            marks: words(),
+            sure: words(),
+            sums: Buffer::zeros(gpu, 0),
+            spares: HashMap::new(),
+            marched: false,
+        }
+    }
+
+    /// Keeps the rows `kept` of an array, of `width` words each, and drops the others.
+    pub(crate) fn keep<T: Pod>(&mut self, kept: &Buffer<u32>, array: &mut Buffer<T>, width: usize) {
+        let spare = self.spares.entry(width).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
+        let Some((counts, counter)) = kept.counter() else { return };
+        let values = width * 4 / size_of::<T>();
+        spare.reserve(array.capacity() * size_of::<T>() / 4);
+        spare.count_by(kept.most() * width, counts, counter, width);
+        let params = Gather { width: width as u32, counter };
+        let counts = Bind::whole(counts);
+        let binds = [array.bind(), spare.bind(), kept.bind(), counts];
+        let size =
+            Size::Counted { counts: counts.buffer, counter, per: width as u32, group: GROUP, times: 1 };
+        self.gpu.dispatch(&self.gather, &binds, &params, size);
+        array.swap(spare);
+        array.count_by(kept.most() * values, counts.buffer, counter, values);
+    }
+}
+
+impl WgpuBackend {
+    /// Opens the adapter whose name contains `adapter`, or the best one if `adapter` is empty. `deterministic` sums
+    /// texel gradients in fixed point, which gives the same bits every time.
+    ///
+    /// # Errors
+    /// When there is no such adapter, or it cannot open a device.
+    pub fn new(adapter: &str, deterministic: bool) -> Result<Self> {
+        Ok(Self::of(Gpu::open(adapter)?, deterministic))
+    }
+
+    /// As [`WgpuBackend::new`], on the adapter number `index` of those that are as good, counted around: one for each rank on a
+    /// machine.
+    ///
+    /// # Errors
+    /// As [`WgpuBackend::new`].
+    pub fn one_of(adapter: &str, index: usize, deterministic: bool) -> Result<Self> {
+        Ok(Self::of(Gpu::open_one_of(adapter, index)?, deterministic))
+    }
+
+    /// As [`WgpuBackend::new`], without blocking, for a page in a browser.
+    ///
+    /// # Errors
+    /// As [`WgpuBackend::new`].
+    pub async fn new_async(adapter: &str, deterministic: bool) -> Result<Self> {
+        Ok(Self::of(Gpu::open_async(adapter).await?, deterministic))
+    }
+
+    fn of(gpu: Arc<Gpu>, deterministic: bool) -> Self {
+        let addition = match (deterministic, gpu.adds_floats()) {
+            (true, _) => Addition::Fixed,
+            (false, true) => Addition::Atomic,
+            (false, false) => Addition::Exchange,
+        };
+        Self::with(gpu, addition)
+    }
+
+    /// Opens an adapter as [`WgpuBackend::new`] does, but with the given way of adding texel gradients. Returns
+    /// `None` if the device does not support it.
+    ///
+    /// # Errors
+    /// When there is no such adapter, or it cannot open a device.
+    pub fn adding(adapter: &str, addition: Addition) -> Result<Option<Self>> {
+        let gpu = Gpu::open(adapter)?;
+        let can = addition != Addition::Atomic || gpu.adds_floats();
+        Ok(can.then(|| Self::with(gpu, addition)))
+    }
+
+    fn with(gpu: Arc<Gpu>, addition: Addition) -> Self {
+        Self {
+            gpu,
+            addition,
+            workspaces: Mutex::default(),
+            known: Arc::default(),
+            watched: Mutex::default(),
+            capacity: Mutex::new(VIEW_SAMPLES),
+        }
+    }
+
+    /// Counts of transfers between host and device, and of the host's waits.
+    pub fn counts(&self) -> Counts {
+        self.gpu.counts()
+    }
+
+    /// Measures the peak rates of the device.
+    pub fn ceilings(&self) -> Ceilings {
+        Ceilings::measure(&self.gpu)
+    }
+
+    /// True if the device has the cooperative matrices that `field.precision = "f16"` needs.
+    pub fn cooperates(&self) -> bool {
+        self.gpu.matrices().is_some()
+    }
+
+    /// The way in which texel gradients are added.
+    pub fn addition(&self) -> Addition {
+        self.addition
+    }
+
+    /// Returns a function that destroys the device, as a driver reset does. Tests use it to check what happens then.
+    pub fn destroyer(&self) -> impl Fn() + Send + use<> {
+        let gpu = Arc::clone(&self.gpu);
+        move || gpu.destroy()
+    }
+
+    /// Name and driver of the adapter.
+    pub fn adapter(&self) -> String {
+        self.gpu.name()
+    }
+}
+
+/// The way in which texel gradients are added.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Addition {
+    /// 64-bit fixed point: the same bits every time.
+    Fixed,
+    /// Atomic f32 additions, if the device has them: half the memory.
+    Atomic,
+    /// Compare-and-exchange of f32, which every device has: half the memory.
+    Exchange,
+}
