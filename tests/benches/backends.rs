@@ -11,6 +11,7 @@ use trimip_core::config::Precision;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
 use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_data::settings::DataConfig;
 use trimip_wgpu::{Addition, WgpuBackend};
 
 /// Steps before the timed step: at first, the occupancy grid is full.
@@ -23,13 +24,17 @@ fn samples() -> u32 {
 /// The paper's model on small views of the built-in scene.
 fn scene(precision: Precision) -> (Config, ViewSet) {
     let mut config = trimip_tests::fixtures::as_code();
-    config.data.format = "builtin".into();
-    (config.data.builtin_size, config.data.builtin_train) = (64, 8);
-    config.data.builtin_supersampling = 2;
     config.train.samples_per_step = samples();
     config.field.precision = precision;
     (config.occupancy.resolution, config.occupancy.warmup) = (64, 8);
-    let views = trimip_data::open(&config.data).expect("the built-in scene needs no files").train;
+    let data = DataConfig {
+        format: "builtin".into(),
+        builtin_size: 64,
+        builtin_train: 8,
+        builtin_supersampling: 2,
+        ..DataConfig::default()
+    };
+    let views = trimip_data::open(&data).expect("the built-in scene needs no files").train;
     (config, views)
 }
 

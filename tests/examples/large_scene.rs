@@ -6,8 +6,9 @@
 use image::{DynamicImage, RgbImage, codecs::jpeg::JpegEncoder, imageops::FilterType};
 use serde_json::json;
 use std::{fs, io::BufWriter, path::PathBuf};
-use trimip_core::{Alpha, Camera, Intrinsics, config::Finish, views::composite_pixel};
+use trimip_core::{Alpha, Camera, Intrinsics, views::composite_pixel};
 use trimip_data::builtin;
+use trimip_data::settings::Finish;
 
 /// Width of a ray-traced picture.
 const TRACED: u32 = 500;

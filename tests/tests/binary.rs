@@ -269,7 +269,7 @@ fn verbs_answer() {
     );
     let config = trimip_core::Config::from_toml("shown", &shown).unwrap();
     assert_eq!((config.encoder.plane_size, config.train.steps), (16, 20));
-    assert_eq!(good(&["config", "--defaults"]), trimip_core::DEFAULTS);
+    assert_eq!(good(&["config", "--defaults"]), trimip::settings::definitions().text());
 
     let facts = good(&["doctor"]);
     assert!(["version", "cores", "memory", "backend"].iter().all(|fact| facts.contains(fact)), "{facts}");

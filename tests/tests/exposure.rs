@@ -10,6 +10,7 @@ use trimip_core::{
     trainer::Trainer,
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_data::settings::DataConfig;
 use trimip_tests::fixtures::{Draw, GivenFrames, as_code};
 
 /// Root mean square of the errors of log-gains, of a spread of 0.25.
@@ -43,9 +44,12 @@ fn multiplied(mut views: ViewSet, gains: &[[f64; 3]]) -> ViewSet {
 
 fn configuration() -> Config {
     let mut config = as_code();
-    config.data.format = "builtin".into();
-    (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 24, 3);
-    (config.data.builtin_supersampling, config.data.scales) = (2, 2);
+    let read = config.change(|data: &mut DataConfig| {
+        data.format = "builtin".into();
+        (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 24, 3);
+        (data.builtin_supersampling, data.scales) = (2, 2);
+    });
+    read.unwrap();
     config.data.background = [0.0; 3];
     (config.encoder.plane_size, config.encoder.levels) = (32, 5);
     config.field.hidden = 32;
@@ -62,7 +66,7 @@ fn configuration() -> Config {
 /// Trains on the scene's photographs, changed by `change`; returns the PSNR of all test views together after a gain of each
 /// channel that fits them, and the log-gains of the photographs.
 fn trained(config: &Config, change: impl Fn(ViewSet) -> ViewSet) -> (f64, Vec<[f64; 3]>) {
-    let scene = trimip_data::open(&config.data).unwrap();
+    let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let backend = CpuBackend::new(2, Simd::detect()).unwrap();
     let mut trainer = Trainer::new(backend, config, change(scene.train)).unwrap();
     for step in 0..config.train.steps {
@@ -103,7 +107,7 @@ fn apart(found: &[[f64; 3]], known: &[[f64; 3]]) -> f64 {
 #[test]
 fn a_test_photograph_of_another_exposure_is_measured_at_it() {
     let config = configuration();
-    let scene = trimip_data::open(&config.data).unwrap();
+    let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let backend = CpuBackend::new(2, Simd::detect()).unwrap();
     let mut trainer = Trainer::new(backend, &config, scene.train).unwrap();
     // The model's own pictures, darkened: all that differs is the exposure, up to the rounding to 8 bits.
@@ -128,7 +132,7 @@ fn a_test_photograph_of_another_exposure_is_measured_at_it() {
 #[test]
 fn gains_of_photographs_are_found_and_spoil_no_model() {
     let mut config = configuration();
-    let gains = known(config.data.builtin_train as usize);
+    let gains = known(config.section::<DataConfig>().unwrap().builtin_train as usize);
     let (ignored, none) = trained(&config, |views| multiplied(views, &gains));
     assert!(none.is_empty());
     config.loss.exposure = Exposure::Gain;

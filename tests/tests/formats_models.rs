@@ -46,7 +46,7 @@ fn a_model_without_the_tensors_of_its_configuration_is_refused() {
         ("field.hidden=512", ["`density.0.weight`", "512"]),
     ] {
         let Model { config, file } = model();
-        let mut settings = trimip_core::Settings::defaults();
+        let mut settings = trimip::settings::defaults();
         settings.apply_file("own", &config.to_toml()).unwrap();
         settings.apply_assignment(setting).unwrap();
         let other = Model::new(trimip_core::Config::from_settings(&settings).unwrap(), file);

@@ -4,7 +4,6 @@ use std::sync::atomic::AtomicBool;
 use trimip_core::{
     Camera, Config, Error, ErrorKind, Intrinsics, Layout, Lens, Result, Session, Viewer,
     checkpoint::Checkpoint,
-    config::Photographs,
     evaluate::{ViewResult, evaluate},
     events::{Event, Totals},
     loaded::LoadedModel,
@@ -14,11 +13,13 @@ use trimip_core::{
     trainer::Trainer,
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_data::settings::DataConfig;
 use trimip_tests::{
     fixtures,
     gpu::{ADDITIONS, reproducibly, with},
     suite,
 };
+use trimip_wgpu::{Photographs, WgpuConfig};
 
 fn cpu() -> CpuBackend {
     CpuBackend::new(2, Simd::detect()).expect("threads start")
@@ -203,7 +204,7 @@ fn masked_pixels_have_the_same_targets_on_both_backends() {
     reproducibly(|make| {
         let mut config = suite::masks::everything();
         for photographs in [Photographs::Device, Photographs::Host] {
-            config.wgpu.photographs = photographs;
+            config.change(|wgpu: &mut WgpuConfig| wgpu.photographs = photographs)?;
             let mut on_cpu = Trainer::new(cpu(), &config, suite::masks::half(1))?;
             let mut on_gpu = Trainer::new(make(), &config, suite::masks::half(1))?;
             let ((own_sums, own), (sums, other)) =
@@ -287,7 +288,7 @@ fn photographs_on_the_host_train_the_same_bits() {
         let mut config = suite::training::scheduled()?;
         let views = || fixtures::noise(3, 16, 3, 2);
         let there = tensors(&mut Trainer::new(make(), &config, views())?, &config, 12)?;
-        config.wgpu.photographs = Photographs::Host;
+        config.change(|wgpu: &mut WgpuConfig| wgpu.photographs = Photographs::Host)?;
         let mut trainer = Trainer::new(make(), &config, views())?;
         let written = trainer.device().counts().written;
         let sent = tensors(&mut trainer, &config, 12)?;
@@ -309,7 +310,8 @@ fn memory_is_predicted_within_a_tenth() {
             let views = fixtures::noise(4, 64, 2, 2);
             let camera = views.views[0].camera;
             let mut trainer = Trainer::new(make(), &config, views.clone())?;
-            config.wgpu.deterministic = trainer.device().addition() == ADDITIONS[0];
+            let deterministic = trainer.device().addition() == ADDITIONS[0];
+            config.change(|wgpu: &mut WgpuConfig| wgpu.deterministic = deterministic)?;
             let predicted: u64 = trimip_wgpu::memory(&config, &views).iter().map(|(_, bytes)| bytes).sum();
             suite::training::steps(&mut trainer, &config, 20)?;
             trainer.render(&camera)?;
@@ -365,7 +367,7 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
         let backend = make();
         let lose = backend.destroyer();
         let mut trainer = Trainer::new(backend, &config, fixtures::noise(3, 16, 2, 2))?;
-        let scene = trimip_data::open(&builtin().data)?;
+        let scene = trimip_data::open(&builtin().section()?)?;
         let mut shelf = Shelf { kept: Vec::new(), lose: &lose };
         let mut events: Vec<Event> = Vec::new();
         let outcome = Run {
@@ -395,9 +397,12 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
 /// The built-in scene at a small size.
 fn builtin() -> Config {
     let mut config = fixtures::as_code();
-    config.data.format = "builtin".into();
-    (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 8, 2);
-    (config.data.builtin_supersampling, config.data.scales) = (2, 2);
+    let read = config.change(|data: &mut DataConfig| {
+        data.format = "builtin".into();
+        (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 8, 2);
+        (data.builtin_supersampling, data.scales) = (2, 2);
+    });
+    read.unwrap();
     (config.encoder.plane_size, config.encoder.levels) = (32, 5);
     config.field.hidden = 32;
     config.renderer.steps_per_diagonal = 128;
@@ -410,7 +415,7 @@ fn builtin() -> Config {
 
 /// Mean PSNR on the held-out views of the built-in scene.
 fn held_out(session: &mut dyn Viewer, config: &Config) -> Result<f64> {
-    let scene = trimip_data::open(&config.data)?;
+    let scene = trimip_data::open(&config.section()?)?;
     let views = evaluate(session, scene.test.as_ref(), 1, &config.data, |_| Ok(true))?;
     Ok(views.iter().map(|view| view.measures.psnr).sum::<f64>() / views.len() as f64)
 }
@@ -419,7 +424,7 @@ fn held_out(session: &mut dyn Viewer, config: &Config) -> Result<f64> {
 fn both_backends_learn_the_built_in_scene_alike() {
     reproducibly(|make| {
         let config = builtin();
-        let train = || Ok::<_, Error>(trimip_data::open(&config.data)?.train);
+        let train = || Ok::<_, Error>(trimip_data::open(&config.section()?)?.train);
         // Runs of two seeds from scratch differ by more than a tenth of a decibel; from a common start they must not.
         let mut on_cpu = Trainer::new(cpu(), &config, train()?)?;
         suite::training::steps(&mut on_cpu, &config, 90)?;

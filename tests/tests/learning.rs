@@ -2,6 +2,7 @@
 
 use trimip_core::{Config, Session, evaluate::evaluate, metrics::psnr, trainer::Trainer};
 use trimip_cpu::{CpuBackend, simd::Simd};
+use trimip_data::settings::DataConfig;
 use trimip_tests::fixtures::as_code;
 
 /// Minimum gain in dB over the best constant colour, the mean of the held-out image itself.
@@ -12,9 +13,12 @@ const STEPS: u64 = 150;
 
 fn configuration() -> Config {
     let mut config = as_code();
-    config.data.format = "builtin".into();
-    (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (32, 8, 2);
-    (config.data.builtin_supersampling, config.data.scales) = (2, 2);
+    let read = config.change(|data: &mut DataConfig| {
+        data.format = "builtin".into();
+        (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 8, 2);
+        (data.builtin_supersampling, data.scales) = (2, 2);
+    });
+    read.unwrap();
     (config.encoder.plane_size, config.encoder.levels) = (32, 5);
     config.field.hidden = 32;
     config.renderer.steps_per_diagonal = 192;
@@ -27,7 +31,7 @@ fn configuration() -> Config {
 
 /// Mean PSNR on the held-out views, and that of the best constant colour of each view.
 fn held_out(config: &Config) -> (f64, f64) {
-    let scene = trimip_data::open(&config.data).unwrap();
+    let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let mut trainer = Trainer::new(CpuBackend::new(2, Simd::detect()).unwrap(), config, scene.train).unwrap();
     for step in 0..STEPS {
         let report = trainer.step(step as f64 / STEPS as f64).unwrap();

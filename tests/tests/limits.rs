@@ -5,7 +5,7 @@ use image::{GrayImage, Luma};
 use serde_json::{Value, json};
 use std::{fs, path::Path, process::Command};
 use tempfile::TempDir;
-use trimip_core::{Config, DocumentedSetting, Settings, documented, tensors::TensorFile, tensors::Values};
+use trimip_core::{Config, DocumentedSetting, tensors::TensorFile, tensors::Values};
 use trimip_tests::binary::{Answer, command, program, run, tiny, tiny_and};
 
 /// Numbers at which programs fail, and values that are none.
@@ -70,7 +70,7 @@ fn one_line(answer: &Answer, codes: &[i32], what: &str) {
 fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
     let folder = tempfile::tempdir().unwrap();
     let (mut refused, mut ran) = (0, 0);
-    for section in documented() {
+    for section in trimip::settings::definitions().documented() {
         for (setting, edge) in section.settings.iter().flat_map(|setting| EDGES.map(|edge| (setting, edge))) {
             let path = match section.name.as_str() {
                 "" => setting.key.clone(),
@@ -82,7 +82,7 @@ fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
             let mut all: Vec<&str> =
                 common.copied().chain(encoder_of(&section.name).iter().copied()).collect();
             all.push(&assignment);
-            let mut settings = Settings::defaults();
+            let mut settings = trimip::settings::defaults();
             let applied = all.iter().try_for_each(|set| settings.apply_assignment(set));
             if let Err(error) = applied.and_then(|()| Config::from_settings(&settings).map(drop)) {
                 refused += 1;

@@ -1,7 +1,7 @@
 //! Many views of a model: rendering goes on where it was interrupted, and its pictures become a video.
 
 use std::{fs, path::Path, process::Stdio, time::SystemTime};
-use trimip_core::Config;
+use trimip_data::settings::DataConfig;
 use trimip_tests::binary::{Answer, command, run, tiny_and};
 
 /// Trains the smallest model into `run`.
@@ -108,9 +108,8 @@ fn a_flythrough_goes_along_the_training_cameras_and_goes_on() {
         .collect();
     assert_ne!(origins[0], origins[4]);
     // A mean of cameras is not farther away than the farthest of them.
-    let mut config = Config::default();
-    config.data.format = "builtin".into();
-    let photographed = trimip_data::open_test(&config.data).unwrap().train;
+    let builtin = DataConfig { format: "builtin".into(), ..DataConfig::default() };
+    let photographed = trimip_data::open_test(&builtin).unwrap().train;
     let farthest = photographed.iter().map(|camera| camera.origin.length()).fold(0.0, f64::max);
     let away = |o: &[f64; 3]| o.iter().map(|x| x * x).sum::<f64>().sqrt();
     assert!(origins.iter().all(|o| away(o) < farthest + 1e-6), "{origins:?}");

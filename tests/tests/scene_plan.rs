@@ -159,13 +159,13 @@ fn a_plan_of_what_was_planned_leaves_nothing_out() {
 }
 
 fn plan_twice(scales: u32, expected: &[&str]) {
-    let mut settings = Settings::defaults();
+    let mut settings = trimip::settings::defaults();
     let scales = format!("data.scales={scales}");
     for assignment in ["data.format=builtin", "data.builtin_size=128", "data.builtin_train=24", &scales] {
         settings.apply_assignment(assignment).unwrap();
     }
     let config = Config::from_settings(&settings).unwrap();
-    let scene = trimip_data::open(&config.data).unwrap();
+    let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let compute = Compute::one_thread();
     let facts = Facts { train: &scene.train, test: &scene.test.cameras(), stated: None, compute: &compute };
     let decided = |settings: &mut Settings| {
@@ -174,7 +174,7 @@ fn plan_twice(scales: u32, expected: &[&str]) {
     };
     assert_eq!(decided(&mut settings), expected, "{scales}");
     let planned = Config::from_settings(&settings).unwrap();
-    let mut again = Settings::defaults();
+    let mut again = trimip::settings::defaults();
     again.apply_file("planned", &planned.to_toml()).unwrap();
     for key in scene_plan::keys().filter(|key| *key != "directions") {
         again.apply_assignment(&format!("plan.{key}=on")).unwrap();

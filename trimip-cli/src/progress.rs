@@ -6,9 +6,9 @@ use std::sync::OnceLock;
 use std::time::Duration;
 use trimip_core::{
     Result,
-    config::DataConfig,
     events::{Event, EventSink},
 };
+use trimip_data::settings::DataConfig;
 use trimip_data::{Scene, Watch};
 
 /// Template of the training bar, in thousandths; the message takes the rest of the terminal's width.

@@ -7,7 +7,7 @@ use trimip_core::text;
 
 /// Settings of a system, a configuration file and the command line. Checks every range.
 pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
-    let mut settings = Settings::defaults();
+    let mut settings = trimip::settings::defaults();
     if let Some(name) = &arguments.system {
         systems::find(name)?.apply(&mut settings)?;
     }

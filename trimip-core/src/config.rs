@@ -1,32 +1,38 @@
-//! The typed configuration. Defaults and their meaning are in `defaults.toml`, layers and origins in [`Settings`], the
-//! sections and their choices in the files beside this one, and the accepted ranges in `checks.rs`.
+//! The typed configuration. Defaults, ranges and meanings are in `defaults.toml`, layers and origins in [`Settings`], the
+//! sections and their choices in the files beside this one, and what they must be together in `checks.rs`. Sections that
+//! other crates own are carried along in `foreign.rs`; [`Config::section`] gives their typed form.
 
 mod checks;
 mod choices;
 mod encoders;
+mod foreign;
 mod sections;
 
 pub use choices::{
     ConePattern, Contraction, Convention, Decomposition, DensityFunction, Exposure, FilePrecision, FinalEval,
-    Finish, HybridRule, LevelFormula, LossRays, MaskKeeps, MaskRole, MemoryChoice, Photographs, PixelStore,
-    PlanChoice, PlaneShape, Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
+    HybridRule, LevelFormula, LossRays, MemoryChoice, PlanChoice, PlaneShape, Precision, RateSchedule,
+    RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
 pub use encoders::{
     EncoderConfig, EncoderKind, FrequenciesConfig, HashGridConfig, RipMapConfig, TensorConfig, VoxelsConfig,
 };
+pub use foreign::Foreign;
 pub use sections::{
-    DataConfig, EvalConfig, FieldConfig, FileConfig, HybridConfig, OccupancyConfig, OptimizerConfig,
-    PlanConfig, RendererConfig, SceneConfig, TrainConfig, WgpuConfig,
+    EvalConfig, FieldConfig, FileConfig, HybridConfig, OccupancyConfig, OptimizerConfig, PhotographsConfig,
+    PlanConfig, RendererConfig, SceneConfig, TrainConfig,
 };
 
 pub use crate::losses::{LossConfig, Photometric};
 pub(crate) use sections::section;
 
-use crate::{Aabb, Error, Origin, Result, Settings, range};
+use crate::defaults::Definitions;
+use crate::settings::{checker::Checker, section::mistyped, text::section_begun};
+use crate::{Aabb, Error, Origin, Result, Settings};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
-/// Every setting of a run.
+/// Every setting of a run: core's as fields, those of other crates in [`foreign`](Self::foreign).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -39,7 +45,7 @@ pub struct Config {
     /// What becomes of a run that is predicted to need more memory than there is.
     pub memory: MemoryChoice,
     /// The photographs.
-    pub data: DataConfig,
+    pub data: PhotographsConfig,
     /// The box around the scene.
     pub scene: SceneConfig,
     /// What the scene plan may decide.
@@ -74,8 +80,9 @@ pub struct Config {
     pub train: TrainConfig,
     /// The evaluations.
     pub eval: EvalConfig,
-    /// The GPU.
-    pub wgpu: WgpuConfig,
+    /// The settings that other crates own.
+    #[serde(skip)]
+    pub foreign: Foreign,
 }
 
 impl Default for Config {
@@ -133,29 +140,35 @@ impl Config {
     /// Names the first setting that has no such value, is out of range, or belongs to another encoder, and where it was
     /// set.
     pub fn from_settings(settings: &Settings) -> Result<Self> {
-        range::check(settings, &|path| settings.place(path))?;
-        let config: Self = settings.table().try_into().map_err(|error: toml::de::Error| {
-            // The error names the key; the origin of its value is the place to correct.
-            let text = error.to_string();
-            let place = settings
-                .iter()
-                .map(|(path, ..)| path)
-                .find(|path| text.contains(&format!("`{path}`")))
-                .map_or("configuration".to_string(), |path| settings.place(path));
-            Error::input(place, error.message(), "see its meaning in `trimip-cli config --defaults`")
-        })?;
         let given = |path: &str| *settings.origin(path) != Origin::Default;
-        config.check_together(&|path| settings.place(path), &given)?;
+        let (place, given): (&dyn Fn(&str) -> String, &dyn Fn(&str) -> bool) =
+            (&|path| settings.place(path), &given);
+        let checker = Checker::new(place, given);
+        settings.check_ranges(&checker)?;
+        let config = Self::of_settings(settings, &checker)?;
+        config.check_all(settings, &checker)?;
         Ok(config)
     }
 
-    /// Parses one effective configuration as written in a run folder; `name` is used in errors.
+    /// The typed form of settings, unchecked.
+    fn of_settings(settings: &Settings, to: &Checker<'_>) -> Result<Self> {
+        let core = Definitions::core();
+        let own = || core.defaults().map(|(path, _)| path);
+        let config = settings.table_of(own()).try_into::<Self>();
+        let mut config =
+            config.map_err(|error| mistyped(&error, &own().map(String::from).collect::<Vec<_>>(), to))?;
+        config.foreign = Foreign::of(settings);
+        Ok(config)
+    }
+
+    /// Parses one effective configuration as written in a run folder or a model; `name` is used in errors. Settings of other
+    /// crates than core are carried along; [`section`](Self::section) checks them.
     ///
     /// # Errors
     /// When the text is no TOML, or as [`from_settings`](Self::from_settings).
     pub fn from_toml(name: &str, text: &str) -> Result<Self> {
         expect_encoder(name, text)?;
-        let mut settings = Settings::defaults();
+        let mut settings = Settings::carrying(Definitions::core());
         settings.apply_file(name, text)?;
         Self::from_settings(&settings)
     }
@@ -166,7 +179,7 @@ impl Config {
         let text = self.whole_text();
         let (mut section, mut head, mut own) = (String::new(), String::new(), String::new());
         for line in text.lines().filter(|line| !line.is_empty()) {
-            if let Some(name) = line.strip_prefix('[').and_then(|line| line.strip_suffix(']')) {
+            if let Some(name) = section_begun(line) {
                 (section, head) = (format!("{name}."), format!("\n{line}\n"));
                 continue;
             }
@@ -180,20 +193,39 @@ impl Config {
         own
     }
 
-    /// Differences in settings that affect the model: all settings except device, threads, logging, evaluation, scene plan
-    /// and model file. A checkpoint of a different configuration is refused by them.
+    /// Differences in settings that affect the model: all settings except those that their definitions mark as free, such as
+    /// device, threads, evaluation, scene plan and model file. A checkpoint of a different configuration is refused by them.
+    /// Settings that neither side has a definition of do nothing here, so they do not count.
     pub fn differences(&self, other: &Self) -> Vec<String> {
-        let (ours, theirs) = (self.settings(), other.settings());
-        ours.iter()
-            .zip(theirs.iter())
-            .filter(|((path, ours), (_, theirs))| ours != theirs && !free_to_change(path))
-            .map(|((path, ours), (_, theirs))| format!("{path} is {ours}, was {theirs}"))
-            .collect()
+        let (ours, theirs) = (&self.foreign, &other.foreign);
+        let definitions = [ours.definitions(), theirs.definitions()];
+        let (own, before) = (self.as_settings(), other.as_settings());
+        let core = Definitions::core();
+        let paths = core
+            .defaults()
+            .map(|(path, _)| path)
+            .chain(ours.paths().chain(theirs.paths()).map(String::as_str));
+        let mut differences = Vec::new();
+        for path in BTreeSet::from_iter(paths) {
+            let [own, before] = match core.default(path) {
+                Some(_) => [own.get(path), before.get(path)],
+                None => [ours.value(path, theirs), theirs.value(path, ours)],
+            };
+            let is_free = definitions.iter().any(|known| known.is_free(path));
+            if let (Some(own), Some(before)) = (own, before)
+                && own != before
+                && !is_free
+                && definitions.iter().any(|known| known.default(path).is_some())
+            {
+                differences.push(format!("{path} is {own}, was {before}"));
+            }
+        }
+        differences
     }
 
     /// The configuration as settings.
     fn as_settings(&self) -> Settings {
-        let mut settings = Settings::defaults();
+        let mut settings = Settings::carrying(self.foreign.definitions().clone());
         settings
             .apply_file("config", &self.whole_text())
             .unwrap_or_else(|error| unreachable!("our own text: {error}"));
@@ -202,12 +234,8 @@ impl Config {
 
     /// Every setting as TOML text.
     fn whole_text(&self) -> String {
-        toml::to_string(self).unwrap_or_else(|error| unreachable!("plain data: {error}"))
-    }
-
-    /// Dotted path and value of every setting.
-    fn settings(&self) -> Vec<(String, toml::Value)> {
-        self.as_settings().iter().map(|(path, value, _)| (path.to_string(), value.clone())).collect()
+        let own = toml::to_string(self).unwrap_or_else(|error| unreachable!("plain data: {error}"));
+        self.foreign.put_into(&own)
     }
 }
 
@@ -226,22 +254,10 @@ fn expect_encoder(name: &str, text: &str) -> Result<()> {
     }
 }
 
-fn free_to_change(path: &str) -> bool {
-    path == "backend"
-        || path == "threads"
-        || path == "memory"
-        || path == "data.root"
-        || path.starts_with("eval.")
-        || path.starts_with("plan.")
-        || path.starts_with("file.")
-        || path.starts_with("wgpu.")
-        || path == "train.checkpoint_seconds"
-        || path == "train.log_seconds"
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{ForeignSection, Fragment, Section};
 
     #[test]
     fn defaults_are_whole_and_survive_a_round_trip() {
@@ -298,7 +314,6 @@ mod tests {
             ("train.steps=true", "a whole number"),
             ("data.background=[1e308, 0.0, 0.0]", "0 to 1 for each value"),
             ("encoder.halvings=[[0.0, 64]]", "0 to 10 for each value"),
-            ("data.train=[\"train\", \"train\"]", "each split once"),
         ] {
             let mut settings = Settings::defaults();
             let given = settings.apply_assignment(assignment);
@@ -322,6 +337,17 @@ mod tests {
             let (path, _) = assignment.split_once('=').unwrap();
             assert!(error.message.starts_with(&format!("--set: {path} = ")), "{assignment}: {error}");
         }
+    }
+
+    #[test]
+    fn a_number_is_a_schedule_of_one_value() {
+        let mut settings = Settings::defaults();
+        settings.apply_file("run.toml", "[renderer]\ncolor_weight = 0.5\n").unwrap();
+        settings.apply_assignment("renderer.step_scale=2").unwrap();
+        let config = Config::from_settings(&settings).unwrap();
+        assert_eq!(config.renderer.color_weight.values().collect::<Vec<_>>(), [0.5]);
+        assert_eq!(config.renderer.step_scale.at(0.3), 2.0);
+        assert!(settings.apply_assignment("optimizer.milestones=0.5").is_err(), "a list of numbers is none");
     }
 
     #[test]
@@ -381,5 +407,84 @@ mod tests {
         assert!(ours.differences(&other).is_empty());
         other.seed = 1;
         assert_eq!(ours.differences(&other), ["seed is 42, was 1"]);
+    }
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct Lamp {
+        watts: f64,
+        tint: String,
+    }
+
+    impl Section for Lamp {
+        const NAME: &'static str = "lamp";
+        const FRAGMENTS: &'static [Fragment] = &[Fragment {
+            after: "",
+            table: "[lamp] # a lamp\nwatts = 60.0 # 0 to 100: its power\ntint = \"warm\" # free: its colour\n",
+        }];
+    }
+
+    fn lit() -> Settings {
+        Settings::of(Definitions::new(&[ForeignSection::of::<Lamp>()], &[]).into())
+    }
+
+    #[test]
+    fn a_section_of_another_crate_is_carried_in_text_as_it_is() {
+        let mut settings = lit();
+        settings.apply_file("run.toml", "[lamp]\nwatts = 5\n").unwrap();
+        let config = Config::from_settings(&settings).unwrap();
+        assert_eq!(config.section::<Lamp>().unwrap(), Lamp { watts: 5.0, tint: "warm".into() });
+        let text = config.to_toml();
+        assert!(text.ends_with("\n[lamp]\nwatts = 5.0\ntint = \"warm\"\n"), "{text}");
+        // Who does not know the section keeps it, and who knows it reads it there.
+        let kept = Config::from_toml("model", &text).unwrap();
+        assert_eq!((kept.to_toml(), kept.section::<Lamp>().unwrap().watts), (text, 5.0));
+        assert_eq!(kept, config);
+        assert_eq!(Config::default().section::<Lamp>().unwrap().watts, 60.0);
+    }
+
+    #[test]
+    fn a_section_of_another_crate_is_checked_where_it_is_known() {
+        let refused = |assignment: &str| {
+            let mut settings = lit();
+            let applied = settings.apply_assignment(assignment);
+            applied.and_then(|()| Config::from_settings(&settings)).unwrap_err().message
+        };
+        assert!(
+            refused("lamp.watts=101")
+                .starts_with("--set: lamp.watts = 101.0: out of range; expected 0 to 100")
+        );
+        assert!(
+            refused("lamp.tint=3").contains("a string")
+                && refused("lamp.volts=3").contains("unknown setting")
+        );
+        let text = format!("{}\n[lamp]\nwatts = 101\n", Config::default().to_toml());
+        let error = Config::from_toml("model", &text).unwrap().section::<Lamp>().unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("lamp.watts = 101"), "{error}");
+        // A section of core is open to nobody, and a table within a table is no setting.
+        for text in ["[train]\nlamps = 3\n", "[lamp]\nwatts = { a = 3 }\n", "lamps = 3\n"] {
+            assert!(Config::from_toml("model", text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_section_of_another_crate_says_what_is_free_to_change() {
+        let config = |assignment: &str| {
+            let mut settings = lit();
+            settings.apply_assignment(assignment).unwrap();
+            Config::from_settings(&settings).unwrap()
+        };
+        let before = Config::from_toml("run", &config("lamp.watts=5").to_toml()).unwrap();
+        assert!(config("lamp.watts=5").differences(&before).is_empty());
+        assert_eq!(config("lamp.watts=6").differences(&before), ["lamp.watts is 6.0, was 5.0"]);
+        assert_eq!(config("lamp.tint=cold").differences(&before), ["lamp.watts is 60.0, was 5.0"]);
+        assert!(Config::default().differences(&before).is_empty(), "nothing here reads it");
+    }
+
+    #[test]
+    fn a_section_of_another_crate_is_changed_in_code() {
+        let mut config = Config { seed: 7, ..Config::default() };
+        config.change(|lamp: &mut Lamp| lamp.watts = 9.0).unwrap();
+        assert_eq!((config.seed, config.section::<Lamp>().unwrap().watts), (7, 9.0));
+        assert!(config.change(|lamp: &mut Lamp| lamp.watts = 900.0).is_ok() && config.validate().is_err());
     }
 }

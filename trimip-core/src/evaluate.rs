@@ -2,7 +2,7 @@
 
 use crate::{
     Frame, Frames, Result, ViewSet, Viewer,
-    config::DataConfig,
+    config::PhotographsConfig,
     exposure::exposed_by_the_other_half,
     metrics::{psnr, psnr_8bit, psnr_of_constant, ssim},
     perception::{Pair, Perceived},
@@ -68,7 +68,7 @@ pub struct TestFrames<'a> {
     /// The frames.
     pub frames: &'a dyn Frames,
     /// The background, and the convention of the photographs.
-    pub data: &'a DataConfig,
+    pub data: &'a PhotographsConfig,
     /// The finest scale that is compared: 1, 2, 4, ..; the coarsest of a frame that has none so coarse.
     pub finest: u32,
 }
@@ -79,7 +79,7 @@ pub fn evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
     stride: usize,
-    data: &DataConfig,
+    data: &PhotographsConfig,
     on_view: impl FnMut(&ViewResult<'_>) -> Result<bool>,
 ) -> Result<Vec<ViewQuality>> {
     let (mut qualities, mut watch) = (Vec::new(), OnView(on_view));

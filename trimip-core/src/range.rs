@@ -1,8 +1,5 @@
-//! Ranges of numbers, as the table of defaults states them before the meaning of a setting: `0 to 1024: CPU threads`.
+//! Ranges of numbers, as the tables of settings state them before the meaning of a setting: `0 to 1024: CPU threads`.
 
-use crate::{Error, Result, Settings, defaults::documented};
-use std::collections::BTreeMap;
-use std::sync::LazyLock;
 use toml::Value;
 
 /// From the lowest to the highest number that a setting may have, both included.
@@ -13,18 +10,6 @@ pub struct Range {
     /// As in the table.
     text: String,
 }
-
-/// The ranges of all settings that are numbers, by dotted path.
-static RANGES: LazyLock<BTreeMap<String, Range>> = LazyLock::new(|| {
-    let settings = documented().into_iter().flat_map(|section| {
-        let path = move |key: &str| match section.name.as_str() {
-            "" => key.to_string(),
-            name => format!("{name}.{key}"),
-        };
-        section.settings.into_iter().map(move |setting| (path(&setting.key), setting.range))
-    });
-    settings.filter_map(|(path, range)| Some((path, Range::parse(&range)?))).collect()
-});
 
 impl Range {
     /// The range that a text such as `0 to 1024` states.
@@ -42,7 +27,7 @@ impl Range {
     }
 
     /// True for a number within, a list of such numbers, and pairs with such a second number.
-    fn holds(&self, value: &Value) -> bool {
+    pub(crate) fn holds(&self, value: &Value) -> bool {
         match value {
             Value::Integer(number) => self.contains(*number as f64),
             Value::Float(number) => self.contains(*number),
@@ -57,38 +42,19 @@ impl Range {
             _ => false,
         }
     }
-}
 
-/// Refuses the first number of `settings` that is not in its range; `place` tells where the value of a path was set.
-pub(crate) fn check(settings: &Settings, place: &dyn Fn(&str) -> String) -> Result<()> {
-    for (path, value, _) in settings.iter() {
-        let Some(range) = RANGES.get(path) else { continue };
-        if !range.holds(value) {
-            let expected = match value {
-                Value::Array(_) => format!("expected {} for each value", range.text),
-                _ => format!("expected {}", range.text),
-            };
-            return Err(Error::input(place(path), "out of range", expected));
+    /// What is expected of a value, for an error.
+    pub(crate) fn expected(&self, value: &Value) -> String {
+        match value {
+            Value::Array(_) => format!("{} for each value", self.text),
+            _ => self.text.clone(),
         }
     }
-    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn every_number_of_the_table_has_a_range_and_lies_within() {
-        let numeric = |value: &Value| match value {
-            Value::Array(values) => values.iter().all(|value| !value.is_str()),
-            value => value.is_integer() || value.is_float(),
-        };
-        for (path, value, _) in Settings::defaults().iter() {
-            assert_eq!(RANGES.contains_key(path), numeric(value), "{path}");
-        }
-        check(&Settings::defaults(), &|path| path.to_string()).unwrap();
-    }
 
     #[test]
     fn limits_belong_to_a_range_and_what_is_no_number_does_not() {

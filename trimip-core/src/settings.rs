@@ -1,11 +1,20 @@
 //! Layers of settings: defaults, then a configuration file, then `--set a.b=c`. Each value keeps its origin. Keys that are
-//! not in the defaults are refused with file, line and column.
+//! not in the definitions are refused with file, line and column.
 
-use crate::{Error, Result, defaults::DEFAULTS};
+pub(crate) mod checker;
+pub(crate) mod section;
+pub(crate) mod text;
+pub(crate) mod values;
+
+use crate::defaults::{Definitions, Placed};
+use crate::{Error, Result};
+use checker::Checker;
 use std::collections::BTreeMap;
-use std::sync::LazyLock;
+use std::sync::Arc;
+use text::parts_of;
 use toml::de::{DeTable, DeValue};
-use toml::{Spanned, Table, Value};
+use toml::{Table, Value};
+use values::{fit, is_plain, parsed, plain, shown};
 
 /// Settings of earlier versions that had one value only, and why. That value is accepted and ignored, so that old files
 /// load; any other is refused.
@@ -39,39 +48,51 @@ impl std::fmt::Display for Origin {
     }
 }
 
-/// The table of defaults, read once.
-static TABLE: LazyLock<Settings> = LazyLock::new(Settings::of_table);
-
 /// Every setting by its dotted path, with its effective value and origin.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Settings {
+    definitions: Arc<Definitions>,
     entries: BTreeMap<String, (Value, Origin)>,
+    /// Settings without a definition, as they were given.
+    carried: Vec<Placed>,
+    /// True if settings of crates that these definitions do not know are carried along.
+    carries: bool,
+}
+
+impl std::fmt::Debug for Settings {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_map().entries(&self.entries).finish()
+    }
 }
 
 impl Settings {
-    /// The defaults alone.
+    /// The defaults of core's settings alone. Programs have those of all crates: `trimip::settings::defaults`.
     pub fn defaults() -> Self {
-        TABLE.clone()
+        Self::of(Definitions::core())
     }
 
-    /// Reads the table of defaults.
-    fn of_table() -> Self {
-        let table: Table =
-            toml::from_str(DEFAULTS).unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"));
-        let mut entries = BTreeMap::new();
-        for (section, value) in table {
-            match value {
-                Value::Table(fields) => entries.extend(
-                    fields
-                        .into_iter()
-                        .map(|(key, value)| (format!("{section}.{key}"), (value, Origin::Default))),
-                ),
-                value => {
-                    entries.insert(section, (value, Origin::Default));
-                }
-            }
-        }
-        Self { entries }
+    /// The defaults of all settings that are defined.
+    pub fn of(definitions: Arc<Definitions>) -> Self {
+        let defaults = definitions.defaults();
+        let entries =
+            defaults.map(|(path, value)| (path.to_string(), (value.clone(), Origin::Default))).collect();
+        Self { definitions, entries, carried: Vec::new(), carries: false }
+    }
+
+    /// The same, to which files may add settings of other crates that are not defined here. They are carried along as they
+    /// are; who owns them checks them when it reads them.
+    pub(crate) fn carrying(definitions: Arc<Definitions>) -> Self {
+        Self { carries: true, ..Self::of(definitions) }
+    }
+
+    /// The definitions of the settings.
+    pub fn definitions(&self) -> &Arc<Definitions> {
+        &self.definitions
+    }
+
+    /// The settings that were given without being defined, in order.
+    pub(crate) fn carried(&self) -> &[Placed] {
+        &self.carried
     }
 
     /// Applies the text of a configuration file; `name` is used in errors.
@@ -86,20 +107,34 @@ impl Settings {
         self.apply_table(name, text, "", table.get_ref())
     }
 
-    fn apply_table(&mut self, name: &str, text: &str, prefix: &str, table: &DeTable<'_>) -> Result<()> {
+    fn apply_table(&mut self, name: &str, text: &str, section: &str, table: &DeTable<'_>) -> Result<()> {
+        let path = |key: &str| if section.is_empty() { key.to_string() } else { format!("{section}.{key}") };
+        let mut undefined = Vec::new();
         for (key, value) in table {
-            let path = if prefix.is_empty() {
-                key.get_ref().to_string()
-            } else {
-                format!("{prefix}.{}", key.get_ref())
-            };
-            let place = place(name, text, key.span().start);
-            if let DeValue::Table(inner) = value.get_ref()
-                && self.is_section(&path)
-            {
-                self.apply_table(name, text, &path, inner)?;
-            } else {
-                self.put(&path, plain(value), &place, Origin::File(place.clone()))?;
+            let (path, start) = (path(key.get_ref()), key.span().start);
+            let origin = || Origin::File(place(name, text, start));
+            match value.get_ref() {
+                DeValue::Table(inner) if self.is_section(&path) => {
+                    self.apply_table(name, text, &path, inner)?;
+                }
+                _ if self.is_undefined(&path) => undefined.push((start, path, value)),
+                _ => self.put(&path, plain(value), &place(name, text, start), origin())?,
+            }
+        }
+        // In the order of the text, in which they are written again.
+        undefined.sort_by_key(|(start, ..)| *start);
+        for (start, path, value) in undefined {
+            let place = place(name, text, start);
+            match value.get_ref() {
+                DeValue::Table(inner) if section.is_empty() && self.carries_in(&path) => {
+                    self.apply_table(name, text, &path, inner)?;
+                }
+                _ => {
+                    let before = table.iter().filter(|(key, _)| key.span().start < start);
+                    let before = before.max_by_key(|(key, _)| key.span().start);
+                    let after = before.map_or("", |(key, _)| key.get_ref());
+                    self.carry(&path, after, plain(value), &place, Origin::File(place.clone()))?;
+                }
             }
         }
         Ok(())
@@ -144,7 +179,7 @@ impl Settings {
 
     /// The effective value of a setting as TOML text; empty if there is no such setting.
     pub fn value(&self, path: &str) -> String {
-        self.entries.get(path).map_or_else(String::new, |(value, _)| value.to_string())
+        self.get(path).map_or_else(String::new, Value::to_string)
     }
 
     /// Where the effective value of a setting came from.
@@ -162,22 +197,14 @@ impl Settings {
             };
         }
         let Some(entry) = self.entries.get_mut(path) else {
-            let section = path.rsplit_once('.').map_or("", |(section, _)| section);
-            let mut known: Vec<&str> =
-                self.entries.keys().map(String::as_str).filter(|key| section_of(key) == section).collect();
-            if section.is_empty() || known.is_empty() {
-                known = self.entries.keys().map(|key| key.split('.').next().unwrap_or(key)).collect();
-                known.dedup();
-            }
-            return Err(Error::input(
-                place,
-                format!("unknown setting `{path}`"),
-                format!("expected one of: {}", known.join(", ")),
-            ));
+            return self.carry(path, "", value, place, origin);
         };
         // `eval.final` takes a stride or a flag.
         let flag = path == "eval.final" && value.is_bool();
-        let fitted = if flag { Ok(value) } else { fit(default_of(path), value) };
+        let fitted = match self.definitions.default(path) {
+            Some(default) if !flag => fit(default, value),
+            _ => Ok(value),
+        };
         entry.0 = fitted.map_err(|(found, expected)| {
             Error::input(place, format!("`{path}` is {found}"), format!("expected {expected}"))
         })?;
@@ -192,8 +219,51 @@ impl Settings {
         Ok(())
     }
 
+    /// Keeps a setting that is not defined behind the one with the key `after`, if such settings are carried along.
+    fn carry(&mut self, path: &str, after: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
+        let (section, key) = parts_of(path);
+        let bare =
+            |name: &str| name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"_-".contains(&byte));
+        if self.carries_in(section) && bare(section) && bare(key) && !key.is_empty() && is_plain(&value) {
+            self.carried.push(Placed { path: path.to_string(), after: after.to_string() });
+            self.entries.insert(path.to_string(), (value, origin));
+            return Ok(());
+        }
+        let mut known: Vec<&str> =
+            self.entries.keys().map(String::as_str).filter(|key| parts_of(key).0 == section).collect();
+        if section.is_empty() || known.is_empty() {
+            known = self.entries.keys().map(|key| key.split('.').next().unwrap_or(key)).collect();
+            known.dedup();
+        }
+        Err(Error::input(
+            place,
+            format!("unknown setting `{path}`"),
+            format!("expected one of: {}", known.join(", ")),
+        ))
+    }
+
+    /// True if settings of a section are carried along without being defined.
+    fn carries_in(&self, section: &str) -> bool {
+        let others = self.carries && self.definitions.may_have_more(section);
+        !section.is_empty() && (others || self.definitions.is_absent(section))
+    }
+
     fn is_section(&self, path: &str) -> bool {
-        self.entries.keys().any(|key| section_of(key) == path)
+        self.entries.keys().any(|key| key.contains('.') && parts_of(key).0 == path)
+    }
+
+    fn is_undefined(&self, path: &str) -> bool {
+        !self.entries.contains_key(path) && RETIRED.iter().all(|(retired, ..)| *retired != path)
+    }
+
+    /// Refuses the first number that is not in its range.
+    pub(crate) fn check_ranges(&self, to: &Checker<'_>) -> Result<()> {
+        for (path, value, _) in self.iter() {
+            if let Some(range) = self.definitions.range(path) {
+                to.check(range.holds(value), path, &range.expected(value))?;
+            }
+        }
+        Ok(())
     }
 
     /// Dotted path, effective value and origin of every setting, sorted by path.
@@ -209,13 +279,23 @@ impl Settings {
         }
     }
 
+    /// The effective value of a setting.
+    pub(crate) fn get(&self, path: &str) -> Option<&Value> {
+        self.entries.get(path).map(|(value, _)| value)
+    }
+
     /// The effective settings as one TOML table.
     pub fn table(&self) -> Table {
+        self.table_of(self.entries.keys().map(String::as_str))
+    }
+
+    /// The settings `paths` as one TOML table.
+    pub(crate) fn table_of<'a>(&self, paths: impl Iterator<Item = &'a str>) -> Table {
         let mut table = Table::new();
-        for (path, (value, _)) in &self.entries {
+        for (path, value) in paths.filter_map(|path| Some((path, self.get(path)?))) {
             match path.split_once('.') {
                 None => {
-                    table.insert(path.clone(), value.clone());
+                    table.insert(path.to_string(), value.clone());
                 }
                 Some((section, key)) => {
                     if let Value::Table(fields) =
@@ -237,90 +317,12 @@ fn positive(value: &Value) -> bool {
     value.as_float().or(value.as_integer().map(|number| number as f64)).is_some_and(|number| number > 0.0)
 }
 
-/// The default of a setting, which has its type.
-fn default_of(path: &str) -> &'static Value {
-    TABLE.entries.get(path).map_or(&Value::Boolean(false), |(value, _)| value)
-}
-
-fn section_of(path: &str) -> &str {
-    path.split_once('.').map_or("", |(section, _)| section)
-}
-
 /// `name:line:column` of a byte offset.
 fn place(name: &str, text: &str, offset: usize) -> String {
     let before = &text[..offset.min(text.len())];
     let line = before.matches('\n').count() + 1;
     let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
     format!("{name}:{line}:{column}")
-}
-
-/// A spanned value without its spans.
-fn plain(value: &Spanned<DeValue<'_>>) -> Value {
-    match value.get_ref() {
-        DeValue::String(text) => Value::String(text.to_string()),
-        DeValue::Integer(number) => i64::from_str_radix(number.as_str(), number.radix())
-            .map_or_else(|_| Value::String(number.to_string()), Value::Integer),
-        DeValue::Float(number) => {
-            number.as_str().parse().map_or_else(|_| Value::String(number.to_string()), Value::Float)
-        }
-        DeValue::Boolean(flag) => Value::Boolean(*flag),
-        DeValue::Datetime(date) => Value::Datetime(*date),
-        DeValue::Array(items) => Value::Array(items.iter().map(plain).collect()),
-        DeValue::Table(fields) => Value::Table(
-            fields.iter().map(|(key, value)| (key.get_ref().to_string(), plain(value))).collect(),
-        ),
-    }
-}
-
-/// A value as TOML; text that is not valid TOML becomes a string.
-fn parsed(text: &str) -> Value {
-    toml::from_str::<Table>(&format!("value = {text}"))
-        .ok()
-        .and_then(|mut table| table.remove("value"))
-        .unwrap_or_else(|| Value::String(text.to_string()))
-}
-
-/// A value for a message: TOML, but 1e308 not with all of its digits.
-pub(crate) fn shown(value: &Value) -> String {
-    match value {
-        Value::Float(number) => format!("{number:?}"),
-        Value::Array(values) => {
-            format!("[{}]", values.iter().map(shown).collect::<Vec<_>>().join(", "))
-        }
-        value => value.to_string(),
-    }
-}
-
-/// `value` in the type of the default; integers are accepted for floats. `Err` holds what was found and what is expected.
-fn fit(default: &Value, value: Value) -> std::result::Result<Value, (String, &'static str)> {
-    let found = shown(&value);
-    match (default, value) {
-        (Value::Float(_), Value::Integer(number)) => Ok(Value::Float(number as f64)),
-        // A schedule of one value.
-        (Value::Array(items), value @ (Value::Integer(_) | Value::Float(_))) if matches!(items.first(), Some(Value::Array(piece)) if piece.len() == 2) => {
-            fit(default, Value::Array(vec![Value::Array(vec![Value::Float(0.0), value])]))
-        }
-        (Value::Array(items), Value::Array(values)) => match items.first() {
-            None => Ok(Value::Array(values)),
-            Some(item) => values
-                .into_iter()
-                .map(|value| fit(item, value))
-                .collect::<std::result::Result<_, _>>()
-                .map(Value::Array),
-        },
-        (default, value) if default.same_type(&value) => Ok(value),
-        (default, _) => Err((
-            found,
-            match default {
-                Value::String(_) => "a string",
-                Value::Integer(_) => "a whole number",
-                Value::Float(_) => "a number",
-                Value::Boolean(_) => "true or false",
-                Value::Array(_) => "a list",
-                Value::Table(_) | Value::Datetime(_) => "a table",
-            },
-        )),
-    }
 }
 
 #[cfg(test)]
@@ -339,17 +341,6 @@ mod tests {
         assert_eq!(table["data"]["root"].as_str(), Some("some/folder"));
         assert_eq!(settings.place("seed"), "run.toml:1:1: seed = 7");
         assert_eq!(settings.place("train.steps"), "--set: train.steps = 20");
-    }
-
-    #[test]
-    fn a_number_is_a_schedule_of_one_value() {
-        let mut settings = Settings::defaults();
-        settings.apply_file("run.toml", "[renderer]\ncolor_weight = 0.5\n").unwrap();
-        settings.apply_assignment("renderer.step_scale=2").unwrap();
-        let config = crate::Config::from_settings(&settings).unwrap();
-        assert_eq!(config.renderer.color_weight.values().collect::<Vec<_>>(), [0.5]);
-        assert_eq!(config.renderer.step_scale.at(0.3), 2.0);
-        assert!(settings.apply_assignment("optimizer.milestones=0.5").is_err(), "a list of numbers is none");
     }
 
     #[test]

@@ -13,16 +13,20 @@ use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
 use trimip_cpu::CpuBackend;
 use trimip_cpu::simd::Simd;
+use trimip_data::settings::DataConfig;
 
 /// The paper's model on small views of the built-in scene.
 fn scene(samples: u32) -> (Config, ViewSet) {
     let mut config = Config::default();
-    config.data.format = "builtin".into();
-    config.data.builtin_size = 64;
-    config.data.builtin_train = 8;
-    config.data.builtin_supersampling = 2;
     config.train.samples_per_step = samples;
-    let views = trimip_data::open(&config.data).expect("the built-in scene needs no files").train;
+    let data = DataConfig {
+        format: "builtin".into(),
+        builtin_size: 64,
+        builtin_train: 8,
+        builtin_supersampling: 2,
+        ..DataConfig::default()
+    };
+    let views = trimip_data::open(&data).expect("the built-in scene needs no files").train;
     (config, views)
 }
 

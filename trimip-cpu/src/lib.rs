@@ -3,16 +3,16 @@
 //!
 //! ```
 //! use trimip_core::Config;
+//! use trimip_data::settings::DataConfig;
 //!
 //! # fn main() -> trimip_core::Result<()> {
 //! let mut config = Config::default();
 //! config.encoder.plane_size = 32;
 //! config.encoder.levels = 4;
 //! config.train.samples_per_step = 1024;
-//! config.data.format = "builtin".into();
-//! (config.data.builtin_size, config.data.builtin_train) = (16, 4);
 //!
-//! let scene = trimip_data::open(&config.data)?;
+//! let small = DataConfig { builtin_size: 16, builtin_train: 4, ..DataConfig::default() };
+//! let scene = trimip_data::open(&DataConfig { format: trimip_data::builtin::FORMAT.into(), ..small })?;
 //! let camera = scene.train.views[0].camera;
 //! let mut session = trimip_cpu::open(&config, scene.train)?;
 //! for step in 0..4 {

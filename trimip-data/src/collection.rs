@@ -1,8 +1,9 @@
 //! Folders of scenes: the eight Blender scenes of NeRF, at one scale or as multi-scale sets, in the order of the tables.
 
 use crate::layout::{Layout, found};
+use crate::settings::DataConfig;
 use std::path::{Path, PathBuf};
-use trimip_core::{Error, Result, config::DataConfig};
+use trimip_core::{Error, Result};
 
 /// The eight Blender scenes (Mildenhall et al. 2020), in the order of the papers' tables.
 pub const BLENDER_SCENES: [&str; 8] =

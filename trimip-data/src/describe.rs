@@ -1,9 +1,9 @@
 //! The description of a scene in a few lines, which is kept with a run.
 
+use crate::settings::DataConfig;
 use crate::{masks, source::Source, survey::Survey};
 use trimip_core::{
     Alpha, ViewSet,
-    config::DataConfig,
     plural::{count, noun},
 };
 

@@ -3,11 +3,12 @@
 use crate::{
     describe, lens,
     scene::{Scene, opened},
+    settings::DataConfig,
     source::{Source, assemble_in, rows},
     survey::Survey,
     watch::{Meter, Watch},
 };
-use trimip_core::{Alpha, Camera, Result, config::DataConfig, plural::count};
+use trimip_core::{Alpha, Camera, Result, plural::count};
 
 /// Everything that is known about a scene without training.
 #[derive(Debug)]

@@ -1,5 +1,6 @@
 //! The layout of a scene folder: which reader has it, what is to be told where none has, and its frames by split.
 
+use crate::settings::DataConfig;
 use crate::{
     readers::{
         READERS,
@@ -8,7 +9,7 @@ use crate::{
     split::Split,
 };
 use std::path::Path;
-use trimip_core::{Error, Result, config::DataConfig};
+use trimip_core::{Error, Result};
 
 /// The value of `data.format` by which the files of a folder choose.
 const AUTO: &str = "auto";
@@ -104,13 +105,20 @@ fn detect(config: &DataConfig) -> Result<&'static Reader> {
 /// The reader with that value of `data.format`.
 fn of_format(format: &str) -> Result<&'static Reader> {
     READERS.iter().copied().find(|reader| reader.format == format).ok_or_else(|| {
-        let known: Vec<String> = std::iter::once(AUTO)
-            .chain(READERS.iter().map(|reader| reader.format))
-            .map(|format| format!("\"{format}\""))
-            .collect();
         let what = format!("\"{format}\" is no layout of a scene");
-        Error::input("data.format", what, format!("expected {}", listed(&known, "or")))
+        Error::input("data.format", what, format!("expected {}", formats()))
     })
+}
+
+/// True for a value of `data.format`.
+pub(crate) fn is_format(format: &str) -> bool {
+    format == AUTO || READERS.iter().any(|reader| reader.format == format)
+}
+
+/// The values of `data.format`, in words.
+pub(crate) fn formats() -> String {
+    let known = std::iter::once(AUTO).chain(READERS.iter().map(|reader| reader.format));
+    listed(&known.map(|format| format!("\"{format}\"")).collect::<Vec<_>>(), "or")
 }
 
 /// The reader that the files in a folder show.

@@ -3,10 +3,10 @@
 //! lengths are world units, angles radians, focal lengths pixels.
 //!
 //! ```
-//! use trimip_core::{Config, Frames};
+//! use trimip_core::Frames;
+//! use trimip_data::settings::DataConfig;
 //!
-//! let mut data = Config::default().data;
-//! data.format = trimip_data::builtin::FORMAT.into();
+//! let mut data = DataConfig { format: trimip_data::builtin::FORMAT.into(), ..DataConfig::default() };
 //! (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 4, 2);
 //! let scene = trimip_data::open(&data)?;
 //! assert_eq!(scene.train.views.len(), 4 * 4); // four views at the scales 1, 1/2, 1/4, 1/8
@@ -42,6 +42,7 @@ mod pose;
 pub mod pyramid;
 mod readers;
 mod scene;
+pub mod settings;
 mod source;
 mod split;
 mod stated_box;

@@ -1,6 +1,7 @@
 //! The masks of a scene: where they are found, what they mean, and what is remarkable about them. A mask is stated by its
 //! frame (`mask_path`, nerfstudio), has the place of its photograph in a folder (COLMAP), or lies beside it (Instant-NGP).
 
+use crate::settings::{DataConfig, MaskKeeps, MaskRole};
 use crate::{
     mask::{Mask, Role},
     photograph::Photograph,
@@ -10,11 +11,7 @@ use std::{
     collections::HashMap,
     path::{Component, Path, PathBuf},
 };
-use trimip_core::{
-    Alpha, Error, Result, ViewSet,
-    config::{DataConfig, MaskKeeps, MaskRole},
-    plural::count,
-};
+use trimip_core::{Alpha, Error, Result, ViewSet, plural::count};
 
 /// The folder that is looked into if none is named.
 const FOLDER: &str = "masks";

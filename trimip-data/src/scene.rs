@@ -1,5 +1,6 @@
 //! Opening a scene: loads its training views, and gives access to its test frames.
 
+use crate::settings::DataConfig;
 use crate::{
     describe, masks,
     points::Point,
@@ -8,7 +9,7 @@ use crate::{
     watch::{Meter, Watch, unwatched},
     workers,
 };
-use trimip_core::{Alpha, Camera, Error, Frames, Result, ViewSet, config::DataConfig, scene_plan::StatedBox};
+use trimip_core::{Alpha, Camera, Error, Frames, Result, ViewSet, scene_plan::StatedBox};
 
 /// A scene ready to train and test on.
 pub struct Scene {

@@ -1,6 +1,7 @@
 //! Frames and their pixels: the images of each frame, and the view sets assembled from them. Pixels are allocated once
 //! and filled in parallel. Training views and single test frames use the same code.
 
+use crate::settings::{Finish, PixelStore};
 use crate::{
     builtin, foreign,
     mask::Mask,
@@ -10,7 +11,6 @@ use crate::{
 };
 use rayon::prelude::*;
 use std::path::Path;
-use trimip_core::config::{Finish, PixelStore};
 use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
 
 /// Memory of the photographs that are decoded at once, bytes, unless a single one takes more.

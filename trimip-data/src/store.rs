@@ -1,9 +1,10 @@
 //! Where decoded photographs are kept: in memory, or in a file without a name that the system pages in and drops as memory
 //! allows. Both hold the same pixels, so a run has the same bits.
 
+use crate::settings::PixelStore;
 use memmap2::{Mmap, MmapMut};
 use std::{fs, io::Write};
-use trimip_core::{Error, Pixels, Result, config::PixelStore, memory::available_memory, plural::count};
+use trimip_core::{Error, Pixels, Result, memory::available_memory, plural::count};
 
 /// Largest share of the available memory that photographs may take before they are kept on disk.
 const SHARE: f64 = 0.5;

@@ -5,12 +5,13 @@ use crate::{
     layout::Layout,
     list, masks,
     points::{Cloud, Point},
+    settings::DataConfig,
     source::Source,
     split::Split,
     warnings,
 };
 use std::path::Path;
-use trimip_core::{Alpha, Error, Result, config::DataConfig, scene_plan::StatedBox};
+use trimip_core::{Alpha, Error, Result, scene_plan::StatedBox};
 
 /// A scene before any image is decoded.
 pub(crate) struct Survey {

@@ -2,6 +2,7 @@
 //! The JSON file that names the set is written last: a folder that has one is complete. What was stopped before is made
 //! again by the same command. A file that is there already is never replaced.
 
+use crate::settings::DataConfig;
 use crate::{
     builtin, layout,
     lens::lens_terms,
@@ -19,10 +20,7 @@ use std::{
     path::{Path, PathBuf},
 };
 use trimip_core::{
-    Alpha, Camera, Error, Intrinsics, Result,
-    atomic::write_atomically,
-    config::{Convention, DataConfig},
-    plural::count,
+    Alpha, Camera, Error, Intrinsics, Result, atomic::write_atomically, config::Convention, plural::count,
 };
 
 /// Result of writing a scene.

@@ -6,7 +6,8 @@ use common::{blender_scene, frame, save_image, settings, write};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::{ErrorKind, config::DataConfig};
+use trimip_core::ErrorKind;
+use trimip_data::settings::DataConfig;
 use trimip_data::{inspect, open};
 
 const TRAIN: &str = "transforms_train.json";

@@ -10,7 +10,8 @@ use common::{
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::{Camera, Cone, ViewSet, config::DataConfig};
+use trimip_core::{Camera, Cone, ViewSet};
+use trimip_data::settings::DataConfig;
 use trimip_data::{Scene, colmap::Model, inspect, open, unwatched, write_multiscale};
 
 /// Photographs of a capture.

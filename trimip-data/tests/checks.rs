@@ -1,8 +1,9 @@
 //! Checks of captures: each is silent on the built-in scene as it is, and tells of the scene that was made wrong for it.
 
 use glam::DVec3;
-use trimip_core::{Aabb, Alpha, Camera, Config, Scale, ViewSet};
+use trimip_core::{Aabb, Alpha, Camera, Scale, ViewSet};
 use trimip_data::checks::{self, Check, Subject, Verdict};
+use trimip_data::settings::DataConfig;
 use trimip_data::{Observation, Point, Scene};
 
 /// The box of the built-in scene.
@@ -10,7 +11,7 @@ const WHOLE: Aabb<f64> = Aabb { min: [-1.25; 3], max: [1.25; 3] };
 
 /// 32 training views of 96 pixels at two scales, and 4 test views.
 fn scene() -> Scene {
-    let mut data = Config::default().data;
+    let mut data = DataConfig::default();
     data.format = "builtin".into();
     (data.builtin_size, data.builtin_train, data.builtin_test) = (96, 32, 4);
     (data.builtin_supersampling, data.scales) = (2, 2);

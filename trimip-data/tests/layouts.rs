@@ -5,10 +5,8 @@ mod common;
 use common::{assert_same, blender_scene, frame, save_image, settings, write};
 use serde_json::{Value, json};
 use std::fs;
-use trimip_core::{
-    Alpha, Lens, ViewSet,
-    config::{Convention, DataConfig, PixelStore},
-};
+use trimip_core::{Alpha, Lens, ViewSet, config::Convention};
+use trimip_data::settings::{DataConfig, PixelStore};
 use trimip_data::{Watch, builtin, inspect, open, open_watched, unwatched, write_builtin, write_multiscale};
 
 #[test]

@@ -6,10 +6,8 @@ use common::{frame, settings, write};
 use image::{DynamicImage, ImageBuffer, Luma, Rgb};
 use serde_json::{Value, json};
 use std::path::Path;
-use trimip_core::{
-    Alpha,
-    config::{Convention, DataConfig, MaskKeeps, MaskRole},
-};
+use trimip_core::{Alpha, config::Convention};
+use trimip_data::settings::{DataConfig, MaskKeeps, MaskRole};
 use trimip_data::{Scene, inspect, open, open_test, unwatched, write_multiscale};
 
 const SIZE: (u32, u32) = (16, 12);

@@ -7,11 +7,8 @@ use common::{colmap::Sparse, save_image};
 use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::Path;
-use trimip_core::{
-    Camera, Intrinsics,
-    config::{DataConfig, Finish, Format},
-    projections::Model,
-};
+use trimip_core::{Camera, Intrinsics, projections::Model};
+use trimip_data::settings::{DataConfig, Finish};
 use trimip_data::{builtin, lens_terms, unwatched};
 
 /// A camera of each model around the built-in scene.
@@ -67,8 +64,8 @@ fn write(folder: &Path) -> Vec<Camera> {
 }
 
 fn data(folder: &Path, format: &str) -> DataConfig {
-    let mut data = trimip_core::Config::default().data;
-    (data.root, data.format, data.scales) = (folder.to_str().unwrap().into(), format, 2);
+    let mut data = DataConfig::default();
+    (data.root, data.format, data.scales) = (folder.to_str().unwrap().into(), format.into(), 2);
     data
 }
 

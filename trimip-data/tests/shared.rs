@@ -5,10 +5,8 @@ mod common;
 
 use common::{settings, shared};
 use glam::DVec3;
-use trimip_core::{
-    Alpha, Camera,
-    config::{Convention, DataConfig},
-};
+use trimip_core::{Alpha, Camera, config::Convention};
+use trimip_data::settings::DataConfig;
 use trimip_data::{Scene, inspect, open};
 
 #[test]

@@ -240,7 +240,8 @@ impl Model {
         let model = &self.model;
         let extracted = self.work(py, |viewer, interrupted| {
             // Where the photographs are not there, what nobody sees at all is told from the surface alone.
-            let cameras = data::open_test(&model.config.data).map(|set| set.train).unwrap_or_default();
+            let cameras = model.config.section().and_then(|config| data::open_test(&config));
+            let cameras = cameras.map(|set| set.train).unwrap_or_default();
             mesh::extract(viewer, model, &what, &cameras, &mut |_| interrupted.goes_on())
         })?;
         Ok(Mesh(extracted.mesh))
@@ -253,7 +254,7 @@ impl Model {
         let config = &self.model.config;
         let measured = self.work(py, |viewer, interrupted| {
             let mut perceiver = Perceiver::open(&config.eval)?;
-            let set = data::open_test(&config.data)?;
+            let set = data::open_test(&config.section()?)?;
             let test = TestViews { frames: &*set.frames, data: &config.data, stride };
             evaluate(viewer, test, &mut perceiver, interrupted, None)
         })?;

@@ -7,7 +7,7 @@ use numpy::{PyArray1, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
-use trimip::{Config, Frames, Settings, ViewSet, data};
+use trimip::{Config, Frames, ViewSet, data};
 
 /// Photographs with their cameras: the training and the test views of a folder, or of the built-in scene.
 #[pyclass(frozen, module = "trimip")]
@@ -53,7 +53,7 @@ impl Scene {
     #[new]
     #[pyo3(signature = (root=None, settings=None))]
     fn new(py: Python<'_>, root: Option<PathBuf>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
-        let mut all = Settings::defaults();
+        let mut all = trimip::settings::defaults();
         match root {
             Some(root) => all.set("data.root", root.display().to_string()),
             None => all.set("data.format", "builtin"),
@@ -63,7 +63,7 @@ impl Scene {
             value::apply(&mut all, settings)?;
         }
         let config = Config::from_settings(&all).map_err(raised)?;
-        let set = py.detach(|| data::open_test(&config.data)).map_err(raised)?;
+        let set = py.detach(|| data::open_test(&config.section()?)).map_err(raised)?;
         Ok(Self { config, set })
     }
 

@@ -67,7 +67,7 @@ fn given(
     settings: Option<&Bound<'_, PyDict>>,
     system: Option<&str>,
 ) -> PyResult<(Settings, PathBuf)> {
-    let mut all = Settings::defaults();
+    let mut all = trimip::settings::defaults();
     let mut name = None;
     if let Some(system) = system {
         trimip::systems::find(system).and_then(|system| system.apply(&mut all)).map_err(raised)?;
@@ -186,7 +186,7 @@ fn evaluations(trained: &trimip::Trained) -> Value {
 /// All settings and their defaults, as nested dictionaries.
 #[pyfunction]
 pub fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
-    value::python(py, &Settings::defaults().table())
+    value::python(py, &trimip::settings::defaults().table())
 }
 
 /// Names of the systems that `train` can begin with.

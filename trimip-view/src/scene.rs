@@ -145,7 +145,7 @@ impl Photographs {
     }
 
     fn open(config: &Config) -> Result<Self> {
-        let test = trimip_data::open_test(&config.data)?;
+        let test = trimip_data::open_test(&config.section()?)?;
         let finest = |frames: &dyn Frames| {
             // Cameras stand frame by frame, and within one from fine to coarse.
             let all = frames.cameras();

@@ -26,6 +26,7 @@ mod products;
 mod projections;
 mod renderer;
 mod sampler;
+mod settings;
 mod shaders;
 mod space;
 mod spans;
@@ -36,6 +37,7 @@ mod workspace;
 
 pub use gpu::{AdapterFacts, Buffer, Ceilings, Counts, adapters, software, take_turn};
 pub use memory::memory;
+pub use settings::{Photographs, SECTION, WgpuConfig};
 pub use speed::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, compute};
 pub use workspace::{Addition, Lane, WgpuBackend};
 
@@ -51,7 +53,8 @@ use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 /// # Errors
 /// When there is no such adapter, or the configuration does not fit it.
 pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
-    let backend = WgpuBackend::new(&config.wgpu.adapter, config.wgpu.deterministic)?;
+    let own: WgpuConfig = config.section()?;
+    let backend = WgpuBackend::new(&own.adapter, own.deterministic)?;
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
@@ -61,7 +64,8 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
 /// As [`open`].
 pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
     let gpu = ranks.on_machine().rank;
-    let backend = WgpuBackend::one_of(&config.wgpu.adapter, gpu, config.wgpu.deterministic)?;
+    let own: WgpuConfig = config.section()?;
+    let backend = WgpuBackend::one_of(&own.adapter, gpu, own.deterministic)?;
     let mut trainer = Trainer::new(backend, config, views)?;
     trainer.exchange_by(Box::new(Summed::new(ranks)));
     Ok(Box::new(trainer))

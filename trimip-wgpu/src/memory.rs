@@ -4,8 +4,8 @@ use crate::capacity::Capacity;
 use crate::gpu::largest_binding;
 use crate::mlp::CHUNKS;
 use crate::products::padded;
+use crate::settings::{Photographs, WgpuConfig};
 use trimip_core::batch::{Interval, Radiance, Ray, Segment, Sphere, Target};
-use trimip_core::config::Photographs;
 use trimip_core::encoders;
 use trimip_core::params::{color_layers, density_layers};
 use trimip_core::{Config, Layout, Pixel, Space, ViewSet};
@@ -27,12 +27,13 @@ const MATRIX_COPIES: usize = 2;
 
 /// Name and bytes of each part, on the configured adapter.
 pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
-    // If there is no such adapter, the run does not start and its limits do not matter.
-    predict(config, views, largest_binding(&config.wgpu.adapter).unwrap_or(u64::MAX))
+    // If there is no such adapter, or a setting is refused, the run does not start and its limits do not matter.
+    let Ok(own) = config.section::<WgpuConfig>() else { return Vec::new() };
+    predict(config, &own, views, largest_binding(&own.adapter).unwrap_or(u64::MAX))
 }
 
 /// The same for a device whose largest binding has `binding` bytes.
-fn predict(config: &Config, views: &ViewSet, binding: u64) -> Vec<(String, u64)> {
+fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
     let derived = encoders::of(config).derived_bytes(config) as usize;
     let parameters: usize = layout.encoder().iter().map(|slot| slot.padded().len()).sum();
@@ -67,8 +68,8 @@ fn predict(config: &Config, views: &ViewSet, binding: u64) -> Vec<(String, u64)>
     let layers = density.iter().chain(&color);
     let matrices: usize = layers.map(|[inputs, outputs]| padded(*inputs) * padded(*outputs)).sum();
     let bytes = 4 * views.pixels.len();
-    let streamed = config.wgpu.photographs == Photographs::Host || bytes as u64 > binding;
-    let high = if config.wgpu.deterministic { parameters * FLOAT + derived / 2 } else { 0 };
+    let streamed = own.photographs == Photographs::Host || bytes as u64 > binding;
+    let high = if own.deterministic { parameters * FLOAT + derived / 2 } else { 0 };
     let part = |name: &str, bytes: usize| (name.to_string(), bytes as u64);
     vec![
         match streamed {

@@ -4,6 +4,7 @@ use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Binds, Buffer, GRID, Gpu, Kernel, Size, lock};
 use crate::projections::PROJECTIONS;
+use crate::settings::{Photographs, WgpuConfig};
 use crate::shaders::{RANDOM, RAY};
 use crate::workspace::{Lane, WgpuBackend};
 use std::ops::Range;
@@ -12,7 +13,6 @@ use trimip_core::backend::Sampler;
 use trimip_core::balance::Draw;
 use trimip_core::batch::Rays;
 use trimip_core::cones::{self, QUINCUNX};
-use trimip_core::config::Photographs;
 use trimip_core::lens::MOST_ROUNDS;
 use trimip_core::policy::SamplerPolicy;
 use trimip_core::rng::Stream;
@@ -210,7 +210,7 @@ fn make_room(rays: &mut Rays<WgpuBackend>, pixels: &Range<u32>, cones: Range<u32
 
 impl Training {
     fn new(gpu: &Arc<Gpu>, config: &Config, policy: &SamplerPolicy, views: ViewSet) -> Result<Self> {
-        let photographs = config.wgpu.photographs;
+        let photographs = config.section::<WgpuConfig>()?.photographs;
         let most = gpu.limits().max_storage_buffer_binding_size;
         let bytes = 4 * views.pixels.len() as u64;
         if bytes > most && photographs == Photographs::Device {

@@ -3,7 +3,7 @@
 //! `cargo run --release -p trimip --example train -- [FOLDER] [SETTING=VALUE ..]`
 
 use std::path::Path;
-use trimip::{Settings, Training, backends, data, events::Event, view};
+use trimip::{Training, backends, data, events::Event, settings, view};
 
 fn main() -> trimip::Result<()> {
     run(&std::env::args().skip(1).collect::<Vec<_>>(), Path::new("runs/example"))
@@ -11,7 +11,7 @@ fn main() -> trimip::Result<()> {
 
 /// Trains into the run folder `out` as the arguments specify.
 pub fn run(arguments: &[String], out: &Path) -> trimip::Result<()> {
-    let mut settings = Settings::defaults().with("train.seconds", 60)?.with("data.format", "builtin")?;
+    let mut settings = settings::defaults().with("train.seconds", 60)?.with("data.format", "builtin")?;
     for argument in arguments {
         match argument.contains('=') {
             true => settings.apply_assignment(argument)?,
@@ -23,7 +23,7 @@ pub fn run(arguments: &[String], out: &Path) -> trimip::Result<()> {
             println!("step {}: {batch_psnr:.2} dB", totals.step);
         }
     })?;
-    let camera = data::open(&trained.config.data)?.train.views[0].camera;
+    let camera = data::open(&trained.config.section()?)?.train.views[0].camera;
     let frame = backends::load(&trained.model()?)?.render(&camera)?;
     view::pictures::write_frame(&out.join("view.png"), &frame)
 }

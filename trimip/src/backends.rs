@@ -4,11 +4,11 @@
 use crate::units;
 use std::sync::Arc;
 use trimip_core::{
-    Backend, Config, Error, Result, Session, ViewSet, Viewer, exchange::Ranks, model::Model,
+    Backend, Config, Error, ForeignSection, Result, Session, ViewSet, Viewer, exchange::Ranks, model::Model,
     scene_plan::Compute,
 };
 #[cfg(feature = "wgpu")]
-use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND};
+use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, WgpuConfig};
 
 /// Opens a session that ranks share.
 type TrainOver = fn(&Config, ViewSet, Arc<dyn Ranks>) -> Result<Box<dyn Session>>;
@@ -16,6 +16,8 @@ type TrainOver = fn(&Config, ViewSet, Arc<dyn Ranks>) -> Result<Box<dyn Session>
 /// A registered backend.
 struct Entry {
     name: &'static str,
+    /// The settings of the backend.
+    section: Option<ForeignSection>,
     describe: fn() -> String,
     usable: fn() -> bool,
     train: fn(&Config, ViewSet) -> Result<Box<dyn Session>>,
@@ -31,6 +33,7 @@ struct Entry {
 const ENTRIES: &[Entry] = &[
     Entry {
         name: "cpu",
+        section: None,
         describe: trimip_cpu::features,
         usable: || true,
         train: trimip_cpu::open,
@@ -43,16 +46,35 @@ const ENTRIES: &[Entry] = &[
     #[cfg(feature = "wgpu")]
     Entry {
         name: "wgpu",
+        section: Some(trimip_wgpu::SECTION),
         describe: || "any of the adapters below".into(),
         usable: || !trimip_wgpu::adapters().is_empty(),
         train: trimip_wgpu::open,
         train_over: trimip_wgpu::open_over,
-        load: |model| trimip_wgpu::load(model, &model.config.wgpu.adapter),
+        load: |model| trimip_wgpu::load(model, &adapter(&model.config)?),
         memory: trimip_wgpu::memory,
-        compute: |config| trimip_wgpu::compute(&config.wgpu.adapter),
-        software: |config| trimip_wgpu::software(&config.wgpu.adapter),
+        compute: |config| trimip_wgpu::compute(&adapter(config)?),
+        software: |config| trimip_wgpu::software(&adapter(config).ok()?),
     },
 ];
+
+/// Sections of settings of the backends that this build lacks.
+pub(crate) const ABSENT: &[&str] = if cfg!(feature = "wgpu") { &[] } else { &["wgpu"] };
+
+/// The settings of the backends of this build.
+pub fn sections() -> impl Iterator<Item = ForeignSection> {
+    ENTRIES.iter().filter_map(|entry| entry.section)
+}
+
+/// Part of the name of the configured adapter; empty for backends without adapters.
+fn adapter(config: &Config) -> Result<String> {
+    #[cfg(feature = "wgpu")]
+    if config.backend == "wgpu" {
+        return Ok(config.section::<WgpuConfig>()?.adapter);
+    }
+    let _ = config;
+    Ok(String::new())
+}
 
 /// Looks up a backend by name.
 fn entry(name: &str) -> Result<&'static Entry> {
@@ -184,6 +206,14 @@ pub fn visit<V: Visitor>(name: &str, adapter: &str, threads: u32, visitor: V) ->
     let _ = adapter;
     let simd = trimip_cpu::simd::Simd::detect();
     visitor.visit(&|| trimip_cpu::CpuBackend::new(threads, simd))
+}
+
+/// As [`visit`], on the configured backend.
+///
+/// # Errors
+/// As [`visit`].
+pub fn visit_configured<V: Visitor>(config: &Config, visitor: V) -> Result<V::Output> {
+    visit(&config.backend, &adapter(config)?, config.threads, visitor)
 }
 
 /// Full name of the configured device if it is a software renderer.

@@ -27,7 +27,7 @@ pub struct Inspection {
 /// Of kind `Input`, one line each, as [`trimip_data::open`].
 pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
     let configured = Config::from_settings(&settings)?;
-    let seen = examine(&configured.data, watch)?;
+    let seen = examine(&configured.section()?, watch)?;
     let (test, compute): (Vec<_>, _) =
         (seen.test.iter().map(|(_, camera)| *camera).collect(), Compute::one_thread());
     let facts = Facts {

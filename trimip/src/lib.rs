@@ -1,6 +1,7 @@
 //! Tri-MipRF (Hu et al., ICCV 2023) as a library: anti-aliased radiance fields from photographs, on the CPU or a GPU.
 //!
-//! - settings: [`Settings`] holds values set over the documented defaults, [`Config`] is their typed form;
+//! - settings: [`settings::defaults`] are the documented defaults, [`Settings`] holds values set over them, [`Config`] is
+//!   their typed form;
 //! - data: [`data::open`] reads a folder of photographs or generates the built-in scene;
 //! - training: [`Training`] trains into a run folder with callbacks and resumes an existing run; [`backends::train`]
 //!   opens a bare [`Session`] for a custom training loop;
@@ -11,10 +12,10 @@
 //!
 //! ```
 //! # fn main() -> trimip::Result<()> {
-//! use trimip::{Settings, Training, backends, data};
+//! use trimip::{Training, backends, data, settings};
 //!
 //! // The built-in scene at 16 pixels, and a model of the smallest useful size.
-//! let settings = Settings::defaults()
+//! let settings = settings::defaults()
 //!     .with("data.format", "builtin")?
 //!     .with("data.builtin_size", 16)?
 //!     .with("data.builtin_train", 4)?
@@ -26,7 +27,7 @@
 //! let folder = std::env::temp_dir().join(format!("trimip-{}", std::process::id()));
 //! let trained = Training::new(settings, &folder).run(&mut |event: &trimip::events::Event| drop(event.clone()))?;
 //!
-//! let camera = data::open(&trained.config.data)?.train.views[0].camera;
+//! let camera = data::open(&trained.config.section()?)?.train.views[0].camera;
 //! let frame = backends::load(&trained.model()?)?.render(&camera)?;
 //! assert_eq!((frame.width, frame.height), (16, 16));
 //! # std::fs::remove_dir_all(folder).unwrap();

@@ -1,7 +1,27 @@
-//! Settings of a trained model, and the printed form of settings: aligned `key = value` lines with the meaning and
-//! origin of each value, in the order of the table of defaults.
+//! The settings of this build: core's, and those that the readers of photographs and the backends own. Settings of a trained
+//! model, and the printed form of settings: aligned `key = value` lines with the meaning and origin of each value, in the
+//! order of the table of defaults.
 
-use trimip_core::{Config, DEFAULTS, Error, Origin, Result, Settings, model::Model};
+use crate::backends;
+use std::sync::{Arc, LazyLock};
+use trimip_core::{Config, Definitions, Error, Origin, Result, Settings, model::Model};
+
+/// The definitions of all settings of this build.
+static ALL: LazyLock<Arc<Definitions>> = LazyLock::new(|| {
+    let sections: Vec<_> =
+        std::iter::once(trimip_data::settings::SECTION).chain(backends::sections()).collect();
+    Arc::new(Definitions::new(&sections, backends::ABSENT))
+});
+
+/// The definitions of all settings of this build: defaults, ranges and meanings.
+pub fn definitions() -> Arc<Definitions> {
+    ALL.clone()
+}
+
+/// The defaults of all settings of this build.
+pub fn defaults() -> Settings {
+    Settings::of(definitions())
+}
 
 /// The settings of a configuration that was built in code. Checks every range.
 ///
@@ -9,7 +29,7 @@ use trimip_core::{Config, DEFAULTS, Error, Origin, Result, Settings, model::Mode
 /// When a setting is out of range; the message names the first one.
 pub fn of(config: &Config) -> Result<Settings> {
     config.validate()?;
-    let mut settings = Settings::defaults();
+    let mut settings = defaults();
     settings.apply_file("code", &config.to_toml())?;
     Ok(settings)
 }
@@ -19,17 +39,19 @@ pub fn of(config: &Config) -> Result<Settings> {
 /// # Errors
 /// When a setting does not exist, is out of range, or belongs to the trained model.
 pub fn override_model(model: &mut Model, assignments: &[String]) -> Result<()> {
-    let mut settings = Settings::defaults();
+    let own = ["data", "eval", "renderer", "hybrid", "backend", "threads"];
+    let free: Vec<&str> = own.into_iter().chain(backends::sections().map(|section| section.name)).collect();
+    let mut settings = defaults();
     settings.apply_file("model", &model.config.to_toml())?;
     for assignment in assignments {
         settings.apply_assignment(assignment)?;
         let key = assignment.split('=').next().unwrap_or_default().trim();
         let section = key.split('.').next().unwrap_or_default();
-        if !["data", "eval", "renderer", "hybrid", "backend", "threads", "wgpu"].contains(&section) {
+        if let Some((last, others)) = free.split_last().filter(|_| !free.contains(&section)) {
             return Err(Error::input(
                 format!("--set {assignment}"),
                 "this setting belongs to the trained model",
-                "change only data, eval, renderer, hybrid, backend, threads or wgpu here, or train another model",
+                format!("change only {} or {last} here, or train another model", others.join(", ")),
             ));
         }
     }
@@ -55,22 +77,19 @@ pub struct Row {
 /// All settings in the order of the table of defaults.
 pub fn rows(settings: &Settings) -> Vec<Row> {
     let mut rows = Vec::new();
-    let mut section = String::new();
-    for line in DEFAULTS.lines() {
-        if let Some(name) = line.strip_prefix('[') {
-            section = name.split(']').next().unwrap_or_default().to_string();
-        }
-        let Some((key, rest)) = line.split_once(" = ").filter(|_| !line.starts_with(['#', '['])) else {
-            continue;
-        };
-        let path = if section.is_empty() { key.to_string() } else { format!("{section}.{key}") };
-        if let Some((_, value, origin)) = settings.iter().find(|(other, ..)| *other == path) {
+    for section in settings.definitions().documented() {
+        for setting in &section.settings {
+            let path = match section.name.as_str() {
+                "" => setting.key.clone(),
+                name => format!("{name}.{}", setting.key),
+            };
+            let range = if setting.range.is_empty() { String::new() } else { format!("{}: ", setting.range) };
             rows.push(Row {
-                section: section.clone(),
-                key: key.to_string(),
-                value: value.to_string(),
-                origin: origin.clone(),
-                meaning: rest.split_once("# ").map_or("", |(_, text)| text.trim()).to_string(),
+                section: section.name.clone(),
+                key: setting.key.clone(),
+                value: settings.value(&path),
+                origin: settings.origin(&path).clone(),
+                meaning: range + &setting.meaning,
             });
         }
     }
@@ -99,7 +118,7 @@ mod tests {
 
     #[test]
     fn every_setting_is_shown_once_with_its_meaning_and_is_toml() {
-        let mut settings = Settings::defaults();
+        let mut settings = defaults();
         settings.apply_assignment("train.steps=7").unwrap();
         let rows = rows(&settings);
         assert_eq!(rows.len(), settings.iter().count());
@@ -126,5 +145,58 @@ mod tests {
         assert_eq!((model.config.data.root.as_str(), model.config.threads), ("elsewhere", 1));
         let error = override_model(&mut model, &["encoder.plane_size=64".into()]).unwrap_err();
         assert_eq!(error.exit_code(), 2);
+    }
+
+    /// The page of all settings is up to date. A build without a backend lacks its settings.
+    #[cfg(feature = "wgpu")]
+    #[test]
+    fn generated_page_is_that_of_all_tables() {
+        let (path, text) =
+            (concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/settings.md"), definitions().page());
+        if std::env::var_os("TRIMIP_WRITE_DOCS").is_some() {
+            std::fs::write(path, &text).unwrap();
+        }
+        let found = std::fs::read_to_string(path).unwrap_or_default().replace("\r\n", "\n");
+        let renewal = "renew it with TRIMIP_WRITE_DOCS=1 cargo test -p trimip generated";
+        assert!(found == text, "{path} is out of date; {renewal}");
+    }
+
+    #[test]
+    fn every_setting_has_a_meaning_and_every_number_a_range() {
+        for section in definitions().documented() {
+            for setting in &section.settings {
+                let number = setting.default.parse::<f64>().is_ok();
+                assert!(
+                    !setting.meaning.is_empty() && number <= !setting.range.is_empty(),
+                    "{}",
+                    setting.key
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn settings_of_a_backend_that_a_build_lacks_are_carried_along() {
+        let lacking = Definitions::new(&[trimip_data::settings::SECTION], &["wgpu"]);
+        let mut settings = Settings::of(lacking.into());
+        settings.apply_file("run.toml", "[wgpu]\nadapter = \"any\"\n").unwrap();
+        settings.apply_assignment("wgpu.deterministic=false").unwrap();
+        let config = Config::from_settings(&settings).unwrap();
+        assert!(config.to_toml().ends_with("[wgpu]\nadapter = \"any\"\ndeterministic = false\n"));
+        assert!(settings.apply_assignment("other.adapter=any").is_err());
+    }
+
+    #[test]
+    fn the_order_of_a_configuration_is_that_of_its_owners_together() {
+        let config = Config::from_settings(&defaults()).unwrap();
+        let text = config.to_toml();
+        let data = text.split_once("[data]\n").and_then(|(_, rest)| rest.split_once("\n\n")).unwrap().0;
+        let keys: Vec<&str> = data.lines().filter_map(|line| line.split(" = ").next()).collect();
+        let expected = "root format images train test holdout test_list lens masks mask_keeps mask_role scales \
+                        convention edge_exponents background builtin_size builtin_train builtin_test \
+                        builtin_supersampling builtin_finish most_pixels pixels";
+        assert_eq!(keys, expected.split_whitespace().collect::<Vec<_>>());
+        // Core alone reads and writes the same text, without a definition of what others own.
+        assert_eq!(Config::from_toml("model", &text).unwrap().to_toml(), text);
     }
 }

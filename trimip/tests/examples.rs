@@ -45,10 +45,10 @@ fn one_example_trains_and_the_other_renders() {
 
     // A folder of photographs, here those of the built-in scene, is the first argument.
     let photographs = temporary.path().join("photographs");
-    let config = trimip::Settings::defaults().with("data.builtin_size", 16).unwrap();
+    let config = trimip::settings::defaults().with("data.builtin_size", 16).unwrap();
     let config = config.with("data.builtin_train", 4).unwrap().with("data.builtin_test", 1).unwrap();
     let config = trimip::Config::from_settings(&config).unwrap();
-    trimip::data::write_builtin(&config.data, &photographs, &trimip::data::unwatched).unwrap();
+    trimip::data::write_builtin(&config.section().unwrap(), &photographs, &trimip::data::unwatched).unwrap();
     let again = temporary.path().join("again");
     train::run(&[vec![photographs.display().to_string()], arguments].concat(), &again).unwrap();
     expect_picture(&again.join("view.png"), (16, 16));

@@ -9,7 +9,7 @@ use trimip::{
     view::cameras,
 };
 use trimip_core::{
-    Camera, Config, Error, Intrinsics, Result, Settings,
+    Camera, Config, Error, Intrinsics, Result,
     checkpoint::Checkpoint,
     model::{Model, assets},
     proxy::Proxy,
@@ -144,7 +144,7 @@ fn configuration(bytes: &[u8]) -> Result<()> {
 
 fn assignment(bytes: &[u8]) -> Result<()> {
     let Some(text) = text(bytes) else { return Ok(()) };
-    let mut settings = Settings::defaults();
+    let mut settings = trimip::settings::defaults();
     settings.apply_assignment(text)?;
     Config::from_settings(&settings).map(drop)
 }

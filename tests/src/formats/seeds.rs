@@ -12,14 +12,14 @@ use serde_json::{Value, json};
 use std::{io::Cursor, sync::OnceLock};
 use trimip::run::store::ViewRecord;
 use trimip_core::{
-    Config, Layout, Settings,
+    Config, Layout,
     checkpoint::{Checkpoint, OCCUPANCY_DENSITY, TrainState},
-    config::DataConfig,
     events::{Event, Provenance, Totals},
     model::{Model, OCCUPANCY},
     quality::{Measures, ScaleQuality},
     tensors::{Tensor, TensorFile},
 };
+use trimip_data::settings::DataConfig;
 
 const POSE: [[f64; 4]; 4] =
     [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, -1.0, -4.0], [0.0, 1.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]];
@@ -62,8 +62,7 @@ fn metadata() -> Vec<Vec<u8>> {
     static FILE: OnceLock<Vec<u8>> = OnceLock::new();
     let written = FILE.get_or_init(|| {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut data: DataConfig = Config::default().data;
-        data.format = "builtin".into();
+        let mut data = DataConfig { format: "builtin".into(), ..DataConfig::default() };
         (data.scales, data.builtin_size, data.builtin_train, data.builtin_test) = (2, 8, 2, 1);
         trimip_data::write_multiscale(&data, folder.path(), &trimip_data::unwatched)
             .expect("the set is written");
@@ -190,7 +189,7 @@ pub(super) fn paths() -> Vec<Vec<u8>> {
 
 /// The smallest configuration.
 fn tiny() -> Config {
-    let mut settings = Settings::defaults();
+    let mut settings = trimip::settings::defaults();
     for assignment in [
         "encoder.plane_size=4",
         "encoder.levels=2",

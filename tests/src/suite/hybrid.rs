@@ -13,6 +13,7 @@ use trimip_core::{
     tensors::{Tensor, TensorFile},
     trainer::Trainer,
 };
+use trimip_data::settings::DataConfig;
 
 /// Number of training steps.
 const STEPS: u64 = 200;
@@ -23,9 +24,12 @@ const STEPS: u64 = 200;
 /// When training fails.
 pub fn model<B: Backend>(backend: B) -> Model {
     let mut config: Config = as_code();
-    config.data.format = "builtin".into();
-    (config.data.builtin_size, config.data.builtin_train, config.data.builtin_test) = (48, 12, 1);
-    (config.data.builtin_supersampling, config.data.scales) = (2, 2);
+    let read = config.change(|data: &mut DataConfig| {
+        data.format = "builtin".into();
+        (data.builtin_size, data.builtin_train, data.builtin_test) = (48, 12, 1);
+        (data.builtin_supersampling, data.scales) = (2, 2);
+    });
+    read.expect("settings of a small scene");
     (config.encoder.plane_size, config.encoder.levels) = (64, 5);
     config.field.hidden = 32;
     config.renderer.steps_per_diagonal = 256;
@@ -33,7 +37,8 @@ pub fn model<B: Backend>(backend: B) -> Model {
     (config.occupancy.resolution, config.occupancy.warmup) = (32, 64);
     (config.train.samples_per_step, config.train.steps) = (4096, STEPS);
     config.hybrid.resolution = 96;
-    let scene = trimip_data::open(&config.data).expect("the built-in scene needs no file");
+    let scene = trimip_data::open(&config.section().expect("a small scene"))
+        .expect("the built-in scene needs no file");
     let mut trainer = Trainer::new(backend, &config, scene.train).expect("a small configuration is accepted");
     for step in 0..STEPS {
         trainer.step(step as f64 / STEPS as f64).expect("a step succeeds");

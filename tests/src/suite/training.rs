@@ -72,7 +72,7 @@ pub fn scheduled() -> Result<Config> {
         scale_balance = [[0.0, 0.0], [0.18, 0.5]]
         background = "random"
     "#;
-    let mut settings = trimip_core::Settings::defaults();
+    let mut settings = trimip::settings::defaults();
     settings.apply_file("config", &config.to_toml())?;
     settings.apply_file("schedules", text)?;
     config = Config::from_settings(&settings)?;

@@ -3,7 +3,7 @@
 use trimip::events::{Event, Provenance, Totals};
 use trimip::quality::{Measures, ScaleQuality};
 use trimip::report::{Report, Status};
-use trimip::{Config, Settings, machine::Machine, run::history::History};
+use trimip::{Config, machine::Machine, run::history::History};
 
 /// An evaluation event at `step` with `psnr` at two scales.
 fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
@@ -29,7 +29,7 @@ fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
 
 /// Passes the report to a test.
 pub fn example(test: impl FnOnce(&Report<'_>)) {
-    let (settings, config) = (Settings::defaults(), Config::default());
+    let (settings, config) = (trimip::settings::defaults(), Config::default());
     let provenance = Provenance {
         command: Some("trimip-cli --config a&b.toml".into()),
         version: Some("0.1.0 (abc)".into()),

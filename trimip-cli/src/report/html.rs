@@ -9,6 +9,7 @@ use trimip::{machine, run::provenance, view::PIXELS_PER_DEGREE};
 use trimip_core::metrics::LEAST_SIDE;
 use trimip_core::quality::{MOST_PSNR, mean_quality};
 use trimip_core::{Result, config::Convention, encoders, run::progress};
+use trimip_data::settings::DataConfig;
 
 /// The whole page; `images` is the folder of the comparisons.
 pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
@@ -140,6 +141,13 @@ fn measure(report: &Report<'_>) -> String {
         }
         Convention::Premultiplied => "means of premultiplied RGBA rounded to 8 bits, right at silhouettes",
     };
+    let sets = report.config.section::<DataConfig>().map_or_else(
+        |_| String::new(),
+        |data| {
+            let (train, test) = (data.train.join(" + "), data.tested_on());
+            format!(" Trained on {}, tested on {}.", escape(&train), escape(&test))
+        },
+    );
     format!(
         "<section><h2>How it was measured</h2>\n<p>PSNR is −10·log<sub>10</sub> of the mean squared error of one image, on \
          rendered values clipped to [0, 1] and not rounded, in the photographs’ own sRGB values from 0 to 1; the target is \
@@ -148,9 +156,7 @@ fn measure(report: &Report<'_>) -> String {
          K<sub>2</sub> = 0.03; MS-SSIM follows Wang et al. 2003: five scales, the published weights, images of at least \
          {LEAST_SIDE} pixels. FLIP is the mean of LDR-FLIP (Andersson et al. 2020) on values rounded to 8 bits, as seen with \
          {PIXELS_PER_DEGREE:.0} pixels per degree; 0 is equal, 1 the greatest error. LPIPS (Zhang et al. 2018) has the network \
-         of <code>eval.lpips</code>.</p>\n<p>Coarser photographs are {convention}. Trained on {}, tested on {}.</p></section>\n",
-        escape(&data.train.join(" + ")),
-        escape(&data.tested_on()),
+         of <code>eval.lpips</code>.</p>\n<p>Coarser photographs are {convention}.{sets}</p></section>\n",
     )
 }
 

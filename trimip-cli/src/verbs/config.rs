@@ -2,12 +2,11 @@
 
 use crate::{args::ConfigArguments, settings, terminal};
 use trimip::Result;
-use trimip_core::DEFAULTS;
 
 /// Prints settings as TOML.
 pub fn run(arguments: &ConfigArguments) -> Result<u8> {
     if arguments.defaults {
-        terminal::line(DEFAULTS.trim_end());
+        terminal::line(trimip::settings::definitions().text().trim_end());
     } else {
         let (settings, _) = settings::load_scene(&arguments.scene, &arguments.settings)?;
         terminal::line(trimip::settings::text(&settings).trim_end());

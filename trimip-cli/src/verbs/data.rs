@@ -23,13 +23,13 @@ pub fn run(arguments: &DataArguments) -> Result<u8> {
         DataAction::Multiscale { out, root, settings } => {
             let (_, config) = with_root(settings, root.as_deref())?;
             run_folder::create_writable(out)?;
-            let write = |watch: Watch<'_>| trimip_data::write_multiscale(&config.data, out, watch);
+            let write = |watch: Watch<'_>| trimip_data::write_multiscale(&config.section()?, out, watch);
             terminal::line(by_rows("writing photographs", write)?);
         }
         DataAction::Builtin { out, settings } => {
             let (_, config) = settings::load(settings)?;
             run_folder::create_writable(out)?;
-            let write = |watch: Watch<'_>| trimip_data::write_builtin(&config.data, out, watch);
+            let write = |watch: Watch<'_>| trimip_data::write_builtin(&config.section()?, out, watch);
             terminal::line(by_rows("rendering photographs", write)?);
         }
     }

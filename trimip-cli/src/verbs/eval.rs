@@ -21,7 +21,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
         run_folder::create_writable(if parent.as_os_str().is_empty() { ".".as_ref() } else { parent })?;
     }
     let stop = interrupt::install()?;
-    let scene = trimip_data::open_test(&config.data)?;
+    let scene = trimip_data::open_test(&config.section()?)?;
     for warning in &scene.warnings {
         terminal::note(format!("warning: {warning}"));
     }
@@ -70,7 +70,7 @@ pub fn help(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
     let mut model = run_folder::read_model(&arguments.model)?;
     settings::override_model(&mut model, &arguments.set)?;
     let mut perceiver = Perceiver::open(&model.config.eval)?;
-    let scene = trimip_data::open_test(&model.config.data)?;
+    let scene = trimip_data::open_test(&model.config.section()?)?;
     let (mut viewer, frames) = (backends::load(&model)?, scene.frames.as_ref());
     let stride = arguments.stride as usize;
     let test = TestViews { frames, data: &model.config.data, stride };

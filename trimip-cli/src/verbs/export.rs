@@ -33,7 +33,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     settings::override_model(&mut model, &arguments.set)?;
     backends::check(&model.config.backend)?;
     // Opened first: a missing data set is told before the work, not after it.
-    let data = match trimip_data::open_test(&model.config.data) {
+    let data = match trimip_data::open_test(&model.config.section()?) {
         Ok(data) => Some(data),
         Err(error) if arguments.silhouettes.is_some() => return Err(error),
         Err(_) => {

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use trimip::ranks::farm;
 use trimip::{Ended, Listeners, Result, Training, events::Event, machine};
-use trimip_core::{Error, ErrorKind, config::DataConfig, exchange::Ranks, fingerprint::Fingerprint};
+use trimip_core::{Error, ErrorKind, exchange::Ranks, fingerprint::Fingerprint};
+use trimip_data::settings::DataConfig;
 
 /// How a job ended.
 #[derive(Serialize, Deserialize)]

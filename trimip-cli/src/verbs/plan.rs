@@ -79,7 +79,7 @@ struct Planned {
 impl Planned {
     fn of(arguments: &PlanArguments) -> Result<Self> {
         let (mut settings, configured) = settings::load_scene(&arguments.scene, &arguments.settings)?;
-        let scene = open(&configured.data)?;
+        let scene = open(&configured.section()?)?;
         let compute = backends::compute(&configured)?;
         let test = scene.test.cameras();
         let facts =

@@ -55,7 +55,8 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
     }
     if let Some(count) = arguments.flythrough {
         let (_, half) = turntable::middle(&config.scene);
-        let along = flythrough::cameras(&trimip_data::open_test(&config.data)?.train, count, half.length())?;
+        let along =
+            flythrough::cameras(&trimip_data::open_test(&config.section()?)?.train, count, half.length())?;
         let sized = |camera: Camera| Camera { intrinsics: stated(arguments, camera.intrinsics), ..camera };
         return Ok(along.into_iter().map(|(name, camera)| (name, sized(camera))).collect());
     }
@@ -99,7 +100,7 @@ pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
 
 /// Cameras of test views at full size; view 0 if `views` is empty.
 fn test_views(config: &Config, views: &[usize]) -> Result<Vec<Named>> {
-    let frames = trimip_data::open_test(&config.data)?.frames;
+    let frames = trimip_data::open_test(&config.section()?)?.frames;
     let views = if views.is_empty() { &[0] } else { views };
     views
         .iter()

@@ -8,9 +8,8 @@ use std::sync::atomic::Ordering;
 use trimip::run::folder as run_folder;
 use trimip::view::{cameras, pictures};
 use trimip::{backends, settings};
-use trimip_core::{
-    Alpha, Camera, Config, Error, Result, config::DataConfig, metrics::psnr, views::composite_pixel,
-};
+use trimip_core::{Alpha, Camera, Config, Error, Result, metrics::psnr, views::composite_pixel};
+use trimip_data::{builtin, settings::DataConfig};
 
 /// Width of each column's pixels, in pixels of the camera.
 const FACTORS: [u32; 5] = [1, 2, 4, 8, 16];
@@ -99,9 +98,10 @@ fn check_size(width: u32, height: u32, rows: u32) -> Result<()> {
 /// The ground truth for the camera: rays traced through the built-in scene, or the photograph of the test view.
 fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Result<Option<Picture>> {
     let background = config.data.background;
-    if config.data.format == trimip_data::builtin::FORMAT {
-        let DataConfig { builtin_supersampling, builtin_finish, .. } = config.data;
-        let pixels = trimip_data::builtin::render(camera, builtin_supersampling, builtin_finish, &|| ());
+    let data: DataConfig = config.section()?;
+    if data.format == builtin::FORMAT {
+        let DataConfig { builtin_supersampling, builtin_finish, .. } = data;
+        let pixels = builtin::render(camera, builtin_supersampling, builtin_finish, &|| ());
         let rgb =
             pixels.into_iter().map(|pixel| composite_pixel(pixel, Alpha::Straight, background)).collect();
         return Ok(Some(Picture { width: camera.intrinsics.width, height: camera.intrinsics.height, rgb }));
@@ -109,7 +109,7 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
     let Some(index) = selection::test_view(arguments) else {
         return Ok(None);
     };
-    let set = trimip_data::open_test(&config.data)?.frames.load(index)?;
+    let set = trimip_data::open_test(&data)?.frames.load(index)?;
     Ok(set.views.first().map(|view| {
         let k = view.camera.intrinsics;
         Picture { width: k.width, height: k.height, rgb: set.composited(0, background) }

@@ -1,33 +1,12 @@
 //! What settings must be together, beyond the range of each number, which the table of defaults states.
 
 use super::{
-    ConePattern, Config, Contraction, Convention, DataConfig, EncoderKind, EvalConfig, FieldConfig,
-    OccupancyConfig, Precision, RendererConfig, SceneConfig, TrainConfig,
+    ConePattern, Config, Contraction, Convention, EncoderKind, EvalConfig, FieldConfig, OccupancyConfig,
+    PhotographsConfig, Precision, RendererConfig, SceneConfig, TrainConfig,
 };
-use crate::{Error, Result, Settings, encoders, range, settings::shown};
-
-/// Refuses settings by their dotted path.
-pub(super) struct Checker<'a> {
-    /// Where the value of a dotted path was set, as text for an error.
-    place: &'a dyn Fn(&str) -> String,
-    /// True for settings that are not defaults.
-    given: &'a dyn Fn(&str) -> bool,
-}
-
-impl Checker<'_> {
-    pub fn check(&self, ok: bool, path: &str, expected: &str) -> Result<()> {
-        match ok {
-            true => Ok(()),
-            false => Err(Error::input((self.place)(path), "out of range", format!("expected {expected}"))),
-        }
-    }
-
-    /// As `check`, for what several settings must be together: names the first that was given.
-    pub fn together(&self, ok: bool, paths: &[&str], expected: &str) -> Result<()> {
-        let given = paths.iter().find(|path| (self.given)(path)).or(paths.first());
-        self.check(ok, given.unwrap_or(&""), expected)
-    }
-}
+use crate::settings::{checker::Checker, section::in_memory};
+use crate::{Error, Result, Settings, encoders};
+use toml::{Table, Value};
 
 impl Config {
     /// Checks that every setting is in its range. Settings read from text are checked while they are read; this is for
@@ -44,68 +23,72 @@ impl Config {
             }
         }
         let settings = self.as_settings();
-        let value = |path: &str| settings.iter().find(|(other, ..)| *other == path);
-        let place = |path: &str| match value(path) {
-            Some((_, value, _)) => format!("configuration: {path} = {}", shown(value)),
-            None => path.to_string(),
-        };
-        range::check(&settings, &place)?;
-        let defaults = Settings::defaults();
+        let value =
+            |path: &str| settings.iter().find(|(other, ..)| *other == path).map(|(_, value, _)| value);
+        let place = |path: &str| in_memory(path, value(path));
+        let defaults = settings.definitions();
         let given =
-            |path: &str| value(path).is_some_and(|(_, value, _)| value.to_string() != defaults.value(path));
-        self.check_together(&place, &given)
+            |path: &str| value(path).map(Value::to_string) != defaults.default(path).map(Value::to_string);
+        self.check_all(&settings, &Checker::new(&place, &given))
     }
 
-    /// Checks what the range of a single number does not say; `place` turns a dotted path into the place where its value
-    /// was set, and `given` is false for defaults.
-    pub(super) fn check_together(
-        &self,
-        place: &dyn Fn(&str) -> String,
-        given: &dyn Fn(&str) -> bool,
-    ) -> Result<()> {
-        let checker = Checker { place, given };
-        self.data.check(&checker)?;
-        self.scene.check(&checker)?;
+    /// Checks ranges, what other crates ask of their settings, and what core's must be together. `settings` are those of
+    /// this configuration.
+    pub(super) fn check_all(&self, settings: &Settings, to: &Checker<'_>) -> Result<()> {
+        settings.check_ranges(to)?;
+        let table = settings.table();
+        for section in settings.definitions().registered() {
+            let own = table.get(section.name).and_then(Value::as_table);
+            (section.check)(own.unwrap_or(&Table::new()), to)?;
+        }
+        self.check_together(to)
+    }
+
+    /// Checks what the range of a single number does not say.
+    fn check_together(&self, to: &Checker<'_>) -> Result<()> {
+        self.data.check(to)?;
+        self.scene.check(to)?;
         if self.scene.contraction != Contraction::None {
-            checker.together(
+            to.together(
                 self.renderer.step_per_radius == 0.0,
                 &["renderer.step_per_radius", "scene.contraction"],
                 "0 where scene.contraction is not \"none\": contracted steps grow with the distance",
             )?;
-            checker.together(
+            to.together(
                 !self.occupancy.hull,
                 &["occupancy.hull", "scene.contraction"],
                 "false where scene.contraction is not \"none\": silhouettes bound a scene",
             )?;
         }
-        self.encoder.check(&checker)?;
-        self.hash_grid.check(&checker)?;
-        self.rip_map.check(&checker)?;
-        self.tensor.check(&checker)?;
-        self.voxels.check(&checker)?;
-        checker.together(
+        self.encoder.check(to)?;
+        self.hash_grid.check(to)?;
+        self.rip_map.check(to)?;
+        self.tensor.check(to)?;
+        self.voxels.check(to)?;
+        to.together(
             self.field.density_layers == 0 || encoders::of(self).summed(self) == 0,
             &["field.density_layers", "encoder.kind"],
             "field.density_layers = 0 for an encoder whose features sum up to the density",
         )?;
-        self.field.check(&checker)?;
-        self.renderer.check(&checker)?;
-        self.occupancy.check(&checker)?;
-        checker.check(self.optimizer.milestones.is_sorted(), "optimizer.milestones", "rising fractions")?;
-        self.train.check(&checker)?;
-        self.eval.check(&checker)?;
-        self.refuse_settings_of_other_encoders(place)
+        self.field.check(to)?;
+        self.renderer.check(to)?;
+        self.occupancy.check(to)?;
+        to.check(self.optimizer.milestones.is_sorted(), "optimizer.milestones", "rising fractions")?;
+        self.train.check(to)?;
+        self.eval.check(to)?;
+        self.refuse_settings_of_other_encoders(to)
     }
 
     /// Refuses settings of encoders that are not in use, if they differ from the defaults.
-    fn refuse_settings_of_other_encoders(&self, place: &dyn Fn(&str) -> String) -> Result<()> {
+    fn refuse_settings_of_other_encoders(&self, to: &Checker<'_>) -> Result<()> {
         let defaults = Settings::defaults().table().try_into::<Self>();
         let defaults = defaults.unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"));
-        for ((path, own), (_, default)) in self.settings().into_iter().zip(defaults.settings()) {
-            let other = EncoderKind::owner(&path).filter(|owner| *owner != self.encoder.kind);
-            if let Some(owner) = other.filter(|_| own != default) {
+        let (own, defaults) = (self.as_settings(), defaults.as_settings());
+        for (path, value, _) in own.iter() {
+            let other = EncoderKind::owner(path).filter(|owner| *owner != self.encoder.kind);
+            if let Some(owner) = other.filter(|_| value.to_string() != defaults.value(path)) {
                 return Err(Error::input(
-                    place(&path),
+                    to.place(path),
                     format!("is a setting of encoder.kind = {}", owner.name()),
                     format!("set encoder.kind to it, or leave this out: it is {}", self.encoder.kind.name()),
                 ));
@@ -115,17 +98,8 @@ impl Config {
     }
 }
 
-impl DataConfig {
+impl PhotographsConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
-        to.check(self.holdout != 1, "data.holdout", "0, or 2 and more")?;
-        to.check(
-            self.holdout == 0 || self.test_list.is_empty(),
-            "data.test_list",
-            "\"\" where data.holdout keeps frames back",
-        )?;
-        to.check(!self.train.is_empty(), "data.train", "at least one split")?;
-        let once = |(i, split)| !self.train[..i].contains(split);
-        to.check(self.train.iter().enumerate().all(once), "data.train", "each split once")?;
         to.together(
             self.convention == Convention::Public
                 || self.edge_exponents.iter().all(|&exponent| exponent == 0.0),

@@ -31,39 +31,6 @@ choice!(
     }
 );
 choice!(
-    /// Where decoded training photographs are kept.
-    PixelStore {
-        /// In memory if they take less than half of what is available, otherwise in a file.
-        Auto,
-        /// In memory.
-        Memory,
-        /// In a file without a name in the system's temporary folder.
-        Disk,
-    }
-);
-choice!(
-    /// The colour of a mask that marks what is kept.
-    MaskKeeps {
-        /// White, except in Instant-NGP's `dynamic_mask_*`.
-        Auto,
-        /// White.
-        White,
-        /// Black.
-        Black,
-    }
-);
-choice!(
-    /// What a mask tells of the pixels that it does not keep.
-    MaskRole {
-        /// Empty space for masks of a folder, nothing for `mask_path` and `dynamic_mask_*`.
-        Auto,
-        /// They show empty space: the mask is the photograph's alpha.
-        Object,
-        /// Nothing is known of them: they are neither trained nor evaluated.
-        Ignore,
-    }
-);
-choice!(
     /// The renderers by name.
     RendererKind {
         /// Ray marching in uniform steps, and volume rendering.
@@ -199,34 +166,12 @@ choice!(
 );
 
 choice!(
-    /// View dependence of the built-in scene.
-    Finish {
-        /// Some surfaces are glossy.
-        Mixed,
-        /// No surface is glossy: every point has one colour.
-        Matt,
-        /// All surfaces are glossy.
-        Lacquered,
-    }
-);
-choice!(
     /// Background that training rays are composited on.
     TrainBackground {
         /// `data.background`.
         Fixed,
         /// A colour drawn for each ray.
         Random,
-    }
-);
-choice!(
-    /// Where a GPU backend keeps the training photographs.
-    Photographs {
-        /// On the device if they fit into one binding, otherwise on the host.
-        Auto,
-        /// On the device.
-        Device,
-        /// On the host; the pixels of each step are uploaded.
-        Host,
     }
 );
 choice!(

@@ -1,9 +1,8 @@
 //! Settings of the encoders: their names, the sections that belong to each, and the accepted ranges.
 
-use super::checks::Checker;
 use super::choices::{Decomposition, LevelFormula, PlaneShape};
 use super::sections::section;
-use crate::{Result, schedule::Schedule};
+use crate::{Result, schedule::Schedule, settings::checker::Checker};
 use serde::{Deserialize, Serialize};
 
 /// The encoders by name.

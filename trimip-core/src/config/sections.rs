@@ -1,9 +1,8 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, Finish, HybridRule,
-    MaskKeeps, MaskRole, Photographs, PixelStore, PlanChoice, Precision, RateSchedule, RendererKind,
-    TrainBackground, Untouched, ViewEncoding,
+    ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, HybridRule, PlanChoice,
+    Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
 use crate::schedule::Schedule;
 use serde::{Deserialize, Serialize};
@@ -29,11 +28,10 @@ macro_rules! section {
 pub(crate) use section;
 
 section!(
-    /// Where the photographs are and how they are read.
-    DataConfig, "data" {
-        root: String, format: String, images: String, train: Vec<String>, test: String, holdout: u32, test_list: String, lens: bool, masks: String, mask_keeps: MaskKeeps, mask_role: MaskRole, scales: u32, convention: Convention, edge_exponents: Vec<f32>,
-        background: [f32; 3], builtin_size: u32, builtin_train: u32, builtin_test: u32, builtin_supersampling: u32,
-        builtin_finish: Finish, most_pixels: f64, pixels: PixelStore,
+    /// What core knows of the photographs: their folder, their scales and what their pixels show. `trimip-data` adds how they
+    /// are read.
+    PhotographsConfig, "data" {
+        root: String, scales: u32, convention: Convention, edge_exponents: Vec<f32>, background: [f32; 3],
     }
 );
 section!(
@@ -99,24 +97,10 @@ section!(
     EvalConfig, "eval" { points: u32, stride: u32, r#final: FinalEval, share: f64, images: u32, perceived: u32, lpips: String, min_psnr: f64, min_gain: f64 }
 );
 
-section!(
-    /// The GPU.
-    WgpuConfig, "wgpu" { adapter: String, deterministic: bool, photographs: Photographs }
-);
-
-impl DataConfig {
+impl PhotographsConfig {
     /// Edge exponent of photographs reduced by `factor`, see [`edges`](crate::edges).
     pub fn edge_exponent(&self, factor: u32) -> f32 {
         self.edge_exponents.get(factor.trailing_zeros() as usize).copied().unwrap_or(0.0)
-    }
-
-    /// The frames that a model is tested on, in words.
-    pub fn tested_on(&self) -> String {
-        match self.holdout {
-            0 if !self.test_list.is_empty() => format!("the frames of {}", self.test_list),
-            0 => self.test.clone(),
-            every => format!("one frame in {every} of {}, held out", self.train.join(" + ")),
-        }
     }
 }
 

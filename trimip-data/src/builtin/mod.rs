@@ -8,10 +8,11 @@ mod shapes;
 pub use scene::{radiance, shapes};
 pub use shapes::Shape;
 
+use crate::settings::Finish;
 use glam::DVec3;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
-use trimip_core::{Camera, Intrinsics, config::Finish};
+use trimip_core::{Camera, Intrinsics};
 
 /// Its value of `data.format`.
 pub const FORMAT: &str = "builtin";

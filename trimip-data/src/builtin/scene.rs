@@ -2,9 +2,9 @@
 //! pixel, and a mirroring ball. Colours are image values in [0, 1].
 
 use super::{Shape, paint::Paint};
+use crate::settings::Finish;
 use glam::DVec3;
 use std::{f64::consts::TAU, sync::LazyLock};
-use trimip_core::config::Finish;
 
 /// Directions to the lights and their strengths; the first casts shadows.
 static LIGHTS: LazyLock<[(DVec3, f64); 2]> = LazyLock::new(|| {

@@ -5,6 +5,7 @@ use super::{
     locate,
     model::{Model, ModelImage},
 };
+use crate::settings::DataConfig;
 use crate::{
     division::{self, Selection},
     names,
@@ -19,7 +20,7 @@ use std::{
     collections::{BTreeSet, HashMap},
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Result, config::DataConfig, plural::count};
+use trimip_core::{Camera, Error, Intrinsics, Result, plural::count};
 
 /// A capture with a model, before any photograph is decoded.
 pub(crate) struct Capture {

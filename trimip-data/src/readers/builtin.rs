@@ -3,10 +3,11 @@
 use super::reader::{OpenScene, Reader};
 use crate::{
     builtin::{CAMERA_ANGLE_X, FORMAT, test_cameras, train_cameras},
+    settings::DataConfig,
     source::{Pixels, Source},
     split::Split,
 };
-use trimip_core::{Error, Intrinsics, Result, config::DataConfig};
+use trimip_core::{Error, Intrinsics, Result};
 
 pub(super) static READER: Reader = Reader {
     format: FORMAT,

@@ -8,15 +8,13 @@ use crate::{
     names::stem,
     photograph::Photograph,
     pose,
+    settings::DataConfig,
     source::{Pixels, Source, find_image, map_in_order},
     split::Split,
 };
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use trimip_core::{
-    Camera, Error, Intrinsics, Result,
-    config::{Convention, DataConfig},
-};
+use trimip_core::{Camera, Error, Intrinsics, Result, config::Convention};
 
 pub(super) static READER: Reader = Reader {
     format: "multiscale",

@@ -1,9 +1,10 @@
 //! What a reader of scenes is: how it recognises a folder, what it is called, how it reads, what it advises. A reader is one
 //! file with one of these values, which a line of the registry names.
 
+use crate::settings::DataConfig;
 use crate::split::Split;
 use std::path::Path;
-use trimip_core::{Camera, Result, config::DataConfig};
+use trimip_core::{Camera, Result};
 
 /// A kind of scene and how it is read.
 pub(crate) struct Reader {

@@ -6,11 +6,12 @@ pub mod colmap;
 use image::{DynamicImage, ImageBuffer, Rgba};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use trimip_core::{Config, ViewSet, config::DataConfig};
+use trimip_core::ViewSet;
+use trimip_data::settings::DataConfig;
 
 /// Settings for the scene in a folder.
 pub fn settings(root: &Path, scales: u32) -> DataConfig {
-    let mut data = Config::default().data;
+    let mut data = DataConfig::default();
     data.root = root.to_str().expect("folders of tests are UTF-8").into();
     data.scales = scales;
     data

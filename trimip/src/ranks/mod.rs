@@ -90,7 +90,7 @@ fn open(
     if own != computes {
         tell(format!("computes with {own}, rank 0 with {computes}: one process would have other bits"));
     }
-    let scene = trimip_data::open(&config.data)?;
+    let scene = trimip_data::open(&config.section()?)?;
     if let Some(difference) = Fingerprint::of(&scene.train).difference(&data) {
         return Err(Error::input(
             &config.data.root,

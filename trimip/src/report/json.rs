@@ -5,6 +5,7 @@ use crate::{run::history::Evaluation, view::PIXELS_PER_DEGREE};
 use serde_json::{Value, json};
 use trimip_core::quality::mean_quality;
 use trimip_core::{Error, Result};
+use trimip_data::settings::DataConfig;
 
 /// The report as JSON text.
 ///
@@ -87,7 +88,7 @@ fn meanings(report: &Report<'_>) -> Value {
         "perceived": "number of images that ms_ssim, flip and lpips are means of; the mean is over the scales that have them",
         "background": config.data.background,
         "convention": config.data.convention,
-        "split": config.data.tested_on(),
+        "split": config.section::<DataConfig>().map(|data| data.tested_on()).ok(),
         "stride": headline.map(|e| e.stride),
         "views": headline.map(Evaluation::views),
         "test_views": history.test_views(),

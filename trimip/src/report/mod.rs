@@ -133,7 +133,7 @@ pub fn scale_name(scale: u32) -> String {
 fn example(test: impl FnOnce(&Report<'_>)) {
     use crate::run::fixtures::evaluation;
     use trimip_core::events::{Event, Provenance};
-    let settings = Settings::defaults();
+    let settings = crate::settings::defaults();
     let config = Config::default();
     let history = History::of(&[
         Event::Warning { message: "a <dark> image".into() },

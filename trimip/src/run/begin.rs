@@ -56,7 +56,7 @@ impl Beginning {
                 "finish it first: leave --continue-for out, and give the folder or configuration that it was begun with",
             ));
         }
-        let mut settings = Settings::defaults();
+        let mut settings = crate::settings::defaults();
         settings.apply_file(&folder.config().display().to_string(), &checkpoint.config.to_toml())?;
         let findings = folder.findings()?.unwrap_or_default();
         for change in findings.iter().flat_map(|finding| &finding.changes) {

@@ -249,7 +249,7 @@ impl Training {
         let mut config = Config::from_settings(&settings)?;
         let mut perceiver = Perceiver::open(&config.eval)?;
         folder.prepare()?;
-        let scene = trimip_data::open_watched(&config.data, listeners.reading)?;
+        let scene = trimip_data::open_watched(&config.section()?, listeners.reading)?;
         let (mut compute, test) = (backends::compute(&config)?, scene.test.cameras());
         if let Some(ranks) = &self.ranks {
             compute = ranks::together(compute, &**ranks);

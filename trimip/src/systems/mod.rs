@@ -219,7 +219,7 @@ mod tests {
     #[test]
     fn every_system_is_accepted_and_stands_beside_a_published_row() {
         for system in SYSTEMS {
-            let mut settings = Settings::defaults();
+            let mut settings = crate::settings::defaults();
             system.apply(&mut settings).unwrap_or_else(|error| panic!("{error}"));
             Config::from_settings(&settings).unwrap_or_else(|error| panic!("{}: {error}", system.name));
             // Scene, seed, splits and evaluation are the comparison's.
@@ -264,7 +264,7 @@ mod tests {
     fn variants_differ_from_their_systems_as_they_say() {
         let changed = |name: &str, other: &str| {
             let config = |name: &str| {
-                let mut settings = Settings::defaults();
+                let mut settings = crate::settings::defaults();
                 find(name).unwrap().apply(&mut settings).unwrap();
                 Config::from_settings(&settings).unwrap()
             };

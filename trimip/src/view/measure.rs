@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::time::Instant;
 use trimip_core::{
     Frames, Result, Viewer,
-    config::DataConfig,
+    config::PhotographsConfig,
     evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
     exchange::Ranks,
     model::Model,
@@ -59,7 +59,7 @@ pub struct TestViews<'a> {
     /// All test views.
     pub frames: &'a dyn Frames,
     /// The background, and the convention of the photographs.
-    pub data: &'a DataConfig,
+    pub data: &'a PhotographsConfig,
     /// Every n-th view is compared.
     pub stride: usize,
 }

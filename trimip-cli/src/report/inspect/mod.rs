@@ -98,11 +98,11 @@ fn left_out(seen: &Inspection) -> String {
 mod tests {
     use super::*;
     use trimip::data::{Point, unwatched};
-    use trimip::{Settings, inspect::inspect};
+    use trimip::inspect::inspect;
 
     /// The built-in scene, small.
     fn seen() -> Inspection {
-        let settings = Settings::defaults().with("data.format", "builtin");
+        let settings = trimip::settings::defaults().with("data.format", "builtin");
         let sets = [("size", 48), ("train", 12), ("test", 3), ("supersampling", 1)];
         let small = sets.iter().fold(settings, |settings, (key, value)| {
             settings.and_then(|settings| settings.with(&format!("data.builtin_{key}"), *value))

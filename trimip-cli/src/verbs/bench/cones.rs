@@ -53,7 +53,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let mut model = run_folder::read_model(path)?;
     settings::override_model(&mut model, &arguments.settings.set)?;
     backends::check(&model.config.backend)?;
-    let scene = trimip_data::open_test(&model.config.data)?;
+    let scene = trimip_data::open_test(&model.config.section()?)?;
     let division = Division::new(&model.config);
     let stride = scene.frames.len().div_ceil(arguments.views as usize).max(1);
     let indices: Vec<usize> = (0..scene.frames.len()).step_by(stride).collect();

@@ -192,7 +192,7 @@ fn hybrid_rows(model: &Model, measure: &Measure<'_>) -> Result<Vec<Row>> {
 
 /// Test view 0 at the requested size.
 fn camera(model: &Model, arguments: &BenchArguments) -> Result<Camera> {
-    let frames = trimip_data::open_test(&model.config.data)?.frames;
+    let frames = trimip_data::open_test(&model.config.section()?)?.frames;
     let set = frames.load(0)?;
     let mut camera = set.views[0].camera;
     let scale = f64::from(arguments.width) / f64::from(camera.intrinsics.width);

@@ -44,9 +44,8 @@ pub fn measure(model: &Model, camera: &Camera) -> Result<Vec<StageError>> {
         let mut other = model.clone();
         other.config.field.precision = precision;
         if backends::load(&other)?.notes().is_empty() {
-            let config = &other.config;
             let work = OnBackend { model: &other, camera, precision: name };
-            let found = backends::visit(&config.backend, &config.wgpu.adapter, config.threads, work)?;
+            let found = backends::visit_configured(&other.config, work)?;
             // A stage without layers has only one precision.
             rows.extend(found.into_iter().filter(|row| precision == Precision::F32 || layered(row.stage)));
         }

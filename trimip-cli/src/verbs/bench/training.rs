@@ -18,7 +18,8 @@ use trimip::quality::{Measures, mean_quality};
 use trimip::ranks::{digest, labour};
 use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
-use trimip_core::{config::DataConfig, exchange::Ranks};
+use trimip_core::exchange::Ranks;
+use trimip_data::settings::DataConfig;
 
 /// Result of a run.
 struct Outcome {
@@ -84,7 +85,7 @@ impl Bench {
     /// Settings of the data set of run number `run`.
     fn data(&self, run: usize) -> Result<DataConfig> {
         let (variant, seed) = self.variant(run);
-        Ok(Config::from_settings(&with(&self.base, variant, seed)?)?.data)
+        Config::from_settings(&with(&self.base, variant, seed)?)?.section()
     }
 
     /// Run number `run` of all variants and seeds.
@@ -308,7 +309,7 @@ mod tests {
     #[test]
     fn seeds_follow_the_configured_one() {
         let variant = Variant { name: String::new(), assignments: vec!["seed=5".into()] };
-        let settings = with(&Settings::defaults(), &variant, 2).unwrap();
+        let settings = with(&trimip::settings::defaults(), &variant, 2).unwrap();
         assert_eq!(Config::from_settings(&settings).unwrap().seed, 7);
     }
 

@@ -66,7 +66,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     settings::override_model(&mut model, &arguments.settings.set)?;
     backends::check(&model.config.backend)?;
     let data = model.config.data.clone();
-    let scene = trimip_data::open_test(&data)?;
+    let scene = trimip_data::open_test(&model.config.section()?)?;
     let stride = scene.frames.len().div_ceil(arguments.views as usize).max(1);
     let indices: Vec<usize> = (0..scene.frames.len()).step_by(stride).collect();
     let mut converged = backends::load(&converged(&model))?;

@@ -42,7 +42,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
             &*ranks,
             &request.digest(),
             &waiting,
-            |i| Ok(request.jobs[i].config.data.clone()),
+            |i| request.jobs[i].config.section(),
             |i| Ok(request.jobs[i].training()),
         )? {
             return Ok(interrupt::EXIT_CODE);

@@ -4,7 +4,7 @@
 use crate::args::{PaperArguments, Schedule, Split, TableScales};
 use crate::settings::scene_root;
 use std::path::{Path, PathBuf};
-use trimip::data::{Collection, has_split, is_scene};
+use trimip::data::{Collection, has_split, is_scene, settings::DataConfig};
 use trimip::paper::Scales;
 use trimip::run::expect_same;
 use trimip::systems::{self, SYSTEMS, System};
@@ -124,21 +124,24 @@ impl Request {
     }
 
     fn check(&self) -> Result<()> {
-        for (i, job) in self.jobs.iter().enumerate() {
+        let mut sets = Vec::new();
+        for job in &self.jobs {
             backends::check(&job.config.backend)?;
+            let data: DataConfig = job.config.section()?;
             // The systems of a scene share its data.
-            if self.jobs[..i].iter().any(|other| other.config.data == job.config.data) {
+            if sets.contains(&data) {
                 continue;
             }
-            for split in &job.config.data.train {
-                if !has_split(&job.config.data, split)? {
+            for split in &data.train {
+                if !has_split(&data, split)? {
                     return Err(Error::input(
-                        &job.config.data.root,
+                        &data.root,
                         format!("has no split \"{split}\""),
                         "add its transforms file and photographs, or give --split train",
                     ));
                 }
             }
+            sets.push(data);
         }
         self.jobs.iter().try_for_each(|job| expect_same(&job.measuring, &job.folder))
     }
@@ -245,7 +248,7 @@ impl Layers {
         seed: u32,
         out: &Path,
     ) -> Result<Job> {
-        let mut settings = Settings::defaults();
+        let mut settings = trimip::settings::defaults();
         system.apply(&mut settings)?;
         if let Some((name, text)) = &self.file {
             settings.apply_file(name, text)?;

@@ -1,0 +1,42 @@
+//! What refuses a setting: the place where it was set, and the message that every refusal has.
+
+use crate::{Error, Result};
+
+/// Refuses settings by their dotted path.
+pub struct Checker<'a> {
+    place: &'a dyn Fn(&str) -> String,
+    given: &'a dyn Fn(&str) -> bool,
+}
+
+impl<'a> Checker<'a> {
+    /// `place` turns a dotted path into the place where its value was set, as text for an error; `given` is false for
+    /// settings that have their defaults.
+    pub fn new(place: &'a dyn Fn(&str) -> String, given: &'a dyn Fn(&str) -> bool) -> Self {
+        Self { place, given }
+    }
+
+    /// Where the value of a dotted path was set.
+    pub fn place(&self, path: &str) -> String {
+        (self.place)(path)
+    }
+
+    /// Refuses the setting `path` unless `ok`.
+    ///
+    /// # Errors
+    /// Of kind `Input`: names the place, and what is expected.
+    pub fn check(&self, ok: bool, path: &str, expected: &str) -> Result<()> {
+        match ok {
+            true => Ok(()),
+            false => Err(Error::input((self.place)(path), "out of range", format!("expected {expected}"))),
+        }
+    }
+
+    /// As [`check`](Self::check), for what several settings must be together: names the first that was given.
+    ///
+    /// # Errors
+    /// As [`check`](Self::check).
+    pub fn together(&self, ok: bool, paths: &[&str], expected: &str) -> Result<()> {
+        let given = paths.iter().find(|path| (self.given)(path)).or(paths.first());
+        self.check(ok, given.unwrap_or(&""), expected)
+    }
+}

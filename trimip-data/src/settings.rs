@@ -1,0 +1,177 @@
+//! The settings of this crate: how photographs are found, read and kept, and the built-in scene. Their defaults, ranges and
+//! meanings are the tables in `settings/`; they stand in the section `[data]` beside those of core.
+
+use crate::layout;
+use serde::{Deserialize, Serialize};
+use trimip_core::config::Convention;
+use trimip_core::{Checker, Error, ForeignSection, Fragment, Result, Section};
+
+/// The settings of this crate, for a program to register.
+pub const SECTION: ForeignSection = ForeignSection::of::<DataConfig>();
+
+/// Where the photographs are and how they are read: the section `[data]`, with core's settings in it.
+///
+/// ```toml
+#[doc = include_str!("settings/photographs.toml")]
+/// ```
+///
+/// ```toml
+#[doc = include_str!("settings/builtin.toml")]
+/// ```
+///
+/// ```toml
+#[doc = include_str!("settings/pixels.toml")]
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the tables above and core's document the fields")]
+pub struct DataConfig {
+    pub root: String,
+    pub format: String,
+    pub images: String,
+    pub train: Vec<String>,
+    pub test: String,
+    pub holdout: u32,
+    pub test_list: String,
+    pub lens: bool,
+    pub masks: String,
+    pub mask_keeps: MaskKeeps,
+    pub mask_role: MaskRole,
+    pub scales: u32,
+    pub convention: Convention,
+    pub edge_exponents: Vec<f32>,
+    pub background: [f32; 3],
+    pub builtin_size: u32,
+    pub builtin_train: u32,
+    pub builtin_test: u32,
+    pub builtin_supersampling: u32,
+    pub builtin_finish: Finish,
+    pub most_pixels: f64,
+    pub pixels: PixelStore,
+}
+
+impl Section for DataConfig {
+    const NAME: &'static str = "data";
+    const FRAGMENTS: &'static [Fragment] = &[
+        Fragment { after: "root", table: include_str!("settings/photographs.toml") },
+        Fragment { after: "background", table: include_str!("settings/builtin.toml") },
+        Fragment { after: "builtin_finish", table: include_str!("settings/pixels.toml") },
+    ];
+
+    fn check(&self, to: &Checker<'_>) -> Result<()> {
+        if !layout::is_format(&self.format) {
+            let expected = format!("expected {}", layout::formats());
+            return Err(Error::input(to.place("data.format"), "no layout of a scene", expected));
+        }
+        to.check(self.holdout != 1, "data.holdout", "0, or 2 and more")?;
+        to.check(
+            self.holdout == 0 || self.test_list.is_empty(),
+            "data.test_list",
+            "\"\" where data.holdout keeps frames back",
+        )?;
+        to.check(!self.train.is_empty(), "data.train", "at least one split")?;
+        let once = |(i, split)| !self.train[..i].contains(split);
+        to.check(self.train.iter().enumerate().all(once), "data.train", "each split once")
+    }
+}
+
+impl Default for DataConfig {
+    /// The values of the tables.
+    fn default() -> Self {
+        let section = trimip_core::Config::default().section();
+        section.unwrap_or_else(|error| unreachable!("the tables are tested: {error}"))
+    }
+}
+
+impl DataConfig {
+    /// The frames that a model is tested on, in words.
+    pub fn tested_on(&self) -> String {
+        match self.holdout {
+            0 if !self.test_list.is_empty() => format!("the frames of {}", self.test_list),
+            0 => self.test.clone(),
+            every => format!("one frame in {every} of {}, held out", self.train.join(" + ")),
+        }
+    }
+}
+
+/// The colour of a mask that marks what is kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MaskKeeps {
+    /// White, except in Instant-NGP's `dynamic_mask_*`.
+    Auto,
+    /// White.
+    White,
+    /// Black.
+    Black,
+}
+
+/// What a mask tells of the pixels that it does not keep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MaskRole {
+    /// Empty space for masks of a folder, nothing for `mask_path` and `dynamic_mask_*`.
+    Auto,
+    /// They show empty space: the mask is the photograph's alpha.
+    Object,
+    /// Nothing is known of them: they are neither trained nor evaluated.
+    Ignore,
+}
+
+/// Where decoded training photographs are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PixelStore {
+    /// In memory if they take less than half of what is available, otherwise in a file.
+    Auto,
+    /// In memory.
+    Memory,
+    /// In a file without a name in the system's temporary folder.
+    Disk,
+}
+
+/// View dependence of the built-in scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Finish {
+    /// Some surfaces are glossy.
+    Mixed,
+    /// No surface is glossy: every point has one colour.
+    Matt,
+    /// All surfaces are glossy.
+    Lacquered,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trimip_core::{Config, Definitions, Settings};
+
+    #[test]
+    fn settings_out_of_range_are_refused_with_their_place() {
+        for (assignment, expected) in [
+            ("data.train=[\"train\", \"train\"]", "each split once"),
+            ("data.train=[]", "at least one split"),
+            ("data.holdout=1", "2 and more"),
+            ("data.builtin_size=7", "8 to 4096"),
+            ("data.format=\"raw\"", "blender"),
+        ] {
+            let mut settings = Settings::of(Definitions::new(&[SECTION], &[]).into());
+            settings.apply_assignment(assignment).unwrap();
+            let error = Config::from_settings(&settings).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.message.starts_with("--set: data."), "{error}");
+            assert!(error.message.contains(expected), "{assignment}: {error}");
+        }
+    }
+
+    #[test]
+    fn the_section_has_core_s_settings_too() {
+        let mut config = Config::default();
+        config.data.scales = 2;
+        config.change(|data: &mut DataConfig| data.background = [0.0, 0.5, 1.0]).unwrap();
+        let data = config.section::<DataConfig>().unwrap();
+        assert_eq!((data.scales, data.background), (2, config.data.background));
+        assert_eq!(config.data.background, [0.0, 0.5, 1.0]);
+    }
+}
