@@ -7,8 +7,8 @@ use common::{assert_same, save_image, settings, write};
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::config::DataConfig;
 use trimip_data::open;
+use trimip_data::settings::DataConfig;
 
 /// Photographs of a capture.
 const FRAMES: usize = 10;

@@ -11,6 +11,7 @@ use crate::{
     names,
     photograph::Photograph,
     pose,
+    settings::DataConfig,
     source::{Pixels, Source, map_in_order},
     split::Split,
 };
@@ -19,7 +20,7 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result, config::DataConfig, plural::count};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Result, plural::count};
 
 const FILE: &str = "poses_bounds.npy";
 
