@@ -61,7 +61,7 @@ pub fn bake(
     let bricks = cells.map(|count| count / BRICK);
     let occupied = |position: [f64; 3]| {
         let cell = cell_of(position.map(|p| p as f32), resolution);
-        bits::is_set(&bits, cell as usize)
+        bits::is_set(bits, cell as usize)
     };
     let centre = |brick: usize, cell: usize| -> [f64; 3] {
         let (brick, cell) = (brick as u32, cell as u32);
