@@ -10,7 +10,7 @@ use crate::{
 use std::path::Path;
 use trimip_core::{Camera, Result};
 
-pub use crate::readers::reader::CameraFile;
+pub use crate::readers::reader::{CameraFile, NamedCameras};
 
 /// The files of cameras of all scene readers.
 pub fn camera_files() -> impl Iterator<Item = &'static CameraFile> {

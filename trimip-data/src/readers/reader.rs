@@ -60,6 +60,9 @@ pub(crate) trait OpenScene {
     }
 }
 
+/// Cameras with the short names of their photographs.
+pub type NamedCameras = Vec<(String, Camera)>;
+
 /// A file of cameras that is read by itself, from bytes in memory: what can be tried with any bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraFile {
@@ -72,7 +75,7 @@ pub struct CameraFile {
     ///
     /// # Errors
     /// Of kind `Input`: syntax, and what is missing or out of range.
-    pub cameras: fn(&str, &[u8]) -> Result<Vec<(String, Camera)>>,
+    pub cameras: fn(&str, &[u8]) -> Result<NamedCameras>,
     /// A small valid file.
     pub example: fn() -> Vec<u8>,
     /// The most memory that reading takes, as a multiple of the file's bytes.
