@@ -197,7 +197,10 @@ impl Settings {
             };
         }
         let Some(entry) = self.entries.get_mut(path) else {
-            return self.carry(path, "", value, place, origin);
+            let is_beside = |setting: &&Placed| parts_of(&setting.path).0 == parts_of(path).0;
+            let last = self.carried.iter().rev().find(is_beside);
+            let after = last.map_or_else(String::new, |last| parts_of(&last.path).1.to_string());
+            return self.carry(path, &after, value, place, origin);
         };
         // `eval.final` takes a stride or a flag.
         let flag = path == "eval.final" && value.is_bool();
