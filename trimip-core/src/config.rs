@@ -141,9 +141,8 @@ impl Config {
     /// set.
     pub fn from_settings(settings: &Settings) -> Result<Self> {
         let given = |path: &str| *settings.origin(path) != Origin::Default;
-        let (place, given): (&dyn Fn(&str) -> String, &dyn Fn(&str) -> bool) =
-            (&|path| settings.place(path), &given);
-        let checker = Checker::new(place, given);
+        let place = |path: &str| settings.place(path);
+        let checker = Checker::new(&place, &given);
         settings.check_ranges(&checker)?;
         let config = Self::of_settings(settings, &checker)?;
         config.check_all(settings, &checker)?;

@@ -11,10 +11,8 @@ use trimip_data::settings::DataConfig;
 
 /// Settings for the scene in a folder.
 pub fn settings(root: &Path, scales: u32) -> DataConfig {
-    let mut data = DataConfig::default();
-    data.root = root.to_str().expect("folders of tests are UTF-8").into();
-    data.scales = scales;
-    data
+    let root = root.to_str().expect("folders of tests are UTF-8").into();
+    DataConfig { root, scales, ..DataConfig::default() }
 }
 
 /// An RGBA image without two equal pixels.
