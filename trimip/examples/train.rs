@@ -3,11 +3,7 @@
 //! `cargo run --release -p trimip --example train -- [FOLDER] [SETTING=VALUE ..]`
 
 use std::path::Path;
-<<<<<<< ours
 use trimip::{Training, backends, data, events::Event, settings, view};
-=======
-use trimip::{Training, backends, data, events::Event, view};
->>>>>>> theirs
 
 fn main() -> trimip::Result<()> {
     run(&std::env::args().skip(1).collect::<Vec<_>>(), Path::new("runs/example"))
