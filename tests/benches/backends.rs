@@ -1,12 +1,12 @@
 //! Criterion benchmarks of every stage and of a whole training step, on the CPU and on the GPU, with one table of both
-//! at the end. Stages run over one span, which the CPU gives to one thread; the step uses all cores.
+//! at the end. Stages run over one tile, which the CPU gives to one thread; the step uses all cores.
 //! `TRIMIP_BENCH_SAMPLES` is the number of samples of a step (small for a software driver, large for a graphics card).
 
 use criterion::{Criterion, Throughput};
 use std::path::Path;
 use std::time::{Duration, Instant};
 use trimip_core::backend::{Loss, Occupancy, RenderedTile, Sampler};
-use trimip_core::batch::{Deposit, FieldBackward, Tile, Update, Workspace};
+use trimip_core::batch::{FieldBackward, PartialGradients, Tile, Update, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
@@ -80,8 +80,8 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         start.elapsed()
     };
     let rays = config.train.samples_per_step / 32;
-    let mut space = Workspace::<B>::new(&backend, &stages.field);
-    let mut deposits = [Deposit {
+    let mut workspace = Workspace::<B>::new(&backend, &stages.field);
+    let mut partials = [PartialGradients {
         field: stages.field.gradient(),
         encoder: stages.encoder.gradient(),
         sums: B::Sums::default(),
@@ -97,45 +97,46 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
         group.finish();
     };
 
-    let draw = stages.sampler.balance().draw(rays);
+    let allocation = stages.sampler.scale_weights().allocate(rays);
     bench("sample rays", rays.into(), &mut || {
-        stages.sampler.training_rays(&mut space.lane, 1, &draw, 0..rays, &mut space.rays);
+        stages.sampler.training_rays(&mut workspace.stream, 1, &allocation, 0..rays, &mut workspace.rays);
     });
-    stages.sampler.training_rays(&mut space.lane, 1, &draw, 0..rays, &mut space.rays);
-    let Workspace { lane, rays, samples, encoding, features, tape, radiance, .. } = &mut space;
-    stages.renderer.march(lane, rays, &stages.occupancy, Some(1), samples);
+    stages.sampler.training_rays(&mut workspace.stream, 1, &allocation, 0..rays, &mut workspace.rays);
+    let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, .. } =
+        &mut workspace;
+    stages.renderer.march(stream, rays, &stages.occupancy, Some(1), samples);
     let marched = backend.read(&samples.spheres).len() as u64;
     bench("march", marched, &mut || {
-        stages.renderer.march(lane, rays, &stages.occupancy, Some(1), samples);
+        stages.renderer.march(stream, rays, &stages.occupancy, Some(1), samples);
     });
-    let tile = &mut Tile { stream: lane, parameters: &parameters, rays, samples };
-    bench("encode", marched, &mut || stages.encoder.forward(tile, encoding, features));
-    bench("density", marched, &mut || stages.field.density(tile, features, tape, radiance));
+    let tile = &mut Tile { stream, parameters: &parameters, rays, samples };
+    bench("encode", marched, &mut || stages.encoder.forward(tile, encoder_context, features));
+    bench("density", marched, &mut || stages.field.density(tile, features, field_context, radiance));
     bench("march to density, pruned", marched, &mut || {
-        stages.renderer.see(&stages, &parameters, &mut space, Some(1));
+        stages.renderer.visibility_pass(&stages, &parameters, &mut workspace, Some(1));
     });
     let Workspace {
-        lane,
+        stream,
         rays,
         samples,
-        encoding,
+        encoder_context,
         features,
         feature_gradients,
-        tape,
+        field_context,
         radiance,
         radiance_gradients,
         cones,
         pixels,
         pixel_gradients,
         ..
-    } = &mut space;
+    } = &mut workspace;
     let kept = backend.read(&samples.spheres).len() as u64;
-    let tile = &mut Tile { stream: lane, parameters: &parameters, rays, samples };
-    bench("color", kept, &mut || stages.field.color(tile, 0.0, tape, radiance));
+    let tile = &mut Tile { stream, parameters: &parameters, rays, samples };
+    bench("color", kept, &mut || stages.field.color(tile, 0.0, field_context, radiance));
     bench("composite", kept, &mut || stages.renderer.composite(tile, radiance, cones, pixels));
     bench("loss", kept, &mut || {
         let rendered = RenderedTile { rays, samples, radiance, pixels };
-        stages.loss.evaluate_pixels(tile.stream, &rendered, pixel_gradients, &mut deposits[0].sums);
+        stages.loss.evaluate_pixels(tile.stream, &rendered, pixel_gradients, &mut partials[0].sums);
     });
     bench("composite backward", kept, &mut || {
         stages.renderer.backward(tile, radiance, cones, pixel_gradients, radiance_gradients);
@@ -143,16 +144,16 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     bench("field backward", kept, &mut || {
         let feature_gradients = &mut *feature_gradients;
         let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
-        stages.field.backward(tile, arrays, tape, &mut deposits[0].field);
+        stages.field.backward(tile, arrays, field_context, &mut partials[0].field);
     });
     bench("scatter and end of step", kept, &mut || {
-        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
-        stages.encoder.backward(tile, encoding, feature_gradients, &mut deposits[0].encoder);
-        stages.flush(&mut deposits, &parameters, &mut gradient);
-        let (parameters, gradient, deposits) = (&mut parameters, &mut gradient, &mut deposits);
+        let tile = &mut Tile { stream: &mut *stream, parameters: &parameters, rays, samples };
+        stages.encoder.backward(tile, encoder_context, feature_gradients, &mut partials[0].encoder);
+        stages.reduce(&mut partials, &parameters, &mut gradient);
+        let (parameters, gradient, partials) = (&mut parameters, &mut gradient, &mut partials);
         backend.update(
             &mut stages,
-            &mut Update { parameters, gradient, deposits, learning_rate: 1e-3, step: 1 },
+            &mut Update { parameters, gradient, partials, learning_rate: 1e-3, step: 1 },
         );
     });
     backend.health().expect("the device works");

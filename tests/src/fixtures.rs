@@ -13,9 +13,9 @@ use trimip_core::{
 };
 
 /// SplitMix64 (Steele et al. 2014): the random numbers of the tests.
-pub struct Draw(u64);
+pub struct TestRandom(u64);
 
-impl Draw {
+impl TestRandom {
     /// The sequence for a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
@@ -261,7 +261,7 @@ pub fn every_variant() -> Vec<Config> {
 /// Parameters far from their small initial values: texels in ±1, layers 1.5 times Glorot's bound. Densities range from
 /// nearly transparent to nearly opaque, and no ReLU layer is dead.
 pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
-    let mut draw = Draw::new(seed);
+    let mut random = TestRandom::new(seed);
     let bound = |slot: &Slot| match slot.name.as_str() {
         name if ["planes", "lines", "table", "voxels"].iter().any(|factor| name.ends_with(factor)) => 1.0,
         name if name.ends_with("bias") => 0.3,
@@ -270,7 +270,7 @@ pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
     let mut values = vec![0.0; layout.len()];
     for slot in &layout.slots {
         let bound = bound(slot);
-        values[slot.range.clone()].fill_with(|| draw.between(-bound, bound) as f32);
+        values[slot.range.clone()].fill_with(|| random.between(-bound, bound) as f32);
     }
     values
 }
@@ -278,18 +278,18 @@ pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
 /// Photographs of noise at `scales` scales: `count` square views of `size` pixels that look at the origin from 4 units
 /// away. The corners of a picture look past the box.
 pub fn noise(count: usize, size: u32, scales: u32, seed: u64) -> ViewSet {
-    let mut draw = Draw::new(seed);
+    let mut random = TestRandom::new(seed);
     let cameras: Vec<Camera> = (0..count)
         .map(|_| {
             Camera::look_at(
                 Intrinsics::from_angle(size, size, 1.1),
-                4.0 * draw.direction(),
+                4.0 * random.direction(),
                 DVec3::ZERO,
                 DVec3::Z,
             )
         })
         .collect();
-    photographs(&cameras, scales, |_, _| draw.bits().to_le_bytes()[..4].try_into().unwrap_or_default())
+    photographs(&cameras, scales, |_, _| random.bits().to_le_bytes()[..4].try_into().unwrap_or_default())
 }
 
 /// Views of `cameras` at `scales` scales; `pixel(view, index)` gives straight RGBA.

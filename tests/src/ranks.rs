@@ -3,7 +3,7 @@
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-use trimip_core::exchange::{Ranks, Share};
+use trimip_core::exchange::{Rank, Ranks};
 use trimip_core::{Error, Result};
 
 /// A rank that is silent for so long has ended.
@@ -11,9 +11,9 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 type Message = (usize, Vec<u8>);
 
-/// One rank. Messages of a trade and those that are sent and received have channels of their own.
+/// One rank. Messages of a all_to_all and those that are sent and received have channels of their own.
 pub struct Threads {
-    share: Share,
+    this_rank: Rank,
     traded: Vec<Sender<Message>>,
     trades: Mutex<Inbox>,
     sent: Vec<Sender<Message>>,
@@ -22,7 +22,7 @@ pub struct Threads {
     pub bytes: Mutex<u64>,
 }
 
-/// What came in, by sender. A rank may be one trade ahead of another.
+/// What came in, by sender. A rank may be one all_to_all ahead of another.
 struct Inbox {
     receiver: Receiver<Message>,
     early: Vec<Vec<Vec<u8>>>,
@@ -36,7 +36,7 @@ impl Threads {
         let ranks = trades.into_iter().zip(received).enumerate().map(|(rank, (receiver, received))| {
             let early = vec![Vec::new(); count];
             Arc::new(Self {
-                share: Share { rank, of: count },
+                this_rank: Rank { id: rank, size: count },
                 traded: traded.clone(),
                 trades: Mutex::new(Inbox { receiver, early }),
                 sent: sent.clone(),
@@ -54,15 +54,15 @@ fn gone<E>(_: E) -> Error {
 }
 
 impl Ranks for Threads {
-    fn share(&self) -> Share {
-        self.share
+    fn rank(&self) -> Rank {
+        self.this_rank
     }
 
-    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
-        let others = || (0..self.share.of).filter(|rank| *rank != self.share.rank);
+    fn all_to_all(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
+        let others = || (0..self.this_rank.size).filter(|rank| *rank != self.this_rank.id);
         for to in others() {
             *self.bytes.lock().unwrap() += out[to].len() as u64;
-            self.traded[to].send((self.share.rank, out[to].to_vec())).map_err(gone)?;
+            self.traded[to].send((self.this_rank.id, out[to].to_vec())).map_err(gone)?;
         }
         let Inbox { receiver, early } = &mut *self.trades.lock().unwrap();
         for from in others() {
@@ -76,17 +76,17 @@ impl Ranks for Threads {
     }
 
     fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()> {
-        let own = if self.share.rank == 0 { bytes.clone() } else { Vec::new() };
-        let mut into = vec![Vec::new(); self.share.of];
-        self.trade(&vec![&own[..]; self.share.of], &mut into)?;
-        if self.share.rank != 0 {
+        let own = if self.this_rank.id == 0 { bytes.clone() } else { Vec::new() };
+        let mut into = vec![Vec::new(); self.this_rank.size];
+        self.all_to_all(&vec![&own[..]; self.this_rank.size], &mut into)?;
+        if self.this_rank.id != 0 {
             *bytes = std::mem::take(&mut into[0]);
         }
         Ok(())
     }
 
     fn send(&self, to: usize, bytes: &[u8]) -> Result<()> {
-        self.sent[to].send((self.share.rank, bytes.to_vec())).map_err(gone)
+        self.sent[to].send((self.this_rank.id, bytes.to_vec())).map_err(gone)
     }
 
     fn try_receive(&self) -> Result<Option<Message>> {

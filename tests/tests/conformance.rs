@@ -6,7 +6,7 @@ use trimip_core::{
     config::{Precision, TrainConfig},
     exchange::{Exchange, Ranks},
 };
-use trimip_cpu::{CpuBackend, Together, simd::Simd};
+use trimip_cpu::{CpuBackend, DataParallel, simd::Simd};
 use trimip_tests::{ranks::Threads, suite};
 
 /// Runs a test of the suite on every CPU backend that this processor supports.
@@ -186,7 +186,7 @@ fn no_checkpoint_has_an_update_by_a_loss_that_is_not_finite() {
 
 /// The exchange of the CPU backend.
 fn together(ranks: Arc<dyn Ranks>, config: &Config) -> Box<dyn Exchange<CpuBackend>> {
-    Box::new(Together::new(ranks, &config.train).expect("few ranks"))
+    Box::new(DataParallel::new(ranks, &config.train).expect("few ranks"))
 }
 
 #[test]
@@ -217,7 +217,7 @@ fn more_ranks_than_parts_are_refused() {
         (65, 64, 262_144, "at most 64"),
     ] {
         let train = TrainConfig { parts, samples_per_step: samples, ..Config::default().train };
-        let refused = Together::new(Threads::new(ranks).remove(0), &train).err().expect("too many");
+        let refused = DataParallel::new(Threads::new(ranks).remove(0), &train).err().expect("too many");
         let told = format!("{ranks} ranks");
         assert!(refused.exit_code() == 2, "{refused}");
         assert!(refused.message.contains(&told) && refused.message.contains(advice), "{refused}");

@@ -7,7 +7,7 @@ use trimip_core::{
     batch::Ray,
     checkpoint::Checkpoint,
     config::{Exposure, Precision},
-    rng::{Random, Stream},
+    rng::{Random, Sequence},
     trainer::Trainer,
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
@@ -28,7 +28,7 @@ fn trained(
         (encoder.renderer.cones, encoder.renderer.cone_width);
     config.data.edge_exponents.clone_from(&encoder.data.edge_exponents);
     config.loss.clone_from(&encoder.loss);
-    // There are at least 16 deposits, so several spans share one and workers compete for them.
+    // There are at least 16 partial gradients, so several tiles share one and workers compete for them.
     config.train.samples_per_step = 4096;
     let views = fixtures::noise(4, 16, 3, 30);
     let camera = views.views[0].camera;
@@ -125,7 +125,7 @@ fn skipping_empty_space_changes_no_sample() {
         for jitter in [None, Some(3)] {
             for (i, found) in suite::marching::marched(&mut bench, &rays, jitter).iter().enumerate() {
                 let random = Random::new(config.seed);
-                let offset = jitter.map_or(0.0, |step| random.uniform(Stream::Jitter, step, i as u32)[0]);
+                let offset = jitter.map_or(0.0, |step| random.uniform(Sequence::Jitter, step, i as u32)[0]);
                 let expected = every_step(&config, &rays[i], offset, &bits);
                 assert_eq!(found, &expected, "grid of {resolution}, {:?}", rays[i]);
                 samples += expected.len();

@@ -11,7 +11,7 @@ use trimip_core::{
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
-use trimip_tests::fixtures::{Draw, GivenFrames, as_code};
+use trimip_tests::fixtures::{GivenFrames, TestRandom, as_code};
 
 /// Root mean square of the errors of log-gains, of a spread of 0.25.
 const TOLERANCE: f64 = 0.07;
@@ -24,8 +24,8 @@ const GAIN: f64 = 0.5;
 
 /// The gains of each photograph: at most 1, so that no colour is clipped, and at least 0.4, so that few bits are lost.
 fn known(photographs: usize) -> Vec<[f64; 3]> {
-    let mut draw = Draw::new(5);
-    (0..photographs).map(|_| [0; 3].map(|_| draw.between(0.4, 1.0))).collect()
+    let mut random = TestRandom::new(5);
+    (0..photographs).map(|_| [0; 3].map(|_| random.between(0.4, 1.0))).collect()
 }
 
 /// The photographs with their colours multiplied by these gains.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
-use trimip::ranks::{dismiss, farm, follow, labour};
+use trimip::ranks::{dismiss, follow, scatter_jobs, work_on_jobs};
 use trimip_core::exchange::Ranks;
 use trimip_core::{Error, Result};
 use trimip_tests::ranks::Threads;
@@ -22,7 +22,7 @@ fn with_others(
         for rank in ranks {
             let (rank, own): (Arc<dyn Ranks>, _) = (rank, &own);
             scope.spawn(move || {
-                follow(&rank, &mut |ranks| labour(ranks, WHAT, own), &mut |text| panic!("{text}"))
+                follow(&rank, &mut |ranks| work_on_jobs(ranks, WHAT, own), &mut |text| panic!("{text}"))
                     .expect("it follows to the end");
             });
         }
@@ -51,7 +51,8 @@ fn results_come_in_the_order_of_the_jobs() {
             taken.push((job, result));
             Ok(true)
         };
-        with_others(count, own, |ranks| farm(ranks, WHAT, &jobs, &|| true, own, take)).expect("all is done");
+        with_others(count, own, |ranks| scatter_jobs(ranks, WHAT, &jobs, &|| true, own, take))
+            .expect("all is done");
         assert!(squares(&jobs, &taken), "{count} ranks: {taken:?}");
     }
 }
@@ -75,7 +76,8 @@ fn other_ranks_work_on_while_rank_0_has_a_long_job() {
         taken.push((job, result));
         Ok(true)
     };
-    with_others(3, theirs, |ranks| farm(ranks, WHAT, &jobs, &|| true, own, take)).expect("all is done");
+    with_others(3, theirs, |ranks| scatter_jobs(ranks, WHAT, &jobs, &|| true, own, take))
+        .expect("all is done");
     assert!(squares(&jobs, &taken), "{taken:?}");
 }
 
@@ -93,8 +95,9 @@ fn a_job_that_fails_is_told_with_its_rank() {
         }
         Ok(job * job)
     };
-    let error = with_others(2, theirs, |ranks| farm(ranks, WHAT, &jobs, &|| true, own, |_, _| Ok(true)))
-        .expect_err("a job fails");
+    let error =
+        with_others(2, theirs, |ranks| scatter_jobs(ranks, WHAT, &jobs, &|| true, own, |_, _| Ok(true)))
+            .expect_err("a job fails");
     assert!(error.exit_code() == 2 && error.message.starts_with("rank 1: photograph 1"), "{error}");
 }
 
@@ -114,8 +117,10 @@ fn no_job_is_handed_out_after_a_stop() {
         Ok(job)
     };
     let take = |_, _| Ok(true);
-    with_others(3, own, |ranks| farm(ranks, WHAT, &jobs, &|| going.load(Ordering::SeqCst), own, take))
-        .expect("a stop is no error");
+    with_others(3, own, |ranks| {
+        scatter_jobs(ranks, WHAT, &jobs, &|| going.load(Ordering::SeqCst), own, take)
+    })
+    .expect("a stop is no error");
     // Jobs 0 to 4, and each of the two others may have one more.
     assert!(begun.load(Ordering::SeqCst) <= 7, "{begun:?} jobs were begun");
 }
@@ -128,11 +133,11 @@ fn a_rank_with_other_jobs_refuses() {
         scope.spawn(move || {
             let other: Arc<dyn Ranks> = other;
             let own = |_| -> Result<usize> { panic!("no job of others is done") };
-            follow(&other, &mut |ranks| labour(ranks, "cubes", own), &mut |text| panic!("{text}"))
+            follow(&other, &mut |ranks| work_on_jobs(ranks, "cubes", own), &mut |text| panic!("{text}"))
                 .expect("rank 0 tells the error");
         });
         let jobs: Vec<usize> = (0..9).collect();
-        let refused = farm(&*first, WHAT, &jobs, &|| true, Ok::<usize, _>, |_, _| Ok(true))
+        let refused = scatter_jobs(&*first, WHAT, &jobs, &|| true, Ok::<usize, _>, |_, _| Ok(true))
             .expect_err("these are other jobs");
         let part = "rank 1: the jobs of this rank: are not those of rank 0";
         assert!(refused.exit_code() == 2 && refused.message.starts_with(part), "{refused}");

@@ -41,7 +41,7 @@ fn main() -> ExitCode {
             return ended(Err(Error::input("command line", what, "see trimip-cli --help")));
         }
     };
-    ended(ranks::among(|| verbs::run(&arguments), |ranks| verbs::help(&arguments, ranks)))
+    ended(ranks::among(|| verbs::run(&arguments), |ranks| verbs::work(&arguments, ranks)))
 }
 
 /// The exit code of a program with this outcome. What could not be printed is an error of a program without another.

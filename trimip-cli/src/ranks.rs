@@ -1,14 +1,14 @@
 //! The processes that `mpirun` or `srun` launched together. Rank 0 is the program; the others do what it orders.
 
 #[cfg(feature = "mpi")]
-mod guard;
+mod supervisor;
 
 use std::sync::Arc;
 use trimip_core::{Result, exchange::Ranks};
 
 /// True for the process that says what all would say: that of rank 0, or the only one.
 pub fn speaks() -> bool {
-    trimip_mpi::launched().rank == 0
+    trimip_mpi::launched().id == 0
 }
 
 /// The ranks of this program, if there are several.
@@ -16,17 +16,17 @@ pub fn all() -> Option<Arc<dyn Ranks>> {
     launched::all()
 }
 
-/// Runs `program` on rank 0, and lets the others follow it and `help` with its jobs; without a launcher just runs it.
+/// Runs `program` on rank 0, and lets the others follow it and `work` on its jobs; without a launcher just runs it.
 ///
 /// # Errors
 /// Those of the program, and when the ranks cannot work together.
-pub fn among(program: impl FnOnce() -> Result<u8>, help: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
-    if trimip_mpi::launched().of == 1 { program() } else { launched::among(program, help) }
+pub fn among(program: impl FnOnce() -> Result<u8>, work: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
+    if trimip_mpi::launched().size == 1 { program() } else { launched::among(program, work) }
 }
 
 #[cfg(feature = "mpi")]
 mod launched {
-    use super::guard;
+    use super::supervisor;
     use crate::{interrupt, terminal};
     use std::panic::{AssertUnwindSafe, catch_unwind};
     use std::sync::{Arc, OnceLock};
@@ -37,25 +37,25 @@ mod launched {
     static WORLD: OnceLock<Arc<World>> = OnceLock::new();
 
     pub fn all() -> Option<Arc<dyn Ranks>> {
-        WORLD.get().map(|world| Arc::clone(world) as Arc<dyn Ranks>).filter(|ranks| ranks.share().of > 1)
+        WORLD.get().map(|world| Arc::clone(world) as Arc<dyn Ranks>).filter(|ranks| ranks.rank().size > 1)
     }
 
     pub fn among(
         program: impl FnOnce() -> Result<u8>,
-        help: impl FnMut(&dyn Ranks) -> Result<()>,
+        work: impl FnMut(&dyn Ranks) -> Result<()>,
     ) -> Result<u8> {
-        if !guard::is_there() {
-            return guard::watch();
+        if !supervisor::is_there() {
+            return supervisor::watch();
         }
-        guard::heed()?;
+        supervisor::heed()?;
         let world = Arc::clone(WORLD.get_or_init(|| Arc::new(World::default())));
         if let Err(error) = world.start() {
             // All ranks have the same error.
             return if super::speaks() { Err(error) } else { Ok(error.exit_code()) };
         }
-        trimip::backends::take_turn(world.on_machine().rank);
-        let rank = world.share().rank;
-        let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, help) };
+        trimip::backends::take_turn(world.on_machine().id);
+        let rank = world.rank().id;
+        let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, work) };
         // A rank that panics would leave the others waiting for it.
         let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
             terminal::aside(format!("error: rank {rank} panicked"));
@@ -88,11 +88,11 @@ mod launched {
         outcome
     }
 
-    fn follow(world: &Arc<World>, rank: usize, mut help: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
+    fn follow(world: &Arc<World>, rank: usize, mut work: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
         let ranks: Arc<dyn Ranks> = Arc::clone(world) as Arc<dyn Ranks>;
         let mut tell = |text| terminal::aside(format!("warning: rank {rank} {text}"));
         // Rank 0 gets the same signal, and tells the others when to end.
-        let outcome = interrupt::install().and_then(|_| ranks::follow(&ranks, &mut help, &mut tell));
+        let outcome = interrupt::install().and_then(|_| ranks::follow(&ranks, &mut work, &mut tell));
         outcome.map(|()| 0).inspect_err(|error| {
             terminal::error(&of_rank(rank, error));
             world.abort(error.exit_code())
@@ -109,7 +109,7 @@ mod launched {
         terminal::aside(format!(
             "{} ranks: a step sent {} from rank 0, {:.2} times the touched part of the gradient; exchanges took {:.1} % of the \
              time",
-            world.share().of,
+            world.rank().size,
             terminal::bytes(a_step as u64),
             traffic.bytes as f64 / traffic.touched.max(1) as f64,
             100.0 * traffic.trading / traffic.seconds.max(f64::MIN_POSITIVE)
@@ -131,7 +131,7 @@ mod launched {
             return Ok(2);
         }
         Err(Error::input(
-            format!("{} processes", trimip_mpi::launched().of),
+            format!("{} processes", trimip_mpi::launched().size),
             "this build trains in one process",
             "start it without mpirun, or build it with --features mpi",
         ))

@@ -3,7 +3,7 @@
 
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::OnceLock;
-pub use trimip::units::{bytes, count, duration, many, number};
+pub use trimip::formatting::{bytes, count, duration, many, number};
 use trimip::{Error, Result};
 
 /// Assumed width of a terminal that does not report it, columns.

@@ -6,17 +6,17 @@ pub use crate::stages::{
 
 use crate::{
     Config, Result, ViewSet,
-    batch::{Batch, Deposit, StepResult, Tile, Tiling, Update, Workspace},
+    batch::{Batch, PartialGradients, StepResult, Tile, Tiling, Update, Workspace},
 };
 use bytemuck::Pod;
 use std::ops::Range;
 
-/// A device: it owns buffers, runs work over spans and names its implementations of the stages.
+/// A device: it owns buffers, runs work over tiles and names its implementations of the stages.
 pub trait Backend: Sized + Send + Sync + 'static {
     /// A flat array on the device.
     type Buffer<T: Pod + Send + Sync>: Send + Sync;
-    /// Where the work of one span is issued.
-    type Lane: Send;
+    /// Where the work of one tile is issued.
+    type Stream: Send;
     /// Losses and counts of a step, accumulated on the device.
     type Sums: Default + Send;
     /// A pending transfer of sums to the host.
@@ -52,8 +52,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// When the configuration or the views do not fit the device.
     fn stages(&self, config: &Config, views: Option<ViewSet>) -> Result<Stages<Self>>;
 
-    /// Creates a lane.
-    fn lane(&self) -> Self::Lane;
+    /// Creates a stream.
+    fn stream(&self) -> Self::Stream;
 
     /// Creates a buffer of `length` zeros.
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Self::Buffer<T>;
@@ -77,20 +77,20 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Runs `work` in the device's worker pool; operations on whole arrays inside `work` use the workers.
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
 
-    /// Runs `work` over the pixels of a step in spans of about `batch.per_tile` cones. Spans that share a deposit run one
-    /// after the other, in order. Which spans share a deposit depends only on the batch and the number of deposits, so the sums
-    /// have the same bits for any number of workers. A GPU takes all pixels as one span. Only the pixels of this rank's share
+    /// Runs `work` over the pixels of a step in tiles of about `batch.per_tile` cones. Spans that share a set of partial gradients run one
+    /// after the other, in order. Which tiles share a set of partial gradients depends only on the batch and the number of partial gradients, so the sums
+    /// have the same bits for any number of workers. A GPU takes all pixels as one tile. Only the pixels of this rank's share
     /// are worked on.
-    fn train_spans(
+    fn train_tiles(
         &self,
         field: &Self::Field,
         batch: &Batch<'_>,
-        deposits: &mut [Deposit<Self>],
+        partials: &mut [PartialGradients<Self>],
         work: &TrainWork<'_, Self>,
     );
 
-    /// Runs `work` over spans of `0..tiling.count` and collects the `result` of each span into `out`, in order.
-    fn map_spans<T: Pod + Send + Sync>(
+    /// Runs `work` over tiles of `0..tiling.count` and collects the `result` of each tile into `out`, in order.
+    fn map_tiles<T: Pod + Send + Sync>(
         &self,
         field: &Self::Field,
         tiling: Tiling,
@@ -99,8 +99,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
         result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
     );
 
-    /// As [`Backend::map_spans`], without blocking: the future is pending while the device works.
-    fn map_spans_async<T: Pod + Send + Sync>(
+    /// As [`Backend::map_tiles`], without blocking: the future is pending while the device works.
+    fn map_tiles_async<T: Pod + Send + Sync>(
         &self,
         field: &Self::Field,
         tiling: Tiling,
@@ -108,11 +108,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
         work: &(dyn Fn(&mut Workspace<Self>, Range<u32>) + Sync),
         result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
     ) -> impl Future<Output = ()> {
-        async move { self.install(|| self.map_spans(field, tiling, out, work, result)) }
+        async move { self.install(|| self.map_tiles(field, tiling, out, work, result)) }
     }
 
     /// Computes new parameters and everything derived from them, given the complete gradient of this machine's rays
-    /// ([`Stages::flush`]). If the sum of the weights is zero, nothing changes. A backend may skip parameters that
+    /// ([`Stages::reduce`]). If the sum of the weights is zero, nothing changes. A backend may skip parameters that
     /// its own rays did not touch, provided that all parameters get the same bits as from [`Backend::update_all`].
     fn update(&self, stages: &mut Stages<Self>, update: &mut Update<'_, Self>) {
         self.update_all(stages, update);
@@ -125,18 +125,18 @@ pub trait Backend: Sized + Send + Sync + 'static {
         stages.field.refresh(update.parameters);
     }
 
-    /// Returns the sum of the weights of the step's rays over all deposits. The optimiser divides the gradient by it.
+    /// Returns the sum of the weights of the step's rays over all partial gradients. The optimiser divides the gradient by it.
     /// Waits for the device.
-    fn weight(&self, deposits: &[Deposit<Self>]) -> f64;
+    fn weight(&self, partials: &[PartialGradients<Self>]) -> f64;
 
-    /// Sets the sum of the weights over all deposits to `weight`.
-    fn set_weight(&self, deposits: &mut [Deposit<Self>], weight: f64);
+    /// Sets the sum of the weights over all partial gradients to `weight`.
+    fn set_weight(&self, partials: &mut [PartialGradients<Self>], weight: f64);
 
-    /// Number of deposits for a step of `samples` samples; 1 if a step is one span.
-    fn deposits(&self, samples: u32) -> usize;
+    /// Number of partial gradients for a step of `samples` samples; 1 if a step is one tile.
+    fn partials(&self, samples: u32) -> usize;
 
-    /// Adds up the step's sums over all deposits and starts their transfer to the host.
-    fn post(&self, deposits: &[Deposit<Self>]) -> Self::Receipt;
+    /// Adds up the step's sums over all partial gradients and starts their transfer to the host.
+    fn post(&self, partials: &[PartialGradients<Self>]) -> Self::Receipt;
 
     /// Submits the recorded work to the device. Does nothing on a backend that executes work immediately.
     fn submit(&self) {}
@@ -171,21 +171,22 @@ pub trait Backend: Sized + Send + Sync + 'static {
 }
 
 /// Evaluates the density of every sample in an occupied cell, then drops the samples that cannot be seen.
-pub fn see_all<B: Backend>(
+pub fn evaluate_visible_samples<B: Backend>(
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,
-    space: &mut Workspace<B>,
+    workspace: &mut Workspace<B>,
     jitter: Option<u64>,
 ) {
-    let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, .. } = space;
-    stages.renderer.march(lane, rays, &stages.occupancy, jitter, samples);
-    let tile = &mut Tile { stream: lane, parameters, rays, samples };
-    stages.encoder.forward(tile, encoding, features);
-    stages.field.density(tile, features, tape, radiance);
-    stages.renderer.prune(lane, radiance, samples, kept);
-    stages.encoder.keep(lane, kept, encoding, features);
-    stages.field.keep(lane, kept, tape, radiance);
+    let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, kept, .. } =
+        workspace;
+    stages.renderer.march(stream, rays, &stages.occupancy, jitter, samples);
+    let tile = &mut Tile { stream, parameters, rays, samples };
+    stages.encoder.forward(tile, encoder_context, features);
+    stages.field.density(tile, features, field_context, radiance);
+    stages.renderer.prune(stream, radiance, samples, kept);
+    stages.encoder.keep(stream, kept, encoder_context, features);
+    stages.field.keep(stream, kept, field_context, radiance);
 }
 
-/// Work on one span of a training step.
-pub type TrainWork<'a, B> = dyn Fn(&mut Workspace<B>, &mut Deposit<B>, Range<u32>) + Sync + 'a;
+/// Work on one tile of a training step.
+pub type TrainWork<'a, B> = dyn Fn(&mut Workspace<B>, &mut PartialGradients<B>, Range<u32>) + Sync + 'a;

@@ -6,12 +6,12 @@ pub use crate::elements::{Interval, Radiance, Ray, Segment, Sphere, Target};
 use crate::{
     Backend, Field, Pixel, Result,
     backend::Encoder,
-    balance::Draw,
-    ranks::{Share, fault},
+    ranks::{Rank, fault},
+    ray_allocation::RayAllocation,
 };
 use serde::{Deserialize, Serialize};
 
-/// Cones of a span. The cones of a pixel are consecutive.
+/// Cones of a tile. The cones of a pixel are consecutive.
 pub struct Rays<B: Backend> {
     /// One per cone.
     pub rays: B::Buffer<Ray>,
@@ -22,7 +22,7 @@ pub struct Rays<B: Backend> {
     /// One per pixel in training with `loss.exposure`: the number of its photograph, see [`exposure`](crate::exposure);
     /// empty otherwise.
     pub photographs: B::Buffer<u32>,
-    /// Index of the span's first ray within the step; random numbers are drawn by it.
+    /// Index of the tile's first ray within the step; random numbers are drawn by it.
     pub first: u32,
 }
 
@@ -49,11 +49,11 @@ impl<B: Backend> Rays<B> {
     }
 }
 
-/// Samples of a span. With their rays they hold the full geometry: ray, direction, distance, length, radius.
+/// Samples of a tile. With their rays they hold the full geometry: ray, direction, distance, length, radius.
 pub struct Samples<B: Backend> {
     /// One per ray.
     pub segments: B::Buffer<Segment>,
-    /// One per sample: the index of its ray within the span.
+    /// One per sample: the index of its ray within the tile.
     pub rays: B::Buffer<u32>,
     /// One per sample.
     pub intervals: B::Buffer<Interval>,
@@ -66,7 +66,7 @@ pub struct Samples<B: Backend> {
 /// What the stages of a tile of rays have in common: where they issue their work, and what all of them read.
 pub struct Tile<'a, B: Backend> {
     /// The stream on which the work is issued.
-    pub stream: &'a mut B::Lane,
+    pub stream: &'a mut B::Stream,
     /// All parameters, flat.
     pub parameters: &'a B::Buffer<f32>,
     /// The cones of the tile.
@@ -87,22 +87,22 @@ pub struct FieldBackward<'a, B: Backend> {
     pub feature_gradients: &'a mut B::Buffer<f32>,
 }
 
-/// All buffers of a span, from its rays to its gradients; the next span reuses them.
+/// All buffers of a tile, from its rays to its gradients; the next tile reuses them.
 pub struct Workspace<B: Backend> {
-    /// The lane on which the span's work is issued.
-    pub lane: B::Lane,
+    /// The stream on which the tile's work is issued.
+    pub stream: B::Stream,
     /// Rays.
     pub rays: Rays<B>,
     /// Samples along them.
     pub samples: Samples<B>,
     /// What the encoder keeps of each sample from forward to backward.
-    pub encoding: B::Buffer<f32>,
+    pub encoder_context: B::Buffer<f32>,
     /// Encoded samples, [samples, stride].
     pub features: B::Buffer<f32>,
     /// Gradient of the features, same shape.
     pub feature_gradients: B::Buffer<f32>,
     /// What the field keeps from forward to backward.
-    pub tape: <B::Field as Field<B>>::Tape,
+    pub field_context: <B::Field as Field<B>>::Context,
     /// One per sample.
     pub radiance: B::Buffer<Radiance>,
     /// Gradient of `radiance`.
@@ -121,7 +121,7 @@ impl<B: Backend> Workspace<B> {
     /// Creates an empty workspace.
     pub fn new(backend: &B, field: &B::Field) -> Self {
         Self {
-            lane: backend.lane(),
+            stream: backend.stream(),
             rays: Rays::new(backend),
             samples: Samples {
                 segments: backend.zeros(0),
@@ -130,10 +130,10 @@ impl<B: Backend> Workspace<B> {
                 spheres: backend.zeros(0),
                 counts: backend.zeros(1),
             },
-            encoding: backend.zeros(0),
+            encoder_context: backend.zeros(0),
             features: backend.zeros(0),
             feature_gradients: backend.zeros(0),
-            tape: field.tape(),
+            field_context: field.context(),
             radiance: backend.zeros(0),
             radiance_gradients: backend.zeros(0),
             kept: backend.zeros(0),
@@ -144,8 +144,8 @@ impl<B: Backend> Workspace<B> {
     }
 }
 
-/// Gradients and sums of some spans, kept until the end of the step and added up in a fixed order.
-pub struct Deposit<B: Backend> {
+/// Gradients and sums of some tiles, kept until the end of the step and added up in a fixed order.
+pub struct PartialGradients<B: Backend> {
     /// Gradients of the networks.
     pub field: <B::Field as Field<B>>::Gradient,
     /// Gradients of features, to be scattered to texels.
@@ -158,9 +158,9 @@ pub struct Deposit<B: Backend> {
 #[derive(Clone, Copy, Debug)]
 pub struct Batch<'a> {
     /// The pixels of the whole step, of all ranks.
-    pub draw: &'a Draw,
+    pub allocation: &'a RayAllocation,
     /// The share of this rank.
-    pub share: Share,
+    pub this_rank: Rank,
     /// Cones of a tile, about.
     pub per_tile: u32,
 }
@@ -180,8 +180,8 @@ pub struct Update<'a, B: Backend> {
     pub parameters: &'a mut B::Buffer<f32>,
     /// The gradient of all parameters, flat, not yet divided by the sum of the weights.
     pub gradient: &'a mut B::Buffer<f32>,
-    /// The step's deposits, for the sum of the weights.
-    pub deposits: &'a mut [Deposit<B>],
+    /// The step's partial gradients, for the sum of the weights.
+    pub partials: &'a mut [PartialGradients<B>],
     /// Learning rate of the networks.
     pub learning_rate: f64,
     /// Number of the step, counted from 1.
@@ -209,7 +209,7 @@ pub struct StepSums {
 }
 
 impl StepSums {
-    /// Adds the sums of another span.
+    /// Adds the sums of another tile.
     pub fn add(&mut self, other: &Self) {
         self.loss += other.loss;
         self.weight += other.weight;
@@ -260,7 +260,7 @@ impl StepResult {
         })
     }
 
-    /// Adds the result of another span.
+    /// Adds the result of another tile.
     pub fn add(&mut self, other: &Self) {
         self.sums.add(&other.sums);
         let count = self.exposures.len().max(other.exposures.len());

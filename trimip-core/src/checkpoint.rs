@@ -38,7 +38,7 @@ pub struct TrainState {
     pub pending: [Option<(f64, StepSums)>; MOST_PENDING],
     /// Pixels of the next step (dynamic batch).
     pub rays_per_step: u32,
-    /// Marched samples per pixel of the last step, which sizes the next step's spans.
+    /// Marched samples per pixel of the last step, which sizes the next step's tiles.
     pub marched_per_ray: f32,
     /// The step after which the optimiser's moments last started from zero.
     #[serde(default)]

@@ -42,13 +42,13 @@ pub struct Pruning<R> {
 
 /// Decision about a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Seen {
+pub enum Visibility {
     /// It is kept.
-    Yes,
+    Keep,
     /// It is dropped; samples behind it may be kept.
-    No,
+    Skip,
     /// It is dropped with all samples behind it.
-    Hidden,
+    Terminate,
 }
 
 impl<R: Real> Pruning<R> {
@@ -60,16 +60,16 @@ impl<R: Real> Pruning<R> {
     /// Decides about a sample of optical depth `depth`; `before` is the optical depth of the samples kept so far. A kept
     /// sample adds to it.
     #[inline]
-    pub fn see(&self, before: &mut R, depth: R) -> Seen {
+    pub fn decide(&self, before: &mut R, depth: R) -> Visibility {
         if *before > self.max_depth {
-            return Seen::Hidden;
+            return Visibility::Terminate;
         }
         // The comparison is false for NaN: such a sample is kept, and the step reports it.
         if self.min_weight > R::zero() && weight((-*before).exp(), depth).0 < self.min_weight {
-            return Seen::No;
+            return Visibility::Skip;
         }
         *before += depth;
-        Seen::Yes
+        Visibility::Keep
     }
 }
 
@@ -222,16 +222,30 @@ mod tests {
         let pruning = Pruning::new(0.01_f64, 0.05);
         let depths = [0.04, 1.0, 0.06, 3.0, 2.0, 0.1];
         let mut before = 0.0;
-        let seen = depths.map(|depth| pruning.see(&mut before, depth));
+        let seen = depths.map(|depth| pruning.decide(&mut before, depth));
         // Weights 0.039, 0.632, e^-1·0.058 = 0.021, e^-1·0.95 = 0.35; then the transmittance e^-4 = 0.018 bounds them.
-        assert_eq!(seen, [Seen::No, Seen::Yes, Seen::No, Seen::Yes, Seen::Hidden, Seen::Hidden]);
+        assert_eq!(
+            seen,
+            [
+                Visibility::Skip,
+                Visibility::Keep,
+                Visibility::Skip,
+                Visibility::Keep,
+                Visibility::Terminate,
+                Visibility::Terminate
+            ]
+        );
         let mut before = 2.9;
-        assert_eq!(pruning.see(&mut before, 9.0), Seen::Yes, "e^-2.9 = 0.055 is enough for an opaque sample");
+        assert_eq!(
+            pruning.decide(&mut before, 9.0),
+            Visibility::Keep,
+            "e^-2.9 = 0.055 is enough for an opaque sample"
+        );
         let all = Pruning::new(0.01_f64, 0.0);
         let mut before = 0.0;
-        let seen = [0.0, 4.0, 0.7, 1.0].map(|depth| all.see(&mut before, depth));
-        assert_eq!(seen, [Seen::Yes, Seen::Yes, Seen::Yes, Seen::Hidden]);
-        assert_eq!(Pruning::new(0.0_f32, 0.0).see(&mut 1e30, 1.0), Seen::Yes);
+        let seen = [0.0, 4.0, 0.7, 1.0].map(|depth| all.decide(&mut before, depth));
+        assert_eq!(seen, [Visibility::Keep, Visibility::Keep, Visibility::Keep, Visibility::Terminate]);
+        assert_eq!(Pruning::new(0.0_f32, 0.0).decide(&mut 1e30, 1.0), Visibility::Keep);
     }
 
     #[test]

@@ -62,7 +62,7 @@ pub struct Target {
     pub background: [f32; 3],
     /// Opacity of the photograph's pixel, in [0, 1].
     pub opacity: f32,
-    /// Edge exponent γ of the photograph, see [`edges`](crate::edges).
+    /// Edge exponent γ of the photograph, see [`edge_exponents`](crate::edge_exponents).
     pub exponent: f32,
 }
 

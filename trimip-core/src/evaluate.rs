@@ -5,7 +5,7 @@ use crate::{
     config::PhotographsConfig,
     exposure::exposed_by_the_other_half,
     metrics::{psnr, psnr_8bit, psnr_of_constant, ssim},
-    perception::{Pair, Perceived},
+    perception::{Pair, PerceptualScores},
     quality::{Measures, ViewQuality, capped},
 };
 
@@ -25,8 +25,8 @@ pub struct ViewResult<'a> {
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
-    /// What [`Watch::perceive`] measured.
-    pub perceived: &'a Perceived,
+    /// What [`Watch::measure_perception`] measured.
+    pub perceived: &'a PerceptualScores,
 }
 
 /// The background that makes transparency most visible: per channel, black if the colour is bright and white if it is dark.
@@ -45,9 +45,9 @@ pub trait Watch {
     ///
     /// # Errors
     /// When one cannot be computed.
-    fn perceive(&mut self, index: usize, pair: &Pair<'_>) -> Result<Perceived> {
+    fn measure_perception(&mut self, index: usize, pair: &Pair<'_>) -> Result<PerceptualScores> {
         let _ = (index, pair);
-        Ok(Perceived::NOTHING)
+        Ok(PerceptualScores::NOTHING)
     }
     /// A view was rendered and measured.
     fn view(&mut self, view: &ViewResult<'_>) -> Result<bool>;
@@ -153,7 +153,7 @@ pub fn evaluate_frame(
             let (width, height) = (rendered.width as usize, rendered.height as usize);
             let ssim = ssim(&rgb, &target, width, height);
             let pair = Pair { rendered: &rgb, target: &target, width, height, excluded: &excluded };
-            let perceived = watch.perceive(index, &pair)?;
+            let perceived = watch.measure_perception(index, &pair)?;
             let rgb = seen(rgb);
             let left = (0..target.len() as u32).map(|i| 2 * (i % rendered.width) < rendered.width).collect();
             let left = without(&excluded, left);

@@ -4,7 +4,7 @@
 use crate::activation::{Color, Density};
 use crate::camera::apex_distance;
 use crate::cones::{self, Division};
-use crate::encoders::{self, Place, Twin};
+use crate::encoders::{self, Reference, SamplePosition};
 use crate::model::{Model, OCCUPANCY};
 use crate::networks::{Network, append_frequencies, color_network, density_network, geometry_width, view};
 use crate::occupancy::cell_of;
@@ -19,11 +19,11 @@ pub struct Exact {
     config: Config,
     space: Space<f64>,
     centre: DVec3,
-    encoder: Box<dyn Twin>,
+    encoder: Box<dyn Reference>,
     density: Weighted,
     color: Weighted,
     activation: Density,
-    hue: Color,
+    color_activation: Color,
     occupancy: Vec<u8>,
     resolution: u32,
     division: Division,
@@ -69,7 +69,7 @@ impl Exact {
             layout.from_tensors(&model.file, "model", "")?.into_iter().map(f64::from).collect();
         let space = Space::<f64>::new(&config.scene);
         let own = layout.encoder().iter().map(|slot| values[slot.range.clone()].to_vec()).collect();
-        let encoder = encoders::of(&config).twin(&config, own);
+        let encoder = encoders::of(&config).reference(&config, own);
         let resolution = config.occupancy.resolution;
         let cells = (resolution as usize).pow(3);
         let occupancy = model.file.u8("model", OCCUPANCY, &[cells.div_ceil(8)])?.to_vec();
@@ -78,7 +78,7 @@ impl Exact {
             density: Weighted::new(density_network(&config), &layout, &values),
             color: Weighted::new(color_network(&config), &layout, &values),
             activation: Density::new(&config.field),
-            hue: Color::new(&config),
+            color_activation: Color::new(&config),
             config: config.clone(),
             occupancy,
             resolution,
@@ -102,23 +102,23 @@ impl Exact {
 
     /// Colour of one cone, its apex relative to the centre of the box.
     fn cone(&self, cone: &Cone<f64>, steps: u32) -> [f64; 3] {
-        let course = self.space.course(cone.origin, cone.direction);
-        let (enter, leave) = course.range();
+        let parameterisation = self.space.parameterisation(cone.origin, cone.direction);
+        let (enter, leave) = parameterisation.range();
         let step = self.diagonal / f64::from(steps);
         let view = view(&self.config, cone.direction);
         let (mut rgb, mut depth) = ([0.0; 3], 0.0_f64);
         let count = ((leave - enter) / step + 0.5).floor().max(0.0) as u64;
         for i in 0..count {
             let s = enter + (i as f64 + 0.5) * step;
-            let t = course.distance(s);
+            let t = parameterisation.distance(s);
             let point = std::array::from_fn(|axis| cone.origin[axis] + t * cone.direction[axis]);
             let position = self.space.to_cube(point);
             if s >= leave || !self.occupied(position) {
                 continue;
             }
             let radius = cone.radius_at(t) * self.space.scale(point);
-            let length = course.length(t, step) * self.space.density_scale(point);
-            let at = Place {
+            let length = parameterisation.length(t, step) * self.space.density_scale(point);
+            let at = SamplePosition {
                 position,
                 radius,
                 direction: cone.direction,
@@ -154,19 +154,19 @@ impl Exact {
     }
 
     fn color(&self, view: &[f64], geometry: &[f64]) -> [f64; 3] {
-        if self.hue == Color::Clamped {
-            return [1, 2, 3].map(|c| self.hue.value(geometry[c]));
+        if self.color_activation == Color::Clamped {
+            return [1, 2, 3].map(|c| self.color_activation.value(geometry[c]));
         }
         let field = &self.config.field;
         let mut shape = geometry[1..].to_vec();
         shape.resize(geometry_width(&self.config), 0.0);
         append_frequencies(&mut shape, field.geometry as usize, field.geometry_frequencies);
         let logits = self.color.run(&[view, &shape].concat());
-        [0, 1, 2].map(|c| self.hue.value(logits[c]))
+        [0, 1, 2].map(|c| self.color_activation.value(logits[c]))
     }
 
     /// Features of a sample.
-    pub fn features(&self, at: &Place) -> Vec<f64> {
+    pub fn features(&self, at: &SamplePosition) -> Vec<f64> {
         self.encoder.features(at)
     }
 }

@@ -2,29 +2,34 @@
 //! pixels. An [`Exchange`] brings together what they computed, and every rank takes the same step with the same bits. It sends
 //! its messages by [`Ranks`].
 
-pub use crate::ranks::{Ranks, Share, fault};
+pub use crate::ranks::{Rank, Ranks, fault};
 
 use crate::{
     Backend, Result,
     backend::Stages,
-    batch::{Deposit, StepResult, Update},
+    batch::{PartialGradients, StepResult, Update},
 };
 use std::sync::Arc;
 
-/// Brings together what the ranks computed in a step. The trainer calls [`deposits`](Self::deposits), then
+/// Brings together what the ranks computed in a step. The trainer calls [`partials`](Self::partial gradients), then
 /// [`update`](Self::update); [`sums`](Self::sums) between the two on a backend without lag, else after them for an earlier step.
 pub trait Exchange<B: Backend>: Send {
     /// The share of a step's pixels that this rank computes.
-    fn share(&self) -> Share {
-        Share::WHOLE
+    fn rank(&self) -> Rank {
+        Rank::ONLY
     }
 
-    /// Called when the share's deposits are complete, before they are posted or flushed.
+    /// Called when the share's partial gradients are complete, before they are posted or flushed.
     ///
     /// # Errors
     /// When another rank is gone.
-    fn deposits(&mut self, backend: &B, stages: &mut Stages<B>, deposits: &mut [Deposit<B>]) -> Result<()> {
-        let _ = (backend, stages, deposits);
+    fn partials(
+        &mut self,
+        backend: &B,
+        stages: &mut Stages<B>,
+        partials: &mut [PartialGradients<B>],
+    ) -> Result<()> {
+        let _ = (backend, stages, partials);
         Ok(())
     }
 
@@ -72,25 +77,25 @@ pub struct Summed {
 impl Summed {
     /// An exchange over `ranks`.
     pub fn new(ranks: Arc<dyn Ranks>) -> Self {
-        let received = vec![Vec::new(); ranks.share().of];
+        let received = vec![Vec::new(); ranks.rank().size];
         Self { ranks, received }
     }
 
     /// Sends `own` to every rank; calls `add` with what each rank sent, in order.
     fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         let Self { ranks, received } = self;
-        let share = ranks.share();
-        ranks.trade(&vec![own; share.of], received)?;
+        let this_rank = ranks.rank();
+        ranks.all_to_all(&vec![own; this_rank.size], received)?;
         for (rank, bytes) in received.iter().enumerate() {
-            add(if rank == share.rank { own } else { bytes })?;
+            add(if rank == this_rank.id { own } else { bytes })?;
         }
         Ok(())
     }
 }
 
 impl<B: Backend> Exchange<B> for Summed {
-    fn share(&self) -> Share {
-        self.ranks.share()
+    fn rank(&self) -> Rank {
+        self.ranks.rank()
     }
 
     fn sums(&mut self, sums: StepResult) -> Result<StepResult> {
@@ -110,7 +115,7 @@ impl<B: Backend> Exchange<B> for Summed {
 
     fn update(&mut self, backend: &B, stages: &mut Stages<B>, update: &mut Update<'_, B>) -> Result<()> {
         let mut own = backend.read(update.gradient);
-        let mut message = bytemuck::bytes_of(&backend.weight(update.deposits)).to_vec();
+        let mut message = bytemuck::bytes_of(&backend.weight(update.partials)).to_vec();
         message.extend_from_slice(bytemuck::cast_slice(&own));
         let mut weight = 0.0;
         own.fill(0.0);
@@ -127,9 +132,9 @@ impl<B: Backend> Exchange<B> for Summed {
             own.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
             Ok(())
         })?;
-        self.ranks.tally(size_of_val(&own[..]) as u64);
+        self.ranks.record_traffic(size_of_val(&own[..]) as u64);
         backend.write(update.gradient, &own);
-        backend.set_weight(update.deposits, weight);
+        backend.set_weight(update.partials, weight);
         backend.update_all(stages, update);
         Ok(())
     }

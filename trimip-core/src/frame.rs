@@ -1,6 +1,6 @@
 //! A rendered image: colour, opacity and depth per pixel.
 
-use crate::edges;
+use crate::edge_exponents;
 
 /// A rendered view, row by row from the upper left pixel.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,11 +54,11 @@ impl Frame {
         self.pixels.iter().map(|pixel| pixel.rgb).collect()
     }
 
-    /// The same picture as the photographs of a set with an edge exponent show it, see [`edges`]. It was
+    /// The same picture as the photographs of a set with an edge exponent show it, see [`edge_exponents`]. It was
     /// rendered on `background`.
     pub fn shown(mut self, background: [f32; 3], exponent: f32) -> Self {
         for pixel in &mut self.pixels {
-            pixel.rgb = edges::shown(pixel.rgb, pixel.opacity, background, exponent);
+            pixel.rgb = edge_exponents::shown(pixel.rgb, pixel.opacity, background, exponent);
         }
         self
     }

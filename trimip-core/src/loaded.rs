@@ -16,8 +16,8 @@ use glam::DVec3;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Rays per span when a view is rendered.
-const RAYS_PER_SPAN: u32 = 256;
+/// Rays per tile when a view is rendered.
+const RAYS_PER_TILE: u32 = 256;
 
 /// A model on a device: its parameters and the stages that render them. [`Trainer`](crate::trainer::Trainer) adds
 /// what training needs.
@@ -51,7 +51,7 @@ impl<B: Backend> LoadedModel<B> {
         }
         let mut loaded = Self::build(backend, &model.config, None)?;
         loaded.restore_model("model", &model.file, None)?;
-        loaded.stages.renderer.follow(1.0);
+        loaded.stages.renderer.set_progress(1.0);
         Ok(loaded)
     }
 
@@ -119,11 +119,13 @@ impl<B: Backend> LoadedModel<B> {
             let Self { backend, stages, parameters, frame, .. } = self;
             let (backend, stages, parameters) = (&**backend, &*stages, &*parameters);
             let camera = &Camera { origin: camera.origin - self.centre, ..*camera };
-            let tiling = Tiling { count: range.len() as u32, per_tile: RAYS_PER_SPAN };
-            let work = |space: &mut Workspace<B>, span: Range<u32>| {
-                camera_span(stages, parameters, space, camera, range.start, span);
+            let tiling = Tiling { count: range.len() as u32, per_tile: RAYS_PER_TILE };
+            let work = |workspace: &mut Workspace<B>, tile: Range<u32>| {
+                camera_tile(stages, parameters, workspace, camera, range.start, tile);
             };
-            backend.map_spans_async(&stages.field, tiling, frame, &work, &|space| &space.pixels).await;
+            backend
+                .map_tiles_async(&stages.field, tiling, frame, &work, &|workspace| &workspace.pixels)
+                .await;
             pixels.extend(backend.read_async(frame).await);
             backend.health()?;
         }
@@ -145,14 +147,14 @@ impl<B: Backend> LoadedModel<B> {
             }
             let frame = &mut self.frame;
             backend.install(|| {
-                backend.map_spans(
+                backend.map_tiles(
                     &stages.field,
-                    Tiling { count: range.len() as u32, per_tile: RAYS_PER_SPAN },
+                    Tiling { count: range.len() as u32, per_tile: RAYS_PER_TILE },
                     frame,
-                    &|space, span| {
-                        camera_span(stages, parameters, space, camera, range.start, span);
+                    &|workspace, tile| {
+                        camera_tile(stages, parameters, workspace, camera, range.start, tile);
                     },
-                    &|space| &space.pixels,
+                    &|workspace| &workspace.pixels,
                 );
             });
             pixels.extend(self.backend.read(&self.frame));
@@ -175,22 +177,22 @@ impl<B: Backend> LoadedModel<B> {
             if !watch(row, bands.height) {
                 return Ok(None);
             }
-            let work = |space: &mut Workspace<B>, span: Range<u32>| {
-                camera_span(stages, parameters, space, camera, range.start, span.clone());
-                let segments = backend.read(&space.samples.segments);
-                let groups = backend.read(&space.rays.groups);
+            let work = |workspace: &mut Workspace<B>, tile: Range<u32>| {
+                camera_tile(stages, parameters, workspace, camera, range.start, tile.clone());
+                let segments = backend.read(&workspace.samples.segments);
+                let groups = backend.read(&workspace.rays.groups);
                 let of = |group: &Segment| {
                     let cones = &segments[group.start as usize..][..group.count as usize];
                     cones.iter().map(|cone| cone.count).sum()
                 };
                 let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
-                let into = &mut all[(range.start + span.start) as usize..(range.start + span.end) as usize];
+                let into = &mut all[(range.start + tile.start) as usize..(range.start + tile.end) as usize];
                 into.iter_mut().zip(&groups).for_each(|(count, group)| *count = of(group));
             };
-            let tiling = Tiling { count: range.len() as u32, per_tile: RAYS_PER_SPAN };
+            let tiling = Tiling { count: range.len() as u32, per_tile: RAYS_PER_TILE };
             let frame = &mut self.frame;
             backend.install(|| {
-                backend.map_spans(&stages.field, tiling, frame, &work, &|space| &space.pixels);
+                backend.map_tiles(&stages.field, tiling, frame, &work, &|workspace| &workspace.pixels);
             });
             backend.health()?;
         }
@@ -232,7 +234,7 @@ impl<B: Backend> LoadedModel<B> {
         let bits = file.u8(name, OCCUPANCY, &[self.cells().div_ceil(8)])?;
         self.assets = assets(file);
         self.unclipped = None;
-        self.stages.renderer.equip(&self.assets)?;
+        self.stages.renderer.set_assets(&self.assets)?;
         self.stages.occupancy.restore(bits, densities);
         self.set_parameters(&values);
         Ok(())
@@ -296,31 +298,31 @@ impl Iterator for Bands {
     }
 }
 
-/// Renders the pixels `span` of the band that begins at pixel `first`.
-fn camera_span<B: Backend>(
+/// Renders the pixels `tile` of the band that begins at pixel `first`.
+fn camera_tile<B: Backend>(
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,
-    space: &mut Workspace<B>,
+    workspace: &mut Workspace<B>,
     camera: &Camera,
     first: u32,
-    span: Range<u32>,
+    tile: Range<u32>,
 ) {
-    let range = first + span.start..first + span.end;
-    stages.sampler.camera_rays(&mut space.lane, camera, range, &mut space.rays);
-    forward(stages, parameters, space, None);
+    let range = first + tile.start..first + tile.end;
+    stages.sampler.camera_rays(&mut workspace.stream, camera, range, &mut workspace.rays);
+    forward(stages, parameters, workspace, None);
 }
 
 /// Maps rays to pixels. Training and rendering share this part.
 pub(crate) fn forward<B: Backend>(
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,
-    space: &mut Workspace<B>,
+    workspace: &mut Workspace<B>,
     jitter: Option<u64>,
 ) {
-    stages.renderer.see(stages, parameters, space, jitter);
-    let Workspace { lane, rays, samples, tape, radiance, cones, pixels, .. } = space;
-    let tile = &mut Tile { stream: lane, parameters, rays, samples };
-    stages.field.color(tile, stages.renderer.color_weight(), tape, radiance);
+    stages.renderer.visibility_pass(stages, parameters, workspace, jitter);
+    let Workspace { stream, rays, samples, field_context, radiance, cones, pixels, .. } = workspace;
+    let tile = &mut Tile { stream, parameters, rays, samples };
+    stages.field.color(tile, stages.renderer.color_weight(), field_context, radiance);
     stages.renderer.composite(tile, radiance, cones, pixels);
 }
 

@@ -4,7 +4,7 @@
 use crate::{
     bits,
     config::OccupancyConfig,
-    rng::{Draws, Random, Stream, unit},
+    rng::{Draws, Random, Sequence, unit},
 };
 
 /// Cell of a position in the unit box. A position outside is assigned to the nearest cell.
@@ -23,7 +23,7 @@ pub fn coordinates(cell: u32, resolution: u32) -> [u32; 3] {
 /// A random point of a cell, in the unit box.
 #[inline]
 pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32; 3] {
-    let offset = random.uniform(Stream::Point, step, cell);
+    let offset = random.uniform(Sequence::Point, step, cell);
     let corner = coordinates(cell, resolution);
     std::array::from_fn(|axis| (corner[axis] as f32 + offset[axis]) / resolution as f32)
 }
@@ -110,7 +110,7 @@ mod tests {
         let random = Random::new(5);
         for resolution in [4_u32, 6, 10] {
             let cells = resolution.pow(3);
-            let occupied = |cell: u32| random.bits(Stream::Cell, 0, cell)[0].is_multiple_of(9);
+            let occupied = |cell: u32| random.bits(Sequence::Cell, 0, cell)[0].is_multiple_of(9);
             let bits = bits::of(cells as usize, |cell| occupied(cell as u32));
             let coarse = coarsened(&bits, resolution);
             let half = resolution / 2;

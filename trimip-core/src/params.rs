@@ -1,12 +1,12 @@
 //! The parameters: one flat array of named slots. Encoders and networks declare their slots. Optimiser, checkpoints,
 //! model files and memory prediction use only these declarations.
 
-pub use crate::slot::{ALIGNMENT, Part, Slot};
+pub use crate::slot::{ALIGNMENT, ActiveRange, Slot};
 
 use crate::{
     Config, Result, encoders,
     networks::{color_network, density_network},
-    rng::{Random, Stream, unit},
+    rng::{Random, Sequence, unit},
     tensors::{Tensor, TensorFile},
 };
 /// All slots in order: encoder, density network, colour network.
@@ -102,7 +102,7 @@ impl Layout {
         let mut values = vec![0.0; self.len()];
         for slot in &self.slots {
             for (value, i) in values[slot.range.clone()].iter_mut().zip(slot.range.clone()) {
-                let bits = random.bits(Stream::Initial, 0, (i / 4) as u32);
+                let bits = random.bits(Sequence::Initial, 0, (i / 4) as u32);
                 *value =
                     slot.bound * if slot.normal { normal(bits, i) } else { 2.0 * unit(bits[i % 4]) - 1.0 };
             }

@@ -21,7 +21,7 @@ pub struct Pair<'a> {
 
 /// What is measured of a pair; NaN is a measure that was not taken.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Perceived {
+pub struct PerceptualScores {
     /// Structural similarity at five scales ([`ms_ssim`](crate::metrics::ms_ssim)).
     pub ms_ssim: f64,
     /// Mean LDR-FLIP error over the pixels that are compared, 0 (equal) to 1.
@@ -32,7 +32,7 @@ pub struct Perceived {
     pub flip_map: Option<Vec<f32>>,
 }
 
-impl Perceived {
+impl PerceptualScores {
     /// Nothing was measured.
     pub const NOTHING: Self = Self { ms_ssim: f64::NAN, flip: f64::NAN, lpips: f64::NAN, flip_map: None };
 }
@@ -43,12 +43,12 @@ pub trait Perception {
     ///
     /// # Errors
     /// When a measure cannot be computed.
-    fn perceive(&mut self, pair: &Pair<'_>) -> Result<Perceived>;
+    fn measure_perception(&mut self, pair: &Pair<'_>) -> Result<PerceptualScores>;
 }
 
 /// Measures nothing.
 impl Perception for () {
-    fn perceive(&mut self, _: &Pair<'_>) -> Result<Perceived> {
-        Ok(Perceived::NOTHING)
+    fn measure_perception(&mut self, _: &Pair<'_>) -> Result<PerceptualScores> {
+        Ok(PerceptualScores::NOTHING)
     }
 }

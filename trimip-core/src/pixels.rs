@@ -11,10 +11,10 @@ impl<T: AsRef<[[u8; 4]]> + Send + Sync> Holder for T {}
 
 /// RGBA pixels, read as a slice. Writing to pixels that lie elsewhere copies them into memory first.
 #[derive(Clone)]
-pub struct Pixels(Place);
+pub struct Pixels(Storage);
 
 #[derive(Clone)]
-enum Place {
+enum Storage {
     Memory(Vec<[u8; 4]>),
     Elsewhere(Arc<dyn Holder>),
 }
@@ -22,14 +22,14 @@ enum Place {
 impl Pixels {
     /// Pixels that `holder` holds, whose bytes are not this process's memory.
     pub fn elsewhere(holder: impl Holder + 'static) -> Self {
-        Self(Place::Elsewhere(Arc::new(holder)))
+        Self(Storage::Elsewhere(Arc::new(holder)))
     }
 
     /// Bytes of this process's memory.
     pub fn bytes_in_memory(&self) -> usize {
         match &self.0 {
-            Place::Memory(pixels) => size_of_val(pixels.as_slice()),
-            Place::Elsewhere(_) => 0,
+            Storage::Memory(pixels) => size_of_val(pixels.as_slice()),
+            Storage::Elsewhere(_) => 0,
         }
     }
 
@@ -39,12 +39,12 @@ impl Pixels {
     }
 
     fn in_memory(&mut self) -> &mut Vec<[u8; 4]> {
-        if let Place::Elsewhere(holder) = &self.0 {
-            self.0 = Place::Memory(holder.as_ref().as_ref().to_vec());
+        if let Storage::Elsewhere(holder) = &self.0 {
+            self.0 = Storage::Memory(holder.as_ref().as_ref().to_vec());
         }
         match &mut self.0 {
-            Place::Memory(pixels) => pixels,
-            Place::Elsewhere(_) => unreachable!("they were copied"),
+            Storage::Memory(pixels) => pixels,
+            Storage::Elsewhere(_) => unreachable!("they were copied"),
         }
     }
 }
@@ -57,7 +57,7 @@ impl Default for Pixels {
 
 impl From<Vec<[u8; 4]>> for Pixels {
     fn from(pixels: Vec<[u8; 4]>) -> Self {
-        Self(Place::Memory(pixels))
+        Self(Storage::Memory(pixels))
     }
 }
 
@@ -79,8 +79,8 @@ impl Deref for Pixels {
     #[inline]
     fn deref(&self) -> &[[u8; 4]] {
         match &self.0 {
-            Place::Memory(pixels) => pixels,
-            Place::Elsewhere(holder) => holder.as_ref().as_ref(),
+            Storage::Memory(pixels) => pixels,
+            Storage::Elsewhere(holder) => holder.as_ref().as_ref(),
         }
     }
 }

@@ -30,7 +30,7 @@ fn unknown() -> f64 {
 /// that were not rounded. NaN is a value that was not measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
-    /// dB, as the photographs of the set show silhouettes ([`edges`](crate::edges)).
+    /// dB, as the photographs of the set show silhouettes ([`edge_exponents`](crate::edge_exponents)).
     #[serde(deserialize_with = "float_or_null")]
     pub psnr: f64,
     /// dB, of colours rounded to 8 bits.

@@ -9,8 +9,8 @@ use crate::{
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
-/// Places per span.
-const PLACES_PER_SPAN: u32 = 512;
+/// Places per tile.
+const PLACES_PER_TILE: u32 = 512;
 
 /// Places whose results are on the device at once.
 const PLACES_AT_ONCE: usize = 1 << 18;
@@ -49,22 +49,31 @@ impl<B: Backend> LoadedModel<B> {
         for queries in queries.chunks(PLACES_AT_ONCE) {
             let (rays, intervals, spheres) = parts(queries, &space, centre.to_array());
             backend.install(|| {
-                backend.map_spans(
+                backend.map_tiles(
                     &stages.field,
-                    Tiling { count: queries.len() as u32, per_tile: PLACES_PER_SPAN },
+                    Tiling { count: queries.len() as u32, per_tile: PLACES_PER_TILE },
                     &mut out,
-                    &|work, span| {
-                        let own = span.start as usize..span.end as usize;
+                    &|work, tile| {
+                        let own = tile.start as usize..tile.end as usize;
                         // A device writes buffers before the work that is recorded but not submitted.
                         backend.submit();
                         work.rays.place(backend, &rays[own.clone()]);
                         work.samples.place(backend, &intervals[own.clone()], &spheres[own]);
-                        let Workspace { lane, rays, samples, encoding, features, tape, radiance, .. } = work;
-                        let tile = &mut Tile { stream: lane, parameters, rays, samples };
-                        stages.encoder.forward(tile, encoding, features);
-                        stages.field.density(tile, features, tape, radiance);
+                        let Workspace {
+                            stream,
+                            rays,
+                            samples,
+                            encoder_context,
+                            features,
+                            field_context,
+                            radiance,
+                            ..
+                        } = work;
+                        let tile = &mut Tile { stream, parameters, rays, samples };
+                        stages.encoder.forward(tile, encoder_context, features);
+                        stages.field.density(tile, features, field_context, radiance);
                         if colors {
-                            stages.field.color(tile, 0.0, tape, radiance);
+                            stages.field.color(tile, 0.0, field_context, radiance);
                         }
                     },
                     &|work| &work.radiance,
@@ -92,16 +101,25 @@ impl<B: Backend> LoadedModel<B> {
         let all = Mutex::new(vec![0.0; queries.len() * width]);
         for (i, queries) in queries.chunks(PLACES_AT_ONCE).enumerate() {
             let (rays, intervals, spheres) = parts(queries, &space, centre.to_array());
-            let work = |work: &mut Workspace<B>, span: Range<u32>| {
-                let own = span.start as usize..span.end as usize;
+            let work = |work: &mut Workspace<B>, tile: Range<u32>| {
+                let own = tile.start as usize..tile.end as usize;
                 backend.submit();
                 work.rays.place(backend, &rays[own.clone()]);
                 work.samples.place(backend, &intervals[own.clone()], &spheres[own.clone()]);
-                let Workspace { lane, rays, samples, tape, radiance, encoding, features, .. } = work;
-                let tile = &mut Tile { stream: lane, parameters, rays, samples };
-                stages.encoder.forward(tile, encoding, features);
+                let Workspace {
+                    stream,
+                    rays,
+                    samples,
+                    field_context,
+                    radiance,
+                    encoder_context,
+                    features,
+                    ..
+                } = work;
+                let tile = &mut Tile { stream, parameters, rays, samples };
+                stages.encoder.forward(tile, encoder_context, features);
                 // The map's own result; it is not used.
-                stages.field.density(tile, features, tape, radiance);
+                stages.field.density(tile, features, field_context, radiance);
                 let rows = backend.read(features);
                 let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
                 let first = (i * PLACES_AT_ONCE + own.start) * width;
@@ -110,9 +128,9 @@ impl<B: Backend> LoadedModel<B> {
                     to.copy_from_slice(&from[..width]);
                 });
             };
-            let tiling = Tiling { count: queries.len() as u32, per_tile: PLACES_PER_SPAN };
+            let tiling = Tiling { count: queries.len() as u32, per_tile: PLACES_PER_TILE };
             backend.install(|| {
-                backend.map_spans(&stages.field, tiling, &mut out, &work, &|work| &work.radiance);
+                backend.map_tiles(&stages.field, tiling, &mut out, &work, &|work| &work.radiance);
             });
             backend.health()?;
         }

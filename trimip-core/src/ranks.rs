@@ -4,26 +4,26 @@ use crate::{Error, Result};
 
 /// A rank's share of the work of all ranks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Share {
+pub struct Rank {
     /// Number of this rank, from 0.
-    pub rank: usize,
+    pub id: usize,
     /// Number of ranks.
-    pub of: usize,
+    pub size: usize,
 }
 
-impl Share {
+impl Rank {
     /// All of the work.
-    pub const WHOLE: Self = Self { rank: 0, of: 1 };
+    pub const ONLY: Self = Self { id: 0, size: 1 };
 
     /// True if item `index` of work that is dealt out in turn belongs to this rank.
     pub fn has(self, index: usize) -> bool {
-        index % self.of == self.rank
+        index % self.size == self.id
     }
 
     /// The part of `count` items that belongs to this rank, if every rank takes a contiguous part.
     pub fn part(self, count: u32) -> std::ops::Range<u32> {
-        let bound = |rank: usize| (u64::from(count) * rank as u64 / self.of as u64) as u32;
-        bound(self.rank)..bound(self.rank + 1)
+        let bound = |rank: usize| (u64::from(count) * rank as u64 / self.size as u64) as u32;
+        bound(self.id)..bound(self.id + 1)
     }
 }
 
@@ -39,11 +39,11 @@ pub fn fault(what: impl std::fmt::Display) -> Error {
 /// this rank has what it needs from the others.
 pub trait Ranks: Send + Sync {
     /// This rank among all of them.
-    fn share(&self) -> Share;
+    fn rank(&self) -> Rank;
 
     /// This rank among those on the same machine.
-    fn on_machine(&self) -> Share {
-        self.share()
+    fn on_machine(&self) -> Rank {
+        self.rank()
     }
 
     /// Sends `out[r]` to every other rank r, and puts what rank r sent here into `into[r]`. Both have one entry per rank;
@@ -51,7 +51,7 @@ pub trait Ranks: Send + Sync {
     ///
     /// # Errors
     /// When another rank is gone.
-    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()>;
+    fn all_to_all(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()>;
 
     /// Replaces `bytes` on every rank by those of rank 0.
     ///
@@ -78,7 +78,7 @@ pub trait Ranks: Send + Sync {
     fn try_receive(&self) -> Result<Option<(usize, Vec<u8>)>>;
 
     /// Told after a step: the bytes of the part of the gradient that the step touched.
-    fn tally(&self, touched: u64) {
+    fn record_traffic(&self, touched: u64) {
         let _ = touched;
     }
 }

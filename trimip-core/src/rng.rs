@@ -1,10 +1,10 @@
-//! Counter-based random numbers: a hash of (seed, stream, step, index) and nothing else. There is no state to save, any
-//! thread or GPU lane draws the number it needs, and 32-bit integer arithmetic gives the same bits everywhere.
+//! Counter-based random numbers: a hash of (seed, sequence, step, index) and nothing else. There is no state to save, any
+//! thread or GPU sequence draws the number it needs, and 32-bit integer arithmetic gives the same bits everywhere.
 
 /// Purpose of a random number; streams are independent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
-pub enum Stream {
+pub enum Sequence {
     /// Initial parameters.
     Initial = 1,
     /// Pixels of a training batch.
@@ -19,7 +19,7 @@ pub enum Stream {
     Background = 6,
 }
 
-/// A seed, to be hashed with stream, step and index.
+/// A seed, to be hashed with sequence, step and index.
 #[derive(Clone, Copy, Debug)]
 pub struct Random {
     seed: [u32; 2],
@@ -31,28 +31,28 @@ impl Random {
         Self { seed: [seed as u32, (seed >> 32) as u32] }
     }
 
-    /// The numbers of a stream at a step: the part of the hash that is common to all indices.
+    /// The numbers of a sequence at a step: the part of the hash that is common to all indices.
     #[inline]
-    pub fn at(&self, stream: Stream, step: u64) -> Draws {
-        let key = self.seed[1].wrapping_mul(0x9e37_79b9) ^ (stream as u32).wrapping_mul(0x85eb_ca6b);
+    pub fn at(&self, sequence: Sequence, step: u64) -> Draws {
+        let key = self.seed[1].wrapping_mul(0x9e37_79b9) ^ (sequence as u32).wrapping_mul(0x85eb_ca6b);
         // The second round of the hash separates seeds that differ in few bits.
-        Draws(pcg4d([self.seed[0] ^ key, step as u32, (step >> 32) as u32, stream as u32]))
+        Draws(pcg4d([self.seed[0] ^ key, step as u32, (step >> 32) as u32, sequence as u32]))
     }
 
-    /// Four independent 32-bit numbers for (`stream`, `step`, `index`).
+    /// Four independent 32-bit numbers for (`sequence`, `step`, `index`).
     #[inline]
-    pub fn bits(&self, stream: Stream, step: u64, index: u32) -> [u32; 4] {
-        self.at(stream, step).bits(index)
+    pub fn bits(&self, sequence: Sequence, step: u64, index: u32) -> [u32; 4] {
+        self.at(sequence, step).bits(index)
     }
 
     /// Four independent numbers in [0, 1), multiples of 2^−24.
     #[inline]
-    pub fn uniform(&self, stream: Stream, step: u64, index: u32) -> [f32; 4] {
-        self.bits(stream, step, index).map(unit)
+    pub fn uniform(&self, sequence: Sequence, step: u64, index: u32) -> [f32; 4] {
+        self.bits(sequence, step, index).map(unit)
     }
 }
 
-/// The numbers of one stream at one step.
+/// The numbers of one sequence at one step.
 #[derive(Clone, Copy, Debug)]
 pub struct Draws([u32; 4]);
 
@@ -103,7 +103,7 @@ mod tests {
     fn numbers_are_uniform_and_their_four_parts_uncorrelated() {
         let random = Random::new(7);
         let count = 100_000;
-        let draws: Vec<[f32; 4]> = (0..count).map(|i| random.uniform(Stream::Pixel, 3, i)).collect();
+        let draws: Vec<[f32; 4]> = (0..count).map(|i| random.uniform(Sequence::Pixel, 3, i)).collect();
         let mean = |f: &dyn Fn(&[f32; 4]) -> f64| draws.iter().map(f).sum::<f64>() / f64::from(count);
         // Standard error of a mean of uniforms: 0.29/√n = 0.0009; of a product of centred ones: 0.083/√n.
         for a in 0..4 {
@@ -120,14 +120,14 @@ mod tests {
 
     #[test]
     fn seed_stream_step_and_index_all_matter() {
-        let reference = Random::new(1).bits(Stream::Pixel, 1, 1);
+        let reference = Random::new(1).bits(Sequence::Pixel, 1, 1);
         for other in [
-            Random::new(2).bits(Stream::Pixel, 1, 1),
-            Random::new(1 | 1 << 32).bits(Stream::Pixel, 1, 1),
-            Random::new(1).bits(Stream::Jitter, 1, 1),
-            Random::new(1).bits(Stream::Pixel, 2, 1),
-            Random::new(1).bits(Stream::Pixel, 1 | 1 << 32, 1),
-            Random::new(1).bits(Stream::Pixel, 1, 2),
+            Random::new(2).bits(Sequence::Pixel, 1, 1),
+            Random::new(1 | 1 << 32).bits(Sequence::Pixel, 1, 1),
+            Random::new(1).bits(Sequence::Jitter, 1, 1),
+            Random::new(1).bits(Sequence::Pixel, 2, 1),
+            Random::new(1).bits(Sequence::Pixel, 1 | 1 << 32, 1),
+            Random::new(1).bits(Sequence::Pixel, 1, 2),
         ] {
             assert!((0..4).all(|i| other[i] != reference[i]));
         }
@@ -137,7 +137,7 @@ mod tests {
     fn below_stays_below_and_reaches_every_value() {
         let mut seen = [false; 10];
         for i in 0..1000 {
-            seen[below(Random::new(0).bits(Stream::Cell, 0, i)[0], 10) as usize] = true;
+            seen[below(Random::new(0).bits(Sequence::Cell, 0, i)[0], 10) as usize] = true;
         }
         assert!(seen.iter().all(|&s| s));
         assert_eq!(below(u32::MAX, 10), 9);

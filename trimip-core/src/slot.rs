@@ -58,14 +58,14 @@ impl Slot {
 
 /// The part of a slot that is in use at a stage of growth.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Part {
+pub struct ActiveRange {
     /// Range in the flat array.
     pub range: Range<usize>,
     /// Weight of the absolute value of each parameter in the loss (L1).
     pub sparsity: f64,
 }
 
-impl Part {
+impl ActiveRange {
     /// A whole slot, including the padding after it.
     pub fn whole(slot: &Slot) -> Self {
         Self { range: slot.padded(), sparsity: 0.0 }

@@ -1,17 +1,17 @@
-//! The traits of the stages. Each stage processes a whole span of rays, from one batch to the next, and knows nothing of
-//! the other stages. Its first argument is the [`Tile`] that it works on, or its lane alone: where the work is issued (a
+//! The traits of the stages. Each stage processes a whole tile of rays, from one batch to the next, and knows nothing of
+//! the other stages. Its first argument is the [`Tile`] that it works on, or its stream alone: where the work is issued (a
 //! worker's scratch memory on a CPU, a command encoder on a GPU). No stage returns a value that lives on the device: a GPU
 //! records a whole step and reads nothing back. What the host decides for a stage is its [`policy`](crate::policy).
 
 use crate::{
     Backend, Camera, Pixel, Result,
-    backend::see_all,
-    balance::{Balance, Draw},
-    batch::{Deposit, FieldBackward, Radiance, Rays, Samples, Tile, Update, Workspace},
+    backend::evaluate_visible_samples,
+    batch::{FieldBackward, PartialGradients, Radiance, Rays, Samples, Tile, Update, Workspace},
     model::Assets,
-    params::Part,
+    params::ActiveRange,
     policy::{OptimizerPolicy, RendererPolicy, SamplerPolicy},
     proxy::Guide,
+    ray_allocation::{RayAllocation, ScaleWeights},
 };
 use std::ops::Range;
 
@@ -34,23 +34,23 @@ pub struct Stages<B: Backend> {
 }
 
 impl<B: Backend> Stages<B> {
-    /// Sums the deposits into one gradient of all parameters, not yet divided by the sum of the weights, and empties
-    /// the deposits.
-    pub fn flush(
+    /// Sums the partial gradients into one gradient of all parameters, not yet divided by the sum of the weights, and empties
+    /// the partial gradients.
+    pub fn reduce(
         &mut self,
-        deposits: &mut [Deposit<B>],
+        partials: &mut [PartialGradients<B>],
         parameters: &B::Buffer<f32>,
         gradient: &mut B::Buffer<f32>,
     ) {
-        self.field.flush(deposits, gradient);
-        self.encoder.flush(deposits, parameters, gradient);
+        self.field.reduce(partials, gradient);
+        self.encoder.reduce(partials, parameters, gradient);
     }
 }
 
 /// Maps samples to features. A sample is a sphere on the axis of a cone. The encoder also gets the sample's ray and
 /// interval, which is the full geometry; it may use a Gaussian along the cone instead, or several points inside it.
 pub trait Encoder<B: Backend>: Send + Sync {
-    /// Feature gradients of some spans, with the places they belong to.
+    /// Feature gradients of some tiles, with the places they belong to.
     type Gradient: Send;
 
     /// Creates an empty gradient.
@@ -63,33 +63,33 @@ pub trait Encoder<B: Backend>: Send + Sync {
     /// Rebuilds data derived from the parameters, such as mip levels. Called once per change of the parameters.
     fn refresh(&mut self, parameters: &B::Buffer<f32>);
 
-    /// Encodes every sample. `features` becomes [samples, [`stride`](crate::encoders::stride)]. `tape` becomes
-    /// [samples, [`tape`](crate::encoders::Definition::tape)]: what the backward pass needs of each sample.
-    fn forward(&self, tile: &mut Tile<'_, B>, tape: &mut B::Buffer<f32>, features: &mut B::Buffer<f32>);
+    /// Encodes every sample. `features` becomes [samples, [`stride`](crate::encoders::stride)]. `context` becomes
+    /// [samples, [`context`](crate::encoders::Definition::context)]: what the backward pass needs of each sample.
+    fn forward(&self, tile: &mut Tile<'_, B>, context: &mut B::Buffer<f32>, features: &mut B::Buffer<f32>);
 
-    /// Keeps the rows of tape and features that survived pruning and drops the others.
+    /// Keeps the rows of context and features that survived pruning and drops the others.
     fn keep(
         &self,
-        lane: &mut B::Lane,
+        stream: &mut B::Stream,
         kept: &B::Buffer<u32>,
-        tape: &mut B::Buffer<f32>,
+        context: &mut B::Buffer<f32>,
         features: &mut B::Buffer<f32>,
     );
 
-    /// Adds the gradient of the span's features to the deposit.
+    /// Adds the gradient of the tile's features to the partial gradients.
     fn backward(
         &self,
         tile: &mut Tile<'_, B>,
-        tape: &B::Buffer<f32>,
+        context: &B::Buffer<f32>,
         feature_gradients: &B::Buffer<f32>,
         gradient: &mut Self::Gradient,
     );
 
-    /// Sums all deposits in a fixed order, overwrites the encoder's part of `parameter_gradient` with the result and
-    /// empties the deposits. Called once per step, before the parameters are updated.
-    fn flush(
+    /// Sums all partial gradients in a fixed order, overwrites the encoder's part of `parameter_gradient` with the result and
+    /// empties the partial gradients. Called once per step, before the parameters are updated.
+    fn reduce(
         &mut self,
-        deposits: &mut [Deposit<B>],
+        partials: &mut [PartialGradients<B>],
         parameters: &B::Buffer<f32>,
         parameter_gradient: &mut B::Buffer<f32>,
     );
@@ -99,12 +99,12 @@ pub trait Encoder<B: Backend>: Send + Sync {
 /// occupancy and pruning never pay for colour.
 pub trait Field<B: Backend>: Send + Sync {
     /// Activations, kept from forward to backward.
-    type Tape: Send;
-    /// Weight gradients of some spans.
+    type Context: Send;
+    /// Weight gradients of some tiles.
     type Gradient: Send;
 
-    /// Creates an empty tape.
-    fn tape(&self) -> Self::Tape;
+    /// Creates an empty context.
+    fn context(&self) -> Self::Context;
 
     /// Creates an empty gradient.
     fn gradient(&self) -> Self::Gradient;
@@ -112,21 +112,21 @@ pub trait Field<B: Backend>: Send + Sync {
     /// Repacks the weights. Called once per change of the parameters.
     fn refresh(&mut self, parameters: &B::Buffer<f32>);
 
-    /// Evaluates the density of every sample; stores geometry features and activations on the tape.
+    /// Evaluates the density of every sample; stores geometry features and activations on the context.
     fn density(
         &self,
         tile: &mut Tile<'_, B>,
         features: &B::Buffer<f32>,
-        tape: &mut Self::Tape,
+        context: &mut Self::Context,
         radiance: &mut B::Buffer<Radiance>,
     );
 
-    /// Keeps the rows of tape and radiance that survived pruning and drops the others.
+    /// Keeps the rows of context and radiance that survived pruning and drops the others.
     fn keep(
         &self,
-        lane: &mut B::Lane,
+        stream: &mut B::Stream,
         kept: &B::Buffer<u32>,
-        tape: &mut Self::Tape,
+        context: &mut Self::Context,
         radiance: &mut B::Buffer<Radiance>,
     );
 
@@ -136,7 +136,7 @@ pub trait Field<B: Backend>: Send + Sync {
         &self,
         tile: &mut Tile<'_, B>,
         least: f32,
-        tape: &mut Self::Tape,
+        context: &mut Self::Context,
         radiance: &mut B::Buffer<Radiance>,
     );
 
@@ -145,13 +145,13 @@ pub trait Field<B: Backend>: Send + Sync {
         &self,
         tile: &mut Tile<'_, B>,
         arrays: FieldBackward<'_, B>,
-        tape: &mut Self::Tape,
+        context: &mut Self::Context,
         gradient: &mut Self::Gradient,
     );
 
-    /// Sums all deposits in order, overwrites the networks' part of `parameter_gradient` with the result and empties
-    /// the deposits.
-    fn flush(&mut self, deposits: &mut [Deposit<B>], parameter_gradient: &mut B::Buffer<f32>);
+    /// Sums all partial gradients in order, overwrites the networks' part of `parameter_gradient` with the result and empties
+    /// the partial gradients.
+    fn reduce(&mut self, partials: &mut [PartialGradients<B>], parameter_gradient: &mut B::Buffer<f32>);
 }
 
 /// Maps rays to samples and samples to pixels (cones sampled in uniform steps; volume rendering, NeRF Eq. 3). A pixel
@@ -173,14 +173,14 @@ pub trait Renderer<B: Backend>: Send + Sync {
     ///
     /// # Errors
     /// When an asset that the renderer needs is missing or broken, or the device cannot hold it.
-    fn equip(&mut self, assets: &Assets) -> Result<()> {
+    fn set_assets(&mut self, assets: &Assets) -> Result<()> {
         let guide = self.policy().guide(assets)?;
         self.set_guide(guide)
     }
 
     /// Applies the schedules of a run: sets the marching step for `progress` in [0, 1].
-    fn follow(&mut self, progress: f64) {
-        self.policy_mut().follow(progress);
+    fn set_progress(&mut self, progress: f64) {
+        self.policy_mut().set_progress(progress);
     }
 
     /// Weight of a sample in its ray below which it has no colour (`renderer.color_weight`).
@@ -192,7 +192,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
     /// fraction of a marching step, by which each ray's start is moved. `None` disables the offset.
     fn march(
         &self,
-        lane: &mut B::Lane,
+        stream: &mut B::Stream,
         rays: &Rays<B>,
         occupancy: &B::Occupancy,
         jitter: Option<u64>,
@@ -202,23 +202,23 @@ pub trait Renderer<B: Backend>: Send + Sync {
     /// Drops samples behind the least transmittance; `kept` receives the rows that remain.
     fn prune(
         &self,
-        lane: &mut B::Lane,
+        stream: &mut B::Stream,
         radiance: &B::Buffer<Radiance>,
         samples: &mut Samples<B>,
         kept: &mut B::Buffer<u32>,
     );
 
     /// Takes rays to the density of their visible samples, ready for colour. A renderer may walk each ray front to
-    /// back in pieces and stop where it is opaque, provided that it keeps the same samples as [`see_all`]. It may
+    /// back in pieces and stop where it is opaque, provided that it keeps the same samples as [`evaluate_visible_samples`]. It may
     /// also place samples by a rule of its own.
-    fn see(
+    fn visibility_pass(
         &self,
         stages: &Stages<B>,
         parameters: &B::Buffer<f32>,
-        space: &mut Workspace<B>,
+        workspace: &mut Workspace<B>,
         jitter: Option<u64>,
     ) {
-        see_all(stages, parameters, space, jitter);
+        evaluate_visible_samples(stages, parameters, workspace, jitter);
     }
 
     /// Composites each cone on the background of its pixel's target, or on the configured background if there are no
@@ -251,11 +251,11 @@ pub trait Optimizer<B: Backend>: Send + Sync {
     /// The policy, mutable.
     fn policy_mut(&mut self) -> &mut OptimizerPolicy;
 
-    /// Performs a step. Gradients are first divided by `sums.weight` of the deposits.
+    /// Performs a step. Gradients are first divided by `sums.weight` of the partial gradients.
     fn step(&mut self, update: &mut Update<'_, B>);
 
     /// Restricts updates to these parts of the slots, one per slot. Only a part of a growing slot is in use.
-    fn restrict(&mut self, parts: &[Part]) {
+    fn restrict(&mut self, parts: &[ActiveRange]) {
         self.policy_mut().restrict(parts);
     }
 
@@ -280,40 +280,40 @@ pub trait Sampler<B: Backend>: Send + Sync {
     fn policy_mut(&mut self) -> &mut SamplerPolicy;
 
     /// Distributes the pixels of later steps among the scales, by the schedules at `progress` in [0, 1].
-    fn follow(&mut self, progress: f64) {
-        self.policy_mut().follow(progress);
+    fn set_progress(&mut self, progress: f64) {
+        self.policy_mut().set_progress(progress);
     }
 
-    /// The balance of the scales, by the last [`follow`](Self::follow).
-    fn balance(&self) -> &Balance {
-        self.policy().balance()
+    /// The balance of the scales, by the last [`set_progress`](Self::set_progress).
+    fn scale_weights(&self) -> &ScaleWeights {
+        self.policy().scale_weights()
     }
 
-    /// Generates the cones of the pixels `range` of a training step. `draw` tells which scale each pixel belongs to;
+    /// Generates the cones of the pixels `range` of a training step. `allocation` tells which scale each pixel belongs to;
     /// within a scale, pixels are drawn uniformly.
     fn training_rays(
         &self,
-        lane: &mut B::Lane,
+        stream: &mut B::Stream,
         step: u64,
-        draw: &Draw,
+        allocation: &RayAllocation,
         range: Range<u32>,
         rays: &mut Rays<B>,
     );
 
     /// Generates the cones of the pixels `range` of a camera, row by row.
-    fn camera_rays(&self, lane: &mut B::Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);
+    fn camera_rays(&self, stream: &mut B::Stream, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);
 }
 
 /// The occupancy grid (instant-ngp, Appendix C).
 pub trait Occupancy<B: Backend>: Send + Sync {
     /// Selects the cells to refresh at `step`; returns their number.
-    fn choose(&mut self, step: u64) -> u32;
+    fn select(&mut self, step: u64) -> u32;
 
     /// Generates one random point in each of the selected cells `range`, with a radius that fits the cell. Each point
     /// is the only sample of its own ray, which has a random direction.
     fn probes(
         &self,
-        lane: &mut B::Lane,
+        stream: &mut B::Stream,
         step: u64,
         range: Range<u32>,
         rays: &mut Rays<B>,
@@ -321,7 +321,7 @@ pub trait Occupancy<B: Backend>: Send + Sync {
     );
 
     /// Takes the densities of all selected cells and updates the bits.
-    fn absorb(&mut self, radiance: &B::Buffer<Radiance>);
+    fn update(&mut self, radiance: &B::Buffer<Radiance>);
 
     /// Fraction of cells that are occupied.
     fn occupied(&self) -> f64;
@@ -360,7 +360,7 @@ pub trait Loss<B: Backend>: Send + Sync {
     /// derivatives by their logarithms.
     fn evaluate_pixels(
         &self,
-        lane: &mut B::Lane,
+        stream: &mut B::Stream,
         tile: &RenderedTile<'_, B>,
         pixel_gradients: &mut B::Buffer<[f32; 4]>,
         sums: &mut B::Sums,
@@ -371,7 +371,7 @@ pub trait Loss<B: Backend>: Send + Sync {
     /// [`evaluate_pixels`](Self::evaluate_pixels).
     fn evaluate_rays(
         &self,
-        lane: &mut B::Lane,
+        stream: &mut B::Stream,
         tile: &RenderedTile<'_, B>,
         radiance_gradients: &mut B::Buffer<Radiance>,
         sums: &mut B::Sums,

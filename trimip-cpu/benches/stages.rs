@@ -1,4 +1,4 @@
-//! Criterion: each stage on one thread over one large span, with the widest instruction set and in plain Rust, and a
+//! Criterion: each stage on one thread over one large tile, with the widest instruction set and in plain Rust, and a
 //! whole training step on all cores. Throughput is in samples (in rays for ray generation, in parameters for the end
 //! of a step), so `elem/s` compares stages with each other and with the step.
 
@@ -7,7 +7,7 @@ use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterio
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 use trimip_core::backend::{Loss, Occupancy, Optimizer, RenderedTile, Sampler, Stages};
-use trimip_core::batch::{Deposit, FieldBackward, Radiance, StepResult, Tile, Update, Workspace};
+use trimip_core::batch::{FieldBackward, PartialGradients, Radiance, StepResult, Tile, Update, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
@@ -70,90 +70,101 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
     stages.field.refresh(&parameters);
     stages.occupancy.restore(&ball(config.occupancy.resolution), None);
 
-    let mut space = Workspace::<CpuBackend>::new(&backend, &stages.field);
-    let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, cones, pixels, .. } =
-        &mut space;
-    let mut deposit = Deposit {
+    let mut workspace = Workspace::<CpuBackend>::new(&backend, &stages.field);
+    let Workspace {
+        stream,
+        rays,
+        samples,
+        encoder_context,
+        features,
+        field_context,
+        radiance,
+        kept,
+        cones,
+        pixels,
+        ..
+    } = &mut workspace;
+    let mut partial = PartialGradients {
         field: stages.field.gradient(),
         encoder: stages.encoder.gradient(),
         sums: StepResult::default(),
     };
-    let draw = stages.sampler.balance().draw(64);
+    let allocation = stages.sampler.scale_weights().allocate(64);
     group.throughput(Throughput::Elements(64));
     group.bench_function("sample rays", |b| {
         let mut step = 0;
         b.iter(|| {
             step += 1;
-            stages.sampler.training_rays(lane, step, &draw, 0..64, rays);
+            stages.sampler.training_rays(stream, step, &allocation, 0..64, rays);
         });
     });
-    stages.sampler.training_rays(lane, 1, &draw, 0..64, rays);
-    stages.renderer.march(lane, rays, &stages.occupancy, Some(1), samples);
+    stages.sampler.training_rays(stream, 1, &allocation, 0..64, rays);
+    stages.renderer.march(stream, rays, &stages.occupancy, Some(1), samples);
     group.throughput(Throughput::Elements(samples.spheres.len() as u64));
     group.bench_function("march", |b| {
-        b.iter(|| stages.renderer.march(lane, black_box(rays), &stages.occupancy, Some(1), samples));
+        b.iter(|| stages.renderer.march(stream, black_box(rays), &stages.occupancy, Some(1), samples));
     });
     group.bench_function("encode", |b| {
-        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
-        b.iter(|| stages.encoder.forward(black_box(tile), encoding, features));
+        let tile = &mut Tile { stream: &mut *stream, parameters: &parameters, rays, samples };
+        b.iter(|| stages.encoder.forward(black_box(tile), encoder_context, features));
     });
     group.bench_function("density", |b| {
-        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
-        b.iter(|| stages.field.density(tile, black_box(features), tape, radiance));
+        let tile = &mut Tile { stream: &mut *stream, parameters: &parameters, rays, samples };
+        b.iter(|| stages.field.density(tile, black_box(features), field_context, radiance));
     });
-    stages.renderer.prune(lane, radiance, samples, kept);
-    stages.encoder.keep(lane, kept, encoding, features);
-    stages.field.keep(lane, kept, tape, radiance);
+    stages.renderer.prune(stream, radiance, samples, kept);
+    stages.encoder.keep(stream, kept, encoder_context, features);
+    stages.field.keep(stream, kept, field_context, radiance);
     group.throughput(Throughput::Elements(samples.spheres.len() as u64));
     group.bench_function("color", |b| {
-        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
-        b.iter(|| stages.field.color(black_box(tile), 0.0, tape, radiance));
+        let tile = &mut Tile { stream: &mut *stream, parameters: &parameters, rays, samples };
+        b.iter(|| stages.field.color(black_box(tile), 0.0, field_context, radiance));
     });
     group.bench_function("composite", |b| {
-        let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+        let tile = &mut Tile { stream: &mut *stream, parameters: &parameters, rays, samples };
         b.iter(|| stages.renderer.composite(black_box(tile), radiance, cones, pixels));
     });
     let (mut pixel_gradients, mut radiance_gradients) = (backend.zeros(0), backend.zeros::<Radiance>(0));
     group.bench_function("loss", |b| {
         b.iter(|| {
             let tile = RenderedTile { rays, samples, radiance, pixels: black_box(pixels) };
-            stages.loss.evaluate_pixels(lane, &tile, &mut pixel_gradients, &mut deposit.sums);
+            stages.loss.evaluate_pixels(stream, &tile, &mut pixel_gradients, &mut partial.sums);
         });
     });
     group.bench_function("composite backward", |b| {
         b.iter(|| {
             let pixel_gradients = black_box(&pixel_gradients);
-            let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+            let tile = &mut Tile { stream: &mut *stream, parameters: &parameters, rays, samples };
             stages.renderer.backward(tile, radiance, cones, pixel_gradients, &mut radiance_gradients);
         });
     });
     let mut feature_gradients = backend.zeros(0);
     group.bench_function("field backward", |b| {
         b.iter(|| {
-            let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
+            let tile = &mut Tile { stream: &mut *stream, parameters: &parameters, rays, samples };
             let radiance_gradients = black_box(&radiance_gradients);
             let feature_gradients = &mut feature_gradients;
             let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
-            stages.field.backward(tile, arrays, tape, &mut deposit.field);
+            stages.field.backward(tile, arrays, field_context, &mut partial.field);
         });
     });
-    // Accumulating a span's gradients is timed apart from joining them at the end of the step.
+    // Accumulating a tile's gradients is timed apart from joining them at the end of the step.
     let mut gradient = backend.zeros(layout.len());
-    let mut deposits = [deposit];
+    let mut partials = [partial];
     let mut timed = |stages: &mut Stages<CpuBackend>, count: u64, end_of_step: bool| {
         let mut time = Duration::ZERO;
         for step in 0..count {
             let start = Instant::now();
-            let deposit = &mut deposits[0].encoder;
-            let tile = &mut Tile { stream: &mut *lane, parameters: &parameters, rays, samples };
-            stages.encoder.backward(tile, encoding, &feature_gradients, deposit);
+            let partial = &mut partials[0].encoder;
+            let tile = &mut Tile { stream: &mut *stream, parameters: &parameters, rays, samples };
+            stages.encoder.backward(tile, encoder_context, &feature_gradients, partial);
             let deposited = start.elapsed();
-            stages.flush(&mut deposits, &parameters, &mut gradient);
+            stages.reduce(&mut partials, &parameters, &mut gradient);
             if end_of_step {
                 stages.optimizer.step(&mut Update {
                     parameters: &mut parameters,
                     gradient: &mut gradient,
-                    deposits: &mut deposits,
+                    partials: &mut partials,
                     learning_rate: 1e-3,
                     step: step + 1,
                 });

@@ -1,4 +1,4 @@
-//! The CPU backend: buffers are plain memory, spans run on rayon workers, deposits are added up in order.
+//! The CPU backend: buffers are plain memory, tiles run on rayon workers, partial gradients are added up in order.
 
 use crate::buffer::{Buffer, take_mut};
 use crate::encoder::CpuEncoder;
@@ -8,15 +8,15 @@ use crate::occupancy::CpuOccupancy;
 use crate::optimizer::CpuOptimizer;
 use crate::renderer::CpuRenderer;
 use crate::sampler::CpuSampler;
-use crate::see::Scratch;
 use crate::simd::Simd;
+use crate::visibility::Scratch;
 use bytemuck::Pod;
 use rayon::prelude::*;
 use std::any::TypeId;
 use std::ops::Range;
 use std::sync::Mutex;
 use trimip_core::backend::{Stages, TrainWork};
-use trimip_core::batch::{Batch, Deposit, Segment, StepResult, Tiling, Update, Workspace};
+use trimip_core::batch::{Batch, PartialGradients, Segment, StepResult, Tiling, Update, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
 
@@ -30,13 +30,13 @@ const UNKNOWN_RAY: f32 = 256.0;
 const REMEMBERED: f32 = 0.98;
 
 /// A worker's scratch memory beside its workspace.
-pub struct Lane {
+pub struct WorkerScratch {
     pub(crate) scratch: Option<Box<Scratch>>,
     /// Samples of the pixel with the most of them among those rendered recently.
     most_samples: f32,
 }
 
-impl Lane {
+impl WorkerScratch {
     /// Number of rays to render at once: many in general, few through fog, where each ray has hundreds of samples.
     fn pixels_at_once(&self) -> usize {
         ((SAMPLES_AT_ONCE as f32 / self.most_samples) as usize).max(1)
@@ -52,12 +52,12 @@ impl Lane {
     }
 }
 
-/// Approximate number of samples that share a deposit. A deposit's weight gradients are added up at the end of a
+/// Approximate number of samples that share a set of partial gradients. A set of partial gradients's weight gradients are added up at the end of a
 /// step.
 const SAMPLES_PER_DEPOSIT: u32 = 1024;
 
-/// Number of deposits of a step of `samples` samples: enough to balance the load of many cores.
-pub fn deposits(samples: u32) -> usize {
+/// Number of partial gradients of a step of `samples` samples: enough to balance the load of many cores.
+pub fn partials(samples: u32) -> usize {
     (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
 }
 
@@ -124,12 +124,12 @@ impl CpuBackend {
     }
 }
 
-/// Jobs of a thread, at least, if there are as many spans.
+/// Jobs of a thread, at least, if there are as many tiles.
 const SHARES: usize = 64;
 
 impl Backend for CpuBackend {
     type Buffer<T: Pod + Send + Sync> = Buffer<T>;
-    type Lane = Lane;
+    type Stream = WorkerScratch;
     type Sums = StepResult;
     type Receipt = StepResult;
     type Encoder = CpuEncoder;
@@ -183,8 +183,8 @@ impl Backend for CpuBackend {
         })
     }
 
-    fn lane(&self) -> Lane {
-        Lane { scratch: None, most_samples: UNKNOWN_RAY }
+    fn stream(&self) -> WorkerScratch {
+        WorkerScratch { scratch: None, most_samples: UNKNOWN_RAY }
     }
 
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Buffer<T> {
@@ -208,32 +208,33 @@ impl Backend for CpuBackend {
         self.pool.install(work)
     }
 
-    fn train_spans(
+    fn train_tiles(
         &self,
         field: &CpuField,
         batch: &Batch<'_>,
-        deposits: &mut [Deposit<Self>],
+        partials: &mut [PartialGradients<Self>],
         work: &TrainWork<'_, Self>,
     ) {
-        let Batch { draw, share, per_tile } = *batch;
-        let count = deposits.len() as u64;
-        let bound = |i: u64| (u64::from(draw.cones()) * i / count) as u32;
-        let parts = field.parts(deposits.len());
-        let own: Vec<_> = deposits.iter_mut().enumerate().filter(|(i, _)| parts.has(share, *i)).collect();
-        own.into_par_iter().with_max_len(1).for_each(|(i, deposit)| {
+        let Batch { allocation, this_rank, per_tile } = *batch;
+        let count = partials.len() as u64;
+        let bound = |i: u64| (u64::from(allocation.cones()) * i / count) as u32;
+        let parts = field.reduction_tree(partials.len());
+        let own: Vec<_> = partials.iter_mut().enumerate().filter(|(i, _)| parts.has(this_rank, *i)).collect();
+        own.into_par_iter().with_max_len(1).for_each(|(i, partial)| {
             let (from, to) = (bound(i as u64), bound(i as u64 + 1));
             self.with_workspace(field, |workspace| {
                 for start in (from..to).step_by(per_tile as usize) {
-                    let span = draw.pixel_from(start)..draw.pixel_from((start + per_tile).min(to));
-                    if !span.is_empty() {
-                        work(workspace, deposit, span);
+                    let tile =
+                        allocation.pixel_from(start)..allocation.pixel_from((start + per_tile).min(to));
+                    if !tile.is_empty() {
+                        work(workspace, partial, tile);
                     }
                 }
             });
         });
     }
 
-    fn map_spans<T: Pod + Send + Sync>(
+    fn map_tiles<T: Pod + Send + Sync>(
         &self,
         field: &CpuField,
         tiling: Tiling,
@@ -246,20 +247,20 @@ impl Backend for CpuBackend {
         let rays = TypeId::of::<T>() == TypeId::of::<Pixel>();
         out.resize(count as usize);
         // Enough jobs that no thread waits long for the last one, and few enough that each goes on where it was.
-        let spans = count.div_ceil(per_tile) as usize;
-        let most = (spans / (SHARES * rayon::current_num_threads())).clamp(1, 8);
+        let tiles = count.div_ceil(per_tile) as usize;
+        let most = (tiles / (SHARES * rayon::current_num_threads())).clamp(1, 8);
         out.par_chunks_mut(per_tile as usize).enumerate().with_max_len(most).for_each(|(i, mut out)| {
             let mut start = i as u32 * per_tile;
             self.with_workspace(field, |workspace| {
                 while !out.is_empty() {
-                    let most = if rays { workspace.lane.pixels_at_once() } else { out.len() };
+                    let most = if rays { workspace.stream.pixels_at_once() } else { out.len() };
                     let count = most.min(out.len());
                     let now = take_mut(&mut out, count);
                     let end = start + now.len() as u32;
                     work(workspace, start..end);
                     now.copy_from_slice(result(workspace));
                     if rays {
-                        workspace.lane.saw(&workspace.rays.groups, &workspace.samples.segments);
+                        workspace.stream.saw(&workspace.rays.groups, &workspace.samples.segments);
                     }
                     start = end;
                 }
@@ -268,7 +269,7 @@ impl Backend for CpuBackend {
     }
 
     fn update(&self, stages: &mut Stages<Self>, update: &mut Update<'_, Self>) {
-        if !stages.optimizer.policy().skips_untouched() || self.weight(update.deposits) <= 0.0 {
+        if !stages.optimizer.policy().skips_untouched() || self.weight(update.partials) <= 0.0 {
             return self.update_all(stages, update);
         }
         let touched = stages.encoder.touched();
@@ -278,31 +279,31 @@ impl Backend for CpuBackend {
     }
 
     fn update_all(&self, stages: &mut Stages<Self>, update: &mut Update<'_, Self>) {
-        if self.weight(update.deposits) > 0.0 {
+        if self.weight(update.partials) > 0.0 {
             stages.optimizer.step(update);
             stages.encoder.refresh(update.parameters);
             stages.field.refresh(update.parameters);
         }
     }
 
-    fn weight(&self, deposits: &[Deposit<Self>]) -> f64 {
-        deposits.iter().map(|deposit| deposit.sums.sums.weight).sum()
+    fn weight(&self, partials: &[PartialGradients<Self>]) -> f64 {
+        partials.iter().map(|partial| partial.sums.sums.weight).sum()
     }
 
-    fn set_weight(&self, deposits: &mut [Deposit<Self>], weight: f64) {
-        for (i, deposit) in deposits.iter_mut().enumerate() {
-            deposit.sums.sums.weight = if i == 0 { weight } else { 0.0 };
+    fn set_weight(&self, partials: &mut [PartialGradients<Self>], weight: f64) {
+        for (i, partial) in partials.iter_mut().enumerate() {
+            partial.sums.sums.weight = if i == 0 { weight } else { 0.0 };
         }
     }
 
-    fn deposits(&self, samples: u32) -> usize {
-        deposits(samples)
+    fn partials(&self, samples: u32) -> usize {
+        partials(samples)
     }
 
-    fn post(&self, deposits: &[Deposit<Self>]) -> StepResult {
+    fn post(&self, partials: &[PartialGradients<Self>]) -> StepResult {
         let mut result = StepResult::default();
-        for deposit in deposits {
-            result.add(&deposit.sums);
+        for partial in partials {
+            result.add(&partial.sums);
         }
         result
     }
@@ -318,19 +319,19 @@ mod tests {
 
     #[test]
     fn rays_through_fog_are_rendered_few_at_once() {
-        let mut lane = Lane { scratch: None, most_samples: UNKNOWN_RAY };
+        let mut stream = WorkerScratch { scratch: None, most_samples: UNKNOWN_RAY };
         let rays = |count| [Segment { start: 0, count: 1 }, Segment { start: 1, count }];
         let pixels = [0, 1].map(|start| Segment { start, count: 1 });
-        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 256);
-        lane.saw(&pixels, &rays(1000));
-        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 1000);
-        lane.saw(&pixels, &[Segment::default(); 2]);
-        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 1000, "empty space says nothing of fog");
-        (0..300).for_each(|_| lane.saw(&pixels, &rays(8)));
-        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 8);
-        lane.saw(&[Segment { start: 0, count: 2 }], &[Segment { start: 0, count: 16 }; 2]);
-        assert_eq!(lane.pixels_at_once(), SAMPLES_AT_ONCE / 32, "a pixel has the samples of all its cones");
-        lane.saw(&pixels, &rays(1 << 20));
-        assert_eq!(lane.pixels_at_once(), 1);
+        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 256);
+        stream.saw(&pixels, &rays(1000));
+        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 1000);
+        stream.saw(&pixels, &[Segment::default(); 2]);
+        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 1000, "empty space says nothing of fog");
+        (0..300).for_each(|_| stream.saw(&pixels, &rays(8)));
+        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 8);
+        stream.saw(&[Segment { start: 0, count: 2 }], &[Segment { start: 0, count: 16 }; 2]);
+        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 32, "a pixel has the samples of all its cones");
+        stream.saw(&pixels, &rays(1 << 20));
+        assert_eq!(stream.pixels_at_once(), 1);
     }
 }

@@ -1,18 +1,19 @@
-//! The encoder stage on the CPU: the list of all encoders, and the dispatch to the configured one once per span.
+//! The encoder stage on the CPU: the list of all encoders, and the dispatch to the configured one once per tile.
 
 use crate::buffer::Buffer;
 use crate::encoders::{
-    Divided, Encoding, Left, Piece, Places, frequencies, hash_grid, rip_map, tensor, tri_mip, voxels,
+    Divided, Encoding, GradientMemory, Piece, Places, frequencies, hash_grid, rip_map, tensor, tri_mip,
+    voxels,
 };
 use crate::gemm::padded;
 use crate::simd::Simd;
 use crate::wire::Reader;
-use crate::{CpuBackend, Lane};
-use trimip_core::batch::{Deposit, Samples, Tile};
+use crate::{CpuBackend, WorkerScratch};
+use trimip_core::batch::{PartialGradients, Samples, Tile};
 use trimip_core::config::EncoderKind;
 use trimip_core::{Config, Encoder, Result, encoders};
 
-/// The parameters, and the geometry of a span's samples.
+/// The parameters, and the geometry of a tile's samples.
 fn places<'a>(tile: &Tile<'a, CpuBackend>) -> Places<'a> {
     let Samples { rays: owners, intervals, spheres, .. } = tile.samples;
     Places { parameters: tile.parameters, rays: &tile.rays.rays, owners, intervals, spheres }
@@ -26,20 +27,20 @@ macro_rules! encoders {
             any: Any,
             /// Floats in a row of features: the encoder's width, padded.
             stride: usize,
-            /// Floats in a row of the tape.
-            tape: usize,
+            /// Floats in a row of the context.
+            context: usize,
         }
 
         enum Any { $($name($encoding)),* }
 
-        /// Memory of the deposited gradients.
-        pub(crate) fn left(config: &Config) -> Left {
+        /// Memory of the accumulated gradients.
+        pub(crate) fn gradient_memory(config: &Config) -> GradientMemory {
             match config.encoder.kind {
-                $(EncoderKind::$name => <$encoding as Encoding>::left(config)),*
+                $(EncoderKind::$name => <$encoding as Encoding>::gradient_memory(config)),*
             }
         }
 
-        /// Feature gradients of some spans.
+        /// Feature gradients of some tiles.
         pub struct EncoderGradient(AnyGradient);
 
         enum AnyGradient { $($name(<$encoding as Encoding>::Gradient)),* }
@@ -50,7 +51,7 @@ macro_rules! encoders {
                 let any = match config.encoder.kind {
                     $(EncoderKind::$name => Any::$name(Encoding::new(simd, config, training))),*
                 };
-                Self { any, stride: encoders::stride(config), tape: encoders::of(config).tape(config) }
+                Self { any, stride: encoders::stride(config), context: encoders::of(config).context(config) }
             }
 
             /// Floats in a row of features.
@@ -58,9 +59,9 @@ macro_rules! encoders {
                 self.stride
             }
 
-            /// Floats in a row of the tape.
-            pub(crate) fn tape(&self) -> usize {
-                self.tape
+            /// Floats in a row of the context.
+            pub(crate) fn context(&self) -> usize {
+                self.context
             }
 
             /// See [`Encoding::touched`].
@@ -117,27 +118,27 @@ macro_rules! encoders {
             fn forward(
                 &self,
                 tile: &mut Tile<'_, CpuBackend>,
-                tape: &mut Buffer<f32>,
+                context: &mut Buffer<f32>,
                 features: &mut Buffer<f32>,
             ) {
                 let at = places(tile);
-                tape.resize(at.spheres.len() * self.tape);
+                context.resize(at.spheres.len() * self.context);
                 features.resize(padded(at.spheres.len()) * self.stride);
                 match &self.any {
                     $(Any::$name(encoding) => {
-                        encoding.forward(at, tape, features, self.stride);
+                        encoding.forward(at, context, features, self.stride);
                     })*
                 }
             }
 
             fn keep(
                 &self,
-                _: &mut Lane,
+                _: &mut WorkerScratch,
                 kept: &Buffer<u32>,
-                tape: &mut Buffer<f32>,
+                context: &mut Buffer<f32>,
                 features: &mut Buffer<f32>,
             ) {
-                tape.keep_rows(kept, self.tape);
+                context.keep_rows(kept, self.context);
                 features.keep_rows(kept, self.stride);
                 features.resize(padded(kept.len()) * self.stride);
             }
@@ -145,7 +146,7 @@ macro_rules! encoders {
             fn backward(
                 &self,
                 tile: &mut Tile<'_, CpuBackend>,
-                tape: &Buffer<f32>,
+                context: &Buffer<f32>,
                 feature_gradients: &Buffer<f32>,
                 gradient: &mut EncoderGradient,
             ) {
@@ -153,27 +154,27 @@ macro_rules! encoders {
                 let rows = &feature_gradients[..at.spheres.len() * self.stride];
                 match (&self.any, &mut gradient.0) {
                     $((Any::$name(encoding), AnyGradient::$name(gradient)) => {
-                        encoding.backward(at, tape, rows, self.stride, gradient);
+                        encoding.backward(at, context, rows, self.stride, gradient);
                     })*
                     #[allow(unreachable_patterns)]
                     _ => unreachable!("a gradient is made by its own encoder"),
                 }
             }
 
-            fn flush(
+            fn reduce(
                 &mut self,
-                deposits: &mut [Deposit<CpuBackend>],
+                partials: &mut [PartialGradients<CpuBackend>],
                 _: &Buffer<f32>,
                 parameter_gradient: &mut Buffer<f32>,
             ) {
                 match &mut self.any {
                     $(Any::$name(encoding) => {
-                        let own = deposits.iter_mut().filter_map(|deposit| match &mut deposit.encoder.0 {
+                        let own = partials.iter_mut().filter_map(|partial| match &mut partial.encoder.0 {
                             AnyGradient::$name(gradient) => Some(gradient),
                             #[allow(unreachable_patterns)]
                             _ => None,
                         });
-                        encoding.flush(&mut own.collect::<Vec<_>>(), parameter_gradient);
+                        encoding.reduce(&mut own.collect::<Vec<_>>(), parameter_gradient);
                     })*
                 }
             }

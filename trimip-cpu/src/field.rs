@@ -5,17 +5,17 @@
 
 use crate::buffer::Buffer;
 use crate::gemm::padded;
-use crate::mlp::{Activations, Batch, Flow, Mlp, MlpGradient, Passing, Row, Shared};
-use crate::parts::{Parts, halves};
+use crate::mlp::{Activations, Batch, Flow, InputRow, Mlp, MlpGradient, Passing, Shared};
+use crate::reduction_tree::{ReductionTree, halves};
 use crate::simd::Simd;
 use crate::wire::Reader;
-use crate::{CpuBackend, Lane};
+use crate::{CpuBackend, WorkerScratch};
 use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::batch::{Deposit, FieldBackward, Radiance, Rays, Samples, Tile};
+use trimip_core::batch::{FieldBackward, PartialGradients, Radiance, Rays, Samples, Tile};
 use trimip_core::compositing::is_lit;
 use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
-use trimip_core::exchange::Share;
+use trimip_core::exchange::Rank;
 use trimip_core::networks::{append_frequencies, pull_frequencies};
 use trimip_core::params::{ALIGNMENT, Slot};
 use trimip_core::policy::FieldPolicy;
@@ -36,13 +36,13 @@ pub struct CpuField {
     /// Padded width of the geometry features with their sines and cosines; 0 if there are none of these.
     shape: usize,
     /// `train.parts`.
-    wanted_parts: u32,
+    wanted_leaves: u32,
     /// Number of ranks whose sums of weight gradients are here; 0 if none is summed yet in this step.
     shared_by: usize,
 }
 
-/// Activations of a span.
-pub struct Tape {
+/// Activations of a tile.
+pub struct Context {
     density: Activations,
     color: Activations,
     lit: Lit,
@@ -182,41 +182,41 @@ impl FieldGradient {
 
 /// Adds up gradients in a balanced tree over `range`; `at` is where each is. The sum is where the first was, and the others are
 /// zero.
-fn join(deposits: &mut [Deposit<CpuBackend>], range: Range<usize>, at: &impl Fn(usize) -> usize) {
+fn join(partials: &mut [PartialGradients<CpuBackend>], range: Range<usize>, at: &impl Fn(usize) -> usize) {
     if range.len() < 2 {
         return;
     }
     let [left, right] = halves(range);
     let (sum, other) = (at(left.start), at(right.start));
-    join(deposits, left, at);
-    join(deposits, right, at);
-    let (head, tail) = deposits.split_at_mut(other);
+    join(partials, left, at);
+    join(partials, right, at);
+    let (head, tail) = partials.split_at_mut(other);
     head[sum].field.fold(&mut tail[0].field);
 }
 
 impl CpuField {
-    /// The parts of a step of so many deposits.
-    pub(crate) fn parts(&self, deposits: usize) -> Parts {
-        Parts::new(self.wanted_parts, deposits)
+    /// The parts of a step of so many partial gradients.
+    pub(crate) fn reduction_tree(&self, partials: usize) -> ReductionTree {
+        ReductionTree::new(self.wanted_leaves, partials)
     }
 
-    /// Sums the weight gradients of the parts of `share` into the first of their deposits. The rest is zero.
-    pub(crate) fn fold(&mut self, deposits: &mut [Deposit<CpuBackend>], share: Share) {
-        let parts = self.parts(deposits.len());
-        let own = parts.of(share);
-        let (first, rest) = deposits.split_at_mut(parts.count());
+    /// Sums the weight gradients of the parts of `this_rank` into the first of their partial gradients. The rest is zero.
+    pub(crate) fn fold(&mut self, partials: &mut [PartialGradients<CpuBackend>], this_rank: Rank) {
+        let parts = self.reduction_tree(partials.len());
+        let own = parts.of(this_rank);
+        let (first, rest) = partials.split_at_mut(parts.count());
         let mut sums: Vec<Vec<&mut FieldGradient>> =
-            first.iter_mut().map(|deposit| vec![&mut deposit.field]).collect();
-        for (i, deposit) in rest.iter_mut().enumerate() {
-            sums[i % parts.count()].push(&mut deposit.field);
+            first.iter_mut().map(|partial| vec![&mut partial.field]).collect();
+        for (i, partial) in rest.iter_mut().enumerate() {
+            sums[i % parts.count()].push(&mut partial.field);
         }
         sums[own.clone()].par_iter_mut().for_each(|part| {
             if let [sum, others @ ..] = &mut part[..] {
                 others.iter_mut().for_each(|other| sum.fold(other));
             }
         });
-        join(deposits, own, &|part| part);
-        self.shared_by = share.of;
+        join(partials, own, &|part| part);
+        self.shared_by = this_rank.size;
     }
 
     /// Creates the networks of a configuration, with products in `precision`.
@@ -224,9 +224,9 @@ impl CpuField {
         let policy = FieldPolicy::new(config);
         let (density, color) = (&policy.density, &policy.color);
         let features = (0..encoders::stride(config)).map(|row| match row {
-            _ if row < density.summed => Row::One,
-            _ if row < density.inputs() => Row::Weights(row - density.summed),
-            _ => Row::Zero,
+            _ if row < density.summed => InputRow::One,
+            _ if row < density.inputs() => InputRow::Weights(row - density.summed),
+            _ => InputRow::Zero,
         });
         let (view, geometry_width) = (policy.view, policy.geometry_width);
         let shape = match policy.settings.geometry_frequencies {
@@ -238,13 +238,13 @@ impl CpuField {
                 // The density logit is not an input of the colour network.
                 let outputs = 1 + policy.geometry;
                 let row = |output| match (1..outputs).contains(&output) {
-                    true => Row::Weights(view + output - 1),
-                    false => Row::Zero,
+                    true => InputRow::Weights(view + output - 1),
+                    false => InputRow::Zero,
                 };
                 (0..outputs.next_multiple_of(ALIGNMENT)).map(row).collect()
             }
             _ => {
-                let row = |i| if i < geometry_width { Row::Weights(view + i) } else { Row::Zero };
+                let row = |i| if i < geometry_width { InputRow::Weights(view + i) } else { InputRow::Zero };
                 (0..shape).map(row).collect()
             }
         };
@@ -252,14 +252,14 @@ impl CpuField {
         Self {
             simd,
             density: Mlp::new(density, features.collect(), Vec::new(), precision),
-            color: Mlp::new(color, input, Row::all(view, padded_view), precision),
+            color: Mlp::new(color, input, InputRow::all(view, padded_view), precision),
             slots: layout.networks().to_vec(),
             // Without networks the density logit comes before it.
             red: usize::from(policy.is_direct()),
             policy,
             view: padded_view,
             shape,
-            wanted_parts: config.train.parts,
+            wanted_leaves: config.train.parts,
             shared_by: 0,
         }
     }
@@ -286,35 +286,35 @@ impl CpuField {
 }
 
 impl CpuField {
-    /// Removes all rows of the density network from a tape.
-    pub(crate) fn clear(&self, tape: &mut Tape) {
-        tape.density.clear();
+    /// Removes all rows of the density network from a context.
+    pub(crate) fn clear(&self, context: &mut Context) {
+        context.density.clear();
     }
 
-    /// Appends the rows `rows` of the density network from another tape.
-    pub(crate) fn append(&self, tape: &mut Tape, from: &Tape, rows: &[u32]) {
-        tape.density.append(&self.density, &from.density, rows);
+    /// Appends the rows `rows` of the density network from another context.
+    pub(crate) fn append(&self, context: &mut Context, from: &Context, rows: &[u32]) {
+        context.density.append(&self.density, &from.density, rows);
     }
 
     /// Replaces the geometry features of each group of samples by their weighted mean, in the group's first row. `kept`
     /// lists these rows. `shares` has one value per sample: its weight in its group, negative for all samples of a group
     /// but the first.
-    pub(crate) fn blend(&self, tape: &mut Tape, kept: &[u32], shares: &[f32]) {
-        tape.density.blend(&self.density, kept, shares);
+    pub(crate) fn blend(&self, context: &mut Context, kept: &[u32], shares: &[f32]) {
+        context.density.blend(&self.density, kept, shares);
     }
 
-    /// Replaces the density network's rows by the rows `rows` of another tape.
-    pub(crate) fn gather(&self, tape: &mut Tape, from: &Tape, rows: &[u32]) {
-        tape.density.gather(&self.density, &from.density, rows);
+    /// Replaces the density network's rows by the rows `rows` of another context.
+    pub(crate) fn gather(&self, context: &mut Context, from: &Context, rows: &[u32]) {
+        context.density.gather(&self.density, &from.density, rows);
     }
 }
 
 impl Field<CpuBackend> for CpuField {
-    type Tape = Tape;
+    type Context = Context;
     type Gradient = FieldGradient;
 
-    fn tape(&self) -> Tape {
-        Tape {
+    fn context(&self) -> Context {
+        Context {
             density: self.density.activations(),
             color: self.color.activations(),
             lit: Lit::default(),
@@ -342,22 +342,28 @@ impl Field<CpuBackend> for CpuField {
         &self,
         tile: &mut Tile<'_, CpuBackend>,
         features: &Buffer<f32>,
-        tape: &mut Tape,
+        context: &mut Context,
         radiance: &mut Buffer<Radiance>,
     ) {
         let rows = tile.samples.spheres.len();
         let batch = Batch { simd: self.simd, rows, input: features, shared: None };
-        self.density.forward(batch, &mut tape.density);
+        self.density.forward(batch, &mut context.density);
         radiance.resize(rows);
         for (radiance, output) in
-            radiance.iter_mut().zip(tape.density.output().chunks_exact(self.density.outputs()))
+            radiance.iter_mut().zip(context.density.output().chunks_exact(self.density.outputs()))
         {
             *radiance = Radiance { rgb: [0.0; 3], density: self.policy.density_activation.value(output[0]) };
         }
     }
 
-    fn keep(&self, _: &mut Lane, kept: &Buffer<u32>, tape: &mut Tape, radiance: &mut Buffer<Radiance>) {
-        tape.density.keep(&self.density, kept);
+    fn keep(
+        &self,
+        _: &mut WorkerScratch,
+        kept: &Buffer<u32>,
+        context: &mut Context,
+        radiance: &mut Buffer<Radiance>,
+    ) {
+        context.density.keep(&self.density, kept);
         radiance.keep_rows(kept, 1);
     }
 
@@ -365,11 +371,11 @@ impl Field<CpuBackend> for CpuField {
         &self,
         tile: &mut Tile<'_, CpuBackend>,
         least: f32,
-        tape: &mut Tape,
+        context: &mut Context,
         radiance: &mut Buffer<Radiance>,
     ) {
         let (rays, samples) = (tile.rays, tile.samples);
-        let Tape { density, color, lit, directions, shape, .. } = tape;
+        let Context { density, color, lit, directions, shape, .. } = context;
         lit.choose(samples, radiance, least);
         let rows = lit.count(samples.spheres.len());
         if lit.listed {
@@ -396,12 +402,12 @@ impl Field<CpuBackend> for CpuField {
         &self,
         tile: &mut Tile<'_, CpuBackend>,
         arrays: FieldBackward<'_, CpuBackend>,
-        tape: &mut Tape,
+        context: &mut Context,
         gradient: &mut FieldGradient,
     ) {
         let (simd, rows) = (self.simd, tile.samples.spheres.len());
         let FieldBackward { features, radiance, radiance_gradients, feature_gradients } = arrays;
-        let Tape {
+        let Context {
             density,
             color,
             lit,
@@ -411,7 +417,7 @@ impl Field<CpuBackend> for CpuField {
             shape_gradient,
             output_gradient,
             passing,
-        } = tape;
+        } = context;
         let (width, count) = (self.color.outputs(), lit.count(rows));
         color_gradient.resize(padded(count) * width);
         color_gradient.fill(0.0);
@@ -463,21 +469,25 @@ impl Field<CpuBackend> for CpuField {
         self.density.backward(Batch { simd, rows, input: features, shared: None }, density, flow, passing);
     }
 
-    fn flush(&mut self, deposits: &mut [Deposit<CpuBackend>], parameter_gradient: &mut Buffer<f32>) {
+    fn reduce(
+        &mut self,
+        partials: &mut [PartialGradients<CpuBackend>],
+        parameter_gradient: &mut Buffer<f32>,
+    ) {
         match std::mem::take(&mut self.shared_by) {
-            0 => self.fold(deposits, Share::WHOLE),
+            0 => self.fold(partials, Rank::ONLY),
             of => {
-                let parts = self.parts(deposits.len());
-                join(deposits, 0..of, &|rank| parts.of(Share { rank, of }).start);
+                let parts = self.reduction_tree(partials.len());
+                join(partials, 0..of, &|rank| parts.of(Rank { id: rank, size: of }).start);
             }
         }
         self.shared_by = 0;
         for (i, slot) in self.slots.iter().enumerate() {
             let out = &mut parameter_gradient[slot.range.clone()];
-            let fields = deposits[..1].iter_mut().map(|deposit| &mut deposit.field);
+            let fields = partials[..1].iter_mut().map(|partial| &mut partial.field);
             match i.checked_sub(self.density.slots()) {
-                None => self.density.flush(i, fields.map(|field| &mut field.density), out),
-                Some(i) => self.color.flush(i, fields.map(|field| &mut field.color), out),
+                None => self.density.reduce(i, fields.map(|field| &mut field.density), out),
+                Some(i) => self.color.reduce(i, fields.map(|field| &mut field.color), out),
             }
         }
     }

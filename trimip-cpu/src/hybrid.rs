@@ -41,7 +41,7 @@ impl Hybrid {
     ) -> bool {
         let guide = &self.0;
         let mut cursor = renderer.start(ray, None, 0).with_step(guide.step);
-        let way = renderer.policy.space.way(ray, occupancy.resolution());
+        let way = renderer.policy.space.straight_path(ray, occupancy.resolution());
         let mut choose = |chosen: Chosen| {
             let Chosen { t, .. } = chosen;
             place(
@@ -70,15 +70,15 @@ impl Hybrid {
     }
 
     /// Lets the samples of a ray share colours, for all rays of which `sure` is true. The first sample of a group gets its
-    /// optical depth, length and mean distance; `kept` gets its row, and the tape's row the mean of its geometry features.
+    /// optical depth, length and mean distance; `kept` gets its row, and the field context's row the mean of its geometry features.
     pub fn blend(
         &self,
         field: &CpuField,
-        space: &mut Workspace<CpuBackend>,
+        workspace: &mut Workspace<CpuBackend>,
         sure: &[bool],
         groups: &mut Groups,
     ) {
-        let Workspace { lane, samples, tape, radiance, kept, .. } = space;
+        let Workspace { stream, samples, field_context, radiance, kept, .. } = workspace;
         let Samples { segments, intervals, .. } = samples;
         kept.clear();
         groups.shares.clear();
@@ -93,11 +93,11 @@ impl Hybrid {
             *segment = Segment { start: start as u32, count: (kept.len() - start) as u32 };
         }
         if kept.len() < radiance.len() {
-            field.blend(tape, kept, &groups.shares);
+            field.blend(field_context, kept, &groups.shares);
             samples.rays.keep_rows(kept, 1);
             samples.intervals.keep_rows(kept, 1);
             samples.spheres.keep_rows(kept, 1);
-            field.keep(lane, kept, tape, radiance);
+            field.keep(stream, kept, field_context, radiance);
         }
     }
 

@@ -1,4 +1,4 @@
-//! The stages of Tri-MipRF on the CPU: rayon over spans of rays, SIMD chosen at run time, the same bits for any number
+//! The stages of Tri-MipRF on the CPU: rayon over tiles of rays, SIMD chosen at run time, the same bits for any number
 //! of threads.
 //!
 //! ```
@@ -25,6 +25,7 @@
 
 mod backend;
 mod buffer;
+mod data_parallel;
 mod distance;
 mod encoder;
 mod encoders;
@@ -36,21 +37,20 @@ mod memory;
 mod mlp;
 mod occupancy;
 mod optimizer;
-mod parts;
+mod reduction_tree;
 mod renderer;
 mod sampler;
-mod see;
 pub mod simd;
-mod together;
+mod visibility;
 mod wire;
 
-pub use backend::{CpuBackend, Lane};
+pub use backend::{CpuBackend, WorkerScratch};
 pub use buffer::Buffer;
+pub use data_parallel::DataParallel;
 pub use encoder::CpuEncoder;
 pub use field::CpuField;
 pub use occupancy::CpuOccupancy;
 pub use renderer::CpuRenderer;
-pub use together::Together;
 
 use simd::Simd;
 use std::sync::Arc;
@@ -75,7 +75,7 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
 /// # Errors
 /// As [`open`], and when there are more ranks than a step has parts.
 pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
-    let exchange = Together::new(ranks, &config.train)?;
+    let exchange = DataParallel::new(ranks, &config.train)?;
     let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
     let mut trainer = Trainer::new(backend, config, views)?;
     trainer.exchange_by(Box::new(exchange));
@@ -88,7 +88,7 @@ pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
         threads => threads as usize,
     };
-    memory::predict(config, views, threads, backend::deposits(config.train.samples_per_step))
+    memory::predict(config, views, threads, backend::partials(config.train.samples_per_step))
 }
 
 /// Kept samples per second of one thread that trains networks of 64 units on *lego*, by instruction set. Measured

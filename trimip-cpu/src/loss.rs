@@ -1,11 +1,11 @@
 //! The loss on the CPU: the registered terms of core in f32, over the pixels and the rays of a tile.
 
 use crate::buffer::Buffer;
-use crate::{CpuBackend, Lane};
+use crate::{CpuBackend, WorkerScratch};
 use trimip_core::backend::{Loss, RenderedTile};
 use trimip_core::batch::{Interval, Radiance, Segment, StepResult, Target};
 use trimip_core::config::{LossConfig, LossRays};
-use trimip_core::edges::{shown, shown_gradient};
+use trimip_core::edge_exponents::{shown, shown_gradient};
 use trimip_core::losses::exposure::exposed;
 use trimip_core::losses::{
     self, ConeSamples, PhotometricTerm, PhotometricVisitor, PixelTerm, RaySample, RayTerm,
@@ -39,11 +39,11 @@ impl CpuLoss {
     /// Replaces `out` by the samples of ray `index`, as the terms of rays read them.
     fn collect(&self, tile: &RenderedTile<'_, CpuBackend>, index: usize, out: &mut Vec<RaySample<f32>>) {
         let (ray, own) = (&tile.rays.rays[index], tile.samples.segments[index].range());
-        let course = self.space.course(ray.origin, ray.direction);
+        let parameterisation = self.space.parameterisation(ray.origin, ray.direction);
         let sample = |(interval, radiance): (&Interval, &Radiance)| {
             let Interval { t, length } = *interval;
             let point = std::array::from_fn(|axis| ray.origin[axis] + t * ray.direction[axis]);
-            let [place, width] = self.space.along(&course, point, t, length);
+            let [place, width] = self.space.along(&parameterisation, point, t, length);
             RaySample { depth: radiance.density * length, t, place, width }
         };
         out.clear();
@@ -58,7 +58,7 @@ impl Loss<CpuBackend> for CpuLoss {
 
     fn evaluate_pixels(
         &self,
-        _: &mut Lane,
+        _: &mut WorkerScratch,
         tile: &RenderedTile<'_, CpuBackend>,
         pixel_gradients: &mut Buffer<[f32; 4]>,
         sums: &mut StepResult,
@@ -75,7 +75,7 @@ impl Loss<CpuBackend> for CpuLoss {
 
     fn evaluate_rays(
         &self,
-        _: &mut Lane,
+        _: &mut WorkerScratch,
         tile: &RenderedTile<'_, CpuBackend>,
         radiance_gradients: &mut Buffer<Radiance>,
         sums: &mut StepResult,

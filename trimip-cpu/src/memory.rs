@@ -1,7 +1,7 @@
 //! Predicts the peak resident memory of a training run, by parts, before anything is allocated.
 
 use crate::backend::SAMPLES_AT_ONCE;
-use crate::encoder::left;
+use crate::encoder::gradient_memory;
 use crate::mlp::BLOCK;
 use trimip_core::batch::{Interval, Radiance, Sphere};
 use trimip_core::networks::geometry_width;
@@ -16,7 +16,7 @@ const PROGRAM: u64 = 20_000_000;
 /// earlier rays.
 const AT_ONCE: f64 = 1.3;
 
-/// Capacity of deposits relative to the target number of samples: their fill level varies, and they grow by doubling.
+/// Capacity of partial gradients relative to the target number of samples: their fill level varies, and they grow by doubling.
 const DEPOSITS_GROWN: f64 = 2.5;
 
 /// Bytes of a float or an index.
@@ -43,13 +43,13 @@ const PICTURES: usize = 6;
 const SHEET_PICTURES: usize = 3;
 
 /// Name and bytes of each part, for `threads` workers.
-pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize) -> Vec<(String, u64)> {
+pub fn predict(config: &Config, views: &ViewSet, threads: usize, partials: usize) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
     let floats = |count: usize| (WORD * count) as u64;
     let grown = |bytes: usize, factor: f64| (bytes as f64 * factor) as u64;
     let weights: usize = layout.networks().iter().map(|slot| slot.range.len()).sum();
     let cells = (config.occupancy.resolution as usize).pow(3);
-    let left = left(config);
+    let gradient_memory = gradient_memory(config);
     let copies = floats(3 * layout.len() + cells);
     // Indices of the sampled cells, in an array that grows by doubling, and the densities of these cells.
     let probe = DOUBLED * WORD + size_of::<Radiance>();
@@ -67,10 +67,13 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, deposits: usize
         ),
         (
             "feature gradients of a step".into(),
-            grown(left.by_sample * config.train.samples_per_step as usize, DEPOSITS_GROWN)
-                .max((left.by_sample * first_rays(config) as usize * longest_ray(config)) as u64),
+            grown(gradient_memory.by_sample * config.train.samples_per_step as usize, DEPOSITS_GROWN)
+                .max((gradient_memory.by_sample * first_rays(config) as usize * longest_ray(config)) as u64),
         ),
-        ("network gradients".into(), floats(deposits * weights) + (deposits * left.by_deposit) as u64),
+        (
+            "network gradients".into(),
+            floats(partials * weights) + (partials * gradient_memory.by_partial) as u64,
+        ),
         ("occupancy grid and its probes".into(), (cells * WORD + cells / 8 + probes) as u64),
         ("activations of all workers".into(), threads as u64 * worker(config)),
         ("copies for a checkpoint, or a view being measured".into(), moments([copies, measured(views)])),
@@ -88,7 +91,7 @@ fn moments(mut two: [u64; 2]) -> u64 {
 fn worker(config: &Config) -> u64 {
     let outputs = |layers: &[[usize; 2]]| layers.iter().map(|[_, n]| n.next_multiple_of(4)).sum::<usize>();
     let sample = size_of::<Sphere>() + size_of::<Interval>() + size_of::<Radiance>() + size_of::<u32>();
-    let encoding = encoders::stride(config) + encoders::of(config).tape(config);
+    let encoding = encoders::stride(config) + encoders::of(config).context(config);
     let seen = sample + WORD * (encoding + outputs(&density_layers(config)));
     // Visible samples are stored twice: front to back over all rays, and ray by ray with the colour network's
     // outputs.

@@ -3,7 +3,7 @@
 
 use crate::buffer::Buffer;
 use crate::distance::distances as fill_distances;
-use crate::{CpuBackend, Lane};
+use crate::{CpuBackend, WorkerScratch};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::Config;
@@ -109,7 +109,7 @@ fn bit_of([x, y, z]: [u32; 3]) -> u32 {
 }
 
 impl Occupancy<CpuBackend> for CpuOccupancy {
-    fn choose(&mut self, step: u64) -> u32 {
+    fn select(&mut self, step: u64) -> u32 {
         let choice = self.policy.choice(step, self.occupied);
         let chosen: Vec<u32> = (0..self.cells())
             .into_par_iter()
@@ -122,7 +122,7 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
 
     fn probes(
         &self,
-        _: &mut Lane,
+        _: &mut WorkerScratch,
         step: u64,
         range: Range<u32>,
         rays: &mut Rays<CpuBackend>,
@@ -140,7 +140,7 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
         }
     }
 
-    fn absorb(&mut self, radiance: &Buffer<Radiance>) {
+    fn update(&mut self, radiance: &Buffer<Radiance>) {
         for (&cell, radiance) in self.chosen.iter().zip(radiance.iter()) {
             let density = &mut self.densities[cell as usize];
             let new = radiance.density * self.policy.step_length;

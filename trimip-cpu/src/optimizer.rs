@@ -51,8 +51,8 @@ impl CpuOptimizer {
         update: &mut Update<'_, CpuBackend>,
         touched: Option<Vec<Piece<'_>>>,
     ) -> u64 {
-        let Update { parameters, gradient, deposits, learning_rate, step } = update;
-        let weight: f64 = deposits.iter().map(|deposit| deposit.sums.sums.weight).sum();
+        let Update { parameters, gradient, partials, learning_rate, step } = update;
+        let weight: f64 = partials.iter().map(|partial| partial.sums.sums.weight).sum();
         let scale = (1.0 / weight) as f32;
         let Self { simd, policy, m, v, non_finite } = self;
         let before = *non_finite.get_mut();
@@ -182,7 +182,7 @@ impl Kernel for Lines<'_> {
 mod tests {
     use super::*;
     use trimip_core::Backend;
-    use trimip_core::batch::{Deposit, StepResult, StepSums};
+    use trimip_core::batch::{PartialGradients, StepResult, StepSums};
     use trimip_core::config::{FilePrecision, Untouched};
     use trimip_core::params::Slot;
 
@@ -233,7 +233,7 @@ mod tests {
                 trimip_core::Field::gradient(&stages.field),
                 trimip_core::Encoder::gradient(&stages.encoder),
             );
-            let mut deposits = [Deposit { field, encoder, sums }];
+            let mut partials = [PartialGradients { field, encoder, sums }];
             let mut optimizer = CpuOptimizer::new(simd, &config, &layout, true);
             let mut parameters = Buffer::zeros(layout.len());
             parameters.copy_from_slice(&layout.initial(&config));
@@ -252,7 +252,7 @@ mod tests {
                 optimizer.step(&mut Update {
                     parameters: &mut parameters,
                     gradient: &mut gradient,
-                    deposits: &mut deposits,
+                    partials: &mut partials,
                     learning_rate: 1e-2,
                     step,
                 });

@@ -3,15 +3,15 @@
 use crate::buffer::Buffer;
 use crate::hybrid::Hybrid;
 use crate::occupancy::CpuOccupancy;
-use crate::see::see;
 use crate::simd::{Kernel, Lanes, Simd};
-use crate::{CpuBackend, Lane};
+use crate::visibility::visibility_pass;
+use crate::{CpuBackend, WorkerScratch};
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Target, Tile, Workspace};
-use trimip_core::compositing::{Seen, composite, composite_gradient};
+use trimip_core::compositing::{Visibility, composite, composite_gradient};
 use trimip_core::policy::RendererPolicy;
 use trimip_core::proxy::Guide;
-use trimip_core::rng::Stream;
+use trimip_core::rng::Sequence;
 use trimip_core::space::Path;
 use trimip_core::{Config, Pixel, Renderer, Result};
 
@@ -53,8 +53,8 @@ impl CpuRenderer {
     /// random fraction of a step; `index` is the ray's index within the training step.
     pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
         let policy = &self.policy;
-        let (enter, leave) = policy.space.course(ray.origin, ray.direction).range();
-        let offset = jitter.map_or(0.0, |step| policy.random.uniform(Stream::Jitter, step, index)[0]);
+        let (enter, leave) = policy.space.parameterisation(ray.origin, ray.direction).range();
+        let offset = jitter.map_or(0.0, |step| policy.random.uniform(Sequence::Jitter, step, index)[0]);
         let radius = ray.radius * policy.step_per_radius;
         let by_radius = radius + policy.step_per_radius * ray.slope * 0.5 * (enter + leave);
         // A comparison with NaN is false and selects the uniform step.
@@ -78,8 +78,10 @@ impl CpuRenderer {
     ) -> bool {
         let space = &self.policy.space;
         match space.ball() {
-            None => follow(&space.way(ray, occupancy.resolution()), occupancy, cursor, place),
-            Some(ball) => follow(&space.detour(*ball, ray, occupancy.resolution()), occupancy, cursor, place),
+            None => follow(&space.straight_path(ray, occupancy.resolution()), occupancy, cursor, place),
+            Some(ball) => {
+                follow(&space.contracted_path(*ball, ray, occupancy.resolution()), occupancy, cursor, place)
+            }
         }
     }
 }
@@ -135,19 +137,19 @@ impl Renderer<CpuBackend> for CpuRenderer {
         Ok(())
     }
 
-    fn see(
+    fn visibility_pass(
         &self,
         stages: &Stages<CpuBackend>,
         parameters: &Buffer<f32>,
-        space: &mut Workspace<CpuBackend>,
+        workspace: &mut Workspace<CpuBackend>,
         jitter: Option<u64>,
     ) {
-        see(stages, parameters, space, jitter);
+        visibility_pass(stages, parameters, workspace, jitter);
     }
 
     fn march(
         &self,
-        _: &mut Lane,
+        _: &mut WorkerScratch,
         rays: &Rays<CpuBackend>,
         occupancy: &CpuOccupancy,
         jitter: Option<u64>,
@@ -158,7 +160,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
 
     fn prune(
         &self,
-        _: &mut Lane,
+        _: &mut WorkerScratch,
         radiance: &Buffer<Radiance>,
         samples: &mut Samples<CpuBackend>,
         kept: &mut Buffer<u32>,
@@ -169,10 +171,10 @@ impl Renderer<CpuBackend> for CpuRenderer {
             let mut depth = 0.0;
             for i in segment.start..segment.start + segment.count {
                 let own = radiance[i as usize].density * samples.intervals[i as usize].length;
-                match self.policy.pruning.see(&mut depth, own) {
-                    Seen::Yes => kept.push(i),
-                    Seen::No => {}
-                    Seen::Hidden => break,
+                match self.policy.pruning.decide(&mut depth, own) {
+                    Visibility::Keep => kept.push(i),
+                    Visibility::Skip => {}
+                    Visibility::Terminate => break,
                 }
             }
             *segment = Segment { start, count: kept.len() as u32 - start };
@@ -248,7 +250,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
     }
 }
 
-/// Marches every ray of a span to its end.
+/// Marches every ray of a tile to its end.
 struct March<'a> {
     renderer: &'a CpuRenderer,
     rays: &'a Rays<CpuBackend>,

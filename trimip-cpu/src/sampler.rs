@@ -1,14 +1,14 @@
 //! Ray generation on the CPU: random pixels of the training views, or all pixels of a camera.
 
 use crate::simd::fetch;
-use crate::{CpuBackend, Lane};
+use crate::{CpuBackend, WorkerScratch};
 use std::ops::Range;
 use trimip_core::backend::Sampler;
-use trimip_core::balance::Draw;
 use trimip_core::batch::{Ray, Rays, Segment, Target};
 use trimip_core::cones;
 use trimip_core::policy::SamplerPolicy;
-use trimip_core::rng::Stream;
+use trimip_core::ray_allocation::RayAllocation;
+use trimip_core::rng::Sequence;
 use trimip_core::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
 
@@ -28,7 +28,7 @@ impl CpuSampler {
     }
 }
 
-/// Generates the cones of the next pixel of a span, `side` along each side.
+/// Generates the cones of the next pixel of a tile, `side` along each side.
 #[inline]
 fn divide(camera: &Camera, [x, y]: [u32; 2], side: u32, rays: &mut Rays<CpuBackend>) {
     let (start, count) = (rays.rays.len() as u32, cones::count(side));
@@ -54,9 +54,9 @@ impl Sampler<CpuBackend> for CpuSampler {
 
     fn training_rays(
         &self,
-        _: &mut Lane,
+        _: &mut WorkerScratch,
         step: u64,
-        draw: &Draw,
+        allocation: &RayAllocation,
         range: Range<u32>,
         rays: &mut Rays<CpuBackend>,
     ) {
@@ -64,20 +64,20 @@ impl Sampler<CpuBackend> for CpuSampler {
         rays.groups.clear();
         rays.targets.clear();
         rays.photographs.clear();
-        rays.first = draw.cones_before(range.start);
+        rays.first = allocation.cones_before(range.start);
         let (policy, Some(views)) = (&self.policy, &self.views) else { return };
-        let (balance, random_share) = (policy.balance(), policy.random_share());
+        let (scale_weights, random_share) = (policy.scale_weights(), policy.random_share());
         // Random pixels are not in any cache: several are prefetched before the first is read.
         let mut drawn = [(0, 0); AHEAD];
         for (slot, index) in range.clone().enumerate() {
             if slot % AHEAD == 0 {
                 for (drawn, index) in drawn.iter_mut().zip(index..range.end) {
-                    *drawn = policy.pixel(step, draw, index);
+                    *drawn = policy.pixel(step, allocation, index);
                     fetch(&raw const views.pixels[drawn.1]);
                 }
             }
             let (scale, pixel) = drawn[slot % AHEAD];
-            let (mut weight, side) = (balance.weight(scale), draw.sides()[scale]);
+            let (mut weight, side) = (scale_weights.weight(scale), allocation.sides()[scale]);
             let exponent = policy.exponents[scale];
             let scale = &views.scales[scale];
             let in_scale = &views.views[scale.views.clone()];
@@ -96,7 +96,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             }
             let mut background = policy.background;
             if random_share > 0.0 {
-                let [r, g, b, chance] = policy.random.uniform(Stream::Background, step, index);
+                let [r, g, b, chance] = policy.random.uniform(Sequence::Background, step, index);
                 if chance < random_share {
                     background = [r, g, b];
                 }
@@ -111,7 +111,13 @@ impl Sampler<CpuBackend> for CpuSampler {
         }
     }
 
-    fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<CpuBackend>) {
+    fn camera_rays(
+        &self,
+        _: &mut WorkerScratch,
+        camera: &Camera,
+        range: Range<u32>,
+        rays: &mut Rays<CpuBackend>,
+    ) {
         rays.rays.clear();
         rays.groups.clear();
         rays.targets.clear();

@@ -6,7 +6,7 @@ mod world;
 #[cfg(feature = "mpi")]
 pub use world::{Traffic, World};
 
-use trimip_core::exchange::Share;
+use trimip_core::exchange::Rank;
 
 /// Variables of the environment in which a launcher tells a process its rank and the number of ranks: `mpirun` of Open MPI,
 /// the PMI of MPICH and Slurm, and PMIx under Slurm.
@@ -17,8 +17,8 @@ const LAUNCHERS: [[&str; 2]; 3] = [
 ];
 
 /// This process among those that a launcher of MPI programs started together; the whole without a launcher.
-pub fn launched() -> Share {
+pub fn launched() -> Rank {
     let read = |name: &str| std::env::var(name).ok()?.parse().ok();
-    let told = |[rank, of]: [&str; 2]| Some(Share { rank: read(rank)?, of: read(of)? });
-    LAUNCHERS.into_iter().find_map(told).unwrap_or(Share::WHOLE)
+    let told = |[rank, of]: [&str; 2]| Some(Rank { id: read(rank)?, size: read(of)? });
+    LAUNCHERS.into_iter().find_map(told).unwrap_or(Rank::ONLY)
 }

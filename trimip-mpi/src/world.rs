@@ -7,7 +7,7 @@ use mpi::traits::{Communicator, CommunicatorCollectives, Destination, Source};
 use mpi::{Rank, Tag, Threading, request};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
-use trimip_core::exchange::{Ranks, Share};
+use trimip_core::exchange::{Rank, Ranks};
 use trimip_core::{Error, Result};
 
 /// Tags of messages.
@@ -34,7 +34,7 @@ pub struct Traffic {
     pub touched: u64,
     /// Seconds spent in trades but the first, waiting for slower ranks included.
     pub trading: f64,
-    /// Seconds from the end of the first trade to that of the last.
+    /// Seconds from the end of the first all_to_all to that of the last.
     pub seconds: f64,
 }
 
@@ -42,7 +42,7 @@ pub struct Traffic {
 #[derive(Default)]
 pub struct World {
     /// This rank among all, and among those on its machine; known once MPI is in use.
-    shares: OnceLock<[Share; 2]>,
+    shares: OnceLock<[Rank; 2]>,
     traffic: Mutex<(Traffic, Option<Instant>)>,
     /// One thread at a time calls MPI.
     calls: Mutex<()>,
@@ -64,7 +64,7 @@ impl World {
             ));
         }
         let world = universe.world();
-        let launched = crate::launched().of;
+        let launched = crate::launched().size;
         if world.size() as usize != launched {
             return Err(Error::input(
                 format!("{launched} processes"),
@@ -76,8 +76,8 @@ impl World {
             ));
         }
         let near = world.split_shared(world.rank());
-        let share = |rank: Rank, of: Rank| Share { rank: rank as usize, of: of as usize };
-        self.shares.get_or_init(|| [share(world.rank(), world.size()), share(near.rank(), near.size())]);
+        let share = |rank: Rank, of: Rank| Rank { id: rank as usize, size: of as usize };
+        self.shares.get_or_init(|| [share(world.rank(), world.size()), share(near.id(), near.size())]);
         *lock(&self.universe) = Some(universe);
         Ok(())
     }
@@ -98,8 +98,8 @@ impl World {
         SimpleCommunicator::world().abort(code.into())
     }
 
-    fn shares(&self) -> [Share; 2] {
-        self.shares.get().copied().unwrap_or([Share::WHOLE; 2])
+    fn shares(&self) -> [Rank; 2] {
+        self.shares.get().copied().unwrap_or([Rank::ONLY; 2])
     }
 }
 
@@ -114,25 +114,25 @@ fn number(rank: usize) -> Rank {
 }
 
 impl Ranks for World {
-    fn share(&self) -> Share {
+    fn rank(&self) -> Rank {
         self.shares()[0]
     }
 
-    fn on_machine(&self) -> Share {
+    fn on_machine(&self) -> Rank {
         self.shares()[1]
     }
 
-    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
+    fn all_to_all(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
         let started = Instant::now();
         let _calls = lock(&self.calls);
         let world = SimpleCommunicator::world();
         let lengths: Vec<u64> = out.iter().map(|bytes| bytes.len() as u64).collect();
-        let mut coming = vec![0_u64; self.share().of];
+        let mut coming = vec![0_u64; self.rank().size];
         world.all_to_all_into(&lengths[..], &mut coming[..]);
         let mut sent = 0;
         request::scope(|scope| {
             let mut requests = Vec::new();
-            let own = self.share().rank;
+            let own = self.rank().id;
             for (from, bytes) in into.iter_mut().enumerate().filter(|(from, _)| *from != own) {
                 bytes.resize(coming[from] as usize, 0);
                 for part in bytes.chunks_mut(MOST) {
@@ -159,7 +159,7 @@ impl Ranks for World {
                 traffic.trading += started.elapsed().as_secs_f64();
                 traffic.seconds = since.elapsed().as_secs_f64();
             }
-            // In the first trade a rank waits for others that still read their data.
+            // In the first all_to_all a rank waits for others that still read their data.
             None => *since = Some(Instant::now()),
         }
         Ok(())
@@ -167,9 +167,9 @@ impl Ranks for World {
 
     fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()> {
         let world = SimpleCommunicator::world();
-        if self.share().rank == 0 {
+        if self.rank().id == 0 {
             let _calls = lock(&self.calls);
-            for to in 1..self.share().of {
+            for to in 1..self.rank().size {
                 let process = world.process_at_rank(number(to));
                 process.send_with_tag(&[bytes.len() as u64][..], ORDER);
                 bytes.chunks(MOST).for_each(|part| process.send_with_tag(part, ORDER));
@@ -223,7 +223,7 @@ impl Ranks for World {
         }))
     }
 
-    fn tally(&self, touched: u64) {
+    fn record_traffic(&self, touched: u64) {
         let (traffic, _) = &mut *lock(&self.traffic);
         traffic.steps += 1;
         traffic.touched += touched;

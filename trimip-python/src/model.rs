@@ -10,7 +10,7 @@ use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use trimip::mesh::{self, Extraction, Goal};
-use trimip::view::{Perceiver, TestViews, Watching, evaluate, pictures};
+use trimip::view::{PerceptualMetrics, TestViews, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
 use trimip_core::{Query, encoders, evaluate::ViewResult};
 
@@ -253,10 +253,10 @@ impl Model {
     fn evaluate<'py>(&self, py: Python<'py>, stride: usize) -> PyResult<Bound<'py, PyAny>> {
         let config = &self.model.config;
         let measured = self.work(py, |viewer, interrupted| {
-            let mut perceiver = Perceiver::open(&config.eval)?;
+            let mut perceptual = PerceptualMetrics::open(&config.eval)?;
             let set = data::open_test(&config.section()?)?;
             let test = TestViews { frames: &*set.frames, data: &config.data, stride };
-            evaluate(viewer, test, &mut perceiver, interrupted, None)
+            evaluate(viewer, test, &mut perceptual, interrupted, None)
         })?;
         value::python(
             py,

@@ -1,4 +1,4 @@
-//! The GPU backend. All stages record into one submission, a step is one span, and sums are read once they are
+//! The GPU backend. All stages record into one submission, a step is one tile, and sums are read once they are
 //! available.
 
 use crate::capacity::{Capacity, LEAST_CAPACITY};
@@ -10,14 +10,14 @@ use crate::occupancy::{OCCUPIED, WgpuOccupancy};
 use crate::optimizer::WgpuOptimizer;
 use crate::renderer::WgpuRenderer;
 use crate::sampler::WgpuSampler;
-use crate::spans::Spans;
-use crate::workspace::{Lane, WgpuBackend};
+use crate::tiles::Tiles;
+use crate::workspace::{Stream, WgpuBackend};
 use bytemuck::Pod;
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use trimip_core::backend::{Stages, TrainWork};
-use trimip_core::batch::{Batch, Deposit, StepResult, StepSums, Tiling, Workspace};
+use trimip_core::batch::{Batch, PartialGradients, StepResult, StepSums, Tiling, Workspace};
 use trimip_core::config::Precision;
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
@@ -27,10 +27,10 @@ const SOFTWARE_ROUNDS: usize = 60_000;
 /// Byte offset of the sum of the weights within a step's sums.
 const WEIGHT_AT: u64 = 4;
 
-/// Marched samples that the training loop plans for one span.
-const SAMPLES_PER_SPAN: usize = 512;
+/// Marched samples that the training loop plans for one tile.
+const SAMPLES_PER_TILE: usize = 512;
 
-/// Maximum number of pixels or probes in a first span, before their number of samples is known.
+/// Maximum number of pixels or probes in a first tile, before their number of samples is known.
 const MOST_AT_FIRST: usize = 1 << 18;
 
 impl WgpuBackend {
@@ -49,18 +49,18 @@ impl WgpuBackend {
         lock(&self.workspaces).push(workspace);
     }
 
-    /// The spans of a map over `count` items.
-    fn spans(&self, count: u32, per_span: u32) -> Spans {
+    /// The tiles of a map over `count` items.
+    fn tiles(&self, count: u32, per_tile: u32) -> Tiles {
         let capacity = *lock(&self.capacity);
-        let chunk = (per_span as usize * (capacity / SAMPLES_PER_SPAN).max(1)).min(count as usize);
+        let chunk = (per_tile as usize * (capacity / SAMPLES_PER_TILE).max(1)).min(count as usize);
         let chunk = chunk.min(MOST_AT_FIRST) as u32;
-        Spans::new(count, chunk, capacity)
+        Tiles::new(count, chunk, capacity)
     }
 
-    /// Copies a span's results into the result array.
-    fn gather<T: Pod + Send + Sync>(&self, from: &Buffer<T>, span: Range<u32>, to: &Buffer<T>) {
+    /// Copies a tile's results into the result array.
+    fn gather<T: Pod + Send + Sync>(&self, from: &Buffer<T>, tile: Range<u32>, to: &Buffer<T>) {
         let bytes = |values: u32| u64::from(values) * size_of::<T>() as u64;
-        self.gpu.copy(from.raw(), 0, to.raw(), bytes(span.start), bytes(span.end - span.start));
+        self.gpu.copy(from.raw(), 0, to.raw(), bytes(tile.start), bytes(tile.end - tile.start));
     }
 }
 
@@ -74,7 +74,7 @@ pub struct StepReceipt {
 
 impl Backend for WgpuBackend {
     type Buffer<T: Pod + Send + Sync> = Buffer<T>;
-    type Lane = Lane;
+    type Stream = Stream;
     type Sums = Sums;
     type Receipt = Option<StepReceipt>;
     type Encoder = WgpuEncoder;
@@ -104,7 +104,7 @@ impl Backend for WgpuBackend {
         match config.field.precision {
             Precision::F32 => Vec::new(),
             Precision::F16 if self.gpu.matrices().is_some() => {
-                match self.known.overflows.load(Ordering::Relaxed) {
+                match self.counters.overflows.load(Ordering::Relaxed) {
                     0 => Vec::new(),
                     count => vec![format!(
                         "field.precision = \"f16\": {count} numbers were too large for f16, the run goes on in f32"
@@ -150,9 +150,9 @@ impl Backend for WgpuBackend {
         }
         *lock(&self.capacity) = marched;
         let gpu = &self.gpu;
-        let occupancy = WgpuOccupancy::new(gpu, config, training, marched, Arc::clone(&self.known));
-        self.known.overflows.store(0, Ordering::Relaxed);
-        let field = WgpuField::new(gpu, config, &layout, Arc::clone(&self.known));
+        let occupancy = WgpuOccupancy::new(gpu, config, training, marched, Arc::clone(&self.counters));
+        self.counters.overflows.store(0, Ordering::Relaxed);
+        let field = WgpuField::new(gpu, config, &layout, Arc::clone(&self.counters));
         *lock(&self.watched) = Some([occupancy.state().raw().clone(), field.overflows().raw().clone()]);
         let skipped = Buffer::zeros(gpu, 1);
         let stages = Stages {
@@ -169,8 +169,8 @@ impl Backend for WgpuBackend {
         Ok(stages)
     }
 
-    fn lane(&self) -> Lane {
-        Lane::new(&self.gpu)
+    fn stream(&self) -> Stream {
+        Stream::new(&self.gpu)
     }
 
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Buffer<T> {
@@ -193,20 +193,20 @@ impl Backend for WgpuBackend {
         work()
     }
 
-    fn train_spans(
+    fn train_tiles(
         &self,
         field: &WgpuField,
         batch: &Batch<'_>,
-        deposits: &mut [Deposit<Self>],
+        partials: &mut [PartialGradients<Self>],
         work: &TrainWork<'_, Self>,
     ) {
-        let Some(deposit) = deposits.first_mut() else { return };
+        let Some(partial) = partials.first_mut() else { return };
         self.with_workspace(field, |workspace| {
-            work(workspace, deposit, batch.share.part(batch.draw.pixels()))
+            work(workspace, partial, batch.this_rank.part(batch.allocation.pixels()))
         });
     }
 
-    fn map_spans<T: Pod + Send + Sync>(
+    fn map_tiles<T: Pod + Send + Sync>(
         &self,
         field: &WgpuField,
         tiling: Tiling,
@@ -215,20 +215,20 @@ impl Backend for WgpuBackend {
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
         out.resize(tiling.count as usize);
-        let mut spans = self.spans(tiling.count, tiling.per_tile);
+        let mut tiles = self.tiles(tiling.count, tiling.per_tile);
         self.with_workspace(field, |workspace| {
-            while let Some(span) = spans.next() {
-                workspace.lane.marched = false;
-                work(workspace, span.clone());
-                let marched = workspace.lane.marched;
-                if spans.fits(&span, marched.then(|| workspace.samples.counts.read())) {
-                    self.gather(result(workspace), span, out);
+            while let Some(tile) = tiles.next() {
+                workspace.stream.marched = false;
+                work(workspace, tile.clone());
+                let marched = workspace.stream.marched;
+                if tiles.fits(&tile, marched.then(|| workspace.samples.counts.read())) {
+                    self.gather(result(workspace), tile, out);
                 }
             }
         });
     }
 
-    async fn map_spans_async<T: Pod + Send + Sync>(
+    async fn map_tiles_async<T: Pod + Send + Sync>(
         &self,
         field: &WgpuField,
         tiling: Tiling,
@@ -237,39 +237,39 @@ impl Backend for WgpuBackend {
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
         out.resize(tiling.count as usize);
-        let mut spans = self.spans(tiling.count, tiling.per_tile);
+        let mut tiles = self.tiles(tiling.count, tiling.per_tile);
         let mut workspace = self.take_workspace(field);
-        while let Some(span) = spans.next() {
-            workspace.lane.marched = false;
-            work(&mut workspace, span.clone());
-            let counts = match workspace.lane.marched {
+        while let Some(tile) = tiles.next() {
+            workspace.stream.marched = false;
+            work(&mut workspace, tile.clone());
+            let counts = match workspace.stream.marched {
                 true => Some(workspace.samples.counts.read_async().await),
                 false => None,
             };
-            if spans.fits(&span, counts) {
-                self.gather(result(&workspace), span, out);
+            if tiles.fits(&tile, counts) {
+                self.gather(result(&workspace), tile, out);
             }
         }
         self.keep_workspace(workspace);
     }
 
-    fn weight(&self, deposits: &[Deposit<Self>]) -> f64 {
-        let sums = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref());
+    fn weight(&self, partials: &[PartialGradients<Self>]) -> f64 {
+        let sums = partials.iter().find_map(|partial| partial.sums.0.as_ref());
         sums.map_or(0.0, |sums| self.gpu.redeem(self.gpu.send::<f32>(&sums.buffer, WEIGHT_AT, 1))[0].into())
     }
 
-    fn set_weight(&self, deposits: &mut [Deposit<Self>], weight: f64) {
-        if let Some(sums) = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref()) {
+    fn set_weight(&self, partials: &mut [PartialGradients<Self>], weight: f64) {
+        if let Some(sums) = partials.iter().find_map(|partial| partial.sums.0.as_ref()) {
             self.gpu.write_at(&sums.buffer, WEIGHT_AT, &[weight as f32]);
         }
     }
 
-    fn deposits(&self, _: u32) -> usize {
+    fn partials(&self, _: u32) -> usize {
         1
     }
 
-    fn post(&self, deposits: &[Deposit<Self>]) -> Option<StepReceipt> {
-        let sums = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref())?;
+    fn post(&self, partials: &[PartialGradients<Self>]) -> Option<StepReceipt> {
+        let sums = partials.iter().find_map(|partial| partial.sums.0.as_ref())?;
         let watched = lock(&self.watched);
         Some(StepReceipt {
             sums: self.gpu.send(&sums.buffer, 0, 8),
@@ -294,8 +294,8 @@ impl Backend for WgpuBackend {
         let words = self.gpu.redeem(sums);
         let exposures = exposures.map(|exposures| self.gpu.redeem(exposures)).unwrap_or_default();
         if let Some([occupied, overflows]) = watched {
-            self.known.occupied.store(self.gpu.redeem(occupied)[0].into(), Ordering::Relaxed);
-            self.known.overflows.store(self.gpu.redeem(overflows)[0].into(), Ordering::Relaxed);
+            self.counters.occupied.store(self.gpu.redeem(occupied)[0].into(), Ordering::Relaxed);
+            self.counters.overflows.store(self.gpu.redeem(overflows)[0].into(), Ordering::Relaxed);
         }
         self.gpu.check("a training step")?;
         let float = |i: usize| f64::from(f32::from_bits(words[i]));

@@ -12,13 +12,13 @@ const MARCHED_PER_AIM: usize = 4;
 /// Capacity for kept samples in a training step, per sample that the step aims to keep.
 const KEPT_PER_AIM: usize = 2;
 
-/// Capacity for samples in a span of a view.
+/// Capacity for samples in a tile of a view.
 pub const VIEW_SAMPLES: usize = 1 << 20;
 
-/// Minimum capacity for samples in a span: one ray through the whole box.
+/// Minimum capacity for samples in a tile: one ray through the whole box.
 pub const LEAST_CAPACITY: usize = 4096;
 
-/// Number of samples that the arrays of a span have the capacity for.
+/// Number of samples that the arrays of a tile have the capacity for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capacity {
     /// Marched samples.
@@ -28,7 +28,7 @@ pub struct Capacity {
 }
 
 impl Capacity {
-    /// The capacity of a span on a device whose largest binding has `binding` bytes.
+    /// The capacity of a tile on a device whose largest binding has `binding` bytes.
     pub fn new(config: &Config, training: bool, binding: u64) -> Self {
         let widest = (size_of::<f32>() * widest_row(config)) as u64;
         // Whole blocks, because arrays are padded to them.

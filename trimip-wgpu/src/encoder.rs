@@ -1,4 +1,4 @@
-//! The encoder stage on the GPU: the list of all encoders, and the dispatch to the configured one once per span.
+//! The encoder stage on the GPU: the list of all encoders, and the dispatch to the configured one once per tile.
 
 use crate::encoders::{
     Encoding, FeatureGradients, Places, frequencies, hash_grid, rip_map, tensor, tri_mip, voxels,
@@ -6,13 +6,13 @@ use crate::encoders::{
 #[cfg(test)]
 use crate::gpu::Kernel;
 use crate::gpu::{Buffer, Gpu, Rows};
-use crate::workspace::{Addition, Lane, WgpuBackend};
+use crate::workspace::{Addition, Stream, WgpuBackend};
 use std::sync::Arc;
-use trimip_core::batch::{Deposit, Tile};
+use trimip_core::batch::{PartialGradients, Tile};
 use trimip_core::config::EncoderKind;
 use trimip_core::{Config, Encoder, encoders};
 
-/// The geometry of a span's samples.
+/// The geometry of a tile's samples.
 fn places(tile: &mut Tile<'_, WgpuBackend>) -> Places {
     let Tile { stream, rays, samples, .. } = tile;
     Places {
@@ -36,8 +36,8 @@ macro_rules! encoders {
             any: Any,
             /// Floats in a row of features: the encoder's width, padded.
             stride: usize,
-            /// Floats in a row of the tape.
-            tape: usize,
+            /// Floats in a row of the context.
+            context: usize,
         }
 
         /// Kernels of all encoders, for validation.
@@ -61,7 +61,7 @@ macro_rules! encoders {
                 let any = match config.encoder.kind {
                     $(EncoderKind::$name => Any::$name(Encoding::new(gpu, config, training, addition, skipped))),*
                 };
-                Self { any, stride: encoders::stride(config), tape: encoders::of(config).tape(config) }
+                Self { any, stride: encoders::stride(config), context: encoders::of(config).context(config) }
             }
         }
 
@@ -83,55 +83,55 @@ macro_rules! encoders {
             fn forward(
                 &self,
                 tile: &mut Tile<'_, WgpuBackend>,
-                tape: &mut Buffer<f32>,
+                context: &mut Buffer<f32>,
                 features: &mut Buffer<f32>,
             ) {
                 let (at, parameters) = (places(tile), tile.parameters);
                 at.rows.size(features, self.stride);
-                if self.tape > 0 {
-                    at.rows.size(tape, self.tape);
+                if self.context > 0 {
+                    at.rows.size(context, self.context);
                 }
                 match &self.any {
-                    $(Any::$name(encoding) => encoding.forward(parameters, &at, tape, features)),*
+                    $(Any::$name(encoding) => encoding.forward(parameters, &at, context, features)),*
                 }
             }
 
             fn keep(
                 &self,
-                lane: &mut Lane,
+                stream: &mut Stream,
                 kept: &Buffer<u32>,
-                tape: &mut Buffer<f32>,
+                context: &mut Buffer<f32>,
                 features: &mut Buffer<f32>,
             ) {
-                if self.tape > 0 {
-                    lane.keep(kept, tape, self.tape);
+                if self.context > 0 {
+                    stream.keep(kept, context, self.context);
                 }
-                lane.keep(kept, features, self.stride);
+                stream.keep(kept, features, self.stride);
             }
 
             fn backward(
                 &self,
                 tile: &mut Tile<'_, WgpuBackend>,
-                tape: &Buffer<f32>,
+                context: &Buffer<f32>,
                 feature_gradients: &Buffer<f32>,
                 gradient: &mut EncoderGradient,
             ) {
                 gradient.0 = Some(FeatureGradients {
                     at: places(tile),
-                    tape: tape.raw().clone(),
+                    context: context.raw().clone(),
                     gradients: feature_gradients.raw().clone(),
                 });
             }
 
-            fn flush(
+            fn reduce(
                 &mut self,
-                deposits: &mut [Deposit<WgpuBackend>],
+                partials: &mut [PartialGradients<WgpuBackend>],
                 parameters: &Buffer<f32>,
                 parameter_gradient: &mut Buffer<f32>,
             ) {
-                let left = deposits.iter_mut().filter_map(|deposit| deposit.encoder.0.take());
+                let left = partials.iter_mut().filter_map(|partial| partial.encoder.0.take());
                 match &mut self.any {
-                    $(Any::$name(encoding) => encoding.flush(left, parameters, parameter_gradient)),*
+                    $(Any::$name(encoding) => encoding.reduce(left, parameters, parameter_gradient)),*
                 }
             }
         }

@@ -6,10 +6,10 @@ use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Rows, Size};
 use crate::mlp::{Activations, DIRECT, Flow, Mlp, Partials};
 use crate::products::padded;
 use crate::shaders::{ACTIVATION, COMPOSITING, HARMONICS, RAY};
-use crate::workspace::{Known, Lane, WgpuBackend};
+use crate::workspace::{DeviceCounters, Stream, WgpuBackend};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use trimip_core::batch::{Deposit, FieldBackward, Radiance, Tile};
+use trimip_core::batch::{FieldBackward, PartialGradients, Radiance, Tile};
 use trimip_core::config::{Precision, ViewEncoding};
 use trimip_core::policy::FieldPolicy;
 use trimip_core::{Config, Field, Layout};
@@ -101,11 +101,11 @@ pub struct WgpuField {
     width: usize,
     layout: Layout,
     overflows: Buffer<u32>,
-    known: Arc<Known>,
+    counters: Arc<DeviceCounters>,
 }
 
 /// Activations of a step.
-pub struct Tape {
+pub struct Context {
     density: Activations,
     color: Activations,
     color_input: Buffer<f32>,
@@ -115,7 +115,7 @@ pub struct Tape {
     scratch: [Buffer<f32>; 2],
 }
 
-impl Tape {
+impl Context {
     /// Outputs of the density network.
     pub fn outputs(&self) -> &Buffer<f32> {
         &self.density[self.density.len() - 1]
@@ -130,7 +130,7 @@ pub struct FieldGradient {
 
 impl WgpuField {
     /// Creates the networks of a configuration.
-    pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout, known: Arc<Known>) -> Self {
+    pub fn new(gpu: &Arc<Gpu>, config: &Config, layout: &Layout, counters: Arc<DeviceCounters>) -> Self {
         let overflows = Buffer::zeros(gpu, 1);
         let matrices = if config.field.precision == Precision::F16 { gpu.matrices() } else { None };
         let policy = FieldPolicy::new(config);
@@ -145,7 +145,7 @@ impl WgpuField {
             color,
             layout: layout.clone(),
             overflows,
-            known,
+            counters,
         }
     }
 
@@ -177,18 +177,18 @@ impl WgpuField {
         }
     }
 
-    /// As [`Field::keep`], but keeps no more of the tape than colours need; there is no way back.
+    /// As [`Field::keep`], but keeps no more of the context than colours need; there is no way back.
     pub fn keep_outputs(
         &self,
-        lane: &mut Lane,
+        stream: &mut Stream,
         kept: &Buffer<u32>,
-        tape: &mut Tape,
+        context: &mut Context,
         radiance: &mut Buffer<Radiance>,
     ) {
-        if let Some(outputs) = tape.density.last_mut() {
-            lane.keep(kept, outputs, self.outputs());
+        if let Some(outputs) = context.density.last_mut() {
+            stream.keep(kept, outputs, self.outputs());
         }
-        lane.keep(kept, radiance, 4);
+        stream.keep(kept, radiance, 4);
     }
 
     /// The counter of factors that f16 cannot hold.
@@ -205,12 +205,12 @@ impl WgpuField {
 }
 
 impl Field<WgpuBackend> for WgpuField {
-    type Tape = Tape;
+    type Context = Context;
     type Gradient = FieldGradient;
 
-    fn tape(&self) -> Tape {
+    fn context(&self) -> Context {
         let empty = || Buffer::zeros(&self.gpu, 0);
-        Tape {
+        Context {
             density: self.density.activations(&self.gpu),
             color: self.color.activations(&self.gpu),
             color_input: empty(),
@@ -226,7 +226,7 @@ impl Field<WgpuBackend> for WgpuField {
     }
 
     fn refresh(&mut self, parameters: &Buffer<f32>) {
-        if self.density.is_half() && self.known.overflows.load(Ordering::Relaxed) > 0 {
+        if self.density.is_half() && self.counters.overflows.load(Ordering::Relaxed) > 0 {
             self.fall_back();
         }
         self.density.pack(&self.gpu, parameters);
@@ -237,34 +237,40 @@ impl Field<WgpuBackend> for WgpuField {
         &self,
         tile: &mut Tile<'_, WgpuBackend>,
         features: &Buffer<f32>,
-        tape: &mut Tape,
+        context: &mut Context,
         radiance: &mut Buffer<Radiance>,
     ) {
         let rows = Rows::of(&tile.samples.spheres, &mut tile.stream.count);
-        self.density.forward(&self.gpu, &rows, features, &mut tape.density);
+        self.density.forward(&self.gpu, &rows, features, &mut context.density);
         rows.size(radiance, 1);
-        let outputs = &tape.density[tape.density.len() - 1];
+        let outputs = &context.density[context.density.len() - 1];
         let binds = [outputs.bind(), radiance.bind(), rows.bind()];
         self.gpu.dispatch(&self.kernels.densities, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
     }
 
-    fn keep(&self, lane: &mut Lane, kept: &Buffer<u32>, tape: &mut Tape, radiance: &mut Buffer<Radiance>) {
-        for (width, activations) in self.density.widths().zip(&mut tape.density) {
-            lane.keep(kept, activations, width);
+    fn keep(
+        &self,
+        stream: &mut Stream,
+        kept: &Buffer<u32>,
+        context: &mut Context,
+        radiance: &mut Buffer<Radiance>,
+    ) {
+        for (width, activations) in self.density.widths().zip(&mut context.density) {
+            stream.keep(kept, activations, width);
         }
-        lane.keep(kept, radiance, 4);
+        stream.keep(kept, radiance, 4);
     }
 
     fn color(
         &self,
         tile: &mut Tile<'_, WgpuBackend>,
         least: f32,
-        tape: &mut Tape,
+        context: &mut Context,
         radiance: &mut Buffer<Radiance>,
     ) {
-        let Tile { stream: lane, rays, samples, .. } = tile;
-        let rows = Rows::of(&samples.spheres, &mut lane.count);
-        let Tape { density, color, color_input, .. } = tape;
+        let Tile { stream, rays, samples, .. } = tile;
+        let rows = Rows::of(&samples.spheres, &mut stream.count);
+        let Context { density, color, color_input, .. } = context;
         let outputs = &density[density.len() - 1];
         let logits = if self.policy.is_direct() {
             outputs
@@ -296,14 +302,14 @@ impl Field<WgpuBackend> for WgpuField {
         &self,
         tile: &mut Tile<'_, WgpuBackend>,
         arrays: FieldBackward<'_, WgpuBackend>,
-        tape: &mut Tape,
+        context: &mut Context,
         gradient: &mut FieldGradient,
     ) {
-        let Tile { stream: lane, samples, .. } = tile;
+        let Tile { stream, samples, .. } = tile;
         let FieldBackward { features, radiance, radiance_gradients, feature_gradients } = arrays;
-        let rows = Rows::of(&samples.spheres, &mut lane.count);
-        let Tape { density, color, color_input, color_gradient, input_gradient, output_gradient, scratch } =
-            tape;
+        let rows = Rows::of(&samples.spheres, &mut stream.count);
+        let Context { density, color, color_input, color_gradient, input_gradient, output_gradient, scratch } =
+            context;
         rows.size(color_gradient, DIRECT);
         let binds = [radiance.bind(), rows.bind(), color_gradient.bind(), radiance_gradients.bind()];
         self.gpu.dispatch(
@@ -345,10 +351,14 @@ impl Field<WgpuBackend> for WgpuField {
         self.density.backward(&self.gpu, &rows, features, density, flow);
     }
 
-    fn flush(&mut self, deposits: &mut [Deposit<WgpuBackend>], parameter_gradient: &mut Buffer<f32>) {
-        // A step is one span and has one deposit; the next step overwrites its chunks.
-        for deposit in deposits {
-            let FieldGradient { density, color } = &deposit.field;
+    fn reduce(
+        &mut self,
+        partials: &mut [PartialGradients<WgpuBackend>],
+        parameter_gradient: &mut Buffer<f32>,
+    ) {
+        // A step is one tile and has one set of partial gradients; the next step overwrites its chunks.
+        for partial in partials {
+            let FieldGradient { density, color } = &partial.field;
             self.density.reduce(&self.gpu, density, parameter_gradient);
             self.color.reduce(&self.gpu, color, parameter_gradient);
         }

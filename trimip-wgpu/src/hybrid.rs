@@ -1,6 +1,6 @@
 //! Hybrid rendering on the GPU: the samples of a ray are chosen by the densities of the proxy.
 
-use crate::field::Tape;
+use crate::field::Context;
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
 use crate::gpu::{Buffer, GRID, Gpu, Kernel, Size};
@@ -8,7 +8,7 @@ use crate::occupancy::WgpuOccupancy;
 use crate::renderer::{MARCHED, WALK, WgpuRenderer};
 use crate::shaders::{COMPOSITING, PRUNING, SEGMENTS};
 use crate::space::GpuSpace;
-use crate::workspace::{Lane, WgpuBackend};
+use crate::workspace::{Stream, WgpuBackend};
 use std::sync::Arc;
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Radiance, Rays, Samples, Tile, Workspace};
@@ -158,28 +158,30 @@ impl Hybrid {
         })
     }
 
-    /// See [`trimip_core::Renderer::see`].
-    pub fn see(
+    /// See [`trimip_core::Renderer::visibility_pass`].
+    pub fn visibility_pass(
         &self,
         stages: &Stages<WgpuBackend>,
         parameters: &Buffer<f32>,
-        space: &mut Workspace<WgpuBackend>,
+        workspace: &mut Workspace<WgpuBackend>,
     ) {
-        let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, .. } = space;
-        self.choose(&stages.renderer, lane, rays, &stages.occupancy, samples);
-        let tile = &mut Tile { stream: lane, parameters, rays, samples };
-        stages.encoder.forward(tile, encoding, features);
-        stages.field.density(tile, features, tape, radiance);
-        self.share(stages, tile, tape, radiance);
-        stages.renderer.list(lane, samples, kept);
-        stages.field.keep_outputs(lane, kept, tape, radiance);
+        let Workspace {
+            stream, rays, samples, encoder_context, features, field_context, radiance, kept, ..
+        } = workspace;
+        self.choose(&stages.renderer, stream, rays, &stages.occupancy, samples);
+        let tile = &mut Tile { stream, parameters, rays, samples };
+        stages.encoder.forward(tile, encoder_context, features);
+        stages.field.density(tile, features, field_context, radiance);
+        self.share(stages, tile, field_context, radiance);
+        stages.renderer.list(stream, samples, kept);
+        stages.field.keep_outputs(stream, kept, field_context, radiance);
     }
 
     /// Places the samples of all rays.
     fn choose(
         &self,
         renderer: &WgpuRenderer,
-        lane: &mut Lane,
+        stream: &mut Stream,
         rays: &Rays<WgpuBackend>,
         occupancy: &WgpuOccupancy,
         samples: &mut Samples<WgpuBackend>,
@@ -189,8 +191,8 @@ impl Hybrid {
         let room = renderer.room.min(count * most_samples).max(1);
         samples.segments.resize(count);
         samples.counts.resize(2);
-        lane.sure.resize(count);
-        lane.marched = true;
+        stream.sure.resize(count);
+        stream.marched = true;
         let (Rule { least, opaque, .. }, layers) = (self.rule, self.layers);
         let params = ChooseParams {
             space: GpuSpace::new(&renderer.policy.space, occupancy.resolution()),
@@ -214,16 +216,16 @@ impl Hybrid {
         };
         let items = Size::Items(count as u64);
         let (rays, grid, proxy) = (rays.rays.bind(), occupancy.grid().bind(), self.proxy.bind());
-        let binds = [rays, lane.sure.bind(), samples.segments.bind(), grid, proxy];
+        let binds = [rays, stream.sure.bind(), samples.segments.bind(), grid, proxy];
         self.gpu.dispatch(&self.kernels.count, &binds, &params, items);
-        renderer.scan(lane, &samples.segments, &samples.counts, MARCHED, room);
+        renderer.scan(stream, &samples.segments, &samples.counts, MARCHED, room);
         let counts = samples.counts.raw().clone();
         samples.rays.count_by(room, &counts, MARCHED, 1);
         samples.intervals.count_by(room, &counts, MARCHED, 1);
         samples.spheres.count_by(room, &counts, MARCHED, 1);
         let binds = [
             rays,
-            lane.sure.bind(),
+            stream.sure.bind(),
             samples.segments.bind(),
             grid,
             samples.rays.bind(),
@@ -239,14 +241,14 @@ impl Hybrid {
         &self,
         stages: &Stages<WgpuBackend>,
         tile: &mut Tile<'_, WgpuBackend>,
-        tape: &Tape,
+        field_context: &Context,
         radiance: &Buffer<Radiance>,
     ) {
         let Stages { renderer, field, .. } = stages;
-        let Tile { stream: lane, samples, .. } = tile;
+        let Tile { stream, samples, .. } = tile;
         let count = samples.segments.known_len().unwrap_or(0);
-        lane.old_segments.resize(count);
-        lane.marks.resize(samples.spheres.most());
+        stream.old_segments.resize(count);
+        stream.marks.resize(samples.spheres.most());
         let params = ShareParams {
             count: count as u32,
             // WGSL cannot express infinity.
@@ -259,12 +261,12 @@ impl Hybrid {
         };
         let binds = [
             samples.segments.bind(),
-            lane.sure.bind(),
+            stream.sure.bind(),
             radiance.bind(),
             samples.intervals.bind(),
-            lane.old_segments.bind(),
-            lane.marks.bind(),
-            tape.outputs().bind(),
+            stream.old_segments.bind(),
+            stream.marks.bind(),
+            field_context.outputs().bind(),
         ];
         self.gpu.dispatch(&self.kernels.share, &binds, &params, Size::Items(count as u64));
     }

@@ -1,5 +1,5 @@
 //! The stages of Tri-MipRF on any GPU through wgpu: `gpu/` knows the device and no stage; each stage is a file with its
-//! kernels, and WGSL in `shaders/`, twins of `trimip-core`'s mathematics under the same names. Structs and constants in
+//! kernels, and WGSL in `shaders/`, the same as `trimip-core`'s mathematics under the same names. Structs and constants in
 //! WGSL are generated from Rust. A training step is one submission. No parameters are transferred, and the sums
 //! of a step are read while later steps run.
 
@@ -29,8 +29,8 @@ mod sampler;
 mod settings;
 mod shaders;
 mod space;
-mod spans;
 mod speed;
+mod tiles;
 #[cfg(test)]
 mod validation;
 mod workspace;
@@ -39,7 +39,7 @@ pub use gpu::{AdapterFacts, Buffer, Ceilings, Counts, adapters, software, take_t
 pub use memory::memory;
 pub use settings::{Photographs, SECTION, WgpuConfig};
 pub use speed::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, compute};
-pub use workspace::{Addition, Lane, WgpuBackend};
+pub use workspace::{Addition, Stream, WgpuBackend};
 
 use std::sync::Arc;
 use trimip_core::exchange::{Ranks, Summed};
@@ -63,7 +63,7 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
 /// # Errors
 /// As [`open`].
 pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
-    let gpu = ranks.on_machine().rank;
+    let gpu = ranks.on_machine().id;
     let own: WgpuConfig = config.section()?;
     let backend = WgpuBackend::one_of(&own.adapter, gpu, own.deterministic)?;
     let mut trainer = Trainer::new(backend, config, views)?;

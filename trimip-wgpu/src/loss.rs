@@ -5,7 +5,7 @@ use crate::gpu::{Binds, Buffer, GROUP, Gpu, Size};
 use crate::losses::{Kernels, Params, PixelTerms, RayParams};
 use crate::shaders::POINT;
 use crate::space::GpuSpace;
-use crate::workspace::{Lane, WgpuBackend};
+use crate::workspace::{Stream, WgpuBackend};
 use std::sync::Arc;
 use trimip_core::backend::{Loss, RenderedTile};
 use trimip_core::batch::Radiance;
@@ -83,7 +83,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
 
     fn evaluate_pixels(
         &self,
-        lane: &mut Lane,
+        stream: &mut Stream,
         tile: &RenderedTile<'_, WgpuBackend>,
         pixel_gradients: &mut Buffer<[f32; 4]>,
         sums: &mut Sums,
@@ -92,7 +92,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
         let count = pixels.known_len().unwrap_or(0) as u32;
         let blocks = count.div_ceil(GROUP);
         pixel_gradients.resize(count as usize);
-        lane.sums.resize(4 * blocks as usize);
+        stream.sums.resize(4 * blocks as usize);
         let photographs = self.exposures.most() / (GAIN_WORDS + SUM_WORDS);
         let params = Params {
             count,
@@ -105,7 +105,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
         let mut binds = Binds::new(pixels.bind()).and([
             pixel_gradients.bind(),
             rays.targets.bind(),
-            lane.sums.bind(),
+            stream.sums.bind(),
             samples.segments.bind(),
             rays.groups.bind(),
         ]);
@@ -117,7 +117,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
             binds = binds.and([rays.photographs.bind(), self.exposures.bind()]);
         }
         self.gpu.dispatch(kernel, &binds, &params, Size::Items(count.into()));
-        let binds = [lane.sums.bind(), self.sums.bind(), samples.counts.bind()];
+        let binds = [stream.sums.bind(), self.sums.bind(), samples.counts.bind()];
         self.gpu.dispatch(&self.kernels.add_up, &binds, &params, Size::Groups(1));
         let exposures = (photographs > 0).then(|| (self.exposures.raw().clone(), photographs));
         sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures });
@@ -125,7 +125,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
 
     fn evaluate_rays(
         &self,
-        lane: &mut Lane,
+        stream: &mut Stream,
         tile: &RenderedTile<'_, WgpuBackend>,
         radiance_gradients: &mut Buffer<Radiance>,
         _: &mut Sums,
@@ -140,7 +140,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
             }
             let params = RayParams { space: self.space, term, count, blocks };
             // The sums of the pixels are added up already.
-            lane.sums.resize(4 * blocks as usize);
+            stream.sums.resize(4 * blocks as usize);
             let binds = [
                 samples.segments.bind(),
                 radiance_gradients.bind(),
@@ -149,10 +149,10 @@ impl Loss<WgpuBackend> for WgpuLoss {
                 rays.rays.bind(),
                 rays.targets.bind(),
                 rays.groups.bind(),
-                lane.sums.bind(),
+                stream.sums.bind(),
             ];
             self.gpu.dispatch(cones, &binds, &params, Size::Items(count.into()));
-            let binds = [lane.sums.bind(), self.sums.bind()];
+            let binds = [stream.sums.bind(), self.sums.bind()];
             self.gpu.dispatch(sums, &binds, &params, Size::Groups(1));
         }
     }

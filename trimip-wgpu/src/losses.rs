@@ -8,7 +8,7 @@ use crate::gpu::{GRID, Gpu, Kernel, Pipeline};
 use crate::shaders::{COMPOSITING, FIXED, SUM, SUM_OF_FOUR};
 use crate::space::{GpuSpace, SPACE};
 use trimip_core::config::Photometric;
-use trimip_core::edges::LEAST_OPACITY;
+use trimip_core::edge_exponents::LEAST_OPACITY;
 use trimip_core::losses::RAY_TERMS;
 
 shared! {

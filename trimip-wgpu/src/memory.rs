@@ -45,7 +45,7 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
 
     // Arrays that are gathered exist twice: as marched and as kept.
     let samples = size_of::<Sphere>() + size_of::<Interval>() + size_of::<u32>();
-    let encoding = encoders::stride(config) + encoders::of(config).tape(config);
+    let encoding = encoders::stride(config) + encoders::of(config).context(config);
     let asked = (encoding + widths(&density)) * FLOAT;
     let per_marched = 2 * (samples + asked) + size_of::<Radiance>() + size_of::<u32>();
     let hidden = padded(config.field.hidden.max(config.field.color_hidden) as usize);

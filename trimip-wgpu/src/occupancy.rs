@@ -6,7 +6,7 @@ use crate::gpu::Source::{self, Text};
 use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Size};
 use crate::shaders::{BLOCKS, RANDOM, SIDE, SUM};
 use crate::space::{GpuSpace, SPACE};
-use crate::workspace::{Known, Lane, WgpuBackend};
+use crate::workspace::{DeviceCounters, Stream, WgpuBackend};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -16,9 +16,9 @@ use trimip_core::batch::{Radiance, Rays, Samples};
 use trimip_core::bits;
 use trimip_core::occupancy::coordinates;
 use trimip_core::policy::OccupancyPolicy;
-use trimip_core::rng::Stream;
+use trimip_core::rng::Sequence;
 
-/// Indices into the state: cells selected, cells occupied, cells queried in a span.
+/// Indices into the state: cells selected, cells occupied, cells queried in a tile.
 const CHOSEN: u32 = 0;
 pub const OCCUPIED: u32 = 1;
 const ASKED: u32 = 2;
@@ -31,7 +31,7 @@ shared! {
         point_draws: [u32; 4],
         cells: u32,
         fraction: f32,
-        /// Index of the span's first selected cell, and maximum number of cells of the span.
+        /// Index of the tile's first selected cell, and maximum number of cells of the tile.
         first: u32,
         capacity: u32,
         radius: f32,
@@ -81,7 +81,7 @@ kernels! {
         ),
         sum_densities: Kernel::new("sum_densities", &OCCUPANCY, &[(2, Parameters), (6, Write), (7, Write)]),
         /// Computes the threshold.
-        settle: Kernel::new("settle", &OCCUPANCY, &[(0, Write), (2, Parameters), (7, Write)]),
+        find_threshold: Kernel::new("find_threshold", &OCCUPANCY, &[(0, Write), (2, Parameters), (7, Write)]),
         set_bits: Kernel::new(
             "set_bits",
             &OCCUPANCY,
@@ -102,7 +102,7 @@ pub struct WgpuOccupancy {
     kernels: Kernels,
     policy: OccupancyPolicy,
     params: Params,
-    /// Number of samples that a span has room for.
+    /// Number of samples that a tile has room for.
     room: usize,
     state: Buffer<u32>,
     /// Two words per block, then two words per block of blocks.
@@ -110,12 +110,18 @@ pub struct WgpuOccupancy {
     chosen: Buffer<u32>,
     densities: Buffer<f32>,
     partial: Buffer<f32>,
-    known: Arc<Known>,
+    counters: Arc<DeviceCounters>,
 }
 
 impl WgpuOccupancy {
     /// Creates a grid in which every cell is occupied.
-    pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, room: usize, known: Arc<Known>) -> Self {
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        config: &Config,
+        training: bool,
+        room: usize,
+        counters: Arc<DeviceCounters>,
+    ) -> Self {
         let policy = OccupancyPolicy::new(config);
         let cells = policy.cells();
         let params = Params {
@@ -141,7 +147,7 @@ impl WgpuOccupancy {
             chosen: Buffer::zeros(gpu, kept),
             densities: Buffer::zeros(gpu, kept),
             partial: Buffer::zeros(gpu, params.blocks as usize),
-            known,
+            counters,
         };
         grid.set_bits(|_| true);
         grid
@@ -183,7 +189,7 @@ impl WgpuOccupancy {
         }
         self.grid.write(&words);
         self.state.write(&[0, count, 0, 0]);
-        self.known.occupied.store(count.into(), Ordering::Relaxed);
+        self.counters.occupied.store(count.into(), Ordering::Relaxed);
     }
 }
 
@@ -195,9 +201,9 @@ fn place(at: [u32; 3], blocks: u32) -> (usize, u32) {
 }
 
 impl Occupancy<WgpuBackend> for WgpuOccupancy {
-    fn choose(&mut self, step: u64) -> u32 {
+    fn select(&mut self, step: u64) -> u32 {
         self.params.fraction = self.policy.fraction(step);
-        self.params.cell_draws = self.policy.random.at(Stream::Cell, step).words();
+        self.params.cell_draws = self.policy.random.at(Sequence::Cell, step).words();
         self.gpu.clear(self.state.raw(), u64::from(4 * CHOSEN), 4);
         let binds = [self.state.bind(), self.grid.bind(), self.chosen.bind(), self.densities.bind()];
         self.gpu.dispatch(&self.kernels.choose, &binds, &self.params, Size::Items(self.params.cells.into()));
@@ -207,7 +213,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
 
     fn probes(
         &self,
-        _: &mut Lane,
+        _: &mut Stream,
         step: u64,
         range: Range<u32>,
         rays: &mut Rays<WgpuBackend>,
@@ -219,7 +225,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         samples.intervals.count_by(room, state, ASKED, 1);
         samples.spheres.count_by(room, state, ASKED, 1);
         let params = Params {
-            point_draws: self.policy.random.at(Stream::Point, step).words(),
+            point_draws: self.policy.random.at(Sequence::Point, step).words(),
             first: range.start,
             capacity: room as u32,
             ..self.params
@@ -235,13 +241,13 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         self.gpu.dispatch(&self.kernels.probes, &binds, &params, Size::Items(room as u64));
     }
 
-    fn absorb(&mut self, radiance: &Buffer<Radiance>) {
+    fn update(&mut self, radiance: &Buffer<Radiance>) {
         let Self { gpu, kernels, params, state, grid, chosen, densities, partial, .. } = self;
         let cells = Size::Items(params.cells.into());
         let binds = [state.bind(), chosen.bind(), radiance.bind(), densities.bind()];
         gpu.dispatch(&kernels.absorb, &binds, params, cells);
         gpu.dispatch(&kernels.sum_densities, &[densities.bind(), partial.bind()], params, cells);
-        gpu.dispatch(&kernels.settle, &[state.bind(), partial.bind()], params, Size::Groups(1));
+        gpu.dispatch(&kernels.find_threshold, &[state.bind(), partial.bind()], params, Size::Groups(1));
         let blocks = u64::from(params.space.resolution / SIDE).pow(3);
         let binds = [state.bind(), grid.bind(), densities.bind(), partial.bind()];
         gpu.dispatch(&kernels.set_bits, &binds, params, Size::Items(blocks));
@@ -252,7 +258,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
     }
 
     fn occupied(&self) -> f64 {
-        self.known.occupied.load(Ordering::Relaxed) as f64 / f64::from(self.params.cells)
+        self.counters.occupied.load(Ordering::Relaxed) as f64 / f64::from(self.params.cells)
     }
 
     fn densities(&self) -> Vec<f32> {

@@ -50,7 +50,7 @@ pub struct WgpuOptimizer {
     v: Buffer<f32>,
     skipped: Buffer<u32>,
     /// Value of `skipped` when it was last read.
-    known: AtomicU64,
+    counters: AtomicU64,
 }
 
 impl WgpuOptimizer {
@@ -71,7 +71,7 @@ impl WgpuOptimizer {
             m: Buffer::zeros(gpu, length),
             v: Buffer::zeros(gpu, length),
             skipped,
-            known: AtomicU64::new(0),
+            counters: AtomicU64::new(0),
         }
     }
 }
@@ -86,14 +86,14 @@ impl Optimizer<WgpuBackend> for WgpuOptimizer {
     }
 
     fn step(&mut self, update: &mut Update<'_, WgpuBackend>) {
-        let Update { parameters, gradient, deposits, learning_rate, step } = update;
-        let Some(sums) = deposits.iter().find_map(|deposit| deposit.sums.0.as_ref()) else { return };
+        let Update { parameters, gradient, partials, learning_rate, step } = update;
+        let Some(sums) = partials.iter().find_map(|partial| partial.sums.0.as_ref()) else { return };
         self.move_all(parameters, gradient, &sums.buffer, *learning_rate, *step);
     }
 
     fn moments(&self) -> [&Buffer<f32>; 2] {
         // The caller is about to wait for the moments anyway, so the count is read here.
-        self.known.store(self.skipped.read()[0].into(), Ordering::Relaxed);
+        self.counters.store(self.skipped.read()[0].into(), Ordering::Relaxed);
         [&self.m, &self.v]
     }
 
@@ -102,7 +102,7 @@ impl Optimizer<WgpuBackend> for WgpuOptimizer {
     }
 
     fn non_finite(&self) -> u64 {
-        self.known.load(Ordering::Relaxed)
+        self.counters.load(Ordering::Relaxed)
     }
 }
 

@@ -7,14 +7,14 @@ use crate::hybrid::Hybrid;
 use crate::occupancy::WgpuOccupancy;
 use crate::shaders::{BLOCKS, COMPOSITING, PRUNING, RANDOM, RAY, SEGMENTS};
 use crate::space::{GpuSpace, SPACE};
-use crate::workspace::{Lane, WgpuBackend};
+use crate::workspace::{Stream, WgpuBackend};
 use std::sync::Arc;
-use trimip_core::backend::{Stages, see_all};
+use trimip_core::backend::{Stages, evaluate_visible_samples};
 use trimip_core::batch::{Radiance, Rays, Samples, Segment, Tile, Workspace};
 use trimip_core::compositing::Pruning;
 use trimip_core::policy::RendererPolicy;
 use trimip_core::proxy::Guide;
-use trimip_core::rng::Stream;
+use trimip_core::rng::Sequence;
 use trimip_core::{Config, Pixel, Renderer, Result};
 
 /// Segments per invocation of the prefix sums.
@@ -38,7 +38,7 @@ shared! {
         step_length: f32,
         step_per_radius: f32,
         jitter: u32,
-        /// Index of the span's first ray within the step.
+        /// Index of the tile's first ray within the step.
         first: u32,
         /// Number of rays.
         count: u32,
@@ -157,14 +157,14 @@ pub struct WgpuRenderer {
     kernels: Kernels,
     pub(crate) policy: RendererPolicy,
     training: bool,
-    /// Number of marched samples that a span has room for, and number of kept ones.
+    /// Number of marched samples that a tile has room for, and number of kept ones.
     pub(crate) room: usize,
     kept_room: usize,
     hybrid: Option<Hybrid>,
 }
 
 impl WgpuRenderer {
-    /// Creates the renderer of a configuration, with room for `room` marched and `kept_room` kept samples per span.
+    /// Creates the renderer of a configuration, with room for `room` marched and `kept_room` kept samples per tile.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, [room, kept_room]: [usize; 2]) -> Self {
         let policy = RendererPolicy::new(config);
         let kernels = Kernels::new(gpu);
@@ -174,7 +174,7 @@ impl WgpuRenderer {
     /// Computes the start of every segment and writes the total to a counter.
     pub(crate) fn scan(
         &self,
-        lane: &mut Lane,
+        stream: &mut Stream,
         segments: &Buffer<Segment>,
         counts: &Buffer<[u32; 2]>,
         counter: u32,
@@ -182,30 +182,35 @@ impl WgpuRenderer {
     ) {
         let count = segments.known_len().unwrap_or(segments.capacity()) as u32;
         let blocks = count.div_ceil(BLOCK);
-        lane.blocks.resize(blocks as usize);
+        stream.blocks.resize(blocks as usize);
         let params = ScanParams { count, blocks, counter, capacity: room as u32 };
         let Kernels { sum_blocks, sum_all, start_segments, .. } = &self.kernels;
         let groups = Size::Groups(blocks.into());
-        let binds = [segments.bind(), lane.blocks.bind()];
+        let binds = [segments.bind(), stream.blocks.bind()];
         self.gpu.dispatch(sum_blocks, &binds, &params, groups);
-        self.gpu.dispatch(sum_all, &[lane.blocks.bind(), counts.bind()], &params, Size::Groups(1));
+        self.gpu.dispatch(sum_all, &[stream.blocks.bind(), counts.bind()], &params, Size::Groups(1));
         self.gpu.dispatch(start_segments, &binds, &params, groups);
     }
 }
 
 impl WgpuRenderer {
     /// Lists the marked samples in `kept` and drops the others. The counts of the segments are those of marked samples.
-    pub(crate) fn list(&self, lane: &mut Lane, samples: &mut Samples<WgpuBackend>, kept: &mut Buffer<u32>) {
+    pub(crate) fn list(
+        &self,
+        stream: &mut Stream,
+        samples: &mut Samples<WgpuBackend>,
+        kept: &mut Buffer<u32>,
+    ) {
         let count = samples.segments.known_len().unwrap_or(0);
         let kept_room = self.kept_room.min(samples.spheres.most());
-        self.scan(lane, &samples.segments, &samples.counts, KEPT, kept_room);
+        self.scan(stream, &samples.segments, &samples.counts, KEPT, kept_room);
         kept.count_by(kept_room, samples.counts.raw(), KEPT, 1);
-        let binds = [samples.segments.bind(), kept.bind(), lane.old_segments.bind(), lane.marks.bind()];
+        let binds = [samples.segments.bind(), kept.bind(), stream.old_segments.bind(), stream.marks.bind()];
         let params = self.prune_params(count, kept_room);
         self.gpu.dispatch(&self.kernels.list, &binds, &params, Size::Items(count as u64));
-        lane.keep(kept, &mut samples.rays, 1);
-        lane.keep(kept, &mut samples.intervals, 2);
-        lane.keep(kept, &mut samples.spheres, 4);
+        stream.keep(kept, &mut samples.rays, 1);
+        stream.keep(kept, &mut samples.intervals, 2);
+        stream.keep(kept, &mut samples.spheres, 4);
     }
 
     fn prune_params(&self, count: usize, kept_room: usize) -> PruneParams {
@@ -230,22 +235,22 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         Ok(())
     }
 
-    fn see(
+    fn visibility_pass(
         &self,
         stages: &Stages<WgpuBackend>,
         parameters: &Buffer<f32>,
-        space: &mut Workspace<WgpuBackend>,
+        workspace: &mut Workspace<WgpuBackend>,
         jitter: Option<u64>,
     ) {
         match &self.hybrid {
-            Some(hybrid) if jitter.is_none() => hybrid.see(stages, parameters, space),
-            _ => see_all(stages, parameters, space, jitter),
+            Some(hybrid) if jitter.is_none() => hybrid.visibility_pass(stages, parameters, workspace),
+            _ => evaluate_visible_samples(stages, parameters, workspace, jitter),
         }
     }
 
     fn march(
         &self,
-        lane: &mut Lane,
+        stream: &mut Stream,
         rays: &Rays<WgpuBackend>,
         occupancy: &WgpuOccupancy,
         jitter: Option<u64>,
@@ -258,11 +263,11 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         let room = if self.training { self.room } else { self.room.min(count * most_samples).max(1) };
         samples.segments.resize(count);
         samples.counts.resize(2);
-        lane.bits.resize(count * words);
-        lane.marched = true;
+        stream.bits.resize(count * words);
+        stream.marched = true;
         let params = MarchParams {
             space: GpuSpace::new(&self.policy.space, occupancy.resolution()),
-            draws: jitter.map_or([0; 4], |step| self.policy.random.at(Stream::Jitter, step).words()),
+            draws: jitter.map_or([0; 4], |step| self.policy.random.at(Sequence::Jitter, step).words()),
             step_length: self.policy.step_length(),
             step_per_radius: self.policy.step_per_radius,
             jitter: u32::from(jitter.is_some()),
@@ -272,16 +277,16 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             capacity: room as u32,
         };
         let items = Size::Items(count as u64);
-        let binds = [rays.rays.bind(), lane.bits.bind(), samples.segments.bind(), occupancy.grid().bind()];
+        let binds = [rays.rays.bind(), stream.bits.bind(), samples.segments.bind(), occupancy.grid().bind()];
         self.gpu.dispatch(&self.kernels.march, &binds, &params, items);
-        self.scan(lane, &samples.segments, &samples.counts, MARCHED, room);
+        self.scan(stream, &samples.segments, &samples.counts, MARCHED, room);
         let counts = samples.counts.raw().clone();
         samples.rays.count_by(room, &counts, MARCHED, 1);
         samples.intervals.count_by(room, &counts, MARCHED, 1);
         samples.spheres.count_by(room, &counts, MARCHED, 1);
         let binds = [
             rays.rays.bind(),
-            lane.bits.bind(),
+            stream.bits.bind(),
             samples.segments.bind(),
             samples.rays.bind(),
             samples.intervals.bind(),
@@ -292,7 +297,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
 
     fn prune(
         &self,
-        lane: &mut Lane,
+        stream: &mut Stream,
         radiance: &Buffer<Radiance>,
         samples: &mut Samples<WgpuBackend>,
         kept: &mut Buffer<u32>,
@@ -300,18 +305,18 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         let count = samples.segments.known_len().unwrap_or(0);
         let room = samples.spheres.most();
         samples.counts.resize(2);
-        lane.old_segments.resize(count);
-        lane.marks.resize(room);
+        stream.old_segments.resize(count);
+        stream.marks.resize(room);
         let params = self.prune_params(count, self.kept_room.min(room));
         let binds = [
             samples.segments.bind(),
             radiance.bind(),
             samples.intervals.bind(),
-            lane.old_segments.bind(),
-            lane.marks.bind(),
+            stream.old_segments.bind(),
+            stream.marks.bind(),
         ];
         self.gpu.dispatch(&self.kernels.see, &binds, &params, Size::Items(count as u64));
-        self.list(lane, samples, kept);
+        self.list(stream, samples, kept);
     }
 
     fn composite(

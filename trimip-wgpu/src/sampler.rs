@@ -6,16 +6,16 @@ use crate::gpu::{Binds, Buffer, GRID, Gpu, Kernel, Size, lock};
 use crate::projections::PROJECTIONS;
 use crate::settings::{Photographs, WgpuConfig};
 use crate::shaders::{RANDOM, RAY};
-use crate::workspace::{Lane, WgpuBackend};
+use crate::workspace::{Stream, WgpuBackend};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use trimip_core::backend::Sampler;
-use trimip_core::balance::Draw;
 use trimip_core::batch::Rays;
 use trimip_core::cones::{self, QUINCUNX};
 use trimip_core::lens::MOST_ROUNDS;
 use trimip_core::policy::SamplerPolicy;
-use trimip_core::rng::Stream;
+use trimip_core::ray_allocation::RayAllocation;
+use trimip_core::rng::Sequence;
 use trimip_core::views::Alpha;
 use trimip_core::{Camera, Config, Error, Result, ViewSet};
 
@@ -60,7 +60,7 @@ shared! {
         background: [f32; 3],
         /// Fraction of the pixels that get a random background.
         random_share: f32,
-        /// Number of pixels of the step; index of the first pixel and number of pixels of this span.
+        /// Number of pixels of the step; index of the first pixel and number of pixels of this tile.
         total: u32,
         first: u32,
         count: u32,
@@ -69,7 +69,7 @@ shared! {
         alpha: u32,
         /// 1 if `pixels` holds only the drawn pixels, in the order of the rays.
         streamed: u32,
-        /// Index within the step of the span's first cone.
+        /// Index within the step of the tile's first cone.
         first_cone: u32,
         padding: u32,
         /// Pixels of the step from this index on belong to this scale or a coarser one.
@@ -201,7 +201,7 @@ fn meaning(alpha: Alpha) -> u32 {
     }
 }
 
-/// Makes room for the cones of the pixels of a span, which are numbers `cones` of the step.
+/// Makes room for the cones of the pixels of a tile, which are numbers `cones` of the step.
 fn make_room(rays: &mut Rays<WgpuBackend>, pixels: &Range<u32>, cones: Range<u32>) {
     rays.first = cones.start;
     rays.rays.resize(cones.len());
@@ -261,7 +261,13 @@ impl Training {
 }
 
 /// Looks up the pixels `range` of a step, with the same random numbers as the device. A few threads share the work.
-fn look_up(policy: &SamplerPolicy, host: &[[u8; 4]], step: u64, draw: &Draw, range: Range<u32>) -> Vec<u32> {
+fn look_up(
+    policy: &SamplerPolicy,
+    host: &[[u8; 4]],
+    step: u64,
+    allocation: &RayAllocation,
+    range: Range<u32>,
+) -> Vec<u32> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
     let part = range.len().div_ceil(threads).max(1);
     let mut words = vec![0; range.len()];
@@ -269,7 +275,7 @@ fn look_up(policy: &SamplerPolicy, host: &[[u8; 4]], step: u64, draw: &Draw, ran
         for (words, first) in words.chunks_mut(part).zip(range.step_by(part)) {
             scope.spawn(move || {
                 for (word, index) in words.iter_mut().zip(first..) {
-                    *word = u32::from_le_bytes(host[policy.pixel(step, draw, index).1]);
+                    *word = u32::from_le_bytes(host[policy.pixel(step, allocation, index).1]);
                 }
             });
         }
@@ -295,9 +301,9 @@ impl Sampler<WgpuBackend> for WgpuSampler {
 
     fn training_rays(
         &self,
-        _: &mut Lane,
+        _: &mut Stream,
         step: u64,
-        draw: &Draw,
+        allocation: &RayAllocation,
         range: Range<u32>,
         rays: &mut Rays<WgpuBackend>,
     ) {
@@ -307,25 +313,25 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             return;
         };
         let policy = &self.policy;
-        let first_cone = draw.cones_before(range.start);
-        make_room(rays, &range, first_cone..draw.cones_before(range.end));
+        let first_cone = allocation.cones_before(range.start);
+        make_room(rays, &range, first_cone..allocation.cones_before(range.end));
         rays.targets.resize(range.len());
         let params = Params {
-            draws: policy.random.at(Stream::Pixel, step).words(),
-            background_draws: policy.random.at(Stream::Background, step).words(),
+            draws: policy.random.at(Sequence::Pixel, step).words(),
+            background_draws: policy.random.at(Sequence::Background, step).words(),
             random_share: policy.random_share(),
-            total: draw.pixels(),
+            total: allocation.pixels(),
             first: range.start,
             count: range.len() as u32,
             first_cone,
-            begins: padded(draw.begins().iter().copied(), draw.pixels()),
-            weights: padded(policy.balance().weights().iter().copied(), 0.0),
-            sides: padded(draw.sides().iter().copied(), 1),
+            begins: padded(allocation.begins().iter().copied(), allocation.pixels()),
+            weights: padded(policy.scale_weights().weights().iter().copied(), 0.0),
+            sides: padded(allocation.sides().iter().copied(), 1),
             ..self.params
         };
         let mut pixels = lock(&training.pixels);
         if let Some(host) = &training.host {
-            pixels.write(&look_up(policy, host, step, draw, range.clone()));
+            pixels.write(&look_up(policy, host, step, allocation, range.clone()));
         }
         let Training { views, scales, photographs: of_views, .. } = training;
         rays.photographs.resize(if of_views.is_some() { range.len() } else { 0 });
@@ -344,7 +350,7 @@ impl Sampler<WgpuBackend> for WgpuSampler {
         self.gpu.dispatch(kernel, &binds, &params, Size::Items(range.len() as u64));
     }
 
-    fn camera_rays(&self, _: &mut Lane, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {
+    fn camera_rays(&self, _: &mut Stream, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {
         let side = self.policy.division.side(camera);
         make_room(rays, &range, 0..range.len() as u32 * cones::count(side));
         rays.targets.resize(0);

@@ -1,4 +1,4 @@
-//! The parts of WGSL that several stages share, most of them twins of core's mathematics, and the constants that they
+//! The parts of WGSL that several stages share, most of them the same as core's mathematics, and the constants that they
 //! have in common with Rust.
 
 use crate::gpu::Source::{self, Constant, Parts, Text};

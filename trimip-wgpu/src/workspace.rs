@@ -15,16 +15,16 @@ pub struct WgpuBackend {
     pub(crate) gpu: Arc<Gpu>,
     pub(crate) addition: Addition,
     pub(crate) workspaces: Mutex<Vec<Workspace<Self>>>,
-    pub(crate) known: Arc<Known>,
+    pub(crate) counters: Arc<DeviceCounters>,
     /// Counters of the model in training, read together with a step's sums: the occupancy grid's and the field's.
     pub(crate) watched: Mutex<Option<[wgpu::Buffer; 2]>>,
-    /// Number of samples that the arrays of a span have the capacity for.
+    /// Number of samples that the arrays of a tile have the capacity for.
     pub(crate) capacity: Mutex<usize>,
 }
 
 /// The last values of the device's counters that were read.
 #[derive(Default)]
-pub struct Known {
+pub struct DeviceCounters {
     /// Number of occupied cells.
     pub occupied: AtomicU64,
     /// Number of factors that f16 cannot hold.
@@ -32,7 +32,7 @@ pub struct Known {
 }
 
 /// Scratch memory of a workspace.
-pub struct Lane {
+pub struct Stream {
     gpu: Arc<Gpu>,
     gather: Pipeline,
     /// A number of rows that is known to the host.
@@ -65,7 +65,7 @@ pub fn gather() -> Kernel {
     Kernel::new("gather", &sources, &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read)])
 }
 
-impl Lane {
+impl Stream {
     /// Scratch memory without contents.
     pub(crate) fn new(gpu: &Arc<Gpu>) -> Self {
         let words = || Buffer::zeros(gpu, 0);
@@ -154,7 +154,7 @@ impl WgpuBackend {
             gpu,
             addition,
             workspaces: Mutex::default(),
-            known: Arc::default(),
+            counters: Arc::default(),
             watched: Mutex::default(),
             capacity: Mutex::new(VIEW_SAMPLES),
         }

@@ -1,7 +1,7 @@
 //! Registry of the backends compiled into this build. A configuration selects one by name.
 
 #[cfg(feature = "wgpu")]
-use crate::units;
+use crate::formatting;
 use std::sync::Arc;
 use trimip_core::{
     Backend, Config, Error, ForeignSection, Result, Session, ViewSet, Viewer, exchange::Ranks, model::Model,
@@ -250,9 +250,9 @@ fn software_text(name: &str, samples_per_step: u32, cells: f64) -> String {
     format!(
         "the adapter {name} is software, the processor in a GPU's place: a step of {} takes about {} on two cores, the \
          first about {}; use backend = \"cpu\"",
-        units::many(samples_per_step.into(), "sample"),
-        units::duration(step),
-        units::duration(step + cells / SOFTWARE_CELLS_PER_SECOND)
+        formatting::many(samples_per_step.into(), "sample"),
+        formatting::duration(step),
+        formatting::duration(step + cells / SOFTWARE_CELLS_PER_SECOND)
     )
 }
 

@@ -38,6 +38,7 @@
 #![forbid(unsafe_code)]
 
 pub mod backends;
+pub mod formatting;
 pub mod inspect;
 pub mod machine;
 pub mod mesh;
@@ -47,7 +48,6 @@ pub mod report;
 pub mod run;
 pub mod settings;
 pub mod systems;
-pub mod units;
 pub mod view;
 
 pub use run::folder::{RunFolder, read_model};

@@ -61,7 +61,7 @@ pub fn override_model(model: &mut Model, assignments: &[String]) -> Result<()> {
 
 /// A setting as displayed.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Row {
+pub struct SettingRow {
     /// Section; empty for top-level settings.
     pub section: String,
     /// Key within the section.
@@ -75,7 +75,7 @@ pub struct Row {
 }
 
 /// All settings in the order of the table of defaults.
-pub fn rows(settings: &Settings) -> Vec<Row> {
+pub fn rows(settings: &Settings) -> Vec<SettingRow> {
     let mut rows = Vec::new();
     for section in settings.definitions().documented() {
         for setting in &section.settings {
@@ -84,7 +84,7 @@ pub fn rows(settings: &Settings) -> Vec<Row> {
                 name => format!("{name}.{}", setting.key),
             };
             let range = if setting.range.is_empty() { String::new() } else { format!("{}: ", setting.range) };
-            rows.push(Row {
+            rows.push(SettingRow {
                 section: section.name.clone(),
                 key: setting.key.clone(),
                 value: settings.value(&path),

@@ -25,7 +25,7 @@ fn position(u: [f64; 3]) -> [f64; 3] {
 }
 
 /// A ray relative to the ball.
-struct Course {
+struct RayParameter {
     origin: [f64; 3],
     direction: [f64; 3],
     /// Distance of the nearest point, radii.
@@ -36,7 +36,7 @@ struct Course {
     speed: f64,
 }
 
-impl Course {
+impl RayParameter {
     fn new(config: &Config, ray: &Ray) -> Self {
         let (centre, radius) = ball(config);
         let direction = ray.direction.map(f64::from);
@@ -88,19 +88,19 @@ pub struct Step {
 /// All steps of a ray through contracted space.
 pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
     let (_, radius) = ball(config);
-    let course = Course::new(config, ray);
-    let Course { direction, middle, nearest, .. } = course;
-    let end = course.parameter(middle + (FARTHEST * FARTHEST - nearest * nearest).max(0.0).sqrt());
+    let parameterisation = RayParameter::new(config, ray);
+    let RayParameter { direction, middle, nearest, .. } = parameterisation;
+    let end = parameterisation.parameter(middle + (FARTHEST * FARTHEST - nearest * nearest).max(0.0).sqrt());
     let step = super::step_length(config) / radius;
     let mut steps = Vec::new();
     for i in 0.. {
-        let s = course.parameter(0.0) + (f64::from(i) + 0.5) * step;
+        let s = parameterisation.parameter(0.0) + (f64::from(i) + 0.5) * step;
         if s >= end {
             break;
         }
-        let t = course.distance(s);
-        let slowness = course.slowness(t);
-        let u = course.at(t);
+        let t = parameterisation.distance(s);
+        let slowness = parameterisation.slowness(t);
+        let u = parameterisation.at(t);
         let n = norm(u).max(1.0);
         let place = position(u);
         let length = radius * step * slowness;
@@ -120,8 +120,8 @@ pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
 /// Place and width of a sample as parameters of its ray, in units of the cube's side: s/4, and (ds/dt)·n²·length/4.
 pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
     let (_, radius) = ball(config);
-    let course = Course::new(config, ray);
+    let parameterisation = RayParameter::new(config, ray);
     let t = sample.t / radius;
-    let n = norm(course.at(t)).max(1.0);
-    [course.parameter(t) / 4.0, sample.length / radius * n * n / course.slowness(t) / 4.0]
+    let n = norm(parameterisation.at(t)).max(1.0);
+    [parameterisation.parameter(t) / 4.0, sample.length / radius * n * n / parameterisation.slowness(t) / 4.0]
 }

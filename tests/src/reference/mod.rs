@@ -84,7 +84,7 @@ impl Sample {
 }
 
 /// A cone and its kept samples.
-pub type Seen = (Ray, Vec<Sample>);
+pub type KeptCone = (Ray, Vec<Sample>);
 
 /// A composited ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -211,7 +211,7 @@ impl Reference {
     /// The loss over pixels with the given cones and kept samples: Σ weight·(photometric term + terms of pixels + terms of
     /// rays), divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent
     /// of its photograph, at gains of 1.
-    pub fn loss(&self, pixels: &[(Target, Vec<Seen>)]) -> f64 {
+    pub fn loss(&self, pixels: &[(Target, Vec<KeptCone>)]) -> f64 {
         let (config, mut loss, mut weights) = (&self.config, 0.0, 0.0);
         let with_rays = !losses::at_work(losses::RAY_TERMS, &config.loss).is_empty();
         for (target, seen) in pixels {
@@ -299,7 +299,7 @@ pub fn composite(
 }
 
 /// Distances at which a ray enters the box (not before its origin) and leaves it.
-pub fn span(config: &Config, origin: [f64; 3], direction: [f64; 3]) -> Option<(f64, f64)> {
+pub fn tile(config: &Config, origin: [f64; 3], direction: [f64; 3]) -> Option<(f64, f64)> {
     let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
     for axis in 0..3 {
         let below = f64::from(config.scene.aabb_min[axis]) - origin[axis];
@@ -339,7 +339,7 @@ pub fn step_length(config: &Config) -> f64 {
 pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
     let uniform = step_length(config) * config.renderer.step_scale.at(progress);
     let (enter, leave) =
-        span(config, ray.origin.map(f64::from), ray.direction.map(f64::from)).unwrap_or((0.0, 0.0));
+        tile(config, ray.origin.map(f64::from), ray.direction.map(f64::from)).unwrap_or((0.0, 0.0));
     let radius = radius(ray, (enter + leave) / 2.0);
     uniform.max(f64::from(config.renderer.step_per_radius) * radius)
 }
@@ -348,7 +348,7 @@ pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
 pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]) -> bool) -> Vec<Sample> {
     let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
     let mut samples = Vec::new();
-    let Some((enter, leave)) = span(config, origin, direction) else { return samples };
+    let Some((enter, leave)) = tile(config, origin, direction) else { return samples };
     let length = ray_step(config, ray, 0.0);
     for i in 0.. {
         let t = enter + (offset + f64::from(i) + 0.5) * length;

@@ -1,7 +1,7 @@
 //! Pixels sampled by several cones: a pixel is the mean of its cones, and equal cones act as one.
 
 use super::Bench;
-use crate::fixtures::{Draw, lively, noise, small};
+use crate::fixtures::{TestRandom, lively, noise, small};
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Intrinsics, Layout, Renderer, Result, Viewer,
@@ -115,12 +115,12 @@ pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let parameters = lively(&Layout::new(&config), 1);
     let mut bench = Bench::new(make(), &config, Some(views.clone()), &parameters)?;
     for (progress, sides) in [(0.2, [1, 1, 1]), (0.7, [1, 2, 3])] {
-        let Bench { backend, stages, space, .. } = &mut bench;
+        let Bench { backend, stages, workspace, .. } = &mut bench;
         let mut draw_part = |range: std::ops::Range<u32>| {
-            stages.sampler.follow(progress);
-            let draw = stages.sampler.balance().draw(PIXELS);
-            stages.sampler.training_rays(&mut space.lane, 5, &draw, range, &mut space.rays);
-            let Rays { rays, groups, targets, first, .. } = &space.rays;
+            stages.sampler.set_progress(progress);
+            let allocation = stages.sampler.scale_weights().allocate(PIXELS);
+            stages.sampler.training_rays(&mut workspace.stream, 5, &allocation, range, &mut workspace.rays);
+            let Rays { rays, groups, targets, first, .. } = &workspace.rays;
             (backend.read(rays), backend.read(groups), backend.read(targets), *first)
         };
         let (rays, groups, targets, first) = draw_part(0..PIXELS);
@@ -178,35 +178,35 @@ pub fn equal<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let config = small();
     let parameters = lively(&Layout::new(&config), 3);
     let mut bench = Bench::new(make(), &config, None, &parameters)?;
-    let mut draw = Draw::new(23);
+    let mut random = TestRandom::new(23);
     let cone: Vec<(Interval, Radiance)> = (0..9)
         .map(|i| {
-            let rgb = [0; 3].map(|_| draw.between(0.0, 1.0) as f32);
-            let density = draw.between(-2.0, 3.0).exp() as f32;
+            let rgb = [0; 3].map(|_| random.between(0.0, 1.0) as f32);
+            let density = random.between(-2.0, 3.0).exp() as f32;
             (Interval { t: 2.0 + 0.1 * i as f32, length: 0.1 }, Radiance { rgb, density })
         })
         .collect();
     let mut run = |count: u32| {
-        let Bench { backend, stages, space, parameters } = &mut bench;
+        let Bench { backend, stages, workspace, parameters } = &mut bench;
         let all: Vec<_> = (0..count).flat_map(|_| cone.clone()).collect();
         let each = cone.len() as u32;
-        space.rays.place(backend, &vec![Ray { cosine: 0.8, ..Ray::default() }; count as usize]);
-        backend.write(&mut space.rays.groups, &[Segment { start: 0, count }]);
-        let Samples { segments, rays, intervals, spheres, counts } = &mut space.samples;
+        workspace.rays.place(backend, &vec![Ray { cosine: 0.8, ..Ray::default() }; count as usize]);
+        backend.write(&mut workspace.rays.groups, &[Segment { start: 0, count }]);
+        let Samples { segments, rays, intervals, spheres, counts } = &mut workspace.samples;
         let own: Vec<_> = (0..count).map(|i| Segment { start: i * each, count: each }).collect();
         backend.write(segments, &own);
         backend.write(rays, &(0..count * each).map(|i| i / each).collect::<Vec<_>>());
         backend.write(intervals, &all.iter().map(|(interval, _)| *interval).collect::<Vec<_>>());
         backend.write(spheres, &vec![Sphere::default(); all.len()]);
         backend.write(counts, &[[count * each; 2]]);
-        backend.write(&mut space.radiance, &all.iter().map(|(_, value)| *value).collect::<Vec<_>>());
-        let (rays, samples) = (&space.rays, &space.samples);
-        let tile = &mut Tile { stream: &mut space.lane, parameters, rays, samples };
-        stages.renderer.composite(tile, &space.radiance, &mut space.cones, &mut space.pixels);
-        backend.write(&mut space.pixel_gradients, &[[0.3, -0.7, 1.1, 0.4]]);
-        let (by_pixel, gradients) = (&space.pixel_gradients, &mut space.radiance_gradients);
-        stages.renderer.backward(tile, &space.radiance, &space.cones, by_pixel, gradients);
-        (backend.read(&space.pixels)[0], backend.read(&space.radiance_gradients))
+        backend.write(&mut workspace.radiance, &all.iter().map(|(_, value)| *value).collect::<Vec<_>>());
+        let (rays, samples) = (&workspace.rays, &workspace.samples);
+        let tile = &mut Tile { stream: &mut workspace.stream, parameters, rays, samples };
+        stages.renderer.composite(tile, &workspace.radiance, &mut workspace.cones, &mut workspace.pixels);
+        backend.write(&mut workspace.pixel_gradients, &[[0.3, -0.7, 1.1, 0.4]]);
+        let (by_pixel, gradients) = (&workspace.pixel_gradients, &mut workspace.radiance_gradients);
+        stages.renderer.backward(tile, &workspace.radiance, &workspace.cones, by_pixel, gradients);
+        (backend.read(&workspace.pixels)[0], backend.read(&workspace.radiance_gradients))
     };
     let (one, gradient) = run(1);
     let close = |found: f32, expected: f32| (found - expected).abs() <= 1e-6 * expected.abs().max(0.1);

@@ -49,8 +49,8 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         bench.stages.occupancy.restore(&bits, None);
         let rays = super::marching::rays(3);
         let found = super::marching::marched(&mut bench, &rays, None);
-        let intervals = bench.backend.read(&bench.space.samples.intervals);
-        let spheres = bench.backend.read(&bench.space.samples.spheres);
+        let intervals = bench.backend.read(&bench.workspace.samples.intervals);
+        let spheres = bench.backend.read(&bench.workspace.samples.spheres);
         let (mut row, mut total, mut borderline) = (0, 0, 0);
         for (ray, found) in rays.iter().zip(&found) {
             let mut next = 0;

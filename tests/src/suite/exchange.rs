@@ -12,7 +12,7 @@ use trimip_core::{
     Backend, Config, Error, ErrorKind, Result, Session,
     checkpoint::Checkpoint,
     config::{TrainConfig, Untouched},
-    exchange::{Exchange, Ranks, Share, Summed},
+    exchange::{Exchange, Rank, Ranks, Summed},
     tensors::Values,
     trainer::Trainer,
 };
@@ -46,7 +46,7 @@ fn train<B: Backend>(
 ) -> Result<Vec<Checkpoint>> {
     let one = |rank: Option<Arc<Threads>>| -> Result<Checkpoint> {
         let mut trainer = Trainer::new(make(), config, fixtures::noise(3, 16, 2, 7))?;
-        let number = rank.as_ref().map(|rank| rank.share().rank);
+        let number = rank.as_ref().map(|rank| rank.rank().id);
         if let Some(rank) = rank {
             trainer.exchange_by(exchange(rank, config));
         }
@@ -146,7 +146,7 @@ pub fn summed<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
     Ok(())
 }
 
-/// A rank that receives the messages of one trade with another length.
+/// A rank that receives the messages of one all_to_all with another length.
 struct Broken {
     ranks: Arc<Threads>,
     /// Trades until then.
@@ -155,14 +155,14 @@ struct Broken {
 }
 
 impl Ranks for Broken {
-    fn share(&self) -> Share {
-        self.ranks.share()
+    fn rank(&self) -> Rank {
+        self.ranks.rank()
     }
 
-    fn trade(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
-        self.ranks.trade(out, into)?;
+    fn all_to_all(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {
+        self.ranks.all_to_all(out, into)?;
         if self.trades.fetch_sub(1, Ordering::Relaxed) == 0 {
-            let own = self.share().rank;
+            let own = self.rank().id;
             into.iter_mut()
                 .enumerate()
                 .filter(|(from, _)| *from != own)
@@ -205,22 +205,25 @@ pub fn broken<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>) ->
     skipping.optimizer.untouched = Untouched::Skip;
     let whole =
         fixtures::every_encoder().into_iter().map(|encoder| fixtures::encoded(configuration(), &encoder));
-    // The trades of a step: its deposits; where planes are divided, sums and changed texels too, and moments at a checkpoint.
+    // The trades of a step: its partial gradients; where planes are divided, sums and changed texels too, and moments at a checkpoint.
     let mut cases: Vec<(Config, Make<'_, B>, usize)> = whole.map(|config| (config, exchange, 0)).collect();
-    cases.extend((0..4).map(|trade| (skipping.clone(), exchange, trade)));
-    cases.extend((0..2).map(|trade| (configuration(), summed, trade)));
-    for (config, exchange, trade) in &cases {
+    cases.extend((0..4).map(|all_to_all| (skipping.clone(), exchange, all_to_all)));
+    cases.extend((0..2).map(|all_to_all| (configuration(), summed, all_to_all)));
+    for (config, exchange, all_to_all) in &cases {
         for change in changes {
             let one = |ranks: Arc<Threads>| -> Result<Error> {
                 let mut trainer = Trainer::new(make(), config, fixtures::noise(3, 16, 2, 7))?;
-                let trades = AtomicUsize::new(*trade);
+                let trades = AtomicUsize::new(*all_to_all);
                 trainer.exchange_by(exchange(Arc::new(Broken { ranks, trades, change }), config));
                 let before = trainer.parameters();
                 let stepped = trainer.step(0.0).map(drop);
                 if stepped.is_err() {
-                    assert!(*trade > 1 || trainer.parameters() == before, "trade {trade}: nothing has moved");
+                    assert!(
+                        *all_to_all > 1 || trainer.parameters() == before,
+                        "all_to_all {all_to_all}: nothing has moved"
+                    );
                 }
-                let name = format!("{:?}, trade {trade}", config.encoder.kind);
+                let name = format!("{:?}, all_to_all {all_to_all}", config.encoder.kind);
                 Ok(stepped.and_then(|()| trainer.checkpoint().map(drop)).expect_err(&name))
             };
             let errors = std::thread::scope(|scope| {

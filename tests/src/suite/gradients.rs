@@ -2,8 +2,8 @@
 
 use super::{Bench, wide};
 use crate::{
-    fixtures::{Draw, every_encoder, lively, nerf_networks, noise, small, small_zip},
-    reference::{Reference, Sample, Seen, bf16, kept},
+    fixtures::{TestRandom, every_encoder, lively, nerf_networks, noise, small, small_zip},
+    reference::{KeptCone, Reference, Sample, bf16, kept},
 };
 use trimip_core::schedule::Schedule;
 use trimip_core::{
@@ -81,7 +81,7 @@ fn configurations() -> Vec<(&'static str, Config)> {
 
 /// Pixels of the step and their cones, with the samples that the reference's densities keep.
 struct Batch {
-    pixels: Vec<(Target, Vec<Seen>)>,
+    pixels: Vec<(Target, Vec<KeptCone>)>,
     marched: usize,
     kept: usize,
     /// Number of rays where rounding may change the decision to keep a sample.
@@ -89,15 +89,22 @@ struct Batch {
 }
 
 fn batch<B: Backend>(bench: &mut Bench<B>, config: &Config, reference: &Reference) -> Batch {
-    let Bench { backend, stages, space, .. } = bench;
-    let draw = stages.sampler.balance().draw(RAYS);
-    stages.sampler.training_rays(&mut space.lane, TRAINING_STEP, &draw, 0..RAYS, &mut space.rays);
-    let (lane, jitter) = (&mut space.lane, Some(TRAINING_STEP));
-    stages.renderer.march(lane, &space.rays, &stages.occupancy, jitter, &mut space.samples);
-    let (rays, targets) = (backend.read(&space.rays.rays), backend.read(&space.rays.targets));
-    let segments = backend.read(&space.samples.segments);
-    let (intervals, spheres) = (backend.read(&space.samples.intervals), backend.read(&space.samples.spheres));
-    let groups = backend.read(&space.rays.groups);
+    let Bench { backend, stages, workspace, .. } = bench;
+    let allocation = stages.sampler.scale_weights().allocate(RAYS);
+    stages.sampler.training_rays(
+        &mut workspace.stream,
+        TRAINING_STEP,
+        &allocation,
+        0..RAYS,
+        &mut workspace.rays,
+    );
+    let (stream, jitter) = (&mut workspace.stream, Some(TRAINING_STEP));
+    stages.renderer.march(stream, &workspace.rays, &stages.occupancy, jitter, &mut workspace.samples);
+    let (rays, targets) = (backend.read(&workspace.rays.rays), backend.read(&workspace.rays.targets));
+    let segments = backend.read(&workspace.samples.segments);
+    let (intervals, spheres) =
+        (backend.read(&workspace.samples.intervals), backend.read(&workspace.samples.spheres));
+    let groups = backend.read(&workspace.rays.groups);
     let group = |(target, group): (&Target, &Segment)| (*target, Vec::with_capacity(group.count as usize));
     let pixels: Vec<_> = targets.iter().zip(&groups).map(group).collect();
     let owner = |ray: usize| groups.iter().position(|group| group.range().contains(&ray)).expect("a pixel's");
@@ -118,12 +125,12 @@ fn batch<B: Backend>(bench: &mut Bench<B>, config: &Config, reference: &Referenc
 
 /// Entries of a slot to differentiate: for texels those with a gradient, for layers any; and a few more that may have
 /// none.
-fn entries(gradient: &[f32], sparse: bool, draw: &mut Draw) -> Vec<usize> {
-    let mut chosen: Vec<usize> = (0..4).map(|_| draw.below(gradient.len())).collect();
+fn entries(gradient: &[f32], sparse: bool, random: &mut TestRandom) -> Vec<usize> {
+    let mut chosen: Vec<usize> = (0..4).map(|_| random.below(gradient.len())).collect();
     let live: Vec<usize> = (0..gradient.len()).filter(|&i| gradient[i] != 0.0).collect();
     assert!(!live.is_empty(), "a slot without any gradient");
     let more = if sparse { 24 } else { 8 };
-    chosen.extend((0..more).map(|_| live[draw.below(live.len())]));
+    chosen.extend((0..more).map(|_| live[random.below(live.len())]));
     chosen
 }
 
@@ -162,7 +169,7 @@ pub fn of_a_step<B: Backend>(make: impl Fn() -> B, name: &str, config: &Config) 
     let mut values = wide(&parameters);
     let reference = Reference::new(config, &layout, &values);
     let batch = batch(&mut bench, config, &reference);
-    let misses = |(_, cones): &(_, Vec<Seen>)| cones.iter().all(|cone| cone.1.is_empty());
+    let misses = |(_, cones): &(_, Vec<KeptCone>)| cones.iter().all(|cone| cone.1.is_empty());
     let bounded = config.scene.contraction == Contraction::None;
     assert_eq!(batch.pixels.iter().any(misses), bounded, "{name}: some pixels miss the box");
     assert_eq!(batch.kept < batch.marched, name == "pruned", "{name}");
@@ -178,10 +185,10 @@ pub fn of_a_step<B: Backend>(make: impl Fn() -> B, name: &str, config: &Config) 
     let loss = reference.loss(&batch.pixels);
     assert!((sums.loss / sums.weight - loss).abs() < 1e-4 * loss, "{name}: loss, not {loss}");
 
-    let mut draw = Draw::new(17);
+    let mut random = TestRandom::new(17);
     for slot in &layout.slots {
         let part = &gradient[slot.range.clone()];
-        let chosen = entries(part, slot.group.is_some(), &mut draw);
+        let chosen = entries(part, slot.group.is_some(), &mut random);
         let differences: Vec<f64> = chosen
             .iter()
             .map(|&i| {
@@ -251,10 +258,10 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     // of the direction's features with the features' gradient. Random signs detect any error.
     let own = layout.encoder()[0].range.clone();
     let size = wide(&gradient[own.clone()]).iter().map(|g| g * g).sum::<f64>().sqrt();
-    let mut draw = Draw::new(23);
+    let mut random = TestRandom::new(23);
     for _ in 0..8 {
         let mut values = vec![0.0; layout.len()];
-        values[own.clone()].fill_with(|| if draw.below(2) == 0 { 1.0 } else { -1.0 });
+        values[own.clone()].fill_with(|| if random.below(2) == 0 { 1.0 } else { -1.0 });
         let direction = Reference::new(&config, &layout, &values);
         let expected: f64 = expected
             .features
@@ -308,7 +315,7 @@ pub fn rounded<B: Backend>(make: impl Fn() -> B, precision: Precision, bits: i32
 /// Parameters for which the input of every ReLU is far above zero: texels and weights are positive, and the weights of
 /// all harmonics but the constant are small. The last colour layer may have any sign.
 fn always_on(layout: &Layout) -> Vec<f32> {
-    let mut draw = Draw::new(29);
+    let mut random = TestRandom::new(29);
     let mut values = vec![0.0; layout.len()];
     for slot in &layout.slots {
         let part = &mut values[slot.range.clone()];
@@ -316,13 +323,13 @@ fn always_on(layout: &Layout) -> Vec<f32> {
         match slot.name.as_str() {
             "color.0.weight" => {
                 let outputs = slot.shape[1];
-                part.fill_with(|| draw.between(0.5, 1.5) as f32 / inputs as f32);
-                part[..outputs].fill_with(|| draw.between(2.0, 3.0) as f32);
-                part[outputs..16 * outputs].fill_with(|| draw.between(-0.02, 0.02) as f32);
+                part.fill_with(|| random.between(0.5, 1.5) as f32 / inputs as f32);
+                part[..outputs].fill_with(|| random.between(2.0, 3.0) as f32);
+                part[outputs..16 * outputs].fill_with(|| random.between(-0.02, 0.02) as f32);
             }
-            "color.2.weight" => part.fill_with(|| draw.between(-4.0, 4.0) as f32 / inputs as f32),
-            "planes" => part.fill_with(|| draw.between(0.2, 1.0) as f32),
-            _ => part.fill_with(|| (draw.between(0.5, 1.5) / inputs) as f32),
+            "color.2.weight" => part.fill_with(|| random.between(-4.0, 4.0) as f32 / inputs as f32),
+            "planes" => part.fill_with(|| random.between(0.2, 1.0) as f32),
+            _ => part.fill_with(|| (random.between(0.5, 1.5) / inputs) as f32),
         }
     }
     values

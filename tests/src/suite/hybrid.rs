@@ -152,7 +152,7 @@ pub fn fog<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         for (i, pixel) in frame.pixels.iter().enumerate() {
             let ray = Ray::from(camera.cone::<f32>(i as u32 % 7, i as u32 / 7));
             let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
-            let (enter, leave) = crate::reference::span(&config, origin, direction).unwrap_or((0.0, 0.0));
+            let (enter, leave) = crate::reference::tile(&config, origin, direction).unwrap_or((0.0, 0.0));
             hits += usize::from(leave > enter);
             let exact = 1.0 - (-density * (leave - enter)).exp();
             // The path is covered by whole steps, of 1.25 cells; an opaque ray ends early.

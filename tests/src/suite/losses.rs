@@ -3,13 +3,13 @@
 
 use super::{Bench, gradients::of_a_step, training};
 use crate::{
-    fixtures::{Draw, lively, small},
+    fixtures::{TestRandom, lively, small},
     reference::{Sample, loss},
 };
 use trimip_core::{
     Backend, Config, Encoder, Field, Layout, Pixel, Result,
     backend::{Loss, RenderedTile},
-    batch::{Deposit, Interval, Radiance, Ray, Samples, Segment, Sphere, StepResult, Target},
+    batch::{Interval, PartialGradients, Radiance, Ray, Samples, Segment, Sphere, StepResult, Target},
     config::{Contraction, LossRays},
     losses::{self, RaySample},
 };
@@ -76,7 +76,7 @@ pub struct Found {
 impl Given {
     /// Pixels of all colours; cones without samples, with one, and with up to forty of all densities, near and far away.
     pub fn new(seed: u64) -> Self {
-        let mut draw = Draw::new(seed);
+        let mut random = TestRandom::new(seed);
         let mut all = Self {
             rays: vec![],
             groups: vec![],
@@ -91,36 +91,36 @@ impl Given {
         for cones in kinds.into_iter().cycle().take(PIXELS) {
             let group = Segment { start: all.rays.len() as u32, count: cones.len() as u32 };
             all.groups.push(group);
-            all.draw_pixel(&mut draw);
+            all.draw_pixel(&mut random);
             for &count in cones {
-                all.draw_cone(count, &mut draw);
+                all.draw_cone(count, &mut random);
             }
         }
         all
     }
 
-    fn draw_pixel(&mut self, draw: &mut Draw) {
-        let mut some = || draw.between(0.05, 0.95) as f32;
+    fn draw_pixel(&mut self, random: &mut TestRandom) {
+        let mut some = || random.between(0.05, 0.95) as f32;
         let [pixel, rgb, background] = [0; 3].map(|_| [some(), some(), some()]);
         let (opacity, own) = (some(), some());
         self.pixels.push(Pixel { rgb: pixel, opacity, depth: 0.0 });
-        let weight = [0.0, 1.0, 4.0, draw.between(0.5, 16.0) as f32][draw.below(4)];
-        let exponent = [0.0, 0.4][draw.below(2)];
+        let weight = [0.0, 1.0, 4.0, random.between(0.5, 16.0) as f32][random.below(4)];
+        let exponent = [0.0, 0.4][random.below(2)];
         self.targets.push(Target { rgb, weight, background, opacity: own, exponent });
-        self.photographs.push(draw.below(GAINS.len()) as u32);
+        self.photographs.push(random.below(GAINS.len()) as u32);
     }
 
-    fn draw_cone(&mut self, count: u32, draw: &mut Draw) {
-        let origin = [0; 3].map(|_| draw.between(-1.0, 1.0) as f32);
-        let direction = draw.direction().to_array().map(|x| x as f32);
+    fn draw_cone(&mut self, count: u32, random: &mut TestRandom) {
+        let origin = [0; 3].map(|_| random.between(-1.0, 1.0) as f32);
+        let direction = random.direction().to_array().map(|x| x as f32);
         self.rays.push(Ray { origin, direction, slope: 0.01, cosine: 1.0, ..Ray::default() });
         self.segments.push(Segment { start: self.intervals.len() as u32, count });
-        let mut t = draw.between(0.0, 1.0);
+        let mut t = random.between(0.0, 1.0);
         for i in 0..count {
-            let density = if i == 30 { 1e6 } else { draw.between(-20.0, 1.5).exp() as f32 };
+            let density = if i == 30 { 1e6 } else { random.between(-20.0, 1.5).exp() as f32 };
             self.densities.push(density);
-            let length = draw.between(0.01, 0.1);
-            t += length * draw.between(0.5, 2.0);
+            let length = random.between(0.01, 0.1);
+            t += length * random.between(0.5, 2.0);
             self.intervals.push(Interval { t: t as f32, length: length as f32 });
         }
     }
@@ -141,48 +141,49 @@ impl Given {
     pub fn evaluate<B: Backend>(&self, backend: B, config: &Config, gains: &[[f32; 3]]) -> Result<Found> {
         let mut bench = Bench::new(backend, config, None, &lively(&Layout::new(config), 3))?;
         self.place(&mut bench);
-        let Bench { backend, stages, space, .. } = &mut bench;
+        let Bench { backend, stages, workspace, .. } = &mut bench;
         let total = self.intervals.len();
         let (field, encoder) = (stages.field.gradient(), stages.encoder.gradient());
-        let mut deposit = Deposit::<B> { field, encoder, sums: B::Sums::default() };
+        let mut partial = PartialGradients::<B> { field, encoder, sums: B::Sums::default() };
         if !gains.is_empty() {
             stages.loss.set_gains(gains);
         }
         // What an earlier step left must not count again.
         for _ in 0..2 {
-            deposit.sums = B::Sums::default();
+            partial.sums = B::Sums::default();
             let one = Radiance { rgb: [0.5; 3], density: 1.0 };
-            backend.write(&mut space.radiance_gradients, &vec![one; total]);
-            let (rays, samples) = (&space.rays, &space.samples);
-            let tile = RenderedTile { rays, samples, radiance: &space.radiance, pixels: &space.pixels };
-            let (lane, sums) = (&mut space.lane, &mut deposit.sums);
-            stages.loss.evaluate_pixels(lane, &tile, &mut space.pixel_gradients, sums);
-            stages.loss.evaluate_rays(lane, &tile, &mut space.radiance_gradients, sums);
+            backend.write(&mut workspace.radiance_gradients, &vec![one; total]);
+            let (rays, samples) = (&workspace.rays, &workspace.samples);
+            let tile =
+                RenderedTile { rays, samples, radiance: &workspace.radiance, pixels: &workspace.pixels };
+            let (stream, sums) = (&mut workspace.stream, &mut partial.sums);
+            stages.loss.evaluate_pixels(stream, &tile, &mut workspace.pixel_gradients, sums);
+            stages.loss.evaluate_rays(stream, &tile, &mut workspace.radiance_gradients, sums);
         }
-        let result = backend.redeem(backend.post(&[deposit]))?;
+        let result = backend.redeem(backend.post(&[partial]))?;
         assert_eq!(result.sums.non_finite, 0);
-        let gradients = backend.read(&space.radiance_gradients);
+        let gradients = backend.read(&workspace.radiance_gradients);
         assert!(gradients.iter().all(|own| own.rgb == [0.5; 3]), "terms of rays leave colours alone");
         let by_density = gradients.iter().take(total).map(|own| f64::from(own.density) - 1.0).collect();
-        Ok(Found { result, by_pixel: backend.read(&space.pixel_gradients), by_density })
+        Ok(Found { result, by_pixel: backend.read(&workspace.pixel_gradients), by_density })
     }
 
     fn place<B: Backend>(&self, bench: &mut Bench<B>) {
-        let Bench { backend, space, .. } = bench;
+        let Bench { backend, workspace, .. } = bench;
         let total = self.intervals.len();
-        backend.write(&mut space.rays.rays, &self.rays);
-        backend.write(&mut space.rays.groups, &self.groups);
-        backend.write(&mut space.rays.targets, &self.targets);
-        backend.write(&mut space.rays.photographs, &self.photographs);
-        let Samples { segments, rays, intervals, spheres, counts } = &mut space.samples;
+        backend.write(&mut workspace.rays.rays, &self.rays);
+        backend.write(&mut workspace.rays.groups, &self.groups);
+        backend.write(&mut workspace.rays.targets, &self.targets);
+        backend.write(&mut workspace.rays.photographs, &self.photographs);
+        let Samples { segments, rays, intervals, spheres, counts } = &mut workspace.samples;
         backend.write(segments, &self.segments);
         backend.write(rays, &vec![0; total]);
         backend.write(intervals, &self.intervals);
         backend.write(spheres, &vec![Sphere::default(); total]);
         backend.write(counts, &[[total as u32; 2], [0; 2]]);
         let radiance = |&density: &f32| Radiance { rgb: [0.3; 3], density };
-        backend.write(&mut space.radiance, &self.densities.iter().map(radiance).collect::<Vec<_>>());
-        backend.write(&mut space.pixels, &self.pixels);
+        backend.write(&mut workspace.radiance, &self.densities.iter().map(radiance).collect::<Vec<_>>());
+        backend.write(&mut workspace.pixels, &self.pixels);
     }
 
     /// True if the loss counts a pixel.

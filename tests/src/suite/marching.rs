@@ -2,7 +2,7 @@
 
 use super::Bench;
 use crate::{
-    fixtures::{Draw, lively, small},
+    fixtures::{TestRandom, lively, small},
     reference,
 };
 use glam::DVec3;
@@ -18,7 +18,7 @@ const BORDER_SHARE: f64 = 0.005;
 
 /// Rays through, beside, along and from inside the box; the first `AXIS_ALIGNED` are parallel to an axis.
 pub fn rays(seed: u64) -> Vec<Ray> {
-    let mut draw = Draw::new(seed);
+    let mut random = TestRandom::new(seed);
     let mut rays = Vec::new();
     let mut push = |origin: DVec3, direction: DVec3| {
         rays.push(Ray {
@@ -42,12 +42,12 @@ pub fn rays(seed: u64) -> Vec<Ray> {
         }
     }
     for _ in 0..60 {
-        let direction = draw.direction();
-        let target = 2.2 * draw.direction() * draw.between(0.0, 1.0);
+        let direction = random.direction();
+        let target = 2.2 * random.direction() * random.between(0.0, 1.0);
         push(target - 4.0 * direction, direction);
-        push(draw.direction(), draw.direction());
+        push(random.direction(), random.direction());
         // Nearly parallel to an axis: one tiny component.
-        push(DVec3::new(-4.0, draw.between(-1.4, 1.4), 0.2), DVec3::new(1.0, 1e-7, -3e-4).normalize());
+        push(DVec3::new(-4.0, random.between(-1.4, 1.4), 0.2), DVec3::new(1.0, 1e-7, -3e-4).normalize());
         // Pointing away from the box.
         push(4.0 * direction, direction);
     }
@@ -56,16 +56,16 @@ pub fn rays(seed: u64) -> Vec<Ray> {
 
 /// One bit per cell: a fraction `share` is set, singly or in slabs that leave whole blocks empty.
 pub fn bits(resolution: u32, share: f64, seed: u64) -> Vec<u8> {
-    let mut draw = Draw::new(seed);
+    let mut random = TestRandom::new(seed);
     let cells = resolution.pow(3);
     let blocks: Vec<bool> =
-        (0..resolution.div_ceil(4).pow(3)).map(|_| draw.between(0.0, 1.0) < 0.5).collect();
+        (0..resolution.div_ceil(4).pow(3)).map(|_| random.between(0.0, 1.0) < 0.5).collect();
     let mut bits = vec![0_u8; cells.div_ceil(8) as usize];
     for cell in 0..cells {
         let [x, y, z] = [cell % resolution, cell / resolution % resolution, cell / resolution / resolution];
         let side = resolution.div_ceil(4);
         let block = blocks[(x / 4 + side * (y / 4 + side * (z / 4))) as usize];
-        if block && draw.between(0.0, 1.0) < share {
+        if block && random.between(0.0, 1.0) < share {
             bits[cell as usize / 8] |= 1 << (cell % 8);
         }
     }
@@ -82,12 +82,18 @@ pub fn configuration(resolution: u32) -> Config {
 
 /// The sample distances of each ray.
 pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u64>) -> Vec<Vec<f32>> {
-    let Bench { backend, stages, space, .. } = bench;
-    space.rays.place(backend, rays);
-    stages.renderer.march(&mut space.lane, &space.rays, &stages.occupancy, jitter, &mut space.samples);
+    let Bench { backend, stages, workspace, .. } = bench;
+    workspace.rays.place(backend, rays);
+    stages.renderer.march(
+        &mut workspace.stream,
+        &workspace.rays,
+        &stages.occupancy,
+        jitter,
+        &mut workspace.samples,
+    );
     let (segments, intervals) =
-        (backend.read(&space.samples.segments), backend.read(&space.samples.intervals));
-    let owners = backend.read(&space.samples.rays);
+        (backend.read(&workspace.samples.segments), backend.read(&workspace.samples.intervals));
+    let owners = backend.read(&workspace.samples.rays);
     let of = |(i, s): (usize, &trimip_core::batch::Segment)| {
         let range = s.start as usize..(s.start + s.count) as usize;
         assert!(owners[range.clone()].iter().all(|&owner| owner as usize == i), "samples know their ray");
@@ -117,7 +123,7 @@ pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let (mut total, mut borderline) = (0, 0);
         for (ray, found) in rays.iter().zip(&found) {
             let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
-            let leave = reference::span(&config, origin, direction).map_or(0.0, |span| span.1);
+            let leave = reference::tile(&config, origin, direction).map_or(0.0, |tile| tile.1);
             let length = reference::ray_step(&config, ray, 0.0);
             let mut found = found.iter().map(|&t| f64::from(t)).peekable();
             for sample in reference::march(&config, ray, 0.0, |_| true) {
@@ -160,7 +166,7 @@ pub fn scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         ..Ray::default()
     };
     for (progress, scale) in [(0.0, 4.0), (0.49, 4.0), (0.5, 2.0), (1.0, 2.0)] {
-        bench.stages.renderer.follow(progress);
+        bench.stages.renderer.set_progress(progress);
         let length = (scale * reference::step_length(&config)) as f32;
         let found = marched(&mut bench, &[ray], None).remove(0);
         assert_eq!(found.len(), (3.0 / length).round() as usize, "a box of 3 at {progress}");

@@ -2,7 +2,7 @@
 //! as is kept of it.
 
 use super::training::{configuration, steps};
-use crate::fixtures::{Draw, GivenFrames, noise};
+use crate::fixtures::{GivenFrames, TestRandom, noise};
 use trimip_core::{
     Alpha, Backend, Config, Result, Session, StepReport, ViewSet, Viewer,
     batch::StepSums,
@@ -15,7 +15,8 @@ use trimip_core::{
 /// Photographs of noise at two scales of which the left half is ignored, with colours drawn from `garbage` there. Some
 /// of the coarse pixels are kept in part.
 pub fn half(garbage: u64) -> ViewSet {
-    let (mut set, mut draw) = (ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) }, Draw::new(garbage));
+    let (mut set, mut random) =
+        (ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) }, TestRandom::new(garbage));
     let ViewSet { views, pixels, scales, .. } = &mut set;
     for scale in scales {
         for view in &views[scale.views.clone()] {
@@ -24,7 +25,7 @@ pub fn half(garbage: u64) -> ViewSet {
             for (i, pixel) in pixels.iter_mut().enumerate() {
                 let x = i as u32 % k.width;
                 if 2 * x < k.width {
-                    let [r, g, b, ..] = draw.bits().to_le_bytes();
+                    let [r, g, b, ..] = random.bits().to_le_bytes();
                     *pixel = [r, g, b, 0];
                 } else {
                     pixel[3] = if scale.factor > 1 && x.is_multiple_of(2) { 64 } else { 255 };

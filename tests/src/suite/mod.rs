@@ -34,7 +34,7 @@ pub struct Bench<B: Backend> {
     /// Its stages.
     pub stages: Stages<B>,
     /// Its batches.
-    pub space: Workspace<B>,
+    pub workspace: Workspace<B>,
     /// The parameters on the device.
     pub parameters: B::Buffer<f32>,
 }
@@ -53,8 +53,8 @@ impl<B: Backend> Bench<B> {
             stages.encoder.refresh(&buffer);
             stages.field.refresh(&buffer);
         });
-        let space = Workspace::new(&backend, &stages.field);
-        Ok(Self { backend, stages, space, parameters: buffer })
+        let workspace = Workspace::new(&backend, &stages.field);
+        Ok(Self { backend, stages, workspace, parameters: buffer })
     }
 
     /// Places `spheres` as the samples of one ray.
@@ -66,9 +66,9 @@ impl<B: Backend> Bench<B> {
     pub fn place_on(&mut self, on: &[Ray], at: &[Interval], spheres: &[Sphere]) {
         let (total, count) = (spheres.len() as u32, spheres.len() / on.len());
         assert_eq!(count * on.len(), spheres.len(), "the same number of samples on every ray");
-        let Samples { segments, rays, intervals, spheres: buffer, counts } = &mut self.space.samples;
+        let Samples { segments, rays, intervals, spheres: buffer, counts } = &mut self.workspace.samples;
         let segment = |ray: usize| Segment { start: (ray * count) as u32, count: count as u32 };
-        self.space.rays.place(&self.backend, on);
+        self.workspace.rays.place(&self.backend, on);
         self.backend.write(intervals, at);
         self.backend.write(segments, &(0..on.len()).map(segment).collect::<Vec<_>>());
         self.backend.write(rays, &(0..total).map(|i| i / count as u32).collect::<Vec<_>>());
@@ -78,11 +78,11 @@ impl<B: Backend> Bench<B> {
 
     /// Features of the placed samples, in rows of the encoder's stride.
     pub fn features(&mut self) -> Vec<f32> {
-        let Self { backend, stages, space, parameters } = self;
-        let (rays, samples) = (&space.rays, &space.samples);
-        let tile = &mut Tile { stream: &mut space.lane, parameters, rays, samples };
-        stages.encoder.forward(tile, &mut space.encoding, &mut space.features);
-        backend.read(&space.features)
+        let Self { backend, stages, workspace, parameters } = self;
+        let (rays, samples) = (&workspace.rays, &workspace.samples);
+        let tile = &mut Tile { stream: &mut workspace.stream, parameters, rays, samples };
+        stages.encoder.forward(tile, &mut workspace.encoder_context, &mut workspace.features);
+        backend.read(&workspace.features)
     }
 }
 

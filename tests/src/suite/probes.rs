@@ -2,10 +2,10 @@
 //! position.
 
 use super::Bench;
-use crate::fixtures::{Draw, encoded, every_encoder, lively, noise, small};
+use crate::fixtures::{TestRandom, encoded, every_encoder, lively, noise, small};
 use trimip_core::{
     Backend, Layout, Query, Result, Session, Space, Viewer, backend::Occupancy, batch::Radiance, encoders,
-    encoders::Place, exact::Exact, occupancy::OUTSIDE, trainer::Trainer,
+    encoders::SamplePosition, exact::Exact, occupancy::OUTSIDE, trainer::Trainer,
 };
 
 /// Positions in the unit cube and directions in f32, after about ten roundings of 6e-8 on values up to the box's size.
@@ -21,12 +21,12 @@ pub fn on_their_rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let parameters = lively(&Layout::new(&config), 3);
     let views = noise(1, 8, 1, 1);
     let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
-    let Bench { backend, stages, space, .. } = &mut bench;
-    let count = stages.occupancy.choose(1);
-    stages.occupancy.probes(&mut space.lane, 1, 0..count, &mut space.rays, &mut space.samples);
-    let (rays, owners) = (backend.read(&space.rays.rays), backend.read(&space.samples.rays));
-    let intervals = backend.read(&space.samples.intervals);
-    let spheres = backend.read(&space.samples.spheres);
+    let Bench { backend, stages, workspace, .. } = &mut bench;
+    let count = stages.occupancy.select(1);
+    stages.occupancy.probes(&mut workspace.stream, 1, 0..count, &mut workspace.rays, &mut workspace.samples);
+    let (rays, owners) = (backend.read(&workspace.rays.rays), backend.read(&workspace.samples.rays));
+    let intervals = backend.read(&workspace.samples.intervals);
+    let spheres = backend.read(&workspace.samples.spheres);
     assert_eq!(spheres.len(), 8 * 8 * 8, "every cell is asked while the grid warms up");
     let cube = Space::<f64>::new(&config.scene);
     let (mut mean, mut square) = ([0.0; 3], [0.0; 3]);
@@ -79,19 +79,25 @@ pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     {
         let views = noise(1, 8, 1, 1);
         let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
-        let Bench { backend, stages, space, .. } = &mut bench;
+        let Bench { backend, stages, workspace, .. } = &mut bench;
         let densities: Vec<f32> =
             (0..SIDE.pow(3)).map(|cell| if inside(cell) { 0.0 } else { OUTSIDE }).collect();
         stages.occupancy.restore(&bits_of(&inside), Some(&densities));
-        let count = stages.occupancy.choose(1);
-        stages.occupancy.probes(&mut space.lane, 1, 0..count, &mut space.rays, &mut space.samples);
-        let spheres = backend.read(&space.samples.spheres);
+        let count = stages.occupancy.select(1);
+        stages.occupancy.probes(
+            &mut workspace.stream,
+            1,
+            0..count,
+            &mut workspace.rays,
+            &mut workspace.samples,
+        );
+        let spheres = backend.read(&workspace.samples.spheres);
         assert_eq!(spheres.len(), SIDE.pow(3) / 2, "every cell of the hull is asked while the grid warms up");
         assert!(spheres.iter().all(|sphere| sphere.position[0] >= 0.5), "cells outside are not");
         let density = |z: f32| if z < 0.5 { below } else { above };
         let radiance = spheres.iter().map(|s| Radiance { rgb: [0.0; 3], density: density(s.position[2]) });
-        backend.write(&mut space.radiance, &radiance.collect::<Vec<_>>());
-        backend.install(|| stages.occupancy.absorb(&space.radiance));
+        backend.write(&mut workspace.radiance, &radiance.collect::<Vec<_>>());
+        backend.install(|| stages.occupancy.update(&workspace.radiance));
         assert_eq!(stages.occupancy.bits(), expected, "{below} and {above}");
         let found = stages.occupancy.densities();
         assert!((0..SIDE.pow(3)).all(|cell| inside(cell) == (found[cell] >= 0.0)), "marks stay");
@@ -100,7 +106,7 @@ pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 }
 
 /// Queries of places of the world have the density and colour of the model in f64, wherever the box is, and more of them
-/// than a span holds come back in order.
+/// than a tile holds come back in order.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -111,15 +117,15 @@ pub fn queries<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let mut trainer = Trainer::new(make(), &config, noise(1, 8, 1, 1))?;
         trainer.set_parameters(&lively(trainer.layout(), 5));
         let exact = Exact::new(&trainer.model()?)?;
-        let (space, mut draw) = (Space::<f64>::new(&config.scene), Draw::new(8));
+        let (space, mut random) = (Space::<f64>::new(&config.scene), TestRandom::new(8));
         let queries: Vec<Query> = (0..1300)
             .map(|_| Query {
                 point: std::array::from_fn(|axis| {
                     let side = |end: [f32; 3]| f64::from(end[axis]);
-                    draw.between(side(config.scene.aabb_min), side(config.scene.aabb_max))
+                    random.between(side(config.scene.aabb_min), side(config.scene.aabb_max))
                 }),
-                radius: draw.between(-6.0, -1.0).exp2() as f32,
-                direction: draw.direction().as_vec3().to_array(),
+                radius: random.between(-6.0, -1.0).exp2() as f32,
+                direction: random.direction().as_vec3().to_array(),
             })
             .collect();
         let found = trainer.query(&queries)?;
@@ -132,7 +138,7 @@ pub fn queries<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let direction = query.direction.map(f64::from);
             // A query stands for an interval as long as its sphere is wide, one side of the box away from the eye.
             let (t, length) = (space.aabb().longest(), 2.0 * radius);
-            let place = Place { position: space.to_cube(query.point), radius, direction, t, length };
+            let place = SamplePosition { position: space.to_cube(query.point), radius, direction, t, length };
             let expected = exact.features(&place);
             for (found, expected) in features[i * width..].iter().zip(&expected[..width]) {
                 let apart = (f64::from(*found) - expected).abs();

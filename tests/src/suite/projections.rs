@@ -66,9 +66,9 @@ pub fn rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let parameters = lively(&Layout::new(&config), 9);
         let mut bench = Bench::new(make(), &config, None, &parameters)?;
         for camera in cameras(13, 9) {
-            let Bench { backend, stages, space, .. } = &mut bench;
-            stages.sampler.camera_rays(&mut space.lane, &camera, 0..13 * 9, &mut space.rays);
-            let found = backend.read(&space.rays.rays);
+            let Bench { backend, stages, workspace, .. } = &mut bench;
+            stages.sampler.camera_rays(&mut workspace.stream, &camera, 0..13 * 9, &mut workspace.rays);
+            let found = backend.read(&workspace.rays.rays);
             let count = cones::count(side);
             assert_eq!(found.len() as u32, 13 * 9 * count);
             for (i, ray) in (0..).zip(&found) {
@@ -99,10 +99,10 @@ pub fn training<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let (config, views) = (small(), views());
     let parameters = lively(&Layout::new(&config), 1);
     let mut bench = Bench::new(make(), &config, Some(views.clone()), &parameters)?;
-    let Bench { backend, stages, space, .. } = &mut bench;
-    let draw = stages.sampler.balance().draw(PIXELS);
-    stages.sampler.training_rays(&mut space.lane, 3, &draw, 0..PIXELS, &mut space.rays);
-    let Rays { rays, targets, .. } = &space.rays;
+    let Bench { backend, stages, workspace, .. } = &mut bench;
+    let allocation = stages.sampler.scale_weights().allocate(PIXELS);
+    stages.sampler.training_rays(&mut workspace.stream, 3, &allocation, 0..PIXELS, &mut workspace.rays);
+    let Rays { rays, targets, .. } = &workspace.rays;
     let (rays, targets) = (backend.read(rays), backend.read(targets));
     let mut drawn = vec![0; views.views.len()];
     for (ray, target) in rays.iter().zip(&targets) {
@@ -170,7 +170,7 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let mut seen = 0;
         for (i, pixel) in frame.pixels.iter().enumerate() {
             let cone = camera.cone::<f64>(i as u32 % 9, i as u32 / 9);
-            let (enter, leave) = reference::span(&config, cone.origin, cone.direction).unwrap_or((0.0, 0.0));
+            let (enter, leave) = reference::tile(&config, cone.origin, cone.direction).unwrap_or((0.0, 0.0));
             seen += usize::from(leave > enter);
             let exact = 1.0 - (-SIGMA * (leave - enter)).exp();
             let place = format!("{}, pixel {i}", name(&camera));

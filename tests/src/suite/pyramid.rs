@@ -2,12 +2,12 @@
 //! backward is the transpose of forward.
 
 use super::{Bench, wide};
-use crate::fixtures::{Draw, lively, small};
+use crate::fixtures::{TestRandom, lively, small};
 use crate::reference::{AXES, sides};
 use trimip_core::{
     Backend, Config, Encoder, Layout, Result,
     backend::Field,
-    batch::{Deposit, Sphere, Tile},
+    batch::{PartialGradients, Sphere, Tile},
     config::PlaneShape,
 };
 
@@ -95,31 +95,31 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
     let layout = Layout::new(config);
     let parameters = lively(&layout, 4);
     let mut bench = Bench::new(backend, config, Some(crate::fixtures::noise(1, 8, 1, 1)), &parameters)?;
-    let mut draw = Draw::new(8);
+    let mut random = TestRandom::new(8);
     let base = layout.slots[0].range.len();
     for level in 0..config.encoder.levels {
         let spheres: Vec<Sphere> = (0..203)
             .map(|_| Sphere {
-                position: [0; 3].map(|_| draw.between(0.0, 1.0) as f32),
-                radius: radius(config, f64::from(level) + draw.between(0.0, 1.0)),
+                position: [0; 3].map(|_| random.between(0.0, 1.0) as f32),
+                radius: radius(config, f64::from(level) + random.between(0.0, 1.0)),
             })
             .collect();
         bench.place(&spheres);
         let features = bench.features();
         // Padding rows, if a backend has them, belong to no sample: they must not contribute.
-        let upstream: Vec<f32> = features.iter().map(|_| draw.between(-1.0, 1.0) as f32).collect();
-        let Bench { backend, stages, space, parameters: values } = &mut bench;
-        backend.write(&mut space.feature_gradients, &upstream);
-        let mut deposits = [Deposit {
+        let upstream: Vec<f32> = features.iter().map(|_| random.between(-1.0, 1.0) as f32).collect();
+        let Bench { backend, stages, workspace, parameters: values } = &mut bench;
+        backend.write(&mut workspace.feature_gradients, &upstream);
+        let mut partials = [PartialGradients {
             field: stages.field.gradient(),
             encoder: stages.encoder.gradient(),
             sums: B::Sums::default(),
         }];
-        let (deposit, rays, samples) = (&mut deposits[0].encoder, &space.rays, &space.samples);
-        let tile = &mut Tile { stream: &mut space.lane, parameters: values, rays, samples };
-        stages.encoder.backward(tile, &space.encoding, &space.feature_gradients, deposit);
+        let (partial, rays, samples) = (&mut partials[0].encoder, &workspace.rays, &workspace.samples);
+        let tile = &mut Tile { stream: &mut workspace.stream, parameters: values, rays, samples };
+        stages.encoder.backward(tile, &workspace.encoder_context, &workspace.feature_gradients, partial);
         let mut gradient = backend.zeros(layout.len());
-        backend.install(|| stages.encoder.flush(&mut deposits, values, &mut gradient));
+        backend.install(|| stages.encoder.reduce(&mut partials, values, &mut gradient));
         let gradient = wide(&backend.read(&gradient)[..base]);
 
         let counted = 48 * spheres.len();
@@ -141,9 +141,9 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
         let backward = dot(&wide(&parameters[..base]), &gradient);
         // Both sum about 10,000 products of order 0.3 with errors of 1e-6 each, of random sign.
         assert!((forward - backward).abs() < 1e-3, "level {level}: {forward} forward, {backward} backward");
-        // Flushing empties the deposits: a second flush adds nothing.
+        // Reducing empties the partial gradients: a second reduce adds nothing.
         let mut again = backend.zeros(layout.len());
-        backend.install(|| stages.encoder.flush(&mut deposits, values, &mut again));
+        backend.install(|| stages.encoder.reduce(&mut partials, values, &mut again));
         assert!(
             backend.read(&again)[..base].iter().all(|&g| g == 0.0),
             "level {level}: deposits are emptied"

@@ -24,11 +24,11 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         (1.0, [1_401, 1_400, 1_400], [1.0, 1.0, 1.0]),
     ];
     for (progress, shares, weights) in expected {
-        let Bench { backend, stages, space, .. } = &mut bench;
-        stages.sampler.follow(progress);
-        let draw = stages.sampler.balance().draw(4_201);
-        stages.sampler.training_rays(&mut space.lane, 7, &draw, 0..4_201, &mut space.rays);
-        let (rays, targets) = (backend.read(&space.rays.rays), backend.read(&space.rays.targets));
+        let Bench { backend, stages, workspace, .. } = &mut bench;
+        stages.sampler.set_progress(progress);
+        let allocation = stages.sampler.scale_weights().allocate(4_201);
+        stages.sampler.training_rays(&mut workspace.stream, 7, &allocation, 0..4_201, &mut workspace.rays);
+        let (rays, targets) = (backend.read(&workspace.rays.rays), backend.read(&workspace.rays.targets));
         let mut found = [0; 3];
         for (ray, target) in rays.iter().zip(&targets) {
             let width = f64::from(ray.slope) / f64::from(ray.cosine).powi(2) / finest;
@@ -61,11 +61,11 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         views.pixels.iter_mut().for_each(|pixel| pixel[3] = 0);
         let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
         for (progress, share) in [0.2, 0.7, 0.95].into_iter().zip(shares) {
-            let Bench { backend, stages, space, .. } = &mut bench;
-            stages.sampler.follow(progress);
-            let draw = stages.sampler.balance().draw(RAYS);
-            stages.sampler.training_rays(&mut space.lane, 3, &draw, 0..RAYS, &mut space.rays);
-            let targets = backend.read(&space.rays.targets);
+            let Bench { backend, stages, workspace, .. } = &mut bench;
+            stages.sampler.set_progress(progress);
+            let allocation = stages.sampler.scale_weights().allocate(RAYS);
+            stages.sampler.training_rays(&mut workspace.stream, 3, &allocation, 0..RAYS, &mut workspace.rays);
+            let targets = backend.read(&workspace.rays.targets);
             assert!(targets.iter().all(|target| target.rgb == target.background));
             let own = targets.iter().filter(|target| target.background != config.data.background);
             // Five standard deviations.

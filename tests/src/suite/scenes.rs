@@ -54,7 +54,7 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         for (i, pixel) in frame.pixels.iter().enumerate() {
             let ray = Ray::from(camera.cone::<f32>(i as u32 % 9, i as u32 / 9));
             let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
-            let (enter, leave) = reference::span(&config, origin, direction).unwrap_or((0.0, 0.0));
+            let (enter, leave) = reference::tile(&config, origin, direction).unwrap_or((0.0, 0.0));
             misses += usize::from(enter == leave);
             // Number of steps whose middle lies in the box: L/δ rounded, so the quadrature covers L to half a step.
             let count = ((leave - enter) / step).round();
@@ -118,7 +118,7 @@ pub fn silhouette<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         for (i, pixel) in frame.pixels.iter().enumerate() {
             let ray = Ray::from(camera.cone::<f32>(i as u32 % 33, i as u32 / 33));
             let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
-            let (expected, opacity) = match reference::span(&inner, origin, direction) {
+            let (expected, opacity) = match reference::tile(&inner, origin, direction) {
                 None => (config.data.background.map(f64::from), 0.0),
                 Some((enter, leave)) if leave - enter > 2.0 * step => {
                     let depth = f64::from(pixel.depth) / f64::from(ray.cosine);

@@ -6,8 +6,8 @@ use crate::{
     reference::{Reference, Sample, visible},
 };
 use trimip_core::{
-    Backend, Layout, Renderer, Result, backend::Occupancy, backend::see_all, batch::Interval, batch::Sphere,
-    encoders,
+    Backend, Layout, Renderer, Result, backend::Occupancy, backend::evaluate_visible_samples,
+    batch::Interval, batch::Sphere, encoders,
 };
 
 /// Limits of transmittance and weight that keep all, most and few samples.
@@ -34,13 +34,13 @@ fn bench<B: Backend>(backend: B, limits: (f32, f32)) -> Result<(Bench<B>, trimip
     parameters[last].iter_mut().for_each(|weight| *weight *= 4.0);
     let mut bench = Bench::new(backend, &config, None, &parameters)?;
     bench.stages.occupancy.restore(&marching::bits(32, 0.5, 7), None);
-    bench.space.rays.place(&bench.backend, &marching::rays(11));
+    bench.workspace.rays.place(&bench.backend, &marching::rays(11));
     Ok((bench, config))
 }
 
 /// Intervals and spheres of every ray.
 fn samples<B: Backend>(bench: &Bench<B>) -> Vec<Vec<(Interval, Sphere)>> {
-    let (backend, samples) = (&bench.backend, &bench.space.samples);
+    let (backend, samples) = (&bench.backend, &bench.workspace.samples);
     let (intervals, spheres) = (backend.read(&samples.intervals), backend.read(&samples.spheres));
     let pairs: Vec<_> = intervals.into_iter().zip(spheres).collect();
     let segments = backend.read(&samples.segments);
@@ -59,14 +59,20 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let reference = Reference::new(&config, &layout, &wide(&bench.backend.read(&bench.parameters)));
         let (width, stride) = (encoders::of(&config).width(&config), encoders::stride(&config));
         let jitter = Some(3);
-        let Bench { stages, space, .. } = &mut bench;
-        stages.renderer.march(&mut space.lane, &space.rays, &stages.occupancy, jitter, &mut space.samples);
-        let (marched, rays) = (samples(&bench), bench.backend.read(&bench.space.rays.rays));
-        let Bench { stages, space, parameters, .. } = &mut bench;
-        stages.renderer.see(stages, parameters, space, jitter);
+        let Bench { stages, workspace, .. } = &mut bench;
+        stages.renderer.march(
+            &mut workspace.stream,
+            &workspace.rays,
+            &stages.occupancy,
+            jitter,
+            &mut workspace.samples,
+        );
+        let (marched, rays) = (samples(&bench), bench.backend.read(&bench.workspace.rays.rays));
+        let Bench { stages, workspace, parameters, .. } = &mut bench;
+        stages.renderer.visibility_pass(stages, parameters, workspace, jitter);
         let seen = samples(&bench);
-        let features = bench.backend.read(&bench.space.features);
-        let radiance = bench.backend.read(&bench.space.radiance);
+        let features = bench.backend.read(&bench.workspace.features);
+        let radiance = bench.backend.read(&bench.workspace.radiance);
         let (mut row, mut doubtful, mut dropped) = (0, 0, 0);
         for (i, (marched, seen)) in marched.iter().zip(&seen).enumerate() {
             let literal = |(interval, sphere): &(Interval, Sphere)| Sample::new(&rays[i], interval, sphere);
@@ -101,24 +107,24 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 
 /// The complete output of the `see` stage for colour and compositing, as bytes for bitwise comparison.
 fn seen<B: Backend>(bench: &mut Bench<B>, stride: usize, jitter: Option<u64>, all: bool) -> Vec<Vec<u8>> {
-    let Bench { backend, stages, space, parameters } = bench;
+    let Bench { backend, stages, workspace, parameters } = bench;
     if all {
-        see_all(stages, parameters, space, jitter);
+        evaluate_visible_samples(stages, parameters, workspace, jitter);
     } else {
-        stages.renderer.see(stages, parameters, space, jitter);
+        stages.renderer.visibility_pass(stages, parameters, workspace, jitter);
     }
-    let count = backend.read(&space.samples.spheres).len();
+    let count = backend.read(&workspace.samples.spheres).len();
     let bytes = |slice: &[f32]| slice.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
-    let segments = backend.read(&space.samples.segments);
-    let owners = backend.read(&space.samples.rays);
+    let segments = backend.read(&workspace.samples.segments);
+    let owners = backend.read(&workspace.samples.rays);
     let sphere = |s: &Sphere| bytes(&[s.position[0], s.position[1], s.position[2], s.radius]);
     vec![
         segments.iter().flat_map(|s| [s.start, s.count]).flat_map(u32::to_le_bytes).collect(),
         owners.iter().flat_map(|ray| ray.to_le_bytes()).collect(),
-        backend.read(&space.samples.intervals).iter().flat_map(|i| bytes(&[i.t, i.length])).collect(),
-        backend.read(&space.samples.spheres).iter().flat_map(sphere).collect(),
-        bytes(&backend.read(&space.features)[..count * stride]),
-        backend.read(&space.radiance)[..count].iter().flat_map(|r| bytes(&[r.density])).collect(),
+        backend.read(&workspace.samples.intervals).iter().flat_map(|i| bytes(&[i.t, i.length])).collect(),
+        backend.read(&workspace.samples.spheres).iter().flat_map(sphere).collect(),
+        bytes(&backend.read(&workspace.features)[..count * stride]),
+        backend.read(&workspace.radiance)[..count].iter().flat_map(|r| bytes(&[r.density])).collect(),
     ]
 }
 

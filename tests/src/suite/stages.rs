@@ -2,7 +2,7 @@
 
 use super::{Bench, wide};
 use crate::{
-    fixtures::{Draw, every_variant, lively, noise, small},
+    fixtures::{TestRandom, every_variant, lively, noise, small},
     reference::{Composited, Reference, Sample, composite, kept, march},
 };
 use glam::DVec3;
@@ -51,18 +51,18 @@ fn configurations() -> Vec<Config> {
 
 /// Spheres all over the box and on its border, with radii from zero to far beyond the coarsest level.
 pub fn spheres(seed: u64, count: usize) -> Vec<Sphere> {
-    let mut draw = Draw::new(seed);
+    let mut random = TestRandom::new(seed);
     let radii = [0.0, 1e-30, 1e-3, 0.05, 0.2, 0.8, 3.0, 1e4, f32::INFINITY];
     (0..count)
         .map(|i| {
-            let mut coordinate = || match draw.below(8) {
+            let mut coordinate = || match random.below(8) {
                 0 => 0.0,
                 1 => 1.0,
                 2 => 1.0 - f32::EPSILON,
-                _ => draw.between(0.0, 1.0) as f32,
+                _ => random.between(0.0, 1.0) as f32,
             };
             let position = [coordinate(), coordinate(), coordinate()];
-            let radius = radii.get(i % 16).map_or_else(|| draw.between(-7.0, 1.0).exp2() as f32, |&r| r);
+            let radius = radii.get(i % 16).map_or_else(|| random.between(-7.0, 1.0).exp2() as f32, |&r| r);
             Sphere { position, radius }
         })
         .collect()
@@ -74,16 +74,16 @@ fn close(found: f64, expected: f64, tolerance: f64) -> bool {
 
 /// Rays in random directions, and as many intervals on each, from nothing to far longer than a texel.
 fn lines(seed: u64, rays: usize, count: usize) -> (Vec<Ray>, Vec<Interval>) {
-    let mut draw = Draw::new(seed);
+    let mut random = TestRandom::new(seed);
     let ray = |direction: DVec3| Ray { direction: direction.to_array().map(|x| x as f32), ..Ray::default() };
-    let rays = (0..rays).map(|_| ray(draw.direction())).collect();
-    let interval = |draw: &mut Draw| {
-        let t = draw.between(0.1, 5.0);
+    let rays = (0..rays).map(|_| ray(random.direction())).collect();
+    let interval = |random: &mut TestRandom| {
+        let t = random.between(0.1, 5.0);
         // No interval begins behind its camera.
-        let length = [0.0, draw.between(-10.0, 0.0).exp2().min(t), 2.0 * t][draw.below(3)];
+        let length = [0.0, random.between(-10.0, 0.0).exp2().min(t), 2.0 * t][random.below(3)];
         Interval { t: t as f32, length: length as f32 }
     };
-    (rays, (0..count).map(|_| interval(&mut draw)).collect())
+    (rays, (0..count).map(|_| interval(&mut random)).collect())
 }
 
 /// Features, densities and colours of random samples.
@@ -118,12 +118,13 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             }
         }
 
-        let Bench { backend, stages, space, parameters } = &mut bench;
-        let (stream, samples, tape) = (&mut space.lane, &space.samples, &mut space.tape);
-        let tile = &mut Tile { stream, parameters, rays: &space.rays, samples };
-        stages.field.density(tile, &space.features, tape, &mut space.radiance);
-        stages.field.color(tile, 0.0, tape, &mut space.radiance);
-        let radiance = backend.read(&space.radiance);
+        let Bench { backend, stages, workspace, parameters } = &mut bench;
+        let (stream, samples, field_context) =
+            (&mut workspace.stream, &workspace.samples, &mut workspace.field_context);
+        let tile = &mut Tile { stream, parameters, rays: &workspace.rays, samples };
+        stages.field.density(tile, &workspace.features, field_context, &mut workspace.radiance);
+        stages.field.color(tile, 0.0, field_context, &mut workspace.radiance);
+        let radiance = backend.read(&workspace.radiance);
         for (i, found) in radiance.iter().enumerate().take(spheres.len()) {
             let geometry = reference.geometry(&wide(&features[stride * i..][..width]));
             let density = reference.density(&geometry);
@@ -153,33 +154,33 @@ pub fn compositing<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);
     let mut bench = Bench::new(make(), &config, None, &lively(&layout, 3))?;
-    let Bench { backend, stages, space, parameters } = &mut bench;
-    let mut draw = Draw::new(11);
+    let Bench { backend, stages, workspace, parameters } = &mut bench;
+    let mut random = TestRandom::new(11);
     let counts = [0_u32, 1, 40, 3, 0, 17];
     let (mut segments, mut intervals, mut radiance, mut owners) = (vec![], vec![], vec![], vec![]);
     for (ray, &count) in counts.iter().enumerate() {
         segments.push(Segment { start: intervals.len() as u32, count });
         for i in 0..count {
-            let density = if (ray, i) == (3, 1) { 1e6 } else { draw.between(-20.0, 3.0).exp() as f32 };
-            let rgb = [0; 3].map(|_| draw.between(0.0, 1.0) as f32);
+            let density = if (ray, i) == (3, 1) { 1e6 } else { random.between(-20.0, 3.0).exp() as f32 };
+            let rgb = [0; 3].map(|_| random.between(0.0, 1.0) as f32);
             radiance.push(Radiance { rgb, density });
-            intervals.push(Interval { t: 2.0 + 0.1 * i as f32, length: draw.between(0.05, 0.15) as f32 });
+            intervals.push(Interval { t: 2.0 + 0.1 * i as f32, length: random.between(0.05, 0.15) as f32 });
             owners.push(ray as u32);
         }
     }
     let rays = [Ray { cosine: 0.8, ..Ray::default() }; 6];
     let total = intervals.len() as u32;
-    space.rays.place(backend, &rays);
-    let Samples { segments: s, rays: r, intervals: v, spheres, counts: c } = &mut space.samples;
+    workspace.rays.place(backend, &rays);
+    let Samples { segments: s, rays: r, intervals: v, spheres, counts: c } = &mut workspace.samples;
     backend.write(s, &segments);
     backend.write(r, &owners);
     backend.write(v, &intervals);
     backend.write(spheres, &vec![Sphere::default(); total as usize]);
     backend.write(c, &[[total, total]]);
-    backend.write(&mut space.radiance, &radiance);
-    let (stream, samples, pixels) = (&mut space.lane, &space.samples, &mut space.pixels);
-    let tile = &mut Tile { stream, parameters, rays: &space.rays, samples };
-    stages.renderer.composite(tile, &space.radiance, &mut space.cones, pixels);
+    backend.write(&mut workspace.radiance, &radiance);
+    let (stream, samples, pixels) = (&mut workspace.stream, &workspace.samples, &mut workspace.pixels);
+    let tile = &mut Tile { stream, parameters, rays: &workspace.rays, samples };
+    stages.renderer.composite(tile, &workspace.radiance, &mut workspace.cones, pixels);
     for (pixel, segment) in backend.read(pixels).iter().zip(&segments) {
         let range = segment.start as usize..(segment.start + segment.count) as usize;
         let sample = |interval: &Interval| Sample {

@@ -315,7 +315,7 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
                         "{what} of {name}[{i}]: {found}, not {expected}"
                     );
                 };
-                // About eight roundings of 6e-8 each, on the terms of each value; a device may flush denormals to zero.
+                // About eight roundings of 6e-8 each, on the terms of each value; a device may reduce denormals to zero.
                 let (rounding, least) = (5e-7, f64::from(f32::MIN_POSITIVE));
                 let [first, second] = moments(&config.optimizer, [m, v], g);
                 let [terms, _] = moments(&config.optimizer, [m.abs(), v], g.abs());

@@ -137,9 +137,9 @@ fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (name, intrinsics) in cases {
         let camera = Camera::look_at(intrinsics, DVec3::new(2.0, -3.0, 1.0), DVec3::ZERO, DVec3::Z);
         let count = intrinsics.width * intrinsics.height;
-        let space = &mut rig.space;
-        rig.stages.sampler.camera_rays(&mut space.lane, &camera, 0..count, &mut space.rays);
-        let rays = rig.backend.read(&space.rays.rays);
+        let workspace = &mut rig.workspace;
+        rig.stages.sampler.camera_rays(&mut workspace.stream, &camera, 0..count, &mut workspace.rays);
+        let rays = rig.backend.read(&workspace.rays.rays);
         let (mut errors, mut slopes) = (Vec::new(), Vec::new());
         for (i, ray) in rays.iter().enumerate() {
             let exact = camera.cone::<f64>(i as u32 % intrinsics.width, i as u32 / intrinsics.width);

@@ -26,7 +26,7 @@ pub fn small() -> Config {
 pub struct Rig<B: Backend> {
     pub backend: B,
     pub stages: Stages<B>,
-    pub space: Workspace<B>,
+    pub workspace: Workspace<B>,
     pub parameters: B::Buffer<f32>,
 }
 
@@ -42,13 +42,13 @@ impl<B: Backend> Rig<B> {
             stages.encoder.refresh(&parameters);
             stages.field.refresh(&parameters);
         });
-        let space = Workspace::new(&backend, &stages.field);
-        Ok(Self { backend, stages, space, parameters })
+        let workspace = Workspace::new(&backend, &stages.field);
+        Ok(Self { backend, stages, workspace, parameters })
     }
 
     /// Uploads the rays of the span.
     pub fn rays(&mut self, rays: &[Ray]) {
-        self.space.rays.place(&self.backend, rays);
+        self.workspace.rays.place(&self.backend, rays);
     }
 
     /// Composites rays of given samples, and backpropagates the gradient `by_pixel` of every pixel to them.
@@ -68,51 +68,57 @@ impl<B: Backend> Rig<B> {
         }
         let total = intervals.len() as u32;
         self.rays(&vec![Ray { cosine: 1.0, ..Ray::default() }; rays.len()]);
-        let Self { backend, stages, space, parameters } = self;
-        let Samples { segments: s, rays: r, intervals: v, spheres, counts } = &mut space.samples;
+        let Self { backend, stages, workspace, parameters } = self;
+        let Samples { segments: s, rays: r, intervals: v, spheres, counts } = &mut workspace.samples;
         backend.write(s, &segments);
         backend.write(r, &owners);
         backend.write(v, &intervals);
         backend.write(spheres, &vec![Sphere::default(); intervals.len()]);
         backend.write(counts, &[[total, total]]);
-        backend.write(&mut space.radiance, &radiance);
-        let (rays, samples, radiance) = (&space.rays, &space.samples, &space.radiance);
-        let tile = &mut Tile { stream: &mut space.lane, parameters, rays, samples };
-        stages.renderer.composite(tile, radiance, &mut space.cones, &mut space.pixels);
-        backend.write(&mut space.pixel_gradients, &vec![by_pixel; segments.len()]);
-        let (by_pixel, gradients) = (&space.pixel_gradients, &mut space.radiance_gradients);
-        stages.renderer.backward(tile, radiance, &space.cones, by_pixel, gradients);
-        (backend.read(&space.pixels), backend.read(&space.radiance_gradients))
+        backend.write(&mut workspace.radiance, &radiance);
+        let (rays, samples, radiance) = (&workspace.rays, &workspace.samples, &workspace.radiance);
+        let tile = &mut Tile { stream: &mut workspace.stream, parameters, rays, samples };
+        stages.renderer.composite(tile, radiance, &mut workspace.cones, &mut workspace.pixels);
+        backend.write(&mut workspace.pixel_gradients, &vec![by_pixel; segments.len()]);
+        let (by_pixel, gradients) = (&workspace.pixel_gradients, &mut workspace.radiance_gradients);
+        stages.renderer.backward(tile, radiance, &workspace.cones, by_pixel, gradients);
+        (backend.read(&workspace.pixels), backend.read(&workspace.radiance_gradients))
     }
 
     /// Marches rays. Returns the sample distances of each ray, and the spheres of all samples.
     pub fn march(&mut self, rays: &[Ray]) -> (Vec<Vec<f32>>, Vec<Sphere>) {
         self.rays(rays);
-        let Self { backend, stages, space, .. } = self;
-        stages.renderer.march(&mut space.lane, &space.rays, &stages.occupancy, None, &mut space.samples);
-        let intervals = backend.read(&space.samples.intervals);
+        let Self { backend, stages, workspace, .. } = self;
+        stages.renderer.march(
+            &mut workspace.stream,
+            &workspace.rays,
+            &stages.occupancy,
+            None,
+            &mut workspace.samples,
+        );
+        let intervals = backend.read(&workspace.samples.intervals);
         let of = |s: &Segment| {
             intervals[s.start as usize..(s.start + s.count) as usize].iter().map(|i| i.t).collect()
         };
-        let distances = backend.read(&space.samples.segments).iter().map(of).collect();
-        (distances, backend.read(&space.samples.spheres))
+        let distances = backend.read(&workspace.samples.segments).iter().map(of).collect();
+        (distances, backend.read(&workspace.samples.spheres))
     }
 
     /// Features of spheres, 48 per sphere.
     pub fn features(&mut self, spheres: &[Sphere]) -> Vec<f32> {
         let count = spheres.len() as u32;
-        let Self { backend, stages, space, parameters } = self;
-        space.rays.place(backend, &[Ray::default()]);
-        let Samples { segments, rays, intervals, spheres: buffer, counts } = &mut space.samples;
+        let Self { backend, stages, workspace, parameters } = self;
+        workspace.rays.place(backend, &[Ray::default()]);
+        let Samples { segments, rays, intervals, spheres: buffer, counts } = &mut workspace.samples;
         backend.write(intervals, &vec![Interval::default(); spheres.len()]);
         backend.write(segments, &[Segment { start: 0, count }]);
         backend.write(rays, &vec![0; spheres.len()]);
         backend.write(buffer, spheres);
         backend.write(counts, &[[count, count]]);
-        let (rays, samples) = (&space.rays, &space.samples);
-        let tile = &mut Tile { stream: &mut space.lane, parameters, rays, samples };
-        stages.encoder.forward(tile, &mut space.encoding, &mut space.features);
-        backend.read(&space.features)
+        let (rays, samples) = (&workspace.rays, &workspace.samples);
+        let tile = &mut Tile { stream: &mut workspace.stream, parameters, rays, samples };
+        stages.encoder.forward(tile, &mut workspace.encoder_context, &mut workspace.features);
+        backend.read(&workspace.features)
     }
 }
 

@@ -33,10 +33,10 @@ pub fn around(root: &Path) -> Result<String> {
 }
 
 /// Name of a measure of perception, and its value of a view.
-type Perceived = (&'static str, fn(&ViewRecord) -> Option<f64>);
+type PerceptualScores = (&'static str, fn(&ViewRecord) -> Option<f64>);
 
 /// The measures of perception, which some views have.
-const PERCEPTION: [Perceived; 3] =
+const PERCEPTION: [PerceptualScores; 3] =
     [("MS-SSIM", |view| view.ms_ssim), ("FLIP", |view| view.flip), ("LPIPS", |view| view.lpips)];
 
 /// Both sections; empty if no view was evaluated. `images` is the folder of the comparisons.

@@ -1,14 +1,14 @@
 //! The settings in the report: first those that were chosen, then, folded, those with their defaults.
 
 use super::page::escape;
-use trimip::settings::{Row, rows};
+use trimip::settings::{SettingRow, rows};
 use trimip::{Origin, Settings};
 
 /// The section.
 pub fn section(settings: &Settings) -> String {
     let rows = rows(settings);
     let (set, defaults): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row.origin != Origin::Default);
-    let table = |rows: &[&Row]| {
+    let table = |rows: &[&SettingRow]| {
         let body: String = rows.iter().map(|row| setting(row)).collect();
         format!(
             "<div class=\"scroll\"><table class=\"settings\"><tr><th>setting</th><th>value</th><th>from</th>\
@@ -24,7 +24,7 @@ pub fn section(settings: &Settings) -> String {
     )
 }
 
-fn setting(row: &Row) -> String {
+fn setting(row: &SettingRow) -> String {
     let path = if row.section.is_empty() { row.key.clone() } else { format!("{}.{}", row.section, row.key) };
     let class = if row.origin == Origin::Default { "" } else { " class=\"set\"" };
     format!(

@@ -6,7 +6,9 @@ use serde_json::json;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use trimip::run::folder as run_folder;
-use trimip::view::{PIXELS_PER_DEGREE, Perceiver, TestViews, Together, Watching, evaluate, help_evaluate};
+use trimip::view::{
+    PIXELS_PER_DEGREE, PerceptualMetrics, RankGroup, TestViews, Watching, evaluate, evaluate_on_worker,
+};
 use trimip::{Error, Result, backends, settings};
 use trimip_core::{atomic::write_atomically, evaluate::ViewResult, exchange::Ranks};
 
@@ -16,7 +18,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     settings::override_model(&mut model, &arguments.set)?;
     let config = model.config.clone();
     backends::check(&config.backend)?;
-    let mut perceiver = Perceiver::open(&config.eval)?;
+    let mut perceptual = PerceptualMetrics::open(&config.eval)?;
     if let Some(parent) = arguments.json.as_deref().and_then(|path| path.parent()) {
         run_folder::create_writable(if parent.as_os_str().is_empty() { ".".as_ref() } else { parent })?;
     }
@@ -35,8 +37,8 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     let all = ranks::all();
     let (viewer, frames) = (session.as_mut(), scene.frames.as_ref());
     let test = TestViews { frames, data: &config.data, stride };
-    let together = all.as_deref().map(|ranks| Together { ranks, model: &model });
-    let measured = evaluate(viewer, test, &mut perceiver, &mut watch, together)?;
+    let group = all.as_deref().map(|ranks| RankGroup { ranks, model: &model });
+    let measured = evaluate(viewer, test, &mut perceptual, &mut watch, group)?;
     bar.finish_and_clear();
     let Some(measured) = measured else { return Ok(interrupt::EXIT_CODE) };
 
@@ -66,17 +68,17 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
 ///
 /// # Errors
 /// When the model or its test set cannot be opened here.
-pub fn help(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
+pub fn work(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
     let mut model = run_folder::read_model(&arguments.model)?;
     settings::override_model(&mut model, &arguments.set)?;
-    let mut perceiver = Perceiver::open(&model.config.eval)?;
+    let mut perceptual = PerceptualMetrics::open(&model.config.eval)?;
     let scene = trimip_data::open_test(&model.config.section()?)?;
     let (mut viewer, frames) = (backends::load(&model)?, scene.frames.as_ref());
     let stride = arguments.stride as usize;
     let test = TestViews { frames, data: &model.config.data, stride };
     let mut watch = Interrupted(interrupt::install()?);
-    let together = Together { ranks, model: &model };
-    help_evaluate(viewer.as_mut(), test, &mut perceiver, &mut watch, together)
+    let group = RankGroup { ranks, model: &model };
+    evaluate_on_worker(viewer.as_mut(), test, &mut perceptual, &mut watch, group)
 }
 
 /// Stops when the user does.

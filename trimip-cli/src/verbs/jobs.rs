@@ -4,7 +4,7 @@ use crate::{interrupt, terminal};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
-use trimip::ranks::farm;
+use trimip::ranks::scatter_jobs;
 use trimip::{Ended, Listeners, Result, Training, events::Event, machine};
 use trimip_core::{Error, ErrorKind, exchange::Ranks, fingerprint::Fingerprint};
 use trimip_data::settings::DataConfig;
@@ -28,7 +28,7 @@ pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
         let mut events = |_: &Event| {};
         let going = |_, _| !stop.load(Ordering::Relaxed);
         let listeners = Listeners { events: &mut events, reading: &going, observer: &mut (), stop: &stop };
-        let trained = training.beside(ranks.on_machine().of).run_with(listeners)?;
+        let trained = training.beside(ranks.on_machine().size).run_with(listeners)?;
         trained.outcome.map(|ended| (ended, trained.data))
     };
     match training.and_then(quietly) {
@@ -55,7 +55,7 @@ pub fn spread(
     let stop = interrupt::install()?;
     let going = || !stop.load(Ordering::Relaxed);
     let (mut count, mut whole, mut seen) = (0, true, Vec::new());
-    farm(
+    scatter_jobs(
         ranks,
         what,
         runs,
@@ -69,7 +69,7 @@ pub fn spread(
                     told("is trained".to_string());
                     if let Some(views) = views {
                         let folder = training(run)?.folder().root().to_path_buf();
-                        seen.push(Seen { folder, data: format!("{:?}", data(run)?), views });
+                        seen.push(RunData { folder, data: format!("{:?}", data(run)?), views });
                     }
                     expect_one(&seen)?;
                 }
@@ -84,7 +84,7 @@ pub fn spread(
 }
 
 /// What a run was trained on.
-struct Seen {
+struct RunData {
     folder: PathBuf,
     /// The settings of its data set.
     data: String,
@@ -92,7 +92,7 @@ struct Seen {
 }
 
 /// Refuses the last of these runs if an earlier one on its data set had other photographs.
-fn expect_one(seen: &[Seen]) -> Result<()> {
+fn expect_one(seen: &[RunData]) -> Result<()> {
     let Some((last, earlier)) = seen.split_last() else { return Ok(()) };
     let same = earlier.iter().filter(|run| run.data == last.data);
     for run in same {
@@ -113,7 +113,7 @@ mod tests {
 
     #[test]
     fn runs_on_one_data_set_have_the_same_photographs() {
-        let run = |folder: &str, data: &str, pixels| Seen {
+        let run = |folder: &str, data: &str, pixels| RunData {
             folder: folder.into(),
             data: data.into(),
             views: Fingerprint { views: 3, cameras: 1, pixels },

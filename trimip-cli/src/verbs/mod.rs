@@ -34,13 +34,13 @@ nothing to train on; type one of
 ///
 /// # Errors
 /// When it cannot do them.
-pub fn help(arguments: &Arguments, ranks: &dyn Ranks) -> Result<()> {
+pub fn work(arguments: &Arguments, ranks: &dyn Ranks) -> Result<()> {
     match &arguments.verb {
-        Some(Verb::Eval(eval)) => eval::help(eval, ranks),
-        Some(Verb::Render(render)) => render::help(render, ranks),
+        Some(Verb::Eval(eval)) => eval::work(eval, ranks),
+        Some(Verb::Render(render)) => render::work(render, ranks),
         Some(Verb::Bench(bench)) => bench::training::help_run(bench, ranks),
-        Some(Verb::Paper(paper)) => paper::help(paper, ranks),
-        Some(Verb::Plan(plan)) => plan::help(plan, ranks),
+        Some(Verb::Paper(paper)) => paper::work(paper, ranks),
+        Some(Verb::Plan(plan)) => plan::work(plan, ranks),
         _ => Err(Error::run("rank 0 hands out jobs of a verb that has none")),
     }
 }

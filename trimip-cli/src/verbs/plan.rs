@@ -5,7 +5,7 @@ use crate::args::PlanArguments;
 use crate::curves::aligned;
 use crate::interrupt::EXIT_CODE;
 use crate::progress::open;
-use crate::verbs::bench::training::{self, Bench, Row, Variant};
+use crate::verbs::bench::training::{self, Bench, Variant, VariantRow};
 use crate::{settings, terminal};
 use serde::Serialize;
 use serde_json::json;
@@ -61,11 +61,11 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
 ///
 /// # Errors
 /// When the scene cannot be opened here.
-pub fn help(arguments: &PlanArguments, ranks: &dyn Ranks) -> Result<()> {
+pub fn work(arguments: &PlanArguments, ranks: &dyn Ranks) -> Result<()> {
     let Planned { scene, findings, config, .. } = Planned::of(arguments)?;
     let bench = bench(arguments, &config, &scene.train, &findings)?;
     drop(scene);
-    training::help(&bench, ranks)
+    training::work(&bench, ranks)
 }
 
 /// The plan of a scene.
@@ -161,7 +161,7 @@ struct Effect {
 }
 
 /// The effects of the runs, in order.
-fn effects(rows: &[Row]) -> Vec<Effect> {
+fn effects(rows: &[VariantRow]) -> Vec<Effect> {
     rows.iter()
         .enumerate()
         .map(|(i, row)| {

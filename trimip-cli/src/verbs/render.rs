@@ -14,9 +14,9 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
-use trimip::ranks::{digest, farm, labour};
+use trimip::ranks::{digest, scatter_jobs, work_on_jobs};
 use trimip::run::folder as run_folder;
-use trimip::view::{Job, Named, Quantity, video, write_cameras};
+use trimip::view::{Named, Quantity, RenderJob, video, write_cameras};
 use trimip::{Camera, Error, Result, Viewer, backends, model::Model, settings, view};
 use trimip_core::exchange::Ranks;
 
@@ -32,8 +32,8 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
             "use --format png, or build with feature `exr`",
         ));
     }
-    let wanted = Wanted::of(arguments)?;
-    let Wanted { model, cameras, what, format, out } = &wanted;
+    let request = RenderRequest::of(arguments)?;
+    let RenderRequest { model, cameras, what, format, out } = &request;
     let (config, what) = (&model.config, &what[..]);
     if let Some(video) = &arguments.video {
         check_video(arguments, video, what, cameras)?;
@@ -42,7 +42,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     run_folder::create_writable(out)?;
     // Single views are quick; many go on where an interrupted command stopped.
     let mut job = match is_film(arguments) {
-        true => Some(Job::open(out, model, cameras, what, *format, arguments.fresh)?),
+        true => Some(RenderJob::open(out, model, cameras, what, *format, arguments.fresh)?),
         false => None,
     };
     let stop = interrupt::install()?;
@@ -64,14 +64,14 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let mut seconds = Vec::new();
     let mut draw = |view: usize| {
         let mut told = 0;
-        wanted.draw(session.as_mut(), view, &mut |done, _| {
+        request.draw(session.as_mut(), view, &mut |done, _| {
             bar.inc(u64::from(done - told));
             told = done;
             !stop.load(Ordering::Relaxed)
         })
     };
-    let mut keep = |view: usize, drawn: Option<Drawn>| -> Result<bool> {
-        let Some(Drawn { paths, took }) = drawn else { return Ok(false) };
+    let mut keep = |view: usize, drawn: Option<RenderedView>| -> Result<bool> {
+        let Some(RenderedView { paths, took }) = drawn else { return Ok(false) };
         seconds.push(took);
         job.as_mut().map_or(Ok(()), |job| job.finish(&cameras[view].0))?;
         paths.iter().for_each(|path| bar.suspend(|| terminal::line(path.display())));
@@ -80,7 +80,9 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     };
     match ranks::all() {
         // The jobs of other ranks are numbers of views.
-        Some(all) => farm(&*all, &wanted.digest()?, &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?,
+        Some(all) => {
+            scatter_jobs(&*all, &request.digest()?, &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?
+        }
         None => {
             for view in left {
                 if !keep(view, draw(view)?)? {
@@ -115,16 +117,16 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
 ///
 /// # Errors
 /// When the model cannot be opened here.
-pub fn help(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
-    let wanted = Wanted::of(arguments)?;
-    let mut session = backends::load(&wanted.model)?;
+pub fn work(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
+    let request = RenderRequest::of(arguments)?;
+    let mut session = backends::load(&request.model)?;
     let stop = interrupt::install()?;
     let mut going = |_, _| !stop.load(Ordering::Relaxed);
-    labour(ranks, &wanted.digest()?, |view| wanted.draw(session.as_mut(), view, &mut going))
+    work_on_jobs(ranks, &request.digest()?, |view| request.draw(session.as_mut(), view, &mut going))
 }
 
 /// What is rendered, and how.
-struct Wanted {
+struct RenderRequest {
     model: Model,
     cameras: Vec<Named>,
     what: Vec<Quantity>,
@@ -134,13 +136,13 @@ struct Wanted {
 
 /// The pictures of a view.
 #[derive(Serialize, Deserialize)]
-struct Drawn {
+struct RenderedView {
     paths: Vec<PathBuf>,
     /// Seconds of rendering.
     took: f64,
 }
 
-impl Wanted {
+impl RenderRequest {
     fn of(arguments: &RenderArguments) -> Result<Self> {
         let format = match arguments.format {
             PictureFormat::Png => view::PictureFormat::Png,
@@ -172,7 +174,7 @@ impl Wanted {
         session: &mut dyn Viewer,
         view: usize,
         watch: &mut dyn FnMut(u32, u32) -> bool,
-    ) -> Result<Option<Drawn>> {
+    ) -> Result<Option<RenderedView>> {
         let (name, camera) = &self.cameras[view];
         let started = Instant::now();
         let Some(frame) = session.render_watched(camera, watch)? else { return Ok(None) };
@@ -180,7 +182,7 @@ impl Wanted {
         let scene = &self.model.config.scene;
         let view = view::Rendered { name, frame: &frame, camera };
         let paths = view::write(&self.out, view, &self.what, self.format, scene)?;
-        Ok(Some(Drawn { paths, took }))
+        Ok(Some(RenderedView { paths, took }))
     }
 }
 

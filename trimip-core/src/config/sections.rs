@@ -98,7 +98,7 @@ section!(
 );
 
 impl PhotographsConfig {
-    /// Edge exponent of photographs reduced by `factor`, see [`edges`](crate::edges).
+    /// Edge exponent of photographs reduced by `factor`, see [`edge_exponents`](crate::edge_exponents).
     pub fn edge_exponent(&self, factor: u32) -> f32 {
         self.edge_exponents.get(factor.trailing_zeros() as usize).copied().unwrap_or(0.0)
     }

@@ -3,7 +3,7 @@
 //! world units from the middle of the box.
 
 use super::rip_map::Gaussian;
-use super::{Definition, Place, Twin};
+use super::{Definition, Reference, SamplePosition};
 use crate::config::FrequenciesConfig;
 use crate::scalar::Real;
 use crate::{Aabb, Config, Slot};
@@ -90,7 +90,7 @@ impl Definition for Frequencies {
         Vec::new()
     }
 
-    fn twin(&self, config: &Config, _: Vec<Vec<f64>>) -> Box<dyn Twin> {
+    fn reference(&self, config: &Config, _: Vec<Vec<f64>>) -> Box<dyn Reference> {
         Box::new(configured(config))
     }
 }
@@ -99,8 +99,8 @@ fn configured(config: &Config) -> Encoding<f64> {
     Encoding::new(&config.frequencies, &Aabb::new(&config.scene))
 }
 
-impl Twin for Encoding<f64> {
-    fn features(&self, at: &Place) -> Vec<f64> {
+impl Reference for Encoding<f64> {
+    fn features(&self, at: &SamplePosition) -> Vec<f64> {
         let mut features = vec![0.0; self.width()];
         self.write(self.moments(at.position, at.radius, at.direction, at.t, at.length), &mut features);
         features

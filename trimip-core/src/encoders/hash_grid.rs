@@ -7,7 +7,7 @@ mod points;
 
 pub use points::{Points, TURNS, share};
 
-use super::{Definition, Place, Twin};
+use super::{Definition, Reference, SamplePosition};
 use crate::config::HashGridConfig;
 use crate::scalar::Real;
 use crate::{Aabb, Config, Slot};
@@ -121,7 +121,7 @@ impl Definition for HashGrid {
         Levels::new(&config.hash_grid).width()
     }
 
-    fn tape(&self, config: &Config) -> usize {
+    fn context(&self, config: &Config) -> usize {
         let points = Points::<f64>::new(&config.hash_grid, &Aabb::new(&config.scene));
         if points.is_plain() { 0 } else { 4 * points.count }
     }
@@ -137,7 +137,7 @@ impl Definition for HashGrid {
         }]
     }
 
-    fn twin(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Twin> {
+    fn reference(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         Box::new(GridTwin {
             levels: Levels::new(&config.hash_grid),
             points: Points::new(&config.hash_grid, &Aabb::new(&config.scene)),
@@ -153,8 +153,8 @@ struct GridTwin {
     table: Vec<f64>,
 }
 
-impl Twin for GridTwin {
-    fn features(&self, at: &Place) -> Vec<f64> {
+impl Reference for GridTwin {
+    fn features(&self, at: &SamplePosition) -> Vec<f64> {
         let width = self.levels.features;
         let mut features = vec![0.0; self.levels.width()];
         for j in 0..self.points.count {

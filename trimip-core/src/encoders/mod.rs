@@ -35,7 +35,7 @@ pub trait Definition: Sync {
     }
 
     /// Floats kept per sample from forward to backward; 0 if features are linear in the parameters.
-    fn tape(&self, _config: &Config) -> usize {
+    fn context(&self, _config: &Config) -> usize {
         0
     }
 
@@ -73,18 +73,18 @@ pub trait Definition: Sync {
     }
 
     /// The encoder in f64; `values` are its slots' values, in order.
-    fn twin(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Twin>;
+    fn reference(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Reference>;
 }
 
 /// An encoder in f64, one sample at a time: the reference that the backends approximate.
-pub trait Twin: Send + Sync {
+pub trait Reference: Send + Sync {
     /// The features of a sample.
-    fn features(&self, at: &Place) -> Vec<f64>;
+    fn features(&self, at: &SamplePosition) -> Vec<f64>;
 }
 
 /// The position of a sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Place<R = f64> {
+pub struct SamplePosition<R = f64> {
     /// Centre of its sphere, in coordinates of the unit cube.
     pub position: [R; 3],
     /// Radius of its sphere, in the units of [`Space::aabb`](crate::Space::aabb).
@@ -97,7 +97,7 @@ pub struct Place<R = f64> {
     pub length: R,
 }
 
-impl Place {
+impl SamplePosition {
     /// Converts a sample from the backends' representation.
     pub fn new(ray: &Ray, interval: &Interval, sphere: &Sphere) -> Self {
         Self {

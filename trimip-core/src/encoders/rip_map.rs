@@ -3,7 +3,7 @@
 //! Gaussian that is long in one direction is not blurred in the other.
 
 use super::tri_mip::{LevelBlend, Shape, Taps, taps};
-use super::{Definition, Place, Twin};
+use super::{Definition, Reference, SamplePosition};
 use crate::config::RipMapConfig;
 use crate::scalar::Real;
 use crate::{Aabb, Config, Slot};
@@ -281,7 +281,7 @@ impl Definition for RipMap {
         config.rip_map.planes as usize * CHANNELS
     }
 
-    fn tape(&self, _: &Config) -> usize {
+    fn context(&self, _: &Config) -> usize {
         TAPE
     }
 
@@ -300,7 +300,7 @@ impl Definition for RipMap {
         (2 * texels * CHANNELS * size_of::<f32>()) as u64
     }
 
-    fn twin(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Twin> {
+    fn reference(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         let planes = configured(config);
         let base = values.swap_remove(0);
         let maps = planes.iter().map(|plane| ripmap(plane, &base[plane.first * CHANNELS..])).collect();
@@ -341,8 +341,8 @@ fn ripmap(plane: &Plane<f64>, base: &[f64]) -> Vec<f64> {
     map
 }
 
-impl Twin for RipTwin {
-    fn features(&self, at: &Place) -> Vec<f64> {
+impl Reference for RipTwin {
+    fn features(&self, at: &SamplePosition) -> Vec<f64> {
         let gaussian = Gaussian::new(at.position, self.extent, at.radius, at.direction, at.t, at.length);
         let mut features = vec![0.0; self.planes.len() * CHANNELS];
         for ((plane, map), out) in self.planes.iter().zip(&self.maps).zip(features.chunks_exact_mut(CHANNELS))

@@ -2,7 +2,7 @@
 //! line across it (VM), or of three lines (CP). The density logit is the sum of the density features; a linear map of the
 //! colour features is the input of the colour network. Radii are not used.
 
-use super::{Definition, Place, Twin};
+use super::{Definition, Reference, SamplePosition};
 use crate::config::Decomposition;
 use crate::scalar::Real;
 use crate::{Aabb, Config, Layout, Slot};
@@ -225,7 +225,7 @@ impl Definition for Tensors {
         }
     }
 
-    fn twin(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Twin> {
+    fn reference(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         Box::new(TensorTwin { shape: Shape::new(config, 0), values })
     }
 }
@@ -264,8 +264,8 @@ impl TensorTwin {
     }
 }
 
-impl Twin for TensorTwin {
-    fn features(&self, at: &Place) -> Vec<f64> {
+impl Reference for TensorTwin {
+    fn features(&self, at: &SamplePosition) -> Vec<f64> {
         let mut features = Vec::new();
         let mut slots = self.values.iter();
         for kind in KINDS {
@@ -334,9 +334,12 @@ mod tests {
                     (0..slot.range.len()).map(|i| ((i * seed) as f64 * 0.731).sin()).collect()
                 })
                 .collect();
-            let twin = Tensors.twin(&config, values);
+            let twin = Tensors.reference(&config, values);
             let sum = |position: [f64; 3]| -> f64 {
-                twin.features(&Place { position, ..Place::default() })[..Tensors.summed(&config)].iter().sum()
+                twin.features(&SamplePosition { position, ..SamplePosition::default() })
+                    [..Tensors.summed(&config)]
+                    .iter()
+                    .sum()
             };
             let grid = |i: [usize; 3]| sum(i.map(|i| i as f64 / 4.0));
             for place in [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.13, 0.51, 0.87], [0.5, 0.25, 0.99]] {

@@ -3,7 +3,7 @@
 //! points: there are no networks. Radii are not used.
 
 use super::tensor::{between, resample};
-use super::{Definition, Place, Twin};
+use super::{Definition, Reference, SamplePosition};
 use crate::scalar::Real;
 use crate::sh::spherical_harmonics;
 use crate::{Aabb, Config, Layout, Slot};
@@ -127,7 +127,7 @@ impl Definition for Voxels {
         values[..grown.len()].copy_from_slice(&grown);
     }
 
-    fn twin(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Twin> {
+    fn reference(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         let mut values = values.into_iter();
         let mut next = || values.next().unwrap_or_default();
         Box::new(VoxelTwin { shape: Shape::new(config, 0), density: next(), colors: next() })
@@ -146,8 +146,8 @@ struct VoxelTwin {
     colors: Vec<f64>,
 }
 
-impl Twin for VoxelTwin {
-    fn features(&self, at: &Place) -> Vec<f64> {
+impl Reference for VoxelTwin {
+    fn features(&self, at: &SamplePosition) -> Vec<f64> {
         let basis = spherical_harmonics(at.direction);
         let count = self.shape.harmonics;
         let mut features = vec![0.0; WIDTH];
@@ -200,9 +200,13 @@ mod tests {
         Voxels.grow(&config, &slots[0], &mut values, 1, 0);
         let density: Vec<f64> = values.into_iter().map(f64::from).collect();
         let colors = vec![0.0; slots[1].range.len()];
-        let twin = Voxels.twin(&config, vec![density, colors]);
+        let twin = Voxels.reference(&config, vec![density, colors]);
         for position in [[0.0; 3], [1.0; 3], [0.21, 0.83, 0.5], [0.999, 0.001, 0.7]] {
-            let found = twin.features(&Place { position, direction: [0.0, 0.0, 1.0], ..Place::default() });
+            let found = twin.features(&SamplePosition {
+                position,
+                direction: [0.0, 0.0, 1.0],
+                ..SamplePosition::default()
+            });
             assert!((found[0] - linear(position)).abs() < 1e-6, "{position:?}: {}", found[0]);
         }
     }

@@ -5,7 +5,7 @@ use crate::{
     config::OccupancyConfig,
     elements::{Interval, Ray, Sphere},
     occupancy::{Choice, direction_of, point_in},
-    rng::{Random, Stream},
+    rng::{Random, Sequence},
 };
 
 /// Settings, space and random numbers of an occupancy grid.
@@ -55,7 +55,7 @@ impl OccupancyPolicy {
 
     /// The cells that the refresh at `step` asks about, if `occupied` cells are occupied.
     pub fn choice(&self, step: u64, occupied: usize) -> Choice {
-        let draws = self.random.at(Stream::Cell, step);
+        let draws = self.random.at(Sequence::Cell, step);
         Choice::new(draws, self.fraction(step), occupied, self.settings.cells())
     }
 
@@ -66,7 +66,7 @@ impl OccupancyPolicy {
     pub fn probe(&self, cell: u32, step: u64) -> (Ray, Interval, Sphere) {
         let Self { space, random, radius, step_length: length, .. } = *self;
         let position = point_in(cell, self.resolution(), &random, step);
-        let direction = direction_of(random.bits(Stream::Point, step, cell)[3]);
+        let direction = direction_of(random.bits(Sequence::Point, step, cell)[3]);
         let (point, t) = (space.to_world(position), space.aabb().longest());
         let origin = std::array::from_fn(|axis| point[axis] - t * direction[axis]);
         let ray = Ray { origin, slope: radius / t, direction, cosine: 1.0, ..Ray::default() };

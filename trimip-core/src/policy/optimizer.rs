@@ -4,7 +4,7 @@ use crate::{
     Config, Layout,
     adamw::Rule,
     config::{OptimizerConfig, Untouched},
-    params::{ALIGNMENT, Part, Slot},
+    params::{ALIGNMENT, ActiveRange, Slot},
 };
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ pub struct OptimizerPolicy {
     settings: OptimizerConfig,
     slots: Vec<Slot>,
     /// One per slot, up to the next alignment.
-    parts: Vec<Part>,
+    parts: Vec<ActiveRange>,
 }
 
 /// The update of one slot in one step.
@@ -34,12 +34,12 @@ impl OptimizerPolicy {
         Self {
             settings: config.optimizer.clone(),
             slots: layout.slots.clone(),
-            parts: layout.slots.iter().map(Part::whole).collect(),
+            parts: layout.slots.iter().map(ActiveRange::whole).collect(),
         }
     }
 
     /// Restricts updates to these parts of the slots, one per slot.
-    pub fn restrict(&mut self, parts: &[Part]) {
+    pub fn restrict(&mut self, parts: &[ActiveRange]) {
         self.parts = parts.to_vec();
         for part in &mut self.parts {
             part.range.end = part.range.end.next_multiple_of(ALIGNMENT);
@@ -78,8 +78,8 @@ mod tests {
         let ranges =
             |policy: &OptimizerPolicy| policy.updates(1e-3, 1).map(|update| update.range).collect::<Vec<_>>();
         assert_eq!(ranges(&policy), [0..112, 112..144]);
-        let whole = Part::whole(&layout.slots[1]);
-        policy.restrict(&[Part { range: 0..20, sparsity: 0.5 }, whole]);
+        let whole = ActiveRange::whole(&layout.slots[1]);
+        policy.restrict(&[ActiveRange { range: 0..20, sparsity: 0.5 }, whole]);
         assert_eq!(ranges(&policy), [0..32, 112..144], "up to the next alignment");
         let found: Vec<_> =
             policy.updates(1e-3, 1).map(|update| (update.rule.sparsity, update.group)).collect();

@@ -52,12 +52,12 @@ impl RendererPolicy {
             kind: renderer.kind,
             hybrid: config.hybrid.clone(),
         };
-        policy.follow(0.0);
+        policy.set_progress(0.0);
         policy
     }
 
     /// Applies the schedules at `progress` in [0, 1].
-    pub fn follow(&mut self, progress: f64) {
+    pub fn set_progress(&mut self, progress: f64) {
         self.step_length = self.uniform_step * self.step_scale.at(progress) as f32;
         self.color_weight = self.color_weights.at(progress) as f32;
     }
@@ -102,7 +102,7 @@ mod tests {
         for (progress, scale, weight) in
             [(0.0, 4.0, 0.0), (0.3, 4.0, 0.125), (0.5, 1.0, 0.125), (1.0, 1.0, 0.125)]
         {
-            policy.follow(progress);
+            policy.set_progress(progress);
             assert_eq!(
                 (policy.step_length(), policy.color_weight()),
                 (scale * uniform, weight),

@@ -3,11 +3,11 @@
 
 use crate::{
     Config, Scale, ViewSet,
-    balance::{Balance, Draw, Shares},
     cones::Division,
     config::{Exposure, TrainConfig},
     exposure,
-    rng::{Random, Stream, below},
+    ray_allocation::{RayAllocation, ScaleSampling, ScaleWeights},
+    rng::{Random, Sequence, below},
 };
 
 /// Scales, schedules and random numbers of a sampler.
@@ -21,13 +21,13 @@ pub struct SamplerPolicy {
     pub random: Random,
     /// The scales of the training views, fine to coarse; empty without views.
     pub scales: Vec<Scale>,
-    /// Edge exponent of each scale's photographs ([`edges`](crate::edges)).
+    /// Edge exponent of each scale's photographs ([`edge_exponents`](crate::edge_exponents)).
     pub exponents: Vec<f32>,
     /// The photograph of each training view ([`exposure::photographs`]) with `loss.exposure`; empty otherwise.
     pub photographs: Vec<u32>,
     train: TrainConfig,
-    shares: Option<Shares>,
-    balance: Balance,
+    sampling: Option<ScaleSampling>,
+    scale_weights: ScaleWeights,
     random_share: f32,
 }
 
@@ -44,25 +44,25 @@ impl SamplerPolicy {
             scales,
             photographs: exposed.map(exposure::photographs).unwrap_or_default(),
             train: config.train.clone(),
-            shares: views.map(|views| Shares::new(config, views)),
-            balance: Balance::default(),
+            sampling: views.map(|views| ScaleSampling::new(config, views)),
+            scale_weights: ScaleWeights::default(),
             random_share: 0.0,
         };
-        policy.follow(0.0);
+        policy.set_progress(0.0);
         policy
     }
 
     /// Applies the schedules at `progress` in [0, 1].
-    pub fn follow(&mut self, progress: f64) {
-        if let Some(shares) = &self.shares {
-            self.balance = shares.at(progress);
+    pub fn set_progress(&mut self, progress: f64) {
+        if let Some(sampling) = &self.sampling {
+            self.scale_weights = sampling.at(progress);
         }
         self.random_share = self.train.random_share(progress);
     }
 
     /// Pixels, loss weight and cones of each scale.
-    pub fn balance(&self) -> &Balance {
-        &self.balance
+    pub fn scale_weights(&self) -> &ScaleWeights {
+        &self.scale_weights
     }
 
     /// Fraction of the training pixels that get a random background.
@@ -73,10 +73,10 @@ impl SamplerPolicy {
 
     /// Scale of pixel `index` of a training step, and its index among all pixels of the views: uniform within the scale.
     #[inline]
-    pub fn pixel(&self, step: u64, draw: &Draw, index: u32) -> (usize, usize) {
+    pub fn pixel(&self, step: u64, draw: &RayAllocation, index: u32) -> (usize, usize) {
         let scale = draw.scale(index);
         let pixels = &self.scales[scale].pixels;
-        let bits = self.random.bits(Stream::Pixel, step, index);
+        let bits = self.random.bits(Sequence::Pixel, step, index);
         (scale, pixels.start + below(bits[0], pixels.len() as u32) as usize)
     }
 }
@@ -115,7 +115,7 @@ mod tests {
         let mut config = Config::default();
         config.train.scale_balance = Schedule::new(vec![[0.0, 1.0]]);
         let policy = SamplerPolicy::new(&config, Some(&views()));
-        let draw = policy.balance().draw(4000);
+        let draw = policy.scale_weights().allocate(4000);
         let mut counts = [0; 80];
         for index in 0..4000 {
             let (scale, pixel) = policy.pixel(3, &draw, index);
@@ -136,7 +136,7 @@ mod tests {
         config.train.background_share = Schedule::new(vec![[0.0, 1.0], [0.5, 0.25]]);
         let mut policy = SamplerPolicy::new(&config, None);
         assert_eq!(policy.random_share(), 1.0);
-        policy.follow(0.75);
+        policy.set_progress(0.75);
         assert_eq!(policy.random_share(), 0.25);
     }
 

@@ -5,7 +5,7 @@ use crate::{
     Error, Result,
     evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
     events::{Event, EventSink, Totals},
-    perception::{Pair, Perceived, Perception},
+    perception::{Pair, Perception, PerceptualScores},
     quality::{Measures, ViewQuality, mean_quality, per_scale},
     timekeeper::{Timekeeper, strides},
 };
@@ -19,7 +19,7 @@ const TELL_EVERY: Duration = Duration::from_millis(500);
 const EARLY: f64 = 0.3;
 
 /// The extent of an evaluation.
-struct Look {
+struct Coverage {
     views: Vec<ViewQuality>,
     /// Stride: every n-th test view was measured.
     stride: usize,
@@ -39,9 +39,9 @@ struct Moment<'a> {
 }
 
 /// The outcome of an evaluation.
-enum Sight {
+enum Attempt {
     /// Views were measured.
-    Seen(Look),
+    Measured(Coverage),
     /// There was no time for a single view.
     NoTime,
     /// The run was asked to stop.
@@ -62,10 +62,14 @@ impl Run<'_> {
             let few = chain.len().saturating_sub(2);
             chain.drain(..few);
         }
-        let sight = self.look(&chain, allowed, keeper, false);
+        let attempt = self.measure_views(&chain, allowed, keeper, false);
         keeper.spend(started.elapsed().as_secs_f64());
-        if let Sight::Seen(look) = sight? {
-            self.report(&look, [look.stride, stride], Moment { totals, last: false, started });
+        if let Attempt::Measured(measure_views) = attempt? {
+            self.report(
+                &measure_views,
+                [measure_views.stride, stride],
+                Moment { totals, last: false, started },
+            );
         }
         Ok(())
     }
@@ -77,7 +81,7 @@ impl Run<'_> {
     ) -> Result<Outcome> {
         if 2 * totals.empty_batches > totals.step {
             return Err(Error::run(format!(
-                "{} of {} steps kept no sample: nothing was learned from them; look at the pictures' cameras and the box \
+                "{} of {} steps kept no sample: nothing was learned from them; measure_views at the pictures' cameras and the box \
                  (trimip-cli plan), or lower occupancy.threshold",
                 totals.empty_batches, totals.step
             )));
@@ -89,13 +93,18 @@ impl Run<'_> {
         let started = Instant::now();
         let curve = self.config.eval.stride_of(frames);
         let allowed = keeper.at_the_end(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
-        let look = match self.look(&strides(frames, curve, wanted), allowed, keeper, true)? {
-            Sight::Seen(look) => look,
-            Sight::Stopped => {
+        let measure_views = match self.measure_views(
+            &strides(frames, curve, wanted),
+            allowed,
+            keeper,
+            true,
+        )? {
+            Attempt::Measured(measure_views) => measure_views,
+            Attempt::Stopped => {
                 self.events.emit(&Event::Stopped { totals: *totals });
                 return Ok(Outcome::Stopped);
             }
-            Sight::NoTime => {
+            Attempt::NoTime => {
                 return Err(Error::run(format!(
                     "no test view could be rendered within {allowed:.0} s; the model is written, trimip-cli eval measures it \
                      without a limit, as eval.share = 0 does"
@@ -104,10 +113,17 @@ impl Run<'_> {
         };
         self.store.evaluated()?;
         // The last point of the curve uses the same views as the other points.
-        if self.config.eval.points > 0 && curve != look.stride && curve.is_multiple_of(look.stride) {
-            self.report(&look, [curve, curve], Moment { totals, last: false, started });
+        if self.config.eval.points > 0
+            && curve != measure_views.stride
+            && curve.is_multiple_of(measure_views.stride)
+        {
+            self.report(&measure_views, [curve, curve], Moment { totals, last: false, started });
         }
-        let mean = self.report(&look, [look.stride, wanted], Moment { totals, last: true, started });
+        let mean = self.report(
+            &measure_views,
+            [measure_views.stride, wanted],
+            Moment { totals, last: true, started },
+        );
         mean.judge(&self.config.eval)?;
         Ok(Outcome::Finished)
     }
@@ -121,13 +137,13 @@ impl Run<'_> {
 
     /// Measures every n-th view, where n is the finest of `strides` that fits into `allowed` seconds. If the time is
     /// too short for one whole view, measures coarse scales only.
-    fn look(
+    fn measure_views(
         &mut self,
         strides: &[usize],
         allowed: f64,
         keeper: &mut Timekeeper,
         last: bool,
-    ) -> Result<Sight> {
+    ) -> Result<Attempt> {
         let (frames, started) = (self.frames.len(), Instant::now());
         let whole = self.pixels_of_a_view();
         let (mut finest, mut of_a_view) = (1, whole);
@@ -139,9 +155,9 @@ impl Run<'_> {
             (finest, of_a_view) = (2 * finest, 0.25 * of_a_view);
         }
         if !last && keeper.pixel() * of_a_view * least > allowed {
-            return Ok(Sight::NoTime);
+            return Ok(Attempt::NoTime);
         }
-        let perceived = perceived_stride(strides, frames, self.config.eval.perceived as usize);
+        let perceived = perceptual_stride(strides, frames, self.config.eval.perceived as usize);
         let Self { session, perception, store, events, stop, .. } = self;
         let mut watch = Watcher {
             perception: match perceived {
@@ -160,7 +176,7 @@ impl Run<'_> {
             total: 1,
         };
         let test = TestFrames { frames: self.frames, data: &self.config.data, finest };
-        let mut look = None;
+        let mut measure_views = None;
         let mut views = Vec::new();
         let mut measured = 0_usize;
         for (i, &stride) in strides.iter().enumerate() {
@@ -175,28 +191,33 @@ impl Run<'_> {
             for index in indices {
                 if !evaluate_frame(*session, test, index, &mut watch, &mut views)? {
                     if watch.stop.load(Ordering::Relaxed) {
-                        return Ok(Sight::Stopped);
+                        return Ok(Attempt::Stopped);
                     }
-                    return Ok(look.map_or(Sight::NoTime, Sight::Seen));
+                    return Ok(measure_views.map_or(Attempt::NoTime, Attempt::Measured));
                 }
                 (measured, watch.done) = (measured + 1, measured + 1);
             }
-            look = Some(Look { views: views.clone(), stride, coarse: finest > 1 });
+            measure_views = Some(Coverage { views: views.clone(), stride, coarse: finest > 1 });
         }
         keeper.rendered(started.elapsed().as_secs_f64(), measured as f64 * of_a_view);
-        Ok(look.map_or(Sight::NoTime, Sight::Seen))
+        Ok(measure_views.map_or(Attempt::NoTime, Attempt::Measured))
     }
 
     /// Emits the results of an evaluation by every `stride`-th view; `wanted` is the requested stride.
-    fn report(&mut self, look: &Look, [stride, wanted]: [usize; 2], moment: Moment<'_>) -> Measures {
+    fn report(
+        &mut self,
+        measure_views: &Coverage,
+        [stride, wanted]: [usize; 2],
+        moment: Moment<'_>,
+    ) -> Measures {
         let Moment { totals, last, started } = moment;
-        let scales = per_scale(&look.views, stride);
+        let scales = per_scale(&measure_views.views, stride);
         let mean = mean_quality(&scales);
         self.events.emit(&Event::Evaluation {
             totals: *totals,
             stride,
             frames: self.frames.len(),
-            bounded: look.coarse || stride > wanted,
+            bounded: measure_views.coarse || stride > wanted,
             last,
             psnr: mean.psnr,
             ssim: mean.ssim,
@@ -236,10 +257,12 @@ impl Watch for Watcher<'_> {
         self.goes_on()
     }
 
-    fn perceive(&mut self, index: usize, pair: &Pair<'_>) -> Result<Perceived> {
+    fn measure_perception(&mut self, index: usize, pair: &Pair<'_>) -> Result<PerceptualScores> {
         match &mut self.perception {
-            Some((perception, stride)) if index.is_multiple_of(*stride) => perception.perceive(pair),
-            _ => Ok(Perceived::NOTHING),
+            Some((perception, stride)) if index.is_multiple_of(*stride) => {
+                perception.measure_perception(pair)
+            }
+            _ => Ok(PerceptualScores::NOTHING),
         }
     }
 
@@ -253,7 +276,7 @@ impl Watch for Watcher<'_> {
 
 /// The finest of `strides` by which at most `most` of `frames` views have measures of perception; `None` for none. An
 /// evaluation that had no time for finer strides has thus measured all or an even part of its views.
-fn perceived_stride(strides: &[usize], frames: usize, most: usize) -> Option<usize> {
+fn perceptual_stride(strides: &[usize], frames: usize, most: usize) -> Option<usize> {
     strides.iter().copied().filter(|stride| frames.div_ceil(*stride) <= most).min()
 }
 
@@ -264,12 +287,12 @@ mod tests {
     #[test]
     fn perceived_views_are_evenly_spread_among_those_that_are_measured() {
         let chain = strides(200, 50, 1);
-        assert_eq!(perceived_stride(&chain, 200, 40), Some(5));
-        assert_eq!(perceived_stride(&chain, 200, 200), Some(1));
-        assert_eq!(perceived_stride(&strides(7, 1, 1), 7, 40), Some(1));
-        assert_eq!(perceived_stride(&chain, 200, 0), None);
+        assert_eq!(perceptual_stride(&chain, 200, 40), Some(5));
+        assert_eq!(perceptual_stride(&chain, 200, 200), Some(1));
+        assert_eq!(perceptual_stride(&strides(7, 1, 1), 7, 40), Some(1));
+        assert_eq!(perceptual_stride(&chain, 200, 0), None);
         for most in 1..=200 {
-            let stride = perceived_stride(&chain, 200, most).unwrap();
+            let stride = perceptual_stride(&chain, 200, most).unwrap();
             assert!(200_usize.div_ceil(stride) <= most);
             assert!(chain.iter().all(|other| other.is_multiple_of(stride) || stride.is_multiple_of(*other)));
         }

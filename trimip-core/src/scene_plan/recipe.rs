@@ -76,7 +76,7 @@ pub(super) fn edges(context: &Context<'_>) -> Proposal {
     if !has_alpha(views) {
         return Proposal::Keep("the photographs have no alpha: all conventions are one".into());
     }
-    let Some(exponents) = crate::edges::fit(views) else {
+    let Some(exponents) = crate::edge_exponents::fit(views) else {
         return Proposal::Keep("every photograph shows silhouettes as in the scene".into());
     };
     let told: Vec<String> = exponents.iter().map(|exponent| format!("{exponent:.3}")).collect();

@@ -61,7 +61,7 @@ impl<R: Real> Ball<R> {
 
     /// The course of a ray through contracted space.
     #[inline]
-    pub fn course(&self, origin: [R; 3], direction: [R; 3]) -> Curve<R> {
+    pub fn parameterisation(&self, origin: [R; 3], direction: [R; 3]) -> Curve<R> {
         let u = self.relative(origin);
         let middle = -(u[0] * direction[0] + u[1] * direction[1] + u[2] * direction[2]);
         let b = length(std::array::from_fn(|i| u[i] + middle * direction[i]));
@@ -216,7 +216,7 @@ mod tests {
     #[test]
     fn parameters_and_distances_are_inverse_and_rays_end_far_away() {
         for (origin, direction) in rays() {
-            let curve = BALL.course(origin.to_array(), direction.to_array());
+            let curve = BALL.parameterisation(origin.to_array(), direction.to_array());
             let (enter, leave) = curve.range();
             assert!(enter < leave);
             assert!(curve.distance(enter).abs() < 1e-9 * (1.0 + relative(origin).length().powi(2)));
@@ -240,7 +240,7 @@ mod tests {
     fn a_ray_moves_no_faster_than_the_bound() {
         let mut most = 0.0_f64;
         for (origin, direction) in rays() {
-            let curve = BALL.course(origin.to_array(), direction.to_array());
+            let curve = BALL.parameterisation(origin.to_array(), direction.to_array());
             let (enter, leave) = curve.range();
             let place = |s: f64| {
                 DVec3::from_array(BALL.contract((origin + curve.distance(s) * direction).to_array()))

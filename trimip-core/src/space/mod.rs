@@ -6,7 +6,7 @@ pub mod contraction;
 mod path;
 
 pub use contraction::{Ball, Curve};
-pub use path::{Detour, Path, Way};
+pub use path::{ContractedPath, Path, StraightPath};
 
 use crate::{
     Aabb,
@@ -60,13 +60,13 @@ impl<R: Real> Space<R> {
 
     /// The course of a ray.
     #[inline]
-    pub fn course(&self, origin: [R; 3], direction: [R; 3]) -> Course<R> {
+    pub fn parameterisation(&self, origin: [R; 3], direction: [R; 3]) -> RayParameter<R> {
         match &self.ball {
             None => {
                 let (enter, leave) = self.aabb.intersect(origin, direction);
-                Course::Straight { enter, leave }
+                RayParameter::Straight { enter, leave }
             }
-            Some(ball) => Course::Curved(ball.course(origin, direction)),
+            Some(ball) => RayParameter::Curved(ball.parameterisation(origin, direction)),
         }
     }
 
@@ -106,10 +106,10 @@ impl<R: Real> Space<R> {
     /// Place and width of a sample along a ray of this course: the parameter at its distance `t`, at `point`, and what it grows
     /// by over its `length` in the units of the field's density; both in units of the box's longest side (4 radii of the ball).
     #[inline(always)]
-    pub fn along(&self, course: &Course<R>, point: [R; 3], t: R, length: R) -> [R; 2] {
+    pub fn along(&self, parameterisation: &RayParameter<R>, point: [R; 3], t: R, length: R) -> [R; 2] {
         let longest = self.aabb.longest();
-        let step = length / (course.length(t, R::one()) * self.density_scale(point));
-        [course.parameter(t) / longest, step / longest]
+        let step = length / (parameterisation.length(t, R::one()) * self.density_scale(point));
+        [parameterisation.parameter(t) / longest, step / longest]
     }
 
     /// The place of a point of the box in the cube.
@@ -140,20 +140,20 @@ impl Space<f32> {
 
     /// The path of a ray through a grid of `resolution` cells along each side of a bounded space.
     #[inline(always)]
-    pub fn way(&self, ray: &Ray, resolution: u32) -> Way {
-        Way::new(self, ray, resolution)
+    pub fn straight_path(&self, ray: &Ray, resolution: u32) -> StraightPath {
+        StraightPath::new(self, ray, resolution)
     }
 
     /// The path of a ray through a grid of `resolution` cells along each side of an unbounded space.
     #[inline(always)]
-    pub fn detour(&self, ball: Ball<f32>, ray: &Ray, resolution: u32) -> Detour {
-        Detour::new(ball, Way::new(self, ray, resolution))
+    pub fn contracted_path(&self, ball: Ball<f32>, ray: &Ray, resolution: u32) -> ContractedPath {
+        ContractedPath::new(ball, StraightPath::new(self, ray, resolution))
     }
 }
 
 /// How the parameter of steps along a ray follows its distance t.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Course<R> {
+pub enum RayParameter<R> {
     /// The parameter is the distance, between those at which the ray enters and leaves the box.
     Straight {
         /// Distance at which the ray enters the box.
@@ -165,7 +165,7 @@ pub enum Course<R> {
     Curved(Curve<R>),
 }
 
-impl<R: Real> Course<R> {
+impl<R: Real> RayParameter<R> {
     /// The parameters between which a ray can have samples; enter ≥ leave if there are none.
     #[inline]
     pub fn range(&self) -> (R, R) {

@@ -25,7 +25,7 @@ pub trait Path {
 }
 
 /// A ray's path through the cells of a grid over the cube of a bounded space.
-pub struct Way {
+pub struct StraightPath {
     space: Space<f32>,
     ray: Ray,
     cells: f32,
@@ -34,7 +34,7 @@ pub struct Way {
     inverse_direction: [f32; 3],
 }
 
-impl Way {
+impl StraightPath {
     #[inline(always)]
     pub(super) fn new(space: &Space<f32>, ray: &Ray, resolution: u32) -> Self {
         let cells = resolution as f32;
@@ -49,7 +49,7 @@ impl Way {
     }
 }
 
-impl Path for Way {
+impl Path for StraightPath {
     #[inline(always)]
     fn distance(&self, s: f32) -> f32 {
         s
@@ -82,23 +82,28 @@ impl Path for Way {
 }
 
 /// A ray's path through the cells of a grid over the cube of an unbounded space.
-pub struct Detour {
-    way: Way,
+pub struct ContractedPath {
+    straight: StraightPath,
     ball: Ball<f32>,
     curve: Curve<f32>,
     /// Shortest side of a cell, world units.
     cell: f32,
 }
 
-impl Detour {
+impl ContractedPath {
     #[inline(always)]
-    pub(super) fn new(ball: Ball<f32>, way: Way) -> Self {
-        let [x, y, z] = way.cell_extent;
-        Self { ball, curve: ball.course(way.ray.origin, way.ray.direction), cell: x.min(y).min(z), way }
+    pub(super) fn new(ball: Ball<f32>, straight: StraightPath) -> Self {
+        let [x, y, z] = straight.cell_extent;
+        Self {
+            ball,
+            curve: ball.parameterisation(straight.ray.origin, straight.ray.direction),
+            cell: x.min(y).min(z),
+            straight,
+        }
     }
 }
 
-impl Path for Detour {
+impl Path for ContractedPath {
     #[inline(always)]
     fn distance(&self, s: f32) -> f32 {
         self.curve.distance(s)
@@ -106,22 +111,22 @@ impl Path for Detour {
 
     #[inline(always)]
     fn interval(&self, t: f32, step: f32) -> Interval {
-        Interval { t, length: step * self.curve.slowness(t) * self.ball.radial(self.way.point(t)) }
+        Interval { t, length: step * self.curve.slowness(t) * self.ball.radial(self.straight.point(t)) }
     }
 
     #[inline(always)]
     fn position(&self, t: f32) -> [f32; 3] {
-        self.way.space.place(self.ball.contract(self.way.point(t)))
+        self.straight.space.place(self.ball.contract(self.straight.point(t)))
     }
 
     #[inline(always)]
     fn radius(&self, t: f32) -> f32 {
-        self.way.ray.radius_at(t) * self.ball.lateral(self.way.point(t))
+        self.straight.ray.radius_at(t) * self.ball.lateral(self.straight.point(t))
     }
 
     #[inline(always)]
     fn cell(&self, position: [f32; 3]) -> [u32; 3] {
-        self.way.cell(position)
+        self.straight.cell(position)
     }
 
     /// The ray is a curve in the cube; it cannot move further than [`STRETCH`] times the parameter.
@@ -130,14 +135,14 @@ impl Path for Detour {
         let reach = distance as f32;
         let mut margin = f32::INFINITY;
         for axis in 0..3 {
-            let within = position[axis] * self.way.cells - cell[axis] as f32;
+            let within = position[axis] * self.straight.cells - cell[axis] as f32;
             margin = margin.min((within + reach - 1.0).min(reach - within));
         }
         s + margin.max(0.0) * self.cell * (1.0 / STRETCH as f32)
     }
 }
 
-impl Way {
+impl StraightPath {
     /// Distance beyond `t` at which the ray leaves the aligned cube of `size` cells that contains `cell`; infinite if
     /// it cannot be computed.
     #[inline(always)]
@@ -196,15 +201,15 @@ mod tests {
             cosine: 1.0,
             ..Ray::default()
         };
-        let way = space.way(&ray, 16);
+        let straight = space.straight_path(&ray, 16);
         let t = 1.5;
-        let position = way.position(t);
-        let cell = way.cell(position);
+        let position = straight.position(t);
+        let cell = straight.cell(position);
         assert_eq!(cell, [0, 9, 4]);
         // The block of four cells from x = -1 to 0 and y = 1 to 1.5: y = 1.16 at t, 1.5 at (1.5 - 0.26) / 0.6.
-        let exit = way.exit(t, cell, 4);
+        let exit = straight.exit(t, cell, 4);
         assert!((exit - 2.066_666_7).abs() < 1e-5, "{exit}");
-        assert!((way.radius(t) - 0.015).abs() < 1e-9);
+        assert!((straight.radius(t) - 0.015).abs() < 1e-9);
     }
 
     /// As far as the ray is said to stay within the cells around, it does (10,000 places along each of 200 rays).
@@ -221,8 +226,8 @@ mod tests {
             let norm = d.iter().map(|d| d * d).sum::<f32>().sqrt();
             let ray =
                 Ray { origin, slope: 0.01, direction: d.map(|d| d / norm), cosine: 1.0, ..Ray::default() };
-            let path = space.detour(ball, &ray, 32);
-            let (enter, leave) = space.course(ray.origin, ray.direction).range();
+            let path = space.contracted_path(ball, &ray, 32);
+            let (enter, leave) = space.parameterisation(ray.origin, ray.direction).range();
             let (mut s, distance) = (enter, 1 + i % 5);
             while s < leave {
                 let position = path.position(path.distance(s));

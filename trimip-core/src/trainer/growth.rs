@@ -1,15 +1,17 @@
 //! Changes in the course of a run: schedules of the stages, and parameters that grow.
 
 use super::{Trainer, rays::LEAST_RAYS};
-use crate::{Backend, Encoder, Optimizer, Renderer, Result, Slot, backend::Sampler, encoders, params::Part};
+use crate::{
+    Backend, Encoder, Optimizer, Renderer, Result, Slot, backend::Sampler, encoders, params::ActiveRange,
+};
 
 impl<B: Backend> Trainer<B> {
     /// Updates every stage to the schedules at `progress`. Moments grow with their parameters. When the marching step
     /// shrinks or pixels get more cones, pixels have more samples, and the batch gets fewer pixels.
-    pub(super) fn follow(&mut self, progress: f64) -> Result<()> {
-        self.loaded.stages.renderer.follow(progress);
-        self.loaded.stages.sampler.follow(progress);
-        let cones_per_pixel = self.loaded.stages.sampler.balance().cones_per_pixel();
+    pub(super) fn set_progress(&mut self, progress: f64) -> Result<()> {
+        self.loaded.stages.renderer.set_progress(progress);
+        self.loaded.stages.sampler.set_progress(progress);
+        let cones_per_pixel = self.loaded.stages.sampler.scale_weights().cones_per_pixel();
         let spacing = self.loaded.config.renderer.step_scale.at(progress) / cones_per_pixel;
         if self.state.spacing > 0.0 && self.state.spacing != spacing {
             let ratio = spacing / self.state.spacing;
@@ -69,11 +71,11 @@ impl<B: Backend> Trainer<B> {
         let encoder = encoders::of(&self.loaded.config);
         let (config, _) = self.loaded.config.centred();
         let part = |slot: &Slot| match slot.grows {
-            true => Part {
+            true => ActiveRange {
                 range: slot.range.start..slot.range.start + encoder.length(&config, slot, stage),
                 sparsity: encoder.sparsity(&config, slot, stage),
             },
-            false => Part { range: slot.range.clone(), sparsity: 0.0 },
+            false => ActiveRange { range: slot.range.clone(), sparsity: 0.0 },
         };
         let parts: Vec<_> = self.layout().slots.iter().map(part).collect();
         self.loaded.stages.encoder.grow(stage);

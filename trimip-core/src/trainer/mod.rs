@@ -13,7 +13,7 @@ use crate::{
     Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, StepReport,
     ViewSet, Viewer,
     backend::{Loss, Occupancy, Optimizer, Sampler},
-    batch::{Deposit, Radiance},
+    batch::{PartialGradients, Radiance},
     checkpoint::{Checkpoint, TrainState},
     config::Exposure,
     encoders,
@@ -36,7 +36,7 @@ const FIRST_MARCHED_PER_RAY: f32 = 128.0;
 pub struct Trainer<B: Backend> {
     loaded: LoadedModel<B>,
     gradient: B::Buffer<f32>,
-    deposits: Vec<Deposit<B>>,
+    partials: Vec<PartialGradients<B>>,
     probes: B::Buffer<Radiance>,
     state: TrainState,
     /// Number of gradients left out that the optimiser's counter does not have, modulo 2^64: after a restored state it may have
@@ -73,9 +73,9 @@ impl<B: Backend> Trainer<B> {
             loaded.stages.occupancy.restore(&bits, Some(&densities));
         }
         let (backend, stages) = (&loaded.backend, &loaded.stages);
-        let (cones, kept) = (stages.sampler.balance().cones_per_pixel(), first_kept_per_ray(config));
-        let deposits = (0..backend.deposits(config.train.samples_per_step))
-            .map(|_| Deposit {
+        let (cones, kept) = (stages.sampler.scale_weights().cones_per_pixel(), first_kept_per_ray(config));
+        let partials = (0..backend.partials(config.train.samples_per_step))
+            .map(|_| PartialGradients {
                 field: stages.field.gradient(),
                 encoder: stages.encoder.gradient(),
                 sums: B::Sums::default(),
@@ -92,7 +92,7 @@ impl<B: Backend> Trainer<B> {
                 ..TrainState::default()
             },
             loaded,
-            deposits,
+            partials,
             left_out_before: 0,
             pending: VecDeque::new(),
             spoilt: None,
@@ -217,7 +217,7 @@ impl<B: Backend> Session for Trainer<B> {
     }
 
     fn checkpoint(&mut self) -> Result<Checkpoint> {
-        self.freeze()
+        self.save_state()
     }
 
     fn join_checkpoint(&mut self) -> Result<()> {
@@ -225,6 +225,6 @@ impl<B: Backend> Session for Trainer<B> {
     }
 
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {
-        self.thaw(checkpoint)
+        self.load_state(checkpoint)
     }
 }

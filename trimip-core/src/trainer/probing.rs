@@ -45,8 +45,8 @@ impl<B: Backend> Trainer<B> {
         let backend = Arc::clone(&self.loaded.backend);
         let receipt = backend.install(|| {
             self.gradients(rays);
-            let receipt = backend.post(&self.deposits);
-            self.loaded.stages.flush(&mut self.deposits, &self.loaded.parameters, &mut self.gradient);
+            let receipt = backend.post(&self.partials);
+            self.loaded.stages.reduce(&mut self.partials, &self.loaded.parameters, &mut self.gradient);
             receipt
         });
         backend.redeem(receipt)

@@ -32,13 +32,13 @@ pub fn first_rays(config: &Config) -> u32 {
 
 /// Most pixels of a step after steps that had `rays` of them.
 pub(crate) fn most_rays(config: &Config, rays: u64) -> u64 {
-    let span = |values: &Schedule| {
+    let tile = |values: &Schedule| {
         let (least, most) = values.values().fold((f64::MAX, 0.0_f64), |(a, b), x| (a.min(x), b.max(x)));
         most / least
     };
     // Longer steps and fewer cones have more pixels at once. A step has at most twice as many as the one before it, and the
     // totals do not know those of pending steps.
-    let ratio = span(&config.renderer.step_scale) * span(&config.train.cones).powi(2);
+    let ratio = tile(&config.renderer.step_scale) * tile(&config.train.cones).powi(2);
     let doubled = rays.saturating_mul(1 << (MOST_PENDING + 1)).max(first_rays(config).into());
     let limit = (MOST_RAYS_PER_SAMPLE * u64::from(config.train.samples_per_step)).max(LEAST_RAYS.into());
     (doubled.min(limit) as f64 * ratio) as u64

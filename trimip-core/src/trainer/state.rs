@@ -26,7 +26,7 @@ impl<B: Backend> Trainer<B> {
     pub(super) fn finished_model(&mut self) -> Result<Model> {
         self.expect_usable()?;
         let model = self.full_model()?.rounded();
-        self.loaded.stages.renderer.follow(1.0);
+        self.loaded.stages.renderer.set_progress(1.0);
         if self.layout().slots.iter().any(|slot| slot.precision != FilePrecision::F32) {
             // The model has full size, even if the run ended before it had grown to it.
             self.enter(0);
@@ -38,11 +38,11 @@ impl<B: Backend> Trainer<B> {
     /// Collects what a checkpoint needs of other ranks and of the device.
     pub(super) fn gather(&mut self) -> Result<()> {
         self.expect_usable()?;
-        self.settle()?;
+        self.drain()?;
         self.gather_moments()
     }
 
-    pub(super) fn freeze(&mut self) -> Result<Checkpoint> {
+    pub(super) fn save_state(&mut self) -> Result<Checkpoint> {
         self.gather()?;
         // Nothing is copied twice: a large model's moments are the peak of a run's memory.
         let device = self.device();
@@ -61,7 +61,7 @@ impl<B: Backend> Trainer<B> {
         Ok(Checkpoint { config: self.loaded.config.clone(), state: self.state, file })
     }
 
-    pub(super) fn thaw(&mut self, checkpoint: &Checkpoint) -> Result<()> {
+    pub(super) fn load_state(&mut self, checkpoint: &Checkpoint) -> Result<()> {
         let name = "checkpoint";
         let data = self.state.data;
         let other = data.zip(checkpoint.state.data).and_then(|(ours, theirs)| ours.difference(&theirs));
@@ -101,8 +101,8 @@ impl<B: Backend> Trainer<B> {
             let Some((spacing, sums)) = self.oldest_sums()? else { break };
             self.adapt_batch(&sums, spacing, progress);
         }
-        self.loaded.stages.renderer.follow(progress);
-        self.loaded.stages.sampler.follow(progress);
+        self.loaded.stages.renderer.set_progress(progress);
+        self.loaded.stages.sampler.set_progress(progress);
         Ok(())
     }
 }

@@ -82,7 +82,7 @@ impl<B: Backend> Trainer<B> {
     }
 
     /// Reads all pending sums, as a checkpoint holds them.
-    pub(super) fn settle(&mut self) -> Result<()> {
+    pub(super) fn drain(&mut self) -> Result<()> {
         self.state.pending = [None; MOST_PENDING];
         let first = self.state.totals.step.saturating_sub(self.pending.len() as u64);
         for (place, Pending { spacing, sums }) in std::mem::take(&mut self.pending).into_iter().enumerate() {

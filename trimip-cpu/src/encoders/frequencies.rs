@@ -1,6 +1,6 @@
 //! Positional encodings on the CPU. They have no parameters, so nothing flows back.
 
-use super::{Encoding, Left, Places};
+use super::{Encoding, GradientMemory, Places};
 use crate::simd::Simd;
 use crate::wire::Reader;
 use trimip_core::encoders::frequencies;
@@ -32,7 +32,7 @@ impl Encoding for Frequencies {
 
     fn backward(&self, _: Places<'_>, _: &[f32], _: &[f32], _: usize, (): &mut ()) {}
 
-    fn flush(&mut self, _: &mut [&mut ()], _: &mut [f32]) {}
+    fn reduce(&mut self, _: &mut [&mut ()], _: &mut [f32]) {}
 
     fn put(&self, (): &(), _: &mut Vec<u8>) {}
 
@@ -40,7 +40,7 @@ impl Encoding for Frequencies {
         Ok(())
     }
 
-    fn left(_: &Config) -> Left {
-        Left { by_sample: 0, by_deposit: 0 }
+    fn gradient_memory(_: &Config) -> GradientMemory {
+        GradientMemory { by_sample: 0, by_partial: 0 }
     }
 }

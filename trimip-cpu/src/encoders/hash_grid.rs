@@ -1,13 +1,13 @@
 //! The hash grid on the CPU. Each level's gradient is summed by a single worker, which gives the same bits for any
 //! number of threads.
 
-use super::{Encoding, Left, Places};
+use super::{Encoding, GradientMemory, Places};
 use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use trimip_core::batch::Sphere;
-use trimip_core::encoders::Place;
+use trimip_core::encoders::SamplePosition;
 use trimip_core::encoders::hash_grid::{Level, Levels, Points};
 use trimip_core::{Aabb, Config, Result};
 
@@ -28,9 +28,9 @@ pub(crate) struct Gradient {
 }
 
 impl Grid {
-    /// The points of a span's samples, which are the tape unless a sample is read at its centre alone.
-    fn points<'a>(&self, at: Places<'a>, tape: &'a [f32]) -> &'a [Point] {
-        if self.points.is_plain() { bytemuck::cast_slice(at.spheres) } else { tape.as_chunks().0 }
+    /// The points of a tile's samples, which are the context unless a sample is read at its centre alone.
+    fn points<'a>(&self, at: Places<'a>, context: &'a [f32]) -> &'a [Point] {
+        if self.points.is_plain() { bytemuck::cast_slice(at.spheres) } else { context.as_chunks().0 }
     }
 }
 
@@ -46,22 +46,22 @@ impl Encoding for Grid {
         Gradient { places: Buffer::zeros(0), rows: Buffer::zeros(0) }
     }
 
-    fn forward(&self, at: Places<'_>, tape: &mut [f32], features: &mut [f32], stride: usize) {
+    fn forward(&self, at: Places<'_>, context: &mut [f32], features: &mut [f32], stride: usize) {
         if !self.points.is_plain() {
-            let rows = tape.as_chunks_mut::<4>().0.chunks_exact_mut(self.points.count);
+            let rows = context.as_chunks_mut::<4>().0.chunks_exact_mut(self.points.count);
             for (((owner, interval), sphere), row) in
                 at.owners.iter().zip(at.intervals).zip(at.spheres).zip(rows)
             {
                 let Sphere { position, radius } = *sphere;
                 let ray = &at.rays[*owner as usize];
                 let (direction, t) = (ray.direction, ray.apex_distance(interval.t));
-                let place = Place { position, radius, direction, t, length: interval.length };
+                let place = SamplePosition { position, radius, direction, t, length: interval.length };
                 for (j, point) in row.iter_mut().enumerate() {
                     *point = self.points.point(j, &place);
                 }
             }
         }
-        let (levels, reads, places) = (&self.levels, &self.points, self.points(at, tape));
+        let (levels, reads, places) = (&self.levels, &self.points, self.points(at, context));
         match levels.features {
             1 => self.simd.run(Read::<1> { levels, reads, table: at.parameters, places, features, stride }),
             2 => self.simd.run(Read::<2> { levels, reads, table: at.parameters, places, features, stride }),
@@ -70,18 +70,25 @@ impl Encoding for Grid {
         }
     }
 
-    fn backward(&self, at: Places<'_>, tape: &[f32], rows: &[f32], stride: usize, gradient: &mut Gradient) {
+    fn backward(
+        &self,
+        at: Places<'_>,
+        context: &[f32],
+        rows: &[f32],
+        stride: usize,
+        gradient: &mut Gradient,
+    ) {
         let (first, width) = (gradient.rows.len(), self.levels.width());
         gradient.rows.resize(first + at.spheres.len() * width);
         let own = gradient.rows[first..].chunks_exact_mut(width).zip(rows.chunks_exact(stride));
         own.for_each(|(own, row)| own.copy_from_slice(&row[..width]));
-        let points = self.points(at, tape);
+        let points = self.points(at, context);
         let first = gradient.places.len();
         gradient.places.resize(first + points.len());
         gradient.places[first..].copy_from_slice(points);
     }
 
-    fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
+    fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
         let Self { simd, levels: Levels { levels, features }, points } = self;
         let (mut rest, width) = (parameter_gradient, levels.len() * *features);
         let tables = levels.iter().map(|level| take_mut(&mut rest, level.entries as usize * *features));
@@ -116,10 +123,10 @@ impl Encoding for Grid {
         from.expect("points", gradient.places.len() * self.levels.width(), gradient.rows.len() * points)
     }
 
-    fn left(config: &Config) -> Left {
+    fn gradient_memory(config: &Config) -> GradientMemory {
         let width = Levels::new(&config.hash_grid).width();
         let points = config.hash_grid.points as usize * size_of::<Point>();
-        Left { by_sample: width * size_of::<f32>() + points, by_deposit: 0 }
+        GradientMemory { by_sample: width * size_of::<f32>() + points, by_partial: 0 }
     }
 }
 
@@ -159,7 +166,7 @@ impl<const F: usize> Kernel for Read<'_, F> {
     }
 }
 
-/// Adds the gradients of one level, deposit by deposit and sample by sample.
+/// Adds the gradients of one level, partial gradients by partial gradients and sample by sample.
 struct Add<'a, const F: usize> {
     level: Level,
     points: &'a Points<f32>,

@@ -12,12 +12,12 @@ use crate::simd::Simd;
 use crate::wire::Reader;
 use std::ops::Range;
 use trimip_core::batch::{Interval, Ray, Sphere};
-use trimip_core::exchange::Share;
+use trimip_core::exchange::Rank;
 use trimip_core::{Config, Result};
 
 /// The interface of an encoder on the CPU.
 pub(crate) trait Encoding: Sized + Send + Sync {
-    /// Feature gradients of some spans.
+    /// Feature gradients of some tiles.
     type Gradient: Send + Sync;
 
     /// Creates the configured encoder; `training` adds room for gradients.
@@ -34,35 +34,35 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     fn refresh(&mut self, _parameters: &[f32], _all: bool) {}
 
     /// Encodes every sample. Features are rows of `stride` floats; those beyond the encoder's width stay zero. The
-    /// tape has rows of the definition's length.
-    fn forward(&self, at: Places<'_>, tape: &mut [f32], features: &mut [f32], stride: usize);
+    /// context has rows of the definition's length.
+    fn forward(&self, at: Places<'_>, context: &mut [f32], features: &mut [f32], stride: usize);
 
-    /// Adds the gradient of the features, in rows of `stride` floats, to the deposit.
+    /// Adds the gradient of the features, in rows of `stride` floats, to the partial gradients.
     fn backward(
         &self,
         at: Places<'_>,
-        tape: &[f32],
+        context: &[f32],
         rows: &[f32],
         stride: usize,
         gradient: &mut Self::Gradient,
     );
 
-    /// Sums all deposits in order, overwrites the encoder's part of `parameter_gradient` and empties the deposits.
-    fn flush(&mut self, gradients: &mut [&mut Self::Gradient], parameter_gradient: &mut [f32]);
+    /// Sums all partial gradients in order, overwrites the encoder's part of `parameter_gradient` and empties the partial gradients.
+    fn reduce(&mut self, gradients: &mut [&mut Self::Gradient], parameter_gradient: &mut [f32]);
 
-    /// Memory of the deposited gradients.
-    fn left(config: &Config) -> Left;
+    /// Memory of the accumulated gradients.
+    fn gradient_memory(config: &Config) -> GradientMemory;
 
-    /// Writes a deposit.
+    /// Writes a set of partial gradients.
     fn put(&self, gradient: &Self::Gradient, out: &mut Vec<u8>);
 
-    /// Replaces a deposit by what another rank put.
+    /// Replaces a set of partial gradients by what another rank put.
     ///
     /// # Errors
-    /// When the message is not a deposit of this encoder.
+    /// When the message is not a set of partial gradients of this encoder.
     fn take(&self, from: &mut Reader<'_>, gradient: &mut Self::Gradient) -> Result<()>;
 
-    /// For an encoder whose parameters ranks can divide among them; otherwise every rank needs all deposits, and sums them
+    /// For an encoder whose parameters ranks can divide among them; otherwise every rank needs all partial gradients, and sums them
     /// all.
     fn divided(&mut self) -> Option<&mut dyn Divided> {
         None
@@ -77,10 +77,10 @@ pub(crate) trait Encoding: Sized + Send + Sync {
 /// The interface of an encoder whose parameters are divided among ranks. Each rank sums the gradient of its part and updates
 /// it; then the ranks tell each other what changed.
 pub(crate) trait Divided {
-    /// Chooses this rank's part. With [`Share::WHOLE`] nothing is divided.
-    fn divide(&mut self, share: Share);
+    /// Chooses this rank's part. With [`Rank::ONLY`] nothing is divided.
+    fn divide(&mut self, this_rank: Rank);
 
-    /// After [`Encoding::flush`], which has summed the parts of this rank: writes what rank `to` needs of these sums.
+    /// After [`Encoding::reduce`], which has summed the parts of this rank: writes what rank `to` needs of these sums.
     fn put_sums(&mut self, gradient: &mut [f32], to: usize, out: &mut Vec<u8>);
 
     /// Adds what the other ranks put for this one, by rank. Afterwards the gradient of this rank's rows has the parts of all.
@@ -112,19 +112,19 @@ pub(crate) trait Divided {
 }
 
 /// Memory in bytes of a gradient that is collected until the end of a step.
-pub(crate) struct Left {
+pub(crate) struct GradientMemory {
     /// Bytes per sample.
     pub by_sample: usize,
-    /// Bytes per deposit, however many samples it has.
-    pub by_deposit: usize,
+    /// Bytes per set of partial gradients, however many samples it has.
+    pub by_partial: usize,
 }
 
-/// The parameters, and the geometry of a span's samples.
+/// The parameters, and the geometry of a tile's samples.
 #[derive(Clone, Copy)]
 pub(crate) struct Places<'a> {
     /// All parameters, flat; those of the encoder come first.
     pub parameters: &'a [f32],
-    /// Rays of the span.
+    /// Rays of the tile.
     pub rays: &'a [Ray],
     /// Index of each sample's ray.
     pub owners: &'a [u32],

@@ -1,9 +1,9 @@
 //! Factored tensors on the CPU, sixteen components at a time. Gradients of lines are summed as they come, in arrays of each
-//! deposit. Those of planes are kept by sample: a sample is listed in each band of rows that it touches, and one worker sums
+//! partial gradients. Those of planes are kept by sample: a sample is listed in each band of rows that it touches, and one worker sums
 //! a band in sample order.
 
 use super::bands::{BANDS, first_row, owner};
-use super::{Encoding, Left, Places};
+use super::{Encoding, GradientMemory, Places};
 use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put, put_counted};
@@ -31,7 +31,7 @@ struct Arrays {
     lines: Range<usize>,
 }
 
-/// Gradients of some spans.
+/// Gradients of some tiles.
 pub(crate) struct Gradient {
     places: Buffer<[f32; 3]>,
     /// Gradient of each plane's value at each sample, [samples, width].
@@ -120,7 +120,7 @@ impl Encoding for Factors {
         self.simd.run(Pull { shape, arrays, parameters, spheres, rows, stride, gradient });
     }
 
-    fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
+    fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
         let Self { simd, shape, arrays, .. } = self;
         let (width, from): (usize, &[&mut Gradient]) =
             (KINDS.iter().map(|kind| shape.features(*kind)).sum(), gradients);
@@ -174,14 +174,14 @@ impl Encoding for Factors {
         gradient.lines.iter_mut().try_for_each(|lines| from.copy(lines))
     }
 
-    fn left(config: &Config) -> Left {
+    fn gradient_memory(config: &Config) -> GradientMemory {
         let shape = Shape::new(config, 0);
         let width: usize = KINDS.iter().map(|kind| shape.features(*kind)).sum();
         let row = width * size_of::<f32>() + size_of::<[f32; 3]>() + 3 * 2 * size_of::<u32>();
         let lines: usize = Self::arrays(config).iter().map(|arrays| arrays.lines.len()).sum();
-        Left {
+        GradientMemory {
             by_sample: if shape.planes() > 0 { row } else { 0 },
-            by_deposit: lines * size_of::<f32>() + 3 * BANDS * size_of::<Vec<u32>>(),
+            by_partial: lines * size_of::<f32>() + 3 * BANDS * size_of::<Vec<u32>>(),
         }
     }
 }
@@ -294,7 +294,7 @@ fn prefetch(shape: &Shape, arrays: &[Arrays; 2], parameters: &[f32], position: [
     }
 }
 
-/// Adds gradients of lines to a deposit, and stores those of planes by sample.
+/// Adds gradients of lines to a set of partial gradients, and stores those of planes by sample.
 struct Pull<'a> {
     shape: &'a Shape,
     arrays: &'a [Arrays; 2],
@@ -371,7 +371,7 @@ struct Band<'a> {
     values: &'a mut [f32],
 }
 
-/// Sums the gradients of a band, deposit by deposit and sample by sample.
+/// Sums the gradients of a band, partial gradients by partial gradients and sample by sample.
 struct Add<'a> {
     shape: &'a Shape,
     from: &'a [&'a mut Gradient],
@@ -390,13 +390,13 @@ impl Kernel for Add<'_> {
         for gradient in from {
             for &index in &gradient.bands[plane * BANDS + band] {
                 let along = Factors::along(shape, gradient.places[index as usize]);
-                let [(left, right), (row, up)] = PLANE_AXES[plane].map(|axis| along[axis]);
+                let [(gradient_memory, right), (row, up)] = PLANE_AXES[plane].map(|axis| along[axis]);
                 let by_value = &gradient.rows[index as usize * width + column..][..components];
                 for (row, up) in [(row, 1.0 - up), (row + 1, up)] {
                     if owner(row, rows) != band {
                         continue;
                     }
-                    for (at, right) in [(left, 1.0 - right), (left + 1, right)] {
+                    for (at, right) in [(gradient_memory, 1.0 - right), (gradient_memory + 1, right)] {
                         let texel = &mut values[((row - first) * columns + at) * components..][..components];
                         let weight = L::splat(up * right);
                         let pairs = texel.as_chunks_mut().0.iter_mut().zip(by_value.as_chunks().0);

@@ -2,7 +2,7 @@
 //! layers (z) that it touches, and one worker sums a band in sample order.
 
 use super::bands::{BANDS, first_row, owner};
-use super::{Encoding, Left, Places};
+use super::{Encoding, GradientMemory, Places};
 use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put_counted};
@@ -35,7 +35,7 @@ pub(crate) struct Touch {
     by_feature: [f32; WIDTH],
 }
 
-/// Gradients of some spans.
+/// Gradients of some tiles.
 pub(crate) struct Gradient {
     touches: Buffer<Touch>,
     /// Samples that touch each band, in order.
@@ -83,7 +83,7 @@ impl Encoding for Grid {
         }
     }
 
-    fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
+    fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
         let Self { simd, shape, density, colors, .. } = self;
         let layer = shape.sides[0] * shape.sides[1];
         let (head, tail) = parameter_gradient.split_at_mut(colors.start);
@@ -119,9 +119,9 @@ impl Encoding for Grid {
         gradient.bands.iter_mut().try_for_each(|band| from.indices(band, samples))
     }
 
-    fn left(_: &Config) -> Left {
+    fn gradient_memory(_: &Config) -> GradientMemory {
         // Most samples are listed in one band, those between two bands in both.
-        Left { by_sample: size_of::<Touch>() + 2 * size_of::<u32>(), by_deposit: 0 }
+        GradientMemory { by_sample: size_of::<Touch>() + 2 * size_of::<u32>(), by_partial: 0 }
     }
 }
 
@@ -163,7 +163,7 @@ impl Kernel for Read<'_> {
     }
 }
 
-/// Adds the gradients of a band, deposit by deposit and sample by sample.
+/// Adds the gradients of a band, partial gradients by partial gradients and sample by sample.
 struct Add<'a> {
     shape: &'a Shape,
     from: &'a [&'a mut Gradient],

@@ -9,7 +9,7 @@ pub(super) const FEW: usize = 4;
 
 /// What a padded input of a layer is multiplied by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Row {
+pub enum InputRow {
     /// Nothing: padding.
     Zero,
     /// A row of the weights.
@@ -18,7 +18,7 @@ pub enum Row {
     One,
 }
 
-impl Row {
+impl InputRow {
     /// The padded inputs `0..stride` for a network that has weights for the first `inputs` of them.
     pub fn all(inputs: usize, stride: usize) -> Vec<Self> {
         (0..stride).map(|row| if row < inputs { Self::Weights(row) } else { Self::Zero }).collect()
@@ -29,7 +29,7 @@ impl Row {
 pub(super) struct Inputs {
     pub(super) forward: Forward,
     /// One per padded input.
-    pub(super) rows: Vec<Row>,
+    pub(super) rows: Vec<InputRow>,
     /// Outputs before those that have weights: 1 where the first one is a sum.
     pub(super) offset: usize,
 }
@@ -42,13 +42,13 @@ pub(super) enum Forward {
 }
 
 impl Inputs {
-    pub(super) fn new(rows: Vec<Row>, outputs: usize, last: bool, precision: Precision) -> Self {
+    pub(super) fn new(rows: Vec<InputRow>, outputs: usize, last: bool, precision: Precision) -> Self {
         let forward = if last && outputs <= FEW {
             Forward::Few(Buffer::zeros(outputs * rows.len()))
         } else {
             Forward::Wide(Packed::zeros(rows.len(), outputs.next_multiple_of(16), precision))
         };
-        let offset = usize::from(rows.contains(&Row::One));
+        let offset = usize::from(rows.contains(&InputRow::One));
         Self { forward, rows, offset }
     }
 
@@ -56,10 +56,10 @@ impl Inputs {
     pub(super) fn weight(&self, outputs: usize, weights: &[f32], row: usize, column: usize) -> f32 {
         let weighted = self.offset..outputs;
         match self.rows[row] {
-            Row::Weights(row) if weighted.contains(&column) => {
+            InputRow::Weights(row) if weighted.contains(&column) => {
                 weights[row * weighted.len() + column - self.offset]
             }
-            Row::One if column == 0 => 1.0,
+            InputRow::One if column == 0 => 1.0,
             _ => 0.0,
         }
     }
@@ -82,7 +82,7 @@ impl Inputs {
     pub(super) fn unpack(&self, outputs: usize, gradient: &[f32], parameters: &mut [f32]) {
         let weighted = self.offset..outputs;
         for (padded_row, row) in self.rows.iter().enumerate() {
-            let Row::Weights(row) = row else { continue };
+            let InputRow::Weights(row) = row else { continue };
             for column in weighted.clone() {
                 let place = match &self.forward {
                     Forward::Wide(packed) => padded_row * packed.n() + column,

@@ -15,7 +15,7 @@ use crate::gemm::{
 use crate::simd::Simd;
 pub use activations::Activations;
 pub use gradient::{Flow, MlpGradient, Passing};
-pub use inputs::Row;
+pub use inputs::InputRow;
 use inputs::{FEW, Forward, Inputs};
 use trimip_core::config::Precision;
 use trimip_core::networks::Network;
@@ -109,7 +109,12 @@ impl Layer {
 impl Mlp {
     /// The network `shape`. `input_rows` tells what each padded input of the first layer is multiplied by; `shared_rows` does
     /// the same for the inputs that groups of rows share.
-    pub fn new(shape: &Network, input_rows: Vec<Row>, shared_rows: Vec<Row>, precision: Precision) -> Self {
+    pub fn new(
+        shape: &Network,
+        input_rows: Vec<InputRow>,
+        shared_rows: Vec<InputRow>,
+        precision: Precision,
+    ) -> Self {
         let shared =
             (!shared_rows.is_empty()).then(|| Inputs::new(shared_rows, shape.layers[0][1], false, precision));
         let copied = if shape.layers.is_empty() { input_rows.len() } else { 0 };
@@ -118,16 +123,16 @@ impl Mlp {
         let count = shape.layers.len();
         let layers = shape.layers.iter().enumerate().map(|(i, &[_, outputs])| {
             let k = rows.len();
-            let before = rows.iter().filter(|row| **row != Row::Zero).count();
+            let before = rows.iter().filter(|row| **row != InputRow::Zero).count();
             let inputs = Inputs::new(std::mem::take(&mut rows), outputs, i + 1 == count, precision);
             let (n, precision) = match &inputs.forward {
                 Forward::Wide(packed) => (packed.n(), precision),
                 Forward::Few(_) => (FEW, Precision::F32),
             };
-            rows = Row::all(outputs, n);
+            rows = InputRow::all(outputs, n);
             let joined = (shape.joined == Some(i)).then(|| {
-                let after = |row: &Row| match row {
-                    Row::Weights(row) => Row::Weights(before + row),
+                let after = |row: &InputRow| match row {
+                    InputRow::Weights(row) => InputRow::Weights(before + row),
                     other => *other,
                 };
                 let inputs = Inputs::new(again.iter().map(after).collect(), outputs, false, precision);
@@ -356,8 +361,8 @@ impl Mlp {
         self.layers.iter().map(|layer| 1 + usize::from(!layer.biases.is_empty())).sum()
     }
 
-    /// Sums the gradients of slot `slot` over the deposits, in order, into its parameters, and sets the deposits to zero.
-    pub fn flush<'a>(
+    /// Sums the gradients of slot `slot` over the partial gradients, in order, into its parameters, and sets the partial gradients to zero.
+    pub fn reduce<'a>(
         &self,
         slot: usize,
         gradients: impl Iterator<Item = &'a mut MlpGradient>,

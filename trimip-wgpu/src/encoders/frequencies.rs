@@ -77,7 +77,7 @@ impl Encoding for Frequencies {
         self.gpu.dispatch(&self.write, &binds, &params, rows.dispatch(1, GROUP));
     }
 
-    fn flush(&mut self, _: impl Iterator<Item = FeatureGradients>, _: &Buffer<f32>, _: &Buffer<f32>) {}
+    fn reduce(&mut self, _: impl Iterator<Item = FeatureGradients>, _: &Buffer<f32>, _: &Buffer<f32>) {}
 
     #[cfg(test)]
     fn kernels() -> Vec<Kernel> {

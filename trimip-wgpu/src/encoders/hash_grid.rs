@@ -139,14 +139,14 @@ impl Encoding for Grid {
         }
     }
 
-    fn forward(&self, parameters: &Buffer<f32>, at: &Places, tape: &Buffer<f32>, features: &Buffer<f32>) {
+    fn forward(&self, parameters: &Buffer<f32>, at: &Places, context: &Buffer<f32>, features: &Buffer<f32>) {
         let (table, rows) = (parameters.part(0, self.sums.length()), &at.rows);
         if !self.points.is_plain() {
             let binds = [
                 whole(&at.rays),
                 whole(&at.owners),
                 whole(&at.intervals),
-                tape.bind(),
+                context.bind(),
                 rows.bind(),
                 whole(&at.spheres),
             ];
@@ -159,26 +159,26 @@ impl Encoding for Grid {
             };
             self.gpu.dispatch(&self.prepare, &binds, &preparing, rows.dispatch(points, GROUP));
         }
-        let places = if self.points.is_plain() { whole(&at.spheres) } else { tape.bind() };
+        let places = if self.points.is_plain() { whole(&at.spheres) } else { context.bind() };
         let binds = [table, places, features.bind(), rows.bind(), self.levels.bind()];
         let size = rows.dispatch(self.count, GROUP);
         self.gpu.dispatch(&self.read, &binds, &self.params(rows.counter), size);
     }
 
-    fn flush(
+    fn reduce(
         &mut self,
-        deposits: impl Iterator<Item = FeatureGradients>,
+        partials: impl Iterator<Item = FeatureGradients>,
         _: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     ) {
         self.sums.clear(parameter_gradient);
-        for from in deposits {
+        for from in partials {
             let rows = &from.at.rows;
-            let places = if self.points.is_plain() { &from.at.spheres } else { &from.tape };
+            let places = if self.points.is_plain() { &from.at.spheres } else { &from.context };
             let work = (&self.params(rows.counter), rows.dispatch(self.count, GROUP));
             self.sums.add(&from, places, parameter_gradient, &[self.levels.bind()], work);
         }
-        self.sums.settle(parameter_gradient);
+        self.sums.to_float(parameter_gradient);
     }
 
     #[cfg(test)]
@@ -194,6 +194,6 @@ impl Encoding for Grid {
             let adding = super::scatter::ADDITIONS.map(|way| add(f, &points, way));
             adding.into_iter().chain([read(f, &points)])
         };
-        variants.flat_map(of).chain([super::scatter::settle(), prepare()]).collect()
+        variants.flat_map(of).chain([super::scatter::to_float(), prepare()]).collect()
     }
 }

@@ -42,13 +42,13 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     fn refresh(&mut self, _parameters: &Buffer<f32>) {}
 
     /// Encodes every sample. Features are rows of `stride` floats; those beyond the encoder's width become zero. The
-    /// tape has rows of the definition's length.
-    fn forward(&self, parameters: &Buffer<f32>, at: &Places, tape: &Buffer<f32>, features: &Buffer<f32>);
+    /// context has rows of the definition's length.
+    fn forward(&self, parameters: &Buffer<f32>, at: &Places, context: &Buffer<f32>, features: &Buffer<f32>);
 
-    /// Sums the deposits and overwrites the encoder's part of `parameter_gradient`.
-    fn flush(
+    /// Sums the partial gradients and overwrites the encoder's part of `parameter_gradient`.
+    fn reduce(
         &mut self,
-        deposits: impl Iterator<Item = FeatureGradients>,
+        partials: impl Iterator<Item = FeatureGradients>,
         parameters: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     );
@@ -58,9 +58,9 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     fn kernels() -> Vec<Kernel>;
 }
 
-/// The geometry of a span's samples: the workspace's own arrays, which stay unchanged until the step is over.
+/// The geometry of a tile's samples: the workspace's own arrays, which stay unchanged until the step is over.
 pub(crate) struct Places {
-    /// Rays of the span.
+    /// Rays of the tile.
     pub rays: wgpu::Buffer,
     /// Index of each sample's ray.
     pub owners: wgpu::Buffer,
@@ -75,7 +75,7 @@ pub(crate) struct Places {
 /// Feature gradients of a step, with the places they belong to.
 pub(crate) struct FeatureGradients {
     pub at: Places,
-    pub tape: wgpu::Buffer,
+    pub context: wgpu::Buffer,
     pub gradients: wgpu::Buffer,
 }
 

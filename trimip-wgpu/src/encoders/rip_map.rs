@@ -1,5 +1,5 @@
 //! Ripmaps on the GPU. A ripmap holds a copy of its base, so that every level is read from one array. The Gaussians of
-//! the samples are the tape.
+//! the samples are the context.
 
 use super::scatter::Scatter;
 use super::{Encoding, FeatureGradients, GAUSSIANS, Places, TEXELS, whole};
@@ -190,38 +190,38 @@ impl Encoding for RipMaps {
         }
     }
 
-    fn forward(&self, _: &Buffer<f32>, at: &Places, tape: &Buffer<f32>, features: &Buffer<f32>) {
+    fn forward(&self, _: &Buffer<f32>, at: &Places, context: &Buffer<f32>, features: &Buffer<f32>) {
         let rows = &at.rows;
         let binds = [
             whole(&at.rays),
             whole(&at.owners),
             whole(&at.intervals),
-            tape.bind(),
+            context.bind(),
             rows.bind(),
             whole(&at.spheres),
         ];
         let preparing = Preparing { extent: self.extent, counter: rows.counter };
         self.gpu.dispatch(&self.kernels.prepare, &binds, &preparing, rows.dispatch(1, GROUP));
-        let binds = [self.maps.bind(), tape.bind(), features.bind(), rows.bind(), self.planes.bind()];
+        let binds = [self.maps.bind(), context.bind(), features.bind(), rows.bind(), self.planes.bind()];
         let size = rows.dispatch(4 * self.own.len() as u32, GROUP);
         self.gpu.dispatch(&self.kernels.read, &binds, &self.params(rows.counter), size);
     }
 
-    fn flush(
+    fn reduce(
         &mut self,
-        deposits: impl Iterator<Item = FeatureGradients>,
+        partials: impl Iterator<Item = FeatureGradients>,
         _: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     ) {
         let gradients = &self.map_gradients;
         self.sums.clear(gradients);
-        for from in deposits {
+        for from in partials {
             let rows = &from.at.rows;
             let size = rows.dispatch(4 * self.own.len() as u32, GROUP);
             let work = (&self.params(rows.counter), size);
-            self.sums.add(&from, &from.tape, gradients, &[self.planes.bind()], work);
+            self.sums.add(&from, &from.context, gradients, &[self.planes.bind()], work);
         }
-        self.sums.settle(gradients);
+        self.sums.to_float(gradients);
         for level in (1..self.levels).rev() {
             self.pass(&self.kernels.pull_along, false, level, gradients, None);
         }

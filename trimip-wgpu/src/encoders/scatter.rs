@@ -37,24 +37,24 @@ impl Addition {
 
 shared! {
     /// Parameters of the conversion from fixed point.
-    struct Settling as Settling {
+    struct Conversion as Conversion {
         /// Number of groups of four.
         count: u32,
     }
 }
 
 /// Converts gradients from fixed point to f32.
-pub fn settle() -> Kernel {
-    let text = Text(include_str!("shaders/settle_entries.wgsl"));
-    let sources = [GRID, OWN_FIXED, Source::of::<Settling>(), text];
-    Kernel::new("settle_entries", &sources, &[(0, Write), (2, Parameters), (3, Write)])
+pub fn to_float() -> Kernel {
+    let text = Text(include_str!("shaders/fixed_to_float.wgsl"));
+    let sources = [GRID, OWN_FIXED, Source::of::<Conversion>(), text];
+    Kernel::new("fixed_to_float", &sources, &[(0, Write), (2, Parameters), (3, Write)])
 }
 
 /// The sums of the gradients of one array of parameters.
 pub struct Scatter {
     gpu: Arc<Gpu>,
     add: Pipeline,
-    settle: Option<Pipeline>,
+    to_float: Option<Pipeline>,
     /// Number of floats.
     length: usize,
     /// High words of the sums in fixed point.
@@ -77,7 +77,7 @@ impl Scatter {
         Self {
             gpu: Arc::clone(gpu),
             add: gpu.pipeline(add),
-            settle: fixed.then(|| gpu.pipeline(settle())),
+            to_float: fixed.then(|| gpu.pipeline(to_float())),
             length,
             high: Buffer::zeros(gpu, if training && fixed { length } else { ALIGNMENT }),
             skipped: skipped.raw().clone(),
@@ -96,7 +96,7 @@ impl Scatter {
         self.gpu.clear(self.high.raw(), 0, bytes(self.high.capacity()));
     }
 
-    /// Adds the gradients of a span's features. `places` are what the kernel reads of each sample; `rest` are its
+    /// Adds the gradients of a tile's features. `places` are what the kernel reads of each sample; `rest` are its
     /// bindings after those of the sums.
     pub fn add<P: Shared>(
         &self,
@@ -108,17 +108,17 @@ impl Scatter {
     ) {
         let binds = Binds::new(whole(&from.gradients));
         let binds = binds.and([whole(places), sums.part(0, self.length), from.at.rows.bind()]);
-        let fixed = self.settle.as_ref().map(|_| [self.high.bind(), whole(&self.skipped)]);
+        let fixed = self.to_float.as_ref().map(|_| [self.high.bind(), whole(&self.skipped)]);
         let binds = binds.and(fixed.into_iter().flatten()).and(rest.iter().copied());
         self.gpu.dispatch(&self.add, &binds, params, size);
     }
 
     /// Turns the sums into f32.
-    pub fn settle(&self, sums: &Buffer<f32>) {
-        if let Some(settle) = &self.settle {
+    pub fn to_float(&self, sums: &Buffer<f32>) {
+        if let Some(to_float) = &self.to_float {
             let count = self.length as u32 / 4;
             let binds = [sums.part(0, self.length), self.high.part(0, self.length)];
-            self.gpu.dispatch(settle, &binds, &Settling { count }, Size::Items(count.into()));
+            self.gpu.dispatch(to_float, &binds, &Conversion { count }, Size::Items(count.into()));
         }
     }
 }

@@ -108,20 +108,20 @@ impl Encoding for Factors {
         self.gpu.dispatch(&self.read, &binds, &self.params(rows.counter), rows.dispatch(self.stride, GROUP));
     }
 
-    fn flush(
+    fn reduce(
         &mut self,
-        deposits: impl Iterator<Item = FeatureGradients>,
+        partials: impl Iterator<Item = FeatureGradients>,
         parameters: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     ) {
         self.sums.clear(parameter_gradient);
         let factors = parameters.part(0, self.sums.length());
-        for from in deposits {
+        for from in partials {
             let rows = &from.at.rows;
             let work = (&self.params(rows.counter), rows.dispatch(self.stride, GROUP));
             self.sums.add(&from, &from.at.spheres, parameter_gradient, &[factors], work);
         }
-        self.sums.settle(parameter_gradient);
+        self.sums.to_float(parameter_gradient);
     }
 
     #[cfg(test)]

@@ -207,9 +207,9 @@ impl Encoding for Planes {
         self.gpu.dispatch(&self.encode, &binds, &self.params(rows.counter), size);
     }
 
-    fn flush(
+    fn reduce(
         &mut self,
-        deposits: impl Iterator<Item = FeatureGradients>,
+        partials: impl Iterator<Item = FeatureGradients>,
         _: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     ) {
@@ -219,7 +219,7 @@ impl Encoding for Planes {
             self.gpu.clear(whole.raw(), 0, bytes(whole.capacity()));
         }
         let fixed = self.addition == Addition::Fixed;
-        for from in deposits {
+        for from in partials {
             let rows = &from.at.rows;
             let mut binds = Binds::new(whole(&from.gradients)).and([
                 whole(&from.at.spheres),

@@ -114,19 +114,19 @@ impl Encoding for Grid {
         self.gpu.dispatch(&self.read, &binds, &self.params(rows.counter), rows.dispatch(WIDTH as u32, GROUP));
     }
 
-    fn flush(
+    fn reduce(
         &mut self,
-        deposits: impl Iterator<Item = FeatureGradients>,
+        partials: impl Iterator<Item = FeatureGradients>,
         _: &Buffer<f32>,
         parameter_gradient: &Buffer<f32>,
     ) {
         self.sums.clear(parameter_gradient);
-        for from in deposits {
+        for from in partials {
             let Places { rays, owners, spheres, rows, .. } = &from.at;
             let work = (&self.params(rows.counter), rows.dispatch(WIDTH as u32, GROUP));
             self.sums.add(&from, spheres, parameter_gradient, &[whole(rays), whole(owners)], work);
         }
-        self.sums.settle(parameter_gradient);
+        self.sums.to_float(parameter_gradient);
     }
 
     #[cfg(test)]

@@ -21,7 +21,7 @@ pub struct Buffer<T> {
 /// The number of values.
 #[derive(Clone)]
 enum Length {
-    Known(usize),
+    DeviceCounters(usize),
     /// The counter times `width`, at most `most`.
     Counted {
         counts: wgpu::Buffer,
@@ -45,7 +45,7 @@ impl<T: Pod> Buffer<T> {
             gpu: Arc::clone(gpu),
             raw,
             bytes: length * size_of::<T>(),
-            length: Length::Known(length),
+            length: Length::DeviceCounters(length),
             values: PhantomData,
         }
     }
@@ -62,7 +62,7 @@ impl<T: Pod> Buffer<T> {
     /// Sets the length to `length`; the values are arbitrary.
     pub fn resize(&mut self, length: usize) {
         self.reserve(length);
-        self.length = Length::Known(length);
+        self.length = Length::DeviceCounters(length);
     }
 
     /// Makes room for `capacity` values; the length is `width` times the given counter on the device.
@@ -86,7 +86,7 @@ impl<T: Pod> Buffer<T> {
     /// Maximum number of values.
     pub fn most(&self) -> usize {
         match self.length {
-            Length::Known(length) => length,
+            Length::DeviceCounters(length) => length,
             Length::Counted { most, .. } => most,
         }
     }
@@ -94,7 +94,7 @@ impl<T: Pod> Buffer<T> {
     /// Number of values, if the host knows it.
     pub fn known_len(&self) -> Option<usize> {
         match self.length {
-            Length::Known(length) => Some(length),
+            Length::DeviceCounters(length) => Some(length),
             Length::Counted { .. } => None,
         }
     }
@@ -102,7 +102,7 @@ impl<T: Pod> Buffer<T> {
     /// The counter that holds the number of rows, if it is on the device.
     pub fn counter(&self) -> Option<(&wgpu::Buffer, u32)> {
         match &self.length {
-            Length::Known(_) => None,
+            Length::DeviceCounters(_) => None,
             Length::Counted { counts, counter, .. } => Some((counts, *counter)),
         }
     }
@@ -138,7 +138,7 @@ impl<T: Pod> Buffer<T> {
         match (&self.length, count.as_deref()) {
             (Length::Counted { width, most, .. }, Some(&[count])) => (count as usize * width).min(*most),
             (length, _) => match length {
-                Length::Known(length) => *length,
+                Length::DeviceCounters(length) => *length,
                 Length::Counted { .. } => 0,
             },
         }

@@ -69,12 +69,12 @@ pub struct Pipelines(Mutex<Vec<Pipeline>>);
 impl Pipelines {
     /// The pipeline of a kernel.
     pub fn of(&self, kernel: Kernel) -> Pipeline {
-        let mut known = lock(&self.0);
-        if let Some(same) = known.iter().find(|pipeline| pipeline.0.kernel == kernel) {
+        let mut counters = lock(&self.0);
+        if let Some(same) = counters.iter().find(|pipeline| pipeline.0.kernel == kernel) {
             return same.clone();
         }
         let new = Pipeline::new(kernel);
-        known.push(new.clone());
+        counters.push(new.clone());
         new
     }
 }

@@ -65,7 +65,7 @@ pub struct Recorder {
 
 /// Workgroups of a dispatch.
 enum Groups {
-    Known(u32, u32),
+    DeviceCounters(u32, u32),
     /// Byte offset of the arguments.
     Counted(u64),
 }
@@ -120,20 +120,20 @@ impl Recorder {
         parameters: &P,
         size: Size<'_>,
     ) {
-        let known = |groups: u64| {
+        let counters = |groups: u64| {
             let most = u64::from(MOST_GROUPS);
-            Groups::Known(groups.min(most) as u32, groups.div_ceil(most) as u32)
+            Groups::DeviceCounters(groups.min(most) as u32, groups.div_ceil(most) as u32)
         };
         let groups = match size {
-            Size::Items(items) => known(items.div_ceil(GROUP.into())),
-            Size::Groups(groups) => known(groups),
+            Size::Items(items) => counters(items.div_ceil(GROUP.into())),
+            Size::Groups(groups) => counters(groups),
             Size::Counted { counts, counter, per, group, times } => {
                 let slot = self.indirect;
                 self.indirect += 1;
                 let (sizes, arguments) = (self.sizes.clone(), self.arguments.clone());
                 let params = Arguments { counter, per, group, times, slot };
                 let binds = [counts, &sizes].map(Bind::whole);
-                self.record(&arguments, &binds, &params, Groups::Known(1, 1));
+                self.record(&arguments, &binds, &params, Groups::DeviceCounters(1, 1));
                 Groups::Counted(u64::from(slot) * SIZES)
             }
         };
@@ -184,7 +184,7 @@ impl Recorder {
         pass.set_pipeline(&compiled.pipeline);
         pass.set_bind_group(0, &group, &[offset as u32]);
         match groups {
-            Groups::Known(x, y) => pass.dispatch_workgroups(x, y, 1),
+            Groups::DeviceCounters(x, y) => pass.dispatch_workgroups(x, y, 1),
             Groups::Counted(offset) => pass.dispatch_workgroups_indirect(&sizes, offset),
         }
     }

@@ -187,7 +187,7 @@ fn fixed_point_there_and_back() {
 #[test]
 fn random_numbers_are_the_same_integers() {
     let Some(gpu) = gpu() else { return };
-    let draws = rng::Random::new(9).at(rng::Stream::Pixel, 77);
+    let draws = rng::Random::new(9).at(rng::Sequence::Pixel, 77);
     let counts = [1, 2, 1000, 65_536, 4_000_000_000_u32];
     let inputs: Vec<[f32; 4]> = (0..200_u32)
         .map(|i| {
@@ -209,7 +209,7 @@ fn random_numbers_are_the_same_integers() {
     }
     // The hash itself, on words passed in the same way. The upper 24 bits of four numbers are exact floats.
     let words: Vec<[u32; 4]> =
-        (0..50).map(|step| rng::Random::new(step).at(rng::Stream::Cell, step).words()).collect();
+        (0..50).map(|step| rng::Random::new(step).at(rng::Sequence::Cell, step).words()).collect();
     let inputs: Vec<[f32; 4]> = words.iter().map(|words| words.map(f32::from_bits)).collect();
     let found = run(
         &gpu,
@@ -217,7 +217,7 @@ fn random_numbers_are_the_same_integers() {
         &inputs,
     );
     for (step, found) in (0..50).zip(&found) {
-        let expected = rng::Random::new(step).at(rng::Stream::Cell, step).bits(12_345);
+        let expected = rng::Random::new(step).at(rng::Sequence::Cell, step).bits(12_345);
         assert_eq!(found.map(|x| x as u32), expected.map(|bits| bits >> 8));
     }
 }

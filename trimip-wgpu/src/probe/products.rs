@@ -10,7 +10,7 @@ const FIRST: Counter = Counter { counter: 0 };
 
 /// Small whole numbers: f16 represents them exactly, and f32 their products and sums.
 fn whole(count: usize, seed: u64) -> Vec<f32> {
-    let draws = rng::Random::new(seed).at(rng::Stream::Pixel, 0);
+    let draws = rng::Random::new(seed).at(rng::Sequence::Pixel, 0);
     (0..count as u32).map(|i| rng::below(draws.bits(i)[0], 17) as f32 - 8.0).collect()
 }
 

@@ -30,9 +30,9 @@ fn rays_through_the_space() {
         |x| {
             let [u, v, w, t] = x.map(|x| x as f32);
             let ray = Ray { origin, slope: 0.03, direction: [u, v, w], cosine: 1.0, ..Ray::default() };
-            let way = near.way(&ray, 16);
+            let way = near.straight_path(&ray, 16);
             let exit = way.exit(t, way.cell(way.position(t)), 4);
-            let (enter, leave) = near.course(ray.origin, ray.direction).range();
+            let (enter, leave) = near.parameterisation(ray.origin, ray.direction).range();
             [enter, leave, exit, 0.0].map(f64::from)
         },
         (1e-6, 1e-5),
@@ -53,7 +53,7 @@ fn rays_through_a_contracted_space() {
         places.flat_map(|[x, y, z]| [0.17, 1.9, 31.0].map(|t| [x, y, z, t])).collect();
     let at = |[x, y, z, t]: [f64; 4]| [x + t * direction[0], y + t * direction[1], z + t * direction[2]];
     compare(
-        files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let course = course_of(space, ray); return sphere_at(space, ray, x.w);"),
+        files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let parameterisation = parameterisation_of(space, ray); return sphere_at(space, ray, x.w);"),
         &inputs,
         |x| {
             let [u, v, w] = space.to_cube(at(x));
@@ -62,21 +62,21 @@ fn rays_through_a_contracted_space() {
         (1e-6, 4e-6),
     );
     compare(
-        files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let course = course_of(space, ray); return vec4<f32>(to_world(space, to_cube(space, ray.origin)), parameter_at(course, x.w));"),
+        files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let parameterisation = parameterisation_of(space, ray); return vec4<f32>(to_world(space, to_cube(space, ray.origin)), parameter_at(parameterisation, x.w));"),
         &inputs,
         |x| {
             let [u, v, w, t] = x;
-            let s = ball.course([u, v, w], direction).parameter(t);
+            let s = ball.parameterisation([u, v, w], direction).parameter(t);
             [u, v, w, s]
         },
         (2e-5, 2e-5),
     );
     compare(
-        files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let course = course_of(space, ray); return vec4<f32>(course.enter, course.leave, distance_at(course, parameter_at(course, x.w)), length_at(space, course, ray, x.w, 0.01));"),
+        files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let parameterisation = parameterisation_of(space, ray); return vec4<f32>(parameterisation.enter, parameterisation.leave, distance_at(parameterisation, parameter_at(parameterisation, x.w)), length_at(space, parameterisation, ray, x.w, 0.01));"),
         &inputs,
         |x| {
             let [u, v, w, t] = x;
-            let curve = ball.course([u, v, w], direction);
+            let curve = ball.parameterisation([u, v, w], direction);
             let (enter, leave) = curve.range();
             [enter, leave, t, 0.01 * curve.slowness(t) * ball.radial(at(x))]
         },
@@ -85,12 +85,13 @@ fn rays_through_a_contracted_space() {
     // Place and width of a sample, and the same without contraction.
     let bounded = Space::of(Aabb { min: [-2.0, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
     compare(
-        files!(SPACE; "var space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let curved = along(space, course_of(space, ray), ray, x.w, 0.25); space.ball = 0.0; return vec4<f32>(curved, along(space, course_of(space, ray), ray, x.w, 0.25));"),
+        files!(SPACE; "var space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let curved = along(space, parameterisation_of(space, ray), ray, x.w, 0.25); space.ball = 0.0; return vec4<f32>(curved, along(space, parameterisation_of(space, ray), ray, x.w, 0.25));"),
         &inputs,
         |x| {
             let [u, v, w, t] = x;
-            let [place, width] = space.along(&space.course([u, v, w], direction), at(x), t, 0.25);
-            let [flat, flat_width] = bounded.along(&bounded.course([u, v, w], direction), at(x), t, 0.25);
+            let [place, width] = space.along(&space.parameterisation([u, v, w], direction), at(x), t, 0.25);
+            let [flat, flat_width] =
+                bounded.along(&bounded.parameterisation([u, v, w], direction), at(x), t, 0.25);
             [place, width, flat, flat_width]
         },
         (2e-6, 1e-4),
@@ -98,7 +99,7 @@ fn rays_through_a_contracted_space() {
     // The parameter up to which a block of four cells is clear.
     let near = Space::contracted(Aabb { min: [-2.0_f32, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
     compare(
-        files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let course = course_of(space, ray); let position = to_cube(space, ray.origin); return vec4<f32>(cells_clear(space, x.w, position, cell_of(space, position), 4u), 0.0, 0.0, 0.0);"),
+        files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let parameterisation = parameterisation_of(space, ray); let position = to_cube(space, ray.origin); return vec4<f32>(cells_clear(space, x.w, position, cell_of(space, position), 4u), 0.0, 0.0, 0.0);"),
         &inputs,
         |[x, y, z, s]| {
             let position = near.to_cube([x as f32, y as f32, z as f32]);

@@ -47,7 +47,7 @@ struct Walker {
 
 fn walk(ray: Ray) -> Walker {
     let none = Chosen(0.0, 0.0, 0.0);
-    let m = march_along(course_of(params.space, ray), params.step, 0.0);
+    let m = march_along(parameterisation_of(params.space, ray), params.step, 0.0);
     return Walker(m, 0.0, 1.0, 0.0, none, none, false, false, true, none, 0u, -FAR, 0.0, 0.0, -FAR, 0u);
 }
 
@@ -148,8 +148,8 @@ fn length_of(chosen: Chosen) -> f32 {
 }
 
 fn volume_march(ray: Ray) -> March {
-    let course = course_of(params.space, ray);
-    return march_along(course, volume_step(ray, course), 0.0);
+    let parameterisation = parameterisation_of(params.space, ray);
+    return march_along(parameterisation, volume_step(ray, parameterisation), 0.0);
 }
 
 @compute @workgroup_size(GROUP)

@@ -11,12 +11,12 @@
 
 // The march of ray `index` of the step.
 fn start(ray: Ray, index: u32) -> March {
-    let course = course_of(params.space, ray);
+    let parameterisation = parameterisation_of(params.space, ray);
     var offset = 0.0;
     if params.jitter != 0u {
         offset = unit(random_bits(params.draws, index).x);
     }
-    return march_along(course, volume_step(ray, course), offset);
+    return march_along(parameterisation, volume_step(ray, parameterisation), offset);
 }
 
 @compute @workgroup_size(GROUP)
@@ -79,7 +79,7 @@ fn place(
             rest &= rest - 1u;
             let t = middle(m, f32(32u * word + bit));
             owners[at] = i;
-            intervals[at] = vec2<f32>(t, length_at(params.space, m.course, ray, t, m.step));
+            intervals[at] = vec2<f32>(t, length_at(params.space, m.parameterisation, ray, t, m.step));
             spheres[at] = sphere_at(params.space, ray, t);
             at += 1u;
         }

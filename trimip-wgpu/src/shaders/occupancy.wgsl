@@ -1,5 +1,5 @@
 // The occupancy grid: selection of cells, their densities, and the occupied bits. Twin of `trimip_core::occupancy`
-// and of the CPU's grid. `state` holds the numbers of cells selected, occupied, and queried in this span.
+// and of the CPU's grid. `state` holds the numbers of cells selected, occupied, and queried in this tile.
 
 @group(0) @binding(0) var<storage, read_write> state: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read_write> grid: array<u32>;
@@ -116,7 +116,7 @@ fn sum_densities(
 
 // Writes the threshold of this refresh to `partial[0]` and sets the count of occupied cells to zero.
 @compute @workgroup_size(GROUP)
-fn settle(@builtin(local_invocation_index) local: u32) {
+fn find_threshold(@builtin(local_invocation_index) local: u32) {
     var own = 0.0;
     for (var i = local; i < params.blocks; i += GROUP) {
         own += partial[i];

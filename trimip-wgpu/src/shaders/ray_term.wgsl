@@ -18,8 +18,8 @@
 @group(0) @binding(9) var<storage, read_write> sums: array<u32>;
 
 // Place and width of sample `j`.
-fn at_sample(course: Course, ray: Ray, j: u32) -> vec2<f32> {
-    return along(params.space, course, ray, intervals[j].x, intervals[j].y);
+fn at_sample(parameterisation: RayParameter, ray: Ray, j: u32) -> vec2<f32> {
+    return along(params.space, parameterisation, ray, intervals[j].x, intervals[j].y);
 }
 
 @compute @workgroup_size(GROUP)

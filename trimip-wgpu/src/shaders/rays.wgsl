@@ -9,7 +9,7 @@
 // First cone and number of cones of each pixel.
 @group(0) @binding(6) var<storage, read_write> pixel_groups: array<vec2<u32>>;
 
-// Generates the cones of pixel number `i` of the span; the first of them is number `start`.
+// Generates the cones of pixel number `i` of the tile; the first of them is number `start`.
 // Returns false if the camera has no ray for one of them.
 fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) -> bool {
     let count = cones_in(side);

@@ -1,7 +1,7 @@
 // The map from the world to the unit cube; twin of `trimip_core::space`.
 
 // How the parameter of steps along a ray follows its distance: the distance itself if `speed` is 0, in a bounded space.
-struct Course {
+struct RayParameter {
     // Parameters between which the ray can have samples; enter >= leave if there are none.
     enter: f32,
     leave: f32,
@@ -35,57 +35,57 @@ fn centre_of(space: Space) -> vec3<f32> {
 }
 
 // The course of a ray.
-fn course_of(space: Space, ray: Ray) -> Course {
+fn parameterisation_of(space: Space, ray: Ray) -> RayParameter {
     if space.ball == 0.0 {
         let hit = intersect(space, ray);
-        return Course(hit.x, hit.y, 0.0, 0.0, 0.0);
+        return RayParameter(hit.x, hit.y, 0.0, 0.0, 0.0);
     }
     let u = (ray.origin - centre_of(space)) / space.ball;
     let middle = -dot(u, ray.direction);
     let b = length(u + middle * ray.direction);
     let reach = max(b, 1.0);
     let half = sqrt(max(FARTHEST * FARTHEST - b * b, 0.0));
-    var course = Course(0.0, 0.0, space.ball * middle, space.ball * reach, (2.0 * reach - 1.0) / (reach * reach));
-    course.enter = parameter_at(course, 0.0);
-    course.leave = parameter_at(course, space.ball * (middle + half));
-    return course;
+    var parameterisation = RayParameter(0.0, 0.0, space.ball * middle, space.ball * reach, (2.0 * reach - 1.0) / (reach * reach));
+    parameterisation.enter = parameter_at(parameterisation, 0.0);
+    parameterisation.leave = parameter_at(parameterisation, space.ball * (middle + half));
+    return parameterisation;
 }
 
 // Parameter of a curved course at distance `t`.
-fn parameter_at(course: Course, t: f32) -> f32 {
-    let m = (t - course.middle) / course.reach;
+fn parameter_at(parameterisation: RayParameter, t: f32) -> f32 {
+    let m = (t - parameterisation.middle) / parameterisation.reach;
     let contracted = select(m, sign(m) * (2.0 - 1.0 / abs(m)), abs(m) > 1.0);
-    return course.speed * course.reach * contracted;
+    return parameterisation.speed * parameterisation.reach * contracted;
 }
 
 // Distance at the parameter `s`.
-fn distance_at(course: Course, s: f32) -> f32 {
-    if course.speed == 0.0 {
+fn distance_at(parameterisation: RayParameter, s: f32) -> f32 {
+    if parameterisation.speed == 0.0 {
         return s;
     }
-    let c = s / (course.speed * course.reach);
+    let c = s / (parameterisation.speed * parameterisation.reach);
     let m = select(c, sign(c) / (2.0 - abs(c)), abs(c) > 1.0);
-    return course.middle + course.reach * m;
+    return parameterisation.middle + parameterisation.reach * m;
 }
 
 // Length of a step of the parameter at distance `t`, in the units of the field's density.
-fn length_at(space: Space, course: Course, ray: Ray, t: f32, step: f32) -> f32 {
-    if course.speed == 0.0 {
+fn length_at(space: Space, parameterisation: RayParameter, ray: Ray, t: f32, step: f32) -> f32 {
+    if parameterisation.speed == 0.0 {
         return step;
     }
-    let m = max(abs((t - course.middle) / course.reach), 1.0);
+    let m = max(abs((t - parameterisation.middle) / parameterisation.reach), 1.0);
     let n = distance_from_ball(space, ray.origin + t * ray.direction);
-    return step * (m * m / course.speed) / (n * n);
+    return step * (m * m / parameterisation.speed) / (n * n);
 }
 
 // Place and width of a sample at distance `t`: the parameter, and what it grows by over the sample's `length` in the units of the
 // field's density; both in units of the box's longest side.
-fn along(space: Space, course: Course, ray: Ray, t: f32, length: f32) -> vec2<f32> {
-    if course.speed == 0.0 {
+fn along(space: Space, parameterisation: RayParameter, ray: Ray, t: f32, length: f32) -> vec2<f32> {
+    if parameterisation.speed == 0.0 {
         return vec2<f32>(t, length) / space.longest;
     }
-    let step = length / length_at(space, course, ray, t, 1.0);
-    return vec2<f32>(parameter_at(course, t), step) / space.longest;
+    let step = length / length_at(space, parameterisation, ray, t, 1.0);
+    return vec2<f32>(parameter_at(parameterisation, t), step) / space.longest;
 }
 
 // Distance of a point to the ball's centre in radii, at least 1.

@@ -10,26 +10,26 @@ struct March {
     first: f32,
     leave: f32,
     step: f32,
-    course: Course,
+    parameterisation: RayParameter,
 }
 
 // The march along a course. `offset` moves its start, in steps.
-fn march_along(course: Course, step: f32, offset: f32) -> March {
-    let first = course.enter + offset * step;
-    let hits = course.leave > first && course.leave < FAR;
-    return March(first, select(-FAR, course.leave, hits), step, course);
+fn march_along(parameterisation: RayParameter, step: f32, offset: f32) -> March {
+    let first = parameterisation.enter + offset * step;
+    let hits = parameterisation.leave > first && parameterisation.leave < FAR;
+    return March(first, select(-FAR, parameterisation.leave, hits), step, parameterisation);
 }
 
 // Length of the steps of volume rendering.
-fn volume_step(ray: Ray, course: Course) -> f32 {
+fn volume_step(ray: Ray, parameterisation: RayParameter) -> f32 {
     let radius = params.step_per_radius * ray.radius;
-    let by_radius = radius + params.step_per_radius * ray.slope * 0.5 * (course.enter + course.leave);
+    let by_radius = radius + params.step_per_radius * ray.slope * 0.5 * (parameterisation.enter + parameterisation.leave);
     return select(params.step_length, by_radius, by_radius > params.step_length);
 }
 
 // Distance of the middle of a step.
 fn middle(m: March, index: f32) -> f32 {
-    return distance_at(m.course, m.first + (index + 0.5) * m.step);
+    return distance_at(m.parameterisation, m.first + (index + 0.5) * m.step);
 }
 
 fn is_empty(word: u32) -> bool {
@@ -58,14 +58,14 @@ fn next_occupied(ray: Ray, m: March, start: f32, last: f32) -> f32 {
         if !(s < m.leave) || index >= last {
             return last;
         }
-        let position = to_cube(params.space, ray.origin + distance_at(m.course, s) * ray.direction);
+        let position = to_cube(params.space, ray.origin + distance_at(m.parameterisation, s) * ray.direction);
         let cell = cell_of(params.space, position);
         let size = empty_around(cell);
         if size == 0u {
             return index;
         }
         var leave = 0.0;
-        if m.course.speed == 0.0 {
+        if m.parameterisation.speed == 0.0 {
             leave = cells_exit(params.space, ray, s, cell, size);
         } else {
             leave = cells_clear(params.space, s, position, cell, size);

@@ -1,6 +1,6 @@
 //! Everything that the page, the JSON and the Markdown of a comparison are made of.
 
-use super::means::{Row, scene_row, whole_row};
+use super::means::{TableRow, scene_row, whole_row};
 use super::runs::{Run, Scales, Status};
 use crate::machine::Machine;
 use crate::systems::System;
@@ -38,7 +38,7 @@ impl Comparison {
     }
 
     /// One row per system of a scene.
-    pub fn scene_rows(&self, scales: Scales, scene: &str) -> Vec<Row> {
+    pub fn scene_rows(&self, scales: Scales, scene: &str) -> Vec<TableRow> {
         self.systems
             .iter()
             .map(|system| scene_row(system, scales, scene, &self.runs_of(scales, scene, system.name)))
@@ -46,9 +46,9 @@ impl Comparison {
     }
 
     /// One row per system: the mean over the scenes of each scene's mean.
-    pub fn whole_rows(&self, scales: Scales) -> Vec<Row> {
+    pub fn whole_rows(&self, scales: Scales) -> Vec<TableRow> {
         let of_system = |system: &&'static System| {
-            let rows: Vec<Row> = self
+            let rows: Vec<TableRow> = self
                 .scenes
                 .iter()
                 .map(|scene| scene_row(system, scales, scene, &self.runs_of(scales, scene, system.name)))

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 /// A row of a table: a system on one scene, or the mean of several. A value that is not known is NaN, `null` in JSON.
 #[derive(Clone, Debug, Serialize)]
-pub struct Row {
+pub struct TableRow {
     /// Name of the system.
     pub system: &'static str,
     /// Title of the system.
@@ -121,7 +121,7 @@ fn quoted(system: &System) -> Option<&'static Published> {
 }
 
 /// The row of a system on a scene: the mean of its seeds.
-pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&Run]) -> Row {
+pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&Run]) -> TableRow {
     let known: Vec<&Figures> = runs.iter().filter_map(|run| run.figures.as_ref()).collect();
     let cells: Vec<Cell> = known.iter().map(|figures| Cell::of(figures)).collect();
     let psnr = || cells.iter().map(|cell| cell.psnr);
@@ -134,7 +134,7 @@ pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&
         Scales::Four => row.lego,
         Scales::One => row.single_lego,
     });
-    Row {
+    TableRow {
         system: system.name,
         title: system.title,
         scenes: [usize::from(!known.is_empty()), 1],
@@ -150,11 +150,11 @@ pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&
 }
 
 /// The mean over the scenes of each scene's mean. `whole_set` says that these are the eight scenes of the papers.
-pub fn whole_row(system: &'static System, scales: Scales, rows: &[Row], whole_set: bool) -> Row {
-    let known: Vec<&Row> = rows.iter().filter(|row| row.runs[0] > 0).collect();
-    let sum = |pick: fn(&Row) -> usize| rows.iter().map(pick).sum::<usize>();
+pub fn whole_row(system: &'static System, scales: Scales, rows: &[TableRow], whole_set: bool) -> TableRow {
+    let known: Vec<&TableRow> = rows.iter().filter(|row| row.runs[0] > 0).collect();
+    let sum = |pick: fn(&TableRow) -> usize| rows.iter().map(pick).sum::<usize>();
     // Scenes with other scales have no mean of a scale.
-    let factors = |row: &Row| row.scales.iter().map(|(factor, _)| *factor).collect::<Vec<_>>();
+    let factors = |row: &TableRow| row.scales.iter().map(|(factor, _)| *factor).collect::<Vec<_>>();
     let first = known.first().map_or_else(Vec::new, |row| factors(row));
     let alike = known.iter().all(|row| factors(row) == first);
     let of_scale = |i: usize| mean(known.iter().map(|row| row.scales[i].1));
@@ -163,7 +163,7 @@ pub fn whole_row(system: &'static System, scales: Scales, rows: &[Row], whole_se
         Scales::One => row.single,
     });
     let cells: Vec<Cell> = known.iter().map(|row| row.cell).collect();
-    Row {
+    TableRow {
         system: system.name,
         title: system.title,
         scenes: [known.len(), rows.len()],

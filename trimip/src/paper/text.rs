@@ -1,30 +1,34 @@
 //! The tables as text: their columns, for the page and the terminal, and `paper.md`.
 
 use super::comparison::Comparison;
-use super::means::Row;
+use super::means::TableRow;
 use super::runs::{Scales, Status};
 use crate::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS, SOURCES};
-use crate::{report::scale_name, units};
+use crate::{formatting, report::scale_name};
 
 /// A value of a row.
-pub type Value = Box<dyn Fn(&Row) -> f64>;
+pub type Value = Box<dyn Fn(&TableRow) -> f64>;
 
 /// A column of a table: its head, and its text for a row. `better` compares values where one is better than another.
 pub struct Column {
     /// Head.
     pub head: String,
     /// Text of a row.
-    pub text: Box<dyn Fn(&Row) -> String>,
+    pub text: Box<dyn Fn(&TableRow) -> String>,
     /// The value to compare, greater is better; `None` in columns where nothing is compared.
     pub value: Option<Value>,
 }
 
-fn column(head: impl Into<String>, text: impl Fn(&Row) -> String + 'static) -> Column {
+fn column(head: impl Into<String>, text: impl Fn(&TableRow) -> String + 'static) -> Column {
     Column { head: head.into(), text: Box::new(text), value: None }
 }
 
 /// A column whose greatest value is the best.
-fn compared(head: impl Into<String>, digits: usize, value: impl Fn(&Row) -> f64 + Clone + 'static) -> Column {
+fn compared(
+    head: impl Into<String>,
+    digits: usize,
+    value: impl Fn(&TableRow) -> f64 + Clone + 'static,
+) -> Column {
     let shown = value.clone();
     Column {
         head: head.into(),
@@ -42,12 +46,12 @@ fn known(value: f64, text: impl Fn(f64) -> String) -> String {
 }
 
 /// The columns of a table of these rows, without that of the system's name.
-pub fn columns(scales: Scales, rows: &[Row]) -> Vec<Column> {
+pub fn columns(scales: Scales, rows: &[TableRow]) -> Vec<Column> {
     let mut columns = Vec::new();
     let factors = rows.iter().map(|row| &row.scales).max_by_key(|scales| scales.len());
     for factor in factors.into_iter().flatten().map(|(factor, _)| *factor).filter(|_| scales == Scales::Four)
     {
-        let of = move |row: &Row| {
+        let of = move |row: &TableRow| {
             row.scales.iter().find(|(own, _)| *own == factor).map_or(f64::NAN, |(_, psnr)| *psnr)
         };
         columns.push(compared(if factor == 1 { "1/1".into() } else { scale_name(factor) }, 2, of));
@@ -64,7 +68,7 @@ pub fn columns(scales: Scales, rows: &[Row]) -> Vec<Column> {
     }
     columns.push(compared("SSIM", 4, |row| row.cell.ssim));
     // Where nobody measured them there is no column. The least FLIP and LPIPS are the best.
-    let mut perceived = |head: &str, value: fn(&Row) -> f64, sign: f64| {
+    let mut perceived = |head: &str, value: fn(&TableRow) -> f64, sign: f64| {
         if rows.iter().any(|row| value(row).is_finite()) {
             columns.push(Column {
                 head: head.into(),
@@ -76,11 +80,13 @@ pub fn columns(scales: Scales, rows: &[Row]) -> Vec<Column> {
     perceived("MS-SSIM", |row| row.cell.ms_ssim, 1.0);
     perceived("FLIP", |row| row.cell.flip, -1.0);
     perceived("LPIPS", |row| row.cell.lpips, -1.0);
-    columns.push(column("time", |row| known(row.cell.seconds, units::duration)));
-    columns.push(column("model", |row| known(row.cell.model_bytes, |bytes| units::bytes(bytes as u64))));
-    columns.push(column("parameters", |row| known(row.cell.parameters, |count| units::number(count, ""))));
+    columns.push(column("time", |row| known(row.cell.seconds, formatting::duration)));
+    columns.push(column("model", |row| known(row.cell.model_bytes, |bytes| formatting::bytes(bytes as u64))));
     columns
-        .push(column("peak memory", |row| known(row.cell.memory_bytes, |bytes| units::bytes(bytes as u64))));
+        .push(column("parameters", |row| known(row.cell.parameters, |count| formatting::number(count, ""))));
+    columns.push(column("peak memory", |row| {
+        known(row.cell.memory_bytes, |bytes| formatting::bytes(bytes as u64))
+    }));
     if rows.iter().any(|row| row.runs[0] < row.runs[1]) {
         columns.push(column("runs", |row| {
             let failed = if row.failed > 0 { format!(", {} failed", row.failed) } else { String::new() };
@@ -158,12 +164,12 @@ pub fn markdown(comparison: &Comparison) -> String {
     let mut text = "# Systems beside each other\n\n".to_string();
     text += &format!(
         "{}: {}. {}. Trained on {}; {}, {}.\n",
-        units::count(comparison.scenes.len() as u64, "scene"),
+        formatting::count(comparison.scenes.len() as u64, "scene"),
         comparison.scenes.join(", "),
         comparison.budget,
         comparison.split.join(" + "),
         comparison.machine.cpu,
-        units::count(comparison.machine.cores as u64, "core"),
+        formatting::count(comparison.machine.cores as u64, "core"),
     );
     for &scales in &comparison.scales {
         text += &format!("\n## {}\n", scales.title());
@@ -205,7 +211,7 @@ pub fn markdown(comparison: &Comparison) -> String {
     text
 }
 
-fn table(scales: Scales, rows: &[Row]) -> String {
+fn table(scales: Scales, rows: &[TableRow]) -> String {
     let columns = columns(scales, rows);
     let mut cells = vec![vec!["system".to_string()]];
     cells[0].extend(columns.iter().map(|column| column.head.clone()));

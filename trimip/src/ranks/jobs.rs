@@ -25,7 +25,7 @@ const AHEAD: usize = 2;
 /// How long rank 0 waits between two looks for results.
 const NAP: Duration = Duration::from_millis(1);
 
-/// A description of jobs for [`farm`] and [`labour`], which is the same if the parts are.
+/// A description of jobs for [`scatter_jobs`] and [`work_on_jobs`], which is the same if the parts are.
 pub fn digest(parts: impl IntoIterator<Item = String>) -> String {
     format!("{:016x}", fingerprint::hash_of(parts))
 }
@@ -38,7 +38,7 @@ struct Done<T> {
 }
 
 /// The jobs and their results, on rank 0.
-struct Desk<'a, T> {
+struct JobQueue<'a, T> {
     jobs: &'a [usize],
     /// False when the jobs are to stop.
     going: &'a (dyn Fn() -> bool + Sync),
@@ -65,7 +65,7 @@ struct State<T> {
 ///
 /// # Errors
 /// The first error of a job or of `take`, or when another rank is gone.
-pub fn farm<T: DeserializeOwned + Serialize + Send>(
+pub fn scatter_jobs<T: DeserializeOwned + Serialize + Send>(
     ranks: &dyn Ranks,
     what: &str,
     jobs: &[usize],
@@ -76,19 +76,19 @@ pub fn farm<T: DeserializeOwned + Serialize + Send>(
     Order::Jobs { version: machine::version() }.give(ranks)?;
     // The first job is this rank's own: what stops all jobs is seen here first.
     let state = State { next: 1, closed: false, abandoned: false, done: BTreeMap::new(), broken: None };
-    let desk = Desk { jobs, going, state: Mutex::new(state), changed: Condvar::new() };
+    let queue = JobQueue { jobs, going, state: Mutex::new(state), changed: Condvar::new() };
     std::thread::scope(|scope| {
-        let served = scope.spawn(|| desk.serve(ranks, what).inspect_err(|error| desk.fail(error.clone())));
-        let closing = Closing(&desk);
-        let outcome = desk.work(own, take);
+        let served = scope.spawn(|| queue.serve(ranks, what).inspect_err(|error| queue.fail(error.clone())));
+        let closing = Closing(&queue);
+        let outcome = queue.work(own, take);
         drop(closing);
         let served = served.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         outcome.and(served)
     })
 }
 
-/// Closes a desk, also when its rank panics: the thread that serves others ends only then.
-struct Closing<'a, 'b, T>(&'a Desk<'b, T>);
+/// Closes a queue, also when its rank panics: the thread that serves others ends only then.
+struct Closing<'a, 'b, T>(&'a JobQueue<'b, T>);
 
 impl<T> Drop for Closing<'_, '_, T> {
     fn drop(&mut self) {
@@ -97,10 +97,10 @@ impl<T> Drop for Closing<'_, '_, T> {
     }
 }
 
-impl<T: DeserializeOwned + Send> Desk<'_, T> {
+impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
     /// Hands out jobs and receives results until there are no more.
     fn serve(&self, ranks: &dyn Ranks, what: &str) -> Result<()> {
-        let others = 1..ranks.share().of;
+        let others = 1..ranks.rank().size;
         // Every rank answers once whether it has these jobs, and then with the result of each that it is handed.
         let (mut waiting, mut unready) = (others.len(), others.len());
         let hand_out = |rank, waiting: &mut usize| -> Result<()> {
@@ -202,7 +202,7 @@ impl<T: DeserializeOwned + Send> Desk<'_, T> {
     }
 }
 
-impl<T> Desk<'_, T> {
+impl<T> JobQueue<'_, T> {
     fn fail(&self, error: Error) {
         let state = &mut *self.state();
         state.closed = true;
@@ -234,7 +234,7 @@ pub(super) fn error_of(rank: usize, (code, message): (u8, String)) -> Error {
 ///
 /// # Errors
 /// When rank 0 is gone. A job that fails is told to rank 0; so is it if its jobs are not those that `what` describes.
-pub fn labour<T: Serialize>(
+pub fn work_on_jobs<T: Serialize>(
     ranks: &dyn Ranks,
     what: &str,
     mut own: impl FnMut(usize) -> Result<T>,

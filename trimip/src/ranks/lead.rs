@@ -30,7 +30,7 @@ pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<
     let lead: Box<dyn Session> = Box::new(Lead { session, ranks: Arc::clone(ranks) });
     // The time of the first step is not that of reading the data elsewhere.
     let mut refused = None;
-    for _ in 1..ranks.share().of {
+    for _ in 1..ranks.rank().size {
         let (rank, answer) = ranks.receive()?;
         let opened: Opened = serde_json::from_slice(&answer).map_err(Error::run)?;
         refused = refused.or(opened.err().map(|told| error_of(rank, told)));
@@ -51,7 +51,7 @@ impl Viewer for Lead {
     }
 
     fn device_name(&self) -> String {
-        format!("{} ranks, each {}", self.ranks.share().of, self.session.device_name())
+        format!("{} ranks, each {}", self.ranks.rank().size, self.session.device_name())
     }
 
     fn notes(&self) -> Vec<String> {

@@ -6,7 +6,7 @@ mod jobs;
 mod lead;
 mod orders;
 
-pub use jobs::{digest, farm, labour};
+pub use jobs::{digest, scatter_jobs, work_on_jobs};
 pub use lead::train;
 
 use crate::{backends, machine, run::memory};
@@ -25,7 +25,7 @@ pub fn dismiss(ranks: &dyn Ranks) -> Result<()> {
     Order::Quit.give(ranks)
 }
 
-/// Does what rank 0 orders, until it dismisses this rank. `work` does the jobs of [`farm`]: it ends with [`labour`].
+/// Does what rank 0 orders, until it dismisses this rank. `work` does the jobs of [`scatter_jobs`]: it ends with [`work_on_jobs`].
 ///
 /// # Errors
 /// When this rank cannot do what it has to; the others then wait for it in vain, and the caller ends them. `tell` gets what is
@@ -67,7 +67,7 @@ fn expect_own(version: &str) -> Result<()> {
 
 /// What all ranks together compute with, if each has this.
 pub fn together(compute: Compute, ranks: &dyn Ranks) -> Compute {
-    let of = ranks.share().of;
+    let of = ranks.rank().size;
     Compute {
         name: format!("{of} ranks, each {}", compute.name),
         samples_per_second: of as f64 * compute.samples_per_second,
@@ -100,9 +100,9 @@ fn open(
     }
     let near = ranks.on_machine();
     // The machine of rank 0 is checked there.
-    if config.backend == "cpu" && near.rank == 0 {
+    if config.backend == "cpu" && near.id == 0 {
         let predicted = backends::predict_memory(&config, &scene.train);
-        if let Some(warning) = memory::check(&config, &predicted, near.of)? {
+        if let Some(warning) = memory::check(&config, &predicted, near.size)? {
             tell(format!("warns: {warning}"));
         }
     }

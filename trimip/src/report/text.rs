@@ -2,7 +2,7 @@
 //! no package. PSNR in dB.
 
 use super::{Report, scale_name};
-use crate::units;
+use crate::formatting;
 use trimip_core::{
     metrics::LEAST_SIDE,
     quality::{Measures, mean_quality},
@@ -76,7 +76,7 @@ fn caption(report: &Report<'_>) -> String {
         report.run,
         report.scene,
         totals.step,
-        units::duration(totals.seconds),
+        formatting::duration(totals.seconds),
         report.config.backend,
         report.views_measured()
     )

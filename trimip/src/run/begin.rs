@@ -1,7 +1,7 @@
 //! The starting point of a run: fresh settings, the folder's checkpoint, or a finished run with a longer budget.
 
 use super::{folder::RunFolder, history::Evaluation, history::History, store::FileStore};
-use crate::units;
+use crate::formatting;
 use trimip_core::{
     Config, Error, Result, Settings, adamw,
     checkpoint::Checkpoint,
@@ -82,8 +82,8 @@ impl Beginning {
         let extended = format!(
             "extended: goes on for {} after {}; the schedule stretches to the new length and stands at {:.0} % of it: \
              learning rate {:.1e}, marching step {}",
-            units::duration(more),
-            units::duration(totals.seconds),
+            formatting::duration(more),
+            formatting::duration(totals.seconds),
             100.0 * at,
             adamw::learning_rate(&config, at),
             config.renderer.step_scale.at(at)

@@ -36,7 +36,7 @@ impl Evaluation {
 
 /// One process's share of the run.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Part {
+pub struct SessionPart {
     /// Backend.
     pub backend: String,
     /// Device of the backend.
@@ -54,7 +54,7 @@ pub struct Part {
 pub struct Training {
     /// Mean loss of the latest step.
     pub loss: f64,
-    /// Share of occupied cells.
+    /// Rank of occupied cells.
     pub occupied: f64,
     /// Samples marched per ray since the previous event; 0 if no ray was cast.
     pub marched_per_ray: f64,
@@ -70,7 +70,7 @@ pub struct History {
     /// Warnings, one line each, without duplicates.
     pub warnings: Vec<String>,
     /// Processes that worked on the run, in order.
-    pub parts: Vec<Part>,
+    pub parts: Vec<SessionPart>,
     /// Latest counters.
     pub totals: Totals,
     /// Latest training figures.
@@ -135,7 +135,7 @@ impl History {
                 self.evaluations.iter_mut().for_each(|evaluation| evaluation.last = false);
             }
             Event::SessionEnded { backend, device, wall_seconds, peak_memory_bytes, provenance } => {
-                self.parts.push(Part {
+                self.parts.push(SessionPart {
                     backend: backend.clone(),
                     device: device.clone(),
                     wall_seconds: *wall_seconds,

@@ -1,6 +1,6 @@
 //! Whether a run fits into memory, before it begins.
 
-use crate::units;
+use crate::formatting;
 use trimip_core::{Config, Error, Result, config::EncoderKind, config::MemoryChoice, memory};
 
 /// Memory that there is, bytes, what this process already has included.
@@ -50,9 +50,9 @@ fn shortage(config: &Config, parts: &[(String, u64)], ranks: usize, there: Memor
             "memory",
             format!(
                 "the run needs about {}{each}, of which {largest} {}, but {having} {}",
-                units::bytes(needed),
-                units::bytes(*bytes),
-                units::bytes(most)
+                formatting::bytes(needed),
+                formatting::bytes(*bytes),
+                formatting::bytes(most)
             ),
             format!("{fewer}{}, or set memory = \"warn\" to begin all the same", lowered_by(config, largest)),
         )

@@ -6,8 +6,8 @@ pub mod curve;
 #[cfg(test)]
 pub(crate) mod fixtures;
 pub mod folder;
-mod guard;
 pub mod history;
+mod lock;
 pub(crate) mod memory;
 pub mod overview;
 pub mod provenance;
@@ -16,4 +16,4 @@ pub mod store;
 pub mod train;
 
 pub use begin::expect_same;
-pub use guard::Lock;
+pub use lock::Lock;

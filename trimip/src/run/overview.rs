@@ -1,6 +1,6 @@
 //! What a run will do and how much memory it needs, as lines printed before it starts.
 
-use crate::units;
+use crate::formatting;
 use std::path::Path;
 use trimip_core::{Config, Frames, Layout, Slot, ViewSet, encoders, scene_plan::Finding};
 
@@ -44,8 +44,8 @@ impl Overview {
             format!(
                 "scale 1/{}: {}, {}, drawn {drawn:.3} times as often at loss weight {:.3}",
                 scale.factor,
-                units::count(scale.views.len() as u64, "training view"),
-                units::many(scale.pixels.len() as u64, "pixel"),
+                formatting::count(scale.views.len() as u64, "training view"),
+                formatting::many(scale.pixels.len() as u64, "pixel"),
                 scale.weight / drawn
             )
         }));
@@ -54,8 +54,8 @@ impl Overview {
         lines.push(train_line(config, step));
         lines.push(evaluation_line(config, subject.test.len()));
         let parts: Vec<_> =
-            memory.iter().map(|(part, bytes)| format!("{part} {}", units::bytes(*bytes))).collect();
-        lines.push(format!("memory: {} ({})", units::bytes(memory_bytes), parts.join(", ")));
+            memory.iter().map(|(part, bytes)| format!("{part} {}", formatting::bytes(*bytes))).collect();
+        lines.push(format!("memory: {} ({})", formatting::bytes(memory_bytes), parts.join(", ")));
         lines.push(format!("folder: {}", folder.display()));
         Self { lines, memory_bytes }
     }
@@ -69,20 +69,20 @@ fn model_line(config: &Config) -> String {
     format!(
         "model: {}, {}; hidden layers {hidden}×{density} for density and {hidden}×{color} for colour{blind}, {}",
         encoders::of(config).describe(config),
-        units::many(values(layout.encoder()), "value"),
-        units::many(values(layout.networks()), "weight"),
+        formatting::many(values(layout.encoder()), "value"),
+        formatting::many(values(layout.networks()), "weight"),
     )
 }
 
 fn train_line(config: &Config, step: u64) -> String {
     let train = &config.train;
-    let per_step = units::many(train.samples_per_step.into(), "sample");
+    let per_step = formatting::many(train.samples_per_step.into(), "sample");
     let length = if train.steps > 0 {
         let total = train.steps.saturating_mul(train.samples_per_step.into());
-        let steps = units::count(train.steps, "step");
-        format!("{steps} of {per_step}, {} in all", units::many(total, "sample"))
+        let steps = formatting::count(train.steps, "step");
+        format!("{steps} of {per_step}, {} in all", formatting::many(total, "sample"))
     } else {
-        format!("{} at {per_step} a step", units::duration(train.seconds))
+        format!("{} at {per_step} a step", formatting::duration(train.seconds))
     };
     let from = if step > 0 { format!(", going on from step {step}") } else { String::new() };
     format!("training: {length}{from}; backend {}, seed {}", config.backend, config.seed)
@@ -90,7 +90,7 @@ fn train_line(config: &Config, step: u64) -> String {
 
 fn evaluation_line(config: &Config, views: usize) -> String {
     let eval = &config.eval;
-    let all = units::count(views as u64, "test view");
+    let all = formatting::count(views as u64, "test view");
     let on = |stride: usize| match (views.div_ceil(stride.max(1)), eval.share > 0.0) {
         (count, false) => format!("{count} of {all}"),
         (count, true) => format!("up to {count} of {all}"),
@@ -98,7 +98,7 @@ fn evaluation_line(config: &Config, views: usize) -> String {
     let way = match eval.points {
         0 => "none on the way".to_string(),
         points => {
-            let times = units::count(points, "time");
+            let times = formatting::count(points, "time");
             format!("{times} on the way on {}", on(eval.stride_of(views)))
         }
     };

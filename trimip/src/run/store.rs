@@ -222,7 +222,7 @@ pub fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trimip_core::{Frame, perception::Perceived};
+    use trimip_core::{Frame, perception::PerceptualScores};
 
     #[test]
     fn the_worst_and_the_best_view_have_pictures_too() {
@@ -237,7 +237,7 @@ mod tests {
             for (scale, psnr) in [(1, psnr), (2, if index == 0 { 1.0 } else { 50.0 })] {
                 let name = format!("r_{index}");
                 let (rendered, target, ssim) = (&rendered, &target[..], 0.5);
-                let perceived = &Perceived { flip: 0.25, ..Perceived::NOTHING };
+                let perceived = &PerceptualScores { flip: 0.25, ..PerceptualScores::NOTHING };
                 let view = ViewResult { index, name: &name, scale, rendered, target, psnr, ssim, perceived };
                 store.view(&view).unwrap();
             }

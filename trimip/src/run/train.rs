@@ -4,15 +4,15 @@
 use super::{
     begin::Beginning,
     folder::{RunFolder, read_model},
-    guard::Lock,
     history::{History, up_to},
+    lock::Lock,
     memory,
     overview::{Overview, Subject},
     provenance,
     recorder::Recorder,
     store::FileStore,
 };
-use crate::{backends, machine, ranks, view::Perceiver};
+use crate::{backends, machine, ranks, view::PerceptualMetrics};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -167,7 +167,7 @@ impl Training {
     /// Trains on all of these ranks. This is rank 0; the others [`follow`](crate::ranks::follow).
     #[must_use]
     pub fn over(mut self, ranks: Option<Arc<dyn Ranks>>) -> Self {
-        self.processes = ranks.as_ref().map_or(1, |ranks| ranks.on_machine().of);
+        self.processes = ranks.as_ref().map_or(1, |ranks| ranks.on_machine().size);
         self.ranks = ranks;
         self
     }
@@ -247,7 +247,7 @@ impl Training {
         let Beginning { mut settings, mut findings, checkpoint, extended } = begin;
         let folder = &self.folder;
         let mut config = Config::from_settings(&settings)?;
-        let mut perceiver = Perceiver::open(&config.eval)?;
+        let mut perceptual = PerceptualMetrics::open(&config.eval)?;
         folder.prepare()?;
         let scene = trimip_data::open_watched(&config.section()?, listeners.reading)?;
         let (mut compute, test) = (backends::compute(&config)?, scene.test.cameras());
@@ -320,7 +320,7 @@ impl Training {
             config: &config,
             session: session.as_mut(),
             frames: scene.test.as_ref(),
-            perception: &mut perceiver,
+            perception: &mut perceptual,
             store: &mut store,
             events: &mut recorder,
             observer: listeners.observer,

@@ -15,7 +15,7 @@ const HEAD: &str = "views rendered by trimip, job ";
 
 /// The views of a folder that are finished. A job is a model, its cameras, and what is written of them; pictures of
 /// another job in the folder are rendered again.
-pub struct Job {
+pub struct RenderJob {
     folder: PathBuf,
     what: Vec<Quantity>,
     format: PictureFormat,
@@ -23,7 +23,7 @@ pub struct Job {
     list: File,
 }
 
-impl Job {
+impl RenderJob {
     /// Opens the job of a folder, or begins it anew: if `fresh`, or if the folder holds none or another one.
     ///
     /// # Errors
@@ -121,8 +121,8 @@ mod tests {
         (0..3).map(camera).collect()
     }
 
-    fn open(folder: &Path, model: &Model, cameras: &[Named], what: &[Quantity]) -> Job {
-        Job::open(folder, model, cameras, what, PictureFormat::Png, false).unwrap()
+    fn open(folder: &Path, model: &Model, cameras: &[Named], what: &[Quantity]) -> RenderJob {
+        RenderJob::open(folder, model, cameras, what, PictureFormat::Png, false).unwrap()
     }
 
     const COLOR: &[Quantity] = &[Quantity::Color];
@@ -152,7 +152,7 @@ mod tests {
         let mut job = open(here, &model(1), &cameras(4.0), COLOR);
         assert_eq!(job.finished("0000"), None, "the list of another job is gone");
         job.finish("0000").unwrap();
-        let fresh = Job::open(here, &model(1), &cameras(4.0), COLOR, PictureFormat::Png, true).unwrap();
+        let fresh = RenderJob::open(here, &model(1), &cameras(4.0), COLOR, PictureFormat::Png, true).unwrap();
         assert_eq!(fresh.finished("0000"), None);
     }
 
@@ -175,7 +175,7 @@ mod tests {
         let job = open(here, &model(1), &cameras(4.0), COLOR);
         assert!(["0000", "0001"].iter().all(|name| job.finished(name).is_some()));
         fs::write(here.join(LIST), "milk\neggs\n").unwrap();
-        let refused = Job::open(here, &model(1), &cameras(4.0), COLOR, PictureFormat::Png, true);
+        let refused = RenderJob::open(here, &model(1), &cameras(4.0), COLOR, PictureFormat::Png, true);
         assert!(refused.is_err_and(|error| error.message.contains("not a list of rendered views")));
         assert_eq!(fs::read_to_string(here.join(LIST)).unwrap(), "milk\neggs\n");
     }

@@ -9,7 +9,7 @@ use trimip_core::{
     evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
     exchange::Ranks,
     model::Model,
-    perception::{Pair, Perceived, Perception},
+    perception::{Pair, Perception, PerceptualScores},
     quality::{Measures, ScaleQuality, ViewQuality, mean_quality, per_scale},
 };
 
@@ -46,7 +46,7 @@ impl Watching for () {}
 
 /// Ranks that measure a model together.
 #[derive(Clone, Copy)]
-pub struct Together<'a> {
+pub struct RankGroup<'a> {
     /// The ranks.
     pub ranks: &'a dyn Ranks,
     /// The model, which has to be the same on all of them.
@@ -81,9 +81,9 @@ impl<'a> TestViews<'a> {
     }
 }
 
-/// Renders test views at every scale and compares them with their photographs; `perception` takes the slower measures ([`Perceiver`](super::Perceiver), or
-/// `&mut ()` for none). Returns `None` if `watch` cancelled it. With `together`, of which this is rank 0, all ranks measure; the
-/// others call [`help_evaluate`] with the same model and frames.
+/// Renders test views at every scale and compares them with their photographs; `perception` takes the slower measures ([`PerceptualMetrics`](super::Perceiver), or
+/// `&mut ()` for none). Returns `None` if `watch` cancelled it. With `group`, of which this is rank 0, all ranks measure; the
+/// others call [`evaluate_on_worker`] with the same model and frames.
 ///
 /// # Errors
 /// When a photograph cannot be read, the device fails, or another rank is gone.
@@ -92,12 +92,12 @@ pub fn evaluate(
     test: TestViews<'_>,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
-    together: Option<Together<'_>>,
+    group: Option<RankGroup<'_>>,
 ) -> Result<Option<Measured>> {
     let (started, frames, total) = (Instant::now(), test.at_every_scale(), test.count());
     let mut progress = Progress { perception, watch, done: 0, total };
     let mut views = Vec::new();
-    match together {
+    match group {
         None => {
             for job in 0..total {
                 if !evaluate_frame(viewer, frames, test.index(job), &mut progress, &mut views)? {
@@ -106,7 +106,7 @@ pub fn evaluate(
                 progress.done += 1;
             }
         }
-        Some(together) => {
+        Some(group) => {
             let progress = RefCell::new(progress);
             let own = |job| {
                 let (mut views, progress) = (Vec::new(), &mut *progress.borrow_mut());
@@ -114,9 +114,9 @@ pub fn evaluate(
                 Ok(whole.then_some(views))
             };
             let mut is_whole = true;
-            ranks::farm(
-                together.ranks,
-                &description(test, together.model)?,
+            ranks::scatter_jobs(
+                group.ranks,
+                &description(test, group.model)?,
                 &(0..total).collect::<Vec<_>>(),
                 &|| true,
                 own,
@@ -156,15 +156,15 @@ fn description(test: TestViews<'_>, model: &Model) -> Result<String> {
 ///
 /// # Errors
 /// When rank 0 is gone, or measures other views.
-pub fn help_evaluate(
+pub fn evaluate_on_worker(
     viewer: &mut dyn Viewer,
     test: TestViews<'_>,
     perception: &mut dyn Perception,
     watch: &mut dyn Watching,
-    together: Together<'_>,
+    group: RankGroup<'_>,
 ) -> Result<()> {
     let mut progress = Progress { perception, watch, done: 0, total: 0 };
-    ranks::labour(together.ranks, &description(test, together.model)?, |job| {
+    ranks::work_on_jobs(group.ranks, &description(test, group.model)?, |job| {
         let mut views = Vec::new();
         let whole =
             evaluate_frame(viewer, test.at_every_scale(), test.index(job), &mut progress, &mut views)?;
@@ -185,8 +185,8 @@ impl Watch for Progress<'_> {
         self.watch.rendering(self.done, self.total, f64::from(rows) / f64::from(of.max(1)))
     }
 
-    fn perceive(&mut self, _: usize, pair: &Pair<'_>) -> Result<Perceived> {
-        self.perception.perceive(pair)
+    fn measure_perception(&mut self, _: usize, pair: &Pair<'_>) -> Result<PerceptualScores> {
+        self.perception.measure_perception(pair)
     }
 
     fn view(&mut self, view: &ViewResult<'_>) -> Result<bool> {

@@ -8,7 +8,7 @@ mod job;
 #[cfg(feature = "lpips")]
 mod lpips;
 mod measure;
-mod perceiver;
+mod perceptual_metrics;
 pub mod pictures;
 pub mod turntable;
 pub mod video;
@@ -18,6 +18,6 @@ pub use files::{
     CAMERAS, PictureFormat, Quantity, Rendered, depth_range, expect_no_others, write, write_cameras,
 };
 pub use flip::{PIXELS_PER_DEGREE, flip_colors, flip_of_pictures};
-pub use job::Job;
-pub use measure::{Measured, TestViews, Together, Watching, evaluate, help_evaluate};
-pub use perceiver::Perceiver;
+pub use job::RenderJob;
+pub use measure::{Measured, RankGroup, TestViews, Watching, evaluate, evaluate_on_worker};
+pub use perceptual_metrics::PerceptualMetrics;

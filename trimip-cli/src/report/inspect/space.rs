@@ -28,7 +28,7 @@ const SIDES: [([usize; 2], &str); 3] =
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// What is drawn of a camera.
-struct Drawn<'a> {
+struct DrawnCamera<'a> {
     name: &'a str,
     camera: &'a Camera,
     /// `train`, `test` or `doubt`.
@@ -63,21 +63,21 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
             None => ("train", String::new()),
         };
         let view = &scene.train.views[index];
-        Drawn { name: &view.name, camera: &view.camera, class, split: "training", doubts }
+        DrawnCamera { name: &view.name, camera: &view.camera, class, split: "training", doubts }
     });
-    let test = seen.seen.test.iter().map(|(name, camera)| Drawn {
+    let test = seen.seen.test.iter().map(|(name, camera)| DrawnCamera {
         name,
         camera,
         class: "test",
         split: "test",
         doubts: String::new(),
     });
-    let all: Vec<Drawn<'_>> = train.chain(test).collect();
+    let all: Vec<DrawnCamera<'_>> = train.chain(test).collect();
     let stride = all.len().div_ceil(MOST_CAMERAS).max(1);
-    let thinned = |(i, drawn): &(usize, Drawn<'_>)| i % stride == 0 || drawn.class == "doubt";
+    let thinned = |(i, drawn): &(usize, DrawnCamera<'_>)| i % stride == 0 || drawn.class == "doubt";
     let total = all.len();
     // Doubted cameras last: nothing covers them.
-    let mut drawn: Vec<Drawn<'_>> =
+    let mut drawn: Vec<DrawnCamera<'_>> =
         all.into_iter().enumerate().filter(thinned).map(|(_, drawn)| drawn).collect();
     drawn.sort_by_key(|drawn| drawn.class == "doubt");
     let Some(frame) = frame(seen, &drawn) else { return String::new() };
@@ -121,7 +121,7 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
 }
 
 /// The cube that holds the cameras and the planned space; `None` if nothing has a finite size.
-fn frame(seen: &Inspection, drawn: &[Drawn<'_>]) -> Option<Frame> {
+fn frame(seen: &Inspection, drawn: &[DrawnCamera<'_>]) -> Option<Frame> {
     let space = match seen.space.ball() {
         Some(ball) => {
             let centre = DVec3::from_array(ball.centre);
@@ -193,7 +193,7 @@ fn points(seen: &Inspection, frame: &Frame, axes: [usize; 2]) -> String {
 }
 
 /// A camera as the pyramid of what it sees.
-fn frustum(frame: &Frame, axes: [usize; 2], drawn: &Drawn<'_>) -> String {
+fn frustum(frame: &Frame, axes: [usize; 2], drawn: &DrawnCamera<'_>) -> String {
     let (camera, k) = (drawn.camera, &drawn.camera.intrinsics);
     let length = FRUSTUM * frame.half;
     let corner = |u: f64, v: f64| {

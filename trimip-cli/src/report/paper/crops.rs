@@ -24,14 +24,14 @@ const SMALL: u32 = 300;
 
 /// A part of a view, in pixels of the finest scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Place {
+struct Crop {
     x: u32,
     y: u32,
     width: u32,
     height: u32,
 }
 
-impl Place {
+impl Crop {
     /// The part of a picture that is `scale` times as coarse as the finest.
     fn of(self, picture: &RgbImage, scale: u32) -> RgbImage {
         let side = |side: u32| (side / scale).max(1);
@@ -157,7 +157,7 @@ fn crops(scene: &str, shown: &[Shown], view: &ViewRecord) -> Result<String> {
 }
 
 /// The whole photograph, small, with a frame around the place.
-fn whereabouts(photograph: &RgbImage, place: Place) -> Result<String> {
+fn whereabouts(photograph: &RgbImage, place: Crop) -> Result<String> {
     let (width, height) = photograph.dimensions();
     let share = |part: u32, whole: u32| 100.0 * f64::from(part) / f64::from(whole.max(1));
     let longest = width.max(height);
@@ -174,7 +174,7 @@ fn whereabouts(photograph: &RgbImage, place: Place) -> Result<String> {
 }
 
 /// The part of a photograph with the largest sum of differences between neighbouring pixels.
-fn most_detail(photograph: &RgbImage) -> Place {
+fn most_detail(photograph: &RgbImage) -> Crop {
     let (width, height) = photograph.dimensions();
     let side = |side: u32| (side / PART / STEP * STEP).max(LEAST).min(side);
     let (w, h) = (side(width), side(height));
@@ -200,7 +200,7 @@ fn most_detail(photograph: &RgbImage) -> Place {
     // The first of equal ones.
     let best = places
         .fold((0, 0), |best, place| if sum(place.0, place.1) > sum(best.0, best.1) { place } else { best });
-    Place { x: best.0, y: best.1, width: w, height: h }
+    Crop { x: best.0, y: best.1, width: w, height: h }
 }
 
 #[cfg(test)]
@@ -218,6 +218,6 @@ mod tests {
         assert!(place.x <= 88 && place.x + 40 >= 104 && place.y <= 40 && place.y + 32 >= 56, "{place:?}");
         // Coarser scales show the same part.
         assert_eq!(place.of(&RgbImage::new(20, 16), 8).dimensions(), (5, 4));
-        assert_eq!(most_detail(&RgbImage::new(3, 2)), Place { x: 0, y: 0, width: 3, height: 2 });
+        assert_eq!(most_detail(&RgbImage::new(3, 2)), Crop { x: 0, y: 0, width: 3, height: 2 });
     }
 }

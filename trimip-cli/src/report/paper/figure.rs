@@ -6,7 +6,7 @@ use super::{headline, look};
 use crate::report::page;
 use crate::report::svg::{DASHED, Line, Point};
 use crate::terminal;
-use trimip::paper::{Comparison, Figures, Row, Run, Scales, mean_curve};
+use trimip::paper::{Comparison, Figures, Run, Scales, TableRow, mean_curve};
 use trimip::run::curve::Measure;
 use trimip::systems::{
     System,
@@ -88,8 +88,8 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
     if rows.is_empty() {
         return String::new();
     }
-    let measured = |value: &dyn Fn(&Row) -> f64, unit: &dyn Fn(f64) -> String| -> Vec<Mark> {
-        let mark = |row: &Row| Mark {
+    let measured = |value: &dyn Fn(&TableRow) -> f64, unit: &dyn Fn(f64) -> String| -> Vec<Mark> {
+        let mark = |row: &TableRow| Mark {
             x: value(row),
             psnr: row.cell.psnr,
             label: row.title.into(),

@@ -9,7 +9,7 @@ mod tables;
 use super::page::{self, escape, pairs};
 use super::svg::{COLORS, DASHED};
 use crate::terminal;
-use trimip::paper::{Comparison, Figures, Row, Scales, Status};
+use trimip::paper::{Comparison, Figures, Scales, Status, TableRow};
 use trimip::systems::{SYSTEMS, published::REMARKS};
 use trimip::{Result, config::Convention, machine};
 
@@ -46,7 +46,7 @@ fn mark(system: &str) -> String {
 }
 
 /// The rows that stand for all scenes: those of the only scene, or the means.
-fn headline(comparison: &Comparison, scales: Scales) -> Vec<Row> {
+fn headline(comparison: &Comparison, scales: Scales) -> Vec<TableRow> {
     match &comparison.scenes[..] {
         [scene] => comparison.scene_rows(scales, scene),
         _ => comparison.whole_rows(scales),

@@ -4,7 +4,7 @@
 use super::mark;
 use crate::report::page::escape;
 use trimip::paper::{
-    Comparison, Row, Scales, columns, published_caption, published_cells, published_columns,
+    Comparison, Scales, TableRow, columns, published_caption, published_cells, published_columns,
 };
 use trimip::systems::{Kind, SYSTEMS};
 
@@ -34,7 +34,7 @@ pub fn measured(comparison: &Comparison, scales: Scales) -> String {
 }
 
 /// A table of rows, the best and the second of each column told apart.
-fn table(scales: Scales, rows: &[Row]) -> String {
+fn table(scales: Scales, rows: &[TableRow]) -> String {
     let columns = columns(scales, rows);
     let mut html = "<div class=\"scroll\"><table class=\"dense\"><tr><th>system</th>".to_string();
     for column in &columns {
@@ -71,10 +71,10 @@ fn tag(name: &str) -> String {
 }
 
 /// Rank of each row by a value, 0 for the greatest. A mean of fewer scenes than there are has no rank, nor has a row alone.
-fn ranks(rows: &[Row], value: &dyn Fn(&Row) -> f64) -> Vec<usize> {
-    let rival = |row: &&Row| value(row).is_finite() && row.scenes[0] == row.scenes[1];
+fn ranks(rows: &[TableRow], value: &dyn Fn(&TableRow) -> f64) -> Vec<usize> {
+    let rival = |row: &&TableRow| value(row).is_finite() && row.scenes[0] == row.scenes[1];
     let rivals: Vec<f64> = rows.iter().filter(rival).map(value).collect();
-    let rank = |row: &Row| match rival(&row) && rivals.len() > 1 {
+    let rank = |row: &TableRow| match rival(&row) && rivals.len() > 1 {
         true => rivals.iter().filter(|other| **other > value(row)).count(),
         false => usize::MAX,
     };
@@ -118,13 +118,13 @@ mod tests {
 
     #[test]
     fn ranks_pass_over_what_was_not_measured_everywhere() {
-        let row = |psnr: f64, scenes| Row {
+        let row = |psnr: f64, scenes| TableRow {
             cell: Cell { psnr, ..Cell::UNKNOWN },
             scenes,
             ..scene_row(find("ngp").unwrap(), Scales::Four, "lego", &[])
         };
         let rows = [row(30.0, [2, 2]), row(35.0, [1, 2]), row(31.0, [2, 2]), row(f64::NAN, [0, 2])];
-        let psnr = |row: &Row| row.cell.psnr;
+        let psnr = |row: &TableRow| row.cell.psnr;
         assert_eq!(ranks(&rows, &psnr), [1, usize::MAX, 0, usize::MAX]);
         assert_eq!(ranks(&rows[..1], &psnr), [usize::MAX]);
     }

@@ -28,7 +28,7 @@ const SIDES: [u32; 4] = [1, 2, 4, 8];
 
 /// A number of cones at a scale: means over the views.
 #[derive(Clone, Debug, Default, Serialize)]
-struct Row {
+struct ConeRow {
     /// Reduction of the views: 1, 2, 4, 8.
     scale: u32,
     /// Cones along a side of a pixel.
@@ -60,7 +60,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let sides = sides(&division, &scene.frames.load(0)?);
     let mut sessions = sides.iter().map(|&side| load(&model, side)).collect::<Result<Vec<_>>>()?;
     let bar = spinner();
-    let (mut rows, mut converged_errors): (Vec<Row>, Vec<f64>) = (Vec::new(), Vec::new());
+    let (mut rows, mut converged_errors): (Vec<ConeRow>, Vec<f64>) = (Vec::new(), Vec::new());
     let share = 1.0 / indices.len() as f64;
     for &index in &indices {
         let set = scene.frames.load(index)?;
@@ -80,7 +80,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
             for (i, (side, frame, milliseconds)) in frames.into_iter().enumerate() {
                 let place = at * sides.len() + i;
                 if rows.len() == place {
-                    rows.push(Row { scale: factor, side, own: side == own, ..Row::default() });
+                    rows.push(ConeRow { scale: factor, side, own: side == own, ..ConeRow::default() });
                     converged_errors.push(0.0);
                 }
                 let row = &mut rows[place];
@@ -139,7 +139,7 @@ fn errors(model: &Model, set: &ViewSet, view: usize, factor: u32, rendered: Fram
 }
 
 /// Marks the rows that no other row of their scale beats in both time and error.
-fn mark_front(rows: &mut [Row]) {
+fn mark_front(rows: &mut [ConeRow]) {
     let points: Vec<_> = rows.iter().map(|row| (row.scale, row.milliseconds, row.psnr_box)).collect();
     for (row, own) in rows.iter_mut().zip(&points) {
         let beats = |other: &&(u32, f64, f64)| {
@@ -149,7 +149,7 @@ fn mark_front(rows: &mut [Row]) {
     }
 }
 
-fn table(rows: &[Row]) -> String {
+fn table(rows: &[ConeRow]) -> String {
     let head = ["scale", "cones", "PSNR / dB", "plain", "box filter", "converged", "ms a view", "front"];
     let mut cells = vec![head.map(String::from).to_vec()];
     cells.extend(rows.iter().map(|row| {
@@ -172,7 +172,7 @@ fn write(
     arguments: &BenchArguments,
     path: &Path,
     model: &Model,
-    rows: &[Row],
+    rows: &[ConeRow],
     indices: &[usize],
 ) -> Result<()> {
     run_folder::create_writable(&arguments.out)?;
@@ -211,12 +211,12 @@ fn write(
 }
 
 /// One line for each scale: error against the box filter over time.
-fn lines(rows: &[Row]) -> Vec<Line> {
+fn lines(rows: &[ConeRow]) -> Vec<Line> {
     let mut scales: Vec<u32> = rows.iter().map(|row| row.scale).collect();
     scales.dedup();
     let line = |(&scale, color): (&u32, &str)| {
         let own = rows.iter().filter(|row| row.scale == scale);
-        let point = |row: &Row| Point {
+        let point = |row: &ConeRow| Point {
             seconds: 1e-3 * row.milliseconds,
             psnr: row.psnr_box,
             hint: format!("{0}x{0} cones: {1:.2} dB, {2:.1} ms", row.side, row.psnr_box, row.milliseconds),
@@ -238,7 +238,8 @@ mod tests {
 
     #[test]
     fn the_front_is_that_of_each_scale() {
-        let row = |scale, milliseconds, psnr_box| Row { scale, milliseconds, psnr_box, ..Row::default() };
+        let row =
+            |scale, milliseconds, psnr_box| ConeRow { scale, milliseconds, psnr_box, ..ConeRow::default() };
         let mut rows = vec![
             row(1, 10.0, 30.0),
             row(1, 40.0, 29.0),

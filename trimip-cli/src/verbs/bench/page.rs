@@ -1,6 +1,6 @@
 //! Output files of a training benchmark: `bench.json`, `bench.csv`, `bench.svg`, and `bench.html` for people.
 
-use super::results::{Bench, Row, cells};
+use super::results::{Bench, VariantRow, cells};
 use crate::curves::reach_json;
 use crate::report::beside::{self, Entry};
 use crate::report::{page, svg};
@@ -11,7 +11,7 @@ use trimip::{Config, Error, Result};
 use trimip_core::atomic::write_atomically;
 
 /// Writes all four files; `lines` are the curves of all runs, by variant.
-pub fn write(bench: &Bench, rows: &[Row], lines: &[svg::Line]) -> Result<()> {
+pub fn write(bench: &Bench, rows: &[VariantRow], lines: &[svg::Line]) -> Result<()> {
     let (base, reach) = (Config::from_settings(&bench.base)?, &bench.reach[..]);
     let machine = Machine::detect();
     let keep = |name: &str, text: &str| write_atomically(&bench.out.join(name), text.as_bytes());
@@ -22,7 +22,7 @@ pub fn write(bench: &Bench, rows: &[Row], lines: &[svg::Line]) -> Result<()> {
     keep("bench.html", &html(rows, lines, reach, &machine, &base)?)
 }
 
-fn json(rows: &[Row], reach: &[f64], machine: &Machine, base: &Config) -> Result<String> {
+fn json(rows: &[VariantRow], reach: &[f64], machine: &Machine, base: &Config) -> Result<String> {
     let mut variants = json!(rows);
     for (variant, row) in variants.as_array_mut().into_iter().flatten().zip(rows) {
         let times = reach.iter().zip(&row.reaches).map(|(&psnr, &time)| reach_json(psnr, time));
@@ -39,7 +39,7 @@ fn json(rows: &[Row], reach: &[f64], machine: &Machine, base: &Config) -> Result
     .map_err(Error::run)
 }
 
-fn csv(rows: &[Row]) -> String {
+fn csv(rows: &[VariantRow]) -> String {
     let mut csv =
         "variant,seeds,seconds,psnr_mean,psnr_spread,ssim_mean,samples,model_bytes,pareto\n".to_string();
     for row in rows {
@@ -53,7 +53,7 @@ fn csv(rows: &[Row]) -> String {
 }
 
 fn html(
-    rows: &[Row],
+    rows: &[VariantRow],
     lines: &[svg::Line],
     reach: &[f64],
     machine: &Machine,

@@ -39,7 +39,7 @@ type Picture = Vec<[f64; 3]>;
 
 /// A way to render, with its error and time.
 #[derive(Debug, Serialize)]
-struct Row {
+struct RenderingRow {
     varied: &'static str,
     value: String,
     /// Root-mean-square difference from the reference, colours in [0, 1].
@@ -71,7 +71,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         bar.set_message(format!("{varied}: {value}"));
         measure(model, &camera, &reference, varied, value)
     };
-    let mut rows: Vec<Row> = Vec::new();
+    let mut rows: Vec<RenderingRow> = Vec::new();
     let mut before: Option<f64> = None;
     for steps in [64, 128, 256, 512, 1024, 2048, 4096] {
         let mut other = model.clone();
@@ -165,10 +165,10 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
 }
 
 /// Measures a way to render a model.
-type Measure<'a> = dyn Fn(&Model, &'static str, String) -> Result<Row> + 'a;
+type Measure<'a> = dyn Fn(&Model, &'static str, String) -> Result<RenderingRow> + 'a;
 
 /// Hybrid rendering over the settings that choose its samples, one at a time.
-fn hybrid_rows(model: &Model, measure: &Measure<'_>) -> Result<Vec<Row>> {
+fn hybrid_rows(model: &Model, measure: &Measure<'_>) -> Result<Vec<RenderingRow>> {
     let mut base = model.clone();
     base.config.renderer.kind = RendererKind::Hybrid;
     let mut rows = Vec::new();
@@ -245,7 +245,7 @@ fn measure(
     reference: &Picture,
     varied: &'static str,
     value: String,
-) -> Result<Row> {
+) -> Result<RenderingRow> {
     let mut session = backends::load(model)?;
     let (mut fastest, mut found) = (f64::INFINITY, Vec::new());
     for _ in 0..FRAMES {
@@ -256,7 +256,7 @@ fn measure(
     }
     let error = distance(&found, reference);
     let psnr = psnr_of_error(error * error);
-    Ok(Row { varied, value, error, psnr, milliseconds: 1e3 * fastest, order: None })
+    Ok(RenderingRow { varied, value, error, psnr, milliseconds: 1e3 * fastest, order: None })
 }
 
 fn stage_table(rows: &[StageError]) -> String {
@@ -276,7 +276,7 @@ fn stage_table(rows: &[StageError]) -> String {
     aligned(&cells)
 }
 
-fn table(rows: &[Row]) -> String {
+fn table(rows: &[RenderingRow]) -> String {
     let mut cells =
         vec![["varied", "value", "error", "PSNR / dB", "ms a frame", "order"].map(String::from).to_vec()];
     cells.extend(rows.iter().map(|row| {

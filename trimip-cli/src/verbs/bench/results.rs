@@ -31,7 +31,7 @@ pub struct Bench {
 
 /// Mean figures of a variant over its seeds.
 #[derive(Debug, serde::Serialize)]
-pub struct Row {
+pub struct VariantRow {
     /// Name of the variant.
     pub name: String,
     /// Its assignments.
@@ -62,7 +62,7 @@ pub struct Row {
 }
 
 /// A header, then one row per variant.
-pub fn cells(rows: &[Row], reach: &[f64]) -> Vec<Vec<String>> {
+pub fn cells(rows: &[VariantRow], reach: &[f64]) -> Vec<Vec<String>> {
     let mut cells = vec![vec![
         "variant".to_string(),
         "seeds".into(),

@@ -7,7 +7,7 @@ use std::time::Instant;
 use trimip::backends::{self, Visitor};
 use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::encoders::{self, Place};
+use trimip_core::encoders::{self, SamplePosition};
 use trimip_core::exact::Exact;
 use trimip_core::model::Model;
 use trimip_core::{Backend, Camera, Encoder, Field, Layout, Renderer, Result, Space, backend::Occupancy};
@@ -91,20 +91,30 @@ fn on<B: Backend>(
         stages.encoder.refresh(&parameters);
         stages.field.refresh(&parameters);
     });
-    stages.renderer.follow(1.0);
+    stages.renderer.set_progress(1.0);
     let k = camera.intrinsics;
     let camera = Camera { origin: camera.origin - centre, ..*camera };
     let rays: Vec<Ray> = (0..SIDE * SIDE)
         .map(|i| Ray::from(camera.cone::<f32>(i % SIDE * k.width / SIDE, i / SIDE * k.height / SIDE)))
         .collect();
 
-    let mut space = Workspace::new(backend, &stages.field);
-    space.rays.place(backend, &rays);
+    let mut workspace = Workspace::new(backend, &stages.field);
+    workspace.rays.place(backend, &rays);
     let wait = || drop(backend.read(&backend.zeros::<u32>(1)));
-    let Workspace { lane, rays: own, samples, encoding, features, tape, radiance, cones, pixels, .. } =
-        &mut space;
+    let Workspace {
+        stream,
+        rays: own,
+        samples,
+        encoder_context,
+        features,
+        field_context,
+        radiance,
+        cones,
+        pixels,
+        ..
+    } = &mut workspace;
     let marching = timed(backend, || {
-        stages.renderer.march(lane, own, &stages.occupancy, None, samples);
+        stages.renderer.march(stream, own, &stages.occupancy, None, samples);
         wait();
     });
     let segments: Vec<Segment> = backend.read(&samples.segments);
@@ -113,17 +123,17 @@ fn on<B: Backend>(
     let spheres: Vec<Sphere> = backend.read(&samples.spheres)[..count].to_vec();
     let owners: Vec<u32> = backend.read(&samples.rays)[..count].to_vec();
     place(backend, samples, &segments, &intervals, &spheres, &owners);
-    let tile = &mut Tile { stream: lane, parameters: &parameters, rays: own, samples };
-    let encoding = timed(backend, || {
-        stages.encoder.forward(tile, encoding, features);
+    let tile = &mut Tile { stream: stream, parameters: &parameters, rays: own, samples };
+    let encoder_context = timed(backend, || {
+        stages.encoder.forward(tile, encoder_context, features);
         wait();
     });
     let density = timed(backend, || {
-        stages.field.density(tile, features, tape, radiance);
+        stages.field.density(tile, features, field_context, radiance);
         wait();
     });
     let color = timed(backend, || {
-        stages.field.color(tile, stages.renderer.color_weight(), tape, radiance);
+        stages.field.color(tile, stages.renderer.color_weight(), field_context, radiance);
         wait();
     });
     let composing = timed(backend, || {
@@ -144,7 +154,7 @@ fn on<B: Backend>(
         let expected = space.to_cube([0, 1, 2].map(on_ray));
         errors[0].extend(sphere.position.map(f64::from).into_iter().zip(expected));
         let own = &features[stride * i..][..width];
-        let expected = exact.features(&Place::new(ray, &intervals[i], sphere));
+        let expected = exact.features(&SamplePosition::new(ray, &intervals[i], sphere));
         errors[1].extend(own.iter().map(|&x| f64::from(x)).zip(expected));
         let own: Vec<f64> = own.iter().map(|&x| x.into()).collect();
         let (density, rgb) = exact.radiance(&own, ray.direction.map(f64::from));
@@ -157,7 +167,7 @@ fn on<B: Backend>(
         errors[4].extend(pixel.rgb.map(f64::from).into_iter().zip(expected));
     }
     let names = ["march", "encode", "density", "colour", "composite"];
-    let times = [marching, encoding, density, color, composing];
+    let times = [marching, encoder_context, density, color, composing];
     let rows = names.into_iter().zip(times).zip(&errors);
     Ok(rows.map(|((stage, time), errors)| row(stage, precision, time, errors)).collect())
 }

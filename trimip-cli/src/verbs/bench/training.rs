@@ -3,7 +3,7 @@
 //! results.
 
 use super::page;
-pub use super::results::{Bench, Row, Variant, cells};
+pub use super::results::{Bench, Variant, VariantRow, cells};
 use crate::args::{BenchArguments, ProgressStyle};
 use crate::curves::{Curve, Measure, Reach, aligned};
 use crate::interrupt::EXIT_CODE;
@@ -15,7 +15,7 @@ use crate::{
 use std::path::PathBuf;
 use trimip::events::Totals;
 use trimip::quality::{Measures, mean_quality};
-use trimip::ranks::{digest, labour};
+use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
 use trimip_core::exchange::Ranks;
@@ -53,15 +53,15 @@ fn bench(arguments: &BenchArguments, reach: Vec<f64>) -> Result<Bench> {
 /// # Errors
 /// When a setting is wrong.
 pub fn help_run(arguments: &BenchArguments, ranks: &dyn Ranks) -> Result<()> {
-    help(&bench(arguments, Vec::new())?, ranks)
+    work(&bench(arguments, Vec::new())?, ranks)
 }
 
 /// Does its part of [`measure`] on another rank than the first.
 ///
 /// # Errors
 /// When rank 0 is gone, or has other runs.
-pub fn help(bench: &Bench, ranks: &dyn Ranks) -> Result<()> {
-    labour(ranks, &bench.digest()?, |run| Ok(jobs::job(ranks, bench.training(run))))
+pub fn work(bench: &Bench, ranks: &dyn Ranks) -> Result<()> {
+    work_on_jobs(ranks, &bench.digest()?, |run| Ok(jobs::job(ranks, bench.training(run))))
 }
 
 impl Bench {
@@ -100,7 +100,7 @@ impl Bench {
 ///
 /// # Errors
 /// When a variant's settings are invalid, or a run fails.
-pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
+pub fn measure(bench: &Bench) -> Result<Option<Vec<VariantRow>>> {
     let Bench { base, variants, seeds, reach, out } = bench;
     // Check every setting before the first run begins.
     for variant in variants {
@@ -122,7 +122,7 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<Row>>> {
         terminal::aside(format!(
             "{} on {} ranks",
             terminal::count(runs.len() as u64, "run"),
-            ranks.share().of
+            ranks.rank().size
         ));
         if !jobs::spread(&*ranks, &bench.digest()?, &runs, |run| bench.data(run), |run| bench.training(run))?
         {
@@ -226,7 +226,7 @@ fn outcome(trained: &Trained) -> Result<Outcome> {
     })
 }
 
-fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> Row {
+fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> VariantRow {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let of = |pick: &dyn Fn(&Outcome) -> Option<f64>| outcomes.iter().filter_map(pick).collect::<Vec<_>>();
     let psnr = of(&|outcome| Some(outcome.mean.psnr));
@@ -240,7 +240,7 @@ fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> Row {
             at_most: times.iter().any(|reach| reach.at_most),
         })
     });
-    Row {
+    VariantRow {
         name: variant.name.clone(),
         settings: variant.assignments.clone(),
         seeds: outcomes.len(),
@@ -258,7 +258,7 @@ fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> Row {
 }
 
 /// Marks the variants that no other variant beats in both time and error.
-fn mark_front(rows: &mut [Row]) {
+fn mark_front(rows: &mut [VariantRow]) {
     let points: Vec<Measure> =
         rows.iter().map(|row| Measure { seconds: row.seconds, psnr: row.psnr }).collect();
     for (row, own) in rows.iter_mut().zip(&points) {
@@ -315,24 +315,25 @@ mod tests {
 
     #[test]
     fn the_front_has_what_nothing_beats_in_both() {
-        let mut rows: Vec<Row> = [(10.0, 30.0), (20.0, 31.0), (15.0, 29.0), (20.0, 30.5), (10.0, 30.0)]
-            .into_iter()
-            .map(|(seconds, psnr)| Row {
-                name: String::new(),
-                settings: Vec::new(),
-                seeds: 1,
-                seconds,
-                psnr,
-                spread: 0.0,
-                ssim: 1.0,
-                samples: 1.0,
-                model_bytes: 1.0,
-                peak_memory_bytes: None,
-                pareto: false,
-                reaches: Vec::new(),
-                runs: Vec::new(),
-            })
-            .collect();
+        let mut rows: Vec<VariantRow> =
+            [(10.0, 30.0), (20.0, 31.0), (15.0, 29.0), (20.0, 30.5), (10.0, 30.0)]
+                .into_iter()
+                .map(|(seconds, psnr)| VariantRow {
+                    name: String::new(),
+                    settings: Vec::new(),
+                    seeds: 1,
+                    seconds,
+                    psnr,
+                    spread: 0.0,
+                    ssim: 1.0,
+                    samples: 1.0,
+                    model_bytes: 1.0,
+                    peak_memory_bytes: None,
+                    pareto: false,
+                    reaches: Vec::new(),
+                    runs: Vec::new(),
+                })
+                .collect();
         mark_front(&mut rows);
         assert_eq!(rows.iter().map(|row| row.pareto).collect::<Vec<_>>(), [true, true, false, false, true]);
     }

@@ -41,7 +41,7 @@ struct Way {
 
 /// A way at a scale: means over the views.
 #[derive(Clone, Debug, Default, Serialize)]
-struct Row {
+struct WayRow {
     /// Reduction of the views: 1, 2, 4, 8.
     scale: u32,
     family: String,
@@ -72,7 +72,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let mut converged = backends::load(&converged(&model))?;
     let mut ways = ways(&model, arguments)?;
     let bar = spinner();
-    let mut found: BTreeMap<(u32, usize), Row> = BTreeMap::new();
+    let mut found: BTreeMap<(u32, usize), WayRow> = BTreeMap::new();
     let share = 1.0 / indices.len() as f64;
     for &index in &indices {
         let set = scene.frames.load(index)?;
@@ -89,11 +89,11 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
                 let started = Instant::now();
                 let frame = way.viewer.render(camera)?;
                 let milliseconds = 1e3 * started.elapsed().as_secs_f64();
-                let row = found.entry((factor, i)).or_insert_with(|| Row {
+                let row = found.entry((factor, i)).or_insert_with(|| WayRow {
                     scale: factor,
                     family: way.family.clone(),
                     name: way.name.clone(),
-                    ..Row::default()
+                    ..WayRow::default()
                 });
                 row.psnr_converged += share * psnr(&frame.rgb(), &reference);
                 let shown = frame.shown(data.background, data.edge_exponent(factor));
@@ -103,7 +103,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         }
     }
     bar.finish_and_clear();
-    let mut rows: Vec<Row> = found.into_values().collect();
+    let mut rows: Vec<WayRow> = found.into_values().collect();
     compare(&mut rows);
     terminal::line(aligned(&cells(&rows)));
     terminal::prose(format!(
@@ -209,7 +209,7 @@ fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<Stri
 }
 
 /// Sets what compares each row with the first of its scale and with all others.
-fn compare(rows: &mut [Row]) {
+fn compare(rows: &mut [WayRow]) {
     let all: Vec<_> = rows.iter().map(|r| (r.scale, r.psnr, r.milliseconds, r.psnr_converged)).collect();
     for (row, own) in rows.iter_mut().zip(&all) {
         let mut others = all.iter().filter(|other| other.0 == own.0);
@@ -220,7 +220,7 @@ fn compare(rows: &mut [Row]) {
     }
 }
 
-fn cells(rows: &[Row]) -> Vec<Vec<String>> {
+fn cells(rows: &[WayRow]) -> Vec<Vec<String>> {
     let head = [
         "scale",
         "way",
@@ -255,7 +255,7 @@ fn write(
     path: &Path,
     model: &Model,
     device: &str,
-    rows: &[Row],
+    rows: &[WayRow],
     indices: &[usize],
 ) -> Result<()> {
     run_folder::create_writable(&arguments.out)?;
@@ -297,7 +297,7 @@ fn write(
     for group in rows.chunk_by(|a, b| a.scale == b.scale) {
         let scale = group[0].scale;
         sections += &format!("<section><h2>{}</h2>\n", scale_name(scale));
-        let mut plot = |suffix: &str, title: &str, value: fn(&Row) -> f64| {
+        let mut plot = |suffix: &str, title: &str, value: fn(&WayRow) -> f64| {
             let plot = svg::alone(&lines(group, value), "seconds a frame").unwrap_or_default();
             sections += &format!("<h3>{title}</h3>\n{plot}");
             keep(&format!("ways-{scale}{suffix}.svg"), &plot)
@@ -320,13 +320,13 @@ fn write(
 }
 
 /// One line for each family of a scale.
-fn lines(rows: &[Row], value: fn(&Row) -> f64) -> Vec<Line> {
-    let point = |row: &Row| Point {
+fn lines(rows: &[WayRow], value: fn(&WayRow) -> f64) -> Vec<Line> {
+    let point = |row: &WayRow| Point {
         seconds: 1e-3 * row.milliseconds,
         psnr: value(row),
         hint: format!("{} {}: {:.2} dB, {:.1} ms", row.family, row.name, value(row), row.milliseconds),
     };
-    let line = |(i, family): (usize, &[Row])| {
+    let line = |(i, family): (usize, &[WayRow])| {
         let mut points: Vec<Point> = family.iter().map(point).collect();
         points.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
         // The way to which all others are compared is black.
@@ -342,12 +342,12 @@ mod tests {
 
     #[test]
     fn rows_are_compared_within_their_scale() {
-        let row = |scale, milliseconds, psnr_converged, psnr| Row {
+        let row = |scale, milliseconds, psnr_converged, psnr| WayRow {
             scale,
             milliseconds,
             psnr_converged,
             psnr,
-            ..Row::default()
+            ..WayRow::default()
         };
         let mut rows = vec![
             row(1, 40.0, 60.0, 35.0),

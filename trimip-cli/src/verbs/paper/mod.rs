@@ -13,10 +13,10 @@ use crate::{
     ranks, terminal,
     verbs::{jobs, train},
 };
-use request::{Job, Request};
+use request::{PaperRun, Request};
 use std::sync::atomic::Ordering;
-use trimip::paper::{Comparison, Figures, Row, Run, Scales, Status, columns, json, markdown};
-use trimip::ranks::{digest, labour};
+use trimip::paper::{Comparison, Figures, Run, Scales, Status, TableRow, columns, json, markdown};
+use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::{folder::create_writable, history::History};
 use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
 use trimip_core::exchange::Ranks;
@@ -85,12 +85,12 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
 ///
 /// # Errors
 /// When a scene or a setting is wrong.
-pub fn help(arguments: &PaperArguments, ranks: &dyn Ranks) -> Result<()> {
+pub fn work(arguments: &PaperArguments, ranks: &dyn Ranks) -> Result<()> {
     let request = Request::new(arguments)?;
-    labour(ranks, &request.digest(), |i| Ok(jobs::job(ranks, Ok(request.jobs[i].training()))))
+    work_on_jobs(ranks, &request.digest(), |i| Ok(jobs::job(ranks, Ok(request.jobs[i].training()))))
 }
 
-impl Job {
+impl PaperRun {
     /// True if the run is trained; it may not be measured yet.
     fn is_trained(&self) -> bool {
         History::of(&self.folder.events()).finished
@@ -102,7 +102,7 @@ impl Job {
 }
 
 /// Trains a run and measures it, or finds it finished. Returns its state and, if it was measured, its figures.
-fn carry_out(job: &Job) -> (Status, Option<Figures>) {
+fn carry_out(job: &PaperRun) -> (Status, Option<Figures>) {
     let style = if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json };
     machine::reset_peak_memory();
     if !job.is_trained() {
@@ -146,13 +146,13 @@ fn write(request: &Request, comparison: &Comparison) -> Result<()> {
 impl Request {
     /// The same on every rank that has the same jobs.
     fn digest(&self) -> String {
-        let job = |job: &Job| format!("{} {:?}", job.config.to_toml(), job.folder.root());
+        let job = |job: &PaperRun| format!("{} {:?}", job.config.to_toml(), job.folder.root());
         digest(self.jobs.iter().map(job))
     }
 
     /// The comparison before its first run.
     fn comparison(&self) -> Comparison {
-        let run = |job: &Job| Run {
+        let run = |job: &PaperRun| Run {
             scales: job.scales,
             scene: job.scene.clone(),
             system: job.system.name,
@@ -202,7 +202,7 @@ fn list() -> String {
 }
 
 /// A table for a terminal.
-fn table(scales: Scales, rows: &[Row]) -> String {
+fn table(scales: Scales, rows: &[TableRow]) -> String {
     let columns = columns(scales, rows);
     let mut cells = vec![vec![scales.title().to_string()]];
     cells[0].extend(columns.iter().map(|column| column.head.clone()));

@@ -1,6 +1,6 @@
 //! What a command will run and how long that takes, printed before it begins.
 
-use super::request::{Job, Request};
+use super::request::{PaperRun, Request};
 use crate::terminal::{count, duration};
 use trimip::run::history::History;
 use trimip_core::run::progress;
@@ -16,7 +16,7 @@ struct State {
 }
 
 impl State {
-    fn of(job: &Job) -> Self {
+    fn of(job: &PaperRun) -> Self {
         let history = History::of(&job.folder.events());
         let finished = history.last().is_some() && job.folder.model().exists();
         // Without a checkpoint a run starts from its beginning.
@@ -54,7 +54,7 @@ pub fn lines(request: &Request) -> Vec<String> {
 }
 
 /// The expected time of what is left.
-fn time(jobs: &[Job], states: &[State], stride: u32) -> String {
+fn time(jobs: &[PaperRun], states: &[State], stride: u32) -> String {
     let (mut training, mut unknown) = (0.0, Vec::new());
     for (job, state) in jobs.iter().zip(states).filter(|(_, state)| state.evaluation.is_none()) {
         match left(job, state, jobs, states) {
@@ -86,7 +86,7 @@ fn time(jobs: &[Job], states: &[State], stride: u32) -> String {
 }
 
 /// Seconds of training left; `None` for a budget of steps whose time nothing tells.
-fn left(job: &Job, state: &State, jobs: &[Job], states: &[State]) -> Option<f64> {
+fn left(job: &PaperRun, state: &State, jobs: &[PaperRun], states: &[State]) -> Option<f64> {
     let train = &job.config.train;
     if train.steps == 0 {
         return Some((train.seconds - state.seconds).max(0.0));

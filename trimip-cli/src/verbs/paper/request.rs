@@ -27,7 +27,7 @@ pub struct Scene {
 }
 
 /// One run.
-pub struct Job {
+pub struct PaperRun {
     pub scales: Scales,
     pub scene: String,
     pub system: &'static System,
@@ -41,7 +41,7 @@ pub struct Job {
     pub folder: RunFolder,
 }
 
-impl Job {
+impl PaperRun {
     /// The run in words.
     pub fn name(&self) -> String {
         let scales = if self.scales == Scales::One { ", single-scale" } else { "" };
@@ -59,7 +59,7 @@ pub struct Request {
     pub split: Vec<&'static str>,
     pub stride: u32,
     /// Seeds outside, then tables, scenes and systems: early pages have every system.
-    pub jobs: Vec<Job>,
+    pub jobs: Vec<PaperRun>,
     pub out: PathBuf,
 }
 
@@ -247,7 +247,7 @@ impl Layers {
         scales: Scales,
         seed: u32,
         out: &Path,
-    ) -> Result<Job> {
+    ) -> Result<PaperRun> {
         let mut settings = trimip::settings::defaults();
         system.apply(&mut settings)?;
         if let Some((name, text)) = &self.file {
@@ -273,6 +273,6 @@ impl Layers {
         let config = Config::from_settings(&measuring)?;
         let root = if scales == Scales::One { out.join(SINGLE) } else { out.to_path_buf() };
         let folder = RunFolder::new(&root.join(&scene.name).join(system.name).join(seed.to_string()));
-        Ok(Job { scales, scene: scene.name.clone(), system, seed, training, measuring, config, folder })
+        Ok(PaperRun { scales, scene: scene.name.clone(), system, seed, training, measuring, config, folder })
     }
 }

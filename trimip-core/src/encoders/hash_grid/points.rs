@@ -1,7 +1,7 @@
 //! The points at which a sample reads the grid (Zip-NeRF, Sections 2 and 3): one, or six on a helix whose mean and variance
 //! along the ray are those of the conical frustum; and the weight of a level's features for a sample wider than its cells.
 
-use super::super::Place;
+use super::super::SamplePosition;
 use super::Level;
 use crate::Aabb;
 use crate::config::HashGridConfig;
@@ -41,8 +41,8 @@ impl<R: Real> Points<R> {
 
     /// Point `j` of a sample: its place in the unit cube, and the standard deviation around it in longest sides of the box.
     #[inline(always)]
-    pub fn point(&self, j: usize, at: &Place<R>) -> [R; 4] {
-        let Place { position, radius, direction, t, length } = *at;
+    pub fn point(&self, j: usize, at: &SamplePosition<R>) -> [R; 4] {
+        let SamplePosition { position, radius, direction, t, length } = *at;
         let number = R::from_f64;
         let [x, y, z] = position;
         let half_root = number(0.5 / std::f64::consts::SQRT_2);
@@ -127,8 +127,8 @@ mod tests {
         for (t, length, radius) in [(1.5, 1.0, 0.15), (4.0, 0.1, 0.02), (2.0, 3.9, 0.3)] {
             let all: Vec<[f64; 3]> = (0..6)
                 .map(|j| {
-                    let [x, y, z, _] =
-                        points().point(j, &Place { position: [0.5; 3], radius, direction, t, length });
+                    let [x, y, z, _] = points()
+                        .point(j, &SamplePosition { position: [0.5; 3], radius, direction, t, length });
                     [x, y, z].map(|place| (place - 0.5) * 10.0)
                 })
                 .collect();

@@ -1,7 +1,7 @@
 //! The tri-mip planes as an encoder: their declaration and their twin in f64.
 
 use super::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, grow, level_input, sides, taps};
-use crate::encoders::{Definition, Place, Twin};
+use crate::encoders::{Definition, Reference, SamplePosition};
 use crate::{Aabb, Config, Slot};
 
 /// Three mip-mapped feature planes (Tri-MipRF). Each stage of growth halves the planes' sides once more.
@@ -62,7 +62,7 @@ impl Definition for Planes {
         grow(values, &pyramid(config), from, to);
     }
 
-    fn twin(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Twin> {
+    fn reference(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         let (pyramid, base) = (pyramid(config), values.swap_remove(0));
         let level_input = config.encoder.level_input;
         Box::new(PlanesTwin { derived: averages(&pyramid, &base), base, pyramid, level_input })
@@ -101,8 +101,8 @@ fn averages(pyramid: &Pyramid, base: &[f64]) -> Vec<f64> {
     derived
 }
 
-impl Twin for PlanesTwin {
-    fn features(&self, at: &Place) -> Vec<f64> {
+impl Reference for PlanesTwin {
+    fn features(&self, at: &SamplePosition) -> Vec<f64> {
         let mut features = vec![0.0; FEATURES];
         for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
             let blend = self.pyramid.blend(plane, at.radius.log2());

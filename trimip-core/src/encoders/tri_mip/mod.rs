@@ -22,7 +22,7 @@ pub const CHANNELS: usize = 16;
 /// Features that a sample reads: the three planes' channels, concatenated.
 pub const FEATURES: usize = 3 * CHANNELS;
 
-/// Levels per unit of the networks' level input: 0 to 8 levels span the range of the features.
+/// Levels per unit of the networks' level input: 0 to 8 levels tile the range of the features.
 pub const LEVELS_PER_UNIT: f64 = 4.0;
 
 /// Largest level input of the networks, of either sign.

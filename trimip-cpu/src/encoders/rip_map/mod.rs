@@ -6,7 +6,7 @@ mod scatter;
 
 use self::scatter::{Sort, spread};
 use super::bands::{BANDS, Extent};
-use super::{Encoding, Left, Piece, Places};
+use super::{Encoding, GradientMemory, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
 use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put_counted};
@@ -28,7 +28,7 @@ pub(crate) struct RipMaps {
     touched: Vec<Vec<Extent>>,
 }
 
-/// Feature gradients of some spans and, for each plane and band of rows, the samples that touch it.
+/// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
 pub(crate) struct Gradient {
     /// The Gaussian of each sample.
     pub gaussians: Buffer<[f32; TAPE]>,
@@ -82,20 +82,20 @@ impl Encoding for RipMaps {
         }
     }
 
-    fn forward(&self, at: Places<'_>, tape: &mut [f32], features: &mut [f32], stride: usize) {
-        let (tape, _) = tape.as_chunks_mut::<TAPE>();
+    fn forward(&self, at: Places<'_>, context: &mut [f32], features: &mut [f32], stride: usize) {
+        let (context, _) = context.as_chunks_mut::<TAPE>();
         let samples = at.owners.iter().zip(at.intervals).zip(at.spheres);
-        for (((owner, interval), sphere), row) in samples.zip(&mut *tape) {
+        for (((owner, interval), sphere), row) in samples.zip(&mut *context) {
             let ray = &at.rays[*owner as usize];
             let (Sphere { position, radius }, t) = (*sphere, ray.apex_distance(interval.t));
             *row = Gaussian::new(position, self.extent, radius, ray.direction, t, interval.length).row();
         }
-        self.simd.run(Gather { planes: &self.planes, maps: &self.maps, tape, features, stride });
+        self.simd.run(Gather { planes: &self.planes, maps: &self.maps, context, features, stride });
     }
 
-    fn backward(&self, _: Places<'_>, tape: &[f32], rows: &[f32], _: usize, gradient: &mut Gradient) {
+    fn backward(&self, _: Places<'_>, context: &[f32], rows: &[f32], _: usize, gradient: &mut Gradient) {
         let (first, start) = (gradient.gaussians.len(), gradient.rows.len());
-        let gaussians = tape.as_chunks::<TAPE>().0;
+        let gaussians = context.as_chunks::<TAPE>().0;
         gradient.gaussians.resize(first + gaussians.len());
         gradient.gaussians[first..].copy_from_slice(gaussians);
         gradient.rows.resize(start + rows.len());
@@ -104,7 +104,7 @@ impl Encoding for RipMaps {
         self.simd.run(Sort { planes: &self.planes, gaussians, first: first as u32, bands });
     }
 
-    fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
+    fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
         let Self { simd, planes, map_gradients, touched, .. } = self;
         spread(*simd, planes, gradients, map_gradients, touched, parameter_gradient);
         let (mut base, mut maps) = (parameter_gradient, &mut map_gradients[..]);
@@ -133,11 +133,14 @@ impl Encoding for RipMaps {
         gradient.bands.iter_mut().try_for_each(|band| from.indices(band, samples))
     }
 
-    fn left(config: &Config) -> Left {
+    fn gradient_memory(config: &Config) -> GradientMemory {
         let planes = config.rip_map.planes as usize;
         // A sample stores its gradient, its Gaussian, and its index in the lists of the bands that it touches.
         let row = planes * (size_of::<[f32; CHANNELS]>() + 2 * size_of::<u32>());
-        Left { by_sample: row + size_of::<[f32; TAPE]>(), by_deposit: planes * BANDS * size_of::<Vec<u32>>() }
+        GradientMemory {
+            by_sample: row + size_of::<[f32; TAPE]>(),
+            by_partial: planes * BANDS * size_of::<Vec<u32>>(),
+        }
     }
 
     fn touched(&self) -> Option<Vec<Piece<'_>>> {
@@ -159,7 +162,7 @@ const AHEAD: usize = 8;
 struct Gather<'a> {
     planes: &'a [Plane<f32>],
     maps: &'a [f32],
-    tape: &'a [[f32; TAPE]],
+    context: &'a [[f32; TAPE]],
     features: &'a mut [f32],
     stride: usize,
 }
@@ -200,15 +203,15 @@ impl Kernel for Gather<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { planes, maps, tape, features, stride } = self;
+        let Self { planes, maps, context, features, stride } = self;
         let mut ahead = [Texels { texels: [std::ptr::null(); 16], weights: [0.0; 16], count: 0 }; AHEAD];
-        for (tape, out) in tape.chunks(AHEAD).zip(features.chunks_mut(AHEAD * stride)) {
+        for (context, out) in context.chunks(AHEAD).zip(features.chunks_mut(AHEAD * stride)) {
             for (p, plane) in planes.iter().enumerate() {
                 let map = &maps[plane.start * CHANNELS..][..map_len(plane)];
-                for (row, texels) in tape.iter().zip(&mut ahead) {
+                for (row, texels) in context.iter().zip(&mut ahead) {
                     Self::find(plane, map, &Gaussian::of(row), texels);
                 }
-                for (texels, out) in ahead[..tape.len()].iter().zip(out.chunks_exact_mut(stride)) {
+                for (texels, out) in ahead[..context.len()].iter().zip(out.chunks_exact_mut(stride)) {
                     let mut sum = L::splat(0.0);
                     for (texel, weight) in texels.texels.iter().zip(texels.weights).take(texels.count) {
                         // SAFETY: `find` computed the pointer from the map that this kernel borrows.

@@ -51,7 +51,7 @@ struct Band<'a> {
     levels: Vec<(usize, &'a mut [f32], &'a mut [Extent])>,
 }
 
-/// Overwrites `maps`, the gradients of all ripmaps, with the sums of all deposits. They are zero outside of `touched`,
+/// Overwrites `maps`, the gradients of all ripmaps, with the sums of all partial gradients. They are zero outside of `touched`,
 /// before and after. `base`, the gradient of the parameters, becomes zero.
 pub fn spread(
     simd: Simd,
@@ -127,9 +127,9 @@ impl Kernel for SpreadBand<'_> {
                             continue;
                         }
                         let row = row - *first_row;
-                        let [left, right] = read.taps.columns;
-                        extents[row].add(left << i, ((right + 1) << i) - 1);
-                        for (column, weight) in [left, right].into_iter().zip(weights) {
+                        let [gradient_memory, right] = read.taps.columns;
+                        extents[row].add(gradient_memory << i, ((right + 1) << i) - 1);
+                        for (column, weight) in [gradient_memory, right].into_iter().zip(weights) {
                             let texel = (row * plane.width() + plane.column(i) + column) * CHANNELS;
                             let texel = &mut texels[texel..].as_chunks_mut().0[0];
                             values.mul_add(L::splat(read.share * weight), L::of(texel)).put(texel);

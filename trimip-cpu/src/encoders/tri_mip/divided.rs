@@ -12,10 +12,10 @@ use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::Result;
 use trimip_core::encoders::tri_mip::CHANNELS;
-use trimip_core::exchange::Share;
+use trimip_core::exchange::Rank;
 
 /// A row of a level of a plane.
-struct Row {
+struct PlaneRow {
     plane: usize,
     /// Where its extent stands among those of the level.
     index: usize,
@@ -33,7 +33,7 @@ impl Planes {
     }
 
     /// The rows of a level in the bands of `rank`.
-    fn rows_of(&self, rank: usize, level: usize) -> impl Iterator<Item = Row> + use<> {
+    fn rows_of(&self, rank: usize, level: usize) -> impl Iterator<Item = PlaneRow> + use<> {
         let shapes = [0, 1, 2].map(|plane| self.pyramid.shape(level, plane));
         let bands = self.division.bands_of(rank).map(|(plane, band)| {
             (plane, [band, band + 1].map(|band| self.division.first_row(plane, level, band)))
@@ -43,12 +43,12 @@ impl Planes {
             let rows: usize = before.iter().map(|shape| shape.rows).sum();
             let floats: usize = before.iter().map(|shape| shape.texels() * CHANNELS).sum();
             let row = shapes[plane].row();
-            (from..to).map(move |own| Row { plane, index: rows + own, first: floats + own * row })
+            (from..to).map(move |own| PlaneRow { plane, index: rows + own, first: floats + own * row })
         })
     }
 
     /// The touched floats of a row, from the start of its level.
-    fn touched_of(&self, level: usize, row: &Row) -> (Extent, Range<usize>) {
+    fn touched_of(&self, level: usize, row: &PlaneRow) -> (Extent, Range<usize>) {
         let extent = self.touched.level(level)[row.index];
         let Range { start, end } = extent.texels();
         (extent, row.first + start * CHANNELS..row.first + end * CHANNELS)
@@ -56,15 +56,15 @@ impl Planes {
 }
 
 impl Divided for Planes {
-    fn divide(&mut self, share: Share) {
-        if share != self.division.share {
-            self.division = Division::new(&self.pyramid, share);
+    fn divide(&mut self, this_rank: Rank) {
+        if this_rank != self.division.this_rank {
+            self.division = Division::new(&self.pyramid, this_rank);
             self.touched = Extents::whole(&self.pyramid);
         }
     }
 
     fn put_sums(&mut self, gradient: &mut [f32], to: usize, out: &mut Vec<u8>) {
-        let to = Share { rank: to, of: self.division.share.of };
+        let to = Rank { id: to, size: self.division.this_rank.size };
         let (sums, bands) = self.bands(gradient);
         for band in bands {
             // The length comes first, so that bands are found without reading those before.
@@ -77,7 +77,7 @@ impl Divided for Planes {
     }
 
     fn take_sums(&mut self, from: &[Vec<u8>], gradient: &mut [f32]) -> Result<()> {
-        let own = self.division.share.rank;
+        let own = self.division.this_rank.id;
         let mut readers: Vec<Reader<'_>> = from.iter().map(|bytes| Reader::new(bytes)).collect();
         let (sums, bands) = self.bands(gradient);
         let mut work = Vec::new();
@@ -106,7 +106,7 @@ impl Divided for Planes {
     }
 
     fn put_changed(&self, parameters: &[f32], out: &mut Vec<u8>) {
-        for row in self.rows_of(self.division.share.rank, 0) {
+        for row in self.rows_of(self.division.this_rank.id, 0) {
             let (extent, floats) = self.touched_of(0, &row);
             put(out, &[extent]);
             put(out, &parameters[floats]);
@@ -124,7 +124,7 @@ impl Divided for Planes {
     }
 
     fn part(&self, rank: usize) -> Vec<Range<usize>> {
-        let row = |row: Row| row.first..row.first + self.pyramid.shape(0, row.plane).row();
+        let row = |row: PlaneRow| row.first..row.first + self.pyramid.shape(0, row.plane).row();
         self.rows_of(rank, 0).map(row).collect()
     }
 

@@ -2,7 +2,7 @@
 
 use crate::encoders::bands::{BANDS, first_row, owner};
 use trimip_core::encoders::tri_mip::Pyramid;
-use trimip_core::exchange::Share;
+use trimip_core::exchange::Rank;
 
 /// Finer divisions of a plane than this do not balance the work better.
 const LEAST_UNITS: usize = 64;
@@ -14,21 +14,21 @@ const MOST_NESTED: u32 = 3;
 /// that one rank can take a row's gradient down to the base. Coarser levels have few texels, and every rank has all of them.
 pub struct Division {
     /// The bands of this rank.
-    pub share: Share,
+    pub this_rank: Rank,
     rows: [usize; 3],
     /// The coarsest of the first levels, of each plane.
     nested: [u32; 3],
 }
 
 impl Division {
-    /// The division of `pyramid` of which a rank has `share`.
-    pub fn new(pyramid: &Pyramid, share: Share) -> Self {
+    /// The division of `pyramid` of which a rank has `this_rank`.
+    pub fn new(pyramid: &Pyramid, this_rank: Rank) -> Self {
         let rows = [0, 1, 2].map(|plane| pyramid.shape(0, plane).rows);
         let nested = rows.map(|rows| {
             let most = rows.trailing_zeros().min(MOST_NESTED).min(pyramid.levels as u32 - 1);
             (0..=most).rev().find(|nested| rows >> nested >= LEAST_UNITS).unwrap_or(0)
         });
-        Self { share, rows, nested }
+        Self { this_rank, rows, nested }
     }
 
     /// log2 of the rows of a level that stay together.
@@ -50,16 +50,16 @@ impl Division {
         first_row(band, self.rows[plane] >> level >> shift) << shift
     }
 
-    /// True if a rank sums this band: this one, or with another `share` another.
+    /// True if a rank sums this band: this one, or with another `this_rank` another.
     #[inline(always)]
-    pub fn is_of(&self, share: Share, plane: usize, band: usize) -> bool {
-        share.has(plane * BANDS + band)
+    pub fn is_of(&self, this_rank: Rank, plane: usize, band: usize) -> bool {
+        this_rank.has(plane * BANDS + band)
     }
 
     /// True if this rank sums this band.
     #[inline(always)]
     pub fn is_own(&self, plane: usize, band: usize) -> bool {
-        self.is_of(self.share, plane, band)
+        self.is_of(self.this_rank, plane, band)
     }
 
     /// True if every rank needs the gradient of this level.
@@ -70,8 +70,8 @@ impl Division {
 
     /// The bands of `rank`: plane and number.
     pub fn bands_of(&self, rank: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let share = Share { rank, of: self.share.of };
-        (0..3 * BANDS).filter(move |band| share.has(*band)).map(|band| (band / BANDS, band % BANDS))
+        let this_rank = Rank { id: rank, size: self.this_rank.size };
+        (0..3 * BANDS).filter(move |band| this_rank.has(*band)).map(|band| (band / BANDS, band % BANDS))
     }
 }
 
@@ -84,7 +84,7 @@ mod tests {
         for sides in [[512_usize; 3], [336, 448, 768], [24, 40, 8], [64, 128, 320], [2, 2, 2]] {
             for levels in 1..=sides.iter().map(|side| side.trailing_zeros() as usize + 1).min().unwrap() {
                 let pyramid = Pyramid { sides, levels, log2_base_radius: [0.0; 3] };
-                let division = Division::new(&pyramid, Share { rank: 1, of: 3 });
+                let division = Division::new(&pyramid, Rank { id: 1, size: 3 });
                 for (plane, level) in (0..3).flat_map(|plane| (0..levels).map(move |level| (plane, level))) {
                     let rows = pyramid.shape(level, plane).rows;
                     let mut next = 0;
@@ -111,7 +111,7 @@ mod tests {
     fn every_band_has_one_rank() {
         let pyramid = Pyramid { sides: [512; 3], levels: 8, log2_base_radius: [0.0; 3] };
         for of in 1..=5 {
-            let division = Division::new(&pyramid, Share { rank: 0, of });
+            let division = Division::new(&pyramid, Rank { id: 0, size: of });
             let mut bands: Vec<_> = (0..of).flat_map(|rank| division.bands_of(rank)).collect();
             bands.sort_unstable();
             assert_eq!(bands.len(), 3 * BANDS);

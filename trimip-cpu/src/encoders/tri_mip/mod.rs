@@ -9,9 +9,9 @@ use self::division::Division;
 use self::extents::Extents;
 use self::scatter::{Scratch, Sort};
 use super::bands::{BANDS, Extent};
-use super::{Divided, Encoding, Left, Piece, Places};
+use super::{Divided, Encoding, GradientMemory, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
-use crate::parts::Parts;
+use crate::reduction_tree::ReductionTree;
 use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use std::ops::Range;
 use std::sync::Mutex;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, level_input, taps};
-use trimip_core::exchange::Share;
+use trimip_core::exchange::Rank;
 use trimip_core::{Aabb, Config, Result};
 
 /// The planes and their mip levels.
@@ -44,7 +44,7 @@ pub(crate) struct Planes {
     reference: Option<f32>,
 }
 
-/// Feature gradients of some spans and, for each plane and band of rows, the samples that touch it.
+/// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
 pub(crate) struct Gradient {
     /// Position and radius of each sample.
     pub spheres: Buffer<Sphere>,
@@ -62,7 +62,7 @@ impl Encoding for Planes {
         let derived = Buffer::zeros(pyramid.derived_len());
         let derived_gradient = Buffer::zeros(if training { pyramid.derived_len() } else { 0 });
         let touched = Extents::whole(&pyramid);
-        let division = Division::new(&pyramid, Share::WHOLE);
+        let division = Division::new(&pyramid, Rank::ONLY);
         let reference = config.encoder.level_input.then(|| pyramid.reference() as f32);
         Self {
             simd,
@@ -84,7 +84,7 @@ impl Encoding for Planes {
 
     fn grow(&mut self, stage: u32) {
         self.pyramid = self.whole.halved(stage);
-        self.division = Division::new(&self.pyramid, self.division.share);
+        self.division = Division::new(&self.pyramid, self.division.this_rank);
         self.touched = Extents::whole(&self.pyramid);
     }
 
@@ -122,14 +122,14 @@ impl Encoding for Planes {
         self.simd.run(Sort { pyramid, division, spheres, first: first as u32, bands });
     }
 
-    fn flush(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
-        let share = self.division.share;
-        let parts = Parts::new(self.parts, gradients.len());
+    fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
+        let this_rank = self.division.this_rank;
+        let parts = ReductionTree::new(self.parts, gradients.len());
         let (sums, bands) = self.bands(parameter_gradient);
         let from: &[&mut Gradient] = gradients;
         let work = bands.into_par_iter().with_max_len(1);
-        work.for_each(|mut band| sums.spread(from, parts, parts.of(share), &mut band));
-        if share == Share::WHOLE {
+        work.for_each(|mut band| sums.spread(from, parts, parts.of(this_rank), &mut band));
+        if this_rank == Rank::ONLY {
             self.pull(parameter_gradient);
         }
         for gradient in gradients {
@@ -157,10 +157,10 @@ impl Encoding for Planes {
         Some(self)
     }
 
-    fn left(_: &Config) -> Left {
+    fn gradient_memory(_: &Config) -> GradientMemory {
         // A sample stores its gradient, its sphere, and its index in the lists of the bands that it touches.
         let by_sample = size_of::<[f32; FEATURES]>() + size_of::<Sphere>() + 3 * 2 * size_of::<u32>();
-        Left { by_sample, by_deposit: 3 * BANDS * size_of::<Vec<u32>>() }
+        GradientMemory { by_sample, by_partial: 3 * BANDS * size_of::<Vec<u32>>() }
     }
 
     fn touched(&self) -> Option<Vec<Piece<'_>>> {

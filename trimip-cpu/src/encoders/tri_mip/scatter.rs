@@ -7,7 +7,7 @@ use super::division::Division;
 use super::extents::Extents;
 use crate::buffer::{Buffer, take_mut};
 use crate::encoders::bands::{BANDS, Extent};
-use crate::parts::{Parts, halves};
+use crate::reduction_tree::{ReductionTree, halves};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put};
 use std::ops::Range;
@@ -15,7 +15,7 @@ use std::sync::{Mutex, PoisonError};
 use trimip_core::Result;
 use trimip_core::batch::Sphere;
 use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
-use trimip_core::exchange::Share;
+use trimip_core::exchange::Rank;
 
 /// The rows of one band of one plane, on all levels.
 pub struct Band<'a> {
@@ -174,13 +174,25 @@ pub struct Sums<'a> {
 
 impl Sums<'_> {
     /// Overwrites a band with the sum of `own` of the parts of a step.
-    pub fn spread(&self, gradients: &[&mut Gradient], parts: Parts, own: Range<usize>, band: &mut Band<'_>) {
+    pub fn spread(
+        &self,
+        gradients: &[&mut Gradient],
+        parts: ReductionTree,
+        own: Range<usize>,
+        band: &mut Band<'_>,
+    ) {
         band.levels.iter_mut().for_each(LevelBand::clear);
         self.add_parts(gradients, parts, own, band);
     }
 
     /// Adds the sum of parts to a band that is zero.
-    fn add_parts(&self, gradients: &[&mut Gradient], parts: Parts, own: Range<usize>, band: &mut Band<'_>) {
+    fn add_parts(
+        &self,
+        gradients: &[&mut Gradient],
+        parts: ReductionTree,
+        own: Range<usize>,
+        band: &mut Band<'_>,
+    ) {
         let list = band.plane * BANDS + band.band;
         if own.len() == 1 {
             let part = gradients.iter().skip(own.start).step_by(parts.count());
@@ -190,8 +202,8 @@ impl Sums<'_> {
             }
             return;
         }
-        let [left, right] = halves(own);
-        self.add_parts(gradients, parts, left, band);
+        let [gradient_memory, right] = halves(own);
+        self.add_parts(gradients, parts, gradient_memory, band);
         self.beside(band, |other| self.add_parts(gradients, parts, right, other));
     }
 
@@ -224,7 +236,7 @@ impl Sums<'_> {
     /// Adds the sums of ranks, in the tree of their parts, to a band that holds that of this rank, if it is among them, and
     /// otherwise zero.
     fn add_ranks(&self, from: &[&[u8]], ranks: Range<usize>, band: &mut Band<'_>) -> Result<()> {
-        let own = self.division.share.rank;
+        let own = self.division.this_rank.id;
         if ranks.len() == 1 {
             return match ranks.start == own {
                 true => Ok(()),
@@ -232,8 +244,9 @@ impl Sums<'_> {
             };
         }
         // A sum of two has the same bits in either order.
-        let [left, right] = halves(ranks);
-        let [here, other] = if right.contains(&own) { [right, left] } else { [left, right] };
+        let [gradient_memory, right] = halves(ranks);
+        let [here, other] =
+            if right.contains(&own) { [right, gradient_memory] } else { [gradient_memory, right] };
         self.add_ranks(from, here, band)?;
         if other.len() == 1 {
             return self.add_message(from[other.start], band);
@@ -242,7 +255,7 @@ impl Sums<'_> {
     }
 
     /// The levels of a band that travel to a rank.
-    fn levels(&self, to: Share, band: &Band<'_>) -> Range<usize> {
+    fn levels(&self, to: Rank, band: &Band<'_>) -> Range<usize> {
         let Self { division, pyramid, .. } = self;
         let first_common = (0..pyramid.levels).find(|level| division.is_common(band.plane, *level));
         match division.is_of(to, band.plane, band.band) {
@@ -252,7 +265,7 @@ impl Sums<'_> {
     }
 
     /// Writes what rank `to` needs of the sum of this rank.
-    pub fn put(&self, to: Share, band: &Band<'_>, out: &mut Vec<u8>) {
+    pub fn put(&self, to: Rank, band: &Band<'_>, out: &mut Vec<u8>) {
         for LevelBand { row, texels, extents, .. } in &band.levels[self.levels(to, band)] {
             for (row, extent) in texels.chunks_exact(*row).zip(extents.iter()) {
                 let Range { start, end } = extent.texels();
@@ -264,7 +277,7 @@ impl Sums<'_> {
 
     /// Adds what another rank put for this one.
     fn add_message(&self, message: &[u8], band: &mut Band<'_>) -> Result<()> {
-        let levels = self.levels(self.division.share, band);
+        let levels = self.levels(self.division.this_rank, band);
         let mut reader = Reader::new(message);
         for LevelBand { row, texels, extents, .. } in &mut band.levels[levels] {
             for (row, extent) in texels.chunks_exact_mut(*row).zip(extents.iter_mut()) {
@@ -281,7 +294,7 @@ impl Sums<'_> {
     }
 }
 
-/// Adds the samples of a deposit to a band.
+/// Adds the samples of a set of partial gradients to a band.
 struct SpreadBand<'a, 'b> {
     pyramid: &'a Pyramid,
     division: &'a Division,

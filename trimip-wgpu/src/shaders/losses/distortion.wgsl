@@ -44,15 +44,15 @@ fn distortion(cone: u32, share: f32) -> f32 {
         return 0.0;
     }
     let ray = rays[cone];
-    let course = course_of(params.space, ray);
-    let first = at_sample(course, ray, segment.x).x;
+    let parameterisation = parameterisation_of(params.space, ray);
+    let first = at_sample(parameterisation, ray, segment.x).x;
     let end = segment.x + segment.y;
     var value = 0.0;
     var behind = 0.0;
     var total = 0.0;
     var walk = begin(first);
     for (var j = segment.x; j < end; j++) {
-        walk = advance(walk, radiance[j].w * intervals[j].y, at_sample(course, ray, j));
+        walk = advance(walk, radiance[j].w * intervals[j].y, at_sample(parameterisation, ray, j));
         value += walk.weight * (2.0 * walk.in_front + walk.weight * walk.width / 3.0);
         behind += walk.weight * walk.from_first;
         total += walk.weight;
@@ -60,7 +60,7 @@ fn distortion(cone: u32, share: f32) -> f32 {
     var hidden = 2.0 * value;
     walk = begin(first);
     for (var j = segment.x; j < end; j++) {
-        walk = advance(walk, radiance[j].w * intervals[j].y, at_sample(course, ray, j));
+        walk = advance(walk, radiance[j].w * intervals[j].y, at_sample(parameterisation, ray, j));
         behind -= (total - walk.before) * walk.gap;
         let by_weight = 2.0 * (walk.in_front + behind + walk.weight * walk.width / 3.0);
         hidden -= walk.weight * by_weight;

@@ -3,15 +3,15 @@
 //! and pruning afterwards.
 
 use crate::buffer::Buffer;
-use crate::field::Tape;
+use crate::field::Context;
 use crate::gemm::padded;
 use crate::hybrid::{Groups, Hybrid};
 use crate::renderer::{CpuRenderer, Cursor};
 use crate::simd::{Kernel, Lanes};
-use crate::{CpuBackend, CpuField, Lane};
+use crate::{CpuBackend, CpuField, WorkerScratch};
 use trimip_core::backend::Stages;
 use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Tile, Workspace};
-use trimip_core::compositing::{Pruning, Seen};
+use trimip_core::compositing::{Pruning, Visibility};
 use trimip_core::{Encoder, Field, Renderer};
 
 /// Samples per ray that are evaluated at once; few, so that little is evaluated behind the surface.
@@ -46,9 +46,9 @@ pub(crate) struct Scratch {
 /// Samples with the values computed for them.
 struct Rows {
     samples: Samples<CpuBackend>,
-    encoding: Buffer<f32>,
+    encoder_context: Buffer<f32>,
     features: Buffer<f32>,
-    tape: Tape,
+    field_context: Context,
     radiance: Buffer<Radiance>,
 }
 
@@ -61,65 +61,74 @@ impl Rows {
             spheres: Buffer::zeros(0),
             counts: Buffer::zeros(1),
         };
-        let (encoding, features) = (Buffer::zeros(0), Buffer::zeros(0));
-        Self { samples, encoding, features, tape: field.tape(), radiance: Buffer::zeros(0) }
+        let (encoder_context, features) = (Buffer::zeros(0), Buffer::zeros(0));
+        Self {
+            samples,
+            encoder_context,
+            features,
+            field_context: field.context(),
+            radiance: Buffer::zeros(0),
+        }
     }
 
     fn clear(&mut self, field: &CpuField) {
         self.samples.rays.clear();
         self.samples.intervals.clear();
         self.samples.spheres.clear();
-        self.encoding.clear();
+        self.encoder_context.clear();
         self.features.clear();
         self.radiance.clear();
-        field.clear(&mut self.tape);
+        field.clear(&mut self.field_context);
     }
 }
 
-/// See [`trimip_core::Renderer::see`].
-pub(crate) fn see(
+/// See [`trimip_core::Renderer::visibility_pass`].
+pub(crate) fn visibility_pass(
     stages: &Stages<CpuBackend>,
     parameters: &Buffer<f32>,
-    space: &mut Workspace<CpuBackend>,
+    workspace: &mut Workspace<CpuBackend>,
     jitter: Option<u64>,
 ) {
-    let mut scratch = space.lane.scratch.take().unwrap_or_else(|| Box::new(Scratch::new(&stages.field)));
-    scratch.start(&stages.renderer, &space.rays, jitter);
+    let mut scratch =
+        workspace.stream.scratch.take().unwrap_or_else(|| Box::new(Scratch::new(&stages.field)));
+    scratch.start(&stages.renderer, &workspace.rays, jitter);
     let hybrid = stages.renderer.hybrid.as_ref().filter(|_| jitter.is_none());
-    let chosen = hybrid.is_some_and(|hybrid| scratch.choose(hybrid, stages, &space.rays));
+    let chosen = hybrid.is_some_and(|hybrid| scratch.choose(hybrid, stages, &workspace.rays));
     let marched = if chosen {
-        evaluate_chosen(stages, parameters, space, &mut scratch.piece.samples)
+        evaluate_chosen(stages, parameters, workspace, &mut scratch.piece.samples)
     } else {
-        let marched = scratch.walk(&mut space.lane, stages, parameters, &space.rays, hybrid.is_some());
-        scratch.sort_by_ray(stages, space);
+        let marched =
+            scratch.walk(&mut workspace.stream, stages, parameters, &workspace.rays, hybrid.is_some());
+        scratch.sort_by_ray(stages, workspace);
         marched
     };
     if let Some(hybrid) = hybrid {
-        hybrid.blend(&stages.field, space, &scratch.sure, &mut scratch.groups);
+        hybrid.blend(&stages.field, workspace, &scratch.sure, &mut scratch.groups);
     }
-    space.samples.counts.resize(1);
-    space.samples.counts[0] = [marched as u32, space.samples.spheres.len() as u32];
-    space.lane.scratch = Some(scratch);
+    workspace.samples.counts.resize(1);
+    workspace.samples.counts[0] = [marched as u32, workspace.samples.spheres.len() as u32];
+    workspace.stream.scratch = Some(scratch);
 }
 
 /// Takes chosen samples, which are in ray order, to the density of those that are visible.
 fn evaluate_chosen(
     stages: &Stages<CpuBackend>,
     parameters: &Buffer<f32>,
-    space: &mut Workspace<CpuBackend>,
+    workspace: &mut Workspace<CpuBackend>,
     chosen: &mut Samples<CpuBackend>,
 ) -> usize {
-    let Workspace { lane, rays, samples, encoding, features, tape, radiance, kept, .. } = space;
+    let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, kept, .. } =
+        workspace;
     std::mem::swap(samples, chosen);
     let count = samples.spheres.len();
     samples.counts.resize(1);
-    let tile = &mut Tile { stream: lane, parameters, rays, samples };
-    stages.encoder.forward(tile, encoding, features);
-    stages.field.density(tile, features, tape, radiance);
-    stages.renderer.prune(lane, radiance, samples, kept);
+    let tile = &mut Tile { stream, parameters, rays, samples };
+    stages.encoder.forward(tile, encoder_context, features);
+    stages.field.density(tile, features, field_context, radiance);
+    stages.renderer.prune(stream, radiance, samples, kept);
     // Only training needs the features again.
     if kept.len() < count {
-        stages.field.keep(lane, kept, tape, radiance);
+        stages.field.keep(stream, kept, field_context, radiance);
     }
     count
 }
@@ -161,7 +170,7 @@ impl Scratch {
     /// If the first piece has been `placed` already, it goes on from there.
     fn walk(
         &mut self,
-        lane: &mut Lane,
+        stream: &mut WorkerScratch,
         stages: &Stages<CpuBackend>,
         parameters: &Buffer<f32>,
         rays: &Rays<CpuBackend>,
@@ -173,29 +182,29 @@ impl Scratch {
         let mut marched = 0;
         while !walkers.is_empty() {
             if !std::mem::take(&mut placed) {
-                renderer.simd.run(Place { walkers, stages, rays, samples: &mut piece.samples });
+                renderer.simd.run(PlaceSamples { walkers, stages, rays, samples: &mut piece.samples });
             }
             let samples = &piece.samples;
             marched += samples.spheres.len();
-            let tile = &mut Tile { stream: &mut *lane, parameters, rays, samples };
-            stages.encoder.forward(tile, &mut piece.encoding, &mut piece.features);
-            stages.field.density(tile, &piece.features, &mut piece.tape, &mut piece.radiance);
+            let tile = &mut Tile { stream: &mut *stream, parameters, rays, samples };
+            stages.encoder.forward(tile, &mut piece.encoder_context, &mut piece.features);
+            stages.field.density(tile, &piece.features, &mut piece.field_context, &mut piece.radiance);
             look(walkers, samples, &piece.radiance, &renderer.policy.pruning, seen);
             staged.samples.rays.append_rows(&samples.rays, seen, 1);
             staged.samples.intervals.append_rows(&samples.intervals, seen, 1);
             staged.samples.spheres.append_rows(&samples.spheres, seen, 1);
-            staged.encoding.append_rows(&piece.encoding, seen, stages.encoder.tape());
+            staged.encoder_context.append_rows(&piece.encoder_context, seen, stages.encoder.context());
             staged.features.append_rows(&piece.features, seen, stages.encoder.stride());
             staged.radiance.append_rows(&piece.radiance, seen, 1);
-            stages.field.append(&mut staged.tape, &piece.tape, seen);
+            stages.field.append(&mut staged.field_context, &piece.field_context, seen);
         }
         marched
     }
 
     /// Copies the visible samples into the workspace, ray by ray.
-    fn sort_by_ray(&mut self, stages: &Stages<CpuBackend>, space: &mut Workspace<CpuBackend>) {
+    fn sort_by_ray(&mut self, stages: &Stages<CpuBackend>, workspace: &mut Workspace<CpuBackend>) {
         let Self { staged, order, .. } = self;
-        let Workspace { rays, samples, encoding, features, tape, radiance, .. } = space;
+        let Workspace { rays, samples, encoder_context, features, field_context, radiance, .. } = workspace;
         let segments = &mut samples.segments;
         segments.resize(rays.rays.len());
         segments.fill(Segment::default());
@@ -218,21 +227,21 @@ impl Scratch {
         samples.intervals.gather_rows(&staged.samples.intervals, order, 1, count);
         samples.spheres.gather_rows(&staged.samples.spheres, order, 1, count);
         radiance.gather_rows(&staged.radiance, order, 1, count);
-        encoding.gather_rows(&staged.encoding, order, stages.encoder.tape(), count);
+        encoder_context.gather_rows(&staged.encoder_context, order, stages.encoder.context(), count);
         features.gather_rows(&staged.features, order, stages.encoder.stride(), padded(count));
-        stages.field.gather(tape, &staged.tape, order);
+        stages.field.gather(field_context, &staged.field_context, order);
     }
 }
 
 /// Places the next piece of every ray that is being walked, one segment each.
-struct Place<'a> {
+struct PlaceSamples<'a> {
     walkers: &'a mut [Walker],
     stages: &'a Stages<CpuBackend>,
     rays: &'a Rays<CpuBackend>,
     samples: &'a mut Samples<CpuBackend>,
 }
 
-impl Kernel for Place<'_> {
+impl Kernel for PlaceSamples<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
@@ -314,10 +323,10 @@ fn look(
         let Some(segment) = segments.next() else { return false };
         for row in segment.start..segment.start + segment.count {
             let own = radiance[row as usize].density * samples.intervals[row as usize].length;
-            match pruning.see(&mut walker.depth, own) {
-                Seen::Yes => seen.push(row),
-                Seen::No => {}
-                Seen::Hidden => return false,
+            match pruning.decide(&mut walker.depth, own) {
+                Visibility::Keep => seen.push(row),
+                Visibility::Skip => {}
+                Visibility::Terminate => return false,
             }
         }
         !walker.out && !(walker.depth > pruning.max_depth)

@@ -5,16 +5,16 @@ use trimip_core::{
     Result,
     config::EvalConfig,
     metrics::ms_ssim,
-    perception::{Pair, Perceived, Perception},
+    perception::{Pair, Perception, PerceptualScores},
 };
 
 /// The measures that this build and the settings have. FLIP and MS-SSIM run beside each other; LPIPS has all cores.
-pub struct Perceiver {
+pub struct PerceptualMetrics {
     #[cfg(feature = "lpips")]
     lpips: Option<super::lpips::Lpips>,
 }
 
-impl Perceiver {
+impl PerceptualMetrics {
     /// Reads the weights of LPIPS, if `eval.lpips` names a file.
     ///
     /// # Errors
@@ -40,8 +40,8 @@ impl Perceiver {
     }
 }
 
-impl Perception for Perceiver {
-    fn perceive(&mut self, pair: &Pair<'_>) -> Result<Perceived> {
+impl Perception for PerceptualMetrics {
+    fn measure_perception(&mut self, pair: &Pair<'_>) -> Result<PerceptualScores> {
         let (rendered, target) = (pair.rendered, pair.target);
         let (ms_ssim, (flip, flip_map)) = std::thread::scope(|scope| {
             let similar = scope.spawn(|| ms_ssim(rendered, target, pair.width, pair.height));
@@ -55,7 +55,7 @@ impl Perception for Perceiver {
         };
         #[cfg(not(feature = "lpips"))]
         let lpips = f64::NAN;
-        Ok(Perceived { ms_ssim, flip, lpips, flip_map })
+        Ok(PerceptualScores { ms_ssim, flip, lpips, flip_map })
     }
 }
 
@@ -87,14 +87,17 @@ mod tests {
         Pair { rendered, target, width, height: rendered.len() / width, excluded }
     }
 
-    fn perceived(pair: &Pair<'_>) -> Perceived {
-        Perceiver::open(&trimip_core::Config::default().eval).unwrap().perceive(pair).unwrap()
+    fn perceived(pair: &Pair<'_>) -> PerceptualScores {
+        PerceptualMetrics::open(&trimip_core::Config::default().eval)
+            .unwrap()
+            .measure_perception(pair)
+            .unwrap()
     }
 
     #[test]
     fn a_file_that_is_not_there_is_refused_with_what_to_do() {
         let eval = EvalConfig { lpips: "nowhere.onnx".into(), ..trimip_core::Config::default().eval };
-        let error = Perceiver::open(&eval).err().expect("there is no such file");
+        let error = PerceptualMetrics::open(&eval).err().expect("there is no such file");
         assert_eq!(error.exit_code(), 2);
         assert!(
             error.message.contains("nowhere.onnx") && error.message.contains("eval.lpips=\"\""),

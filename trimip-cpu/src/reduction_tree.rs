@@ -1,18 +1,18 @@
-//! The parts of a step. Deposit i belongs to part i modulo their number, a power of two. What is summed over deposits is summed
+//! The parts of a step. Deposit i belongs to part i modulo their number, a power of two. What is summed over partial gradients is summed
 //! over those of each part first, in order, and then over the parts in a balanced binary tree. A rank has a subtree, so that it
 //! sends one sum, and all sums have the same bits for any number of ranks.
 
 use std::ops::Range;
-use trimip_core::exchange::Share;
+use trimip_core::exchange::Rank;
 
 /// Number of parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Parts(usize);
+pub struct ReductionTree(usize);
 
-impl Parts {
-    /// The `wanted` number of parts, a power of two, or as many as `deposits` allow.
-    pub fn new(wanted: u32, deposits: usize) -> Self {
-        Self((1 << deposits.max(1).ilog2()).min((wanted as usize).max(1)))
+impl ReductionTree {
+    /// The `wanted` number of parts, a power of two, or as many as `partials` allow.
+    pub fn new(wanted: u32, partials: usize) -> Self {
+        Self((1 << partials.max(1).ilog2()).min((wanted as usize).max(1)))
     }
 
     /// Number of parts.
@@ -21,12 +21,12 @@ impl Parts {
     }
 
     /// The parts of a rank: a subtree.
-    pub fn of(self, share: Share) -> Range<usize> {
-        let (mut parts, mut ranks) = (0..self.0, 0..share.of);
+    pub fn of(self, this_rank: Rank) -> Range<usize> {
+        let (mut parts, mut ranks) = (0..self.0, 0..this_rank.size);
         while ranks.len() > 1 {
             let [left, right] = halves(ranks);
             let half = parts.start + parts.len() / 2;
-            (ranks, parts) = match left.contains(&share.rank) {
+            (ranks, parts) = match left.contains(&this_rank.id) {
                 true => (left, parts.start..half),
                 false => (right, half..parts.end),
             };
@@ -34,9 +34,9 @@ impl Parts {
         parts
     }
 
-    /// True if a rank has deposit `index`.
-    pub fn has(self, share: Share, index: usize) -> bool {
-        self.of(share).contains(&(index % self.0))
+    /// True if a rank has partial gradients `index`.
+    pub fn has(self, this_rank: Rank, index: usize) -> bool {
+        self.of(this_rank).contains(&(index % self.0))
     }
 }
 
@@ -53,23 +53,26 @@ mod tests {
     #[test]
     fn every_part_has_one_rank_and_every_rank_a_subtree() {
         for wanted in [1, 2, 4, 8, 64] {
-            for deposits in [1, 3, 16, 256] {
-                let parts = Parts::new(wanted, deposits);
-                assert!(parts.count().is_power_of_two() && parts.count() <= deposits.min(wanted as usize));
+            for partials in [1, 3, 16, 256] {
+                let parts = ReductionTree::new(wanted, partials);
+                assert!(parts.count().is_power_of_two() && parts.count() <= partials.min(wanted as usize));
                 for of in 1..=parts.count() {
                     let mut next = 0;
                     for rank in 0..of {
-                        let own = parts.of(Share { rank, of });
+                        let own = parts.of(Rank { id: rank, size: of });
                         assert_eq!(own.start, next, "{parts:?}, {of} ranks");
                         assert!(own.len().is_power_of_two() && own.start.is_multiple_of(own.len()));
                         next = own.end;
                     }
                     assert_eq!(next, parts.count());
                     if of.is_power_of_two() {
-                        assert!((0..of).all(|rank| parts.of(Share { rank, of }).len() == parts.count() / of));
+                        assert!((0..of).all(|rank| parts.of(Rank { id: rank, size: of }).len() == parts.count() / of));
                     }
-                    for index in 0..deposits {
-                        assert_eq!((0..of).filter(|&rank| parts.has(Share { rank, of }, index)).count(), 1);
+                    for index in 0..partials {
+                        assert_eq!(
+                            (0..of).filter(|&rank| parts.has(Rank { id: rank, size: of }, index)).count(),
+                            1
+                        );
                     }
                 }
             }

@@ -7,71 +7,71 @@ use crate::{
     config::TrainConfig,
 };
 
-/// The scales of a training set, and the schedules by which they share the pixels of a step.
+/// The scales of a training set, and the schedules by which they fraction the pixels of a step.
 #[derive(Clone, Debug)]
-pub struct Shares {
+pub struct ScaleSampling {
     scales: Vec<Scale>,
     /// Cones along a side of a pixel of each scale, when it is rendered.
     sides: Vec<u32>,
     train: TrainConfig,
 }
 
-impl Shares {
-    /// The shares of the scales of `views`. Both are in the coordinates of the configuration's box.
+impl ScaleSampling {
+    /// The fractions of the scales of `views`. Both are in the coordinates of the configuration's box.
     pub fn new(config: &Config, views: &ViewSet) -> Self {
         let sides = Division::new(config).sides(views);
         Self { scales: views.scales.clone(), sides, train: config.train.clone() }
     }
 
     /// The balance at `progress` in [0, 1].
-    pub fn at(&self, progress: f64) -> Balance {
+    pub fn at(&self, progress: f64) -> ScaleWeights {
         let most = self.train.cones.at(progress) as u32;
         let within = |&side: &u32| if side == QUINCUNX { side } else { side.min(most).max(1) };
         let sides = self.sides.iter().map(within).collect();
-        Balance::new(&self.scales, self.train.scale_balance.at(progress), sides)
+        ScaleWeights::new(&self.scales, self.train.scale_balance.at(progress), sides)
     }
 }
 
 /// Pixels, loss weight and cones of each scale.
 ///
-/// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b its share of a step's pixels is
+/// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b its fraction of a step's pixels is
 /// ∝ w^(b−1) and each of them has weight w^(1−b). The expected loss is the same at every b, with equal weight for all
 /// scales. At 0 all pixels are equally likely (paper), and the gradient of coarse scales comes from few pixels. At 1 all
 /// scales get equally many pixels, which minimises the variance if the scales have equal variance.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Balance {
-    shares: Vec<f64>,
+pub struct ScaleWeights {
+    fractions: Vec<f64>,
     weights: Vec<f32>,
     sides: Vec<u32>,
 }
 
-impl Balance {
-    /// Balance `balance` in [0, 1] over `scales`, fine to coarse, whose pixels have `sides` cones along each side. A
+impl ScaleWeights {
+    /// ScaleWeights `balance` in [0, 1] over `scales`, fine to coarse, whose pixels have `sides` cones along each side. A
     /// scale without pixels gets none.
     pub fn new(scales: &[Scale], balance: f64, sides: Vec<u32>) -> Self {
         let weight = |scale: &Scale| f64::from(scale.weight);
-        let share = |scale: &Scale| match scale.pixels.is_empty() {
+        let fraction = |scale: &Scale| match scale.pixels.is_empty() {
             true => 0.0,
             false => weight(scale).powf(balance - 1.0),
         };
-        let sum: f64 = scales.iter().map(share).sum();
+        let sum: f64 = scales.iter().map(fraction).sum();
         Self {
-            shares: scales.iter().map(|scale| share(scale) / sum).collect(),
+            fractions: scales.iter().map(|scale| fraction(scale) / sum).collect(),
             weights: scales.iter().map(|scale| weight(scale).powf(1.0 - balance) as f32).collect(),
             sides,
         }
     }
 
-    /// Divides a step of `pixels` pixels among the scales: coarse scales take their rounded-down share from the end,
+    /// Divides a step of `pixels` pixels among the scales: coarse scales take their rounded-down fraction from the end,
     /// the finest the rest.
-    pub fn draw(&self, pixels: u32) -> Draw {
-        let mut begins = vec![0; self.shares.len()];
+    pub fn allocate(&self, pixels: u32) -> RayAllocation {
+        let mut begins = vec![0; self.fractions.len()];
         let mut end = pixels;
-        for (scale, share) in self.shares.iter().enumerate().skip(1).rev() {
-            end -= (f64::from(pixels) * share) as u32;
+        for (scale, fraction) in self.fractions.iter().enumerate().skip(1).rev() {
+            end -= (f64::from(pixels) * fraction) as u32;
             begins[scale] = end;
         }
-        Draw { pixels, begins, sides: self.sides.clone() }
+        RayAllocation { pixels, begins, sides: self.sides.clone() }
     }
 
     /// Loss weight of a pixel of scale `scale`.
@@ -89,19 +89,23 @@ impl Balance {
         if self.sides.iter().all(|&side| side == 1) {
             return 1.0;
         }
-        self.shares.iter().zip(&self.sides).map(|(share, &side)| share * f64::from(count(side))).sum()
+        self.fractions
+            .iter()
+            .zip(&self.sides)
+            .map(|(fraction, &side)| fraction * f64::from(count(side)))
+            .sum()
     }
 }
 
 /// The pixels of a step, fine scales first, and the cones of each.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Draw {
+pub struct RayAllocation {
     pixels: u32,
     begins: Vec<u32>,
     sides: Vec<u32>,
 }
 
-impl Draw {
+impl RayAllocation {
     /// Number of pixels.
     pub fn pixels(&self) -> u32 {
         self.pixels
@@ -167,13 +171,13 @@ mod tests {
         (0..count).map(scale).collect()
     }
 
-    fn balance(scales: &[Scale], balance: f64) -> Balance {
-        Balance::new(scales, balance, vec![1; scales.len()])
+    fn balance(scales: &[Scale], balance: f64) -> ScaleWeights {
+        ScaleWeights::new(scales, balance, vec![1; scales.len()])
     }
 
     /// Pixels of each scale.
-    fn pixels(balance: &Balance, total: u32) -> Vec<u32> {
-        let begins = [balance.draw(total).begins(), &[total]].concat();
+    fn pixels(balance: &ScaleWeights, total: u32) -> Vec<u32> {
+        let begins = [balance.allocate(total).begins(), &[total]].concat();
         begins.windows(2).map(|pair| pair[1] - pair[0]).collect()
     }
 
@@ -181,10 +185,14 @@ mod tests {
     fn every_scale_weighs_the_same_at_every_balance() {
         for b in [0.0, 0.3, 0.5, 1.0] {
             let found = balance(&scales(4), b);
-            let parts: Vec<f64> =
-                found.shares.iter().zip(&found.weights).map(|(share, w)| share * f64::from(*w)).collect();
+            let parts: Vec<f64> = found
+                .fractions
+                .iter()
+                .zip(&found.weights)
+                .map(|(fraction, w)| fraction * f64::from(*w))
+                .collect();
             assert!(parts.iter().all(|part| (part / parts[0] - 1.0).abs() < 1e-6), "{b}: {parts:?}");
-            assert!((found.shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+            assert!((found.fractions.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         }
     }
 
@@ -207,22 +215,22 @@ mod tests {
 
     #[test]
     fn cones_are_counted_pixel_by_pixel() {
-        let balance = Balance::new(&scales(4), 1.0, vec![1, 1, 2, 3]);
+        let balance = ScaleWeights::new(&scales(4), 1.0, vec![1, 1, 2, 3]);
         assert!((balance.cones_per_pixel() - 3.75).abs() < 1e-12);
-        let draw = balance.draw(42);
-        assert_eq!((draw.begins(), draw.cones()), (&[0, 12, 22, 32][..], 22 + 40 + 90));
+        let allocation = balance.allocate(42);
+        assert_eq!((allocation.begins(), allocation.cones()), (&[0, 12, 22, 32][..], 22 + 40 + 90));
         // The literal count: each pixel after the other.
         let mut before = 0;
         for pixel in 0..42 {
-            assert_eq!(draw.cones_before(pixel), before);
-            let own = [1, 1, 4, 9][draw.scale(pixel)];
-            assert_eq!(draw.pixel_from(before), pixel);
+            assert_eq!(allocation.cones_before(pixel), before);
+            let own = [1, 1, 4, 9][allocation.scale(pixel)];
+            assert_eq!(allocation.pixel_from(before), pixel);
             for cone in before + 1..=before + own {
-                assert_eq!(draw.pixel_from(cone), pixel + 1, "cone {cone}");
+                assert_eq!(allocation.pixel_from(cone), pixel + 1, "cone {cone}");
             }
             before += own;
         }
-        assert_eq!((draw.cones_before(42), draw.pixel_from(before)), (before, 42));
+        assert_eq!((allocation.cones_before(42), allocation.pixel_from(before)), (before, 42));
     }
 
     #[test]
@@ -246,8 +254,8 @@ mod tests {
         let finest = crate::cones::footprint(&set.views[0].camera, &crate::Aabb::new(&config.scene));
         (config.renderer.cones, config.renderer.cone_width) = (8, 2.0 * finest as f32);
         config.train.cones = crate::schedule::Schedule::new(vec![[0.0, 1.0], [0.25, 2.0], [0.5, 8.0]]);
-        let shares = Shares::new(&config, &set);
-        let sides = [0.0, 0.3, 0.6].map(|progress| shares.at(progress).draw(4).sides().to_vec());
+        let fractions = ScaleSampling::new(&config, &set);
+        let sides = [0.0, 0.3, 0.6].map(|progress| fractions.at(progress).allocate(4).sides().to_vec());
         assert_eq!(sides, [[1, 1, 1, 1], [1, 1, 2, 2], [1, 1, 2, 4]]);
     }
 }

@@ -1,31 +1,31 @@
-//! Cuts an image, or the cells of a grid, into spans whose samples fit into their arrays.
+//! Cuts an image, or the cells of a grid, into tiles whose samples fit into their arrays.
 
 use std::ops::Range;
 
-/// The spans of a map: each has as many rays as its samples have room for.
-pub struct Spans {
-    /// Number of samples that a span has room for.
+/// The tiles of a map: each has as many rays as its samples have room for.
+pub struct Tiles {
+    /// Number of samples that a tile has room for.
     room: usize,
     chunk: u32,
     start: u32,
     count: u32,
 }
 
-impl Spans {
+impl Tiles {
     /// Spans over `count` rays, initially of `chunk` rays, with room for `room` samples each.
     pub fn new(count: u32, chunk: u32, room: usize) -> Self {
         Self { room, chunk, start: 0, count }
     }
 
-    /// The next span. After a span that did not fit, it starts at the same ray and is smaller.
+    /// The next tile. After a tile that did not fit, it starts at the same ray and is smaller.
     pub fn next(&mut self) -> Option<Range<u32>> {
         (self.start < self.count)
             .then(|| self.start..self.start + self.chunk.clamp(1, self.count - self.start))
     }
 
-    /// Whether the samples of a span fitted. `counts` are those of a span whose rays were marched.
-    pub fn fits(&mut self, span: &Range<u32>, counts: Option<Vec<[u32; 2]>>) -> bool {
-        let length = span.end - span.start;
+    /// Whether the samples of a tile fitted. `counts` are those of a tile whose rays were marched.
+    pub fn fits(&mut self, tile: &Range<u32>, counts: Option<Vec<[u32; 2]>>) -> bool {
+        let length = tile.end - tile.start;
         if let Some(counts) = counts {
             let (marched, dropped) = (counts[0][0], counts[1][0] + counts[1][1]);
             if dropped > 0 && length > 1 {
@@ -36,7 +36,7 @@ impl Spans {
             // The next rows of a view may have more samples than the last ones.
             self.chunk = (self.room / mean / 2).min(1 << 20) as u32;
         }
-        self.start = span.end;
+        self.start = tile.end;
         true
     }
 }
@@ -47,18 +47,18 @@ mod tests {
 
     #[test]
     fn a_span_without_room_is_halved_and_all_are_covered_once() {
-        // Every ray has 10 samples, and a span has room for 100.
-        let mut spans = Spans::new(95, 40, 100);
+        // Every ray has 10 samples, and a tile has room for 100.
+        let mut tiles = Tiles::new(95, 40, 100);
         let mut done = Vec::new();
-        while let Some(span) = spans.next() {
-            let marched = 10 * (span.end - span.start);
+        while let Some(tile) = tiles.next() {
+            let marched = 10 * (tile.end - tile.start);
             let dropped = marched.saturating_sub(100);
-            if spans.fits(&span, Some(vec![[marched, marched], [dropped, 0]])) {
-                done.extend(span);
+            if tiles.fits(&tile, Some(vec![[marched, marched], [dropped, 0]])) {
+                done.extend(tile);
             }
         }
         assert_eq!(done, (0..95).collect::<Vec<_>>());
-        let mut whole = Spans::new(3, 8, 100);
+        let mut whole = Tiles::new(3, 8, 100);
         assert_eq!(whole.next(), Some(0..3));
         assert!(whole.fits(&(0..3), None) && whole.next().is_none());
     }

@@ -1,44 +1,44 @@
-//! Training on several ranks with the bits of one. Neither a step's deposits nor the tree in which they are added up
-//! ([`Parts`](crate::parts::Parts)) depend on the number of ranks.
+//! Training on several ranks with the bits of one. Neither a step's partial gradients nor the tree in which they are added up
+//! ([`ReductionTree`](crate::reduction_tree::ReductionTree)) depend on the number of ranks.
 //!
 //! An encoder that can be divided ([`Divided`](crate::encoders::Divided)) sums the parts of a step on the ranks that have them.
 //! Each rank adds these sums up for a part of the parameters, updates it, and sends the others what changed. Any other encoder gets
-//! all deposits on every rank.
+//! all partial gradients on every rank.
 
 use crate::CpuBackend;
-use crate::backend::deposits;
+use crate::backend::partials;
 use crate::encoder::CpuEncoder;
 use crate::encoders::Divided;
 use crate::optimizer::CpuOptimizer;
-use crate::parts::Parts;
+use crate::reduction_tree::ReductionTree;
 use crate::wire::{Reader, put, put_counted};
 use std::sync::Arc;
 use trimip_core::backend::Stages;
-use trimip_core::batch::{Deposit, StepResult, Update};
+use trimip_core::batch::{PartialGradients, StepResult, Update};
 use trimip_core::config::TrainConfig;
-use trimip_core::exchange::{Exchange, Ranks, Share};
+use trimip_core::exchange::{Exchange, Rank, Ranks};
 use trimip_core::{Backend, Error, Field, Optimizer, Result};
 
 /// The exchange of the CPU backend.
-pub struct Together {
+pub struct DataParallel {
     ranks: Arc<dyn Ranks>,
-    share: Share,
+    this_rank: Rank,
     /// Messages to and from each rank.
     out: Vec<Vec<u8>>,
     into: Vec<Vec<u8>>,
 }
 
-impl Together {
+impl DataParallel {
     /// An exchange over `ranks` for steps with these settings.
     ///
     /// # Errors
     /// When there are more ranks than parts.
     pub fn new(ranks: Arc<dyn Ranks>, train: &TrainConfig) -> Result<Self> {
-        let share = ranks.share();
-        // Small steps have fewer deposits than parts are asked for.
-        let parts = Parts::new(train.parts, deposits(train.samples_per_step)).count();
-        if share.of > parts {
-            let advice = match share.of.next_power_of_two() {
+        let this_rank = ranks.rank();
+        // Small steps have fewer partial gradients than parts are asked for.
+        let parts = ReductionTree::new(train.parts, partials(train.samples_per_step)).count();
+        if this_rank.size > parts {
+            let advice = match this_rank.size.next_power_of_two() {
                 65.. => "start at most 64 ranks".into(),
                 needed if needed > train.parts as usize => format!(
                     "start fewer ranks, or begin a new run with train.parts = {needed} (a run keeps its parts)"
@@ -46,29 +46,29 @@ impl Together {
                 _ => "start fewer ranks, or begin a new run with a larger train.samples_per_step".into(),
             };
             return Err(Error::input(
-                format!("{} ranks", share.of),
+                format!("{} ranks", this_rank.size),
                 format!("a step of the CPU backend has {parts} parts here"),
                 advice,
             ));
         }
-        let messages = || vec![Vec::new(); share.of];
-        Ok(Self { ranks, share, out: messages(), into: messages() })
+        let messages = || vec![Vec::new(); this_rank.size];
+        Ok(Self { ranks, this_rank, out: messages(), into: messages() })
     }
 
     fn others(&self) -> impl Iterator<Item = usize> + use<> {
-        let Share { rank, of } = self.share;
+        let Rank { id: rank, size: of } = self.this_rank;
         (0..of).filter(move |other| *other != rank)
     }
 
     /// Sends what is in `out`.
-    fn trade(&mut self) -> Result<()> {
+    fn all_to_all(&mut self) -> Result<()> {
         let out: Vec<&[u8]> = self.out.iter().map(Vec::as_slice).collect();
-        self.ranks.trade(&out, &mut self.into)
+        self.ranks.all_to_all(&out, &mut self.into)
     }
 
     /// Sends `message` to every rank.
     fn tell(&mut self, message: &[u8]) -> Result<()> {
-        self.ranks.trade(&vec![message; self.share.of], &mut self.into)
+        self.ranks.all_to_all(&vec![message; self.this_rank.size], &mut self.into)
     }
 
     /// The encoder, if it is divided: untouched parameters must be left alone, as nobody sends them.
@@ -77,53 +77,53 @@ impl Together {
         encoder: &'a mut CpuEncoder,
         optimizer: &CpuOptimizer,
     ) -> Option<&'a mut dyn Divided> {
-        encoder.divided().filter(|_| self.share.of > 1 && optimizer.policy().skips_untouched())
+        encoder.divided().filter(|_| self.this_rank.size > 1 && optimizer.policy().skips_untouched())
     }
 }
 
-impl Exchange<CpuBackend> for Together {
-    fn share(&self) -> Share {
-        self.share
+impl Exchange<CpuBackend> for DataParallel {
+    fn rank(&self) -> Rank {
+        self.this_rank
     }
 
-    fn deposits(
+    fn partials(
         &mut self,
         _: &CpuBackend,
         stages: &mut Stages<CpuBackend>,
-        deposits: &mut [Deposit<CpuBackend>],
+        partials: &mut [PartialGradients<CpuBackend>],
     ) -> Result<()> {
         let divided = self.divided(&mut stages.encoder, &stages.optimizer);
         let is_divided = divided.is_some();
         if let Some(divided) = divided {
-            divided.divide(self.share);
+            divided.divide(self.this_rank);
         }
-        stages.field.fold(deposits, self.share);
-        let parts = stages.field.parts(deposits.len());
-        let own = parts.of(self.share).start;
+        stages.field.fold(partials, self.this_rank);
+        let parts = stages.field.reduction_tree(partials.len());
+        let own = parts.of(self.this_rank).start;
         for to in self.others() {
             let out = &mut self.out[to];
             out.clear();
-            deposits[own].field.put(out);
-            for deposit in
-                deposits.iter().enumerate().filter_map(|(i, d)| parts.has(self.share, i).then_some(d))
+            partials[own].field.put(out);
+            for partial in
+                partials.iter().enumerate().filter_map(|(i, d)| parts.has(self.this_rank, i).then_some(d))
             {
-                put_counted(out, &deposit.sums.to_words());
+                put_counted(out, &partial.sums.to_words());
                 if !is_divided {
-                    stages.encoder.put(&deposit.encoder, out);
+                    stages.encoder.put(&partial.encoder, out);
                 }
             }
         }
-        self.trade()?;
+        self.all_to_all()?;
         let mut words = Vec::new();
         for from in self.others() {
             let mut reader = Reader::new(&self.into[from]);
-            let share = Share { rank: from, ..self.share };
-            deposits[parts.of(share).start].field.take(&mut reader)?;
-            for (_, deposit) in deposits.iter_mut().enumerate().filter(|(i, _)| parts.has(share, *i)) {
+            let this_rank = Rank { id: from, ..self.this_rank };
+            partials[parts.of(this_rank).start].field.take(&mut reader)?;
+            for (_, partial) in partials.iter_mut().enumerate().filter(|(i, _)| parts.has(this_rank, *i)) {
                 reader.list(&mut words)?;
-                deposit.sums = StepResult::of_words(&words)?;
+                partial.sums = StepResult::of_words(&words)?;
                 if !is_divided {
-                    stages.encoder.take(&mut reader, &mut deposit.encoder)?;
+                    stages.encoder.take(&mut reader, &mut partial.encoder)?;
                 }
             }
             reader.end()?;
@@ -139,7 +139,7 @@ impl Exchange<CpuBackend> for Together {
     ) -> Result<()> {
         if self.divided(&mut stages.encoder, &stages.optimizer).is_none() {
             backend.update(stages, update);
-            self.ranks.tally(size_of_val(&update.gradient[..]) as u64);
+            self.ranks.record_traffic(size_of_val(&update.gradient[..]) as u64);
             return Ok(());
         }
         let Stages { encoder, optimizer, field, .. } = stages;
@@ -149,13 +149,13 @@ impl Exchange<CpuBackend> for Together {
             out.clear();
             divided.put_sums(update.gradient, to, out);
         }
-        self.trade()?;
+        self.all_to_all()?;
         divided.take_sums(&self.into, update.gradient)?;
         divided.complete(update.gradient);
         // Without a weight nothing moves, on any rank.
-        if backend.weight(update.deposits) > 0.0 {
+        if backend.weight(update.partials) > 0.0 {
             let left_out = optimizer.step_within(update, divided.pieces());
-            let mut message = std::mem::take(&mut self.out[self.share.rank]);
+            let mut message = std::mem::take(&mut self.out[self.this_rank.id]);
             message.clear();
             put(&mut message, &[left_out]);
             divided.put_changed(update.parameters, &mut message);
@@ -166,8 +166,8 @@ impl Exchange<CpuBackend> for Together {
                 divided.take_changed(&mut reader, from, update.parameters)?;
                 reader.end()?;
             }
-            self.ranks.tally((divided.count_touched() * size_of::<f32>()) as u64);
-            self.out[self.share.rank] = message;
+            self.ranks.record_traffic((divided.count_touched() * size_of::<f32>()) as u64);
+            self.out[self.this_rank.id] = message;
             encoder.refresh_touched(update.parameters);
             field.refresh(update.parameters);
         }
@@ -177,10 +177,10 @@ impl Exchange<CpuBackend> for Together {
     fn moments(&mut self, _: &CpuBackend, stages: &mut Stages<CpuBackend>) -> Result<()> {
         let Stages { encoder, optimizer, .. } = stages;
         let Some(divided) = self.divided(encoder, optimizer) else { return Ok(()) };
-        let parts: Vec<_> = (0..self.share.of).map(|rank| divided.part(rank)).collect();
+        let parts: Vec<_> = (0..self.this_rank.size).map(|rank| divided.part(rank)).collect();
         let mut message = Vec::new();
         for moments in optimizer.moments() {
-            parts[self.share.rank].iter().for_each(|range| put(&mut message, &moments[range.clone()]));
+            parts[self.this_rank.id].iter().for_each(|range| put(&mut message, &moments[range.clone()]));
         }
         self.tell(&message)?;
         for from in self.others() {
