@@ -6,6 +6,7 @@ mod checks;
 mod choices;
 mod encoders;
 mod foreign;
+mod loss;
 mod sections;
 
 pub use choices::{
@@ -22,13 +23,12 @@ pub use sections::{
     PlanConfig, RendererConfig, SceneConfig, TrainConfig,
 };
 
-pub use crate::losses::{LossConfig, Photometric};
+pub use loss::{LossConfig, Photometric};
 pub(crate) use sections::section;
 
 use crate::defaults::Definitions;
 use crate::settings::{checker::Checker, section::mistyped, text::section_begun};
-use crate::{Aabb, Error, Origin, Result, Settings};
-use glam::DVec3;
+use crate::{Error, Origin, Result, Settings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -100,40 +100,7 @@ impl OccupancyConfig {
     }
 }
 
-impl SceneConfig {
-    /// The box within which space keeps its shape: the scene's, or its middle half if space is contracted. World units.
-    pub fn subject(&self) -> Aabb<f64> {
-        let aabb = Aabb::<f64>::new(self);
-        let share = match self.contraction {
-            Contraction::None => 1.0,
-            Contraction::Ball => 0.5,
-        };
-        let corner = |sign: f64| {
-            std::array::from_fn(|i| {
-                0.5 * (aabb.min[i] + aabb.max[i]) + sign * 0.5 * share * (aabb.max[i] - aabb.min[i])
-            })
-        };
-        Aabb { min: corner(-1.0), max: corner(1.0) }
-    }
-}
-
 impl Config {
-    /// World length of the uniform marching step: longest side · √3 / steps (code).
-    pub fn step_length(&self) -> f32 {
-        Aabb::<f32>::new(&self.scene).longest() * 3.0_f32.sqrt() / self.renderer.steps_per_diagonal as f32
-    }
-
-    /// The same run with its box centred at the origin, and the former centre of the box. Far from the origin, f32 is too
-    /// coarse for positions within the box.
-    pub fn centred(&self) -> (Self, DVec3) {
-        let scene = Aabb::<f64>::new(&self.scene);
-        let centre: [f64; 3] = std::array::from_fn(|axis| 0.5 * (scene.min[axis] + scene.max[axis]));
-        let mut config = self.clone();
-        let shifted = |corner: [f64; 3]| std::array::from_fn(|axis| (corner[axis] - centre[axis]) as f32);
-        (config.scene.aabb_min, config.scene.aabb_max) = (shifted(scene.min), shifted(scene.max));
-        (config, DVec3::from_array(centre))
-    }
-
     /// The typed configuration of layered settings, with every range checked.
     ///
     /// # Errors

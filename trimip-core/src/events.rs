@@ -1,5 +1,6 @@
 //! The event stream of a run, the only source of progress bars, logs, CSV files and reports.
 
+use crate::Config;
 use crate::quality::{ScaleQuality, float_or_null};
 use serde::{Deserialize, Serialize};
 
@@ -171,6 +172,12 @@ impl<F: FnMut(&Event)> EventSink for F {
     fn emit(&mut self, event: &Event) {
         self(event);
     }
+}
+
+/// Fraction of the schedule that is done at `totals`; 1 or more at its end.
+pub fn progress(config: &Config, totals: &Totals) -> f64 {
+    let train = &config.train;
+    if train.steps > 0 { totals.step as f64 / train.steps as f64 } else { totals.seconds / train.seconds }
 }
 
 #[cfg(test)]

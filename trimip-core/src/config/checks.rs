@@ -5,7 +5,7 @@ use super::{
     PhotographsConfig, Precision, RendererConfig, SceneConfig, TrainConfig,
 };
 use crate::settings::{checker::Checker, section::in_memory};
-use crate::{Error, Result, Settings, encoders};
+use crate::{Error, Result, Settings};
 use toml::{Table, Value};
 
 impl Config {
@@ -65,11 +65,7 @@ impl Config {
         self.rip_map.check(to)?;
         self.tensor.check(to)?;
         self.voxels.check(to)?;
-        to.together(
-            self.field.density_layers == 0 || encoders::of(self).summed(self) == 0,
-            &["field.density_layers", "encoder.kind"],
-            "field.density_layers = 0 for an encoder whose features sum up to the density",
-        )?;
+        self.check_density_of_encoder(to)?;
         self.field.check(to)?;
         self.renderer.check(to)?;
         self.occupancy.check(to)?;

@@ -9,9 +9,10 @@ pub mod tri_mip;
 pub mod voxels;
 
 use crate::{
-    Config, Slot,
+    Config, Result, Slot,
     config::EncoderKind,
     elements::{Interval, Ray, Sphere},
+    settings::checker::Checker,
     slot::ALIGNMENT,
 };
 
@@ -124,6 +125,17 @@ const ALL: &[(EncoderKind, &dyn Definition)] = &[
 pub fn of(config: &Config) -> &'static dyn Definition {
     let own = ALL.iter().find(|(kind, _)| *kind == config.encoder.kind);
     own.map_or(ALL[0].1, |(_, definition)| *definition)
+}
+
+impl Config {
+    /// Checks that the density network suits the encoder.
+    pub(crate) fn check_density_of_encoder(&self, to: &Checker<'_>) -> Result<()> {
+        to.together(
+            self.field.density_layers == 0 || of(self).summed(self) == 0,
+            &["field.density_layers", "encoder.kind"],
+            "field.density_layers = 0 for an encoder whose features sum up to the density",
+        )
+    }
 }
 
 /// Floats in a row of features: the encoder's width, padded to whole registers and tiles.

@@ -11,26 +11,13 @@ pub mod exposure;
 pub mod opacity;
 pub mod smooth_l1;
 
-use crate::batch::Target;
-use crate::config::{Exposure, LossRays, section};
+use crate::elements::Target;
+use crate::config::{LossConfig, Photometric};
 use crate::{Config, Pixel};
-use serde::{Deserialize, Serialize};
 
-section!(
-    /// The loss.
-    LossConfig, "loss" {
-        photometric: Photometric, beta: f32, padding: f32, opacity: f32, distortion: f32, exposure: Exposure, rays: LossRays,
-    }
-);
-
-/// Declares the photometric terms and how one is chosen.
+/// Names the term of each photometric choice.
 macro_rules! photometric {
-    ($($(#[$meta:meta])* $kind:ident => $term:expr),* $(,)?) => {
-        /// The photometric terms by name.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-        #[serde(rename_all = "kebab-case")]
-        pub enum Photometric { $($(#[$meta])* $kind),* }
-
+    ($($kind:ident => $term:expr),* $(,)?) => {
         impl Photometric {
             /// All of them.
             pub const ALL: &[Self] = &[$(Self::$kind),*];
@@ -50,9 +37,7 @@ macro_rules! photometric {
 }
 
 photometric! {
-    /// Smooth-L1: quadratic up to `beta`, linear beyond.
     SmoothL1 => smooth_l1::SmoothL1,
-    /// Charbonnier: √(d² + `padding`²).
     Charbonnier => charbonnier::Charbonnier,
 }
 

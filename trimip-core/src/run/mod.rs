@@ -303,12 +303,6 @@ fn blind(totals: &Totals) -> Error {
     ))
 }
 
-/// Fraction of the schedule that is done at `totals`; 1 or more at its end.
-pub fn progress(config: &Config, totals: &Totals) -> f64 {
-    let train = &config.train;
-    if train.steps > 0 { totals.step as f64 / train.steps as f64 } else { totals.seconds / train.seconds }
-}
-
 /// Progress at which a run is evaluated: `count` points, evenly spaced in the logarithm, from 1/32 (excluded) to 1.
 pub fn evaluation_points(count: u32) -> Vec<f64> {
     (0..count).map(|i| 32_f64.powf(f64::from(i + 1) / f64::from(count) - 1.0)).collect()

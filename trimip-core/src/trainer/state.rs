@@ -6,8 +6,8 @@ use crate::{
     backend::{Loss, Occupancy, Sampler},
     checkpoint::{Checkpoint, OCCUPANCY_DENSITY, TrainState},
     config::FilePrecision,
+    events::progress,
     model::Model,
-    run::progress,
     tensors::Tensor,
 };
 

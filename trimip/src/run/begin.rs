@@ -6,8 +6,7 @@ use trimip_core::{
     Config, Error, Result, Settings, adamw,
     checkpoint::Checkpoint,
     config::TrainConfig,
-    events::{Event, Totals},
-    run::progress,
+    events::{Event, Totals, progress},
     scene_plan::{self, Finding},
 };
 

@@ -1,0 +1,24 @@
+//! The settings of the loss, of all of its terms.
+
+use super::{
+    choices::{Exposure, LossRays},
+    section,
+};
+use serde::{Deserialize, Serialize};
+
+section!(
+    /// The loss.
+    LossConfig, "loss" {
+        photometric: Photometric, beta: f32, padding: f32, opacity: f32, distortion: f32, exposure: Exposure, rays: LossRays,
+    }
+);
+
+/// The photometric terms by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Photometric {
+    /// Smooth-L1: quadratic up to `beta`, linear beyond.
+    SmoothL1,
+    /// Charbonnier: √(d² + `padding`²).
+    Charbonnier,
+}
