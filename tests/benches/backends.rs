@@ -5,10 +5,10 @@
 use criterion::{Criterion, Throughput};
 use std::path::Path;
 use std::time::{Duration, Instant};
-use trimip_core::backend::{Loss, Occupancy, RenderedTile, Sampler};
-use trimip_core::batch::{FieldBackward, PartialGradients, Tile, Update, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::trainer::Trainer;
+use trimip_core::engine::backend::{Loss, Occupancy, RenderedTile, Sampler};
+use trimip_core::engine::batch::{FieldBackward, PartialGradients, Tile, Update, Workspace};
+use trimip_core::engine::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
@@ -44,7 +44,8 @@ fn ball(resolution: u32) -> Vec<u8> {
     let mut bits = vec![0; cells as usize / 8];
     for cell in 0..cells {
         let centre = resolution as f32 / 2.0;
-        let offsets = trimip_core::occupancy::coordinates(cell, resolution).map(|c| c as f32 + 0.5 - centre);
+        let offsets =
+            trimip_core::geometry::occupancy::coordinates(cell, resolution).map(|c| c as f32 + 0.5 - centre);
         let distance = offsets.iter().map(|offset| offset * offset).sum::<f32>().sqrt();
         bits[cell as usize / 8] |= u8::from(distance < 0.2 * resolution as f32) << (cell % 8);
     }

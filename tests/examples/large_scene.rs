@@ -6,7 +6,7 @@
 use image::{DynamicImage, RgbImage, codecs::jpeg::JpegEncoder, imageops::FilterType};
 use serde_json::json;
 use std::{fs, io::BufWriter, path::PathBuf};
-use trimip_core::{Alpha, Camera, Intrinsics, views::composite_pixel};
+use trimip_core::{Alpha, Camera, Intrinsics, scene::views::composite_pixel};
 use trimip_data::builtin;
 use trimip_data::settings::Finish;
 

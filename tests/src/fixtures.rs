@@ -6,10 +6,9 @@ use trimip_core::{
     Alpha, Camera, Config, Frames, Intrinsics, Layout, Result, Scale, View, ViewSet,
     config::{
         Decomposition, DensityFunction, EncoderConfig, EncoderKind, HashGridConfig, LevelFormula,
-        OptimizerConfig, RateSchedule, RendererConfig, Untouched, ViewEncoding,
+        OptimizerConfig, RateSchedule, RendererConfig, Untouched, ViewEncoding, schedule::Schedule,
     },
-    params::Slot,
-    schedule::Schedule,
+    field::params::Slot,
 };
 
 /// SplitMix64 (Steele et al. 2014): the random numbers of the tests.

@@ -3,7 +3,7 @@
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-use trimip_core::exchange::{Rank, Ranks};
+use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::{Error, Result};
 
 /// A rank that is silent for so long has ended.

@@ -6,7 +6,7 @@ use std::{
     collections::BTreeMap,
     path::{Path, PathBuf},
 };
-use trimip_core::{checkpoint::Checkpoint, events::Event};
+use trimip_core::engine::{checkpoint::Checkpoint, events::Event};
 
 /// A run that nothing interrupted.
 pub struct Whole {
@@ -82,9 +82,9 @@ pub fn is_sound(folder: &Path) -> Result<(), String> {
             "checkpoint.safetensors" => {
                 Checkpoint::read(&folder.join(&name)).map(drop).map_err(|error| error.message)
             }
-            "model.safetensors" => {
-                trimip_core::model::Model::read(&folder.join(&name)).map(drop).map_err(|error| error.message)
-            }
+            "model.safetensors" => trimip_core::field::model::Model::read(&folder.join(&name))
+                .map(drop)
+                .map_err(|error| error.message),
             "metrics.jsonl" => {
                 let text = String::from_utf8_lossy(&bytes);
                 let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];

@@ -4,8 +4,12 @@
 use std::future::{Future, poll_fn};
 use std::pin::pin;
 use trimip_core::{
-    Camera, Intrinsics, Layout, Session, Viewer, loaded::LoadedModel, model::Model, tensors::Tensor,
-    tensors::TensorFile, trainer::Trainer,
+    Camera, Intrinsics, Layout, Session, Viewer,
+    engine::{loaded::LoadedModel, trainer::Trainer},
+    field::{
+        model::Model,
+        tensors::{Tensor, TensorFile},
+    },
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, gpu, suite};

@@ -2,7 +2,10 @@
 
 use serde_json::Value;
 use std::{fs, path::Path, time::Duration};
-use trimip_core::{checkpoint::Checkpoint, events::Event, model::Model};
+use trimip_core::{
+    engine::{checkpoint::Checkpoint, events::Event},
+    field::model::Model,
+};
 use trimip_tests::binary::{command, root, run, tiny, tiny_and};
 
 fn json(path: &Path) -> Value {

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 use std::{fs, path::Path};
-use trimip_core::model::Model;
+use trimip_core::field::model::Model;
 use trimip_tests::{
     binary::{run, tiny_and},
     gpu,

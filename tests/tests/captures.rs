@@ -5,7 +5,7 @@ mod common;
 
 use common::{assert_same, colmap::capture, save_image, settings};
 use std::path::Path;
-use trimip_core::{Config, ViewSet, tensors::TensorFile};
+use trimip_core::{Config, ViewSet, field::tensors::TensorFile};
 
 /// The model after a few steps on the CPU.
 fn trained(set: ViewSet) -> TensorFile {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use trimip_core::{
     Config, Result,
     config::{Precision, TrainConfig},
-    exchange::{Exchange, Ranks},
+    engine::exchange::{Exchange, Ranks},
 };
 use trimip_cpu::{CpuBackend, DataParallel, simd::Simd};
 use trimip_tests::{ranks::Threads, suite};

@@ -3,12 +3,9 @@
 
 use trimip_core::{
     Aabb, Layout, Session, Viewer,
-    backend::Occupancy,
-    batch::Ray,
-    checkpoint::Checkpoint,
     config::{Exposure, Precision},
-    rng::{Random, Sequence},
-    trainer::Trainer,
+    engine::{backend::Occupancy, batch::Ray, checkpoint::Checkpoint, trainer::Trainer},
+    math::rng::{Random, Sequence},
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};

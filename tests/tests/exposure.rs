@@ -3,11 +3,9 @@
 use trimip_core::{
     Config, Frame, Session, ViewSet, Viewer,
     config::{Exposure, OptimizerConfig},
-    evaluate::evaluate,
-    exposure,
-    metrics::psnr_of_error,
-    quality::Measures,
-    trainer::Trainer,
+    engine::{exposure, trainer::Trainer},
+    measures::{metrics::psnr_of_error, quality::Measures},
+    run::evaluate::evaluate,
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;

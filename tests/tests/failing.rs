@@ -4,12 +4,13 @@
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
     Camera, Config, ErrorKind, Frames, Result, Session, ViewSet,
-    checkpoint::Checkpoint,
-    evaluate::ViewResult,
-    events::{Event, Totals},
-    model::Model,
-    run::{Run, Store},
-    trainer::Trainer,
+    engine::{
+        checkpoint::Checkpoint,
+        events::{Event, Totals},
+        trainer::Trainer,
+    },
+    field::model::Model,
+    run::{Run, Store, evaluate::ViewResult},
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{binary, fixtures, suite};

@@ -1,7 +1,7 @@
 //! Models and checkpoints whose configuration, state and tensors contradict each other are refused by the reader, with the
 //! file's name, before anything is allocated for them.
 
-use trimip_core::{checkpoint::Checkpoint, model::Model};
+use trimip_core::{engine::checkpoint::Checkpoint, field::model::Model};
 use trimip_tests::formats::{Format, memory::Counting};
 
 #[global_allocator]

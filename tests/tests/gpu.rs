@@ -1,7 +1,7 @@
 //! The suite for every backend, on the GPU, with every method of adding texel gradients. Tests across backends are in
 //! `gpu_and_cpu.rs`.
 
-use trimip_core::{Backend, Layout, Result, Viewer, config::Precision, trainer::Trainer};
+use trimip_core::{Backend, Layout, Result, Viewer, config::Precision, engine::trainer::Trainer};
 use trimip_tests::{
     fixtures,
     gpu::{ADDITIONS, reproducibly, with},

@@ -3,14 +3,17 @@
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
     Camera, Config, Error, ErrorKind, Intrinsics, Layout, Lens, Result, Session, Viewer,
-    checkpoint::Checkpoint,
-    evaluate::{ViewResult, evaluate},
-    events::{Event, Totals},
-    loaded::LoadedModel,
-    model::Model,
-    run::{Run, Store},
-    tensors::Values,
-    trainer::Trainer,
+    engine::{
+        checkpoint::Checkpoint,
+        events::{Event, Totals},
+        loaded::LoadedModel,
+        trainer::Trainer,
+    },
+    field::{model::Model, tensors::Values},
+    run::{
+        Run, Store,
+        evaluate::{ViewResult, evaluate},
+    },
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;

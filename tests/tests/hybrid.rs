@@ -5,11 +5,9 @@ use std::fs;
 use std::sync::OnceLock;
 use trimip_core::{
     config::{HybridRule, RendererKind},
-    loaded::LoadedModel,
-    metrics::psnr,
-    model::Model,
-    proxy::Proxy,
-    tensors::Tensor,
+    engine::{loaded::LoadedModel, proxy::Proxy},
+    field::{model::Model, tensors::Tensor},
+    measures::metrics::psnr,
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{
@@ -107,8 +105,9 @@ fn a_missing_or_broken_proxy_is_told_with_what_to_do() {
         refused(&|model| drop(model.file.tensors.insert(name("shape"), Tensor::f32(&[5], shape.to_vec()))));
     }
     // The proxy comes back from its assets as it was.
-    let proxy =
-        Proxy::from_assets(&trimip_core::model::assets(&trained().file)).unwrap().expect("there is one");
+    let proxy = Proxy::from_assets(&trimip_core::field::model::assets(&trained().file))
+        .unwrap()
+        .expect("there is one");
     assert_eq!(Proxy::from_assets(&proxy.to_assets().unwrap()).unwrap(), Some(proxy));
 }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 use trimip::ranks::{dismiss, follow, scatter_jobs, work_on_jobs};
-use trimip_core::exchange::Ranks;
+use trimip_core::engine::exchange::Ranks;
 use trimip_core::{Error, Result};
 use trimip_tests::ranks::Threads;
 

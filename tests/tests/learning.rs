@@ -1,6 +1,8 @@
 //! Training on the built-in scene: held-out views are rendered better than any constant colour.
 
-use trimip_core::{Config, Session, evaluate::evaluate, metrics::psnr, trainer::Trainer};
+use trimip_core::{
+    Config, Session, engine::trainer::Trainer, measures::metrics::psnr, run::evaluate::evaluate,
+};
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
 use trimip_tests::fixtures::as_code;

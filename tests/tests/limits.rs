@@ -5,7 +5,10 @@ use image::{GrayImage, Luma};
 use serde_json::{Value, json};
 use std::{fs, path::Path, process::Command};
 use tempfile::TempDir;
-use trimip_core::{Config, DocumentedSetting, tensors::TensorFile, tensors::Values};
+use trimip_core::{
+    Config, DocumentedSetting,
+    field::tensors::{TensorFile, Values},
+};
 use trimip_tests::binary::{Answer, command, program, run, tiny, tiny_and};
 
 /// Numbers at which programs fail, and values that are none.

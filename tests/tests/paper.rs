@@ -4,7 +4,7 @@
 use serde_json::Value;
 use std::{fs, path::Path, process::Stdio, time::Duration};
 use trimip::systems::SYSTEMS;
-use trimip_core::model::Model;
+use trimip_core::field::model::Model;
 use trimip_tests::binary::{Answer, command, refuses, run};
 
 /// Writes two of the Blender scenes' names as small scenes.

@@ -2,11 +2,11 @@
 
 use glam::DVec3;
 use proptest::prelude::*;
-use trimip_core::compositing::{composite, composite_gradient};
 use trimip_core::config::{EncoderConfig, PlaneShape};
-use trimip_core::encoders::tri_mip::{CHANNELS, PLANE_AXES, Pyramid, grow, taps};
+use trimip_core::field::encoders::tri_mip::{CHANNELS, PLANE_AXES, Pyramid, grow, taps};
+use trimip_core::math::compositing::{composite, composite_gradient};
+use trimip_core::scene::silhouettes;
 use trimip_core::scene_plan::radii;
-use trimip_core::silhouettes;
 use trimip_core::{Aabb, Alpha, Camera, Config, Intrinsics, Scale, View, ViewSet};
 
 /// Optical depths from 1e-12 to 1e12, colours and distances of a ray's samples.

@@ -3,7 +3,11 @@
 use serde_json::Value;
 use std::{fs, path::Path};
 use trimip_core::scene_plan::{self, Compute, Facts};
-use trimip_core::{Config, Settings, config::FilePrecision, config::PlaneShape, model::Model};
+use trimip_core::{
+    Config, Settings,
+    config::{FilePrecision, PlaneShape},
+    field::model::Model,
+};
 use trimip_tests::binary::{run, tiny_and};
 
 fn json(path: &Path) -> Value {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use trimip::{Settings, Training, events::Event};
 use trimip_core::{
-    Checker, Config, Definitions, ErrorKind, ForeignSection, Fragment, Result, Section, model::Model,
+    Checker, Config, Definitions, ErrorKind, ForeignSection, Fragment, Result, Section, field::model::Model,
 };
 
 /// The settings of a backend on tensor processors.

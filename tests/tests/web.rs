@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use trimip::{backends, view::cameras};
-use trimip_core::{Intrinsics, config::RendererKind, metrics};
+use trimip_core::{Intrinsics, config::RendererKind, measures::metrics};
 use trimip_tests::binary::{refuses, run, tiny_and};
 use trimip_tests::watching::{Browser, view};
 

@@ -1,6 +1,6 @@
 //! The measures of a model as a table on the terminal.
 
-use trimip_core::quality::{Measures, ScaleQuality, mean_quality};
+use trimip_core::measures::quality::{Measures, ScaleQuality, mean_quality};
 
 /// PSNR, SSIM and what was measured of perception per scale and their mean as aligned lines, followed by remarks. `plain` is
 /// without the edge exponents of the set, `box` against a true box filter of the finest photographs, `exposed` at the

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 use trimip_core::{
     Result,
-    events::{Event, EventSink},
+    engine::events::{Event, EventSink},
 };
 use trimip_data::settings::DataConfig;
 use trimip_data::{Scene, Watch};

@@ -4,7 +4,7 @@
 mod supervisor;
 
 use std::sync::Arc;
-use trimip_core::{Result, exchange::Ranks};
+use trimip_core::{Result, engine::exchange::Ranks};
 
 /// True for the process that says what all would say: that of rank 0, or the only one.
 pub fn speaks() -> bool {
@@ -31,7 +31,7 @@ mod launched {
     use std::panic::{AssertUnwindSafe, catch_unwind};
     use std::sync::{Arc, OnceLock};
     use trimip::ranks;
-    use trimip_core::{Error, Result, exchange::Ranks};
+    use trimip_core::{Error, Result, engine::exchange::Ranks};
     use trimip_mpi::World;
 
     static WORLD: OnceLock<Arc<World>> = OnceLock::new();
@@ -120,7 +120,7 @@ mod launched {
 #[cfg(not(feature = "mpi"))]
 mod launched {
     use std::sync::Arc;
-    use trimip_core::{Error, Result, exchange::Ranks};
+    use trimip_core::{Error, Result, engine::exchange::Ranks};
 
     pub fn all() -> Option<Arc<dyn Ranks>> {
         None

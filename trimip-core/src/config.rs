@@ -4,10 +4,14 @@
 
 mod checks;
 mod choices;
+pub(crate) mod defaults;
 mod encoders;
 mod foreign;
 mod loss;
+mod range;
+pub mod schedule;
 mod sections;
+pub(crate) mod settings;
 
 pub use choices::{
     ConePattern, Contraction, Convention, Decomposition, DensityFunction, Exposure, FilePrecision, FinalEval,
@@ -26,8 +30,8 @@ pub use sections::{
 pub use loss::{LossConfig, Photometric};
 pub(crate) use sections::section;
 
-use crate::defaults::Definitions;
-use crate::settings::{checker::Checker, section::mistyped, text::section_begun};
+use crate::config::defaults::Definitions;
+use crate::config::settings::{checker::Checker, section::mistyped, text::section_begun};
 use crate::{Error, Origin, Result, Settings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;

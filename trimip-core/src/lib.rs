@@ -17,86 +17,41 @@
 
 #![forbid(unsafe_code)]
 
-pub mod aabb;
-pub mod activation;
-pub mod adamw;
 pub mod atomic;
-pub mod backend;
-pub mod batch;
-pub mod bits;
-pub mod camera;
-pub mod checkpoint;
-pub mod compositing;
-mod cone_pattern;
-pub mod cones;
 pub mod config;
-mod defaults;
-mod deflate;
-pub mod edge_exponents;
-mod elements;
-pub mod encoders;
+pub mod engine;
 mod error;
-pub mod evaluate;
-pub mod events;
-pub mod exact;
-pub mod exchange;
-pub mod exposure;
-pub mod fingerprint;
-pub mod frame;
-pub mod hull;
-pub mod lens;
-pub mod loaded;
-pub mod losses;
+pub mod field;
+pub mod geometry;
+pub mod math;
+pub mod measures;
 pub mod memory;
-pub mod metrics;
-pub mod model;
-pub mod networks;
-pub mod occupancy;
-pub mod packed;
-pub mod params;
-pub mod perception;
-pub mod pixels;
 pub mod plural;
-pub mod policy;
-pub mod projections;
-pub mod proxy;
-pub mod quality;
-mod query;
-mod range;
-mod ranks;
-pub mod ray_allocation;
-pub mod rng;
 pub mod run;
-pub mod scalar;
+pub mod scene;
 pub mod scene_plan;
-pub mod schedule;
-mod session;
-mod settings;
-pub mod sh;
-pub mod silhouettes;
-mod slot;
-pub mod space;
-mod stages;
-mod tensor_names;
-pub mod tensors;
 pub mod text;
-mod timekeeper;
-pub mod trainer;
-pub mod views;
 
-pub use aabb::Aabb;
-pub use backend::{Backend, Encoder, Field, Optimizer, Renderer};
-pub use camera::{Camera, Cone, Intrinsics};
-pub use config::Config;
-pub use defaults::{Definitions, DocumentedSection, DocumentedSetting, ForeignSection, Fragment};
-pub use elements::Query;
+pub use config::{
+    Config,
+    defaults::{Definitions, DocumentedSection, DocumentedSetting, ForeignSection, Fragment},
+    settings::{Origin, Settings, checker::Checker, section::Section},
+};
+pub use engine::{
+    backend::{Backend, Encoder, Field, Optimizer, Renderer},
+    session::{Session, StepReport, Viewer},
+};
 pub use error::{Error, ErrorKind, Result, STOPPED};
-pub use frame::{Frame, Pixel};
-pub use lens::Lens;
-pub use params::Layout;
-pub use pixels::Pixels;
-pub use session::{Session, StepReport, Viewer};
-pub use settings::{Origin, Settings, checker::Checker, section::Section};
-pub use slot::Slot;
-pub use space::Space;
-pub use views::{Alpha, Frames, Scale, View, ViewSet};
+pub use field::{params::Layout, slot::Slot};
+pub use geometry::{
+    aabb::Aabb,
+    camera::{Camera, Cone, Intrinsics},
+    elements::Query,
+    lens::Lens,
+    space::Space,
+};
+pub use scene::{
+    frame::{Frame, Pixel},
+    pixels::Pixels,
+    views::{Alpha, Frames, Scale, View, ViewSet},
+};

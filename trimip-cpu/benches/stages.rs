@@ -6,10 +6,12 @@ use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::{Duration, Instant};
-use trimip_core::backend::{Loss, Occupancy, Optimizer, RenderedTile, Sampler, Stages};
-use trimip_core::batch::{FieldBackward, PartialGradients, Radiance, StepResult, Tile, Update, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::trainer::Trainer;
+use trimip_core::engine::backend::{Loss, Occupancy, Optimizer, RenderedTile, Sampler, Stages};
+use trimip_core::engine::batch::{
+    FieldBackward, PartialGradients, Radiance, StepResult, Tile, Update, Workspace,
+};
+use trimip_core::engine::trainer::Trainer;
 use trimip_core::{Backend, Config, Encoder, Field, Layout, Renderer, Session, ViewSet};
 use trimip_cpu::CpuBackend;
 use trimip_cpu::simd::Simd;
@@ -36,7 +38,7 @@ fn ball(resolution: u32) -> Vec<u8> {
     let mut bits = vec![0; cells as usize / 8];
     for cell in 0..cells {
         let centre = resolution as f32 / 2.0;
-        let distance = trimip_core::occupancy::coordinates(cell, resolution)
+        let distance = trimip_core::geometry::occupancy::coordinates(cell, resolution)
             .map(|c| (c as f32 + 0.5 - centre).powi(2))
             .iter()
             .sum::<f32>()

@@ -15,9 +15,9 @@ use rayon::prelude::*;
 use std::any::TypeId;
 use std::ops::Range;
 use std::sync::Mutex;
-use trimip_core::backend::{Stages, TrainWork};
-use trimip_core::batch::{Batch, PartialGradients, Segment, StepResult, Tiling, Update, Workspace};
 use trimip_core::config::Precision;
+use trimip_core::engine::backend::{Stages, TrainWork};
+use trimip_core::engine::batch::{Batch, PartialGradients, Segment, StepResult, Tiling, Update, Workspace};
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
 
 /// Approximate maximum of samples in the rays that a worker renders at once; it bounds the worker's memory.

@@ -13,10 +13,10 @@ use crate::optimizer::CpuOptimizer;
 use crate::reduction_tree::ReductionTree;
 use crate::wire::{Reader, put, put_counted};
 use std::sync::Arc;
-use trimip_core::backend::Stages;
-use trimip_core::batch::{PartialGradients, StepResult, Update};
 use trimip_core::config::TrainConfig;
-use trimip_core::exchange::{Exchange, Rank, Ranks};
+use trimip_core::engine::backend::Stages;
+use trimip_core::engine::batch::{PartialGradients, StepResult, Update};
+use trimip_core::engine::exchange::{Exchange, Rank, Ranks};
 use trimip_core::{Backend, Error, Field, Optimizer, Result};
 
 /// The exchange of the CPU backend.

@@ -9,9 +9,9 @@ use crate::gemm::padded;
 use crate::simd::Simd;
 use crate::wire::Reader;
 use crate::{CpuBackend, WorkerScratch};
-use trimip_core::batch::{PartialGradients, Samples, Tile};
 use trimip_core::config::EncoderKind;
-use trimip_core::{Config, Encoder, Result, encoders};
+use trimip_core::engine::batch::{PartialGradients, Samples, Tile};
+use trimip_core::{Config, Encoder, Result, field::encoders};
 
 /// The parameters, and the geometry of a tile's samples.
 fn places<'a>(tile: &Tile<'a, CpuBackend>) -> Places<'a> {

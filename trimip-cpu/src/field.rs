@@ -12,15 +12,15 @@ use crate::wire::Reader;
 use crate::{CpuBackend, WorkerScratch};
 use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::batch::{FieldBackward, PartialGradients, Radiance, Rays, Samples, Tile};
-use trimip_core::compositing::is_lit;
 use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
-use trimip_core::exchange::Rank;
-use trimip_core::networks::{append_frequencies, pull_frequencies};
-use trimip_core::params::{ALIGNMENT, Slot};
-use trimip_core::policy::FieldPolicy;
-use trimip_core::sh::spherical_harmonics;
-use trimip_core::{Config, Field, Layout, Result, encoders};
+use trimip_core::engine::batch::{FieldBackward, PartialGradients, Radiance, Rays, Samples, Tile};
+use trimip_core::engine::exchange::Rank;
+use trimip_core::engine::policy::FieldPolicy;
+use trimip_core::field::networks::{append_frequencies, pull_frequencies};
+use trimip_core::field::params::{ALIGNMENT, Slot};
+use trimip_core::math::compositing::is_lit;
+use trimip_core::math::sh::spherical_harmonics;
+use trimip_core::{Config, Field, Layout, Result, field::encoders};
 
 /// The density and colour networks.
 pub struct CpuField {

@@ -6,9 +6,9 @@ use crate::renderer::CpuRenderer;
 use crate::{CpuBackend, CpuField};
 use std::ops::Range;
 use trimip_core::Field;
-use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
-use trimip_core::proxy::{Chooser, Chosen, Guide, Layering, Pick, Shaded, share_colors};
-use trimip_core::space::Path;
+use trimip_core::engine::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
+use trimip_core::engine::proxy::{Chooser, Chosen, Guide, Layering, Pick, Shaded, share_colors};
+use trimip_core::geometry::space::Path;
 
 /// Renders by the proxy of a model.
 pub(crate) struct Hybrid(pub Guide);

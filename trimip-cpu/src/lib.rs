@@ -54,11 +54,11 @@ pub use renderer::CpuRenderer;
 
 use simd::Simd;
 use std::sync::Arc;
-use trimip_core::exchange::Ranks;
-use trimip_core::loaded::LoadedModel;
-use trimip_core::model::Model;
+use trimip_core::engine::exchange::Ranks;
+use trimip_core::engine::loaded::LoadedModel;
+use trimip_core::engine::trainer::Trainer;
+use trimip_core::field::model::Model;
 use trimip_core::scene_plan::Compute;
-use trimip_core::trainer::Trainer;
 use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 
 /// Creates an untrained model, to be trained on `views` with the configured number of threads.

@@ -2,14 +2,14 @@
 
 use crate::buffer::Buffer;
 use crate::{CpuBackend, WorkerScratch};
-use trimip_core::backend::{Loss, RenderedTile};
-use trimip_core::batch::{Interval, Radiance, Segment, StepResult, Target};
 use trimip_core::config::{LossConfig, LossRays};
-use trimip_core::edge_exponents::{shown, shown_gradient};
-use trimip_core::losses::exposure::exposed;
-use trimip_core::losses::{
+use trimip_core::engine::backend::{Loss, RenderedTile};
+use trimip_core::engine::batch::{Interval, Radiance, Segment, StepResult, Target};
+use trimip_core::field::losses::exposure::exposed;
+use trimip_core::field::losses::{
     self, ConeSamples, PhotometricTerm, PhotometricVisitor, PixelTerm, RaySample, RayTerm,
 };
+use trimip_core::scene::edge_exponents::{shown, shown_gradient};
 use trimip_core::{Config, Pixel, Space};
 
 /// The terms that a configuration puts to work.

@@ -3,11 +3,11 @@
 use crate::backend::SAMPLES_AT_ONCE;
 use crate::encoder::gradient_memory;
 use crate::mlp::BLOCK;
-use trimip_core::batch::{Interval, Radiance, Sphere};
-use trimip_core::networks::geometry_width;
-use trimip_core::params::{color_layers, density_layers};
-use trimip_core::trainer::{first_rays, longest_ray};
-use trimip_core::{Config, Layout, Pixel, ViewSet, encoders};
+use trimip_core::engine::batch::{Interval, Radiance, Sphere};
+use trimip_core::engine::trainer::{first_rays, longest_ray};
+use trimip_core::field::networks::geometry_width;
+use trimip_core::field::params::{color_layers, density_layers};
+use trimip_core::{Config, Layout, Pixel, ViewSet, field::encoders};
 
 /// The program with its libraries and its threads' allocators, on Linux.
 const PROGRAM: u64 = 20_000_000;

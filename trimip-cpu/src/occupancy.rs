@@ -7,11 +7,11 @@ use crate::{CpuBackend, WorkerScratch};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::Config;
-use trimip_core::backend::Occupancy;
-use trimip_core::batch::{Radiance, Rays, Samples};
-use trimip_core::bits;
-use trimip_core::occupancy::{coordinates, decayed, mean, threshold};
-use trimip_core::policy::OccupancyPolicy;
+use trimip_core::engine::backend::Occupancy;
+use trimip_core::engine::batch::{Radiance, Rays, Samples};
+use trimip_core::engine::policy::OccupancyPolicy;
+use trimip_core::geometry::occupancy::{coordinates, decayed, mean, threshold};
+use trimip_core::math::bits;
 
 /// Cells along a side of a block.
 const BLOCK: u32 = 4;

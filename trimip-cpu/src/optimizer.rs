@@ -6,10 +6,10 @@ use crate::encoders::Piece;
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering};
-use trimip_core::adamw::Rule;
-use trimip_core::batch::Update;
-use trimip_core::params::ALIGNMENT;
-use trimip_core::policy::{OptimizerPolicy, SlotUpdate};
+use trimip_core::engine::batch::Update;
+use trimip_core::engine::policy::{OptimizerPolicy, SlotUpdate};
+use trimip_core::field::adamw::Rule;
+use trimip_core::field::params::ALIGNMENT;
 use trimip_core::{Config, Layout, Optimizer};
 
 /// Parameters per task.
@@ -182,9 +182,9 @@ impl Kernel for Lines<'_> {
 mod tests {
     use super::*;
     use trimip_core::Backend;
-    use trimip_core::batch::{PartialGradients, StepResult, StepSums};
     use trimip_core::config::{FilePrecision, Untouched};
-    use trimip_core::params::Slot;
+    use trimip_core::engine::batch::{PartialGradients, StepResult, StepSums};
+    use trimip_core::field::params::Slot;
 
     /// Slots of lengths that no register divides: dense and sparse ones, each with its own rate and decay.
     fn odd() -> Layout {

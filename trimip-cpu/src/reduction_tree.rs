@@ -3,7 +3,7 @@
 //! sends one sum, and all sums have the same bits for any number of ranks.
 
 use std::ops::Range;
-use trimip_core::exchange::Rank;
+use trimip_core::engine::exchange::Rank;
 
 /// Number of parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,13 +6,15 @@ use crate::occupancy::CpuOccupancy;
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::visibility::visibility_pass;
 use crate::{CpuBackend, WorkerScratch};
-use trimip_core::backend::Stages;
-use trimip_core::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Target, Tile, Workspace};
-use trimip_core::compositing::{Visibility, composite, composite_gradient};
-use trimip_core::policy::RendererPolicy;
-use trimip_core::proxy::Guide;
-use trimip_core::rng::Sequence;
-use trimip_core::space::Path;
+use trimip_core::engine::backend::Stages;
+use trimip_core::engine::batch::{
+    Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Target, Tile, Workspace,
+};
+use trimip_core::engine::policy::RendererPolicy;
+use trimip_core::engine::proxy::Guide;
+use trimip_core::geometry::space::Path;
+use trimip_core::math::compositing::{Visibility, composite, composite_gradient};
+use trimip_core::math::rng::Sequence;
 use trimip_core::{Config, Pixel, Renderer, Result};
 
 /// The progress of marching along a ray.

@@ -3,13 +3,13 @@
 use crate::simd::fetch;
 use crate::{CpuBackend, WorkerScratch};
 use std::ops::Range;
-use trimip_core::backend::Sampler;
-use trimip_core::batch::{Ray, Rays, Segment, Target};
-use trimip_core::cones;
-use trimip_core::policy::SamplerPolicy;
-use trimip_core::ray_allocation::RayAllocation;
-use trimip_core::rng::Sequence;
-use trimip_core::views::composite_pixel;
+use trimip_core::engine::backend::Sampler;
+use trimip_core::engine::batch::{Ray, Rays, Segment, Target};
+use trimip_core::engine::policy::SamplerPolicy;
+use trimip_core::engine::ray_allocation::RayAllocation;
+use trimip_core::math::rng::Sequence;
+use trimip_core::scene::cones;
+use trimip_core::scene::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
 
 /// Number of pixels that are drawn and prefetched before the first of them is read.

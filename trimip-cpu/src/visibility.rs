@@ -9,9 +9,9 @@ use crate::hybrid::{Groups, Hybrid};
 use crate::renderer::{CpuRenderer, Cursor};
 use crate::simd::{Kernel, Lanes};
 use crate::{CpuBackend, CpuField, WorkerScratch};
-use trimip_core::backend::Stages;
-use trimip_core::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Tile, Workspace};
-use trimip_core::compositing::{Pruning, Visibility};
+use trimip_core::engine::backend::Stages;
+use trimip_core::engine::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Tile, Workspace};
+use trimip_core::math::compositing::{Pruning, Visibility};
 use trimip_core::{Encoder, Field, Renderer};
 
 /// Samples per ray that are evaluated at once; few, so that little is evaluated behind the surface.

@@ -2,7 +2,7 @@
 
 use crate::buffer::Buffer;
 use bytemuck::Pod;
-use trimip_core::{Error, Result, exchange};
+use trimip_core::{Error, Result, engine::exchange};
 
 /// Appends values.
 pub fn put<T: Pod>(out: &mut Vec<u8>, values: &[T]) {

@@ -2,7 +2,7 @@
 //! `fl_x` the focal length follows from `camera_angle_x`, or as the camera model says. Lengths in pixels, angles in radians.
 
 use crate::{json::Node, lens, photograph::Photograph};
-use trimip_core::{Error, Intrinsics, Result, projections::Model};
+use trimip_core::{Error, Intrinsics, Result, geometry::projections::Model};
 
 /// Image size from `w` and `h`.
 #[derive(Clone, Copy, Default)]

@@ -2,7 +2,7 @@
 
 use crate::json::Node;
 use serde_json::Value;
-use trimip_core::{Error, Lens, Result, projections::Model};
+use trimip_core::{Error, Lens, Result, geometry::projections::Model};
 
 /// Coefficients in the files.
 const TERMS: [&str; 10] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "sx1", "sy1"];

@@ -7,7 +7,7 @@ use common::{colmap::Sparse, save_image};
 use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::Path;
-use trimip_core::{Camera, Intrinsics, projections::Model};
+use trimip_core::{Camera, Intrinsics, geometry::projections::Model};
 use trimip_data::settings::{DataConfig, Finish};
 use trimip_data::{builtin, lens_terms, unwatched};
 

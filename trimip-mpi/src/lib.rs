@@ -1,4 +1,4 @@
-//! [`Ranks`](trimip_core::exchange::Ranks) over MPI. With the feature `mpi` alone: without it the crate has only
+//! [`Ranks`](trimip_core::engine::exchange::Ranks) over MPI. With the feature `mpi` alone: without it the crate has only
 //! [`launched`].
 
 #[cfg(feature = "mpi")]
@@ -6,7 +6,7 @@ mod world;
 #[cfg(feature = "mpi")]
 pub use world::{Traffic, World};
 
-use trimip_core::exchange::Rank;
+use trimip_core::engine::exchange::Rank;
 
 /// Variables of the environment in which a launcher tells a process its rank and the number of ranks: `mpirun` of Open MPI,
 /// the PMI of MPICH and Slurm, and PMIx under Slurm.

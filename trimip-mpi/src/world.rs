@@ -7,7 +7,7 @@ use mpi::traits::{Communicator, CommunicatorCollectives, Destination, Source};
 use mpi::{Rank, Tag, Threading, request};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
-use trimip_core::exchange::{Rank, Ranks};
+use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::{Error, Result};
 
 /// Tags of messages.

@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 use trimip::mesh::{self, Extraction, Goal};
 use trimip::view::{PerceptualMetrics, TestViews, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
-use trimip_core::{Query, encoders, evaluate::ViewResult};
+use trimip_core::{Query, field::encoders, run::evaluate::ViewResult};
 
 /// Views as arrays. One view has [height, width, …], several have [views, height, width, …].
 #[pyclass(frozen, get_all, module = "trimip")]

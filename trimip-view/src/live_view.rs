@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread;
 use std::time::{Duration, Instant};
 use trimip_core::Result;
-use trimip_core::events::{Event, Totals};
-use trimip_core::model::Model;
+use trimip_core::engine::events::{Event, Totals};
+use trimip_core::field::model::Model;
 use trimip_core::run::Observer;
 
 /// Shortest time between two states of the model that are shown.

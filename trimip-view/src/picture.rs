@@ -6,9 +6,9 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage};
 use trimip::view::pictures::{depth, difference, rgb_image};
 use trimip::view::{depth_range, flip_colors, flip_of_pictures};
-use trimip_core::cones::Division;
 use trimip_core::config::EncoderKind;
-use trimip_core::encoders::tri_mip::Pyramid;
+use trimip_core::field::encoders::tri_mip::Pyramid;
+use trimip_core::scene::cones::Division;
 use trimip_core::{Aabb, Camera, Config, Error, Frame, Result, Space};
 
 /// Opacity below which a pixel has no surface.

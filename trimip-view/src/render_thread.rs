@@ -12,7 +12,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use trimip::view::cameras::resized;
-use trimip_core::model::Model;
+use trimip_core::field::model::Model;
 use trimip_core::{Aabb, Camera, Error, Result};
 
 /// Time of a coarse picture. Hybrid rendering has four times the pixels in the same time, and shares them between finer and

@@ -10,8 +10,8 @@ use std::sync::Mutex;
 use trimip::run::folder::RunFolder;
 use trimip::view::pictures::rgb_image;
 use trimip::{backends, settings};
-use trimip_core::model::{Model, assets};
-use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, proxy::Proxy};
+use trimip_core::field::model::{Model, assets};
+use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, engine::proxy::Proxy};
 
 /// Photographs that are kept decoded.
 const KEPT: usize = 4;

@@ -4,8 +4,8 @@
 
 use glam::{DMat3, DVec3};
 use serde_json::json;
-use trimip_core::loaded::LoadedModel;
-use trimip_core::model::Model;
+use trimip_core::engine::loaded::LoadedModel;
+use trimip_core::field::model::Model;
 use trimip_core::{Camera, Error, Intrinsics};
 use trimip_wgpu::WgpuBackend;
 use wasm_bindgen::prelude::*;

@@ -16,9 +16,9 @@ use bytemuck::Pod;
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use trimip_core::backend::{Stages, TrainWork};
-use trimip_core::batch::{Batch, PartialGradients, StepResult, StepSums, Tiling, Workspace};
 use trimip_core::config::Precision;
+use trimip_core::engine::backend::{Stages, TrainWork};
+use trimip_core::engine::batch::{Batch, PartialGradients, StepResult, StepSums, Tiling, Workspace};
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
 /// Iterations after which llvmpipe ends the loops of an invocation, minus some for its other loops.

@@ -3,8 +3,8 @@
 
 use crate::gpu::BLOCK;
 use crate::products::padded;
-use trimip_core::params::{color_layers, density_layers};
-use trimip_core::{Config, encoders};
+use trimip_core::field::params::{color_layers, density_layers};
+use trimip_core::{Config, field::encoders};
 
 /// Capacity for marched samples in a training step, per sample that the step aims to keep.
 const MARCHED_PER_AIM: usize = 4;

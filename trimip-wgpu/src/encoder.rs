@@ -8,9 +8,9 @@ use crate::gpu::Kernel;
 use crate::gpu::{Buffer, Gpu, Rows};
 use crate::workspace::{Addition, Stream, WgpuBackend};
 use std::sync::Arc;
-use trimip_core::batch::{PartialGradients, Tile};
 use trimip_core::config::EncoderKind;
-use trimip_core::{Config, Encoder, encoders};
+use trimip_core::engine::batch::{PartialGradients, Tile};
+use trimip_core::{Config, Encoder, field::encoders};
 
 /// The geometry of a tile's samples.
 fn places(tile: &mut Tile<'_, WgpuBackend>) -> Places {

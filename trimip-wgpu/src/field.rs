@@ -9,9 +9,9 @@ use crate::shaders::{ACTIVATION, COMPOSITING, HARMONICS, RAY};
 use crate::workspace::{DeviceCounters, Stream, WgpuBackend};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use trimip_core::batch::{FieldBackward, PartialGradients, Radiance, Tile};
 use trimip_core::config::{Precision, ViewEncoding};
-use trimip_core::policy::FieldPolicy;
+use trimip_core::engine::batch::{FieldBackward, PartialGradients, Radiance, Tile};
+use trimip_core::engine::policy::FieldPolicy;
 use trimip_core::{Config, Field, Layout};
 
 shared! {

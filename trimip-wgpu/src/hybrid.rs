@@ -10,9 +10,9 @@ use crate::shaders::{COMPOSITING, PRUNING, SEGMENTS};
 use crate::space::GpuSpace;
 use crate::workspace::{Stream, WgpuBackend};
 use std::sync::Arc;
-use trimip_core::backend::Stages;
-use trimip_core::batch::{Radiance, Rays, Samples, Tile, Workspace};
-use trimip_core::proxy::{BEHIND, BRICK, Guide, Layers, Rule};
+use trimip_core::engine::backend::Stages;
+use trimip_core::engine::batch::{Radiance, Rays, Samples, Tile, Workspace};
+use trimip_core::engine::proxy::{BEHIND, BRICK, Guide, Layers, Rule};
 use trimip_core::{Encoder, Error, Field, Result};
 
 shared! {

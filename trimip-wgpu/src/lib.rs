@@ -42,10 +42,10 @@ pub use speed::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, compute}
 pub use workspace::{Addition, Stream, WgpuBackend};
 
 use std::sync::Arc;
-use trimip_core::exchange::{Ranks, Summed};
-use trimip_core::loaded::LoadedModel;
-use trimip_core::model::Model;
-use trimip_core::trainer::Trainer;
+use trimip_core::engine::exchange::{Ranks, Summed};
+use trimip_core::engine::loaded::LoadedModel;
+use trimip_core::engine::trainer::Trainer;
+use trimip_core::field::model::Model;
 use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 
 /// Creates an untrained model, to be trained on `views` on the configured adapter.

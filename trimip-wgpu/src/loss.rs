@@ -7,10 +7,10 @@ use crate::shaders::POINT;
 use crate::space::GpuSpace;
 use crate::workspace::{Stream, WgpuBackend};
 use std::sync::Arc;
-use trimip_core::backend::{Loss, RenderedTile};
-use trimip_core::batch::Radiance;
 use trimip_core::config::{LossConfig, LossRays};
-use trimip_core::losses::{Definition, PIXEL_TERMS, RAY_TERMS};
+use trimip_core::engine::backend::{Loss, RenderedTile};
+use trimip_core::engine::batch::Radiance;
+use trimip_core::field::losses::{Definition, PIXEL_TERMS, RAY_TERMS};
 use trimip_core::{Config, Space};
 
 /// Weight and numbers of a term, as the shaders read them.

@@ -8,8 +8,8 @@ use crate::gpu::{GRID, Gpu, Kernel, Pipeline};
 use crate::shaders::{COMPOSITING, FIXED, SUM, SUM_OF_FOUR};
 use crate::space::{GpuSpace, SPACE};
 use trimip_core::config::Photometric;
-use trimip_core::edge_exponents::LEAST_OPACITY;
-use trimip_core::losses::RAY_TERMS;
+use trimip_core::field::losses::RAY_TERMS;
+use trimip_core::scene::edge_exponents::LEAST_OPACITY;
 
 shared! {
     /// Parameters of the terms of pixels.
@@ -141,7 +141,7 @@ macro_rules! losses {
 
         impl PixelTerms {
             /// The terms in the order of core's list.
-            pub fn of([$($pixel),*]: [[f32; 4]; trimip_core::losses::PIXEL_TERMS.len()]) -> Self {
+            pub fn of([$($pixel),*]: [[f32; 4]; trimip_core::field::losses::PIXEL_TERMS.len()]) -> Self {
                 Self { $($pixel),* }
             }
         }
@@ -207,7 +207,7 @@ pub fn all() -> Vec<Kernel> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trimip_core::losses::PIXEL_TERMS;
+    use trimip_core::field::losses::PIXEL_TERMS;
 
     #[test]
     fn every_registered_term_is_listed_in_the_same_order() {

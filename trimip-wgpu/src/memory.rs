@@ -5,9 +5,9 @@ use crate::gpu::largest_binding;
 use crate::mlp::CHUNKS;
 use crate::products::padded;
 use crate::settings::{Photographs, WgpuConfig};
-use trimip_core::batch::{Interval, Radiance, Ray, Segment, Sphere, Target};
-use trimip_core::encoders;
-use trimip_core::params::{color_layers, density_layers};
+use trimip_core::engine::batch::{Interval, Radiance, Ray, Segment, Sphere, Target};
+use trimip_core::field::encoders;
+use trimip_core::field::params::{color_layers, density_layers};
 use trimip_core::{Config, Layout, Pixel, Space, ViewSet};
 
 /// Bytes of an f32.

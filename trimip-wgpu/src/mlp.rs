@@ -8,7 +8,7 @@ use crate::products::{Counter, Finish, GRADIENT_SCALE, accumulate, multiply, mul
 use crate::shaders::HALF;
 use std::sync::Arc;
 use trimip_core::Layout;
-use trimip_core::networks::Network;
+use trimip_core::field::networks::Network;
 
 /// Number of chunks of a weight gradient, each over a run of samples; the chunks are added in order.
 pub const CHUNKS: u32 = 64;

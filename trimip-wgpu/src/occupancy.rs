@@ -11,12 +11,12 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use trimip_core::Config;
-use trimip_core::backend::Occupancy;
-use trimip_core::batch::{Radiance, Rays, Samples};
-use trimip_core::bits;
-use trimip_core::occupancy::coordinates;
-use trimip_core::policy::OccupancyPolicy;
-use trimip_core::rng::Sequence;
+use trimip_core::engine::backend::Occupancy;
+use trimip_core::engine::batch::{Radiance, Rays, Samples};
+use trimip_core::engine::policy::OccupancyPolicy;
+use trimip_core::geometry::occupancy::coordinates;
+use trimip_core::math::bits;
+use trimip_core::math::rng::Sequence;
 
 /// Indices into the state: cells selected, cells occupied, cells queried in a tile.
 const CHOSEN: u32 = 0;

@@ -6,8 +6,8 @@ use crate::gpu::{Bind, Buffer, GRID, Gpu, Kernel, Pipeline, Size};
 use crate::workspace::WgpuBackend;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use trimip_core::batch::Update;
-use trimip_core::policy::{OptimizerPolicy, SlotUpdate};
+use trimip_core::engine::batch::Update;
+use trimip_core::engine::policy::{OptimizerPolicy, SlotUpdate};
 use trimip_core::{Config, Layout, Optimizer};
 
 shared! {
@@ -145,7 +145,7 @@ mod tests {
     use super::*;
     use crate::probe::gpu;
     use trimip_core::config::Untouched;
-    use trimip_core::params::Slot;
+    use trimip_core::field::params::Slot;
 
     /// Algorithm 2 of Loshchilov and Hutter as printed: value and moments after step `step` at a learning rate of
     /// 1e-3.

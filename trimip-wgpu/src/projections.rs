@@ -1,4 +1,4 @@
-//! The camera models on a GPU, in the order of [`trimip_core::projections`]: the WGSL of each defines `cone_NAME`, and
+//! The camera models on a GPU, in the order of [`trimip_core::geometry::projections`]: the WGSL of each defines `cone_NAME`, and
 //! `cone_of_model` calls that of a view.
 
 /// Joins the files of the models, and writes `cone_of_model`. A line is the number of a view's `lens`, and the model's name.
@@ -27,7 +27,7 @@ models! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trimip_core::projections::Model;
+    use trimip_core::geometry::projections::Model;
 
     #[test]
     fn models_have_the_numbers_of_core() {

@@ -9,12 +9,12 @@ use crate::shaders::{BLOCKS, COMPOSITING, PRUNING, RANDOM, RAY, SEGMENTS};
 use crate::space::{GpuSpace, SPACE};
 use crate::workspace::{Stream, WgpuBackend};
 use std::sync::Arc;
-use trimip_core::backend::{Stages, evaluate_visible_samples};
-use trimip_core::batch::{Radiance, Rays, Samples, Segment, Tile, Workspace};
-use trimip_core::compositing::Pruning;
-use trimip_core::policy::RendererPolicy;
-use trimip_core::proxy::Guide;
-use trimip_core::rng::Sequence;
+use trimip_core::engine::backend::{Stages, evaluate_visible_samples};
+use trimip_core::engine::batch::{Radiance, Rays, Samples, Segment, Tile, Workspace};
+use trimip_core::engine::policy::RendererPolicy;
+use trimip_core::engine::proxy::Guide;
+use trimip_core::math::compositing::Pruning;
+use trimip_core::math::rng::Sequence;
 use trimip_core::{Config, Pixel, Renderer, Result};
 
 /// Segments per invocation of the prefix sums.

@@ -9,14 +9,14 @@ use crate::shaders::{RANDOM, RAY};
 use crate::workspace::{Stream, WgpuBackend};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
-use trimip_core::backend::Sampler;
-use trimip_core::batch::Rays;
-use trimip_core::cones::{self, QUINCUNX};
-use trimip_core::lens::MOST_ROUNDS;
-use trimip_core::policy::SamplerPolicy;
-use trimip_core::ray_allocation::RayAllocation;
-use trimip_core::rng::Sequence;
-use trimip_core::views::Alpha;
+use trimip_core::engine::backend::Sampler;
+use trimip_core::engine::batch::Rays;
+use trimip_core::engine::policy::SamplerPolicy;
+use trimip_core::engine::ray_allocation::RayAllocation;
+use trimip_core::geometry::lens::MOST_ROUNDS;
+use trimip_core::math::rng::Sequence;
+use trimip_core::scene::cones::{self, QUINCUNX};
+use trimip_core::scene::views::Alpha;
 use trimip_core::{Camera, Config, Error, Result, ViewSet};
 
 /// Maximum number of threads that look up a step's pixels on the host.
@@ -39,7 +39,7 @@ shared! {
         offset: u32,
         /// 0 for a pinhole, otherwise one more than the camera model's place in its registry.
         lens: u32,
-        /// The lens, with the letters of [`trimip_core::lens`]: k1 to k4; d1 to d3 and the domain; p1, p2, s1, s2.
+        /// The lens, with the letters of [`trimip_core::geometry::lens`]: k1 to k4; d1 to d3 and the domain; p1, p2, s1, s2.
         radial: [f32; 4],
         denominator: [f32; 4],
         shift: [f32; 4],

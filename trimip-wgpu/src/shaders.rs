@@ -3,10 +3,10 @@
 
 use crate::gpu::Source::{self, Constant, Parts, Text};
 use crate::gpu::Value;
-use trimip_core::batch::Ray;
-use trimip_core::camera::FARTHEST_APEX;
 use trimip_core::config::DensityFunction;
-use trimip_core::sh::FACTORS;
+use trimip_core::engine::batch::Ray;
+use trimip_core::geometry::camera::FARTHEST_APEX;
+use trimip_core::math::sh::FACTORS;
 
 /// Cells along a side of a block of the occupancy grid, and blocks along a side of a block of blocks.
 pub const SIDE: u32 = 4;

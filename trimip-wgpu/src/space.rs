@@ -3,7 +3,7 @@
 use crate::gpu::Source::{self, Parts, Text};
 use crate::shaders::RAY;
 use trimip_core::Space;
-use trimip_core::space::contraction::{FARTHEST, STRETCH};
+use trimip_core::geometry::space::contraction::{FARTHEST, STRETCH};
 
 shared! {
     /// A space and the cells of its occupancy grid.

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex};
 use trimip_core::Result;
-use trimip_core::batch::{Segment, Workspace};
+use trimip_core::engine::batch::{Segment, Workspace};
 
 /// A GPU device with its workspaces and counters.
 pub struct WgpuBackend {

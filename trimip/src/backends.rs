@@ -4,8 +4,8 @@
 use crate::formatting;
 use std::sync::Arc;
 use trimip_core::{
-    Backend, Config, Error, ForeignSection, Result, Session, ViewSet, Viewer, exchange::Ranks, model::Model,
-    scene_plan::Compute,
+    Backend, Config, Error, ForeignSection, Result, Session, ViewSet, Viewer, engine::exchange::Ranks,
+    field::model::Model, scene_plan::Compute,
 };
 #[cfg(feature = "wgpu")]
 use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, WgpuConfig};

@@ -58,6 +58,10 @@ pub use trimip_data as data;
 #[doc(no_inline)]
 pub use trimip_core::{
     Alpha, Backend, Camera, Config, Error, ErrorKind, Frame, Frames, Intrinsics, Origin, Pixel, Result,
-    Session, Settings, StepReport, View, ViewSet, Viewer, checkpoint, config, evaluate, events, exchange,
-    metrics, model, quality, scene_plan,
+    Session, Settings, StepReport, View, ViewSet, Viewer, config,
+    engine::{checkpoint, events, exchange},
+    field::model,
+    measures::{metrics, quality},
+    run::evaluate,
+    scene_plan,
 };

@@ -4,7 +4,7 @@
 
 use crate::backends;
 use std::sync::{Arc, LazyLock};
-use trimip_core::{Config, Definitions, Error, Origin, Result, Settings, model::Model};
+use trimip_core::{Config, Definitions, Error, Origin, Result, Settings, field::model::Model};
 
 /// The definitions of all settings of this build.
 static ALL: LazyLock<Arc<Definitions>> = LazyLock::new(|| {

@@ -10,9 +10,8 @@ use trimip::{
 };
 use trimip_core::{
     Camera, Config, Error, Intrinsics, Result,
-    checkpoint::Checkpoint,
-    model::{Model, assets},
-    proxy::Proxy,
+    engine::{checkpoint::Checkpoint, proxy::Proxy},
+    field::model::{Model, assets},
     scene_plan::Finding,
 };
 use trimip_data::{

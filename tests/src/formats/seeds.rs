@@ -13,11 +13,15 @@ use std::{io::Cursor, sync::OnceLock};
 use trimip::run::store::ViewRecord;
 use trimip_core::{
     Config, Layout,
-    checkpoint::{Checkpoint, OCCUPANCY_DENSITY, TrainState},
-    events::{Event, Provenance, Totals},
-    model::{Model, OCCUPANCY},
-    quality::{Measures, ScaleQuality},
-    tensors::{Tensor, TensorFile},
+    engine::{
+        checkpoint::{Checkpoint, OCCUPANCY_DENSITY, TrainState},
+        events::{Event, Provenance, Totals},
+    },
+    field::{
+        model::{Model, OCCUPANCY},
+        tensors::{Tensor, TensorFile},
+    },
+    measures::quality::{Measures, ScaleQuality},
 };
 use trimip_data::settings::DataConfig;
 

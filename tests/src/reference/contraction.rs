@@ -2,7 +2,7 @@
 //! in radii, n = |u|.
 
 use super::Sample;
-use trimip_core::{Config, batch::Ray};
+use trimip_core::{Config, engine::batch::Ray};
 
 /// Distance at which rays end, in radii.
 const FARTHEST: f64 = 1000.0;

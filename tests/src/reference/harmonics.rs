@@ -38,7 +38,7 @@ pub fn harmonics([x, y, z]: [f64; 3]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::harmonics;
-    use trimip_core::sh::spherical_harmonics;
+    use trimip_core::math::sh::spherical_harmonics;
 
     #[test]
     fn the_basis_of_the_backends_has_these_signs_and_this_order() {

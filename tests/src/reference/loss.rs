@@ -3,9 +3,9 @@
 use super::{Sample, contraction};
 use trimip_core::{
     Config,
-    batch::{Ray, Target},
     config::Contraction,
-    losses::{ADJUSTMENTS, ConeSamples, Definition, PIXEL_TERMS, RAY_TERMS, RaySample},
+    engine::batch::{Ray, Target},
+    field::losses::{ADJUSTMENTS, ConeSamples, Definition, PIXEL_TERMS, RAY_TERMS, RaySample},
 };
 
 /// Place and width of a sample: distance and length in a bounded space, both as parameters of the ray in a contracted one, in
@@ -52,7 +52,7 @@ pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 
 /// The terms of rays of a pixel: the mean over its cones, without the weight of its area.
 pub fn of_cones(config: &Config, target: &Target, cones: &[Vec<RaySample<f64>>]) -> f64 {
     let at_work = RAY_TERMS.iter().filter(|term| weight(**term, config) > 0.0);
-    let of = |term: &&dyn trimip_core::losses::RayTerm| {
+    let of = |term: &&dyn trimip_core::field::losses::RayTerm| {
         let cone = |samples: &Vec<_>| term.reference(&config.loss, &ConeSamples { target, samples });
         weight(*term, config) * cones.iter().map(cone).sum::<f64>() / cones.len() as f64
     };

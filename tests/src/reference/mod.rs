@@ -26,9 +26,9 @@ pub use voxels::Voxels;
 
 use trimip_core::{
     Config, Layout,
-    batch::{Interval, Ray, Sphere, Target},
     config::{DensityFunction, EncoderKind, LossRays, ViewEncoding},
-    losses::{self, RaySample},
+    engine::batch::{Interval, Ray, Sphere, Target},
+    field::losses::{self, RaySample},
 };
 
 /// An encoder written from its equations.

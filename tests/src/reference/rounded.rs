@@ -3,7 +3,7 @@
 //! alike, so the two differ only by the order of f32 sums.
 
 use super::{Layer, Reference, Sample, harmonics};
-use trimip_core::batch::{Ray, Target};
+use trimip_core::engine::batch::{Ray, Target};
 
 /// The nearest bf16, ties to even, as processor instructions round; denormal f32 values become zero.
 pub fn bf16(value: f64) -> f64 {

@@ -5,11 +5,12 @@ use crate::fixtures::{TestRandom, lively, noise, small};
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Intrinsics, Layout, Renderer, Result, Viewer,
-    backend::Sampler,
-    batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Tile},
-    config::ConePattern,
-    schedule::Schedule,
-    trainer::Trainer,
+    config::{ConePattern, schedule::Schedule},
+    engine::{
+        backend::Sampler,
+        batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Tile},
+        trainer::Trainer,
+    },
 };
 
 /// The cones of a subdivided pixel and those of a finer camera differ by roundings of 6e-8, which the networks' slope

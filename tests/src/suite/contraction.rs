@@ -8,12 +8,13 @@ use crate::{
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Intrinsics, Layout, Query, Result, Viewer,
-    backend::Occupancy,
     config::Contraction,
-    exact::Exact,
-    loaded::LoadedModel,
-    model::Model,
-    tensors::{Tensor, TensorFile},
+    engine::{backend::Occupancy, loaded::LoadedModel},
+    field::{
+        exact::Exact,
+        model::Model,
+        tensors::{Tensor, TensorFile},
+    },
 };
 
 /// Distance to a cell's border, in unit-box coordinates, below which f32 and f64 may decide differently.

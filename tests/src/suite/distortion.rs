@@ -7,8 +7,8 @@ use super::{
 use crate::fixtures::small;
 use trimip_core::{
     Backend, Config, Result,
-    batch::Interval,
     config::{Contraction, LossRays},
+    engine::batch::Interval,
 };
 
 /// Bounded and contracted spaces in which the distortion weighs more than the colour.

@@ -10,11 +10,13 @@ use std::sync::{
 };
 use trimip_core::{
     Backend, Config, Error, ErrorKind, Result, Session,
-    checkpoint::Checkpoint,
     config::{TrainConfig, Untouched},
-    exchange::{Exchange, Rank, Ranks, Summed},
-    tensors::Values,
-    trainer::Trainer,
+    engine::{
+        checkpoint::Checkpoint,
+        exchange::{Exchange, Rank, Ranks, Summed},
+        trainer::Trainer,
+    },
+    field::tensors::Values,
 };
 
 /// Makes the exchange of a backend.

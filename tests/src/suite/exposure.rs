@@ -2,7 +2,9 @@
 
 use super::training::{configuration, steps};
 use crate::fixtures::{lively, noise};
-use trimip_core::{Backend, Config, Layout, Result, Session, ViewSet, config::Exposure, trainer::Trainer};
+use trimip_core::{
+    Backend, Config, Layout, Result, Session, ViewSet, config::Exposure, engine::trainer::Trainer,
+};
 
 /// Number of photographs.
 const PHOTOGRAPHS: usize = 3;
@@ -79,7 +81,7 @@ pub fn beside_the_model<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     assert!(none.is_empty() && zero == [[0.0; 3]; 3] && gains.as_flattened().iter().any(|e| e.abs() > 1e-3));
     assert!(without.file.tensors.keys().all(|name| !name.starts_with("exposure")));
     assert!(with.file.tensors.keys().any(|name| name.starts_with("exposure")));
-    let names = |file: trimip_core::tensors::TensorFile| file.tensors.into_keys().collect::<Vec<_>>();
+    let names = |file: trimip_core::field::tensors::TensorFile| file.tensors.into_keys().collect::<Vec<_>>();
     assert_eq!(names(with.into_model().file), names(without.into_model().file));
     Ok(())
 }

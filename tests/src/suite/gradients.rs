@@ -5,14 +5,16 @@ use crate::{
     fixtures::{TestRandom, every_encoder, lively, nerf_networks, noise, small, small_zip},
     reference::{KeptCone, Reference, Sample, bf16, kept},
 };
-use trimip_core::schedule::Schedule;
+use trimip_core::config::schedule::Schedule;
 use trimip_core::{
     Backend, Config, Layout, Renderer, Result,
-    backend::Sampler,
-    batch::{Segment, Target},
     config::{Contraction, DensityFunction, EncoderKind, LevelFormula, LossRays, Precision, TrainBackground},
-    encoders,
-    trainer::Trainer,
+    engine::{
+        backend::Sampler,
+        batch::{Segment, Target},
+        trainer::Trainer,
+    },
+    field::encoders,
 };
 
 /// Error of an entry, relative to the root mean square of its slot's checked entries (or to the entry itself if

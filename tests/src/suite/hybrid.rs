@@ -4,14 +4,18 @@ use crate::fixtures::{as_code, constant, small};
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Frame, Intrinsics, Layout, Query, Result, Session, Viewer,
-    batch::{Radiance, Ray},
     config::RendererKind,
-    loaded::LoadedModel,
-    metrics::psnr,
-    model::Model,
-    proxy::{Baking, bake},
-    tensors::{Tensor, TensorFile},
-    trainer::Trainer,
+    engine::{
+        batch::{Radiance, Ray},
+        loaded::LoadedModel,
+        proxy::{Baking, bake},
+        trainer::Trainer,
+    },
+    field::{
+        model::Model,
+        tensors::{Tensor, TensorFile},
+    },
+    measures::metrics::psnr,
 };
 use trimip_data::settings::DataConfig;
 

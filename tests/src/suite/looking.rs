@@ -4,8 +4,13 @@
 use crate::fixtures::{constant, small};
 use glam::DVec3;
 use trimip_core::{
-    Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Viewer, cones, cones::Division,
-    loaded::LoadedModel, model::Model, tensors::Tensor, tensors::TensorFile,
+    Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Viewer,
+    engine::loaded::LoadedModel,
+    field::{
+        model::Model,
+        tensors::{Tensor, TensorFile},
+    },
+    scene::{cones, cones::Division},
 };
 
 /// A model of fog that fills the box, of which no sample is left out.

@@ -8,10 +8,12 @@ use crate::{
 };
 use trimip_core::{
     Backend, Config, Encoder, Field, Layout, Pixel, Result,
-    backend::{Loss, RenderedTile},
-    batch::{Interval, PartialGradients, Radiance, Ray, Samples, Segment, Sphere, StepResult, Target},
     config::{Contraction, LossRays},
-    losses::{self, RaySample},
+    engine::{
+        backend::{Loss, RenderedTile},
+        batch::{Interval, PartialGradients, Radiance, Ray, Samples, Segment, Sphere, StepResult, Target},
+    },
+    field::losses::{self, RaySample},
 };
 
 /// Values and gradients of order 0.1 to 1 of forty samples in f32.

@@ -6,8 +6,11 @@ use crate::{
     reference,
 };
 use glam::DVec3;
-use trimip_core::schedule::Schedule;
-use trimip_core::{Backend, Config, Layout, Renderer, Result, backend::Occupancy, batch::Ray};
+use trimip_core::config::schedule::Schedule;
+use trimip_core::{
+    Backend, Config, Layout, Renderer, Result,
+    engine::{backend::Occupancy, batch::Ray},
+};
 
 /// Distance to a cell's border, in unit-box coordinates, and to the box's end, in steps, below which f32 and f64 may
 /// decide differently about a sample. Positions of order 5 world units have a rounding error of 5e-7.
@@ -94,7 +97,7 @@ pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u6
     let (segments, intervals) =
         (backend.read(&workspace.samples.segments), backend.read(&workspace.samples.intervals));
     let owners = backend.read(&workspace.samples.rays);
-    let of = |(i, s): (usize, &trimip_core::batch::Segment)| {
+    let of = |(i, s): (usize, &trimip_core::engine::batch::Segment)| {
         let range = s.start as usize..(s.start + s.count) as usize;
         assert!(owners[range.clone()].iter().all(|&owner| owner as usize == i), "samples know their ray");
         intervals[range].iter().map(|interval| interval.t).collect()

@@ -5,11 +5,10 @@ use super::training::{configuration, steps};
 use crate::fixtures::{GivenFrames, TestRandom, noise};
 use trimip_core::{
     Alpha, Backend, Config, Result, Session, StepReport, ViewSet, Viewer,
-    batch::StepSums,
     config::TrainBackground,
-    evaluate::evaluate,
-    quality::{Measures, ViewQuality},
-    trainer::Trainer,
+    engine::{batch::StepSums, trainer::Trainer},
+    measures::quality::{Measures, ViewQuality},
+    run::evaluate::evaluate,
 };
 
 /// Photographs of noise at two scales of which the left half is ignored, with colours drawn from `garbage` there. Some

@@ -23,8 +23,10 @@ pub mod training;
 
 use trimip_core::{
     Backend, Config, Encoder, Field, Layout, Result, ViewSet,
-    backend::Stages,
-    batch::{Interval, Ray, Samples, Segment, Sphere, Tile, Workspace},
+    engine::{
+        backend::Stages,
+        batch::{Interval, Ray, Samples, Segment, Sphere, Tile, Workspace},
+    },
 };
 
 /// A backend, the stages of a configuration with uploaded parameters, and a workspace.

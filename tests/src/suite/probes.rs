@@ -4,8 +4,10 @@
 use super::Bench;
 use crate::fixtures::{TestRandom, encoded, every_encoder, lively, noise, small};
 use trimip_core::{
-    Backend, Layout, Query, Result, Session, Space, Viewer, backend::Occupancy, batch::Radiance, encoders,
-    encoders::SamplePosition, exact::Exact, occupancy::OUTSIDE, trainer::Trainer,
+    Backend, Layout, Query, Result, Session, Space, Viewer,
+    engine::{backend::Occupancy, batch::Radiance, trainer::Trainer},
+    field::{encoders, encoders::SamplePosition, exact::Exact},
+    geometry::occupancy::OUTSIDE,
 };
 
 /// Positions in the unit cube and directions in f32, after about ten roundings of 6e-8 on values up to the box's size.

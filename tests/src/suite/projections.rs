@@ -9,12 +9,14 @@ use crate::{
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Intrinsics, Layout, Result, ViewSet, Viewer,
-    backend::Sampler,
-    batch::{Ray, Rays},
-    cones,
     config::ConePattern,
-    projections::Model,
-    trainer::Trainer,
+    engine::{
+        backend::Sampler,
+        batch::{Ray, Rays},
+        trainer::Trainer,
+    },
+    geometry::projections::Model,
+    scene::cones,
 };
 
 /// Directions, origins and cosines, absolute: a few roundings in f32, sines and cosines of a driver among them.

@@ -6,9 +6,11 @@ use crate::fixtures::{TestRandom, lively, small};
 use crate::reference::{AXES, sides};
 use trimip_core::{
     Backend, Config, Encoder, Layout, Result,
-    backend::Field,
-    batch::{PartialGradients, Sphere, Tile},
     config::PlaneShape,
+    engine::{
+        backend::Field,
+        batch::{PartialGradients, Sphere, Tile},
+    },
 };
 
 /// Error of means and sums of several thousand f32 values of order 1, relative to the sum of their magnitudes.

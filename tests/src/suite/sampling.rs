@@ -2,7 +2,11 @@
 
 use super::Bench;
 use crate::fixtures::{lively, noise, small};
-use trimip_core::{Backend, Layout, Result, backend::Sampler, config::TrainBackground, schedule::Schedule};
+use trimip_core::{
+    Backend, Layout, Result,
+    config::{TrainBackground, schedule::Schedule},
+    engine::backend::Sampler,
+};
 
 /// The rays of a step are distributed over the scales by the schedule, and their weights compensate. The width of a
 /// ray's cone reveals its scale.

@@ -5,10 +5,11 @@ use crate::{fixtures, reference};
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Viewer,
-    batch::Ray,
-    loaded::LoadedModel,
-    model::Model,
-    tensors::{Tensor, TensorFile},
+    engine::{batch::Ray, loaded::LoadedModel},
+    field::{
+        model::Model,
+        tensors::{Tensor, TensorFile},
+    },
 };
 
 /// Rounding error of several hundred f32 additions.

@@ -6,8 +6,12 @@ use crate::{
     reference::{Reference, Sample, visible},
 };
 use trimip_core::{
-    Backend, Layout, Renderer, Result, backend::Occupancy, backend::evaluate_visible_samples,
-    batch::Interval, batch::Sphere, encoders,
+    Backend, Layout, Renderer, Result,
+    engine::{
+        backend::{Occupancy, evaluate_visible_samples},
+        batch::{Interval, Sphere},
+    },
+    field::encoders,
 };
 
 /// Limits of transmittance and weight that keep all, most and few samples.

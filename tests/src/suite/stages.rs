@@ -8,10 +8,12 @@ use crate::{
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, Field, Intrinsics, Layout, Pixel, Renderer, Result, Viewer,
-    batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile},
     config::{LevelFormula, PlaneShape},
-    encoders,
-    trainer::Trainer,
+    engine::{
+        batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile},
+        trainer::Trainer,
+    },
+    field::encoders,
 };
 
 /// Features of texels in ±1 on planes up to 64 wide. A coordinate in texels is rounded to 64·2⁻²⁴ = 4e-6, and a texel

@@ -7,13 +7,9 @@ use crate::{
 use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, ErrorKind, Intrinsics, Layout, Result, Session, ViewSet, Viewer,
-    checkpoint::Checkpoint,
-    config::{EncoderKind, FilePrecision, Untouched},
-    encoders::tri_mip::CHANNELS,
-    loaded::LoadedModel,
-    schedule::Schedule,
-    tensors::Tensor,
-    trainer::Trainer,
+    config::{EncoderKind, FilePrecision, Untouched, schedule::Schedule},
+    engine::{checkpoint::Checkpoint, loaded::LoadedModel, trainer::Trainer},
+    field::{encoders::tri_mip::CHANNELS, tensors::Tensor},
 };
 
 /// A configuration with short steps: the occupancy warm-up ends at step 8, with a refresh every 4 steps.
@@ -388,8 +384,8 @@ pub fn empty_occupancy<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut checkpoint = trainer.checkpoint()?;
     for (name, tensor) in &mut checkpoint.file.tensors {
         match &mut tensor.values {
-            trimip_core::tensors::Values::U8(bits) if name == "occupancy" => bits.fill(0),
-            trimip_core::tensors::Values::F32(densities) if name == "occupancy.density" => {
+            trimip_core::field::tensors::Values::U8(bits) if name == "occupancy" => bits.fill(0),
+            trimip_core::field::tensors::Values::F32(densities) if name == "occupancy.density" => {
                 densities.fill(0.0)
             }
             _ => {}

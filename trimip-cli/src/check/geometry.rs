@@ -3,13 +3,14 @@
 use super::rig::{Rig, small};
 use super::{Finding, Make, Tell, apart, not_finite, relative, worst};
 use glam::{DMat3, DVec3};
-use trimip_core::backend::Sampler;
-use trimip_core::batch::{Ray, Sphere};
-use trimip_core::encoders::tri_mip::FEATURES;
-use trimip_core::model::Model;
-use trimip_core::tensors::{Tensor, TensorFile};
+use trimip_core::engine::backend::Sampler;
+use trimip_core::engine::batch::{Ray, Sphere};
+use trimip_core::field::encoders::tri_mip::FEATURES;
+use trimip_core::field::model::Model;
+use trimip_core::field::tensors::{Tensor, TensorFile};
 use trimip_core::{
-    Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Viewer, bits, loaded::LoadedModel,
+    Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Viewer, engine::loaded::LoadedModel,
+    math::bits,
 };
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {
@@ -223,7 +224,7 @@ fn medium(config: &Config, density: f64, axis: usize) -> Model {
     let resolution = config.occupancy.resolution;
     let mut bits = vec![0_u8; (resolution.pow(3) as usize).div_ceil(8)];
     for cell in 0..resolution.pow(3) {
-        if trimip_core::occupancy::coordinates(cell, resolution)[axis] < resolution / 2 {
+        if trimip_core::geometry::occupancy::coordinates(cell, resolution)[axis] < resolution / 2 {
             bits::set(&mut bits, cell as usize);
         }
     }

@@ -5,11 +5,11 @@ use super::rig::small;
 use super::{Finding, Make, Tell, apart, worst};
 use glam::DVec3;
 use trimip_core::config::RendererKind;
-use trimip_core::loaded::LoadedModel;
-use trimip_core::model::Model;
-use trimip_core::proxy::{Baking, bake};
-use trimip_core::tensors::{Tensor, TensorFile};
-use trimip_core::{Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Viewer, bits};
+use trimip_core::engine::loaded::LoadedModel;
+use trimip_core::engine::proxy::{Baking, bake};
+use trimip_core::field::model::Model;
+use trimip_core::field::tensors::{Tensor, TensorFile};
+use trimip_core::{Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Viewer, math::bits};
 
 /// Density of a field whose planes are zero.
 const DENSITY: f64 = 0.367_879_441_171_442_33;

@@ -2,10 +2,10 @@
 
 use super::rig::{camera, hash, photographs, small};
 use super::{Finding, Make, Tell, not_finite, worst};
-use trimip_core::adamw::Rule;
 use trimip_core::config::{OptimizerConfig, Precision};
-use trimip_core::tensors::Values;
-use trimip_core::trainer::Trainer;
+use trimip_core::engine::trainer::Trainer;
+use trimip_core::field::adamw::Rule;
+use trimip_core::field::tensors::Values;
 use trimip_core::{Backend, Config, Frame, Layout, Result, Session, Viewer};
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {

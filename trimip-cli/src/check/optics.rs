@@ -3,8 +3,8 @@
 
 use super::rig::{Rig, small};
 use super::{Finding, Make, Tell, apart, relative, worst};
-use trimip_core::batch::{Interval, Radiance};
-use trimip_core::compositing::{composite, composite_gradient};
+use trimip_core::engine::batch::{Interval, Radiance};
+use trimip_core::math::compositing::{composite, composite_gradient};
 use trimip_core::{Backend, Result};
 
 /// Length of a sample in these cases: a typical step.

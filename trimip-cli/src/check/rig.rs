@@ -2,8 +2,8 @@
 
 use super::Make;
 use glam::DVec3;
-use trimip_core::backend::Stages;
-use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile, Workspace};
+use trimip_core::engine::backend::Stages;
+use trimip_core::engine::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile, Workspace};
 use trimip_core::{
     Alpha, Backend, Camera, Config, Encoder, Field, Intrinsics, Layout, Pixel, Renderer, Result, Scale, View,
     ViewSet,

@@ -6,8 +6,8 @@ use super::{Finding, Make, Tell, not_finite, worst};
 use glam::DVec3;
 use trimip::machine::peak_memory;
 use trimip_core::config::Untouched;
-use trimip_core::tensors::Values;
-use trimip_core::trainer::Trainer;
+use trimip_core::engine::trainer::Trainer;
+use trimip_core::field::tensors::Values;
 use trimip_core::{Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet, Viewer};
 
 fn found(case: impl Into<String>, law: &'static str, worst: f64, bound: f64) -> Finding {

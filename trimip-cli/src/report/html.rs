@@ -6,9 +6,9 @@ use crate::terminal;
 use std::path::Path;
 use trimip::report::{Report, Status, text};
 use trimip::{machine, run::provenance, view::PIXELS_PER_DEGREE};
-use trimip_core::metrics::LEAST_SIDE;
-use trimip_core::quality::{MOST_PSNR, mean_quality};
-use trimip_core::{Result, config::Convention, encoders, run::progress};
+use trimip_core::measures::metrics::LEAST_SIDE;
+use trimip_core::measures::quality::{MOST_PSNR, mean_quality};
+use trimip_core::{Result, config::Convention, engine::events::progress, field::encoders};
 use trimip_data::settings::DataConfig;
 
 /// The whole page; `images` is the folder of the comparisons.

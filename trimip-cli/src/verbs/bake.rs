@@ -5,8 +5,8 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::{Error, Result, backends, run::folder as run_folder, settings};
 use trimip_core::config::RendererKind;
-use trimip_core::model::Model;
-use trimip_core::proxy::{Baking, bake};
+use trimip_core::engine::proxy::{Baking, bake};
+use trimip_core::field::model::Model;
 
 /// Steps of the bar.
 const BAR: u64 = 1000;
@@ -43,7 +43,7 @@ pub fn run(arguments: &BakeArguments) -> Result<u8> {
     bar.finish_and_clear();
     let Some(proxy) = proxy else { return Ok(interrupt::EXIT_CODE) };
     let assets = proxy.to_assets()?;
-    let packed: usize = assets.values().map(trimip_core::tensors::Tensor::size).sum();
+    let packed: usize = assets.values().map(trimip_core::field::tensors::Tensor::size).sum();
     let [x, y, z] = proxy.cells();
     terminal::prose(format!(
         "proxy: {x} x {y} x {z} cells, {:.1} % of them in bricks with a density, {} in the file; {:.1} s",

@@ -10,7 +10,7 @@ use trimip::view::{
     PIXELS_PER_DEGREE, PerceptualMetrics, RankGroup, TestViews, Watching, evaluate, evaluate_on_worker,
 };
 use trimip::{Error, Result, backends, settings};
-use trimip_core::{atomic::write_atomically, evaluate::ViewResult, exchange::Ranks};
+use trimip_core::{atomic::write_atomically, engine::exchange::Ranks, run::evaluate::ViewResult};
 
 /// Evaluates a model; exit code 1 if it misses `eval.min_psnr`.
 pub fn run(arguments: &EvalArguments) -> Result<u8> {

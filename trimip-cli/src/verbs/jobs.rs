@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use trimip::ranks::scatter_jobs;
 use trimip::{Ended, Listeners, Result, Training, events::Event, machine};
-use trimip_core::{Error, ErrorKind, exchange::Ranks, fingerprint::Fingerprint};
+use trimip_core::{Error, ErrorKind, engine::exchange::Ranks, scene::fingerprint::Fingerprint};
 use trimip_data::settings::DataConfig;
 
 /// How a job ended.

@@ -20,7 +20,7 @@ mod view;
 
 use crate::args::{Arguments, Verb};
 use crate::terminal;
-use trimip_core::{Error, Result, exchange::Ranks};
+use trimip_core::{Error, Result, engine::exchange::Ranks};
 
 /// Suggested commands, printed if the user typed no arguments.
 const NEXT: &str = "\

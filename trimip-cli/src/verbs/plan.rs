@@ -11,7 +11,7 @@ use serde::Serialize;
 use serde_json::json;
 use trimip::{backends, data::Scene};
 use trimip_core::config::PlanChoice;
-use trimip_core::exchange::Ranks;
+use trimip_core::engine::exchange::Ranks;
 use trimip_core::scene_plan::{self, Facts, Finding};
 use trimip_core::{Config, Error, Result, ViewSet, atomic::write_atomically};
 

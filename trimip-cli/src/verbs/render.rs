@@ -18,7 +18,7 @@ use trimip::ranks::{digest, scatter_jobs, work_on_jobs};
 use trimip::run::folder as run_folder;
 use trimip::view::{Named, Quantity, RenderJob, video, write_cameras};
 use trimip::{Camera, Error, Result, Viewer, backends, model::Model, settings, view};
-use trimip_core::exchange::Ranks;
+use trimip_core::engine::exchange::Ranks;
 
 /// Renders every camera that the arguments select.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {

@@ -8,7 +8,9 @@ use std::sync::atomic::Ordering;
 use trimip::run::folder as run_folder;
 use trimip::view::{cameras, pictures};
 use trimip::{backends, settings};
-use trimip_core::{Alpha, Camera, Config, Error, Result, metrics::psnr, views::composite_pixel};
+use trimip_core::{
+    Alpha, Camera, Config, Error, Result, measures::metrics::psnr, scene::views::composite_pixel,
+};
 use trimip_data::{builtin, settings::DataConfig};
 
 /// Width of each column's pixels, in pixels of the camera.

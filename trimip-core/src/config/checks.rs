@@ -4,7 +4,7 @@ use super::{
     ConePattern, Config, Contraction, Convention, EncoderKind, EvalConfig, FieldConfig, OccupancyConfig,
     PhotographsConfig, Precision, RendererConfig, SceneConfig, TrainConfig,
 };
-use crate::settings::{checker::Checker, section::in_memory};
+use crate::config::settings::{checker::Checker, section::in_memory};
 use crate::{Error, Result, Settings};
 use toml::{Table, Value};
 

@@ -160,7 +160,7 @@ choice!(
     Exposure {
         /// All have the same.
         None,
-        /// Each has one gain per channel, see [`exposure`](crate::exposure).
+        /// Each has one gain per channel, see [`exposure`](crate::engine::exposure).
         Gain,
     }
 );

@@ -2,7 +2,10 @@
 
 use super::choices::{Decomposition, LevelFormula, PlaneShape};
 use super::sections::section;
-use crate::{Result, schedule::Schedule, settings::checker::Checker};
+use crate::{
+    Result,
+    config::{schedule::Schedule, settings::checker::Checker},
+};
 use serde::{Deserialize, Serialize};
 
 /// The encoders by name.

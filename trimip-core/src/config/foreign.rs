@@ -1,11 +1,11 @@
 //! The settings of a configuration that other crates than core own: their values, and where they stand in its text.
 
 use super::Config;
-use crate::defaults::{Definitions, ForeignSection, Placed};
-use crate::settings::checker::Checker;
-use crate::settings::section::{Section, in_memory, read};
-use crate::settings::text::{insert, parts_of};
-use crate::settings::values::line;
+use crate::config::defaults::{Definitions, ForeignSection, Placed};
+use crate::config::settings::checker::Checker;
+use crate::config::settings::section::{Section, in_memory, read};
+use crate::config::settings::text::{insert, parts_of};
+use crate::config::settings::values::line;
 use crate::{Error, Result, Settings};
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -4,7 +4,7 @@ use super::choices::{
     ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, HybridRule, PlanChoice,
     Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
-use crate::schedule::Schedule;
+use crate::config::schedule::Schedule;
 use serde::{Deserialize, Serialize};
 
 /// Declares a section of the configuration: plain public fields, unknown keys refused. The meaning of each field is in the
@@ -98,7 +98,7 @@ section!(
 );
 
 impl PhotographsConfig {
-    /// Edge exponent of photographs reduced by `factor`, see [`edge_exponents`](crate::edge_exponents).
+    /// Edge exponent of photographs reduced by `factor`, see [`edge_exponents`](crate::scene::edge_exponents).
     pub fn edge_exponent(&self, factor: u32) -> f32 {
         self.edge_exponents.get(factor.trailing_zeros() as usize).copied().unwrap_or(0.0)
     }

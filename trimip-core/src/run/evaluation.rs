@@ -3,11 +3,15 @@
 use super::{Outcome, Run, Store};
 use crate::{
     Error, Result,
-    evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
-    events::{Event, EventSink, Totals},
-    perception::{Pair, Perception, PerceptualScores},
-    quality::{Measures, ViewQuality, mean_quality, per_scale},
-    timekeeper::{Timekeeper, strides},
+    engine::events::{Event, EventSink, Totals},
+    measures::{
+        perception::{Pair, Perception, PerceptualScores},
+        quality::{Measures, ViewQuality, mean_quality, per_scale},
+    },
+    run::{
+        evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
+        timekeeper::{Timekeeper, strides},
+    },
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use web_time::{Duration, Instant};

@@ -1,17 +1,20 @@
 //! A training run: steps, evaluations, checkpoints and events, in order. It uses a session and a store, and knows
 //! nothing of files, terminals or devices.
 
+pub mod evaluate;
 mod evaluation;
+mod timekeeper;
 
 use crate::{
     Config, Error, ErrorKind, Frames, Result, Session,
-    checkpoint::Checkpoint,
-    evaluate::ViewResult,
-    events::{Event, EventSink, Totals},
-    model::Model,
-    perception::Perception,
-    session::StepReport,
-    timekeeper::Timekeeper,
+    engine::{
+        checkpoint::Checkpoint,
+        events::{Event, EventSink, Totals, progress},
+        session::StepReport,
+    },
+    field::model::Model,
+    measures::perception::Perception,
+    run::{evaluate::ViewResult, timekeeper::Timekeeper},
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use web_time::Instant;

@@ -5,8 +5,8 @@ use super::common_view::{COMMON, cameras, common_view, focus};
 use super::detail::significant;
 use super::{Context, Facts, Proposal, leave_out::saved, tri_mip};
 use crate::config::{Contraction, PlaneShape};
-use crate::encoders::tri_mip::Pyramid;
-use crate::{Aabb, Camera, Config, silhouettes};
+use crate::field::encoders::tri_mip::Pyramid;
+use crate::{Aabb, Camera, Config, scene::silhouettes};
 use glam::DVec3;
 use toml::Value;
 

@@ -2,8 +2,8 @@
 //! the distance of the box, within the budget.
 
 use super::{Context, Proposal, hash_grid, rip_map, tri_mip};
-use crate::cones::median_footprint;
 use crate::config::{EncoderKind, PlanChoice};
+use crate::scene::cones::median_footprint;
 use crate::{Aabb, Config, ViewSet};
 use toml::Value;
 

@@ -3,7 +3,7 @@
 
 use super::{Context, Proposal, tri_mip};
 use crate::config::Precision;
-use crate::{Config, ViewSet, silhouettes};
+use crate::{Config, ViewSet, scene::silhouettes};
 use toml::Value;
 
 /// Weight of the opacity loss for photographs with alpha: it makes models solid.
@@ -76,7 +76,7 @@ pub(super) fn edges(context: &Context<'_>) -> Proposal {
     if !has_alpha(views) {
         return Proposal::Keep("the photographs have no alpha: all conventions are one".into());
     }
-    let Some(exponents) = crate::edge_exponents::fit(views) else {
+    let Some(exponents) = crate::scene::edge_exponents::fit(views) else {
         return Proposal::Keep("every photograph shows silhouettes as in the scene".into());
     };
     let told: Vec<String> = exponents.iter().map(|exponent| format!("{exponent:.3}")).collect();

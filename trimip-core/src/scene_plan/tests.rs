@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::config::{Contraction, FilePrecision};
-use crate::encoders::tri_mip::Pyramid;
+use crate::field::encoders::tri_mip::Pyramid;
 use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
 use glam::DVec3;
 
@@ -67,10 +67,10 @@ fn cones_are_about_as_wide_as_pixels_of_the_finest_photographs() {
     let footprint = detail::footprint(&train, &Aabb::new(&config.scene)).unwrap();
     let width = f64::from(config.renderer.cone_width) / footprint;
     assert!((width / 1.25 - 1.0).abs() < 5e-3, "{width}");
-    let division = crate::cones::Division::new(&config);
+    let division = crate::scene::cones::Division::new(&config);
     assert_eq!(division.sides(&train), [1, 2]);
     let aabb = Aabb::new(&config.scene);
-    let away = |view: &&View| (crate::cones::footprint(&view.camera, &aabb) - footprint).abs();
+    let away = |view: &&View| (crate::scene::cones::footprint(&view.camera, &aabb) - footprint).abs();
     let median = train.views[..16].iter().min_by(|a, b| away(a).total_cmp(&away(b)));
     let camera = median.unwrap().camera;
     let at = |level| division.side(&Camera { intrinsics: camera.intrinsics.reduced(level), ..camera });
@@ -345,7 +345,7 @@ fn a_saving_is_told_where_there_is_one() {
 fn directions_go_when_asked() {
     let (config, findings) = planned(&views(true), &["plan.directions=on"]).unwrap();
     assert!(!config.field.directions && of(&findings, "directions").left_out, "{findings:?}");
-    assert_eq!(crate::params::color_layers(&config)[0][0], 15);
+    assert_eq!(crate::field::params::color_layers(&config)[0][0], 15);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use super::detail::Fineness;
 use super::leave_out::saved;
 use super::{Context, Proposal, detail, radii, recipe};
 use crate::config::EncoderKind;
-use crate::encoders::tri_mip::Pyramid;
+use crate::field::encoders::tri_mip::Pyramid;
 use crate::{Aabb, Config};
 use toml::Value;
 

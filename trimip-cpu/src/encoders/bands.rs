@@ -3,7 +3,7 @@
 
 use crate::wire::Reader;
 use std::ops::Range;
-use trimip_core::{Result, exchange::fault};
+use trimip_core::{Result, engine::exchange::fault};
 
 /// Bands per plane.
 pub const BANDS: usize = 16;

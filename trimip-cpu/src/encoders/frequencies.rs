@@ -3,7 +3,7 @@
 use super::{Encoding, GradientMemory, Places};
 use crate::simd::Simd;
 use crate::wire::Reader;
-use trimip_core::encoders::frequencies;
+use trimip_core::field::encoders::frequencies;
 use trimip_core::{Aabb, Config, Result};
 
 /// The encoding.

@@ -6,9 +6,9 @@ use crate::buffer::{Buffer, take_mut};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
-use trimip_core::batch::Sphere;
-use trimip_core::encoders::SamplePosition;
-use trimip_core::encoders::hash_grid::{Level, Levels, Points};
+use trimip_core::engine::batch::Sphere;
+use trimip_core::field::encoders::SamplePosition;
+use trimip_core::field::encoders::hash_grid::{Level, Levels, Points};
 use trimip_core::{Aabb, Config, Result};
 
 /// Levels of the grid and the instruction set.

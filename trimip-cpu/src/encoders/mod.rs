@@ -11,8 +11,8 @@ pub mod voxels;
 use crate::simd::Simd;
 use crate::wire::Reader;
 use std::ops::Range;
-use trimip_core::batch::{Interval, Ray, Sphere};
-use trimip_core::exchange::Rank;
+use trimip_core::engine::batch::{Interval, Ray, Sphere};
+use trimip_core::engine::exchange::Rank;
 use trimip_core::{Config, Result};
 
 /// The interface of an encoder on the CPU.

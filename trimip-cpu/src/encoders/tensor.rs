@@ -9,8 +9,10 @@ use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::batch::Sphere;
-use trimip_core::encoders::tensor::{KINDS, Kind, LANES, LINE_AXES, PLANE_AXES, Shape, between, slots};
+use trimip_core::engine::batch::Sphere;
+use trimip_core::field::encoders::tensor::{
+    KINDS, Kind, LANES, LINE_AXES, PLANE_AXES, Shape, between, slots,
+};
 use trimip_core::{Config, Result};
 
 /// The shape of the factors and where they are in the parameters.

@@ -8,9 +8,9 @@ use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::encoders::tensor::between;
-use trimip_core::encoders::voxels::{Shape, WIDTH, slots};
-use trimip_core::sh::{COUNT, spherical_harmonics};
+use trimip_core::field::encoders::tensor::between;
+use trimip_core::field::encoders::voxels::{Shape, WIDTH, slots};
+use trimip_core::math::sh::{COUNT, spherical_harmonics};
 use trimip_core::{Config, Result};
 
 /// Most floats of a grid point's colours.

@@ -18,7 +18,7 @@ pub use gradient::{Flow, MlpGradient, Passing};
 pub use inputs::InputRow;
 use inputs::{FEW, Forward, Inputs};
 use trimip_core::config::Precision;
-use trimip_core::networks::Network;
+use trimip_core::field::networks::Network;
 
 /// Rows that go through all layers together. Their activations and a layer's weights fit into half of a 1 MiB L2.
 pub const BLOCK: usize = 21 * ROWS;

@@ -5,7 +5,7 @@ use super::{
     check::{Check, Suspect, Values, Verdict},
     views::{coarsest, of_views, sampled},
 };
-use trimip_core::{Aabb, ViewSet, silhouettes};
+use trimip_core::{Aabb, ViewSet, scene::silhouettes};
 
 /// Share of a view's object outside of the box from which it is doubted: less is the soft edge of a silhouette.
 const MOST_CUT: f64 = 0.02;

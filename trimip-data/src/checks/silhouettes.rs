@@ -7,7 +7,7 @@ use super::{
 };
 use glam::DVec3;
 use rayon::prelude::*;
-use trimip_core::{Aabb, Camera, ViewSet, scene_plan, silhouettes::bounds_despite};
+use trimip_core::{Aabb, Camera, ViewSet, scene::silhouettes::bounds_despite, scene_plan};
 
 /// Median overlap below which the poses as a whole are doubted: right ones have above 0.9, shuffled ones 0.2 to 0.8.
 const LEAST_MEDIAN: f64 = 0.7;

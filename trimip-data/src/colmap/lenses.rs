@@ -1,7 +1,7 @@
 //! Cameras of a COLMAP model: the camera models by number and name, with the order of their parameters in the files (COLMAP's
 //! sensor/models.h), and what they are to a renderer. Lengths in pixels; the centre of the upper left pixel is (0.5, 0.5).
 
-use trimip_core::projections::{Colmap, Model};
+use trimip_core::geometry::projections::{Colmap, Model};
 use trimip_core::{Intrinsics, Lens};
 
 /// A camera model of COLMAP, and what it is here.

@@ -6,8 +6,8 @@ use crate::gpu::Source::{self, Text};
 use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Pipeline};
 use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::encoders::frequencies::{self, RADIUS};
-use trimip_core::{Aabb, Config, encoders};
+use trimip_core::field::encoders::frequencies::{self, RADIUS};
+use trimip_core::{Aabb, Config, field::encoders};
 
 shared! {
     /// Parameters of positional encodings.

@@ -8,9 +8,9 @@ use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Pipeline, Value};
 use crate::shaders::RAY;
 use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::encoders::hash_grid::{Levels, PRIMES, Points, TURNS};
-use trimip_core::params::ALIGNMENT;
-use trimip_core::{Aabb, Config, encoders};
+use trimip_core::field::encoders::hash_grid::{Levels, PRIMES, Points, TURNS};
+use trimip_core::field::params::ALIGNMENT;
+use trimip_core::{Aabb, Config, field::encoders};
 
 shared! {
     /// A level.

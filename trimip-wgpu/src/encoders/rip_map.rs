@@ -8,7 +8,7 @@ use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Binds, Buffer, GRID, GROUP, Gpu, Kernel, Pipeline, Size};
 use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::encoders::rip_map::{self, CHANNELS};
+use trimip_core::field::encoders::rip_map::{self, CHANNELS};
 use trimip_core::{Aabb, Config};
 
 shared! {

@@ -7,7 +7,7 @@ use crate::gpu::{Bind, Binds, Buffer, GRID, Gpu, Kernel, Pipeline, Shared, Size}
 use crate::shaders::FIXED;
 use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::params::ALIGNMENT;
+use trimip_core::field::params::ALIGNMENT;
 
 /// Gradients read from fixed point or f32.
 pub const OWN_FIXED: Source = Parts(&[FIXED, Text(include_str!("../shaders/own_fixed.wgsl"))]);

@@ -7,9 +7,9 @@ use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Pipeline};
 use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::encoders::tensor::{KINDS, Shape, slots};
-use trimip_core::params::ALIGNMENT;
-use trimip_core::{Config, encoders};
+use trimip_core::field::encoders::tensor::{KINDS, Shape, slots};
+use trimip_core::field::params::ALIGNMENT;
+use trimip_core::{Config, field::encoders};
 
 shared! {
     /// Parameters of factored tensors.

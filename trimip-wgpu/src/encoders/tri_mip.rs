@@ -8,8 +8,8 @@ use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Bind, Binds, Buffer, GRID, GROUP, Gpu, Kernel, Pipeline, Size};
 use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, LEVELS_PER_UNIT, MOST_LEVEL_INPUT, Pyramid};
-use trimip_core::{Aabb, Config, encoders};
+use trimip_core::field::encoders::tri_mip::{CHANNELS, FEATURES, LEVELS_PER_UNIT, MOST_LEVEL_INPUT, Pyramid};
+use trimip_core::{Aabb, Config, field::encoders};
 
 shared! {
     /// Parameters of reads and of the sums of gradients.

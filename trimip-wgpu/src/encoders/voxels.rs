@@ -8,9 +8,9 @@ use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Pipeline};
 use crate::shaders::{HARMONICS, RAY};
 use crate::workspace::Addition;
 use std::sync::Arc;
-use trimip_core::encoders::voxels::{Shape, WIDTH, slots};
-use trimip_core::params::ALIGNMENT;
-use trimip_core::{Config, encoders};
+use trimip_core::field::encoders::voxels::{Shape, WIDTH, slots};
+use trimip_core::field::params::ALIGNMENT;
+use trimip_core::{Config, field::encoders};
 
 shared! {
     /// Parameters of the grid.

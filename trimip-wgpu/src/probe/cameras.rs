@@ -4,7 +4,7 @@ use super::{compare, files};
 use crate::gpu::Source;
 use crate::sampler::CAMERA;
 use glam::{DMat3, DVec3};
-use trimip_core::{Camera, Cone, Intrinsics, Lens, camera};
+use trimip_core::{Camera, Cone, Intrinsics, Lens, geometry::camera};
 
 #[test]
 fn spheres_in_cones() {

@@ -6,9 +6,13 @@ use crate::gpu::Source::Text;
 use crate::losses::{FINITE, PENALTIES};
 use crate::shaders::{ACTIVATION, COMPOSITING, FIXED, HARMONICS, RANDOM};
 use trimip_core::config::{DensityFunction, Photometric};
-use trimip_core::encoders::tri_mip::{Pyramid, Shape, level_input, taps};
-use trimip_core::losses::smooth_l1::smooth_l1;
-use trimip_core::{Config, activation, compositing, rng, sh};
+use trimip_core::field::encoders::tri_mip::{Pyramid, Shape, level_input, taps};
+use trimip_core::field::losses::smooth_l1::smooth_l1;
+use trimip_core::{
+    Config,
+    field::activation,
+    math::{compositing, rng, sh},
+};
 
 #[test]
 fn activations() {
@@ -139,7 +143,7 @@ fn levels_and_texels() {
         |[radius, plane, ..]| {
             let plane = plane as usize;
             let blend = pyramid.blend(plane, radius);
-            let start = pyramid.offset(blend.lower, plane) / trimip_core::encoders::tri_mip::CHANNELS;
+            let start = pyramid.offset(blend.lower, plane) / trimip_core::field::encoders::tri_mip::CHANNELS;
             let level = level_input(radius, pyramid.reference());
             [blend.lower as f64, blend.fraction, start as f64, level]
         },

@@ -3,7 +3,7 @@
 use super::gpu;
 use crate::gpu::{Binds, Buffer, Ceilings, Rows, Size};
 use crate::products::{Counter, Finish, GRADIENT_SCALE, accumulate, multiply, multiplying, tile};
-use trimip_core::rng;
+use trimip_core::math::rng;
 
 /// The first counter.
 const FIRST: Counter = Counter { counter: 0 };

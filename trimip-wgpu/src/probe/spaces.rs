@@ -2,8 +2,8 @@
 
 use super::{compare, directions, files};
 use crate::space::SPACE;
-use trimip_core::batch::Ray;
-use trimip_core::space::Path;
+use trimip_core::engine::batch::Ray;
+use trimip_core::geometry::space::Path;
 use trimip_core::{Aabb, Space};
 
 #[test]
@@ -106,7 +106,7 @@ fn rays_through_a_contracted_space() {
             let cells = position.map(|p| f64::from(p) * 16.0);
             let margin = cells.map(|c| (c - 4.0 * (c / 4.0).floor()).min(4.0 * (c / 4.0).floor() + 4.0 - c));
             let least = margin.into_iter().fold(f64::INFINITY, f64::min);
-            [s + least * 0.3125 / trimip_core::space::contraction::STRETCH, 0.0, 0.0, 0.0]
+            [s + least * 0.3125 / trimip_core::geometry::space::contraction::STRETCH, 0.0, 0.0, 0.0]
         },
         (2e-5, 1e-6),
     );

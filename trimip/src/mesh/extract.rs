@@ -7,10 +7,10 @@ use super::{
 };
 use glam::{DVec3, Vec3};
 use trimip_core::{
-    Aabb, Camera, Config, Error, Query, Result, Space, Viewer, bits,
-    compositing::composite,
-    model::{Model, OCCUPANCY},
-    occupancy::cell_of,
+    Aabb, Camera, Config, Error, Query, Result, Space, Viewer,
+    field::model::{Model, OCCUPANCY},
+    geometry::occupancy::cell_of,
+    math::{bits, compositing::composite},
 };
 
 /// Optical depth that a marching step has at the level of the surface, unless a level is given. A ray that grazes the
@@ -262,8 +262,8 @@ mod tests {
     use std::f64::consts::PI;
     use trimip_core::{
         Frame,
-        batch::Radiance,
-        tensors::{Tensor, TensorFile},
+        engine::batch::Radiance,
+        field::tensors::{Tensor, TensorFile},
     };
 
     /// A field whose density is e^(k·depth) of the level at a signed depth below a surface.
@@ -375,7 +375,8 @@ mod tests {
         let mut model = model(CENTRE, [1.5; 3]);
         let depth = |config: &Config, step: f64| level_of(config) * f64::from(config.step_length()) * step;
         assert!((depth(&model.config, 1.0) - 0.2).abs() < 1e-9);
-        model.config.renderer.step_scale = trimip_core::schedule::Schedule::new(vec![[0.0, 8.0], [0.5, 2.0]]);
+        model.config.renderer.step_scale =
+            trimip_core::config::schedule::Schedule::new(vec![[0.0, 8.0], [0.5, 2.0]]);
         assert!((depth(&model.config, 2.0) - 0.2).abs() < 1e-9);
     }
 

@@ -8,7 +8,7 @@ use serde::Serialize;
 use trimip_core::{
     Config, Layout,
     config::Convention,
-    quality::{Measures, ScaleQuality, mean_quality},
+    measures::quality::{Measures, ScaleQuality, mean_quality},
 };
 
 /// What a run came to.

@@ -6,7 +6,7 @@ use crate::run::curve::Measure;
 use crate::systems::find;
 use trimip_core::{
     config::Convention,
-    quality::{Measures, ScaleQuality, mean_quality},
+    measures::quality::{Measures, ScaleQuality, mean_quality},
 };
 
 /// A finished run of the system with these PSNRs.

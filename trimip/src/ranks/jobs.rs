@@ -9,8 +9,8 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use trimip_core::{
     Error, ErrorKind, Result,
-    exchange::{Ranks, fault},
-    fingerprint,
+    engine::exchange::{Ranks, fault},
+    scene::fingerprint,
 };
 
 /// What a rank answers that has the jobs of rank 0.

@@ -7,8 +7,10 @@ use super::{
 use crate::{backends, machine};
 use std::sync::Arc;
 use trimip_core::{
-    Camera, Config, Error, Frame, Query, Result, Session, StepReport, ViewSet, Viewer, batch::Radiance,
-    checkpoint::Checkpoint, exchange::Ranks, fingerprint::Fingerprint, model::Model,
+    Camera, Config, Error, Frame, Query, Result, Session, StepReport, ViewSet, Viewer,
+    engine::{batch::Radiance, checkpoint::Checkpoint, exchange::Ranks},
+    field::model::Model,
+    scene::fingerprint::Fingerprint,
 };
 
 /// A session of rank 0 that all ranks share.

@@ -13,8 +13,10 @@ use crate::{backends, machine, run::memory};
 use orders::{Order, computes_with};
 use std::sync::Arc;
 use trimip_core::{
-    Config, Error, ErrorKind, Result, Session, checkpoint::Checkpoint, exchange::Ranks,
-    fingerprint::Fingerprint, scene_plan::Compute,
+    Config, Error, ErrorKind, Result, Session,
+    engine::{checkpoint::Checkpoint, exchange::Ranks},
+    scene::fingerprint::Fingerprint,
+    scene_plan::Compute,
 };
 
 /// Tells all ranks to end.

@@ -2,7 +2,7 @@
 
 use crate::backends;
 use serde::{Deserialize, Serialize};
-use trimip_core::{Config, Error, Result, exchange::Ranks, fingerprint::Fingerprint};
+use trimip_core::{Config, Error, Result, engine::exchange::Ranks, scene::fingerprint::Fingerprint};
 
 /// What rank 0 tells the others to do.
 #[derive(Serialize, Deserialize)]

@@ -3,7 +3,7 @@
 use super::{Report, Status};
 use crate::{run::history::Evaluation, view::PIXELS_PER_DEGREE};
 use serde_json::{Value, json};
-use trimip_core::quality::mean_quality;
+use trimip_core::measures::quality::mean_quality;
 use trimip_core::{Error, Result};
 use trimip_data::settings::DataConfig;
 

@@ -132,7 +132,7 @@ pub fn scale_name(scale: u32) -> String {
 #[cfg(test)]
 fn example(test: impl FnOnce(&Report<'_>)) {
     use crate::run::fixtures::evaluation;
-    use trimip_core::events::{Event, Provenance};
+    use trimip_core::engine::events::{Event, Provenance};
     let settings = crate::settings::defaults();
     let config = Config::default();
     let history = History::of(&[

@@ -3,7 +3,7 @@
 
 use super::{Report, scale_name};
 use crate::formatting;
-use trimip_core::{
+use trimip_core::measures::{
     metrics::LEAST_SIDE,
     quality::{Measures, mean_quality},
 };

@@ -5,7 +5,7 @@ use crate::run::{
     history::{History, Training},
     store::ViewRecord,
 };
-use trimip_core::quality::{MOST_PSNR, Measures, mean_quality};
+use trimip_core::measures::quality::{MOST_PSNR, Measures, mean_quality};
 
 /// Minimum mean PSNR of a good model: an error of 5.6 % of the range. Below it, edges are visibly blurred.
 const GOOD: f64 = 25.0;

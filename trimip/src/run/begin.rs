@@ -3,10 +3,13 @@
 use super::{folder::RunFolder, history::Evaluation, history::History, store::FileStore};
 use crate::formatting;
 use trimip_core::{
-    Config, Error, Result, Settings, adamw,
-    checkpoint::Checkpoint,
+    Config, Error, Result, Settings,
     config::TrainConfig,
-    events::{Event, Totals, progress},
+    engine::{
+        checkpoint::Checkpoint,
+        events::{Event, Totals, progress},
+    },
+    field::adamw,
     scene_plan::{self, Finding},
 };
 

@@ -3,7 +3,7 @@
 
 use crate::run::history::History;
 use std::path::Path;
-use trimip_core::{Result, atomic::write_atomically, events::Event};
+use trimip_core::{Result, atomic::write_atomically, engine::events::Event};
 
 /// Writes the curve.
 ///

@@ -1,7 +1,7 @@
 //! Events of a run, for tests.
 
-use trimip_core::events::{Event, Totals};
-use trimip_core::quality::{Measures, ScaleQuality};
+use trimip_core::engine::events::{Event, Totals};
+use trimip_core::measures::quality::{Measures, ScaleQuality};
 
 /// An evaluation event at `step` with `psnr` at two scales.
 pub fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {

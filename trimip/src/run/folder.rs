@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 use trimip_core::{
     Config, Error, Result,
     atomic::{temporary, write_atomically},
-    checkpoint::Checkpoint,
-    events::Event,
-    model::Model,
+    engine::{checkpoint::Checkpoint, events::Event},
+    field::model::Model,
     scene_plan::Finding,
 };
 
@@ -350,9 +349,11 @@ mod tests {
     use crate::run::fixtures::evaluation;
     use trimip_core::{
         Layout,
-        checkpoint::{OCCUPANCY_DENSITY, TrainState},
-        model::OCCUPANCY,
-        tensors::{Tensor, TensorFile},
+        engine::checkpoint::{OCCUPANCY_DENSITY, TrainState},
+        field::{
+            model::OCCUPANCY,
+            tensors::{Tensor, TensorFile},
+        },
     };
 
     /// The checkpoint of a run that has not begun.

@@ -1,8 +1,8 @@
 //! The state accumulated from a run's events: the curve of error against time, the final metrics, warnings, counters.
 //! Built from the event stream and, on resume, from `metrics.jsonl`. The report has no other source.
 
-use trimip_core::events::{Event, Provenance, Totals};
-use trimip_core::quality::ScaleQuality;
+use trimip_core::engine::events::{Event, Provenance, Totals};
+use trimip_core::measures::quality::ScaleQuality;
 
 /// One evaluation.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,7 +6,10 @@ use super::folder::RunFolder;
 use std::fs::{File, TryLockError};
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use trimip_core::{Error, Result, checkpoint::FORMAT, events::Event};
+use trimip_core::{
+    Error, Result,
+    engine::{checkpoint::FORMAT, events::Event},
+};
 
 /// Number of leading bytes of a checkpoint that are searched for its format.
 const HEAD: u64 = 1 << 16;
@@ -119,7 +122,10 @@ mod tests {
     use super::*;
     use crate::run::fixtures::evaluation;
     use crate::run::folder::picture_stem;
-    use trimip_core::{Config, checkpoint::Checkpoint, checkpoint::TrainState};
+    use trimip_core::{
+        Config,
+        engine::checkpoint::{Checkpoint, TrainState},
+    };
 
     fn folder() -> (tempfile::TempDir, RunFolder) {
         let temporary = tempfile::tempdir().unwrap();

@@ -2,7 +2,7 @@
 
 use crate::formatting;
 use std::path::Path;
-use trimip_core::{Config, Frames, Layout, Slot, ViewSet, encoders, scene_plan::Finding};
+use trimip_core::{Config, Frames, Layout, Slot, ViewSet, field::encoders, scene_plan::Finding};
 
 /// Overview of a run, including the scene plan.
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@ use crate::machine;
 use std::ffi::OsString;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
-use trimip_core::events::Provenance;
+use trimip_core::engine::events::Provenance;
 
 /// Provenance of this process, for a test split of `test_views` views.
 pub fn here_and_now(test_views: usize) -> Provenance {

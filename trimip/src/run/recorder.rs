@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{Result as IoResult, Write};
 use trimip_core::{
     Error, Result,
-    events::{Event, EventSink},
+    engine::events::{Event, EventSink},
 };
 
 /// The run's event sink.

@@ -7,8 +7,11 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trimip_core::{
-    Error, Result, atomic::write_atomically, checkpoint::Checkpoint, evaluate::ViewResult, model::Model,
-    run::Store,
+    Error, Result,
+    atomic::write_atomically,
+    engine::checkpoint::Checkpoint,
+    field::model::Model,
+    run::{Store, evaluate::ViewResult},
 };
 
 /// What the file name of a comparison has after that of its picture.
@@ -222,7 +225,7 @@ pub fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trimip_core::{Frame, perception::PerceptualScores};
+    use trimip_core::{Frame, measures::perception::PerceptualScores};
 
     #[test]
     fn the_worst_and_the_best_view_have_pictures_too() {

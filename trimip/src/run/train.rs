@@ -20,12 +20,14 @@ use std::time::Instant;
 use trimip_core::{
     Config, Error, Result, Settings,
     atomic::write_atomically,
-    events::{Event, EventSink, Totals},
-    exchange::Ranks,
-    fingerprint::Fingerprint,
-    model::Model,
-    quality::mean_quality,
+    engine::{
+        events::{Event, EventSink, Totals},
+        exchange::Ranks,
+    },
+    field::model::Model,
+    measures::quality::mean_quality,
     run::{Observer, Outcome, Run},
+    scene::fingerprint::Fingerprint,
     scene_plan::{self, Facts},
 };
 use trimip_data::Watch;

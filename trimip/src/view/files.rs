@@ -191,7 +191,7 @@ mod tests {
     use super::*;
     use glam::DVec3;
     use serde_json::Value;
-    use trimip_core::{Intrinsics, Lens, projections::Model};
+    use trimip_core::{Intrinsics, Lens, geometry::projections::Model};
 
     /// Parses `eye/target` as a camera.
     fn look_at(text: &str, intrinsics: Intrinsics) -> Camera {

@@ -102,7 +102,7 @@ fn smoothed(along: &[Camera], places: &[f64], at: f64, spread: f64) -> Camera {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use trimip_core::lens::Lens;
+    use trimip_core::geometry::lens::Lens;
 
     fn intrinsics() -> Intrinsics {
         let lens = Lens::perspective([0.1, 0.0, 0.0, 0.0], [0.0; 2], [0.0; 3]);

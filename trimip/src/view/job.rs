@@ -5,7 +5,7 @@ use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::{collections::BTreeSet, fs};
-use trimip_core::{Error, Result, atomic::write_atomically, fingerprint, model::Model};
+use trimip_core::{Error, Result, atomic::write_atomically, field::model::Model, scene::fingerprint};
 
 /// File of a folder that lists its finished views: the first line names the job, each other line a view.
 const LIST: &str = "views.txt";
@@ -106,7 +106,7 @@ fn identity(model: &Model, cameras: &[Named], what: &[Quantity], format: Picture
 mod tests {
     use super::*;
     use glam::DVec3;
-    use trimip_core::{Camera, Config, Intrinsics, tensors::TensorFile};
+    use trimip_core::{Camera, Config, Intrinsics, field::tensors::TensorFile};
 
     fn model(seed: u64) -> Model {
         Model::new(Config { seed, ..Config::default() }, TensorFile::default())

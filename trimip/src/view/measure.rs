@@ -6,11 +6,13 @@ use std::time::Instant;
 use trimip_core::{
     Frames, Result, Viewer,
     config::PhotographsConfig,
-    evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
-    exchange::Ranks,
-    model::Model,
-    perception::{Pair, Perception, PerceptualScores},
-    quality::{Measures, ScaleQuality, ViewQuality, mean_quality, per_scale},
+    engine::exchange::Ranks,
+    field::model::Model,
+    measures::{
+        perception::{Pair, Perception, PerceptualScores},
+        quality::{Measures, ScaleQuality, ViewQuality, mean_quality, per_scale},
+    },
+    run::evaluate::{TestFrames, ViewResult, Watch, evaluate_frame},
 };
 
 /// Result of an evaluation.

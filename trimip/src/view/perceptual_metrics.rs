@@ -4,8 +4,10 @@ use super::{flip::flip_of_pictures, pictures};
 use trimip_core::{
     Result,
     config::EvalConfig,
-    metrics::ms_ssim,
-    perception::{Pair, Perception, PerceptualScores},
+    measures::{
+        metrics::ms_ssim,
+        perception::{Pair, Perception, PerceptualScores},
+    },
 };
 
 /// The measures that this build and the settings have. FLIP and MS-SSIM run beside each other; LPIPS has all cores.

@@ -17,10 +17,10 @@ use trimip::report::scale_name;
 use trimip::run::folder as run_folder;
 use trimip::{backends, settings};
 use trimip_core::atomic::write_atomically;
-use trimip_core::cones::Division;
-use trimip_core::evaluate::compared;
-use trimip_core::metrics::psnr;
-use trimip_core::model::Model;
+use trimip_core::field::model::Model;
+use trimip_core::measures::metrics::psnr;
+use trimip_core::run::evaluate::compared;
+use trimip_core::scene::cones::Division;
 use trimip_core::{Error, Frame, Result, ViewSet, Viewer};
 
 /// Cones along a side of a pixel, besides the model's own numbers; the most cones are the reference.

@@ -18,13 +18,13 @@ use trimip::machine::{self, Machine};
 use trimip::run::folder as run_folder;
 use trimip::{backends, settings};
 use trimip_core::config::{Precision, RendererKind};
-use trimip_core::exact::Exact;
-use trimip_core::metrics::psnr_of_error;
-use trimip_core::model::{Model, OCCUPANCY, assets};
-use trimip_core::occupancy;
-use trimip_core::proxy::Proxy;
+use trimip_core::engine::proxy::Proxy;
+use trimip_core::field::exact::Exact;
+use trimip_core::field::model::{Model, OCCUPANCY, assets};
+use trimip_core::geometry::occupancy;
+use trimip_core::measures::metrics::psnr_of_error;
 use trimip_core::{Camera, Error, Result};
-use trimip_core::{atomic::write_atomically, tensors::Tensor};
+use trimip_core::{atomic::write_atomically, field::tensors::Tensor};
 use trimip_data::Watch;
 
 /// Steps along the diagonal of the reference. A picture with half as many shows the reference's own distance from its
@@ -78,7 +78,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         other.config.renderer.steps_per_diagonal = steps;
         // Only the step length varies: no early termination, no pruning, uniform steps.
         (other.config.renderer.min_transmittance, other.config.renderer.min_weight) = (1e-9, 0.0);
-        other.config.renderer.step_scale = trimip_core::schedule::Schedule::new(vec![[0.0, 1.0]]);
+        other.config.renderer.step_scale = trimip_core::config::schedule::Schedule::new(vec![[0.0, 1.0]]);
         other.config.renderer.step_per_radius = 0.0;
         let mut row = measure(&other, "steps along the diagonal", steps.to_string())?;
         row.order = before.map(|before| (before / row.error).log2());

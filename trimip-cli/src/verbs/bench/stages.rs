@@ -5,12 +5,14 @@
 use serde::Serialize;
 use std::time::Instant;
 use trimip::backends::{self, Visitor};
-use trimip_core::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile, Workspace};
 use trimip_core::config::Precision;
-use trimip_core::encoders::{self, SamplePosition};
-use trimip_core::exact::Exact;
-use trimip_core::model::Model;
-use trimip_core::{Backend, Camera, Encoder, Field, Layout, Renderer, Result, Space, backend::Occupancy};
+use trimip_core::engine::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile, Workspace};
+use trimip_core::field::encoders::{self, SamplePosition};
+use trimip_core::field::exact::Exact;
+use trimip_core::field::model::Model;
+use trimip_core::{
+    Backend, Camera, Encoder, Field, Layout, Renderer, Result, Space, engine::backend::Occupancy,
+};
 
 /// Rays along each side of the picture.
 const SIDE: u32 = 16;
@@ -253,9 +255,9 @@ mod tests {
         (config.field.hidden, config.occupancy.resolution) = (16, 16);
         config.encoder.init_range = 1.0;
         let layout = Layout::new(&config);
-        let mut file = trimip_core::tensors::TensorFile::default();
+        let mut file = trimip_core::field::tensors::TensorFile::default();
         layout.to_tensors(&layout.initial(&config), "", &mut file);
-        let bits = trimip_core::tensors::Tensor::u8(&[512], vec![0xff; 512]);
+        let bits = trimip_core::field::tensors::Tensor::u8(&[512], vec![0xff; 512]);
         file.tensors.insert("occupancy".into(), bits);
         let model = Model::new(config, file);
         let k = trimip_core::Intrinsics::from_angle(32, 32, 0.7);

@@ -18,7 +18,7 @@ use trimip::quality::{Measures, mean_quality};
 use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
-use trimip_core::exchange::Ranks;
+use trimip_core::engine::exchange::Ranks;
 use trimip_data::settings::DataConfig;
 
 /// Result of a run.

@@ -20,10 +20,10 @@ use trimip::run::folder as run_folder;
 use trimip::{backends, settings};
 use trimip_core::atomic::write_atomically;
 use trimip_core::config::RendererKind;
-use trimip_core::evaluate::compared;
-use trimip_core::metrics::psnr;
-use trimip_core::model::{Model, assets};
-use trimip_core::proxy::Proxy;
+use trimip_core::engine::proxy::Proxy;
+use trimip_core::field::model::{Model, assets};
+use trimip_core::measures::metrics::psnr;
+use trimip_core::run::evaluate::compared;
 use trimip_core::{Error, Result, Viewer};
 
 /// The steps of converged volume rendering are this much shorter than the model's.

@@ -19,7 +19,7 @@ use trimip::paper::{Comparison, Figures, Run, Scales, Status, TableRow, columns,
 use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::{folder::create_writable, history::History};
 use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
-use trimip_core::exchange::Ranks;
+use trimip_core::engine::exchange::Ranks;
 
 /// Trains what is not trained yet, and writes the pages.
 pub fn run(arguments: &PaperArguments) -> Result<u8> {

@@ -3,7 +3,7 @@
 use super::request::{PaperRun, Request};
 use crate::terminal::{count, duration};
 use trimip::run::history::History;
-use trimip_core::run::progress;
+use trimip_core::engine::events::progress;
 
 /// How far a run is.
 struct State {

@@ -10,8 +10,8 @@ use super::{Encoding, GradientMemory, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
 use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put_counted};
-use trimip_core::batch::Sphere;
-use trimip_core::encoders::rip_map::{CHANNELS, Gaussian, Plane, TAPE, planes};
+use trimip_core::engine::batch::Sphere;
+use trimip_core::field::encoders::rip_map::{CHANNELS, Gaussian, Plane, TAPE, planes};
 use trimip_core::{Aabb, Config, Result};
 
 /// The planes and their ripmaps.

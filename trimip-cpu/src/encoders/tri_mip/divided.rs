@@ -11,8 +11,8 @@ use crate::wire::{Reader, put};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::Result;
-use trimip_core::encoders::tri_mip::CHANNELS;
-use trimip_core::exchange::Rank;
+use trimip_core::engine::exchange::Rank;
+use trimip_core::field::encoders::tri_mip::CHANNELS;
 
 /// A row of a level of a plane.
 struct PlaneRow {

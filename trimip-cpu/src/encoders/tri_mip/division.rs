@@ -1,8 +1,8 @@
 //! How the rows of the planes are divided: into bands, each of which is summed by one worker, and the bands among ranks.
 
 use crate::encoders::bands::{BANDS, first_row, owner};
-use trimip_core::encoders::tri_mip::Pyramid;
-use trimip_core::exchange::Rank;
+use trimip_core::engine::exchange::Rank;
+use trimip_core::field::encoders::tri_mip::Pyramid;
 
 /// Finer divisions of a plane than this do not balance the work better.
 const LEAST_UNITS: usize = 64;

@@ -2,7 +2,7 @@
 //! gradient, moments and mip levels skip the other texels.
 
 use crate::encoders::bands::Extent;
-use trimip_core::encoders::tri_mip::{Pyramid, Shape};
+use trimip_core::field::encoders::tri_mip::{Pyramid, Shape};
 
 /// One extent for each row of the three planes, on every level.
 #[derive(Debug, Default)]

@@ -17,9 +17,11 @@ use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Mutex;
-use trimip_core::batch::Sphere;
-use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, level_input, taps};
-use trimip_core::exchange::Rank;
+use trimip_core::engine::batch::Sphere;
+use trimip_core::engine::exchange::Rank;
+use trimip_core::field::encoders::tri_mip::{
+    CHANNELS, FEATURES, PLANE_AXES, Pyramid, Shape, level_input, taps,
+};
 use trimip_core::{Aabb, Config, Result};
 
 /// The planes and their mip levels.

@@ -13,9 +13,9 @@ use crate::wire::{Reader, put};
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 use trimip_core::Result;
-use trimip_core::batch::Sphere;
-use trimip_core::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
-use trimip_core::exchange::Rank;
+use trimip_core::engine::batch::Sphere;
+use trimip_core::engine::exchange::Rank;
+use trimip_core::field::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
 
 /// The rows of one band of one plane, on all levels.
 pub struct Band<'a> {

@@ -1,0 +1,368 @@
+//! The definitions of settings: default, range, meaning, and whether a run that goes on may change them. Core's are the table
+//! `defaults.toml`; other crates add [`ForeignSection`]s, whose tables have the same syntax and stand in the text at their places.
+
+use crate::Result;
+use crate::config::range::Range;
+use crate::config::settings::checker::Checker;
+use crate::config::settings::text::{insert, section_begun};
+use std::collections::BTreeMap;
+use std::sync::{Arc, LazyLock};
+use toml::{Table, Value};
+
+/// Core's settings with their defaults and their meanings, as a configuration file.
+const CORE: &str = include_str!("defaults.toml");
+
+/// What begins the meaning of a setting, or of a section, that a run may change when it goes on.
+const FREE: &str = "free: ";
+
+/// What begins the meaning of a section of core to which other crates add settings.
+const SHARED: &str = "shared: ";
+
+/// Settings that stand together in a section.
+#[derive(Clone, Copy, Debug)]
+pub struct Fragment {
+    /// The key that they follow; empty: they begin their section.
+    pub after: &'static str,
+    /// The section's header and a line for each setting, in the syntax of core's table.
+    pub table: &'static str,
+}
+
+/// A section that a crate other than core owns, or its settings in a section that it shares with core:
+/// [`Section`](crate::Section) makes it.
+#[derive(Clone, Copy)]
+pub struct ForeignSection {
+    /// Name, as between brackets.
+    pub name: &'static str,
+    /// Its settings.
+    pub fragments: &'static [Fragment],
+    /// Refuses the values of a section, as a table.
+    pub(crate) check: fn(&Table, &Checker<'_>) -> Result<()>,
+}
+
+/// A section of the table of settings; the settings above all sections have no name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DocumentedSection {
+    /// Name, as between brackets.
+    pub name: String,
+    /// What the section is about.
+    pub meaning: String,
+    /// True if other crates than core may add settings to it.
+    pub shared: bool,
+    /// Its settings, in order.
+    pub settings: Vec<DocumentedSetting>,
+}
+
+/// A setting of the table of settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DocumentedSetting {
+    /// Key within its section.
+    pub key: String,
+    /// Default, as TOML.
+    pub default: String,
+    /// The numbers that it takes, such as `0 to 1024`; empty if it is no number.
+    pub range: String,
+    /// What it means.
+    pub meaning: String,
+    /// True if a run may have another value when it goes on.
+    pub free: bool,
+}
+
+/// The path of a setting of another crate than core, and the key in its section that it follows.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Placed {
+    pub path: String,
+    pub after: String,
+}
+
+/// What is known of a setting.
+#[derive(Clone, Debug)]
+pub(crate) struct Definition {
+    pub default: Value,
+    pub range: Option<Range>,
+    pub free: bool,
+}
+
+/// The definitions of all settings that a program knows: core's, and those of the sections that it registered.
+pub struct Definitions {
+    text: String,
+    documented: Vec<DocumentedSection>,
+    known: BTreeMap<String, Definition>,
+    registered: Vec<ForeignSection>,
+    placed: Vec<Placed>,
+    /// Names of sections that other builds know.
+    absent: Vec<&'static str>,
+}
+
+/// The definitions of core's settings alone.
+static CORE_ALONE: LazyLock<Arc<Definitions>> = LazyLock::new(|| Arc::new(Definitions::new(&[], &[])));
+
+impl Definitions {
+    /// The definitions of core's settings alone.
+    pub fn core() -> Arc<Self> {
+        CORE_ALONE.clone()
+    }
+
+    /// Core's settings and those of `sections`. Sections named in `absent` are those of crates that this build lacks: their
+    /// settings are kept as they are given, and nothing reads them.
+    pub fn new(sections: &[ForeignSection], absent: &[&'static str]) -> Self {
+        let mut lines: Vec<String> = CORE.lines().map(String::from).collect();
+        let mut placed = Vec::new();
+        for fragment in sections.iter().flat_map(|section| section.fragments) {
+            for (header, after, line) in settings_of(fragment) {
+                let key = line.split_once(" = ").map_or("", |(key, _)| key.trim());
+                let path = format!("{}.{key}", section_begun(header).unwrap_or_default());
+                placed.push(Placed { path, after: after.to_string() });
+                insert(&mut lines, header, after, line.to_string());
+            }
+        }
+        let text = lines.join("\n") + "\n";
+        let documented = documented(&text);
+        Self {
+            known: definitions(&text, &documented),
+            text,
+            documented,
+            registered: sections.to_vec(),
+            placed,
+            absent: absent.to_vec(),
+        }
+    }
+
+    /// These definitions, and those of `section`, unless they are among them.
+    pub(crate) fn with(self: &Arc<Self>, section: ForeignSection) -> Arc<Self> {
+        if self.registered.iter().any(|known| known.name == section.name) {
+            return self.clone();
+        }
+        let all = [&self.registered[..], &[section]].concat();
+        Arc::new(Self::new(&all, &self.absent))
+    }
+
+    /// Every setting with its default and its meaning, as a configuration file.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The settings section by section.
+    pub fn documented(&self) -> &[DocumentedSection] {
+        &self.documented
+    }
+
+    /// Dotted path and default of every setting, sorted by path.
+    pub(crate) fn defaults(&self) -> impl Iterator<Item = (&str, &Value)> {
+        self.known.iter().map(|(path, definition)| (path.as_str(), &definition.default))
+    }
+
+    /// The default of a setting, which has its type; `None` for settings that are not known.
+    pub fn default(&self, path: &str) -> Option<&Value> {
+        self.known.get(path).map(|definition| &definition.default)
+    }
+
+    /// The range of a number.
+    pub(crate) fn range(&self, path: &str) -> Option<&Range> {
+        self.known.get(path)?.range.as_ref()
+    }
+
+    /// True for a setting that a run may have otherwise when it goes on.
+    pub fn is_free(&self, path: &str) -> bool {
+        self.known.get(path).is_some_and(|definition| definition.free)
+    }
+
+    /// The sections of other crates than core.
+    pub(crate) fn registered(&self) -> &[ForeignSection] {
+        &self.registered
+    }
+
+    /// The settings of other crates than core, in order.
+    pub(crate) fn placed(&self) -> &[Placed] {
+        &self.placed
+    }
+
+    /// True for a section that other builds know.
+    pub(crate) fn is_absent(&self, section: &str) -> bool {
+        self.absent.contains(&section)
+    }
+
+    /// True for a section to which crates add settings that these definitions may not have.
+    pub(crate) fn may_have_more(&self, section: &str) -> bool {
+        self.documented.iter().find(|known| known.name == section).is_none_or(|known| known.shared)
+    }
+}
+
+/// The defaults and ranges of a text, by dotted path.
+fn definitions(text: &str, documented: &[DocumentedSection]) -> BTreeMap<String, Definition> {
+    let table: Table =
+        toml::from_str(text).unwrap_or_else(|error| unreachable!("tables of settings are tested: {error}"));
+    let mut known = BTreeMap::new();
+    for section in documented {
+        for setting in &section.settings {
+            let (path, value) = match section.name.as_str() {
+                "" => (setting.key.clone(), table.get(&setting.key)),
+                name => (
+                    format!("{name}.{}", setting.key),
+                    table.get(name).and_then(|section| section.get(&setting.key)),
+                ),
+            };
+            if let Some(default) = value.cloned() {
+                let range = Range::parse(&setting.range);
+                known.insert(path, Definition { default, range, free: setting.free });
+            }
+        }
+    }
+    known
+}
+
+/// The definitions of a fragment, by dotted path.
+pub(crate) fn definitions_of(fragment: &Fragment) -> BTreeMap<String, Definition> {
+    definitions(fragment.table, &documented(fragment.table))
+}
+
+/// Header, the key before it, and line of each setting of a fragment.
+fn settings_of(fragment: &Fragment) -> impl Iterator<Item = (&'static str, &'static str, &'static str)> {
+    let (mut header, mut after) = ("", fragment.after);
+    fragment.table.lines().filter_map(move |line| {
+        if section_begun(line).is_some() {
+            header = line;
+            return None;
+        }
+        let (key, _) = line.split_once(" = ").filter(|_| !line.starts_with('#'))?;
+        Some((header, std::mem::replace(&mut after, key.trim()), line))
+    })
+}
+
+/// A table of settings, section by section.
+fn documented(text: &str) -> Vec<DocumentedSection> {
+    let section = |name: &str, meaning: &str, shared| DocumentedSection {
+        name: name.into(),
+        meaning: meaning.into(),
+        shared,
+        settings: Vec::new(),
+    };
+    let mut sections = vec![section("", "the run", false)];
+    let mut all_free = false;
+    for line in text.lines() {
+        let (text, meaning) = line.split_once(" # ").unwrap_or((line, ""));
+        let (free, meaning) = without(FREE, meaning.trim());
+        if let Some(name) = section_begun(text) {
+            let (shared, meaning) = without(SHARED, meaning);
+            sections.push(section(name, meaning, shared));
+            all_free = free;
+        } else if let Some((key, default)) = text.split_once(" = ")
+            && !line.starts_with('#')
+            && let Some(section) = sections.last_mut()
+        {
+            let [key, default] = [key, default].map(|part| part.trim().to_string());
+            let (range, meaning) = match meaning.split_once(": ") {
+                Some((range, meaning)) if Range::parse(range).is_some() => (range.into(), meaning.into()),
+                _ => (String::new(), meaning.into()),
+            };
+            section.settings.push(DocumentedSetting { key, default, range, meaning, free: free || all_free });
+        }
+    }
+    sections
+}
+
+/// Whether a meaning begins with a mark, and the meaning without it.
+fn without<'a>(mark: &str, meaning: &'a str) -> (bool, &'a str) {
+    meaning.strip_prefix(mark).map_or((false, meaning), |rest| (true, rest))
+}
+
+impl DocumentedSection {
+    /// The settings as a table in Markdown.
+    pub fn markdown(&self) -> String {
+        let cell = |text: &str| ['|', '<', '[', '*'].iter().fold(text.to_string(), escaped);
+        let mut table = "| setting | default | range | meaning |\n|---|---|---|---|\n".to_string();
+        for DocumentedSetting { key, default, range, meaning, .. } in &self.settings {
+            table += &format!("| `{key}` | `{default}` | {range} | {} |\n", cell(meaning));
+        }
+        table
+    }
+}
+
+impl Definitions {
+    /// The page of all settings in Markdown.
+    pub fn page(&self) -> String {
+        let mut page = "# Settings\n\n\
+            <!-- Generated from the tables of settings of all crates; TRIMIP_WRITE_DOCS=1 cargo test -p trimip generated renews it. -->\n\n\
+            A configuration file names only what it changes; `--set section.key=value` overrides the file. Unknown keys are\n\
+            refused. A range holds for each number of a list, and for the values of pairs \\[fraction of the run, value].\n\
+            `trimip-cli config` prints every value and where it came from. \"Paper\" is Tri-MipRF (ICCV 2023), \"code\"\n\
+            is its authors' PyTorch implementation.\n"
+            .to_string();
+        for section in self.documented() {
+            let heading = match section.name.as_str() {
+                "" => "Above all sections".to_string(),
+                name => format!("`[{name}]`"),
+            };
+            page += &format!("\n## {heading}\n\n{}.\n\n{}", sentence(&section.meaning), section.markdown());
+        }
+        page
+    }
+}
+
+/// With a backslash before every `sign`, so that Markdown takes it as it is.
+fn escaped(text: String, sign: &char) -> String {
+    text.replace(*sign, &format!("\\{sign}"))
+}
+
+/// With a capital at the beginning.
+fn sentence(text: &str) -> String {
+    let mut rest = text.chars();
+    rest.next().map_or_else(String::new, |first| first.to_uppercase().chain(rest).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn every_setting_is_documented_once_and_every_number_has_a_range_that_holds_its_default() {
+        let definitions = Definitions::core();
+        let mut paths: Vec<String> = Vec::new();
+        for section in definitions.documented() {
+            assert!(!section.meaning.is_empty());
+            for setting in &section.settings {
+                assert!(!setting.meaning.is_empty(), "{} has no meaning", setting.key);
+                paths.push(format!("{}.{}", section.name, setting.key).trim_start_matches('.').to_string());
+            }
+        }
+        paths.sort();
+        assert_eq!(paths, definitions.defaults().map(|(path, _)| path).collect::<Vec<_>>());
+        for (path, value) in definitions.defaults() {
+            let numeric = match value {
+                Value::Array(values) => values.iter().all(|value| !value.is_str()),
+                value => value.is_integer() || value.is_float(),
+            };
+            assert_eq!(definitions.range(path).is_some(), numeric, "{path}");
+            assert!(definitions.range(path).is_none_or(|range| range.holds(value)), "{path}");
+        }
+    }
+
+    #[test]
+    fn what_a_run_may_change_is_marked_in_the_table() {
+        let definitions = Definitions::core();
+        for path in ["backend", "threads", "memory", "data.root", "eval.stride", "plan.aabb", "file.planes"] {
+            assert!(definitions.is_free(path), "{path}");
+        }
+        for path in ["seed", "train.steps", "data.scales", "encoder.kind", "no.such"] {
+            assert!(!definitions.is_free(path), "{path}");
+        }
+    }
+
+    /// The tables in the documentation of core's sections are up to date.
+    #[test]
+    fn generated_tables_are_those_of_the_table_of_defaults() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/config/tables");
+        for section in Definitions::core().documented().iter().filter(|section| !section.name.is_empty()) {
+            let (path, text) = (folder.join(format!("{}.md", section.name)), section.markdown());
+            if std::env::var_os("TRIMIP_WRITE_DOCS").is_some() {
+                std::fs::write(&path, &text).unwrap();
+            }
+            let found = std::fs::read_to_string(&path).unwrap_or_default().replace("\r\n", "\n");
+            assert!(
+                found == text,
+                "{} is out of date; renew it with TRIMIP_WRITE_DOCS=1 cargo test -p trimip-core generated",
+                path.display()
+            );
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! Sections of settings that crates other than core own. A crate implements [`Section`] for its typed section and gives
+//! [`ForeignSection::of`] to the program, which registers it; [`Config::section`](crate::Config::section) reads it.
+
+use super::checker::Checker;
+use super::text::parts_of;
+use super::values::{fit, shown};
+use crate::config::defaults::{ForeignSection, Fragment, definitions_of};
+use crate::{Error, Result};
+use serde::{Serialize, de::DeserializeOwned};
+use std::collections::BTreeMap;
+use toml::{Table, Value};
+
+/// Settings of a crate other than core in the form in which it uses them. Settings of core in the same section may be
+/// among its fields.
+///
+/// ```
+/// use serde::{Deserialize, Serialize};
+/// use trimip_core::{Checker, Config, Definitions, ForeignSection, Fragment, Result, Section, Settings};
+///
+/// #[derive(Serialize, Deserialize)]
+/// struct Lamp {
+///     watts: f64,
+/// }
+///
+/// impl Section for Lamp {
+///     const NAME: &'static str = "lamp";
+///     const FRAGMENTS: &'static [Fragment] =
+///         &[Fragment { after: "", table: "[lamp] # free: a lamp\nwatts = 60.0 # 0 to 100: its power" }];
+/// }
+///
+/// let definitions = Definitions::new(&[ForeignSection::of::<Lamp>()], &[]);
+/// let settings = Settings::of(definitions.into()).with("lamp.watts", 40.0)?;
+/// assert_eq!(Config::from_settings(&settings)?.section::<Lamp>()?.watts, 40.0);
+/// # Ok::<(), trimip_core::Error>(())
+/// ```
+pub trait Section: Serialize + DeserializeOwned {
+    /// Name, as between brackets.
+    const NAME: &'static str;
+    /// The settings that it adds to the section, in order.
+    const FRAGMENTS: &'static [Fragment];
+
+    /// Refuses what settings must not be together.
+    ///
+    /// # Errors
+    /// Names the setting, its place and what is expected.
+    fn check(&self, to: &Checker<'_>) -> Result<()> {
+        let _ = to;
+        Ok(())
+    }
+}
+
+impl ForeignSection {
+    /// The section of a type.
+    pub const fn of<S: Section>() -> Self {
+        Self { name: S::NAME, fragments: S::FRAGMENTS, check: check::<S> }
+    }
+}
+
+fn check<S: Section>(table: &Table, to: &Checker<'_>) -> Result<()> {
+    read::<S>(table, to).map(drop)
+}
+
+/// The typed section of the values in `table`. Settings that it lacks have their defaults.
+pub(crate) fn read<S: Section>(table: &Table, to: &Checker<'_>) -> Result<S> {
+    let mut table = table.clone();
+    for (path, definition) in S::FRAGMENTS.iter().flat_map(definitions_of) {
+        let (_, key) = parts_of(&path);
+        let value = match table.remove(key) {
+            Some(value) => fit(&definition.default, value).map_err(|(found, expected)| {
+                Error::input(to.place(&path), format!("`{path}` is {found}"), format!("expected {expected}"))
+            })?,
+            None => definition.default,
+        };
+        if let Some(range) = definition.range {
+            to.check(range.holds(&value), &path, &range.expected(&value))?;
+        }
+        table.insert(key.to_string(), value);
+    }
+    let paths: Vec<String> = table.keys().map(|key| format!("{}.{key}", S::NAME)).collect();
+    let whole = Table::from_iter([(S::NAME.to_string(), Value::Table(table))]);
+    let mut whole: BTreeMap<String, S> =
+        whole.try_into().map_err(|error: toml::de::Error| mistyped(&error, &paths, to))?;
+    let section = whole.remove(S::NAME).unwrap_or_else(|| unreachable!("it was put in above"));
+    section.check(to)?;
+    Ok(section)
+}
+
+/// A value that the typed form does not have: toml's error names the key; where it was set is the place to correct.
+pub(crate) fn mistyped(error: &toml::de::Error, paths: &[String], to: &Checker<'_>) -> Error {
+    let text = error.to_string();
+    let place = paths.iter().find(|path| text.contains(&format!("`{path}`")));
+    let place = place.map_or("configuration".to_string(), |path| to.place(path));
+    Error::input(place, error.message(), "see its meaning in `trimip-cli config --defaults`")
+}
+
+/// Where a value of a configuration in memory is, as text for an error.
+pub(crate) fn in_memory(path: &str, value: Option<&Value>) -> String {
+    value.map_or(path.to_string(), |value| format!("configuration: {path} = {}", shown(value)))
+}

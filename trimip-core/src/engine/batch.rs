@@ -1,0 +1,307 @@
+//! The batches that flow from stage to stage, each in its device's buffers. Samples are packed: the samples of a ray
+//! are consecutive, front to back, and a [`Segment`] holds their range.
+
+pub use crate::geometry::elements::{Interval, Radiance, Ray, Segment, Sphere, Target};
+
+use crate::{
+    Backend, Field, Pixel, Result,
+    engine::{
+        backend::Encoder,
+        ranks::{Rank, fault},
+        ray_allocation::RayAllocation,
+    },
+};
+use serde::{Deserialize, Serialize};
+
+/// Cones of a tile. The cones of a pixel are consecutive.
+pub struct Rays<B: Backend> {
+    /// One per cone.
+    pub rays: B::Buffer<Ray>,
+    /// One per pixel: the range of its cones.
+    pub groups: B::Buffer<Segment>,
+    /// One per pixel in training; empty otherwise.
+    pub targets: B::Buffer<Target>,
+    /// One per pixel in training with `loss.exposure`: the number of its photograph, see [`exposure`](crate::engine::exposure);
+    /// empty otherwise.
+    pub photographs: B::Buffer<u32>,
+    /// Index of the tile's first ray within the step; random numbers are drawn by it.
+    pub first: u32,
+}
+
+impl<B: Backend> Rays<B> {
+    /// Creates an empty batch.
+    pub fn new(backend: &B) -> Self {
+        Self {
+            rays: backend.zeros(0),
+            groups: backend.zeros(0),
+            targets: backend.zeros(0),
+            photographs: backend.zeros(0),
+            first: 0,
+        }
+    }
+
+    /// Replaces all rays by `rays`, one cone per pixel, without targets.
+    pub fn place(&mut self, backend: &B, rays: &[Ray]) {
+        let group = |start: usize| Segment { start: start as u32, count: 1 };
+        backend.write(&mut self.rays, rays);
+        backend.write(&mut self.groups, &(0..rays.len()).map(group).collect::<Vec<_>>());
+        backend.write(&mut self.targets, &[]);
+        backend.write(&mut self.photographs, &[]);
+        self.first = 0;
+    }
+}
+
+/// Samples of a tile. With their rays they hold the full geometry: ray, direction, distance, length, radius.
+pub struct Samples<B: Backend> {
+    /// One per ray.
+    pub segments: B::Buffer<Segment>,
+    /// One per sample: the index of its ray within the tile.
+    pub rays: B::Buffer<u32>,
+    /// One per sample.
+    pub intervals: B::Buffer<Interval>,
+    /// One per sample.
+    pub spheres: B::Buffer<Sphere>,
+    /// Number of samples marched, and number of those kept.
+    pub counts: B::Buffer<[u32; 2]>,
+}
+
+/// What the stages of a tile of rays have in common: where they issue their work, and what all of them read.
+pub struct Tile<'a, B: Backend> {
+    /// The stream on which the work is issued.
+    pub stream: &'a mut B::Stream,
+    /// All parameters, flat.
+    pub parameters: &'a B::Buffer<f32>,
+    /// The cones of the tile.
+    pub rays: &'a Rays<B>,
+    /// The samples along them.
+    pub samples: &'a Samples<B>,
+}
+
+/// The arrays of a field's backward pass.
+pub struct FieldBackward<'a, B: Backend> {
+    /// Encoded samples, [samples, stride].
+    pub features: &'a B::Buffer<f32>,
+    /// Density and colour of each sample.
+    pub radiance: &'a B::Buffer<Radiance>,
+    /// Gradient of `radiance`.
+    pub radiance_gradients: &'a B::Buffer<Radiance>,
+    /// Receives the gradient of `features`, of the same shape.
+    pub feature_gradients: &'a mut B::Buffer<f32>,
+}
+
+/// All buffers of a tile, from its rays to its gradients; the next tile reuses them.
+pub struct Workspace<B: Backend> {
+    /// The stream on which the tile's work is issued.
+    pub stream: B::Stream,
+    /// Rays.
+    pub rays: Rays<B>,
+    /// Samples along them.
+    pub samples: Samples<B>,
+    /// What the encoder keeps of each sample from forward to backward.
+    pub encoder_context: B::Buffer<f32>,
+    /// Encoded samples, [samples, stride].
+    pub features: B::Buffer<f32>,
+    /// Gradient of the features, same shape.
+    pub feature_gradients: B::Buffer<f32>,
+    /// What the field keeps from forward to backward.
+    pub field_context: <B::Field as Field<B>>::Context,
+    /// One per sample.
+    pub radiance: B::Buffer<Radiance>,
+    /// Gradient of `radiance`.
+    pub radiance_gradients: B::Buffer<Radiance>,
+    /// Rows that pruning kept.
+    pub kept: B::Buffer<u32>,
+    /// Composited cones, one per ray.
+    pub cones: B::Buffer<Pixel>,
+    /// One per pixel: the mean of its cones.
+    pub pixels: B::Buffer<Pixel>,
+    /// Gradient with respect to each pixel's [r, g, b, opacity].
+    pub pixel_gradients: B::Buffer<[f32; 4]>,
+}
+
+impl<B: Backend> Workspace<B> {
+    /// Creates an empty workspace.
+    pub fn new(backend: &B, field: &B::Field) -> Self {
+        Self {
+            stream: backend.stream(),
+            rays: Rays::new(backend),
+            samples: Samples {
+                segments: backend.zeros(0),
+                rays: backend.zeros(0),
+                intervals: backend.zeros(0),
+                spheres: backend.zeros(0),
+                counts: backend.zeros(1),
+            },
+            encoder_context: backend.zeros(0),
+            features: backend.zeros(0),
+            feature_gradients: backend.zeros(0),
+            field_context: field.context(),
+            radiance: backend.zeros(0),
+            radiance_gradients: backend.zeros(0),
+            kept: backend.zeros(0),
+            cones: backend.zeros(0),
+            pixels: backend.zeros(0),
+            pixel_gradients: backend.zeros(0),
+        }
+    }
+}
+
+/// Gradients and sums of some tiles, kept until the end of the step and added up in a fixed order.
+pub struct PartialGradients<B: Backend> {
+    /// Gradients of the networks.
+    pub field: <B::Field as Field<B>>::Gradient,
+    /// Gradients of features, to be scattered to texels.
+    pub encoder: <B::Encoder as Encoder<B>>::Gradient,
+    /// Losses and counts.
+    pub sums: B::Sums,
+}
+
+/// The pixels of a training step that a rank works on, and how they are cut into tiles.
+#[derive(Clone, Copy, Debug)]
+pub struct Batch<'a> {
+    /// The pixels of the whole step, of all ranks.
+    pub allocation: &'a RayAllocation,
+    /// The share of this rank.
+    pub this_rank: Rank,
+    /// Cones of a tile, about.
+    pub per_tile: u32,
+}
+
+/// Items that are worked on in tiles.
+#[derive(Clone, Copy, Debug)]
+pub struct Tiling {
+    /// Number of items.
+    pub count: u32,
+    /// Items of a tile.
+    pub per_tile: u32,
+}
+
+/// The arrays from which a step computes new parameters.
+pub struct Update<'a, B: Backend> {
+    /// All parameters, flat; they get their new values.
+    pub parameters: &'a mut B::Buffer<f32>,
+    /// The gradient of all parameters, flat, not yet divided by the sum of the weights.
+    pub gradient: &'a mut B::Buffer<f32>,
+    /// The step's partial gradients, for the sum of the weights.
+    pub partials: &'a mut [PartialGradients<B>],
+    /// Learning rate of the networks.
+    pub learning_rate: f64,
+    /// Number of the step, counted from 1.
+    pub step: u64,
+}
+
+/// Losses and counts of a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StepSums {
+    /// Σ weight · loss: the photometric term averaged over channels, plus the other terms at work
+    /// ([`losses`](crate::field::losses)).
+    pub loss: f64,
+    /// Σ weight over the rays that the loss is averaged over.
+    pub weight: f64,
+    /// Σ squared error over channels.
+    pub squared_error: f64,
+    /// Pixels.
+    pub rays: u64,
+    /// Samples marched.
+    pub marched: u64,
+    /// Samples kept.
+    pub kept: u64,
+    /// Pixels that are not finite.
+    pub non_finite: u64,
+}
+
+impl StepSums {
+    /// Adds the sums of another tile.
+    pub fn add(&mut self, other: &Self) {
+        self.loss += other.loss;
+        self.weight += other.weight;
+        self.squared_error += other.squared_error;
+        self.rays += other.rays;
+        self.marched += other.marched;
+        self.kept += other.kept;
+        self.non_finite += other.non_finite;
+    }
+}
+
+/// Largest number of steps whose sums are not read back yet.
+pub const MOST_PENDING: usize = 2;
+
+/// What a step leaves for the host.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StepResult {
+    /// Losses and counts.
+    pub sums: StepSums,
+    /// Derivative of [`StepSums::loss`] by the log-gains (RGB) of each photograph; empty without `loss.exposure`.
+    pub exposures: Vec<[f64; 3]>,
+}
+
+impl StepResult {
+    /// All numbers as bits, to be sent to another process.
+    pub fn to_words(&self) -> Vec<u64> {
+        let StepSums { loss, weight, squared_error, rays, marched, kept, non_finite } = self.sums;
+        let sums = [loss, weight, squared_error].map(f64::to_bits).into_iter();
+        let counts = [rays, marched, kept, non_finite];
+        sums.chain(counts).chain(self.exposures.as_flattened().iter().map(|value| value.to_bits())).collect()
+    }
+
+    /// The result of these [`to_words`](Self::to_words).
+    ///
+    /// # Errors
+    /// When their number is not 7 and three for each photograph.
+    pub fn of_words(words: &[u64]) -> Result<Self> {
+        let Some((&[loss, weight, squared_error, rays, marched, kept, non_finite], exposures)) =
+            words.split_first_chunk().filter(|(_, exposures)| exposures.len().is_multiple_of(3))
+        else {
+            let found = words.len();
+            return Err(fault(format_args!("expected 7 sums and 3 for each photograph, found {found}")));
+        };
+        let [loss, weight, squared_error] = [loss, weight, squared_error].map(f64::from_bits);
+        Ok(Self {
+            sums: StepSums { loss, weight, squared_error, rays, marched, kept, non_finite },
+            exposures: exposures.as_chunks().0.iter().map(|gains| gains.map(f64::from_bits)).collect(),
+        })
+    }
+
+    /// Adds the result of another tile.
+    pub fn add(&mut self, other: &Self) {
+        self.sums.add(&other.sums);
+        let count = self.exposures.len().max(other.exposures.len());
+        self.exposures.resize(count, [0.0; 3]);
+        for (own, other) in self.exposures.as_flattened_mut().iter_mut().zip(other.exposures.as_flattened()) {
+            *own += other;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+
+    #[test]
+    fn a_result_is_that_of_its_words_and_of_no_other_number_of_them() {
+        let sums = StepSums {
+            loss: 0.5,
+            weight: 3.0,
+            squared_error: f64::NAN,
+            rays: 5,
+            marched: u64::MAX,
+            kept: 7,
+            non_finite: 1,
+        };
+        let words = StepResult { sums, exposures: vec![[0.25, -1.0, 2.0], [1e300, 0.0, -0.0]] }.to_words();
+        for count in 0..=words.len() {
+            match StepResult::of_words(&words[..count]) {
+                Ok(result) => {
+                    assert!(count >= 7 && count % 3 == 1, "{count}");
+                    assert_eq!(result.to_words(), words[..count]);
+                }
+                Err(error) => {
+                    assert!(count < 7 || count % 3 != 1, "{count}");
+                    assert_eq!(error.kind, ErrorKind::Device);
+                    assert!(error.message.contains(&format!("found {count}")), "{error}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! The interface for training one model in several processes, called ranks. Every rank computes a share of each step's
+//! pixels. An [`Exchange`] brings together what they computed, and every rank takes the same step with the same bits. It sends
+//! its messages by [`Ranks`].
+
+pub use crate::engine::ranks::{Rank, Ranks, fault};
+
+use crate::{
+    Backend, Result,
+    engine::{
+        backend::Stages,
+        batch::{PartialGradients, StepResult, Update},
+    },
+};
+use std::sync::Arc;
+
+/// Brings together what the ranks computed in a step. The trainer calls [`partials`](Self::partial gradients), then
+/// [`update`](Self::update); [`sums`](Self::sums) between the two on a backend without lag, else after them for an earlier step.
+pub trait Exchange<B: Backend>: Send {
+    /// The share of a step's pixels that this rank computes.
+    fn rank(&self) -> Rank {
+        Rank::ONLY
+    }
+
+    /// Called when the share's partial gradients are complete, before they are posted or flushed.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn partials(
+        &mut self,
+        backend: &B,
+        stages: &mut Stages<B>,
+        partials: &mut [PartialGradients<B>],
+    ) -> Result<()> {
+        let _ = (backend, stages, partials);
+        Ok(())
+    }
+
+    /// Called with the sums of a step that were posted on this rank; returns those of all ranks.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn sums(&mut self, sums: StepResult) -> Result<StepResult> {
+        Ok(sums)
+    }
+
+    /// Computes new parameters, as [`Backend::update`] does, from the gradients of all ranks. A rank whose rays hit nothing makes
+    /// the call too, with a gradient and a weight of zero.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn update(&mut self, backend: &B, stages: &mut Stages<B>, update: &mut Update<'_, B>) -> Result<()> {
+        backend.update(stages, update);
+        Ok(())
+    }
+
+    /// Called before the optimiser's moments are read: afterwards every rank has all of them.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn moments(&mut self, backend: &B, stages: &mut Stages<B>) -> Result<()> {
+        let _ = (backend, stages);
+        Ok(())
+    }
+}
+
+/// A single process: leaves everything unchanged.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Alone;
+
+impl<B: Backend> Exchange<B> for Alone {}
+
+/// For any backend: every rank adds up the gradients of all ranks in the order of the ranks, and takes the whole step. Every
+/// rank has the same bits; another number of ranks rounds the sums in another way.
+pub struct Summed {
+    ranks: Arc<dyn Ranks>,
+    received: Vec<Vec<u8>>,
+}
+
+impl Summed {
+    /// An exchange over `ranks`.
+    pub fn new(ranks: Arc<dyn Ranks>) -> Self {
+        let received = vec![Vec::new(); ranks.rank().size];
+        Self { ranks, received }
+    }
+
+    /// Sends `own` to every rank; calls `add` with what each rank sent, in order.
+    fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        let Self { ranks, received } = self;
+        let this_rank = ranks.rank();
+        ranks.all_to_all(&vec![own; this_rank.size], received)?;
+        for (rank, bytes) in received.iter().enumerate() {
+            add(if rank == this_rank.id { own } else { bytes })?;
+        }
+        Ok(())
+    }
+}
+
+impl<B: Backend> Exchange<B> for Summed {
+    fn rank(&self) -> Rank {
+        self.ranks.rank()
+    }
+
+    fn sums(&mut self, sums: StepResult) -> Result<StepResult> {
+        let own = sums.to_words();
+        let mut all = StepResult::default();
+        self.gather(bytemuck::cast_slice(&own), |bytes| {
+            let (words, rest) = bytes.as_chunks();
+            if !rest.is_empty() {
+                return Err(fault(format_args!("expected words of 8 bytes, found {} bytes", bytes.len())));
+            }
+            let words: Vec<u64> = words.iter().map(|word| u64::from_ne_bytes(*word)).collect();
+            all.add(&StepResult::of_words(&words)?);
+            Ok(())
+        })?;
+        Ok(all)
+    }
+
+    fn update(&mut self, backend: &B, stages: &mut Stages<B>, update: &mut Update<'_, B>) -> Result<()> {
+        let mut own = backend.read(update.gradient);
+        let mut message = bytemuck::bytes_of(&backend.weight(update.partials)).to_vec();
+        message.extend_from_slice(bytemuck::cast_slice(&own));
+        let mut weight = 0.0;
+        own.fill(0.0);
+        self.gather(&message, |bytes| {
+            let Some((head, tail)) = bytes.split_first_chunk().filter(|_| bytes.len() == message.len())
+            else {
+                let (expected, found) = (message.len(), bytes.len());
+                return Err(fault(format_args!(
+                    "expected a weight and a gradient of {expected} bytes, found {found}"
+                )));
+            };
+            weight += f64::from_ne_bytes(*head);
+            let values = tail.as_chunks().0.iter().map(|bytes| f32::from_ne_bytes(*bytes));
+            own.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+            Ok(())
+        })?;
+        self.ranks.record_traffic(size_of_val(&own[..]) as u64);
+        backend.write(update.gradient, &own);
+        backend.set_weight(update.partials, weight);
+        backend.update_all(stages, update);
+        Ok(())
+    }
+}

@@ -1,0 +1,304 @@
+//! Exposure of photographs, for `loss.exposure = "gain"`: photograph i has three log-gains e_i (RGB), and the loss compares
+//! exp(e_i − mean of e)·rendered with it. The mean fixes the scale of the model's colours, so a camera without a photograph
+//! is rendered at the mean exposure. The log-gains are trained beside the parameters and are no part of a model.
+
+use crate::{
+    Result, ViewSet,
+    config::OptimizerConfig,
+    engine::batch::{MOST_PENDING, StepResult},
+    field::{
+        adamw::Rule,
+        losses::exposure::exposed,
+        tensors::{Tensor, TensorFile},
+    },
+};
+use std::collections::{BTreeMap, VecDeque};
+
+/// Number of steps after which a step's gradient moves the log-gains, on every backend: a device runs ahead of the host.
+pub const LAG: usize = MOST_PENDING;
+
+/// Prefix of the names of its tensors in checkpoints.
+pub const PREFIX: &str = "exposure.";
+
+/// Largest log-gain: four stops, ln 16. A photograph without any light must not take the mean along.
+const MOST: f32 = 2.772_588_7;
+
+/// The number of the photograph of each view, counted from 0. Views of one name at different scales are one photograph;
+/// of several views of one name at a scale, the first belongs to the first at the others.
+pub fn photographs(views: &ViewSet) -> Vec<u32> {
+    let mut numbers = BTreeMap::new();
+    let mut all = vec![0; views.views.len()];
+    for scale in &views.scales {
+        let mut seen = BTreeMap::<&str, u32>::new();
+        for view in scale.views.clone() {
+            let name = views.views[view].name.as_str();
+            let again = seen.entry(name).or_default();
+            let next = numbers.len() as u32;
+            all[view] = *numbers.entry((name, *again)).or_insert(next);
+            *again += 1;
+        }
+    }
+    all
+}
+
+/// A rendered picture at the exposure of its photograph, which no camera pose tells: each half (`left` and not) times the
+/// gain of each channel that fits the other half best, by least squares, within four stops. No pixel has a part in its own
+/// gain. `behind` is as in [`exposed`].
+///
+/// # Panics
+/// If the slices differ in length.
+pub fn exposed_by_the_other_half(
+    shown: &[[f32; 3]],
+    behind: &[[f32; 3]],
+    target: &[[f32; 3]],
+    left: &[bool],
+) -> Vec<[f32; 3]> {
+    assert!([behind.len(), target.len(), left.len()] == [shown.len(); 3], "pictures of one size");
+    let gain = |half: bool| -> [f32; 3] {
+        let pixels = || (0..shown.len()).filter(|&i| left[i] == half);
+        std::array::from_fn(|c| {
+            let own = |i: usize, picture: &[[f32; 3]]| f64::from(picture[i][c] - behind[i][c]);
+            let squares: f64 = pixels().map(|i| own(i, shown).powi(2)).sum();
+            let product: f64 = pixels().map(|i| own(i, shown) * own(i, target)).sum();
+            let least = f64::from(-MOST).exp();
+            if squares == 0.0 { 1.0 } else { (product / squares).clamp(least, least.recip()) as f32 }
+        })
+    };
+    let gains = [gain(true), gain(false)];
+    (0..shown.len()).map(|i| exposed(shown[i], behind[i], gains[usize::from(left[i])])).collect()
+}
+
+/// Log-gains of all photographs in training, their moments, and gradients that did not move them yet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Exposures {
+    /// Flat, [photographs, 3].
+    values: Vec<f32>,
+    m: Vec<f32>,
+    v: Vec<f32>,
+    /// Gradients of the last steps, oldest first.
+    arrived: VecDeque<Vec<f32>>,
+}
+
+impl Exposures {
+    /// Log-gains of 0 for `count` photographs.
+    pub fn new(count: usize) -> Self {
+        let zeros = || vec![0.0; 3 * count];
+        Self { values: zeros(), m: zeros(), v: zeros(), arrived: VecDeque::new() }
+    }
+
+    /// Replaces the log-gains (RGB), one per photograph; others are left out.
+    pub fn set(&mut self, values: &[[f32; 3]]) {
+        self.values.iter_mut().zip(values.as_flattened()).for_each(|(own, value)| *own = *value);
+    }
+
+    /// Log-gains minus their mean over all photographs: RGB of each.
+    pub fn log_gains(&self) -> Vec<[f64; 3]> {
+        let mean = mean(self.values.as_chunks().0.iter().map(|value: &[f32; 3]| value.map(f64::from)));
+        let centred = |value: &[f32; 3]| std::array::from_fn(|c| f64::from(value[c]) - mean[c]);
+        self.values.as_chunks().0.iter().map(centred).collect()
+    }
+
+    /// The gains with which rendered colours are compared: RGB of each photograph.
+    pub fn gains(&self) -> Vec<[f32; 3]> {
+        self.log_gains().into_iter().map(|value| value.map(|value| value.exp() as f32)).collect()
+    }
+
+    /// The gradient of a step's mean loss by the log-gains. The mean of all log-gains is subtracted from each, so the mean
+    /// of the derivatives is, too.
+    pub fn gradient(&self, step: &StepResult) -> Vec<[f32; 3]> {
+        let photographs = self.values.len() / 3;
+        let divided = |sum: &[f64; 3]| match step.sums.weight > 0.0 {
+            true => sum.map(|sum| sum / step.sums.weight),
+            false => [0.0; 3],
+        };
+        let mut own: Vec<[f64; 3]> = step.exposures.iter().map(divided).collect();
+        own.resize(photographs, [0.0; 3]);
+        let mean = mean(own.iter().copied());
+        own.iter().map(|own| std::array::from_fn(|c| (own[c] - mean[c]) as f32)).collect()
+    }
+
+    /// Takes the result of the next step.
+    pub(crate) fn take(&mut self, step: &StepResult) {
+        self.arrived.push_back(self.gradient(step).into_flattened());
+    }
+
+    /// Applies the gradients that are due after `steps` steps, of which `in_transit` have not arrived (Adam, without
+    /// decay). Returns whether anything may have moved.
+    pub(crate) fn advance(
+        &mut self,
+        config: &OptimizerConfig,
+        rate: f64,
+        steps: u64,
+        in_transit: usize,
+    ) -> bool {
+        let mut moved = false;
+        while self.arrived.len() + in_transit > LAG {
+            let Some(gradient) = self.arrived.pop_front() else { break };
+            let step = steps.saturating_sub((self.arrived.len() + in_transit) as u64).max(1);
+            let rule = Rule { shrink: 1.0, ..Rule::<f32>::new(config, rate, step) };
+            let moments = self.m.iter_mut().zip(&mut self.v);
+            for ((value, (m, v)), gradient) in self.values.iter_mut().zip(moments).zip(gradient) {
+                if (gradient * gradient).is_finite() {
+                    rule.apply(value, m, v, gradient);
+                    *value = value.clamp(-MOST, MOST);
+                }
+            }
+            moved = true;
+        }
+        moved
+    }
+
+    /// Adds everything that training needs to go on: tensors of shape [photographs, 3].
+    pub(crate) fn to_tensors(&self, file: &mut TensorFile) {
+        let shape = [self.values.len() / 3, 3];
+        let mut add = |name: String, values: &[f32]| {
+            file.tensors.insert(format!("{PREFIX}{name}"), Tensor::f32(&shape, values.to_vec()));
+        };
+        add("values".into(), &self.values);
+        add("first".into(), &self.m);
+        add("second".into(), &self.v);
+        self.arrived.iter().enumerate().for_each(|(i, values)| add(format!("pending.{i}"), values));
+    }
+
+    /// The state in a checkpoint of a run on as many photographs; `name` is its place.
+    pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
+        let shape = [self.values.len() / 3, 3];
+        let of = |tensor: &str| Ok(file.f32(name, &format!("{PREFIX}{tensor}"), &shape)?.to_vec());
+        let pending = |i: &usize| file.tensors.contains_key(&format!("{PREFIX}pending.{i}"));
+        let arrived =
+            (0..LAG).take_while(pending).map(|i| of(&format!("pending.{i}"))).collect::<Result<_>>()?;
+        Ok(Self { values: of("values")?, m: of("first")?, v: of("second")?, arrived })
+    }
+}
+
+/// The mean of some values; 0 of none.
+fn mean(values: impl ExactSizeIterator<Item = [f64; 3]>) -> [f64; 3] {
+    let count = values.len().max(1) as f64;
+    values.fold([0.0; 3], |sum, value| std::array::from_fn(|c| sum[c] + value[c])).map(|sum| sum / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Camera, Config, Intrinsics, Scale, View, engine::batch::StepSums};
+
+    #[test]
+    fn views_of_one_name_are_one_photograph() {
+        let camera = Camera {
+            intrinsics: Intrinsics::from_angle(1, 1, 0.7),
+            rotation: glam::DMat3::IDENTITY,
+            origin: glam::DVec3::ZERO,
+        };
+        let views: Vec<View> = ["a", "b", "b", "c", "b", "c", "b", "d"]
+            .map(|name| View { name: name.into(), camera, offset: 0 })
+            .into();
+        let scale = |factor, views| Scale { factor, weight: (factor * factor) as f32, views, pixels: 0..0 };
+        let set = ViewSet {
+            views,
+            pixels: Vec::new().into(),
+            alpha: crate::Alpha::Straight,
+            scales: vec![scale(1, 0..4), scale(2, 4..8)],
+        };
+        assert_eq!(photographs(&set), [0, 1, 2, 3, 1, 3, 2, 4]);
+    }
+
+    #[test]
+    fn the_gradient_is_the_slope_by_each_log_gain() {
+        // Σ w_i·gain_i², through the mean that is subtracted; its derivative by a photograph's own logarithm is 2·w·gain².
+        let weights = [0.3, -1.2, 0.7, 2.0];
+        let at = |values: [f32; 4]| {
+            let mut exposures = Exposures::new(4);
+            exposures.set(&values.map(|value| [value, 0.0, -value]));
+            exposures
+        };
+        let loss = |values: [f32; 4]| {
+            let gains = at(values).log_gains();
+            weights.iter().zip(gains).map(|(w, e)| w * (2.0 * e[0]).exp()).sum::<f64>()
+        };
+        let values = [0.5, -0.25, 0.125, 0.0];
+        let own = at(values).log_gains().into_iter().zip(weights);
+        let exposures = own.map(|(e, w)| [4.0 * 2.0 * w * (2.0 * e[0]).exp(), 0.0, 0.0]).collect();
+        let step = StepResult { sums: StepSums { weight: 4.0, ..StepSums::default() }, exposures };
+        let found = at(values).gradient(&step);
+        let h = 1.0 / 1024.0;
+        for i in 0..4 {
+            let moved = |by: f32| {
+                let mut values = values;
+                values[i] += by;
+                loss(values)
+            };
+            let slope = (moved(h) - moved(-h)) / f64::from(2.0 * h);
+            assert!((f64::from(found[i][0]) - slope).abs() < 1e-5, "{i}: {found:?}, not {slope}");
+            assert_eq!(found[i][1], 0.0);
+        }
+    }
+
+    #[test]
+    fn the_exposure_of_a_half_is_that_of_the_other() {
+        let shown: Vec<[f32; 3]> = (1..9).map(|i| [0.1, 0.05, 0.02].map(|c| c * i as f32)).collect();
+        let behind: Vec<[f32; 3]> = (0..8).map(|i| [0.01 * i as f32; 3]).collect();
+        let left: Vec<bool> = (0..8).map(|i| i % 4 < 2).collect();
+        let by_hand = |i: usize, gain: [f32; 3]| exposed(shown[i], behind[i], gain);
+        // A photograph of another exposure is met.
+        let gains = [1.5, 0.5, 2.0];
+        let target: Vec<_> = (0..8).map(|i| by_hand(i, gains)).collect();
+        let found = exposed_by_the_other_half(&shown, &behind, &target, &left);
+        for (found, target) in found.as_flattened().iter().zip(target.as_flattened()) {
+            assert!((found - target).abs() < 1e-6, "{found} is not {target}");
+        }
+        // What is seen on the left moves the right half alone.
+        let mut moved = target.clone();
+        moved[0] = [1.0; 3];
+        let other = exposed_by_the_other_half(&shown, &behind, &moved, &left);
+        assert!((0..8).all(|i| (other[i] == found[i]) == left[i]), "{other:?}");
+        // Nothing tells the gain where nothing was rendered, and four stops are the most.
+        let dark = exposed_by_the_other_half(&behind, &behind, &target, &left);
+        assert_eq!(dark, behind);
+        let bright = exposed_by_the_other_half(&shown[4..5], &[[0.0; 3]], &[[1.0; 3]], &[true]);
+        assert_eq!(bright, shown[4..5], "the other half has no pixel");
+        let two = [[0.01_f32; 3]; 2];
+        let most = exposed_by_the_other_half(&two, &[[0.0; 3]; 2], &[[1.0; 3]; 2], &[true, false]);
+        assert!(most.as_flattened().iter().all(|c| (c - 0.16).abs() < 1e-6), "{most:?}");
+    }
+
+    #[test]
+    fn a_common_factor_of_all_photographs_is_none() {
+        let mut exposures = Exposures::new(3);
+        exposures.set(&[[0.5, 1.0, -0.25]; 3]);
+        assert_eq!(exposures.gains(), [[1.0; 3]; 3]);
+        assert_eq!(Exposures::new(0).gains(), [] as [[f32; 3]; 0]);
+    }
+
+    #[test]
+    fn gradients_wait_for_their_turn_and_move_by_the_rule() {
+        let config = Config::default().optimizer;
+        let step = |g: f64| StepResult {
+            sums: StepSums { weight: 2.0, ..StepSums::default() },
+            exposures: vec![[2.0 * g, 0.0, f64::NAN], [-2.0 * g, 0.0, 0.0]],
+        };
+        let mut exposures = Exposures::new(2);
+        for (steps, gradient) in [0.5, -0.25, 0.125, 1.0].into_iter().enumerate() {
+            exposures.take(&step(gradient));
+            let moved = exposures.advance(&config, 1e-2, steps as u64 + 1, 0);
+            assert_eq!(moved, steps >= LAG);
+        }
+        // The two that are due, by the rule of the network's parameters.
+        let (mut value, mut m, mut v) = (0.0_f32, 0.0, 0.0);
+        for (step, gradient) in [(1, 0.5), (2, -0.25)] {
+            let rule = Rule { shrink: 1.0, ..Rule::new(&config, 1e-2, step) };
+            rule.apply(&mut value, &mut m, &mut v, gradient);
+        }
+        assert!(value != 0.0);
+        assert_eq!(exposures.values, [value, 0.0, 0.0, -value, 0.0, 0.0]);
+        // What waits survives a checkpoint.
+        let mut file = TensorFile::default();
+        exposures.to_tensors(&mut file);
+        let restored = Exposures::new(2).restored(&file, "checkpoint").unwrap();
+        assert_eq!(
+            (&restored.values, &restored.m, &restored.v),
+            (&exposures.values, &exposures.m, &exposures.v)
+        );
+        assert_eq!(restored.arrived.len(), LAG);
+        assert_eq!(Exposures::new(3).restored(&file, "checkpoint").unwrap_err().exit_code(), 2);
+    }
+}

@@ -1,0 +1,19 @@
+//! Training and rendering over a device. [`backend`] has the traits of the device and its stages, [`batch`] what flows between the
+//! stages, [`policy`] what the host decides for a stage. [`trainer`] computes steps, [`loaded`] renders; programs use them as
+//! [`Session`](crate::Session) and [`Viewer`](crate::Viewer). [`exchange`] joins the processes that train one model.
+
+pub mod backend;
+pub mod batch;
+pub mod checkpoint;
+pub mod events;
+pub mod exchange;
+pub mod exposure;
+pub mod loaded;
+pub mod policy;
+pub mod proxy;
+mod query;
+pub(crate) mod ranks;
+pub mod ray_allocation;
+pub(crate) mod session;
+mod stages;
+pub mod trainer;

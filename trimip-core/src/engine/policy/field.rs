@@ -1,0 +1,77 @@
+//! The policy of the field: the shapes of its networks, what the colour network sees, and the functions of their outputs.
+
+use crate::{
+    Config,
+    config::FieldConfig,
+    field::{
+        activation::{Color, Density},
+        networks::{Network, color_network, density_network, geometry, geometry_width, view_width},
+    },
+};
+
+/// Settings of a field and the shapes of its networks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FieldPolicy {
+    /// The settings.
+    pub settings: FieldConfig,
+    /// The network from features to a logit and the geometry features.
+    pub density: Network,
+    /// The network from the view and the geometry features to colour.
+    pub color: Network,
+    /// Number of values that the colour network sees of a direction; 0 if it sees none.
+    pub view: usize,
+    /// Number of geometry features.
+    pub geometry: usize,
+    /// Number of values that the colour network sees of the geometry features, their sines and cosines included.
+    pub geometry_width: usize,
+    /// Density of a logit.
+    pub density_activation: Density,
+    /// Colour of a logit.
+    pub color_activation: Color,
+}
+
+impl FieldPolicy {
+    /// The policy of a configuration.
+    pub fn new(config: &Config) -> Self {
+        Self {
+            settings: config.field.clone(),
+            density: density_network(config),
+            color: color_network(config),
+            view: view_width(config),
+            geometry: geometry(config),
+            geometry_width: geometry_width(config),
+            density_activation: Density::new(&config.field),
+            color_activation: Color::new(config),
+        }
+    }
+
+    /// True if there are no networks: the features are the logits, that of density before those of colour.
+    pub fn is_direct(&self) -> bool {
+        self.density.layers.is_empty() && self.color.layers.is_empty()
+    }
+
+    /// Number of frequencies of the sines and cosines of geometry features; 0 without networks.
+    pub fn geometry_frequencies(&self) -> u32 {
+        if self.is_direct() { 0 } else { self.settings.geometry_frequencies }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::EncoderKind;
+
+    #[test]
+    fn a_field_of_logits_has_no_networks() {
+        let mut config = Config::default();
+        config.field.geometry_frequencies = 2;
+        let policy = FieldPolicy::new(&config);
+        let width = policy.geometry * (1 + 2 * 2);
+        assert_eq!((policy.is_direct(), policy.geometry_width), (false, width));
+        assert_eq!((policy.geometry_frequencies(), policy.color.inputs()), (2, policy.view + width));
+        config.encoder.kind = EncoderKind::Voxels;
+        let policy = FieldPolicy::new(&config);
+        assert_eq!((policy.is_direct(), policy.geometry, policy.view), (true, 3, 0));
+        assert_eq!(policy.geometry_frequencies(), 0);
+    }
+}

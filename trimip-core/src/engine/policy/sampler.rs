@@ -1,0 +1,156 @@
+//! The policy of sampling rays: which pixels a step draws from which scale, their loss weight and cones, and the share of
+//! random backgrounds, by the schedules.
+
+use crate::{
+    Config, Scale, ViewSet,
+    config::{Exposure, TrainConfig},
+    engine::{
+        exposure,
+        ray_allocation::{RayAllocation, ScaleSampling, ScaleWeights},
+    },
+    math::rng::{Random, Sequence, below},
+    scene::cones::Division,
+};
+
+/// Scales, schedules and random numbers of a sampler.
+#[derive(Clone, Debug)]
+pub struct SamplerPolicy {
+    /// The rule by which pixels of cameras are divided into cones.
+    pub division: Division,
+    /// Background of training pixels that get no random one, RGB.
+    pub background: [f32; 3],
+    /// Random pixels and backgrounds.
+    pub random: Random,
+    /// The scales of the training views, fine to coarse; empty without views.
+    pub scales: Vec<Scale>,
+    /// Edge exponent of each scale's photographs ([`edge_exponents`](crate::scene::edge_exponents)).
+    pub exponents: Vec<f32>,
+    /// The photograph of each training view ([`exposure::photographs`]) with `loss.exposure`; empty otherwise.
+    pub photographs: Vec<u32>,
+    train: TrainConfig,
+    sampling: Option<ScaleSampling>,
+    scale_weights: ScaleWeights,
+    random_share: f32,
+}
+
+impl SamplerPolicy {
+    /// The policy of a configuration over training views at the start of a run; without views it is one of camera rays.
+    pub fn new(config: &Config, views: Option<&ViewSet>) -> Self {
+        let exposed = views.filter(|_| config.loss.exposure == Exposure::Gain);
+        let scales = views.map_or_else(Vec::new, |views| views.scales.clone());
+        let mut policy = Self {
+            division: Division::new(config),
+            background: config.data.background,
+            random: Random::new(config.seed),
+            exponents: scales.iter().map(|scale| config.data.edge_exponent(scale.factor)).collect(),
+            scales,
+            photographs: exposed.map(exposure::photographs).unwrap_or_default(),
+            train: config.train.clone(),
+            sampling: views.map(|views| ScaleSampling::new(config, views)),
+            scale_weights: ScaleWeights::default(),
+            random_share: 0.0,
+        };
+        policy.set_progress(0.0);
+        policy
+    }
+
+    /// Applies the schedules at `progress` in [0, 1].
+    pub fn set_progress(&mut self, progress: f64) {
+        if let Some(sampling) = &self.sampling {
+            self.scale_weights = sampling.at(progress);
+        }
+        self.random_share = self.train.random_share(progress);
+    }
+
+    /// Pixels, loss weight and cones of each scale.
+    pub fn scale_weights(&self) -> &ScaleWeights {
+        &self.scale_weights
+    }
+
+    /// Fraction of the training pixels that get a random background.
+    #[inline]
+    pub fn random_share(&self) -> f32 {
+        self.random_share
+    }
+
+    /// Scale of pixel `index` of a training step, and its index among all pixels of the views: uniform within the scale.
+    #[inline]
+    pub fn pixel(&self, step: u64, draw: &RayAllocation, index: u32) -> (usize, usize) {
+        let scale = draw.scale(index);
+        let pixels = &self.scales[scale].pixels;
+        let bits = self.random.bits(Sequence::Pixel, step, index);
+        (scale, pixels.start + below(bits[0], pixels.len() as u32) as usize)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Alpha, Camera, Intrinsics, View,
+        config::{TrainBackground, schedule::Schedule},
+    };
+    use glam::DVec3;
+
+    /// Two scales of one view each.
+    fn views() -> ViewSet {
+        let view = |side: u32, offset| View {
+            name: String::new(),
+            camera: Camera::look_at(
+                Intrinsics::from_angle(side, side, 0.7),
+                DVec3::new(0.0, -4.0, 0.0),
+                DVec3::ZERO,
+                DVec3::Z,
+            ),
+            offset,
+        };
+        ViewSet {
+            views: vec![view(8, 0), view(4, 64)],
+            pixels: vec![[0; 4]; 80].into(),
+            alpha: Alpha::Straight,
+            scales: vec![
+                Scale { factor: 1, weight: 1.0, views: 0..1, pixels: 0..64 },
+                Scale { factor: 2, weight: 4.0, views: 1..2, pixels: 64..80 },
+            ],
+        }
+    }
+
+    #[test]
+    fn every_pixel_is_drawn_from_its_scale() {
+        let mut config = Config::default();
+        config.train.scale_balance = Schedule::new(vec![[0.0, 1.0]]);
+        let policy = SamplerPolicy::new(&config, Some(&views()));
+        let draw = policy.scale_weights().allocate(4000);
+        let mut counts = [0; 80];
+        for index in 0..4000 {
+            let (scale, pixel) = policy.pixel(3, &draw, index);
+            assert!(policy.scales[scale].pixels.contains(&pixel), "{index}");
+            counts[pixel] += 1;
+        }
+        // 2000 of 64 pixels, and 2000 of 16: four standard deviations of a binomial count.
+        for (pixel, &count) in counts.iter().enumerate() {
+            let expected = if pixel < 64 { 2000.0 / 64.0 } else { 2000.0 / 16.0_f64 };
+            assert!((f64::from(count) - expected).abs() < 4.5 * expected.sqrt(), "{pixel}: {count}");
+        }
+    }
+
+    #[test]
+    fn backgrounds_are_random_by_their_schedule() {
+        let mut config = Config::default();
+        config.train.background = TrainBackground::Random;
+        config.train.background_share = Schedule::new(vec![[0.0, 1.0], [0.5, 0.25]]);
+        let mut policy = SamplerPolicy::new(&config, None);
+        assert_eq!(policy.random_share(), 1.0);
+        policy.set_progress(0.75);
+        assert_eq!(policy.random_share(), 0.25);
+    }
+
+    #[test]
+    fn views_have_photographs_with_exposure_alone() {
+        let mut config = Config::default();
+        assert!(SamplerPolicy::new(&config, Some(&views())).photographs.is_empty());
+        config.loss.exposure = Exposure::Gain;
+        assert_eq!(SamplerPolicy::new(&config, Some(&views())).photographs.len(), 2);
+        assert!(SamplerPolicy::new(&config, None).photographs.is_empty());
+    }
+}

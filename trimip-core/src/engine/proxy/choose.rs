@@ -1,0 +1,237 @@
+//! Which places of a ray are evaluated, given the densities that the proxy predicts along it, and which of them share a
+//! colour. Letters as in [`compositing`](crate::math::compositing).
+//!
+//! The ray is divided into steps. A step whose predicted weight is less than [`Rule::least`] is left out; it lends its optical
+//! depth to the next sample, or to the last one of the ray. Where the weights of steps that were left out add up to
+//! [`Rule::least`], the heaviest of them becomes a sample, so that a ray loses less than that. The samples are evaluated by
+//! the model. Neighbouring samples of less weight than [`Rule::share`] together share one colour, that of the weighted mean
+//! of their geometry features.
+
+use crate::math::compositing::weight;
+use std::ops::Range;
+
+/// Optical depth behind the end of an opaque ray.
+pub const BEHIND: f32 = 6.0;
+
+/// How samples are chosen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rule {
+    /// Least predicted weight of a sample.
+    pub least: f32,
+    /// Predicted transmittance at which a ray ends.
+    pub opaque: f32,
+    /// Most weight of samples that share a colour.
+    pub share: f32,
+    /// Largest distance between samples that share a colour, world units.
+    pub reach: f32,
+}
+
+/// A sample that was chosen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Chosen {
+    /// Distance, in units of the unit direction.
+    pub t: f32,
+    /// Predicted optical depth of its step, over that of all the steps for which it stands.
+    pub(super) own: f32,
+    pub(super) depth: f32,
+}
+
+impl Chosen {
+    /// Length of the sample, for steps of this length. It is at most that of the steps for which it stands, because it is the
+    /// thickest of them; the last sample of an opaque ray may be longer.
+    #[inline(always)]
+    pub fn length(&self, step: f32) -> f32 {
+        step * (self.depth / self.own)
+    }
+}
+
+/// Chooses the samples of one ray, of which the steps arrive front to back.
+#[derive(Clone, Copy, Debug)]
+pub struct Chooser {
+    rule: Rule,
+    transmittance: f32,
+    /// Weight of the steps that were left out since the last sample.
+    light: f32,
+    /// The heaviest of them, with their optical depth.
+    lent: Chosen,
+    /// The last sample; it is given away when the next one is known.
+    held: Option<Chosen>,
+}
+
+/// Picks samples of one ray, of which the steps with a density arrive front to back.
+pub trait Pick {
+    /// Adds a step around `t`, of the predicted optical depth `depth` and opacity `alpha`. Returns true if the ray ends
+    /// there.
+    fn step(&mut self, t: f32, depth: f32, alpha: f32, choose: &mut impl FnMut(Chosen)) -> bool;
+
+    /// Ends the ray.
+    fn end(self, choose: &mut impl FnMut(Chosen));
+}
+
+impl Chooser {
+    /// A ray on which nothing has been seen yet.
+    #[inline(always)]
+    pub fn new(rule: Rule) -> Self {
+        Self { rule, transmittance: 1.0, light: 0.0, lent: Chosen::default(), held: None }
+    }
+}
+
+impl Pick for Chooser {
+    #[inline(always)]
+    fn step(&mut self, t: f32, depth: f32, alpha: f32, choose: &mut impl FnMut(Chosen)) -> bool {
+        let weight = self.transmittance * alpha;
+        self.transmittance -= weight;
+        self.light += weight;
+        let all = self.lent.depth + depth;
+        // Within fog, transmittance hardly changes: the thickest step is the heaviest.
+        let best = if depth > self.lent.own {
+            Chosen { t, own: depth, depth: all }
+        } else {
+            Chosen { depth: all, ..self.lent }
+        };
+        if self.light < self.rule.least {
+            self.lent = best;
+        } else {
+            if let Some(held) = self.held {
+                choose(held);
+            }
+            self.held = Some(best);
+            (self.light, self.lent) = (0.0, Chosen::default());
+        }
+        self.transmittance < self.rule.opaque
+    }
+
+    #[inline(always)]
+    fn end(self, choose: &mut impl FnMut(Chosen)) {
+        let behind = if self.transmittance < self.rule.opaque { BEHIND } else { 0.0 };
+        if let Some(held) = self.held {
+            choose(Chosen { depth: held.depth + self.lent.depth + behind, ..held });
+        }
+    }
+}
+
+/// An evaluated sample of a ray.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shaded {
+    /// Distance, in units of the unit direction.
+    pub t: f32,
+    /// Optical depth.
+    pub depth: f32,
+    /// Weight T·α.
+    pub weight: f32,
+}
+
+/// Groups the samples of a ray that share a colour, given their distances and optical depths front to back. Sets all
+/// weights; `group` gets the range of each group.
+pub fn share_colors(rule: &Rule, samples: &mut [Shaded], mut group: impl FnMut(Range<usize>, &[Shaded])) {
+    let mut before = 0.0_f32;
+    for sample in samples.iter_mut() {
+        sample.weight = weight((-before).exp(), sample.depth).0;
+        before += sample.depth;
+    }
+    let mut start = 0;
+    while let Some(first) = samples.get(start) {
+        let mut sum = first.weight;
+        let mut end = start + 1;
+        while let Some(next) = samples.get(end) {
+            // False for NaN, which stays alone.
+            if !(sum + next.weight <= rule.share && next.t - first.t <= rule.reach) {
+                break;
+            }
+            sum += next.weight;
+            end += 1;
+        }
+        group(start..end, &samples[start..end]);
+        start = end;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULE: Rule = Rule { least: 0.02, opaque: 0.01, share: 0.3, reach: 5.0 };
+
+    /// The samples of a ray with these optical depths, one step of length 1 each, as (t, optical depth for densities as
+    /// predicted).
+    fn chosen(depths: &[f32]) -> Vec<(f32, f32)> {
+        let mut samples = Vec::new();
+        let mut chooser = Chooser::new(RULE);
+        let mut choose = |chosen: Chosen| samples.push((chosen.t, chosen.own * chosen.length(1.0)));
+        for (i, &depth) in depths.iter().enumerate() {
+            if chooser.step(i as f32, depth, -(-depth).exp_m1(), &mut choose) {
+                break;
+            }
+        }
+        chooser.end(&mut choose);
+        samples
+    }
+
+    #[test]
+    fn thin_steps_lend_their_depth_to_the_next_sample_or_the_last() {
+        assert_eq!(chosen(&[]), []);
+        assert_eq!(chosen(&[0.005, 0.0125]), [], "nothing is heavy enough");
+        let found = chosen(&[0.005, 0.1, 0.005, 0.01, 0.2, 0.004]);
+        let expected = [(1.0, 0.105), (4.0, 0.2 + 0.015 + 0.004)];
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.iter().zip(expected) {
+            assert_eq!(found.0, expected.0);
+            assert!((found.1 - expected.1).abs() < 1e-6, "{found:?}");
+        }
+    }
+
+    /// Steps too thin for a sample of their own have one together, at the thickest of them. The ray loses less opacity than
+    /// the least weight, however thin the fog is.
+    #[test]
+    fn fog_is_seen() {
+        for thin in [1e-4_f32, 1e-3, 5e-3, 0.03] {
+            let depths: Vec<f32> = (0..3000).map(|i| thin * if i % 7 == 3 { 1.5 } else { 1.0 }).collect();
+            let found = chosen(&depths);
+            let (all, kept): (f32, f32) = (depths.iter().sum(), found.iter().map(|own| own.1).sum());
+            let lost = ((-kept).exp() - (-all).exp()).abs();
+            assert!(lost < RULE.least, "{thin}: {lost}");
+            assert!(found.len() < depths.len() / 2, "{thin}: {}", found.len());
+            if thin < 5e-3 && 7.0 * thin * 1.08 < RULE.least {
+                assert!(found.iter().all(|own| own.0 as usize % 7 == 3), "{found:?}");
+            }
+        }
+    }
+
+    /// The sum of the optical depths is that of all steps.
+    #[test]
+    fn a_translucent_ray_keeps_its_transmittance() {
+        let depths: Vec<f32> = (0..12).map(|i| 0.06 * (0.7 * i as f32).sin().powi(2)).collect();
+        let (all, kept): (f32, f32) = (depths.iter().sum(), chosen(&depths).iter().map(|own| own.1).sum());
+        assert!(chosen(&depths).len() < depths.len() && (all - kept).abs() < 1e-5, "{all} {kept}");
+    }
+
+    #[test]
+    fn an_opaque_ray_ends_and_shows_nothing_behind_it() {
+        let found = chosen(&[0.5, 3.0, 2.0, 9.0, 9.0]);
+        assert_eq!(found.iter().map(|own| own.0).collect::<Vec<_>>(), [0.0, 1.0, 2.0]);
+        let depth: f32 = found.iter().map(|own| own.1).sum();
+        assert!((-depth).exp() < 1e-4, "{depth}");
+    }
+
+    #[test]
+    fn colours_are_shared_by_neighbours_of_little_weight() {
+        let depths = [0.1, 0.1, 0.1, 0.1, 3.0, 0.2];
+        let mut samples: Vec<Shaded> =
+            (0..6).map(|i| Shaded { t: i as f32, depth: depths[i], weight: 0.0 }).collect();
+        let mut found = Vec::new();
+        share_colors(&RULE, &mut samples, |range, own| {
+            assert_eq!(range.len(), own.len());
+            found.push(range);
+        });
+        // Weights 0.095, 0.086, 0.078, 0.070, 0.637, 0.006.
+        assert_eq!(found, [0..3, 3..4, 4..5, 5..6]);
+        let transmittance = (-depths.iter().sum::<f32>()).exp();
+        let sum: f32 = samples.iter().map(|own| own.weight).sum();
+        assert!((1.0 - transmittance - sum).abs() < 1e-6);
+        // Samples far apart show different things.
+        samples.iter_mut().for_each(|own| own.t *= 10.0);
+        let mut count = 0;
+        share_colors(&RULE, &mut samples, |_, _| count += 1);
+        assert_eq!(count, 6);
+    }
+}

@@ -1,0 +1,58 @@
+//! The proxy of a model as a renderer uses it.
+
+use super::{Layers, Proxy, Rule};
+use crate::{
+    Result,
+    config::{HybridConfig, HybridRule, RendererKind},
+    field::model::Assets,
+};
+
+/// A proxy, and how samples are chosen by it.
+#[derive(Clone, Debug)]
+pub struct Guide {
+    /// The densities.
+    pub proxy: Proxy,
+    /// How samples are chosen, and how they share colours.
+    pub rule: Rule,
+    /// The paper's rule, if samples are placed by it.
+    pub layers: Option<Layers>,
+    /// Length of a step along the proxy, world units.
+    pub step: f32,
+    /// Largest radius of a sphere for which the proxy is used, world units.
+    pub widest: f32,
+    /// Optical depth and opacity of a step by the code of its cell.
+    pub steps: Vec<[f32; 2]>,
+}
+
+impl Guide {
+    /// The guide of a model with these assets. `None` for volume rendering, and if the proxy shows nothing.
+    ///
+    /// # Errors
+    /// When the proxy is broken.
+    pub fn of(kind: RendererKind, config: &HybridConfig, assets: &Assets) -> Result<Option<Self>> {
+        if kind == RendererKind::Volume {
+            return Ok(None);
+        }
+        let Some(proxy) = Proxy::from_assets(assets)?.filter(|proxy| !proxy.codes().is_empty()) else {
+            return Ok(None);
+        };
+        let step = config.step * proxy.width();
+        let rule = Rule {
+            share: config.share,
+            least: config.least,
+            reach: config.reach * proxy.width(),
+            opaque: config.opaque,
+        };
+        let steps =
+            proxy.densities().iter().map(|density| density * step).map(|depth| [depth, -(-depth).exp_m1()]);
+        let layers = (config.rule == HybridRule::Layers).then(|| Layers {
+            delta: config.delta * proxy.width(),
+            samples: config.samples,
+            layers: config.layers,
+            surface: config.surface * config.step,
+            step,
+        });
+        let widest = config.widest * proxy.radius();
+        Ok(Some(Self { rule, layers, step, widest, steps: steps.collect(), proxy }))
+    }
+}

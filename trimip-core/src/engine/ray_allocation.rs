@@ -1,0 +1,262 @@
+//! Distribution of a step's pixels over the scales of a set: how many each scale gets, their loss weight, and their
+//! cones.
+
+use crate::{
+    Config, Scale, ViewSet,
+    config::TrainConfig,
+    scene::cones::{Division, QUINCUNX, count},
+};
+
+/// The scales of a training set, and the schedules by which they fraction the pixels of a step.
+#[derive(Clone, Debug)]
+pub struct ScaleSampling {
+    scales: Vec<Scale>,
+    /// Cones along a side of a pixel of each scale, when it is rendered.
+    sides: Vec<u32>,
+    train: TrainConfig,
+}
+
+impl ScaleSampling {
+    /// The fractions of the scales of `views`. Both are in the coordinates of the configuration's box.
+    pub fn new(config: &Config, views: &ViewSet) -> Self {
+        let sides = Division::new(config).sides(views);
+        Self { scales: views.scales.clone(), sides, train: config.train.clone() }
+    }
+
+    /// The balance at `progress` in [0, 1].
+    pub fn at(&self, progress: f64) -> ScaleWeights {
+        let most = self.train.cones.at(progress) as u32;
+        let within = |&side: &u32| if side == QUINCUNX { side } else { side.min(most).max(1) };
+        let sides = self.sides.iter().map(within).collect();
+        ScaleWeights::new(&self.scales, self.train.scale_balance.at(progress), sides)
+    }
+}
+
+/// Pixels, loss weight and cones of each scale.
+///
+/// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b its fraction of a step's pixels is
+/// ∝ w^(b−1) and each of them has weight w^(1−b). The expected loss is the same at every b, with equal weight for all
+/// scales. At 0 all pixels are equally likely (paper), and the gradient of coarse scales comes from few pixels. At 1 all
+/// scales get equally many pixels, which minimises the variance if the scales have equal variance.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ScaleWeights {
+    fractions: Vec<f64>,
+    weights: Vec<f32>,
+    sides: Vec<u32>,
+}
+
+impl ScaleWeights {
+    /// ScaleWeights `balance` in [0, 1] over `scales`, fine to coarse, whose pixels have `sides` cones along each side. A
+    /// scale without pixels gets none.
+    pub fn new(scales: &[Scale], balance: f64, sides: Vec<u32>) -> Self {
+        let weight = |scale: &Scale| f64::from(scale.weight);
+        let fraction = |scale: &Scale| match scale.pixels.is_empty() {
+            true => 0.0,
+            false => weight(scale).powf(balance - 1.0),
+        };
+        let sum: f64 = scales.iter().map(fraction).sum();
+        Self {
+            fractions: scales.iter().map(|scale| fraction(scale) / sum).collect(),
+            weights: scales.iter().map(|scale| weight(scale).powf(1.0 - balance) as f32).collect(),
+            sides,
+        }
+    }
+
+    /// Divides a step of `pixels` pixels among the scales: coarse scales take their rounded-down fraction from the end,
+    /// the finest the rest.
+    pub fn allocate(&self, pixels: u32) -> RayAllocation {
+        let mut begins = vec![0; self.fractions.len()];
+        let mut end = pixels;
+        for (scale, fraction) in self.fractions.iter().enumerate().skip(1).rev() {
+            end -= (f64::from(pixels) * fraction) as u32;
+            begins[scale] = end;
+        }
+        RayAllocation { pixels, begins, sides: self.sides.clone() }
+    }
+
+    /// Loss weight of a pixel of scale `scale`.
+    pub fn weight(&self, scale: usize) -> f32 {
+        self.weights[scale]
+    }
+
+    /// Loss weights, fine to coarse.
+    pub fn weights(&self) -> &[f32] {
+        &self.weights
+    }
+
+    /// Expected number of cones of a pixel.
+    pub fn cones_per_pixel(&self) -> f64 {
+        if self.sides.iter().all(|&side| side == 1) {
+            return 1.0;
+        }
+        self.fractions
+            .iter()
+            .zip(&self.sides)
+            .map(|(fraction, &side)| fraction * f64::from(count(side)))
+            .sum()
+    }
+}
+
+/// The pixels of a step, fine scales first, and the cones of each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RayAllocation {
+    pixels: u32,
+    begins: Vec<u32>,
+    sides: Vec<u32>,
+}
+
+impl RayAllocation {
+    /// Number of pixels.
+    pub fn pixels(&self) -> u32 {
+        self.pixels
+    }
+
+    /// Number of cones.
+    pub fn cones(&self) -> u32 {
+        self.cones_before(self.pixels)
+    }
+
+    /// The first pixel of each scale.
+    pub fn begins(&self) -> &[u32] {
+        &self.begins
+    }
+
+    /// Cones along a side of a pixel of each scale.
+    pub fn sides(&self) -> &[u32] {
+        &self.sides
+    }
+
+    /// The scale of a pixel.
+    #[inline]
+    pub fn scale(&self, pixel: u32) -> usize {
+        self.begins.iter().rposition(|&begin| pixel >= begin).unwrap_or(0)
+    }
+
+    /// Number of cones of all pixels before `pixel`: the index of its first cone.
+    pub fn cones_before(&self, pixel: u32) -> u32 {
+        self.parts().map(|(begin, end, cones)| (pixel.clamp(begin, end) - begin) * cones).sum()
+    }
+
+    /// The first pixel none of whose cones comes before cone number `cone`.
+    pub fn pixel_from(&self, cone: u32) -> u32 {
+        let mut before = 0;
+        for (begin, end, cones) in self.parts() {
+            let pixels = (cone - before).div_ceil(cones);
+            if pixels <= end - begin {
+                return begin + pixels;
+            }
+            before += (end - begin) * cones;
+        }
+        self.pixels
+    }
+
+    /// First pixel, end, and cones of a pixel of each scale.
+    fn parts(&self) -> impl Iterator<Item = (u32, u32, u32)> + '_ {
+        let ends = self.begins.iter().copied().skip(1).chain([self.pixels]);
+        self.begins.iter().zip(ends).zip(&self.sides).map(|((&begin, end), &side)| (begin, end, count(side)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scales(count: u32) -> Vec<Scale> {
+        let scale = |j: u32| Scale {
+            factor: 1 << j,
+            weight: 4_f32.powi(j as i32),
+            views: 0..1,
+            pixels: 0..(1 << 12) >> (2 * j),
+        };
+        (0..count).map(scale).collect()
+    }
+
+    fn balance(scales: &[Scale], balance: f64) -> ScaleWeights {
+        ScaleWeights::new(scales, balance, vec![1; scales.len()])
+    }
+
+    /// Pixels of each scale.
+    fn pixels(balance: &ScaleWeights, total: u32) -> Vec<u32> {
+        let begins = [balance.allocate(total).begins(), &[total]].concat();
+        begins.windows(2).map(|pair| pair[1] - pair[0]).collect()
+    }
+
+    #[test]
+    fn every_scale_weighs_the_same_at_every_balance() {
+        for b in [0.0, 0.3, 0.5, 1.0] {
+            let found = balance(&scales(4), b);
+            let parts: Vec<f64> = found
+                .fractions
+                .iter()
+                .zip(&found.weights)
+                .map(|(fraction, w)| fraction * f64::from(*w))
+                .collect();
+            assert!(parts.iter().all(|part| (part / parts[0] - 1.0).abs() < 1e-6), "{b}: {parts:?}");
+            assert!((found.fractions.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn the_ends_are_pixels_alike_and_scales_alike() {
+        let equal = balance(&scales(4), 0.0);
+        assert_eq!(pixels(&equal, 8500), [6400, 1600, 400, 100]);
+        assert_eq!(equal.weights(), [1.0, 4.0, 16.0, 64.0]);
+        let alike = balance(&scales(4), 1.0);
+        assert_eq!(pixels(&alike, 8500), [2125; 4]);
+        assert_eq!(alike.weights(), [1.0; 4]);
+    }
+
+    #[test]
+    fn a_scale_without_pixels_gets_none() {
+        let mut three = scales(3);
+        three[1].pixels = 0..0;
+        assert_eq!(pixels(&balance(&three, 1.0), 100), [50, 0, 50]);
+    }
+
+    #[test]
+    fn cones_are_counted_pixel_by_pixel() {
+        let balance = ScaleWeights::new(&scales(4), 1.0, vec![1, 1, 2, 3]);
+        assert!((balance.cones_per_pixel() - 3.75).abs() < 1e-12);
+        let allocation = balance.allocate(42);
+        assert_eq!((allocation.begins(), allocation.cones()), (&[0, 12, 22, 32][..], 22 + 40 + 90));
+        // The literal count: each pixel after the other.
+        let mut before = 0;
+        for pixel in 0..42 {
+            assert_eq!(allocation.cones_before(pixel), before);
+            let own = [1, 1, 4, 9][allocation.scale(pixel)];
+            assert_eq!(allocation.pixel_from(before), pixel);
+            for cone in before + 1..=before + own {
+                assert_eq!(allocation.pixel_from(cone), pixel + 1, "cone {cone}");
+            }
+            before += own;
+        }
+        assert_eq!((allocation.cones_before(42), allocation.pixel_from(before)), (before, 42));
+    }
+
+    #[test]
+    fn scales_get_the_cones_of_the_rule_within_the_schedule() {
+        let mut config = Config::default();
+        let views = |factor: u32| crate::View {
+            name: String::new(),
+            camera: crate::Camera {
+                intrinsics: crate::Intrinsics::from_angle(64, 64, 0.7).reduced(factor),
+                rotation: glam::DMat3::IDENTITY,
+                origin: glam::DVec3::new(0.0, 0.0, 4.0),
+            },
+            offset: 0,
+        };
+        let set = ViewSet {
+            views: (0..4).map(views).collect(),
+            pixels: Vec::new().into(),
+            alpha: crate::Alpha::Straight,
+            scales: (0..4).map(|j| Scale { views: j..j + 1, ..scales(4)[j].clone() }).collect(),
+        };
+        let finest = crate::scene::cones::footprint(&set.views[0].camera, &crate::Aabb::new(&config.scene));
+        (config.renderer.cones, config.renderer.cone_width) = (8, 2.0 * finest as f32);
+        config.train.cones =
+            crate::config::schedule::Schedule::new(vec![[0.0, 1.0], [0.25, 2.0], [0.5, 8.0]]);
+        let fractions = ScaleSampling::new(&config, &set);
+        let sides = [0.0, 0.3, 0.6].map(|progress| fractions.at(progress).allocate(4).sides().to_vec());
+        assert_eq!(sides, [[1, 1, 1, 1], [1, 1, 2, 2], [1, 1, 2, 4]]);
+    }
+}

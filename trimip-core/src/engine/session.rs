@@ -1,0 +1,152 @@
+//! The two traits through which a program uses a backend that it picks by name: [`Viewer`] renders, [`Session`] also
+//! trains.
+
+use crate::{
+    Aabb, Camera, Error, Frame, Query, Result,
+    engine::{batch::Radiance, checkpoint::Checkpoint, events::Totals},
+    field::model::Model,
+};
+
+/// Report on one training step. A device that runs ahead reports the latest step that it has finished.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StepReport {
+    /// Counters of the run after the step.
+    pub totals: Totals,
+    /// Mean loss.
+    pub loss: f64,
+    /// PSNR of the step's own pixels, dB.
+    pub batch_psnr: f64,
+    /// Learning rate of the networks.
+    pub learning_rate: f64,
+    /// Share of occupied cells.
+    pub occupied: f64,
+}
+
+/// A model that renders views on some backend. It may be finished or in training; it cannot be trained through this
+/// trait.
+pub trait Viewer: Send {
+    /// Name of the backend.
+    fn backend(&self) -> &str;
+
+    /// The device behind the backend's name.
+    fn device_name(&self) -> String;
+
+    /// The settings that the device cannot honour as written, one line each. A program shows them.
+    fn notes(&self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// Renders one view on the configured background.
+    ///
+    /// # Errors
+    /// When the picture has more than 2^32 pixels, or the device fails.
+    fn render(&mut self, camera: &Camera) -> Result<Frame>;
+
+    /// As [`render`](Self::render). Calls `watch` with the number of finished rows and the number of all rows, the
+    /// first time with no finished row. If `watch` returns false, rendering stops and the result is `None`.
+    ///
+    /// # Errors
+    /// As [`render`](Self::render).
+    fn render_watched(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Frame>>;
+
+    /// Evaluates density and colour at places of the world, one result each, also where the occupancy grid is empty and
+    /// nothing is rendered.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>>;
+
+    /// As [`query`](Self::query), without colours.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn densities(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        Ok(self.query(queries)?.into_iter().map(|radiance| radiance.density).collect())
+    }
+
+    /// The encoder's features at places of the world: [queries, [width](crate::field::encoders::Definition::width)], row by row.
+    ///
+    /// # Errors
+    /// When the device fails, or this viewer has no encoder.
+    fn features(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
+        let _ = queries;
+        Err(Error::run("this viewer has no features"))
+    }
+
+    /// Number of samples in each pixel whose colour is evaluated, those of all its cones together. `watch` is that of
+    /// [`render_watched`](Self::render_watched).
+    ///
+    /// # Errors
+    /// As [`render`](Self::render), or when this viewer has no samples.
+    fn samples(
+        &mut self,
+        camera: &Camera,
+        watch: &mut dyn FnMut(u32, u32) -> bool,
+    ) -> Result<Option<Vec<u32>>> {
+        let _ = (camera, watch);
+        Err(Error::run("this viewer has no samples"))
+    }
+
+    /// Renders only the cells of the occupancy grid whose centre is in `keep`, a box of the world; `None` = all.
+    ///
+    /// # Errors
+    /// When this viewer cannot leave cells out, as one in training.
+    fn clip(&mut self, keep: Option<&Aabb<f64>>) -> Result<()> {
+        match keep {
+            None => Ok(()),
+            Some(_) => Err(Error::run("this viewer cannot be clipped")),
+        }
+    }
+}
+
+/// A model in training on some backend; it also renders.
+pub trait Session: Viewer {
+    /// Performs one optimiser step; `progress` in [0, 1] drives the schedules. The caller updates `totals.seconds`.
+    ///
+    /// # Errors
+    /// When the loss of a step is not finite, or the device fails.
+    ///
+    /// After a loss that is not finite no checkpoint holds an update by its gradient. A backend without lag
+    /// ([`Backend::LAG`](crate::Backend::LAG) = 0: `"cpu"`) checks the loss before the update: the parameters and moments are
+    /// those before the step, but for what [grows](crate::field::encoders::Definition::stage) at its progress. A backend that runs ahead
+    /// (`"wgpu"`: 2 steps) tells so that many steps later, and the updates up to then are done. From then on `step`,
+    /// [`checkpoint`](Self::checkpoint) and [`finish`](Self::finish) return the same error, until
+    /// [`restore`](Self::restore) replaces the state.
+    fn step(&mut self, progress: f64) -> Result<StepReport>;
+
+    /// Everything that rendering needs.
+    ///
+    /// # Errors
+    /// When the device failed.
+    fn model(&mut self) -> Result<Model>;
+
+    /// The model as its file will hold it. This ends the training: the session renders this model from now on.
+    ///
+    /// # Errors
+    /// When the device failed, or an earlier step was not finite, see [`step`](Self::step).
+    fn finish(&mut self) -> Result<Model>;
+
+    /// Everything that is needed to continue the training with the same bits.
+    ///
+    /// # Errors
+    /// When the device failed, or a step that is in the parameters was not finite, see [`step`](Self::step).
+    fn checkpoint(&mut self) -> Result<Checkpoint>;
+
+    /// Takes part in the checkpoint of rank 0, without one of its own.
+    ///
+    /// # Errors
+    /// As [`checkpoint`](Self::checkpoint).
+    fn join_checkpoint(&mut self) -> Result<()> {
+        self.checkpoint().map(drop)
+    }
+
+    /// Continues from a checkpoint.
+    ///
+    /// # Errors
+    /// When its tensors do not fit the configuration, or the device failed.
+    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()>;
+}

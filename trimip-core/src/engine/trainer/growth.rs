@@ -1,0 +1,86 @@
+//! Changes in the course of a run: schedules of the stages, and parameters that grow.
+
+use super::{Trainer, rays::LEAST_RAYS};
+use crate::{
+    Backend, Encoder, Optimizer, Renderer, Result, Slot,
+    engine::backend::Sampler,
+    field::{encoders, params::ActiveRange},
+};
+
+impl<B: Backend> Trainer<B> {
+    /// Updates every stage to the schedules at `progress`. Moments grow with their parameters. When the marching step
+    /// shrinks or pixels get more cones, pixels have more samples, and the batch gets fewer pixels.
+    pub(super) fn set_progress(&mut self, progress: f64) -> Result<()> {
+        self.loaded.stages.renderer.set_progress(progress);
+        self.loaded.stages.sampler.set_progress(progress);
+        let cones_per_pixel = self.loaded.stages.sampler.scale_weights().cones_per_pixel();
+        let spacing = self.loaded.config.renderer.step_scale.at(progress) / cones_per_pixel;
+        if self.state.spacing > 0.0 && self.state.spacing != spacing {
+            let ratio = spacing / self.state.spacing;
+            self.state.rays_per_step = ((f64::from(self.state.rays_per_step) * ratio) as u32).max(LEAST_RAYS);
+            self.state.marched_per_ray /= ratio as f32;
+        }
+        self.state.spacing = spacing;
+        let stage = encoders::of(&self.loaded.config).stage(&self.loaded.config, progress);
+        if stage >= self.state.stage {
+            return Ok(());
+        }
+        let restarts = encoders::of(&self.loaded.config).restarted(&self.loaded.config, progress).is_some();
+        if restarts {
+            self.state.moments_since = self.state.totals.step;
+        }
+        self.gather_moments()?;
+        let mut values = self.parameters();
+        self.grow(&mut values, stage);
+        self.loaded.backend.write(&mut self.loaded.parameters, &values);
+        for moment in 0..2 {
+            let mut values = self.device().read(self.loaded.stages.optimizer.moments()[moment]);
+            if restarts {
+                values.fill(0.0);
+            } else {
+                self.grow(&mut values, stage);
+            }
+            let buffer = &mut self.loaded.stages.optimizer.moments_mut()[moment];
+            self.loaded.backend.write(buffer, &values);
+        }
+        self.enter(stage);
+        self.loaded.refresh();
+        Ok(())
+    }
+
+    /// Brings the optimiser's moments together on every rank.
+    pub(super) fn gather_moments(&mut self) -> Result<()> {
+        self.exchange.moments(&self.loaded.backend, &mut self.loaded.stages)
+    }
+
+    /// Grows the growing slots within flat `values` to `stage`.
+    pub(super) fn grow(&self, values: &mut [f32], stage: u32) {
+        let (config, _) = self.loaded.config.centred();
+        for slot in self.layout().slots.iter().filter(|slot| slot.grows) {
+            encoders::of(&config).grow(
+                &config,
+                slot,
+                &mut values[slot.range.clone()],
+                self.state.stage,
+                stage,
+            );
+        }
+    }
+
+    /// Switches encoder and optimiser to the parameters of `stage`.
+    pub(super) fn enter(&mut self, stage: u32) {
+        self.state.stage = stage;
+        let encoder = encoders::of(&self.loaded.config);
+        let (config, _) = self.loaded.config.centred();
+        let part = |slot: &Slot| match slot.grows {
+            true => ActiveRange {
+                range: slot.range.start..slot.range.start + encoder.length(&config, slot, stage),
+                sparsity: encoder.sparsity(&config, slot, stage),
+            },
+            false => ActiveRange { range: slot.range.clone(), sparsity: 0.0 },
+        };
+        let parts: Vec<_> = self.layout().slots.iter().map(part).collect();
+        self.loaded.stages.encoder.grow(stage);
+        self.loaded.stages.optimizer.restrict(&parts);
+    }
+}

@@ -1,0 +1,56 @@
+//! Loss and gradients without a step. No training needs them: tests compare them with finite differences and with other
+//! backends.
+
+use super::Trainer;
+use crate::{
+    Backend, Result,
+    engine::{
+        backend::Loss,
+        batch::{StepResult, StepSums},
+    },
+};
+use std::sync::Arc;
+
+impl<B: Backend> Trainer<B> {
+    /// Replaces the log-gains of the training photographs, RGB of each. Does nothing without `loss.exposure`.
+    pub fn set_log_gains(&mut self, values: &[[f32; 3]]) {
+        if let Some(exposures) = &mut self.exposures {
+            exposures.set(values);
+            self.loaded.stages.loss.set_gains(&exposures.gains());
+        }
+    }
+
+    /// Loss and gradient of the current parameters on the rays of step `step`; does not change the parameters. The
+    /// gradient is flat and divided by the sum of the weights.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<f32>)> {
+        let StepResult { sums, .. } = self.result_of(step, rays)?;
+        let gradient = self.device().read(&self.gradient);
+        Ok((sums, gradient.iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect()))
+    }
+
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), by the log-gains of the photographs (RGB of each).
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn loss_and_exposure_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<[f32; 3]>)> {
+        let result = self.result_of(step, rays)?;
+        let gradient = self.exposures.as_ref().map(|exposures| exposures.gradient(&result));
+        Ok((result.sums, gradient.unwrap_or_default()))
+    }
+
+    /// Forward and backward over the rays of step `step`; the gradient is complete afterwards.
+    fn result_of(&mut self, step: u64, rays: u32) -> Result<StepResult> {
+        self.state.totals.step = step;
+        let backend = Arc::clone(&self.loaded.backend);
+        let receipt = backend.install(|| {
+            self.gradients(rays);
+            let receipt = backend.post(&self.partials);
+            self.loaded.stages.reduce(&mut self.partials, &self.loaded.parameters, &mut self.gradient);
+            receipt
+        });
+        backend.redeem(receipt)
+    }
+}

@@ -1,0 +1,34 @@
+//! Compressed bytes as tensors of files (DEFLATE, RFC 1951).
+
+use crate::{
+    Error, Result,
+    field::tensors::{Tensor, Values},
+};
+use flate2::{Compression, read::DeflateDecoder, write::DeflateEncoder};
+use std::io::{Read, Write};
+
+/// The bytes, compressed.
+///
+/// # Errors
+/// When memory is short.
+pub(crate) fn deflated(bytes: &[u8], effort: Compression) -> Result<Tensor> {
+    let mut encoder = DeflateEncoder::new(Vec::new(), effort);
+    encoder.write_all(bytes).map_err(Error::run)?;
+    let packed = encoder.finish().map_err(Error::run)?;
+    Ok(Tensor::u8(&[packed.len()], packed))
+}
+
+/// The `expected` bytes of a compressed tensor. No more than one byte beyond them is ever decompressed.
+///
+/// # Errors
+/// What is wrong with the tensor, to be said after its name.
+pub(crate) fn inflated(packed: &Tensor, expected: usize) -> std::result::Result<Vec<u8>, String> {
+    let Values::U8(packed) = &packed.values else { return Err("is not of bytes".into()) };
+    let mut bytes = Vec::new();
+    // One byte more than expected is enough to see that there are too many.
+    match DeflateDecoder::new(&packed[..]).take(expected as u64 + 1).read_to_end(&mut bytes) {
+        Ok(count) if count == expected => Ok(bytes),
+        Ok(_) => Err(format!("does not hold {expected} bytes")),
+        Err(error) => Err(format!("cannot be read: {error}")),
+    }
+}

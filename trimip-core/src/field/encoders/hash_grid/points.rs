@@ -1,0 +1,161 @@
+//! The points at which a sample reads the grid (Zip-NeRF, Sections 2 and 3): one, or six on a helix whose mean and variance
+//! along the ray are those of the conical frustum; and the weight of a level's features for a sample wider than its cells.
+
+use super::super::SamplePosition;
+use super::Level;
+use crate::Aabb;
+use crate::config::HashGridConfig;
+use crate::math::scalar::Real;
+
+/// Turn of each point around the ray, in sixths of a circle.
+pub const TURNS: [f64; 6] = [0.0, 2.0, 4.0, 3.0, 5.0, 1.0];
+
+/// Points of a sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Points<R> {
+    /// 1 or 6.
+    pub count: usize,
+    /// True to weigh down features of cells narrower than the sample.
+    pub downweight: bool,
+    /// Size of the box, world units.
+    pub extent: [R; 3],
+    /// Its longest side.
+    pub longest: R,
+}
+
+impl<R: Real> Points<R> {
+    /// The points of a configuration.
+    pub fn new(config: &HashGridConfig, aabb: &Aabb<f64>) -> Self {
+        Self {
+            count: config.points as usize,
+            downweight: config.downweight,
+            extent: aabb.extent().map(R::from_f64),
+            longest: R::from_f64(aabb.longest()),
+        }
+    }
+
+    /// True if a sample reads the grid at its centre with full weight, as instant-ngp does.
+    pub fn is_plain(&self) -> bool {
+        self.count == 1 && !self.downweight
+    }
+
+    /// Point `j` of a sample: its place in the unit cube, and the standard deviation around it in longest sides of the box.
+    #[inline(always)]
+    pub fn point(&self, j: usize, at: &SamplePosition<R>) -> [R; 4] {
+        let SamplePosition { position, radius, direction, t, length } = *at;
+        let number = R::from_f64;
+        let [x, y, z] = position;
+        let half_root = number(0.5 / std::f64::consts::SQRT_2);
+        if self.count == 1 || !(t > R::zero()) {
+            return [x, y, z, half_root * radius / self.longest];
+        }
+        let h = (number(0.5) * length).min(t);
+        let (hh, tt) = (h * h, t * t);
+        let spread = number(3.0 / 7_f64.sqrt() * (0.4 * j as f64 - 1.0))
+            * ((hh - tt) * (hh - tt) + number(4.0) * tt * tt).sqrt();
+        let end = t + h;
+        let at = (t - h) + h / (hh + number(3.0) * tt) * (end * end + number(2.0) * tt + spread);
+        // The cone's radius at the point.
+        let radius = radius / t * at;
+        let (sine, cosine) = (TURNS[j] * std::f64::consts::FRAC_PI_3).sin_cos();
+        let across = number(std::f64::consts::FRAC_1_SQRT_2) * radius;
+        let [u, v] = around(direction);
+        let place = std::array::from_fn(|axis| {
+            let offset =
+                (at - t) * direction[axis] + across * (number(cosine) * u[axis] + number(sine) * v[axis]);
+            (position[axis] + offset / self.extent[axis]).max(R::zero()).min(R::one())
+        });
+        let [x, y, z]: [R; 3] = place;
+        [x, y, z, half_root * radius / self.longest]
+    }
+
+    /// Weight of a level's features at a point, among all points.
+    #[inline(always)]
+    pub fn share(&self, level: &Level, deviation: R) -> R {
+        let share = if self.downweight { share(level.scale, deviation) } else { R::one() };
+        share / R::from_u32(self.count as u32)
+    }
+}
+
+/// Weight erf(1/√(8σ²n²)) of a grid of n = `scale` + 1 cells for a Gaussian of standard deviation σ.
+#[inline(always)]
+pub fn share<R: Real>(scale: f32, deviation: R) -> R {
+    let cells = deviation * R::from_f64(f64::from(scale) + 1.0);
+    // So many deviations fit into a cell that the error function is 1.
+    if !(cells > R::from_f64(1e-3)) { R::one() } else { erf(R::from_f64(8_f64.sqrt().recip()) / cells) }
+}
+
+/// The error function of a number above zero, within 1.5e-7 (Abramowitz and Stegun, 7.1.26).
+#[inline(always)]
+fn erf<R: Real>(x: R) -> R {
+    let t = (R::one() + R::from_f64(0.327_591_1) * x).recip();
+    let factors = [1.061_405_429, -1.453_152_027, 1.421_413_741, -0.284_496_736, 0.254_829_592];
+    let sum = factors.into_iter().fold(R::zero(), |sum, factor| (sum + R::from_f64(factor)) * t);
+    R::one() - sum * (-x * x).exp()
+}
+
+/// Two unit vectors that are orthogonal to a unit vector and to each other.
+#[inline(always)]
+fn around<R: Real>([x, y, z]: [R; 3]) -> [[R; 3]; 2] {
+    // Duff et al. 2017.
+    let sign = if z < R::zero() { -R::one() } else { R::one() };
+    let a = -(sign + z).recip();
+    let b = x * y * a;
+    [[R::one() + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn points() -> Points<f64> {
+        Points { count: 6, downweight: true, extent: [10.0; 3], longest: 10.0 }
+    }
+
+    #[test]
+    fn levels_weigh_as_much_as_the_gaussian_stays_in_a_cell() {
+        // Published: the mass within half a cell of a Gaussian whose deviation is half a cell, or a cell.
+        assert!((share(63.0, 0.5 / 64.0) - 0.682_689_f64).abs() < 1e-6);
+        assert!((share(63.0, 1.0 / 64.0) - 0.382_925_f64).abs() < 1e-6);
+        assert_eq!(share(63.0, 0.0_f64), 1.0);
+    }
+
+    /// Mean and variance along the ray, and the trace of the covariance across it, are those of the frustum.
+    #[test]
+    fn six_points_have_the_moments_of_the_frustum() {
+        let direction = [2.0 / 3.0, -1.0 / 3.0, 2.0 / 3.0_f64];
+        for (t, length, radius) in [(1.5, 1.0, 0.15), (4.0, 0.1, 0.02), (2.0, 3.9, 0.3)] {
+            let all: Vec<[f64; 3]> = (0..6)
+                .map(|j| {
+                    let [x, y, z, _] = points()
+                        .point(j, &SamplePosition { position: [0.5; 3], radius, direction, t, length });
+                    [x, y, z].map(|place| (place - 0.5) * 10.0)
+                })
+                .collect();
+            let along = |p: &[f64; 3]| (0..3).map(|i| p[i] * direction[i]).sum::<f64>();
+            let mean = all.iter().map(along).sum::<f64>() / 6.0;
+            let variance = all.iter().map(|p| (along(p) - mean).powi(2)).sum::<f64>() / 6.0;
+            let across = |p: &[f64; 3]| p.iter().map(|x| x * x).sum::<f64>() - along(p).powi(2);
+            let trace = all.iter().map(across).sum::<f64>() / 6.0;
+            let (s, h) = (t, 0.5 * length);
+            let below = 3.0 * s * s + h * h;
+            let expected = h * h / 3.0 - 4.0 * h.powi(4) * (12.0 * s * s - h * h) / (15.0 * below * below);
+            assert!((mean - 2.0 * s * h * h / below).abs() < 1e-12, "{t} {length}: {mean}");
+            assert!((variance / expected - 1.0).abs() < 1e-9, "{t} {length}: {variance}, not {expected}");
+            let r = radius / t;
+            let expected =
+                2.0 * r * r * (s * s / 4.0 + 5.0 * h * h / 12.0 - 4.0 * h.powi(4) / (15.0 * below));
+            assert!((trace / expected - 1.0).abs() < 1e-9, "{t} {length}: {trace}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn the_error_function_is_its_integral() {
+        for x in [0.01, 0.3, 1.0, 2.5] {
+            let steps = 20_000;
+            let step = x / f64::from(steps);
+            let sum: f64 = (0..steps).map(|i| (-((f64::from(i) + 0.5) * step).powi(2)).exp() * step).sum();
+            assert!((erf(x) - 2.0 / std::f64::consts::PI.sqrt() * sum).abs() < 2e-7, "{x}");
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! Exposure of photographs as an adjustment of the compared colour, for `loss.exposure = "gain"`: what a pixel shows of its
+//! photograph's own is multiplied by the photograph's gain of each channel. How gains are trained is in
+//! [`exposure`](crate::engine::exposure).
+
+use super::{Adjustment, Definition, LossConfig};
+use crate::{Config, config::Exposure, math::scalar::Real};
+
+/// One gain of each channel of each photograph.
+pub struct Gains;
+
+/// The colour that is compared with a photograph: its own part of `shown` times `gain`. `behind` is what the photograph
+/// itself shows of the background that its transparent part was put on, which no camera exposed.
+#[inline]
+pub fn exposed<R: Real>(shown: [R; 3], behind: [R; 3], gain: [R; 3]) -> [R; 3] {
+    std::array::from_fn(|c| gain[c] * (shown[c] - behind[c]) + behind[c])
+}
+
+impl Definition for Gains {
+    fn name(&self) -> &'static str {
+        "exposure"
+    }
+
+    fn weight(&self, config: &LossConfig) -> f32 {
+        f32::from(config.exposure == Exposure::Gain)
+    }
+
+    fn example(&self, config: &mut Config) {
+        (config.loss.exposure, config.optimizer.exposure_rate) = (Exposure::Gain, 1e-2);
+    }
+}
+
+impl Adjustment for Gains {
+    fn reference(&self, shown: [f64; 3], behind: [f64; 3], gains: [f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|c| (shown[c] - behind[c]) * gains[c] + behind[c])
+    }
+}

@@ -1,0 +1,12 @@
+//! Names of the tensors in model and checkpoint files that are no slots of parameters. The names of slots are those of
+//! [`crate::field::params::Layout`].
+
+/// The occupancy grid: one bit per cell, cell order, lowest bit first.
+pub const OCCUPANCY: &str = "occupancy";
+
+/// The running maximum of the densities of the occupancy grid's cells, in checkpoints.
+pub const OCCUPANCY_DENSITY: &str = "occupancy.density";
+
+/// Prefix of the names of scene assets: tensors that a renderer holds beside the parameters, such as a mesh or a
+/// hierarchy. Assets are saved with the model; a renderer ignores assets that it does not know.
+pub const ASSET: &str = "asset.";

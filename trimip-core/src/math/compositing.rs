@@ -1,0 +1,258 @@
+//! Volume rendering along one ray (NeRF Eq. 3), with its gradient. Letters: x = σ·δ optical depth of a sample,
+//! α = 1 − exp(−x), T transmittance before the sample, w = T·α, C = Σ w·c + T_end·background.
+
+use crate::math::scalar::Real;
+
+/// A composited ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Composite<R> {
+    /// Colour on the background.
+    pub rgb: [R; 3],
+    /// 1 − T_end, in [0, 1].
+    pub opacity: R,
+    /// Σ w·t.
+    pub distance: R,
+}
+
+impl<R: Real> Composite<R> {
+    /// [r, g, b, opacity].
+    pub fn channels(&self) -> [R; 4] {
+        let [r, g, b] = self.rgb;
+        [r, g, b, self.opacity]
+    }
+}
+
+/// Weight of a sample of optical depth `depth` behind transmittance `transmittance`, and the transmittance after it.
+/// α by `exp_m1`: thin samples keep their relative accuracy.
+#[inline]
+pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
+    let alpha = -(-depth).exp_m1();
+    (transmittance * alpha, transmittance * (-depth).exp())
+}
+
+/// Which samples are dropped before their colour is computed: those that hardly contribute.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pruning<R> {
+    /// Samples behind more optical depth than this are dropped: −ln of the minimum transmittance, or of the minimum
+    /// weight if that is larger, because no weight exceeds the transmittance before it.
+    pub max_depth: R,
+    /// Samples of less weight T·α than this are dropped, as if they were empty.
+    pub min_weight: R,
+}
+
+/// Decision about a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Visibility {
+    /// It is kept.
+    Keep,
+    /// It is dropped; samples behind it may be kept.
+    Skip,
+    /// It is dropped with all samples behind it.
+    Terminate,
+}
+
+impl<R: Real> Pruning<R> {
+    /// The rule for a minimum transmittance and a minimum weight.
+    pub fn new(min_transmittance: R, min_weight: R) -> Self {
+        Self { max_depth: -min_transmittance.max(min_weight).ln(), min_weight }
+    }
+
+    /// Decides about a sample of optical depth `depth`; `before` is the optical depth of the samples kept so far. A kept
+    /// sample adds to it.
+    #[inline]
+    pub fn decide(&self, before: &mut R, depth: R) -> Visibility {
+        if *before > self.max_depth {
+            return Visibility::Terminate;
+        }
+        // The comparison is false for NaN: such a sample is kept, and the step reports it.
+        if self.min_weight > R::zero() && weight((-*before).exp(), depth).0 < self.min_weight {
+            return Visibility::Skip;
+        }
+        *before += depth;
+        Visibility::Keep
+    }
+}
+
+/// True if a sample of optical depth `depth` has at least the weight `least`; `before` is the optical depth before it, and
+/// grows by its own.
+#[inline]
+pub fn is_lit<R: Real>(before: &mut R, depth: R, least: R) -> bool {
+    let transmittance = (-*before).exp();
+    *before += depth;
+    // The comparison is false for NaN: such a sample has a colour, and the step reports it.
+    !(weight(transmittance, depth).0 < least)
+}
+
+/// Composites samples of optical depth, colour and distance, front to back.
+#[inline]
+pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, background: [R; 3]) -> Composite<R> {
+    let (mut rgb, mut opacity, mut distance) = ([R::zero(); 3], R::zero(), R::zero());
+    let mut depth_before = R::zero();
+    let mut transmittance = R::one();
+    for (depth, color, t) in samples {
+        let (w, _) = weight(transmittance, depth);
+        for (sum, c) in rgb.iter_mut().zip(color) {
+            *sum += w * c;
+        }
+        opacity += w;
+        distance += w * t;
+        depth_before += depth;
+        transmittance = (-depth_before).exp();
+    }
+    for (sum, c) in rgb.iter_mut().zip(background) {
+        *sum += transmittance * c;
+    }
+    Composite { rgb, opacity: opacity.min(R::one()), distance }
+}
+
+/// Gradient of a loss with respect to each sample, given its gradient with respect to the `pixel` [r, g, b, opacity]:
+/// calls `out(i, ∂L/∂x_i, ∂L/∂c_i)` front to back, for samples (x_i, c_i) given by index.
+///
+/// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides. Opacity is the
+/// fourth channel, 1 for every sample and 0 for the background.
+#[inline]
+pub fn composite_gradient<R: Real>(
+    count: usize,
+    sample: impl Fn(usize) -> (R, [R; 3]),
+    pixel: [R; 4],
+    gradient: [R; 4],
+    mut out: impl FnMut(usize, R, [R; 3]),
+) {
+    let [r, g, b, opacity] = gradient;
+    let shade = |[red, green, blue]: [R; 3], share: R| red * r + green * g + blue * b + share * opacity;
+    // The contribution of everything behind the sample, including the background; at first the whole pixel.
+    let mut behind = shade([pixel[0], pixel[1], pixel[2]], pixel[3]);
+    let mut transmittance = R::one();
+    let mut depth_before = R::zero();
+    for i in 0..count {
+        let (depth, color) = sample(i);
+        let shade = shade(color, R::one());
+        let (w, _) = weight(transmittance, depth);
+        depth_before += depth;
+        transmittance = (-depth_before).exp();
+        behind = behind - w * shade;
+        out(i, transmittance * shade - behind, [r, g, b].map(|g| g * w));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Optical depth, colour and distance.
+    type Sample = (f64, [f64; 3], f64);
+
+    fn ray() -> (Vec<Sample>, [f64; 3]) {
+        let samples = (0..12)
+            .map(|i| {
+                let x = f64::from(i);
+                ((0.7 * x).sin().powi(2) * 0.4, [0.1 + 0.05 * x, (x * 0.3).cos().abs(), 0.5], 2.0 + 0.1 * x)
+            })
+            .collect();
+        (samples, [0.9, 0.2, 1.0])
+    }
+
+    #[test]
+    fn the_literal_sums_agree() {
+        let (samples, background) = ray();
+        let result = composite(samples.iter().copied(), background);
+        let mut expected = [0.0; 3];
+        let mut weights = 0.0;
+        for i in 0..samples.len() {
+            // T_i = exp(−Σ_{k<i} σ_k·δ_k), α_i = 1 − exp(−σ_i·δ_i)
+            let transmittance = (-samples[..i].iter().map(|s| s.0).sum::<f64>()).exp();
+            let w = transmittance * (1.0 - (-samples[i].0).exp());
+            weights += w;
+            for c in 0..3 {
+                expected[c] += w * samples[i].1[c];
+            }
+        }
+        for c in 0..3 {
+            expected[c] += (1.0 - weights) * background[c];
+            assert!((result.rgb[c] - expected[c]).abs() < 1e-12);
+        }
+        assert!((result.opacity - weights).abs() < 1e-12);
+    }
+
+    #[test]
+    fn gradients_are_finite_differences() {
+        let (samples, background) = ray();
+        let g = [0.3, -1.2, 0.7, 0.4];
+        let pixel = |samples: &[Sample]| composite(samples.iter().copied(), background).channels();
+        let loss = |samples: &[Sample]| -> f64 {
+            let pixel = pixel(samples);
+            (0..4).map(|k| pixel[k] * g[k]).sum()
+        };
+        let mut seen = 0;
+        composite_gradient(
+            samples.len(),
+            |i| (samples[i].0, samples[i].1),
+            pixel(&samples),
+            g,
+            |i, by_depth, by_color| {
+                let h = 1e-6;
+                let numeric = |change: &dyn Fn(&mut Sample, f64)| {
+                    let (mut up, mut down) = (samples.clone(), samples.clone());
+                    change(&mut up[i], h);
+                    change(&mut down[i], -h);
+                    (loss(&up) - loss(&down)) / (2.0 * h)
+                };
+                assert!((by_depth - numeric(&|s, h| s.0 += h)).abs() < 1e-8, "depth {i}");
+                for c in 0..3 {
+                    assert!((by_color[c] - numeric(&|s, h| s.1[c] += h)).abs() < 1e-8, "color {i}");
+                }
+                seen += 1;
+            },
+        );
+        assert_eq!(seen, samples.len());
+    }
+
+    #[test]
+    fn a_homogeneous_medium_follows_beer_and_lambert_however_it_is_cut() {
+        for count in [1_u32, 7, 1000] {
+            let x = 1.3 / f64::from(count);
+            let result = composite((0..count).map(|_| (x, [1.0, 0.5, 0.0], 1.0)), [0.0; 3]);
+            assert!((result.opacity - (1.0 - (-1.3_f64).exp())).abs() < 1e-12);
+            assert!((result.rgb[1] - 0.5 * result.opacity).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn pruning_drops_what_weighs_little_and_what_is_hidden() {
+        let pruning = Pruning::new(0.01_f64, 0.05);
+        let depths = [0.04, 1.0, 0.06, 3.0, 2.0, 0.1];
+        let mut before = 0.0;
+        let seen = depths.map(|depth| pruning.decide(&mut before, depth));
+        // Weights 0.039, 0.632, e^-1·0.058 = 0.021, e^-1·0.95 = 0.35; then the transmittance e^-4 = 0.018 bounds them.
+        assert_eq!(
+            seen,
+            [
+                Visibility::Skip,
+                Visibility::Keep,
+                Visibility::Skip,
+                Visibility::Keep,
+                Visibility::Terminate,
+                Visibility::Terminate
+            ]
+        );
+        let mut before = 2.9;
+        assert_eq!(
+            pruning.decide(&mut before, 9.0),
+            Visibility::Keep,
+            "e^-2.9 = 0.055 is enough for an opaque sample"
+        );
+        let all = Pruning::new(0.01_f64, 0.0);
+        let mut before = 0.0;
+        let seen = [0.0, 4.0, 0.7, 1.0].map(|depth| all.decide(&mut before, depth));
+        assert_eq!(seen, [Visibility::Keep, Visibility::Keep, Visibility::Keep, Visibility::Terminate]);
+        assert_eq!(Pruning::new(0.0_f32, 0.0).decide(&mut 1e30, 1.0), Visibility::Keep);
+    }
+
+    #[test]
+    fn thin_and_thick_samples_keep_their_accuracy() {
+        let (w, after) = weight(1.0_f32, 1e-12);
+        assert_eq!((w, after), (1e-12, 1.0));
+        let opaque = composite([(1e12_f32, [0.25; 3], 1.0)].into_iter(), [1.0; 3]);
+        assert_eq!((opaque.rgb, opaque.opacity), ([0.25; 3], 1.0));
+    }
+}

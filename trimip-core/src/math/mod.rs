@@ -1,0 +1,8 @@
+//! Formulas that know nothing of scenes or devices, generic over f32 and f64 ([`scalar::Real`]): compositing (NeRF Eq. 3),
+//! spherical harmonics, counter-based random numbers, sets of bits.
+
+pub mod bits;
+pub mod compositing;
+pub mod rng;
+pub mod scalar;
+pub mod sh;

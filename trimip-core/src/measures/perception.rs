@@ -1,0 +1,54 @@
+//! Measures of what people see of a picture's error: MS-SSIM, LDR-FLIP (Andersson et al. 2020) and LPIPS (Zhang et al. 2018).
+//! They take longer than PSNR and SSIM, so evaluations during training do without them. Libraries compute two of them; this is
+//! the seam.
+
+use crate::Result;
+
+/// A picture and what it is compared with, colours in [0, 1], row by row.
+#[derive(Clone, Copy, Debug)]
+pub struct Pair<'a> {
+    /// The rendering. What is not compared has the photograph's colour.
+    pub rendered: &'a [[f32; 3]],
+    /// The photograph.
+    pub target: &'a [[f32; 3]],
+    /// Pixels of a row.
+    pub width: usize,
+    /// Number of rows.
+    pub height: usize,
+    /// Whether each pixel is left out of the comparison; empty if none is.
+    pub excluded: &'a [bool],
+}
+
+/// What is measured of a pair; NaN is a measure that was not taken.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PerceptualScores {
+    /// Structural similarity at five scales ([`ms_ssim`](crate::measures::metrics::ms_ssim)).
+    pub ms_ssim: f64,
+    /// Mean LDR-FLIP error over the pixels that are compared, 0 (equal) to 1.
+    pub flip: f64,
+    /// LPIPS distance, 0 (equal) and up.
+    pub lpips: f64,
+    /// LDR-FLIP error of each pixel, row by row; 0 where nothing is compared.
+    pub flip_map: Option<Vec<f32>>,
+}
+
+impl PerceptualScores {
+    /// Nothing was measured.
+    pub const NOTHING: Self = Self { ms_ssim: f64::NAN, flip: f64::NAN, lpips: f64::NAN, flip_map: None };
+}
+
+/// Takes the measures of perception.
+pub trait Perception {
+    /// Measures a pair.
+    ///
+    /// # Errors
+    /// When a measure cannot be computed.
+    fn measure_perception(&mut self, pair: &Pair<'_>) -> Result<PerceptualScores>;
+}
+
+/// Measures nothing.
+impl Perception for () {
+    fn measure_perception(&mut self, _: &Pair<'_>) -> Result<PerceptualScores> {
+        Ok(PerceptualScores::NOTHING)
+    }
+}

@@ -1,0 +1,106 @@
+//! The number of cones of a pixel. One prefiltered cone shows a pixel about as wide as a texel well: its sphere blurs
+//! along the ray as much as across, and a network of averaged features is not the average of the network. A wider pixel
+//! is therefore the mean of several cones.
+
+pub use crate::geometry::cone_pattern::{QUINCUNX, count};
+
+use crate::{Aabb, Camera, Config, ViewSet, config::ConePattern};
+use glam::DVec3;
+
+/// The rule by which pixels are divided into cones.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Division {
+    /// Most cones along a side of a pixel.
+    most: u32,
+    /// Width that a cone should have in the middle of the box, world units; 0 divides every pixel as far as possible.
+    width: f64,
+    pattern: ConePattern,
+    aabb: Aabb<f64>,
+}
+
+impl Division {
+    /// The rule of a configuration, in the coordinates of its box.
+    pub fn new(config: &Config) -> Self {
+        Self {
+            most: config.renderer.cones,
+            width: config.renderer.cone_width.into(),
+            pattern: config.renderer.pattern,
+            aabb: Aabb::new(&config.scene),
+        }
+    }
+
+    /// Cones along each side of a pixel of `camera`: 1 to `renderer.cones`, or [`QUINCUNX`].
+    pub fn side(&self, camera: &Camera) -> u32 {
+        self.side_of(footprint(camera, &self.aabb))
+    }
+
+    /// The same for each scale of a training set, fine to coarse, by the median footprint of its views.
+    pub fn sides(&self, views: &ViewSet) -> Vec<u32> {
+        let of =
+            |scale: usize| median_footprint(views, scale, &self.aabb).map_or(1, |width| self.side_of(width));
+        (0..views.scales.len()).map(of).collect()
+    }
+
+    fn side_of(&self, footprint: f64) -> u32 {
+        if self.pattern == ConePattern::Quincunx {
+            return QUINCUNX;
+        }
+        // A width of 0 gives infinity, and the conversion saturates.
+        ((footprint / self.width).round() as u32).clamp(1, self.most)
+    }
+}
+
+/// World width of a pixel of `camera` in the middle of the box. A camera within the box looks at points a quarter of
+/// its longest side away.
+pub fn footprint(camera: &Camera, aabb: &Aabb<f64>) -> f64 {
+    let middle = DVec3::from_array(aabb.centre());
+    let distance = (camera.origin - middle).length().max(0.25 * aabb.longest());
+    camera.intrinsics.footprint(distance)
+}
+
+/// Median of [`footprint`] over the views of a scale; `None` if there is none, or if it is not a positive number.
+pub fn median_footprint(views: &ViewSet, scale: usize, aabb: &Aabb<f64>) -> Option<f64> {
+    let range = views.scales.get(scale)?.views.clone();
+    let mut widths: Vec<f64> = views.views[range].iter().map(|view| footprint(&view.camera, aabb)).collect();
+    widths.sort_by(f64::total_cmp);
+    widths.get(widths.len() / 2).copied().filter(|width| width.is_finite() && *width > 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Intrinsics;
+
+    fn camera(distance: f64, focal: f64) -> Camera {
+        let k = Intrinsics {
+            width: 8,
+            height: 8,
+            fx: focal,
+            fy: focal,
+            cx: 4.0,
+            cy: 4.0,
+            ..Intrinsics::default()
+        };
+        Camera::look_at(k, DVec3::new(0.0, -distance, 0.0), DVec3::ZERO, DVec3::Z)
+    }
+
+    fn rule(most: u32, width: f32) -> Division {
+        let mut config = Config::default();
+        (config.renderer.cones, config.renderer.cone_width) = (most, width);
+        Division::new(&config)
+    }
+
+    #[test]
+    fn cones_are_about_as_wide_as_the_rule_says() {
+        // At distance 4 and focal length 400, a pixel is 0.01 wide.
+        let sides = |rule: Division| [100.0, 200.0, 400.0, 800.0].map(|focal| rule.side(&camera(4.0, focal)));
+        assert_eq!(sides(rule(8, 0.01)), [4, 2, 1, 1]);
+        assert_eq!(sides(rule(8, 0.02)), [2, 1, 1, 1]);
+        assert_eq!(sides(rule(3, 0.01)), [3, 2, 1, 1]);
+        assert_eq!(sides(rule(1, 0.0)), [1; 4]);
+        assert_eq!(sides(rule(5, 0.0)), [5; 4]);
+        // Twice as far away, a pixel is twice as wide; within the box it is no narrower than at a quarter of its side.
+        assert_eq!(rule(8, 0.01).side(&camera(12.0, 400.0)), 3);
+        assert_eq!(footprint(&camera(0.1, 400.0), &Aabb::new(&Config::default().scene)), 0.75 / 400.0);
+    }
+}

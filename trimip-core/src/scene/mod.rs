@@ -1,0 +1,11 @@
+//! What photographs show: their pixels ([`pixels`]) in views of several scales ([`views`]), rendered pictures ([`frame`]), how many
+//! cones a pixel has ([`cones`]), silhouettes and the visual hull, and fingerprints by which two data sets are compared.
+
+pub mod cones;
+pub mod edge_exponents;
+pub mod fingerprint;
+pub mod frame;
+pub mod hull;
+pub mod pixels;
+pub mod silhouettes;
+pub mod views;
