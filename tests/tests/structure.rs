@@ -1,0 +1,367 @@
+//! The structure of the workspace: which files import which. Rings of files that import each other are bounded, the rooms of
+//! `trimip-core` depend on each other in one direction, and no file or function is too long to read.
+//!
+//! `cargo test -p trimip-tests --test structure -- --nocapture` prints every ring.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use syn::visit_mut::{self, VisitMut};
+use syn::{Attribute, File, Item, ItemMod, ItemUse, UseTree, Visibility};
+
+/// A path of names: that of a module within its crate, or of an item.
+type Names = Vec<String>;
+
+/// The largest allowed ring of files of each crate: no crate may exceed it.
+const LARGEST_RINGS: [(&str, usize); 11] = [
+    ("trimip", 9),
+    ("trimip-cli", 9),
+    ("trimip-core", 9),
+    ("trimip-cpu", 10),
+    ("trimip-data", 7),
+    ("trimip-mpi", 2),
+    ("trimip-python", 1),
+    ("trimip-view", 1),
+    ("trimip-web", 1),
+    ("trimip-wgpu", 9),
+    ("tests", 9),
+];
+
+/// Longest file, in lines.
+const LONGEST_FILE: usize = 621;
+
+/// The rooms of `trimip-core`. A room may use those before it.
+const ROOMS: [&str; 9] =
+    ["config", "math", "geometry", "scene", "field", "measures", "engine", "run", "scene_plan"];
+
+/// The sections of ARCHITECTURE.md that list the files of a new member of a registry, a member whose files are known, and the
+/// words by which files name it.
+const LISTS: [(&str, &str, &[&str]); 4] = [
+    ("Adding an encoder", "voxels", &["voxels", "Voxels", "VoxelsConfig"]),
+    ("Adding a loss term", "charbonnier", &["charbonnier", "Charbonnier"]),
+    ("Adding a camera model", "orthographic", &["orthographic", "Orthographic"]),
+    ("Adding a scene reader", "llff", &["llff"]),
+];
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace").into()
+}
+
+/// All files below `folder` that end so.
+fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in
+        fs::read_dir(folder).expect("a folder of the workspace").map(|entry| entry.expect("an entry").path())
+    {
+        if entry.is_dir() {
+            found.extend(files(&entry, endings));
+        } else if entry.extension().is_some_and(|extension| endings.iter().any(|ending| extension == *ending))
+        {
+            found.push(entry);
+        }
+    }
+    found.sort();
+    found
+}
+
+/// All Rust files below `folder`.
+fn rust_files(folder: &Path) -> Vec<PathBuf> {
+    files(folder, &["rs"])
+}
+
+/// The modules of a crate, one per file, and what each imports.
+struct Crate {
+    modules: BTreeMap<Names, File>,
+    /// What `pub use` makes available in a module: name → path of the item.
+    exports: BTreeMap<Names, BTreeMap<String, Names>>,
+}
+
+impl Crate {
+    fn read(source: &Path) -> Self {
+        let mut modules = BTreeMap::new();
+        for path in rust_files(source) {
+            let relative = path.strip_prefix(source).expect("below the source").with_extension("");
+            let mut names: Names = relative.iter().map(|name| name.to_string_lossy().into_owned()).collect();
+            if names.last().is_some_and(|name| ["lib", "main", "mod"].contains(&name.as_str())) {
+                names.pop();
+            }
+            let text = fs::read_to_string(&path).expect("a source file");
+            modules.insert(
+                names,
+                syn::parse_file(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display())),
+            );
+        }
+        let mut crate_ = Self { modules, exports: BTreeMap::new() };
+        crate_.exports = crate_
+            .modules
+            .iter()
+            .map(|(module, file)| (module.clone(), crate_.exports_of(module, file)))
+            .collect();
+        crate_
+    }
+
+    fn exports_of(&self, module: &Names, file: &File) -> BTreeMap<String, Names> {
+        let mut exports = BTreeMap::new();
+        for item in &file.items {
+            let Item::Use(item) = item else { continue };
+            if matches!(item.vis, Visibility::Inherited) {
+                continue;
+            }
+            for path in leaves(&item.tree) {
+                if let (Some(name), Some(path)) = (path.last().cloned(), self.absolute(module, &path)) {
+                    exports.insert(name, path);
+                }
+            }
+        }
+        exports
+    }
+
+    /// The path from the crate's root of a path as written in `module`; `None` if it leads out of the crate.
+    fn absolute(&self, module: &Names, path: &[String]) -> Option<Names> {
+        let mut base = module.clone();
+        let mut rest = path;
+        match rest.first()?.as_str() {
+            "crate" => (base, rest) = (Names::new(), &rest[1..]),
+            "self" => rest = &rest[1..],
+            "super" => {
+                while rest.first().is_some_and(|name| name == "super") {
+                    base.pop();
+                    rest = &rest[1..];
+                }
+            }
+            name => {
+                let child: Names = base.iter().cloned().chain([name.to_string()]).collect();
+                if !self.modules.contains_key(&child) {
+                    return None;
+                }
+            }
+        }
+        Some(base.into_iter().chain(rest.iter().cloned()).collect())
+    }
+
+    /// The module that defines the item at `path`, through re-exports.
+    fn defining(&self, path: &[String], depth: usize) -> Option<Names> {
+        for length in (0..=path.len()).rev() {
+            let module = path[..length].to_vec();
+            if !self.modules.contains_key(&module) {
+                continue;
+            }
+            let exported = path.get(length).and_then(|name| self.exports.get(&module)?.get(name));
+            return match exported {
+                Some(target) if depth < 8 && target[..] != path[..=length] => {
+                    let whole: Names = target.iter().chain(&path[length + 1..]).cloned().collect();
+                    self.defining(&whole, depth + 1)
+                }
+                _ => Some(module),
+            };
+        }
+        None
+    }
+
+    /// The modules that each module imports, apart from its tests.
+    fn imports(&self) -> BTreeMap<Names, BTreeSet<Names>> {
+        let of = |(module, file): (&Names, &File)| {
+            let mut paths = Paths::default();
+            paths.visit_file_mut(&mut file.clone());
+            let found = paths.0.iter().filter_map(|path| self.defining(&self.absolute(module, path)?, 0));
+            // The root only declares modules and re-exports what they define.
+            (module.clone(), found.filter(|other| other != module && !other.is_empty()).collect())
+        };
+        self.modules
+            .iter()
+            .filter(|(module, _)| module.last().is_none_or(|name| name != "tests"))
+            .map(of)
+            .collect()
+    }
+}
+
+/// The paths that a file names, apart from those in `#[cfg(test)]` modules.
+#[derive(Default)]
+struct Paths(Vec<Names>);
+
+fn is_test(attributes: &[Attribute]) -> bool {
+    attributes.iter().any(|attribute| {
+        attribute.path().is_ident("cfg")
+            && attribute.parse_args::<syn::Ident>().is_ok_and(|name| name == "test")
+    })
+}
+
+impl VisitMut for Paths {
+    fn visit_item_mod_mut(&mut self, item: &mut ItemMod) {
+        if !is_test(&item.attrs) {
+            visit_mut::visit_item_mod_mut(self, item);
+        }
+    }
+
+    fn visit_item_use_mut(&mut self, item: &mut ItemUse) {
+        self.0.extend(leaves(&item.tree));
+    }
+
+    fn visit_path_mut(&mut self, path: &mut syn::Path) {
+        let names: Names = path.segments.iter().map(|segment| segment.ident.to_string()).collect();
+        if names.len() > 1 {
+            self.0.push(names);
+        }
+        visit_mut::visit_path_mut(self, path);
+    }
+}
+
+/// Every path of a `use`.
+fn leaves(tree: &UseTree) -> Vec<Names> {
+    let below = |name: String, rest: Vec<Names>| {
+        rest.into_iter().map(|path| [vec![name.clone()], path].concat()).collect()
+    };
+    match tree {
+        UseTree::Path(path) => below(path.ident.to_string(), leaves(&path.tree)),
+        UseTree::Name(name) if name.ident == "self" => vec![Names::new()],
+        UseTree::Name(name) => vec![vec![name.ident.to_string()]],
+        UseTree::Rename(rename) => vec![vec![rename.ident.to_string()]],
+        UseTree::Glob(_) => vec![Names::new()],
+        UseTree::Group(group) => group.items.iter().flat_map(leaves).collect(),
+    }
+}
+
+/// The rings of a graph: its strongly connected components of two and more nodes, largest first (Tarjan 1972, by reachability:
+/// the graphs are small).
+fn rings<T: Ord + Clone>(graph: &BTreeMap<T, BTreeSet<T>>) -> Vec<BTreeSet<T>> {
+    let reach = |from: &T| {
+        let (mut found, mut next) = (BTreeSet::new(), vec![from]);
+        while let Some(node) = next.pop() {
+            for other in graph.get(node).into_iter().flatten() {
+                if found.insert(other.clone()) {
+                    next.push(other);
+                }
+            }
+        }
+        found
+    };
+    let reached: BTreeMap<&T, BTreeSet<T>> = graph.keys().map(|node| (node, reach(node))).collect();
+    let mut rings = BTreeSet::new();
+    for (node, own) in &reached {
+        if own.contains(node) {
+            rings.insert(
+                own.iter()
+                    .filter(|other| reached.get(other).is_some_and(|back| back.contains(node)))
+                    .cloned()
+                    .collect(),
+            );
+        }
+    }
+    let mut rings: Vec<BTreeSet<T>> = rings.into_iter().collect();
+    rings.sort_by_key(|ring| std::cmp::Reverse(ring.len()));
+    rings
+}
+
+#[test]
+fn rings_of_files_that_import_each_other_are_small() {
+    for (name, most) in LARGEST_RINGS {
+        let rings = rings(&Crate::read(&root().join(name).join("src")).imports());
+        for ring in &rings {
+            let files: Vec<String> = ring.iter().map(|module| module.join("::")).collect();
+            println!("{name}: {} files import each other: {}", files.len(), files.join(", "));
+        }
+        let largest = rings.first().map_or(1, BTreeSet::len);
+        assert!(
+            largest <= most,
+            "{name}: a ring of {largest} files, at most {most} are allowed; see the output above"
+        );
+    }
+}
+
+/// The ring finder itself, on a graph with a known answer.
+#[test]
+fn rings_are_found() {
+    let graph = BTreeMap::from([
+        ("a", BTreeSet::from(["b"])),
+        ("b", BTreeSet::from(["c"])),
+        ("c", BTreeSet::from(["a", "d"])),
+        ("d", BTreeSet::from(["e"])),
+        ("e", BTreeSet::new()),
+        ("f", BTreeSet::from(["g"])),
+        ("g", BTreeSet::from(["f", "a"])),
+    ]);
+    assert_eq!(rings(&graph), [BTreeSet::from(["a", "b", "c"]), BTreeSet::from(["f", "g"])]);
+}
+
+#[test]
+fn files_are_short() {
+    let mut lengths: Vec<(usize, PathBuf)> = Vec::new();
+    for (name, _) in LARGEST_RINGS {
+        for path in rust_files(&root().join(name)) {
+            lengths.push((fs::read_to_string(&path).expect("a source file").lines().count(), path));
+        }
+    }
+    lengths.sort();
+    let (longest, path) = lengths.last().expect("files");
+    println!("{} files, median {} lines, longest {longest}", lengths.len(), lengths[lengths.len() / 2].0);
+    assert!(
+        *longest <= LONGEST_FILE,
+        "{} has {longest} lines, at most {LONGEST_FILE} are allowed",
+        path.display()
+    );
+}
+
+#[test]
+fn rooms_of_core_use_those_before_them() {
+    let imports = Crate::read(&root().join("trimip-core/src")).imports();
+    let place =
+        |module: &Names| ROOMS.iter().position(|room| module.first().is_some_and(|name| name == room));
+    let mut upward = Vec::new();
+    for (module, others) in &imports {
+        for other in others {
+            if let (Some(own), Some(used)) = (place(module), place(other))
+                && used > own
+            {
+                upward.push(format!("{} uses {}", module.join("::"), other.join("::")));
+            }
+        }
+    }
+    assert!(upward.is_empty(), "rooms use later ones: {upward:?}");
+    let rooms = imports.keys().filter_map(place).collect::<BTreeSet<_>>();
+    assert_eq!(rooms.len(), ROOMS.len(), "every room has files");
+}
+
+/// The text of a section of ARCHITECTURE.md.
+fn section<'a>(text: &'a str, title: &str) -> &'a str {
+    let begin =
+        text.find(&format!("## {title}\n")).unwrap_or_else(|| panic!("ARCHITECTURE.md has no \"{title}\""));
+    let rest = &text[begin + 3..];
+    &rest[..rest.find("\n## ").unwrap_or(rest.len())]
+}
+
+/// True if `text` has `word` between characters that no identifier has.
+fn names(text: &str, word: &str) -> bool {
+    let part = |character: Option<char>| character.is_some_and(|character| character.is_alphanumeric());
+    text.match_indices(word)
+        .any(|(at, _)| !part(text[..at].chars().next_back()) && !part(text[at + word.len()..].chars().next()))
+}
+
+/// The list of a section, followed for a member that exists, leads to every file that names it, and to no file that does not exist.
+#[test]
+fn lists_of_files_are_complete() {
+    let architecture = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
+    let sources =
+        LARGEST_RINGS.iter().flat_map(|(name, _)| files(&root().join(name), &["rs", "wgsl", "toml"]));
+    let sources: Vec<(String, String)> = sources
+        .map(|path| {
+            let name = path.strip_prefix(root()).expect("below the root").to_string_lossy().into_owned();
+            (name, fs::read_to_string(&path).expect("a source file"))
+        })
+        .collect();
+    for (title, member, words) in LISTS {
+        let section = section(&architecture, title).replace("NAME", member);
+        let quoted = section.split('`').skip(1).step_by(2);
+        let listed: Vec<&str> = quoted.filter(|text| text.contains('/') && text.contains('.')).collect();
+        let is_listed = |name: &str| listed.iter().any(|path| name.ends_with(path) || name.starts_with(path));
+        let named = sources.iter().filter(|(_, text)| words.iter().any(|word| names(text, word)));
+        let missing: Vec<&str> =
+            named.map(|(name, _)| name.as_str()).filter(|name| !is_listed(name)).collect();
+        println!("{title}: {} files are listed", listed.len());
+        assert!(missing.is_empty(), "\"{title}\" does not list {missing:?}, which name {member}");
+        let exists = |path: &&&str| {
+            root().join(path).exists() || sources.iter().any(|(name, _)| name.ends_with(**path))
+        };
+        let gone: Vec<_> = listed.iter().filter(|path| !exists(path)).collect();
+        assert!(gone.is_empty(), "\"{title}\" lists {gone:?}, which do not exist");
+    }
+}
