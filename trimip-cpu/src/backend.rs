@@ -52,11 +52,11 @@ impl WorkerScratch {
     }
 }
 
-/// Approximate number of samples that share a set of partial gradients. A set of partial gradients's weight gradients are added up at the end of a
+/// Approximate number of samples that share a set of partial gradients. The weight gradients of a set are added up at the end of a
 /// step.
 const SAMPLES_PER_DEPOSIT: u32 = 1024;
 
-/// Number of partial gradients of a step of `samples` samples: enough to balance the load of many cores.
+/// Number of sets of partial gradients of a step of `samples` samples: enough to balance the load of many cores.
 pub fn partials(samples: u32) -> usize {
     (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
 }

@@ -35,7 +35,7 @@ impl DataParallel {
     /// When there are more ranks than parts.
     pub fn new(ranks: Arc<dyn Ranks>, train: &TrainConfig) -> Result<Self> {
         let this_rank = ranks.rank();
-        // Small steps have fewer partial gradients than parts are asked for.
+        // Small steps have fewer sets of partial gradients than leaves are asked for.
         let parts = ReductionTree::new(train.parts, partials(train.samples_per_step)).count();
         if this_rank.size > parts {
             let advice = match this_rank.size.next_power_of_two() {

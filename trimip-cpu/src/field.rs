@@ -195,7 +195,7 @@ fn join(partials: &mut [PartialGradients<CpuBackend>], range: Range<usize>, at: 
 }
 
 impl CpuField {
-    /// The parts of a step of so many partial gradients.
+    /// The reduction tree of a step of so many sets of partial gradients.
     pub(crate) fn reduction_tree(&self, partials: usize) -> ReductionTree {
         ReductionTree::new(self.wanted_leaves, partials)
     }

@@ -188,7 +188,7 @@ impl Hybrid {
     ) {
         let count = rays.rays.known_len().unwrap_or(0);
         let most_samples = renderer.policy.space.most_steps(self.step.min(renderer.policy.step_length()));
-        let room = renderer.room.min(count * most_samples).max(1);
+        let capacity = renderer.capacity.min(count * most_samples).max(1);
         samples.segments.resize(count);
         samples.counts.resize(2);
         stream.sure.resize(count);
@@ -200,7 +200,7 @@ impl Hybrid {
             count: count as u32,
             bricks: self.places[0],
             codes: self.places[1],
-            capacity: room as u32,
+            capacity: capacity as u32,
             last: most_samples as f32,
             step: self.step,
             step_length: renderer.policy.step_length(),
@@ -218,11 +218,11 @@ impl Hybrid {
         let (rays, grid, proxy) = (rays.rays.bind(), occupancy.grid().bind(), self.proxy.bind());
         let binds = [rays, stream.sure.bind(), samples.segments.bind(), grid, proxy];
         self.gpu.dispatch(&self.kernels.count, &binds, &params, items);
-        renderer.scan(stream, &samples.segments, &samples.counts, MARCHED, room);
+        renderer.scan(stream, &samples.segments, &samples.counts, MARCHED, capacity);
         let counts = samples.counts.raw().clone();
-        samples.rays.count_by(room, &counts, MARCHED, 1);
-        samples.intervals.count_by(room, &counts, MARCHED, 1);
-        samples.spheres.count_by(room, &counts, MARCHED, 1);
+        samples.rays.count_by(capacity, &counts, MARCHED, 1);
+        samples.intervals.count_by(capacity, &counts, MARCHED, 1);
+        samples.spheres.count_by(capacity, &counts, MARCHED, 1);
         let binds = [
             rays,
             stream.sure.bind(),

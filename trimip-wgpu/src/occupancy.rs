@@ -103,7 +103,7 @@ pub struct WgpuOccupancy {
     policy: OccupancyPolicy,
     params: Params,
     /// Number of samples that a tile has room for.
-    room: usize,
+    capacity: usize,
     state: Buffer<u32>,
     /// Two words per block, then two words per block of blocks.
     grid: Buffer<u32>,
@@ -119,7 +119,7 @@ impl WgpuOccupancy {
         gpu: &Arc<Gpu>,
         config: &Config,
         training: bool,
-        room: usize,
+        capacity: usize,
         counters: Arc<DeviceCounters>,
     ) -> Self {
         let policy = OccupancyPolicy::new(config);
@@ -141,7 +141,7 @@ impl WgpuOccupancy {
             kernels: Kernels::new(gpu),
             policy,
             params,
-            room,
+            capacity,
             state: Buffer::zeros(gpu, 4),
             grid: Buffer::zeros(gpu, 0),
             chosen: Buffer::zeros(gpu, kept),
@@ -219,15 +219,15 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         rays: &mut Rays<WgpuBackend>,
         samples: &mut Samples<WgpuBackend>,
     ) {
-        let (room, state) = (range.len().min(self.room), self.state.raw());
-        rays.rays.count_by(room, state, ASKED, 1);
-        samples.rays.count_by(room, state, ASKED, 1);
-        samples.intervals.count_by(room, state, ASKED, 1);
-        samples.spheres.count_by(room, state, ASKED, 1);
+        let (capacity, state) = (range.len().min(self.capacity), self.state.raw());
+        rays.rays.count_by(capacity, state, ASKED, 1);
+        samples.rays.count_by(capacity, state, ASKED, 1);
+        samples.intervals.count_by(capacity, state, ASKED, 1);
+        samples.spheres.count_by(capacity, state, ASKED, 1);
         let params = Params {
             point_draws: self.policy.random.at(Sequence::Point, step).words(),
             first: range.start,
-            capacity: room as u32,
+            capacity: capacity as u32,
             ..self.params
         };
         let binds = [
@@ -238,7 +238,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
             samples.rays.bind(),
             samples.intervals.bind(),
         ];
-        self.gpu.dispatch(&self.kernels.probes, &binds, &params, Size::Items(room as u64));
+        self.gpu.dispatch(&self.kernels.probes, &binds, &params, Size::Items(capacity as u64));
     }
 
     fn update(&mut self, radiance: &Buffer<Radiance>) {

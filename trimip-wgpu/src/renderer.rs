@@ -158,17 +158,22 @@ pub struct WgpuRenderer {
     pub(crate) policy: RendererPolicy,
     training: bool,
     /// Number of marched samples that a tile has room for, and number of kept ones.
-    pub(crate) room: usize,
-    kept_room: usize,
+    pub(crate) capacity: usize,
+    kept_capacity: usize,
     hybrid: Option<Hybrid>,
 }
 
 impl WgpuRenderer {
-    /// Creates the renderer of a configuration, with room for `room` marched and `kept_room` kept samples per tile.
-    pub fn new(gpu: &Arc<Gpu>, config: &Config, training: bool, [room, kept_room]: [usize; 2]) -> Self {
+    /// Creates the renderer of a configuration, with room for `capacity` marched and `kept_capacity` kept samples per tile.
+    pub fn new(
+        gpu: &Arc<Gpu>,
+        config: &Config,
+        training: bool,
+        [capacity, kept_capacity]: [usize; 2],
+    ) -> Self {
         let policy = RendererPolicy::new(config);
         let kernels = Kernels::new(gpu);
-        Self { gpu: Arc::clone(gpu), kernels, policy, training, room, kept_room, hybrid: None }
+        Self { gpu: Arc::clone(gpu), kernels, policy, training, capacity, kept_capacity, hybrid: None }
     }
 
     /// Computes the start of every segment and writes the total to a counter.
@@ -178,12 +183,12 @@ impl WgpuRenderer {
         segments: &Buffer<Segment>,
         counts: &Buffer<[u32; 2]>,
         counter: u32,
-        room: usize,
+        capacity: usize,
     ) {
         let count = segments.known_len().unwrap_or(segments.capacity()) as u32;
         let blocks = count.div_ceil(BLOCK);
         stream.blocks.resize(blocks as usize);
-        let params = ScanParams { count, blocks, counter, capacity: room as u32 };
+        let params = ScanParams { count, blocks, counter, capacity: capacity as u32 };
         let Kernels { sum_blocks, sum_all, start_segments, .. } = &self.kernels;
         let groups = Size::Groups(blocks.into());
         let binds = [segments.bind(), stream.blocks.bind()];
@@ -202,22 +207,22 @@ impl WgpuRenderer {
         kept: &mut Buffer<u32>,
     ) {
         let count = samples.segments.known_len().unwrap_or(0);
-        let kept_room = self.kept_room.min(samples.spheres.most());
-        self.scan(stream, &samples.segments, &samples.counts, KEPT, kept_room);
-        kept.count_by(kept_room, samples.counts.raw(), KEPT, 1);
+        let kept_capacity = self.kept_capacity.min(samples.spheres.most());
+        self.scan(stream, &samples.segments, &samples.counts, KEPT, kept_capacity);
+        kept.count_by(kept_capacity, samples.counts.raw(), KEPT, 1);
         let binds = [samples.segments.bind(), kept.bind(), stream.old_segments.bind(), stream.marks.bind()];
-        let params = self.prune_params(count, kept_room);
+        let params = self.prune_params(count, kept_capacity);
         self.gpu.dispatch(&self.kernels.list, &binds, &params, Size::Items(count as u64));
         stream.keep(kept, &mut samples.rays, 1);
         stream.keep(kept, &mut samples.intervals, 2);
         stream.keep(kept, &mut samples.spheres, 4);
     }
 
-    fn prune_params(&self, count: usize, kept_room: usize) -> PruneParams {
+    fn prune_params(&self, count: usize, kept_capacity: usize) -> PruneParams {
         let Pruning { max_depth, min_weight } = self.policy.pruning;
         // WGSL cannot express infinity.
         let max_depth = max_depth.min(f32::MAX);
-        PruneParams { count: count as u32, max_depth, min_weight, capacity: kept_room as u32 }
+        PruneParams { count: count as u32, max_depth, min_weight, capacity: kept_capacity as u32 }
     }
 }
 
@@ -260,7 +265,8 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         let most_samples = self.policy.most_samples();
         let words = most_samples.div_ceil(32);
         // A small view needs little room. In training, arrays have their full size from the first step on.
-        let room = if self.training { self.room } else { self.room.min(count * most_samples).max(1) };
+        let capacity =
+            if self.training { self.capacity } else { self.capacity.min(count * most_samples).max(1) };
         samples.segments.resize(count);
         samples.counts.resize(2);
         stream.bits.resize(count * words);
@@ -274,16 +280,16 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             first: rays.first,
             count: count as u32,
             words: words as u32,
-            capacity: room as u32,
+            capacity: capacity as u32,
         };
         let items = Size::Items(count as u64);
         let binds = [rays.rays.bind(), stream.bits.bind(), samples.segments.bind(), occupancy.grid().bind()];
         self.gpu.dispatch(&self.kernels.march, &binds, &params, items);
-        self.scan(stream, &samples.segments, &samples.counts, MARCHED, room);
+        self.scan(stream, &samples.segments, &samples.counts, MARCHED, capacity);
         let counts = samples.counts.raw().clone();
-        samples.rays.count_by(room, &counts, MARCHED, 1);
-        samples.intervals.count_by(room, &counts, MARCHED, 1);
-        samples.spheres.count_by(room, &counts, MARCHED, 1);
+        samples.rays.count_by(capacity, &counts, MARCHED, 1);
+        samples.intervals.count_by(capacity, &counts, MARCHED, 1);
+        samples.spheres.count_by(capacity, &counts, MARCHED, 1);
         let binds = [
             rays.rays.bind(),
             stream.bits.bind(),
@@ -303,11 +309,11 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         kept: &mut Buffer<u32>,
     ) {
         let count = samples.segments.known_len().unwrap_or(0);
-        let room = samples.spheres.most();
+        let capacity = samples.spheres.most();
         samples.counts.resize(2);
         stream.old_segments.resize(count);
-        stream.marks.resize(room);
-        let params = self.prune_params(count, self.kept_room.min(room));
+        stream.marks.resize(capacity);
+        let params = self.prune_params(count, self.kept_capacity.min(capacity));
         let binds = [
             samples.segments.bind(),
             radiance.bind(),

@@ -5,16 +5,16 @@ use std::ops::Range;
 /// The tiles of a map: each has as many rays as its samples have room for.
 pub struct Tiles {
     /// Number of samples that a tile has room for.
-    room: usize,
+    capacity: usize,
     chunk: u32,
     start: u32,
     count: u32,
 }
 
 impl Tiles {
-    /// Spans over `count` rays, initially of `chunk` rays, with room for `room` samples each.
-    pub fn new(count: u32, chunk: u32, room: usize) -> Self {
-        Self { room, chunk, start: 0, count }
+    /// Tiles over `count` rays, initially of `chunk` rays, with room for `capacity` samples each.
+    pub fn new(count: u32, chunk: u32, capacity: usize) -> Self {
+        Self { capacity, chunk, start: 0, count }
     }
 
     /// The next tile. After a tile that did not fit, it starts at the same ray and is smaller.
@@ -34,7 +34,7 @@ impl Tiles {
             }
             let mean = (marched as usize / length as usize).max(1);
             // The next rows of a view may have more samples than the last ones.
-            self.chunk = (self.room / mean / 2).min(1 << 20) as u32;
+            self.chunk = (self.capacity / mean / 2).min(1 << 20) as u32;
         }
         self.start = tile.end;
         true

@@ -148,7 +148,7 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
         backend.install(|| stages.encoder.reduce(&mut partials, values, &mut again));
         assert!(
             backend.read(&again)[..base].iter().all(|&g| g == 0.0),
-            "level {level}: deposits are emptied"
+            "level {level}: partial gradients are emptied"
         );
     }
     Ok(())

@@ -46,7 +46,7 @@ impl<B: Backend> Rig<B> {
         Ok(Self { backend, stages, workspace, parameters })
     }
 
-    /// Uploads the rays of the span.
+    /// Uploads the rays of the tile.
     pub fn rays(&mut self, rays: &[Ray]) {
         self.workspace.rays.place(&self.backend, rays);
     }

@@ -77,8 +77,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Runs `work` in the device's worker pool; operations on whole arrays inside `work` use the workers.
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
 
-    /// Runs `work` over the pixels of a step in tiles of about `batch.per_tile` cones. Spans that share a set of partial gradients run one
-    /// after the other, in order. Which tiles share a set of partial gradients depends only on the batch and the number of partial gradients, so the sums
+    /// Runs `work` over the pixels of a step in tiles of about `batch.per_tile` cones. Tiles that share a set of partial gradients run one
+    /// after the other, in order. Which tiles share a set of partial gradients depends only on the batch and the number of sets, so the sums
     /// have the same bits for any number of workers. A GPU takes all pixels as one tile. Only the pixels of this rank's share
     /// are worked on.
     fn train_tiles(
@@ -132,7 +132,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Sets the sum of the weights over all partial gradients to `weight`.
     fn set_weight(&self, partials: &mut [PartialGradients<Self>], weight: f64);
 
-    /// Number of partial gradients for a step of `samples` samples; 1 if a step is one tile.
+    /// Number of sets of partial gradients for a step of `samples` samples; 1 if a step is one tile.
     fn partials(&self, samples: u32) -> usize;
 
     /// Adds up the step's sums over all partial gradients and starts their transfer to the host.

@@ -13,7 +13,7 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Brings together what the ranks computed in a step. The trainer calls [`partials`](Self::partial gradients), then
+/// Brings together what the ranks computed in a step. The trainer calls [`partials`](Self::partials), then
 /// [`update`](Self::update); [`sums`](Self::sums) between the two on a backend without lag, else after them for an earlier step.
 pub trait Exchange<B: Backend>: Send {
     /// The share of a step's pixels that this rank computes.
@@ -21,7 +21,7 @@ pub trait Exchange<B: Backend>: Send {
         Rank::ONLY
     }
 
-    /// Called when the share's partial gradients are complete, before they are posted or flushed.
+    /// Called when this rank's partial gradients are complete, before they are posted or reduced.
     ///
     /// # Errors
     /// When another rank is gone.

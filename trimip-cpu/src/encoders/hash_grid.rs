@@ -166,7 +166,7 @@ impl<const F: usize> Kernel for Read<'_, F> {
     }
 }
 
-/// Adds the gradients of one level, partial gradients by partial gradients and sample by sample.
+/// Adds the gradients of one level, set by set and sample by sample.
 struct Add<'a, const F: usize> {
     level: Level,
     points: &'a Points<f32>,

@@ -373,7 +373,7 @@ struct Band<'a> {
     values: &'a mut [f32],
 }
 
-/// Sums the gradients of a band, partial gradients by partial gradients and sample by sample.
+/// Sums the gradients of a band, set by set and sample by sample.
 struct Add<'a> {
     shape: &'a Shape,
     from: &'a [&'a mut Gradient],

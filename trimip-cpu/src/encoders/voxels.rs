@@ -163,7 +163,7 @@ impl Kernel for Read<'_> {
     }
 }
 
-/// Adds the gradients of a band, partial gradients by partial gradients and sample by sample.
+/// Adds the gradients of a band, set by set and sample by sample.
 struct Add<'a> {
     shape: &'a Shape,
     from: &'a [&'a mut Gradient],

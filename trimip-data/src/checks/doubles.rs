@@ -38,9 +38,9 @@ pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
     let cameras = cameras(train);
     let extent = extent(&cameras);
     let named = |view: usize| name(train, view).unwrap_or("?");
-    let twin = |view: usize| (0..view).find(|&other| same(&cameras[view], &cameras[other], extent));
+    let reference = |view: usize| (0..view).find(|&other| same(&cameras[view], &cameras[other], extent));
     let suspects: Vec<Suspect> = (0..cameras.len())
-        .filter_map(|view| Some(Suspect { view, figure: format!("as {}", named(twin(view)?)) }))
+        .filter_map(|view| Some(Suspect { view, figure: format!("as {}", named(same_as(view)?)) }))
         .collect();
     let leaked: Vec<&str> = test
         .iter()

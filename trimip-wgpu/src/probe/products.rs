@@ -40,12 +40,12 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
         {
             let (left, weights) = (whole(rows * k, 1), whole(k * n, 2));
             let (right, mask) = (whole(rows * n, 3), whole(rows * n, 4));
-            let buffer = |values: &[f32], room: usize| {
-                let mut buffer = Buffer::zeros(&gpu, room);
+            let buffer = |values: &[f32], capacity: usize| {
+                let mut buffer = Buffer::zeros(&gpu, capacity);
                 buffer.write(values);
                 buffer
             };
-            let room = rows.next_multiple_of(64) * n;
+            let capacity = rows.next_multiple_of(64) * n;
             let mut packed: Buffer<u32> = Buffer::zeros(&gpu, 0);
             match matrices {
                 None => packed.write(bytemuck::cast_slice(&weights)),
@@ -62,7 +62,7 @@ fn products_of_matrices_are_exact_on_whole_numbers() {
             let finishes = finishes.chain(exact_only.into_iter().filter(|_| matrices.is_none()));
             let before: Vec<f32> = (0..rows * n).map(|at| (at % 13) as f32 - 6.0).collect();
             for (finish, scale) in finishes {
-                let product = buffer(&before, room);
+                let product = buffer(&before, capacity);
                 let mask_buffer = buffer(&mask, 0);
                 let mask_bind = (finish == Finish::Mask).then(|| mask_buffer.bind());
                 let binds =

@@ -1,4 +1,4 @@
-// Twin of `trimip_core::activation`. The functions of density take the logit minus its shift.
+// The same as `trimip_core::field::activation`. The functions of density take the logit minus its shift.
 
 fn density_of(kind: u32, x: f32) -> f32 {
     if kind == EXP {

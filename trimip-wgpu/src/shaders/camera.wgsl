@@ -1,4 +1,4 @@
-// Cameras and the cones of their pixels; twin of `trimip_core::camera`. Needs `cone_of_model` of the registry of camera
+// Cameras and the cones of their pixels; the same as `trimip_core::geometry::camera`. Needs `cone_of_model` of the registry of camera
 // models (`projections.rs`).
 
 const PI: f32 = 3.14159265358979;
@@ -26,7 +26,7 @@ fn no_cone() -> LocalCone {
     return central_cone(vec3<f32>(0.0), 1.0, 0.0, 0.0);
 }
 
-// The cone of a square part of a pixel by the derivatives of its ray by the place in the image; twin of `LocalRay::cone`.
+// The cone of a square part of a pixel by the derivatives of its ray by the place in the image; the same as `LocalRay::cone`.
 fn cone_of_ray(
     origin: vec3<f32>,
     direction: vec3<f32>,

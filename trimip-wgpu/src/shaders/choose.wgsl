@@ -1,6 +1,6 @@
 // Choosing samples by the proxy of the model (hybrid rendering). `count` walks each ray and counts its samples. After the
 // counts are summed, `fill` walks it again and writes them. A ray of which the proxy is unsure has the samples of volume
-// rendering. Twin of `trimip_core::proxy::Chooser` and the CPU's hybrid renderer.
+// rendering. The same as `trimip_core::engine::proxy::Chooser` and the CPU's hybrid renderer.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 // 1 for rays of which the proxy is sure.

@@ -1,4 +1,4 @@
-// The occupancy grid: selection of cells, their densities, and the occupied bits. Twin of `trimip_core::occupancy`
+// The occupancy grid: selection of cells, their densities, and the occupied bits. The same as `trimip_core::geometry::occupancy`
 // and of the CPU's grid. `state` holds the numbers of cells selected, occupied, and queried in this tile.
 
 @group(0) @binding(0) var<storage, read_write> state: array<atomic<u32>>;

@@ -1,4 +1,4 @@
-// Whether a sample of the optical depth `own`, behind the optical depth `before`, is kept. Twin of
+// Whether a sample of the optical depth `own`, behind the optical depth `before`, is kept. The same as
 // `compositing::Pruning`.
 fn is_seen(before: f32, own: f32, max_depth: f32, min_weight: f32) -> bool {
     if before > max_depth {

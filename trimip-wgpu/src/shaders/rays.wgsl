@@ -1,4 +1,4 @@
-// Ray generation: random pixels of the training views, or all pixels of a camera. Twin of the CPU's sampler.
+// Ray generation: random pixels of the training views, or all pixels of a camera. The same as the CPU's sampler.
 
 @group(0) @binding(0) var<storage, read> views: array<View>;
 @group(0) @binding(1) var<storage, read_write> rays: array<Ray>;
@@ -23,7 +23,7 @@ fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) -> bool {
     return all;
 }
 
-// Cones of all pixels of the step before pixel `index`; twin of `Draw::cones_before`.
+// Cones of all pixels of the step before pixel `index`; the same as `RayAllocation::cones_before`.
 fn cones_before(index: u32) -> u32 {
     var cones = 0u;
     for (var j = 0u; j < params.scales; j++) {

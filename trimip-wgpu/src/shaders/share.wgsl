@@ -1,6 +1,6 @@
 // Pruning for hybrid rendering. Marks the samples to keep: the first one of each group that shares a colour. It gets the
 // optical depth, the length and the mean distance of its group, and the mean of its geometry features. A ray of which the
-// proxy is unsure keeps all its visible samples. Twin of `trimip_core::proxy::share_colors`.
+// proxy is unsure keeps all its visible samples. The same as `trimip_core::engine::proxy::share_colors`.
 
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read> sure: array<u32>;

@@ -1,4 +1,4 @@
-// The map from the world to the unit cube; twin of `trimip_core::space`.
+// The map from the world to the unit cube; the same as `trimip_core::geometry::space`.
 
 // How the parameter of steps along a ray follows its distance: the distance itself if `speed` is 0, in a bounded space.
 struct RayParameter {

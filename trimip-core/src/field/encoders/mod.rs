@@ -1,5 +1,5 @@
 //! The encoders by name, and what core knows of each without a backend. An encoder is a folder or file here (its
-//! declaration, its mathematics, its twin in f64), a file in each backend, and a line in `ALL`.
+//! declaration, its mathematics, its f64 reference), a file in each backend, and a line in `ALL`.
 
 pub mod frequencies;
 pub mod hash_grid;

@@ -12,7 +12,7 @@ use crate::{Aabb, Config, Slot};
 pub const CHANNELS: usize = 16;
 
 /// Floats of a sample's Gaussian, which is kept from forward to backward.
-pub const TAPE: usize = 8;
+pub const CONTEXT: usize = 8;
 
 /// Most levels along an axis.
 pub const MOST_LEVELS: u32 = 13;
@@ -56,14 +56,14 @@ impl<R: Real> Gaussian<R> {
 impl Gaussian<f32> {
     /// Mean, variance across, direction, variance along.
     #[inline(always)]
-    pub fn row(&self) -> [f32; TAPE] {
+    pub fn row(&self) -> [f32; CONTEXT] {
         let ([x, y, z], [u, v, w]) = (self.mean, self.direction);
         [x, y, z, self.across, u, v, w, self.along]
     }
 
     /// The Gaussian of a [`row`](Self::row).
     #[inline(always)]
-    pub fn of(&[x, y, z, across, u, v, w, along]: &[f32; TAPE]) -> Self {
+    pub fn of(&[x, y, z, across, u, v, w, along]: &[f32; CONTEXT]) -> Self {
         Self { mean: [x, y, z], direction: [u, v, w], across, along }
     }
 }
@@ -282,7 +282,7 @@ impl Definition for RipMap {
     }
 
     fn context(&self, _: &Config) -> usize {
-        TAPE
+        CONTEXT
     }
 
     fn slots(&self, config: &Config) -> Vec<Slot> {

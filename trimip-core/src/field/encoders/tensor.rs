@@ -334,9 +334,9 @@ mod tests {
                     (0..slot.range.len()).map(|i| ((i * seed) as f64 * 0.731).sin()).collect()
                 })
                 .collect();
-            let twin = Tensors.reference(&config, values);
+            let reference = Tensors.reference(&config, values);
             let sum = |position: [f64; 3]| -> f64 {
-                twin.features(&SamplePosition { position, ..SamplePosition::default() })
+                reference.features(&SamplePosition { position, ..SamplePosition::default() })
                     [..Tensors.summed(&config)]
                     .iter()
                     .sum()

@@ -200,9 +200,9 @@ mod tests {
         Voxels.grow(&config, &slots[0], &mut values, 1, 0);
         let density: Vec<f64> = values.into_iter().map(f64::from).collect();
         let colors = vec![0.0; slots[1].range.len()];
-        let twin = Voxels.reference(&config, vec![density, colors]);
+        let reference = Voxels.reference(&config, vec![density, colors]);
         for position in [[0.0; 3], [1.0; 3], [0.21, 0.83, 0.5], [0.999, 0.001, 0.7]] {
-            let found = twin.features(&SamplePosition {
+            let found = reference.features(&SamplePosition {
                 position,
                 direction: [0.0, 0.0, 1.0],
                 ..SamplePosition::default()

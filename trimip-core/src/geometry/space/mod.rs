@@ -1,5 +1,5 @@
 //! The map from the world to the encoder's unit cube. All code that places samples, skips empty cells or scales radii
-//! uses a [`Space`]; the GPU's twin is one WGSL file. A bounded space maps the scene's box to the cube. An unbounded one
+//! uses a [`Space`]; on the GPU it is one WGSL file. A bounded space maps the scene's box to the cube. An unbounded one
 //! contracts the world into the box first, see [`contraction`].
 
 pub mod contraction;

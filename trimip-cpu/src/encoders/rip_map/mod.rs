@@ -11,7 +11,7 @@ use crate::buffer::{Buffer, take, take_mut};
 use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put_counted};
 use trimip_core::engine::batch::Sphere;
-use trimip_core::field::encoders::rip_map::{CHANNELS, Gaussian, Plane, TAPE, planes};
+use trimip_core::field::encoders::rip_map::{CHANNELS, CONTEXT, Gaussian, Plane, planes};
 use trimip_core::{Aabb, Config, Result};
 
 /// The planes and their ripmaps.
@@ -31,7 +31,7 @@ pub(crate) struct RipMaps {
 /// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
 pub(crate) struct Gradient {
     /// The Gaussian of each sample.
-    pub gaussians: Buffer<[f32; TAPE]>,
+    pub gaussians: Buffer<[f32; CONTEXT]>,
     /// Feature gradient of each sample, [samples, planes · 16].
     pub rows: Buffer<f32>,
     /// Sample indices by plane and band, in sample order.
@@ -83,7 +83,7 @@ impl Encoding for RipMaps {
     }
 
     fn forward(&self, at: Places<'_>, context: &mut [f32], features: &mut [f32], stride: usize) {
-        let (context, _) = context.as_chunks_mut::<TAPE>();
+        let (context, _) = context.as_chunks_mut::<CONTEXT>();
         let samples = at.owners.iter().zip(at.intervals).zip(at.spheres);
         for (((owner, interval), sphere), row) in samples.zip(&mut *context) {
             let ray = &at.rays[*owner as usize];
@@ -95,7 +95,7 @@ impl Encoding for RipMaps {
 
     fn backward(&self, _: Places<'_>, context: &[f32], rows: &[f32], _: usize, gradient: &mut Gradient) {
         let (first, start) = (gradient.gaussians.len(), gradient.rows.len());
-        let gaussians = context.as_chunks::<TAPE>().0;
+        let gaussians = context.as_chunks::<CONTEXT>().0;
         gradient.gaussians.resize(first + gaussians.len());
         gradient.gaussians[first..].copy_from_slice(gaussians);
         gradient.rows.resize(start + rows.len());
@@ -138,7 +138,7 @@ impl Encoding for RipMaps {
         // A sample stores its gradient, its Gaussian, and its index in the lists of the bands that it touches.
         let row = planes * (size_of::<[f32; CHANNELS]>() + 2 * size_of::<u32>());
         GradientMemory {
-            by_sample: row + size_of::<[f32; TAPE]>(),
+            by_sample: row + size_of::<[f32; CONTEXT]>(),
             by_partial: planes * BANDS * size_of::<Vec<u32>>(),
         }
     }
@@ -162,7 +162,7 @@ const AHEAD: usize = 8;
 struct Gather<'a> {
     planes: &'a [Plane<f32>],
     maps: &'a [f32],
-    context: &'a [[f32; TAPE]],
+    context: &'a [[f32; CONTEXT]],
     features: &'a mut [f32],
     stride: usize,
 }

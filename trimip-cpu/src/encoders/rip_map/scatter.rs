@@ -2,7 +2,7 @@
 //! atomics, as the tri-mip planes do: a sample is listed in each band of rows that it touches, and one worker sums a
 //! band in sample order.
 
-use super::{CHANNELS, Gaussian, Gradient, Plane, TAPE};
+use super::{CHANNELS, CONTEXT, Gaussian, Gradient, Plane};
 use crate::buffer::take_mut;
 use crate::encoders::bands::{BANDS, Extent, first_row, owner};
 use crate::simd::{Kernel, Lanes, Simd};
@@ -13,7 +13,7 @@ pub struct Sort<'a> {
     /// The planes.
     pub planes: &'a [Plane<f32>],
     /// One per sample.
-    pub gaussians: &'a [[f32; TAPE]],
+    pub gaussians: &'a [[f32; CONTEXT]],
     /// Index of the first sample.
     pub first: u32,
     /// Sample lists by plane and band.

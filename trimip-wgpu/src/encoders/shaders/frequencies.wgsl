@@ -1,4 +1,4 @@
-// Twin of `trimip_core::encoders::frequencies`: one invocation writes the features of one sample.
+// The same as `trimip_core::field::encoders::frequencies`: one invocation writes the features of one sample.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read> owners: array<u32>;

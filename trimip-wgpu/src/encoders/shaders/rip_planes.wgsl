@@ -1,4 +1,4 @@
-// Planes with ripmaps; twin of `trimip_core::encoders::rip_map::Plane`.
+// Planes with ripmaps; the same as `trimip_core::field::encoders::rip_map::Plane`.
 
 @group(0) @binding(9) var<storage, read> planes: array<Plane>;
 

@@ -1,4 +1,4 @@
-// Twin of `trimip_core::encoders::tensor`, four components at a time.
+// The same as `trimip_core::field::encoders::tensor`, four components at a time.
 
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(9) var<storage, read> factors: array<vec4<f32>>;

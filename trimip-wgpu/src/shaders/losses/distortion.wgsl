@@ -1,5 +1,5 @@
-// The distortion of the weights of a cone's samples and its gradient with respect to their densities; twin of
-// `trimip_core::losses::distortion`.
+// The distortion of the weights of a cone's samples and its gradient with respect to their densities; the same as
+// `trimip_core::field::losses::distortion`.
 
 // A sample, and sums over the samples in front of it.
 struct Walk {

@@ -13,7 +13,7 @@ fn gain_of(photograph: u32) -> vec3<f32> {
     return gain;
 }
 
-// The colour that is compared; twin of `trimip_core::exposure`.
+// The colour that is compared; the same as `trimip_core::engine::exposure`.
 fn exposed(i: u32, shown: vec3<f32>, behind: vec3<f32>) -> vec3<f32> {
     return gain_of(photographs[i]) * (shown - behind) + behind;
 }

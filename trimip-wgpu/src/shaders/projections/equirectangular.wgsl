@@ -1,4 +1,4 @@
-// Panoramas; twin of `trimip_core::projections::equirectangular`.
+// Panoramas; the same as `trimip_core::geometry::projections::equirectangular`.
 
 // The cone of a longitude and a latitude.
 fn cone_equirectangular(view: View, at: vec2<f32>, side: f32) -> LocalCone {

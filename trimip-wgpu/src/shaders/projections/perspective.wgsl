@@ -1,5 +1,5 @@
-// Perspective images: the pinhole and perspective lenses; twin of `trimip_core::projections::perspective` and of
-// `trimip_core::lens`.
+// Perspective images: the pinhole and perspective lenses; the same as `trimip_core::geometry::projections::perspective` and of
+// `trimip_core::geometry::lens`.
 
 // Undistorted coordinates, and the area of the image of a small surface around them over its own; 0 if there is no ray.
 struct Unbent {
@@ -7,7 +7,7 @@ struct Unbent {
     area: f32,
 }
 
-// The undistorted coordinates of an image; twin of `Lens::unbend`.
+// The undistorted coordinates of an image; the same as `Lens::unbend`.
 fn unbend(view: View, image: vec2<f32>) -> Unbent {
     let k = view.radial;
     let d = view.denominator.xyz;

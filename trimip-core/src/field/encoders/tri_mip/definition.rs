@@ -1,4 +1,4 @@
-//! The tri-mip planes as an encoder: their declaration and their twin in f64.
+//! The tri-mip planes as an encoder: their declaration and their f64 reference.
 
 use super::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, grow, level_input, sides, taps};
 use crate::field::encoders::{Definition, Reference, SamplePosition};
