@@ -11,8 +11,7 @@ const WHOLE: Aabb<f64> = Aabb { min: [-1.25; 3], max: [1.25; 3] };
 
 /// 32 training views of 96 pixels at two scales, and 4 test views.
 fn scene() -> Scene {
-    let mut data = DataConfig::default();
-    data.format = "builtin".into();
+    let mut data = DataConfig { format: "builtin".into(), ..DataConfig::default() };
     (data.builtin_size, data.builtin_train, data.builtin_test) = (96, 32, 4);
     (data.builtin_supersampling, data.scales) = (2, 2);
     trimip_data::open(&data).unwrap()
