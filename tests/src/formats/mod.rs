@@ -13,16 +13,20 @@ pub use seeds::{Sparse, sparse};
 use mutate::{Random, changed};
 use trimip_core::{Error, ErrorKind, Result};
 
+type Read = Box<dyn Fn(&[u8]) -> Result<()> + Send + Sync>;
+type Seeds = Box<dyn Fn() -> Vec<Vec<u8>> + Send + Sync>;
+type Limit = Box<dyn Fn(&[u8]) -> usize + Send + Sync>;
+
 /// A format of files, and what any bytes get from its reader.
 pub struct Format {
     /// Its name.
     pub name: &'static str,
     /// Names with one of which every refusal begins.
     files: &'static [&'static str],
-    read: Box<dyn Fn(&[u8]) -> Result<()> + Send + Sync>,
-    seeds: Box<dyn Fn() -> Vec<Vec<u8>> + Send + Sync>,
+    read: Read,
+    seeds: Seeds,
     /// The most memory of the reader, bytes, for these bytes.
-    limit: Box<dyn Fn(&[u8]) -> usize + Send + Sync>,
+    limit: Limit,
 }
 
 impl Format {

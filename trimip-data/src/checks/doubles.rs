@@ -38,7 +38,7 @@ pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
     let cameras = cameras(train);
     let extent = extent(&cameras);
     let named = |view: usize| name(train, view).unwrap_or("?");
-    let reference = |view: usize| (0..view).find(|&other| same(&cameras[view], &cameras[other], extent));
+    let same_as = |view: usize| (0..view).find(|&other| same(&cameras[view], &cameras[other], extent));
     let suspects: Vec<Suspect> = (0..cameras.len())
         .filter_map(|view| Some(Suspect { view, figure: format!("as {}", named(same_as(view)?)) }))
         .collect();

@@ -125,7 +125,7 @@ fn on<B: Backend>(
     let spheres: Vec<Sphere> = backend.read(&samples.spheres)[..count].to_vec();
     let owners: Vec<u32> = backend.read(&samples.rays)[..count].to_vec();
     place(backend, samples, &segments, &intervals, &spheres, &owners);
-    let tile = &mut Tile { stream: stream, parameters: &parameters, rays: own, samples };
+    let tile = &mut Tile { stream, parameters: &parameters, rays: own, samples };
     let encoder_context = timed(backend, || {
         stages.encoder.forward(tile, encoder_context, features);
         wait();
