@@ -4,7 +4,7 @@ use mpi::environment::Universe;
 use mpi::point_to_point::MatchedReceiveVec;
 use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, CommunicatorCollectives, Destination, Source};
-use mpi::{Rank, Tag, Threading, request};
+use mpi::{Rank as MpiRank, Tag, Threading, request};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 use trimip_core::engine::exchange::{Rank, Ranks};
@@ -42,7 +42,7 @@ pub struct Traffic {
 #[derive(Default)]
 pub struct World {
     /// This rank among all, and among those on its machine; known once MPI is in use.
-    shares: OnceLock<[Rank; 2]>,
+    ranks: OnceLock<[Rank; 2]>,
     traffic: Mutex<(Traffic, Option<Instant>)>,
     /// One thread at a time calls MPI.
     calls: Mutex<()>,
@@ -76,8 +76,9 @@ impl World {
             ));
         }
         let near = world.split_shared(world.rank());
-        let share = |rank: Rank, of: Rank| Rank { id: rank as usize, size: of as usize };
-        self.shares.get_or_init(|| [share(world.rank(), world.size()), share(near.id(), near.size())]);
+        let this_rank = |id: MpiRank, size: MpiRank| Rank { id: id as usize, size: size as usize };
+        self.ranks
+            .get_or_init(|| [this_rank(world.rank(), world.size()), this_rank(near.rank(), near.size())]);
         *lock(&self.universe) = Some(universe);
         Ok(())
     }
@@ -98,8 +99,8 @@ impl World {
         SimpleCommunicator::world().abort(code.into())
     }
 
-    fn shares(&self) -> [Rank; 2] {
-        self.shares.get().copied().unwrap_or([Rank::ONLY; 2])
+    fn ranks(&self) -> [Rank; 2] {
+        self.ranks.get().copied().unwrap_or([Rank::ONLY; 2])
     }
 }
 
@@ -109,17 +110,17 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// A rank as MPI counts it.
-fn number(rank: usize) -> Rank {
-    rank as Rank
+fn number(rank: usize) -> MpiRank {
+    rank as MpiRank
 }
 
 impl Ranks for World {
     fn rank(&self) -> Rank {
-        self.shares()[0]
+        self.ranks()[0]
     }
 
     fn on_machine(&self) -> Rank {
-        self.shares()[1]
+        self.ranks()[1]
     }
 
     fn all_to_all(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()> {

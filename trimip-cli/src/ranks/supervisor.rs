@@ -77,7 +77,7 @@ pub fn watch() -> Result<u8> {
         ask();
     }
     let status = process.wait().map_err(cannot)?;
-    let rank = trimip_mpi::launched().rank;
+    let rank = trimip_mpi::launched().id;
     Ok(match End::of(status) {
         End::Code(code) => code,
         End::Stopped => interrupt::EXIT_CODE,

@@ -83,7 +83,7 @@ impl<'a> TestViews<'a> {
     }
 }
 
-/// Renders test views at every scale and compares them with their photographs; `perception` takes the slower measures ([`PerceptualMetrics`](super::Perceiver), or
+/// Renders test views at every scale and compares them with their photographs; `perception` takes the slower measures ([`PerceptualMetrics`](super::PerceptualMetrics), or
 /// `&mut ()` for none). Returns `None` if `watch` cancelled it. With `group`, of which this is rank 0, all ranks measure; the
 /// others call [`evaluate_on_worker`] with the same model and frames.
 ///
