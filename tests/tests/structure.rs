@@ -16,9 +16,10 @@ type Names = Vec<String>;
 const LARGEST_RINGS: [(&str, usize); 11] = [
     ("trimip", 9),
     ("trimip-cli", 9),
-    ("trimip-core", 9),
+    // The registry of encoders and its members.
+    ("trimip-core", 11),
     ("trimip-cpu", 10),
-    ("trimip-data", 7),
+    ("trimip-data", 15),
     ("trimip-mpi", 2),
     ("trimip-python", 1),
     ("trimip-view", 1),
@@ -352,8 +353,8 @@ fn code(text: &str) -> String {
 #[test]
 fn lists_of_files_are_complete() {
     let architecture = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
-    let sources =
-        LARGEST_RINGS.iter().flat_map(|(name, _)| files(&root().join(name), &["rs", "wgsl", "toml"]));
+    let crates = LARGEST_RINGS.iter().map(|(name, _)| *name).filter(|name| *name != "tests");
+    let sources = crates.flat_map(|name| files(&root().join(name).join("src"), &["rs", "wgsl", "toml"]));
     let sources: Vec<(String, String)> = sources
         .map(|path| {
             let name = path.strip_prefix(root()).expect("below the root").to_string_lossy().into_owned();
