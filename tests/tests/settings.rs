@@ -42,7 +42,7 @@ rounding = "nearest" # of sums: "nearest" | "stochastic"
 
 /// The definitions of a program that has the backend.
 fn definitions() -> Arc<Definitions> {
-    Definitions::new(&[trimip_data::settings::SECTION, ForeignSection::of::<TpuConfig>()], &[]).into()
+    Definitions::new(&[trimip_data::SECTION, ForeignSection::of::<TpuConfig>()], &[]).into()
 }
 
 /// A small training of the built-in scene on the CPU.

@@ -1,13 +1,8 @@
 //! The settings of this crate: how photographs are found, read and kept, and the built-in scene. Their defaults, ranges and
 //! meanings are the tables in `settings/`; they stand in the section `[data]` beside those of core.
 
-use crate::layout;
 use serde::{Deserialize, Serialize};
 use trimip_core::config::Convention;
-use trimip_core::{Checker, Error, ForeignSection, Fragment, Result, Section};
-
-/// The settings of this crate, for a program to register.
-pub const SECTION: ForeignSection = ForeignSection::of::<DataConfig>();
 
 /// Where the photographs are and how they are read: the section `[data]`, with core's settings in it.
 ///
@@ -48,31 +43,6 @@ pub struct DataConfig {
     pub builtin_finish: Finish,
     pub most_pixels: f64,
     pub pixels: PixelStore,
-}
-
-impl Section for DataConfig {
-    const NAME: &'static str = "data";
-    const FRAGMENTS: &'static [Fragment] = &[
-        Fragment { after: "root", table: include_str!("settings/photographs.toml") },
-        Fragment { after: "background", table: include_str!("settings/builtin.toml") },
-        Fragment { after: "builtin_finish", table: include_str!("settings/pixels.toml") },
-    ];
-
-    fn check(&self, to: &Checker<'_>) -> Result<()> {
-        if !layout::is_format(&self.format) {
-            let expected = format!("expected {}", layout::formats());
-            return Err(Error::input(to.place("data.format"), "no layout of a scene", expected));
-        }
-        to.check(self.holdout != 1, "data.holdout", "0, or 2 and more")?;
-        to.check(
-            self.holdout == 0 || self.test_list.is_empty(),
-            "data.test_list",
-            "\"\" where data.holdout keeps frames back",
-        )?;
-        to.check(!self.train.is_empty(), "data.train", "at least one split")?;
-        let once = |(i, split)| !self.train[..i].contains(split);
-        to.check(self.train.iter().enumerate().all(once), "data.train", "each split once")
-    }
 }
 
 impl Default for DataConfig {
@@ -156,7 +126,7 @@ mod tests {
             ("data.builtin_size=7", "8 to 4096"),
             ("data.format=\"raw\"", "blender"),
         ] {
-            let mut settings = Settings::of(Definitions::new(&[SECTION], &[]).into());
+            let mut settings = Settings::of(Definitions::new(&[crate::SECTION], &[]).into());
             settings.apply_assignment(assignment).unwrap();
             let error = Config::from_settings(&settings).unwrap_err();
             assert_eq!(error.exit_code(), 2);

@@ -8,8 +8,7 @@ use trimip_core::{Config, Definitions, Error, Origin, Result, Settings, field::m
 
 /// The definitions of all settings of this build.
 static ALL: LazyLock<Arc<Definitions>> = LazyLock::new(|| {
-    let sections: Vec<_> =
-        std::iter::once(trimip_data::settings::SECTION).chain(backends::sections()).collect();
+    let sections: Vec<_> = std::iter::once(trimip_data::SECTION).chain(backends::sections()).collect();
     Arc::new(Definitions::new(&sections, backends::ABSENT))
 });
 
@@ -177,7 +176,7 @@ mod tests {
 
     #[test]
     fn settings_of_a_backend_that_a_build_lacks_are_carried_along() {
-        let lacking = Definitions::new(&[trimip_data::settings::SECTION], &["wgpu"]);
+        let lacking = Definitions::new(&[trimip_data::SECTION], &["wgpu"]);
         let mut settings = Settings::of(lacking.into());
         settings.apply_file("run.toml", "[wgpu]\nadapter = \"any\"\n").unwrap();
         settings.apply_assignment("wgpu.deterministic=false").unwrap();

@@ -1,0 +1,32 @@
+//! The section `[data]` for a program to register: its tables, and what its settings must be together.
+
+use crate::{layout, settings::DataConfig};
+use trimip_core::{Checker, Error, ForeignSection, Fragment, Result, Section};
+
+/// The settings of this crate, for a program to register.
+pub const SECTION: ForeignSection = ForeignSection::of::<DataConfig>();
+
+impl Section for DataConfig {
+    const NAME: &'static str = "data";
+    const FRAGMENTS: &'static [Fragment] = &[
+        Fragment { after: "root", table: include_str!("settings/photographs.toml") },
+        Fragment { after: "background", table: include_str!("settings/builtin.toml") },
+        Fragment { after: "builtin_finish", table: include_str!("settings/pixels.toml") },
+    ];
+
+    fn check(&self, to: &Checker<'_>) -> Result<()> {
+        if !layout::is_format(&self.format) {
+            let expected = format!("expected {}", layout::formats());
+            return Err(Error::input(to.place("data.format"), "no layout of a scene", expected));
+        }
+        to.check(self.holdout != 1, "data.holdout", "0, or 2 and more")?;
+        to.check(
+            self.holdout == 0 || self.test_list.is_empty(),
+            "data.test_list",
+            "\"\" where data.holdout keeps frames back",
+        )?;
+        to.check(!self.train.is_empty(), "data.train", "at least one split")?;
+        let once = |(i, split)| !self.train[..i].contains(split);
+        to.check(self.train.iter().enumerate().all(once), "data.train", "each split once")
+    }
+}
