@@ -11,7 +11,7 @@ use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::{Error, Result};
 
 /// Tags of messages.
-const TRADE: Tag = 1;
+const ALL_TO_ALL: Tag = 1;
 const ORDER: Tag = 2;
 const MESSAGE: Tag = 3;
 
@@ -138,7 +138,7 @@ impl Ranks for World {
                 bytes.resize(coming[from] as usize, 0);
                 for part in bytes.chunks_mut(MOST) {
                     let process = world.process_at_rank(number(from));
-                    requests.push(process.immediate_receive_into_with_tag(scope, part, TRADE));
+                    requests.push(process.immediate_receive_into_with_tag(scope, part, ALL_TO_ALL));
                 }
             }
             let mut sends = Vec::new();
@@ -146,7 +146,7 @@ impl Ranks for World {
                 sent += bytes.len() as u64;
                 for part in bytes.chunks(MOST) {
                     let process = world.process_at_rank(number(to));
-                    sends.push(process.immediate_send_with_tag(scope, part, TRADE));
+                    sends.push(process.immediate_send_with_tag(scope, part, ALL_TO_ALL));
                 }
             }
             requests.into_iter().chain(sends).for_each(|request| {

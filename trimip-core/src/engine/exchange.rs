@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Brings together what the ranks computed in a step. The trainer calls [`partials`](Self::partials), then
 /// [`update`](Self::update); [`sums`](Self::sums) between the two on a backend without lag, else after them for an earlier step.
 pub trait Exchange<B: Backend>: Send {
-    /// The share of a step's pixels that this rank computes.
+    /// This rank: it computes its part of each step's pixels.
     fn rank(&self) -> Rank {
         Rank::ONLY
     }

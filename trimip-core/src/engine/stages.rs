@@ -337,7 +337,7 @@ pub trait Occupancy<B: Backend>: Send + Sync {
     fn restore(&mut self, bits: &[u8], densities: Option<&[f32]>);
 }
 
-/// What the loss reads of a tile of rays after the forward pass.
+/// The arrays of a tile that the loss reads after the forward pass.
 pub struct RenderedTile<'a, B: Backend> {
     /// The rays with the targets of their pixels.
     pub rays: &'a Rays<B>,

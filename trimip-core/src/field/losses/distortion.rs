@@ -1,6 +1,6 @@
 //! The distortion loss of a ray (mip-NeRF 360, Barron et al. 2022, Eq. 15): L = Σ_ij w_i·w_j·|m_i − m_j| + ⅓·Σ_i w_i²·d_i. It is
 //! small where the weights of a ray are close together. Letters: w compositing weight of a sample, m its place along the ray, d
-//! its width, both as parameters of the ray's course in units of the box's longest side. `loss.distortion` is its weight.
+//! its width, both as parameters of the ray in units of the box's longest side. `loss.distortion` is its weight.
 
 use super::{ConeSamples, Definition, LossConfig, RaySample, RayTerm};
 use crate::{

@@ -110,7 +110,7 @@ pub trait Adjustment: Definition {
 /// The kept samples of a cone, front to back, and the target of its pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct ConeSamples<'a, R> {
-    /// What the pixel is compared with.
+    /// The target of the pixel.
     pub target: &'a Target,
     /// The samples.
     pub samples: &'a [RaySample<R>],
@@ -126,7 +126,7 @@ pub struct RaySample<R> {
     /// Parameter of its midpoint along the ray, in units of the box's longest side ([`along`](crate::Space::along)); not below
     /// that of the sample in front of it.
     pub place: R,
-    /// What the parameter grows by over the sample.
+    /// Growth of the parameter over the sample.
     pub width: R,
 }
 

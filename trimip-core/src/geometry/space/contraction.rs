@@ -59,7 +59,7 @@ impl<R: Real> Ball<R> {
         (n * n).recip()
     }
 
-    /// The course of a ray through contracted space.
+    /// How the parameter of steps along a ray through contracted space follows its distance.
     #[inline]
     pub fn parameterisation(&self, origin: [R; 3], direction: [R; 3]) -> Curve<R> {
         let u = self.relative(origin);

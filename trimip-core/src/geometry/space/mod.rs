@@ -58,7 +58,7 @@ impl<R: Real> Space<R> {
         self.ball.as_ref()
     }
 
-    /// The course of a ray.
+    /// How the parameter of steps along a ray follows its distance.
     #[inline]
     pub fn parameterisation(&self, origin: [R; 3], direction: [R; 3]) -> RayParameter<R> {
         match &self.ball {
@@ -103,7 +103,7 @@ impl<R: Real> Space<R> {
         self.ball.as_ref().map_or(R::one(), |ball| ball.radial(point))
     }
 
-    /// Place and width of a sample along a ray of this course: the parameter at its distance `t`, at `point`, and what it grows
+    /// Place and width of a sample along a ray of this parameterisation: the parameter at its distance `t`, at `point`, and what it grows
     /// by over its `length` in the units of the field's density; both in units of the box's longest side (4 radii of the ball).
     #[inline(always)]
     pub fn along(&self, parameterisation: &RayParameter<R>, point: [R; 3], t: R, length: R) -> [R; 2] {
@@ -127,7 +127,7 @@ impl<R: Real> Space<R> {
 }
 
 impl Space<f32> {
-    /// Upper bound on the steps of length `step` along a ray, plus one step for rounding at each end. The longest course is
+    /// Upper bound on the steps of length `step` along a ray, plus one step for rounding at each end. The longest ray is
     /// the diagonal of a bounded space, and 8 radii of an unbounded one.
     pub fn most_steps(&self, step: f32) -> usize {
         let [x, y, z] = self.aabb.extent().map(f64::from);
