@@ -15,7 +15,7 @@ program=${TRIMIP:-}
 [ -n "$program" ] || { cargo build --release --locked -q -p trimip-cli; program=target/release/trimip-cli; }
 
 "$program" "$data" --set train.steps="$steps" --set train.samples_per_step="$samples" --set eval.points=0 \
-  --set eval.share=0 --set eval.final=25 --out "$out/run" >"$out/log" &
+  --set eval.time_fraction=0 --set eval.final=25 --out "$out/run" >"$out/log" &
 pid=$!
 trap 'kill "$pid" 2>/dev/null || true' EXIT
 echo "second,resident_kb,open_files,threads,step" >"$out/watch.csv"

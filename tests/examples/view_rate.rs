@@ -68,7 +68,7 @@ fn main() {
         numbers.sort_by(f64::total_cmp);
         numbers
     };
-    let quantile = |numbers: &[f64], share: f64| numbers[((numbers.len() - 1) as f64 * share) as usize];
+    let quantile = |numbers: &[f64], fraction: f64| numbers[((numbers.len() - 1) as f64 * fraction) as usize];
     let (waited, bytes) = (column(1), column(2));
     println!("{renderer}, {side}×{side}, {step} moves of the mouse in {seconds:.1} s");
     println!("pictures per second: {:.1}", seen.len() as f64 / seconds);

@@ -139,7 +139,7 @@ pub fn tiny() -> Vec<&'static str> {
         "train.steps=20",
         "eval.points=2",
         "eval.stride=1",
-        "eval.share=0",
+        "eval.time_fraction=0",
         "eval.min_gain=0",
         "plan.detail=off",
         "plan.schedule=off",

@@ -396,8 +396,8 @@ impl Browser {
         };
         event("mousePressed", from, 1);
         for i in 1..=10 {
-            let share = f64::from(i) / 10.0;
-            event("mouseMoved", [0, 1].map(|c| from[c] + share * (to[c] - from[c])), 1);
+            let fraction = f64::from(i) / 10.0;
+            event("mouseMoved", [0, 1].map(|c| from[c] + fraction * (to[c] - from[c])), 1);
         }
         event("mouseReleased", to, 0);
     }

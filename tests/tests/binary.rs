@@ -37,7 +37,7 @@ fn assert_report(report: &Value, steps: u64, scales: usize) {
             scale["ms_ssim"].is_null() && scale["lpips"].is_null(),
             "too small, and without weights: {scale}"
         );
-        assert_eq!(scale["perceived"], 2);
+        assert_eq!(scale["perceptual_images"], 2);
         sum += scale["psnr"].as_f64().unwrap();
     }
     assert!((report["mean"]["psnr"].as_f64().unwrap() - sum / scales as f64).abs() < 1e-9);

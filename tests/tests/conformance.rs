@@ -212,7 +212,7 @@ fn ranks_that_add_gradients_learn_the_same() {
 fn more_ranks_than_parts_are_refused() {
     // What binds is named: the parts that the settings ask for, the samples of a step, the most parts there are.
     for (ranks, parts, samples, advice) in [
-        (5, 4, 262_144, "train.parts = 8"),
+        (5, 4, 262_144, "train.leaves = 8"),
         (17, 64, 16_384, "train.samples_per_step"),
         (65, 64, 262_144, "at most 64"),
     ] {
@@ -297,7 +297,7 @@ fn nothing_is_learned_from_ignored_pixels() {
 
 #[test]
 fn a_pixel_weighs_as_much_as_is_kept_of_it() {
-    on_every_cpu(|make| suite::masks::shares(make));
+    on_every_cpu(|make| suite::masks::fractions(make));
 }
 
 #[test]

@@ -109,14 +109,14 @@ fn every_step(config: &trimip_core::Config, ray: &Ray, offset: f32, bits: &[u8])
 #[test]
 fn skipping_empty_space_changes_no_sample() {
     let mut samples = 0;
-    for (resolution, share, seed) in
+    for (resolution, fraction, seed) in
         [(32, 0.02, 1), (64, 0.1, 2), (32, 0.5, 3), (20, 0.9, 4), (8, 0.1, 5), (4, 0.5, 6)]
     {
         let config = suite::marching::configuration(resolution);
         let parameters = fixtures::lively(&Layout::new(&config), 1);
         let backend = CpuBackend::new(1, Simd::detect()).unwrap();
         let mut bench = Bench::new(backend, &config, None, &parameters).unwrap();
-        let bits = suite::marching::bits(resolution, share, seed);
+        let bits = suite::marching::bits(resolution, fraction, seed);
         bench.stages.occupancy.restore(&bits, None);
         let rays = suite::marching::rays(seed);
         for jitter in [None, Some(3)] {

@@ -177,7 +177,7 @@ impl Store for Full {
 fn with_little_room(room: fn(u64) -> bool, views: bool) -> (Option<trimip_core::Error>, Full, Vec<Event>) {
     let mut config = suite::training::configuration();
     (config.train.steps, config.train.checkpoint_seconds) = (6, 1e-9);
-    (config.eval.points, config.eval.share, config.eval.min_gain) = (0, 0.0, 0.0);
+    (config.eval.points, config.eval.time_fraction, config.eval.min_gain) = (0, 0.0, 0.0);
     config.data.scales = 2;
     let backend = CpuBackend::new(1, Simd::detect()).expect("a thread");
     let mut trainer = Trainer::new(backend, &config, fixtures::noise(3, 16, 2, 2)).expect("views that fit");

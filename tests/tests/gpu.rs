@@ -282,7 +282,7 @@ fn nothing_is_learned_from_ignored_pixels() {
 
 #[test]
 fn a_pixel_weighs_as_much_as_is_kept_of_it() {
-    reproducibly(|make| suite::masks::shares(make));
+    reproducibly(|make| suite::masks::fractions(make));
 }
 
 #[test]

@@ -80,8 +80,8 @@ fn backends_show_the_same_picture() {
                 a.rgb.iter().zip(b.rgb).any(|(a, b)| (a - b).abs() > 1e-3)
                     || (a.opacity - b.opacity).abs() > 1e-3
             });
-            let share = apart.count() as f64 / on_cpu.pixels.len() as f64;
-            assert!(share < 0.01, "{share:.4} of the pixels differ");
+            let fraction = apart.count() as f64 / on_cpu.pixels.len() as f64;
+            assert!(fraction < 0.01, "{fraction:.4} of the pixels differ");
         }
         Ok(())
     });

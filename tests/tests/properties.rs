@@ -91,8 +91,8 @@ proptest! {
             (0..3).all(|i| p[i] >= aabb.min[i] - slack && p[i] <= aabb.max[i] + slack)
         };
         if enter < leave {
-            for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
-                prop_assert!(inside(enter + share * (leave - enter), 1e-9));
+            for fraction in [0.0, 0.25, 0.5, 0.75, 1.0] {
+                prop_assert!(inside(enter + fraction * (leave - enter), 1e-9));
             }
             prop_assert!(!inside(leave + 1e-3, 0.0));
             prop_assert!(enter < 1e-3 || !inside(enter - 1e-3, 0.0));

@@ -245,7 +245,7 @@ fn a_run_is_watched_paused_and_stopped() {
         }
     };
     let status = later(&mut page);
-    assert!(status["progress"].as_f64().is_some_and(|share| (0.0..1.0).contains(&share)), "{status}");
+    assert!(status["progress"].as_f64().is_some_and(|fraction| (0.0..1.0).contains(&fraction)), "{status}");
 
     // The model that is shown changes as it learns; no view is asked for again.
     page.send(&view(1, [3.0, 1.0, 2.0], 40, 30).to_string()).unwrap();

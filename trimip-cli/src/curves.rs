@@ -78,11 +78,11 @@ impl Curve {
                 let Some(before) = before else {
                     return Some(Reach { seconds: point.seconds, at_most: point.seconds > 0.0 });
                 };
-                let share = (psnr - before.psnr) / (point.psnr - before.psnr);
+                let fraction = (psnr - before.psnr) / (point.psnr - before.psnr);
                 if before.seconds <= 0.0 {
-                    return at(before.seconds + share * (point.seconds - before.seconds));
+                    return at(before.seconds + fraction * (point.seconds - before.seconds));
                 }
-                return at(before.seconds * (point.seconds / before.seconds).powf(share));
+                return at(before.seconds * (point.seconds / before.seconds).powf(fraction));
             }
             before = Some(point);
         }

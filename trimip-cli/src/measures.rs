@@ -11,22 +11,22 @@ pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
     let perception =
         [("MS-SSIM", (|m| m.ms_ssim) as fn(&Measures) -> f64), ("FLIP", |m| m.flip), ("LPIPS", |m| m.lpips)];
     let perception: Vec<_> = perception.into_iter().filter(|(_, of)| !of(&mean).is_nan()).collect();
-    let line = |name: &str, images: &str, psnr: [String; 6], shares: Vec<String>| {
+    let line = |name: &str, images: &str, psnr: [String; 6], fractions: Vec<String>| {
         let cells: Vec<String> = head
             .iter()
             .zip(psnr)
             .map(|(head, cell)| format!("{cell:>width$}", width = head.len().max(7)))
             .collect();
-        let shares: String = shares.iter().map(|share| format!("  {share:>7}")).collect();
-        format!("{name:>7}  {images:>6}  {}{shares}", cells.join("  "))
+        let fractions: String = fractions.iter().map(|fraction| format!("  {fraction:>7}")).collect();
+        format!("{name:>7}  {images:>6}  {}{fractions}", cells.join("  "))
     };
     let names = ["SSIM"].into_iter().chain(perception.iter().map(|(name, _)| *name));
     let mut lines = vec![line("scale", "images", head.map(String::from), names.map(String::from).collect())];
     let row = |name: &str, images: usize, m: &Measures| {
         let psnr = [m.psnr, m.psnr_plain, m.psnr_box, m.psnr_8bit, m.psnr_exposed, m.psnr_opposite];
-        let share = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.4}") };
-        let shares = [m.ssim].into_iter().chain(perception.iter().map(|(_, of)| of(m))).map(share);
-        line(name, &images.to_string(), psnr.map(|psnr| format!("{psnr:.3}")), shares.collect())
+        let fraction = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.4}") };
+        let fractions = [m.ssim].into_iter().chain(perception.iter().map(|(_, of)| of(m))).map(fraction);
+        line(name, &images.to_string(), psnr.map(|psnr| format!("{psnr:.3}")), fractions.collect())
     };
     lines.extend(scales.iter().map(|q| {
         let name = if q.scale == 1 { "full".to_string() } else { format!("1/{}", q.scale) };
@@ -47,7 +47,7 @@ mod tests {
         let scale = |scale, psnr| ScaleQuality {
             scale,
             images: 3,
-            perceived: 0,
+            perceptual_images: 0,
             measures: Measures { psnr, psnr_constant: 12.0, ssim: 0.5, ..Measures::UNKNOWN },
         };
         let lines = table(&[scale(1, 20.0), scale(2, 30.0)]);

@@ -1,7 +1,7 @@
 //! Training on several ranks with the bits of one. Neither a step's partial gradients nor the tree in which they are added up
 //! ([`ReductionTree`](crate::reduction_tree::ReductionTree)) depend on the number of ranks.
 //!
-//! An encoder that can be divided ([`Divided`](crate::encoders::Divided)) sums the parts of a step on the ranks that have them.
+//! An encoder that can be divided ([`Divided`](crate::encoders::Divided)) sums the leaves of a step on the ranks that have them.
 //! Each rank adds these sums up for a part of the parameters, updates it, and sends the others what changed. Any other encoder gets
 //! all partial gradients on every rank.
 
@@ -32,22 +32,22 @@ impl DataParallel {
     /// An exchange over `ranks` for steps with these settings.
     ///
     /// # Errors
-    /// When there are more ranks than parts.
+    /// When there are more ranks than leaves.
     pub fn new(ranks: Arc<dyn Ranks>, train: &TrainConfig) -> Result<Self> {
         let this_rank = ranks.rank();
         // Small steps have fewer sets of partial gradients than leaves are asked for.
-        let parts = ReductionTree::new(train.parts, partials(train.samples_per_step)).count();
-        if this_rank.size > parts {
+        let leaves = ReductionTree::new(train.leaves, partials(train.samples_per_step)).count();
+        if this_rank.size > leaves {
             let advice = match this_rank.size.next_power_of_two() {
                 65.. => "start at most 64 ranks".into(),
-                needed if needed > train.parts as usize => format!(
-                    "start fewer ranks, or begin a new run with train.parts = {needed} (a run keeps its parts)"
+                needed if needed > train.leaves as usize => format!(
+                    "start fewer ranks, or begin a new run with train.leaves = {needed} (a run keeps its leaves)"
                 ),
                 _ => "start fewer ranks, or begin a new run with a larger train.samples_per_step".into(),
             };
             return Err(Error::input(
                 format!("{} ranks", this_rank.size),
-                format!("a step of the CPU backend has {parts} parts here"),
+                format!("a step of the CPU backend has {leaves} leaves here"),
                 advice,
             ));
         }
@@ -98,14 +98,14 @@ impl Exchange<CpuBackend> for DataParallel {
             divided.divide(self.this_rank);
         }
         stages.field.fold(partials, self.this_rank);
-        let parts = stages.field.reduction_tree(partials.len());
-        let own = parts.of(self.this_rank).start;
+        let tree = stages.field.reduction_tree(partials.len());
+        let own = tree.of(self.this_rank).start;
         for to in self.others() {
             let out = &mut self.out[to];
             out.clear();
             partials[own].field.put(out);
             for partial in
-                partials.iter().enumerate().filter_map(|(i, d)| parts.has(self.this_rank, i).then_some(d))
+                partials.iter().enumerate().filter_map(|(i, d)| tree.has(self.this_rank, i).then_some(d))
             {
                 put_counted(out, &partial.sums.to_words());
                 if !is_divided {
@@ -118,8 +118,8 @@ impl Exchange<CpuBackend> for DataParallel {
         for from in self.others() {
             let mut reader = Reader::new(&self.into[from]);
             let this_rank = Rank { id: from, ..self.this_rank };
-            partials[parts.of(this_rank).start].field.take(&mut reader)?;
-            for (_, partial) in partials.iter_mut().enumerate().filter(|(i, _)| parts.has(this_rank, *i)) {
+            partials[tree.of(this_rank).start].field.take(&mut reader)?;
+            for (_, partial) in partials.iter_mut().enumerate().filter(|(i, _)| tree.has(this_rank, *i)) {
                 reader.list(&mut words)?;
                 partial.sums = StepResult::of_words(&words)?;
                 if !is_divided {

@@ -35,7 +35,7 @@ pub struct CpuField {
     view: usize,
     /// Padded width of the geometry features with their sines and cosines; 0 if there are none of these.
     shape: usize,
-    /// `train.parts`.
+    /// `train.leaves`.
     wanted_leaves: u32,
     /// Number of ranks whose sums of weight gradients are here; 0 if none is summed yet in this step.
     shared_by: usize,
@@ -259,7 +259,7 @@ impl CpuField {
             policy,
             view: padded_view,
             shape,
-            wanted_leaves: config.train.parts,
+            wanted_leaves: config.train.leaves,
             shared_by: 0,
         }
     }
@@ -297,10 +297,10 @@ impl CpuField {
     }
 
     /// Replaces the geometry features of each group of samples by their weighted mean, in the group's first row. `kept`
-    /// lists these rows. `shares` has one value per sample: its weight in its group, negative for all samples of a group
+    /// lists these rows. `fractions` has one value per sample: its weight in its group, negative for all samples of a group
     /// but the first.
-    pub(crate) fn blend(&self, context: &mut Context, kept: &[u32], shares: &[f32]) {
-        context.density.blend(&self.density, kept, shares);
+    pub(crate) fn blend(&self, context: &mut Context, kept: &[u32], fractions: &[f32]) {
+        context.density.blend(&self.density, kept, fractions);
     }
 
     /// Replaces the density network's rows by the rows `rows` of another context.

@@ -81,8 +81,8 @@ impl Hybrid {
         let Workspace { stream, samples, field_context, radiance, kept, .. } = workspace;
         let Samples { segments, intervals, .. } = samples;
         kept.clear();
-        groups.shares.clear();
-        groups.shares.resize(radiance.len(), 1.0);
+        groups.fractions.clear();
+        groups.fractions.resize(radiance.len(), 1.0);
         for (segment, &sure) in segments.iter_mut().zip(sure) {
             let (rows, start) = (segment.range(), kept.len());
             if sure {
@@ -93,7 +93,7 @@ impl Hybrid {
             *segment = Segment { start: start as u32, count: (kept.len() - start) as u32 };
         }
         if kept.len() < radiance.len() {
-            field.blend(field_context, kept, &groups.shares);
+            field.blend(field_context, kept, &groups.fractions);
             samples.rays.keep_rows(kept, 1);
             samples.intervals.keep_rows(kept, 1);
             samples.spheres.keep_rows(kept, 1);
@@ -108,7 +108,7 @@ impl Hybrid {
         intervals: &mut [Interval],
         radiance: &mut [Radiance],
         kept: &mut Buffer<u32>,
-        Groups { samples, shares }: &mut Groups,
+        Groups { samples, fractions }: &mut Groups,
     ) {
         let first = rows.start;
         samples.clear();
@@ -126,8 +126,8 @@ impl Hybrid {
             }
             let (mut depth, mut moment, mut length) = (0.0, 0.0, 0.0);
             for (row, sample) in (own..).zip(group) {
-                let share = sample.weight / sum;
-                shares[row] = if row == own { share } else { -share.max(f32::MIN_POSITIVE) };
+                let fraction = sample.weight / sum;
+                fractions[row] = if row == own { fraction } else { -fraction.max(f32::MIN_POSITIVE) };
                 depth += sample.depth;
                 moment += sample.weight * sample.t;
                 length += intervals[row].length;
@@ -144,5 +144,5 @@ pub(crate) struct Groups {
     /// The samples of a ray.
     samples: Vec<Shaded>,
     /// One per sample: its weight in its group, negative for all samples of a group but the first.
-    shares: Vec<f32>,
+    fractions: Vec<f32>,
 }

@@ -92,15 +92,15 @@ impl Loss<CpuBackend> for CpuLoss {
                 let gradients = &mut radiance_gradients[own];
                 let cone = ConeSamples { target, samples: &samples };
                 for (term, weight) in &self.ray_terms {
-                    let share = weight * target.weight / group.count as f32;
+                    let fraction = weight * target.weight / group.count as f32;
                     by_depth.clear();
                     by_depth.resize(samples.len(), 0.0);
                     let value = term.evaluate(&self.config, &cone, &mut by_depth);
                     for ((gradient, by_depth), interval) in gradients.iter_mut().zip(&by_depth).zip(intervals)
                     {
-                        gradient.density += share * by_depth * interval.length;
+                        gradient.density += fraction * by_depth * interval.length;
                     }
-                    sums.sums.loss += f64::from(share * value);
+                    sums.sums.loss += f64::from(fraction * value);
                 }
             }
         }

@@ -17,7 +17,7 @@ const PROGRAM: u64 = 20_000_000;
 const AT_ONCE: f64 = 1.3;
 
 /// Capacity of partial gradients relative to the target number of samples: their fill level varies, and they grow by doubling.
-const DEPOSITS_GROWN: f64 = 2.5;
+const GRADIENTS_GROWN: f64 = 2.5;
 
 /// Bytes of a float or an index.
 const WORD: usize = 4;
@@ -67,7 +67,7 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, partials: usize
         ),
         (
             "feature gradients of a step".into(),
-            grown(gradient_memory.by_sample * config.train.samples_per_step as usize, DEPOSITS_GROWN)
+            grown(gradient_memory.by_sample * config.train.samples_per_step as usize, GRADIENTS_GROWN)
                 .max((gradient_memory.by_sample * first_rays(config) as usize * longest_ray(config)) as u64),
         ),
         (

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_part_has_one_rank_and_every_rank_a_subtree() {
+    fn every_leaf_has_one_rank_and_every_rank_a_subtree() {
         for wanted in [1, 2, 4, 8, 64] {
             for partials in [1, 3, 16, 256] {
                 let leaves = ReductionTree::new(wanted, partials);

@@ -229,8 +229,8 @@ impl Renderer<CpuBackend> for CpuRenderer {
         let (rays, samples) = (tile.rays, tile.samples);
         radiance_gradients.resize(radiance.len());
         for (group, &gradient) in rays.groups.iter().zip(pixel_gradients.iter()) {
-            let share = (group.count as f32).recip();
-            let gradient = gradient.map(|g| g * share);
+            let fraction = (group.count as f32).recip();
+            let gradient = gradient.map(|g| g * fraction);
             for (cone, segment) in cones[group.range()].iter().zip(&samples.segments[group.range()]) {
                 let first = segment.start as usize;
                 composite_gradient(

@@ -66,7 +66,7 @@ impl Sampler<CpuBackend> for CpuSampler {
         rays.photographs.clear();
         rays.first = allocation.cones_before(range.start);
         let (policy, Some(views)) = (&self.policy, &self.views) else { return };
-        let (scale_weights, random_share) = (policy.scale_weights(), policy.random_share());
+        let (scale_weights, random_background) = (policy.scale_weights(), policy.random_background());
         // Random pixels are not in any cache: several are prefetched before the first is read.
         let mut drawn = [(0, 0); AHEAD];
         for (slot, index) in range.clone().enumerate() {
@@ -95,15 +95,15 @@ impl Sampler<CpuBackend> for CpuSampler {
                 weight = 0.0;
             }
             let mut background = policy.background;
-            if random_share > 0.0 {
+            if random_background > 0.0 {
                 let [r, g, b, chance] = policy.random.uniform(Sequence::Background, step, index);
-                if chance < random_share {
+                if chance < random_background {
                     background = [r, g, b];
                 }
             }
             rays.targets.push(Target {
                 rgb: composite_pixel(views.pixels[pixel], views.alpha, background),
-                weight: weight * views.alpha.share(views.pixels[pixel]),
+                weight: weight * views.alpha.fraction(views.pixels[pixel]),
                 background,
                 opacity: views.alpha.opacity(views.pixels[pixel]),
                 exponent,

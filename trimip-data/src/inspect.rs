@@ -67,7 +67,7 @@ pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
     }
     if let Some(scale) = train.scales.first() {
         let pixels = &train.pixels[scale.pixels.clone()];
-        let share = |test: &dyn Fn(u8) -> bool| {
+        let fraction = |test: &dyn Fn(u8) -> bool| {
             100.0 * pixels.iter().filter(|pixel| test(pixel[3])).count() as f64 / pixels.len().max(1) as f64
         };
         let [whole, part, none] = match train.alpha {
@@ -76,9 +76,9 @@ pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
         };
         lines.push(format!(
             "train: {:.1} % of the pixels are {whole}, {:.1} % {part}, {:.1} % {none}",
-            share(&|alpha| alpha == 255),
-            share(&|alpha| alpha != 0 && alpha != 255),
-            share(&|alpha| alpha == 0),
+            fraction(&|alpha| alpha == 255),
+            fraction(&|alpha| alpha != 0 && alpha != 255),
+            fraction(&|alpha| alpha == 0),
         ));
     }
     for scale in &train.scales {

@@ -68,10 +68,10 @@ impl Mask {
     /// # Errors
     /// If the mask cannot be decoded.
     pub(crate) fn apply(&self, pixels: &mut [[u8; 4]]) -> Result<()> {
-        let shares = shares(self.file.image()?, self.white, self.role);
-        for (pixel, share) in pixels.iter_mut().zip(shares) {
-            let alpha = (u32::from(pixel[3]) * u32::from(share) + 127) / 255;
-            *pixel = if share == 0 { [0; 4] } else { [pixel[0], pixel[1], pixel[2], alpha as u8] };
+        let fractions = fractions(self.file.image()?, self.white, self.role);
+        for (pixel, fraction) in pixels.iter_mut().zip(fractions) {
+            let alpha = (u32::from(pixel[3]) * u32::from(fraction) + 127) / 255;
+            *pixel = if fraction == 0 { [0; 4] } else { [pixel[0], pixel[1], pixel[2], alpha as u8] };
         }
         Ok(())
     }
@@ -79,11 +79,11 @@ impl Mask {
 
 /// The kept share of each pixel of a mask of an object whose white is kept.
 pub(crate) fn kept(image: DynamicImage) -> Vec<u8> {
-    shares(image, true, Role::Object)
+    fractions(image, true, Role::Object)
 }
 
 /// The kept share of each pixel of a mask.
-fn shares(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
+fn fractions(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
     let transparent = image.color().has_alpha();
     let rgba = image.into_rgba16().into_raw();
     let pixels = rgba.as_chunks::<4>().0;
@@ -96,12 +96,12 @@ fn shares(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
     // Masks of two values may have any number for white: 1, 128, 255.
     let most = pixels.iter().map(grey).max().unwrap_or(0);
     let two_values = pixels.iter().map(grey).all(|value| value == 0 || value == most);
-    let share = |value: u16| match value {
+    let fraction = |value: u16| match value {
         0 => 0,
         _ if two_values || role == Role::Ignore => 255,
         _ => ((u32::from(value) + 128) / 257) as u8,
     };
-    pixels.iter().map(|pixel| if white { share(grey(pixel)) } else { 255 - share(grey(pixel)) }).collect()
+    pixels.iter().map(|pixel| if white { fraction(grey(pixel)) } else { 255 - fraction(grey(pixel)) }).collect()
 }
 
 #[cfg(test)]
@@ -113,7 +113,7 @@ mod tests {
     where
         DynamicImage: From<ImageBuffer<P, Vec<P::Subpixel>>>,
     {
-        shares(ImageBuffer::from_fn(4, 1, |x, _| pixels[x as usize]).into(), white, role)
+        fractions(ImageBuffer::from_fn(4, 1, |x, _| pixels[x as usize]).into(), white, role)
     }
 
     #[test]

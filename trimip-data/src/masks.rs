@@ -222,14 +222,14 @@ pub(crate) fn described(sources: &[Source], set: &ViewSet) -> Option<String> {
     let masks: Vec<&Mask> = sources.iter().filter_map(|source| source.mask.as_ref()).collect();
     let first = masks.first()?;
     let kept = measured(sources, set);
-    let share = kept.iter().map(|(_, kept)| kept.all).sum::<f64>() / kept.len().max(1) as f64;
+    let fraction = kept.iter().map(|(_, kept)| kept.all).sum::<f64>() / kept.len().max(1) as f64;
     Some(format!(
         "masks of {} of {}, the first {}: {} is kept, {:.1} % of the pixels; the rest is {}",
         masks.len(),
         count(sources.len(), "photograph"),
         first.path().display(),
         if first.keeps_white() { "white" } else { "black" },
-        100.0 * share,
+        100.0 * fraction,
         match first.role() {
             Role::Object => "empty space",
             Role::Ignore => "neither trained nor evaluated",

@@ -108,8 +108,8 @@ mod tests {
             let pixel = [byte; 4];
             assert_eq!(store(straight(pixel), Alpha::Straight), pixel);
             assert_eq!(store(straight(pixel), Alpha::Premultiplied), pixel);
-            for share in 1..=255 {
-                let pixel = [byte, 0, 255, share];
+            for fraction in 1..=255 {
+                let pixel = [byte, 0, 255, fraction];
                 assert_eq!(store(premultiplied(pixel), Alpha::Kept), pixel);
             }
         }

@@ -143,8 +143,8 @@ const STOPS: [[f32; 3]; 6] = [
 ];
 
 /// The colour of a share of the scale.
-fn scale(share: f32) -> [f32; 3] {
-    let at = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
+fn scale(fraction: f32) -> [f32; 3] {
+    let at = fraction.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
     let lower = (at as usize).min(STOPS.len() - 2);
     let part = at - lower as f32;
     std::array::from_fn(|c| STOPS[lower][c] + part * (STOPS[lower + 1][c] - STOPS[lower][c]))

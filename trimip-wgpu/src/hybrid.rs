@@ -54,7 +54,7 @@ shared! {
         max_depth: f32,
         min_weight: f32,
         /// See [`Rule`].
-        share: f32,
+        shared_weight: f32,
         reach: f32,
         /// Width of the density network's output: a logit, geometry features, zeros.
         outputs: u32,
@@ -254,7 +254,7 @@ impl Hybrid {
             // WGSL cannot express infinity.
             max_depth: renderer.policy.pruning.max_depth.min(f32::MAX),
             min_weight: renderer.policy.pruning.min_weight,
-            share: self.rule.share,
+            shared_weight: self.rule.shared_weight,
             reach: self.rule.reach,
             outputs: field.outputs() as u32,
             geometry: field.geometry() as u32,

@@ -1,6 +1,6 @@
 //! The terms of the loss on the GPU: the list of their WGSL in `shaders/losses`, composed into the kernels of the loss. A file
 //! defines a function of the term's name: `fn NAME(difference, numbers) -> vec2` of a photometric term, `fn NAME(pixel, at,
-//! numbers, factor, gradient) -> f32` of a term of pixels, `fn NAME(cone, share) -> f32` of a term of rays.
+//! numbers, factor, gradient) -> f32` of a term of pixels, `fn NAME(cone, fraction) -> f32` of a term of rays.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
@@ -176,7 +176,7 @@ macro_rules! losses {
         /// The function of each term of rays, and the one that calls it.
         const RAY_SOURCES: [&str; RAY_TERMS.len()] = [$(concat!(
             include_str!(concat!("shaders/losses/", stringify!($ray), ".wgsl")),
-            "fn ray_term(cone: u32, share: f32) -> f32 {\n    return ", stringify!($ray), "(cone, share);\n}\n",
+            "fn ray_term(cone: u32, fraction: f32) -> f32 {\n    return ", stringify!($ray), "(cone, fraction);\n}\n",
         )),*];
 
         /// Names of the terms of pixels and of rays.

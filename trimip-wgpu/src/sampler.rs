@@ -59,7 +59,7 @@ shared! {
         background_draws: [u32; 4],
         background: [f32; 3],
         /// Fraction of the pixels that get a random background.
-        random_share: f32,
+        random_background: f32,
         /// Number of pixels of the step; index of the first pixel and number of pixels of this tile.
         total: u32,
         first: u32,
@@ -319,7 +319,7 @@ impl Sampler<WgpuBackend> for WgpuSampler {
         let params = Params {
             draws: policy.random.at(Sequence::Pixel, step).words(),
             background_draws: policy.random.at(Sequence::Background, step).words(),
-            random_share: policy.random_share(),
+            random_background: policy.random_background(),
             total: allocation.pixels(),
             first: range.start,
             count: range.len() as u32,

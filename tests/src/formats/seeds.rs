@@ -285,7 +285,7 @@ pub(super) fn events() -> Vec<Vec<u8>> {
         scales: vec![ScaleQuality {
             scale: 1,
             images: 4,
-            perceived: 0,
+            perceptual_images: 0,
             measures: Measures { psnr: 30.5, ssim: 0.9, ..Measures::UNKNOWN },
         }],
         psnr: 30.5,

@@ -72,8 +72,8 @@ impl HashGrid {
         let angles = [0.0, 2.0, 4.0, 3.0, 5.0, 1.0].map(|sixth| sixth * std::f64::consts::PI / 3.0);
         let point = |(j, angle): (usize, &f64)| {
             let root = ((h * h - s * s).powi(2) + 4.0 * s.powi(4)).sqrt();
-            let share = 3.0 / 7_f64.sqrt() * (2.0 * j as f64 / 5.0 - 1.0);
-            let z = t0 + h / (h * h + 3.0 * s * s) * (t1 * t1 + 2.0 * s * s + share * root);
+            let offset = 3.0 / 7_f64.sqrt() * (2.0 * j as f64 / 5.0 - 1.0);
+            let z = t0 + h / (h * h + 3.0 * s * s) * (t1 * t1 + 2.0 * s * s + offset * root);
             let radius = sample.radius / s * z;
             let offset = (z - s) * d + radius / 2_f64.sqrt() * (angle.cos() * u + angle.sin() * v);
             let place = [0, 1, 2].map(|i| (sample.position[i] + offset[i] / self.extent[i]).clamp(0.0, 1.0));
@@ -93,12 +93,12 @@ impl Literal for HashGrid {
             let (scale, side, entries) = self.level(level);
             let mut sum = vec![0.0; width];
             for (position, deviation) in &points {
-                let share = match self.config.downweight {
+                let level_weight = match self.config.downweight {
                     true if *deviation > 0.0 => erf(1.0 / (8.0 * (deviation * (scale + 1.0)).powi(2)).sqrt()),
                     _ => 1.0,
                 };
                 for corner in 0..8_u64 {
-                    let (mut at, mut weight) = ([0_u64; 3], share / points.len() as f64);
+                    let (mut at, mut weight) = ([0_u64; 3], level_weight / points.len() as f64);
                     for axis in 0..3 {
                         let place = position[axis] * scale + 0.5;
                         let upper = corner >> axis & 1;

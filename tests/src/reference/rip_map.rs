@@ -154,12 +154,12 @@ impl Literal for RipMap {
             for channel in 0..CHANNELS {
                 let mut sum = 0.0;
                 for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                    let share = |a: usize, upper: usize| {
+                    let level_weight = |a: usize, upper: usize| {
                         let fraction = levels[a] - lower[a] as f64;
                         if upper == 1 { fraction } else { 1.0 - fraction }
                     };
                     let level = [(lower[0] + i).min(top), (lower[1] + j).min(top)];
-                    sum += share(0, i) * share(1, j) * plane.bilinear(level, at, channel);
+                    sum += level_weight(0, i) * level_weight(1, j) * plane.bilinear(level, at, channel);
                 }
                 features.push(sum);
             }

@@ -134,10 +134,10 @@ impl Reference {
                     .sum::<f64>()
                     + end * background[c];
                 let difference = pixel - f64::from(target.rgb[c]);
-                let share = f64::from(target.weight) / 3.0;
+                let fraction = f64::from(target.weight) / 3.0;
                 let size = difference.abs();
-                loss += share * if size < beta { size * size / (2.0 * beta) } else { size - beta / 2.0 };
-                *by_pixel = share * (difference / beta).clamp(-1.0, 1.0);
+                loss += fraction * if size < beta { size * size / (2.0 * beta) } else { size - beta / 2.0 };
+                *by_pixel = fraction * (difference / beta).clamp(-1.0, 1.0);
             }
             let shine = |rgb: &[f64; 3]| (0..3).map(|c| by_pixel[c] * rgb[c]).sum::<f64>();
             let mut by_view = vec![0.0; self.color[0].outputs];

@@ -111,7 +111,7 @@ pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     // A pixel of the finest scale is 0.204 units wide in the middle of the box.
     (config.renderer.cones, config.renderer.cone_width) = (4, 0.204);
     config.train.cones = Schedule::new(vec![[0.0, 1.0], [0.5, 3.0]]);
-    config.train.scale_balance = Schedule::new(vec![[0.0, 0.5]]);
+    config.train.scale_weighting = Schedule::new(vec![[0.0, 0.5]]);
     let views = noise(3, 24, 3, 21);
     let parameters = lively(&Layout::new(&config), 1);
     let mut bench = Bench::new(make(), &config, Some(views.clone()), &parameters)?;
@@ -220,10 +220,10 @@ pub fn equal<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         );
         for (i, found) in gradients.iter().enumerate() {
             let expected = gradient[i % cone.len()];
-            let share = |value: f32| value / count as f32;
+            let fraction = |value: f32| value / count as f32;
             assert!(
-                close(found.density, share(expected.density))
-                    && (0..3).all(|c| close(found.rgb[c], share(expected.rgb[c]))),
+                close(found.density, fraction(expected.density))
+                    && (0..3).all(|c| close(found.rgb[c], fraction(expected.rgb[c]))),
                 "{count} cones, sample {i}: {found:?}, not a {count}th of {expected:?}"
             );
         }

@@ -43,10 +43,10 @@ fn model(config: &Config, parameters: &[f32]) -> Result<Model> {
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    for (resolution, share) in [(32, 0.5), (20, 0.9), (32, 0.02)] {
+    for (resolution, fraction) in [(32, 0.5), (20, 0.9), (32, 0.02)] {
         let config = configuration(resolution);
         let mut bench = Bench::new(make(), &config, None, &lively(&Layout::new(&config), 1))?;
-        let bits = super::marching::bits(resolution, share, 5);
+        let bits = super::marching::bits(resolution, fraction, 5);
         bench.stages.occupancy.restore(&bits, None);
         let rays = super::marching::rays(3);
         let found = super::marching::marched(&mut bench, &rays, None);

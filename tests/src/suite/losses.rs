@@ -286,7 +286,7 @@ fn assert_densities(given: &Given, config: &Config, found: &Found, pixel: usize,
     let (target, group) = (&given.targets[pixel], &given.groups[pixel]);
     let cones = given.cones(config, pixel);
     let of = |cones: &[Vec<_>]| f64::from(target.weight) * loss::of_cones(config, target, cones);
-    let share = f64::from(target.weight / group.count as f32).max(1.0);
+    let fraction = f64::from(target.weight / group.count as f32).max(1.0);
     let samples =
         cones.iter().enumerate().flat_map(|(cone, samples)| (0..samples.len()).map(move |k| (cone, k)));
     for (cone, k) in samples.take_while(|_| pixel < DIFFERENTIATED) {
@@ -300,7 +300,7 @@ fn assert_densities(given: &Given, config: &Config, found: &Found, pixel: usize,
         let slope = (at(STEP) - at(-STEP)) / (2.0 * STEP) * length;
         let found = found.by_density[i];
         let error = (found - slope).abs();
-        assert!(error < TOLERANCE * share, "{place}: pixel {pixel}, sample {i}: {found}, not {slope}");
+        assert!(error < TOLERANCE * fraction, "{place}: pixel {pixel}, sample {i}: {found}, not {slope}");
     }
     of(&cones)
 }

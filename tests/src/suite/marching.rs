@@ -57,8 +57,8 @@ pub fn rays(seed: u64) -> Vec<Ray> {
     rays
 }
 
-/// One bit per cell: a fraction `share` is set, singly or in slabs that leave whole blocks empty.
-pub fn bits(resolution: u32, share: f64, seed: u64) -> Vec<u8> {
+/// One bit per cell: a fraction `fraction` is set, singly or in slabs that leave whole blocks empty.
+pub fn bits(resolution: u32, fraction: f64, seed: u64) -> Vec<u8> {
     let mut random = TestRandom::new(seed);
     let cells = resolution.pow(3);
     let blocks: Vec<bool> =
@@ -68,7 +68,7 @@ pub fn bits(resolution: u32, share: f64, seed: u64) -> Vec<u8> {
         let [x, y, z] = [cell % resolution, cell / resolution % resolution, cell / resolution / resolution];
         let side = resolution.div_ceil(4);
         let block = blocks[(x / 4 + side * (y / 4 + side * (z / 4))) as usize];
-        if block && random.between(0.0, 1.0) < share {
+        if block && random.between(0.0, 1.0) < fraction {
             bits[cell as usize / 8] |= 1 << (cell % 8);
         }
     }
@@ -111,14 +111,14 @@ pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u6
 /// When the backend refuses the configuration.
 pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     // The widest of the cones has a radius of 0.05 in the middle of the box; 0.2 is several steps of the finer grids.
-    for (resolution, share, per_radius) in
+    for (resolution, fraction, per_radius) in
         [(32, 0.02, 0.0), (32, 0.5, 0.0), (20, 0.9, 0.0), (8, 0.1, 0.0), (32, 0.5, 0.2), (20, 0.9, 0.7)]
     {
         let mut config = configuration(resolution);
         config.renderer.step_per_radius = per_radius;
         let parameters = lively(&Layout::new(&config), 1);
         let mut bench = Bench::new(make(), &config, None, &parameters)?;
-        let bits = bits(resolution, share, 5);
+        let bits = bits(resolution, fraction, 5);
         bench.stages.occupancy.restore(&bits, None);
         assert_eq!(bench.stages.occupancy.bits(), bits, "bits survive");
         let rays = rays(3);

@@ -36,9 +36,9 @@ pub fn half(garbage: u64) -> ViewSet {
 }
 
 /// The same photographs with one share kept of every pixel.
-fn uniform(share: u8) -> ViewSet {
+fn uniform(fraction: u8) -> ViewSet {
     let mut views = ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) };
-    views.pixels.iter_mut().for_each(|pixel| pixel[3] = share);
+    views.pixels.iter_mut().for_each(|pixel| pixel[3] = fraction);
     views
 }
 
@@ -76,7 +76,7 @@ pub fn garbage<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 ///
 /// # Errors
 /// When a step fails.
-pub fn shares<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+pub fn fractions<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let config = everything();
     let mut trainer = Trainer::new(make(), &config, uniform(0))?;
     let before = trainer.parameters();
@@ -106,13 +106,13 @@ pub fn measures<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let config = configuration();
     let mut trainer = Trainer::new(make(), &config, half(1))?;
     // One frame of one view at each of two scales, and one that is masked as a whole.
-    let frame = |garbage: u64, share: Option<u8>| {
+    let frame = |garbage: u64, fraction: Option<u8>| {
         let mut set = half(garbage);
         for scale in &mut set.scales {
             scale.views = scale.views.start..scale.views.start + 1;
         }
-        if let Some(share) = share {
-            set.pixels.iter_mut().for_each(|pixel| pixel[3] = share);
+        if let Some(fraction) = fraction {
+            set.pixels.iter_mut().for_each(|pixel| pixel[3] = fraction);
         }
         set
     };

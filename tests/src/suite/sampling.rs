@@ -15,7 +15,7 @@ use trimip_core::{
 /// When the backend refuses the configuration.
 pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut config = small();
-    config.train.scale_balance = Schedule::new(vec![[0.0, 0.0], [0.5, 0.5], [0.9, 1.0]]);
+    config.train.scale_weighting = Schedule::new(vec![[0.0, 0.0], [0.5, 0.5], [0.9, 1.0]]);
     let views = noise(3, 32, 3, 4);
     let finest = views.views[0].camera.intrinsics.fx.recip() / std::f64::consts::PI.sqrt();
     let parameters = lively(&Layout::new(&config), 1);
@@ -27,7 +27,7 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         (0.5, [2_401, 1_200, 600], [1.0, 2.0, 4.0]),
         (1.0, [1_401, 1_400, 1_400], [1.0, 1.0, 1.0]),
     ];
-    for (progress, shares, weights) in expected {
+    for (progress, fractions, weights) in expected {
         let Bench { backend, stages, workspace, .. } = &mut bench;
         stages.sampler.set_progress(progress);
         let allocation = stages.sampler.scale_weights().allocate(4_201);
@@ -40,7 +40,7 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             found[scale] += 1;
             assert!((target.weight - weights[scale]).abs() < 1e-6, "weight {} at {progress}", target.weight);
         }
-        assert_eq!(found, shares, "{progress}");
+        assert_eq!(found, fractions, "{progress}");
     }
     Ok(())
 }
@@ -54,9 +54,9 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     const RAYS: u32 = 4_000;
     let mut config = small();
     config.data.background = [0.25, 0.5, 0.75];
-    config.train.background_share = Schedule::new(vec![[0.0, 1.0], [0.5, 0.25], [0.9, 0.0]]);
+    config.train.background_fraction = Schedule::new(vec![[0.0, 1.0], [0.5, 0.25], [0.9, 0.0]]);
     let parameters = lively(&Layout::new(&config), 1);
-    for (background, shares) in
+    for (background, fractions) in
         [(TrainBackground::Fixed, [0.0; 3]), (TrainBackground::Random, [1.0, 0.25, 0.0])]
     {
         config.train.background = background;
@@ -64,7 +64,7 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         // Transparent photographs: only the background is visible.
         views.pixels.iter_mut().for_each(|pixel| pixel[3] = 0);
         let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
-        for (progress, share) in [0.2, 0.7, 0.95].into_iter().zip(shares) {
+        for (progress, fraction) in [0.2, 0.7, 0.95].into_iter().zip(fractions) {
             let Bench { backend, stages, workspace, .. } = &mut bench;
             stages.sampler.set_progress(progress);
             let allocation = stages.sampler.scale_weights().allocate(RAYS);
@@ -73,8 +73,8 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             assert!(targets.iter().all(|target| target.rgb == target.background));
             let own = targets.iter().filter(|target| target.background != config.data.background);
             // Five standard deviations.
-            let bound = 5.0 * (f64::from(RAYS) * share * (1.0 - share)).sqrt();
-            assert!((own.count() as f64 - f64::from(RAYS) * share).abs() <= bound, "{share} at {progress}");
+            let bound = 5.0 * (f64::from(RAYS) * fraction * (1.0 - fraction)).sqrt();
+            assert!((own.count() as f64 - f64::from(RAYS) * fraction).abs() <= bound, "{fraction} at {progress}");
         }
     }
     Ok(())

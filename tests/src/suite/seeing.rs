@@ -22,7 +22,7 @@ const LIMITS: [(f32, f32); 4] = [(0.0, 0.0), (1e-4, 0.0), (0.3, 0.0), (1e-3, 0.0
 const MARGIN: f64 = 2e-3;
 
 /// Fraction of rays that may have such a decision.
-const DOUBTFUL_SHARE: f64 = 0.1;
+const DOUBTFUL_FRACTION: f64 = 0.1;
 
 /// Features and densities: the errors of both stages in [`super::stages`], compounded.
 const TOLERANCE: f64 = 5e-4;
@@ -103,8 +103,8 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         }
         assert!(row > 300, "the rays see something");
         assert_eq!(dropped > 100, limits.0 > 0.0, "limits {limits:?} drop {dropped} samples");
-        let share = doubtful as f64 / marched.len() as f64;
-        assert!(share <= DOUBTFUL_SHARE, "{limits:?}: {doubtful} rays are near a limit");
+        let fraction = doubtful as f64 / marched.len() as f64;
+        assert!(fraction <= DOUBTFUL_FRACTION, "{limits:?}: {doubtful} rays are near a limit");
     }
     Ok(())
 }

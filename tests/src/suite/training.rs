@@ -65,7 +65,7 @@ pub fn scheduled() -> Result<Config> {
         untouched = "skip"
         [train]
         batch_scale = [[0.0, 0.5], [0.15, 1.0]]
-        scale_balance = [[0.0, 0.0], [0.18, 0.5]]
+        scale_weighting = [[0.0, 0.0], [0.18, 0.5]]
         background = "random"
     "#;
     let mut settings = trimip::settings::defaults();

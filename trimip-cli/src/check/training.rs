@@ -128,11 +128,11 @@ fn untouched<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             worst(moved),
             bound,
         ));
-        let share = still.len() as f64 / after.len() as f64;
+        let fraction = still.len() as f64 / after.len() as f64;
         tell(found(
             format!("texels without a gradient, \"{name}\""),
             "there are such",
-            if share > 0.1 { 0.0 } else { 1.0 },
+            if fraction > 0.1 { 0.0 } else { 1.0 },
             0.0,
         ));
     }

@@ -27,10 +27,10 @@ fn color(difference: f32) -> [u8; 3] {
     let last = COLORS.len() - 1;
     let place = (difference / MOST).clamp(0.0, 1.0) * last as f32;
     let before = (place as usize).min(last - 1);
-    let share = place - before as f32;
+    let fraction = place - before as f32;
     std::array::from_fn(|c| {
         let (a, b) = (f32::from(COLORS[before][c]), f32::from(COLORS[before + 1][c]));
-        (a + share * (b - a)).round() as u8
+        (a + fraction * (b - a)).round() as u8
     })
 }
 

@@ -108,7 +108,7 @@ fn quality(report: &Report<'_>) -> String {
     if !e.last {
         note += &format!("That is every {}. one; the final evaluation is not made yet. ", e.stride);
     }
-    note += &text::perceived(report);
+    note += &text::perceptual(report);
     if let Some(remark) = mean_quality(&e.scales).remark() {
         note += &format!("Remark: {}. ", escape(&remark));
     }

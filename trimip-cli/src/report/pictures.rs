@@ -76,15 +76,15 @@ fn by_error(views: &[ViewRecord]) -> Vec<&ViewRecord> {
 /// The worst and the best views: their names, and their pictures if there are any.
 fn extremes(ordered: &[&ViewRecord], images: &Path) -> Result<String> {
     let count = (ordered.len() / 2).clamp(1, NAMED);
-    let perceived: Vec<_> =
+    let perceptual: Vec<_> =
         PERCEPTION.into_iter().filter(|(_, of)| ordered.iter().any(|view| of(view).is_some())).collect();
     let list = |title: &str, views: &mut dyn Iterator<Item = &&ViewRecord>| {
         let mut head = [title, "PSNR / dB", "SSIM"].map(String::from).to_vec();
-        head.extend(perceived.iter().map(|(name, _)| name.to_string()));
+        head.extend(perceptual.iter().map(|(name, _)| name.to_string()));
         let rows = views.map(|v| {
             let mut row = vec![v.name.clone(), measure(v.psnr, 2), measure(v.ssim, 4)];
             row.extend(
-                perceived.iter().map(|(_, of)| of(v).map_or("–".into(), |value| format!("{value:.4}"))),
+                perceptual.iter().map(|(_, of)| of(v).map_or("–".into(), |value| format!("{value:.4}"))),
             );
             row
         });

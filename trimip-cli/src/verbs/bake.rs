@@ -36,8 +36,8 @@ pub fn run(arguments: &BakeArguments) -> Result<u8> {
     let mut viewer = backends::load(&model)?;
     let started = Instant::now();
     let bar = bar("{bar:30} {percent:>3} %  {eta} left", BAR);
-    let proxy = bake(viewer.as_mut(), &model, &Baking::of(&model.config), &mut |share| {
-        bar.set_position((share * BAR as f64) as u64);
+    let proxy = bake(viewer.as_mut(), &model, &Baking::of(&model.config), &mut |fraction| {
+        bar.set_position((fraction * BAR as f64) as u64);
         !stop.load(Ordering::Relaxed)
     })?;
     bar.finish_and_clear();

@@ -66,8 +66,8 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     };
     let started = Instant::now();
     let bar = bar("{bar:30} {percent:>3} %  {eta} left", BAR);
-    let extracted = mesh::extract(viewer.as_mut(), &model, &what, cameras, &mut |share| {
-        bar.set_position((share * BAR as f64) as u64);
+    let extracted = mesh::extract(viewer.as_mut(), &model, &what, cameras, &mut |fraction| {
+        bar.set_position((fraction * BAR as f64) as u64);
         !stop.load(Ordering::Relaxed)
     })?;
     bar.finish_and_clear();

@@ -113,7 +113,7 @@ fn bench(
         .with("train.steps", steps as i64)?
         .with("data.root", planned.data.root.as_str())?
         .with("train.samples_per_step", i64::from(planned.train.samples_per_step))?
-        .with("eval.share", 0)?
+        .with("eval.time_fraction", 0)?
         .with("eval.min_gain", 0)?
         .with("train.checkpoint_seconds", 0)?
         .with("data.test_list", "")?

@@ -121,15 +121,15 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
 impl Picture {
     /// Resamples the view: each new pixel is the mean over its area.
     fn averaged(&self, width: u32, height: u32) -> Self {
-        let (across, down) = (shares(self.width, width), shares(self.height, height));
+        let (across, down) = (fractions(self.width, width), fractions(self.height, height));
         let mut rgb = Vec::with_capacity(width as usize * height as usize);
         for rows in &down {
             for columns in &across {
                 let mut mean = [0.0_f64; 3];
-                for &(y, share_y) in rows {
-                    for &(x, share_x) in columns {
+                for &(y, weight_y) in rows {
+                    for &(x, weight_x) in columns {
                         let pixel = self.rgb[y * self.width as usize + x];
-                        (0..3).for_each(|c| mean[c] += share_y * share_x * f64::from(pixel[c]));
+                        (0..3).for_each(|c| mean[c] += weight_y * weight_x * f64::from(pixel[c]));
                     }
                 }
                 rgb.push(mean.map(|value| value as f32));
@@ -140,7 +140,7 @@ impl Picture {
 }
 
 /// For each of `to` equal parts of a side: the indices of the `from` pixels it covers, and the fraction of each.
-fn shares(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
+fn fractions(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     let size = f64::from(from) / f64::from(to);
     let part = |i: u32| {
         let (start, end) = (f64::from(i) * size, f64::from(i + 1) * size);

@@ -119,7 +119,7 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
         if last.bounded {
             let measured = last.scales.iter().map(|scale| scale.images).max().unwrap_or(0);
             terminal::note(format!(
-                "measured on {measured} of {}, as many as eval.share had time for; trimip-cli eval {} measures all",
+                "measured on {measured} of {}, as many as eval.time_fraction had time for; trimip-cli eval {} measures all",
                 terminal::count(last.frames as u64, "test view"),
                 folder.root().display()
             ));

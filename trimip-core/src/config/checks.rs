@@ -172,7 +172,7 @@ impl OccupancyConfig {
 
 impl TrainConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
-        to.check(self.parts.is_power_of_two(), "train.parts", "a power of two from 1 to 64")?;
+        to.check(self.leaves.is_power_of_two(), "train.leaves", "a power of two from 1 to 64")?;
         to.together(
             self.steps > 0 || self.seconds > 0.0,
             &["train.seconds", "train.steps"],
@@ -184,14 +184,14 @@ impl TrainConfig {
             "[[0.0, scale], ...] with rising fractions below 1 and scales from 0.01 to 1",
         )?;
         to.check(
-            self.background_share.is_whole(),
-            "train.background_share",
-            "[[0.0, share], ... [fraction, share]] with rising fractions below 1 and shares from 0 to 1",
+            self.background_fraction.is_whole(),
+            "train.background_fraction",
+            "[[0.0, fraction], ...] with rising fractions below 1 of the run and of the rays from 0 to 1",
         )?;
         to.check(
-            self.scale_balance.is_whole(),
-            "train.scale_balance",
-            "[[0.0, balance], ...] with rising fractions below 1 and balances from 0 to 1",
+            self.scale_weighting.is_whole(),
+            "train.scale_weighting",
+            "[[0.0, weighting], ...] with rising fractions below 1 and weightings from 0 to 1",
         )?;
         to.check(
             self.cones.is_whole() && self.cones.values().all(|n| n.fract() == 0.0),

@@ -67,7 +67,7 @@ section!(
     /// Where the hybrid renderer places samples.
     HybridConfig, "hybrid" {
         resolution: u32, step: f32, rule: HybridRule, least: f32, opaque: f32, delta: f32, samples: u32, layers: u32, surface: f32,
-        share: f32, reach: f32, widest: f32,
+        shared_weight: f32, reach: f32, widest: f32,
     }
 );
 section!(
@@ -87,14 +87,14 @@ section!(
 section!(
     /// Length of the run and size of a step.
     TrainConfig, "train" {
-        steps: u64, seconds: f64, samples_per_step: u32, parts: u32, batch_scale: Schedule, scale_balance: Schedule, cones: Schedule, background: TrainBackground,
-        background_share: Schedule,
+        steps: u64, seconds: f64, samples_per_step: u32, leaves: u32, batch_scale: Schedule, scale_weighting: Schedule, cones: Schedule, background: TrainBackground,
+        background_fraction: Schedule,
         checkpoint_seconds: f64, log_seconds: f64,
     }
 );
 section!(
     /// When and on which views the model is evaluated.
-    EvalConfig, "eval" { points: u32, stride: u32, r#final: FinalEval, share: f64, images: u32, perceived: u32, lpips: String, min_psnr: f64, min_gain: f64 }
+    EvalConfig, "eval" { points: u32, stride: u32, r#final: FinalEval, time_fraction: f64, images: u32, perceptual_views: u32, lpips: String, min_psnr: f64, min_gain: f64 }
 );
 
 impl PhotographsConfig {
@@ -127,11 +127,11 @@ impl EvalConfig {
 }
 
 impl TrainConfig {
-    /// Share of the training rays with a random background at `progress` in [0, 1].
-    pub fn random_share(&self, progress: f64) -> f32 {
+    /// Fraction of the training rays with a random background at `progress` in [0, 1].
+    pub fn random_background(&self, progress: f64) -> f32 {
         match self.background {
             TrainBackground::Fixed => 0.0,
-            TrainBackground::Random => self.background_share.at(progress) as f32,
+            TrainBackground::Random => self.background_fraction.at(progress) as f32,
         }
     }
 }

@@ -2,6 +2,7 @@
 //! not in the definitions are refused with file, line and column.
 
 pub(crate) mod checker;
+mod earlier;
 pub(crate) mod section;
 pub(crate) mod text;
 pub(crate) mod values;
@@ -9,17 +10,13 @@ pub(crate) mod values;
 use crate::config::defaults::{Definitions, Placed};
 use crate::{Error, Result};
 use checker::Checker;
+use earlier::{RETIRED, renamed};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use text::parts_of;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 use values::{fit, is_plain, parsed, plain, shown};
-
-/// Settings of earlier versions that had one value only, and why. That value is accepted and ignored, so that old files
-/// load; any other is refused.
-const RETIRED: [(&str, i64, &str); 1] =
-    [("encoder.channels", 16, "16, or leave it out: a texel of the tri-mip planes has 16 features")];
 
 /// Where an effective value came from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -113,6 +110,13 @@ impl Settings {
         for (key, value) in table {
             let (path, start) = (path(key.get_ref()), key.span().start);
             let origin = || Origin::File(place(name, text, start));
+            if let Some(new) = renamed(&path).filter(|new| table.contains_key(parts_of(new).1)) {
+                return Err(Error::input(
+                    place(name, text, start),
+                    format!("`{path}` is the earlier name of `{new}`, which is given too"),
+                    "leave one of them out",
+                ));
+            }
             match value.get_ref() {
                 DeValue::Table(inner) if self.is_section(&path) => {
                     self.apply_table(name, text, &path, inner)?;
@@ -188,6 +192,7 @@ impl Settings {
     }
 
     fn put(&mut self, path: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
+        let path = renamed(path).unwrap_or(path);
         if let Some((_, only, expected)) = RETIRED.iter().find(|(retired, ..)| *retired == path) {
             return match value.as_integer() == Some(*only) {
                 true => Ok(()),
@@ -256,7 +261,8 @@ impl Settings {
     }
 
     fn is_undefined(&self, path: &str) -> bool {
-        !self.entries.contains_key(path) && RETIRED.iter().all(|(retired, ..)| *retired != path)
+        let is_earlier = renamed(path).is_some() || RETIRED.iter().any(|(retired, ..)| *retired == path);
+        !self.entries.contains_key(path) && !is_earlier
     }
 
     /// Refuses the first number that is not in its range.

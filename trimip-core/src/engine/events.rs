@@ -97,7 +97,7 @@ pub enum Event {
         /// Number of test views; 0 in events of earlier versions.
         #[serde(default)]
         frames: usize,
-        /// True if `eval.share` left no time for all requested views or scales.
+        /// True if `eval.time_fraction` left no time for all requested views or scales.
         #[serde(default)]
         bounded: bool,
         /// True for the evaluation that ends the run.
@@ -190,7 +190,7 @@ mod tests {
         let scales = vec![ScaleQuality {
             scale: 1,
             images: 1,
-            perceived: 0,
+            perceptual_images: 0,
             measures: Measures { psnr: f64::INFINITY, ssim: 1.0, ..Measures::UNKNOWN },
         }];
         let event = Event::Evaluation {

@@ -28,7 +28,7 @@ impl ScaleSampling {
         let most = self.train.cones.at(progress) as u32;
         let within = |&side: &u32| if side == QUINCUNX { side } else { side.min(most).max(1) };
         let sides = self.sides.iter().map(within).collect();
-        ScaleWeights::new(&self.scales, self.train.scale_balance.at(progress), sides)
+        ScaleWeights::new(&self.scales, self.train.scale_weighting.at(progress), sides)
     }
 }
 

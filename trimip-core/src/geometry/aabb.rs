@@ -77,13 +77,13 @@ impl SceneConfig {
     /// The box within which space keeps its shape: the scene's, or its middle half if space is contracted. World units.
     pub fn subject(&self) -> Aabb<f64> {
         let aabb = Aabb::<f64>::new(self);
-        let share = match self.contraction {
+        let fraction = match self.contraction {
             Contraction::None => 1.0,
             Contraction::Ball => 0.5,
         };
         let corner = |sign: f64| {
             std::array::from_fn(|i| {
-                0.5 * (aabb.min[i] + aabb.max[i]) + sign * 0.5 * share * (aabb.max[i] - aabb.min[i])
+                0.5 * (aabb.min[i] + aabb.max[i]) + sign * 0.5 * fraction * (aabb.max[i] - aabb.min[i])
             })
         };
         Aabb { min: corner(-1.0), max: corner(1.0) }

@@ -152,8 +152,8 @@ impl Lens {
         let (at, inner) = if self.model == Model::Fisheye {
             let radius = x.hypot(y);
             // Angles grow less than tangents in every direction.
-            let share = if radius > 0.0 { radius.atan() / radius } else { 1.0 };
-            ([x * share, y * share], share)
+            let fraction = if radius > 0.0 { radius.atan() / radius } else { 1.0 };
+            ([x * fraction, y * fraction], fraction)
         } else {
             ([x, y], 1.0)
         };
@@ -212,8 +212,8 @@ mod tests {
     }
 
     /// Places of a lens' domain.
-    fn places(lens: &Lens, share: f64) -> Vec<[f64; 2]> {
-        let radius = share * lens.domain().min(1.2);
+    fn places(lens: &Lens, fraction: f64) -> Vec<[f64; 2]> {
+        let radius = fraction * lens.domain().min(1.2);
         (0..80)
             .map(|i| {
                 let (r, angle) = (radius * f64::from(i) / 79.0, 2.399_963 * f64::from(i));

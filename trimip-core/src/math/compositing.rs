@@ -119,7 +119,7 @@ pub fn composite_gradient<R: Real>(
     mut out: impl FnMut(usize, R, [R; 3]),
 ) {
     let [r, g, b, opacity] = gradient;
-    let shade = |[red, green, blue]: [R; 3], share: R| red * r + green * g + blue * b + share * opacity;
+    let shade = |[red, green, blue]: [R; 3], fraction: R| red * r + green * g + blue * b + fraction * opacity;
     // The contribution of everything behind the sample, including the background; at first the whole pixel.
     let mut behind = shade([pixel[0], pixel[1], pixel[2]], pixel[3]);
     let mut transmittance = R::one();

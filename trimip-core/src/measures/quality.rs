@@ -106,7 +106,7 @@ impl Measures {
     }
 
     /// True if a measure of perception was taken.
-    pub fn perceived(&self) -> bool {
+    pub fn has_perceptual(&self) -> bool {
         [self.ms_ssim, self.flip, self.lpips].iter().any(|value| !value.is_nan())
     }
 
@@ -174,8 +174,8 @@ pub struct ScaleQuality {
     /// Number of images.
     pub images: usize,
     /// Number of those that `ms_ssim`, `flip` and `lpips` are means of; 0 in files of earlier versions.
-    #[serde(default)]
-    pub perceived: usize,
+    #[serde(default, alias = "perceived")]
+    pub perceptual_images: usize,
     /// Means over the images.
     #[serde(flatten)]
     pub measures: Measures,
@@ -196,8 +196,8 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
             let constant = views.iter().map(error).sum::<f64>() / views.len() as f64;
             let measures =
                 Measures { psnr_constant: capped(psnr_of_error(constant)), ..Measures::mean(&views) };
-            let perceived = views.iter().filter(|view| view.perceived()).count();
-            ScaleQuality { scale, images: views.len(), perceived, measures }
+            let perceptual_images = views.iter().filter(|view| view.has_perceptual()).count();
+            ScaleQuality { scale, images: views.len(), perceptual_images, measures }
         })
         .collect()
 }
@@ -237,7 +237,7 @@ mod tests {
         let mean = mean_quality(&scales);
         assert_eq!((mean.psnr, mean.psnr_opposite, mean.ssim), (20.0, 18.0, 0.5));
         assert_eq!((mean.psnr_plain, mean.psnr_box, mean.psnr_exposed), (19.0, 21.0, 23.0));
-        assert_eq!((scales[0].perceived, scales[1].perceived), (2, 1));
+        assert_eq!((scales[0].perceptual_images, scales[1].perceptual_images), (2, 1));
         assert_eq!((scales[0].measures.flip, scales[1].measures.flip), (0.1, 0.2));
         assert!((mean.flip - 0.15).abs() < 1e-12 && (mean.ms_ssim - 0.25).abs() < 1e-12);
         assert!(scales[1].measures.ms_ssim.is_nan() && mean.lpips.is_nan());
@@ -265,20 +265,20 @@ mod tests {
         let scale = ScaleQuality {
             scale: 2,
             images: 3,
-            perceived: 0,
+            perceptual_images: 0,
             measures: Measures { psnr: 30.5, ssim: 0.25, ..Measures::UNKNOWN },
         };
         let text = serde_json::to_string(&scale).unwrap();
         assert!(
-            text.starts_with(r#"{"scale":2,"images":3,"perceived":0,"psnr":30.5,"psnr_8bit":null,"#),
+            text.starts_with(r#"{"scale":2,"images":3,"perceptual_images":0,"psnr":30.5,"psnr_8bit":null,"#),
             "{text}"
         );
         for text in [&text, r#"{"scale":2,"images":3,"psnr":30.5,"ssim":0.25}"#] {
             let read: ScaleQuality = serde_json::from_str(text).unwrap();
             assert_eq!((read.scale, read.images), (2, 3));
             assert_eq!((read.measures.psnr, read.measures.ssim), (30.5, 0.25));
-            assert!(read.measures.psnr_exposed.is_nan() && read.perceived == 0);
-            assert!(!read.measures.perceived());
+            assert!(read.measures.psnr_exposed.is_nan() && read.perceptual_images == 0);
+            assert!(!read.measures.has_perceptual());
         }
     }
 }

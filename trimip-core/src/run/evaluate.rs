@@ -28,7 +28,7 @@ pub struct ViewResult<'a> {
     /// Structural similarity.
     pub ssim: f64,
     /// What [`Watch::measure_perception`] measured.
-    pub perceived: &'a PerceptualScores,
+    pub perceptual: &'a PerceptualScores,
 }
 
 /// The background that makes transparency most visible: per channel, black if the colour is bright and white if it is dark.
@@ -146,7 +146,7 @@ pub fn evaluate_frame(
             capped(psnr(&seen(moved), &seen(set.composited(view, other))))
         };
         let rendered = rendered.shown(background, exponent);
-        let (psnr, psnr_8bit, psnr_exposed, ssim, perceived) = {
+        let (psnr, psnr_8bit, psnr_exposed, ssim, perceptual) = {
             let mut rgb = rendered.rgb();
             let pairs = rgb.iter_mut().zip(&target).zip(&excluded);
             for (pixel, target) in pairs.filter_map(|(pair, excluded)| excluded.then_some(pair)) {
@@ -155,14 +155,14 @@ pub fn evaluate_frame(
             let (width, height) = (rendered.width as usize, rendered.height as usize);
             let ssim = ssim(&rgb, &target, width, height);
             let pair = Pair { rendered: &rgb, target: &target, width, height, excluded: &excluded };
-            let perceived = watch.measure_perception(index, &pair)?;
+            let perceptual = watch.measure_perception(index, &pair)?;
             let rgb = seen(rgb);
             let left = (0..target.len() as u32).map(|i| 2 * (i % rendered.width) < rendered.width).collect();
             let left = without(&excluded, left);
             let behind = seen(photographed_background(&set, view, background));
             let exposed = exposed_by_the_other_half(&rgb, &behind, &target_seen, &left);
             let against = |rgb: &[[f32; 3]]| capped(psnr(rgb, &target_seen));
-            (against(&rgb), capped(psnr_8bit(&rgb, &target_seen)), against(&exposed), ssim, perceived)
+            (against(&rgb), capped(psnr_8bit(&rgb, &target_seen)), against(&exposed), ssim, perceptual)
         };
         let psnr_constant = capped(psnr_of_constant(&target_seen));
         let measures = Measures {
@@ -174,9 +174,9 @@ pub fn evaluate_frame(
             psnr_exposed,
             psnr_constant,
             ssim,
-            ms_ssim: perceived.ms_ssim,
-            flip: perceived.flip,
-            lpips: perceived.lpips,
+            ms_ssim: perceptual.ms_ssim,
+            flip: perceptual.flip,
+            lpips: perceptual.lpips,
         };
         let result = ViewResult {
             index,
@@ -186,7 +186,7 @@ pub fn evaluate_frame(
             target: &target,
             psnr,
             ssim,
-            perceived: &perceived,
+            perceptual: &perceptual,
         };
         qualities.push(ViewQuality { index, scale: factor, measures });
         if !watch.view(&result)? {

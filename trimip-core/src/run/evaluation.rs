@@ -111,7 +111,7 @@ impl Run<'_> {
             Attempt::NoTime => {
                 return Err(Error::run(format!(
                     "no test view could be rendered within {allowed:.0} s; the model is written, trimip-cli eval measures it \
-                     without a limit, as eval.share = 0 does"
+                     without a limit, as eval.time_fraction = 0 does"
                 )));
             }
         };
@@ -161,10 +161,10 @@ impl Run<'_> {
         if !last && keeper.pixel() * of_a_view * least > allowed {
             return Ok(Attempt::NoTime);
         }
-        let perceived = perceptual_stride(strides, frames, self.config.eval.perceived as usize);
+        let perceptual = perceptual_stride(strides, frames, self.config.eval.perceptual_views as usize);
         let Self { session, perception, store, events, stop, .. } = self;
         let mut watch = Watcher {
-            perception: match perceived {
+            perception: match perceptual {
                 Some(stride) if last => Some((&mut **perception, stride)),
                 _ => None,
             },

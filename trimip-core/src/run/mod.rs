@@ -82,7 +82,7 @@ pub struct Run<'a> {
     pub session: &'a mut dyn Session,
     /// Test frames.
     pub frames: &'a dyn Frames,
-    /// Takes the measures of perception in the final evaluation, of the views that `eval.perceived` asks for.
+    /// Takes the measures of perception in the final evaluation, of the views that `eval.perceptual_views` asks for.
     pub perception: &'a mut dyn Perception,
     /// Receives the results.
     pub store: &'a mut dyn Store,
@@ -131,7 +131,7 @@ impl Run<'_> {
         let mut points = evaluation_points(self.config.eval.points);
         points.retain(|&point| point > self.progress(&self.evaluated));
         let (mut saved, mut logged_totals) = (totals.seconds, totals);
-        let mut keeper = Timekeeper::new(self.config.eval.share, self.config.eval.points);
+        let mut keeper = Timekeeper::new(self.config.eval.time_fraction, self.config.eval.points);
         let mut told = self.tell(Vec::new());
         while self.progress(&totals) < 1.0 {
             if points.first().is_some_and(|&point| point <= self.progress(&totals)) {

@@ -13,7 +13,7 @@ const FORWARD: f64 = 0.5;
 /// Limits the time that a run spends on evaluations.
 #[derive(Clone, Debug)]
 pub struct Timekeeper {
-    share: f64,
+    fraction: f64,
     points: f64,
     passed: f64,
     spent: f64,
@@ -23,9 +23,9 @@ pub struct Timekeeper {
 }
 
 impl Timekeeper {
-    /// Limits `points` evaluations during training and a final one to `share` of the training time; 0 means no limit.
-    pub fn new(share: f64, points: u32) -> Self {
-        Self { share, points: points.max(1).into(), passed: 0.0, spent: 0.0, ray: 0.0, measured: None }
+    /// Limits `points` evaluations during training and a final one to `fraction` of the training time; 0 means no limit.
+    pub fn new(fraction: f64, points: u32) -> Self {
+        Self { fraction, points: points.max(1).into(), passed: 0.0, spent: 0.0, ray: 0.0, measured: None }
     }
 
     /// Records `seconds` of training with `rays` rays.
@@ -60,25 +60,25 @@ impl Timekeeper {
     /// earlier evaluations left.
     pub fn on_the_way(&mut self, total: f64) -> f64 {
         self.passed += 1.0;
-        self.bounded(ON_THE_WAY * self.share * total * self.passed / self.points - self.spent)
+        self.bounded(ON_THE_WAY * self.fraction * total * self.passed / self.points - self.spent)
     }
 
     /// Seconds for the final evaluation.
     pub fn at_the_end(&self, total: f64) -> f64 {
-        self.bounded((1.0 - ON_THE_WAY) * self.share * total + AT_THE_END)
+        self.bounded((1.0 - ON_THE_WAY) * self.fraction * total + AT_THE_END)
     }
 
     /// Predicted seconds of the remaining evaluations in a run of `total` seconds. All views of the test set have
     /// `pixels` pixels, and an evaluation during training covers the fraction `part` of them.
     pub fn left(&self, total: f64, pixels: f64, part: f64) -> f64 {
         let whole = self.pixel() * pixels;
-        let each = (part * whole).min(self.bounded(ON_THE_WAY * self.share * total / self.points));
+        let each = (part * whole).min(self.bounded(ON_THE_WAY * self.fraction * total / self.points));
         // The last point is part of the final evaluation.
         each * (self.points - 1.0 - self.passed).max(0.0) + whole.min(self.at_the_end(total))
     }
 
     fn bounded(&self, seconds: f64) -> f64 {
-        if self.share > 0.0 { seconds } else { f64::INFINITY }
+        if self.fraction > 0.0 { seconds } else { f64::INFINITY }
     }
 }
 

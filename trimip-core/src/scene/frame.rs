@@ -32,8 +32,8 @@ impl Pixel {
         if let [one] = cones {
             return *one;
         }
-        let share = (cones.len() as f32).recip();
-        let mean = |pick: fn(&Self) -> f32| cones.iter().map(pick).sum::<f32>() * share;
+        let fraction = (cones.len() as f32).recip();
+        let mean = |pick: fn(&Self) -> f32| cones.iter().map(pick).sum::<f32>() * fraction;
         Self {
             rgb: [mean(|cone| cone.rgb[0]), mean(|cone| cone.rgb[1]), mean(|cone| cone.rgb[2])],
             opacity: mean(|cone| cone.opacity),

@@ -91,17 +91,17 @@ pub fn any(views: &ViewSet) -> bool {
     views.alpha.is_opacity() && views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] == 0)
 }
 
-/// Bounds of what the photographs may show within `aabb`, of places that at least `share` of them see (0: any one): never
+/// Bounds of what the photographs may show within `aabb`, of places that at least `fraction` of them see (0: any one): never
 /// less than the object there. `None` where no photograph has a silhouette, or where they leave nothing.
-pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, share: f64) -> Option<Aabb<f64>> {
-    bounds_despite(views, aabb, share, 0.0)
+pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, fraction: f64) -> Option<Aabb<f64>> {
+    bounds_despite(views, aabb, fraction, 0.0)
 }
 
 /// As [`bounds`], where a share `wrong` of the silhouettes may show background: a few wrong poses or masks carve nothing.
-pub fn bounds_despite(views: &ViewSet, aabb: &Aabb<f64>, share: f64, wrong: f64) -> Option<Aabb<f64>> {
+pub fn bounds_despite(views: &ViewSet, aabb: &Aabb<f64>, fraction: f64, wrong: f64) -> Option<Aabb<f64>> {
     let silhouettes = silhouettes(views)?;
-    let of = |share: f64| share * silhouettes.len() as f64;
-    let rule = Rule { least: (of(share).ceil() as usize).max(1), most_empty: of(wrong) as usize };
+    let of = |fraction: f64| fraction * silhouettes.len() as f64;
+    let rule = Rule { least: (of(fraction).ceil() as usize).max(1), most_empty: of(wrong) as usize };
     CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells, rule))
 }
 

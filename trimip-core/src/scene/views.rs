@@ -55,7 +55,7 @@ impl Alpha {
 
     /// Share of a pixel that counts in the loss, in [0, 1].
     #[inline]
-    pub fn share(self, pixel: [u8; 4]) -> f32 {
+    pub fn fraction(self, pixel: [u8; 4]) -> f32 {
         if self.is_opacity() { 1.0 } else { f32::from(pixel[3]) / 255.0 }
     }
 
@@ -107,7 +107,7 @@ impl ViewSet {
         let k = &self.views[index].camera.intrinsics;
         let (width, factor) = (k.width as usize, factor as usize);
         let (columns, rows) = (width / factor, k.height as usize / factor);
-        let (pixels, share) = (self.pixels_of(index), ((factor * factor) as f64).recip());
+        let (pixels, fraction) = (self.pixels_of(index), ((factor * factor) as f64).recip());
         let mean = |i: usize| {
             let (x, y) = (i % columns * factor, i / columns * factor);
             let mut sum = [0.0; 4];
@@ -116,7 +116,7 @@ impl ViewSet {
                     let [r, g, b, a] = pixel.map(|byte| f64::from(byte) / 255.0);
                     let coverage = if self.alpha == Alpha::Premultiplied { 1.0 } else { a };
                     for (sum, value) in sum.iter_mut().zip([r * coverage, g * coverage, b * coverage, a]) {
-                        *sum += share * value;
+                        *sum += fraction * value;
                     }
                 }
             }
@@ -189,11 +189,11 @@ mod tests {
 
     #[test]
     fn a_share_that_counts_weighs_pixels_and_shows_no_background() {
-        for share in [0, 51, 255] {
-            let pixel = [255, 0, 51, share];
+        for fraction in [0, 51, 255] {
+            let pixel = [255, 0, 51, fraction];
             assert_eq!(composite_pixel(pixel, Alpha::Kept, [0.5; 3]), [1.0, 0.0, 0.2]);
-            assert_eq!((Alpha::Kept.opacity(pixel), Alpha::Straight.share(pixel)), (1.0, 1.0));
-            assert_eq!(Alpha::Kept.share(pixel), Alpha::Straight.opacity(pixel));
+            assert_eq!((Alpha::Kept.opacity(pixel), Alpha::Straight.fraction(pixel)), (1.0, 1.0));
+            assert_eq!(Alpha::Kept.fraction(pixel), Alpha::Straight.opacity(pixel));
         }
         assert!(Alpha::Kept.leaves_out([9, 9, 9, 127]) && !Alpha::Kept.leaves_out([9, 9, 9, 128]));
         assert!(!Alpha::Straight.leaves_out([0; 4]));

@@ -40,8 +40,8 @@ pub(super) fn find(context: &Context<'_>) -> Proposal {
     let start = if given { None } else { start(facts) };
     let found = start.is_some();
     let start = start.unwrap_or_else(|| Start { aabb: whole, source: "as configured".into() });
-    let share = if found && facts.stated.is_none() { COMMON } else { 0.0 };
-    let hull = silhouettes::bounds(facts.train, &start.aabb, share);
+    let fraction = if found && facts.stated.is_none() { COMMON } else { 0.0 };
+    let hull = silhouettes::bounds(facts.train, &start.aabb, fraction);
     let (aabb, reason) = match &hull {
         Some(hull) => {
             let fitted = within(&rounded(hull), &start.aabb);

@@ -56,13 +56,13 @@ pub(super) fn background(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("there is no photograph".into());
     };
     let pixels = &views.pixels[coarsest.pixels.clone()];
-    let share = |pixel: &[u8; 4]| f64::from(views.alpha.share(*pixel));
-    let all: f64 = pixels.iter().map(share).sum();
+    let fraction = |pixel: &[u8; 4]| f64::from(views.alpha.fraction(*pixel));
+    let all: f64 = pixels.iter().map(fraction).sum();
     if all == 0.0 {
         return Proposal::Keep("every pixel of the photographs is masked".into());
     }
     let mean: [f64; 3] = std::array::from_fn(|c| {
-        let sum: f64 = pixels.iter().map(|pixel| share(pixel) * f64::from(pixel[c])).sum();
+        let sum: f64 = pixels.iter().map(|pixel| fraction(pixel) * f64::from(pixel[c])).sum();
         (sum / (255.0 * all) * 1000.0).round() / 1000.0
     });
     Proposal::Set {

@@ -154,10 +154,10 @@ impl<const F: usize> Kernel for Read<'_, F> {
             for (level, out) in levels.levels.iter().zip(read.as_chunks_mut::<F>().0) {
                 let mut sum = [0.0; F];
                 for [x, y, z, deviation] in points {
-                    let share = if plain { 1.0 } else { reads.share(level, *deviation) };
+                    let level_weight = if plain { 1.0 } else { reads.level_weight(level, *deviation) };
                     for (entry, weight) in level.corners([*x, *y, *z]) {
                         let values = &entries[entry as usize];
-                        (0..F).for_each(|i| sum[i] += share * weight * values[i]);
+                        (0..F).for_each(|i| sum[i] += level_weight * weight * values[i]);
                     }
                 }
                 *out = sum;
@@ -190,10 +190,10 @@ impl<const F: usize> Kernel for Add<'_, F> {
             for (places, row) in samples.zip(gradient.rows.chunks_exact(width)) {
                 let row = &row[column..column + F];
                 for [x, y, z, deviation] in places {
-                    let share = if plain { 1.0 } else { points.share(&level, *deviation) };
+                    let level_weight = if plain { 1.0 } else { points.level_weight(&level, *deviation) };
                     for (entry, weight) in level.corners([*x, *y, *z]) {
                         let values = &mut entries[entry as usize];
-                        (0..F).for_each(|i| values[i] += share * weight * row[i]);
+                        (0..F).for_each(|i| values[i] += level_weight * weight * row[i]);
                     }
                 }
             }

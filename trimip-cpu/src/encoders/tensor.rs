@@ -392,13 +392,13 @@ impl Kernel for Add<'_> {
         for gradient in from {
             for &index in &gradient.bands[plane * BANDS + band] {
                 let along = Factors::along(shape, gradient.places[index as usize]);
-                let [(gradient_memory, right), (row, up)] = PLANE_AXES[plane].map(|axis| along[axis]);
+                let [(left, right), (row, up)] = PLANE_AXES[plane].map(|axis| along[axis]);
                 let by_value = &gradient.rows[index as usize * width + column..][..components];
                 for (row, up) in [(row, 1.0 - up), (row + 1, up)] {
                     if owner(row, rows) != band {
                         continue;
                     }
-                    for (at, right) in [(gradient_memory, 1.0 - right), (gradient_memory + 1, right)] {
+                    for (at, right) in [(left, 1.0 - right), (left + 1, right)] {
                         let texel = &mut values[((row - first) * columns + at) * components..][..components];
                         let weight = L::splat(up * right);
                         let pairs = texel.as_chunks_mut().0.iter_mut().zip(by_value.as_chunks().0);

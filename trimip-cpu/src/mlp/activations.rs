@@ -24,19 +24,19 @@ impl Activations {
 
     /// Replaces the output rows `kept` by weighted sums: row i times `shares[i]`, minus each later row times its share as long
     /// as that is negative.
-    pub fn blend(&mut self, mlp: &Mlp, kept: &[u32], shares: &[f32]) {
+    pub fn blend(&mut self, mlp: &Mlp, kept: &[u32], fractions: &[f32]) {
         let width = mlp.outputs();
         let Some(output) = self.layers.last_mut() else { return };
         for &first in kept {
             let first = first as usize;
-            let more = shares[first + 1..].iter().take_while(|share| **share < 0.0).count();
+            let more = fractions[first + 1..].iter().take_while(|fraction| **fraction < 0.0).count();
             if more == 0 {
                 continue;
             }
             let (sum, rest) = output[first * width..(first + more + 1) * width].split_at_mut(width);
-            sum.iter_mut().for_each(|value| *value *= shares[first]);
-            for (row, share) in rest.chunks_exact(width).zip(&shares[first + 1..]) {
-                sum.iter_mut().zip(row).for_each(|(sum, value)| *sum -= share * value);
+            sum.iter_mut().for_each(|value| *value *= fractions[first]);
+            for (row, fraction) in rest.chunks_exact(width).zip(&fractions[first + 1..]) {
+                sum.iter_mut().zip(row).for_each(|(sum, value)| *sum -= fraction * value);
             }
         }
     }

@@ -170,11 +170,11 @@ impl Object {
         let mut color = self.paint.color(point, normal) * diffuse;
         if mirror > 0.0 {
             // Schlick's approximation of Fresnel's reflectance.
-            let share = mirror + (1.0 - mirror) * (1.0 + direction.dot(normal)).clamp(0.0, 1.0).powi(5);
+            let fraction = mirror + (1.0 - mirror) * (1.0 + direction.dot(normal)).clamp(0.0, 1.0).powi(5);
             // The ball is convex: a reflected ray never hits it again.
             let others =
                 (mirror >= MIRROR).then(|| radiance_of(u32::MAX, point + 1e-6 * normal, reflected, finish));
-            color = color.lerp(others.flatten().unwrap_or_else(|| surroundings(reflected)), share);
+            color = color.lerp(others.flatten().unwrap_or_else(|| surroundings(reflected)), fraction);
         }
         (color + shine * highlight).clamp(DVec3::ZERO, DVec3::ONE)
     }
@@ -217,8 +217,8 @@ impl ShadowMap {
     /// True if a point is in shadow.
     fn covers(&self, point: DVec3) -> bool {
         let index = |along: DVec3| {
-            let share = (point.dot(along) / Self::REACH + 1.0) * 0.5;
-            ((share * Self::SIDE as f64) as usize).min(Self::SIDE - 1)
+            let fraction = (point.dot(along) / Self::REACH + 1.0) * 0.5;
+            ((fraction * Self::SIDE as f64) as usize).min(Self::SIDE - 1)
         };
         let bits = self.cells[index(self.up) * Self::SIDE + index(self.right)];
         members(bits).any(|object| object.shape.hit(point, self.toward).is_some())

@@ -121,8 +121,8 @@ impl Shape {
         // The segment seen along the line: its point nearest to the line, on the plane across it.
         let across = |v: DVec3| v - direction * v.dot(direction);
         let (from, axis) = (across(start - origin), across(end - start));
-        let share = (-from.dot(axis) / axis.length_squared().max(1e-300)).clamp(0.0, 1.0);
-        (from + share * axis).length() - radius
+        let fraction = (-from.dot(axis) / axis.length_squared().max(1e-300)).clamp(0.0, 1.0);
+        (from + fraction * axis).length() - radius
     }
 
     /// Ends and radius of a capsule around the shape.

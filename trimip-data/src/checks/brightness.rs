@@ -82,7 +82,7 @@ pub fn brightness(train: &ViewSet) -> Check {
         .collect();
     doubted.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
     known.sort_by(f64::total_cmp);
-    let at = |share: f64| known[(share * (known.len() - 1) as f64).round() as usize];
+    let at = |fraction: f64| known[(fraction * (known.len() - 1) as f64).round() as usize];
     let spread = format!(
         "photographs are {:.2} stops below white (median), nine tenths of them within {:.2} stops",
         -median(known.iter().copied()).unwrap_or(0.0),

@@ -45,33 +45,33 @@ pub fn coverage(train: &ViewSet, aabb: Option<&Aabb<f64>>) -> Check {
         }
         (shown > 0).then(|| f64::from(missed) / f64::from(shown))
     };
-    let shares: Vec<Option<f64>> = scale.views.clone().map(cut).collect();
-    let known: Vec<f64> = shares.iter().copied().flatten().collect();
+    let fractions: Vec<Option<f64>> = scale.views.clone().map(cut).collect();
+    let known: Vec<f64> = fractions.iter().copied().flatten().collect();
     if known.is_empty() {
         return Check::unknown(NAME, limit, "the photographs show no object");
     }
-    let mut doubted: Vec<(usize, f64)> = shares
+    let mut doubted: Vec<(usize, f64)> = fractions
         .iter()
         .enumerate()
-        .filter_map(|(view, share)| Some((view, (*share)?)))
-        .filter(|(_, share)| *share > MOST_CUT)
+        .filter_map(|(view, fraction)| Some((view, (*fraction)?)))
+        .filter(|(_, fraction)| *fraction > MOST_CUT)
         .collect();
     doubted.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mean = 100.0 * known.iter().sum::<f64>() / known.len() as f64;
-    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let percent = |fraction: f64| format!("{:.1} %", 100.0 * fraction);
     let all = format!("{mean:.1} % of the object is beside the planned box (mean of the views)");
     let (figure, verdict) = match doubted.len() {
         0 => (all, Verdict::Fine),
         some => (
-            format!("{all}; cut in {}", of_views(some, shares.len())),
+            format!("{all}; cut in {}", of_views(some, fractions.len())),
             Verdict::Suspicious(
                 "set scene.aabb_min and scene.aabb_max around the whole object, or leave them to the plan",
             ),
         ),
     };
-    let suspect = |(view, share)| Suspect { view, figure: percent(share) };
+    let suspect = |(view, fraction)| Suspect { view, figure: percent(fraction) };
     let suspects = doubted.into_iter().map(suspect).collect();
-    let of = shares.iter().map(|share| share.map(|share| 100.0 * share)).collect();
+    let of = fractions.iter().map(|fraction| fraction.map(|fraction| 100.0 * fraction)).collect();
     let values = vec![Values { name: "object beside the box / %", of }];
     Check { name: NAME, figure, limit, verdict, suspects, values }
 }

@@ -32,17 +32,17 @@ pub fn focus(train: &ViewSet, points: &[Point]) -> Check {
     };
     let ahead = |camera: &Camera| camera.rotation.z_axis.dot(focus - camera.origin) < 0.0;
     let away: Vec<usize> = (0..cameras.len()).filter(|&view| !ahead(&cameras[view])).collect();
-    let share = 1.0 - away.len() as f64 / cameras.len().max(1) as f64;
+    let fraction = 1.0 - away.len() as f64 / cameras.len().max(1) as f64;
     let tracked = points.iter().any(|point| !point.track.is_empty());
     let figure = format!(
         "{} look towards the place where their axes meet",
         of_views(cameras.len() - away.len(), cameras.len())
     );
-    let (verdict, suspects) = if share < LEAST_AHEAD && !tracked {
+    let (verdict, suspects) = if fraction < LEAST_AHEAD && !tracked {
         let advice = "are the axes those of OpenCV? poses are camera-to-world with OpenGL axes (x right, y up, looking along \
                       -z): change the signs of the second and third column, unless the photographs were taken outwards";
         (Verdict::Suspicious(advice), Vec::new())
-    } else if share >= SURROUNDING && !away.is_empty() {
+    } else if fraction >= SURROUNDING && !away.is_empty() {
         let suspect = |view| Suspect { view, figure: "looks away".into() };
         (
             Verdict::Suspicious("look at these views: are their poses right?"),

@@ -106,17 +106,17 @@ pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     if all == 0 {
         return Check::unknown(NAME, limit, "no points with the views that saw them");
     }
-    let shares: Vec<Option<f64>> =
+    let fractions: Vec<Option<f64>> =
         counts.iter().map(|&[front, all]| (all > 0).then(|| f64::from(front) / f64::from(all))).collect();
-    let share = front as f64 / all as f64;
-    let mut doubted: Vec<(usize, f64)> = shares
+    let fraction = front as f64 / all as f64;
+    let mut doubted: Vec<(usize, f64)> = fractions
         .iter()
         .enumerate()
-        .filter_map(|(view, share)| Some((view, (*share)?)))
-        .filter(|(view, share)| *share < LEAST_AHEAD && counts[*view][1] as usize >= LEAST_POINTS)
+        .filter_map(|(view, fraction)| Some((view, (*fraction)?)))
+        .filter(|(view, fraction)| *fraction < LEAST_AHEAD && counts[*view][1] as usize >= LEAST_POINTS)
         .collect();
     doubted.sort_by(|a, b| a.1.total_cmp(&b.1));
-    let verdict = match share < LEAST_AHEAD || !doubted.is_empty() {
+    let verdict = match fraction < LEAST_AHEAD || !doubted.is_empty() {
         true => Verdict::Suspicious(
             "cameras look the wrong way: poses are camera-to-world with OpenGL axes (x right, y up, looking along -z); \
              OpenCV's need the signs of the second and third column changed",
@@ -125,12 +125,12 @@ pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     };
     Check {
         name: NAME,
-        figure: format!("{:.1} % of {all} sightings of points are in front of their camera", 100.0 * share),
+        figure: format!("{:.1} % of {all} sightings of points are in front of their camera", 100.0 * fraction),
         limit,
         verdict,
         suspects: doubted
             .into_iter()
-            .map(|(view, share)| Suspect { view, figure: format!("{:.0} %", 100.0 * share) })
+            .map(|(view, fraction)| Suspect { view, figure: format!("{:.0} %", 100.0 * fraction) })
             .collect(),
         values: Vec::new(),
     }

@@ -85,8 +85,8 @@ impl Mask<'_> {
             either += u32::from(shown || met);
             own += u32::from(shown);
         }
-        let share = |of: u32| if of == 0 { 0.0 } else { f64::from(both) / f64::from(of) };
-        (either > 0).then(|| Overlap { union: share(either), covered: share(own) })
+        let fraction = |of: u32| if of == 0 { 0.0 } else { f64::from(both) / f64::from(of) };
+        (either > 0).then(|| Overlap { union: fraction(either), covered: fraction(own) })
     }
 }
 
@@ -136,8 +136,8 @@ impl Hull {
         (0..steps).any(|i| {
             let t = enter + (i as f64 + 0.5) * step;
             let [x, y, z] = std::array::from_fn(|axis| {
-                let share = (origin[axis] + t * direction[axis] - self.aabb.min[axis]) / extent[axis];
-                ((share * CELLS as f64).max(0.0) as usize).min(CELLS - 1)
+                let fraction = (origin[axis] + t * direction[axis] - self.aabb.min[axis]) / extent[axis];
+                ((fraction * CELLS as f64).max(0.0) as usize).min(CELLS - 1)
             });
             self.inside[(z * CELLS + y) * CELLS + x]
         })

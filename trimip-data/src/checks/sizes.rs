@@ -45,8 +45,8 @@ pub fn sizes(train: &ViewSet) -> Check {
     let mut doubted: Vec<(f64, Suspect)> = cameras.iter().enumerate().filter_map(doubt).collect();
     doubted.sort_by(|a, b| b.0.total_cmp(&a.0));
     let range = |of: &dyn Fn(&Camera) -> f64, usual: f64| {
-        let shares = || cameras.iter().map(|camera| of(camera) / usual);
-        [shares().fold(f64::INFINITY, f64::min), shares().fold(0.0, f64::max)]
+        let fractions = || cameras.iter().map(|camera| of(camera) / usual);
+        [fractions().fold(f64::INFINITY, f64::min), fractions().fold(0.0, f64::max)]
     };
     let ([small, large], [wide, long]) = (range(&side, usual_side), range(&focal, usual_focal));
     let all = format!(

@@ -52,7 +52,7 @@ impl Pipeline {
     }
 
     /// True if the kernel's WGSL has a struct of this layout.
-    pub fn shares(&self, layout: &Layout) -> bool {
+    pub fn has_layout(&self, layout: &Layout) -> bool {
         self.0.kernel.layouts().any(|own| own == layout)
     }
 

@@ -143,7 +143,7 @@ impl Recorder {
     fn record<P: Shared>(&mut self, pipeline: &Pipeline, binds: &[Bind<'_>], parameters: &P, groups: Groups) {
         // Kernel and call are written side by side in this crate, and every kernel runs in the tests.
         assert_eq!(binds.len(), pipeline.buffers(), "{}: bindings", pipeline.entry());
-        debug_assert!(pipeline.shares(&P::LAYOUT), "{}: parameters", pipeline.entry());
+        debug_assert!(pipeline.has_layout(&P::LAYOUT), "{}: parameters", pipeline.entry());
         let offset = self.parameters.len();
         self.parameters.extend_from_slice(bytemuck::bytes_of(parameters));
         self.parameters.resize(offset + PARAMETERS_STRIDE, 0);

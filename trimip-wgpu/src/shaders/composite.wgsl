@@ -58,8 +58,8 @@ fn composite(
             sum[c] += values[c];
         }
     }
-    let share = 1.0 / f32(own.y);
+    let fraction = 1.0 / f32(own.y);
     for (var c = 0u; c < 5u; c++) {
-        pixels[5u * i + c] = sum[c] * share;
+        pixels[5u * i + c] = sum[c] * fraction;
     }
 }

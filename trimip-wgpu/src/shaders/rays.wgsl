@@ -90,9 +90,9 @@ fn training_rays(
     let seen = cones_of(i, start, params.sides[s / 4u][s % 4u], view, within % view.width, within / view.width);
 
     var background = params.background;
-    if params.random_share > 0.0 {
+    if params.random_background > 0.0 {
         let bits = random_bits(params.background_draws, index);
-        if unit(bits.w) < params.random_share {
+        if unit(bits.w) < params.random_background {
             background = vec3<f32>(unit(bits.x), unit(bits.y), unit(bits.z));
         }
     }
@@ -100,7 +100,7 @@ fn training_rays(
     let rgba = vec4<f32>(vec4<u32>(word, word >> 8u, word >> 16u, word >> 24u) & vec4<u32>(0xffu)) / 255.0;
     let kept = params.alpha == 2u;
     let opacity = select(rgba.a, 1.0, kept);
-    let share = select(1.0, rgba.a, kept);
+    let fraction = select(1.0, rgba.a, kept);
     let coverage = select(rgba.a, 1.0, params.alpha != 0u);
     let rgb = rgba.rgb * coverage + (1.0 - opacity) * background;
     // A target is nine floats: colour, weight, background, opacity, exponent.
@@ -109,7 +109,7 @@ fn training_rays(
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
     // Nothing is learned from pixels that the lens has no ray for.
-    targets[at + 3u] = select(0.0, share * params.weights[s / 4u][s % 4u], seen);
+    targets[at + 3u] = select(0.0, fraction * params.weights[s / 4u][s % 4u], seen);
     targets[at + 4u] = background.r;
     targets[at + 5u] = background.g;
     targets[at + 6u] = background.b;

@@ -58,7 +58,7 @@ fn share(
         before += depth;
         let sum = group.weight + weight;
         // False for NaN, which stays alone.
-        if shares && group.members > 0u && sum <= params.share && interval.x - group.first_t <= params.reach {
+        if shares && group.members > 0u && sum <= params.shared_weight && interval.x - group.first_t <= params.reach {
             if sum > 0.0 {
                 // The mean so far moves towards this sample's features.
                 let part = weight / sum;

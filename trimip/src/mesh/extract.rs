@@ -248,8 +248,8 @@ fn colors(viewer: &mut dyn Viewer, mesh: &Mesh, spacing: f64) -> Result<Vec<[f32
             let seen = samples.iter().map(|own| (own.density * length as f32, own.rgb, 0.0));
             let pixel = composite(seen, [0.0; 3]);
             // Where the line of sight is not opaque, the colour is that of what is seen.
-            let share = pixel.opacity.max(1e-6).recip();
-            colors.push(pixel.rgb.map(|c| (c * share).clamp(0.0, 1.0)));
+            let fraction = pixel.opacity.max(1e-6).recip();
+            colors.push(pixel.rgb.map(|c| (c * fraction).clamp(0.0, 1.0)));
         }
     }
     Ok(colors)

@@ -98,7 +98,7 @@ pub struct Overlap {
 /// # Errors
 /// When a photograph cannot be read.
 pub fn overlap(mesh: &Mesh, frames: &dyn Frames, stride: usize) -> Result<Option<Overlap>> {
-    let mut shares = Vec::new();
+    let mut fractions = Vec::new();
     for index in (0..frames.len()).step_by(stride.max(1)) {
         let set = frames.load(index)?;
         let Some(view) = set.views.first().filter(|_| set.alpha.is_opacity()) else { continue };
@@ -114,11 +114,11 @@ pub fn overlap(mesh: &Mesh, frames: &dyn Frames, stride: usize) -> Result<Option
             covered.iter().zip(&mask).filter(|&(depth, &inside)| pick(depth.is_finite(), inside)).count()
                 as f64
         };
-        shares.push(count(|a, b| a && b) / count(|a, b| a || b));
+        fractions.push(count(|a, b| a && b) / count(|a, b| a || b));
     }
-    let least = shares.iter().copied().fold(f64::INFINITY, f64::min);
-    let mean = shares.iter().sum::<f64>() / shares.len() as f64;
-    Ok((!shares.is_empty()).then_some(Overlap { views: shares.len(), mean, least }))
+    let least = fractions.iter().copied().fold(f64::INFINITY, f64::min);
+    let mean = fractions.iter().sum::<f64>() / fractions.len() as f64;
+    Ok((!fractions.is_empty()).then_some(Overlap { views: fractions.len(), mean, least }))
 }
 
 #[cfg(test)]

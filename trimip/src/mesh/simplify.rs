@@ -260,7 +260,7 @@ mod tests {
         #[test]
         fn simplified_noise_is_closed_and_manifold(
             values in prop::collection::vec(0.0_f32..2.0, 10 * 10 * 10),
-            share in 0.05_f64..0.9,
+            fraction in 0.05_f64..0.9,
         ) {
             let grid = Grid { origin: [0.0; 3], spacing: 1.0, points: [12; 3] };
             let mut mesh = march(&grid, 1.0, |z, layer| {
@@ -275,7 +275,7 @@ mod tests {
             }).unwrap();
             mesh.find_normals();
             let before = mesh.triangles.len();
-            simplify(&mut mesh, Goal::Triangles((share * before as f64) as usize));
+            simplify(&mut mesh, Goal::Triangles((fraction * before as f64) as usize));
             prop_assert_eq!(mesh.defects(), Defects::default());
             prop_assert!(mesh.triangles.len() < before && mesh.normals.len() == mesh.positions.len());
         }

@@ -14,7 +14,7 @@ pub fn run(system: &str, scene: &str, seed: u64, psnr: [f64; 2]) -> Run {
     let quality = |scale, psnr| ScaleQuality {
         scale,
         images: 2,
-        perceived: 0,
+        perceptual_images: 0,
         measures: Measures { psnr, psnr_plain: psnr - 1.0, ssim: psnr / 100.0, ..Measures::UNKNOWN },
     };
     let scales = vec![quality(1, psnr[0]), quality(2, psnr[1])];

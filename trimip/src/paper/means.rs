@@ -209,8 +209,8 @@ fn between(curve: &[Measure], seconds: f64) -> Option<f64> {
     let pair = curve
         .windows(2)
         .find(|pair| pair[0].seconds > 0.0 && (pair[0].seconds..=pair[1].seconds).contains(&seconds))?;
-    let share = (seconds / pair[0].seconds).ln() / (pair[1].seconds / pair[0].seconds).ln();
-    Some(pair[0].psnr + share * (pair[1].psnr - pair[0].psnr))
+    let fraction = (seconds / pair[0].seconds).ln() / (pair[1].seconds / pair[0].seconds).ln();
+    Some(pair[0].psnr + fraction * (pair[1].psnr - pair[0].psnr))
 }
 
 #[cfg(test)]

@@ -68,7 +68,7 @@ pub fn columns(scales: Scales, rows: &[TableRow]) -> Vec<Column> {
     }
     columns.push(compared("SSIM", 4, |row| row.cell.ssim));
     // Where nobody measured them there is no column. The least FLIP and LPIPS are the best.
-    let mut perceived = |head: &str, value: fn(&TableRow) -> f64, sign: f64| {
+    let mut perceptual = |head: &str, value: fn(&TableRow) -> f64, sign: f64| {
         if rows.iter().any(|row| value(row).is_finite()) {
             columns.push(Column {
                 head: head.into(),
@@ -77,9 +77,9 @@ pub fn columns(scales: Scales, rows: &[TableRow]) -> Vec<Column> {
             });
         }
     };
-    perceived("MS-SSIM", |row| row.cell.ms_ssim, 1.0);
-    perceived("FLIP", |row| row.cell.flip, -1.0);
-    perceived("LPIPS", |row| row.cell.lpips, -1.0);
+    perceptual("MS-SSIM", |row| row.cell.ms_ssim, 1.0);
+    perceptual("FLIP", |row| row.cell.flip, -1.0);
+    perceptual("LPIPS", |row| row.cell.lpips, -1.0);
     columns.push(column("time", |row| known(row.cell.seconds, formatting::duration)));
     columns.push(column("model", |row| known(row.cell.model_bytes, |bytes| formatting::bytes(bytes as u64))));
     columns

@@ -85,7 +85,7 @@ fn meanings(report: &Report<'_>) -> Value {
         "flip": "mean LDR-FLIP of Andersson et al. 2020, of values rounded to 8 bits",
         "flip_pixels_per_degree": PIXELS_PER_DEGREE,
         "lpips": "Zhang et al. 2018, by the network of eval.lpips; images of 32 pixels and more",
-        "perceived": "number of images that ms_ssim, flip and lpips are means of; the mean is over the scales that have them",
+        "perceptual_images": "number of images that ms_ssim, flip and lpips are means of; the mean is over the scales that have them",
         "background": config.data.background,
         "convention": config.data.convention,
         "split": config.section::<DataConfig>().map(|data| data.tested_on()).ok(),
@@ -141,7 +141,7 @@ mod tests {
             assert_eq!(
                 json["scales"][1],
                 json!({
-                    "scale": 2, "images": 8, "perceived": 0, "psnr": 25.5, "psnr_8bit": null, "psnr_opposite": null, "psnr_plain": null,
+                    "scale": 2, "images": 8, "perceptual_images": 0, "psnr": 25.5, "psnr_8bit": null, "psnr_opposite": null, "psnr_plain": null,
                     "psnr_box": null, "psnr_exposed": null, "psnr_constant": 12.0, "ssim": 0.9,
                     "ms_ssim": null, "flip": null, "lpips": null,
                 })

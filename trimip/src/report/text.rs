@@ -37,9 +37,9 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
             [m.psnr_plain, m.psnr_box, m.psnr_8bit, m.psnr_exposed, m.psnr_opposite, m.psnr_constant];
         let mut row = vec![name, images.to_string(), decibels(m.psnr), range];
         row.extend(others.map(decibels));
-        let share = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.4}") };
-        row.push(share(m.ssim));
-        row.extend(perception.iter().map(|(_, of)| share(of(m))));
+        let fraction = |value: f64| if value.is_nan() { "–".into() } else { format!("{value:.4}") };
+        row.push(fraction(m.ssim));
+        row.extend(perception.iter().map(|(_, of)| fraction(of(m))));
         row
     };
     for q in &e.scales {
@@ -54,12 +54,12 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
 }
 
 /// What the measures of perception are means of, one sentence; empty if there is none.
-pub fn perceived(report: &Report<'_>) -> String {
+pub fn perceptual(report: &Report<'_>) -> String {
     let scales = report.headline().map_or(&[][..], |e| &e.scales);
-    let Some(most) = scales.iter().map(|q| q.perceived).max().filter(|&most| most > 0) else {
+    let Some(most) = scales.iter().map(|q| q.perceptual_images).max().filter(|&most| most > 0) else {
         return String::new();
     };
-    let all = scales.iter().all(|q| q.perceived == q.images);
+    let all = scales.iter().all(|q| q.perceptual_images == q.images);
     let of = if all { "all views".to_string() } else { format!("{most} evenly spread views") };
     let mut text = format!("MS-SSIM, FLIP and LPIPS are means over {of}");
     if scales.iter().any(|q| q.measures.ms_ssim.is_nan()) {
@@ -101,9 +101,9 @@ pub fn markdown(report: &Report<'_>) -> String {
             text += &format!("|---|{}\n", "---:|".repeat(row.len() - 1));
         }
     }
-    let perceived = perceived(report);
-    if !perceived.is_empty() {
-        text += &format!("\n{}\n", perceived.trim_end());
+    let perceptual = perceptual(report);
+    if !perceptual.is_empty() {
+        text += &format!("\n{}\n", perceptual.trim_end());
     }
     text
 }
@@ -113,9 +113,9 @@ pub fn latex(report: &Report<'_>) -> String {
     let rows = measures(report);
     let mut text = format!("% {}\n% Verdict: {}\n", caption(report), report.verdict().words());
     let Some(head) = rows.first() else { return text };
-    let perceived = perceived(report);
-    if !perceived.is_empty() {
-        text += &format!("% {}\n", perceived.trim_end());
+    let perceptual = perceptual(report);
+    if !perceptual.is_empty() {
+        text += &format!("% {}\n", perceptual.trim_end());
     }
     text += &format!("\\begin{{tabular}}{{l{}}}\n\\hline\n", "r".repeat(head.len() - 1));
     for (i, row) in rows.iter().enumerate() {

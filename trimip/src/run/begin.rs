@@ -147,7 +147,7 @@ fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
 
 /// True if the history holds the final evaluation that the configuration asks for.
 fn evaluated(config: &Config, history: &History, totals: &Totals) -> bool {
-    let bounded = config.eval.share > 0.0;
+    let bounded = config.eval.time_fraction > 0.0;
     let asked = |e: &Evaluation| e.bounded && bounded || config.eval.final_stride(e.frames) == Some(e.stride);
     config.eval.final_stride(1).is_none()
         || history.last().is_some_and(|e| e.totals.step == totals.step && asked(e))

@@ -8,7 +8,7 @@ pub fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
     let scale = |scale, psnr| ScaleQuality {
         scale,
         images: 8,
-        perceived: 0,
+        perceptual_images: 0,
         measures: Measures { psnr, psnr_constant: 12.0, ssim: 0.9, ..Measures::UNKNOWN },
     };
     Event::Evaluation {

@@ -40,7 +40,7 @@ impl Overview {
         lines.extend(subject.description.iter().map(|line| format!("data: {line}")));
         lines.extend(subject.train.scales.iter().map(|scale| {
             // A balance of b draws a pixel weight^b times as often, and its ray has weight^(1 - b) in the loss.
-            let drawn = scale.weight.powf(config.train.scale_balance.at(0.0) as f32);
+            let drawn = scale.weight.powf(config.train.scale_weighting.at(0.0) as f32);
             format!(
                 "scale 1/{}: {}, {}, drawn {drawn:.3} times as often at loss weight {:.3}",
                 scale.factor,
@@ -91,7 +91,7 @@ fn train_line(config: &Config, step: u64) -> String {
 fn evaluation_line(config: &Config, views: usize) -> String {
     let eval = &config.eval;
     let all = formatting::count(views as u64, "test view");
-    let on = |stride: usize| match (views.div_ceil(stride.max(1)), eval.share > 0.0) {
+    let on = |stride: usize| match (views.div_ceil(stride.max(1)), eval.time_fraction > 0.0) {
         (count, false) => format!("{count} of {all}"),
         (count, true) => format!("up to {count} of {all}"),
     };
@@ -110,9 +110,9 @@ fn evaluation_line(config: &Config, views: usize) -> String {
     } else {
         String::new()
     };
-    let bound = match eval.share {
+    let bound = match eval.time_fraction {
         0.0 => String::new(),
-        share => format!("; at most {:.0} % of the training time and 20 s", 100.0 * share),
+        fraction => format!("; at most {:.0} % of the training time and 20 s", 100.0 * fraction),
     };
     format!("evaluation: {way}, {end}{bound}{floor}")
 }

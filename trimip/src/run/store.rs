@@ -175,7 +175,7 @@ impl Store for FileStore<'_> {
             let (width, height, rgb) = (view.rendered.width, view.rendered.height, view.rendered.rgb());
             let rendered = pictures::rgb_image(width, height, &rgb);
             let sheet = pictures::side_by_side(width, height, &rgb, view.target);
-            let shown = Shown { rendered, sheet, errors: view.perceived.flip_map.clone() };
+            let shown = Shown { rendered, sheet, errors: view.perceptual.flip_map.clone() };
             let record = self.records.len();
             for (place, _) in [(&mut self.worst, worst), (&mut self.best, best)].into_iter().filter(|p| p.1) {
                 *place = Some(Extreme { record, psnr, stem: stem.clone(), shown: shown.clone() });
@@ -191,9 +191,9 @@ impl Store for FileStore<'_> {
             scale: view.scale,
             psnr: finite(view.psnr),
             ssim: finite(view.ssim),
-            ms_ssim: finite(view.perceived.ms_ssim),
-            flip: finite(view.perceived.flip),
-            lpips: finite(view.perceived.lpips),
+            ms_ssim: finite(view.perceptual.ms_ssim),
+            flip: finite(view.perceptual.flip),
+            lpips: finite(view.perceptual.lpips),
             comparison,
             flip_map,
         });
@@ -240,8 +240,8 @@ mod tests {
             for (scale, psnr) in [(1, psnr), (2, if index == 0 { 1.0 } else { 50.0 })] {
                 let name = format!("r_{index}");
                 let (rendered, target, ssim) = (&rendered, &target[..], 0.5);
-                let perceived = &PerceptualScores { flip: 0.25, ..PerceptualScores::NOTHING };
-                let view = ViewResult { index, name: &name, scale, rendered, target, psnr, ssim, perceived };
+                let perceptual = &PerceptualScores { flip: 0.25, ..PerceptualScores::NOTHING };
+                let view = ViewResult { index, name: &name, scale, rendered, target, psnr, ssim, perceptual };
                 store.view(&view).unwrap();
             }
         }

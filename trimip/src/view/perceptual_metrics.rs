@@ -89,7 +89,7 @@ mod tests {
         Pair { rendered, target, width, height: rendered.len() / width, excluded }
     }
 
-    fn perceived(pair: &Pair<'_>) -> PerceptualScores {
+    fn perceptual(pair: &Pair<'_>) -> PerceptualScores {
         PerceptualMetrics::open(&trimip_core::Config::default().eval)
             .unwrap()
             .measure_perception(pair)
@@ -110,10 +110,10 @@ mod tests {
     #[test]
     fn every_measure_that_can_be_taken_is() {
         let (grey, side) = (vec![[0.5; 3]; 176 * 176], 176);
-        let same = perceived(&pair(&grey, &grey, side, &[]));
+        let same = perceptual(&pair(&grey, &grey, side, &[]));
         assert!((same.ms_ssim - 1.0).abs() < 1e-9 && same.lpips.is_nan());
         assert!(if cfg!(feature = "flip") { same.flip == 0.0 } else { same.flip.is_nan() });
-        let small = perceived(&pair(&grey[..64], &grey[..64], 8, &[]));
+        let small = perceptual(&pair(&grey[..64], &grey[..64], 8, &[]));
         assert!(small.ms_ssim.is_nan() && small.flip.is_nan() == same.flip.is_nan());
     }
 
@@ -166,7 +166,7 @@ mod tests {
                 ([0, 255, 0], [0, 0, 255]),
             ] {
                 let color = |rgb: [u8; 3]| vec![rgb.map(|byte| f32::from(byte) / 255.0); 30 * 25];
-                let found = perceived(&pair(&color(a), &color(b), 30, &[])).flip;
+                let found = perceptual(&pair(&color(a), &color(b), 30, &[])).flip;
                 let expected = of_colors(a, b);
                 assert!((found - expected).abs() < 2e-4, "{a:?} {b:?}: {found}, not {expected}");
             }
@@ -187,14 +187,14 @@ mod tests {
         fn edges_and_noise_differ_as_in_the_authors_newer_program() {
             // flip-evaluator 1.7 in Python, 67 pixels per degree: 0.471213.
             let (a, b) = (pattern(192, 176, 1), pattern(192, 176, 3));
-            let one = perceived(&pair(&a, &b, 192, &[]));
+            let one = perceptual(&pair(&a, &b, 192, &[]));
             assert!((one.flip - 0.471_213).abs() < 1e-4, "{}", one.flip);
             let map = one.flip_map.as_ref().unwrap();
             assert!(map.len() == a.len() && map.iter().all(|error| (0.0..=1.0).contains(error)));
             let mean = map.iter().copied().map(f64::from).sum::<f64>() / map.len() as f64;
             assert_eq!(one.flip, mean);
             assert_eq!(
-                perceived(&pair(&b, &a, 192, &[])).flip_map,
+                perceptual(&pair(&b, &a, 192, &[])).flip_map,
                 one.flip_map,
                 "neither picture comes first"
             );
@@ -209,12 +209,12 @@ mod tests {
             let mut rendered: Vec<[f32; 3]> =
                 (0..target.len()).map(|i| [if left(i) { 0.9 } else { 0.5 }; 3]).collect();
             let excluded: Vec<bool> = (0..target.len()).map(|i| i % width < 45).collect();
-            let of_rest = perceived(&pair(&rendered, &target, width, &excluded));
+            let of_rest = perceptual(&pair(&rendered, &target, width, &excluded));
             assert_eq!(of_rest.flip, 0.0);
             assert!(of_rest.flip_map.unwrap().iter().all(|&error| error == 0.0));
-            assert!(perceived(&pair(&rendered, &target, width, &[])).flip > 0.1);
+            assert!(perceptual(&pair(&rendered, &target, width, &[])).flip > 0.1);
             rendered[0][1] = f32::NAN;
-            assert!(perceived(&pair(&rendered, &target, width, &[])).flip.is_nan());
+            assert!(perceptual(&pair(&rendered, &target, width, &[])).flip.is_nan());
         }
 
         #[test]

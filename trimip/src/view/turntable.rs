@@ -192,8 +192,8 @@ mod tests {
                     let [x, y, z] = (camera.rotation.transpose() * (centre + corner - camera.origin)).to_array();
                     prop_assert!(z < 0.0, "a corner behind the camera");
                     let (x, y) = (k.cx - k.fx * x / z, k.cy + k.fy * y / z);
-                    let shares = [x / f64::from(width), y / f64::from(height)].map(|s| (2.0 * s - 1.0).abs());
-                    fullest = fullest.max(shares[0]).max(shares[1]);
+                    let fractions = [x / f64::from(width), y / f64::from(height)].map(|s| (2.0 * s - 1.0).abs());
+                    fullest = fullest.max(fractions[0]).max(fractions[1]);
                     kept_away |= distance <= CLEARANCE * (distance + z) * (1.0 + 1e-9);
                 }
             }

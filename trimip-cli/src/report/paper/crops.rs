@@ -159,17 +159,17 @@ fn crops(scene: &str, shown: &[Shown], view: &ViewRecord) -> Result<String> {
 /// The whole photograph, small, with a frame around the place.
 fn whereabouts(photograph: &RgbImage, place: Crop) -> Result<String> {
     let (width, height) = photograph.dimensions();
-    let share = |part: u32, whole: u32| 100.0 * f64::from(part) / f64::from(whole.max(1));
+    let fraction = |part: u32, whole: u32| 100.0 * f64::from(part) / f64::from(whole.max(1));
     let longest = width.max(height);
     let side = |side: u32| if longest > SMALL { (side * SMALL / longest).max(1) } else { side };
     let small = imageops::thumbnail(photograph, side(width), side(height));
     Ok(format!(
         "<div class=\"frame-of\">{}<b style=\"left:{:.2}%;top:{:.2}%;width:{:.2}%;height:{:.2}%\"></b></div>",
         pictures::thumbnail(&small, "where the crops are")?,
-        share(place.x, width),
-        share(place.y, height),
-        share(place.width, width),
-        share(place.height, height)
+        fraction(place.x, width),
+        fraction(place.y, height),
+        fraction(place.width, width),
+        fraction(place.height, height)
     ))
 }
 

@@ -61,7 +61,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let mut sessions = sides.iter().map(|&side| load(&model, side)).collect::<Result<Vec<_>>>()?;
     let bar = spinner();
     let (mut rows, mut converged_errors): (Vec<ConeRow>, Vec<f64>) = (Vec::new(), Vec::new());
-    let share = 1.0 / indices.len() as f64;
+    let fraction = 1.0 / indices.len() as f64;
     for &index in &indices {
         let set = scene.frames.load(index)?;
         let views = set.scales.iter().flat_map(|scale| scale.views.clone().map(|view| (scale.factor, view)));
@@ -85,11 +85,11 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
                 }
                 let row = &mut rows[place];
                 let [shown, plain, boxed] = errors(&model, &set, view, factor, frame.clone());
-                row.psnr += share * shown;
-                row.psnr_plain += share * plain;
-                row.psnr_box += share * boxed;
-                row.milliseconds += share * milliseconds;
-                converged_errors[place] += share * psnr(&frame.rgb(), &converged);
+                row.psnr += fraction * shown;
+                row.psnr_plain += fraction * plain;
+                row.psnr_box += fraction * boxed;
+                row.milliseconds += fraction * milliseconds;
+                converged_errors[place] += fraction * psnr(&frame.rgb(), &converged);
             }
         }
     }

@@ -182,10 +182,10 @@ fn hybrid_rows(model: &Model, measure: &Measure<'_>) -> Result<Vec<RenderingRow>
         (other.config.hybrid.least, other.config.hybrid.opaque) = (least, least);
         rows.push(measure(&other, "hybrid: least weight, opaque", least.to_string())?);
     }
-    for share in [0.0_f32, 0.2, 0.5, 1.0] {
+    for fraction in [0.0_f32, 0.2, 0.5, 1.0] {
         let mut other = base.clone();
-        other.config.hybrid.share = share;
-        rows.push(measure(&other, "hybrid: weight of a colour", share.to_string())?);
+        other.config.hybrid.shared_weight = fraction;
+        rows.push(measure(&other, "hybrid: weight of a colour", fraction.to_string())?);
     }
     Ok(rows)
 }

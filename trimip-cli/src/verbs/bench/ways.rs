@@ -73,7 +73,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let mut ways = ways(&model, arguments)?;
     let bar = spinner();
     let mut found: BTreeMap<(u32, usize), WayRow> = BTreeMap::new();
-    let share = 1.0 / indices.len() as f64;
+    let fraction = 1.0 / indices.len() as f64;
     for &index in &indices {
         let set = scene.frames.load(index)?;
         // Coarse to fine: the first pictures of a session, which allocate its memory, are the short ones.
@@ -95,10 +95,10 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
                     name: way.name.clone(),
                     ..WayRow::default()
                 });
-                row.psnr_converged += share * psnr(&frame.rgb(), &reference);
+                row.psnr_converged += fraction * psnr(&frame.rgb(), &reference);
                 let shown = frame.shown(data.background, data.edge_exponent(factor));
-                row.psnr += share * psnr(&compared(&set, view, shown.rgb()), &target);
-                row.milliseconds += share * milliseconds;
+                row.psnr += fraction * psnr(&compared(&set, view, shown.rgb()), &target);
+                row.milliseconds += fraction * milliseconds;
             }
         }
     }
@@ -202,8 +202,8 @@ fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<Stri
         let name = format!("{samples} within ±{delta} cells, {layers} at most");
         hybrid("hybrid: layers", name, &assignments);
     }
-    for share in [0.0, 0.1, 0.2, 0.4, 1.0] {
-        hybrid("hybrid: shared colours", format!("{share}"), &[format!("hybrid.share={share:?}")]);
+    for fraction in [0.0, 0.1, 0.2, 0.4, 1.0] {
+        hybrid("hybrid: shared colours", format!("{fraction}"), &[format!("hybrid.shared_weight={fraction:?}")]);
     }
     all
 }

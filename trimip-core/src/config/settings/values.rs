@@ -3,7 +3,7 @@
 use toml::de::DeValue;
 use toml::{Spanned, Table, Value};
 
-/// A spanned value without its tiles.
+/// A spanned value without its spans.
 pub(crate) fn plain(value: &Spanned<DeValue<'_>>) -> Value {
     match value.get_ref() {
         DeValue::String(text) => Value::String(text.to_string()),

@@ -92,17 +92,17 @@ mod tests {
         };
         let policy = OccupancyPolicy::new(&config);
         let cells = policy.cells();
-        let share = |choice: &Choice, occupied: bool| {
+        let fraction = |choice: &Choice, occupied: bool| {
             (0..cells).filter(|&cell| choice.includes(cell, occupied)).count() as f64 / f64::from(cells)
         };
         assert_eq!([255, 256].map(|step| policy.fraction(step)), [1.0, 0.25]);
-        assert_eq!(share(&policy.choice(16, 0), false), 1.0);
+        assert_eq!(fraction(&policy.choice(16, 0), false), 1.0);
         // Half the cells are occupied. An occupied cell is drawn uniformly (1/4) or among the occupied ones (1/2).
         let later = policy.choice(512, cells as usize / 2);
-        assert!((share(&later, false) - 0.25).abs() < 0.005);
-        assert!((share(&later, true) - (1.0 - 0.75 * 0.5)).abs() < 0.005);
+        assert!((fraction(&later, false) - 0.25).abs() < 0.005);
+        assert!((fraction(&later, true) - (1.0 - 0.75 * 0.5)).abs() < 0.005);
         // Few occupied cells: all of them are drawn.
-        assert_eq!(share(&policy.choice(512, 100), true), 1.0);
+        assert_eq!(fraction(&policy.choice(512, 100), true), 1.0);
     }
 
     #[test]

@@ -30,7 +30,7 @@ pub struct SamplerPolicy {
     train: TrainConfig,
     sampling: Option<ScaleSampling>,
     scale_weights: ScaleWeights,
-    random_share: f32,
+    random_background: f32,
 }
 
 impl SamplerPolicy {
@@ -48,7 +48,7 @@ impl SamplerPolicy {
             train: config.train.clone(),
             sampling: views.map(|views| ScaleSampling::new(config, views)),
             scale_weights: ScaleWeights::default(),
-            random_share: 0.0,
+            random_background: 0.0,
         };
         policy.set_progress(0.0);
         policy
@@ -59,7 +59,7 @@ impl SamplerPolicy {
         if let Some(sampling) = &self.sampling {
             self.scale_weights = sampling.at(progress);
         }
-        self.random_share = self.train.random_share(progress);
+        self.random_background = self.train.random_background(progress);
     }
 
     /// Pixels, loss weight and cones of each scale.
@@ -69,8 +69,8 @@ impl SamplerPolicy {
 
     /// Fraction of the training pixels that get a random background.
     #[inline]
-    pub fn random_share(&self) -> f32 {
-        self.random_share
+    pub fn random_background(&self) -> f32 {
+        self.random_background
     }
 
     /// Scale of pixel `index` of a training step, and its index among all pixels of the views: uniform within the scale.
@@ -118,7 +118,7 @@ mod tests {
     #[test]
     fn every_pixel_is_drawn_from_its_scale() {
         let mut config = Config::default();
-        config.train.scale_balance = Schedule::new(vec![[0.0, 1.0]]);
+        config.train.scale_weighting = Schedule::new(vec![[0.0, 1.0]]);
         let policy = SamplerPolicy::new(&config, Some(&views()));
         let draw = policy.scale_weights().allocate(4000);
         let mut counts = [0; 80];
@@ -138,11 +138,11 @@ mod tests {
     fn backgrounds_are_random_by_their_schedule() {
         let mut config = Config::default();
         config.train.background = TrainBackground::Random;
-        config.train.background_share = Schedule::new(vec![[0.0, 1.0], [0.5, 0.25]]);
+        config.train.background_fraction = Schedule::new(vec![[0.0, 1.0], [0.5, 0.25]]);
         let mut policy = SamplerPolicy::new(&config, None);
-        assert_eq!(policy.random_share(), 1.0);
+        assert_eq!(policy.random_background(), 1.0);
         policy.set_progress(0.75);
-        assert_eq!(policy.random_share(), 0.25);
+        assert_eq!(policy.random_background(), 0.25);
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! The ray is divided into steps. A step whose predicted weight is less than [`Rule::least`] is left out; it lends its optical
 //! depth to the next sample, or to the last one of the ray. Where the weights of steps that were left out add up to
 //! [`Rule::least`], the heaviest of them becomes a sample, so that a ray loses less than that. The samples are evaluated by
-//! the model. Neighbouring samples of less weight than [`Rule::share`] together share one colour, that of the weighted mean
+//! the model. Neighbouring samples of less weight than [`Rule::shared_weight`] together share one colour, that of the weighted mean
 //! of their geometry features.
 
 use crate::math::compositing::weight;
@@ -21,7 +21,7 @@ pub struct Rule {
     /// Predicted transmittance at which a ray ends.
     pub opaque: f32,
     /// Most weight of samples that share a colour.
-    pub share: f32,
+    pub shared_weight: f32,
     /// Largest distance between samples that share a colour, world units.
     pub reach: f32,
 }
@@ -135,7 +135,7 @@ pub fn share_colors(rule: &Rule, samples: &mut [Shaded], mut group: impl FnMut(R
         let mut end = start + 1;
         while let Some(next) = samples.get(end) {
             // False for NaN, which stays alone.
-            if !(sum + next.weight <= rule.share && next.t - first.t <= rule.reach) {
+            if !(sum + next.weight <= rule.shared_weight && next.t - first.t <= rule.reach) {
                 break;
             }
             sum += next.weight;
@@ -150,7 +150,7 @@ pub fn share_colors(rule: &Rule, samples: &mut [Shaded], mut group: impl FnMut(R
 mod tests {
     use super::*;
 
-    const RULE: Rule = Rule { least: 0.02, opaque: 0.01, share: 0.3, reach: 5.0 };
+    const RULE: Rule = Rule { least: 0.02, opaque: 0.01, shared_weight: 0.3, reach: 5.0 };
 
     /// The samples of a ray with these optical depths, one step of length 1 each, as (t, optical depth for densities as
     /// predicted).

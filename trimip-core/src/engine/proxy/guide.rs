@@ -38,7 +38,7 @@ impl Guide {
         };
         let step = config.step * proxy.width();
         let rule = Rule {
-            share: config.share,
+            shared_weight: config.shared_weight,
             least: config.least,
             reach: config.reach * proxy.width(),
             opaque: config.opaque,

@@ -67,8 +67,8 @@ impl<R: Real> Encoding<R> {
         for out in out[first..self.width()].chunks_exact_mut(6) {
             for axis in 0..3 {
                 let (sine, cosine) = (factor * mean[axis]).sin_cos();
-                let share = (R::from_f64(-0.5) * factor * factor * variance[axis]).exp();
-                (out[axis], out[3 + axis]) = (share * sine, share * cosine);
+                let attenuation = (R::from_f64(-0.5) * factor * factor * variance[axis]).exp();
+                (out[axis], out[3 + axis]) = (attenuation * sine, attenuation * cosine);
             }
             factor = factor + factor;
         }

@@ -5,7 +5,7 @@
 
 mod points;
 
-pub use points::{Points, TURNS, share};
+pub use points::{Points, TURNS, level_weight};
 
 use super::{Definition, Reference, SamplePosition};
 use crate::config::HashGridConfig;
@@ -160,10 +160,10 @@ impl Reference for GridTwin {
         for j in 0..self.points.count {
             let [x, y, z, deviation] = self.points.point(j, at);
             for (level, out) in self.levels.levels.iter().zip(features.chunks_exact_mut(width)) {
-                let share = self.points.share(level, deviation);
+                let level_weight = self.points.level_weight(level, deviation);
                 for (entry, weight) in level.corners([x, y, z]) {
                     let row = &self.table[entry as usize * width..][..width];
-                    out.iter_mut().zip(row).for_each(|(sum, value)| *sum += share * weight * value);
+                    out.iter_mut().zip(row).for_each(|(sum, value)| *sum += level_weight * weight * value);
                 }
             }
         }

@@ -97,7 +97,7 @@ pub struct Read<R> {
     /// Levels along the two axes.
     pub levels: [usize; 2],
     /// Share of the level among the reads.
-    pub share: R,
+    pub level_weight: R,
     /// Texels of the level, and their weights.
     pub taps: Taps<R>,
 }
@@ -240,17 +240,17 @@ impl<R: Real> Plane<R> {
     pub fn reads(&self, gaussian: &Gaussian<R>) -> [Read<R>; 4] {
         let (at, [i, j]) = self.project(gaussian);
         std::array::from_fn(|k| {
-            let share = |blend: LevelBlend<R>, upper: bool| {
+            let level_weight = |blend: LevelBlend<R>, upper: bool| {
                 if upper { blend.fraction } else { R::one() - blend.fraction }
             };
             let (up_i, up_j) = (k & 1 == 1, k & 2 == 2);
-            let share = share(i, up_i) * share(j, up_j);
+            let level_weight = level_weight(i, up_i) * level_weight(j, up_j);
             // A level above the top has no share; it need not exist.
-            let levels = match share > R::zero() {
+            let levels = match level_weight > R::zero() {
                 true => [i.lower + usize::from(up_i), j.lower + usize::from(up_j)],
                 false => [0, 0],
             };
-            Read { levels, share, taps: taps(self.shape(levels), at[0], at[1]) }
+            Read { levels, level_weight, taps: taps(self.shape(levels), at[0], at[1]) }
         })
     }
 
@@ -347,11 +347,11 @@ impl Reference for RipTwin {
         let mut features = vec![0.0; self.planes.len() * CHANNELS];
         for ((plane, map), out) in self.planes.iter().zip(&self.maps).zip(features.chunks_exact_mut(CHANNELS))
         {
-            for Read { levels, share, taps } in plane.reads(&gaussian) {
+            for Read { levels, level_weight, taps } in plane.reads(&gaussian) {
                 for (row, weights) in taps.rows.into_iter().zip(taps.weights) {
                     for (column, weight) in taps.columns.into_iter().zip(weights) {
                         let texel = &map[plane.texel(levels, row, column) * CHANNELS..][..CHANNELS];
-                        out.iter_mut().zip(texel).for_each(|(sum, value)| *sum += share * weight * value);
+                        out.iter_mut().zip(texel).for_each(|(sum, value)| *sum += level_weight * weight * value);
                     }
                 }
             }
@@ -425,7 +425,7 @@ mod tests {
                 assert!(gaussian.along >= 0.0 && gaussian.across >= 0.0);
                 for plane in &planes {
                     let reads = plane.reads(&gaussian);
-                    let sum: f32 = reads.iter().map(|read| read.share).sum();
+                    let sum: f32 = reads.iter().map(|read| read.level_weight).sum();
                     assert!((sum - 1.0).abs() < 1e-5, "{gaussian:?}");
                     for Read { levels, taps, .. } in reads {
                         assert!(levels.iter().all(|level| *level < 4));

@@ -60,8 +60,8 @@ impl Shape {
         std::array::from_fn(|corner| {
             let upper = [corner & 1, corner >> 1 & 1, corner >> 2];
             let row = (z.0 + upper[2]) * self.sides[1] + y.0 + upper[1];
-            let share = weight(x, upper[0] == 1) * weight(y, upper[1] == 1) * weight(z, upper[2] == 1);
-            (row * self.sides[0] + x.0 + upper[0], share)
+            let product = weight(x, upper[0] == 1) * weight(y, upper[1] == 1) * weight(z, upper[2] == 1);
+            (row * self.sides[0] + x.0 + upper[0], product)
         })
     }
 }

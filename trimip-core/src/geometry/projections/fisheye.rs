@@ -95,8 +95,8 @@ impl Projection for Fisheye {
         if !(angle < k.lens.domain()) {
             return None;
         }
-        let share = if across > 0.0 { angle / across } else { 0.0 };
-        let [u, v] = k.lens.bend([x * share, y * share]).0;
+        let fraction = if across > 0.0 { angle / across } else { 0.0 };
+        let [u, v] = k.lens.bend([x * fraction, y * fraction]).0;
         Some([k.cx + k.fx * u, k.cy + k.fy * v])
     }
 

@@ -181,7 +181,7 @@ impl Gather<'_> {
     fn find(plane: &Plane<f32>, map: &[f32], gaussian: &Gaussian<f32>, to: &mut Texels) {
         to.count = 0;
         for read in plane.reads(gaussian) {
-            if read.share == 0.0 {
+            if read.level_weight == 0.0 {
                 continue;
             }
             for i in 0..2 {
@@ -191,7 +191,7 @@ impl Gather<'_> {
                     let texel = unsafe { map.as_ptr().add((row + read.taps.columns[j]) * CHANNELS) };
                     fetch(texel);
                     to.texels[to.count] = texel;
-                    to.weights[to.count] = read.share * read.taps.weights[i][j];
+                    to.weights[to.count] = read.level_weight * read.taps.weights[i][j];
                     to.count += 1;
                 }
             }

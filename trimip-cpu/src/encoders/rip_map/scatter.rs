@@ -29,7 +29,7 @@ impl Kernel for Sort<'_> {
             for (gaussian, index) in gaussians.iter().zip(first..) {
                 let mut touched = 0_u32;
                 for read in plane.reads(&Gaussian::of(gaussian)) {
-                    if read.share != 0.0 {
+                    if read.level_weight != 0.0 {
                         let rows = plane.sides[1] >> read.levels[1];
                         read.taps.rows.into_iter().for_each(|row| touched |= 1 << owner(row, rows));
                     }
@@ -117,7 +117,7 @@ impl Kernel for SpreadBand<'_> {
                 let row = &gradient.rows[index as usize * features + p * CHANNELS..];
                 let values = L::of(&row.as_chunks().0[0]);
                 for read in plane.reads(&Gaussian::of(&gradient.gaussians[index as usize])) {
-                    if read.share == 0.0 {
+                    if read.level_weight == 0.0 {
                         continue;
                     }
                     let [i, j] = read.levels;
@@ -127,12 +127,12 @@ impl Kernel for SpreadBand<'_> {
                             continue;
                         }
                         let row = row - *first_row;
-                        let [gradient_memory, right] = read.taps.columns;
-                        extents[row].add(gradient_memory << i, ((right + 1) << i) - 1);
-                        for (column, weight) in [gradient_memory, right].into_iter().zip(weights) {
+                        let [left, right] = read.taps.columns;
+                        extents[row].add(left << i, ((right + 1) << i) - 1);
+                        for (column, weight) in [left, right].into_iter().zip(weights) {
                             let texel = (row * plane.width() + plane.column(i) + column) * CHANNELS;
                             let texel = &mut texels[texel..].as_chunks_mut().0[0];
-                            values.mul_add(L::splat(read.share * weight), L::of(texel)).put(texel);
+                            values.mul_add(L::splat(read.level_weight * weight), L::of(texel)).put(texel);
                         }
                     }
                 }

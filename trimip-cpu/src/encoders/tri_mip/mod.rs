@@ -32,9 +32,9 @@ pub(crate) struct Planes {
     whole: Pyramid,
     /// Its rows by worker and rank.
     division: Division,
-    /// `train.parts`.
-    parts: u32,
-    /// Unused memory for sums of parts.
+    /// `train.leaves`.
+    leaves: u32,
+    /// Unused memory for sums of leaves.
     scratch: Mutex<Vec<Scratch>>,
     /// The texels whose gradient may be non-zero.
     touched: Extents,
@@ -70,7 +70,7 @@ impl Encoding for Planes {
             simd,
             whole: pyramid.clone(),
             division,
-            parts: config.train.parts,
+            leaves: config.train.leaves,
             scratch: Mutex::default(),
             pyramid,
             touched,
@@ -126,11 +126,11 @@ impl Encoding for Planes {
 
     fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
         let this_rank = self.division.this_rank;
-        let parts = ReductionTree::new(self.parts, gradients.len());
+        let tree = ReductionTree::new(self.leaves, gradients.len());
         let (sums, bands) = self.bands(parameter_gradient);
         let from: &[&mut Gradient] = gradients;
         let work = bands.into_par_iter().with_max_len(1);
-        work.for_each(|mut band| sums.spread(from, parts, parts.of(this_rank), &mut band));
+        work.for_each(|mut band| sums.spread(from, tree, tree.of(this_rank), &mut band));
         if this_rank == Rank::ONLY {
             self.pull(parameter_gradient);
         }
@@ -353,9 +353,9 @@ impl Gather<'_> {
         for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
             let blend = self.pyramid.blend(plane, log2_radius);
             to.two[plane] = blend.fraction != 0.0;
-            let shares = [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)];
-            for (read, (level, share)) in to.reads[plane].iter_mut().zip(shares) {
-                if share == 0.0 {
+            let level_weights = [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)];
+            for (read, (level, level_weight)) in to.reads[plane].iter_mut().zip(level_weights) {
+                if level_weight == 0.0 {
                     continue;
                 }
                 let shape = self.pyramid.shape(level, plane);
@@ -367,7 +367,7 @@ impl Gather<'_> {
                         let texel = unsafe { places[level][plane].add(texel) };
                         fetch(texel);
                         read.texels[2 * i + j] = texel;
-                        read.weights[2 * i + j] = share * taps.weights[i][j];
+                        read.weights[2 * i + j] = level_weight * taps.weights[i][j];
                     }
                 }
             }

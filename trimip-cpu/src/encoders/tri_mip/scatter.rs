@@ -143,8 +143,8 @@ impl Kernel for Sort<'_> {
             let log2_radius = sphere.radius.log2();
             for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
                 let mut touched = 0_u32;
-                for (level, share) in reads(pyramid, plane, log2_radius) {
-                    if share != 0.0 {
+                for (level, level_weight) in reads(pyramid, plane, log2_radius) {
+                    if level_weight != 0.0 {
                         let shape = pyramid.shape(level, plane);
                         let [lower, upper] = taps(shape, sphere.position[a], sphere.position[b]).rows;
                         let owner = |row| division.owner(plane, level, row);
@@ -173,38 +173,38 @@ pub struct Sums<'a> {
 }
 
 impl Sums<'_> {
-    /// Overwrites a band with the sum of `own` of the parts of a step.
+    /// Overwrites a band with the sum of `own` of the leaves of a step.
     pub fn spread(
         &self,
         gradients: &[&mut Gradient],
-        parts: ReductionTree,
+        tree: ReductionTree,
         own: Range<usize>,
         band: &mut Band<'_>,
     ) {
         band.levels.iter_mut().for_each(LevelBand::clear);
-        self.add_parts(gradients, parts, own, band);
+        self.add_leaves(gradients, tree, own, band);
     }
 
-    /// Adds the sum of parts to a band that is zero.
-    fn add_parts(
+    /// Adds the sum of leaves to a band that is zero.
+    fn add_leaves(
         &self,
         gradients: &[&mut Gradient],
-        parts: ReductionTree,
+        tree: ReductionTree,
         own: Range<usize>,
         band: &mut Band<'_>,
     ) {
         let list = band.plane * BANDS + band.band;
         if own.len() == 1 {
-            let part = gradients.iter().skip(own.start).step_by(parts.count());
+            let leaf = gradients.iter().skip(own.start).step_by(tree.count());
             let Self { pyramid, division, .. } = *self;
-            for gradient in part.filter(|gradient| !gradient.bands[list].is_empty()) {
+            for gradient in leaf.filter(|gradient| !gradient.bands[list].is_empty()) {
                 self.simd.run(SpreadBand { pyramid, division, gradient, band });
             }
             return;
         }
-        let [gradient_memory, right] = halves(own);
-        self.add_parts(gradients, parts, gradient_memory, band);
-        self.beside(band, |other| self.add_parts(gradients, parts, right, other));
+        let [left, right] = halves(own);
+        self.add_leaves(gradients, tree, left, band);
+        self.beside(band, |other| self.add_leaves(gradients, tree, right, other));
     }
 
     /// Fills a band of zeros, and adds it. Returns what `fill` returns.
@@ -233,7 +233,7 @@ impl Sums<'_> {
         self.add_ranks(from, 0..from.len(), band)
     }
 
-    /// Adds the sums of ranks, in the tree of their parts, to a band that holds that of this rank, if it is among them, and
+    /// Adds the sums of ranks, in the tree of their leaves, to a band that holds that of this rank, if it is among them, and
     /// otherwise zero.
     fn add_ranks(&self, from: &[&[u8]], ranks: Range<usize>, band: &mut Band<'_>) -> Result<()> {
         let own = self.division.this_rank.id;
@@ -244,9 +244,9 @@ impl Sums<'_> {
             };
         }
         // A sum of two has the same bits in either order.
-        let [gradient_memory, right] = halves(ranks);
+        let [left, right] = halves(ranks);
         let [here, other] =
-            if right.contains(&own) { [right, gradient_memory] } else { [gradient_memory, right] };
+            if right.contains(&own) { [right, left] } else { [left, right] };
         self.add_ranks(from, here, band)?;
         if other.len() == 1 {
             return self.add_message(from[other.start], band);
@@ -313,8 +313,8 @@ impl Kernel for SpreadBand<'_, '_> {
             let sphere = &gradient.spheres[index as usize];
             let row = &gradient.rows[index as usize * FEATURES + plane * CHANNELS..];
             let values = L::of(&row.as_chunks().0[0]);
-            for (level, share) in reads(pyramid, plane, sphere.radius.log2()) {
-                if share == 0.0 {
+            for (level, level_weight) in reads(pyramid, plane, sphere.radius.log2()) {
+                if level_weight == 0.0 {
                     continue;
                 }
                 let shape = pyramid.shape(level, plane);
@@ -329,7 +329,7 @@ impl Kernel for SpreadBand<'_, '_> {
                         let row = (taps.rows[i] - *first_row) * shape.columns;
                         let texel = (row + taps.columns[j]) * CHANNELS;
                         let texel = &mut texels[texel..].as_chunks_mut().0[0];
-                        let weight = L::splat(share * taps.weights[i][j]);
+                        let weight = L::splat(level_weight * taps.weights[i][j]);
                         values.mul_add(weight, L::of(texel)).put(texel);
                     }
                 }

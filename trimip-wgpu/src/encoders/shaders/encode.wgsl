@@ -32,8 +32,8 @@ fn encode(
     let blend = blend_levels(pyramid, plane, log2(sphere.w));
     var sum = vec4<f32>(0.0);
     for (var upper = 0u; upper < 2u; upper++) {
-        let share = select(1.0 - blend.fraction, blend.fraction, upper == 1u);
-        if share == 0.0 {
+        let level_weight = select(1.0 - blend.fraction, blend.fraction, upper == 1u);
+        if level_weight == 0.0 {
             continue;
         }
         let level = blend.lower + upper;
@@ -43,7 +43,7 @@ fn encode(
         for (var r = 0u; r < 2u; r++) {
             for (var c = 0u; c < 2u; c++) {
                 let index = start + taps.rows[r] * shape.x + taps.columns[c];
-                sum += share * tap_weight(taps, r, c) * texel(level, 4u * index + part);
+                sum += level_weight * tap_weight(taps, r, c) * texel(level, 4u * index + part);
             }
         }
     }

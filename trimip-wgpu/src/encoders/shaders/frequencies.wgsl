@@ -47,9 +47,9 @@ fn frequencies(
     for (var k = 0u; k < params.count; k++) {
         for (var axis = 0u; axis < 3u; axis++) {
             let angle = reduced(factor * mean[axis]);
-            let share = exp(-0.5 * factor * factor * variance[axis]);
-            features[at + axis] = share * sin(angle);
-            features[at + 3u + axis] = share * cos(angle);
+            let attenuation = exp(-0.5 * factor * factor * variance[axis]);
+            features[at + axis] = attenuation * sin(angle);
+            features[at + 3u + axis] = attenuation * cos(angle);
         }
         at += 6u;
         factor *= 2.0;

@@ -34,8 +34,8 @@ fn corner_entry(level: Level, cell: Cell, corner: u32) -> u32 {
 }
 
 // Weight of a level's features at a point with the standard deviation `deviation`, among all points.
-fn share_of(scale: f32, deviation: f32) -> f32 {
-    var share = 1.0;
+fn downweight(scale: f32, deviation: f32) -> f32 {
+    var level_weight = 1.0;
     if WEIGHTED == 1u {
         let cells = deviation * (scale + 1.0);
         if cells > 1e-3 {
@@ -43,8 +43,8 @@ fn share_of(scale: f32, deviation: f32) -> f32 {
             let x = 0.35355339 / cells;
             let t = 1.0 / (1.0 + 0.3275911 * x);
             let sum = ((((1.061405429 * t - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592) * t;
-            share = 1.0 - sum * exp(-x * x);
+            level_weight = 1.0 - sum * exp(-x * x);
         }
     }
-    return share / f32(POINTS);
+    return level_weight / f32(POINTS);
 }

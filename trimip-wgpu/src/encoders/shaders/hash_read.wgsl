@@ -21,10 +21,10 @@ fn hash_read(
     var sum: array<f32, FEATURES>;
     for (var p = 0u; p < POINTS; p++) {
         let point = points[POINTS * sample + p];
-        let share = share_of(levels[level].scale, point.w);
+        let level_weight = downweight(levels[level].scale, point.w);
         let cell = cell_around(levels[level].scale, point.xyz);
         for (var corner = 0u; corner < 8u; corner++) {
-            let weight = share * corner_weight(cell, corner);
+            let weight = level_weight * corner_weight(cell, corner);
             let entry = corner_entry(levels[level], cell, corner);
             for (var f = 0u; f < FEATURES; f++) {
                 sum[f] += weight * entries[entry * FEATURES + f];

@@ -20,14 +20,14 @@ fn rip_add(
     let gradient = gradients[i];
     for (var which = 0u; which < 4u; which++) {
         let read = read_of(projection, which);
-        if read.share == 0.0 {
+        if read.level_weight == 0.0 {
             continue;
         }
         let taps = read_taps(projection, plane, read.levels);
         for (var r = 0u; r < 2u; r++) {
             for (var c = 0u; c < 2u; c++) {
                 let texel = read_texel(plane, read.levels, taps.rows[r], taps.columns[c]);
-                let value = read.share * tap_weight(taps, r, c) * gradient;
+                let value = read.level_weight * tap_weight(taps, r, c) * gradient;
                 for (var channel = 0u; channel < 4u; channel++) {
                     add_base(CHANNELS * texel + 4u * (i % 4u) + channel, value[channel]);
                 }

@@ -27,19 +27,19 @@ fn project(gaussian: Gaussian, plane: u32, levels: u32) -> Projection {
 // One of the four combinations of levels: bit 0 of `which` takes the coarser level along the rows, bit 1 across them.
 struct Read {
     levels: vec2<u32>,
-    share: f32,
+    level_weight: f32,
 }
 
 fn read_of(projection: Projection, which: u32) -> Read {
     let along = projection.blends[0];
     let across = projection.blends[1];
     let upper = vec2<bool>((which & 1u) != 0u, (which & 2u) != 0u);
-    let shares = vec2<f32>(
+    let level_weights = vec2<f32>(
         select(1.0 - along.fraction, along.fraction, upper.x),
         select(1.0 - across.fraction, across.fraction, upper.y),
     );
     let levels = vec2<u32>(along.lower, across.lower) + select(vec2<u32>(0u), vec2<u32>(1u), upper);
-    return Read(levels, shares.x * shares.y);
+    return Read(levels, level_weights.x * level_weights.y);
 }
 
 fn read_taps(projection: Projection, plane: u32, levels: vec2<u32>) -> Taps {

@@ -24,8 +24,8 @@ fn scatter(
     let blend = blend_levels(pyramid, plane, log2(sphere.w));
     let gradient = gradients[sample * (pyramid.stride / 4u) + i % FOURS];
     for (var upper = 0u; upper < 2u; upper++) {
-        let share = select(1.0 - blend.fraction, blend.fraction, upper == 1u);
-        if share == 0.0 {
+        let level_weight = select(1.0 - blend.fraction, blend.fraction, upper == 1u);
+        if level_weight == 0.0 {
             continue;
         }
         let level = blend.lower + upper;
@@ -35,7 +35,7 @@ fn scatter(
         for (var r = 0u; r < 2u; r++) {
             for (var c = 0u; c < 2u; c++) {
                 let texel = start + taps.rows[r] * shape.x + taps.columns[c];
-                let value = share * tap_weight(taps, r, c) * gradient;
+                let value = level_weight * tap_weight(taps, r, c) * gradient;
                 for (var channel = 0u; channel < 4u; channel++) {
                     let place = CHANNELS * texel + 4u * part + channel;
                     if level == 0u {

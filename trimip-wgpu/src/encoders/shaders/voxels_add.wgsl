@@ -23,13 +23,13 @@ fn voxels_add(
     var basis = spherical_harmonics(rays[owners[sample]].direction);
     for (var corner = 0u; corner < 8u; corner++) {
         let point = corner_point(cell, corner);
-        let share = corner_weight(cell, corner) * gradient;
+        let product = corner_weight(cell, corner) * gradient;
         if feature == 0u {
-            add_base(params.density + point, share);
+            add_base(params.density + point, product);
         } else {
             let first = color_at(point, feature - 1u);
             for (var k = 0u; k < params.harmonics; k++) {
-                add_base(first + k, basis[k] * share);
+                add_base(first + k, basis[k] * product);
             }
         }
     }

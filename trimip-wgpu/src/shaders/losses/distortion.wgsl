@@ -37,8 +37,8 @@ fn advance(walk: Walk, depth: f32, at: vec2<f32>) -> Walk {
     return next;
 }
 
-// The loss of a cone, times `share`.
-fn distortion(cone: u32, share: f32) -> f32 {
+// The loss of a cone, times `fraction`.
+fn distortion(cone: u32, fraction: f32) -> f32 {
     let segment = segments[cone];
     if segment.y == 0u {
         return 0.0;
@@ -64,7 +64,7 @@ fn distortion(cone: u32, share: f32) -> f32 {
         behind -= (total - walk.before) * walk.gap;
         let by_weight = 2.0 * (walk.in_front + behind + walk.weight * walk.width / 3.0);
         hidden -= walk.weight * by_weight;
-        gradients[j].w += share * (walk.transmittance * by_weight - hidden) * intervals[j].y;
+        gradients[j].w += fraction * (walk.transmittance * by_weight - hidden) * intervals[j].y;
     }
-    return share * value;
+    return fraction * value;
 }

@@ -71,15 +71,15 @@ impl<R: Real> Points<R> {
 
     /// Weight of a level's features at a point, among all points.
     #[inline(always)]
-    pub fn share(&self, level: &Level, deviation: R) -> R {
-        let share = if self.downweight { share(level.scale, deviation) } else { R::one() };
-        share / R::from_u32(self.count as u32)
+    pub fn level_weight(&self, level: &Level, deviation: R) -> R {
+        let level_weight = if self.downweight { level_weight(level.scale, deviation) } else { R::one() };
+        level_weight / R::from_u32(self.count as u32)
     }
 }
 
 /// Weight erf(1/√(8σ²n²)) of a grid of n = `scale` + 1 cells for a Gaussian of standard deviation σ.
 #[inline(always)]
-pub fn share<R: Real>(scale: f32, deviation: R) -> R {
+pub fn level_weight<R: Real>(scale: f32, deviation: R) -> R {
     let cells = deviation * R::from_f64(f64::from(scale) + 1.0);
     // So many deviations fit into a cell that the error function is 1.
     if !(cells > R::from_f64(1e-3)) { R::one() } else { erf(R::from_f64(8_f64.sqrt().recip()) / cells) }
@@ -115,9 +115,9 @@ mod tests {
     #[test]
     fn levels_weigh_as_much_as_the_gaussian_stays_in_a_cell() {
         // Published: the mass within half a cell of a Gaussian whose deviation is half a cell, or a cell.
-        assert!((share(63.0, 0.5 / 64.0) - 0.682_689_f64).abs() < 1e-6);
-        assert!((share(63.0, 1.0 / 64.0) - 0.382_925_f64).abs() < 1e-6);
-        assert_eq!(share(63.0, 0.0_f64), 1.0);
+        assert!((level_weight(63.0, 0.5 / 64.0) - 0.682_689_f64).abs() < 1e-6);
+        assert!((level_weight(63.0, 1.0 / 64.0) - 0.382_925_f64).abs() < 1e-6);
+        assert_eq!(level_weight(63.0, 0.0_f64), 1.0);
     }
 
     /// Mean and variance along the ray, and the trace of the covariance across it, are those of the frustum.
