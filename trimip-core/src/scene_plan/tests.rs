@@ -64,7 +64,7 @@ fn levels_are_sharper_where_texels_are_as_fine_as_pixels_see() {
 fn cones_are_about_as_wide_as_pixels_of_the_finest_photographs() {
     let train = views(true);
     let (config, _) = planned(&train, &[]).unwrap();
-    let footprint = detail::footprint(&train, &Aabb::new(&config.scene)).unwrap();
+    let footprint = fineness::footprint(&train, &Aabb::new(&config.scene)).unwrap();
     let width = f64::from(config.renderer.cone_width) / footprint;
     assert!((width / 1.25 - 1.0).abs() < 5e-3, "{width}");
     let division = crate::scene::cones::Division::new(&config);
@@ -110,7 +110,7 @@ fn a_hash_grid_is_as_fine_as_pixels_see_and_has_no_settings_of_planes() {
     let train = views(true);
     let (config, findings) = planned(&train, &["encoder.kind=hash-grid"]).unwrap();
     let aabb = Aabb::<f64>::new(&config.scene);
-    let footprint = detail::footprint(&train, &aabb).unwrap();
+    let footprint = fineness::footprint(&train, &aabb).unwrap();
     let width = aabb.longest() / f64::from(config.hash_grid.finest) / footprint;
     assert!((1.2..=1.3).contains(&width), "{width}");
     let changes = || findings.iter().flat_map(|finding| &finding.changes);

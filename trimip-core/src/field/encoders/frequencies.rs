@@ -3,7 +3,7 @@
 //! world units from the middle of the box.
 
 use super::rip_map::Gaussian;
-use super::{Definition, Reference, SamplePosition};
+use super::definition::{Definition, Reference, SamplePosition};
 use crate::config::FrequenciesConfig;
 use crate::math::scalar::Real;
 use crate::{Aabb, Config, Slot};

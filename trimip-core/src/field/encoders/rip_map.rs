@@ -3,7 +3,7 @@
 //! Gaussian that is long in one direction is not blurred in the other.
 
 use super::tri_mip::{LevelBlend, Shape, Taps, taps};
-use super::{Definition, Reference, SamplePosition};
+use super::definition::{Definition, Reference, SamplePosition};
 use crate::config::RipMapConfig;
 use crate::math::scalar::Real;
 use crate::{Aabb, Config, Slot};

@@ -1,7 +1,7 @@
 //! The tri-mip planes as an encoder: their declaration and their f64 reference.
 
 use super::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, grow, level_input, sides, taps};
-use crate::field::encoders::{Definition, Reference, SamplePosition};
+use crate::field::encoders::definition::{Definition, Reference, SamplePosition};
 use crate::{Aabb, Config, Slot};
 
 /// Three mip-mapped feature planes (Tri-MipRF). Each stage of growth halves the planes' sides once more.
