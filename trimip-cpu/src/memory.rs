@@ -1,6 +1,6 @@
 //! Predicts the peak resident memory of a training run, by parts, before anything is allocated.
 
-use crate::backend::SAMPLES_AT_ONCE;
+use crate::worker::SAMPLES_AT_ONCE;
 use crate::encoder::gradient_memory;
 use crate::mlp::BLOCK;
 use trimip_core::engine::batch::{Interval, Radiance, Sphere};
