@@ -1,7 +1,7 @@
 //! `report.md` and `report.tex`: the verdict and the table of metrics, as Markdown and as a LaTeX `tabular` that needs
 //! no package. PSNR in dB.
 
-use super::{Report, scale_name};
+use super::content::{Report, scale_name};
 use crate::formatting;
 use trimip_core::measures::{
     metrics::LEAST_SIDE,
