@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn the_fields_that_programs_rely_on_are_there() {
-        super::super::example(|report| {
+        crate::run::fixtures::report(|report| {
             let json = value(report);
             for key in [
                 "verdict",

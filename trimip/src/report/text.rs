@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn the_markdown_table_has_a_row_per_scale_and_their_mean() {
-        super::super::example(|report| {
+        crate::run::fixtures::report(|report| {
             let text = markdown(report);
             let rows: Vec<_> = text.lines().filter(|line| line.starts_with('|')).collect();
             assert_eq!(rows.len(), 5);
@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn the_latex_table_has_as_many_columns_as_it_says() {
-        super::super::example(|report| {
+        crate::run::fixtures::report(|report| {
             let text = latex(report);
             let columns =
                 text.split_once("\\begin{tabular}{l").and_then(|(_, rest)| rest.split_once('}')).unwrap().0;
