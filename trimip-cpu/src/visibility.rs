@@ -84,14 +84,11 @@ fn evaluate_chosen(
     workspace: &mut Workspace<CpuBackend>,
     chosen: &mut Samples<CpuBackend>,
 ) -> usize {
-    let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, kept, .. } =
-        workspace;
-    std::mem::swap(samples, chosen);
-    let count = samples.spheres.len();
-    samples.counts.resize(1);
-    let tile = &mut Tile { stream, parameters, rays, samples };
-    stages.encoder.forward(tile, encoder_context, features);
-    stages.field.density(tile, features, field_context, radiance);
+    std::mem::swap(&mut workspace.samples, chosen);
+    let count = workspace.samples.spheres.len();
+    workspace.samples.counts.resize(1);
+    stages.density(parameters, workspace);
+    let Workspace { stream, samples, field_context, radiance, kept, .. } = workspace;
     stages.renderer.prune(stream, radiance, samples, kept);
     // Only training needs the features again.
     if kept.len() < count {
