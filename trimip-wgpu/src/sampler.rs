@@ -5,7 +5,7 @@ use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Binds, Buffer, GRID, Gpu, Kernel, Size, lock};
 use crate::projections::PROJECTIONS;
 use crate::settings::{Photographs, WgpuConfig};
-use crate::shaders::{RANDOM, RAY};
+use crate::shaders::{RANDOM, RAY, TARGET};
 use crate::workspace::{Stream, WgpuBackend};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
@@ -95,10 +95,11 @@ pub const CAMERA: Source = Parts(&[
     Text(PROJECTIONS),
 ]);
 
-const RAYS: [Source; 6] = [
+const RAYS: [Source; 7] = [
     GRID,
     RANDOM,
     CAMERA,
+    TARGET,
     Source::of::<GpuScale>(),
     Source::of::<Params>(),
     Text(include_str!("shaders/rays.wgsl")),
