@@ -53,7 +53,6 @@ mod launched {
             // All ranks have the same error.
             return if super::speaks() { Err(error) } else { Ok(error.exit_code()) };
         }
-        trimip::backends::take_turn(world.on_machine().id);
         let rank = world.rank().id;
         let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, work) };
         // A rank that panics would leave the others waiting for it.

@@ -8,49 +8,15 @@ use crate::occupancy::CpuOccupancy;
 use crate::optimizer::CpuOptimizer;
 use crate::renderer::CpuRenderer;
 use crate::sampler::CpuSampler;
-use crate::simd::Simd;
-use crate::visibility::Scratch;
+use crate::{CpuBackend, WorkerScratch};
 use bytemuck::Pod;
 use rayon::prelude::*;
 use std::any::TypeId;
 use std::ops::Range;
-use std::sync::Mutex;
 use trimip_core::config::Precision;
 use trimip_core::engine::backend::{Stages, TrainWork};
-use trimip_core::engine::batch::{Batch, PartialGradients, Segment, StepResult, Tiling, Update, Workspace};
+use trimip_core::engine::batch::{Batch, PartialGradients, StepResult, Tiling, Update, Workspace};
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
-
-/// Approximate maximum of samples in the rays that a worker renders at once; it bounds the worker's memory.
-pub const SAMPLES_AT_ONCE: usize = 1536;
-
-/// Assumed samples of a ray before any ray was rendered.
-const UNKNOWN_RAY: f32 = 256.0;
-
-/// Decay of the longest ray's length from one group of rays to the next; neighbouring rays have similar lengths.
-const REMEMBERED: f32 = 0.98;
-
-/// A worker's scratch memory beside its workspace.
-pub struct WorkerScratch {
-    pub(crate) scratch: Option<Box<Scratch>>,
-    /// Samples of the pixel with the most of them among those rendered recently.
-    most_samples: f32,
-}
-
-impl WorkerScratch {
-    /// Number of rays to render at once: many in general, few through fog, where each ray has hundreds of samples.
-    fn pixels_at_once(&self) -> usize {
-        ((SAMPLES_AT_ONCE as f32 / self.most_samples) as usize).max(1)
-    }
-
-    /// Records the samples of the pixels just rendered. Pixels without samples tell nothing about their neighbours.
-    fn saw(&mut self, groups: &[Segment], segments: &[Segment]) {
-        let samples = |group: &Segment| segments[group.range()].iter().map(|segment| segment.count).sum();
-        let longest: u32 = groups.iter().map(samples).max().unwrap_or(0);
-        if longest > 0 {
-            self.most_samples = (longest as f32).max(REMEMBERED * self.most_samples);
-        }
-    }
-}
 
 /// Approximate number of samples that share a set of partial gradients. The weight gradients of a set are added up at the end of a
 /// step.
@@ -61,49 +27,7 @@ pub fn partials(samples: u32) -> usize {
     (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
 }
 
-/// The CPU with a given number of threads and a given instruction set.
-pub struct CpuBackend {
-    pool: rayon::ThreadPool,
-    simd: Simd,
-    /// True if bf16 products are computed even on a processor without bf16 instructions.
-    emulates_bf16: bool,
-    workspaces: Mutex<Vec<Workspace<Self>>>,
-}
-
 impl CpuBackend {
-    /// Starts `threads` workers (0: one per core) that use the given instruction set.
-    ///
-    /// # Errors
-    /// When the threads cannot be started.
-    pub fn new(threads: u32, simd: Simd) -> Result<Self> {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads as usize)
-            .build()
-            .map_err(|error| {
-                let what = match threads {
-                    0 => "a thread for each core".into(),
-                    threads => format!("{threads} threads"),
-                };
-                Error::device(format!(
-                    "cannot start {what}: {error}; lower threads, or raise the limits of processes and memory (ulimit -u, \
-                     ulimit -v)"
-                ))
-            })?;
-        Ok(Self { pool, simd, emulates_bf16: true, workspaces: Mutex::new(Vec::new()) })
-    }
-
-    /// The same, but computes in f32 what is configured as bf16 if the processor has no bf16 instructions. Emulation
-    /// would be slower and round more.
-    pub fn without_emulation(mut self) -> Self {
-        self.emulates_bf16 = false;
-        self
-    }
-
-    /// Number of worker threads.
-    pub fn threads(&self) -> usize {
-        self.pool.current_num_threads()
-    }
-
     /// Precision of the networks' products: the configured one, unless bf16 would have to be emulated and must not
     /// be.
     fn precision(&self, config: &Config) -> Precision {
@@ -184,7 +108,7 @@ impl Backend for CpuBackend {
     }
 
     fn stream(&self) -> WorkerScratch {
-        WorkerScratch { scratch: None, most_samples: UNKNOWN_RAY }
+        WorkerScratch::default()
     }
 
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Buffer<T> {
@@ -310,28 +234,5 @@ impl Backend for CpuBackend {
 
     fn redeem(&self, result: StepResult) -> Result<StepResult> {
         Ok(result)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rays_through_fog_are_rendered_few_at_once() {
-        let mut stream = WorkerScratch { scratch: None, most_samples: UNKNOWN_RAY };
-        let rays = |count| [Segment { start: 0, count: 1 }, Segment { start: 1, count }];
-        let pixels = [0, 1].map(|start| Segment { start, count: 1 });
-        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 256);
-        stream.saw(&pixels, &rays(1000));
-        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 1000);
-        stream.saw(&pixels, &[Segment::default(); 2]);
-        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 1000, "empty space says nothing of fog");
-        (0..300).for_each(|_| stream.saw(&pixels, &rays(8)));
-        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 8);
-        stream.saw(&[Segment { start: 0, count: 2 }], &[Segment { start: 0, count: 16 }; 2]);
-        assert_eq!(stream.pixels_at_once(), SAMPLES_AT_ONCE / 32, "a pixel has the samples of all its cones");
-        stream.saw(&pixels, &rays(1 << 20));
-        assert_eq!(stream.pixels_at_once(), 1);
     }
 }

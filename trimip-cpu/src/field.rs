@@ -3,23 +3,26 @@
 //! ray. With sines and cosines of the geometry features it reads rows of its own. Without networks the outputs are the
 //! features: a logit of density and those of colour.
 
+mod context;
+
+pub use context::Context;
+
 use crate::buffer::Buffer;
 use crate::gemm::padded;
-use crate::mlp::{Activations, Batch, Flow, InputRow, Mlp, MlpGradient, Passing, Shared};
+use crate::mlp::{Batch, Flow, InputRow, Mlp, MlpGradient, Passing};
 use crate::reduction_tree::{ReductionTree, halves};
 use crate::simd::Simd;
 use crate::wire::Reader;
 use crate::{CpuBackend, WorkerScratch};
+use context::{Directions, Lit};
 use rayon::prelude::*;
 use std::ops::Range;
-use trimip_core::config::{FieldConfig, Precision, ViewEncoding};
-use trimip_core::engine::batch::{FieldBackward, PartialGradients, Radiance, Rays, Samples, Tile};
+use trimip_core::config::Precision;
+use trimip_core::engine::batch::{FieldBackward, PartialGradients, Radiance, Tile};
 use trimip_core::engine::exchange::Rank;
 use trimip_core::engine::policy::FieldPolicy;
 use trimip_core::field::networks::{append_frequencies, pull_frequencies};
 use trimip_core::field::params::{ALIGNMENT, Slot};
-use trimip_core::math::compositing::is_lit;
-use trimip_core::math::sh::spherical_harmonics;
 use trimip_core::{Config, Field, Layout, Result, field::encoders};
 
 /// The density and colour networks.
@@ -39,117 +42,6 @@ pub struct CpuField {
     wanted_leaves: u32,
     /// Number of ranks whose sums of weight gradients are here; 0 if none is summed yet in this step.
     shared_by: usize,
-}
-
-/// Activations of a tile.
-pub struct Context {
-    density: Activations,
-    color: Activations,
-    lit: Lit,
-    directions: Directions,
-    /// Geometry features with their sines and cosines, [samples (padded), `shape`].
-    shape: Buffer<f32>,
-    /// Gradients of the colour logits, of the rows of `shape`, and of the density network's output.
-    color_gradient: Buffer<f32>,
-    shape_gradient: Buffer<f32>,
-    output_gradient: Buffer<f32>,
-    passing: Passing,
-}
-
-/// The samples that have a colour, if others are too faint for one.
-#[derive(Default)]
-struct Lit {
-    /// True if `rows` lists them; all samples have a colour otherwise.
-    listed: bool,
-    rows: Vec<u32>,
-    /// Their rows of the density network's output, padded, and the gradient by these.
-    outputs: Buffer<f32>,
-    gradient: Buffer<f32>,
-}
-
-impl Lit {
-    /// Lists the samples that have at least the weight `least` in their ray; all of them if it is 0.
-    fn choose(&mut self, samples: &Samples<CpuBackend>, radiance: &[Radiance], least: f32) {
-        self.listed = least > 0.0;
-        self.rows.clear();
-        if !self.listed {
-            return;
-        }
-        for segment in samples.segments.iter() {
-            let mut before = 0.0;
-            for row in segment.range() {
-                let depth = radiance[row].density * samples.intervals[row].length;
-                if is_lit(&mut before, depth, least) {
-                    self.rows.push(row as u32);
-                }
-            }
-        }
-    }
-
-    /// Number of samples with a colour, of `all` samples.
-    fn count(&self, all: usize) -> usize {
-        if self.listed { self.rows.len() } else { all }
-    }
-
-    /// The row of the sample with the colour number `i`.
-    fn row(&self, i: usize) -> usize {
-        if self.listed { self.rows[i] as usize } else { i }
-    }
-
-    /// The density network's outputs of these samples.
-    fn of<'a>(&'a self, density: &'a Activations) -> &'a Buffer<f32> {
-        if self.listed { &self.outputs } else { density.output() }
-    }
-}
-
-/// The views of the rays that have samples.
-#[derive(Default)]
-struct Directions {
-    /// Number of rays with samples.
-    count: usize,
-    /// Shape: [rays with samples (padded), width].
-    views: Buffer<f32>,
-    /// Row of `views` for each sample, padding included.
-    of: Vec<u32>,
-}
-
-impl Directions {
-    fn gather(
-        &mut self,
-        field: &FieldConfig,
-        width: usize,
-        rays: &Rays<CpuBackend>,
-        owners: impl Iterator<Item = u32>,
-    ) {
-        self.of.clear();
-        self.views.clear();
-        let (mut count, mut last) = (0, None);
-        for ray in owners {
-            if last != Some(ray) {
-                last = Some(ray);
-                count += 1;
-                self.views.resize(count * width);
-                let row = &mut self.views[(count - 1) * width..];
-                let direction = rays.rays[ray as usize].direction;
-                match field.view {
-                    ViewEncoding::Harmonics => row.copy_from_slice(&spherical_harmonics(direction)),
-                    ViewEncoding::Frequencies => {
-                        row.fill(0.0);
-                        row[..3].copy_from_slice(&direction);
-                        append_frequencies(row, 3, field.view_frequencies);
-                    }
-                }
-            }
-            self.of.push(count as u32 - 1);
-        }
-        self.count = count;
-        self.views.resize(padded(count) * width);
-        self.of.resize(padded(self.of.len()), 0);
-    }
-
-    fn shared(&self) -> Shared<'_> {
-        Shared { groups: self.count, input: &self.views, of: &self.of }
-    }
 }
 
 /// Weight gradients of both networks.

@@ -1,12 +1,15 @@
 //! Hybrid rendering on the CPU: the samples of a ray are chosen by the densities of the proxy.
 
 use crate::buffer::Buffer;
+use crate::cursor::Cursor;
+use crate::march::advance;
 use crate::occupancy::CpuOccupancy;
-use crate::renderer::CpuRenderer;
+use crate::worker::Groups;
 use crate::{CpuBackend, CpuField};
 use std::ops::Range;
 use trimip_core::Field;
 use trimip_core::engine::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Workspace};
+use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::engine::proxy::{Chooser, Chosen, Guide, Layering, Pick, Shaded, share_colors};
 use trimip_core::geometry::space::Path;
 
@@ -19,14 +22,14 @@ impl Hybrid {
     #[inline(always)]
     pub fn choose(
         &self,
-        renderer: &CpuRenderer,
+        policy: &RendererPolicy,
         ray: &Ray,
         occupancy: &CpuOccupancy,
         place: impl FnMut(Interval, Sphere),
     ) -> bool {
         match self.0.layers {
-            None => self.pick(Chooser::new(self.0.rule), renderer, ray, occupancy, place),
-            Some(layers) => self.pick(Layering::new(layers), renderer, ray, occupancy, place),
+            None => self.pick(Chooser::new(self.0.rule), policy, ray, occupancy, place),
+            Some(layers) => self.pick(Layering::new(layers), policy, ray, occupancy, place),
         }
     }
 
@@ -34,14 +37,14 @@ impl Hybrid {
     fn pick(
         &self,
         mut chooser: impl Pick,
-        renderer: &CpuRenderer,
+        policy: &RendererPolicy,
         ray: &Ray,
         occupancy: &CpuOccupancy,
         mut place: impl FnMut(Interval, Sphere),
     ) -> bool {
         let guide = &self.0;
-        let mut cursor = renderer.start(ray, None, 0).with_step(guide.step);
-        let way = renderer.policy.space.straight_path(ray, occupancy.resolution());
+        let mut cursor = Cursor::new(policy, ray, None, 0).with_step(guide.step);
+        let way = policy.space.straight_path(ray, occupancy.resolution());
         let mut choose = |chosen: Chosen| {
             let Chosen { t, .. } = chosen;
             place(
@@ -50,7 +53,7 @@ impl Hybrid {
             );
         };
         let mut sure = true;
-        renderer.advance(ray, occupancy, &mut cursor, |Interval { t, .. }, sphere| {
+        advance(policy, ray, occupancy, &mut cursor, |Interval { t, .. }, sphere| {
             // Also where the axis of a wide cone misses the cells with a density, its spheres may touch them.
             if sphere.radius > guide.widest {
                 sure = false;
@@ -136,13 +139,4 @@ impl Hybrid {
             radiance[own].density = depth / length;
         });
     }
-}
-
-/// A worker's memory for groups.
-#[derive(Default)]
-pub(crate) struct Groups {
-    /// The samples of a ray.
-    samples: Vec<Shaded>,
-    /// One per sample: its weight in its group, negative for all samples of a group but the first.
-    fractions: Vec<f32>,
 }

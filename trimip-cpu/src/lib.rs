@@ -25,7 +25,9 @@
 
 mod backend;
 mod buffer;
+mod cursor;
 mod data_parallel;
+mod device;
 mod distance;
 mod encoder;
 mod encoders;
@@ -33,6 +35,7 @@ mod field;
 pub mod gemm;
 mod hybrid;
 mod loss;
+mod march;
 mod memory;
 mod mlp;
 mod occupancy;
@@ -43,14 +46,16 @@ mod sampler;
 pub mod simd;
 mod visibility;
 mod wire;
+mod worker;
 
-pub use backend::{CpuBackend, WorkerScratch};
 pub use buffer::Buffer;
 pub use data_parallel::DataParallel;
+pub use device::CpuBackend;
 pub use encoder::CpuEncoder;
 pub use field::CpuField;
 pub use occupancy::CpuOccupancy;
 pub use renderer::CpuRenderer;
+pub use worker::WorkerScratch;
 
 use simd::Simd;
 use std::sync::Arc;

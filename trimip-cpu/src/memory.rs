@@ -1,8 +1,8 @@
 //! Predicts the peak resident memory of a training run, by parts, before anything is allocated.
 
-use crate::backend::SAMPLES_AT_ONCE;
 use crate::encoder::gradient_memory;
 use crate::mlp::BLOCK;
+use crate::worker::SAMPLES_AT_ONCE;
 use trimip_core::engine::batch::{Interval, Radiance, Sphere};
 use trimip_core::engine::trainer::{first_rays, longest_ray};
 use trimip_core::field::networks::geometry_width;

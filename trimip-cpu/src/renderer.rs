@@ -2,40 +2,17 @@
 
 use crate::buffer::Buffer;
 use crate::hybrid::Hybrid;
+use crate::march::March;
 use crate::occupancy::CpuOccupancy;
-use crate::simd::{Kernel, Lanes, Simd};
+use crate::simd::Simd;
 use crate::visibility::visibility_pass;
 use crate::{CpuBackend, WorkerScratch};
 use trimip_core::engine::backend::Stages;
-use trimip_core::engine::batch::{
-    Interval, Radiance, Ray, Rays, Samples, Segment, Sphere, Target, Tile, Workspace,
-};
+use trimip_core::engine::batch::{Radiance, Rays, Samples, Segment, Target, Tile, Workspace};
 use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::engine::proxy::Guide;
-use trimip_core::geometry::space::Path;
 use trimip_core::math::compositing::{Visibility, composite, composite_gradient};
-use trimip_core::math::rng::Sequence;
 use trimip_core::{Config, Pixel, Renderer, Result};
-
-/// The progress of marching along a ray.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Cursor {
-    /// Parameter of the start of the first step: the distance, in a bounded space.
-    first: f32,
-    /// Parameter at which the ray leaves the space; −∞ if it misses it.
-    leave: f32,
-    /// Length of a step of the parameter.
-    step: f32,
-    /// Number of steps done.
-    index: f32,
-}
-
-impl Cursor {
-    /// The same with other steps.
-    pub fn with_step(self, step: f32) -> Self {
-        Self { step, ..self }
-    }
-}
 
 /// The renderer: its policy, and what chooses the samples of pictures.
 pub struct CpuRenderer {
@@ -49,79 +26,6 @@ impl CpuRenderer {
     /// Creates the renderer of a configuration.
     pub fn new(simd: Simd, config: &Config) -> Self {
         Self { simd, policy: RendererPolicy::new(config), hybrid: None }
-    }
-
-    /// The cursor of a ray at its entry into the box, before its first step. `jitter` moves the first step by a
-    /// random fraction of a step; `index` is the ray's index within the training step.
-    pub(crate) fn start(&self, ray: &Ray, jitter: Option<u64>, index: u32) -> Cursor {
-        let policy = &self.policy;
-        let (enter, leave) = policy.space.parameterisation(ray.origin, ray.direction).range();
-        let offset = jitter.map_or(0.0, |step| policy.random.uniform(Sequence::Jitter, step, index)[0]);
-        let radius = ray.radius * policy.step_per_radius;
-        let by_radius = radius + policy.step_per_radius * ray.slope * 0.5 * (enter + leave);
-        // A comparison with NaN is false and selects the uniform step.
-        let step = if by_radius > policy.step_length() { by_radius } else { policy.step_length() };
-        let first = enter + offset * step;
-        let hits = leave > first && leave.is_finite();
-        Cursor { first, leave: if hits { leave } else { f32::NEG_INFINITY }, step, index: 0.0 }
-    }
-
-    /// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, until it returns
-    /// false. Returns true if the ray has left the box.
-    ///
-    /// Skips empty cubes by the distance field; the samples are exactly those of testing every step.
-    #[inline(always)]
-    pub(crate) fn advance(
-        &self,
-        ray: &Ray,
-        occupancy: &CpuOccupancy,
-        cursor: &mut Cursor,
-        place: impl FnMut(Interval, Sphere) -> bool,
-    ) -> bool {
-        let space = &self.policy.space;
-        match space.ball() {
-            None => follow(&space.straight_path(ray, occupancy.resolution()), occupancy, cursor, place),
-            Some(ball) => {
-                follow(&space.contracted_path(*ball, ray, occupancy.resolution()), occupancy, cursor, place)
-            }
-        }
-    }
-}
-
-/// [`CpuRenderer::advance`] along a path.
-#[inline(always)]
-fn follow(
-    path: &impl Path,
-    occupancy: &CpuOccupancy,
-    cursor: &mut Cursor,
-    mut place: impl FnMut(Interval, Sphere) -> bool,
-) -> bool {
-    let Cursor { first, leave, step, mut index } = *cursor;
-    let inverse_step = step.recip();
-    loop {
-        let s = first + (index + 0.5) * step;
-        if !(s < leave) {
-            return true;
-        }
-        let t = path.distance(s);
-        let position = path.position(t);
-        let cell = path.cell(position);
-        let empty = occupancy.empty_around(cell);
-        if empty == 0 {
-            index += 1.0;
-            if place(path.interval(t, step), Sphere { position, radius: path.radius(t) }) {
-                continue;
-            }
-            cursor.index = index;
-            return false;
-        }
-        let exit = path.clear(s, position, cell, empty);
-        // The first step whose midpoint is not before the exit. Rounding may move it by a few 1e-7 of the
-        // distance; a step that close to the exit is tested rather than skipped.
-        let steps = (exit - first) * inverse_step - 0.5;
-        let next = (steps * (1.0 - 1e-6) - 0.01).ceil();
-        // Without an exit, or with NaN: advance one step.
-        index = if next.is_finite() { next.max(index + 1.0) } else { index + 1.0 };
     }
 }
 
@@ -157,7 +61,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
         jitter: Option<u64>,
         samples: &mut Samples<CpuBackend>,
     ) {
-        self.simd.run(March { renderer: self, rays, occupancy, jitter, samples });
+        self.simd.run(March { policy: &self.policy, rays, occupancy, jitter, samples });
     }
 
     fn prune(
@@ -249,48 +153,5 @@ impl Renderer<CpuBackend> for CpuRenderer {
                 );
             }
         }
-    }
-}
-
-/// Marches every ray of a tile to its end.
-struct March<'a> {
-    renderer: &'a CpuRenderer,
-    rays: &'a Rays<CpuBackend>,
-    occupancy: &'a CpuOccupancy,
-    jitter: Option<u64>,
-    samples: &'a mut Samples<CpuBackend>,
-}
-
-impl Kernel for March<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn run<L: Lanes>(self) {
-        let Self { renderer, rays, occupancy, jitter, samples } = self;
-        samples.segments.resize(rays.rays.len());
-        let most_samples = renderer.policy.most_samples();
-        let mut count = 0;
-        for (i, ray) in rays.rays.iter().enumerate() {
-            let start = count;
-            // Room for a ray that is occupied along its whole length, so that placing a sample is a plain store.
-            let most = start + most_samples;
-            samples.rays.resize(most);
-            samples.intervals.resize(most);
-            samples.spheres.resize(most);
-            let owners = &mut samples.rays[start..];
-            let (intervals, spheres) = (&mut samples.intervals[start..], &mut samples.spheres[start..]);
-            let mut cursor = renderer.start(ray, jitter, rays.first + i as u32);
-            renderer.advance(ray, occupancy, &mut cursor, |interval, sphere| {
-                let place = count - start;
-                (owners[place], intervals[place], spheres[place]) = (i as u32, interval, sphere);
-                count += 1;
-                true
-            });
-            samples.segments[i] = Segment { start: start as u32, count: (count - start) as u32 };
-        }
-        samples.rays.resize(count);
-        samples.intervals.resize(count);
-        samples.spheres.resize(count);
-        samples.counts.resize(1);
-        samples.counts[0] = [count as u32; 2];
     }
 }

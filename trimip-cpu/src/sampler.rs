@@ -8,7 +8,7 @@ use trimip_core::engine::batch::{Ray, Rays, Segment, Target};
 use trimip_core::engine::policy::SamplerPolicy;
 use trimip_core::engine::ray_allocation::RayAllocation;
 use trimip_core::math::rng::Sequence;
-use trimip_core::scene::cones;
+use trimip_core::scene::cones::PixelPattern;
 use trimip_core::scene::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
 
@@ -28,18 +28,18 @@ impl CpuSampler {
     }
 }
 
-/// Generates the cones of the next pixel of a tile, `side` along each side.
+/// Generates the cones of the next pixel of a tile.
 #[inline]
-fn divide(camera: &Camera, [x, y]: [u32; 2], side: u32, rays: &mut Rays<CpuBackend>) {
-    let (start, count) = (rays.rays.len() as u32, cones::count(side));
+fn divide(camera: &Camera, [x, y]: [u32; 2], pattern: PixelPattern, rays: &mut Rays<CpuBackend>) {
+    let (start, count) = (rays.rays.len() as u32, pattern.count());
     rays.groups.push(Segment { start, count });
     // The usual case, without divisions.
-    if side == 1 {
+    if pattern == PixelPattern::WHOLE {
         rays.rays.push(camera.cone(x, y).into());
         return;
     }
     for index in 0..count {
-        rays.rays.push(camera.cone_in(x, y, index, side).into());
+        rays.rays.push(camera.cone_in(x, y, index, pattern).into());
     }
 }
 
@@ -77,7 +77,7 @@ impl Sampler<CpuBackend> for CpuSampler {
                 }
             }
             let (scale, pixel) = drawn[slot % AHEAD];
-            let (mut weight, side) = (scale_weights.weight(scale), allocation.sides()[scale]);
+            let (mut weight, pattern) = (scale_weights.weight(scale), allocation.patterns()[scale]);
             let exponent = policy.exponents[scale];
             let scale = &views.scales[scale];
             let in_scale = &views.views[scale.views.clone()];
@@ -89,7 +89,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             let within = (pixel - view.offset) as u32;
             let width = view.camera.intrinsics.width;
             let first = rays.rays.len();
-            divide(&view.camera, [within % width, within / width], side, rays);
+            divide(&view.camera, [within % width, within / width], pattern, rays);
             // Nothing is learned from pixels that the lens has no ray for.
             if rays.rays[first..].iter().any(Ray::is_none) {
                 weight = 0.0;
@@ -122,10 +122,10 @@ impl Sampler<CpuBackend> for CpuSampler {
         rays.groups.clear();
         rays.targets.clear();
         rays.photographs.clear();
-        let (width, side) = (camera.intrinsics.width, self.policy.division.side(camera));
+        let (width, pattern) = (camera.intrinsics.width, self.policy.division.pattern(camera));
         rays.first = 0;
         for index in range {
-            divide(camera, [index % width, index / width], side, rays);
+            divide(camera, [index % width, index / width], pattern, rays);
         }
     }
 }

@@ -3,54 +3,21 @@
 //! and pruning afterwards.
 
 use crate::buffer::Buffer;
-use crate::field::Context;
+use crate::cursor::Cursor;
 use crate::gemm::padded;
-use crate::hybrid::{Groups, Hybrid};
-use crate::renderer::{CpuRenderer, Cursor};
+use crate::hybrid::Hybrid;
+use crate::march::advance;
 use crate::simd::{Kernel, Lanes};
+use crate::worker::{Groups, Rows, Scratch, Walker};
 use crate::{CpuBackend, CpuField, WorkerScratch};
 use trimip_core::engine::backend::Stages;
 use trimip_core::engine::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Tile, Workspace};
+use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::math::compositing::{Pruning, Visibility};
 use trimip_core::{Encoder, Field, Renderer};
 
 /// Samples per ray that are evaluated at once; few, so that little is evaluated behind the surface.
 const PIECE: usize = 16;
-
-/// The state of a ray that is being walked.
-struct Walker {
-    ray: u32,
-    cursor: Cursor,
-    /// Optical depth accumulated so far.
-    depth: f32,
-    /// True if the ray has left the box.
-    out: bool,
-}
-
-/// A worker's scratch memory.
-pub(crate) struct Scratch {
-    walkers: Vec<Walker>,
-    /// One piece of every ray that is being walked.
-    piece: Rows,
-    /// Rows of the piece that are visible.
-    seen: Buffer<u32>,
-    /// Visible samples, piece by piece.
-    staged: Rows,
-    /// Rows of `staged` in ray order.
-    order: Vec<u32>,
-    /// For hybrid rendering, one per ray: whether the proxy is sure of it.
-    sure: Vec<bool>,
-    groups: Groups,
-}
-
-/// Samples with the values computed for them.
-struct Rows {
-    samples: Samples<CpuBackend>,
-    encoder_context: Buffer<f32>,
-    features: Buffer<f32>,
-    field_context: Context,
-    radiance: Buffer<Radiance>,
-}
 
 impl Rows {
     fn new(field: &CpuField) -> Self {
@@ -91,7 +58,7 @@ pub(crate) fn visibility_pass(
 ) {
     let mut scratch =
         workspace.stream.scratch.take().unwrap_or_else(|| Box::new(Scratch::new(&stages.field)));
-    scratch.start(&stages.renderer, &workspace.rays, jitter);
+    scratch.start(&stages.renderer.policy, &workspace.rays, jitter);
     let hybrid = stages.renderer.hybrid.as_ref().filter(|_| jitter.is_none());
     let chosen = hybrid.is_some_and(|hybrid| scratch.choose(hybrid, stages, &workspace.rays));
     let marched = if chosen {
@@ -117,14 +84,11 @@ fn evaluate_chosen(
     workspace: &mut Workspace<CpuBackend>,
     chosen: &mut Samples<CpuBackend>,
 ) -> usize {
-    let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, kept, .. } =
-        workspace;
-    std::mem::swap(samples, chosen);
-    let count = samples.spheres.len();
-    samples.counts.resize(1);
-    let tile = &mut Tile { stream, parameters, rays, samples };
-    stages.encoder.forward(tile, encoder_context, features);
-    stages.field.density(tile, features, field_context, radiance);
+    std::mem::swap(&mut workspace.samples, chosen);
+    let count = workspace.samples.spheres.len();
+    workspace.samples.counts.resize(1);
+    stages.density(parameters, workspace);
+    let Workspace { stream, samples, field_context, radiance, kept, .. } = workspace;
     stages.renderer.prune(stream, radiance, samples, kept);
     // Only training needs the features again.
     if kept.len() < count {
@@ -147,11 +111,11 @@ impl Scratch {
     }
 
     /// Places a walker at the start of every ray.
-    fn start(&mut self, renderer: &CpuRenderer, rays: &Rays<CpuBackend>, jitter: Option<u64>) {
+    fn start(&mut self, policy: &RendererPolicy, rays: &Rays<CpuBackend>, jitter: Option<u64>) {
         self.walkers.clear();
         self.walkers.extend(rays.rays.iter().zip(0..).map(|(ray, index)| Walker {
             ray: index,
-            cursor: renderer.start(ray, jitter, rays.first + index),
+            cursor: Cursor::new(policy, ray, jitter, rays.first + index),
             depth: 0.0,
             out: false,
         }));
@@ -258,12 +222,17 @@ impl Kernel for PlaceSamples<'_> {
         for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
             let start = count;
             let ray = &rays.rays[walker.ray as usize];
-            walker.out =
-                stages.renderer.advance(ray, &stages.occupancy, &mut walker.cursor, |interval, sphere| {
+            walker.out = advance(
+                &stages.renderer.policy,
+                ray,
+                &stages.occupancy,
+                &mut walker.cursor,
+                |interval, sphere| {
                     (owners[count], intervals[count], spheres[count]) = (walker.ray, interval, sphere);
                     count += 1;
                     count - start < PIECE
-                });
+                },
+            );
             *segment = Segment { start: start as u32, count: (count - start) as u32 };
         }
         samples.rays.resize(count);
@@ -294,11 +263,12 @@ impl Kernel for Choose<'_> {
         for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
             let start = owners.len();
             let ray = &rays.rays[walker.ray as usize];
-            walker.out = hybrid.choose(&stages.renderer, ray, &stages.occupancy, |interval, sphere| {
-                owners.push(walker.ray);
-                intervals.push(interval);
-                spheres.push(sphere);
-            });
+            walker.out =
+                hybrid.choose(&stages.renderer.policy, ray, &stages.occupancy, |interval, sphere| {
+                    owners.push(walker.ray);
+                    intervals.push(interval);
+                    spheres.push(sphere);
+                });
             if !walker.out {
                 owners.resize(start);
                 intervals.resize(start);

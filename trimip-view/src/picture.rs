@@ -111,13 +111,13 @@ impl RenderedView<'_> {
         }
         let (space, aabb) = (Space::<f64>::new(&config.scene), Aabb::<f64>::new(&config.scene));
         let pyramid = Pyramid::new(&config.encoder, &aabb);
-        let (side, depths) = (Division::new(config).side(camera), depth(frame, f32::NAN));
+        let (pattern, depths) = (Division::new(config).pattern(camera), depth(frame, f32::NAN));
         let level = |index: usize| {
             if frame.pixels[index].opacity < SURFACE {
                 return f32::NAN;
             }
             let (x, y) = (index as u32 % frame.width, index as u32 / frame.width);
-            let cone = camera.cone_in::<f64>(x, y, 0, side);
+            let cone = camera.cone_in::<f64>(x, y, 0, pattern);
             let t = f64::from(depths[index]) / cone.cosine;
             let point = std::array::from_fn(|axis| cone.origin[axis] + t * cone.direction[axis]);
             let radius = cone.radius_at(t) * space.scale(point);

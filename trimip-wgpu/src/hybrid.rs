@@ -165,13 +165,11 @@ impl Hybrid {
         parameters: &Buffer<f32>,
         workspace: &mut Workspace<WgpuBackend>,
     ) {
-        let Workspace {
-            stream, rays, samples, encoder_context, features, field_context, radiance, kept, ..
-        } = workspace;
+        let Workspace { stream, rays, samples, .. } = workspace;
         self.choose(&stages.renderer, stream, rays, &stages.occupancy, samples);
+        stages.density(parameters, workspace);
+        let Workspace { stream, rays, samples, field_context, radiance, kept, .. } = workspace;
         let tile = &mut Tile { stream, parameters, rays, samples };
-        stages.encoder.forward(tile, encoder_context, features);
-        stages.field.density(tile, features, field_context, radiance);
         self.share(stages, tile, field_context, radiance);
         stages.renderer.list(stream, samples, kept);
         stages.field.keep_outputs(stream, kept, field_context, radiance);

@@ -35,7 +35,7 @@ mod tiles;
 mod validation;
 mod workspace;
 
-pub use gpu::{AdapterFacts, Buffer, Ceilings, Counts, adapters, software, take_turn};
+pub use gpu::{AdapterFacts, Buffer, Ceilings, Counts, adapters, software};
 pub use memory::memory;
 pub use settings::{Photographs, SECTION, WgpuConfig};
 pub use speed::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, compute};
@@ -48,13 +48,14 @@ use trimip_core::engine::trainer::Trainer;
 use trimip_core::field::model::Model;
 use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 
-/// Creates an untrained model, to be trained on `views` on the configured adapter.
+/// Creates an untrained model, to be trained on `views` on the configured adapter: that with the number `index` of those that are
+/// as good, counted around.
 ///
 /// # Errors
 /// When there is no such adapter, or the configuration does not fit it.
-pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
+pub fn open(config: &Config, views: ViewSet, index: usize) -> Result<Box<dyn Session>> {
     let own: WgpuConfig = config.section()?;
-    let backend = WgpuBackend::new(&own.adapter, own.deterministic)?;
+    let backend = WgpuBackend::one_of(&own.adapter, index, own.deterministic)?;
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
@@ -71,12 +72,13 @@ pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Resu
     Ok(Box::new(trainer))
 }
 
-/// Loads a finished model to render on the adapter whose name contains `adapter`.
+/// Loads a finished model to render on the adapter whose name contains `adapter`: that with the number `index` of those that are as
+/// good, counted around.
 ///
 /// # Errors
 /// When there is no such adapter, or the model does not fit it.
-pub fn load(model: &Model, adapter: &str) -> Result<Box<dyn Viewer>> {
-    let backend = WgpuBackend::new(adapter, true)?;
+pub fn load(model: &Model, adapter: &str, index: usize) -> Result<Box<dyn Viewer>> {
+    let backend = WgpuBackend::one_of(adapter, index, true)?;
     Ok(Box::new(LoadedModel::new(backend, model)?))
 }
 

@@ -2,7 +2,7 @@
 //! is over.
 
 use crate::gpu::{Binds, Buffer, GROUP, Gpu, Size};
-use crate::losses::{Kernels, Params, PixelTerms, RayParams};
+use crate::losses::{GAIN_WORDS, Kernels, Params, PixelTerms, RayParams, SUM_WORDS};
 use crate::shaders::POINT;
 use crate::space::GpuSpace;
 use crate::workspace::{Stream, WgpuBackend};
@@ -32,11 +32,6 @@ pub struct DeviceSums {
     /// Gains of photographs with the derivatives by their logarithms, and the number of photographs.
     pub exposures: Option<(wgpu::Buffer, usize)>,
 }
-
-/// Words of a photograph's three gains, and of the three sums in fixed point that follow the gains of all.
-pub const GAIN_WORDS: usize = 3;
-/// As [`GAIN_WORDS`].
-pub const SUM_WORDS: usize = 6;
 
 /// The sums of the photographs' derivatives, RGB of each: 64-bit fixed point, low words first.
 pub fn sums_of(words: &[u32]) -> Vec<[f64; 3]> {

@@ -5,7 +5,7 @@
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
 use crate::gpu::{GRID, Gpu, Kernel, Pipeline};
-use crate::shaders::{COMPOSITING, FIXED, SUM, SUM_OF_FOUR};
+use crate::shaders::{COMPOSITING, FIXED, PIXEL, SUM, SUM_OF_FOUR, TARGET, words};
 use crate::space::{GpuSpace, SPACE};
 use trimip_core::config::Photometric;
 use trimip_core::field::losses::RAY_TERMS;
@@ -40,9 +40,19 @@ shared! {
     }
 }
 
+/// Words of a photograph's three gains, and of the three sums in fixed point that follow the gains of all.
+pub const GAIN_WORDS: usize = words(size_of::<[f32; 3]>()) as usize;
+/// As [`GAIN_WORDS`].
+pub const SUM_WORDS: usize = words(size_of::<[u64; 3]>()) as usize;
+
 const PARAMS: [Source; 2] = [Source::of::<PixelTerms>(), Source::of::<Params>()];
 const NOT_EXPOSED: [Source; 1] = [Text(include_str!("shaders/losses/exposure_none.wgsl"))];
-const EXPOSED: [Source; 2] = [FIXED, Text(include_str!("shaders/losses/exposure_gain.wgsl"))];
+const EXPOSED: [Source; 4] = [
+    FIXED,
+    Source::whole("GAIN_WORDS", GAIN_WORDS as u32),
+    Source::whole("SUM_WORDS", SUM_WORDS as u32),
+    Text(include_str!("shaders/losses/exposure_gain.wgsl")),
+];
 
 /// Whether a number is finite.
 pub const FINITE: Source = Text(include_str!("shaders/finite.wgsl"));
@@ -76,6 +86,8 @@ fn evaluate(kind: Photometric, exposed: bool) -> Kernel {
             GRID,
             FINITE,
             SUM_OF_FOUR,
+            PIXEL,
+            TARGET,
             PARAMS[0],
             PARAMS[1],
             Source::real("LEAST_OPACITY", LEAST_OPACITY as f32),
@@ -104,6 +116,7 @@ fn ray_kernels(term: &'static str) -> [Kernel; 2] {
         SPACE,
         COMPOSITING,
         SUM,
+        TARGET,
         Source::of::<RayParams>(),
         Text(term),
         Text(include_str!("shaders/ray_term.wgsl")),

@@ -5,7 +5,7 @@ use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Size};
 use crate::hybrid::Hybrid;
 use crate::occupancy::WgpuOccupancy;
-use crate::shaders::{BLOCKS, COMPOSITING, PRUNING, RANDOM, RAY, SEGMENTS};
+use crate::shaders::{BLOCKS, COMPOSITING, PIXEL, PRUNING, RANDOM, RAY, SEGMENTS, TARGET};
 use crate::space::{GpuSpace, SPACE};
 use crate::workspace::{Stream, WgpuBackend};
 use std::sync::Arc;
@@ -96,10 +96,18 @@ const SCAN: [Source; 4] = [
 ];
 const PRUNE: [Source; 5] =
     [GRID, PRUNING, SEGMENTS, Source::of::<PruneParams>(), Text(include_str!("shaders/prune.wgsl"))];
-const COMPOSITE: [Source; 5] =
-    [GRID, RAY, COMPOSITING, Source::of::<CompositeParams>(), Text(include_str!("shaders/composite.wgsl"))];
-const GRADIENT: [Source; 4] = [
+const COMPOSITE: [Source; 7] = [
     GRID,
+    RAY,
+    PIXEL,
+    TARGET,
+    COMPOSITING,
+    Source::of::<CompositeParams>(),
+    Text(include_str!("shaders/composite.wgsl")),
+];
+const GRADIENT: [Source; 5] = [
+    GRID,
+    PIXEL,
     COMPOSITING,
     Source::of::<GradientParams>(),
     Text(include_str!("shaders/composite_gradient.wgsl")),

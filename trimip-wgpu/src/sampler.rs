@@ -5,7 +5,7 @@ use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Binds, Buffer, GRID, Gpu, Kernel, Size, lock};
 use crate::projections::PROJECTIONS;
 use crate::settings::{Photographs, WgpuConfig};
-use crate::shaders::{RANDOM, RAY};
+use crate::shaders::{RANDOM, RAY, TARGET};
 use crate::workspace::{Stream, WgpuBackend};
 use std::ops::Range;
 use std::sync::{Arc, Mutex};
@@ -15,7 +15,7 @@ use trimip_core::engine::policy::SamplerPolicy;
 use trimip_core::engine::ray_allocation::RayAllocation;
 use trimip_core::geometry::lens::MOST_ROUNDS;
 use trimip_core::math::rng::Sequence;
-use trimip_core::scene::cones::{self, QUINCUNX};
+use trimip_core::scene::cones::PixelPattern;
 use trimip_core::scene::views::Alpha;
 use trimip_core::{Camera, Config, Error, Result, ViewSet};
 
@@ -24,6 +24,9 @@ const MOST_THREADS: usize = 8;
 
 /// Maximum number of scales of a data set.
 const MOST_SCALES: usize = 8;
+
+/// Cones along a side that stand for the quincunx on the device. No grid has as many.
+const QUINCUNX: u32 = 0x100;
 
 shared! {
     /// A camera and the place of its pixels.
@@ -74,7 +77,7 @@ shared! {
         padding: u32,
         /// Pixels of the step from this index on belong to this scale or a coarser one.
         begins: [u32; MOST_SCALES],
-        /// By scale: loss weight of a pixel, cones along its side, edge exponent of its photographs.
+        /// By scale: loss weight of a pixel, its cones ([`side_of`]), edge exponent of its photographs.
         weights: [f32; MOST_SCALES],
         sides: [u32; MOST_SCALES],
         exponents: [f32; MOST_SCALES],
@@ -92,10 +95,11 @@ pub const CAMERA: Source = Parts(&[
     Text(PROJECTIONS),
 ]);
 
-const RAYS: [Source; 6] = [
+const RAYS: [Source; 7] = [
     GRID,
     RANDOM,
     CAMERA,
+    TARGET,
     Source::of::<GpuScale>(),
     Source::of::<Params>(),
     Text(include_str!("shaders/rays.wgsl")),
@@ -198,6 +202,14 @@ fn meaning(alpha: Alpha) -> u32 {
         Alpha::Straight => 0,
         Alpha::Premultiplied => 1,
         Alpha::Kept => 2,
+    }
+}
+
+/// The number by which the device knows the cones of a pixel: those along a side of a grid, or [`QUINCUNX`].
+fn side_of(pattern: PixelPattern) -> u32 {
+    match pattern {
+        PixelPattern::Grid(side) => side,
+        PixelPattern::Quincunx => QUINCUNX,
     }
 }
 
@@ -326,7 +338,7 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             first_cone,
             begins: padded(allocation.begins().iter().copied(), allocation.pixels()),
             weights: padded(policy.scale_weights().weights().iter().copied(), 0.0),
-            sides: padded(allocation.sides().iter().copied(), 1),
+            sides: padded(allocation.patterns().iter().copied().map(side_of), 1),
             ..self.params
         };
         let mut pixels = lock(&training.pixels);
@@ -351,14 +363,14 @@ impl Sampler<WgpuBackend> for WgpuSampler {
     }
 
     fn camera_rays(&self, _: &mut Stream, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {
-        let side = self.policy.division.side(camera);
-        make_room(rays, &range, 0..range.len() as u32 * cones::count(side));
+        let pattern = self.policy.division.pattern(camera);
+        make_room(rays, &range, 0..range.len() as u32 * pattern.count());
         rays.targets.resize(0);
         self.gpu.write(self.camera.raw(), &[GpuView::new(camera, 0)]);
         let params = Params {
             first: range.start,
             count: range.len() as u32,
-            sides: [side; MOST_SCALES],
+            sides: [side_of(pattern); MOST_SCALES],
             ..self.params
         };
         let binds = [self.camera.bind(), rays.rays.bind(), rays.groups.bind()];

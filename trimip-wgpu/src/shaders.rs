@@ -3,8 +3,10 @@
 
 use crate::gpu::Source::{self, Constant, Parts, Text};
 use crate::gpu::Value;
+use std::mem::offset_of;
+use trimip_core::Pixel;
 use trimip_core::config::DensityFunction;
-use trimip_core::engine::batch::Ray;
+use trimip_core::engine::batch::{Ray, Target};
 use trimip_core::geometry::camera::FARTHEST_APEX;
 use trimip_core::math::sh::FACTORS;
 
@@ -21,6 +23,23 @@ pub const RAY: Source = Parts(&[
     Source::of::<Ray>(),
     Source::real("FARTHEST_APEX", FARTHEST_APEX as f32),
     Text(include_str!("shaders/ray.wgsl")),
+]);
+
+/// Words of so many bytes.
+pub const fn words(bytes: usize) -> u32 {
+    (bytes / size_of::<u32>()) as u32
+}
+
+/// Pixels in an array of floats: the floats of one.
+pub const PIXEL: Source = Source::whole("PIXEL_FLOATS", words(size_of::<Pixel>()));
+
+/// Targets in an array of floats: the floats of one, and those before its members. Its colour comes first.
+pub const TARGET: Source = Parts(&[
+    Source::whole("TARGET_FLOATS", words(size_of::<Target>())),
+    Source::whole("TARGET_WEIGHT", words(offset_of!(Target, weight))),
+    Source::whole("TARGET_BACKGROUND", words(offset_of!(Target, background))),
+    Source::whole("TARGET_OPACITY", words(offset_of!(Target, opacity))),
+    Source::whole("TARGET_EXPONENT", words(offset_of!(Target, exponent))),
 ]);
 
 /// Random numbers.

@@ -1,6 +1,6 @@
 //! The training speed that is expected of an adapter, for the scene plan.
 
-use crate::gpu::choose;
+use crate::gpu::choose_one_of;
 use trimip_core::{Result, scene_plan::Compute};
 
 /// Kept samples per second expected of a GPU in training: the paper's figure for an A100. Not measured here.
@@ -13,12 +13,12 @@ pub const SOFTWARE_SAMPLES_PER_SECOND: f64 = 1_000.0;
 /// Occupancy-grid cells whose density is evaluated per second on the same adapter.
 pub const SOFTWARE_CELLS_PER_SECOND: f64 = 12_000.0;
 
-/// The training speed of the adapter with this name.
+/// The training speed of the adapter with this name: that with the number `index` of those that are as good, counted around.
 ///
 /// # Errors
 /// When there is no such adapter.
-pub fn compute(name: &str) -> Result<Compute> {
-    let info = choose(name)?.get_info();
+pub fn compute(name: &str, index: usize) -> Result<Compute> {
+    let info = choose_one_of(name, index)?.get_info();
     let software = info.device_type == wgpu::DeviceType::Cpu;
     Ok(Compute {
         name: info.name,

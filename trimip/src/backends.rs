@@ -4,8 +4,10 @@
 use crate::formatting;
 use std::sync::Arc;
 use trimip_core::{
-    Backend, Config, Error, ForeignSection, Result, Session, ViewSet, Viewer, engine::exchange::Ranks,
-    field::model::Model, scene_plan::Compute,
+    Backend, Config, Error, ForeignSection, Result, Session, ViewSet, Viewer,
+    engine::exchange::{Rank, Ranks},
+    field::model::Model,
+    scene_plan::Compute,
 };
 #[cfg(feature = "wgpu")]
 use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, WgpuConfig};
@@ -13,18 +15,18 @@ use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, WgpuCo
 /// Opens a session that ranks share.
 type TrainOver = fn(&Config, ViewSet, Arc<dyn Ranks>) -> Result<Box<dyn Session>>;
 
-/// A registered backend.
+/// A registered backend. A `Rank` is this process among those on its machine.
 struct Entry {
     name: &'static str,
     /// The settings of the backend.
     section: Option<ForeignSection>,
     describe: fn() -> String,
     usable: fn() -> bool,
-    train: fn(&Config, ViewSet) -> Result<Box<dyn Session>>,
+    train: fn(&Config, ViewSet, Rank) -> Result<Box<dyn Session>>,
     train_over: TrainOver,
-    load: fn(&Model) -> Result<Box<dyn Viewer>>,
+    load: fn(&Model, Rank) -> Result<Box<dyn Viewer>>,
     memory: fn(&Config, &ViewSet) -> Vec<(String, u64)>,
-    compute: fn(&Config) -> Result<Compute>,
+    compute: fn(&Config, Rank) -> Result<Compute>,
     /// Full name of the configured device if it is a software renderer, `None` for a real GPU or the CPU backend.
     software: fn(&Config) -> Option<String>,
 }
@@ -36,11 +38,11 @@ const ENTRIES: &[Entry] = &[
         section: None,
         describe: trimip_cpu::features,
         usable: || true,
-        train: trimip_cpu::open,
+        train: |config, views, _| trimip_cpu::open(config, views),
         train_over: trimip_cpu::open_over,
-        load: |model| trimip_cpu::load(model, model.config.threads),
+        load: |model, _| trimip_cpu::load(model, model.config.threads),
         memory: trimip_cpu::memory,
-        compute: |config| Ok(trimip_cpu::compute(config.threads)),
+        compute: |config, _| Ok(trimip_cpu::compute(config.threads)),
         software: |_| None,
     },
     #[cfg(feature = "wgpu")]
@@ -49,11 +51,11 @@ const ENTRIES: &[Entry] = &[
         section: Some(trimip_wgpu::SECTION),
         describe: || "any of the adapters below".into(),
         usable: || !trimip_wgpu::adapters().is_empty(),
-        train: trimip_wgpu::open,
+        train: |config, views, near| trimip_wgpu::open(config, views, near.id),
         train_over: trimip_wgpu::open_over,
-        load: |model| trimip_wgpu::load(model, &adapter(&model.config)?),
+        load: |model, near| trimip_wgpu::load(model, &adapter(&model.config)?, near.id),
         memory: trimip_wgpu::memory,
-        compute: |config| trimip_wgpu::compute(&adapter(config)?),
+        compute: |config, near| trimip_wgpu::compute(&adapter(config)?, near.id),
         software: |config| trimip_wgpu::software(&adapter(config).ok()?),
     },
 ];
@@ -127,14 +129,6 @@ pub fn adapters() -> Vec<String> {
     vec!["none: this build has no wgpu backend".into()]
 }
 
-/// From now on this process, number `turn` of those on its machine, uses the device with this number of those that are as good.
-pub fn take_turn(turn: usize) {
-    #[cfg(feature = "wgpu")]
-    trimip_wgpu::take_turn(turn);
-    #[cfg(not(feature = "wgpu"))]
-    let _ = turn;
-}
-
 /// Checks that this build has a backend named `name`.
 ///
 /// # Errors
@@ -148,7 +142,15 @@ pub fn check(name: &str) -> Result<()> {
 /// # Errors
 /// When the backend or its device does not exist, or the configuration does not fit it.
 pub fn train(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
-    (entry(&config.backend)?.train)(config, views)
+    train_beside(config, views, Rank::ONLY)
+}
+
+/// As [`train`], in a process that is `near` among those on its machine: each uses another of the devices that are as good.
+///
+/// # Errors
+/// As [`train`].
+pub fn train_beside(config: &Config, views: ViewSet, near: Rank) -> Result<Box<dyn Session>> {
+    (entry(&config.backend)?.train)(config, views, near)
 }
 
 /// As [`train`], together with other ranks: each has to make the call, with the same configuration and views.
@@ -164,7 +166,15 @@ pub fn train_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Res
 /// # Errors
 /// When the backend or its device does not exist, or the model does not fit it.
 pub fn load(model: &Model) -> Result<Box<dyn Viewer>> {
-    (entry(&model.config.backend)?.load)(model)
+    load_beside(model, Rank::ONLY)
+}
+
+/// As [`load`], in a process that is `near` among those on its machine, as [`train_beside`] does.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_beside(model: &Model, near: Rank) -> Result<Box<dyn Viewer>> {
+    (entry(&model.config.backend)?.load)(model, near)
 }
 
 /// Predicted memory for training in bytes, by part, photographs included; empty for an unknown backend.
@@ -172,12 +182,13 @@ pub fn predict_memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     entry(&config.backend).map_or_else(|_| Vec::new(), |entry| (entry.memory)(config, views))
 }
 
-/// Describes the device and the instructions that the configured backend computes with.
+/// Describes the device and the instructions that the configured backend computes with, in a process that is `near` among those on
+/// its machine.
 ///
 /// # Errors
 /// When the backend or its device does not exist.
-pub fn compute(config: &Config) -> Result<Compute> {
-    (entry(&config.backend)?.compute)(config)
+pub fn compute(config: &Config, near: Rank) -> Result<Compute> {
+    (entry(&config.backend)?.compute)(config, near)
 }
 
 /// Work that is generic over the backend type.

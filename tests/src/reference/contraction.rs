@@ -1,7 +1,7 @@
 //! Contracted space written from its equations (mip-NeRF 360, Eq. 10), in f64. u is a point relative to the ball's centre,
 //! in radii, n = |u|.
 
-use super::Sample;
+use super::sample::{Sample, apex, radius as radius_at, step_length};
 use trimip_core::{Config, engine::batch::Ray};
 
 /// Distance at which rays end, in radii.
@@ -91,7 +91,7 @@ pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
     let parameterisation = RayParameter::new(config, ray);
     let RayParameter { direction, middle, nearest, .. } = parameterisation;
     let end = parameterisation.parameter(middle + (FARTHEST * FARTHEST - nearest * nearest).max(0.0).sqrt());
-    let step = super::step_length(config) / radius;
+    let step = step_length(config) / radius;
     let mut steps = Vec::new();
     for i in 0.. {
         let s = parameterisation.parameter(0.0) + (f64::from(i) + 0.5) * step;
@@ -106,10 +106,10 @@ pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
         let length = radius * step * slowness;
         let sample = Sample {
             t: radius * t,
-            apex: super::apex(ray, radius * t),
+            apex: apex(ray, radius * t),
             length: length / (n * n),
             position: place,
-            radius: super::radius(ray, radius * t) * (2.0 * n - 1.0) / (n * n),
+            radius: radius_at(ray, radius * t) * (2.0 * n - 1.0) / (n * n),
             direction,
         };
         steps.push(Step { sample, length, left: radius * (end - s) });

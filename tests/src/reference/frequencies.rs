@@ -1,6 +1,6 @@
 //! Positional encodings from their equations: NeRF Eq. 4 without π, and mip-NeRF Eq. 7, 8, 13 and 14 with a full covariance.
 
-use super::{Literal, Sample};
+use super::sample::{Literal, Sample};
 use glam::{DMat3, DVec3};
 use trimip_core::Config;
 

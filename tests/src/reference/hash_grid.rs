@@ -1,7 +1,7 @@
 //! The multiresolution hash grid written from its equations (Müller et al. 2022): per level, the eight corners of the
 //! cell around a position, one after the other.
 
-use super::{Literal, Sample};
+use super::sample::{Literal, Sample};
 use glam::DVec3;
 use trimip_core::{Config, config::HashGridConfig};
 

@@ -1,6 +1,7 @@
 //! The loss by the equations of its registered terms, in f64. A term's equation is part of its definition in core.
 
-use super::{Sample, contraction};
+use super::contraction;
+use super::sample::Sample;
 use trimip_core::{
     Config,
     config::Contraction,

@@ -1,6 +1,6 @@
 //! Ripmapped planes written from their equations (Liu et al. 2024, Rip-NeRF; Barron et al. 2021, mip-NeRF).
 
-use super::{Literal, Sample};
+use super::sample::{Literal, Sample};
 use trimip_core::Config;
 
 /// Channels of a texel.

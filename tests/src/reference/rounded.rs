@@ -2,7 +2,8 @@
 //! them; everything else is f64. A hidden unit that rounding switches off is off in the backend and in this reference
 //! alike, so the two differ only by the order of f32 sums.
 
-use super::{Layer, Reference, Sample, harmonics};
+use super::sample::Sample;
+use super::{Layer, Reference, harmonics};
 use trimip_core::engine::batch::{Ray, Target};
 
 /// The nearest bf16, ties to even, as processor instructions round; denormal f32 values become zero.

@@ -2,7 +2,7 @@
 //! matrix over two axes and a vector over the third, one of CP that of three vectors; both are interpolated linearly between
 //! grid points, of which the first and the last lie on the border of the box.
 
-use super::{Literal, Sample};
+use super::sample::{Literal, Sample};
 use trimip_core::Config;
 use trimip_core::config::Decomposition;
 

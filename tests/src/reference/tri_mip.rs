@@ -1,6 +1,6 @@
 //! The tri-mip encoding written from its equations (Tri-MipRF, Eq. 3 to 5).
 
-use super::{Literal, Sample};
+use super::sample::{Literal, Sample};
 use trimip_core::{
     Config,
     config::{LevelFormula, PlaneShape},

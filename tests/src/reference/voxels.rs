@@ -2,7 +2,8 @@
 //! interpolated trilinearly between grid points, of which the first and the last lie on the border of the box, and a colour is
 //! the sum of its coefficients times the basis in the direction of the ray.
 
-use super::{Literal, Sample, harmonics};
+use super::harmonics;
+use super::sample::{Literal, Sample};
 use trimip_core::Config;
 
 /// The grid.

@@ -10,7 +10,7 @@ use trimip_core::{
         model::Model,
         tensors::{Tensor, TensorFile},
     },
-    scene::{cones, cones::Division},
+    scene::cones::Division,
 };
 
 /// A model of fog that fills the box, of which no sample is left out.
@@ -50,8 +50,8 @@ pub fn samples<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let middle = DVec3::new(10.5, 0.0, 0.1);
         let eye = middle + DVec3::new(3.1, -2.2, 1.7);
         let camera = Camera::look_at(Intrinsics::from_angle(9, 7, 1.1), eye, middle, DVec3::Z);
-        let side = Division::new(&config).side(&camera);
-        assert_eq!(side > 1, most > 1, "the camera's pixels are wide");
+        let pattern = Division::new(&config).pattern(&camera);
+        assert_eq!(pattern.count() > 1, most > 1, "the camera's pixels are wide");
         let aabb = Aabb::<f64>::new(&config.scene);
         let step = f64::from(config.step_length()) * config.renderer.step_scale.at(1.0);
         let found = viewer.samples(&camera, &mut |_, _| true)?.expect("nobody stops it");
@@ -59,9 +59,9 @@ pub fn samples<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let mut seen = 0;
         for (pixel, &found) in found.iter().enumerate() {
             let (x, y) = (pixel as u32 % 9, pixel as u32 / 9);
-            let count = cones::count(side);
+            let count = pattern.count();
             let steps = (0..count).map(|index| {
-                let cone = camera.cone_in::<f64>(x, y, index, side);
+                let cone = camera.cone_in::<f64>(x, y, index, pattern);
                 chord(&aabb, cone.origin, cone.direction) / step
             });
             let expected: f64 = steps.sum();

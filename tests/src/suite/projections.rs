@@ -16,7 +16,7 @@ use trimip_core::{
         trainer::Trainer,
     },
     geometry::projections::Model,
-    scene::cones,
+    scene::cones::PixelPattern,
 };
 
 /// Directions, origins and cosines, absolute: a few roundings in f32, sines and cosines of a driver among them.
@@ -44,8 +44,8 @@ fn name(camera: &Camera) -> &'static str {
 }
 
 /// Distance of a ray from the cone in f64, in units of the tolerances.
-fn distance(found: &Ray, camera: &Camera, [x, y, index, side]: [u32; 4]) -> f64 {
-    let exact = camera.cone_in::<f64>(x, y, index, side);
+fn distance(found: &Ray, camera: &Camera, [x, y, index]: [u32; 3], pattern: PixelPattern) -> f64 {
+    let exact = camera.cone_in::<f64>(x, y, index, pattern);
     let apart = |a: [f32; 3], b: [f64; 3]| (DVec3::from(a.map(f64::from)) - DVec3::from(b)).length();
     let relative =
         |a: f32, b: f64| if b == 0.0 { f64::from(a).abs() } else { (f64::from(a) / b - 1.0).abs() };
@@ -61,21 +61,24 @@ fn distance(found: &Ray, camera: &Camera, [x, y, index, side]: [u32; 4]) -> f64 
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    for (cones, pattern) in [(1, ConePattern::Grid), (3, ConePattern::Grid), (1, ConePattern::Quincunx)] {
+    for pattern in [PixelPattern::WHOLE, PixelPattern::Grid(3), PixelPattern::Quincunx] {
         let mut config = small();
-        (config.renderer.cones, config.renderer.cone_width, config.renderer.pattern) = (cones, 0.0, pattern);
-        let side = if pattern == ConePattern::Quincunx { cones::QUINCUNX } else { cones };
+        config.renderer.cone_width = 0.0;
+        (config.renderer.cones, config.renderer.pattern) = match pattern {
+            PixelPattern::Grid(side) => (side, ConePattern::Grid),
+            PixelPattern::Quincunx => (1, ConePattern::Quincunx),
+        };
         let parameters = lively(&Layout::new(&config), 9);
         let mut bench = Bench::new(make(), &config, None, &parameters)?;
         for camera in cameras(13, 9) {
             let Bench { backend, stages, workspace, .. } = &mut bench;
             stages.sampler.camera_rays(&mut workspace.stream, &camera, 0..13 * 9, &mut workspace.rays);
             let found = backend.read(&workspace.rays.rays);
-            let count = cones::count(side);
+            let count = pattern.count();
             assert_eq!(found.len() as u32, 13 * 9 * count);
             for (i, ray) in (0..).zip(&found) {
                 let pixel = i / count;
-                let error = distance(ray, &camera, [pixel % 13, pixel / 13, i % count, side]);
+                let error = distance(ray, &camera, [pixel % 13, pixel / 13, i % count], pattern);
                 assert!(error < 1.0, "{}, pixel {pixel}, cone {}: {ray:?}", name(&camera), i % count);
             }
         }
@@ -111,7 +114,8 @@ pub fn training<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         assert!(target.weight > 0.0);
         let own = |camera: &Camera| {
             let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-            (0..width * height).any(|i| distance(ray, camera, [i % width, i / width, 0, 1]) < 1.0)
+            (0..width * height)
+                .any(|i| distance(ray, camera, [i % width, i / width, 0], PixelPattern::WHOLE) < 1.0)
         };
         let view = views.views.iter().position(|view| own(&view.camera));
         drawn[view.unwrap_or_else(|| panic!("{ray:?} is of no pixel"))] += 1;

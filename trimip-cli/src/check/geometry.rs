@@ -1,7 +1,7 @@
 //! Extreme geometry: spheres of zero and of huge radius, rays along edges, cameras and boxes of every shape.
 
+use super::finding::{Finding, Make, Tell, apart, not_finite, relative, worst};
 use super::rig::{Rig, small};
-use super::{Finding, Make, Tell, apart, not_finite, relative, worst};
 use glam::{DMat3, DVec3};
 use trimip_core::engine::backend::Sampler;
 use trimip_core::engine::batch::{Ray, Sphere};

@@ -1,8 +1,8 @@
 //! Hybrid rendering against volume rendering of the same model: a ball of one density σ = 1/e, in boxes of which the size
 //! makes it thin fog or a solid.
 
+use super::finding::{Finding, Make, Tell, apart, worst};
 use super::rig::small;
-use super::{Finding, Make, Tell, apart, worst};
 use glam::DVec3;
 use trimip_core::config::RendererKind;
 use trimip_core::engine::loaded::LoadedModel;

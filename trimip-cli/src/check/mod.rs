@@ -1,5 +1,6 @@
 //! `check`: a catalogue of stiff and extreme cases for any backend, each with the law that it must satisfy.
 
+mod finding;
 mod geometry;
 mod hybrid;
 mod numbers;
@@ -7,57 +8,10 @@ mod optics;
 mod rig;
 mod training;
 
+pub use finding::{Finding, Make, Tell};
+
 use trimip::backends::Visitor;
 use trimip::{Backend, Result};
-
-/// Result of a case.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Finding {
-    /// Part of the catalogue.
-    pub part: &'static str,
-    /// The case.
-    pub case: String,
-    /// The law that must hold.
-    pub law: &'static str,
-    /// The largest error found.
-    pub worst: f64,
-    /// The tolerance.
-    pub bound: f64,
-}
-
-impl Finding {
-    /// True if the law holds; NaN violates every law.
-    pub fn holds(&self) -> bool {
-        self.worst <= self.bound
-    }
-}
-
-/// The largest of the errors; NaN if one of them is.
-fn worst(errors: impl IntoIterator<Item = f64>) -> f64 {
-    errors.into_iter().fold(0.0, |most, error| if error.is_nan() || error > most { error } else { most })
-}
-
-/// |found − expected|.
-fn apart(found: impl Into<f64>, expected: f64) -> f64 {
-    (found.into() - expected).abs()
-}
-
-/// |found − expected| / |expected|.
-fn relative(found: impl Into<f64>, expected: f64) -> f64 {
-    let found = found.into();
-    if found == expected { 0.0 } else { (found - expected).abs() / expected.abs() }
-}
-
-/// Number of values that are not finite.
-fn not_finite<'a>(values: impl IntoIterator<Item = &'a f32>) -> f64 {
-    values.into_iter().filter(|value| !value.is_finite()).count() as f64
-}
-
-/// Creates a fresh backend for a case.
-pub type Make<'a, B> = &'a dyn Fn() -> Result<B>;
-
-/// Receives every finding as soon as it is made.
-pub type Tell<'a> = &'a mut dyn FnMut(Finding);
 
 /// All cases on one backend.
 pub struct Catalogue<'a> {
@@ -78,19 +32,5 @@ impl Visitor for Catalogue<'_> {
         training::cases(make, tell)?;
         numbers::cases(make, tell)?;
         if long { training::long(make, tell) } else { Ok(()) }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_law_is_broken_by_too_much_and_by_what_is_no_number() {
-        let finding = |worst| Finding { part: "", case: String::new(), law: "", worst, bound: 1.0 };
-        assert!(finding(0.0).holds() && finding(1.0).holds());
-        assert!(!finding(1.1).holds() && !finding(f64::NAN).holds() && !finding(f64::INFINITY).holds());
-        assert!(worst([0.1, f64::NAN, 0.3]).is_nan() && worst([0.1, 0.3, 0.2]) == 0.3);
-        assert!(relative(f32::NAN, 1.0).is_nan() && relative(0.0_f32, 0.0) == 0.0);
     }
 }

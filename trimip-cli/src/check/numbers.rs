@@ -1,7 +1,7 @@
 //! Numbers at the end of their range: densities, gradients and hidden units that barely fit f32 or f16, or overflow.
 
+use super::finding::{Finding, Make, Tell, not_finite, worst};
 use super::rig::{camera, hash, photographs, small};
-use super::{Finding, Make, Tell, not_finite, worst};
 use trimip_core::config::{OptimizerConfig, Precision};
 use trimip_core::engine::trainer::Trainer;
 use trimip_core::field::adamw::Rule;

@@ -1,8 +1,8 @@
 //! Stiff optics: samples from nearly transparent to opaque, one to a hundred thousand per ray. x = σδ is the optical
 //! depth.
 
+use super::finding::{Finding, Make, Tell, apart, relative, worst};
 use super::rig::{Rig, small};
-use super::{Finding, Make, Tell, apart, relative, worst};
 use trimip_core::engine::batch::{Interval, Radiance};
 use trimip_core::math::compositing::{composite, composite_gradient};
 use trimip_core::{Backend, Result};

@@ -1,6 +1,6 @@
 //! A backend with the stages of a small configuration, and synthetic photographs for a case.
 
-use super::Make;
+use super::finding::Make;
 use glam::DVec3;
 use trimip_core::engine::backend::Stages;
 use trimip_core::engine::batch::{Interval, Radiance, Ray, Samples, Segment, Sphere, Tile, Workspace};

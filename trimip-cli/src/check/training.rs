@@ -1,8 +1,8 @@
 //! Stiff training: photographs that contradict each other or carry no information, learning rates and weights of all
 //! sizes, empty grids and batches, runs of many steps.
 
+use super::finding::{Finding, Make, Tell, not_finite, worst};
 use super::rig::{camera, hash, photographs, small};
-use super::{Finding, Make, Tell, not_finite, worst};
 use glam::DVec3;
 use trimip::machine::peak_memory;
 use trimip_core::config::Untouched;

@@ -217,7 +217,7 @@ mod tests {
 
     #[test]
     fn the_page_is_whole_fetches_nothing_and_escapes_what_others_wrote() {
-        super::super::example::example(|report| {
+        trimip::run::fixtures::report(|report| {
             let page = page(report, Path::new("nowhere")).unwrap();
             page::expect_whole(&page);
             assert!(page.contains("lego &amp; co") && page.contains("a &lt;dark&gt; image"));
@@ -227,7 +227,7 @@ mod tests {
 
     #[test]
     fn the_page_says_where_the_run_came_from_and_what_it_came_to() {
-        super::super::example::example(|report| {
+        trimip::run::fixtures::report(|report| {
             let page = page(report, Path::new("nowhere")).unwrap();
             for part in ["config a&amp;b.toml", "0.1.0 (abc)", "1970-01-01", "8 of 200 test views"] {
                 assert!(page.contains(part), "{part}");

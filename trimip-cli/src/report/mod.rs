@@ -4,8 +4,6 @@
 pub mod beside;
 mod difference;
 mod escape;
-#[cfg(test)]
-mod example;
 mod html;
 pub mod inspect;
 pub mod page;

@@ -272,7 +272,7 @@ mod tests {
         let sheet = pictures::side_by_side(2, 1, &[[0.0; 3]; 2], &[[1.0; 3]; 2]);
         pictures::write_png(&folder.path().join("a.png"), sheet).unwrap();
         pictures::write_png(&folder.path().join("a_flip.png"), RgbImage::new(2, 1)).unwrap();
-        super::super::example::example(|report| {
+        trimip::run::fixtures::report(|report| {
             let psnr = [Some(20.0), None, Some(31.0), Some(25.0)];
             let views = (0..4).map(|i| view(i, 1, psnr[i], i == 2)).collect();
             let report = Report { views, run: report.run.clone(), ..example_of(report) };

@@ -327,7 +327,7 @@ mod tests {
 
     #[test]
     fn every_point_lies_inside_the_frame() {
-        super::super::example::example(|report| {
+        trimip::run::fixtures::report(|report| {
             for logarithmic in [false, true] {
                 let svg = plot(&lines(&report.curve(), report.history.last()), logarithmic).unwrap();
                 assert_eq!(svg.matches("<polyline").count(), 3);
@@ -343,7 +343,7 @@ mod tests {
     #[test]
     fn degenerate_curves_draw_nothing_or_stay_finite() {
         assert!(plot(&lines(&[], None), true).is_none());
-        super::super::example::example(|report| {
+        trimip::run::fixtures::report(|report| {
             let one = plot(&lines(&report.curve()[..1], None), true).unwrap();
             assert!(!one.contains("NaN") && !one.contains("inf"));
             let mut broken = report.curve()[0].clone();

@@ -73,7 +73,7 @@ pub fn work(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
     settings::override_model(&mut model, &arguments.set)?;
     let mut perceptual = PerceptualMetrics::open(&model.config.eval)?;
     let scene = trimip_data::open_test(&model.config.section()?)?;
-    let (mut viewer, frames) = (backends::load(&model)?, scene.frames.as_ref());
+    let (mut viewer, frames) = (backends::load_beside(&model, ranks.on_machine())?, scene.frames.as_ref());
     let stride = arguments.stride as usize;
     let test = TestViews { frames, data: &model.config.data, stride };
     let mut watch = Interrupted(interrupt::install()?);

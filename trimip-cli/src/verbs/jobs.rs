@@ -28,7 +28,7 @@ pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
         let mut events = |_: &Event| {};
         let going = |_, _| !stop.load(Ordering::Relaxed);
         let listeners = Listeners { events: &mut events, reading: &going, observer: &mut (), stop: &stop };
-        let trained = training.beside(ranks.on_machine().size).run_with(listeners)?;
+        let trained = training.beside(ranks.on_machine()).run_with(listeners)?;
         trained.outcome.map(|ended| (ended, trained.data))
     };
     match training.and_then(quietly) {

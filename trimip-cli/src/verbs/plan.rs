@@ -11,7 +11,7 @@ use serde::Serialize;
 use serde_json::json;
 use trimip::{backends, data::Scene};
 use trimip_core::config::PlanChoice;
-use trimip_core::engine::exchange::Ranks;
+use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::scene_plan::{self, Facts, Finding};
 use trimip_core::{Config, Error, Result, ViewSet, atomic::write_atomically};
 
@@ -26,7 +26,7 @@ const CHANCE: f64 = 0.05;
 
 /// Prints a line for every decision, and measures them if requested.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
-    let Planned { scene, findings, config: planned, warnings } = Planned::of(arguments)?;
+    let Planned { scene, findings, config: planned, warnings } = Planned::of(arguments, Rank::ONLY)?;
     terminal::line(format!("scene plan of {}", scene.name));
     for finding in &findings {
         terminal::prose(finding);
@@ -62,7 +62,7 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
 /// # Errors
 /// When the scene cannot be opened here.
 pub fn work(arguments: &PlanArguments, ranks: &dyn Ranks) -> Result<()> {
-    let Planned { scene, findings, config, .. } = Planned::of(arguments)?;
+    let Planned { scene, findings, config, .. } = Planned::of(arguments, ranks.on_machine())?;
     let bench = bench(arguments, &config, &scene.train, &findings)?;
     drop(scene);
     training::work(&bench, ranks)
@@ -77,10 +77,10 @@ struct Planned {
 }
 
 impl Planned {
-    fn of(arguments: &PlanArguments) -> Result<Self> {
+    fn of(arguments: &PlanArguments, near: Rank) -> Result<Self> {
         let (mut settings, configured) = settings::load_scene(&arguments.scene, &arguments.settings)?;
         let scene = open(&configured.section()?)?;
-        let compute = backends::compute(&configured)?;
+        let compute = backends::compute(&configured, near)?;
         let test = scene.test.cameras();
         let facts =
             Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };

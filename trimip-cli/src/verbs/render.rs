@@ -119,7 +119,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
 /// When the model cannot be opened here.
 pub fn work(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
     let request = RenderRequest::of(arguments)?;
-    let mut session = backends::load(&request.model)?;
+    let mut session = backends::load_beside(&request.model, ranks.on_machine())?;
     let stop = interrupt::install()?;
     let mut going = |_, _| !stop.load(Ordering::Relaxed);
     work_on_jobs(ranks, &request.digest()?, |view| request.draw(session.as_mut(), view, &mut going))

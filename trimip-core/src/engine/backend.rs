@@ -6,7 +6,7 @@ pub use crate::engine::stages::{
 
 use crate::{
     Config, Result, ViewSet,
-    engine::batch::{Batch, PartialGradients, StepResult, Tile, Tiling, Update, Workspace},
+    engine::batch::{Batch, PartialGradients, StepResult, Tiling, Update, Workspace},
 };
 use bytemuck::Pod;
 use std::ops::Range;
@@ -177,12 +177,11 @@ pub fn evaluate_visible_samples<B: Backend>(
     workspace: &mut Workspace<B>,
     jitter: Option<u64>,
 ) {
-    let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, kept, .. } =
-        workspace;
+    let Workspace { stream, rays, samples, .. } = workspace;
     stages.renderer.march(stream, rays, &stages.occupancy, jitter, samples);
-    let tile = &mut Tile { stream, parameters, rays, samples };
-    stages.encoder.forward(tile, encoder_context, features);
-    stages.field.density(tile, features, field_context, radiance);
+    stages.density(parameters, workspace);
+    let Workspace { stream, samples, encoder_context, features, field_context, radiance, kept, .. } =
+        workspace;
     stages.renderer.prune(stream, radiance, samples, kept);
     stages.encoder.keep(stream, kept, encoder_context, features);
     stages.field.keep(stream, kept, field_context, radiance);

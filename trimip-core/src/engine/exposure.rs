@@ -5,7 +5,7 @@
 use crate::{
     Result, ViewSet,
     config::OptimizerConfig,
-    engine::batch::{MOST_PENDING, StepResult},
+    engine::step_result::{MOST_PENDING, StepResult},
     field::{
         adamw::Rule,
         losses::exposure::exposed,

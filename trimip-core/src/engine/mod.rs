@@ -16,4 +16,5 @@ pub(crate) mod ranks;
 pub mod ray_allocation;
 pub(crate) mod session;
 mod stages;
+mod step_result;
 pub mod trainer;

@@ -1,7 +1,7 @@
 //! Density and colour of a model at places of the world, without a picture: what a mesh or a volume is made of.
 
 use crate::{
-    Backend, Encoder, Field, Query, Result, Space,
+    Backend, Field, Query, Result, Space,
     engine::{
         batch::{Interval, Radiance, Ray, Samples, Sphere, Tile, Tiling, Workspace},
         loaded::LoadedModel,
@@ -61,20 +61,10 @@ impl<B: Backend> LoadedModel<B> {
                         backend.submit();
                         work.rays.place(backend, &rays[own.clone()]);
                         work.samples.place(backend, &intervals[own.clone()], &spheres[own]);
-                        let Workspace {
-                            stream,
-                            rays,
-                            samples,
-                            encoder_context,
-                            features,
-                            field_context,
-                            radiance,
-                            ..
-                        } = work;
-                        let tile = &mut Tile { stream, parameters, rays, samples };
-                        stages.encoder.forward(tile, encoder_context, features);
-                        stages.field.density(tile, features, field_context, radiance);
+                        stages.density(parameters, work);
                         if colors {
+                            let Workspace { stream, rays, samples, field_context, radiance, .. } = work;
+                            let tile = &mut Tile { stream, parameters, rays, samples };
                             stages.field.color(tile, 0.0, field_context, radiance);
                         }
                     },
@@ -108,21 +98,9 @@ impl<B: Backend> LoadedModel<B> {
                 backend.submit();
                 work.rays.place(backend, &rays[own.clone()]);
                 work.samples.place(backend, &intervals[own.clone()], &spheres[own.clone()]);
-                let Workspace {
-                    stream,
-                    rays,
-                    samples,
-                    field_context,
-                    radiance,
-                    encoder_context,
-                    features,
-                    ..
-                } = work;
-                let tile = &mut Tile { stream, parameters, rays, samples };
-                stages.encoder.forward(tile, encoder_context, features);
-                // The map's own result; it is not used.
-                stages.field.density(tile, features, field_context, radiance);
-                let rows = backend.read(features);
+                // Densities are the map's own result, which is not used.
+                stages.density(parameters, work);
+                let rows = backend.read(&work.features);
                 let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
                 let first = (i * PLACES_AT_ONCE + own.start) * width;
                 let into = all[first..].chunks_exact_mut(width);

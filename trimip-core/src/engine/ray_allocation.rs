@@ -4,31 +4,30 @@
 use crate::{
     Config, Scale, ViewSet,
     config::TrainConfig,
-    scene::cones::{Division, QUINCUNX, count},
+    scene::cones::{Division, PixelPattern},
 };
 
 /// The scales of a training set, and the schedules by which they fraction the pixels of a step.
 #[derive(Clone, Debug)]
 pub struct ScaleSampling {
     scales: Vec<Scale>,
-    /// Cones along a side of a pixel of each scale, when it is rendered.
-    sides: Vec<u32>,
+    /// The cones of a pixel of each scale, when it is rendered.
+    patterns: Vec<PixelPattern>,
     train: TrainConfig,
 }
 
 impl ScaleSampling {
     /// The fractions of the scales of `views`. Both are in the coordinates of the configuration's box.
     pub fn new(config: &Config, views: &ViewSet) -> Self {
-        let sides = Division::new(config).sides(views);
-        Self { scales: views.scales.clone(), sides, train: config.train.clone() }
+        let patterns = Division::new(config).patterns(views);
+        Self { scales: views.scales.clone(), patterns, train: config.train.clone() }
     }
 
     /// The balance at `progress` in [0, 1].
     pub fn at(&self, progress: f64) -> ScaleWeights {
         let most = self.train.cones.at(progress) as u32;
-        let within = |&side: &u32| if side == QUINCUNX { side } else { side.min(most).max(1) };
-        let sides = self.sides.iter().map(within).collect();
-        ScaleWeights::new(&self.scales, self.train.scale_weighting.at(progress), sides)
+        let patterns = self.patterns.iter().map(|pattern| pattern.within(most)).collect();
+        ScaleWeights::new(&self.scales, self.train.scale_weighting.at(progress), patterns)
     }
 }
 
@@ -42,13 +41,13 @@ impl ScaleSampling {
 pub struct ScaleWeights {
     fractions: Vec<f64>,
     weights: Vec<f32>,
-    sides: Vec<u32>,
+    patterns: Vec<PixelPattern>,
 }
 
 impl ScaleWeights {
-    /// ScaleWeights `balance` in [0, 1] over `scales`, fine to coarse, whose pixels have `sides` cones along each side. A
-    /// scale without pixels gets none.
-    pub fn new(scales: &[Scale], balance: f64, sides: Vec<u32>) -> Self {
+    /// The balance `balance` in [0, 1] over `scales`, fine to coarse, whose pixels have these cones. A scale without pixels
+    /// gets none.
+    pub fn new(scales: &[Scale], balance: f64, patterns: Vec<PixelPattern>) -> Self {
         let weight = |scale: &Scale| f64::from(scale.weight);
         let fraction = |scale: &Scale| match scale.pixels.is_empty() {
             true => 0.0,
@@ -58,7 +57,7 @@ impl ScaleWeights {
         Self {
             fractions: scales.iter().map(|scale| fraction(scale) / sum).collect(),
             weights: scales.iter().map(|scale| weight(scale).powf(1.0 - balance) as f32).collect(),
-            sides,
+            patterns,
         }
     }
 
@@ -71,7 +70,7 @@ impl ScaleWeights {
             end -= (f64::from(pixels) * fraction) as u32;
             begins[scale] = end;
         }
-        RayAllocation { pixels, begins, sides: self.sides.clone() }
+        RayAllocation { pixels, begins, patterns: self.patterns.clone() }
     }
 
     /// Loss weight of a pixel of scale `scale`.
@@ -86,13 +85,13 @@ impl ScaleWeights {
 
     /// Expected number of cones of a pixel.
     pub fn cones_per_pixel(&self) -> f64 {
-        if self.sides.iter().all(|&side| side == 1) {
+        if self.patterns.iter().all(|&pattern| pattern == PixelPattern::WHOLE) {
             return 1.0;
         }
         self.fractions
             .iter()
-            .zip(&self.sides)
-            .map(|(fraction, &side)| fraction * f64::from(count(side)))
+            .zip(&self.patterns)
+            .map(|(fraction, pattern)| fraction * f64::from(pattern.count()))
             .sum()
     }
 }
@@ -102,7 +101,7 @@ impl ScaleWeights {
 pub struct RayAllocation {
     pixels: u32,
     begins: Vec<u32>,
-    sides: Vec<u32>,
+    patterns: Vec<PixelPattern>,
 }
 
 impl RayAllocation {
@@ -121,9 +120,9 @@ impl RayAllocation {
         &self.begins
     }
 
-    /// Cones along a side of a pixel of each scale.
-    pub fn sides(&self) -> &[u32] {
-        &self.sides
+    /// The cones of a pixel of each scale.
+    pub fn patterns(&self) -> &[PixelPattern] {
+        &self.patterns
     }
 
     /// The scale of a pixel.
@@ -153,7 +152,8 @@ impl RayAllocation {
     /// First pixel, end, and cones of a pixel of each scale.
     fn parts(&self) -> impl Iterator<Item = (u32, u32, u32)> + '_ {
         let ends = self.begins.iter().copied().skip(1).chain([self.pixels]);
-        self.begins.iter().zip(ends).zip(&self.sides).map(|((&begin, end), &side)| (begin, end, count(side)))
+        let scales = self.begins.iter().zip(ends).zip(&self.patterns);
+        scales.map(|((&begin, end), pattern)| (begin, end, pattern.count()))
     }
 }
 
@@ -172,7 +172,7 @@ mod tests {
     }
 
     fn balance(scales: &[Scale], balance: f64) -> ScaleWeights {
-        ScaleWeights::new(scales, balance, vec![1; scales.len()])
+        ScaleWeights::new(scales, balance, vec![PixelPattern::WHOLE; scales.len()])
     }
 
     /// Pixels of each scale.
@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     fn cones_are_counted_pixel_by_pixel() {
-        let balance = ScaleWeights::new(&scales(4), 1.0, vec![1, 1, 2, 3]);
+        let balance = ScaleWeights::new(&scales(4), 1.0, [1, 1, 2, 3].map(PixelPattern::Grid).to_vec());
         assert!((balance.cones_per_pixel() - 3.75).abs() < 1e-12);
         let allocation = balance.allocate(42);
         assert_eq!((allocation.begins(), allocation.cones()), (&[0, 12, 22, 32][..], 22 + 40 + 90));
@@ -256,7 +256,8 @@ mod tests {
         config.train.cones =
             crate::config::schedule::Schedule::new(vec![[0.0, 1.0], [0.25, 2.0], [0.5, 8.0]]);
         let fractions = ScaleSampling::new(&config, &set);
-        let sides = [0.0, 0.3, 0.6].map(|progress| fractions.at(progress).allocate(4).sides().to_vec());
-        assert_eq!(sides, [[1, 1, 1, 1], [1, 1, 2, 2], [1, 1, 2, 4]]);
+        let found = [0.0, 0.3, 0.6].map(|progress| fractions.at(progress).allocate(4).patterns().to_vec());
+        let sides = [[1, 1, 1, 1], [1, 1, 2, 2], [1, 1, 2, 4]];
+        assert_eq!(found, sides.map(|sides| sides.map(PixelPattern::Grid).to_vec()));
     }
 }

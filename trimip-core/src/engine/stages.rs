@@ -35,6 +35,15 @@ pub struct Stages<B: Backend> {
 }
 
 impl<B: Backend> Stages<B> {
+    /// Encodes the samples of a workspace and evaluates their density.
+    pub fn density(&self, parameters: &B::Buffer<f32>, workspace: &mut Workspace<B>) {
+        let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, .. } =
+            workspace;
+        let tile = &mut Tile { stream, parameters, rays, samples };
+        self.encoder.forward(tile, encoder_context, features);
+        self.field.density(tile, features, field_context, radiance);
+    }
+
     /// Sums the partial gradients into one gradient of all parameters, not yet divided by the sum of the weights, and empties
     /// the partial gradients.
     pub fn reduce(

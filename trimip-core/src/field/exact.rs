@@ -9,7 +9,7 @@ use crate::field::networks::{
 };
 use crate::geometry::camera::apex_distance;
 use crate::geometry::occupancy::cell_of;
-use crate::scene::cones::{self, Division};
+use crate::scene::cones::Division;
 use crate::{Camera, Cone, Config, Layout, Result, Space, math::bits};
 use glam::DVec3;
 
@@ -96,9 +96,9 @@ impl Exact {
     /// along the diagonal.
     pub fn pixel(&self, camera: &Camera, x: u32, y: u32, steps: u32) -> [f64; 3] {
         let camera = Camera { origin: camera.origin - self.centre, ..*camera };
-        let side = self.division.side(&camera);
-        let count = cones::count(side);
-        let cones = (0..count).map(|i| self.cone(&camera.cone_in(x, y, i, side), steps));
+        let pattern = self.division.pattern(&camera);
+        let count = pattern.count();
+        let cones = (0..count).map(|i| self.cone(&camera.cone_in(x, y, i, pattern), steps));
         cones.fold([0.0; 3], |sum, rgb| std::array::from_fn(|c| sum[c] + rgb[c] / f64::from(count)))
     }
 

@@ -8,10 +8,12 @@ use crate::{
     field::{
         encoders,
         networks::{color_network, density_network},
+        slot::in_sequence,
         tensors::{Tensor, TensorFile},
     },
     math::rng::{Random, Sequence, unit},
 };
+
 /// All slots in order: encoder, density network, colour network.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
@@ -43,34 +45,25 @@ fn normal(bits: [u32; 4], i: usize) -> f32 {
 impl Layout {
     /// The slots of a configuration.
     pub fn new(config: &Config) -> Self {
-        let mut layout = Self { slots: Vec::new(), encoder: 0 };
-        encoders::of(config).slots(config).into_iter().for_each(|slot| layout.push(slot));
-        layout.encoder = layout.slots.len();
+        let mut slots = encoders::of(config).slots(config);
+        let encoder = slots.len();
         for network in [density_network(config), color_network(config)] {
             for i in 0..network.layers.len() {
                 let [inputs, outputs] = network.weights(i);
                 // Glorot's uniform rule, as in the paper.
                 let bound = (6.0 / (inputs + outputs) as f32).sqrt();
-                layout.push(Slot::new(format!("{}.{i}.weight", network.name), vec![inputs, outputs], bound));
+                slots.push(Slot::new(format!("{}.{i}.weight", network.name), vec![inputs, outputs], bound));
                 if network.biases {
-                    layout.push(Slot::new(format!("{}.{i}.bias", network.name), vec![outputs], 0.0));
+                    slots.push(Slot::new(format!("{}.{i}.bias", network.name), vec![outputs], 0.0));
                 }
             }
         }
-        layout
+        Self { slots: in_sequence(slots), encoder }
     }
 
     /// The layout of these slots, one after the other.
     pub fn of(slots: impl IntoIterator<Item = Slot>) -> Self {
-        let mut layout = Self { slots: Vec::new(), encoder: 0 };
-        slots.into_iter().for_each(|slot| layout.push(slot));
-        layout
-    }
-
-    fn push(&mut self, mut slot: Slot) {
-        let start = self.len();
-        slot.range = start..start + slot.range.len();
-        self.slots.push(slot);
+        Self { slots: in_sequence(slots), encoder: 0 }
     }
 
     /// Number of floats, including the padding.

@@ -56,6 +56,17 @@ impl Slot {
     }
 }
 
+/// The slots one after the other in a flat array: each begins behind the padding of the one before.
+pub fn in_sequence(slots: impl IntoIterator<Item = Slot>) -> Vec<Slot> {
+    let mut start = 0;
+    let placed = slots.into_iter().map(|mut slot| {
+        slot.range = start..start + slot.range.len();
+        start = slot.padded().end;
+        slot
+    });
+    placed.collect()
+}
+
 /// The part of a slot that is in use at a stage of growth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActiveRange {

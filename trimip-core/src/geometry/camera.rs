@@ -2,9 +2,9 @@
 //! upper left one; its centre lies at (0.5, 0.5). The camera model of a [`Lens`] maps pixels to rays, see
 //! [`projections`](crate::geometry::projections).
 
+use crate::geometry::cone_pattern::PixelPattern;
 use crate::geometry::lens::Lens;
 use crate::math::scalar::Real;
-use crate::scene::cones::QUINCUNX;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -199,26 +199,30 @@ impl Camera {
     /// The cone through the centre of pixel (`x`, `y`).
     #[inline]
     pub fn cone<R: Real>(&self, x: u32, y: u32) -> Cone<R> {
-        self.cone_in(x, y, 0, 1)
+        self.cone_in(x, y, 0, PixelPattern::WHOLE)
     }
 
-    /// Cone number `index`, row by row, of the `side` × `side` parts of pixel (`x`, `y`), or of its
-    /// [quincunx](crate::scene::cones::QUINCUNX).
+    /// Cone number `index` of pixel (`x`, `y`): row by row of a grid; of the quincunx the centre first.
     #[inline]
-    pub fn cone_in<R: Real>(&self, x: u32, y: u32, index: u32, side: u32) -> Cone<R> {
-        if side == QUINCUNX {
-            // The centre, then the four half-way to the corners.
-            let offset = |upper: bool| match (index, upper) {
-                (0, _) => R::from_f64(0.5),
-                (_, false) => R::from_f64(0.25),
-                (_, true) => R::from_f64(0.75),
-            };
-            let [right, down] = [index == 2 || index == 4, index > 2].map(offset);
-            return self.cone_at([R::from_u32(x) + right, R::from_u32(y) + down], R::one());
+    pub fn cone_in<R: Real>(&self, x: u32, y: u32, index: u32, pattern: PixelPattern) -> Cone<R> {
+        match pattern {
+            PixelPattern::Quincunx => {
+                // The centre, then the four half-way to the corners.
+                let offset = |upper: bool| match (index, upper) {
+                    (0, _) => R::from_f64(0.5),
+                    (_, false) => R::from_f64(0.25),
+                    (_, true) => R::from_f64(0.75),
+                };
+                let [right, down] = [index == 2 || index == 4, index > 2].map(offset);
+                self.cone_at([R::from_u32(x) + right, R::from_u32(y) + down], R::one())
+            }
+            PixelPattern::Grid(side) => {
+                let part = R::from_u32(side).recip();
+                let place =
+                    |pixel: u32, i: u32| R::from_u32(pixel) + (R::from_u32(i) + R::from_f64(0.5)) * part;
+                self.cone_at([place(x, index % side), place(y, index / side)], part)
+            }
         }
-        let part = R::from_u32(side).recip();
-        let place = |pixel: u32, i: u32| R::from_u32(pixel) + (R::from_u32(i) + R::from_f64(0.5)) * part;
-        self.cone_at([place(x, index % side), place(y, index / side)], part)
     }
 
     /// The cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
@@ -354,7 +358,7 @@ mod tests {
         };
         let camera = |intrinsics| Camera { intrinsics, rotation: DMat3::IDENTITY, origin: DVec3::ONE };
         for index in 0..4 {
-            let part: Cone<f64> = camera(fine.reduced(1)).cone_in(7, 3, index, 2);
+            let part: Cone<f64> = camera(fine.reduced(1)).cone_in(7, 3, index, PixelPattern::Grid(2));
             let whole: Cone<f64> = camera(fine).cone(14 + index % 2, 6 + index / 2);
             let apart = (DVec3::from(part.direction) - DVec3::from(whole.direction)).length();
             assert!(apart < 1e-15 && (part.slope / whole.slope - 1.0).abs() < 1e-12, "{index}: {apart}");

@@ -1,11 +1,32 @@
-//! The cones inside of a pixel: a square of `side` × `side` parts, or the quincunx.
+//! The cones inside of a pixel.
 
-/// Cones along a side that stand for the quincunx: five cones of the pixel's width, at its centre and at (±¼, ±¼) of a pixel
-/// around it.
-pub const QUINCUNX: u32 = 0x100;
+/// Where the cones of a pixel are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PixelPattern {
+    /// One cone in each of so many × so many parts of the pixel.
+    Grid(u32),
+    /// Five cones of the pixel's width, at its centre and at (±¼, ±¼) of a pixel around it.
+    Quincunx,
+}
 
-/// Number of cones of a pixel with `side` cones along each side.
-#[inline]
-pub fn count(side: u32) -> u32 {
-    if side == QUINCUNX { 5 } else { side * side }
+impl PixelPattern {
+    /// One cone of the whole pixel.
+    pub const WHOLE: Self = Self::Grid(1);
+
+    /// Number of cones.
+    #[inline]
+    pub fn count(self) -> u32 {
+        match self {
+            Self::Grid(side) => side * side,
+            Self::Quincunx => 5,
+        }
+    }
+
+    /// The same with at most `most` parts along a side. A quincunx has no other size.
+    pub fn within(self, most: u32) -> Self {
+        match self {
+            Self::Grid(side) => Self::Grid(side.min(most).max(1)),
+            Self::Quincunx => self,
+        }
+    }
 }

@@ -2,7 +2,7 @@
 //! along the ray as much as across, and a network of averaged features is not the average of the network. A wider pixel
 //! is therefore the mean of several cones.
 
-pub use crate::geometry::cone_pattern::{QUINCUNX, count};
+pub use crate::geometry::cone_pattern::PixelPattern;
 
 use crate::{Aabb, Camera, Config, ViewSet, config::ConePattern};
 use glam::DVec3;
@@ -29,24 +29,28 @@ impl Division {
         }
     }
 
-    /// Cones along each side of a pixel of `camera`: 1 to `renderer.cones`, or [`QUINCUNX`].
-    pub fn side(&self, camera: &Camera) -> u32 {
-        self.side_of(footprint(camera, &self.aabb))
+    /// The cones of a pixel of `camera`: 1 to `renderer.cones` along each side, or the quincunx.
+    pub fn pattern(&self, camera: &Camera) -> PixelPattern {
+        self.pattern_of(footprint(camera, &self.aabb))
     }
 
     /// The same for each scale of a training set, fine to coarse, by the median footprint of its views.
-    pub fn sides(&self, views: &ViewSet) -> Vec<u32> {
-        let of =
-            |scale: usize| median_footprint(views, scale, &self.aabb).map_or(1, |width| self.side_of(width));
+    pub fn patterns(&self, views: &ViewSet) -> Vec<PixelPattern> {
+        let of = |scale: usize| {
+            let width = median_footprint(views, scale, &self.aabb);
+            width.map_or(PixelPattern::WHOLE, |width| self.pattern_of(width))
+        };
         (0..views.scales.len()).map(of).collect()
     }
 
-    fn side_of(&self, footprint: f64) -> u32 {
-        if self.pattern == ConePattern::Quincunx {
-            return QUINCUNX;
+    fn pattern_of(&self, footprint: f64) -> PixelPattern {
+        match self.pattern {
+            ConePattern::Quincunx => PixelPattern::Quincunx,
+            // A width of 0 gives infinity, and the conversion saturates.
+            ConePattern::Grid => {
+                PixelPattern::Grid(((footprint / self.width).round() as u32).clamp(1, self.most))
+            }
         }
-        // A width of 0 gives infinity, and the conversion saturates.
-        ((footprint / self.width).round() as u32).clamp(1, self.most)
     }
 }
 
@@ -93,14 +97,16 @@ mod tests {
     #[test]
     fn cones_are_about_as_wide_as_the_rule_says() {
         // At distance 4 and focal length 400, a pixel is 0.01 wide.
-        let sides = |rule: Division| [100.0, 200.0, 400.0, 800.0].map(|focal| rule.side(&camera(4.0, focal)));
-        assert_eq!(sides(rule(8, 0.01)), [4, 2, 1, 1]);
-        assert_eq!(sides(rule(8, 0.02)), [2, 1, 1, 1]);
-        assert_eq!(sides(rule(3, 0.01)), [3, 2, 1, 1]);
-        assert_eq!(sides(rule(1, 0.0)), [1; 4]);
-        assert_eq!(sides(rule(5, 0.0)), [5; 4]);
+        let patterns =
+            |rule: Division| [100.0, 200.0, 400.0, 800.0].map(|focal| rule.pattern(&camera(4.0, focal)));
+        let grids = |sides: [u32; 4]| sides.map(PixelPattern::Grid);
+        assert_eq!(patterns(rule(8, 0.01)), grids([4, 2, 1, 1]));
+        assert_eq!(patterns(rule(8, 0.02)), grids([2, 1, 1, 1]));
+        assert_eq!(patterns(rule(3, 0.01)), grids([3, 2, 1, 1]));
+        assert_eq!(patterns(rule(1, 0.0)), grids([1; 4]));
+        assert_eq!(patterns(rule(5, 0.0)), grids([5; 4]));
         // Twice as far away, a pixel is twice as wide; within the box it is no narrower than at a quarter of its side.
-        assert_eq!(rule(8, 0.01).side(&camera(12.0, 400.0)), 3);
+        assert_eq!(rule(8, 0.01).pattern(&camera(12.0, 400.0)), PixelPattern::Grid(3));
         assert_eq!(footprint(&camera(0.1, 400.0), &Aabb::new(&Config::default().scene)), 0.75 / 400.0);
     }
 }

@@ -2,8 +2,10 @@
 //! silhouettes if the photographs have any. World units.
 
 use super::common_view::{COMMON, cameras, common_view, focus};
-use super::detail::significant;
-use super::{Context, Facts, Proposal, leave_out::saved, tri_mip};
+use super::decision::{Context, Proposal};
+use super::facts::Facts;
+use super::fineness::significant;
+use super::{leave_out::saved, tri_mip};
 use crate::config::{Contraction, PlaneShape};
 use crate::field::encoders::tri_mip::Pyramid;
 use crate::{Aabb, Camera, Config, scene::silhouettes};

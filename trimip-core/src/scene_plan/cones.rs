@@ -1,7 +1,8 @@
 //! How wide a cone is: about as a pixel of the finest photographs. Wider pixels, of coarser photographs or of cameras farther
 //! away, are the mean of several.
 
-use super::{Context, Proposal, detail};
+use super::decision::{Context, Proposal};
+use super::fineness;
 use crate::Aabb;
 use toml::Value;
 
@@ -13,10 +14,10 @@ const WIDTH: f64 = 1.25;
 const MOST: i64 = 4;
 
 pub(super) fn decide(context: &Context<'_>) -> Proposal {
-    let Some(footprint) = detail::footprint(context.facts.train, &Aabb::new(&context.now.scene)) else {
+    let Some(footprint) = fineness::footprint(context.facts.train, &Aabb::new(&context.now.scene)) else {
         return Proposal::Keep("there is no photograph".into());
     };
-    let width = detail::significant(WIDTH * footprint);
+    let width = fineness::significant(WIDTH * footprint);
     let number = width.parse().unwrap_or(WIDTH * footprint);
     Proposal::Set {
         reason: format!(

@@ -1,7 +1,7 @@
 //! Decisions for the hash grid: the resolution of its finest level.
 
-use super::Context;
-use super::detail::{self, Fineness};
+use super::decision::Context;
+use super::fineness::{self, Fineness};
 use crate::Aabb;
 use toml::Value;
 
@@ -11,8 +11,8 @@ const CELL: f64 = 1.3;
 /// A finest level whose cells follow the footprint of a pixel, never finer than configured.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let (aabb, grid) = (Aabb::<f64>::new(&context.now.scene), &context.configured.hash_grid);
-    let footprint = detail::footprint(context.facts.train, &aabb);
-    let footprint = footprint.filter(|_| detail::acts(context, "hash_grid.finest"));
+    let footprint = fineness::footprint(context.facts.train, &aabb);
+    let footprint = footprint.filter(|_| fineness::acts(context, "hash_grid.finest"));
     let finest = footprint.map(|footprint| {
         let cells = (aabb.longest() / (CELL * footprint)).ceil() as u32;
         cells.clamp(grid.coarsest, grid.finest)

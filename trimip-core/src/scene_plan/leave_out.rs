@@ -1,7 +1,8 @@
 //! Parts that a scene does not need: occupancy cells that are too fine, view dependence, and half of the bits of the
 //! model file.
 
-use super::{Context, Proposal, detail};
+use super::decision::{Context, Proposal};
+use super::fineness;
 use crate::Layout;
 use crate::config::{FilePrecision, PlanChoice};
 use toml::Value;
@@ -26,9 +27,9 @@ pub(super) fn saved(what: &str, after: usize, before: usize) -> String {
 
 pub(super) fn occupancy(context: &Context<'_>) -> Proposal {
     let now = context.now.occupancy.resolution;
-    let needed = ((detail::box_side(context.now) / detail::cell(context)).ceil().clamp(CELLS[0], CELLS[1])
-        as u32)
-        .next_multiple_of(CELL_UNIT);
+    let needed =
+        ((fineness::box_side(context.now) / fineness::cell(context)).ceil().clamp(CELLS[0], CELLS[1]) as u32)
+            .next_multiple_of(CELL_UNIT);
     if needed >= now {
         return Proposal::Keep(format!("{now}³ cells are needed"));
     }

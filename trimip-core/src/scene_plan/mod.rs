@@ -6,10 +6,12 @@
 mod aabb;
 mod common_view;
 mod cones;
+mod decision;
 mod decisions;
 mod detail;
 mod facts;
 mod finding;
+mod fineness;
 mod hash_grid;
 mod leave_out;
 pub mod radii;
@@ -27,7 +29,8 @@ pub use warnings::warnings;
 
 use crate::config::{Contraction, PlanChoice};
 use crate::{Config, Error, Origin, Result, Settings};
-use decisions::{Context, DECISIONS, Decision, Proposal};
+use decision::{Context, Decision, Proposal};
+use decisions::DECISIONS;
 
 /// Keys of all decisions, as in `[plan]`.
 pub fn keys() -> impl Iterator<Item = &'static str> {

@@ -1,9 +1,10 @@
 //! Training recipe of a scene: its background, whether models are solid, and the size of networks and steps for the number
 //! of samples that the time budget allows on this machine.
 
-use super::{Context, Proposal, tri_mip};
+use super::decision::{Context, Proposal};
+use super::tri_mip;
 use crate::config::Precision;
-use crate::{Config, ViewSet, scene::silhouettes};
+use crate::{ViewSet, scene::silhouettes};
 use toml::Value;
 
 /// Weight of the opacity loss for photographs with alpha: it makes models solid.
@@ -108,17 +109,9 @@ pub(super) fn solids(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// Expected number of kept samples: the target for a budget in steps, otherwise what this machine trains in the time.
-pub(super) fn budget(config: &Config, samples_per_second: f64) -> f64 {
-    match config.train.steps {
-        0 => config.train.seconds * samples_per_second,
-        steps => steps as f64 * f64::from(config.train.samples_per_step),
-    }
-}
-
 pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     let (config, compute) = (context.now, context.facts.compute);
-    let samples = budget(config, compute.samples_per_second);
+    let samples = context.budget();
     let long = samples >= FINE_STEPS[0];
     let hidden = WIDTHS.iter().find(|(most, _)| samples < *most).map_or(WIDEST, |(_, hidden)| *hidden);
     let per_step = match samples {

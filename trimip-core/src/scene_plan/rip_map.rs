@@ -1,7 +1,8 @@
 //! Decisions for planes with ripmaps: the width of their texels, and the levels that a camera needs.
 
-use super::detail::{self, Fineness};
-use super::{Context, radii, tri_mip};
+use super::decision::Context;
+use super::fineness::{self, Fineness};
+use super::{radii, tri_mip};
 use crate::Aabb;
 use toml::Value;
 
@@ -12,15 +13,15 @@ const SPARE_LEVELS: f64 = 1.0;
 /// of the set need.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let (aabb, given) = (Aabb::<f64>::new(&context.now.scene), &context.configured.rip_map);
-    let footprint = detail::footprint(context.facts.train, &aabb);
-    let size = footprint.filter(|_| detail::acts(context, "rip_map.size")).map(|footprint| {
+    let footprint = fineness::footprint(context.facts.train, &aabb);
+    let size = footprint.filter(|_| fineness::acts(context, "rip_map.size")).map(|footprint| {
         let width = tri_mip::width_for_budget(context) * footprint;
         let enough = (aabb.longest() / width).ceil().max(tri_mip::LEAST_TEXELS) as u32;
         enough.min(given.size)
     });
     let texel = aabb.longest() / f64::from(size.unwrap_or(given.size));
     let cameras = context.facts.train.views.iter().map(|view| &view.camera).chain(context.facts.test);
-    let levels = radii::range(cameras, &aabb).filter(|_| detail::acts(context, "rip_map.levels"));
+    let levels = radii::range(cameras, &aabb).filter(|_| fineness::acts(context, "rip_map.levels"));
     let levels = levels.map(|[_, radius]| {
         // Standard deviations of a disc and of an interval.
         let widest = (radius / 2.0).max(f64::from(context.now.step_length()) / 12_f64.sqrt());

@@ -3,6 +3,7 @@
 use super::*;
 use crate::config::{Contraction, FilePrecision};
 use crate::field::encoders::tri_mip::Pyramid;
+use crate::scene::cones::PixelPattern;
 use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
 use glam::DVec3;
 
@@ -64,17 +65,17 @@ fn levels_are_sharper_where_texels_are_as_fine_as_pixels_see() {
 fn cones_are_about_as_wide_as_pixels_of_the_finest_photographs() {
     let train = views(true);
     let (config, _) = planned(&train, &[]).unwrap();
-    let footprint = detail::footprint(&train, &Aabb::new(&config.scene)).unwrap();
+    let footprint = fineness::footprint(&train, &Aabb::new(&config.scene)).unwrap();
     let width = f64::from(config.renderer.cone_width) / footprint;
     assert!((width / 1.25 - 1.0).abs() < 5e-3, "{width}");
     let division = crate::scene::cones::Division::new(&config);
-    assert_eq!(division.sides(&train), [1, 2]);
+    assert_eq!(division.patterns(&train), [1, 2].map(PixelPattern::Grid));
     let aabb = Aabb::new(&config.scene);
     let away = |view: &&View| (crate::scene::cones::footprint(&view.camera, &aabb) - footprint).abs();
     let median = train.views[..16].iter().min_by(|a, b| away(a).total_cmp(&away(b)));
     let camera = median.unwrap().camera;
-    let at = |level| division.side(&Camera { intrinsics: camera.intrinsics.reduced(level), ..camera });
-    assert_eq!([0, 1, 2, 3, 4].map(at), [1, 2, 3, 4, 4]);
+    let at = |level| division.pattern(&Camera { intrinsics: camera.intrinsics.reduced(level), ..camera });
+    assert_eq!([0, 1, 2, 3, 4].map(at), [1, 2, 3, 4, 4].map(PixelPattern::Grid));
     let (config, findings) = planned(&train, &["renderer.cones=1"]).unwrap();
     assert_eq!(
         (config.renderer.cones, config.renderer.cone_width),
@@ -110,7 +111,7 @@ fn a_hash_grid_is_as_fine_as_pixels_see_and_has_no_settings_of_planes() {
     let train = views(true);
     let (config, findings) = planned(&train, &["encoder.kind=hash-grid"]).unwrap();
     let aabb = Aabb::<f64>::new(&config.scene);
-    let footprint = detail::footprint(&train, &aabb).unwrap();
+    let footprint = fineness::footprint(&train, &aabb).unwrap();
     let width = aabb.longest() / f64::from(config.hash_grid.finest) / footprint;
     assert!((1.2..=1.3).contains(&width), "{width}");
     let changes = || findings.iter().flat_map(|finding| &finding.changes);

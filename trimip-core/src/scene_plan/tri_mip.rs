@@ -1,8 +1,9 @@
 //! Decisions for tri-mip planes: the width of texels, the level bias, and the mip levels that no camera needs.
 
-use super::detail::Fineness;
+use super::decision::{Context, Proposal};
+use super::fineness::{self, Fineness};
 use super::leave_out::saved;
-use super::{Context, Proposal, detail, radii, recipe};
+use super::radii;
 use crate::config::EncoderKind;
 use crate::field::encoders::tri_mip::Pyramid;
 use crate::{Aabb, Config};
@@ -41,13 +42,13 @@ pub(super) fn detail(context: &Context<'_>) -> Fineness {
 
 /// True if this decision sets the size of the planes.
 pub(super) fn sets_planes(context: &Context<'_>) -> bool {
-    detail::acts(context, "encoder.plane_size")
+    fineness::acts(context, "encoder.plane_size")
 }
 
 /// World width of a texel along the longest side of the box, from the settings or this decision.
 pub(super) fn texel(context: &Context<'_>) -> f64 {
     let longest = Aabb::<f64>::new(&context.now.scene).longest();
-    match detail::footprint(context.facts.train, &Aabb::new(&context.now.scene))
+    match fineness::footprint(context.facts.train, &Aabb::new(&context.now.scene))
         .filter(|_| sets_planes(context))
     {
         Some(footprint) => {
@@ -60,13 +61,13 @@ pub(super) fn texel(context: &Context<'_>) -> f64 {
 
 /// Width of a texel in pixel footprints; `None` without photographs.
 pub(super) fn texel_in_pixels(context: &Context<'_>) -> Option<f64> {
-    let footprint = detail::footprint(context.facts.train, &Aabb::new(&context.now.scene))?;
+    let footprint = fineness::footprint(context.facts.train, &Aabb::new(&context.now.scene))?;
     Some(texel(context) / footprint)
 }
 
 /// Width of a texel in pixel footprints for the budget.
 pub(super) fn width_for_budget(context: &Context<'_>) -> f64 {
-    let samples = recipe::budget(context.now, context.facts.compute.samples_per_second);
+    let samples = context.budget();
     TEXELS.iter().find(|(most, _)| samples < *most).map_or(1.6, |(_, width)| *width)
 }
 

@@ -1,6 +1,6 @@
 //! G += Aᵀ·D: a layer's weight gradient.
 
-use super::add_product;
+use super::words::add_product;
 use crate::simd::{Kernel, Lanes, Simd};
 use trimip_core::config::Precision;
 

@@ -1,6 +1,7 @@
 //! C = A·W with the operations before and after it: a layer's forward pass, and the gradient of its input.
 
-use super::{Packed, ROWS, add_product, padded};
+use super::packed::Packed;
+use super::words::{ROWS, add_product, padded};
 use crate::simd::{Kernel, Lanes, Simd};
 use trimip_core::config::Precision;
 

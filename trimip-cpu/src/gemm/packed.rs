@@ -1,6 +1,6 @@
 //! A weight matrix packed for the matrix-product kernels.
 
-use super::words;
+use super::words::words;
 use crate::buffer::Buffer;
 use crate::simd::pair;
 use trimip_core::config::Precision;

@@ -3,6 +3,7 @@
 use super::*;
 use crate::buffer::Buffer;
 use crate::simd::Simd;
+use trimip_core::config::Precision;
 
 fn matrix(rows: usize, columns: usize, seed: f32) -> Buffer<f32> {
     let mut values = Buffer::zeros(padded(rows) * columns);

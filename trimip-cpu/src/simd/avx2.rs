@@ -1,6 +1,6 @@
 //! Lanes of two AVX2 registers.
 
-use super::{Kernel, Lanes};
+use super::lanes::{Kernel, Lanes};
 use std::arch::x86_64::*;
 
 #[target_feature(enable = "avx2,fma")]

@@ -1,6 +1,6 @@
 //! Lanes of one AVX-512 register.
 
-use super::{Kernel, Lanes};
+use super::lanes::{Kernel, Lanes};
 use std::arch::x86_64::*;
 
 #[target_feature(enable = "avx512f,avx512bw,avx512bf16,avx2,fma")]

@@ -1,6 +1,6 @@
 //! Lanes of four NEON registers.
 
-use super::Lanes;
+use super::lanes::Lanes;
 use std::arch::aarch64::*;
 
 /// Four NEON registers.

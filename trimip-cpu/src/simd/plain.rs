@@ -1,6 +1,6 @@
 //! Lanes without processor-specific instructions.
 
-use super::Lanes;
+use super::lanes::Lanes;
 
 /// Lanes in plain Rust.
 #[derive(Clone, Copy)]

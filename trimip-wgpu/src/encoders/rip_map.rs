@@ -49,7 +49,12 @@ shared! {
     }
 }
 
-const PLANES: Source = Parts(&[GRID, Source::of::<Plane>(), Text(include_str!("shaders/rip_planes.wgsl"))]);
+const PLANES: Source = Parts(&[
+    GRID,
+    Source::of::<Plane>(),
+    Source::whole("TEXEL_FOURS", CHANNELS as u32 / 4),
+    Text(include_str!("shaders/rip_planes.wgsl")),
+]);
 const MAP: Source =
     Parts(&[PLANES, GAUSSIANS, TEXELS, Source::of::<Params>(), Text(include_str!("shaders/rip_map.wgsl"))]);
 const PASS: Source = Parts(&[PLANES, Source::of::<Pass>(), Text(include_str!("shaders/rip_pass.wgsl"))]);

@@ -38,7 +38,11 @@ shared! {
     }
 }
 
-const PLANES: Source = Parts(&[GRID, Text(include_str!("shaders/planes.wgsl"))]);
+const PLANES: Source = Parts(&[
+    GRID,
+    Source::whole("TEXEL_FOURS", CHANNELS as u32 / 4),
+    Text(include_str!("shaders/planes.wgsl")),
+]);
 
 /// The level of a sphere, and the texels that it reads.
 pub const TRI_MIP: Source = Parts(&[

@@ -1,7 +1,6 @@
 //! The adapters of this machine: their capabilities, and the choice among them.
 
 use super::matrices::Matrices;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use trimip_core::{Error, Result};
 
 /// An adapter and its capabilities.
@@ -69,25 +68,12 @@ fn rank(info: &wgpu::AdapterInfo) -> u32 {
     }
 }
 
-/// Number of this process among those that share the adapters of a machine.
-static TURN: AtomicUsize = AtomicUsize::new(0);
-
-/// From now on this process, number `turn` of those on its machine, uses the adapter with this number among those that are as
-/// good as the best, counted around.
-pub fn take_turn(turn: usize) {
-    TURN.store(turn, Ordering::Relaxed);
-}
-
-/// The adapter whose name contains `name` (ignoring case), or the best one if `name` is empty. Of several that are as good, that
-/// of this process ([`take_turn`]).
+/// The adapter whose name contains `name` (ignoring case), or the best one if `name` is empty.
 ///
 /// # Errors
 /// When there is no such adapter.
 pub fn choose(name: &str) -> Result<wgpu::Adapter> {
-    match TURN.load(Ordering::Relaxed) {
-        0 => choose_among(all_adapters(), name),
-        turn => choose_one_of(name, turn),
-    }
+    choose_among(all_adapters(), name)
 }
 
 /// As [`choose`], but the adapter number `index` of those that are as good, counted around.
@@ -95,6 +81,9 @@ pub fn choose(name: &str) -> Result<wgpu::Adapter> {
 /// # Errors
 /// As [`choose`].
 pub fn choose_one_of(name: &str, index: usize) -> Result<wgpu::Adapter> {
+    if index == 0 {
+        return choose(name);
+    }
     let best = choose_among(all_adapters(), name)?.get_info();
     let mut alike = all_adapters();
     alike.retain(|a| {

@@ -22,7 +22,7 @@ mod rows;
 mod shared;
 mod source;
 
-pub use adapter::{AdapterFacts, adapters, choose, largest_binding, software, take_turn};
+pub use adapter::{AdapterFacts, adapters, choose_one_of, largest_binding, software};
 pub use bind::{Bind, Binds, Size};
 pub use buffer::Buffer;
 pub use ceilings::Ceilings;

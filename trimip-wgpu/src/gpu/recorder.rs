@@ -41,6 +41,7 @@ pub fn arguments() -> Kernel {
     let sources = [
         Source::of::<Arguments>(),
         Source::whole("MOST_GROUPS", MOST_GROUPS),
+        Source::whole("SIZE_WORDS", (SIZES / 4) as u32),
         Source::Text(include_str!("shaders/arguments.wgsl")),
     ];
     Kernel::new("size", &sources, &[(0, Read), (1, Write), (2, Parameters)])

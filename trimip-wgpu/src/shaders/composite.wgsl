@@ -1,21 +1,20 @@
 // Volume rendering along each cone, and the mean of the cones of each pixel.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
-// Five floats per pixel: colour, opacity, depth.
+// Of each pixel its colour, opacity and depth.
 @group(0) @binding(1) var<storage, read_write> pixels: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
 @group(0) @binding(5) var<storage, read> rays: array<Ray>;
-// Eight floats per pixel: colour, weight, background, opacity.
 @group(0) @binding(6) var<storage, read> targets: array<f32>;
 // First cone and number of cones of each pixel.
 @group(0) @binding(7) var<storage, read> pixel_groups: array<vec2<u32>>;
-// Five floats per cone.
+// Of each cone the same as of a pixel.
 @group(0) @binding(8) var<storage, read_write> cones: array<f32>;
 
 // Colour on the background, opacity and depth of a cone.
-fn composite_cone(cone: u32, background: vec3<f32>) -> array<f32, 5> {
+fn composite_cone(cone: u32, background: vec3<f32>) -> array<f32, PIXEL_FLOATS> {
     let segment = segments[cone];
     var rgb = vec3<f32>(0.0);
     var opacity = 0.0;
@@ -32,7 +31,7 @@ fn composite_cone(cone: u32, background: vec3<f32>) -> array<f32, 5> {
         transmittance = exp(-depth_before);
     }
     rgb += transmittance * background;
-    return array<f32, 5>(rgb.r, rgb.g, rgb.b, min(opacity, 1.0), distance * rays[cone].cosine);
+    return array<f32, PIXEL_FLOATS>(rgb.r, rgb.g, rgb.b, min(opacity, 1.0), distance * rays[cone].cosine);
 }
 
 @compute @workgroup_size(GROUP)
@@ -47,19 +46,20 @@ fn composite(
     }
     var background = params.background;
     if params.targets != 0u {
-        background = vec3<f32>(targets[9u * i + 4u], targets[9u * i + 5u], targets[9u * i + 6u]);
+        let at = TARGET_FLOATS * i + TARGET_BACKGROUND;
+        background = vec3<f32>(targets[at], targets[at + 1u], targets[at + 2u]);
     }
     let own = pixel_groups[i];
-    var sum: array<f32, 5>;
+    var sum: array<f32, PIXEL_FLOATS>;
     for (var cone = own.x; cone < own.x + own.y; cone++) {
         let values = composite_cone(cone, background);
-        for (var c = 0u; c < 5u; c++) {
-            cones[5u * cone + c] = values[c];
+        for (var c = 0u; c < PIXEL_FLOATS; c++) {
+            cones[PIXEL_FLOATS * cone + c] = values[c];
             sum[c] += values[c];
         }
     }
     let fraction = 1.0 / f32(own.y);
-    for (var c = 0u; c < 5u; c++) {
-        pixels[5u * i + c] = sum[c] * fraction;
+    for (var c = 0u; c < PIXEL_FLOATS; c++) {
+        pixels[PIXEL_FLOATS * i + c] = sum[c] * fraction;
     }
 }

@@ -13,7 +13,8 @@
 fn cone_gradient(cone: u32, gradient: vec4<f32>) {
     let segment = segments[cone];
     // The contribution of everything behind the sample, background included; initially the whole cone.
-    let whole = vec4<f32>(cones[5u * cone], cones[5u * cone + 1u], cones[5u * cone + 2u], cones[5u * cone + 3u]);
+    let at = PIXEL_FLOATS * cone;
+    let whole = vec4<f32>(cones[at], cones[at + 1u], cones[at + 2u], cones[at + 3u]);
     var behind = dot(whole, gradient);
     var transmittance = 1.0;
     var depth_before = 0.0;

@@ -2,7 +2,7 @@
 // pixels go to `partial`; `loss_sums.wgsl` adds them. Needs an adjustment (`exposed`, `unexposed`); `penalty` (the photometric term), `PixelTerms` and `pixel_terms` are composed of the registered terms.
 
 @group(0) @binding(0) var<storage, read> pixels: array<f32>;
-@group(0) @binding(1) var<storage, read_write> gradients: array<f32>;
+@group(0) @binding(1) var<storage, read_write> gradients: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> targets: array<f32>;
 // Loss, weight, squared error, number of non-finite pixels.
@@ -49,12 +49,14 @@ fn evaluate(
     let i = index_of(group, groups, local);
     var own = vec4<f32>(0.0);
     if i < params.count {
-        let pixel = vec4<f32>(pixels[5u * i], pixels[5u * i + 1u], pixels[5u * i + 2u], pixels[5u * i + 3u]);
-        let at = 9u * i;
-        let weight = targets[at + 3u];
-        let background = vec3<f32>(targets[at + 4u], targets[at + 5u], targets[at + 6u]);
-        let exponent = targets[at + 8u];
-        let behind = (1.0 - targets[at + 7u]) * background;
+        let from = PIXEL_FLOATS * i;
+        let pixel = vec4<f32>(pixels[from], pixels[from + 1u], pixels[from + 2u], pixels[from + 3u]);
+        let at = TARGET_FLOATS * i;
+        let weight = targets[at + TARGET_WEIGHT];
+        let place = at + TARGET_BACKGROUND;
+        let background = vec3<f32>(targets[place], targets[place + 1u], targets[place + 2u]);
+        let exponent = targets[at + TARGET_EXPONENT];
+        let behind = (1.0 - targets[at + TARGET_OPACITY]) * background;
         let seen = exposed(i, shown(pixel, background, exponent), behind);
         let counted = params.live == 0u || has_samples(pixel_groups[i]);
         var loss = 0.0;
@@ -74,15 +76,11 @@ fn evaluate(
         }
         var gradient = shown_gradient(pixel, background, exponent, by_colour);
         loss = pixel_terms(loss, pixel, at, select(0.0, weight, counted), &gradient);
-        for (var c = 0u; c < 4u; c++) {
-            gradients[4u * i + c] = gradient[c];
-        }
+        gradients[i] = gradient;
         own = vec4<f32>(select(0.0, weight * loss, counted), select(0.0, weight, counted), squared, 0.0);
         if !finite {
             own = vec4<f32>(0.0, 0.0, 0.0, 1.0);
-            for (var c = 0u; c < 4u; c++) {
-                gradients[4u * i + c] = 0.0;
-            }
+            gradients[i] = vec4<f32>(0.0);
         }
     }
     let sum = workgroup_sum(local, own);

@@ -9,7 +9,6 @@
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
 @group(0) @binding(5) var<storage, read> rays: array<Ray>;
-// Nine floats per pixel; the fourth is its weight.
 @group(0) @binding(6) var<storage, read> targets: array<f32>;
 // First cone and number of cones of each pixel.
 @group(0) @binding(7) var<storage, read> pixel_groups: array<vec2<u32>>;
@@ -32,7 +31,7 @@ fn evaluate_rays(
     var own = 0.0;
     if i < params.count {
         let cones = pixel_groups[i];
-        let fraction = params.term.x * targets[9u * i + 3u] / f32(cones.y);
+        let fraction = params.term.x * targets[TARGET_FLOATS * i + TARGET_WEIGHT] / f32(cones.y);
         for (var cone = cones.x; cone < cones.x + cones.y; cone++) {
             own += ray_term(cone, fraction);
         }

@@ -103,16 +103,15 @@ fn training_rays(
     let fraction = select(1.0, rgba.a, kept);
     let coverage = select(rgba.a, 1.0, params.alpha != 0u);
     let rgb = rgba.rgb * coverage + (1.0 - opacity) * background;
-    // A target is nine floats: colour, weight, background, opacity, exponent.
-    let at = i * 9u;
+    let at = TARGET_FLOATS * i;
     targets[at] = rgb.r;
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
     // Nothing is learned from pixels that the lens has no ray for.
-    targets[at + 3u] = select(0.0, fraction * params.weights[s / 4u][s % 4u], seen);
-    targets[at + 4u] = background.r;
-    targets[at + 5u] = background.g;
-    targets[at + 6u] = background.b;
-    targets[at + 7u] = opacity;
-    targets[at + 8u] = params.exponents[s / 4u][s % 4u];
+    targets[at + TARGET_WEIGHT] = select(0.0, fraction * params.weights[s / 4u][s % 4u], seen);
+    targets[at + TARGET_BACKGROUND] = background.r;
+    targets[at + TARGET_BACKGROUND + 1u] = background.g;
+    targets[at + TARGET_BACKGROUND + 2u] = background.b;
+    targets[at + TARGET_OPACITY] = opacity;
+    targets[at + TARGET_EXPONENT] = params.exponents[s / 4u][s % 4u];
 }

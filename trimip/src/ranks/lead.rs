@@ -26,7 +26,7 @@ struct Lead {
 pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
     let data = Fingerprint::of(&views);
     let session = backends::train_over(config, views, Arc::clone(ranks))?;
-    let computes = computes_with(config)?;
+    let computes = computes_with(config, ranks.on_machine())?;
     Order::Train { version: machine::version(), config: config.to_toml(), data, computes }.give(&**ranks)?;
     // Closes the session everywhere, also if a rank cannot open it.
     let lead: Box<dyn Session> = Box::new(Lead { session, ranks: Arc::clone(ranks) });

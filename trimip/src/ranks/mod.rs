@@ -88,7 +88,8 @@ fn open(
 ) -> Result<Box<dyn Session>> {
     expect_own(version)?;
     let config = Config::from_toml("the orders of rank 0", config)?;
-    let own = computes_with(&config)?;
+    let near = ranks.on_machine();
+    let own = computes_with(&config, near)?;
     if own != computes {
         tell(format!("computes with {own}, rank 0 with {computes}: one process would have other bits"));
     }
@@ -100,7 +101,6 @@ fn open(
             "give every machine the same data under the same path",
         ));
     }
-    let near = ranks.on_machine();
     // The machine of rank 0 is checked there.
     if config.backend == "cpu" && near.id == 0 {
         let predicted = backends::predict_memory(&config, &scene.train);

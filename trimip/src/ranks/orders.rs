@@ -2,7 +2,8 @@
 
 use crate::backends;
 use serde::{Deserialize, Serialize};
-use trimip_core::{Config, Error, Result, engine::exchange::Ranks, scene::fingerprint::Fingerprint};
+use trimip_core::engine::exchange::{Rank, Ranks};
+use trimip_core::{Config, Error, Result, scene::fingerprint::Fingerprint};
 
 /// What rank 0 tells the others to do.
 #[derive(Serialize, Deserialize)]
@@ -48,14 +49,14 @@ impl Order {
     }
 }
 
-/// The device of this rank, or the instruction set of its processor.
+/// The device of a rank, or the instruction set of its processor. `near` is the rank among those on its machine.
 ///
 /// # Errors
 /// When there is no such device.
-pub fn computes_with(config: &Config) -> Result<String> {
+pub fn computes_with(config: &Config, near: Rank) -> Result<String> {
     Ok(match config.backend.as_str() {
         // The widest set comes first, and is used.
         "cpu" => trimip_cpu::features().split(',').next().unwrap_or_default().into(),
-        _ => backends::compute(config)?.name,
+        _ => backends::compute(config, near)?.name,
     })
 }

@@ -1,6 +1,6 @@
 //! `report.json`: the report for programs. Sizes in bytes, times in seconds, PSNR in dB; unknown values are `null`.
 
-use super::{Report, Status};
+use super::content::{Report, Status};
 use crate::{run::history::Evaluation, view::PIXELS_PER_DEGREE};
 use serde_json::{Value, json};
 use trimip_core::measures::quality::mean_quality;
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn the_fields_that_programs_rely_on_are_there() {
-        super::super::example(|report| {
+        crate::run::fixtures::report(|report| {
             let json = value(report);
             for key in [
                 "verdict",

@@ -1,79 +1,17 @@
 //! The report of a run: its content, its verdict, and its machine-readable and text forms: JSON, CSV, Markdown, LaTeX.
 //! All are generated from the run folder and the event history, so they can be regenerated at any time.
 
+mod content;
 mod json;
 pub mod text;
 pub mod verdict;
 
-use crate::{
-    machine::Machine,
-    run::{
-        csv,
-        folder::RunFolder,
-        history::{Evaluation, History},
-        store::{FileStore, ViewRecord},
-    },
-};
-use trimip_core::{Config, Result, Settings, atomic::write_atomically};
-use verdict::Verdict;
+pub use content::{Report, Status, scale_name};
 
-/// State of the run, shown at the head of the report.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Status {
-    /// Trained and evaluated.
-    Finished,
-    /// Stopped by the user; it can resume.
-    Stopped,
-    /// Failed, or missed its quality floor; one line.
-    Failed(String),
-}
+use crate::run::{csv, folder::RunFolder};
+use trimip_core::{Result, atomic::write_atomically};
 
-/// The content of a report.
-pub struct Report<'a> {
-    /// State of the run.
-    pub status: Status,
-    /// Name of the run: the name of its folder.
-    pub run: String,
-    /// Name of the scene.
-    pub scene: String,
-    /// The effective configuration.
-    pub config: &'a Config,
-    /// The effective configuration with the origin of each value.
-    pub settings: &'a Settings,
-    /// The run's event history.
-    pub history: &'a History,
-    /// The machine that it ran on.
-    pub machine: Machine,
-    /// Size of the model file, bytes.
-    pub model_bytes: Option<u64>,
-    /// Every view of the final evaluation.
-    pub views: Vec<ViewRecord>,
-}
-
-impl<'a> Report<'a> {
-    /// Collects the content from the run folder and the history.
-    pub fn gather(
-        folder: &RunFolder,
-        status: Status,
-        scene: &str,
-        config: &'a Config,
-        settings: &'a Settings,
-        history: &'a History,
-    ) -> Self {
-        let ended = history.last().is_some();
-        Self {
-            status,
-            run: folder_name(folder),
-            scene: scene.to_string(),
-            config,
-            settings,
-            history,
-            machine: Machine::detect(),
-            model_bytes: std::fs::metadata(folder.model()).ok().map(|metadata| metadata.len()),
-            views: if ended { FileStore::read(folder) } else { Vec::new() },
-        }
-    }
-
+impl Report<'_> {
     /// Writes the report's tables and JSON: `error_vs_time.csv`, `metrics.csv`, `report.md`, `report.tex`,
     /// `report.json`.
     ///
@@ -86,82 +24,4 @@ impl<'a> Report<'a> {
         write_atomically(&folder.latex(), text::latex(self).as_bytes())?;
         write_atomically(&folder.json(), json::text(self)?.as_bytes())
     }
-
-    /// The verdict on the run.
-    pub fn verdict(&self) -> Verdict {
-        Verdict::judge(self.history, &self.views)
-    }
-
-    /// The views that the headline figures are measured on: `8 of 200 test views`.
-    pub fn views_measured(&self) -> String {
-        let Some(e) = self.headline() else { return "not evaluated".into() };
-        let of = self.history.test_views().map_or(String::new(), |all| format!(" of {all}"));
-        let which = if e.last { "" } else { ", on the way" };
-        format!("{}{of} test views{which}", e.views())
-    }
-
-    /// The headline figures: the final evaluation, or else the latest one.
-    pub fn headline(&self) -> Option<&Evaluation> {
-        self.history.best_known()
-    }
-
-    /// The evaluations of the curve.
-    pub fn curve(&self) -> Vec<&Evaluation> {
-        self.history.curve()
-    }
-
-    /// Kept samples per second of training.
-    pub fn samples_per_second(&self) -> Option<f64> {
-        let totals = &self.history.totals;
-        (totals.seconds > 0.0).then(|| totals.samples as f64 / totals.seconds)
-    }
-}
-
-/// Name of the folder, resolved if the path is `.`.
-fn folder_name(folder: &RunFolder) -> String {
-    let root = std::fs::canonicalize(folder.root()).unwrap_or_else(|_| folder.root().to_path_buf());
-    root.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned())
-}
-
-/// Name of a scale: `full`, `1/2`, ..
-pub fn scale_name(scale: u32) -> String {
-    if scale == 1 { "full".into() } else { format!("1/{scale}") }
-}
-
-/// Passes a report of two evaluations on a small curve to `test`. For tests of the writers.
-#[cfg(test)]
-fn example(test: impl FnOnce(&Report<'_>)) {
-    use crate::run::fixtures::evaluation;
-    use trimip_core::engine::events::{Event, Provenance};
-    let settings = crate::settings::defaults();
-    let config = Config::default();
-    let history = History::of(&[
-        Event::Warning { message: "a <dark> image".into() },
-        evaluation(10, 25, false, 20.0),
-        evaluation(100, 25, false, 25.0),
-        evaluation(100, 1, true, 24.5),
-        Event::SessionEnded {
-            device: "two cores".into(),
-            backend: "cpu".into(),
-            wall_seconds: 20.0,
-            peak_memory_bytes: None,
-            provenance: Provenance {
-                command: Some("trimip-cli --config a&b.toml".into()),
-                version: Some("0.1.0 (abc)".into()),
-                ended_unix: Some(0),
-                test_views: Some(200),
-            },
-        },
-    ]);
-    test(&Report {
-        status: Status::Finished,
-        run: "first_run".into(),
-        scene: "lego & co".into(),
-        config: &config,
-        settings: &settings,
-        history: &history,
-        machine: Machine::detect(),
-        model_bytes: Some(1_000),
-        views: Vec::new(),
-    });
 }

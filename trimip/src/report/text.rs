@@ -1,7 +1,7 @@
 //! `report.md` and `report.tex`: the verdict and the table of metrics, as Markdown and as a LaTeX `tabular` that needs
 //! no package. PSNR in dB.
 
-use super::{Report, scale_name};
+use super::content::{Report, scale_name};
 use crate::formatting;
 use trimip_core::measures::{
     metrics::LEAST_SIDE,
@@ -153,7 +153,7 @@ mod tests {
 
     #[test]
     fn the_markdown_table_has_a_row_per_scale_and_their_mean() {
-        super::super::example(|report| {
+        crate::run::fixtures::report(|report| {
             let text = markdown(report);
             let rows: Vec<_> = text.lines().filter(|line| line.starts_with('|')).collect();
             assert_eq!(rows.len(), 5);
@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn the_latex_table_has_as_many_columns_as_it_says() {
-        super::super::example(|report| {
+        crate::run::fixtures::report(|report| {
             let text = latex(report);
             let columns =
                 text.split_once("\\begin{tabular}{l").and_then(|(_, rest)| rest.split_once('}')).unwrap().0;

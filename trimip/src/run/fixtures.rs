@@ -1,6 +1,10 @@
-//! Events of a run, for tests.
+//! Events of a run and its report, for tests.
 
-use trimip_core::engine::events::{Event, Totals};
+use crate::machine::Machine;
+use crate::report::{Report, Status};
+use crate::run::history::History;
+use trimip_core::Config;
+use trimip_core::engine::events::{Event, Provenance, Totals};
 use trimip_core::measures::quality::{Measures, ScaleQuality};
 
 /// An evaluation event at `step` with `psnr` at two scales.
@@ -43,4 +47,39 @@ pub fn step(step: u64, rays: u64, marched: u64, samples: u64) -> Event {
         occupied: 0.125,
         seconds_left: 1.0,
     }
+}
+
+/// Passes a report of two evaluations on a small curve to `test`.
+pub fn report(test: impl FnOnce(&Report<'_>)) {
+    let settings = crate::settings::defaults();
+    let config = Config::default();
+    let history = History::of(&[
+        Event::Warning { message: "a <dark> image".into() },
+        evaluation(10, 25, false, 20.0),
+        evaluation(100, 25, false, 25.0),
+        evaluation(100, 1, true, 24.5),
+        Event::SessionEnded {
+            device: "two cores".into(),
+            backend: "cpu".into(),
+            wall_seconds: 20.0,
+            peak_memory_bytes: None,
+            provenance: Provenance {
+                command: Some("trimip-cli --config a&b.toml".into()),
+                version: Some("0.1.0 (abc)".into()),
+                ended_unix: Some(0),
+                test_views: Some(200),
+            },
+        },
+    ]);
+    test(&Report {
+        status: Status::Finished,
+        run: "first_run".into(),
+        scene: "lego & co".into(),
+        config: &config,
+        settings: &settings,
+        history: &history,
+        machine: Machine::detect(),
+        model_bytes: Some(1_000),
+        views: Vec::new(),
+    });
 }

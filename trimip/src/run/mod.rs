@@ -3,8 +3,8 @@
 mod begin;
 pub mod csv;
 pub mod curve;
-#[cfg(test)]
-pub(crate) mod fixtures;
+#[cfg(any(test, feature = "fixtures"))]
+pub mod fixtures;
 pub mod folder;
 pub mod history;
 mod lock;

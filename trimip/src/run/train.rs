@@ -22,7 +22,7 @@ use trimip_core::{
     atomic::write_atomically,
     engine::{
         events::{Event, EventSink, Totals},
-        exchange::Ranks,
+        exchange::{Rank, Ranks},
     },
     field::model::Model,
     measures::quality::mean_quality,
@@ -52,8 +52,8 @@ pub struct Training {
     stop_after: Option<u64>,
     started: Instant,
     ranks: Option<Arc<dyn Ranks>>,
-    /// Processes on this machine that need as much memory at the same time, this one included.
-    processes: usize,
+    /// This process among those on its machine that train at the same time.
+    near: Rank,
 }
 
 #[derive(Clone, Debug)]
@@ -141,7 +141,7 @@ impl Training {
             stop_after: None,
             started: Instant::now(),
             ranks: None,
-            processes: 1,
+            near: Rank::ONLY,
         }
     }
 
@@ -169,15 +169,16 @@ impl Training {
     /// Trains on all of these ranks. This is rank 0; the others [`follow`](crate::ranks::follow).
     #[must_use]
     pub fn over(mut self, ranks: Option<Arc<dyn Ranks>>) -> Self {
-        self.processes = ranks.as_ref().map_or(1, |ranks| ranks.on_machine().size);
+        self.near = ranks.as_ref().map_or(Rank::ONLY, |ranks| ranks.on_machine());
         self.ranks = ranks;
         self
     }
 
-    /// Tells that so many processes on this machine, this one included, train at the same time, and need as much memory.
+    /// Tells that this process is `near` among those on its machine that train at the same time: each needs as much memory, and
+    /// uses another of the devices that are as good.
     #[must_use]
-    pub fn beside(mut self, processes: usize) -> Self {
-        self.processes = processes;
+    pub fn beside(mut self, near: Rank) -> Self {
+        self.near = near;
         self
     }
 
@@ -252,7 +253,7 @@ impl Training {
         let mut perceptual = PerceptualMetrics::open(&config.eval)?;
         folder.prepare()?;
         let scene = trimip_data::open_watched(&config.section()?, listeners.reading)?;
-        let (mut compute, test) = (backends::compute(&config)?, scene.test.cameras());
+        let (mut compute, test) = (backends::compute(&config, self.near)?, scene.test.cameras());
         if let Some(ranks) = &self.ranks {
             compute = ranks::together(compute, &**ranks);
         }
@@ -277,13 +278,13 @@ impl Training {
         let mut warnings = scene.warnings.clone();
         warnings.extend(doubts);
         if on_host {
-            warnings.extend(memory::check(&config, &predicted, self.processes)?);
+            warnings.extend(memory::check(&config, &predicted, self.near.size)?);
         }
         warnings.extend(backends::software_warning(&config));
         let data = Some(Fingerprint::of(&scene.train));
         let mut session = match &self.ranks {
             Some(ranks) => ranks::train(&config, scene.train, ranks)?,
-            None => backends::train(&config, scene.train)?,
+            None => backends::train_beside(&config, scene.train, self.near)?,
         };
         let resumed = checkpoint.is_some();
         // Drop the checkpoint once it is restored: both need not be in memory together.

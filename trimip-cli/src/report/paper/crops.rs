@@ -1,7 +1,7 @@
 //! The same places of the same test views in all systems, at every scale, with maps of their errors. The place is the part of
 //! the photograph with the most detail, so no system chooses it.
 
-use super::mark;
+use super::look::mark;
 use crate::report::{difference, page::escape, pictures};
 use image::{RgbImage, imageops};
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
 //! The paper's Figure 1 in kind: quality against time as curves, and quality against time and size as points. What was
 //! measured here and what was published have panels of their own, with one scale of quality.
 
+use super::look::{headline, look};
 use super::scatter::{Mark, panel, range};
-use super::{headline, look};
 use crate::report::page;
 use crate::report::svg::{DASHED, Line, Point};
 use crate::terminal;

@@ -3,14 +3,15 @@
 
 mod crops;
 mod figure;
+mod look;
 mod scatter;
 mod tables;
 
 use super::page::{self, escape, pairs};
-use super::svg::{COLORS, DASHED};
 use crate::terminal;
-use trimip::paper::{Comparison, Figures, Scales, Status, TableRow};
-use trimip::systems::{SYSTEMS, published::REMARKS};
+use look::headline;
+use trimip::paper::{Comparison, Figures, Status};
+use trimip::systems::published::REMARKS;
 use trimip::{Result, config::Convention, machine};
 
 /// The whole page.
@@ -30,27 +31,6 @@ pub fn page(comparison: &Comparison) -> Result<String> {
     content.extend(all.iter().map(|&scales| tables::published(scales)));
     content.extend([remarks(), measure(comparison), systems(comparison)]);
     Ok(page::whole("Systems beside each other – Tri-MipRF", &content.concat()))
-}
-
-/// Colour of a system, and whether its lines are dashed. Both stay the same whatever systems a page has.
-fn look(system: &str) -> (&'static str, bool) {
-    let place = SYSTEMS.iter().position(|own| own.name == system).unwrap_or(0);
-    (COLORS[place % COLORS.len()], place >= COLORS.len())
-}
-
-/// The mark of a system as HTML.
-fn mark(system: &str) -> String {
-    let (color, dashed) = look(system);
-    let dashed = if dashed { format!(" {DASHED}") } else { String::new() };
-    format!("<i class=\"mark{dashed}\" style=\"color:{color}\"></i>")
-}
-
-/// The rows that stand for all scenes: those of the only scene, or the means.
-fn headline(comparison: &Comparison, scales: Scales) -> Vec<TableRow> {
-    match &comparison.scenes[..] {
-        [scene] => comparison.scene_rows(scales, scene),
-        _ => comparison.whole_rows(scales),
-    }
 }
 
 fn head(comparison: &Comparison) -> String {

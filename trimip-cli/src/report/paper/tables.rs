@@ -1,7 +1,7 @@
 //! The tables of the page: what was measured here, with the best of a column in bold and the second underlined, and the
 //! published figures.
 
-use super::mark;
+use super::look::mark;
 use crate::report::page::escape;
 use trimip::paper::{
     Comparison, Scales, TableRow, columns, published_caption, published_cells, published_columns,

@@ -20,7 +20,7 @@ use trimip_core::atomic::write_atomically;
 use trimip_core::field::model::Model;
 use trimip_core::measures::metrics::psnr;
 use trimip_core::run::evaluate::compared;
-use trimip_core::scene::cones::Division;
+use trimip_core::scene::cones::{Division, PixelPattern};
 use trimip_core::{Error, Frame, Result, ViewSet, Viewer};
 
 /// Cones along a side of a pixel, besides the model's own numbers; the most cones are the reference.
@@ -67,7 +67,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
         let views = set.scales.iter().flat_map(|scale| scale.views.clone().map(|view| (scale.factor, view)));
         for (at, (factor, view)) in views.enumerate() {
             let camera = &set.views[view].camera;
-            let own = division.side(camera);
+            let own = division.pattern(camera);
             let mut frames = Vec::new();
             for (session, side) in sessions.iter_mut().zip(sides.iter().copied()) {
                 let name = &set.views[view].name;
@@ -80,7 +80,12 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
             for (i, (side, frame, milliseconds)) in frames.into_iter().enumerate() {
                 let place = at * sides.len() + i;
                 if rows.len() == place {
-                    rows.push(ConeRow { scale: factor, side, own: side == own, ..ConeRow::default() });
+                    rows.push(ConeRow {
+                        scale: factor,
+                        side,
+                        own: PixelPattern::Grid(side) == own,
+                        ..ConeRow::default()
+                    });
                     converged_errors.push(0.0);
                 }
                 let row = &mut rows[place];
@@ -113,7 +118,10 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
 
 /// Cones along a side of a pixel that are compared, in ascending order.
 fn sides(division: &Division, views: &ViewSet) -> Vec<u32> {
-    let own = views.views.iter().map(|view| division.side(&view.camera));
+    let own = views.views.iter().filter_map(|view| match division.pattern(&view.camera) {
+        PixelPattern::Grid(side) => Some(side),
+        PixelPattern::Quincunx => None,
+    });
     let all: BTreeSet<u32> = own.chain(SIDES).collect();
     all.into_iter().collect()
 }

@@ -101,20 +101,9 @@ impl<B: Backend> Trainer<B> {
             Tiling { count, per_tile: CELLS_PER_TILE },
             &mut self.probes,
             &|workspace, range| {
-                let Workspace {
-                    stream,
-                    rays,
-                    samples,
-                    encoder_context,
-                    features,
-                    field_context,
-                    radiance,
-                    ..
-                } = workspace;
+                let Workspace { stream, rays, samples, .. } = workspace;
                 stages.occupancy.probes(stream, step, range, rays, samples);
-                let tile = &mut Tile { stream, parameters, rays, samples };
-                stages.encoder.forward(tile, encoder_context, features);
-                stages.field.density(tile, features, field_context, radiance);
+                stages.density(parameters, workspace);
             },
             &|workspace| &workspace.radiance,
         );

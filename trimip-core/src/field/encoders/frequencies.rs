@@ -2,8 +2,8 @@
 //! mip-NeRF, Eq. 14): coordinates, and their sines and cosines at rising frequencies. It has no parameters. Coordinates are
 //! world units from the middle of the box.
 
+use super::definition::{Definition, Reference, SamplePosition};
 use super::rip_map::Gaussian;
-use super::{Definition, Reference, SamplePosition};
 use crate::config::FrequenciesConfig;
 use crate::math::scalar::Real;
 use crate::{Aabb, Config, Slot};

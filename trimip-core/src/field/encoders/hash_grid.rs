@@ -7,7 +7,7 @@ mod points;
 
 pub use points::{Points, TURNS, level_weight};
 
-use super::{Definition, Reference, SamplePosition};
+use super::definition::{Definition, Reference, SamplePosition};
 use crate::config::HashGridConfig;
 use crate::math::scalar::Real;
 use crate::{Aabb, Config, Slot};

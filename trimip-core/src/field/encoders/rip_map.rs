@@ -2,8 +2,8 @@
 //! mip-NeRF). Its projection on each plane reads a ripmap, whose levels halve each axis of the plane by itself, so a
 //! Gaussian that is long in one direction is not blurred in the other.
 
+use super::definition::{Definition, Reference, SamplePosition};
 use super::tri_mip::{LevelBlend, Shape, Taps, taps};
-use super::{Definition, Reference, SamplePosition};
 use crate::config::RipMapConfig;
 use crate::math::scalar::Real;
 use crate::{Aabb, Config, Slot};
@@ -351,7 +351,9 @@ impl Reference for RipTwin {
                 for (row, weights) in taps.rows.into_iter().zip(taps.weights) {
                     for (column, weight) in taps.columns.into_iter().zip(weights) {
                         let texel = &map[plane.texel(levels, row, column) * CHANNELS..][..CHANNELS];
-                        out.iter_mut().zip(texel).for_each(|(sum, value)| *sum += level_weight * weight * value);
+                        out.iter_mut()
+                            .zip(texel)
+                            .for_each(|(sum, value)| *sum += level_weight * weight * value);
                     }
                 }
             }

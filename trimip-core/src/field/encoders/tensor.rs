@@ -2,10 +2,11 @@
 //! line across it (VM), or of three lines (CP). The density logit is the sum of the density features; a linear map of the
 //! colour features is the input of the colour network. Radii are not used.
 
-use super::{Definition, Reference, SamplePosition};
+use super::definition::{Definition, Reference, SamplePosition};
 use crate::config::Decomposition;
+use crate::field::slot::{Slot, in_sequence};
 use crate::math::scalar::Real;
-use crate::{Aabb, Config, Layout, Slot};
+use crate::{Aabb, Config};
 
 /// Features in a register; components come in multiples of it.
 pub const LANES: usize = 16;
@@ -232,7 +233,7 @@ impl Definition for Tensors {
 
 /// Where the slots of the encoder begin in the parameters, in order: for each tensor its planes, if there are any, and lines.
 pub fn slots(config: &Config) -> Vec<Slot> {
-    Layout::of(Tensors.slots(config)).slots
+    in_sequence(Tensors.slots(config))
 }
 
 /// The tensors in f64.

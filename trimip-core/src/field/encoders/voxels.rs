@@ -2,11 +2,12 @@
 //! density logit and the logits of red, green and blue in the direction of its ray, interpolated trilinearly between grid
 //! points: there are no networks. Radii are not used.
 
+use super::definition::{Definition, Reference, SamplePosition};
 use super::tensor::{between, resample};
-use super::{Definition, Reference, SamplePosition};
+use crate::field::slot::{Slot, in_sequence};
 use crate::math::scalar::Real;
 use crate::math::sh::spherical_harmonics;
-use crate::{Aabb, Config, Layout, Slot};
+use crate::{Aabb, Config};
 
 /// A grid of voxels as an encoder.
 pub struct Voxels;
@@ -136,7 +137,7 @@ impl Definition for Voxels {
 
 /// Where the densities and the colours begin in the parameters, in order.
 pub fn slots(config: &Config) -> Vec<Slot> {
-    Layout::of(Voxels.slots(config)).slots
+    in_sequence(Voxels.slots(config))
 }
 
 /// The grid in f64.

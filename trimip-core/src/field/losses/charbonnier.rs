@@ -1,8 +1,9 @@
 //! The Charbonnier loss of a channel (Charbonnier et al. 1994; MERF, Reiser et al. 2023; Zip-NeRF, Barron et al. 2023):
 //! √(d² + ε²). d is the difference of a channel, ε (`loss.padding`) the size below which the loss is nearly quadratic.
 
-use super::{Definition, LossConfig, Photometric, PhotometricTerm};
+use super::definition::{Definition, PhotometricTerm};
 use crate::Config;
+use crate::config::{LossConfig, Photometric};
 
 /// The Charbonnier loss as the photometric term.
 pub struct Charbonnier;

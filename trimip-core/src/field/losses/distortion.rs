@@ -2,9 +2,10 @@
 //! small where the weights of a ray are close together. Letters: w compositing weight of a sample, m its place along the ray, d
 //! its width, both as parameters of the ray in units of the box's longest side. `loss.distortion` is its weight.
 
-use super::{ConeSamples, Definition, LossConfig, RaySample, RayTerm};
+use super::definition::{ConeSamples, Definition, RaySample, RayTerm};
 use crate::{
     Config,
+    config::LossConfig,
     math::{compositing::weight, scalar::Real},
 };
 

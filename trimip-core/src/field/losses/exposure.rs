@@ -2,8 +2,9 @@
 //! photograph's own is multiplied by the photograph's gain of each channel. How gains are trained is in
 //! [`exposure`](crate::engine::exposure).
 
-use super::{Adjustment, Definition, LossConfig};
-use crate::{Config, config::Exposure, math::scalar::Real};
+use super::definition::{Adjustment, Definition};
+use crate::config::{Exposure, LossConfig};
+use crate::{Config, math::scalar::Real};
 
 /// One gain of each channel of each photograph.
 pub struct Gains;

@@ -1,9 +1,11 @@
 //! The opacity of a pixel against the alpha of its photograph, by smooth-L1 with the β of the colour. `loss.opacity` is its
 //! weight.
 
+use super::definition::{Definition, PixelTerm};
 use super::smooth_l1::{self, smooth_l1};
-use super::{Definition, LossConfig, PixelTerm};
-use crate::{Config, Pixel, engine::batch::Target};
+use crate::config::LossConfig;
+use crate::geometry::elements::Target;
+use crate::{Config, Pixel};
 
 /// Smooth-L1 of the opacity.
 pub struct Opacity;

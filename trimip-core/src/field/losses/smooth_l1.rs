@@ -1,7 +1,8 @@
 //! Smooth-L1 of a channel (Girshick 2015; the paper's loss): d²/(2β) within β, |d| − β/2 beyond. d is the difference of a
 //! channel, β (`loss.beta`) the size up to which it is quadratic.
 
-use super::{Definition, LossConfig, Photometric, PhotometricTerm};
+use super::definition::{Definition, PhotometricTerm};
+use crate::config::{LossConfig, Photometric};
 use crate::{Config, math::scalar::Real};
 
 /// Smooth-L1 as the photometric term.

@@ -1,6 +1,8 @@
 //! Every registered term against its equation: values, and derivatives by central differences.
 
 use super::*;
+use crate::geometry::elements::Target;
+use crate::{Config, Pixel};
 
 /// Half width of a central difference.
 const STEP: f64 = 1e-6;

@@ -4,7 +4,8 @@
 mod passes;
 mod scatter;
 
-use self::scatter::{Sort, spread};
+use self::passes::{base_len, map_len};
+use self::scatter::{Gradient, Sort, spread};
 use super::bands::{BANDS, Extent};
 use super::{Encoding, GradientMemory, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
@@ -26,26 +27,6 @@ pub(crate) struct RipMaps {
     /// The texels whose gradient may be non-zero: for each row of each ripmap, an interval of columns in units of
     /// level 0, aligned so that it halves evenly.
     touched: Vec<Vec<Extent>>,
-}
-
-/// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
-pub(crate) struct Gradient {
-    /// The Gaussian of each sample.
-    pub gaussians: Buffer<[f32; CONTEXT]>,
-    /// Feature gradient of each sample, [samples, planes · 16].
-    pub rows: Buffer<f32>,
-    /// Sample indices by plane and band, in sample order.
-    pub bands: Vec<Vec<u32>>,
-}
-
-/// Floats of a plane's base.
-fn base_len(plane: &Plane<f32>) -> usize {
-    plane.sides[0] * plane.sides[1] * CHANNELS
-}
-
-/// Floats of a plane's ripmap.
-fn map_len(plane: &Plane<f32>) -> usize {
-    plane.width() * plane.height() * CHANNELS
 }
 
 impl Encoding for RipMaps {

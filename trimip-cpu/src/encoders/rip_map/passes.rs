@@ -1,15 +1,25 @@
 //! Passes over a whole ripmap: means from fine to coarse levels, gradients from coarse to fine levels. Each pass
 //! covers one interval of columns per row.
 
-use super::{CHANNELS, Plane};
 use crate::encoders::bands::Extent;
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
 use std::ops::Range;
+use trimip_core::field::encoders::rip_map::{CHANNELS, Plane};
 
 /// Columns of level 0 in which intervals are rounded, so that they halve evenly on every level.
 pub fn unit(plane: &Plane<f32>) -> u32 {
     1 << (plane.levels - 1)
+}
+
+/// Floats of a plane's base.
+pub fn base_len(plane: &Plane<f32>) -> usize {
+    plane.sides[0] * plane.sides[1] * CHANNELS
+}
+
+/// Floats of a plane's ripmap.
+pub fn map_len(plane: &Plane<f32>) -> usize {
+    plane.width() * plane.height() * CHANNELS
 }
 
 /// Floats of a row of a ripmap.

@@ -2,11 +2,22 @@
 //! atomics, as the tri-mip planes do: a sample is listed in each band of rows that it touches, and one worker sums a
 //! band in sample order.
 
-use super::{CHANNELS, CONTEXT, Gaussian, Gradient, Plane};
-use crate::buffer::take_mut;
+use super::passes::{base_len, map_len};
+use crate::buffer::{Buffer, take_mut};
 use crate::encoders::bands::{BANDS, Extent, first_row, owner};
 use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
+use trimip_core::field::encoders::rip_map::{CHANNELS, CONTEXT, Gaussian, Plane};
+
+/// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
+pub(crate) struct Gradient {
+    /// The Gaussian of each sample.
+    pub gaussians: Buffer<[f32; CONTEXT]>,
+    /// Feature gradient of each sample, [samples, planes · 16].
+    pub rows: Buffer<f32>,
+    /// Sample indices by plane and band, in sample order.
+    pub bands: Vec<Vec<u32>>,
+}
 
 /// Lists samples in every band that they touch.
 pub struct Sort<'a> {
@@ -65,7 +76,7 @@ pub fn spread(
     let mut bands = Vec::with_capacity(planes.len() * BANDS);
     for (p, (plane, touched)) in planes.iter().zip(touched).enumerate() {
         let side = plane.sides[0] * CHANNELS;
-        let rows = take_mut(&mut base, super::base_len(plane)).par_chunks_exact_mut(side);
+        let rows = take_mut(&mut base, base_len(plane)).par_chunks_exact_mut(side);
         rows.zip(&*touched).with_min_len(16).for_each(|(row, extent)| {
             let columns = extent.texels();
             row[columns.start * CHANNELS..columns.end * CHANNELS].fill(0.0);
@@ -76,7 +87,7 @@ pub fn spread(
             band,
             levels: Vec::with_capacity(plane.levels),
         }));
-        let (mut texels, mut extents) = (take_mut(&mut maps, super::map_len(plane)), touched.as_mut_slice());
+        let (mut texels, mut extents) = (take_mut(&mut maps, map_len(plane)), touched.as_mut_slice());
         for rows in (0..plane.levels).map(|level| plane.sides[1] >> level) {
             for band in &mut bands[first..] {
                 let (from, to) = (first_row(band.band, rows), first_row(band.band + 1, rows));

@@ -7,7 +7,7 @@ mod scatter;
 
 use self::division::Division;
 use self::extents::Extents;
-use self::scatter::{Scratch, Sort};
+use self::scatter::{Gradient, Scratch, Sort};
 use super::bands::{BANDS, Extent};
 use super::{Divided, Encoding, GradientMemory, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
@@ -44,16 +44,6 @@ pub(crate) struct Planes {
     derived_gradient: Buffer<f32>,
     /// log2 of the radius of level 0, if the level of a sample is one of its features.
     reference: Option<f32>,
-}
-
-/// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
-pub(crate) struct Gradient {
-    /// Position and radius of each sample.
-    pub spheres: Buffer<Sphere>,
-    /// Feature gradient of each sample, [samples, 48].
-    pub rows: Buffer<f32>,
-    /// Sample indices by plane and band, in sample order.
-    pub bands: Vec<Vec<u32>>,
 }
 
 impl Encoding for Planes {

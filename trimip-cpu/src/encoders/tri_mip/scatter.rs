@@ -2,7 +2,6 @@
 //! Each plane is cut into bands of rows. A sample is listed in every band that it touches, and one worker sums a band
 //! in sample order. A row of a level belongs to exactly one band.
 
-use super::Gradient;
 use super::division::Division;
 use super::extents::Extents;
 use crate::buffer::{Buffer, take_mut};
@@ -16,6 +15,16 @@ use trimip_core::Result;
 use trimip_core::engine::batch::Sphere;
 use trimip_core::engine::exchange::Rank;
 use trimip_core::field::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
+
+/// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
+pub(crate) struct Gradient {
+    /// Position and radius of each sample.
+    pub spheres: Buffer<Sphere>,
+    /// Feature gradient of each sample, [samples, 48].
+    pub rows: Buffer<f32>,
+    /// Sample indices by plane and band, in sample order.
+    pub bands: Vec<Vec<u32>>,
+}
 
 /// The rows of one band of one plane, on all levels.
 pub struct Band<'a> {
@@ -245,8 +254,7 @@ impl Sums<'_> {
         }
         // A sum of two has the same bits in either order.
         let [left, right] = halves(ranks);
-        let [here, other] =
-            if right.contains(&own) { [right, left] } else { [left, right] };
+        let [here, other] = if right.contains(&own) { [right, left] } else { [left, right] };
         self.add_ranks(from, here, band)?;
         if other.len() == 1 {
             return self.add_message(from[other.start], band);

@@ -13,14 +13,14 @@ fn average(
 ) {
     let i = index_of(group, groups, local);
     let sides = params.sides / 2u;
-    if i / 4u >= plane_start(sides, 3u) {
+    if i / TEXEL_FOURS >= plane_start(sides, 3u) {
         return;
     }
-    let place = place_of(sides, i / 4u);
+    let place = place_of(sides, i / TEXEL_FOURS);
     let child = Place(place.plane, 2u * place.row, 2u * place.column);
-    let first = 4u * texel_at(params.sides, child) + i % 4u;
-    let row = 4u * plane_shape(params.sides, place.plane).x;
-    let below = fine[first] + fine[first + 4u];
-    let above = fine[first + row] + fine[first + row + 4u];
+    let first = TEXEL_FOURS * texel_at(params.sides, child) + i % TEXEL_FOURS;
+    let row = TEXEL_FOURS * plane_shape(params.sides, place.plane).x;
+    let below = fine[first] + fine[first + TEXEL_FOURS];
+    let above = fine[first + row] + fine[first + row + TEXEL_FOURS];
     coarse[i] = 0.25 * (below + above);
 }

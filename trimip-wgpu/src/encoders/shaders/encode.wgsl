@@ -25,8 +25,8 @@ fn encode(
     if sample >= counts[pyramid.counter] {
         return;
     }
-    let plane = i % FOURS / 4u;
-    let part = i % 4u;
+    let plane = i % FOURS / TEXEL_FOURS;
+    let part = i % TEXEL_FOURS;
     let sphere = spheres[sample];
     let at = plane_axes(sphere.xyz, plane);
     let blend = blend_levels(pyramid, plane, log2(sphere.w));
@@ -43,7 +43,7 @@ fn encode(
         for (var r = 0u; r < 2u; r++) {
             for (var c = 0u; c < 2u; c++) {
                 let index = start + taps.rows[r] * shape.x + taps.columns[c];
-                sum += level_weight * tap_weight(taps, r, c) * texel(level, 4u * index + part);
+                sum += level_weight * tap_weight(taps, r, c) * texel(level, TEXEL_FOURS * index + part);
             }
         }
     }

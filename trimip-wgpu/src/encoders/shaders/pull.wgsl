@@ -12,15 +12,15 @@ fn pull(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    if i / 4u >= plane_start(params.sides, 3u) {
+    if i / TEXEL_FOURS >= plane_start(params.sides, 3u) {
         return;
     }
     var own = own_gradient(i);
     if params.has_coarse != 0u {
-        let place = place_of(params.sides, i / 4u);
+        let place = place_of(params.sides, i / TEXEL_FOURS);
         let parent = Place(place.plane, place.row / 2u, place.column / 2u);
         let coarser = texel_at(params.sides / 2u, parent);
-        own += 0.25 * bitcast<vec4<f32>>(coarse[4u * coarser + i % 4u]);
+        own += 0.25 * bitcast<vec4<f32>>(coarse[TEXEL_FOURS * coarser + i % TEXEL_FOURS]);
     }
     fine[i] = bitcast<vec4<u32>>(own);
 }

@@ -11,11 +11,11 @@ fn rip_add(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let sample = i / (4u * params.planes);
+    let sample = i / (TEXEL_FOURS * params.planes);
     if sample >= counts[params.counter] {
         return;
     }
-    let plane = i / 4u % params.planes;
+    let plane = i / TEXEL_FOURS % params.planes;
     let projection = project(gaussians[sample], plane, params.levels);
     let gradient = gradients[i];
     for (var which = 0u; which < 4u; which++) {
@@ -29,7 +29,7 @@ fn rip_add(
                 let texel = read_texel(plane, read.levels, taps.rows[r], taps.columns[c]);
                 let value = read.level_weight * tap_weight(taps, r, c) * gradient;
                 for (var channel = 0u; channel < 4u; channel++) {
-                    add_base(CHANNELS * texel + 4u * (i % 4u) + channel, value[channel]);
+                    add_base(CHANNELS * texel + 4u * (i % TEXEL_FOURS) + channel, value[channel]);
                 }
             }
         }

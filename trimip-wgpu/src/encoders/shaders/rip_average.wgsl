@@ -9,17 +9,19 @@ fn rip_base(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let texel = part_texel(i / 4u, 1u);
+    let texel = part_texel(i / TEXEL_FOURS, 1u);
     if texel.plane < pass_.planes {
-        maps[4u * part_index(texel.plane, 1u, 0u, texel.row, texel.column) + i % 4u] = base[i];
+        maps[TEXEL_FOURS * part_index(texel.plane, 1u, 0u, texel.row, texel.column) + i % TEXEL_FOURS] = base[i];
     }
 }
 
 fn average(i: u32, axis: u32) {
-    let texel = part_texel(i / 4u, axis);
+    let texel = part_texel(i / TEXEL_FOURS, axis);
     if texel.plane < pass_.planes {
-        let pair = maps[4u * finer_index(texel, axis, 0u) + i % 4u] + maps[4u * finer_index(texel, axis, 1u) + i % 4u];
-        maps[4u * part_index(texel.plane, axis, pass_.level, texel.row, texel.column) + i % 4u] = 0.5 * pair;
+        let first = TEXEL_FOURS * finer_index(texel, axis, 0u) + i % TEXEL_FOURS;
+        let second = TEXEL_FOURS * finer_index(texel, axis, 1u) + i % TEXEL_FOURS;
+        let pair = maps[first] + maps[second];
+        maps[TEXEL_FOURS * part_index(texel.plane, axis, pass_.level, texel.row, texel.column) + i % TEXEL_FOURS] = 0.5 * pair;
     }
 }
 

@@ -3,11 +3,11 @@
 @group(0) @binding(1) var<storage, read_write> base: array<vec4<f32>>;
 
 fn pull(i: u32, axis: u32) {
-    let texel = part_texel(i / 4u, axis);
+    let texel = part_texel(i / TEXEL_FOURS, axis);
     if texel.plane < pass_.planes {
-        let coarse = maps[4u * part_index(texel.plane, axis, pass_.level, texel.row, texel.column) + i % 4u];
-        maps[4u * finer_index(texel, axis, 0u) + i % 4u] += 0.5 * coarse;
-        maps[4u * finer_index(texel, axis, 1u) + i % 4u] += 0.5 * coarse;
+        let coarse = maps[TEXEL_FOURS * part_index(texel.plane, axis, pass_.level, texel.row, texel.column) + i % TEXEL_FOURS];
+        maps[TEXEL_FOURS * finer_index(texel, axis, 0u) + i % TEXEL_FOURS] += 0.5 * coarse;
+        maps[TEXEL_FOURS * finer_index(texel, axis, 1u) + i % TEXEL_FOURS] += 0.5 * coarse;
     }
 }
 
@@ -37,8 +37,8 @@ fn rip_take(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let texel = part_texel(i / 4u, 1u);
+    let texel = part_texel(i / TEXEL_FOURS, 1u);
     if texel.plane < pass_.planes {
-        base[i] = maps[4u * part_index(texel.plane, 1u, 0u, texel.row, texel.column) + i % 4u];
+        base[i] = maps[TEXEL_FOURS * part_index(texel.plane, 1u, 0u, texel.row, texel.column) + i % TEXEL_FOURS];
     }
 }

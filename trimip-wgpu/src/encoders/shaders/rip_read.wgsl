@@ -11,11 +11,11 @@ fn rip_read(
     @builtin(local_invocation_index) local: u32,
 ) {
     let i = index_of(group, groups, local);
-    let sample = i / (4u * params.planes);
+    let sample = i / (TEXEL_FOURS * params.planes);
     if sample >= counts[params.counter] {
         return;
     }
-    let plane = i / 4u % params.planes;
+    let plane = i / TEXEL_FOURS % params.planes;
     let projection = project(gaussians[sample], plane, params.levels);
     var sum = vec4<f32>(0.0);
     for (var which = 0u; which < 4u; which++) {
@@ -27,7 +27,7 @@ fn rip_read(
         for (var r = 0u; r < 2u; r++) {
             for (var c = 0u; c < 2u; c++) {
                 let texel = read_texel(plane, read.levels, taps.rows[r], taps.columns[c]);
-                sum += read.level_weight * tap_weight(taps, r, c) * maps[4u * texel + i % 4u];
+                sum += read.level_weight * tap_weight(taps, r, c) * maps[TEXEL_FOURS * texel + i % TEXEL_FOURS];
             }
         }
     }

@@ -17,8 +17,8 @@ fn scatter(
     if sample >= counts[pyramid.counter] {
         return;
     }
-    let plane = i % FOURS / 4u;
-    let part = i % 4u;
+    let plane = i % FOURS / TEXEL_FOURS;
+    let part = i % TEXEL_FOURS;
     let sphere = spheres[sample];
     let at = plane_axes(sphere.xyz, plane);
     let blend = blend_levels(pyramid, plane, log2(sphere.w));

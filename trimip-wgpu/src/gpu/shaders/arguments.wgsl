@@ -8,7 +8,7 @@
 fn size() {
     let items = counts[params.counter] * params.per;
     let groups = (items + params.group - 1u) / params.group * params.times;
-    arguments[4u * params.slot] = min(groups, MOST_GROUPS);
-    arguments[4u * params.slot + 1u] = (groups + MOST_GROUPS - 1u) / MOST_GROUPS;
-    arguments[4u * params.slot + 2u] = 1u;
+    arguments[SIZE_WORDS * params.slot] = min(groups, MOST_GROUPS);
+    arguments[SIZE_WORDS * params.slot + 1u] = (groups + MOST_GROUPS - 1u) / MOST_GROUPS;
+    arguments[SIZE_WORDS * params.slot + 2u] = 1u;
 }

@@ -8,7 +8,7 @@
 fn gain_of(photograph: u32) -> vec3<f32> {
     var gain = vec3<f32>(0.0);
     for (var c = 0u; c < 3u; c++) {
-        gain[c] = bitcast<f32>(atomicLoad(&exposures[3u * photograph + c]));
+        gain[c] = bitcast<f32>(atomicLoad(&exposures[GAIN_WORDS * photograph + c]));
     }
     return gain;
 }
@@ -26,7 +26,7 @@ fn unexposed(i: u32, by_seen: vec3<f32>, own: vec3<f32>) -> vec3<f32> {
     for (var c = 0u; c < 3u; c++) {
         let value = by_seen[c] * own[c];
         if value != 0.0 && fits(value) {
-            let at = 3u * params.photographs + 6u * photograph + 2u * c;
+            let at = GAIN_WORDS * params.photographs + SUM_WORDS * photograph + 2u * c;
             let words = to_fixed(value);
             let before = atomicAdd(&exposures[at], words.x);
             let high = words.y + select(0u, 1u, before + words.x < before);

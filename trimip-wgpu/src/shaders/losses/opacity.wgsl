@@ -8,7 +8,7 @@ fn opacity(
     factor: f32,
     gradient: ptr<function, vec4<f32>>,
 ) -> f32 {
-    let value = smooth_l1(pixel.a - targets[at + 7u], numbers);
+    let value = smooth_l1(pixel.a - targets[at + TARGET_OPACITY], numbers);
     (*gradient).a += factor * value.y;
     return value.x;
 }

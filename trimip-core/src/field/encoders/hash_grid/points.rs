@@ -1,10 +1,10 @@
 //! The points at which a sample reads the grid (Zip-NeRF, Sections 2 and 3): one, or six on a helix whose mean and variance
 //! along the ray are those of the conical frustum; and the weight of a level's features for a sample wider than its cells.
 
-use super::super::SamplePosition;
 use super::Level;
 use crate::Aabb;
 use crate::config::HashGridConfig;
+use crate::field::encoders::definition::SamplePosition;
 use crate::math::scalar::Real;
 
 /// Turn of each point around the ray, in sixths of a circle.

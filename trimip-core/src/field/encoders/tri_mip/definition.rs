@@ -1,7 +1,7 @@
 //! The tri-mip planes as an encoder: their declaration and their f64 reference.
 
 use super::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, grow, level_input, sides, taps};
-use crate::field::encoders::{Definition, Reference, SamplePosition};
+use crate::field::encoders::definition::{Definition, Reference, SamplePosition};
 use crate::{Aabb, Config, Slot};
 
 /// Three mip-mapped feature planes (Tri-MipRF). Each stage of growth halves the planes' sides once more.
@@ -106,7 +106,9 @@ impl Reference for PlanesTwin {
         let mut features = vec![0.0; FEATURES];
         for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
             let blend = self.pyramid.blend(plane, at.radius.log2());
-            for (level, level_weight) in [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)] {
+            for (level, level_weight) in
+                [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
+            {
                 if level_weight == 0.0 {
                     continue;
                 }
@@ -118,7 +120,9 @@ impl Reference for PlanesTwin {
                     for (column, weight) in taps.columns.into_iter().zip(weights) {
                         let texel = &texels[(row * shape.columns + column) * CHANNELS..][..CHANNELS];
                         let out = &mut features[plane * CHANNELS..][..CHANNELS];
-                        out.iter_mut().zip(texel).for_each(|(sum, value)| *sum += level_weight * weight * value);
+                        out.iter_mut()
+                            .zip(texel)
+                            .for_each(|(sum, value)| *sum += level_weight * weight * value);
                     }
                 }
             }

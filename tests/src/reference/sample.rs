@@ -1,0 +1,60 @@
+//! A sample of a ray, and what an encoder is: a function of it.
+
+use trimip_core::{
+    Config,
+    engine::batch::{Interval, Ray, Sphere},
+};
+
+/// An encoder written from its equations.
+pub trait Literal {
+    /// Features of a sample.
+    fn features(&self, sample: &Sample) -> Vec<f64>;
+}
+
+/// A sample of a ray.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sample {
+    /// Distance along the ray.
+    pub t: f64,
+    /// Distance from the apex of the ray's cone.
+    pub apex: f64,
+    /// Length of its interval, δ.
+    pub length: f64,
+    /// Centre of its sphere in the unit box.
+    pub position: [f64; 3],
+    /// Radius of its sphere, world units.
+    pub radius: f64,
+    /// Unit direction of its ray.
+    pub direction: [f64; 3],
+}
+
+impl Sample {
+    /// A backend's sample, in f64.
+    pub fn new(ray: &Ray, interval: &Interval, sphere: &Sphere) -> Self {
+        Self {
+            t: interval.t.into(),
+            apex: apex(ray, interval.t.into()),
+            length: interval.length.into(),
+            position: sphere.position.map(f64::from),
+            radius: sphere.radius.into(),
+            direction: ray.direction.map(f64::from),
+        }
+    }
+}
+
+/// Radius of the sphere of a ray at a distance.
+pub fn radius(ray: &Ray, t: f64) -> f64 {
+    f64::from(ray.radius) + f64::from(ray.slope) * t
+}
+
+/// Distance from the apex at a distance along the ray; that of a cylinder is very far.
+pub fn apex(ray: &Ray, t: f64) -> f64 {
+    if ray.radius > 0.0 { 1e5 * t } else { t }
+}
+
+/// World length of a marching step: longest side · √3 / steps.
+pub fn step_length(config: &Config) -> f64 {
+    let scene = &config.scene;
+    let side = |axis: usize| f64::from(scene.aabb_max[axis]) - f64::from(scene.aabb_min[axis]);
+    side(0).max(side(1)).max(side(2)) * 3.0_f64.sqrt() / f64::from(config.renderer.steps_per_diagonal)
+}

@@ -1,0 +1,26 @@
+//! How the page shows a system, and which rows stand for all scenes.
+
+use crate::report::svg::{COLORS, DASHED};
+use trimip::paper::{Comparison, Scales, TableRow};
+use trimip::systems::SYSTEMS;
+
+/// Colour of a system, and whether its lines are dashed. Both stay the same whatever systems a page has.
+pub fn look(system: &str) -> (&'static str, bool) {
+    let place = SYSTEMS.iter().position(|own| own.name == system).unwrap_or(0);
+    (COLORS[place % COLORS.len()], place >= COLORS.len())
+}
+
+/// The mark of a system as HTML.
+pub fn mark(system: &str) -> String {
+    let (color, dashed) = look(system);
+    let dashed = if dashed { format!(" {DASHED}") } else { String::new() };
+    format!("<i class=\"mark{dashed}\" style=\"color:{color}\"></i>")
+}
+
+/// The rows that stand for all scenes: those of the only scene, or the means.
+pub fn headline(comparison: &Comparison, scales: Scales) -> Vec<TableRow> {
+    match &comparison.scenes[..] {
+        [scene] => comparison.scene_rows(scales, scene),
+        _ => comparison.whole_rows(scales),
+    }
+}

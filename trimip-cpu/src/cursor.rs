@@ -1,0 +1,39 @@
+//! Where marching along a ray begins, and how far it has come.
+
+use trimip_core::engine::batch::Ray;
+use trimip_core::engine::policy::RendererPolicy;
+use trimip_core::math::rng::Sequence;
+
+/// The progress of marching along a ray.
+#[derive(Clone, Copy, Debug)]
+pub struct Cursor {
+    /// Parameter of the start of the first step: the distance, in a bounded space.
+    pub first: f32,
+    /// Parameter at which the ray leaves the space; −∞ if it misses it.
+    pub leave: f32,
+    /// Length of a step of the parameter.
+    pub step: f32,
+    /// Number of steps done.
+    pub index: f32,
+}
+
+impl Cursor {
+    /// The cursor of a ray at its entry into the box, before its first step. `jitter` moves the first step by a
+    /// random fraction of a step; `index` is the ray's index within the training step.
+    pub fn new(policy: &RendererPolicy, ray: &Ray, jitter: Option<u64>, index: u32) -> Self {
+        let (enter, leave) = policy.space.parameterisation(ray.origin, ray.direction).range();
+        let offset = jitter.map_or(0.0, |step| policy.random.uniform(Sequence::Jitter, step, index)[0]);
+        let radius = ray.radius * policy.step_per_radius;
+        let by_radius = radius + policy.step_per_radius * ray.slope * 0.5 * (enter + leave);
+        // A comparison with NaN is false and selects the uniform step.
+        let step = if by_radius > policy.step_length() { by_radius } else { policy.step_length() };
+        let first = enter + offset * step;
+        let hits = leave > first && leave.is_finite();
+        Self { first, leave: if hits { leave } else { f32::NEG_INFINITY }, step, index: 0.0 }
+    }
+
+    /// The same with other steps.
+    pub fn with_step(self, step: f32) -> Self {
+        Self { step, ..self }
+    }
+}

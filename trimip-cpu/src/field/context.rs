@@ -1,0 +1,122 @@
+//! What the field keeps of a tile from forward to backward: activations, the samples that have a colour, and the views of rays.
+
+use crate::CpuBackend;
+use crate::buffer::Buffer;
+use crate::gemm::padded;
+use crate::mlp::{Activations, Passing, Shared};
+use trimip_core::config::{FieldConfig, ViewEncoding};
+use trimip_core::engine::batch::{Radiance, Rays, Samples};
+use trimip_core::field::networks::append_frequencies;
+use trimip_core::math::compositing::is_lit;
+use trimip_core::math::sh::spherical_harmonics;
+
+/// Activations of a tile.
+pub struct Context {
+    pub(super) density: Activations,
+    pub(super) color: Activations,
+    pub(super) lit: Lit,
+    pub(super) directions: Directions,
+    /// Geometry features with their sines and cosines, [samples (padded), `shape`].
+    pub(super) shape: Buffer<f32>,
+    /// Gradients of the colour logits, of the rows of `shape`, and of the density network's output.
+    pub(super) color_gradient: Buffer<f32>,
+    pub(super) shape_gradient: Buffer<f32>,
+    pub(super) output_gradient: Buffer<f32>,
+    pub(super) passing: Passing,
+}
+
+/// The samples that have a colour, if others are too faint for one.
+#[derive(Default)]
+pub struct Lit {
+    /// True if `rows` lists them; all samples have a colour otherwise.
+    pub(super) listed: bool,
+    pub(super) rows: Vec<u32>,
+    /// Their rows of the density network's output, padded, and the gradient by these.
+    pub(super) outputs: Buffer<f32>,
+    pub(super) gradient: Buffer<f32>,
+}
+
+impl Lit {
+    /// Lists the samples that have at least the weight `least` in their ray; all of them if it is 0.
+    pub fn choose(&mut self, samples: &Samples<CpuBackend>, radiance: &[Radiance], least: f32) {
+        self.listed = least > 0.0;
+        self.rows.clear();
+        if !self.listed {
+            return;
+        }
+        for segment in samples.segments.iter() {
+            let mut before = 0.0;
+            for row in segment.range() {
+                let depth = radiance[row].density * samples.intervals[row].length;
+                if is_lit(&mut before, depth, least) {
+                    self.rows.push(row as u32);
+                }
+            }
+        }
+    }
+
+    /// Number of samples with a colour, of `all` samples.
+    pub fn count(&self, all: usize) -> usize {
+        if self.listed { self.rows.len() } else { all }
+    }
+
+    /// The row of the sample with the colour number `i`.
+    pub fn row(&self, i: usize) -> usize {
+        if self.listed { self.rows[i] as usize } else { i }
+    }
+
+    /// The density network's outputs of these samples.
+    pub fn of<'a>(&'a self, density: &'a Activations) -> &'a Buffer<f32> {
+        if self.listed { &self.outputs } else { density.output() }
+    }
+}
+
+/// The views of the rays that have samples.
+#[derive(Default)]
+pub struct Directions {
+    /// Number of rays with samples.
+    pub(super) count: usize,
+    /// Shape: [rays with samples (padded), width].
+    pub(super) views: Buffer<f32>,
+    /// Row of `views` for each sample, padding included.
+    pub(super) of: Vec<u32>,
+}
+
+impl Directions {
+    pub fn gather(
+        &mut self,
+        field: &FieldConfig,
+        width: usize,
+        rays: &Rays<CpuBackend>,
+        owners: impl Iterator<Item = u32>,
+    ) {
+        self.of.clear();
+        self.views.clear();
+        let (mut count, mut last) = (0, None);
+        for ray in owners {
+            if last != Some(ray) {
+                last = Some(ray);
+                count += 1;
+                self.views.resize(count * width);
+                let row = &mut self.views[(count - 1) * width..];
+                let direction = rays.rays[ray as usize].direction;
+                match field.view {
+                    ViewEncoding::Harmonics => row.copy_from_slice(&spherical_harmonics(direction)),
+                    ViewEncoding::Frequencies => {
+                        row.fill(0.0);
+                        row[..3].copy_from_slice(&direction);
+                        append_frequencies(row, 3, field.view_frequencies);
+                    }
+                }
+            }
+            self.of.push(count as u32 - 1);
+        }
+        self.count = count;
+        self.views.resize(padded(count) * width);
+        self.of.resize(padded(self.of.len()), 0);
+    }
+
+    pub fn shared(&self) -> Shared<'_> {
+        Shared { groups: self.count, input: &self.views, of: &self.of }
+    }
+}

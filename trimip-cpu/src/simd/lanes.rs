@@ -1,0 +1,88 @@
+//! What a kernel is, and the operations of sixteen lanes that it is written over.
+
+use super::bf16::pair;
+
+/// A computation written over lanes. `run` and everything that it calls must be `#[inline(always)]`; only then is it
+/// compiled with the features of the instruction set.
+pub trait Kernel {
+    /// The result.
+    type Output;
+    /// Runs the computation.
+    fn run<L: Lanes>(self) -> Self::Output;
+}
+
+/// Sixteen f32, or sixteen words, each a pair of bf16 (the first in the low half) in the bits of an f32.
+pub trait Lanes: Copy {
+    /// True if 24 accumulators fit in registers.
+    const WIDE: bool;
+    /// Sets all lanes to `value`.
+    fn splat(value: f32) -> Self;
+    /// Reads 16 values.
+    ///
+    /// # Safety
+    /// `from` is valid for 16 values.
+    unsafe fn load(from: *const f32) -> Self;
+    /// Writes 16 values.
+    ///
+    /// # Safety
+    /// `to` is valid for 16 values.
+    unsafe fn store(self, to: *mut f32);
+    /// The lanes of 16 values.
+    #[inline(always)]
+    fn of(values: &[f32; 16]) -> Self {
+        // SAFETY: 16 values.
+        unsafe { Self::load(values.as_ptr()) }
+    }
+    /// Writes the lanes over 16 values.
+    #[inline(always)]
+    fn put(self, to: &mut [f32; 16]) {
+        // SAFETY: 16 values.
+        unsafe { self.store(to.as_mut_ptr()) };
+    }
+    /// self · factor + addend.
+    fn mul_add(self, factor: Self, addend: Self) -> Self;
+    /// Lane-wise product.
+    #[inline(always)]
+    fn times(self, factor: Self) -> Self {
+        self.mul_add(factor, Self::splat(0.0))
+    }
+    /// Sets lanes below zero to zero.
+    fn relu(self) -> Self;
+    /// Keeps the lanes where `mask` is above zero; the others become zero.
+    fn where_positive(self, mask: Self) -> Self;
+    /// Lane-wise sum.
+    fn add(self, other: Self) -> Self;
+    /// Sum of all lanes.
+    fn sum(self) -> f32;
+    /// First value of each pair, as f32.
+    fn first(self) -> Self;
+    /// Second value of each pair, as f32.
+    fn second(self) -> Self;
+    /// For words of pairs: self.0 · factor.0 + self.1 · factor.1 + addend, in f32.
+    #[inline(always)]
+    fn dot_add(self, factor: Self, addend: Self) -> Self {
+        self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
+    }
+    /// Packs the pairs `(self[i], second[i])` into words, rounded to bf16.
+    #[inline(always)]
+    fn pair(self, second: Self) -> Self {
+        let (first, second) = (self.array(), second.array());
+        let words: [f32; 16] = std::array::from_fn(|i| pair(first[i], second[i]));
+        Self::of(&words)
+    }
+    /// Packs neighbours among the 32 values of `self` and `next` into words of pairs, rounded to bf16.
+    #[inline(always)]
+    fn pair_neighbours(self, next: Self) -> Self {
+        let values = [self.array(), next.array()];
+        let at = |i: usize| values[i / 16][i % 16];
+        let words: [f32; 16] = std::array::from_fn(|i| pair(at(2 * i), at(2 * i + 1)));
+        Self::of(&words)
+    }
+    /// The 16 values as an array.
+    #[inline(always)]
+    fn array(self) -> [f32; 16] {
+        let mut values = [0.0; 16];
+        self.put(&mut values);
+        values
+    }
+}
