@@ -210,13 +210,13 @@ fn ranks_that_add_gradients_learn_the_same() {
 
 #[test]
 fn more_ranks_than_parts_are_refused() {
-    // What binds is named: the parts that the settings ask for, the samples of a step, the most parts there are.
-    for (ranks, parts, samples, advice) in [
+    // What binds is named: the leaves that the settings ask for, the samples of a step, the most leaves there are.
+    for (ranks, leaves, samples, advice) in [
         (5, 4, 262_144, "train.leaves = 8"),
         (17, 64, 16_384, "train.samples_per_step"),
         (65, 64, 262_144, "at most 64"),
     ] {
-        let train = TrainConfig { parts, samples_per_step: samples, ..Config::default().train };
+        let train = TrainConfig { leaves, samples_per_step: samples, ..Config::default().train };
         let refused = DataParallel::new(Threads::new(ranks).remove(0), &train).err().expect("too many");
         let told = format!("{ranks} ranks");
         assert!(refused.exit_code() == 2, "{refused}");

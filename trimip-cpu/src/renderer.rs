@@ -8,7 +8,7 @@ use crate::simd::Simd;
 use crate::visibility::visibility_pass;
 use crate::{CpuBackend, WorkerScratch};
 use trimip_core::engine::backend::Stages;
-use trimip_core::engine::batch::{Radiance, Rays, Samples, Segment, Target, Tile, Workspace};
+use trimip_core::engine::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Target, Tile, Workspace};
 use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::engine::proxy::Guide;
 use trimip_core::math::compositing::{Visibility, composite, composite_gradient};

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use trimip_core::engine::backend::Stages;
 use trimip_core::engine::batch::{Radiance, Rays, Samples, Tile, Workspace};
 use trimip_core::engine::proxy::{BEHIND, BRICK, Guide, Layers, Rule};
-use trimip_core::{Encoder, Error, Field, Result};
+use trimip_core::{Error, Result};
 
 shared! {
     /// Parameters of choosing samples.

@@ -97,8 +97,8 @@ pub fn same_bits<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>)
                 assert!(same(&checkpoint, &whole), "{name}: {ranks} ranks");
             }
         }
-        // More ranks than the usual number of parts, and not a power of two.
-        let finer = Config { train: TrainConfig { parts: 8, ..config.train.clone() }, ..config.clone() };
+        // More ranks than the usual number of leaves, and not a power of two.
+        let finer = Config { train: TrainConfig { leaves: 8, ..config.train.clone() }, ..config.clone() };
         let alone = train(&make, exchange, &finer, 0, None, 4)?.remove(0);
         for checkpoint in train(&make, exchange, &finer, 5, None, 4)? {
             assert!(same(&checkpoint, &alone), "{name}: 5 ranks");

@@ -4,6 +4,7 @@ use super::{compare, files};
 use crate::gpu::Source;
 use crate::sampler::CAMERA;
 use glam::{DMat3, DVec3};
+use trimip_core::scene::cones::PixelPattern;
 use trimip_core::{Camera, Cone, Intrinsics, Lens, geometry::camera};
 
 #[test]
@@ -32,7 +33,10 @@ fn cones_of_pixels() {
         .into_iter()
         .flat_map(|[x, y]| [[0.0, 1.0], [3.0, 2.0], [5.0, 3.0]].map(|[index, side]| [x, y, index, side]))
         .collect();
-    let cone = |x: [f64; 4]| camera.cone_in::<f64>(x[0] as u32, x[1] as u32, x[2] as u32, x[3] as u32);
+    let cone = |x: [f64; 4]| {
+        let [x, y, index, side] = x.map(|x| x as u32);
+        camera.cone_in::<f64>(x, y, index, PixelPattern::Grid(side))
+    };
     compare(
         files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(0.36, -0.8, 0.48, 1.0), vec4<f32>(0.48, 0.6, 0.64, -2.0), vec4<f32>(-0.8, 0.0, 0.6, 0.5)); let view = View(rows, vec4<f32>(60.0, 50.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 3000.0), 64u, 0u, 0u, vec4<f32>(), vec4<f32>(), vec4<f32>()); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         &inputs,
