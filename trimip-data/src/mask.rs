@@ -101,7 +101,10 @@ fn fractions(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
         _ if two_values || role == Role::Ignore => 255,
         _ => ((u32::from(value) + 128) / 257) as u8,
     };
-    pixels.iter().map(|pixel| if white { fraction(grey(pixel)) } else { 255 - fraction(grey(pixel)) }).collect()
+    pixels
+        .iter()
+        .map(|pixel| if white { fraction(grey(pixel)) } else { 255 - fraction(grey(pixel)) })
+        .collect()
 }
 
 #[cfg(test)]

@@ -74,7 +74,10 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let own = targets.iter().filter(|target| target.background != config.data.background);
             // Five standard deviations.
             let bound = 5.0 * (f64::from(RAYS) * fraction * (1.0 - fraction)).sqrt();
-            assert!((own.count() as f64 - f64::from(RAYS) * fraction).abs() <= bound, "{fraction} at {progress}");
+            assert!(
+                (own.count() as f64 - f64::from(RAYS) * fraction).abs() <= bound,
+                "{fraction} at {progress}"
+            );
         }
     }
     Ok(())

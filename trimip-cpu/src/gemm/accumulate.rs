@@ -1,6 +1,8 @@
 //! G += Aᵀ·D: a layer's weight gradient.
 
 use super::add_product;
+#[cfg(target_arch = "x86_64")]
+use super::tiles;
 use crate::simd::{Kernel, Lanes, Simd};
 use trimip_core::config::Precision;
 
@@ -29,6 +31,10 @@ pub fn accumulate(product: Product, a: &[f32], d: &[f32], g: &mut [f32]) {
     assert!(k.is_multiple_of(4) && n.is_multiple_of(16), "padded widths");
     match precision {
         Precision::F32 | Precision::F16 => simd.run(Accumulate::<false> { rows, k, n, a, d, g }),
+        #[cfg(target_arch = "x86_64")]
+        Precision::Bf16 if simd.has_tiles() && k.is_multiple_of(16) => {
+            simd.run(tiles::Accumulate { product, a, d, g });
+        }
         Precision::Bf16 => simd.run(Accumulate::<true> { rows, k, n, a, d, g }),
     }
 }

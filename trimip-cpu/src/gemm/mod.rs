@@ -12,6 +12,8 @@ mod packed;
 mod pairs;
 #[cfg(test)]
 mod tests;
+#[cfg(target_arch = "x86_64")]
+mod tiles;
 
 pub use accumulate::{Product, accumulate};
 pub use dots::dots;

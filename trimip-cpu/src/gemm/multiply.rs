@@ -1,5 +1,7 @@
 //! C = A·W with the operations before and after it: a layer's forward pass, and the gradient of its input.
 
+#[cfg(target_arch = "x86_64")]
+use super::tiles;
 use super::{Packed, ROWS, add_product, padded};
 use crate::simd::{Kernel, Lanes, Simd};
 use trimip_core::config::Precision;
@@ -51,6 +53,8 @@ pub fn multiply(simd: Simd, rows: usize, a: &[f32], w: &Packed, c: &mut [f32], e
     }
     match w.precision() {
         Precision::F32 | Precision::F16 => simd.run(Multiply::<false> { rows, a, w, c, start, finish }),
+        #[cfg(target_arch = "x86_64")]
+        Precision::Bf16 if simd.has_tiles() => simd.run(tiles::Multiply { rows, a, w, c, start, finish }),
         Precision::Bf16 => simd.run(Multiply::<true> { rows, a, w, c, start, finish }),
     }
 }

@@ -125,7 +125,10 @@ pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     };
     Check {
         name: NAME,
-        figure: format!("{:.1} % of {all} sightings of points are in front of their camera", 100.0 * fraction),
+        figure: format!(
+            "{:.1} % of {all} sightings of points are in front of their camera",
+            100.0 * fraction
+        ),
         limit,
         verdict,
         suspects: doubted

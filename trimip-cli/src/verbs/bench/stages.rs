@@ -221,7 +221,9 @@ fn ulp(value: f64) -> f64 {
 fn row(stage: &'static str, precision: &'static str, milliseconds: f64, pairs: &[(f64, f64)]) -> StageError {
     let mut ulps: Vec<f64> = pairs.iter().map(|(found, x)| (found - x).abs() / ulp(*x)).collect();
     ulps.sort_by(f64::total_cmp);
-    let at = |fraction: f64| ulps.get((fraction * (ulps.len().max(1) - 1) as f64) as usize).copied().unwrap_or(0.0);
+    let at = |fraction: f64| {
+        ulps.get((fraction * (ulps.len().max(1) - 1) as f64) as usize).copied().unwrap_or(0.0)
+    };
     let largest = pairs.iter().map(|(_, x)| x.abs()).fold(f64::MIN_POSITIVE, f64::max);
     let worst = pairs.iter().map(|(found, x)| (found - x).abs()).fold(0.0, f64::max);
     StageError {

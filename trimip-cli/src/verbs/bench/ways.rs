@@ -203,7 +203,11 @@ fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<Stri
         hybrid("hybrid: layers", name, &assignments);
     }
     for fraction in [0.0, 0.1, 0.2, 0.4, 1.0] {
-        hybrid("hybrid: shared colours", format!("{fraction}"), &[format!("hybrid.shared_weight={fraction:?}")]);
+        hybrid(
+            "hybrid: shared colours",
+            format!("{fraction}"),
+            &[format!("hybrid.shared_weight={fraction:?}")],
+        );
     }
     all
 }

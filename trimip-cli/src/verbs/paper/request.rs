@@ -268,7 +268,8 @@ impl Layers {
         let seed = Config::from_settings(&settings)?.seed + u64::from(seed);
         let settings = settings.with("seed", seed.cast_signed())?;
         // All systems are measured on the same views, however long that takes.
-        let measuring = settings.clone().with("eval.final", i64::from(self.stride))?.with("eval.time_fraction", 0)?;
+        let measuring =
+            settings.clone().with("eval.final", i64::from(self.stride))?.with("eval.time_fraction", 0)?;
         let training = settings.with("eval.final", false)?;
         let config = Config::from_settings(&measuring)?;
         let root = if scales == Scales::One { out.join(SINGLE) } else { out.to_path_buf() };

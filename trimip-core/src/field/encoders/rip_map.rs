@@ -351,7 +351,9 @@ impl Reference for RipTwin {
                 for (row, weights) in taps.rows.into_iter().zip(taps.weights) {
                     for (column, weight) in taps.columns.into_iter().zip(weights) {
                         let texel = &map[plane.texel(levels, row, column) * CHANNELS..][..CHANNELS];
-                        out.iter_mut().zip(texel).for_each(|(sum, value)| *sum += level_weight * weight * value);
+                        out.iter_mut()
+                            .zip(texel)
+                            .for_each(|(sum, value)| *sum += level_weight * weight * value);
                     }
                 }
             }

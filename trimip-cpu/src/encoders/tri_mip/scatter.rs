@@ -245,8 +245,7 @@ impl Sums<'_> {
         }
         // A sum of two has the same bits in either order.
         let [left, right] = halves(ranks);
-        let [here, other] =
-            if right.contains(&own) { [right, left] } else { [left, right] };
+        let [here, other] = if right.contains(&own) { [right, left] } else { [left, right] };
         self.add_ranks(from, here, band)?;
         if other.len() == 1 {
             return self.add_message(from[other.start], band);

@@ -106,7 +106,9 @@ impl Reference for PlanesTwin {
         let mut features = vec![0.0; FEATURES];
         for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
             let blend = self.pyramid.blend(plane, at.radius.log2());
-            for (level, level_weight) in [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)] {
+            for (level, level_weight) in
+                [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
+            {
                 if level_weight == 0.0 {
                     continue;
                 }
@@ -118,7 +120,9 @@ impl Reference for PlanesTwin {
                     for (column, weight) in taps.columns.into_iter().zip(weights) {
                         let texel = &texels[(row * shape.columns + column) * CHANNELS..][..CHANNELS];
                         let out = &mut features[plane * CHANNELS..][..CHANNELS];
-                        out.iter_mut().zip(texel).for_each(|(sum, value)| *sum += level_weight * weight * value);
+                        out.iter_mut()
+                            .zip(texel)
+                            .for_each(|(sum, value)| *sum += level_weight * weight * value);
                     }
                 }
             }
