@@ -101,6 +101,7 @@ pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
 /// scaled by the rates of the networks' products; NEON by the multiply-adds of a cycle, without a measurement.
 fn samples_per_second(simd: Simd) -> f64 {
     match simd {
+        Simd::Amx => 9.0e5,
         Simd::Avx512Bf16 => 5.4e5,
         Simd::Avx512 => 4.2e5,
         Simd::Avx2 => 3.5e5,

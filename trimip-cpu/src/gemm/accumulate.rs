@@ -1,26 +1,14 @@
 //! G += Aᵀ·D: a layer's weight gradient.
 
+use super::operands::Product;
+#[cfg(target_arch = "x86_64")]
+use super::tiles;
 use super::words::add_product;
-use crate::simd::{Kernel, Lanes, Simd};
+use crate::simd::{Kernel, Lanes};
 use trimip_core::config::Precision;
 
 /// Rows per pass of a weight gradient, so that its two panels stay in L1.
 const GRADIENT_ROWS: usize = 64;
-
-/// How a weight gradient is computed, and the shapes of its factors: A is [rows, k], D is [rows, n].
-#[derive(Clone, Copy, Debug)]
-pub struct Product {
-    /// Instruction set.
-    pub simd: Simd,
-    /// Precision of the factors.
-    pub precision: Precision,
-    /// Number of rows of both factors.
-    pub rows: usize,
-    /// Columns of A.
-    pub k: usize,
-    /// Columns of D.
-    pub n: usize,
-}
 
 /// G += Aᵀ·D over exactly `product.rows` rows of words.
 pub fn accumulate(product: Product, a: &[f32], d: &[f32], g: &mut [f32]) {
@@ -29,6 +17,10 @@ pub fn accumulate(product: Product, a: &[f32], d: &[f32], g: &mut [f32]) {
     assert!(k.is_multiple_of(4) && n.is_multiple_of(16), "padded widths");
     match precision {
         Precision::F32 | Precision::F16 => simd.run(Accumulate::<false> { rows, k, n, a, d, g }),
+        #[cfg(target_arch = "x86_64")]
+        Precision::Bf16 if simd.has_tiles() && k.is_multiple_of(16) => {
+            simd.run(tiles::Accumulate { product, a, d, g });
+        }
         Precision::Bf16 => simd.run(Accumulate::<true> { rows, k, n, a, d, g }),
     }
 }

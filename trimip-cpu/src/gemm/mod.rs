@@ -8,15 +8,19 @@
 mod accumulate;
 mod dots;
 mod multiply;
+mod operands;
 mod packed;
 mod pairs;
 #[cfg(test)]
 mod tests;
+#[cfg(target_arch = "x86_64")]
+mod tiles;
 mod words;
 
-pub use accumulate::{Product, accumulate};
+pub use accumulate::accumulate;
 pub use dots::dots;
-pub use multiply::{Epilogue, Finish, Start, multiply};
+pub use multiply::multiply;
+pub use operands::{Epilogue, Finish, Product, Start};
 pub use packed::Packed;
 pub use pairs::{pair_columns, pair_rows};
 pub use words::{ROWS, padded};

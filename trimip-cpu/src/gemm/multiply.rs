@@ -1,43 +1,12 @@
 //! C = A·W with the operations before and after it: a layer's forward pass, and the gradient of its input.
 
+use super::operands::{Epilogue, Finish, Start};
 use super::packed::Packed;
+#[cfg(target_arch = "x86_64")]
+use super::tiles;
 use super::words::{ROWS, add_product, padded};
 use crate::simd::{Kernel, Lanes, Simd};
 use trimip_core::config::Precision;
-
-/// Initial value of a product.
-#[derive(Clone, Copy)]
-pub enum Start<'a> {
-    /// Zero.
-    Zero,
-    /// Row i of the product starts from row `of[i]` of `rows`, which has the same width.
-    Rows {
-        /// The rows to start from.
-        rows: &'a [f32],
-        /// One index per row of the product, padding included.
-        of: &'a [u32],
-    },
-}
-
-/// Operation on a product before it is stored.
-#[derive(Clone, Copy)]
-pub enum Finish<'a> {
-    /// None.
-    Store,
-    /// ReLU: values below zero become zero.
-    Relu,
-    /// Derivative of a ReLU: zero where this matrix of the same shape is not above zero.
-    Mask(&'a [f32]),
-}
-
-/// What a product starts from, and what is done with it before it is stored.
-#[derive(Clone, Copy)]
-pub struct Epilogue<'a> {
-    /// Initial value.
-    pub start: Start<'a>,
-    /// Last operation.
-    pub finish: Finish<'a>,
-}
 
 /// C = finish(start + A·W) for `rows` rows, padding included. A has the precision of W.
 pub fn multiply(simd: Simd, rows: usize, a: &[f32], w: &Packed, c: &mut [f32], epilogue: Epilogue<'_>) {
@@ -52,6 +21,8 @@ pub fn multiply(simd: Simd, rows: usize, a: &[f32], w: &Packed, c: &mut [f32], e
     }
     match w.precision() {
         Precision::F32 | Precision::F16 => simd.run(Multiply::<false> { rows, a, w, c, start, finish }),
+        #[cfg(target_arch = "x86_64")]
+        Precision::Bf16 if simd.has_tiles() => simd.run(tiles::Multiply { rows, a, w, c, start, finish }),
         Precision::Bf16 => simd.run(Multiply::<true> { rows, a, w, c, start, finish }),
     }
 }

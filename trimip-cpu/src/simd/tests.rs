@@ -71,7 +71,7 @@ impl Kernel for Check {
 
 #[test]
 fn every_set_computes_the_same() {
-    for set in [Simd::Avx512Bf16, Simd::Avx512, Simd::Avx2, Simd::Neon] {
+    for set in [Simd::Amx, Simd::Avx512Bf16, Simd::Avx512, Simd::Avx2, Simd::Neon] {
         if !Simd::available().contains(&set) {
             println!("skipped: this processor does not have {set:?}");
         }
