@@ -16,8 +16,7 @@ type Names = Vec<String>;
 const LARGEST_RINGS: [(&str, usize); 11] = [
     ("trimip", 9),
     ("trimip-cli", 9),
-    // The registry of encoders and its members.
-    ("trimip-core", 11),
+    ("trimip-core", 10),
     ("trimip-cpu", 10),
     ("trimip-data", 7),
     ("trimip-mpi", 2),
@@ -25,8 +24,11 @@ const LARGEST_RINGS: [(&str, usize); 11] = [
     ("trimip-view", 1),
     ("trimip-web", 1),
     ("trimip-wgpu", 9),
-    ("tests", 10),
+    ("tests", 2),
 ];
+
+/// Registries: a member imports what its registry declares, so all of them count as one file. A new member changes no limit.
+const REGISTRIES: [&str; 3] = ["field::encoders", "field::losses", "reference"];
 
 /// Longest file, in lines.
 const LONGEST_FILE: usize = 621;
@@ -256,6 +258,18 @@ fn rings<T: Ord + Clone>(graph: &BTreeMap<T, BTreeSet<T>>) -> Vec<BTreeSet<T>> {
     rings
 }
 
+/// Number of files of a ring, where a registry is one.
+fn size(ring: &BTreeSet<Names>) -> usize {
+    let file = |module: &Names| {
+        let name = module.join("::");
+        let of = |registry: &&&str| {
+            name.strip_prefix(**registry).is_some_and(|rest| rest.is_empty() || rest.starts_with("::"))
+        };
+        REGISTRIES.iter().find(of).map_or(name.clone(), ToString::to_string)
+    };
+    ring.iter().map(file).collect::<BTreeSet<_>>().len()
+}
+
 #[test]
 fn rings_of_files_that_import_each_other_are_small() {
     for (name, most) in LARGEST_RINGS {
@@ -264,7 +278,7 @@ fn rings_of_files_that_import_each_other_are_small() {
             let files: Vec<String> = ring.iter().map(|module| module.join("::")).collect();
             println!("{name}: {} files import each other: {}", files.len(), files.join(", "));
         }
-        let largest = rings.first().map_or(1, BTreeSet::len);
+        let largest = rings.iter().map(size).max().unwrap_or(1);
         assert!(
             largest <= most,
             "{name}: a ring of {largest} files, at most {most} are allowed; see the output above"
