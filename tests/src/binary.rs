@@ -57,6 +57,29 @@ pub fn program() -> &'static Path {
     PROGRAM.get_or_init(|| build("plain", &[]))
 }
 
+/// The folder of what is built in the profile of the running test.
+fn built() -> PathBuf {
+    // <target>/<profile>/deps/<test>
+    let test = std::env::current_exe().expect("a test knows its own path");
+    test.ancestors().nth(2).expect("tests lie in <profile>/deps").into()
+}
+
+/// The target folder of the running test.
+///
+/// # Panics
+/// If the test lies in no such folder.
+pub fn target() -> PathBuf {
+    built().parent().expect("profiles lie in a target folder").into()
+}
+
+/// The profile of the running test.
+pub fn profile() -> String {
+    match built().file_name().and_then(|name| name.to_str()) {
+        Some("debug") | None => "dev".into(),
+        Some(profile) => profile.into(),
+    }
+}
+
 /// Builds `trimip-cli` with further arguments for cargo. Returns a path that only builds of this `name` have: the next build
 /// with other arguments replaces the file that cargo writes.
 ///
@@ -65,19 +88,12 @@ pub fn program() -> &'static Path {
 pub fn build(name: &str, arguments: &[&str]) -> PathBuf {
     static BUILDING: Mutex<()> = Mutex::new(());
     let _building = BUILDING.lock().unwrap_or_else(PoisonError::into_inner);
-    // <target>/<profile>/deps/<test>
-    let test = std::env::current_exe().expect("a test knows its own path");
-    let folder = test.ancestors().nth(2).expect("tests lie in <profile>/deps");
-    let target = folder.parent().expect("profiles lie in a target folder");
-    let profile = match folder.file_name().and_then(|name| name.to_str()) {
-        Some("debug") | None => "dev",
-        Some(profile) => profile,
-    };
+    let folder = built();
     // With an example, cargo gives dependencies the features that they have for the tests, and does not compile them again.
     let built = Command::new(env!("CARGO"))
         .args(["build", "--quiet", "--locked", "--workspace", "--bin", "trimip-cli", "--example", "corpus"])
-        .args(["--profile", profile, "--target-dir"])
-        .arg(target)
+        .args(["--profile", &profile(), "--target-dir"])
+        .arg(target())
         .args(arguments)
         .current_dir(root())
         .status();

@@ -1,6 +1,6 @@
 //! Shared parts of the tests across crates: the whole model in f64 ([`mod@reference`]), small test problems
-//! ([`fixtures`]), the program under test ([`binary`]), the tests that every backend must pass ([`suite`]), and what any bytes
-//! get from every reader ([`formats`]).
+//! ([`fixtures`]), the program under test ([`binary`]), the tests that every backend must pass ([`suite`]), what any bytes
+//! get from every reader ([`formats`]), and the lists of ARCHITECTURE.md ([`lists`]).
 
 #![deny(unsafe_code)]
 
@@ -10,6 +10,7 @@ pub mod fixtures;
 pub mod formats;
 #[cfg(feature = "wgpu")]
 pub mod gpu;
+pub mod lists;
 pub mod ranks;
 pub mod reference;
 pub mod suite;

@@ -8,6 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use syn::visit_mut::{self, VisitMut};
 use syn::{Attribute, File, Item, ItemMod, ItemUse, UseTree, Visibility};
+use trimip_tests::lists::{places, section};
 
 /// A path of names: that of a module within its crate, or of an item.
 type Names = Vec<String>;
@@ -325,14 +326,6 @@ fn rooms_of_core_use_those_before_them() {
     assert_eq!(rooms.len(), ROOMS.len(), "every room has files");
 }
 
-/// The text of a section of ARCHITECTURE.md.
-fn section<'a>(text: &'a str, title: &str) -> &'a str {
-    let begin =
-        text.find(&format!("## {title}\n")).unwrap_or_else(|| panic!("ARCHITECTURE.md has no \"{title}\""));
-    let rest = &text[begin + 3..];
-    &rest[..rest.find("\n## ").unwrap_or(rest.len())]
-}
-
 /// True if `text` has `word` between characters that no identifier has.
 fn names(text: &str, word: &str) -> bool {
     let part = |character: Option<char>| character.is_some_and(|character| character.is_alphanumeric());
@@ -362,19 +355,18 @@ fn lists_of_files_are_complete() {
         })
         .collect();
     for (title, member, words) in LISTS {
-        let section = section(&architecture, title).replace("NAME", member);
-        let quoted = section.split('`').skip(1).step_by(2);
-        let listed: Vec<&str> = quoted.filter(|text| text.contains('/') && !text.contains(' ')).collect();
-        let is_listed = |name: &str| listed.iter().any(|path| name.ends_with(path) || name.starts_with(path));
+        let listed = places(section(&architecture, title), member);
+        let is_listed = |name: &str| listed.iter().any(|place| place.holds(name));
         let named = sources.iter().filter(|(_, text)| words.iter().any(|word| names(text, word)));
         let missing: Vec<&str> =
             named.map(|(name, _)| name.as_str()).filter(|name| !is_listed(name)).collect();
         println!("{title}: {} files are listed", listed.len());
         assert!(missing.is_empty(), "\"{title}\" does not list {missing:?}, which name {member}");
-        let exists = |path: &&&str| {
-            root().join(path).exists() || sources.iter().any(|(name, _)| name.ends_with(**path))
-        };
-        let gone: Vec<_> = listed.iter().filter(|path| !exists(path)).collect();
+        let gone: Vec<&str> = listed
+            .iter()
+            .map(|place| place.path.as_str())
+            .filter(|path| !root().join(path).exists())
+            .collect();
         assert!(gone.is_empty(), "\"{title}\" lists {gone:?}, which do not exist");
     }
 }

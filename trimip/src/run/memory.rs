@@ -1,7 +1,7 @@
 //! Whether a run fits into memory, before it begins.
 
 use crate::formatting;
-use trimip_core::{Config, Error, Result, config::EncoderKind, config::MemoryChoice, memory};
+use trimip_core::{Config, Error, Result, config::MemoryChoice, field::encoders, memory};
 
 /// Memory that there is, bytes, what this process already has included.
 #[derive(Clone, Copy)]
@@ -68,14 +68,7 @@ fn lowered_by(config: &Config, part: &str) -> &'static str {
         "network gradients" => "lower field.hidden",
         "activations of all workers" => "lower threads, field.hidden or renderer.steps_per_diagonal",
         "program" => "free memory or raise its limit",
-        _ => match config.encoder.kind {
-            EncoderKind::TriMip => "lower encoder.plane_size",
-            EncoderKind::HashGrid => "lower hash_grid.log2_entries",
-            EncoderKind::RipMap => "lower rip_map.size",
-            EncoderKind::Tensor => "lower tensor.sides",
-            EncoderKind::Frequencies => "lower field.hidden",
-            EncoderKind::Voxels => "lower voxels.sides",
-        },
+        _ => encoders::of(config).lowered_by(),
     }
 }
 

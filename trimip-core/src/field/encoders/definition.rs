@@ -37,6 +37,11 @@ pub trait Definition: Sync {
         0
     }
 
+    /// What takes less memory, for a run that is predicted to need too much: "lower voxels.sides".
+    fn lowered_by(&self) -> &'static str {
+        "lower field.hidden"
+    }
+
     /// Stage of growth at `progress` in [0, 1]. Stage 0 is full size; the stage decreases as training proceeds.
     fn stage(&self, _config: &Config, _progress: f64) -> u32 {
         0

@@ -137,6 +137,10 @@ impl Definition for HashGrid {
         }]
     }
 
+    fn lowered_by(&self) -> &'static str {
+        "lower hash_grid.log2_entries"
+    }
+
     fn reference(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         Box::new(GridTwin {
             levels: Levels::new(&config.hash_grid),

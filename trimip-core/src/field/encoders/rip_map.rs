@@ -300,6 +300,10 @@ impl Definition for RipMap {
         (2 * texels * CHANNELS * size_of::<f32>()) as u64
     }
 
+    fn lowered_by(&self) -> &'static str {
+        "lower rip_map.size"
+    }
+
     fn reference(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         let planes = configured(config);
         let base = values.swap_remove(0);

@@ -226,6 +226,10 @@ impl Definition for Tensors {
         }
     }
 
+    fn lowered_by(&self) -> &'static str {
+        "lower tensor.sides"
+    }
+
     fn reference(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         Box::new(TensorTwin { shape: Shape::new(config, 0), values })
     }

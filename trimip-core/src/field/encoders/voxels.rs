@@ -128,6 +128,10 @@ impl Definition for Voxels {
         values[..grown.len()].copy_from_slice(&grown);
     }
 
+    fn lowered_by(&self) -> &'static str {
+        "lower voxels.sides"
+    }
+
     fn reference(&self, config: &Config, values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         let mut values = values.into_iter();
         let mut next = || values.next().unwrap_or_default();

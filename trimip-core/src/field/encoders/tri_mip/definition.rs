@@ -62,6 +62,10 @@ impl Definition for Planes {
         grow(values, &pyramid(config), from, to);
     }
 
+    fn lowered_by(&self) -> &'static str {
+        "lower encoder.plane_size"
+    }
+
     fn reference(&self, config: &Config, mut values: Vec<Vec<f64>>) -> Box<dyn Reference> {
         let (pyramid, base) = (pyramid(config), values.swap_remove(0));
         let level_input = config.encoder.level_input;

@@ -1,0 +1,103 @@
+//! The lists of ARCHITECTURE.md: the files of a new member of a registry, `NAME` in place of its name. In the numbered items every
+//! quoted path is a place of the list, a file or a folder. A sentence that begins with "If" names what some members need alone, one
+//! with `TRIMIP_WRITE_DOCS` what a command writes. Text between the items names files for other reasons.
+
+/// Who has something to do with a place of a list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// Every member.
+    Every,
+    /// Some members.
+    Some,
+    /// A command, which writes it from the others.
+    Written,
+}
+
+/// A place of a list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// A file, or a folder with a slash at its end, relative to the root of the workspace.
+    pub path: String,
+    /// Who needs it.
+    pub need: Need,
+}
+
+impl Place {
+    /// True if a file is this place, or lies below it.
+    pub fn holds(&self, file: &str) -> bool {
+        file == self.path || self.path.ends_with('/') && file.starts_with(&self.path)
+    }
+}
+
+/// The text of a section of ARCHITECTURE.md.
+///
+/// # Panics
+/// If it has no such section.
+pub fn section<'a>(text: &'a str, title: &str) -> &'a str {
+    let begin =
+        text.find(&format!("## {title}\n")).unwrap_or_else(|| panic!("ARCHITECTURE.md has no \"{title}\""));
+    let rest = &text[begin + 3..];
+    &rest[..rest.find("\n## ").unwrap_or(rest.len())]
+}
+
+/// The places that the numbered items of a section name for the member `name`.
+pub fn places(section: &str, name: &str) -> Vec<Place> {
+    let section = section.replace("NAME", name);
+    let mut found = Vec::new();
+    for item in items(&section) {
+        for sentence in item.split(". ") {
+            let need = match sentence {
+                _ if sentence.trim_start().starts_with("If ") => Need::Some,
+                _ if sentence.contains("TRIMIP_WRITE_DOCS") => Need::Written,
+                _ => Need::Every,
+            };
+            found.extend(paths(sentence).map(|path| Place { path: path.into(), need }));
+        }
+    }
+    found
+}
+
+/// The numbered items of a section, each in one line.
+fn items(section: &str) -> Vec<String> {
+    let mut items: Vec<String> = Vec::new();
+    let mut open = false;
+    for line in section.lines() {
+        let numbered = line.split_once(". ").filter(|(number, _)| number.parse::<u32>().is_ok());
+        match (numbered, items.last_mut()) {
+            (Some((_, text)), _) => {
+                items.push(text.into());
+                open = true;
+            }
+            (None, Some(item)) if open && line.starts_with("   ") => *item += &format!(" {}", line.trim()),
+            _ => open = false,
+        }
+    }
+    items
+}
+
+/// The paths that a text quotes: with a slash, or a page of the root.
+fn paths(text: &str) -> impl Iterator<Item = &str> {
+    let quoted = text.split('`').skip(1).step_by(2);
+    quoted.filter(|text| !text.contains(' ') && (text.contains('/') || text.ends_with(".md")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_are_those_of_the_items_with_their_need() {
+        let page = "## Other\n\n1. `a/b.rs`.\n\n## Adding\n\nAs in `a/c.rs`.\n\n1. `a/NAME.rs`: a mod line,\n   \
+                    and `README.md`. `TRIMIP_WRITE_DOCS=1 cargo test` renews `d/`. If it has `e.rs`, `f/g.rs`.\n\nAlso `h/i.rs`.\n";
+        let found = places(section(page, "Adding"), "dummy");
+        let of = |path: &str, need| Place { path: path.into(), need };
+        let expected = [
+            of("a/dummy.rs", Need::Every),
+            of("README.md", Need::Every),
+            of("d/", Need::Written),
+            of("f/g.rs", Need::Some),
+        ];
+        assert_eq!(found, expected);
+        assert!(found[2].holds("d/x.md") && !found[0].holds("a/dummy.rs2") && !found[3].holds("f/g.rs/x"));
+    }
+}
