@@ -77,8 +77,7 @@ impl Backend for CpuBackend {
         match config.field.precision {
             Precision::F16 => vec!["field.precision = \"f16\" is a GPU's: the CPU computes in f32".into()],
             Precision::Bf16 if self.precision(config) == Precision::F32 => vec![
-                "field.precision = \"bf16\" is faster with AVX-512 BF16 alone, which this processor lacks: it computes in \
-                 f32"
+                "field.precision = \"bf16\" is no faster than f32 on this processor: it computes in f32"
                     .into(),
             ],
             Precision::F32 | Precision::Bf16 => Vec::new(),

@@ -23,7 +23,7 @@ pub fn compute(name: &str, index: usize) -> Result<Compute> {
     Ok(Compute {
         name: info.name,
         samples_per_second: if software { SOFTWARE_SAMPLES_PER_SECOND } else { EXPECTED },
-        bf16: false,
+        bf16_from: None,
         wide: !software,
     })
 }

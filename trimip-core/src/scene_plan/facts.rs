@@ -31,8 +31,8 @@ pub struct Compute {
     pub name: String,
     /// Expected kept samples per second for networks of 64 units.
     pub samples_per_second: f64,
-    /// True if bf16 products are faster than f32 products.
-    pub bf16: bool,
+    /// Least width of hidden layers whose products are faster in bf16 than in f32; `None` where none are.
+    pub bf16_from: Option<u32>,
     /// True for a device that needs about 100,000 samples per step to be busy.
     pub wide: bool,
 }
@@ -40,6 +40,6 @@ pub struct Compute {
 impl Compute {
     /// One CPU thread with wide vectors, for tests and documentation.
     pub fn one_thread() -> Self {
-        Self { name: "one thread".into(), samples_per_second: 3e5, bf16: false, wide: false }
+        Self { name: "one thread".into(), samples_per_second: 3e5, bf16_from: None, wide: false }
     }
 }

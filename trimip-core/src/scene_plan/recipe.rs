@@ -136,7 +136,8 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     if config.train.steps == 0 {
         changes.push(("train.samples_per_step", Value::Integer(per_step)));
     }
-    if compute.bf16 && config.field.precision == Precision::F32 {
+    let width = if context.given("field.hidden") { config.field.hidden } else { hidden };
+    if compute.bf16_from.is_some_and(|least| width >= least) && config.field.precision == Precision::F32 {
         changes.push(("field.precision", Value::String("bf16".into())));
     }
     if long && !compute.wide {
