@@ -2,7 +2,7 @@
 //! quoted path is a place of the list, a file or a folder. A sentence that begins with "If" names what some members need alone, one
 //! with `TRIMIP_WRITE_DOCS` what a command writes. Text between the items names files for other reasons.
 
-/// Who has something to do with a place of a list.
+/// The members that need a place of a list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     /// Every member.

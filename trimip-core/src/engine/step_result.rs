@@ -1,4 +1,4 @@
-//! What a step of training leaves for the host: losses, counts, and the derivatives of the exposures.
+//! The results of a training step on the host: losses, counts, and the derivatives of the exposures.
 
 use crate::{Result, engine::ranks::fault};
 use serde::{Deserialize, Serialize};
@@ -39,7 +39,7 @@ impl StepSums {
 /// Largest number of steps whose sums are not read back yet.
 pub const MOST_PENDING: usize = 2;
 
-/// What a step leaves for the host.
+/// The results of a training step on the host.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepResult {
     /// Losses and counts.

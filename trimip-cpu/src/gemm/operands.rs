@@ -1,4 +1,4 @@
-//! What a product starts from, what follows it, and the shapes of a weight gradient.
+//! The initial values of a product, its last operation, and the shapes of a weight gradient.
 
 use crate::simd::Simd;
 use trimip_core::config::Precision;
@@ -28,7 +28,7 @@ pub enum Finish<'a> {
     Mask(&'a [f32]),
 }
 
-/// What a product starts from, and what is done with it before it is stored.
+/// Initial value of a product, and its last operation.
 #[derive(Clone, Copy)]
 pub struct Epilogue<'a> {
     /// Initial value.

@@ -16,6 +16,43 @@ const SUMS: usize = 4;
 /// Bytes of an f32 or a word.
 const WORD: usize = 4;
 
+/// Tile A times the `N` tiles at `$b(j)`, which are `$stride(j)` bytes a row, is added to the sums 0 to `N` - 1; `$at` receives the
+/// tiles at `$b(j)`.
+macro_rules! add_products {
+    ($n:ident, $a:literal, $at:literal, $b:expr, $stride:expr) => {
+        tile!(load $at, $b(0), $stride(0));
+        tile!(add 0, $a, $at);
+        if $n > 1 {
+            tile!(load $at, $b(1), $stride(1));
+            tile!(add 1, $a, $at);
+        }
+        if $n > 2 {
+            tile!(load $at, $b(2), $stride(2));
+            tile!(add 2, $a, $at);
+        }
+        if $n > 3 {
+            tile!(load $at, $b(3), $stride(3));
+            tile!(add 3, $a, $at);
+        }
+    };
+}
+
+/// Stores the sums 0 to `N` - 1 beside each other.
+macro_rules! store_sums {
+    ($n:ident, $to:expr, $stride:expr) => {
+        tile!(store 0, $to, $stride);
+        if $n > 1 {
+            tile!(store 1, $to.add(SIDE), $stride);
+        }
+        if $n > 2 {
+            tile!(store 2, $to.add(2 * SIDE), $stride);
+        }
+        if $n > 3 {
+            tile!(store 3, $to.add(3 * SIDE), $stride);
+        }
+    };
+}
+
 /// C = finish(start + A·W); see [`multiply`](super::multiply), which checks the shapes.
 pub(super) struct Multiply<'a> {
     pub(super) rows: usize,
@@ -88,50 +125,15 @@ impl Multiply<'_> {
             for p in 0..whole {
                 let w = |j: usize| w[j].byte_add(SIDE * p * strides[j]);
                 tile!(load 4, a.add(SIDE * p), k * WORD);
-                tile!(load 6, w(0), strides[0]);
-                tile!(add 0, 4, 6);
-                if N > 1 {
-                    tile!(load 6, w(1), strides[1]);
-                    tile!(add 1, 4, 6);
-                }
-                if N > 2 {
-                    tile!(load 6, w(2), strides[2]);
-                    tile!(add 2, 4, 6);
-                }
-                if N > 3 {
-                    tile!(load 6, w(3), strides[3]);
-                    tile!(add 3, 4, 6);
-                }
+                add_products!(N, 4, 6, w, |j: usize| strides[j]);
             }
             if !k.is_multiple_of(SIDE) {
                 let w = |j: usize| w[j].byte_add(SIDE * whole * strides[j]);
                 tile!(load 5, a.add(SIDE * whole), k * WORD);
-                tile!(load 7, w(0), strides[0]);
-                tile!(add 0, 5, 7);
-                if N > 1 {
-                    tile!(load 7, w(1), strides[1]);
-                    tile!(add 1, 5, 7);
-                }
-                if N > 2 {
-                    tile!(load 7, w(2), strides[2]);
-                    tile!(add 2, 5, 7);
-                }
-                if N > 3 {
-                    tile!(load 7, w(3), strides[3]);
-                    tile!(add 3, 5, 7);
-                }
+                add_products!(N, 5, 7, w, |j: usize| strides[j]);
             }
             let c = self.c[row * n + column..].as_mut_ptr();
-            tile!(store 0, c, n * WORD);
-            if N > 1 {
-                tile!(store 1, c.add(SIDE), n * WORD);
-            }
-            if N > 2 {
-                tile!(store 2, c.add(2 * SIDE), n * WORD);
-            }
-            if N > 3 {
-                tile!(store 3, c.add(3 * SIDE), n * WORD);
-            }
+            store_sums!(N, c, n * WORD);
         }
         self.end::<L>(row, column, N);
     }
@@ -262,30 +264,8 @@ unsafe fn sum<const N: usize>(a: &[[f32; SIDE * SIDE]], d: *const f32, g: *mut f
         for (block, a) in a.iter().enumerate() {
             let d = d.add(SIDE * block * n);
             tile!(load 4, a.as_ptr(), SIDE * WORD);
-            tile!(load 6, d, stride);
-            tile!(add 0, 4, 6);
-            if N > 1 {
-                tile!(load 6, d.add(SIDE), stride);
-                tile!(add 1, 4, 6);
-            }
-            if N > 2 {
-                tile!(load 6, d.add(2 * SIDE), stride);
-                tile!(add 2, 4, 6);
-            }
-            if N > 3 {
-                tile!(load 6, d.add(3 * SIDE), stride);
-                tile!(add 3, 4, 6);
-            }
+            add_products!(N, 4, 6, |j: usize| d.add(SIDE * j), |_| stride);
         }
-        tile!(store 0, g, stride);
-        if N > 1 {
-            tile!(store 1, g.add(SIDE), stride);
-        }
-        if N > 2 {
-            tile!(store 2, g.add(2 * SIDE), stride);
-        }
-        if N > 3 {
-            tile!(store 3, g.add(3 * SIDE), stride);
-        }
+        store_sums!(N, g, stride);
     }
 }

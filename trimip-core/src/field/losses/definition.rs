@@ -1,4 +1,4 @@
-//! What core knows of a term of the loss without a backend: its declaration, its value and derivatives, and its equation in f64.
+//! The interface of a term of the loss, independent of any backend: its declaration, its value and derivatives, and its equation in f64.
 
 use crate::config::LossConfig;
 use crate::geometry::elements::Target;
@@ -84,9 +84,9 @@ pub struct RaySample<R> {
     pub width: R,
 }
 
-/// What is computed with the photometric term of a configuration. It is compiled once for each term.
+/// A computation with the photometric term of a configuration. It is compiled once for each term.
 pub trait PhotometricVisitor {
-    /// What it results in.
+    /// Its result.
     type Output;
 
     /// Computes with `term`.
