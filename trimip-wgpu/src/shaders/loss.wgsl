@@ -49,8 +49,8 @@ fn evaluate(
     let i = index_of(group, groups, local);
     var own = vec4<f32>(0.0);
     if i < params.count {
-        let from = PIXEL_FLOATS * i;
-        let pixel = vec4<f32>(pixels[from], pixels[from + 1u], pixels[from + 2u], pixels[from + 3u]);
+        let first = PIXEL_FLOATS * i;
+        let pixel = vec4<f32>(pixels[first], pixels[first + 1u], pixels[first + 2u], pixels[first + 3u]);
         let at = TARGET_FLOATS * i;
         let weight = targets[at + TARGET_WEIGHT];
         let place = at + TARGET_BACKGROUND;
