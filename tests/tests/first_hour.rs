@@ -145,7 +145,8 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
     {
         assert!(answer.out.contains(part), "{part}: {}", answer.out);
     }
-    refused(&run(folder, &["scene", "--out", "b", "--set", "loss.opacity=0.1"]), &["loss.opacity", "alpha"]);
+    let bounded = ["--set", "loss.opacity=0.1", "--set", "scene.contraction=none"];
+    refused(&run(folder, &[&["scene", "--out", "b"][..], &bounded].concat()), &["loss.opacity", "alpha"]);
     // A box that misses the scene gives a warning in advance, and nothing is learned in it.
     let beside = ["scene.aabb_min=[50.0,50.0,50.0]", "scene.aabb_max=[51.0,51.0,51.0]"];
     let mut arguments = vec!["scene", "--out", "beside", "--minutes", "0.1"];

@@ -4,7 +4,7 @@ use super::decision::Decision;
 use super::{aabb, cones, detail, leave_out, recipe, tri_mip};
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 12] = [
+pub(super) const DECISIONS: [Decision; 13] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -35,6 +35,7 @@ pub(super) const DECISIONS: [Decision; 12] = [
         choice: |config| config.plan.solids,
         decide: recipe::solids,
     },
+    Decision { key: "surfaces", owns: &[], choice: |config| config.plan.surfaces, decide: recipe::surfaces },
     Decision { key: "schedule", owns: &[], choice: |config| config.plan.schedule, decide: recipe::schedule },
     Decision { key: "detail", owns: &[], choice: |config| config.plan.detail, decide: detail::decide },
     Decision {

@@ -27,7 +27,7 @@ pub use facts::{Compute, Facts, StatedBox};
 pub use finding::{Change, Finding};
 pub use warnings::warnings;
 
-use crate::config::{Contraction, PlanChoice};
+use crate::config::PlanChoice;
 use crate::{Config, Error, Origin, Result, Settings};
 use decision::{Context, Decision, Proposal};
 use decisions::DECISIONS;
@@ -43,17 +43,19 @@ pub fn keys() -> impl Iterator<Item = &'static str> {
 /// When a decision is `on` and cannot be taken.
 pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> {
     let configured = Config::from_settings(settings)?;
-    // In contracted space every ray ends somewhere, and opaque photographs tell the opacity too.
-    let bounded = configured.scene.contraction == Contraction::None;
-    if configured.loss.opacity > 0.0 && bounded && !recipe::has_alpha(facts.train) {
+    let given = settings.clone();
+    let findings: Result<Vec<_>> =
+        DECISIONS.iter().map(|decision| take(decision, settings, &given, &configured, facts)).collect();
+    // Only now it is known whether space is contracted.
+    let planned = Config::from_settings(settings)?;
+    if planned.loss.opacity > 0.0 && !recipe::knows_opacity(&planned, facts.train) {
         return Err(Error::input(
             settings.place("loss.opacity"),
             "the photographs have no alpha to compare opacity with",
             "set it to 0, or use photographs with alpha",
         ));
     }
-    let given = settings.clone();
-    DECISIONS.iter().map(|decision| take(decision, settings, &given, &configured, facts)).collect()
+    findings
 }
 
 /// Takes the decision on the box alone, which no device has a part in, and changes `settings` accordingly.

@@ -3,12 +3,19 @@
 
 use super::decision::{Context, Proposal};
 use super::tri_mip;
-use crate::config::Precision;
+use crate::config::{Contraction, Precision};
 use crate::{ViewSet, scene::silhouettes};
 use toml::Value;
 
-/// Weight of the opacity loss for photographs with alpha: it makes models solid.
+/// Weight of the opacity loss where opacity is known: it makes models solid.
 const OPACITY: f64 = 0.1;
+
+/// Weight of the distortion loss in places: it gathers the density of a ray at its surface. Ten times as much moves all
+/// density in front of the cameras.
+const DISTORTION: f64 = 1e-3;
+
+/// Transmittance and weight below which a place's samples are dropped: they show less than a pixel's rounding.
+const FAINT: [f64; 2] = [0.02, 0.002];
 
 /// Alpha of an opaque pixel.
 const OPAQUE: u8 = 255;
@@ -98,14 +105,43 @@ pub(super) fn hull(context: &Context<'_>) -> Proposal {
     }
 }
 
+/// True if the photographs tell the opacity of every pixel: by their alpha, or because space has no end and every ray meets
+/// something.
+pub(super) fn knows_opacity(config: &Config, views: &ViewSet) -> bool {
+    has_alpha(views) || config.scene.contraction != Contraction::None
+}
+
 pub(super) fn solids(context: &Context<'_>) -> Proposal {
-    if !has_alpha(context.facts.train) {
+    if !knows_opacity(context.now, context.facts.train) {
         return Proposal::Keep("the photographs have no alpha that opacity could be compared with".into());
     }
+    let known = match has_alpha(context.facts.train) {
+        true => "the photographs have alpha: opacity is compared with it",
+        false => "space has no end: every ray meets something",
+    };
     Proposal::Set {
-        reason: "the photographs have alpha: opacity is compared with it, so that nothing shines through"
-            .into(),
+        reason: format!("{known}, so that nothing shines through"),
         changes: vec![("loss.opacity", Value::Float(OPACITY))],
+    }
+}
+
+pub(super) fn surfaces(context: &Context<'_>) -> Proposal {
+    if context.now.scene.contraction == Contraction::None {
+        return Proposal::Keep("the scene is bounded".into());
+    }
+    let [transmittance, weight] = FAINT;
+    let mut changes = vec![
+        ("loss.distortion", Value::Float(DISTORTION)),
+        ("renderer.min_transmittance", Value::Float(transmittance)),
+        ("renderer.min_weight", Value::Float(weight)),
+    ];
+    changes.retain(|(path, _)| !context.given(path));
+    if changes.is_empty() {
+        return Proposal::Keep("the distortion loss and the samples that are dropped are given".into());
+    }
+    Proposal::Set {
+        reason: "rays of places end in thin surfaces; samples that show nothing are dropped, so that more rays are seen".into(),
+        changes,
     }
 }
 

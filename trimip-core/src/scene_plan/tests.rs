@@ -210,18 +210,41 @@ fn a_box_beside_the_subject_is_told() {
 fn photographs_say_whether_models_are_solids_and_what_is_behind_them() {
     let (config, _) = planned(&views(true), &[]).unwrap();
     assert_eq!((config.loss.opacity, config.data.background), (0.1, [1.0; 3]));
-    let (config, findings) = planned(&views(false), &[]).unwrap();
+    let bounded = "scene.contraction=none";
+    let (config, findings) = planned(&views(false), &[bounded]).unwrap();
     assert_eq!((config.loss.opacity, config.data.background), (0.0, [1.0, 0.0, 0.0]), "{findings:?}");
-    let error = planned(&views(false), &["loss.opacity=0.1"]).unwrap_err();
+    // Rays of contracted space end somewhere: their opacity is known without alpha.
+    let (config, findings) = planned(&views(false), &[]).unwrap();
+    assert_eq!((config.loss.opacity, config.data.background), (0.1, [1.0, 0.0, 0.0]), "{findings:?}");
+    let (config, _) = planned(&views(false), &["loss.opacity=0.3"]).unwrap();
+    assert_eq!(config.loss.opacity, 0.3, "what is given stays");
+    let error = planned(&views(false), &["loss.opacity=0.1", bounded]).unwrap_err();
     assert!(error.exit_code() == 2 && error.message.contains("no alpha"), "{error}");
     let (config, _) = planned(&views(true), &["loss.opacity=0.0"]).unwrap();
     assert_eq!(config.loss.opacity, 0.0, "what is given stays");
 }
 
 #[test]
+fn places_have_thin_surfaces_and_objects_keep_their_settings() {
+    let of = |alpha: bool, set: &[&str]| {
+        let config = planned(&views(alpha), set).unwrap().0;
+        (config.loss.distortion, config.renderer.min_transmittance, config.renderer.min_weight)
+    };
+    let Config { loss, renderer, .. } = Config::default();
+    let defaults = (loss.distortion, renderer.min_transmittance, renderer.min_weight);
+    assert_eq!(of(false, &[]), (0.001, 0.02, 0.002));
+    assert_eq!(of(false, &["renderer.min_weight=0.01"]), (0.001, 0.02, 0.01), "what is given stays");
+    for (alpha, set) in
+        [(true, &[][..]), (false, &["scene.contraction=none"]), (false, &["plan.surfaces=off"])]
+    {
+        assert_eq!(of(alpha, set), defaults, "{set:?}");
+    }
+}
+
+#[test]
 fn what_masks_ignore_is_neither_empty_nor_of_any_colour() {
     let ignored = ViewSet { alpha: Alpha::Kept, ..views(true) };
-    let (config, findings) = planned(&ignored, &[]).unwrap();
+    let (config, findings) = planned(&ignored, &["scene.contraction=none"]).unwrap();
     // Kept pixels are red, and so are those of the silhouettes that are not there.
     assert_eq!((config.loss.opacity, config.data.background), (0.0, [1.0, 0.0, 0.0]), "{findings:?}");
     assert!(!config.occupancy.hull && config.data.edge_exponents.is_empty());
@@ -233,7 +256,7 @@ fn what_masks_ignore_is_neither_empty_nor_of_any_colour() {
         planned(&views, &[]).unwrap().0
     };
     assert_eq!(garbage([255; 3]), garbage([0, 40, 80]));
-    let error = planned(&ignored, &["loss.opacity=0.1"]).unwrap_err();
+    let error = planned(&ignored, &["loss.opacity=0.1", "scene.contraction=none"]).unwrap_err();
     assert!(error.exit_code() == 2 && error.message.contains("no alpha"), "{error}");
 }
 
