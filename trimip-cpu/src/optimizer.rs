@@ -145,10 +145,14 @@ impl Kernel for Lines<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self) -> u64 {
         let Self { rule, scale, group, parameters, m, v, gradient } = self;
-        // A first pass only checks, so that the pass that writes has no branch and is vectorised.
-        let square = |g: f32| (g * scale) * (g * scale);
-        let finite = gradient.iter().fold(0.0_f32, |sum, &g| sum + square(g) * 0.0) == 0.0;
         // Slots are padded to whole lines; arrays of fixed length are vectorised.
+        // A first pass only checks, so that the pass that writes has no branch.
+        let square = |g: f32| (g * scale) * (g * scale);
+        let mut check = [0.0; ALIGNMENT];
+        for gradient in gradient.as_chunks::<ALIGNMENT>().0 {
+            (0..ALIGNMENT).for_each(|i| check[i] += square(gradient[i]) * 0.0);
+        }
+        let finite = check == [0.0; ALIGNMENT];
         let moments = m.as_chunks_mut::<ALIGNMENT>().0.iter_mut().zip(v.as_chunks_mut::<ALIGNMENT>().0);
         let lines = parameters.as_chunks_mut::<ALIGNMENT>().0.iter_mut().zip(moments);
         let mut skipped = 0;
@@ -156,26 +160,47 @@ impl Kernel for Lines<'_> {
             if group.is_some() && gradient.iter().all(|g| *g == 0.0) {
                 continue;
             }
-            let mut update = |i: usize| {
-                if finite || square(gradient[i]).is_finite() {
+            if finite {
+                // All lanes are computed, and those of groups without a gradient keep what they had: no branch.
+                let (mut new, mut new_m, mut new_v) = (*parameters, *m, *v);
+                for i in 0..ALIGNMENT {
+                    rule.apply(&mut new[i], &mut new_m[i], &mut new_v[i], gradient[i] * scale);
+                }
+                let moved = moved(gradient, group);
+                for i in 0..ALIGNMENT {
+                    parameters[i] = if moved[i] { new[i] } else { parameters[i] };
+                    m[i] = if moved[i] { new_m[i] } else { m[i] };
+                    v[i] = if moved[i] { new_v[i] } else { v[i] };
+                }
+                continue;
+            }
+            let moved = moved(gradient, group);
+            for i in (0..ALIGNMENT).filter(|i| moved[*i]) {
+                if square(gradient[i]).is_finite() {
                     rule.apply(&mut parameters[i], &mut m[i], &mut v[i], gradient[i] * scale);
                 } else {
                     skipped += 1;
                 }
-            };
-            match group {
-                Some(group) if group < ALIGNMENT => {
-                    for first in (0..ALIGNMENT).step_by(group) {
-                        if gradient[first..first + group].iter().any(|g| *g != 0.0) {
-                            (first..first + group).for_each(&mut update);
-                        }
-                    }
-                }
-                _ => (0..ALIGNMENT).for_each(update),
             }
         }
         skipped
     }
+}
+
+/// The lanes of a line whose group has a gradient; a line has whole groups, or is within one.
+#[inline(always)]
+fn moved(gradient: &[f32; ALIGNMENT], group: Option<usize>) -> [bool; ALIGNMENT] {
+    let Some(group) = group.filter(|group| *group < ALIGNMENT) else { return [true; ALIGNMENT] };
+    let mut any = gradient.map(|g| g != 0.0);
+    for step in [1, 2, 4, 8] {
+        if step < group {
+            let before = any;
+            for i in 0..ALIGNMENT {
+                any[i] |= before[i ^ step];
+            }
+        }
+    }
+    any
 }
 
 #[cfg(test)]
