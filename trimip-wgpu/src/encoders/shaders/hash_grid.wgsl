@@ -39,11 +39,14 @@ fn downweight(scale: f32, deviation: f32) -> f32 {
     if WEIGHTED == 1u {
         let cells = deviation * (scale + 1.0);
         if cells > 1e-3 {
-            // The error function (Abramowitz and Stegun, 7.1.26).
-            let x = 0.35355339 / cells;
-            let t = 1.0 / (1.0 + 0.3275911 * x);
-            let sum = ((((1.061405429 * t - 1.453152027) * t + 1.421413741) * t - 0.284496736) * t + 0.254829592) * t;
-            level_weight = 1.0 - sum * exp(-x * x);
+            // The error function (Abramowitz and Stegun, 7.1.28).
+            let x = min(0.35355339 / cells, 4.0);
+            let sum = (((((4.30638e-5 * x + 2.765672e-4) * x + 1.520143e-4) * x + 9.2705272e-3) * x + 4.22820123e-2) * x
+                + 7.05230784e-2) * x;
+            let by_2 = (1.0 + sum) * (1.0 + sum);
+            let by_4 = by_2 * by_2;
+            let by_8 = by_4 * by_4;
+            level_weight = 1.0 - 1.0 / (by_8 * by_8);
         }
     }
     return level_weight / f32(POINTS);

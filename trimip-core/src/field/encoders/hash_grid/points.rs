@@ -85,13 +85,18 @@ pub fn level_weight<R: Real>(scale: f32, deviation: R) -> R {
     if !(cells > R::from_f64(1e-3)) { R::one() } else { erf(R::from_f64(8_f64.sqrt().recip()) / cells) }
 }
 
-/// The error function of a number above zero, within 1.5e-7 (Abramowitz and Stegun, 7.1.26).
+/// The error function of a number above zero, within 3e-7 (Abramowitz and Stegun, 7.1.28): products and a quotient alone, which
+/// every processor computes for many numbers at once.
 #[inline(always)]
 fn erf<R: Real>(x: R) -> R {
-    let t = (R::one() + R::from_f64(0.327_591_1) * x).recip();
-    let factors = [1.061_405_429, -1.453_152_027, 1.421_413_741, -0.284_496_736, 0.254_829_592];
-    let sum = factors.into_iter().fold(R::zero(), |sum, factor| (sum + R::from_f64(factor)) * t);
-    R::one() - sum * (-x * x).exp()
+    // The rest to 1 is less than 2e-8 from there on.
+    let x = x.min(R::from_f64(4.0));
+    let factors = [4.306_38e-5, 2.765_672e-4, 1.520_143e-4, 9.270_527_2e-3, 4.228_201_23e-2, 7.052_307_84e-2];
+    let sum = factors.into_iter().fold(R::zero(), |sum, factor| (sum + R::from_f64(factor)) * x);
+    let by_2 = (R::one() + sum) * (R::one() + sum);
+    let (by_4, one) = (by_2 * by_2, R::one());
+    let by_8 = by_4 * by_4;
+    one - (by_8 * by_8).recip()
 }
 
 /// Two unit vectors that are orthogonal to a unit vector and to each other.
@@ -155,7 +160,7 @@ mod tests {
             let steps = 20_000;
             let step = x / f64::from(steps);
             let sum: f64 = (0..steps).map(|i| (-((f64::from(i) + 0.5) * step).powi(2)).exp() * step).sum();
-            assert!((erf(x) - 2.0 / std::f64::consts::PI.sqrt() * sum).abs() < 2e-7, "{x}");
+            assert!((erf(x) - 2.0 / std::f64::consts::PI.sqrt() * sum).abs() < 3e-7, "{x}");
         }
     }
 }
