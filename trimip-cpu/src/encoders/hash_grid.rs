@@ -3,12 +3,12 @@
 
 use super::{Encoding, GradientMemory, Places};
 use crate::buffer::{Buffer, take_mut};
-use crate::simd::{Kernel, Lanes, Simd};
+use crate::simd::{Kernel, Lanes, Simd, fetch};
 use crate::wire::{Reader, put_counted};
 use rayon::prelude::*;
 use trimip_core::engine::batch::Sphere;
 use trimip_core::field::encoders::SamplePosition;
-use trimip_core::field::encoders::hash_grid::{Level, Levels, Points};
+use trimip_core::field::encoders::hash_grid::{Level, Levels, PRIMES, Points};
 use trimip_core::{Aabb, Config, Result};
 
 /// Levels of the grid and the instruction set.
@@ -21,10 +21,14 @@ pub(crate) struct Grid {
 /// A place in the unit cube, and the standard deviation around it in longest sides of the box.
 type Point = [f32; 4];
 
-/// The points of samples and the gradients of their features, [samples, width].
+/// Points whose corners are computed together: one register of each.
+const BLOCK: usize = 16;
+
+/// The points of samples and the gradients of their features.
 pub(crate) struct Gradient {
     places: Buffer<Point>,
-    rows: Buffer<f32>,
+    /// By level: [samples, features].
+    rows: Vec<Buffer<f32>>,
 }
 
 impl Grid {
@@ -43,7 +47,8 @@ impl Encoding for Grid {
     }
 
     fn gradient(&self) -> Gradient {
-        Gradient { places: Buffer::zeros(0), rows: Buffer::zeros(0) }
+        let rows = self.levels.levels.iter().map(|_| Buffer::zeros(0)).collect();
+        Gradient { places: Buffer::zeros(0), rows }
     }
 
     fn forward(&self, at: Places<'_>, context: &mut [f32], features: &mut [f32], stride: usize) {
@@ -78,10 +83,13 @@ impl Encoding for Grid {
         stride: usize,
         gradient: &mut Gradient,
     ) {
-        let (first, width) = (gradient.rows.len(), self.levels.width());
-        gradient.rows.resize(first + at.spheres.len() * width);
-        let own = gradient.rows[first..].chunks_exact_mut(width).zip(rows.chunks_exact(stride));
-        own.for_each(|(own, row)| own.copy_from_slice(&row[..width]));
+        let width = self.levels.features;
+        for (level, own) in gradient.rows.iter_mut().enumerate() {
+            let first = own.len();
+            own.resize(first + at.spheres.len() * width);
+            let pairs = own[first..].chunks_exact_mut(width).zip(rows.chunks_exact(stride));
+            pairs.for_each(|(own, row)| own.copy_from_slice(&row[level * width..][..width]));
+        }
         let points = self.points(at, context);
         let first = gradient.places.len();
         gradient.places.resize(first + points.len());
@@ -90,43 +98,151 @@ impl Encoding for Grid {
 
     fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
         let Self { simd, levels: Levels { levels, features }, points } = self;
-        let (mut rest, width) = (parameter_gradient, levels.len() * *features);
+        let mut rest = parameter_gradient;
         let tables = levels.iter().map(|level| take_mut(&mut rest, level.entries as usize * *features));
         let work: Vec<(usize, &mut [f32])> = tables.enumerate().collect();
         let from: &[&mut Gradient] = gradients;
-        work.into_par_iter().with_max_len(1).for_each(|(index, table)| {
+        // The finest levels first: their entries are scattered most.
+        work.into_par_iter().rev().with_max_len(1).for_each(|(index, table)| {
             table.fill(0.0);
             let level = Level { first: 0, ..levels[index] };
-            let column = index * *features;
             match *features {
-                1 => simd.run(Add::<1> { level, points, from, column, width, table }),
-                2 => simd.run(Add::<2> { level, points, from, column, width, table }),
-                4 => simd.run(Add::<4> { level, points, from, column, width, table }),
-                _ => simd.run(Add::<8> { level, points, from, column, width, table }),
+                1 => simd.run(Add::<1> { level, points, from, index, table }),
+                2 => simd.run(Add::<2> { level, points, from, index, table }),
+                4 => simd.run(Add::<4> { level, points, from, index, table }),
+                _ => simd.run(Add::<8> { level, points, from, index, table }),
             }
         });
         for gradient in gradients {
             gradient.places.clear();
-            gradient.rows.clear();
+            gradient.rows.iter_mut().for_each(Buffer::clear);
         }
     }
 
     fn put(&self, gradient: &Gradient, out: &mut Vec<u8>) {
         put_counted(out, &gradient.places);
-        put_counted(out, &gradient.rows);
+        gradient.rows.iter().for_each(|rows| put_counted(out, rows));
     }
 
     fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) -> Result<()> {
         from.buffer(&mut gradient.places)?;
-        from.buffer(&mut gradient.rows)?;
         let points = if self.points.is_plain() { 1 } else { self.points.count };
-        from.expect("points", gradient.places.len() * self.levels.width(), gradient.rows.len() * points)
+        for rows in &mut gradient.rows {
+            from.buffer(rows)?;
+            from.expect("points", gradient.places.len() * self.levels.features, rows.len() * points)?;
+        }
+        Ok(())
     }
 
     fn gradient_memory(config: &Config) -> GradientMemory {
         let width = Levels::new(&config.hash_grid).width();
         let points = config.hash_grid.points as usize * size_of::<Point>();
         GradientMemory { by_sample: width * size_of::<f32>() + points, by_partial: 0 }
+    }
+}
+
+/// The eight entries around each point of a block in one level, and their weights.
+struct Corners {
+    entries: [[u32; BLOCK]; 8],
+    weights: [[f32; BLOCK]; 8],
+}
+
+impl Corners {
+    /// As [`Level::corners`], for places [axis, point]; weights are multiplied by `level_weights`.
+    #[inline(always)]
+    fn of(level: &Level, places: &[[f32; BLOCK]; 3], level_weights: &[f32; BLOCK]) -> Self {
+        let (mut parts, mut fractions) = ([[[0; BLOCK]; 2]; 3], [[[0.0; BLOCK]; 2]; 3]);
+        let strides = if level.hashed { PRIMES } else { [1, level.side, level.side * level.side] };
+        for axis in 0..3 {
+            for i in 0..BLOCK {
+                let place = places[axis][i] * level.scale + 0.5;
+                // The place is not negative.
+                let lower = place as i32;
+                let fraction = place - lower as f32;
+                fractions[axis][0][i] = 1.0 - fraction;
+                fractions[axis][1][i] = fraction;
+                parts[axis][0][i] = (lower as u32).wrapping_mul(strides[axis]);
+                parts[axis][1][i] = parts[axis][0][i].wrapping_add(strides[axis]);
+            }
+        }
+        let mut all = Self { entries: [[0; BLOCK]; 8], weights: [[0.0; BLOCK]; 8] };
+        for corner in 0..8 {
+            let [x, y, z] = [0, 1, 2].map(|axis| corner >> axis & 1);
+            let (entries, weights) = (&mut all.entries[corner], &mut all.weights[corner]);
+            for i in 0..BLOCK {
+                let weight = fractions[0][x][i] * fractions[1][y][i] * fractions[2][z][i];
+                weights[i] = level_weights[i] * weight;
+                let [a, b, c] = [parts[0][x][i], parts[1][y][i], parts[2][z][i]];
+                let entry = match level.hashed {
+                    true => (a ^ b ^ c) & (level.entries - 1),
+                    false => {
+                        // Corners beyond the last one begin anew; there are fewer than twice as many as entries.
+                        let entry = a + b + c;
+                        if entry < level.entries { entry } else { entry - level.entries }
+                    }
+                };
+                entries[i] = level.first + entry;
+            }
+        }
+        all
+    }
+
+    /// Prefetches the entries of the first `count` points. Narrow entries that are neighbours along the first axis mostly share
+    /// a cache line.
+    #[inline(always)]
+    fn fetch<const F: usize>(&self, table: &[[f32; F]], count: usize) {
+        for corner in (0..8).step_by(if F < 4 { 2 } else { 1 }) {
+            for entry in &self.entries[corner][..count] {
+                fetch(table.as_ptr().wrapping_add(*entry as usize));
+            }
+        }
+    }
+}
+
+/// A block of points.
+struct Block {
+    /// [axis, point].
+    places: [[f32; BLOCK]; 3],
+    deviations: [f32; BLOCK],
+    /// The sample of each point.
+    owners: [usize; BLOCK],
+    count: usize,
+}
+
+impl Block {
+    /// At most [`BLOCK`] points, of which the first is point `first` of all; `reads` tells how many each sample has.
+    #[inline(always)]
+    fn new(points: &[Point], first: usize, reads: &Points<f32>) -> Self {
+        let mut block = Self {
+            places: [[0.5; BLOCK]; 3],
+            deviations: [0.0; BLOCK],
+            owners: [0; BLOCK],
+            count: points.len(),
+        };
+        for (i, [x, y, z, deviation]) in points.iter().enumerate() {
+            (block.places[0][i], block.places[1][i], block.places[2][i]) = (*x, *y, *z);
+            block.deviations[i] = *deviation;
+            block.owners[i] = if reads.count == 1 { first + i } else { (first + i) / reads.count };
+        }
+        block
+    }
+
+    /// The block of a gradient's points from `first` on, and its corners; `None` behind the last one.
+    #[inline(always)]
+    fn of(gradient: &Gradient, first: usize, level: &Level, reads: &Points<f32>) -> Option<(Self, Corners)> {
+        let points = gradient.places.get(first..).filter(|points| !points.is_empty())?;
+        let block = Self::new(&points[..points.len().min(BLOCK)], first, reads);
+        let corners = block.corners(level, reads);
+        Some((block, corners))
+    }
+
+    #[inline(always)]
+    fn corners(&self, level: &Level, reads: &Points<f32>) -> Corners {
+        let weights = match reads.is_plain() {
+            true => [1.0; BLOCK],
+            false => self.deviations.map(|deviation| reads.level_weight(level, deviation)),
+        };
+        Corners::of(level, &self.places, &weights)
     }
 }
 
@@ -145,22 +261,31 @@ impl<const F: usize> Kernel for Read<'_, F> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { levels, reads, table, places, features, stride } = self;
+        let Self { levels: Levels { levels, .. }, reads, table, places, features, stride } = self;
         let (entries, _) = table.as_chunks::<F>();
-        let plain = reads.is_plain();
-        for (points, row) in places.chunks_exact(reads.count).zip(features.chunks_exact_mut(stride)) {
-            let (read, padding) = row.split_at_mut(levels.width());
-            padding.fill(0.0);
-            for (level, out) in levels.levels.iter().zip(read.as_chunks_mut::<F>().0) {
-                let mut sum = [0.0; F];
-                for [x, y, z, deviation] in points {
-                    let level_weight = if plain { 1.0 } else { reads.level_weight(level, *deviation) };
-                    for (entry, weight) in level.corners([*x, *y, *z]) {
-                        let values = &entries[entry as usize];
-                        (0..F).for_each(|i| sum[i] += level_weight * weight * values[i]);
-                    }
+        features[..places.len() / reads.count * stride].fill(0.0);
+        for (index, points) in places.chunks(BLOCK).enumerate() {
+            let block = Block::new(points, index * BLOCK, reads);
+            let mut corners = block.corners(&levels[0], reads);
+            for level in 0..levels.len() {
+                // The entries of the next level are on their way while those of this one are read.
+                let next = levels.get(level + 1).map(|next| block.corners(next, reads));
+                if let Some(next) = &next {
+                    next.fetch(entries, block.count);
                 }
-                *out = sum;
+                for i in 0..block.count {
+                    let out = &mut features[block.owners[i] * stride + level * F..][..F];
+                    let mut sum = [0.0; F];
+                    for corner in 0..8 {
+                        let values = entries[corners.entries[corner][i] as usize];
+                        let weight = corners.weights[corner][i];
+                        sum = std::array::from_fn(|f| sum[f] + weight * values[f]);
+                    }
+                    (0..F).for_each(|f| out[f] += sum[f]);
+                }
+                if let Some(next) = next {
+                    corners = next;
+                }
             }
         }
     }
@@ -171,10 +296,8 @@ struct Add<'a, const F: usize> {
     level: Level,
     points: &'a Points<f32>,
     from: &'a [&'a mut Gradient],
-    /// Column of the level's first feature in a row.
-    column: usize,
-    /// Floats in a row.
-    width: usize,
+    /// Index of the level.
+    index: usize,
     table: &'a mut [f32],
 }
 
@@ -182,19 +305,56 @@ impl<const F: usize> Kernel for Add<'_, F> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { level, points, from, column, width, table } = self;
+        let Self { level, points: reads, from, index, table } = self;
         let (entries, _) = table.as_chunks_mut::<F>();
-        let plain = points.is_plain();
         for gradient in from {
-            let samples = gradient.places.chunks_exact(points.count);
-            for (places, row) in samples.zip(gradient.rows.chunks_exact(width)) {
-                let row = &row[column..column + F];
-                for [x, y, z, deviation] in places {
-                    let level_weight = if plain { 1.0 } else { points.level_weight(&level, *deviation) };
-                    for (entry, weight) in level.corners([*x, *y, *z]) {
-                        let values = &mut entries[entry as usize];
-                        (0..F).for_each(|i| values[i] += level_weight * weight * row[i]);
+            let (rows, _) = gradient.rows[index].as_chunks::<F>();
+            let mut next = Block::of(gradient, 0, &level, reads);
+            let mut first = 0;
+            while let Some((block, corners)) = next {
+                first += BLOCK;
+                next = Block::of(gradient, first, &level, reads);
+                if let Some((block, next)) = &next {
+                    next.fetch(entries, block.count);
+                }
+                for i in 0..block.count {
+                    let row = rows[block.owners[i]];
+                    for corner in 0..8 {
+                        let place = corners.entries[corner][i] as usize;
+                        let weight = corners.weights[corner][i];
+                        let before = entries[place];
+                        entries[place] = std::array::from_fn(|f| before[f] + weight * row[f]);
                     }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_have_the_corners_of_their_points() {
+        let levels = Levels::new(&trimip_core::config::HashGridConfig {
+            log2_entries: 12,
+            ..Config::default().hash_grid
+        });
+        let place = |i: usize, axis: usize| match i {
+            0 => 0.0,
+            1 => 1.0,
+            _ => ((i * 37 + axis * 11) % 101) as f32 / 101.0,
+        };
+        let places = std::array::from_fn(|axis| std::array::from_fn(|i| place(i, axis)));
+        let level_weights = std::array::from_fn(|i| 1.0 / (1 + i) as f32);
+        for level in &levels.levels {
+            let found = Corners::of(level, &places, &level_weights);
+            for i in 0..BLOCK {
+                let expected = level.corners::<f32>(std::array::from_fn(|axis| places[axis][i]));
+                for (corner, (entry, weight)) in expected.into_iter().enumerate() {
+                    assert_eq!(found.entries[corner][i], entry, "{level:?} point {i}");
+                    assert_eq!(found.weights[corner][i], level_weights[i] * weight, "{level:?} point {i}");
                 }
             }
         }
