@@ -41,7 +41,7 @@ section!(
 section!(
     /// What the scene plan may derive from the data and the budget, and what it may leave out.
     PlanConfig, "plan" {
-        aabb: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, surfaces: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
+        aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, surfaces: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }
 );
 section!(

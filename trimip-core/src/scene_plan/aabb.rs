@@ -5,7 +5,7 @@ use super::common_view::{COMMON, cameras, common_view, focus};
 use super::decision::{Context, Proposal};
 use super::facts::Facts;
 use super::fineness::significant;
-use super::{leave_out::saved, tri_mip};
+use super::{hash_grid, leave_out::saved, tri_mip};
 use crate::config::{Contraction, PlaneShape};
 use crate::field::encoders::tri_mip::Pyramid;
 use crate::{Aabb, Camera, Config, scene::silhouettes};
@@ -114,10 +114,12 @@ fn unbounded(context: &Context<'_>) -> Option<Proposal> {
         ("scene.contraction", Value::String("ball".into())),
         ("scene.aabb_min", corner(sized.scene.aabb_min)),
         ("scene.aabb_max", corner(sized.scene.aabb_max)),
-        ("encoder.shape", Value::String("box".into())),
-        ("encoder.plane_size", Value::Integer(sized.encoder.plane_size.into())),
         ("renderer.steps_per_diagonal", Value::Integer(steps.ceil().clamp(STEPS[0], STEPS[1]) as i64)),
     ];
+    if !hash_grid::encodes_places(context) {
+        changes.push(("encoder.shape", Value::String("box".into())));
+        changes.push(("encoder.plane_size", Value::Integer(sized.encoder.plane_size.into())));
+    }
     if !context.given("scene.up") {
         changes.push(("scene.up", corner(up(facts).to_array().map(|x| x as f32))));
     }

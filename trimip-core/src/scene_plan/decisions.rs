@@ -1,15 +1,21 @@
 //! The decisions of the scene plan, in their order.
 
 use super::decision::Decision;
-use super::{aabb, cones, detail, leave_out, recipe, tri_mip};
+use super::{aabb, cones, detail, hash_grid, leave_out, recipe, tri_mip};
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 13] = [
+pub(super) const DECISIONS: [Decision; 14] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
         choice: |config| config.plan.aabb,
         decide: aabb::find,
+    },
+    Decision {
+        key: "encoder",
+        owns: &["encoder.kind"],
+        choice: |config| config.plan.encoder,
+        decide: hash_grid::for_places,
     },
     Decision {
         key: "background",

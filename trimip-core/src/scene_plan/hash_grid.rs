@@ -1,12 +1,67 @@
-//! Decisions for the hash grid: the resolution of its finest level.
+//! Decisions for the hash grid: when it is the encoder, its levels, and the resolution of its finest level.
 
-use super::decision::Context;
+use super::decision::{Context, Proposal};
 use super::fineness::{self, Fineness};
 use crate::Aabb;
+use crate::config::{Contraction, EncoderKind, PlanChoice};
 use toml::Value;
+
+/// Levels and features per entry in places: a step reads half as many entries as with instant-ngp's 16 levels of two features.
+const LEVELS: [i64; 2] = [8, 4];
+
+/// log2 of the entries per level in places, for budgets of fewer samples than the first number. Few entries stay in a
+/// processor's cache and are hit by many rays; many collide less.
+const ENTRIES: [(f64, i64); 2] = [(1e9, 17), (f64::INFINITY, 19)];
+
+/// Learning rates in places: of the networks, and of the features as a multiple of it. Networks that learn as slowly as those of
+/// planes leave density in front of the cameras.
+const RATES: [f64; 2] = [5e-3, 16.0];
+
+/// Fraction of the occupancy cells sampled per update in places, whose steps are small.
+const PROBED: f64 = 0.02;
 
 /// Best width of the finest cells in pixel footprints: finer ones are hit by fewer rays and collide more often.
 const CELL: f64 = 1.3;
+
+/// True if [`for_places`] will choose the encoder once space is contracted: nobody chose one, or a setting of one.
+pub(super) fn encodes_places(context: &Context<'_>) -> bool {
+    let of_another = |path: &str| context.given(path) && !EncoderKind::HashGrid.takes(path);
+    match context.configured.plan.encoder {
+        PlanChoice::Auto => {
+            !context.given("encoder.kind") && !context.given.iter().any(|(path, ..)| of_another(path))
+        }
+        PlanChoice::On => true,
+        PlanChoice::Off => false,
+    }
+}
+
+/// The encoder of places: product planes hold one object, and a room has more detail than they can.
+pub(super) fn for_places(context: &Context<'_>) -> Proposal {
+    if context.now.scene.contraction == Contraction::None {
+        return Proposal::Keep("the scene is bounded".into());
+    }
+    if !encodes_places(context) {
+        return Proposal::Keep("settings of another encoder are given".into());
+    }
+    let samples = context.budget();
+    let entries = ENTRIES.iter().find(|(most, _)| samples < *most).map_or(19, |(_, entries)| *entries);
+    let [levels, features] = LEVELS;
+    let mut changes = vec![
+        ("encoder.kind", Value::String("hash-grid".into())),
+        ("hash_grid.levels", Value::Integer(levels)),
+        ("hash_grid.features", Value::Integer(features)),
+        ("hash_grid.log2_entries", Value::Integer(entries)),
+        ("hash_grid.downweight", Value::Boolean(true)),
+        ("occupancy.fraction", Value::Float(PROBED)),
+        ("optimizer.learning_rate", Value::Float(RATES[0])),
+        ("hash_grid.rate", Value::Float(RATES[1])),
+    ];
+    changes.retain(|(path, _)| !context.given(path));
+    Proposal::Set {
+        reason: "places have more detail than three planes hold; features of cells narrower than a sample are weighed down".into(),
+        changes,
+    }
+}
 
 /// A finest level whose cells follow the footprint of a pixel, never finer than configured.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {

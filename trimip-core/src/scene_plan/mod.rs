@@ -98,15 +98,21 @@ fn take(
             Err(Error::input(format!("plan.{}", decision.key), reason, advice))
         }
         Proposal::Unknown(reason, _) => Ok(finding(false, reason, Vec::new())),
-        Proposal::Set { reason, mut changes } | Proposal::LeaveOut { reason, mut changes } => {
-            // A decision that knows tri-mip planes says nothing of another encoder.
-            changes.retain(|(path, _)| now.encoder.kind.takes(path));
-            let left_out = left_out && !changes.is_empty();
+        Proposal::Set { reason, changes } | Proposal::LeaveOut { reason, changes } => {
+            let mut kind = now.encoder.kind;
             let mut told = Vec::new();
+            // A decision that knows tri-mip planes says nothing of another encoder.
+            let left_out = left_out && changes.iter().any(|(path, _)| kind.takes(path));
             for (path, value) in changes {
+                if !kind.takes(path) {
+                    continue;
+                }
                 let from = settings.value(path);
                 settings.decide(path, &value.to_string())?;
                 let to = settings.value(path);
+                if path == "encoder.kind" {
+                    kind = Config::from_settings(settings)?.encoder.kind;
+                }
                 if from != to {
                     told.push(Change { path: path.into(), from, to });
                 }

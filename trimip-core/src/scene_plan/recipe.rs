@@ -4,7 +4,7 @@
 use super::decision::{Context, Proposal};
 use super::tri_mip;
 use crate::config::{Contraction, Precision};
-use crate::{ViewSet, scene::silhouettes};
+use crate::{Config, ViewSet, scene::silhouettes};
 use toml::Value;
 
 /// Weight of the opacity loss where opacity is known: it makes models solid.
@@ -22,6 +22,9 @@ const OPAQUE: u8 = 255;
 
 /// Best size of the networks for budgets of fewer samples than the first number; the last has no limit.
 const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
+
+/// Least size of the networks in places: with narrower ones, density stays in front of the cameras.
+const PLACE_WIDTH: u32 = 64;
 
 /// Budgets in samples from which the final marching step is the uniform step, and half of it.
 const FINE_STEPS: [f64; 2] = [1.5e9, 4e9];
@@ -150,6 +153,10 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     let samples = context.budget();
     let long = samples >= FINE_STEPS[0];
     let hidden = WIDTHS.iter().find(|(most, _)| samples < *most).map_or(WIDEST, |(_, hidden)| *hidden);
+    let hidden = match config.scene.contraction {
+        Contraction::None => hidden,
+        Contraction::Ball => hidden.max(PLACE_WIDTH),
+    };
     let per_step = match samples {
         _ if compute.wide => WIDE_BATCH,
         _ if long => LONG_BATCH,

@@ -1,7 +1,7 @@
 //! Whole plans of small scenes.
 
 use super::*;
-use crate::config::{Contraction, FilePrecision};
+use crate::config::{Contraction, EncoderKind, FilePrecision};
 use crate::field::encoders::tri_mip::Pyramid;
 use crate::scene::cones::PixelPattern;
 use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
@@ -239,6 +239,43 @@ fn places_have_thin_surfaces_and_objects_keep_their_settings() {
     {
         assert_eq!(of(alpha, set), defaults, "{set:?}");
     }
+}
+
+#[test]
+fn places_have_a_hash_grid_unless_an_encoder_is_given() {
+    let of = |alpha: bool, set: &[&str]| planned(&views(alpha), set).unwrap();
+    let (config, findings) = of(false, &[]);
+    assert_eq!(config.encoder.kind, EncoderKind::HashGrid, "{findings:?}");
+    let grid = &config.hash_grid;
+    assert_eq!((grid.levels, grid.features, grid.log2_entries, grid.downweight), (8, 4, 17, true));
+    let changes = || findings.iter().flat_map(|finding| &finding.changes);
+    assert!(changes().all(|change| !change.path.starts_with("encoder.") || change.path == "encoder.kind"));
+    let (config, _) = of(false, &["plan.encoder=on", "encoder.kind=hash-grid", "hash_grid.levels=12"]);
+    assert_eq!((config.hash_grid.levels, config.hash_grid.features), (12, 4), "what is given stays");
+    for (alpha, set) in [
+        (true, &[][..]),
+        (false, &["scene.contraction=none"]),
+        (false, &["plan.encoder=off"]),
+        (false, &["encoder.kind=tri-mip"]),
+        (false, &["encoder.plane_size=256"]),
+    ] {
+        let (config, findings) = of(alpha, set);
+        assert_eq!(config.encoder.kind, EncoderKind::TriMip, "{set:?} {findings:?}");
+        assert_eq!(config.occupancy.fraction, Config::default().occupancy.fraction, "{set:?}");
+    }
+    // A long run has more entries.
+    let (config, _) = of(false, &["train.seconds=1e5"]);
+    assert_eq!(config.hash_grid.log2_entries, 19);
+}
+
+/// A continued run takes the decisions of its start as they are told.
+#[test]
+fn decisions_on_the_encoder_are_adopted() {
+    let train = views(false);
+    let (config, findings) = planned(&train, &[]).unwrap();
+    let mut settings = Settings::defaults();
+    adopt(&mut settings, &findings).unwrap();
+    assert_eq!(Config::from_settings(&settings).unwrap(), config);
 }
 
 #[test]
