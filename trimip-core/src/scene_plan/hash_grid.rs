@@ -2,6 +2,7 @@
 
 use super::decision::{Context, Proposal};
 use super::fineness::{self, Fineness};
+use super::recipe;
 use crate::Aabb;
 use crate::config::{Contraction, EncoderKind, PlanChoice};
 use toml::Value;
@@ -23,12 +24,15 @@ const PROBED: f64 = 0.02;
 /// Best width of the finest cells in pixel footprints: finer ones are hit by fewer rays and collide more often.
 const CELL: f64 = 1.3;
 
-/// True if [`for_places`] will choose the encoder once space is contracted: nobody chose one, or a setting of one.
+/// True if [`for_places`] will choose the encoder once space is contracted: there are many pixels, and nobody chose an
+/// encoder or a setting of one.
 pub(super) fn encodes_places(context: &Context<'_>) -> bool {
     let of_another = |path: &str| context.given(path) && !EncoderKind::HashGrid.takes(path);
     match context.configured.plan.encoder {
         PlanChoice::Auto => {
-            !context.given("encoder.kind") && !context.given.iter().any(|(path, ..)| of_another(path))
+            recipe::has_many_pixels(context.facts.train)
+                && !context.given("encoder.kind")
+                && !context.given.iter().any(|(path, ..)| of_another(path))
         }
         PlanChoice::On => true,
         PlanChoice::Off => false,
@@ -41,7 +45,11 @@ pub(super) fn for_places(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("the scene is bounded".into());
     }
     if !encodes_places(context) {
-        return Proposal::Keep("settings of another encoder are given".into());
+        let reason = match recipe::has_many_pixels(context.facts.train) {
+            true => "settings of another encoder are given",
+            false => "the photographs have few pixels: planes are smoother where none of them looks",
+        };
+        return Proposal::Keep(reason.into());
     }
     let samples = context.budget();
     let entries = ENTRIES.iter().find(|(most, _)| samples < *most).map_or(19, |(_, entries)| *entries);

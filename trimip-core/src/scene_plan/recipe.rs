@@ -14,6 +14,10 @@ const OPACITY: f64 = 0.1;
 /// density in front of the cameras.
 const DISTORTION: f64 = 1e-3;
 
+/// Fewest pixels of a place's photographs for a hash grid and opaque rays: with fewer, a grid has more values than they have,
+/// and explains each photograph by density of its own in front of the camera.
+const MANY_PIXELS: usize = 1 << 20;
+
 /// Transmittance and weight below which a place's samples are dropped: they show less than a pixel's rounding.
 const FAINT: [f64; 2] = [0.02, 0.002];
 
@@ -114,9 +118,19 @@ pub(super) fn knows_opacity(config: &Config, views: &ViewSet) -> bool {
     has_alpha(views) || config.scene.contraction != Contraction::None
 }
 
+/// True if the photographs have more values than the encoder of places.
+pub(super) fn has_many_pixels(views: &ViewSet) -> bool {
+    views.scales.first().is_some_and(|finest| finest.pixels.len() >= MANY_PIXELS)
+}
+
 pub(super) fn solids(context: &Context<'_>) -> Proposal {
     if !knows_opacity(context.now, context.facts.train) {
         return Proposal::Keep("the photographs have no alpha that opacity could be compared with".into());
+    }
+    if !has_alpha(context.facts.train) && !has_many_pixels(context.facts.train) {
+        return Proposal::Keep(
+            "with so few pixels, what is opaque would stand in front of the cameras".into(),
+        );
     }
     let known = match has_alpha(context.facts.train) {
         true => "the photographs have alpha: opacity is compared with it",

@@ -7,14 +7,19 @@ use crate::scene::cones::PixelPattern;
 use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
 use glam::DVec3;
 
-/// Views of a ball of radius 0.4 around (0.5, 0, 0), at two scales.
+/// Sixteen views of a ball of radius 0.4 around (0.5, 0, 0), at two scales.
 fn views(alpha: bool) -> ViewSet {
+    views_of(alpha, 16)
+}
+
+/// The same with any number of views. Sixteen have 2^20 pixels at the finest scale.
+fn views_of(alpha: bool, count: u32) -> ViewSet {
     let mut set =
         ViewSet { views: Vec::new(), pixels: Default::default(), alpha: Alpha::Straight, scales: Vec::new() };
     for level in 0..2_u32 {
         let k = Intrinsics::from_angle(256, 256, 0.7).reduced(level);
         let (first, first_pixel) = (set.views.len(), set.pixels.len());
-        for i in 0..16 {
+        for i in 0..count {
             let turn = f64::from(i) * 2.4;
             let origin = 4.0 * DVec3::new(turn.cos(), turn.sin(), 0.5 - f64::from(i % 3) * 0.5);
             let camera = Camera::look_at(k, origin, DVec3::ZERO, DVec3::Z);
@@ -263,6 +268,9 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
         assert_eq!(config.encoder.kind, EncoderKind::TriMip, "{set:?} {findings:?}");
         assert_eq!(config.occupancy.fraction, Config::default().occupancy.fraction, "{set:?}");
     }
+    let few = planned(&views_of(false, 15), &[]).unwrap().0;
+    assert_eq!((few.encoder.kind, few.loss.opacity), (EncoderKind::TriMip, 0.0), "few pixels");
+    assert_eq!(of(false, &[]).0.loss.opacity, 0.1);
     // A long run has more entries.
     let (config, _) = of(false, &["train.seconds=1e5"]);
     assert_eq!(config.hash_grid.log2_entries, 19);
