@@ -160,13 +160,13 @@ impl Kernel for Lines<'_> {
             if group.is_some() && gradient.iter().all(|g| *g == 0.0) {
                 continue;
             }
+            let moved = moved(gradient, group);
             if finite {
-                // All lanes are computed, and those of groups without a gradient keep what they had: no branch.
+                // Every lane is computed, and a group without a gradient keeps its values. That needs no branch.
                 let (mut new, mut new_m, mut new_v) = (*parameters, *m, *v);
                 for i in 0..ALIGNMENT {
                     rule.apply(&mut new[i], &mut new_m[i], &mut new_v[i], gradient[i] * scale);
                 }
-                let moved = moved(gradient, group);
                 for i in 0..ALIGNMENT {
                     parameters[i] = if moved[i] { new[i] } else { parameters[i] };
                     m[i] = if moved[i] { new_m[i] } else { m[i] };
@@ -174,7 +174,6 @@ impl Kernel for Lines<'_> {
                 }
                 continue;
             }
-            let moved = moved(gradient, group);
             for i in (0..ALIGNMENT).filter(|i| moved[*i]) {
                 if square(gradient[i]).is_finite() {
                     rule.apply(&mut parameters[i], &mut m[i], &mut v[i], gradient[i] * scale);

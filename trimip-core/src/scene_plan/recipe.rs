@@ -27,7 +27,7 @@ const OPAQUE: u8 = 255;
 /// Best size of the networks for budgets of fewer samples than the first number; the last has no limit.
 const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
 
-/// Least size of the networks in places: with narrower ones, density stays in front of the cameras.
+/// Least size of the networks in places. Narrower ones left density in front of the cameras of *bonsai*.
 const PLACE_WIDTH: u32 = 64;
 
 /// Budgets in samples from which the final marching step is the uniform step, and half of it.

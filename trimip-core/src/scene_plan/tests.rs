@@ -262,6 +262,7 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
         (false, &["scene.contraction=none"]),
         (false, &["plan.encoder=off"]),
         (false, &["encoder.kind=tri-mip"]),
+        (false, &["plan.encoder=on", "encoder.kind=tri-mip"]),
         (false, &["encoder.plane_size=256"]),
     ] {
         let (config, findings) = of(alpha, set);

@@ -210,7 +210,8 @@ struct Block {
 }
 
 impl Block {
-    /// At most [`BLOCK`] points, of which the first is point `first` of all; `reads` tells how many each sample has.
+    /// Makes a block of at most [`BLOCK`] points. `first` is the index of its first point among all points, of which each sample
+    /// has `reads.count`.
     #[inline(always)]
     fn new(points: &[Point], first: usize, reads: &Points<f32>) -> Self {
         let mut block = Self {

@@ -234,6 +234,23 @@ mod tests {
         }
     }
 
+    /// A published system that switches one decision of the plan off switches all of them off: a new decision must not change it. The
+    /// box alone may be found.
+    #[test]
+    fn the_plan_decides_all_of_a_system_or_nothing_but_the_box() {
+        let mut published = 0;
+        for system in SYSTEMS {
+            let mut settings = crate::settings::defaults();
+            system.apply(&mut settings).unwrap_or_else(|error| panic!("{error}"));
+            let decisions = trimip_core::scene_plan::keys().filter(|key| *key != "aabb");
+            let (off, on): (Vec<_>, Vec<_>) =
+                decisions.partition(|key| settings.value(&format!("plan.{key}")) == "\"off\"");
+            assert!(off.is_empty() || on.is_empty(), "{}: the plan still decides {on:?}", system.name);
+            published += usize::from(on.is_empty());
+        }
+        assert!(published > 10, "{published}");
+    }
+
     #[test]
     fn the_registry_has_every_file_once() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("systems");
