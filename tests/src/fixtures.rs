@@ -9,6 +9,7 @@ use trimip_core::{
         OptimizerConfig, RateSchedule, RendererConfig, Untouched, ViewEncoding, schedule::Schedule,
     },
     field::params::Slot,
+    scene::depths::KnownDepth,
 };
 
 /// SplitMix64 (Steele et al. 2014): the random numbers of the tests.
@@ -297,8 +298,13 @@ pub fn photographs(
     scales: u32,
     mut pixel: impl FnMut(usize, usize) -> [u8; 4],
 ) -> ViewSet {
-    let mut set =
-        ViewSet { views: vec![], pixels: Default::default(), alpha: Alpha::Straight, scales: vec![] };
+    let mut set = ViewSet {
+        views: vec![],
+        pixels: Default::default(),
+        alpha: Alpha::Straight,
+        scales: vec![],
+        depths: Vec::new(),
+    };
     for level in 0..scales {
         let (first_view, first_pixel) = (set.views.len(), set.pixels.len());
         for (i, camera) in cameras.iter().enumerate() {
@@ -314,7 +320,14 @@ pub fn photographs(
             pixels: first_pixel..set.pixels.len(),
         });
     }
+    set.depths = (0..set.pixels.len() as u32).step_by(3).map(known_depth).collect();
     set
+}
+
+/// A depth around that of the origin, which is 4.
+fn known_depth(pixel: u32) -> KnownDepth {
+    let varied = |period: u32| (pixel % period) as f32 / period as f32;
+    KnownDepth { pixel, distance: 3.0 + 2.0 * varied(17), deviation: 0.05 + 0.4 * varied(7) }
 }
 
 /// Parameters of a uniform field: texels 1, one density, one colour in every direction.

@@ -1,13 +1,21 @@
 //! Adapters for the tests. On a machine without one, tests are skipped with a message. If `TRIMIP_REQUIRE_GPU` is set,
 //! they fail instead.
 
+use std::sync::Mutex;
 use trimip_core::Result;
 use trimip_wgpu::{Addition, WgpuBackend};
 
 /// All methods of adding texel gradients.
 pub const ADDITIONS: [Addition; 3] = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
 
+/// Number of backends that share a device.
+const SHARE: usize = 16;
+
 /// Runs `part` on the best adapter with each of the `additions` that it supports.
+///
+/// A few backends of a part share a device and its compiled kernels: Mesa's software driver never frees the code of a kernel,
+/// and a process that compiles tens of thousands of them runs out of memory mappings. The driver also keeps some memory of every
+/// dispatch for as long as the device lives, so a device does not serve a whole part.
 ///
 /// # Panics
 /// If `part` fails, or if an adapter is required and there is none.
@@ -26,7 +34,18 @@ pub fn with(additions: &[Addition], part: impl Fn(&(dyn Fn() -> WgpuBackend + Sy
             None => println!("skipped: this adapter has no {addition:?} additions"),
             Some(backend) => {
                 println!("{}, {addition:?} additions", backend.adapter());
-                part(&|| open().expect("it did before")).expect("a small configuration is accepted");
+                let shared = Mutex::new((backend, 0));
+                let make = || {
+                    let mut shared = shared.lock().expect("no maker failed");
+                    let (backend, served) = &mut *shared;
+                    if *served == SHARE {
+                        *backend = open().expect("it opened before");
+                        *served = 0;
+                    }
+                    *served += 1;
+                    backend.on_the_same_device()
+                };
+                part(&make).expect("a small configuration is accepted");
             }
         }
     }

@@ -286,6 +286,11 @@ fn as_many_rays_have_their_own_background_as_the_schedule_says() {
 }
 
 #[test]
+fn targets_have_the_known_depths_of_their_pixels() {
+    with_threads(&[1], |make| suite::sampling::known_depths(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     with_threads(&[2], |make| suite::training::steady_batch(make));
 }
@@ -323,4 +328,34 @@ fn slopes_by_log_gains_are_those_of_the_loss() {
 #[test]
 fn gains_of_photographs_are_beside_the_model() {
     on_every_cpu(|make| suite::exposure::beside_the_model(make));
+}
+
+#[test]
+fn drawn_samples_are_those_of_the_rule() {
+    on_every_cpu(|make| suite::drawing::as_written(make));
+}
+
+#[test]
+fn drawn_samples_have_the_gradient_of_all() {
+    with_threads(&[2], |make| suite::drawing::unbiased(make));
+}
+
+#[test]
+fn a_run_draws_the_fraction_of_its_schedule() {
+    with_threads(&[2], |make| suite::drawing::fraction(make));
+}
+
+#[test]
+fn refined_poses_are_beside_the_model() {
+    on_every_cpu(|make| suite::poses::beside_the_model(make));
+}
+
+#[test]
+fn refined_poses_have_no_common_motion() {
+    on_every_cpu(|make| suite::poses::without_a_common_motion(make));
+}
+
+#[test]
+fn derivatives_by_poses_are_slopes_of_the_loss() {
+    on_every_cpu(|make| suite::poses::whole_step(make));
 }

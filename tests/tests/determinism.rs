@@ -3,7 +3,7 @@
 
 use trimip_core::{
     Aabb, Layout, Session, Viewer,
-    config::{Exposure, Precision},
+    config::{CameraPoses, Exposure, Precision},
     engine::{backend::Occupancy, batch::Ray, checkpoint::Checkpoint, trainer::Trainer},
     math::rng::{Random, Sequence},
 };
@@ -25,6 +25,8 @@ fn trained(
         (encoder.renderer.cones, encoder.renderer.cone_width);
     config.data.edge_exponents.clone_from(&encoder.data.edge_exponents);
     config.loss.clone_from(&encoder.loss);
+    config.train.backward_fraction.clone_from(&encoder.train.backward_fraction);
+    config.renderer.color_weight.clone_from(&encoder.renderer.color_weight);
     // There are at least 16 partial gradients, so several tiles share one and workers compete for them.
     config.train.samples_per_step = 4096;
     let views = fixtures::noise(4, 16, 3, 30);
@@ -49,7 +51,10 @@ fn threads_change_no_bit() {
     configurations.push(several_cones.clone());
     several_cones.loss.distortion = 0.3;
     several_cones.loss.exposure = Exposure::Gain;
+    several_cones.train.cameras = CameraPoses::Refine;
+    (several_cones.optimizer.camera_rate, several_cones.optimizer.camera_delay) = (1e-3, 0.0);
     configurations.push(several_cones);
+    configurations.push(suite::training::drawn());
     configurations.extend(suite::losses::examples(&fixtures::small()).into_iter().map(|(_, config)| config));
     for (encoder, (simd, precision)) in
         configurations.iter().flat_map(|encoder| sets.iter().map(move |&set| (encoder, set)))

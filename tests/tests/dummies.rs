@@ -198,7 +198,8 @@ impl Workspace {
         fs::create_dir_all(&folder).expect("the target folder can be written");
         let lock = File::create(folder.with_extension("lock")).expect("the target folder can be written");
         lock.lock().expect("a lock of the system");
-        let all = with_all();
+        let mut all = with_all();
+        give_another_version(&mut all);
         remove_others(&folder, &folder, &all);
         for (path, bytes) in &all {
             let path = folder.join(path);
@@ -217,6 +218,29 @@ impl Workspace {
         cargo.arg("--target-dir").arg(target()).current_dir(&self.folder);
         cargo
     }
+}
+
+/// Gives the crates of the copy another version. Cargo knows a crate by its version and its place in the workspace: with the same
+/// ones it would take the copy's crates for the workspace's, in whose target folder they lie.
+fn give_another_version(all: &mut Files) {
+    let own = concat!("version = \"", env!("CARGO_PKG_VERSION"), "\"\n");
+    let [major, minor] = [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR")];
+    let other = &format!("version = \"{major}.{minor}.9{}\"\n", env!("CARGO_PKG_VERSION_PATCH"));
+    let mut replace = |path: &str, before: &str| {
+        let bytes = all.get_mut(path).expect("a file of the workspace");
+        let text = String::from_utf8_lossy(bytes).into_owned();
+        let parts: Vec<&str> = text.split(before).collect();
+        let mut whole = parts[0].to_string();
+        for part in &parts[1..] {
+            // In the lock a name stands before its version.
+            let (name, rest) = part.split_once(own).expect("a version of the workspace");
+            whole += &[before, name, other, rest].concat();
+        }
+        assert!(parts.len() > 1, "{path} has no {before}");
+        *bytes = whole.into_bytes();
+    };
+    replace("Cargo.toml", "[workspace.package]\n");
+    replace("Cargo.lock", "name = \"trimip");
 }
 
 /// Removes the files below `folder` that the workspace does not have.

@@ -254,6 +254,11 @@ fn as_many_rays_have_their_own_background_as_the_schedule_says() {
 }
 
 #[test]
+fn targets_have_the_known_depths_of_their_pixels() {
+    reproducibly(|make| suite::sampling::known_depths(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     on_the_gpu(|make| suite::training::steady_batch(make));
 }
@@ -303,4 +308,29 @@ fn slopes_by_log_gains_are_those_of_the_loss() {
 #[test]
 fn gains_of_photographs_are_beside_the_model() {
     reproducibly(|make| suite::exposure::beside_the_model(make));
+}
+
+#[test]
+fn drawn_samples_are_those_of_the_rule() {
+    reproducibly(|make| suite::drawing::as_written(make));
+}
+
+#[test]
+fn drawn_samples_have_the_gradient_of_all() {
+    reproducibly(|make| suite::drawing::unbiased(make));
+}
+
+#[test]
+fn a_run_draws_the_fraction_of_its_schedule() {
+    reproducibly(|make| suite::drawing::fraction(make));
+}
+
+#[test]
+fn refined_poses_are_beside_the_model() {
+    reproducibly(|make| suite::poses::beside_the_model(make));
+}
+
+#[test]
+fn refined_poses_have_no_common_motion() {
+    reproducibly(|make| suite::poses::without_a_common_motion(make));
 }

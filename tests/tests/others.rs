@@ -23,6 +23,10 @@ fn pictures_do_not_replace_those_of_others() {
         refuses(here, &["render", "run", "--what", "color,depth", "--out", "mine"], &[name, "--out"]);
         fs::remove_dir_all(out).unwrap();
     }
+    // Nor those of a run's photographs, which have the same name.
+    let cameras = fs::read(here.join("run/cameras.json")).unwrap();
+    refuses(here, &["render", "run", "--out", "run"], &["cameras.json", "--out"]);
+    assert_eq!(fs::read(here.join("run/cameras.json")).unwrap(), cameras);
     // Its own pictures are rendered again.
     (0..2).for_each(|_| done(here, &["render", "run", "--out", "mine"]));
 }

@@ -163,8 +163,13 @@ fn gradient(
 /// Silhouettes of a box, from cameras all around.
 fn photographs(object: &Aabb<f64>, origins: &[DVec3]) -> ViewSet {
     let k = Intrinsics::from_angle(64, 64, 0.8);
-    let mut set =
-        ViewSet { views: vec![], pixels: Default::default(), alpha: Alpha::Straight, scales: vec![] };
+    let mut set = ViewSet {
+        views: vec![],
+        pixels: Default::default(),
+        alpha: Alpha::Straight,
+        scales: vec![],
+        depths: Vec::new(),
+    };
     for (i, &origin) in origins.iter().enumerate() {
         let camera = Camera::look_at(k, origin, DVec3::ZERO, DVec3::new(0.1, 0.2, 0.97));
         set.views.push(View { name: i.to_string(), camera, offset: set.pixels.len() });

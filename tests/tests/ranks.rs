@@ -385,9 +385,10 @@ fn ranks_with_other_photographs_or_models_are_refused() {
     std::fs::copy(photographs.join("r_1.png"), photographs.join("r_0.png")).unwrap();
     let out = folder.path().join("out").display().to_string();
     let bench = ["bench", "--set", "data.root=scene", "--seeds", "4", "--out", &out];
+    let renders = folder.path().join("renders").display().to_string();
     for (arguments, part) in [
         (vec!["eval", "run"], "not those of rank 0"),
-        (vec!["render", "run", "--turntable", "3", "--out", &out], "not those of rank 0"),
+        (vec!["render", "run", "--turntable", "3", "--out", &renders], "not those of rank 0"),
         (
             [&["train", "scene", "--out", &out], on_files].concat(),
             "not the photographs of rank 0: other pixels",

@@ -106,8 +106,8 @@ fn the_report_of_a_finished_run_is_what_the_run_is_now() {
     for name in whole.keys() {
         let path = here.join("run").join(name);
         let text = name.to_string_lossy();
-        // Without these it is another run, or none.
-        if ["config.toml", "plan.json", "metrics.jsonl"].iter().any(|kept| text == *kept)
+        // Without these it is another run, or none; a finished run does not open the photographs, which tell the cameras.
+        if ["config.toml", "plan.json", "metrics.jsonl", "cameras.json"].iter().any(|kept| text == *kept)
             || text.ends_with(".safetensors")
         {
             continue;

@@ -14,7 +14,7 @@ pub use export::{ExportArguments, ExportWhat, MeshArguments, WebArguments};
 pub use paper::{PaperArguments, Schedule, Split, TableScales};
 pub use render::{PictureFormat, RenderArguments};
 use shared::ending;
-pub use shared::{SceneArguments, SettingsArguments};
+pub use shared::{CropChoice, SceneArguments, SettingsArguments};
 use std::net::IpAddr;
 use std::path::PathBuf;
 
@@ -51,7 +51,7 @@ pub enum Verb {
     )]
     Eval(EvalArguments),
     /// Render views of a model as PNG or EXR
-    Render(RenderArguments),
+    Render(Box<RenderArguments>),
     /// Show a model in a browser: turn, zoom, compare with the photographs
     View(ViewArguments),
     /// Compute the proxy of a model, by which pictures need few samples, and keep it in the model file

@@ -2,7 +2,7 @@
 
 use trimip_core::measures::quality::{Measures, ScaleQuality, mean_quality};
 
-/// PSNR, SSIM and what was measured of perception per scale and their mean as aligned lines, followed by remarks. `plain` is
+/// PSNR, SSIM and what was measured of perception per scale and their mean as aligned lines. `plain` is
 /// without the edge exponents of the set, `box` against a true box filter of the finest photographs, `exposed` at the
 /// exposure of each photograph.
 pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
@@ -34,7 +34,6 @@ pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
     }));
     let images = scales.iter().map(|q| q.images).sum();
     lines.push(row("mean", images, &mean));
-    lines.extend(mean.remark());
     lines
 }
 

@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 use trimip_core::{
     Result,
-    engine::events::{Event, EventSink},
+    engine::events::{Event, EventSink, Totals},
 };
 use trimip_data::settings::DataConfig;
 use trimip_data::{Scene, Watch};
@@ -147,27 +147,41 @@ fn show_on_bar(bar: &ProgressBar, event: &Event) {
         Event::Evaluation { scales, .. } => {
             bar.suspend(|| measures::table(scales).iter().for_each(terminal::prose));
         }
+        Event::Poses { moved, aligned } => bar.suspend(|| {
+            terminal::prose(moved.to_string());
+            aligned.iter().for_each(|aligned| terminal::prose(aligned.to_string()));
+        }),
         Event::Warning { message } => bar.suspend(|| terminal::prose(format!("warning: {message}"))),
         Event::Stopped { totals } => {
             bar.abandon();
             terminal::prose(format!("stopped at step {}; the same command goes on from there", totals.step));
         }
-        Event::Finished { totals } => {
+        Event::Finished { totals, .. } => {
             bar.set_position(1000);
-            bar.suspend(|| {
-                terminal::prose(format!(
-                    "trained: {} in {}, {} and {}",
-                    terminal::count(totals.step, "step"),
-                    terminal::duration(totals.seconds),
-                    terminal::many(totals.samples, "sample"),
-                    terminal::many(totals.rays, "ray")
-                ));
-            });
+            bar.suspend(|| terminal::prose(trained(totals)));
         }
         Event::SessionEnded { .. } => bar.finish_and_clear(),
         // Checkpoints, and events that a later version of the library may have.
         _ => {}
     }
+}
+
+/// What a training did, one line: steps, time, samples and rays with their rates.
+pub fn trained(totals: &Totals) -> String {
+    let drawn = totals.backward_fraction().filter(|fraction| *fraction < 1.0);
+    let drawn =
+        drawn.map_or(String::new(), |fraction| format!(", {:.0} % with a backward pass", 100.0 * fraction));
+    let kept = totals.samples_per_ray().map_or(String::new(), |kept| format!(" ({kept:.1} a ray{drawn})"));
+    let rate = totals
+        .rays_per_second()
+        .map_or(String::new(), |rate| format!(" ({})", terminal::number(rate, "rays/s")));
+    format!(
+        "trained: {} in {}, {} kept{kept} and {}{rate}",
+        terminal::count(totals.step, "step"),
+        terminal::duration(totals.seconds),
+        terminal::many(totals.samples, "sample"),
+        terminal::many(totals.rays, "ray"),
+    )
 }
 
 /// Message beside the training bar: step, PSNR of the step's own pixels in dB, kept samples per second, seconds left.
@@ -179,6 +193,17 @@ fn message(step: u64, psnr: f64, samples_per_second: f64, seconds_left: f64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_last_line_tells_samples_of_a_ray_and_rays_of_a_second() {
+        let totals = Totals { step: 40, seconds: 8.0, samples: 36_000, rays: 3000, ..Totals::default() };
+        let line = trained(&totals);
+        assert!(line.contains("36.0 k samples kept (12.0 a ray)") && line.contains("(375 rays/s)"), "{line}");
+        let line = trained(&Totals { left_out: 27_000, ..totals });
+        assert!(line.contains("(12.0 a ray, 25 % with a backward pass)"), "{line}");
+        let line = trained(&Totals::default());
+        assert!(!line.contains('('), "{line}");
+    }
 
     #[test]
     fn bar_and_message_fit_eighty_columns() {

@@ -4,6 +4,7 @@
 
 mod checks;
 mod choices;
+mod crop;
 pub(crate) mod defaults;
 mod encoders;
 mod foreign;
@@ -14,10 +15,11 @@ mod sections;
 pub(crate) mod settings;
 
 pub use choices::{
-    ConePattern, Contraction, Convention, Decomposition, DensityFunction, Exposure, FilePrecision, FinalEval,
-    HybridRule, LevelFormula, LossRays, MemoryChoice, PlanChoice, PlaneShape, Precision, RateSchedule,
-    RendererKind, TrainBackground, Untouched, ViewEncoding,
+    CameraPoses, ConePattern, Contraction, Convention, Decomposition, DensityFunction, Exposure,
+    FilePrecision, FinalEval, HybridRule, LevelFormula, LossRays, MemoryChoice, PlanChoice, PlaneShape,
+    Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
+pub use crop::Crop;
 pub use encoders::{
     EncoderConfig, EncoderKind, FrequenciesConfig, HashGridConfig, RipMapConfig, TensorConfig, VoxelsConfig,
 };

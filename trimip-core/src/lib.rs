@@ -33,7 +33,7 @@ pub mod scene_plan;
 pub mod text;
 
 pub use config::{
-    Config,
+    Config, Crop,
     defaults::{Definitions, DocumentedSection, DocumentedSetting, ForeignSection, Fragment},
     settings::{Origin, Settings, checker::Checker, section::Section},
 };

@@ -6,6 +6,7 @@ use crate::field::CpuField;
 use crate::loss::CpuLoss;
 use crate::occupancy::CpuOccupancy;
 use crate::optimizer::CpuOptimizer;
+use crate::poses::CpuPoses;
 use crate::renderer::CpuRenderer;
 use crate::sampler::CpuSampler;
 use crate::{CpuBackend, WorkerScratch};
@@ -63,6 +64,7 @@ impl Backend for CpuBackend {
     type Sampler = CpuSampler;
     type Occupancy = CpuOccupancy;
     type Loss = CpuLoss;
+    type Poses = CpuPoses;
 
     fn name(&self) -> &'static str {
         "cpu"
@@ -100,6 +102,7 @@ impl Backend for CpuBackend {
             field: CpuField::new(self.simd, config, &layout, self.precision(config)),
             renderer: CpuRenderer::new(self.simd, config),
             optimizer: CpuOptimizer::new(self.simd, config, &layout, training),
+            poses: CpuPoses::new(config, views.as_ref()),
             sampler: CpuSampler::new(config, views),
             occupancy: CpuOccupancy::new(config),
             loss: CpuLoss::new(config),

@@ -18,7 +18,7 @@ use context::{Directions, Lit};
 use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::config::Precision;
-use trimip_core::engine::batch::{FieldBackward, PartialGradients, Radiance, Tile};
+use trimip_core::engine::batch::{FieldBackward, FieldDraw, PartialGradients, Radiance, SampleDraw, Tile};
 use trimip_core::engine::exchange::Rank;
 use trimip_core::engine::policy::FieldPolicy;
 use trimip_core::field::networks::{append_frequencies, pull_frequencies};
@@ -201,6 +201,11 @@ impl CpuField {
     }
 }
 
+/// The norm of the gradient of a sample's logits.
+fn norm(density: f32, [r, g, b]: [f32; 3]) -> f32 {
+    (density * density + r * r + g * g + b * b).sqrt()
+}
+
 impl Field<CpuBackend> for CpuField {
     type Context = Context;
     type Gradient = FieldGradient;
@@ -288,6 +293,51 @@ impl Field<CpuBackend> for CpuField {
             radiance[lit.row(i)].rgb =
                 [0, 1, 2].map(|c| self.policy.color_activation.value(logits[self.red + c]));
         }
+    }
+
+    fn draw(
+        &self,
+        tile: &mut Tile<'_, CpuBackend>,
+        draw: &SampleDraw,
+        context: &Context,
+        arrays: FieldDraw<'_, CpuBackend>,
+    ) {
+        let FieldDraw { radiance, radiance_gradients, marks } = arrays;
+        let (density, color) = (self.policy.density_activation, self.policy.color_activation);
+        let (outputs, width) = (context.density.output(), self.density.outputs());
+        marks.resize(radiance.len());
+        for (ray, segment) in tile.samples.segments.iter().enumerate() {
+            let mut sum = draw.first(tile.rays.first + ray as u32);
+            for row in segment.range() {
+                let (value, by_value) = (radiance[row].rgb, radiance_gradients[row]);
+                let by_logit = by_value.density * density.derivative(outputs[row * width]);
+                let by_colors = [0, 1, 2].map(|c| by_value.rgb[c] * color.derivative(value[c]));
+                let probability = draw.probability(norm(by_logit, by_colors));
+                sum += probability;
+                let is_drawn = sum >= 1.0;
+                marks[row] = is_drawn.into();
+                if is_drawn {
+                    sum -= 1.0;
+                    let factor = probability.recip();
+                    let Radiance { rgb, density } = by_value;
+                    radiance_gradients[row] =
+                        Radiance { rgb: rgb.map(|by| factor * by), density: factor * density };
+                }
+            }
+        }
+    }
+
+    fn keep_drawn(
+        &self,
+        _: &mut WorkerScratch,
+        drawn: &Buffer<u32>,
+        context: &mut Context,
+        radiance: &mut Buffer<Radiance>,
+        radiance_gradients: &mut Buffer<Radiance>,
+    ) {
+        context.keep_drawn(drawn, [&self.density, &self.color], self.shape);
+        radiance.keep_rows(drawn, 1);
+        radiance_gradients.keep_rows(drawn, 1);
     }
 
     fn backward(

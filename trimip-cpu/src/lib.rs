@@ -40,6 +40,7 @@ mod memory;
 mod mlp;
 mod occupancy;
 mod optimizer;
+mod poses;
 mod reduction_tree;
 mod renderer;
 mod sampler;

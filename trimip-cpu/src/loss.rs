@@ -29,8 +29,8 @@ impl CpuLoss {
     pub fn new(config: &Config) -> Self {
         Self {
             config: config.loss.clone(),
-            pixel_terms: losses::at_work(losses::PIXEL_TERMS, &config.loss),
-            ray_terms: losses::at_work(losses::RAY_TERMS, &config.loss),
+            pixel_terms: losses::at_work(losses::PIXEL_TERMS, &config.loss, 0.0),
+            ray_terms: losses::at_work(losses::RAY_TERMS, &config.loss, 0.0),
             space: Space::new(&config.scene),
             gains: Vec::new(),
         }
@@ -44,7 +44,7 @@ impl CpuLoss {
             let Interval { t, length } = *interval;
             let point = std::array::from_fn(|axis| ray.origin[axis] + t * ray.direction[axis]);
             let [place, width] = self.space.along(&parameterisation, point, t, length);
-            RaySample { depth: radiance.density * length, t, place, width }
+            RaySample { depth: radiance.density * length, t, length, place, width }
         };
         out.clear();
         out.extend(tile.samples.intervals[own.clone()].iter().zip(&tile.radiance[own]).map(sample));
@@ -54,6 +54,11 @@ impl CpuLoss {
 impl Loss<CpuBackend> for CpuLoss {
     fn set_gains(&mut self, gains: &[[f32; 3]]) {
         self.gains = gains.to_vec();
+    }
+
+    fn set_progress(&mut self, progress: f64) {
+        self.pixel_terms = losses::at_work(losses::PIXEL_TERMS, &self.config, progress);
+        self.ray_terms = losses::at_work(losses::RAY_TERMS, &self.config, progress);
     }
 
     fn evaluate_pixels(
@@ -68,6 +73,7 @@ impl Loss<CpuBackend> for CpuLoss {
         sums.sums.rays += tile.pixels.len() as u64;
         sums.sums.marched += u64::from(marched);
         sums.sums.kept += u64::from(kept);
+        sums.sums.drawn += u64::from(kept);
         sums.exposures.resize(self.gains.len(), [0.0; 3]);
         let pixels = Pixels { loss: self, tile, gradients: pixel_gradients, result: sums };
         self.config.photometric.visit(pixels);
@@ -87,6 +93,10 @@ impl Loss<CpuBackend> for CpuLoss {
         for (group, target) in tile.rays.groups.iter().zip(tile.rays.targets.iter()) {
             for index in group.range() {
                 self.collect(tile, index, &mut samples);
+                // A cone without samples has no terms, as it has no gradient.
+                if samples.is_empty() {
+                    continue;
+                }
                 let own = tile.samples.segments[index].range();
                 let intervals = &tile.samples.intervals[own.clone()];
                 let gradients = &mut radiance_gradients[own];
@@ -149,7 +159,7 @@ impl CpuLoss {
         photographs: &[u32],
         result: &mut StepResult,
     ) {
-        let StepResult { sums, exposures } = result;
+        let StepResult { sums, exposures, .. } = result;
         for (i, ((gradient, (pixel, target)), live)) in rows.enumerate() {
             *gradient = [0.0; 4];
             let Target { background, exponent, .. } = *target;

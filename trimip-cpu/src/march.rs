@@ -29,6 +29,58 @@ pub fn advance(
     }
 }
 
+/// Steps that are tested at once: one vector register holds a value of each.
+const BLOCK: usize = 16;
+
+/// The next steps from a cursor on.
+struct Steps {
+    /// Parameter, distance, place and cell of each midpoint.
+    s: [f32; BLOCK],
+    t: [f32; BLOCK],
+    positions: [[f32; 3]; BLOCK],
+    cells: [[u32; 3]; BLOCK],
+    /// How far around each cell all others are empty; 0 for an occupied one.
+    empty: [u32; BLOCK],
+}
+
+impl Steps {
+    /// Finds the cells of the steps from number `index` on. Steps beyond the end of the ray have arbitrary values.
+    #[inline(always)]
+    fn of(path: &impl Path, occupancy: &CpuOccupancy, first: f32, step: f32, index: f32) -> Self {
+        let mut steps = Self {
+            s: [0.0; BLOCK],
+            t: [0.0; BLOCK],
+            positions: [[0.0; 3]; BLOCK],
+            cells: [[0; 3]; BLOCK],
+            empty: [0; BLOCK],
+        };
+        // One loop for each value: the compiler turns each into vector instructions.
+        for i in 0..BLOCK {
+            steps.s[i] = first + (index + i as f32 + 0.5) * step;
+        }
+        for i in 0..BLOCK {
+            steps.t[i] = path.distance(steps.s[i]);
+        }
+        for i in 0..BLOCK {
+            steps.positions[i] = path.position(steps.t[i]);
+        }
+        for i in 0..BLOCK {
+            steps.cells[i] = path.cell(steps.positions[i]);
+        }
+        for i in 0..BLOCK {
+            steps.empty[i] = occupancy.empty_around(steps.cells[i]);
+        }
+        steps
+    }
+
+    /// The parameter up to which the cells around that of the last step are empty.
+    #[inline(always)]
+    fn clear(&self, path: &impl Path) -> f32 {
+        let last = BLOCK - 1;
+        path.clear(self.s[last], self.positions[last], self.cells[last], self.empty[last])
+    }
+}
+
 /// [`advance`] along a path.
 #[inline(always)]
 fn follow(
@@ -40,29 +92,33 @@ fn follow(
     let Cursor { first, leave, step, mut index } = *cursor;
     let inverse_step = step.recip();
     loop {
-        let s = first + (index + 0.5) * step;
-        if !(s < leave) {
+        if !(first + (index + 0.5) * step < leave) {
             return true;
         }
-        let t = path.distance(s);
-        let position = path.position(t);
-        let cell = path.cell(position);
-        let empty = occupancy.empty_around(cell);
-        if empty == 0 {
-            index += 1.0;
-            if place(path.interval(t, step), Sphere { position, radius: path.radius(t) }) {
-                continue;
+        let steps = Steps::of(path, occupancy, first, step, index);
+        for i in 0..BLOCK {
+            if !(steps.s[i] < leave) {
+                return true;
             }
-            cursor.index = index;
-            return false;
+            if steps.empty[i] == 0 {
+                let (position, t) = (steps.positions[i], steps.t[i]);
+                if !place(path.interval(t, step), Sphere { position, radius: path.radius(t) }) {
+                    cursor.index = index + (i + 1) as f32;
+                    return false;
+                }
+            }
         }
-        let exit = path.clear(s, position, cell, empty);
-        // The first step whose midpoint is not before the exit. Rounding may move it by a few 1e-7 of the
-        // distance; a step that close to the exit is tested rather than skipped.
-        let steps = (exit - first) * inverse_step - 0.5;
-        let next = (steps * (1.0 - 1e-6) - 0.01).ceil();
-        // Without an exit, or with NaN: advance one step.
-        index = if next.is_finite() { next.max(index + 1.0) } else { index + 1.0 };
+        index += BLOCK as f32;
+        if steps.empty[BLOCK - 1] > 0 {
+            // The first step whose midpoint is not before the end of the empty cells. Rounding may move it by a few 1e-7 of
+            // the distance; a step that close to the end is tested rather than skipped.
+            let next = (steps.clear(path) - first) * inverse_step - 0.5;
+            let next = (next * (1.0 - 1e-6) - 0.01).ceil();
+            // Not NaN, and not without an end.
+            if next.is_finite() {
+                index = index.max(next);
+            }
+        }
     }
 }
 

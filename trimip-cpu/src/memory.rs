@@ -3,6 +3,7 @@
 use crate::encoder::gradient_memory;
 use crate::mlp::BLOCK;
 use crate::worker::SAMPLES_AT_ONCE;
+use trimip_core::config::CameraPoses;
 use trimip_core::engine::batch::{Interval, Radiance, Sphere};
 use trimip_core::engine::trainer::{first_rays, longest_ray};
 use trimip_core::field::networks::geometry_width;
@@ -95,7 +96,12 @@ fn worker(config: &Config) -> u64 {
     let seen = sample + WORD * (encoding + outputs(&density_layers(config)));
     // Visible samples are stored twice: front to back over all rays, and ray by ray with the colour network's
     // outputs.
-    let row = 2 * seen + WORD * (outputs(&color_layers(config)) + geometry_width(config));
+    // Samples on displaced rays, and a slope of each.
+    let displaced = match config.train.cameras {
+        CameraPoses::Fixed => 0,
+        CameraPoses::Refine => size_of::<Sphere>() + WORD * (encoding + 1),
+    };
+    let row = displaced + 2 * seen + WORD * (outputs(&color_layers(config)) + geometry_width(config));
     // A block's gradients above and below a layer, in f32 and as pairs of bf16.
     let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden.max(config.field.color_hidden) as usize;
     // A ray is rendered at once, however long it is.

@@ -8,7 +8,9 @@ use crate::simd::Simd;
 use crate::visibility::visibility_pass;
 use crate::{CpuBackend, WorkerScratch};
 use trimip_core::engine::backend::Stages;
-use trimip_core::engine::batch::{Interval, Radiance, Ray, Rays, Samples, Segment, Target, Tile, Workspace};
+use trimip_core::engine::batch::{
+    Interval, Radiance, Ray, Rays, Samples, Segment, StepResult, Target, Tile, Workspace,
+};
 use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::engine::proxy::Guide;
 use trimip_core::math::compositing::{Visibility, composite, composite_gradient};
@@ -89,6 +91,32 @@ impl Renderer<CpuBackend> for CpuRenderer {
         samples.intervals.keep_rows(kept, 1);
         samples.spheres.keep_rows(kept, 1);
         samples.counts[0][1] = kept.len() as u32;
+    }
+
+    fn keep_drawn(
+        &self,
+        _: &mut WorkerScratch,
+        marks: &Buffer<u32>,
+        samples: &mut Samples<CpuBackend>,
+        drawn: &mut Buffer<u32>,
+        sums: &mut StepResult,
+    ) {
+        let kept = samples.spheres.len();
+        drawn.clear();
+        for segment in samples.segments.iter_mut() {
+            let start = drawn.len() as u32;
+            for row in segment.start..segment.start + segment.count {
+                if marks[row as usize] == 1 {
+                    drawn.push(row);
+                }
+            }
+            *segment = Segment { start, count: drawn.len() as u32 - start };
+        }
+        // The loss has counted all of them.
+        sums.sums.drawn = sums.sums.drawn.saturating_sub((kept - drawn.len()) as u64);
+        samples.rays.keep_rows(drawn, 1);
+        samples.intervals.keep_rows(drawn, 1);
+        samples.spheres.keep_rows(drawn, 1);
     }
 
     fn composite(

@@ -9,6 +9,7 @@ use trimip_core::engine::policy::SamplerPolicy;
 use trimip_core::engine::ray_allocation::RayAllocation;
 use trimip_core::math::rng::Sequence;
 use trimip_core::scene::cones::PixelPattern;
+use trimip_core::scene::depths::{self, KnownDepth};
 use trimip_core::scene::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
 
@@ -25,6 +26,15 @@ impl CpuSampler {
     /// A sampler over `views`. Without views it generates camera rays only.
     pub fn new(config: &Config, views: Option<ViewSet>) -> Self {
         Self { policy: SamplerPolicy::new(config, views.as_ref()), views }
+    }
+
+    /// The known depth of a pixel; of deviation 0 if there is none, or no use for it.
+    #[inline]
+    fn known_depth(&self, views: &ViewSet, pixel: usize) -> KnownDepth {
+        if !self.policy.knows_depths() {
+            return KnownDepth::default();
+        }
+        depths::of_pixel(&views.depths, pixel).copied().unwrap_or_default()
     }
 }
 
@@ -50,6 +60,11 @@ impl Sampler<CpuBackend> for CpuSampler {
 
     fn policy_mut(&mut self) -> &mut SamplerPolicy {
         &mut self.policy
+    }
+
+    fn set_cameras(&mut self, cameras: &[Camera]) {
+        let views = self.views.iter_mut().flat_map(|views| &mut views.views);
+        views.zip(cameras).for_each(|(view, camera)| view.camera = *camera);
     }
 
     fn training_rays(
@@ -101,12 +116,15 @@ impl Sampler<CpuBackend> for CpuSampler {
                     background = [r, g, b];
                 }
             }
+            let known = self.known_depth(views, pixel);
             rays.targets.push(Target {
                 rgb: composite_pixel(views.pixels[pixel], views.alpha, background),
                 weight: weight * views.alpha.fraction(views.pixels[pixel]),
                 background,
                 opacity: views.alpha.opacity(views.pixels[pixel]),
                 exponent,
+                distance: known.distance,
+                deviation: known.deviation,
             });
         }
     }

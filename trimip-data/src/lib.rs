@@ -21,6 +21,7 @@ pub mod builtin;
 pub mod checks;
 mod collection;
 pub mod colmap;
+mod depths;
 mod describe;
 mod division;
 mod foreign;

@@ -2,7 +2,7 @@
 
 use crate::settings::DataConfig;
 use crate::{
-    describe, masks,
+    depths, describe, masks,
     points::Point,
     source::{FrameList, Source, assemble_in, rows},
     survey::Survey,
@@ -92,7 +92,8 @@ fn frames(sources: Vec<Source>, alpha: Alpha) -> Box<dyn Frames> {
 }
 
 /// The scene with its training views.
-pub(crate) fn opened(survey: Survey, config: &DataConfig, train: ViewSet) -> Scene {
+pub(crate) fn opened(survey: Survey, config: &DataConfig, mut train: ViewSet) -> Scene {
+    train.depths = depths::of_points(&survey.points, &train);
     let description = describe::description(&survey, config, &train);
     let of_masks = masks::warnings(&survey.train, &train);
     Scene {

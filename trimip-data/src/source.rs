@@ -228,7 +228,7 @@ pub(crate) fn assemble_in(
         failure.map_or(Ok(()), Err)
     };
     let pixels = store::filled(store::is_on_disk(store, end), end, fill)?;
-    Ok(ViewSet { views, pixels, alpha, scales })
+    Ok(ViewSet { views, pixels, alpha, scales, depths: Vec::new() })
 }
 
 /// How many of these frames are decoded at once. Very large photographs are decoded few at a time.

@@ -244,6 +244,24 @@ fn every_camera_model_projects_as_colmap_does() {
     }
 }
 
+/// Every pixel that holds features knows the distance of the nearest of their points, and no other pixel knows any.
+fn assert_depths(scene: &Scene) {
+    let mut expected = std::collections::BTreeMap::new();
+    for scale in &scene.train.scales {
+        for (point, seen) in scene.points.iter().flat_map(|p| p.track.iter().map(move |seen| (p, seen))) {
+            let view = &scene.train.views[scale.views.start + seen.view as usize];
+            let [x, y] = seen.at.map(|place| (place as u32 / scale.factor) as usize);
+            let pixel = (view.offset + y * view.camera.intrinsics.width as usize + x) as u32;
+            let distance = (DVec3::from(point.position) - view.camera.origin).length() as f32;
+            let nearest = expected.entry(pixel).or_insert(distance);
+            *nearest = distance.min(*nearest);
+        }
+    }
+    let depths = &scene.train.depths;
+    assert!(depths.iter().map(|known| (known.pixel, known.distance)).eq(expected));
+    assert!(depths.iter().all(|known| known.deviation > 0.0 && known.deviation < known.distance));
+}
+
 #[test]
 fn points_are_kept_with_the_training_views_that_saw_them() {
     let sparse = capture();
@@ -262,6 +280,7 @@ fn points_are_kept_with_the_training_views_that_saw_them() {
         let expected = image.unwrap().5[7].0;
         assert_eq!(seen.at, expected);
     }
+    assert_depths(&scene);
     let stated = scene.stated.unwrap();
     assert_eq!(stated.source, "around 125 points of the COLMAP model");
     for axis in 0..3 {

@@ -206,8 +206,13 @@ fn a_zoom_and_another_size_stand_apart() {
 /// No data make a check fail.
 #[test]
 fn nothing_at_all_is_not_known() {
-    let none =
-        ViewSet { views: Vec::new(), pixels: Vec::new().into(), alpha: Alpha::Straight, scales: Vec::new() };
+    let none = ViewSet {
+        views: Vec::new(),
+        pixels: Vec::new().into(),
+        alpha: Alpha::Straight,
+        scales: Vec::new(),
+        depths: Vec::new(),
+    };
     let all = checks::all(&Subject { train: &none, test: &[], points: &[], aabb: Some(&WHOLE) });
     assert!(all.iter().all(|check| !doubted(check)), "{all:?}");
     let mut flat = scene().train;

@@ -221,7 +221,7 @@ impl Model {
         PyArray1::from_vec(py, found).reshape([queries.len(), width])
     }
 
-    /// The surface as a closed mesh: where the density crosses `level` (by default that of which a marching step has an
+    /// The surface as a mesh, closed unless the scene has a crop (`scene.crop`) or is contracted: where the density crosses `level` (by default that of which a marching step has an
     /// optical depth of 0.2) on a grid of `resolution` cells along the longest side, simplified to about `triangles` (0 for
     /// no simplification).
     #[pyo3(signature = (resolution=512, *, level=None, triangles=100_000, specks=0.02, colors=true))]
@@ -236,8 +236,8 @@ impl Model {
         colors: bool,
     ) -> PyResult<Mesh> {
         let goal = if triangles == 0 { Goal::Everything } else { Goal::Triangles(triangles) };
-        let what = Extraction { resolution, level, specks, goal, colors };
         let model = &self.model;
+        let what = Extraction { resolution, level, specks, goal, colors, ..Extraction::of(&model.config) };
         let extracted = self.work(py, |viewer, interrupted| {
             // Where the photographs are not there, what nobody sees at all is told from the surface alone.
             let cameras = model.config.section().and_then(|config| data::open_test(&config));

@@ -80,6 +80,7 @@ function request(moving) {
     moving,
     photo: chosen ? { split: chosen.split, index: chosen.index } : null,
     clip: clip(),
+    cropped: find("cropped").checked,
   });
 }
 
@@ -102,6 +103,10 @@ find("unclip").addEventListener("click", () => {
   clips.forEach((ends) => ends.forEach((slider, end) => (slider.value = end ? 100 : 0)));
   settled();
 });
+
+find("crop").hidden = scene.crop === "none";
+find("crop").querySelector("code").textContent = scene.crop;
+find("cropped").addEventListener("change", settled);
 
 /** The part of the box that is shown, or null for all. */
 function clip() {

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 use trimip::view::cameras::{posed, resized};
-use trimip_core::{Camera, Error, Intrinsics, Result};
+use trimip_core::{Camera, Crop, Error, Intrinsics, Result};
 
 /// Largest width or height of a picture, pixels.
 pub const MOST_SIDE: u32 = 2048;
@@ -96,6 +96,9 @@ pub struct Request {
     /// The part of the box that is shown: its two corners, world units.
     #[serde(default)]
     pub clip: Option<[[f64; 3]; 2]>,
+    /// True to show the crop of the model alone (`scene.crop`).
+    #[serde(default)]
+    pub cropped: bool,
 }
 
 /// What a page does to the run that it watches.
@@ -166,6 +169,13 @@ impl Request {
         }
         request.camera(None)?;
         Ok(request)
+    }
+
+    /// The parts of the world whose common part is shown; `crop` is the model's.
+    pub fn kept(&self, crop: Crop) -> Vec<Crop> {
+        let part = self.clip.map(|[min, max]| Crop::Box { min, max });
+        let crop = Some(crop).filter(|crop| self.cropped && *crop != Crop::None);
+        part.into_iter().chain(crop).collect()
     }
 
     /// The camera of the finest picture. `photographed` is that of the photograph, if there is one.
@@ -245,6 +255,18 @@ mod tests {
         for text in broken {
             assert!(Request::read(&text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn a_page_chooses_parts_of_the_world() {
+        let crop = Crop::Ball { centre: [0.0; 3], radius: 2.0 };
+        let kept = |more: &str, crop| Request::read(&json(more)).unwrap().kept(crop);
+        let part = Crop::Box { min: [0.0; 3], max: [1.0; 3] };
+        assert_eq!(kept("", crop), []);
+        assert_eq!(kept(r#","cropped":true"#, crop), [crop]);
+        assert_eq!(kept(r#","cropped":true"#, Crop::None), [], "there is none");
+        assert_eq!(kept(r#","clip":[[0,0,0],[1,1,1]]"#, crop), [part]);
+        assert_eq!(kept(r#","clip":[[0,0,0],[1,1,1]],"cropped":true"#, crop), [part, crop]);
     }
 
     #[test]

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use trimip::view::cameras::resized;
 use trimip_core::field::model::Model;
-use trimip_core::{Aabb, Camera, Error, Result};
+use trimip_core::{Camera, Crop, Error, Result};
 
 /// Time of a coarse picture. Hybrid rendering has four times the pixels in the same time, and shares them between finer and
 /// more pictures.
@@ -181,8 +181,8 @@ struct Worker {
     scene: Arc<Scene>,
     /// Pixels per second, by renderer.
     speed: BTreeMap<Renderer, f64>,
-    /// The clipping box of each renderer.
-    clips: BTreeMap<Renderer, [[f64; 3]; 2]>,
+    /// The parts of the world to which each renderer is confined.
+    clips: BTreeMap<Renderer, Vec<Crop>>,
     shared: Arc<Shared>,
 }
 
@@ -292,13 +292,10 @@ impl Worker {
         let Some(viewer) = renderers.get(renderer) else {
             return Err(Error::run("there is no renderer"));
         };
-        if self.clips.get(&renderer) != request.clip.as_ref() {
-            let keep = request.clip.map(|[min, max]| Aabb { min, max });
-            viewer.clip(keep.as_ref())?;
-            match request.clip {
-                Some(clip) => self.clips.insert(renderer, clip),
-                None => self.clips.remove(&renderer),
-            };
+        let keep = request.kept(self.scene.config.scene.crop);
+        if self.clips.get(&renderer).map_or(&[][..], Vec::as_slice) != keep {
+            viewer.clip(&keep)?;
+            self.clips.insert(renderer, keep);
         }
         let started = Instant::now();
         let shared = &self.shared;

@@ -68,6 +68,7 @@ impl Scene {
             "encoder": self.config.encoder.kind,
             "box": { "min": scene.aabb_min, "max": scene.aabb_max },
             "up": scene.up,
+            "crop": scene.crop,
             "background": self.config.data.background,
             "renderers": renderers,
             "flip": cfg!(feature = "flip"),

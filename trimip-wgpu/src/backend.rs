@@ -5,10 +5,11 @@ use crate::capacity::{Capacity, LEAST_CAPACITY};
 use crate::encoder::WgpuEncoder;
 use crate::field::WgpuField;
 use crate::gpu::{Buffer, Receipt, lock};
-use crate::loss::{Sums, WgpuLoss, sums_of};
+use crate::loss::{SUMS, Sums, WgpuLoss, sums_of};
 use crate::losses::{GAIN_WORDS, SUM_WORDS};
 use crate::occupancy::{OCCUPIED, WgpuOccupancy};
 use crate::optimizer::WgpuOptimizer;
+use crate::poses::{self, WgpuPoses};
 use crate::renderer::WgpuRenderer;
 use crate::sampler::WgpuSampler;
 use crate::tiles::Tiles;
@@ -69,6 +70,7 @@ impl WgpuBackend {
 pub struct StepReceipt {
     sums: Receipt<u32>,
     exposures: Option<Receipt<u32>>,
+    poses: Option<Receipt<u32>>,
     watched: Option<[Receipt<u32>; 2]>,
     rays: u32,
 }
@@ -85,6 +87,7 @@ impl Backend for WgpuBackend {
     type Sampler = WgpuSampler;
     type Occupancy = WgpuOccupancy;
     type Loss = WgpuLoss;
+    type Poses = WgpuPoses;
 
     const LAG: usize = 2;
     const RAYS_OF_A_BAND: u32 = 1 << 18;
@@ -161,6 +164,7 @@ impl Backend for WgpuBackend {
             field,
             renderer: WgpuRenderer::new(gpu, config, training, [marched, kept]),
             optimizer: WgpuOptimizer::new(gpu, config, &layout, training, skipped),
+            poses: WgpuPoses::new(gpu, config, views.as_ref()),
             sampler: WgpuSampler::new(gpu, config, views)?,
             occupancy,
             loss: WgpuLoss::new(gpu, config),
@@ -273,10 +277,14 @@ impl Backend for WgpuBackend {
         let sums = partials.iter().find_map(|partial| partial.sums.0.as_ref())?;
         let watched = lock(&self.watched);
         Some(StepReceipt {
-            sums: self.gpu.send(&sums.buffer, 0, 8),
+            sums: self.gpu.send(&sums.buffer, 0, SUMS),
             exposures: sums.exposures.as_ref().map(|(buffer, photographs)| {
                 self.gpu.send(buffer, (4 * GAIN_WORDS * photographs) as u64, SUM_WORDS * photographs)
             }),
+            poses: sums
+                .poses
+                .as_ref()
+                .map(|(buffer, photographs)| self.gpu.send(buffer, 0, poses::SUM_WORDS * photographs)),
             watched: watched.as_ref().map(|[grid, field]| {
                 [self.gpu.send(grid, u64::from(4 * OCCUPIED), 1), self.gpu.send(field, 0, 1)]
             }),
@@ -289,11 +297,12 @@ impl Backend for WgpuBackend {
     }
 
     fn redeem(&self, receipt: Option<StepReceipt>) -> Result<StepResult> {
-        let Some(StepReceipt { sums, exposures, watched, rays }) = receipt else {
+        let Some(StepReceipt { sums, exposures, poses, watched, rays }) = receipt else {
             return Ok(StepResult::default());
         };
         let words = self.gpu.redeem(sums);
-        let exposures = exposures.map(|exposures| self.gpu.redeem(exposures)).unwrap_or_default();
+        let [exposures, poses] =
+            [exposures, poses].map(|sums| sums.map(|sums| self.gpu.redeem(sums)).unwrap_or_default());
         if let Some([occupied, overflows]) = watched {
             self.counters.occupied.store(self.gpu.redeem(occupied)[0].into(), Ordering::Relaxed);
             self.counters.overflows.store(self.gpu.redeem(overflows)[0].into(), Ordering::Relaxed);
@@ -307,9 +316,10 @@ impl Backend for WgpuBackend {
             rays: rays.into(),
             marched: (words[4] + words[6]).into(),
             kept: words[5].into(),
+            drawn: words[8].into(),
             non_finite: float(3) as u64,
         };
-        Ok(StepResult { sums, exposures: sums_of(&exposures) })
+        Ok(StepResult { sums, exposures: sums_of(&exposures), poses: sums_of(&poses) })
     }
 
     fn health(&self) -> Result<()> {

@@ -5,12 +5,12 @@ use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Rows, Size};
 use crate::mlp::{Activations, DIRECT, Flow, Mlp, Partials};
 use crate::products::padded;
-use crate::shaders::{ACTIVATION, COMPOSITING, HARMONICS, RAY};
-use crate::workspace::{DeviceCounters, Stream, WgpuBackend};
+use crate::shaders::{ACTIVATION, COMPOSITING, HARMONICS, RANDOM, RAY};
+use crate::workspace::{Capacity, DeviceCounters, Stream, WgpuBackend};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use trimip_core::config::{Precision, ViewEncoding};
-use trimip_core::engine::batch::{FieldBackward, PartialGradients, Radiance, Tile};
+use trimip_core::engine::batch::{FieldBackward, FieldDraw, PartialGradients, Radiance, SampleDraw, Tile};
 use trimip_core::engine::policy::FieldPolicy;
 use trimip_core::{Config, Field, Layout};
 
@@ -47,6 +47,25 @@ shared! {
     }
 }
 
+shared! {
+    /// Parameters of the draw of samples.
+    struct DrawParams as Params {
+        draws: [u32; 4],
+        threshold: f32,
+        /// Number of rays, and the index of the first within the step.
+        count: u32,
+        first: u32,
+        /// Width of the density network's output, of which the first is the logit.
+        outputs: u32,
+        /// Function of the density, its shift and its factor.
+        density: u32,
+        shift: f32,
+        scale: f32,
+        /// 1 without networks: colours are clamped, otherwise they are sigmoids.
+        direct: u32,
+    }
+}
+
 const PARAMS: Source = Parts(&[Source::of::<FieldParams>(), Text(include_str!("shaders/field_params.wgsl"))]);
 
 /// Operations between the layers of the two networks.
@@ -66,6 +85,9 @@ const DENSITY_GRADIENTS: [Source; 4] =
 const DIM: [Source; 4] =
     [GRID, COMPOSITING, Source::of::<DimParams>(), Text(include_str!("shaders/dim.wgsl"))];
 
+const DRAW: [Source; 5] =
+    [GRID, RANDOM, ACTIVATION, Source::of::<DrawParams>(), Text(include_str!("shaders/draw_samples.wgsl"))];
+
 kernels! {
     /// The kernels of a field, apart from those of its networks.
     pub struct Kernels {
@@ -77,6 +99,11 @@ kernels! {
         ),
         colors: Kernel::new("colors", &[FIELD], &[(0, Read), (1, Write), (2, Parameters), (3, Read)]),
         dim: Kernel::new("dim", &DIM, &[(0, Read), (1, Write), (2, Parameters), (3, Read)]),
+        draw: Kernel::new(
+            "draw",
+            &DRAW,
+            &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Write)],
+        ),
         color_gradients: Kernel::new(
             "color_gradients",
             &[FIELD],
@@ -295,6 +322,57 @@ impl Field<WgpuBackend> for WgpuField {
             let binds = [samples.segments.bind(), radiance.bind(), samples.intervals.bind()];
             let params = DimParams { count: count as u32, least };
             self.gpu.dispatch(&self.kernels.dim, &binds, &params, Size::Items(count as u64));
+        }
+    }
+
+    fn draw(
+        &self,
+        tile: &mut Tile<'_, WgpuBackend>,
+        draw: &SampleDraw,
+        context: &Context,
+        arrays: FieldDraw<'_, WgpuBackend>,
+    ) {
+        let FieldDraw { radiance, radiance_gradients, marks } = arrays;
+        let Tile { rays, samples, .. } = tile;
+        let count = samples.segments.known_len().unwrap_or(0);
+        marks.reserve(radiance.most());
+        let field = &self.policy.settings;
+        let params = DrawParams {
+            draws: draw.draws.words(),
+            threshold: draw.threshold,
+            count: count as u32,
+            first: rays.first,
+            outputs: self.outputs() as u32,
+            density: field.density as u32,
+            shift: field.density_shift,
+            scale: field.density_scale,
+            direct: u32::from(self.policy.is_direct()),
+        };
+        let binds = [
+            context.outputs().bind(),
+            radiance.bind(),
+            samples.segments.bind(),
+            radiance_gradients.bind(),
+            marks.bind(),
+        ];
+        self.gpu.dispatch(&self.kernels.draw, &binds, &params, Size::Items(count as u64));
+    }
+
+    fn keep_drawn(
+        &self,
+        stream: &mut Stream,
+        drawn: &Buffer<u32>,
+        context: &mut Context,
+        radiance: &mut Buffer<Radiance>,
+        radiance_gradients: &mut Buffer<Radiance>,
+    ) {
+        self.keep(stream, drawn, context, radiance);
+        stream.keep_in(Capacity::Kept, drawn, radiance_gradients, 4);
+        if !self.policy.is_direct() {
+            stream.keep_in(Capacity::Kept, drawn, &mut context.color_input, self.width);
+            for (width, activations) in self.color.widths().zip(&mut context.color) {
+                stream.keep_in(Capacity::Kept, drawn, activations, width);
+            }
         }
     }
 

@@ -5,7 +5,7 @@ use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
 use crate::gpu::{Buffer, GRID, Gpu, Kernel, Size};
 use crate::occupancy::WgpuOccupancy;
-use crate::renderer::{MARCHED, WALK, WgpuRenderer};
+use crate::renderer::{KEPT, MARCHED, WALK, WgpuRenderer};
 use crate::shaders::{COMPOSITING, PRUNING, SEGMENTS};
 use crate::space::GpuSpace;
 use crate::workspace::{Stream, WgpuBackend};
@@ -171,7 +171,8 @@ impl Hybrid {
         let Workspace { stream, rays, samples, field_context, radiance, kept, .. } = workspace;
         let tile = &mut Tile { stream, parameters, rays, samples };
         self.share(stages, tile, field_context, radiance);
-        stages.renderer.list(stream, samples, kept);
+        let marks = stream.marks.raw().clone();
+        stages.renderer.list(stream, &marks, samples, kept, KEPT);
         stages.field.keep_outputs(stream, kept, field_context, radiance);
     }
 

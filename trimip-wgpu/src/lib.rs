@@ -20,6 +20,7 @@ mod memory;
 mod mlp;
 mod occupancy;
 mod optimizer;
+mod poses;
 #[cfg(test)]
 mod probe;
 mod products;

@@ -13,11 +13,11 @@ use trimip_core::engine::batch::Radiance;
 use trimip_core::field::losses::{Definition, PIXEL_TERMS, RAY_TERMS};
 use trimip_core::{Config, Space};
 
-/// Weight and numbers of a term, as the shaders read them.
-fn numbers<T: Definition + ?Sized>(term: &T, config: &LossConfig) -> [f32; 4] {
-    let [a, b, c] = term.numbers(config);
-    [term.weight(config), a, b, c]
-}
+/// Number of words of [`DeviceSums::buffer`].
+pub const SUMS: usize = 9;
+
+/// Where the number of drawn samples is in it, in bytes.
+pub const DRAWN_AT: u64 = 4 * (SUMS as u64 - 1);
 
 /// A step's sums on the device: loss, weight, squared error, number of non-finite pixels, then counts of samples.
 #[derive(Default)]
@@ -25,16 +25,18 @@ pub struct Sums(pub Option<DeviceSums>);
 
 /// The buffer that holds the sums.
 pub struct DeviceSums {
-    /// Eight words: four floats as bits, and four counts.
+    /// Words: four floats as bits, four counts, and the number of drawn samples.
     pub buffer: wgpu::Buffer,
     /// Number of pixels of the step.
     pub rays: u32,
     /// Gains of photographs with the derivatives by their logarithms, and the number of photographs.
     pub exposures: Option<(wgpu::Buffer, usize)>,
+    /// Derivatives by motions of the photographs' cameras, and the number of photographs.
+    pub poses: Option<(wgpu::Buffer, usize)>,
 }
 
-/// The sums of the photographs' derivatives, RGB of each: 64-bit fixed point, low words first.
-pub fn sums_of(words: &[u32]) -> Vec<[f64; 3]> {
+/// The sums of the photographs' derivatives, `N` of each: 64-bit fixed point, low words first.
+pub fn sums_of<const N: usize>(words: &[u32]) -> Vec<[f64; N]> {
     let fixed = |[low, high]: [u32; 2]| (i64::from(high.cast_signed()) << 32) | i64::from(low);
     let value = |words: &[u32; 2]| fixed(*words) as f64 / f64::from(POINT);
     let sums: Vec<f64> = words.as_chunks().0.iter().map(value).collect();
@@ -46,6 +48,8 @@ pub struct WgpuLoss {
     gpu: Arc<Gpu>,
     kernels: Kernels,
     config: LossConfig,
+    /// Fraction of the run.
+    progress: f64,
     space: GpuSpace,
     sums: Buffer<u32>,
     /// Gains of the photographs, then the derivatives by their logarithms; empty without gains.
@@ -59,11 +63,18 @@ impl WgpuLoss {
             gpu: Arc::clone(gpu),
             kernels: Kernels::new(gpu, config.loss.photometric),
             config: config.loss.clone(),
+            progress: 0.0,
             // The loss needs no cells.
             space: GpuSpace::new(&Space::new(&config.scene), 1),
-            sums: Buffer::zeros(gpu, 8),
+            sums: Buffer::zeros(gpu, SUMS),
             exposures: Buffer::zeros(gpu, 0),
         }
+    }
+
+    /// Weight and numbers of a term, as the shaders read them.
+    fn numbers<T: Definition + ?Sized>(&self, term: &T) -> [f32; 4] {
+        let [a, b, c] = term.numbers(&self.config);
+        [term.weight_at(&self.config, self.progress), a, b, c]
     }
 }
 
@@ -74,6 +85,10 @@ impl Loss<WgpuBackend> for WgpuLoss {
             self.exposures = Buffer::zeros(&self.gpu, words);
         }
         self.gpu.write(self.exposures.raw(), gains.as_flattened());
+    }
+
+    fn set_progress(&mut self, progress: f64) {
+        self.progress = progress;
     }
 
     fn evaluate_pixels(
@@ -94,8 +109,8 @@ impl Loss<WgpuBackend> for WgpuLoss {
             blocks,
             live: u32::from(self.config.rays == LossRays::Live),
             photographs: photographs as u32,
-            photometric: numbers(self.config.photometric.term(), &self.config),
-            terms: PixelTerms::of(std::array::from_fn(|i| numbers(PIXEL_TERMS[i], &self.config))),
+            photometric: self.numbers(self.config.photometric.term()),
+            terms: PixelTerms::of(std::array::from_fn(|i| self.numbers(PIXEL_TERMS[i]))),
         };
         let mut binds = Binds::new(pixels.bind()).and([
             pixel_gradients.bind(),
@@ -115,7 +130,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
         let binds = [stream.sums.bind(), self.sums.bind(), samples.counts.bind()];
         self.gpu.dispatch(&self.kernels.add_up, &binds, &params, Size::Groups(1));
         let exposures = (photographs > 0).then(|| (self.exposures.raw().clone(), photographs));
-        sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures });
+        sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures, poses: None });
     }
 
     fn evaluate_rays(
@@ -128,27 +143,21 @@ impl Loss<WgpuBackend> for WgpuLoss {
         let RenderedTile { rays, samples, radiance, .. } = tile;
         let count = rays.groups.known_len().unwrap_or(0) as u32;
         let blocks = count.div_ceil(GROUP);
-        for (term, [cones, sums]) in RAY_TERMS.iter().zip(&self.kernels.rays) {
-            let term = numbers(*term, &self.config);
+        for (term, kernels) in RAY_TERMS.iter().zip(&self.kernels.rays) {
+            let term = self.numbers(*term);
             if term[0] == 0.0 {
                 continue;
             }
             let params = RayParams { space: self.space, term, count, blocks };
             // The sums of the pixels are added up already.
             stream.sums.resize(4 * blocks as usize);
-            let binds = [
-                samples.segments.bind(),
-                radiance_gradients.bind(),
-                radiance.bind(),
-                samples.intervals.bind(),
-                rays.rays.bind(),
-                rays.targets.bind(),
-                rays.groups.bind(),
-                stream.sums.bind(),
-            ];
-            self.gpu.dispatch(cones, &binds, &params, Size::Items(count.into()));
+            let binds = Binds::new(samples.segments.bind())
+                .and([radiance_gradients.bind(), radiance.bind(), samples.intervals.bind()])
+                .and(kernels.reads_rays.then(|| rays.rays.bind()))
+                .and([rays.targets.bind(), rays.groups.bind(), stream.sums.bind()]);
+            self.gpu.dispatch(&kernels.cones, &binds, &params, Size::Items(count.into()));
             let binds = [stream.sums.bind(), self.sums.bind()];
-            self.gpu.dispatch(sums, &binds, &params, Size::Groups(1));
+            self.gpu.dispatch(&kernels.sums, &binds, &params, Size::Groups(1));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The terms of the loss on the GPU: the list of their WGSL in `shaders/losses`, composed into the kernels of the loss. A file
 //! defines a function of the term's name: `fn NAME(difference, numbers) -> vec2` of a photometric term, `fn NAME(pixel, at,
-//! numbers, factor, gradient) -> f32` of a term of pixels, `fn NAME(cone, fraction) -> f32` of a term of rays.
+//! numbers, factor, gradient) -> f32` of a term of pixels, `fn NAME(cone, at, fraction) -> f32` of a term of rays.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
@@ -65,15 +65,28 @@ pub struct Kernels {
     pub evaluate_exposed: Pipeline,
     /// Adds up the sums of the pixels' workgroups.
     pub add_up: Pipeline,
-    /// For each term of rays, as core lists them: that of the cones, and that of their sums.
-    pub rays: [[Pipeline; 2]; RAY_TERMS.len()],
+    /// For each term of rays, as core lists them.
+    pub rays: [RayKernels; RAY_TERMS.len()],
+}
+
+/// The kernels of a term of rays.
+pub struct RayKernels {
+    /// Evaluates the cones.
+    pub cones: Pipeline,
+    /// Whether the cones' kernel reads the rays, beside the samples along them.
+    pub reads_rays: bool,
+    /// Adds up the sums of the cones' workgroups.
+    pub sums: Pipeline,
 }
 
 impl Kernels {
     /// Finds the pipelines of a device.
     pub fn new(gpu: &Gpu, kind: Photometric) -> Self {
         let [evaluate, evaluate_exposed] = [false, true].map(|exposed| gpu.pipeline(evaluate(kind, exposed)));
-        let rays = RAY_SOURCES.map(|term| ray_kernels(term).map(|kernel| gpu.pipeline(kernel)));
+        let rays = RAY_SOURCES.map(|term| {
+            let [cones, sums] = ray_kernels(term).map(|kernel| gpu.pipeline(kernel));
+            RayKernels { cones, reads_rays: reads_rays(term), sums }
+        });
         Self { evaluate, evaluate_exposed, add_up: gpu.pipeline(add_up()), rays }
     }
 }
@@ -109,6 +122,11 @@ fn add_up() -> Kernel {
     )
 }
 
+/// Whether a term of rays reads the rays, beside the samples along them.
+fn reads_rays(term: &str) -> bool {
+    term.contains("rays[")
+}
+
 /// The kernels of a term of rays: that of the cones, and that of their sums.
 fn ray_kernels(term: &'static str) -> [Kernel; 2] {
     let sources = [
@@ -121,17 +139,11 @@ fn ray_kernels(term: &'static str) -> [Kernel; 2] {
         Text(term),
         Text(include_str!("shaders/ray_term.wgsl")),
     ];
-    let bindings = [
-        (0, Read),
-        (1, Write),
-        (2, Parameters),
-        (3, Read),
-        (4, Read),
-        (5, Read),
-        (6, Read),
-        (7, Read),
-        (8, Write),
-    ];
+    let mut bindings = vec![(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read)];
+    if reads_rays(term) {
+        bindings.push((5, Read));
+    }
+    bindings.extend([(6, Read), (7, Read), (8, Write)]);
     [
         Kernel::new("evaluate_rays", &sources, &bindings),
         Kernel::new("add_rays", &sources, &[(2, Parameters), (8, Write), (9, Write)]),
@@ -189,7 +201,8 @@ macro_rules! losses {
         /// The function of each term of rays, and the one that calls it.
         const RAY_SOURCES: [&str; RAY_TERMS.len()] = [$(concat!(
             include_str!(concat!("shaders/losses/", stringify!($ray), ".wgsl")),
-            "fn ray_term(cone: u32, fraction: f32) -> f32 {\n    return ", stringify!($ray), "(cone, fraction);\n}\n",
+            "fn ray_term(cone: u32, at: u32, fraction: f32) -> f32 {\n    return ", stringify!($ray),
+            "(cone, at, fraction);\n}\n",
         )),*];
 
         /// Names of the terms of pixels and of rays.
@@ -206,7 +219,7 @@ losses! {
         Charbonnier => charbonnier,
     }
     pixel { opacity }
-    ray { distortion }
+    ray { distortion, depth }
 }
 
 /// Every kernel, for validation.

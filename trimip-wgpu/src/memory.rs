@@ -5,9 +5,12 @@ use crate::gpu::largest_binding;
 use crate::mlp::CHUNKS;
 use crate::products::padded;
 use crate::settings::{Photographs, WgpuConfig};
+use std::collections::BTreeSet;
+use trimip_core::config::CameraPoses;
 use trimip_core::engine::batch::{Interval, Radiance, Ray, Segment, Sphere, Target};
 use trimip_core::field::encoders;
 use trimip_core::field::params::{color_layers, density_layers};
+use trimip_core::scene::depths::KnownDepth;
 use trimip_core::{Config, Layout, Pixel, Space, ViewSet};
 
 /// Bytes of an f32.
@@ -53,12 +56,22 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
     let last = |layers: &[[usize; 2]]| layers.last().map_or(padded(1), |[_, outputs]| padded(*outputs));
     let by_inputs = color_inputs + last(&density) + encoders::stride(config);
     let by_outputs = last(&color) + 2 * hidden;
+    let refines = config.train.cameras == CameraPoses::Refine;
+    // Samples on displaced rays, and a slope of each.
+    let displaced = if refines { size_of::<Sphere>() + (encoding + 1) * FLOAT } else { 0 };
+    // Drawn samples: a mark of each, and spare arrays for gradients and for what colours need, one of each width.
+    let draws = config.train.backward_fraction.values().any(|fraction| fraction < 1.0);
+    let outputs = color.iter().map(|[_, outputs]| padded(*outputs));
+    let spares: BTreeSet<usize> = outputs.chain([color_inputs, size_of::<Radiance>() / FLOAT]).collect();
+    let drawn = if draws { (1 + spares.iter().sum::<usize>()) * FLOAT } else { 0 };
     let per_kept = (color_inputs + widths(&color) + by_inputs + by_outputs) * FLOAT
+        + drawn
         + size_of::<Radiance>()
-        + size_of::<u32>();
+        + size_of::<u32>()
+        + displaced;
 
     let words = Space::<f32>::new(&config.scene).most_steps(config.step_length()).div_ceil(32);
-    let per_ray = size_of::<Ray>()
+    let per_ray = size_of::<Ray>() * (1 + usize::from(refines))
         + size_of::<Target>()
         + 2 * size_of::<Pixel>()
         + size_of::<[f32; 4]>()
@@ -76,6 +89,7 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
             true => part("pixels of a step, sent from the host", 4 * rays),
             false => part("training images", bytes),
         },
+        part("known depths of pixels", size_of::<KnownDepth>() * views.depths.len()),
         part("parameters, gradient and moments", PARAMETER_COPIES * layout.len() * FLOAT),
         part("what derives from the parameters, and its gradient", derived),
         part("high words of the gradient in fixed point", high),

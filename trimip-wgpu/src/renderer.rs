@@ -2,8 +2,9 @@
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Parts, Text};
-use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Size};
+use crate::gpu::{Bind, Buffer, GRID, GROUP, Gpu, Kernel, Size};
 use crate::hybrid::Hybrid;
+use crate::loss::{DRAWN_AT, Sums};
 use crate::occupancy::WgpuOccupancy;
 use crate::shaders::{BLOCKS, COMPOSITING, PIXEL, PRUNING, RANDOM, RAY, SEGMENTS, TARGET};
 use crate::space::{GpuSpace, SPACE};
@@ -25,7 +26,11 @@ const BLOCK: u32 = EACH * GROUP;
 
 /// Indices of the counters in [`Samples::counts`].
 pub(crate) const MARCHED: u32 = 0;
-const KEPT: u32 = 1;
+pub(crate) const KEPT: u32 = 1;
+const DRAWN: u32 = 4;
+
+/// Number of [`Samples::counts`]: for each counter there is one of the samples that are dropped.
+const COUNTS: usize = 4;
 
 /// Distance from a counter to that of the samples that do not fit into their arrays.
 const DROPPED: u32 = 2;
@@ -134,6 +139,8 @@ kernels! {
             &PRUNE,
             &[(0, Write), (2, Parameters), (3, Read), (4, Read), (5, Write), (6, Write)],
         ),
+        /// Counts the marked samples.
+        recount: Kernel::new("recount", &PRUNE, &[(0, Write), (2, Parameters), (5, Write), (6, Write)]),
         /// Lists the marked samples.
         list: Kernel::new("list", &PRUNE, &[(0, Write), (1, Write), (2, Parameters), (5, Write), (6, Write)]),
         composite: Kernel::new(
@@ -207,18 +214,21 @@ impl WgpuRenderer {
 }
 
 impl WgpuRenderer {
-    /// Lists the marked samples in `kept` and drops the others. The counts of the segments are those of marked samples.
+    /// Lists the marked samples in `kept` and drops the others. The counts of the segments are those of marked samples; their
+    /// sum becomes the counter `counter`.
     pub(crate) fn list(
         &self,
         stream: &mut Stream,
+        marks: &wgpu::Buffer,
         samples: &mut Samples<WgpuBackend>,
         kept: &mut Buffer<u32>,
+        counter: u32,
     ) {
         let count = samples.segments.known_len().unwrap_or(0);
         let kept_capacity = self.kept_capacity.min(samples.spheres.most());
-        self.scan(stream, &samples.segments, &samples.counts, KEPT, kept_capacity);
-        kept.count_by(kept_capacity, samples.counts.raw(), KEPT, 1);
-        let binds = [samples.segments.bind(), kept.bind(), stream.old_segments.bind(), stream.marks.bind()];
+        self.scan(stream, &samples.segments, &samples.counts, counter, kept_capacity);
+        kept.count_by(kept_capacity, samples.counts.raw(), counter, 1);
+        let binds = [samples.segments.bind(), kept.bind(), stream.old_segments.bind(), Bind::whole(marks)];
         let params = self.prune_params(count, kept_capacity);
         self.gpu.dispatch(&self.kernels.list, &binds, &params, Size::Items(count as u64));
         stream.keep(kept, &mut samples.rays, 1);
@@ -276,7 +286,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
         let capacity =
             if self.training { self.capacity } else { self.capacity.min(count * most_samples).max(1) };
         samples.segments.resize(count);
-        samples.counts.resize(2);
+        samples.counts.resize(COUNTS);
         stream.bits.resize(count * words);
         stream.marched = true;
         let params = MarchParams {
@@ -318,7 +328,7 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
     ) {
         let count = samples.segments.known_len().unwrap_or(0);
         let capacity = samples.spheres.most();
-        samples.counts.resize(2);
+        samples.counts.resize(COUNTS);
         stream.old_segments.resize(count);
         stream.marks.resize(capacity);
         let params = self.prune_params(count, self.kept_capacity.min(capacity));
@@ -330,7 +340,28 @@ impl Renderer<WgpuBackend> for WgpuRenderer {
             stream.marks.bind(),
         ];
         self.gpu.dispatch(&self.kernels.see, &binds, &params, Size::Items(count as u64));
-        self.list(stream, samples, kept);
+        let marks = stream.marks.raw().clone();
+        self.list(stream, &marks, samples, kept, KEPT);
+    }
+
+    fn keep_drawn(
+        &self,
+        stream: &mut Stream,
+        marks: &Buffer<u32>,
+        samples: &mut Samples<WgpuBackend>,
+        drawn: &mut Buffer<u32>,
+        sums: &mut Sums,
+    ) {
+        let count = samples.segments.known_len().unwrap_or(0);
+        samples.counts.resize(COUNTS);
+        stream.old_segments.resize(count);
+        let params = self.prune_params(count, self.kept_capacity);
+        let binds = [samples.segments.bind(), stream.old_segments.bind(), marks.bind()];
+        self.gpu.dispatch(&self.kernels.recount, &binds, &params, Size::Items(count as u64));
+        self.list(stream, marks.raw(), samples, drawn, DRAWN);
+        if let Some(sums) = &sums.0 {
+            self.gpu.copy(samples.counts.raw(), 4 * u64::from(DRAWN), &sums.buffer, DRAWN_AT, 4);
+        }
     }
 
     fn composite(

@@ -16,6 +16,7 @@ use trimip_core::engine::ray_allocation::RayAllocation;
 use trimip_core::geometry::lens::MOST_ROUNDS;
 use trimip_core::math::rng::Sequence;
 use trimip_core::scene::cones::PixelPattern;
+use trimip_core::scene::depths::KnownDepth;
 use trimip_core::scene::views::Alpha;
 use trimip_core::{Camera, Config, Error, Result, ViewSet};
 
@@ -74,7 +75,8 @@ shared! {
         streamed: u32,
         /// Index within the step of the tile's first cone.
         first_cone: u32,
-        padding: u32,
+        /// Number of known depths.
+        depths: u32,
         /// Pixels of the step from this index on belong to this scale or a coarser one.
         begins: [u32; MOST_SCALES],
         /// By scale: loss weight of a pixel, its cones ([`side_of`]), edge exponent of its photographs.
@@ -95,14 +97,28 @@ pub const CAMERA: Source = Parts(&[
     Text(PROJECTIONS),
 ]);
 
-const RAYS: [Source; 7] = [
+mirror!(KnownDepth as KnownDepth { pixel: u32, distance: f32, deviation: f32 });
+
+const DRAW: Source = Text(include_str!("shaders/draw.wgsl"));
+const RAYS: [Source; 8] = [
     GRID,
     RANDOM,
     CAMERA,
     TARGET,
     Source::of::<GpuScale>(),
     Source::of::<Params>(),
+    DRAW,
     Text(include_str!("shaders/rays.wgsl")),
+];
+const KNOWN_DEPTHS: [Source; 8] = [
+    GRID,
+    RANDOM,
+    TARGET,
+    Source::of::<GpuScale>(),
+    Source::of::<Params>(),
+    Source::of::<KnownDepth>(),
+    DRAW,
+    Text(include_str!("shaders/known_depths.wgsl")),
 ];
 const PHOTOGRAPHS_NONE: Source = Text(include_str!("shaders/photographs_none.wgsl"));
 const PHOTOGRAPHS_KEPT: Source = Text(include_str!("shaders/photographs_kept.wgsl"));
@@ -124,6 +140,8 @@ kernels! {
         training_rays: training_rays().and(&[PHOTOGRAPHS_NONE], &[]),
         /// The same, and each pixel keeps the number of its photograph.
         training_rays_exposed: training_rays().and(&[PHOTOGRAPHS_KEPT], &[(7, Write), (8, Read)]),
+        /// Gives targets their known depths.
+        known_depths: Kernel::new("known_depths", &KNOWN_DEPTHS, &[(2, Parameters), (4, Read), (5, Write), (9, Read)]),
     }
 }
 
@@ -165,8 +183,12 @@ struct Training {
     /// All pixels, if they stay on the host.
     host: Option<trimip_core::Pixels>,
     scales: Buffer<GpuScale>,
-    /// The photograph of each view, with `loss.exposure`.
+    /// Index of the first pixel of each view.
+    offsets: Vec<usize>,
+    /// The photograph of each view, with `loss.exposure` or refined poses.
     photographs: Option<Buffer<u32>>,
+    /// Sorted by pixel.
+    depths: Buffer<KnownDepth>,
 }
 
 impl WgpuSampler {
@@ -186,6 +208,7 @@ impl WgpuSampler {
             None => None,
             Some(views) => {
                 params.alpha = meaning(views.alpha);
+                params.depths = views.depths.len() as u32;
                 let training = Training::new(gpu, config, &policy, views)?;
                 params.streamed = u32::from(training.host.is_some());
                 Some(training)
@@ -240,15 +263,26 @@ impl Training {
                 format!("use at most {MOST_SCALES} on the GPU"),
             ));
         }
+        if size_of_val(&views.depths[..]) as u64 > most {
+            return Err(Error::input(
+                "plan.depth",
+                format!(
+                    "{} pixels of known depth are more than the device binds at once",
+                    views.depths.len()
+                ),
+                "set data.scales to fewer scales, or use a model of fewer points",
+            ));
+        }
         let mut training = Self {
             views: Buffer::zeros(gpu, 0),
             pixels: Mutex::new(Buffer::zeros(gpu, 0)),
             host: None,
             scales: Buffer::zeros(gpu, 0),
+            offsets: views.views.iter().map(|view| view.offset).collect(),
             photographs: (!policy.photographs.is_empty()).then(|| Buffer::zeros(gpu, 0)),
+            depths: Buffer::zeros(gpu, 0),
         };
-        let table: Vec<GpuView> = views.views.iter().map(|v| GpuView::new(&v.camera, v.offset)).collect();
-        training.views.write(&table);
+        training.place(&views.views.iter().map(|view| view.camera).collect::<Vec<_>>());
         if let Some(of_views) = &mut training.photographs {
             of_views.write(&policy.photographs);
         }
@@ -263,12 +297,19 @@ impl Training {
             })
             .collect();
         training.scales.write(&scales);
+        training.depths.write(&views.depths);
         if streamed {
             training.host = Some(views.pixels);
         } else {
             lock(&training.pixels).write(bytemuck::cast_slice(&views.pixels));
         }
         Ok(training)
+    }
+
+    /// Writes the cameras of all views.
+    fn place(&mut self, cameras: &[Camera]) {
+        let views = cameras.iter().zip(&self.offsets).map(|(camera, offset)| GpuView::new(camera, *offset));
+        self.views.write(&views.collect::<Vec<_>>());
     }
 }
 
@@ -309,6 +350,12 @@ impl Sampler<WgpuBackend> for WgpuSampler {
 
     fn policy_mut(&mut self) -> &mut SamplerPolicy {
         &mut self.policy
+    }
+
+    fn set_cameras(&mut self, cameras: &[Camera]) {
+        if let Some(training) = &mut self.training {
+            training.place(cameras);
+        }
     }
 
     fn training_rays(
@@ -359,7 +406,12 @@ impl Sampler<WgpuBackend> for WgpuSampler {
             kernel = &self.kernels.training_rays_exposed;
             binds = binds.and([rays.photographs.bind(), of_views.bind()]);
         }
-        self.gpu.dispatch(kernel, &binds, &params, Size::Items(range.len() as u64));
+        let items = Size::Items(range.len() as u64);
+        self.gpu.dispatch(kernel, &binds, &params, items);
+        if policy.knows_depths() && params.depths > 0 {
+            let binds = [scales.bind(), rays.targets.bind(), training.depths.bind()];
+            self.gpu.dispatch(&self.kernels.known_depths, &binds, &params, items);
+        }
     }
 
     fn camera_rays(&self, _: &mut Stream, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {

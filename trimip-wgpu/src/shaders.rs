@@ -40,7 +40,12 @@ pub const TARGET: Source = Parts(&[
     Source::whole("TARGET_BACKGROUND", words(offset_of!(Target, background))),
     Source::whole("TARGET_OPACITY", words(offset_of!(Target, opacity))),
     Source::whole("TARGET_EXPONENT", words(offset_of!(Target, exponent))),
+    Source::whole("TARGET_DISTANCE", words(offset_of!(Target, distance))),
+    Source::whole("TARGET_DEVIATION", words(offset_of!(Target, deviation))),
 ]);
+
+/// Two unit vectors across a direction.
+pub const BASIS: Source = Text(include_str!("shaders/basis.wgsl"));
 
 /// Random numbers.
 pub const RANDOM: Source = Text(include_str!("shaders/random.wgsl"));

@@ -3,6 +3,7 @@
 use crate::gpu::Source::{self, Parts, Text};
 use crate::shaders::RAY;
 use trimip_core::Space;
+use trimip_core::geometry::space::ROUNDING;
 use trimip_core::geometry::space::contraction::{FARTHEST, STRETCH};
 
 shared! {
@@ -34,6 +35,7 @@ pub const SPACE: Source = Parts(&[
     Source::real("FAR", FAR),
     Source::real("FARTHEST", FARTHEST as f32),
     Source::real("STRETCH", STRETCH as f32),
+    Source::real("ROUNDING", ROUNDING),
     Text(include_str!("shaders/space.wgsl")),
 ]);
 

@@ -4,7 +4,8 @@
 use crate::gpu::{Access, Kernel, Layout};
 use crate::workspace::Addition;
 use crate::{
-    encoder, field, gpu, hybrid, losses, mlp, occupancy, optimizer, products, renderer, sampler, workspace,
+    encoder, field, gpu, hybrid, losses, mlp, occupancy, optimizer, poses, products, renderer, sampler,
+    workspace,
 };
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, Handle, Module, Scalar, ScalarKind, StorageAccess, Type, TypeInner};
@@ -20,6 +21,7 @@ fn all() -> Vec<Kernel> {
         losses::all(),
         mlp::Kernels::all(),
         occupancy::Kernels::all(),
+        poses::Kernels::all(),
         products::all(),
         renderer::Kernels::all(),
         sampler::Kernels::all(),

@@ -44,10 +44,19 @@ pub struct Stream {
     /// For hybrid rendering, one per ray: 1 if the proxy is sure of it.
     pub(crate) sure: Buffer<u32>,
     pub(crate) sums: Buffer<f32>,
-    /// Destination arrays for gathered rows, by row width in words.
-    spares: HashMap<usize, Buffer<u32>>,
+    /// Destination arrays for gathered rows, by row width in words and the capacity of the arrays that they are swapped with.
+    spares: HashMap<(usize, Capacity), Buffer<u32>>,
     /// True if rays were marched, so that samples may have been dropped for lack of room.
     pub(crate) marched: bool,
+}
+
+/// The number of samples that an array can hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Capacity {
+    /// All marched samples.
+    Marched,
+    /// The samples that pruning keeps.
+    Kept,
 }
 
 shared! {
@@ -84,12 +93,28 @@ impl Stream {
         }
     }
 
-    /// Keeps the rows `kept` of an array, of `width` words each, and drops the others.
+    /// Keeps the rows `kept` of an array with a capacity for all marched samples, of `width` words each, and drops the others.
     pub(crate) fn keep<T: Pod>(&mut self, kept: &Buffer<u32>, array: &mut Buffer<T>, width: usize) {
-        let spare = self.spares.entry(width).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
+        self.keep_in(Capacity::Marched, kept, array, width);
+    }
+
+    /// As [`keep`](Self::keep), of an array with this capacity. An array swaps its memory with a spare one. Each capacity has its own spare
+    /// arrays; with shared ones, every array would grow to the largest.
+    pub(crate) fn keep_in<T: Pod>(
+        &mut self,
+        capacity: Capacity,
+        kept: &Buffer<u32>,
+        array: &mut Buffer<T>,
+        width: usize,
+    ) {
+        let spare = self.spares.entry((width, capacity)).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
         let Some((counts, counter)) = kept.counter() else { return };
         let values = width * 4 / size_of::<T>();
-        spare.reserve(array.capacity() * size_of::<T>() / 4);
+        // Exactly as much: more would grow with every swap.
+        let words = array.capacity() * size_of::<T>() / 4;
+        if spare.capacity() < words {
+            *spare = Buffer::zeros(&self.gpu, words);
+        }
         spare.count_by(kept.most() * width, counts, counter, width);
         let params = Gather { width: width as u32, counter };
         let counts = Bind::whole(counts);
@@ -147,6 +172,11 @@ impl WgpuBackend {
         let gpu = Gpu::open(adapter)?;
         let can = addition != Addition::Atomic || gpu.adds_floats();
         Ok(can.then(|| Self::with(gpu, addition)))
+    }
+
+    /// Another backend on the same device. The two share compiled kernels and [`counts`](Self::counts), and nothing else.
+    pub fn on_the_same_device(&self) -> Self {
+        Self::with(Arc::clone(&self.gpu), self.addition)
     }
 
     fn with(gpu: Arc<Gpu>, addition: Addition) -> Self {

@@ -299,7 +299,7 @@ pub(super) fn events() -> Vec<Vec<u8>> {
         Event::Warning { message: "dark".into() },
         evaluation(false),
         evaluation(true),
-        Event::Finished { totals },
+        Event::finished(totals),
         Event::SessionEnded {
             device: "cpu".into(),
             backend: "cpu".into(),

@@ -23,7 +23,7 @@ pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
 /// A sample of optical depth `depth`, as terms of rays see it.
 pub fn ray_sample(config: &Config, ray: &Ray, sample: &Sample, depth: f64) -> RaySample<f64> {
     let [place, width] = along(config, ray, sample);
-    RaySample { depth, t: sample.t, place, width }
+    RaySample { depth, t: sample.t, length: sample.length, place, width }
 }
 
 /// The colour that a photograph shows of a pixel [r, g, b, opacity]: P·A^γ + (1 − A)·background.
@@ -50,12 +50,13 @@ pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 
     (0..3).map(channel).sum::<f64>() / 3.0 + others.sum::<f64>()
 }
 
-/// The terms of rays of a pixel: the mean over its cones, without the weight of its area.
+/// The terms of rays of a pixel: the mean over its cones, without the weight of its area. A cone without samples has none.
 pub fn of_cones(config: &Config, target: &Target, cones: &[Vec<RaySample<f64>>]) -> f64 {
     let at_work = RAY_TERMS.iter().filter(|term| weight(**term, config) > 0.0);
     let of = |term: &&dyn trimip_core::field::losses::RayTerm| {
         let cone = |samples: &Vec<_>| term.reference(&config.loss, &ConeSamples { target, samples });
-        weight(*term, config) * cones.iter().map(cone).sum::<f64>() / cones.len() as f64
+        let seen = cones.iter().filter(|samples| !samples.is_empty());
+        weight(*term, config) * seen.map(cone).sum::<f64>() / cones.len() as f64
     };
     at_work.map(of).sum()
 }

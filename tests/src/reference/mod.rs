@@ -179,7 +179,7 @@ impl Reference {
     /// of its photograph, at gains of 1.
     pub fn loss(&self, pixels: &[(Target, Vec<KeptCone>)]) -> f64 {
         let (config, mut loss, mut weights) = (&self.config, 0.0, 0.0);
-        let with_rays = !losses::at_work(losses::RAY_TERMS, &config.loss).is_empty();
+        let with_rays = !losses::at_work(losses::RAY_TERMS, &config.loss, 0.0).is_empty();
         for (target, seen) in pixels {
             if config.loss.rays == LossRays::Live && seen.iter().all(|(_, samples)| samples.is_empty()) {
                 continue;

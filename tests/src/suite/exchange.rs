@@ -1,6 +1,7 @@
 //! Tests of training on several ranks, which are threads here.
 
 use super::exposure::exposed;
+use super::poses::refined;
 use super::training::{configuration, scheduled, steps};
 use crate::fixtures;
 use crate::ranks::Threads;
@@ -24,7 +25,7 @@ type Make<'a, B> = &'a (dyn Fn(Arc<dyn Ranks>, &Config) -> Box<dyn Exchange<B>> 
 
 /// Configurations that cover every path from the gradient to the parameters.
 fn configurations() -> Result<Vec<Config>> {
-    let mut all = vec![scheduled()?, exposed()];
+    let mut all = vec![scheduled()?, exposed(), refined()];
     for encoder in
         fixtures::every_encoder().into_iter().chain([fixtures::growing_tensor(), fixtures::growing_voxels()])
     {
@@ -128,7 +129,7 @@ pub fn summed<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
         values.flatten().map(|value| f64::from(*value)).collect()
     };
     let norm = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>().sqrt();
-    for config in [configuration(), exposed()] {
+    for config in [configuration(), exposed(), refined()] {
         let alone = train(&make, exchange, &config, 0, None, 1)?.remove(0);
         let expected = gradient(&alone);
         for ranks in [2, 3] {

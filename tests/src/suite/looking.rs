@@ -4,7 +4,7 @@
 use crate::fixtures::{constant, small};
 use glam::DVec3;
 use trimip_core::{
-    Aabb, Backend, Camera, Config, Intrinsics, Layout, Result, Viewer,
+    Aabb, Backend, Camera, Config, Crop, Intrinsics, Layout, Result, Viewer,
     engine::loaded::LoadedModel,
     field::{
         model::Model,
@@ -99,7 +99,7 @@ pub fn clips<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut viewer = LoadedModel::new(make(), &model)?;
     let whole = viewer.render(&camera)?;
     for (low, high) in [(0.0, 1.0), (0.0, 0.5), (0.25, 1.0), (0.25, 0.5), (0.0, 0.0)] {
-        viewer.clip(Some(&part(low, high)))?;
+        viewer.clip(&[Crop::from(part(low, high))])?;
         let frame = viewer.render(&camera)?;
         for (pixel, found) in frame.pixels.iter().enumerate() {
             let cone = camera.cone::<f64>(pixel as u32 % 6, pixel as u32 / 6);
@@ -115,14 +115,14 @@ pub fn clips<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         }
         let fresh = {
             let mut fresh = LoadedModel::new(make(), &model)?;
-            fresh.clip(Some(&part(low, high)))?;
+            fresh.clip(&[Crop::from(part(low, high))])?;
             fresh.render(&camera)?
         };
         assert!(frame == fresh, "{low}-{high}: the box before it shows through");
     }
-    viewer.clip(None)?;
+    viewer.clip(&[])?;
     assert!(viewer.render(&camera)? == whole);
-    viewer.clip(None)?;
+    viewer.clip(&[])?;
     assert!(viewer.render(&camera)? == whole);
     Ok(())
 }

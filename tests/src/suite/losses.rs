@@ -108,7 +108,10 @@ impl Given {
         self.pixels.push(Pixel { rgb: pixel, opacity, depth: 0.0 });
         let weight = [0.0, 1.0, 4.0, random.between(0.5, 16.0) as f32][random.below(4)];
         let exponent = [0.0, 0.4][random.below(2)];
-        self.targets.push(Target { rgb, weight, background, opacity: own, exponent });
+        // A third of the pixels have no point.
+        let deviation = [0.0, 0.05, random.between(1e-3, 0.5) as f32][random.below(3)];
+        let distance = random.between(0.0, 3.0) as f32;
+        self.targets.push(Target { rgb, weight, background, opacity: own, exponent, distance, deviation });
         self.photographs.push(random.below(GAINS.len()) as u32);
     }
 

@@ -4,6 +4,7 @@
 pub mod cones;
 pub mod contraction;
 pub mod distortion;
+pub mod drawing;
 pub mod exchange;
 pub mod exposure;
 pub mod gradients;
@@ -12,6 +13,7 @@ pub mod looking;
 pub mod losses;
 pub mod marching;
 pub mod masks;
+pub mod poses;
 pub mod probes;
 pub mod projections;
 pub mod pyramid;

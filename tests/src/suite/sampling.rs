@@ -1,11 +1,13 @@
-//! Selection of training rays: fractions and weights of the scales.
+//! Selection of training rays: fractions and weights of the scales, backgrounds, and known depths.
 
 use super::Bench;
 use crate::fixtures::{lively, noise, small};
+use std::ops::Range;
 use trimip_core::{
     Backend, Layout, Result,
     config::{TrainBackground, schedule::Schedule},
     engine::backend::Sampler,
+    scene::depths,
 };
 
 /// The rays of a step are distributed over the scales by the schedule, and their weights compensate. The width of a
@@ -79,6 +81,42 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 "{fraction} at {progress}"
             );
         }
+    }
+    Ok(())
+}
+
+/// Targets have the known depths of their pixels, and only these, while the depth term has a weight.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn known_depths<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    const RAYS: Range<u32> = 5..1_405;
+    let mut config = small();
+    config.loss.depth = Schedule::new(vec![[0.0, 0.5], [0.5, 0.0]]);
+    let mut views = noise(3, 32, 3, 4);
+    // The colour of a pixel is its number.
+    for (pixel, number) in views.pixels.iter_mut().zip(0_u32..) {
+        *pixel = [number as u8, (number >> 8) as u8, 0, 255];
+    }
+    let known = views.depths.clone();
+    let mut bench = Bench::new(make(), &config, Some(views), &lively(&Layout::new(&config), 1))?;
+    for progress in [0.0, 0.5] {
+        let Bench { backend, stages, workspace, .. } = &mut bench;
+        stages.sampler.set_progress(progress);
+        let allocation = stages.sampler.scale_weights().allocate(RAYS.end);
+        stages.sampler.training_rays(&mut workspace.stream, 7, &allocation, RAYS, &mut workspace.rays);
+        let targets = backend.read(&workspace.rays.targets);
+        let mut supervised = 0;
+        for target in &targets {
+            let [low, high, _] = target.rgb.map(|channel| (255.0 * channel).round() as usize);
+            let own = depths::of_pixel(&known, low + (high << 8)).filter(|_| progress < 0.5);
+            let expected = own.map_or([0.0; 2], |own| [own.distance, own.deviation]);
+            assert_eq!([target.distance, target.deviation], expected, "{target:?} at {progress}");
+            supervised += usize::from(own.is_some());
+        }
+        // Every third pixel is known.
+        let (low, high) = if progress < 0.5 { (RAYS.len() / 4, RAYS.len() / 2) } else { (0, 0) };
+        assert!((low..=high).contains(&supervised), "{supervised} at {progress}");
     }
     Ok(())
 }

@@ -21,6 +21,14 @@ pub fn configuration() -> Config {
     config
 }
 
+/// A configuration whose steps draw half of their samples.
+pub fn drawn() -> Config {
+    let mut config = configuration();
+    config.train.backward_fraction = Schedule::new(vec![[0.0, 1.0], [0.1, 0.5]]);
+    config.renderer.color_weight = Schedule::new(vec![[0.0, 0.0], [0.2, 0.01]]);
+    config
+}
+
 /// Runs `count` steps at the progress of the configured run.
 ///
 /// # Errors
@@ -44,7 +52,9 @@ pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Resul
     {
         resume_with(&make, &fixtures::encoded(configuration(), &encoder), file)?;
     }
-    resume_with(&make, &scheduled()?, file)
+    resume_with(&make, &scheduled()?, file)?;
+    resume_with(&make, &super::poses::refined(), file)?;
+    resume_with(&make, &drawn(), file)
 }
 
 /// A schedule that changes everything during the run: planes grow at steps 5 and 9, steps shorten, the batch grows.

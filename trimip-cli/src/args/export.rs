@@ -1,5 +1,6 @@
 //! The options of `export`.
 
+use super::CropChoice;
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
 
@@ -57,6 +58,13 @@ pub struct MeshArguments {
     /// triangles
     #[arg(long, value_name = "SHARE", conflicts_with = "triangles")]
     pub error: Option<f64>,
+    /// What to write of the scene, in world units: auto (the model's scene.crop), none, "box X,Y,Z,X,Y,Z" (lower and upper
+    /// corner) or "ball X,Y,Z,RADIUS"; the surface is open where the crop cuts it
+    #[arg(long, default_value = "auto", value_name = "CROP")]
+    pub crop: CropChoice,
+    /// Leave out what fewer than N training cameras see; 0 = keep all [default: 3 in contracted space, otherwise 0]
+    #[arg(long, value_name = "N")]
+    pub seen_by: Option<u32>,
     /// Leave out the colours of the vertices
     #[arg(long)]
     pub no_colors: bool,

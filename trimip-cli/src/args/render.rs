@@ -1,5 +1,6 @@
 //! The options of `render`.
 
+use super::CropChoice;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -57,7 +58,7 @@ pub struct RenderArguments {
     /// A circle of N cameras around the model's box
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub turntable: Option<u32>,
-    /// A film of N cameras along the training cameras, without the distortion of their lens (needs the data set)
+    /// A film of N cameras along the training cameras, without the distortion of their lens (needs the run folder or the data set)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
     pub flythrough: Option<u32>,
     /// Turntable: degrees above the horizon
@@ -79,11 +80,15 @@ pub struct RenderArguments {
     /// Horizontal field of view in degrees [default: 39.6, the Blender scenes'; a flythrough's: the photographs']
     #[arg(long, allow_hyphen_values = true)]
     pub fov: Option<f64>,
+    /// What the pictures show, in world units: none (the whole place), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z" (lower
+    /// and upper corner) or "ball X,Y,Z,RADIUS"; by cells of the occupancy grid
+    #[arg(long, default_value = "none", value_name = "CROP")]
+    pub crop: CropChoice,
     /// Resize the pictures, e.g. 0.5 for half the width, with the same field of view
     #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
     pub scale: f64,
     /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, the original below
-    #[arg(long, conflicts_with_all = ["format", "what"])]
+    #[arg(long, conflicts_with_all = ["format", "what", "crop"])]
     pub strip: bool,
     /// Strip: another model, in a separate row; may be given many times
     #[arg(long, value_name = "RUN", requires = "strip")]

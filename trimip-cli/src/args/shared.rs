@@ -2,6 +2,8 @@
 
 use clap::Args;
 use std::path::PathBuf;
+use std::str::FromStr;
+use trimip::{Config, Crop};
 
 /// Sources of settings.
 #[derive(Args, Clone, Debug, Default)]
@@ -34,5 +36,38 @@ pub fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> 
         let path = PathBuf::from(name);
         let fits = path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
         if fits { Ok(path) } else { Err(format!("the name of such a file ends in .{ending}")) }
+    }
+}
+
+/// The crop that an option names.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CropChoice {
+    /// That of the model, `scene.crop`.
+    Auto,
+    /// This one.
+    Given(Crop),
+}
+
+impl CropChoice {
+    /// The crop of a model of this configuration.
+    pub fn of(self, config: &Config) -> Crop {
+        match self {
+            Self::Auto => config.scene.crop,
+            Self::Given(crop) => crop,
+        }
+    }
+}
+
+impl FromStr for CropChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.trim() {
+            "auto" => Ok(Self::Auto),
+            text => text
+                .parse()
+                .map(Self::Given)
+                .map_err(|error| format!("{error}, or auto (scene.crop of the model)")),
+        }
     }
 }

@@ -143,8 +143,13 @@ pub fn photographs(
     scales: u32,
     pixel: impl Fn(usize, usize, usize) -> [u8; 4],
 ) -> ViewSet {
-    let mut set =
-        ViewSet { views: vec![], pixels: Default::default(), alpha: Alpha::Straight, scales: vec![] };
+    let mut set = ViewSet {
+        views: vec![],
+        pixels: Default::default(),
+        alpha: Alpha::Straight,
+        scales: vec![],
+        depths: Vec::new(),
+    };
     for level in 0..scales {
         let (first_view, first_pixel) = (set.views.len(), set.pixels.len());
         for (i, camera) in cameras.iter().enumerate() {

@@ -7,7 +7,7 @@ use std::path::Path;
 use trimip::report::{Report, Status, text};
 use trimip::{machine, run::provenance, view::PIXELS_PER_DEGREE};
 use trimip_core::measures::metrics::LEAST_SIDE;
-use trimip_core::measures::quality::{MOST_PSNR, mean_quality};
+use trimip_core::measures::quality::{MOST_PSNR, Remedy, mean_quality};
 use trimip_core::{Result, config::Convention, engine::events::progress, field::encoders};
 use trimip_data::settings::DataConfig;
 
@@ -18,7 +18,7 @@ pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
         warnings(report),
         quality(report),
         curve(report),
-        pictures::around(images.parent().unwrap_or(images))?,
+        pictures::strip(images.parent().unwrap_or(images), &report.config.scene)?,
         pictures::sections(report, images)?,
         measure(report),
         course(report),
@@ -55,6 +55,13 @@ fn head(report: &Report<'_>) -> String {
         report.samples_per_second().map_or_else(unknown, |rate| terminal::number(rate, "")),
         "samples / s",
     ));
+    let kept = totals.samples_per_ray().map_or_else(unknown, |kept| format!("{kept:.1}"));
+    tiles.push((kept, "samples / ray"));
+    if let Some(fraction) = totals.backward_fraction().filter(|fraction| *fraction < 1.0) {
+        tiles.push((format!("{:.0} %", 100.0 * fraction), "with a backward pass"));
+    }
+    let rays = totals.rays_per_second().map_or_else(unknown, |rate| terminal::number(rate, ""));
+    tiles.push((rays, "rays / s"));
     tiles.push((report.history.peak_memory_bytes().map_or_else(unknown, terminal::bytes), "peak memory"));
     tiles.push((report.model_bytes.map_or("not yet".into(), terminal::bytes), "model file"));
     let tiles: String =
@@ -109,7 +116,8 @@ fn quality(report: &Report<'_>) -> String {
         note += &format!("That is every {}. one; the final evaluation is not made yet. ", e.stride);
     }
     note += &text::perceptual(report);
-    if let Some(remark) = mean_quality(&e.scales).remark() {
+    note += &escape(&text::poses(report));
+    if let Some(remark) = mean_quality(&e.scales).remark(Remedy::of(report.config)) {
         note += &format!("Remark: {}. ", escape(&remark));
     }
     format!(
@@ -229,7 +237,14 @@ mod tests {
     fn the_page_says_where_the_run_came_from_and_what_it_came_to() {
         trimip::run::fixtures::report(|report| {
             let page = page(report, Path::new("nowhere")).unwrap();
-            for part in ["config a&amp;b.toml", "0.1.0 (abc)", "1970-01-01", "8 of 200 test views"] {
+            for part in [
+                "<b>100.0</b><span>samples / ray",
+                "<b>100</b><span>rays / s",
+                "config a&amp;b.toml",
+                "0.1.0 (abc)",
+                "1970-01-01",
+                "8 of 200 test views",
+            ] {
                 assert!(page.contains(part), "{part}");
             }
             assert!(page.contains("<b class=\"badge doubtful\">fair</b>"));

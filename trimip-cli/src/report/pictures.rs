@@ -5,6 +5,7 @@ use super::{difference, page, page::escape};
 use base64::{Engine, prelude::BASE64_STANDARD};
 use image::{RgbImage, codecs::jpeg::JpegEncoder, imageops};
 use std::path::Path;
+use trimip::config::{Contraction, SceneConfig};
 use trimip::report::{Report, scale_name};
 use trimip::{Error, Result, RunFolder, run::store::ViewRecord, view::pictures};
 
@@ -21,13 +22,17 @@ const THUMBNAIL_QUALITY: u8 = 84;
 /// Number of views listed as the worst and as the best.
 const NAMED: usize = 5;
 
-/// The model of the run folder `root` from all around, and how to turn it; empty without the picture.
-pub fn around(root: &Path) -> Result<String> {
+/// The strip of views of the model of the run folder `root`, and how to turn it; empty without the picture.
+pub fn strip(root: &Path, scene: &SceneConfig) -> Result<String> {
+    let (heading, alt) = match scene.contraction {
+        Contraction::None => ("From all around", "eight views around the model"),
+        Contraction::Ball => ("Along the photographs", "eight views along the cameras of the photographs"),
+    };
     let Ok(strip) = image::open(RunFolder::new(root).turntable()) else { return Ok(String::new()) };
     Ok(format!(
-        "<section><h2>From all around</h2><div class=\"wide\">{}</div><p class=\"lead\">Turn it in a browser: \
+        "<section><h2>{heading}</h2><div class=\"wide\">{}</div><p class=\"lead\">Turn it in a browser: \
          <code>trimip-cli view {}</code> <a id=\"viewer\" href=\"./\" hidden>open it in the viewer</a></p></section>\n",
-        embedded(strip.into_rgb8(), "eight views around the model")?,
+        embedded(strip.into_rgb8(), alt)?,
         escape(&root.display().to_string())
     ))
 }

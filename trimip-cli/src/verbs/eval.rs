@@ -10,7 +10,9 @@ use trimip::view::{
     PIXELS_PER_DEGREE, PerceptualMetrics, RankGroup, TestViews, Watching, evaluate, evaluate_on_worker,
 };
 use trimip::{Error, Result, backends, settings};
-use trimip_core::{atomic::write_atomically, engine::exchange::Ranks, run::evaluate::ViewResult};
+use trimip_core::{
+    atomic::write_atomically, engine::exchange::Ranks, measures::quality::Remedy, run::evaluate::ViewResult,
+};
 
 /// Evaluates a model; exit code 1 if it misses `eval.min_psnr`.
 pub fn run(arguments: &EvalArguments) -> Result<u8> {
@@ -43,6 +45,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     let Some(measured) = measured else { return Ok(interrupt::EXIT_CODE) };
 
     table(&measured.scales).iter().for_each(terminal::prose);
+    measured.mean.remark(Remedy::of(&config)).iter().for_each(terminal::prose);
     if let Some(path) = &arguments.json {
         let report = json!({
             "model": arguments.model.display().to_string(),

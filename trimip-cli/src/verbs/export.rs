@@ -12,7 +12,8 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::mesh::{self, Extracted, Extraction, Goal, MeshFormat};
-use trimip::{Result, backends, run::folder as run_folder, settings};
+use trimip::run::{cameras::training_cameras, folder as run_folder};
+use trimip::{Crop, Result, backends, settings};
 
 /// Steps of the bar.
 const BAR: u64 = 1000;
@@ -36,14 +37,18 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     let data = match trimip_data::open_test(&model.config.section()?) {
         Ok(data) => Some(data),
         Err(error) if arguments.silhouettes.is_some() => return Err(error),
-        Err(_) => {
-            terminal::aside(
-                "the data set is not there: what no photograph shows is told from what nobody sees at all",
-            );
-            None
-        }
+        Err(_) => None,
     };
-    let cameras = data.as_ref().map_or(&[][..], |data| &data.train);
+    let cameras = match &data {
+        Some(data) => data.train.clone(),
+        None => training_cameras(&arguments.model)?.unwrap_or_default(),
+    };
+    if cameras.is_empty() {
+        terminal::aside(
+            "neither the data set nor the cameras of the run folder are there: what no photograph shows is told from what \
+             nobody sees at all",
+        );
+    }
     if let Some(folder) = out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         run_folder::create_writable(folder)?;
     }
@@ -63,10 +68,12 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
             (None, count) => Goal::Triangles(count),
         },
         colors: !arguments.no_colors,
+        crop: arguments.crop.of(&model.config),
+        least_cameras: arguments.seen_by.unwrap_or(Extraction::of(&model.config).least_cameras),
     };
     let started = Instant::now();
     let bar = bar("{bar:30} {percent:>3} %  {eta} left", BAR);
-    let extracted = mesh::extract(viewer.as_mut(), &model, &what, cameras, &mut |fraction| {
+    let extracted = mesh::extract(viewer.as_mut(), &model, &what, &cameras, &mut |fraction| {
         bar.set_position((fraction * BAR as f64) as u64);
         !stop.load(Ordering::Relaxed)
     })?;
@@ -74,7 +81,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     let Some(extracted) = extracted else { return Ok(interrupt::EXIT_CODE) };
     let seconds = started.elapsed().as_secs_f64();
     let bytes = mesh::write(&extracted.mesh, &out)?;
-    describe(&extracted, seconds).iter().for_each(terminal::prose);
+    describe(&extracted, what.crop, seconds).iter().for_each(terminal::prose);
     if let (Some(stride), Some(data)) = (arguments.silhouettes, &data) {
         terminal::prose(match mesh::overlap(&extracted.mesh, data.frames.as_ref(), stride as usize)? {
             Some(found) => format!(
@@ -97,17 +104,23 @@ fn beside(model: &std::path::Path) -> PathBuf {
 }
 
 /// What was extracted, and how.
-fn describe(extracted: &Extracted, seconds: f64) -> Vec<String> {
-    let Extracted { mesh, level, spacing, removed, triangles } = extracted;
+fn describe(extracted: &Extracted, crop: Crop, seconds: f64) -> Vec<String> {
+    let Extracted { mesh, level, spacing, removed, unseen, triangles } = extracted;
     let defects = mesh.defects();
-    let sound = match defects == mesh::Defects::default() {
-        true => "closed and manifold".to_string(),
-        false => format!(
+    let only_open = mesh::Defects { open: defects.open, ..mesh::Defects::default() };
+    let sound = match defects {
+        _ if defects == mesh::Defects::default() => {
+            format!("volume {:.5} cubic units, closed and manifold", mesh.volume())
+        }
+        _ if defects == only_open => {
+            format!("manifold, open along {}", terminal::count(defects.open as u64, "edge"))
+        }
+        _ => format!(
             "not closed or not manifold: {} open, {} crowded and {} twisted edges, {} collapsed triangles",
             defects.open, defects.crowded, defects.twisted, defects.collapsed
         ),
     };
-    vec![
+    let mut lines = vec![
         format!(
             "surface: density {level:.4} per unit on cells {spacing:.5} units wide; {}, {} removed",
             terminal::many(removed.specks as u64, "speck"),
@@ -117,10 +130,16 @@ fn describe(extracted: &Extracted, seconds: f64) -> Vec<String> {
             },
         ),
         format!(
-            "mesh: {} triangles of {triangles}, {} vertices, volume {:.5} cubic units, {sound}; {seconds:.1} s",
+            "mesh: {} triangles of {triangles}, {} vertices, {sound}; {seconds:.1} s",
             mesh.triangles.len(),
             mesh.positions.len(),
-            mesh.volume()
         ),
-    ]
+    ];
+    let few = || format!("{} that few cameras see left out", terminal::many(*unseen as u64, "triangle"));
+    let parts = [(crop != Crop::None).then(|| format!("crop: {crop}")), (*unseen > 0).then(few)];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    if !parts.is_empty() {
+        lines.insert(0, parts.join("; "));
+    }
+    lines
 }

@@ -15,10 +15,23 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::ranks::{digest, scatter_jobs, work_on_jobs};
-use trimip::run::folder as run_folder;
+use trimip::run::folder::{self as run_folder, RunFolder};
 use trimip::view::{Named, Quantity, RenderJob, video, write_cameras};
-use trimip::{Camera, Error, Result, Viewer, backends, model::Model, settings, view};
+use trimip::{Camera, Config, Crop, Error, Result, Viewer, backends, model::Model, settings, view};
 use trimip_core::engine::exchange::Ranks;
+
+/// Refuses the folder of a run: the cameras of its photographs have the name that those of pictures have.
+fn expect_no_run(out: &Path) -> Result<()> {
+    let folder = RunFolder::new(out);
+    match folder.is_ours() {
+        false => Ok(()),
+        true => Err(Error::input(
+            folder.cameras().display(),
+            "the cameras of a run's photographs would be replaced by those of the pictures",
+            "choose another --out folder",
+        )),
+    }
+}
 
 /// Renders every camera that the arguments select.
 pub fn run(arguments: &RenderArguments) -> Result<u8> {
@@ -38,6 +51,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     if let Some(video) = &arguments.video {
         check_video(arguments, video, what, cameras)?;
     }
+    expect_no_run(out)?;
     view::expect_no_others(out, cameras, what, *format)?;
     run_folder::create_writable(out)?;
     // Single views are quick; many go on where an interrupted command stopped.
@@ -47,6 +61,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     };
     let stop = interrupt::install()?;
     let mut session = backends::load(model)?;
+    session.clip(&parts(config))?;
     backends::software_remark(config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
     let ranged = what.contains(&Quantity::Depth).then_some(&config.scene);
@@ -120,9 +135,15 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
 pub fn work(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
     let request = RenderRequest::of(arguments)?;
     let mut session = backends::load_beside(&request.model, ranks.on_machine())?;
+    session.clip(&parts(&request.model.config))?;
     let stop = interrupt::install()?;
     let mut going = |_, _| !stop.load(Ordering::Relaxed);
     work_on_jobs(ranks, &request.digest()?, |view| request.draw(session.as_mut(), view, &mut going))
+}
+
+/// The parts of the world that pictures of this configuration are confined to.
+fn parts(config: &Config) -> Vec<Crop> {
+    Some(config.scene.crop).filter(|crop| *crop != Crop::None).into_iter().collect()
 }
 
 /// What is rendered, and how.
@@ -156,6 +177,8 @@ impl RenderRequest {
         }
         let mut model = run_folder::read_model(&arguments.model)?;
         settings::override_model(&mut model, &arguments.set)?;
+        // Pictures of another crop are another job.
+        model.config.scene.crop = arguments.crop.of(&model.config);
         backends::check(&model.config.backend)?;
         let cameras = resize(chosen(arguments, &model.config)?, arguments.scale)?;
         let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));

@@ -3,7 +3,7 @@
 use crate::{args::RenderArguments, cameras};
 use glam::DVec3;
 use std::path::{Path, PathBuf};
-use trimip::run::store::file_stem;
+use trimip::run::{cameras::training_cameras, store::file_stem};
 use trimip::view::{Named, cameras::resized, flythrough, turntable, turntable::Turntable};
 use trimip::{Camera, Config, Error, Intrinsics, Result, view};
 
@@ -55,8 +55,8 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
     }
     if let Some(count) = arguments.flythrough {
         let (_, half) = turntable::middle(&config.scene);
-        let along =
-            flythrough::cameras(&trimip_data::open_test(&config.section()?)?.train, count, half.length())?;
+        let photographed = photographed(&arguments.model, config)?;
+        let along = flythrough::cameras(&photographed, count, half.length())?;
         let sized = |camera: Camera| Camera { intrinsics: stated(arguments, camera.intrinsics), ..camera };
         return Ok(along.into_iter().map(|(name, camera)| (name, sized(camera))).collect());
     }
@@ -70,6 +70,18 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
         ));
     }
     test_views(config, &arguments.views)
+}
+
+/// The training cameras: those of the data set, or, if it is not there, those that the run folder keeps.
+///
+/// # Errors
+/// When neither is there.
+pub fn photographed(model: &Path, config: &Config) -> Result<Vec<Camera>> {
+    let missing = match trimip_data::open_test(&config.section()?) {
+        Ok(data) => return Ok(data.train),
+        Err(error) => error,
+    };
+    training_cameras(model)?.ok_or(missing)
 }
 
 /// The projection of `--width`, `--height` and `--fov` with square pixels; what is not given is that of `like`.

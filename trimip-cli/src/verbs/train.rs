@@ -12,7 +12,8 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use trimip::report::{Report, Status};
-use trimip::view::{pictures, turntable};
+use trimip::run::cameras::training_cameras;
+use trimip::view::{pictures, strip};
 use trimip::{Config, Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
 use trimip_core::{atomic::write_atomically, run::Observer};
 use trimip_view::LiveView;
@@ -141,7 +142,7 @@ const STRIP_SIDE: u32 = 192;
 /// A strip that takes longer is left out: views of some models take minutes.
 const STRIP_TIME: Duration = Duration::from_secs(20);
 
-/// Writes the strip of views around a finished model, unless it is there, or the run asks for no evaluation at its end. A report
+/// Writes the strip of views of a finished model, unless it is there, or the run asks for no evaluation at its end. A report
 /// without it is complete.
 ///
 /// # Errors
@@ -152,7 +153,10 @@ fn show_around(folder: &RunFolder, config: &Config) -> Result<()> {
         return Ok(());
     }
     let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
-    let strip = turntable::strip(&mut *viewer, &config.scene, STRIP_SIDE, STRIP_TIME)?;
+    // Without them the strip of a place is that of an object.
+    let photographed = training_cameras(folder.root()).ok().flatten().unwrap_or_default();
+    let cameras = strip::cameras(&config.scene, &photographed, STRIP_SIDE)?;
+    let strip = strip::strip(&mut *viewer, &cameras, STRIP_SIDE, STRIP_TIME)?;
     strip.map_or(Ok(()), |strip| write_atomically(&path, &pictures::png(strip)?))
 }
 

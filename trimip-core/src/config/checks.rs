@@ -1,8 +1,8 @@
 //! What settings must be together, beyond the range of each number, which the table of defaults states.
 
 use super::{
-    ConePattern, Config, Contraction, Convention, EncoderKind, EvalConfig, FieldConfig, OccupancyConfig,
-    PhotographsConfig, Precision, RendererConfig, SceneConfig, TrainConfig,
+    ConePattern, Config, Contraction, Convention, EncoderKind, EvalConfig, FieldConfig, LossConfig,
+    OccupancyConfig, PhotographsConfig, Precision, RendererConfig, SceneConfig, TrainConfig,
 };
 use crate::config::settings::{checker::Checker, section::in_memory};
 use crate::{Error, Result, Settings};
@@ -68,6 +68,7 @@ impl Config {
         self.check_density_of_encoder(to)?;
         self.field.check(to)?;
         self.renderer.check(to)?;
+        self.loss.check(to)?;
         self.occupancy.check(to)?;
         to.check(self.optimizer.milestones.is_sorted(), "optimizer.milestones", "rising fractions")?;
         self.train.check(to)?;
@@ -170,6 +171,16 @@ impl OccupancyConfig {
     }
 }
 
+impl LossConfig {
+    fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.check(
+            self.depth.is_whole(),
+            "loss.depth",
+            "[[0.0, weight], ...] with rising fractions below 1 and weights from 0 to 100",
+        )
+    }
+}
+
 impl TrainConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check(self.leaves.is_power_of_two(), "train.leaves", "a power of two from 1 to 64")?;
@@ -187,6 +198,11 @@ impl TrainConfig {
             self.background_fraction.is_whole(),
             "train.background_fraction",
             "[[0.0, fraction], ...] with rising fractions below 1 of the run and of the rays from 0 to 1",
+        )?;
+        to.check(
+            self.backward_fraction.is_whole(),
+            "train.backward_fraction",
+            "[[0.0, fraction], ...] with rising fractions of the run below 1 and fractions of the samples from 0.01 to 1",
         )?;
         to.check(
             self.scale_weighting.is_whole(),

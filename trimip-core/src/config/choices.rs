@@ -166,6 +166,16 @@ choice!(
 );
 
 choice!(
+    /// What becomes of the poses of training photographs.
+    CameraPoses {
+        /// They stay as given.
+        Fixed,
+        /// They are trained along, see [`poses`](crate::engine::poses).
+        Refine,
+    }
+);
+
+choice!(
     /// Background that training rays are composited on.
     TrainBackground {
         /// `data.background`.

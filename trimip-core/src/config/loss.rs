@@ -2,6 +2,7 @@
 
 use super::{
     choices::{Exposure, LossRays},
+    schedule::Schedule,
     section,
 };
 use serde::{Deserialize, Serialize};
@@ -9,7 +10,8 @@ use serde::{Deserialize, Serialize};
 section!(
     /// The loss.
     LossConfig, "loss" {
-        photometric: Photometric, beta: f32, padding: f32, opacity: f32, distortion: f32, exposure: Exposure, rays: LossRays,
+        photometric: Photometric, beta: f32, padding: f32, opacity: f32, distortion: f32, depth: Schedule,
+        depth_outliers: f32, exposure: Exposure, rays: LossRays,
     }
 );
 

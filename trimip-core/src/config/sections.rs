@@ -1,9 +1,10 @@
 //! The sections of the configuration, and what follows from the settings of one section alone.
 
 use super::choices::{
-    ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, HybridRule, PlanChoice,
-    Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
+    CameraPoses, ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, HybridRule,
+    PlanChoice, Precision, RateSchedule, RendererKind, TrainBackground, Untouched, ViewEncoding,
 };
+use super::crop::Crop;
 use crate::config::schedule::Schedule;
 use serde::{Deserialize, Serialize};
 
@@ -36,12 +37,12 @@ section!(
 );
 section!(
     /// The bounding box of the scene.
-    SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3], contraction: Contraction, up: [f32; 3] }
+    SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3], contraction: Contraction, up: [f32; 3], crop: Crop }
 );
 section!(
     /// What the scene plan may derive from the data and the budget, and what it may leave out.
     PlanConfig, "plan" {
-        aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, surfaces: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
+        aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, surfaces: PlanChoice, depth: PlanChoice, crop: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }
 );
 section!(
@@ -80,15 +81,15 @@ section!(
 section!(
     /// AdamW and its learning rate.
     OptimizerConfig, "optimizer" {
-        learning_rate: f64, plane_scale: f64, exposure_rate: f64, beta1: f64, beta2: f64, epsilon: f64, weight_decay: f64,
+        learning_rate: f64, plane_scale: f64, exposure_rate: f64, camera_rate: f64, camera_delay: f64, beta1: f64, beta2: f64, epsilon: f64, weight_decay: f64,
         schedule: RateSchedule, decay_factor: f64, milestones: Vec<f64>, final_factor: f64, untouched: Untouched,
     }
 );
 section!(
     /// Length of the run and size of a step.
     TrainConfig, "train" {
-        steps: u64, seconds: f64, samples_per_step: u32, leaves: u32, batch_scale: Schedule, scale_weighting: Schedule, cones: Schedule, background: TrainBackground,
-        background_fraction: Schedule,
+        steps: u64, seconds: f64, samples_per_step: u32, leaves: u32, batch_scale: Schedule, backward_fraction: Schedule, scale_weighting: Schedule, cones: Schedule, background: TrainBackground,
+        background_fraction: Schedule, cameras: CameraPoses,
         checkpoint_seconds: f64, log_seconds: f64,
     }
 );

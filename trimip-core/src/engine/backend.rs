@@ -1,7 +1,7 @@
 //! The device that a model runs on. The traits of its stages are in `stages.rs`.
 
 pub use crate::engine::stages::{
-    Encoder, Field, Loss, Occupancy, Optimizer, RenderedTile, Renderer, Sampler, Stages,
+    Encoder, Field, Loss, Occupancy, Optimizer, PoseGradients, RenderedTile, Renderer, Sampler, Stages,
 };
 
 use crate::{
@@ -35,6 +35,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
     type Occupancy: Occupancy<Self>;
     /// The terms of the loss.
     type Loss: Loss<Self>;
+    /// The gradient by poses.
+    type Poses: PoseGradients<Self>;
 
     /// Number of steps between a step and the use of its sums, at most [`crate::engine::batch::MOST_PENDING`]. It is
     /// above 0 for a device that computes one step while the host records the next.

@@ -7,6 +7,7 @@ pub use crate::geometry::elements::{Interval, Radiance, Ray, Segment, Sphere, Ta
 use crate::{
     Backend, Field, Pixel,
     engine::{backend::Encoder, ranks::Rank, ray_allocation::RayAllocation},
+    math::rng::{Draws, unit},
 };
 
 /// Cones of a tile. The cones of a pixel are consecutive.
@@ -17,8 +18,8 @@ pub struct Rays<B: Backend> {
     pub groups: B::Buffer<Segment>,
     /// One per pixel in training; empty otherwise.
     pub targets: B::Buffer<Target>,
-    /// One per pixel in training with `loss.exposure`: the number of its photograph, see [`exposure`](crate::engine::exposure);
-    /// empty otherwise.
+    /// One per pixel in training with `loss.exposure` or refined poses: the number of its photograph, see
+    /// [`exposure`](crate::engine::exposure); empty otherwise.
     pub photographs: B::Buffer<u32>,
     /// Index of the tile's first ray within the step; random numbers are drawn by it.
     pub first: u32,
@@ -85,6 +86,41 @@ pub struct FieldBackward<'a, B: Backend> {
     pub feature_gradients: &'a mut B::Buffer<f32>,
 }
 
+/// How a step draws the samples that have a backward pass: each with a probability proportional to the norm of its gradient, at most
+/// 1. The gradient of a drawn sample is divided by its probability, so that the expectation of all gradients stays.
+#[derive(Clone, Copy, Debug)]
+pub struct SampleDraw {
+    /// The random numbers of the step, one per ray.
+    pub draws: Draws,
+    /// Norm of the gradient of a sample's logits (density and colour) from which it is drawn for certain.
+    pub threshold: f32,
+}
+
+impl SampleDraw {
+    /// The random number of the ray number `index` of a step.
+    #[inline]
+    pub fn first(&self, index: u32) -> f32 {
+        unit(self.draws.bits(index)[0])
+    }
+
+    /// The probability of a sample by the norm of its gradient.
+    #[inline]
+    pub fn probability(&self, norm: f32) -> f32 {
+        // Not `min`: a gradient that is not a number has the probability 1, and is refused later.
+        if norm < self.threshold { norm / self.threshold } else { 1.0 }
+    }
+}
+
+/// The arrays of a field's draw of samples.
+pub struct FieldDraw<'a, B: Backend> {
+    /// Density and colour of each sample.
+    pub radiance: &'a B::Buffer<Radiance>,
+    /// Gradient of `radiance`; that of a drawn sample is divided by its probability.
+    pub radiance_gradients: &'a mut B::Buffer<Radiance>,
+    /// Receives one value per sample: 1 if it is drawn, otherwise 0.
+    pub marks: &'a mut B::Buffer<u32>,
+}
+
 /// All buffers of a tile, from its rays to its gradients; the next tile reuses them.
 pub struct Workspace<B: Backend> {
     /// The stream on which the tile's work is issued.
@@ -105,14 +141,18 @@ pub struct Workspace<B: Backend> {
     pub radiance: B::Buffer<Radiance>,
     /// Gradient of `radiance`.
     pub radiance_gradients: B::Buffer<Radiance>,
-    /// Rows that pruning kept.
+    /// Rows that pruning kept, or those that were drawn.
     pub kept: B::Buffer<u32>,
+    /// Where samples are drawn: one per sample, 1 if it is, otherwise 0.
+    pub marks: B::Buffer<u32>,
     /// Composited cones, one per ray.
     pub cones: B::Buffer<Pixel>,
     /// One per pixel: the mean of its cones.
     pub pixels: B::Buffer<Pixel>,
     /// Gradient with respect to each pixel's [r, g, b, opacity].
     pub pixel_gradients: B::Buffer<[f32; 4]>,
+    /// The samples on displaced rays.
+    pub displaced: Displaced<B>,
 }
 
 impl<B: Backend> Workspace<B> {
@@ -135,9 +175,38 @@ impl<B: Backend> Workspace<B> {
             radiance: backend.zeros(0),
             radiance_gradients: backend.zeros(0),
             kept: backend.zeros(0),
+            marks: backend.zeros(0),
             cones: backend.zeros(0),
             pixels: backend.zeros(0),
             pixel_gradients: backend.zeros(0),
+            displaced: Displaced::new(backend),
+        }
+    }
+}
+
+/// The samples of a tile on displaced rays, for the gradient by poses; empty unless poses are refined.
+pub struct Displaced<B: Backend> {
+    /// One per cone.
+    pub rays: B::Buffer<Ray>,
+    /// One per sample.
+    pub spheres: B::Buffer<Sphere>,
+    /// What the encoder keeps of each sample.
+    pub encoder_context: B::Buffer<f32>,
+    /// Encoded samples, [samples, stride].
+    pub features: B::Buffer<f32>,
+    /// One per sample: how the loss follows its displacement.
+    pub slopes: B::Buffer<f32>,
+}
+
+impl<B: Backend> Displaced<B> {
+    /// Creates an empty batch.
+    pub fn new(backend: &B) -> Self {
+        Self {
+            rays: backend.zeros(0),
+            spheres: backend.zeros(0),
+            encoder_context: backend.zeros(0),
+            features: backend.zeros(0),
+            slopes: backend.zeros(0),
         }
     }
 }

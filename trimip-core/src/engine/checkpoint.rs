@@ -5,7 +5,7 @@ pub use crate::{engine::batch::MOST_PENDING, field::tensor_names::OCCUPANCY_DENS
 
 use crate::{
     Config, Error, Result,
-    engine::{batch::StepSums, events::Totals, exposure, trainer::rays::most_rays},
+    engine::{batch::StepSums, events::Totals, exposure, poses, trainer::rays::most_rays},
     field::{
         encoders,
         model::{Model, expect_format, expect_tensors},
@@ -39,6 +39,10 @@ pub struct TrainState {
     pub rays_per_step: u32,
     /// Marched samples per pixel of the last step, which sizes the next step's tiles.
     pub marched_per_ray: f32,
+    /// Norm of a sample's gradient from which it has a backward pass for certain, see
+    /// [`SampleDraw`](crate::engine::batch::SampleDraw); 0 as long as all samples have one.
+    #[serde(default)]
+    pub draw_threshold: f64,
     /// The step after which the optimiser's moments last started from zero.
     #[serde(default)]
     pub moments_since: u64,
@@ -66,13 +70,15 @@ impl TrainState {
                 format!("expected {expected}: the file is damaged; give --fresh to start the run anew"),
             )),
         };
-        let Totals { step, seconds, samples, marched, rays, empty_batches, non_finite } = self.totals;
+        let Totals { step, seconds, samples, marched, rays, empty_batches, non_finite, left_out } =
+            self.totals;
         for (name, count) in [
             ("step", step),
             ("samples", samples),
             ("marched", marched),
             ("rays", rays),
             ("empty_batches", empty_batches),
+            ("left_out", left_out),
             ("non_finite", non_finite),
         ] {
             check(count <= MOST_COUNTED, name, &count, "0 to 2^53")?;
@@ -93,12 +99,18 @@ impl TrainState {
             &self.spacing,
             "0, or 1/256 to 256",
         )?;
+        check(
+            self.draw_threshold.is_finite() && self.draw_threshold >= 0.0,
+            "draw_threshold",
+            &self.draw_threshold,
+            "0 or more",
+        )?;
         for (spaced, sums) in self.pending.iter().flatten() {
             check(spacing(*spaced), "step_scale of a pending step", spaced, "1/256 to 256")?;
             for value in [sums.loss, sums.weight, sums.squared_error] {
                 check(value.is_finite() && value >= 0.0, "a pending sum", &value, "0 or more")?;
             }
-            for count in [sums.rays, sums.marched, sums.kept, sums.non_finite] {
+            for count in [sums.rays, sums.marched, sums.kept, sums.drawn, sums.non_finite] {
                 check(count <= MOST_COUNTED, "a pending count", &count, "0 to 2^53")?;
             }
         }
@@ -120,7 +132,8 @@ impl TrainState {
 
 /// True for tensors, beside moments, that only training needs.
 fn of_training(name: &str) -> bool {
-    name == OCCUPANCY_DENSITY || name.starts_with(exposure::PREFIX)
+    name == OCCUPANCY_DENSITY
+        || [exposure::PREFIX, poses::PREFIX].iter().any(|prefix| name.starts_with(prefix))
 }
 
 /// The state of a training run.
@@ -131,7 +144,7 @@ pub struct Checkpoint {
     /// Counters and batch state.
     pub state: TrainState,
     /// Parameters by name, `<name>.m` and `<name>.v` moments, `occupancy` bits and `occupancy.density`; with
-    /// `loss.exposure` the log-gains of the photographs, `exposure.*`.
+    /// `loss.exposure` the log-gains of the photographs, `exposure.*`, with refined poses their corrections, `poses.*`.
     pub file: TensorFile,
 }
 

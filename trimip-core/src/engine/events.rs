@@ -1,6 +1,7 @@
 //! The event stream of a run, the only source of progress bars, logs, CSV files and reports.
 
 use crate::Config;
+use crate::engine::poses::{Aligned, Moved};
 use crate::measures::quality::{ScaleQuality, float_or_null};
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +22,26 @@ pub struct Totals {
     pub empty_batches: u64,
     /// Non-finite values met in losses or gradients.
     pub non_finite: u64,
+    /// Kept samples without a backward pass, summed over steps (`train.backward_fraction`).
+    #[serde(default)]
+    pub left_out: u64,
+}
+
+impl Totals {
+    /// Mean number of kept samples of a ray; `None` before the first ray.
+    pub fn samples_per_ray(&self) -> Option<f64> {
+        (self.rays > 0).then(|| self.samples as f64 / self.rays as f64)
+    }
+
+    /// Fraction of the kept samples that had a backward pass; `None` before the first sample.
+    pub fn backward_fraction(&self) -> Option<f64> {
+        (self.samples > 0).then(|| self.samples.saturating_sub(self.left_out) as f64 / self.samples as f64)
+    }
+
+    /// Rays per second of training; `None` before any time has passed.
+    pub fn rays_per_second(&self) -> Option<f64> {
+        (self.seconds > 0.0).then(|| self.rays as f64 / self.seconds)
+    }
 }
 
 /// Origin of the part of a run that one process did; values that older versions did not record are `None`.
@@ -123,6 +144,13 @@ pub enum Event {
         #[serde(default)]
         part: f64,
     },
+    /// Training has refined the poses of its photographs.
+    Poses {
+        /// How far they are from the given ones.
+        moved: Moved,
+        /// Test views whose poses were aligned; none without a final evaluation.
+        aligned: Option<Aligned>,
+    },
     /// A checkpoint was written.
     Checkpoint {
         /// Step of the checkpoint.
@@ -144,6 +172,15 @@ pub enum Event {
     Finished {
         /// Counters at the end.
         totals: Totals,
+        /// Mean number of kept samples of a ray over the whole run; `None` without rays, and in events of earlier versions.
+        #[serde(default)]
+        samples_per_ray: Option<f64>,
+        /// Rays per second of training over the whole run.
+        #[serde(default)]
+        rays_per_second: Option<f64>,
+        /// Fraction of the kept samples that had a backward pass over the whole run.
+        #[serde(default)]
+        backward_fraction: Option<f64>,
     },
     /// One process's part of a run is over, whatever its outcome.
     SessionEnded {
@@ -160,6 +197,18 @@ pub enum Event {
         #[serde(default)]
         provenance: Provenance,
     },
+}
+
+impl Event {
+    /// The end of a training with these counters.
+    pub fn finished(totals: Totals) -> Self {
+        Self::Finished {
+            totals,
+            samples_per_ray: totals.samples_per_ray(),
+            rays_per_second: totals.rays_per_second(),
+            backward_fraction: totals.backward_fraction(),
+        }
+    }
 }
 
 /// A receiver of all events, in order.

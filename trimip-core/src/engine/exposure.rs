@@ -2,20 +2,15 @@
 //! exp(e_i − mean of e)·rendered with it. The mean fixes the scale of the model's colours, so a camera without a photograph
 //! is rendered at the mean exposure. The log-gains are trained beside the parameters and are no part of a model.
 
+pub use crate::engine::lagged::LAG;
+
 use crate::{
     Result, ViewSet,
     config::OptimizerConfig,
-    engine::step_result::{MOST_PENDING, StepResult},
-    field::{
-        adamw::Rule,
-        losses::exposure::exposed,
-        tensors::{Tensor, TensorFile},
-    },
+    engine::{lagged::Lagged, step_result::StepResult},
+    field::{losses::exposure::exposed, tensors::TensorFile},
 };
-use std::collections::{BTreeMap, VecDeque};
-
-/// Number of steps after which a step's gradient moves the log-gains, on every backend: a device runs ahead of the host.
-pub const LAG: usize = MOST_PENDING;
+use std::collections::BTreeMap;
 
 /// Prefix of the names of its tensors in checkpoints.
 pub const PREFIX: &str = "exposure.";
@@ -70,32 +65,24 @@ pub fn exposed_by_the_other_half(
 
 /// Log-gains of all photographs in training, their moments, and gradients that did not move them yet.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Exposures {
-    /// Flat, [photographs, 3].
-    values: Vec<f32>,
-    m: Vec<f32>,
-    v: Vec<f32>,
-    /// Gradients of the last steps, oldest first.
-    arrived: VecDeque<Vec<f32>>,
-}
+pub struct Exposures(Lagged<3>);
 
 impl Exposures {
     /// Log-gains of 0 for `count` photographs.
     pub fn new(count: usize) -> Self {
-        let zeros = || vec![0.0; 3 * count];
-        Self { values: zeros(), m: zeros(), v: zeros(), arrived: VecDeque::new() }
+        Self(Lagged::new(count))
     }
 
     /// Replaces the log-gains (RGB), one per photograph; others are left out.
     pub fn set(&mut self, values: &[[f32; 3]]) {
-        self.values.iter_mut().zip(values.as_flattened()).for_each(|(own, value)| *own = *value);
+        self.0.values.iter_mut().zip(values).for_each(|(own, value)| *own = *value);
     }
 
     /// Log-gains minus their mean over all photographs: RGB of each.
     pub fn log_gains(&self) -> Vec<[f64; 3]> {
-        let mean = mean(self.values.as_chunks().0.iter().map(|value: &[f32; 3]| value.map(f64::from)));
+        let mean = mean(self.0.values.iter().map(|value| value.map(f64::from)));
         let centred = |value: &[f32; 3]| std::array::from_fn(|c| f64::from(value[c]) - mean[c]);
-        self.values.as_chunks().0.iter().map(centred).collect()
+        self.0.values.iter().map(centred).collect()
     }
 
     /// The gains with which rendered colours are compared: RGB of each photograph.
@@ -106,24 +93,22 @@ impl Exposures {
     /// The gradient of a step's mean loss by the log-gains. The mean of all log-gains is subtracted from each, so the mean
     /// of the derivatives is, too.
     pub fn gradient(&self, step: &StepResult) -> Vec<[f32; 3]> {
-        let photographs = self.values.len() / 3;
         let divided = |sum: &[f64; 3]| match step.sums.weight > 0.0 {
             true => sum.map(|sum| sum / step.sums.weight),
             false => [0.0; 3],
         };
         let mut own: Vec<[f64; 3]> = step.exposures.iter().map(divided).collect();
-        own.resize(photographs, [0.0; 3]);
+        own.resize(self.0.values.len(), [0.0; 3]);
         let mean = mean(own.iter().copied());
         own.iter().map(|own| std::array::from_fn(|c| (own[c] - mean[c]) as f32)).collect()
     }
 
     /// Takes the result of the next step.
     pub(crate) fn take(&mut self, step: &StepResult) {
-        self.arrived.push_back(self.gradient(step).into_flattened());
+        self.0.take(self.gradient(step));
     }
 
-    /// Applies the gradients that are due after `steps` steps, of which `in_transit` have not arrived (Adam, without
-    /// decay). Returns whether anything may have moved.
+    /// Applies the gradients that are due ([`Lagged::due`]). Returns whether anything may have moved.
     pub(crate) fn advance(
         &mut self,
         config: &OptimizerConfig,
@@ -132,17 +117,9 @@ impl Exposures {
         in_transit: usize,
     ) -> bool {
         let mut moved = false;
-        while self.arrived.len() + in_transit > LAG {
-            let Some(gradient) = self.arrived.pop_front() else { break };
-            let step = steps.saturating_sub((self.arrived.len() + in_transit) as u64).max(1);
-            let rule = Rule { shrink: 1.0, ..Rule::<f32>::new(config, rate, step) };
-            let moments = self.m.iter_mut().zip(&mut self.v);
-            for ((value, (m, v)), gradient) in self.values.iter_mut().zip(moments).zip(gradient) {
-                if (gradient * gradient).is_finite() {
-                    rule.apply(value, m, v, gradient);
-                    *value = value.clamp(-MOST, MOST);
-                }
-            }
+        while let Some((step, gradient)) = self.0.due(steps, in_transit) {
+            self.0.apply(config, rate, step, &gradient);
+            self.0.values.as_flattened_mut().iter_mut().for_each(|value| *value = value.clamp(-MOST, MOST));
             moved = true;
         }
         moved
@@ -150,24 +127,12 @@ impl Exposures {
 
     /// Adds everything that training needs to go on: tensors of shape [photographs, 3].
     pub(crate) fn to_tensors(&self, file: &mut TensorFile) {
-        let shape = [self.values.len() / 3, 3];
-        let mut add = |name: String, values: &[f32]| {
-            file.tensors.insert(format!("{PREFIX}{name}"), Tensor::f32(&shape, values.to_vec()));
-        };
-        add("values".into(), &self.values);
-        add("first".into(), &self.m);
-        add("second".into(), &self.v);
-        self.arrived.iter().enumerate().for_each(|(i, values)| add(format!("pending.{i}"), values));
+        self.0.to_tensors(PREFIX, file);
     }
 
     /// The state in a checkpoint of a run on as many photographs; `name` is its place.
     pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
-        let shape = [self.values.len() / 3, 3];
-        let of = |tensor: &str| Ok(file.f32(name, &format!("{PREFIX}{tensor}"), &shape)?.to_vec());
-        let pending = |i: &usize| file.tensors.contains_key(&format!("{PREFIX}pending.{i}"));
-        let arrived =
-            (0..LAG).take_while(pending).map(|i| of(&format!("pending.{i}"))).collect::<Result<_>>()?;
-        Ok(Self { values: of("values")?, m: of("first")?, v: of("second")?, arrived })
+        Ok(Self(self.0.restored(PREFIX, file, name)?))
     }
 }
 
@@ -180,7 +145,7 @@ fn mean(values: impl ExactSizeIterator<Item = [f64; 3]>) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Camera, Config, Intrinsics, Scale, View, engine::batch::StepSums};
+    use crate::{Camera, Config, Intrinsics, Scale, View, engine::batch::StepSums, field::adamw::Rule};
 
     #[test]
     fn views_of_one_name_are_one_photograph() {
@@ -197,6 +162,7 @@ mod tests {
             views,
             pixels: Vec::new().into(),
             alpha: crate::Alpha::Straight,
+            depths: Vec::new(),
             scales: vec![scale(1, 0..4), scale(2, 4..8)],
         };
         assert_eq!(photographs(&set), [0, 1, 2, 3, 1, 3, 2, 4]);
@@ -218,7 +184,8 @@ mod tests {
         let values = [0.5, -0.25, 0.125, 0.0];
         let own = at(values).log_gains().into_iter().zip(weights);
         let exposures = own.map(|(e, w)| [4.0 * 2.0 * w * (2.0 * e[0]).exp(), 0.0, 0.0]).collect();
-        let step = StepResult { sums: StepSums { weight: 4.0, ..StepSums::default() }, exposures };
+        let sums = StepSums { weight: 4.0, ..StepSums::default() };
+        let step = StepResult { sums, exposures, ..StepResult::default() };
         let found = at(values).gradient(&step);
         let h = 1.0 / 1024.0;
         for i in 0..4 {
@@ -275,6 +242,7 @@ mod tests {
         let step = |g: f64| StepResult {
             sums: StepSums { weight: 2.0, ..StepSums::default() },
             exposures: vec![[2.0 * g, 0.0, f64::NAN], [-2.0 * g, 0.0, 0.0]],
+            ..StepResult::default()
         };
         let mut exposures = Exposures::new(2);
         for (steps, gradient) in [0.5, -0.25, 0.125, 1.0].into_iter().enumerate() {
@@ -289,16 +257,14 @@ mod tests {
             rule.apply(&mut value, &mut m, &mut v, gradient);
         }
         assert!(value != 0.0);
-        assert_eq!(exposures.values, [value, 0.0, 0.0, -value, 0.0, 0.0]);
+        assert_eq!(exposures.0.values, [[value, 0.0, 0.0], [-value, 0.0, 0.0]]);
         // What waits survives a checkpoint.
         let mut file = TensorFile::default();
         exposures.to_tensors(&mut file);
+        assert!(file.tensors.contains_key(&format!("{PREFIX}pending.{}", LAG - 1)));
+        // The gradient that is not a number is compared as text.
         let restored = Exposures::new(2).restored(&file, "checkpoint").unwrap();
-        assert_eq!(
-            (&restored.values, &restored.m, &restored.v),
-            (&exposures.values, &exposures.m, &exposures.v)
-        );
-        assert_eq!(restored.arrived.len(), LAG);
+        assert_eq!(format!("{restored:?}"), format!("{exposures:?}"));
         assert_eq!(Exposures::new(3).restored(&file, "checkpoint").unwrap_err().exit_code(), 2);
     }
 }

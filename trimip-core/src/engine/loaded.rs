@@ -1,7 +1,7 @@
 //! A model on a device, ready to render. It is written once over the traits, for every backend, and is a [`Viewer`].
 
 use crate::{
-    Aabb, Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Pixel, Query, Renderer, Result,
+    Backend, Camera, Config, Crop, Encoder, Error, Field, Frame, Layout, Pixel, Query, Renderer, Result,
     Space, ViewSet, Viewer,
     config::{Exposure, RendererKind},
     engine::{
@@ -53,7 +53,7 @@ impl<B: Backend> LoadedModel<B> {
                 "compute it with `trimip-cli bake`, or render with renderer.kind = \"volume\"",
             ));
         }
-        let mut loaded = Self::build(backend, &model.config, None)?;
+        let mut loaded = Self::build(Arc::new(backend), &model.config, None)?;
         loaded.restore_model("model", &model.file, None)?;
         loaded.stages.renderer.set_progress(1.0);
         Ok(loaded)
@@ -61,7 +61,7 @@ impl<B: Backend> LoadedModel<B> {
 
     /// Creates initial parameters, with stages that train if `views` is given. Data derived from the parameters is
     /// not built yet.
-    pub(crate) fn build(backend: B, config: &Config, views: Option<ViewSet>) -> Result<Self> {
+    pub(crate) fn build(backend: Arc<B>, config: &Config, views: Option<ViewSet>) -> Result<Self> {
         let (centred, centre) = config.centred();
         let layout = Layout::new(&centred);
         let views = views.map(|mut views| {
@@ -75,7 +75,7 @@ impl<B: Backend> LoadedModel<B> {
             frame: backend.zeros(0),
             assets: Assets::new(),
             unclipped: None,
-            backend: Arc::new(backend),
+            backend,
             config: config.clone(),
             centre,
             layout,
@@ -203,16 +203,15 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Some(all.into_inner().unwrap_or_else(PoisonError::into_inner)))
     }
 
-    /// The bits of the occupancy grid `all`, without those of cells whose centre is outside of `keep`.
-    fn clipped(&self, all: &[u8], keep: &Aabb<f64>) -> Vec<u8> {
+    /// The bits of the occupancy grid `all`, without those of cells whose centre is outside of a part of `keep`.
+    fn clipped(&self, all: &[u8], keep: &[Crop]) -> Vec<u8> {
         let space = Space::<f32>::new(&self.config.centred().0.scene);
         let resolution = self.config.occupancy.resolution;
         let mut bits = all.to_vec();
         for cell in 0..self.cells() as u32 {
             let place = coordinates(cell, resolution).map(|c| (c as f32 + 0.5) / resolution as f32);
             let world = DVec3::from_array(space.to_world(place).map(f64::from)) + self.centre;
-            let inside = |axis: usize| world[axis] >= keep.min[axis] && world[axis] <= keep.max[axis];
-            if !(0..3).all(inside) {
+            if !keep.iter().all(|part| part.contains(world.to_array())) {
                 bits::clear(&mut bits, cell as usize);
             }
         }
@@ -385,11 +384,11 @@ impl<B: Backend> Viewer for LoadedModel<B> {
         self.count_samples(camera, watch)
     }
 
-    fn clip(&mut self, keep: Option<&Aabb<f64>>) -> Result<()> {
+    fn clip(&mut self, keep: &[Crop]) -> Result<()> {
         let all = self.unclipped.take().unwrap_or_else(|| self.stages.occupancy.bits());
-        let bits = keep.map_or_else(|| all.clone(), |keep| self.clipped(&all, keep));
+        let bits = if keep.is_empty() { all.clone() } else { self.clipped(&all, keep) };
         self.stages.occupancy.restore(&bits, None);
-        self.unclipped = keep.is_some().then_some(all);
+        self.unclipped = (!keep.is_empty()).then_some(all);
         self.backend.health()
     }
 }

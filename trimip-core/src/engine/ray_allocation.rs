@@ -249,6 +249,7 @@ mod tests {
             views: (0..4).map(views).collect(),
             pixels: Vec::new().into(),
             alpha: crate::Alpha::Straight,
+            depths: Vec::new(),
             scales: (0..4).map(|j| Scale { views: j..j + 1, ..scales(4)[j].clone() }).collect(),
         };
         let finest = crate::scene::cones::footprint(&set.views[0].camera, &crate::Aabb::new(&config.scene));

@@ -2,8 +2,8 @@
 //! trains.
 
 use crate::{
-    Aabb, Camera, Error, Frame, Query, Result,
-    engine::{batch::Radiance, checkpoint::Checkpoint, events::Totals},
+    Camera, Crop, Error, Frame, Query, Result, ViewSet,
+    engine::{batch::Radiance, checkpoint::Checkpoint, events::Totals, poses::Refined},
     field::model::Model,
 };
 
@@ -91,14 +91,14 @@ pub trait Viewer: Send {
         Err(Error::run("this viewer has no samples"))
     }
 
-    /// Renders only the cells of the occupancy grid whose centre is in `keep`, a box of the world; `None` = all.
+    /// Renders only the cells of the occupancy grid whose centre is in every part of `keep`; all cells if it is empty.
     ///
     /// # Errors
     /// When this viewer cannot leave cells out, as one in training.
-    fn clip(&mut self, keep: Option<&Aabb<f64>>) -> Result<()> {
+    fn clip(&mut self, keep: &[Crop]) -> Result<()> {
         match keep {
-            None => Ok(()),
-            Some(_) => Err(Error::run("this viewer cannot be clipped")),
+            [] => Ok(()),
+            _ => Err(Error::run("this viewer cannot be clipped")),
         }
     }
 }
@@ -142,6 +142,20 @@ pub trait Session: Viewer {
     /// As [`checkpoint`](Self::checkpoint).
     fn join_checkpoint(&mut self) -> Result<()> {
         self.checkpoint().map(drop)
+    }
+
+    /// The poses that training has found; none unless it refines them.
+    fn refined(&self) -> Option<Refined> {
+        None
+    }
+
+    /// The cameras of other photographs, moved so that the model as it is now shows them best. The model stays as it is.
+    ///
+    /// # Errors
+    /// When the photographs have no pixels, the device fails, or this session cannot align.
+    fn align(&mut self, views: ViewSet) -> Result<Vec<Camera>> {
+        let _ = views;
+        Err(Error::run("this session cannot align cameras"))
     }
 
     /// Continues from a checkpoint.

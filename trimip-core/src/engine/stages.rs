@@ -7,7 +7,10 @@ use crate::{
     Backend, Camera, Pixel, Result,
     engine::{
         backend::evaluate_visible_samples,
-        batch::{FieldBackward, PartialGradients, Radiance, Rays, Samples, Tile, Update, Workspace},
+        batch::{
+            Displaced, FieldBackward, FieldDraw, PartialGradients, Radiance, Rays, SampleDraw, Samples, Tile,
+            Update, Workspace,
+        },
         policy::{OptimizerPolicy, RendererPolicy, SamplerPolicy},
         proxy::Guide,
         ray_allocation::{RayAllocation, ScaleWeights},
@@ -32,6 +35,8 @@ pub struct Stages<B: Backend> {
     pub occupancy: B::Occupancy,
     /// Maps pixels to the loss.
     pub loss: B::Loss,
+    /// Maps gradients of features to those of poses; none unless training refines them.
+    pub poses: Option<B::Poses>,
 }
 
 impl<B: Backend> Stages<B> {
@@ -150,6 +155,29 @@ pub trait Field<B: Backend>: Send + Sync {
         radiance: &mut B::Buffer<Radiance>,
     );
 
+    /// Draws samples by the norms of the gradients of their logits: the derivatives by density and colour times the slopes of
+    /// their activations. Marks them, and divides their gradients by their probabilities.
+    ///
+    /// Along a ray, samples are drawn systematically: one is drawn wherever the sum of the probabilities, which begins at a random
+    /// number in [0, 1), reaches a whole number. It is the number [`SampleDraw::first`] of the ray.
+    fn draw(
+        &self,
+        tile: &mut Tile<'_, B>,
+        draw: &SampleDraw,
+        context: &Self::Context,
+        arrays: FieldDraw<'_, B>,
+    );
+
+    /// Keeps the rows of context, radiance and gradients of drawn samples, as [`keep`](Self::keep) does, those of colour included.
+    fn keep_drawn(
+        &self,
+        stream: &mut B::Stream,
+        drawn: &B::Buffer<u32>,
+        context: &mut Self::Context,
+        radiance: &mut B::Buffer<Radiance>,
+        radiance_gradients: &mut B::Buffer<Radiance>,
+    );
+
     /// Maps gradients of density and colour to gradients of features; adds to the weight gradients.
     fn backward(
         &self,
@@ -216,6 +244,17 @@ pub trait Renderer<B: Backend>: Send + Sync {
         radiance: &B::Buffer<Radiance>,
         samples: &mut Samples<B>,
         kept: &mut B::Buffer<u32>,
+    );
+
+    /// Lists the rows of the samples that [`Field::draw`] marked in `drawn`, keeps these samples and drops the others. Their
+    /// number replaces that of the kept samples in [`StepSums::drawn`](crate::engine::batch::StepSums).
+    fn keep_drawn(
+        &self,
+        stream: &mut B::Stream,
+        marks: &B::Buffer<u32>,
+        samples: &mut Samples<B>,
+        drawn: &mut B::Buffer<u32>,
+        sums: &mut B::Sums,
     );
 
     /// Takes rays to the density of their visible samples, ready for colour. A renderer may walk each ray front to
@@ -299,6 +338,9 @@ pub trait Sampler<B: Backend>: Send + Sync {
         self.policy().scale_weights()
     }
 
+    /// Replaces the cameras of the training views, one each. Does nothing without views.
+    fn set_cameras(&mut self, cameras: &[Camera]);
+
     /// Generates the cones of the pixels `range` of a training step. `allocation` tells which scale each pixel belongs to;
     /// within a scale, pixels are drawn uniformly.
     fn training_rays(
@@ -365,6 +407,9 @@ pub trait Loss<B: Backend>: Send + Sync {
     /// the colours that are compared. Without any, as at first, rendered colours are compared as they are.
     fn set_gains(&mut self, gains: &[[f32; 3]]);
 
+    /// Applies the schedules of the terms' weights at `progress` in [0, 1]. At first, progress is 0.
+    fn set_progress(&mut self, progress: f64);
+
     /// Evaluates the photometric term and the terms of pixels: writes their gradient with respect to each pixel, weighted
     /// by area but not yet divided by the sum of the weights, and adds to the sums. With gains it also adds the
     /// derivatives by their logarithms.
@@ -386,4 +431,29 @@ pub trait Loss<B: Backend>: Send + Sync {
         radiance_gradients: &mut B::Buffer<Radiance>,
         sums: &mut B::Sums,
     );
+}
+
+/// Maps gradients of features to derivatives of the loss by motions of cameras.
+///
+/// Each ray is moved by its own radius across its direction, to a random side and to the opposite one, with all of its samples.
+/// The difference of their features, times the gradient of the features, is the mean slope of the loss over the sample's width.
+/// A random direction for each ray and step sees one of two dimensions; the other one has its turn in other steps, so the slope
+/// counts twice. Motion along a ray changes no picture. What is left out: the density and colour that follow from another direction,
+/// radius or placement of samples.
+pub trait PoseGradients<B: Backend>: Send + Sync {
+    /// Moves all rays of a tile and their samples by `side` (1 or −1) times their radius along the random direction of each ray.
+    fn displace(&self, tile: &mut Tile<'_, B>, step: u64, side: f32, displaced: &mut Displaced<B>);
+
+    /// Writes Σ feature · gradient of each displaced sample to `displaced.slopes` for `side` = 1, and subtracts it for `side` = −1.
+    fn compare(
+        &self,
+        tile: &mut Tile<'_, B>,
+        side: f32,
+        feature_gradients: &B::Buffer<f32>,
+        displaced: &mut Displaced<B>,
+    );
+
+    /// Adds the derivatives by the motions of the photographs' cameras
+    /// ([`StepResult::poses`](crate::engine::batch::StepResult::poses)) to the sums.
+    fn add(&self, tile: &mut Tile<'_, B>, step: u64, slopes: &B::Buffer<f32>, sums: &mut B::Sums);
 }

@@ -1,4 +1,4 @@
-//! The results of a training step on the host: losses, counts, and the derivatives of the exposures.
+//! The results of a training step on the host: losses, counts, and the derivatives by exposures and poses.
 
 use crate::{Result, engine::ranks::fault};
 use serde::{Deserialize, Serialize};
@@ -19,6 +19,9 @@ pub struct StepSums {
     pub marched: u64,
     /// Samples kept.
     pub kept: u64,
+    /// Samples with a backward pass: those that were drawn, otherwise all kept ones.
+    #[serde(default)]
+    pub drawn: u64,
     /// Pixels that are not finite.
     pub non_finite: u64,
 }
@@ -32,6 +35,7 @@ impl StepSums {
         self.rays += other.rays;
         self.marched += other.marched;
         self.kept += other.kept;
+        self.drawn += other.drawn;
         self.non_finite += other.non_finite;
     }
 }
@@ -46,44 +50,65 @@ pub struct StepResult {
     pub sums: StepSums,
     /// Derivative of [`StepSums::loss`] by the log-gains (RGB) of each photograph; empty without `loss.exposure`.
     pub exposures: Vec<[f64; 3]>,
+    /// Derivative of [`StepSums::loss`] by motions of each photograph's camera: by its translation along the axes of the world,
+    /// then by rotations around them, the origin fixed. Empty unless poses are refined.
+    pub poses: Vec<[f64; 6]>,
 }
 
 impl StepResult {
     /// All numbers as bits, to be sent to another process.
     pub fn to_words(&self) -> Vec<u64> {
-        let StepSums { loss, weight, squared_error, rays, marched, kept, non_finite } = self.sums;
+        let StepSums { loss, weight, squared_error, rays, marched, kept, drawn, non_finite } = self.sums;
         let sums = [loss, weight, squared_error].map(f64::to_bits).into_iter();
-        let counts = [rays, marched, kept, non_finite];
-        sums.chain(counts).chain(self.exposures.as_flattened().iter().map(|value| value.to_bits())).collect()
+        let counts = [rays, marched, kept, drawn, non_finite];
+        let by_photographs = self.exposures.as_flattened().iter().chain(self.poses.as_flattened());
+        let by_photographs = by_photographs.map(|value| value.to_bits());
+        sums.chain(counts).chain([self.exposures.len() as u64]).chain(by_photographs).collect()
     }
 
     /// The result of these [`to_words`](Self::to_words).
     ///
     /// # Errors
-    /// When their number is not 7 and three for each photograph.
+    /// When their number is not 9, three for each exposure and six for each pose.
     pub fn of_words(words: &[u64]) -> Result<Self> {
-        let Some((&[loss, weight, squared_error, rays, marched, kept, non_finite], exposures)) =
-            words.split_first_chunk().filter(|(_, exposures)| exposures.len().is_multiple_of(3))
-        else {
-            let found = words.len();
-            return Err(fault(format_args!("expected 7 sums and 3 for each photograph, found {found}")));
+        let of = |words: &[u64]| -> Option<Self> {
+            let (&[loss, weight, squared_error, rays, marched, kept, drawn, non_finite, exposures], rest) =
+                words.split_first_chunk()?;
+            let exposures = usize::try_from(exposures).ok()?.checked_mul(3)?;
+            let (exposures, poses) = rest.split_at_checked(exposures)?;
+            let [loss, weight, squared_error] = [loss, weight, squared_error].map(f64::from_bits);
+            Some(Self {
+                sums: StepSums { loss, weight, squared_error, rays, marched, kept, drawn, non_finite },
+                exposures: rows(exposures)?,
+                poses: rows(poses)?,
+            })
         };
-        let [loss, weight, squared_error] = [loss, weight, squared_error].map(f64::from_bits);
-        Ok(Self {
-            sums: StepSums { loss, weight, squared_error, rays, marched, kept, non_finite },
-            exposures: exposures.as_chunks().0.iter().map(|gains| gains.map(f64::from_bits)).collect(),
+        of(words).ok_or_else(|| {
+            let found = words.len();
+            fault(format_args!(
+                "expected 8 sums, a count, 3 numbers for each exposure and 6 for each pose, found {found} words"
+            ))
         })
     }
 
     /// Adds the result of another tile.
     pub fn add(&mut self, other: &Self) {
         self.sums.add(&other.sums);
-        let count = self.exposures.len().max(other.exposures.len());
-        self.exposures.resize(count, [0.0; 3]);
-        for (own, other) in self.exposures.as_flattened_mut().iter_mut().zip(other.exposures.as_flattened()) {
-            *own += other;
-        }
+        add_rows(&mut self.exposures, &other.exposures);
+        add_rows(&mut self.poses, &other.poses);
     }
+}
+
+/// Rows of `N` numbers, if the words are whole rows.
+fn rows<const N: usize>(words: &[u64]) -> Option<Vec<[f64; N]>> {
+    let (rows, rest) = words.as_chunks();
+    rest.is_empty().then(|| rows.iter().map(|row| row.map(f64::from_bits)).collect())
+}
+
+/// Adds rows to rows; those that are missing are zero.
+fn add_rows<const N: usize>(own: &mut Vec<[f64; N]>, other: &[[f64; N]]) {
+    own.resize(own.len().max(other.len()), [0.0; N]);
+    own.as_flattened_mut().iter_mut().zip(other.as_flattened()).for_each(|(own, other)| *own += other);
 }
 
 #[cfg(test)]
@@ -100,21 +125,26 @@ mod tests {
             rays: 5,
             marched: u64::MAX,
             kept: 7,
+            drawn: 6,
             non_finite: 1,
         };
-        let words = StepResult { sums, exposures: vec![[0.25, -1.0, 2.0], [1e300, 0.0, -0.0]] }.to_words();
+        let (exposures, poses) = (vec![[0.25, -1.0, 2.0], [1e300, 0.0, -0.0]], vec![[0.5; 6]; 2]);
+        let words = StepResult { sums, exposures, poses }.to_words();
         for count in 0..=words.len() {
             match StepResult::of_words(&words[..count]) {
                 Ok(result) => {
-                    assert!(count >= 7 && count % 3 == 1, "{count}");
+                    assert!(count >= 15 && (count - 15) % 6 == 0, "{count}");
                     assert_eq!(result.to_words(), words[..count]);
                 }
                 Err(error) => {
-                    assert!(count < 7 || count % 3 != 1, "{count}");
+                    assert!(count < 15 || (count - 15) % 6 != 0, "{count}");
                     assert_eq!(error.kind, ErrorKind::Device);
                     assert!(error.message.contains(&format!("found {count}")), "{error}");
                 }
             }
         }
+        let mut words = words;
+        words[8] = u64::MAX;
+        assert!(StepResult::of_words(&words).is_err());
     }
 }

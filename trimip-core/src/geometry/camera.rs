@@ -189,6 +189,15 @@ impl Intrinsics {
 }
 
 impl Camera {
+    /// True if a point of the world is in the picture.
+    pub fn sees(&self, point: DVec3) -> bool {
+        let k = &self.intrinsics;
+        let place = k.image_of(self.rotation.transpose() * (point - self.origin));
+        place.is_some_and(|[x, y]| {
+            (0.0..f64::from(k.width)).contains(&x) && (0.0..f64::from(k.height)).contains(&y)
+        })
+    }
+
     /// A camera at `origin` that looks at `target`; `up` points upwards in the image.
     pub fn look_at(intrinsics: Intrinsics, origin: DVec3, target: DVec3, up: DVec3) -> Self {
         let back = (origin - target).normalize();

@@ -64,6 +64,10 @@ pub struct Target {
     pub opacity: f32,
     /// Edge exponent γ of the photograph, see [`edge_exponents`](crate::scene::edge_exponents).
     pub exponent: f32,
+    /// Distance of the point where the ray ends, world units; see [`KnownDepth`](crate::scene::depths::KnownDepth).
+    pub distance: f32,
+    /// Standard deviation of `distance`; 0 if no point is known.
+    pub deviation: f32,
 }
 
 /// A sphere inscribed in a cone: the input of a query of the field.

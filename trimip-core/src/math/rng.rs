@@ -17,6 +17,10 @@ pub enum Sequence {
     Point = 5,
     /// Backgrounds of training rays.
     Background = 6,
+    /// Directions in which rays are moved, for the gradient by poses.
+    Motion = 7,
+    /// Samples that have a backward pass.
+    Sample = 8,
 }
 
 /// A seed, to be hashed with sequence, step and index.

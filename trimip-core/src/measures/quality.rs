@@ -1,6 +1,10 @@
 //! Measures of rendered pictures against photographs, and their means over views and scales.
 
-use crate::{Error, Result, config::EvalConfig, measures::metrics::psnr_of_error};
+use crate::{
+    Config, Error, Result,
+    config::{Contraction, EvalConfig},
+    measures::metrics::psnr_of_error,
+};
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// Loss of PSNR on the opposite background above which a warning is given, dB.
@@ -142,15 +146,45 @@ impl Measures {
         Ok(())
     }
 
-    /// A warning about a model that is transparent where the photographs are opaque.
-    pub fn remark(&self) -> Option<String> {
+    /// A warning about a model that is transparent where the photographs are opaque, and what helps.
+    pub fn remark(&self, remedy: Remedy) -> Option<String> {
+        let advice = match remedy {
+            Remedy::Opacity => "loss.opacity = 0.1 trains solids that hide any".to_string(),
+            Remedy::Photographs => "the plan trains opaque rays (plan.solids) from 2^20 pixels on: give more photographs, or larger \
+                 ones"
+                .into(),
+            Remedy::Training(opacity) => {
+                format!("rays become opaque as they are trained: train for longer, or raise loss.opacity (now {opacity})")
+            }
+        };
         (self.psnr - self.psnr_opposite > SHINES_THROUGH).then(|| {
-            format!(
-                "the background shines through the model: {:.2} dB on the opposite one; loss.opacity = 0.1 trains \
-                 solids that hide any",
-                self.psnr_opposite
-            )
+            let opposite = self.psnr_opposite;
+            format!("the background shines through the model: {opposite:.2} dB on the opposite one; {advice}")
         })
+    }
+}
+
+/// What makes a model opaque through which the background shines.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Remedy {
+    /// The term `loss.opacity`, which compares with the alpha of the photographs.
+    #[default]
+    Opacity,
+    /// Photographs of a place with more pixels: with few, opaque rays end in front of the cameras, and the plan leaves
+    /// `loss.opacity` out.
+    Photographs,
+    /// More of a training that has this weight of `loss.opacity`.
+    Training(f32),
+}
+
+impl Remedy {
+    /// What helps a model of this configuration.
+    pub fn of(config: &Config) -> Self {
+        match (config.scene.contraction, config.loss.opacity) {
+            (_, weight) if weight > 0.0 => Self::Training(weight),
+            (Contraction::Ball, _) => Self::Photographs,
+            (Contraction::None, _) => Self::Opacity,
+        }
     }
 }
 
@@ -241,8 +275,8 @@ mod tests {
         assert_eq!((scales[0].measures.flip, scales[1].measures.flip), (0.1, 0.2));
         assert!((mean.flip - 0.15).abs() < 1e-12 && (mean.ms_ssim - 0.25).abs() < 1e-12);
         assert!(scales[1].measures.ms_ssim.is_nan() && mean.lpips.is_nan());
-        assert!(mean.remark().is_some_and(|remark| remark.contains("18.00 dB")));
-        let eval = |min_psnr, min_gain| EvalConfig { min_psnr, min_gain, ..crate::Config::default().eval };
+        assert!(mean.remark(Remedy::Opacity).is_some_and(|remark| remark.contains("18.00 dB")));
+        let eval = |min_psnr, min_gain| EvalConfig { min_psnr, min_gain, ..Config::default().eval };
         assert!(mean.judge(&eval(0.0, 1.0)).is_ok() && mean.judge(&eval(20.0, 0.0)).is_ok());
         assert_eq!(mean.judge(&eval(20.1, 1.0)).unwrap_err().exit_code(), 1);
         let blind = Measures { psnr: f64::NAN, ..mean };
@@ -251,13 +285,27 @@ mod tests {
             "it is nobody's floor"
         );
         assert!(blind.judge(&eval(0.0, 1.0)).unwrap_err().message.contains("failed to learn"));
-        assert_eq!(Measures { psnr_opposite: 19.5, ..mean }.remark(), None);
-        assert_eq!(Measures { psnr_opposite: f64::NAN, ..mean }.remark(), None);
+        assert_eq!(Measures { psnr_opposite: 19.5, ..mean }.remark(Remedy::Opacity), None);
+        assert_eq!(Measures { psnr_opposite: f64::NAN, ..mean }.remark(Remedy::Opacity), None);
         assert!(mean.learned(1.0) && !Measures { psnr: 12.9, ..mean }.learned(1.0));
         assert!(!Measures { psnr: f64::NAN, ..mean }.learned(1.0));
         assert_eq!(per_scale(&qualities, 2)[0].images, 2);
         assert_eq!([capped(f64::INFINITY), capped(120.0), capped(30.0)], [MOST_PSNR, MOST_PSNR, 30.0]);
         assert!(capped(f64::NAN).is_nan(), "a picture of no numbers is not the best of all");
+    }
+
+    #[test]
+    fn a_place_is_not_told_to_set_what_its_plan_decides() {
+        let mean = Measures { psnr: 25.0, psnr_opposite: 20.0, ..Measures::UNKNOWN };
+        let mut config = Config::default();
+        let advice = |config: &Config| mean.remark(Remedy::of(config)).unwrap();
+        assert!(advice(&config).contains("loss.opacity = 0.1 trains"));
+        config.scene.contraction = Contraction::Ball;
+        assert!(advice(&config).contains("more photographs") && !advice(&config).contains("loss.opacity"));
+        config.loss.opacity = 0.25;
+        assert!(advice(&config).contains("train for longer, or raise loss.opacity (now 0.25)"));
+        config.scene.contraction = Contraction::None;
+        assert!(advice(&config).contains("(now 0.25)"), "an object that has the term is not told to add it");
     }
 
     #[test]

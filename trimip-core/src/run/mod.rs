@@ -1,20 +1,25 @@
 //! A training run: steps, evaluations, checkpoints and events, in order. It uses a session and a store, and knows
 //! nothing of files, terminals or devices.
 
+pub mod alignment;
 pub mod evaluate;
 mod evaluation;
 mod timekeeper;
 
 use crate::{
-    Config, Error, ErrorKind, Frames, Result, Session,
+    Camera, Config, Error, ErrorKind, Frames, Result, Session,
     engine::{
         checkpoint::Checkpoint,
         events::{Event, EventSink, Totals, progress},
+        poses::Refined,
         session::StepReport,
     },
     field::model::Model,
     measures::perception::Perception,
-    run::{evaluate::ViewResult, timekeeper::Timekeeper},
+    run::{
+        evaluate::{TestFrames, ViewResult},
+        timekeeper::Timekeeper,
+    },
 };
 use std::sync::atomic::{AtomicBool, Ordering};
 use web_time::Instant;
@@ -34,6 +39,14 @@ pub trait Store {
     /// # Errors
     /// When the model cannot be stored.
     fn model(&mut self, model: &Model) -> Result<u64>;
+    /// Stores names and cameras of the training photographs as training has refined them; does nothing by default.
+    ///
+    /// # Errors
+    /// When they cannot be stored.
+    fn cameras(&mut self, cameras: &[(String, Camera)]) -> Result<()> {
+        let _ = cameras;
+        Ok(())
+    }
     /// Receives every view of the final evaluation.
     ///
     /// # Errors
@@ -182,9 +195,21 @@ impl Run<'_> {
         // Without its checkpoint the run has to be repeated from the last one, but its result may still be had.
         let model = self.session.finish()?;
         self.store.model(&model).map_err(|error| stored.clone().err().unwrap_or(error))?;
-        self.events.emit(&Event::Finished { totals });
+        self.tell_poses()?;
+        self.events.emit(&Event::finished(totals));
         let outcome = self.evaluate_at_the_end(&totals, &mut keeper);
         stored.and(outcome)
+    }
+
+    /// Stores refined poses, aligns test views with the finished model, and emits what was found.
+    fn tell_poses(&mut self) -> Result<()> {
+        let Some(Refined { cameras, moved }) = self.session.refined() else { return Ok(()) };
+        self.store.cameras(&cameras)?;
+        let test = TestFrames { frames: self.frames, data: &self.config.data, finest: 1 };
+        let measured = self.config.eval.final_stride(self.frames.len()).is_some();
+        let aligned = if measured { alignment::measure(self.session, test)? } else { None };
+        self.events.emit(&Event::Poses { moved, aligned });
+        Ok(())
     }
 
     fn progress(&self, totals: &Totals) -> f64 {

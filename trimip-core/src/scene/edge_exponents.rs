@@ -188,6 +188,7 @@ mod tests {
             views: vec![view(0, 0), view(1, 256)],
             pixels: [finest, coarse].concat().into(),
             alpha: Alpha::Straight,
+            depths: Vec::new(),
             scales: vec![
                 Scale { factor: 1, weight: 1.0, views: 0..1, pixels: 0..256 },
                 Scale { factor: 2, weight: 4.0, views: 1..2, pixels: 256..320 },

@@ -1,7 +1,8 @@
 //! What photographs show: their pixels ([`pixels`]) in views of several scales ([`views`]), rendered pictures ([`frame`]), how many
-//! cones a pixel has ([`cones`]), silhouettes and the visual hull, and fingerprints by which two data sets are compared.
+//! cones a pixel has ([`cones`]), which distances are known ([`depths`]), silhouettes and the visual hull, and fingerprints by which two data sets are compared.
 
 pub mod cones;
+pub mod depths;
 pub mod edge_exponents;
 pub mod fingerprint;
 pub mod frame;

@@ -219,7 +219,13 @@ mod tests {
             }
         }
         let all = Scale { factor: 1, weight: 1.0, views: 0..views.len(), pixels: 0..pixels.len() };
-        ViewSet { views, pixels: pixels.into(), alpha: Alpha::Straight, scales: vec![all] }
+        ViewSet {
+            views,
+            pixels: pixels.into(),
+            alpha: Alpha::Straight,
+            scales: vec![all],
+            depths: Vec::new(),
+        }
     }
 
     #[test]

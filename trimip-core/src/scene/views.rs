@@ -1,5 +1,6 @@
 //! Photographs for training and evaluation: 8-bit RGBA pixels in one flat array, divided into views, grouped by scale. Scale j holds images reduced by 2^j; the area weight of its pixels is 4^j (the paper's area loss).
 
+use super::depths::KnownDepth;
 use crate::{Camera, Pixels, Result, config::Convention};
 use std::ops::Range;
 
@@ -86,6 +87,8 @@ pub struct ViewSet {
     pub alpha: Alpha,
     /// Scales from fine to coarse.
     pub scales: Vec<Scale>,
+    /// Pixels whose distance is known, sorted by pixel; none without points that several photographs saw.
+    pub depths: Vec<KnownDepth>,
 }
 
 impl ViewSet {
@@ -141,7 +144,9 @@ impl ViewSet {
 
     /// Bytes of pixels and views in memory.
     pub fn bytes(&self) -> usize {
-        self.pixels.bytes_in_memory() + self.views.len() * size_of::<View>()
+        self.pixels.bytes_in_memory()
+            + self.views.len() * size_of::<View>()
+            + self.depths.len() * size_of::<KnownDepth>()
     }
 }
 
@@ -209,6 +214,7 @@ mod tests {
             pixels: vec![red, garbage, garbage, garbage, grey, grey, garbage, garbage].into(),
             alpha: Alpha::Kept,
             scales: Vec::new(),
+            depths: Vec::new(),
         };
         let third = 1.0 / 3.0;
         let expected = [[third + 0.4 * third, 0.4 * third, 0.4 * third, 1.0], [0.0, 0.0, 0.0, 1.0]];

@@ -1,7 +1,7 @@
 //! The bounding box of the subject: as the data state, or around the common view of the cameras, then shrunk to the
 //! silhouettes if the photographs have any. World units.
 
-use super::common_view::{COMMON, cameras, common_view, focus};
+use super::common_view::{COMMON, cameras, common_view, focus, is_ahead};
 use super::decision::{Context, Proposal};
 use super::facts::Facts;
 use super::fineness::significant;
@@ -150,11 +150,7 @@ fn surroundings(facts: &Facts<'_>) -> Option<(DVec3, f64, &'static str)> {
         distances.sort_by(f64::total_cmp);
         distances.get(distances.len() / 2).copied().filter(|distance| distance.is_finite() && *distance > 0.0)
     };
-    let ahead = |focus: &DVec3| {
-        let before = |camera: &&Camera| camera.rotation.z_axis.dot(*focus - camera.origin) < 0.0;
-        2 * cameras.iter().filter(before).count() > cameras.len()
-    };
-    match focus(&cameras).filter(ahead) {
+    match focus(&cameras).filter(|focus| is_ahead(&cameras, *focus)) {
         Some(focus) => Some((focus, BALL * median(focus)?, "what the cameras look at")),
         None => Some((midst, BALL * median(midst)?, "the midst of the cameras")),
     }

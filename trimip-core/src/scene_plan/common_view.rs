@@ -39,6 +39,12 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     (mean.determinant() > PARALLEL * 0.5).then(|| matrix.inverse() * right).filter(|focus| focus.is_finite())
 }
 
+/// True if most of the cameras look towards a point.
+pub(super) fn is_ahead(cameras: &[Camera], point: DVec3) -> bool {
+    let before = |camera: &&Camera| camera.rotation.z_axis.dot(point - camera.origin) < 0.0;
+    2 * cameras.iter().filter(before).count() > cameras.len()
+}
+
 /// Bounds of what at least [`COMMON`] of the cameras see within `aabb`; `None` if there is no such region.
 pub(super) fn common_view(cameras: &[Camera], aabb: &Aabb<f64>) -> Option<Aabb<f64>> {
     let cell = aabb.extent().map(|side| side / CELLS as f64);
@@ -48,7 +54,7 @@ pub(super) fn common_view(cameras: &[Camera], aabb: &Aabb<f64>) -> Option<Aabb<f
         let at = DVec3::from_array(std::array::from_fn(|axis| {
             aabb.min[axis] + (index[axis] as f64 + 0.5) * cell[axis]
         }));
-        let seeing = cameras.iter().filter(|camera| sees(camera, at)).count();
+        let seeing = cameras.iter().filter(|camera| camera.sees(at)).count();
         if seeing as f64 >= COMMON * cameras.len() as f64 {
             for axis in 0..3 {
                 low[axis] = low[axis].min(index[axis]);
@@ -58,15 +64,6 @@ pub(super) fn common_view(cameras: &[Camera], aabb: &Aabb<f64>) -> Option<Aabb<f
     }
     let corner = |at: [usize; 3]| std::array::from_fn(|axis| aabb.min[axis] + at[axis] as f64 * cell[axis]);
     (high[0] > 0).then(|| Aabb { min: corner(low), max: corner(high) })
-}
-
-/// True if a camera sees a point.
-fn sees(camera: &Camera, at: DVec3) -> bool {
-    let k = &camera.intrinsics;
-    let at = camera.rotation.transpose() * (at - camera.origin);
-    k.image_of(at).is_some_and(|[x, y]| {
-        (0.0..f64::from(k.width)).contains(&x) && (0.0..f64::from(k.height)).contains(&y)
-    })
 }
 
 #[cfg(test)]

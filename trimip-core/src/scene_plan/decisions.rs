@@ -1,10 +1,10 @@
 //! The decisions of the scene plan, in their order.
 
 use super::decision::Decision;
-use super::{aabb, cones, detail, hash_grid, leave_out, recipe, tri_mip};
+use super::{aabb, cones, crop, depth, detail, hash_grid, leave_out, recipe, tri_mip};
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 14] = [
+pub(super) const DECISIONS: [Decision; 16] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -42,6 +42,13 @@ pub(super) const DECISIONS: [Decision; 14] = [
         decide: recipe::solids,
     },
     Decision { key: "surfaces", owns: &[], choice: |config| config.plan.surfaces, decide: recipe::surfaces },
+    Decision {
+        key: "depth",
+        owns: &["loss.depth"],
+        choice: |config| config.plan.depth,
+        decide: depth::decide,
+    },
+    Decision { key: "crop", owns: &["scene.crop"], choice: |config| config.plan.crop, decide: crop::decide },
     Decision { key: "schedule", owns: &[], choice: |config| config.plan.schedule, decide: recipe::schedule },
     Decision { key: "detail", owns: &[], choice: |config| config.plan.detail, decide: detail::decide },
     Decision {

@@ -6,8 +6,10 @@
 mod aabb;
 mod common_view;
 mod cones;
+mod crop;
 mod decision;
 mod decisions;
+mod depth;
 mod detail;
 mod facts;
 mod finding;
@@ -53,6 +55,13 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
             settings.place("loss.opacity"),
             "the photographs have no alpha to compare opacity with",
             "set it to 0, or use photographs with alpha",
+        ));
+    }
+    if depth::is_missing(&planned, facts.train) {
+        return Err(Error::input(
+            settings.place("loss.depth"),
+            "the data state no points that training photographs saw",
+            "set it to 0, or use photographs with a COLMAP model",
         ));
     }
     findings

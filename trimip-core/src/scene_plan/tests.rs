@@ -3,7 +3,7 @@
 use super::*;
 use crate::config::{Contraction, EncoderKind, FilePrecision};
 use crate::field::encoders::tri_mip::Pyramid;
-use crate::scene::cones::PixelPattern;
+use crate::scene::{cones::PixelPattern, depths::KnownDepth};
 use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
 use glam::DVec3;
 
@@ -14,8 +14,13 @@ fn views(alpha: bool) -> ViewSet {
 
 /// The same with any number of views. Sixteen have 2^20 pixels at the finest scale.
 fn views_of(alpha: bool, count: u32) -> ViewSet {
-    let mut set =
-        ViewSet { views: Vec::new(), pixels: Default::default(), alpha: Alpha::Straight, scales: Vec::new() };
+    let mut set = ViewSet {
+        views: Vec::new(),
+        pixels: Default::default(),
+        alpha: Alpha::Straight,
+        scales: Vec::new(),
+        depths: Vec::new(),
+    };
     for level in 0..2_u32 {
         let k = Intrinsics::from_angle(256, 256, 0.7).reduced(level);
         let (first, first_pixel) = (set.views.len(), set.pixels.len());
@@ -243,6 +248,31 @@ fn places_have_thin_surfaces_and_objects_keep_their_settings() {
         [(true, &[][..]), (false, &["scene.contraction=none"]), (false, &["plan.surfaces=off"])]
     {
         assert_eq!(of(alpha, set), defaults, "{set:?}");
+    }
+}
+
+#[test]
+fn rays_of_places_end_at_known_points_until_half_of_the_run() {
+    let known = KnownDepth { pixel: 3, distance: 2.0, deviation: 0.1 };
+    let of = |alpha: bool, depths: &[KnownDepth], set: &[&str]| {
+        let views = ViewSet { depths: depths.to_vec(), ..views(alpha) };
+        planned(&views, set).map(|(config, _)| config.loss.depth)
+    };
+    let depth = of(false, &[known], &[]).unwrap();
+    assert!(depth.at(0.0) > 0.0 && depth.values().is_sorted_by(|a, b| a > b) && depth.at(0.5) == 0.0);
+    assert_eq!(of(false, &[known], &["loss.depth=0.3"]).unwrap().at(0.9), 0.3, "what is given stays");
+    let none = Config::default().loss.depth;
+    for (alpha, depths, set) in [
+        (true, &[known][..], &[][..]),
+        (false, &[], &[]),
+        (false, &[known], &["scene.contraction=none"]),
+        (false, &[known], &["plan.depth=off"]),
+    ] {
+        assert_eq!(of(alpha, depths, set).unwrap(), none, "{set:?}");
+    }
+    for set in ["loss.depth=0.1", "plan.depth=on"] {
+        let error = of(false, &[], &[set]).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("no points"), "{error}");
     }
 }
 

@@ -241,6 +241,9 @@ impl Block {
     fn corners(&self, level: &Level, reads: &Points<f32>) -> Corners {
         let weights = match reads.is_plain() {
             true => [1.0; BLOCK],
+            false if reads.is_within(level, self.deviations.into_iter().fold(0.0, f32::max)) => {
+                [reads.level_weight(level, 0.0); BLOCK]
+            }
             false => self.deviations.map(|deviation| reads.level_weight(level, deviation)),
         };
         Corners::of(level, &self.places, &weights)

@@ -3,7 +3,7 @@
 use crate::CpuBackend;
 use crate::buffer::Buffer;
 use crate::gemm::padded;
-use crate::mlp::{Activations, Passing, Shared};
+use crate::mlp::{Activations, Mlp, Passing, Shared};
 use trimip_core::config::{FieldConfig, ViewEncoding};
 use trimip_core::engine::batch::{Radiance, Rays, Samples};
 use trimip_core::field::networks::append_frequencies;
@@ -25,6 +25,41 @@ pub struct Context {
     pub(super) passing: Passing,
 }
 
+impl Context {
+    /// Keeps the rows `drawn` of both networks' activations, and drops the others.
+    pub(super) fn keep_drawn(&mut self, drawn: &[u32], [density, color]: [&Mlp; 2], shape: usize) {
+        let Self { lit, directions, shape: shapes, .. } = self;
+        self.density.keep(density, drawn);
+        // The rows of colours among all that have one, and then of each its row among the drawn ones.
+        let mut colors = std::mem::take(&mut lit.kept);
+        colors.clear();
+        if lit.listed {
+            let mut lit_rows = lit.rows.iter().zip(0..).peekable();
+            let mut rows = std::mem::take(&mut lit.next);
+            rows.clear();
+            for (new, old) in drawn.iter().enumerate() {
+                while lit_rows.next_if(|(row, _)| *row < old).is_some() {}
+                if let Some((_, color)) = lit_rows.next_if(|(row, _)| *row == old) {
+                    colors.push(color);
+                    rows.push(new as u32);
+                }
+            }
+            lit.outputs.keep_rows(&colors, density.outputs());
+            lit.outputs.resize(padded(colors.len()) * density.outputs());
+            lit.next = std::mem::replace(&mut lit.rows, rows);
+        } else {
+            colors.extend_from_slice(drawn);
+        }
+        self.color.keep(color, &colors);
+        if shape > 0 {
+            shapes.keep_rows(&colors, shape);
+            shapes.resize(padded(colors.len()) * shape);
+        }
+        directions.keep(&colors);
+        lit.kept = colors;
+    }
+}
+
 /// The samples that have a colour, if others are too faint for one.
 #[derive(Default)]
 pub struct Lit {
@@ -34,6 +69,9 @@ pub struct Lit {
     /// Their rows of the density network's output, padded, and the gradient by these.
     pub(super) outputs: Buffer<f32>,
     pub(super) gradient: Buffer<f32>,
+    /// Scratch memory of the draw of samples.
+    kept: Vec<u32>,
+    next: Vec<u32>,
 }
 
 impl Lit {
@@ -114,6 +152,16 @@ impl Directions {
         self.count = count;
         self.views.resize(padded(count) * width);
         self.of.resize(padded(self.of.len()), 0);
+    }
+
+    /// Keeps the rows `kept` of `of`, and drops the others.
+    fn keep(&mut self, kept: &[u32]) {
+        if self.of.is_empty() {
+            return;
+        }
+        kept.iter().enumerate().for_each(|(to, from)| self.of[to] = self.of[*from as usize]);
+        self.of.truncate(kept.len());
+        self.of.resize(padded(kept.len()), 0);
     }
 
     pub fn shared(&self) -> Shared<'_> {

@@ -5,7 +5,7 @@ use super::{Encoding, FeatureGradients, Places, whole};
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Constant, Parts, Text};
 use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Pipeline, Value};
-use crate::shaders::RAY;
+use crate::shaders::{BASIS, RAY};
 use crate::workspace::Addition;
 use std::sync::Arc;
 use trimip_core::field::encoders::hash_grid::{Levels, PRIMES, Points, TURNS};
@@ -62,7 +62,7 @@ fn prepare() -> Kernel {
     let turns = Constant("TURNS", Value::Reals(&TURNS));
     Kernel::new(
         "hash_points",
-        &[GRID, RAY, Source::of::<Preparing>(), turns, Text(include_str!("shaders/hash_points.wgsl"))],
+        &[GRID, RAY, BASIS, Source::of::<Preparing>(), turns, Text(include_str!("shaders/hash_points.wgsl"))],
         &[(0, Read), (1, Read), (2, Parameters), (3, Read), (4, Write), (5, Read), (6, Read)],
     )
 }

@@ -25,13 +25,13 @@ fn rays_through_the_space() {
     // Enter, leave, and the exit of a block of four cells; all divide by a component of the direction.
     let near = Space::of(Aabb { min: [-1.0_f32, 2.0, 0.5], max: [3.0, 4.0, 1.5] });
     compare(
-        files!(SPACE; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); let ray = Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0, 0.0); let cell = cell_of(space, sphere_at(space, ray, x.w).xyz); return vec4<f32>(intersect(space, ray), cells_exit(space, ray, x.w, cell, 4u), 0.0);"),
+        files!(SPACE; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); let ray = Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0, 0.0); let cell = cell_of(space, sphere_at(space, ray, x.w).xyz); return vec4<f32>(intersect(space, ray), cells_exit(space, ray, cell, 4u), 0.0);"),
         &inputs,
         |x| {
             let [u, v, w, t] = x.map(|x| x as f32);
             let ray = Ray { origin, slope: 0.03, direction: [u, v, w], cosine: 1.0, ..Ray::default() };
             let way = near.straight_path(&ray, 16);
-            let exit = way.exit(t, way.cell(way.position(t)), 4);
+            let exit = way.exit(way.cell(way.position(t)), 4);
             let (enter, leave) = near.parameterisation(ray.origin, ray.direction).range();
             [enter, leave, exit, 0.0].map(f64::from)
         },

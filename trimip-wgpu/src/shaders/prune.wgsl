@@ -36,6 +36,26 @@ fn see(
     segments[i] = vec2<u32>(0u, count);
 }
 
+// Counts the marked samples of each ray.
+@compute @workgroup_size(GROUP)
+fn recount(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    let i = index_of(group, groups, local);
+    if i >= params.count {
+        return;
+    }
+    let segment = segments[i];
+    old_segments[i] = segment;
+    var count = 0u;
+    for (var j = segment.x; j < segment.x + segment.y; j++) {
+        count += marks[j];
+    }
+    segments[i] = vec2<u32>(0u, count);
+}
+
 @compute @workgroup_size(GROUP)
 fn list(
     @builtin(workgroup_id) group: vec3<u32>,

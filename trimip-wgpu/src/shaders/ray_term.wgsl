@@ -1,5 +1,5 @@
 // A term of rays over each pixel's cones, and its gradient with respect to densities. The term's function `ray_term(cone,
-// fraction)` adds `fraction` times the gradient of a cone and returns `fraction` times its value. The sums over a workgroup's pixels go
+// at, fraction)` adds `fraction` times the gradient of a cone and returns `fraction` times its value. The sums over a workgroup's pixels go
 // to `partial`; `add_rays` adds them to the step's loss in order.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
@@ -31,9 +31,10 @@ fn evaluate_rays(
     var own = 0.0;
     if i < params.count {
         let cones = pixel_groups[i];
-        let fraction = params.term.x * targets[TARGET_FLOATS * i + TARGET_WEIGHT] / f32(cones.y);
+        let at = TARGET_FLOATS * i;
+        let fraction = params.term.x * targets[at + TARGET_WEIGHT] / f32(cones.y);
         for (var cone = cones.x; cone < cones.x + cones.y; cone++) {
-            own += ray_term(cone, fraction);
+            own += ray_term(cone, at, fraction);
         }
     }
     let sum = workgroup_sum(local, own);

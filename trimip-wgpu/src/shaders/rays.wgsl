@@ -1,10 +1,9 @@
-// Ray generation: random pixels of the training views, or all pixels of a camera. The same as the CPU's sampler.
+// Ray generation: random pixels of the training views, or all pixels of a camera. The same as the CPU's sampler. Needs
+// `drawn`.
 
 @group(0) @binding(0) var<storage, read> views: array<View>;
 @group(0) @binding(1) var<storage, read_write> rays: array<Ray>;
-@group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> pixels: array<u32>;
-@group(0) @binding(4) var<storage, read> scales: array<Scale>;
 @group(0) @binding(5) var<storage, read_write> targets: array<f32>;
 // First cone and number of cones of each pixel.
 @group(0) @binding(6) var<storage, read_write> pixel_groups: array<vec2<u32>>;
@@ -64,14 +63,10 @@ fn training_rays(
         return;
     }
     let index = params.first + i;
-    var s = 0u;
-    for (var j = 1u; j < params.scales; j++) {
-        if index >= params.begins[j / 4u][j % 4u] {
-            s = j;
-        }
-    }
+    let own = drawn(index);
+    let s = own.x;
+    let pixel = own.y;
     let scale = scales[s];
-    let pixel = scale.first_pixel + below(random_bits(params.draws, index).x, scale.pixels);
     // The last view that starts at or before the pixel.
     var low = scale.first_view;
     var high = scale.first_view + scale.views;
@@ -114,4 +109,7 @@ fn training_rays(
     targets[at + TARGET_BACKGROUND + 2u] = background.b;
     targets[at + TARGET_OPACITY] = opacity;
     targets[at + TARGET_EXPONENT] = params.exponents[s / 4u][s % 4u];
+    // `known_depths` writes those that are known.
+    targets[at + TARGET_DISTANCE] = 0.0;
+    targets[at + TARGET_DEVIATION] = 0.0;
 }

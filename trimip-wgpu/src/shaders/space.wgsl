@@ -135,9 +135,9 @@ fn cell_of(space: Space, position: vec3<f32>) -> vec3<u32> {
     return min(vec3<u32>(max(scaled, vec3<f32>(0.0))), vec3<u32>(space.resolution - 1u));
 }
 
-// Distance beyond `t` at which a ray leaves the aligned cube of `size` cells that contains `cell`; FAR if it cannot
-// be computed.
-fn cells_exit(space: Space, ray: Ray, t: f32, cell: vec3<u32>, size: u32) -> f32 {
+// Distance up to which a ray stays within the aligned cube of `size` cells that contains `cell`, its cell at some distance before:
+// earlier by what rounding may move it. FAR if it cannot be computed.
+fn cells_exit(space: Space, ray: Ray, cell: vec3<u32>, size: u32) -> f32 {
     var leave = FAR;
     for (var axis = 0u; axis < 3u; axis++) {
         if ray.direction[axis] == 0.0 {
@@ -146,8 +146,9 @@ fn cells_exit(space: Space, ray: Ray, t: f32, cell: vec3<u32>, size: u32) -> f32
         let lower = cell[axis] / size * size;
         let edge = f32(select(lower, lower + size, ray.direction[axis] > 0.0));
         let place = edge * space.cell_extent[axis] + space.aabb_min[axis];
-        let distance = (place - ray.origin[axis]) / ray.direction[axis];
-        if distance > t && distance < leave {
+        let rounding = ROUNDING * (abs(place) + abs(ray.origin[axis])) / abs(ray.direction[axis]);
+        let distance = (place - ray.origin[axis]) / ray.direction[axis] - rounding;
+        if distance < leave {
             leave = distance;
         }
     }

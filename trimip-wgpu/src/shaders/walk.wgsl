@@ -66,7 +66,7 @@ fn next_occupied(ray: Ray, m: March, start: f32, last: f32) -> f32 {
         }
         var leave = 0.0;
         if m.parameterisation.speed == 0.0 {
-            leave = cells_exit(params.space, ray, s, cell, size);
+            leave = cells_exit(params.space, ray, cell, size);
         } else {
             leave = cells_clear(params.space, s, position, cell, size);
         }

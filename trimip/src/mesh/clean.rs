@@ -16,24 +16,49 @@ pub struct Removed {
 pub fn clean(mesh: &mut Mesh, least: f64) -> Removed {
     let parts = parts(mesh);
     let count = parts.iter().map(|&part| part as usize + 1).max().unwrap_or(0);
-    let mut boxes = vec![[[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]]; count];
+    let mut boxes = vec![EMPTY; count];
     let mut volumes = vec![0.0; count];
     for (&triangle, &part) in mesh.triangles.iter().zip(&parts) {
         let corners = mesh.corners(triangle);
         volumes[part as usize] += signed_volume(corners);
-        let [low, high] = &mut boxes[part as usize];
-        for (axis, value) in corners.iter().flat_map(|corner| corner.iter().enumerate()) {
-            low[axis] = low[axis].min(*value);
-            high[axis] = high[axis].max(*value);
-        }
+        extend(&mut boxes[part as usize], &corners);
     }
-    let diagonal =
-        |[low, high]: &[[f64; 3]; 2]| low.iter().zip(high).map(|(l, h)| (h - l).powi(2)).sum::<f64>().sqrt();
     let speck: Vec<bool> = boxes.iter().map(|own| diagonal(own) < least).collect();
     let cavity: Vec<bool> = volumes.iter().map(|&volume| volume < 0.0).collect();
     mesh.retain(|i| !speck[parts[i] as usize] && !cavity[parts[i] as usize]);
     let specks = speck.iter().filter(|&&own| own).count();
     Removed { specks, cavities: cavity.iter().zip(&speck).filter(|&(&own, &small)| own && !small).count() }
+}
+
+/// Removes the connected parts whose box has a diagonal below `least`, of a mesh that need not be closed; returns how many.
+pub fn remove_specks(mesh: &mut Mesh, least: f64) -> usize {
+    let parts = parts(mesh);
+    let count = parts.iter().map(|&part| part as usize + 1).max().unwrap_or(0);
+    let mut boxes = vec![EMPTY; count];
+    for (&triangle, &part) in mesh.triangles.iter().zip(&parts) {
+        extend(&mut boxes[part as usize], &mesh.corners(triangle));
+    }
+    let speck: Vec<bool> = boxes.iter().map(|own| diagonal(own) < least).collect();
+    mesh.retain(|i| !speck[parts[i] as usize]);
+    speck.iter().filter(|&&own| own).count()
+}
+
+/// Corners of a box.
+type Corners = [[f64; 3]; 2];
+
+/// The box of nothing.
+const EMPTY: Corners = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+
+/// Extends a box to hold the corners of a triangle.
+fn extend([low, high]: &mut Corners, corners: &[[f64; 3]; 3]) {
+    for (axis, value) in corners.iter().flat_map(|corner| corner.iter().enumerate()) {
+        low[axis] = low[axis].min(*value);
+        high[axis] = high[axis].max(*value);
+    }
+}
+
+fn diagonal([low, high]: &Corners) -> f64 {
+    low.iter().zip(high).map(|(l, h)| (h - l).powi(2)).sum::<f64>().sqrt()
 }
 
 /// The number of the connected part that each triangle belongs to.

@@ -1,27 +1,30 @@
 //! The surface of a model: where its density crosses a level, in the scene's own units and axes.
 
 use super::{
-    Goal, Grid, Mesh, Removed, clean,
+    Goal, Grid, Mesh, Removed,
+    clean::{clean, remove_specks},
     hidden::{Bits, directions, visible},
-    march, simplify,
+    march,
+    occupied::{Occupied, PLACES_AT_ONCE},
+    open::open,
+    seen::Sightings,
+    simplify,
 };
 use glam::{DVec3, Vec3};
 use trimip_core::{
-    Aabb, Camera, Config, Error, Query, Result, Space, Viewer,
-    field::model::{Model, OCCUPANCY},
-    geometry::occupancy::cell_of,
-    math::{bits, compositing::composite},
+    Aabb, Camera, Config, Crop, Error, Query, Result, Viewer, config::Contraction, field::model::Model,
+    math::compositing::composite,
 };
 
 /// Optical depth that a marching step has at the level of the surface, unless a level is given. A ray that grazes the
 /// surface within a few steps then has an opacity of about a half.
 const DEPTH_AT_SURFACE: f64 = 0.2;
 
-/// Places per query of the model; it bounds the memory.
-const PLACES_AT_ONCE: usize = 1 << 17;
-
 /// Density of a void that nobody sees, relative to that of the surface.
 const FILLED: f32 = 2.0;
+
+/// Fewest cameras that see what is kept of contracted space.
+const LEAST_CAMERAS: u32 = 3;
 
 /// Samples that show the colour of a vertex, along the line of sight against its normal.
 const COLOR_SAMPLES: usize = 8;
@@ -39,11 +42,36 @@ pub struct Extraction {
     pub goal: Goal,
     /// True to find the colour of every vertex.
     pub colors: bool,
+    /// What is extracted: the surface within, open where the border of the crop cuts it. [`Crop::None`]: the scene's box, or
+    /// in contracted space the box around its ball, and the surface is closed there.
+    pub crop: Crop,
+    /// Parts that fewer cameras see are left out; 0 keeps all. At most as many count as there are cameras.
+    pub least_cameras: u32,
+}
+
+impl Extraction {
+    /// What is extracted of a model unless something else is asked for: the crop of its scene, and in contracted space what
+    /// three cameras see.
+    pub fn of(config: &Config) -> Self {
+        let least_cameras = match config.scene.contraction {
+            Contraction::None => 0,
+            Contraction::Ball => LEAST_CAMERAS,
+        };
+        Self { crop: config.scene.crop, least_cameras, ..Self::default() }
+    }
 }
 
 impl Default for Extraction {
     fn default() -> Self {
-        Self { resolution: 512, level: None, specks: 0.02, goal: Goal::Triangles(100_000), colors: true }
+        Self {
+            resolution: 512,
+            level: None,
+            specks: 0.02,
+            goal: Goal::Triangles(100_000),
+            colors: true,
+            crop: Crop::None,
+            least_cameras: 0,
+        }
     }
 }
 
@@ -58,6 +86,8 @@ pub struct Extracted {
     pub spacing: f64,
     /// Parts that were left out.
     pub removed: Removed,
+    /// Triangles that were left out because too few cameras see them.
+    pub unseen: usize,
     /// Triangles before simplification.
     pub triangles: usize,
 }
@@ -71,7 +101,8 @@ pub fn level_of(config: &Config) -> f64 {
 }
 
 /// Extracts the surface of a model. Voids of its occupied cells are filled where nobody sees them, looking in from
-/// outside in the directions of `cameras`, or from everywhere without cameras. Memory holds two layers of the
+/// outside in the directions of `cameras`, or from everywhere without cameras. What lies beyond the crop, or is seen by too few
+/// cameras, is left out, and the mesh is open there. Memory holds two layers of the
 /// grid, two bits of each of its points, and the mesh. `watch` gets the share of the
 /// layers that are done and returns false to stop; the result is then `None`.
 ///
@@ -106,7 +137,7 @@ pub fn extract(
         let found = format!("a simplification error of {error}");
         return Err(Error::input(found, "out of range", "choose a share of the largest side, above 0 to 1"));
     }
-    let field = Occupied::new(model)?;
+    let field = Occupied::new(model, what.crop)?;
     let (grid, level_f32) = (around(&field.aabb, what.resolution), level as f32);
     let layers = grid.points[2];
     // Once for the solid, and, as nothing but bits of it is kept, once more for the surface.
@@ -120,7 +151,10 @@ pub fn extract(
         let first = z * layer.len();
         (0..layer.len()).filter(|&i| layer[i] >= level_f32).for_each(|i| solid.set(first + i));
     }
-    let seen = visible(&solid, &directions(cameras), model.config.threads as usize);
+    let threads = model.config.threads as usize;
+    let least = what.least_cameras.min(cameras.len().try_into().unwrap_or(u32::MAX));
+    let sightings = (least > 0).then(|| Sightings::of(&solid, &grid, cameras, threads));
+    let seen = visible(&solid, &directions(cameras), threads);
     let mut stopped = false;
     let surface = march(&grid, level_f32, |z, layer| {
         if stopped || !watch(0.5 + 0.5 * z as f64 / layers as f64) {
@@ -144,10 +178,23 @@ pub fn extract(
     if stopped {
         return Ok(None);
     }
-    let removed = clean(&mut mesh, what.specks * field.aabb.longest());
+    let speck = what.specks * field.aabb.longest();
+    let mut removed = clean(&mut mesh, speck);
+    let closed = what.crop == Crop::None && sightings.is_none();
+    let mut unseen = 0;
+    if !closed {
+        unseen = open(&mut mesh, &grid, what.crop, sightings.as_ref().map(|sightings| (sightings, least)));
+        removed.specks += remove_specks(&mut mesh, speck);
+    }
     if mesh.triangles.is_empty() {
+        let left_out = match unseen {
+            0 => String::new(),
+            count => {
+                format!(" ({count} triangles were left out because fewer than {least} cameras see them)")
+            }
+        };
         return Err(Error::run(format!(
-            "the model has no surface of density {level:.3} that is larger than a speck; try a lower --level"
+            "the model has no surface of density {level:.3} that is larger than a speck{left_out}; try a lower --level"
         )));
     }
     mesh.find_normals();
@@ -157,14 +204,18 @@ pub fn extract(
     }
     simplify(&mut mesh, what.goal);
     // Simplification may press a neck together, and leave a few triangles of it.
-    clean(&mut mesh, what.specks * field.aabb.longest());
+    if closed {
+        clean(&mut mesh, speck);
+    } else {
+        remove_specks(&mut mesh, speck);
+    }
     if !watch(1.0) {
         return Ok(None);
     }
     if what.colors {
         mesh.colors = colors(viewer, &mesh, grid.spacing)?;
     }
-    Ok(Some(Extracted { mesh, level, spacing: grid.spacing, removed, triangles }))
+    Ok(Some(Extracted { mesh, level, spacing: grid.spacing, removed, unseen, triangles }))
 }
 
 /// A grid of points over a box with one more point around it on every side, so that surfaces end within it.
@@ -176,53 +227,6 @@ fn around(aabb: &Aabb<f64>, resolution: u32) -> Grid {
         origin: std::array::from_fn(|axis| centre[axis] - spacing * (0.5 * cells[axis] + 1.0)),
         spacing,
         points: cells.map(|cells| cells as usize + 3),
-    }
-}
-
-/// Where a model has a density at all.
-struct Occupied {
-    aabb: Aabb<f64>,
-    space: Space<f64>,
-    resolution: u32,
-    bits: Vec<u8>,
-}
-
-impl Occupied {
-    fn new(model: &Model) -> Result<Self> {
-        let resolution = model.config.occupancy.resolution;
-        let cells = (resolution as usize).pow(3);
-        let bits = model.file.u8("model", OCCUPANCY, &[cells.div_ceil(8)])?.to_vec();
-        let scene = &model.config.scene;
-        Ok(Self { space: Space::new(scene), aabb: scene.subject(), resolution, bits })
-    }
-
-    /// True if samples are placed at a point of the world.
-    fn holds(&self, point: [f64; 3]) -> bool {
-        let position = self.space.to_cube(point);
-        // Contracted space goes on beyond the box of the subject, and the mesh does not.
-        let beyond = self.space.ball().is_some()
-            && (0..3).any(|i| point[i] < self.aabb.min[i] || point[i] > self.aabb.max[i]);
-        if beyond || !position.iter().all(|p| (0.0..=1.0).contains(p)) {
-            return false;
-        }
-        let cell = cell_of(position.map(|p| p as f32), self.resolution);
-        bits::is_set(&self.bits, cell as usize)
-    }
-
-    /// Fills a layer of the grid with densities, zero where nothing is occupied.
-    fn sample(&self, viewer: &mut dyn Viewer, grid: &Grid, z: usize, layer: &mut [f32]) -> Result<()> {
-        layer.fill(0.0);
-        let radius = (0.5 * grid.spacing) as f32;
-        let point = |i: usize| grid.point([i % grid.points[0], i / grid.points[0], z]);
-        let places: Vec<usize> = (0..layer.len()).filter(|&i| self.holds(point(i))).collect();
-        for places in places.chunks(PLACES_AT_ONCE) {
-            let query = |&i: &usize| Query { point: point(i), radius, direction: [0.0, 0.0, -1.0] };
-            let queries: Vec<Query> = places.iter().map(query).collect();
-            for (&place, density) in places.iter().zip(viewer.densities(&queries)?) {
-                layer[place] = density;
-            }
-        }
-        Ok(())
     }
 }
 
@@ -263,7 +267,10 @@ mod tests {
     use trimip_core::{
         Frame,
         engine::batch::Radiance,
-        field::tensors::{Tensor, TensorFile},
+        field::{
+            model::OCCUPANCY,
+            tensors::{Tensor, TensorFile},
+        },
     };
 
     /// A field whose density is e^(k·depth) of the level at a signed depth below a surface.
@@ -395,6 +402,7 @@ mod tests {
             specks: 0.0,
             goal: Goal::Everything,
             colors: false,
+            ..Extraction::default()
         };
         let ball = 4.0 / 3.0 * PI * 0.8_f64.powi(3);
         let found = surface(depth, &model, &all).unwrap();
@@ -415,7 +423,7 @@ mod tests {
         let bounded = model(CENTRE, [0.5; 3]);
         // Contracted space goes on beyond its middle half, and the mesh ends there.
         let mut contracted = model(CENTRE, [1.0; 3]);
-        contracted.config.scene.contraction = trimip_core::config::Contraction::Ball;
+        contracted.config.scene.contraction = Contraction::Ball;
         for model in [bounded, contracted] {
             let what = Extraction { resolution: 32, level: Some(LEVEL), ..Extraction::default() };
             let found = surface(|point| 0.1 - from_centre(point).x, &model, &what).unwrap();
@@ -427,6 +435,92 @@ mod tests {
                 assert!((f64::from(high[axis]) - CENTRE[axis] - far).abs() <= found.spacing);
             }
         }
+    }
+
+    #[test]
+    fn a_crop_leaves_the_surface_within_it_and_open_at_its_border() {
+        // A plane across x, cut by a ball that reaches beyond it, in a bounded and in a contracted scene.
+        let bounded = model(CENTRE, [1.0; 3]);
+        let mut contracted = model(CENTRE, [0.5; 3]);
+        contracted.config.scene.contraction = Contraction::Ball;
+        for model in [bounded, contracted] {
+            let crop = Crop::Ball { centre: CENTRE, radius: 0.8 };
+            let goal = Goal::Everything;
+            let what = Extraction { resolution: 48, level: Some(LEVEL), crop, goal, ..Extraction::default() };
+            let found = surface(|point| 0.1 - from_centre(point).x, &model, &what).unwrap();
+            let places = places(&found.mesh);
+            assert!(
+                places.iter().all(|p| (p.x - 0.1).abs() < 1.5 * found.spacing),
+                "no wall of the cut is left"
+            );
+            let reach = places.iter().map(|p| p.truncate().length().max(p.z.abs())).fold(0.0, f64::max);
+            // The plane cuts the ball in a disc of radius √(0.8² − 0.1²).
+            assert!((reach - 0.794).abs() < 2.0 * found.spacing, "{reach}");
+            assert!(found.mesh.defects().open > 100 && found.unseen == 0);
+        }
+    }
+
+    #[test]
+    fn a_crop_beside_the_box_is_refused() {
+        let model = model(CENTRE, [1.0; 3]);
+        let crop = Crop::Ball { centre: [0.0; 3], radius: 1.0 };
+        let what = Extraction { resolution: 16, level: Some(LEVEL), crop, ..Extraction::default() };
+        let error = surface(|_| 1.0, &model, &what).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("ball 0,0,0,1"), "{error}");
+    }
+
+    #[test]
+    fn what_few_cameras_see_is_left_out() {
+        // Two balls beside each other; of three cameras one sees the second ball.
+        let [first, second] = [DVec3::new(-0.6, 0.0, 0.0), DVec3::new(0.6, 0.0, 0.0)];
+        let depth = |point: [f64; 3]| {
+            let p = from_centre(point);
+            (0.3 - p.distance(first)).max(0.3 - p.distance(second))
+        };
+        let model = model(CENTRE, [1.0; 3]);
+        let centre = DVec3::from(CENTRE);
+        let looking = |from: DVec3, at: DVec3| {
+            let k = trimip_core::Intrinsics::from_angle(64, 64, 0.2);
+            Camera::look_at(k, centre + from, centre + at, DVec3::Z)
+        };
+        let cameras = [
+            looking(first + 4.0 * DVec3::Y, first),
+            looking(first - 4.0 * DVec3::Y, first),
+            looking(second + 4.0 * DVec3::Y, second),
+        ];
+        let extracted = |least_cameras| {
+            let goal = Goal::Everything;
+            let what = Extraction {
+                resolution: 64,
+                level: Some(LEVEL),
+                least_cameras,
+                goal,
+                ..Extraction::default()
+            };
+            extract(&mut Analytic(depth), &model, &what, &cameras, &mut |_| true).unwrap().unwrap()
+        };
+        let all = extracted(0);
+        assert_eq!((all.unseen, all.mesh.defects()), (0, Defects::default()));
+        let one = extracted(1);
+        let sides = |mesh: &Mesh| {
+            let right = places(mesh).iter().filter(|p| p.x > 0.0).count();
+            [mesh.positions.len() - right, right]
+        };
+        let ([left, right], [whole, _]) = (sides(&one.mesh), sides(&all.mesh));
+        assert!(
+            left > right && right > whole / 4,
+            "{left}, {right} of {whole} vertices: one camera sees half of a ball"
+        );
+        assert!(one.unseen > 0 && one.mesh.triangles.len() + one.unseen == all.mesh.triangles.len());
+        // No block has two cameras: one looks from the front, the other from the back.
+        let error = extract(
+            &mut Analytic(depth),
+            &model,
+            &Extraction { resolution: 64, level: Some(LEVEL), least_cameras: 2, ..Extraction::default() },
+            &cameras[1..],
+            &mut |_| true,
+        );
+        assert!(error.unwrap_err().message.contains("fewer than 2 cameras see them"));
     }
 
     #[test]

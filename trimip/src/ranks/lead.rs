@@ -8,7 +8,7 @@ use crate::{backends, machine};
 use std::sync::Arc;
 use trimip_core::{
     Camera, Config, Error, Frame, Query, Result, Session, StepReport, ViewSet, Viewer,
-    engine::{batch::Radiance, checkpoint::Checkpoint, exchange::Ranks},
+    engine::{batch::Radiance, checkpoint::Checkpoint, exchange::Ranks, poses::Refined},
     field::model::Model,
     scene::fingerprint::Fingerprint,
 };
@@ -110,6 +110,15 @@ impl Session for Lead {
     fn checkpoint(&mut self) -> Result<Checkpoint> {
         Order::Checkpoint.give(&*self.ranks)?;
         self.session.checkpoint()
+    }
+
+    fn refined(&self) -> Option<Refined> {
+        self.session.refined()
+    }
+
+    fn align(&mut self, views: ViewSet) -> Result<Vec<Camera>> {
+        // Rank 0 alone: no other rank has a part in an evaluation.
+        self.session.align(views)
     }
 
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {

@@ -70,7 +70,7 @@ impl<'a> Report<'a> {
 
     /// The verdict on the run.
     pub fn verdict(&self) -> Verdict {
-        Verdict::judge(self.history, &self.views)
+        Verdict::judge(self.config, self.history, &self.views)
     }
 
     /// The views that the headline figures are measured on: `8 of 200 test views`.

@@ -55,6 +55,9 @@ fn value(report: &Report<'_>) -> Value {
         "wall_seconds": history.parts.iter().map(|part| part.wall_seconds).sum::<f64>(),
         "sessions": history.parts.len(),
         "samples_per_second": report.samples_per_second(),
+        "samples_per_ray": history.totals.samples_per_ray(),
+        "backward_fraction": history.totals.backward_fraction(),
+        "rays_per_second": history.totals.rays_per_second(),
         "peak_memory_bytes": history.peak_memory_bytes(),
         "predicted_memory_bytes": history.predicted_memory_bytes,
         "model_bytes": report.model_bytes,
@@ -63,6 +66,7 @@ fn value(report: &Report<'_>) -> Value {
         "mean": headline.map_or(Value::Null, |e| json!(mean_quality(&e.scales))),
         "curve": report.curve().into_iter().map(point).collect::<Vec<_>>(),
         "views": report.views,
+        "poses": history.poses.map(|(moved, aligned)| json!({ "moved": moved, "aligned": aligned })),
         "warnings": history.warnings,
         "machine": report.machine,
         "settings": origins,
@@ -136,6 +140,7 @@ mod tests {
             assert_eq!(json["steps"], 100);
             assert_eq!(json["samples"], 100_000);
             assert_eq!(json["rays"], 1000);
+            assert_eq!((&json["samples_per_ray"], &json["rays_per_second"]), (&json!(100.0), &json!(100.0)));
             assert_eq!(json["mean"]["psnr"], 24.5);
             // What was not measured is null.
             assert_eq!(

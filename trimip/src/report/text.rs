@@ -68,11 +68,26 @@ pub fn perceptual(report: &Report<'_>) -> String {
     text + ". "
 }
 
+/// What became of the poses, one sentence; empty if they were not refined.
+pub fn poses(report: &Report<'_>) -> String {
+    let Some((moved, aligned)) = &report.history.poses else { return String::new() };
+    let aligned = aligned.map_or(String::new(), |aligned| format!("; {aligned}"));
+    format!("The {moved}{aligned}. ")
+}
+
 /// Caption of the figures, one line.
 fn caption(report: &Report<'_>) -> String {
     let totals = &report.history.totals;
+    let drawn = totals.backward_fraction().filter(|fraction| *fraction < 1.0);
+    let drawn =
+        drawn.map_or(String::new(), |fraction| format!(" ({:.0} % with a backward pass)", 100.0 * fraction));
+    let kept =
+        totals.samples_per_ray().map_or(String::new(), |kept| format!("{kept:.1} samples a ray{drawn}, "));
+    let rate = totals
+        .rays_per_second()
+        .map_or(String::new(), |rate| format!("{}, ", formatting::number(rate, "rays/s")));
     format!(
-        "{} on {}: {} steps, {} of training, backend {}, {}",
+        "{} on {}: {} steps, {} of training, {kept}{rate}backend {}, {}",
         report.run,
         report.scene,
         totals.step,
@@ -101,9 +116,8 @@ pub fn markdown(report: &Report<'_>) -> String {
             text += &format!("|---|{}\n", "---:|".repeat(row.len() - 1));
         }
     }
-    let perceptual = perceptual(report);
-    if !perceptual.is_empty() {
-        text += &format!("\n{}\n", perceptual.trim_end());
+    for sentence in [perceptual(report), poses(report)].iter().filter(|sentence| !sentence.is_empty()) {
+        text += &format!("\n{}\n", sentence.trim_end());
     }
     text
 }
@@ -160,6 +174,7 @@ mod tests {
             assert!(rows.iter().all(|row| row.matches('|').count() == rows[0].matches('|').count()));
             assert!(rows[4].contains("| 24.50 |") && text.contains("Verdict: fair: 24.50 dB"), "{text}");
             assert!(text.contains("8 of 200 test views"), "{text}");
+            assert!(text.contains("100.0 samples a ray, 100 rays/s"), "{text}");
         });
     }
 

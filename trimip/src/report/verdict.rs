@@ -5,7 +5,10 @@ use crate::run::{
     history::{History, Training},
     store::ViewRecord,
 };
-use trimip_core::measures::quality::{MOST_PSNR, Measures, mean_quality};
+use trimip_core::{
+    Config,
+    measures::quality::{MOST_PSNR, Measures, Remedy, mean_quality},
+};
 
 /// Minimum mean PSNR of a good model: an error of 5.6 % of the range. Below it, edges are visibly blurred.
 const GOOD: f64 = 25.0;
@@ -61,6 +64,8 @@ pub struct Figures {
     pub training: Training,
     /// Distance in dB of the worst view of the finest scale below the median of that scale; `None` below four views.
     pub below_median: Option<f64>,
+    /// What helps if the background shines through.
+    pub remedy: Remedy,
 }
 
 /// The verdict and the figures it is based on.
@@ -90,11 +95,12 @@ pub struct Verdict {
 
 impl Verdict {
     /// Judges a run; `views` are those of its final evaluation.
-    pub fn judge(history: &History, views: &[ViewRecord]) -> Self {
+    pub fn judge(config: &Config, history: &History, views: &[ViewRecord]) -> Self {
         Self::of(Figures {
             mean: history.last().map(|evaluation| mean_quality(&evaluation.scales)),
             training: history.training,
             below_median: below_median(views),
+            remedy: Remedy::of(config),
         })
     }
 
@@ -105,7 +111,7 @@ impl Verdict {
         Self {
             grade,
             floaters: shows && figures.below_median.is_some_and(|below| below >= FLOATER),
-            shines_through: shows && figures.mean.is_some_and(|mean| mean.remark().is_some()),
+            shines_through: shows && figures.mean.is_some_and(|mean| mean.remark(figures.remedy).is_some()),
             figures,
         }
     }
@@ -174,7 +180,7 @@ impl Verdict {
                 "the worst view lies {below:.1} dB below the median: look there for floaters near the camera"
             ));
         }
-        reasons.extend(mean.remark().filter(|_| self.shines_through));
+        reasons.extend(mean.remark(self.figures.remedy).filter(|_| self.shines_through));
         reasons
     }
 
@@ -220,7 +226,7 @@ mod tests {
     /// Figures of a solid model with `psnr`; a constant picture has 11 dB.
     fn solid(psnr: f64) -> Figures {
         let training = Training { loss: 0.1, occupied: 0.1, marched_per_ray: 30.0, kept_per_ray: 27.0 };
-        Figures { mean: mean(psnr, psnr, 11.0), training, below_median: Some(3.0) }
+        Figures { mean: mean(psnr, psnr, 11.0), training, below_median: Some(3.0), remedy: Remedy::Opacity }
     }
 
     fn foggy(psnr: f64) -> Figures {
@@ -277,6 +283,8 @@ mod tests {
         let shines = Verdict::of(Figures { mean: mean(30.0, 25.0, 11.0), ..solid(30.0) });
         assert_eq!(shines.label(), "good, the background shines through");
         assert!(shines.class() == "doubtful" && shines.words().contains("25.00 dB on the opposite"));
+        let place = Figures { mean: mean(30.0, 25.0, 11.0), remedy: Remedy::Training(0.1), ..solid(30.0) };
+        assert!(Verdict::of(place).words().contains("train for longer"));
         assert_eq!(Verdict::of(solid(30.0)).class(), "good");
         let failed = Figures { below_median: Some(9.0), ..solid(11.2) };
         assert_eq!(label(failed), "failed to learn", "the spread of what shows nothing says nothing");
@@ -284,7 +292,7 @@ mod tests {
 
     #[test]
     fn what_was_not_evaluated_is_not_judged() {
-        let verdict = Verdict::judge(&History::default(), &[]);
+        let verdict = Verdict::judge(&Config::default(), &History::default(), &[]);
         assert_eq!((verdict.label().as_str(), verdict.class()), ("not evaluated", "plain"));
         assert!(verdict.words().contains("eval.final"));
     }

@@ -18,9 +18,10 @@ pub struct RunFolder {
 }
 
 /// Names of all files that a run writes, except `images/`. The events come last: they mark a folder as a run's.
-const FILES: [&str; 13] = [
+const FILES: [&str; 14] = [
     "config.toml",
     "plan.json",
+    "cameras.json",
     "metrics.csv",
     "model.safetensors",
     "checkpoint.safetensors",
@@ -78,6 +79,11 @@ impl RunFolder {
     /// The decisions of the scene plan.
     pub fn plan(&self) -> PathBuf {
         self.root.join("plan.json")
+    }
+
+    /// The cameras of the training photographs at their finest scale, refined ones if training has refined them.
+    pub fn cameras(&self) -> PathBuf {
+        self.root.join("cameras.json")
     }
 
     /// Reads the decisions that the scene plan made when the run began; `None` if the file does not exist.

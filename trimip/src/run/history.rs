@@ -2,6 +2,7 @@
 //! Built from the event stream and, on resume, from `metrics.jsonl`. The report has no other source.
 
 use trimip_core::engine::events::{Event, Provenance, Totals};
+use trimip_core::engine::poses::{Aligned, Moved};
 use trimip_core::measures::quality::ScaleQuality;
 
 /// One evaluation.
@@ -75,6 +76,8 @@ pub struct History {
     pub totals: Totals,
     /// Latest training figures.
     pub training: Training,
+    /// How far refined poses are from the given ones, and test views aligned with the model.
+    pub poses: Option<(Moved, Option<Aligned>)>,
     /// True after the last step of the schedule.
     pub finished: bool,
     /// Predicted peak memory of the latest plan, bytes.
@@ -129,6 +132,7 @@ impl History {
             Event::Warning { message } if !self.warnings.contains(message) => {
                 self.warnings.push(message.clone())
             }
+            Event::Poses { moved, aligned } => self.poses = Some((*moved, *aligned)),
             Event::Finished { .. } => self.finished = true,
             Event::Extended { .. } => {
                 self.finished = false;
@@ -221,7 +225,7 @@ pub fn totals(event: &Event) -> Option<&Totals> {
         | Event::Step { totals, .. }
         | Event::Evaluation { totals, .. }
         | Event::Stopped { totals }
-        | Event::Finished { totals } => Some(totals),
+        | Event::Finished { totals, .. } => Some(totals),
         _ => None,
     }
 }
@@ -274,7 +278,7 @@ mod tests {
 
     #[test]
     fn a_run_that_is_extended_is_not_finished() {
-        let finished = Event::Finished { totals: Totals { step: 40, ..Totals::default() } };
+        let finished = Event::finished(Totals { step: 40, ..Totals::default() });
         let mut history = History::of(&[evaluation(40, 1, true, 25.0), finished]);
         assert!(history.finished && history.last().is_some());
         let totals = history.totals;

@@ -79,8 +79,13 @@ mod tests {
     use trimip_core::{Alpha, ViewSet};
 
     fn parts(config: &Config) -> Vec<(String, u64)> {
-        let none =
-            ViewSet { views: vec![], pixels: Default::default(), alpha: Alpha::Straight, scales: vec![] };
+        let none = ViewSet {
+            views: vec![],
+            pixels: Default::default(),
+            alpha: Alpha::Straight,
+            scales: vec![],
+            depths: Vec::new(),
+        };
         backends::predict_memory(config, &none)
     }
 

@@ -1,6 +1,7 @@
 //! A run in a folder: its files, its event history, and the training that writes both.
 
 mod begin;
+pub mod cameras;
 pub mod csv;
 pub mod curve;
 #[cfg(any(test, feature = "fixtures"))]

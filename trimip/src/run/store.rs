@@ -2,12 +2,12 @@
 //! views, and the worst and best view of the finest scale.
 
 use super::folder::{RunFolder, picture_stem};
-use crate::view::{flip_colors, flip_of_pictures, pictures};
+use crate::view::{flip_colors, flip_of_pictures, pictures, write_cameras};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trimip_core::{
-    Error, Result,
+    Camera, Error, Result,
     atomic::write_atomically,
     engine::checkpoint::Checkpoint,
     field::model::Model,
@@ -158,6 +158,10 @@ impl Store for FileStore<'_> {
 
     fn model(&mut self, model: &Model) -> Result<u64> {
         model.write(&self.folder.model())
+    }
+
+    fn cameras(&mut self, cameras: &[(String, Camera)]) -> Result<()> {
+        write_cameras(&self.folder.cameras(), cameras, None)
     }
 
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()> {

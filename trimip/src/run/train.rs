@@ -3,6 +3,7 @@
 
 use super::{
     begin::Beginning,
+    cameras,
     folder::{RunFolder, read_model},
     history::{History, up_to},
     lock::Lock,
@@ -12,7 +13,10 @@ use super::{
     recorder::Recorder,
     store::FileStore,
 };
-use crate::{backends, machine, ranks, view::PerceptualMetrics};
+use crate::{
+    backends, machine, ranks,
+    view::{PerceptualMetrics, write_cameras},
+};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -282,6 +286,7 @@ impl Training {
         }
         warnings.extend(backends::software_warning(&config));
         let data = Some(Fingerprint::of(&scene.train));
+        let photographed = cameras::finest(&scene.train);
         let mut session = match &self.ranks {
             Some(ranks) => ranks::train(&config, scene.train, ranks)?,
             None => backends::train_beside(&config, scene.train, self.near)?,
@@ -304,6 +309,7 @@ impl Training {
         if !resumed {
             folder.write_findings(&findings)?;
         }
+        write_cameras(&folder.cameras(), &photographed, None)?;
         folder.prepare_images()?;
         // It shows an earlier model; there is none in a new folder.
         let _ = std::fs::remove_file(folder.turntable());

@@ -140,6 +140,25 @@ mod tests {
     }
 
     #[test]
+    fn a_film_stays_where_photographs_were() {
+        // Two arcs with a gap between them, in one file: the film is within their hull, and near one of them.
+        let angles = (0..12).chain(30..42).map(|i| 0.05 * f64::from(i));
+        let photographed: Vec<Camera> = angles.map(on_circle).collect();
+        let gap = (photographed[12].origin - photographed[11].origin).length();
+        for (_, camera) in cameras(&photographed, 60, 4.0).unwrap() {
+            let away =
+                photographed.iter().map(|c| (c.origin - camera.origin).length()).fold(f64::MAX, f64::min);
+            assert!(away <= 0.5 * gap, "{away} from the nearest photograph, gap {gap}");
+            for i in 0..64 {
+                let side = DVec3::new(f64::from(i).cos(), f64::from(i).sin(), 0.1 * f64::from(i % 7));
+                let reach = |c: &Camera| c.origin.dot(side);
+                let most = photographed.iter().map(reach).fold(f64::MIN, f64::max);
+                assert!(reach(&camera) <= most + 1e-9, "outside of the hull of the cameras");
+            }
+        }
+    }
+
+    #[test]
     fn photographs_in_no_order_are_followed_by_their_nearest() {
         let shuffled: Vec<Camera> = (0..24).map(|i| on_circle(0.05 * f64::from(i * 7 % 24))).collect();
         let along = ordered(&shuffled, 4.0);

@@ -10,6 +10,7 @@ mod lpips;
 mod measure;
 mod perceptual_metrics;
 pub mod pictures;
+pub mod strip;
 pub mod turntable;
 pub mod video;
 

@@ -2,12 +2,9 @@
 //! x, y, z: a corner of the box in a camera's axes, relative to the box's centre.
 
 use super::cameras::{Named, aimed};
-use super::pictures::rgb_image;
 use glam::{DMat3, DVec3};
-use image::{RgbImage, imageops};
-use std::time::{Duration, Instant};
 use trimip_core::{
-    Error, Intrinsics, Result, Viewer,
+    Error, Intrinsics, Result,
     config::{Contraction, SceneConfig},
 };
 
@@ -81,41 +78,6 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
     let place = "--turntable";
     let camera = |back: &DVec3| aimed(place, centre + distance * *back, centre, axis, intrinsics);
     outwards.iter().enumerate().map(|(i, back)| Ok((format!("{i:04}"), camera(back)?))).collect()
-}
-
-/// Views of a [`strip`].
-const STRIP: u32 = 8;
-
-/// Elevation of a strip's cameras, degrees.
-const STRIP_ELEVATION: f64 = 20.0;
-
-/// Horizontal field of view of a strip's cameras, degrees.
-const STRIP_ANGLE: f64 = 40.0;
-
-/// Eight views around the box, a little from above, beside each other: a picture of 8·`side` × `side` pixels; `None` if it is
-/// not done within `most`.
-///
-/// # Errors
-/// When the scene has no upright view, or the device fails.
-pub fn strip(
-    viewer: &mut dyn Viewer,
-    scene: &SceneConfig,
-    side: u32,
-    most: Duration,
-) -> Result<Option<RgbImage>> {
-    let started = Instant::now();
-    let up = DVec3::from_array(scene.up.map(f64::from));
-    let table = Turntable { count: STRIP, elevation: STRIP_ELEVATION, distance: None, up };
-    let intrinsics = Intrinsics::from_angle(side, side, STRIP_ANGLE.to_radians());
-    let mut strip = RgbImage::new(STRIP * side, side);
-    for (i, (_, camera)) in cameras(scene, &table, intrinsics)?.iter().enumerate() {
-        let Some(frame) = viewer.render_watched(camera, &mut |_, _| started.elapsed() < most)? else {
-            return Ok(None);
-        };
-        let view = rgb_image(side, side, &frame.rgb());
-        imageops::replace(&mut strip, &view, (i as u32 * side).into(), 0);
-    }
-    Ok(Some(strip))
 }
 
 /// Centre and half extents of the box around the subject.

@@ -6,11 +6,13 @@
 mod field;
 mod occupancy;
 mod optimizer;
+mod poses;
 mod renderer;
 mod sampler;
 
 pub use field::FieldPolicy;
 pub use occupancy::OccupancyPolicy;
 pub use optimizer::{OptimizerPolicy, SlotUpdate};
+pub use poses::{PosePolicy, direction, moved};
 pub use renderer::RendererPolicy;
 pub use sampler::SamplerPolicy;

@@ -3,11 +3,12 @@
 
 use crate::{
     Config, Scale, ViewSet,
-    config::{Exposure, TrainConfig},
+    config::{CameraPoses, Exposure, LossConfig, TrainConfig},
     engine::{
         exposure,
         ray_allocation::{RayAllocation, ScaleSampling, ScaleWeights},
     },
+    field::losses::{Definition, depth::Depth},
     math::rng::{Random, Sequence, below},
     scene::cones::Division,
 };
@@ -25,8 +26,10 @@ pub struct SamplerPolicy {
     pub scales: Vec<Scale>,
     /// Edge exponent of each scale's photographs ([`edge_exponents`](crate::scene::edge_exponents)).
     pub exponents: Vec<f32>,
-    /// The photograph of each training view ([`exposure::photographs`]) with `loss.exposure`; empty otherwise.
+    /// The photograph of each training view ([`exposure::photographs`]) with `loss.exposure` or refined poses; empty otherwise.
     pub photographs: Vec<u32>,
+    loss: LossConfig,
+    knows_depths: bool,
     train: TrainConfig,
     sampling: Option<ScaleSampling>,
     scale_weights: ScaleWeights,
@@ -36,7 +39,8 @@ pub struct SamplerPolicy {
 impl SamplerPolicy {
     /// The policy of a configuration over training views at the start of a run; without views it is one of camera rays.
     pub fn new(config: &Config, views: Option<&ViewSet>) -> Self {
-        let exposed = views.filter(|_| config.loss.exposure == Exposure::Gain);
+        let told_apart =
+            config.loss.exposure == Exposure::Gain || config.train.cameras == CameraPoses::Refine;
         let scales = views.map_or_else(Vec::new, |views| views.scales.clone());
         let mut policy = Self {
             division: Division::new(config),
@@ -44,7 +48,9 @@ impl SamplerPolicy {
             random: Random::new(config.seed),
             exponents: scales.iter().map(|scale| config.data.edge_exponent(scale.factor)).collect(),
             scales,
-            photographs: exposed.map(exposure::photographs).unwrap_or_default(),
+            photographs: views.filter(|_| told_apart).map(exposure::photographs).unwrap_or_default(),
+            loss: config.loss.clone(),
+            knows_depths: false,
             train: config.train.clone(),
             sampling: views.map(|views| ScaleSampling::new(config, views)),
             scale_weights: ScaleWeights::default(),
@@ -60,6 +66,7 @@ impl SamplerPolicy {
             self.scale_weights = sampling.at(progress);
         }
         self.random_background = self.train.random_background(progress);
+        self.knows_depths = Depth.weight_at(&self.loss, progress) > 0.0;
     }
 
     /// Pixels, loss weight and cones of each scale.
@@ -71,6 +78,12 @@ impl SamplerPolicy {
     #[inline]
     pub fn random_background(&self) -> f32 {
         self.random_background
+    }
+
+    /// True while the targets of pixels have their known depths: `loss.depth` is above 0.
+    #[inline]
+    pub fn knows_depths(&self) -> bool {
+        self.knows_depths
     }
 
     /// Scale of pixel `index` of a training step, and its index among all pixels of the views: uniform within the scale.
@@ -108,6 +121,7 @@ mod tests {
             views: vec![view(8, 0), view(4, 64)],
             pixels: vec![[0; 4]; 80].into(),
             alpha: Alpha::Straight,
+            depths: Vec::new(),
             scales: vec![
                 Scale { factor: 1, weight: 1.0, views: 0..1, pixels: 0..64 },
                 Scale { factor: 2, weight: 4.0, views: 1..2, pixels: 64..80 },
@@ -146,11 +160,14 @@ mod tests {
     }
 
     #[test]
-    fn views_have_photographs_with_exposure_alone() {
+    fn views_have_photographs_with_exposure_or_refined_poses_alone() {
         let mut config = Config::default();
         assert!(SamplerPolicy::new(&config, Some(&views())).photographs.is_empty());
         config.loss.exposure = Exposure::Gain;
         assert_eq!(SamplerPolicy::new(&config, Some(&views())).photographs.len(), 2);
         assert!(SamplerPolicy::new(&config, None).photographs.is_empty());
+        config.loss.exposure = Exposure::None;
+        config.train.cameras = CameraPoses::Refine;
+        assert_eq!(SamplerPolicy::new(&config, Some(&views())).photographs.len(), 2);
     }
 }

@@ -3,7 +3,7 @@
 use super::{Trainer, rays::LEAST_RAYS};
 use crate::{
     Backend, Encoder, Optimizer, Renderer, Result, Slot,
-    engine::backend::Sampler,
+    engine::backend::{Loss, Sampler},
     field::{encoders, params::ActiveRange},
 };
 
@@ -13,6 +13,7 @@ impl<B: Backend> Trainer<B> {
     pub(super) fn set_progress(&mut self, progress: f64) -> Result<()> {
         self.loaded.stages.renderer.set_progress(progress);
         self.loaded.stages.sampler.set_progress(progress);
+        self.loaded.stages.loss.set_progress(progress);
         let cones_per_pixel = self.loaded.stages.sampler.scale_weights().cones_per_pixel();
         let spacing = self.loaded.config.renderer.step_scale.at(progress) / cones_per_pixel;
         if self.state.spacing > 0.0 && self.state.spacing != spacing {

@@ -1,5 +1,7 @@
 //! Training, written once over the traits. A model in training on any backend is a [`Session`].
 
+mod align;
+mod drawing;
 mod growth;
 mod probing;
 pub(crate) mod rays;
@@ -20,6 +22,7 @@ use crate::{
         exchange::{Alone, Exchange},
         exposure::{self, Exposures},
         loaded::LoadedModel,
+        poses::{Poses, Refined},
     },
     field::{encoders, model::Model},
     scene::{fingerprint::Fingerprint, hull::Hull},
@@ -49,6 +52,8 @@ pub struct Trainer<B: Backend> {
     exchange: Box<dyn Exchange<B>>,
     /// With `loss.exposure`.
     exposures: Option<Exposures>,
+    /// With `train.cameras`.
+    poses: Option<Poses>,
 }
 
 impl<B: Backend> Trainer<B> {
@@ -57,6 +62,11 @@ impl<B: Backend> Trainer<B> {
     /// # Errors
     /// When the views have no pixels, or the configuration does not fit the device.
     pub fn new(backend: B, config: &Config, views: ViewSet) -> Result<Self> {
+        Self::on(Arc::new(backend), config, views)
+    }
+
+    /// As [`new`](Self::new), on a device that others use too.
+    fn on(backend: Arc<B>, config: &Config, views: ViewSet) -> Result<Self> {
         if views.pixels.is_empty() {
             return Err(Error::input("training views", "no pixels", "name a data set with training images"));
         }
@@ -64,6 +74,7 @@ impl<B: Backend> Trainer<B> {
         let exposures = (config.loss.exposure == Exposure::Gain)
             .then(|| exposure::photographs(&views).into_iter().max().map_or(0, |last| last as usize + 1))
             .map(Exposures::new);
+        let poses = Poses::new(config, &views);
         let data = Some(Fingerprint::of(&views));
         let mut loaded = LoadedModel::build(backend, config, Some(views))?;
         if let Some(exposures) = &exposures {
@@ -98,6 +109,7 @@ impl<B: Backend> Trainer<B> {
             spoilt: None,
             exchange: Box::new(Alone),
             exposures,
+            poses,
         };
         trainer.enter(encoders::of(config).stage(config, 0.0));
         trainer.loaded.refresh();
@@ -226,5 +238,14 @@ impl<B: Backend> Session for Trainer<B> {
 
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {
         self.load_state(checkpoint)
+    }
+
+    fn refined(&self) -> Option<Refined> {
+        let (_, centre) = self.loaded.config.centred();
+        self.poses.as_ref().map(|poses| poses.refined(centre))
+    }
+
+    fn align(&mut self, views: ViewSet) -> Result<Vec<Camera>> {
+        self.aligned(views)
     }
 }

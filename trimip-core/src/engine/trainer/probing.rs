@@ -5,8 +5,9 @@ use super::Trainer;
 use crate::{
     Backend, Result,
     engine::{
-        backend::Loss,
-        batch::{StepResult, StepSums},
+        backend::{Loss, Sampler},
+        batch::{SampleDraw, StepResult, StepSums},
+        pose_preconditioner::Motion,
     },
 };
 use std::sync::Arc;
@@ -26,9 +27,31 @@ impl<B: Backend> Trainer<B> {
     /// # Errors
     /// When the device fails.
     pub fn loss_and_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<f32>)> {
-        let StepResult { sums, .. } = self.result_of(step, rays)?;
+        let StepResult { sums, .. } = self.result_of(step, rays, None)?;
+        Ok((sums, self.mean_gradient(&sums)))
+    }
+
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), of samples that are drawn with a threshold
+    /// ([`SampleDraw`]) and the random numbers of step `draw`.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn loss_and_drawn_gradient(
+        &mut self,
+        step: u64,
+        rays: u32,
+        threshold: f64,
+        draw: u64,
+    ) -> Result<(StepSums, Vec<f32>)> {
+        let draw = self.draw_at(draw, threshold);
+        let StepResult { sums, .. } = self.result_of(step, rays, Some(draw))?;
+        Ok((sums, self.mean_gradient(&sums)))
+    }
+
+    /// The gradient divided by the sum of the weights.
+    fn mean_gradient(&self, sums: &StepSums) -> Vec<f32> {
         let gradient = self.device().read(&self.gradient);
-        Ok((sums, gradient.iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect()))
+        gradient.iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect()
     }
 
     /// As [`loss_and_gradient`](Self::loss_and_gradient), by the log-gains of the photographs (RGB of each).
@@ -36,17 +59,37 @@ impl<B: Backend> Trainer<B> {
     /// # Errors
     /// When the device fails.
     pub fn loss_and_exposure_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<[f32; 3]>)> {
-        let result = self.result_of(step, rays)?;
+        let result = self.result_of(step, rays, None)?;
         let gradient = self.exposures.as_ref().map(|exposures| exposures.gradient(&result));
         Ok((result.sums, gradient.unwrap_or_default()))
     }
 
+    /// Replaces the motions of the photographs' cameras: rotation (radians) and translation (world units) of each in its own
+    /// axes. Does nothing unless poses are refined.
+    pub fn set_poses(&mut self, motions: &[Motion]) {
+        if let Some(poses) = &mut self.poses {
+            poses.set(motions);
+            self.loaded.stages.sampler.set_cameras(&poses.cameras());
+        }
+    }
+
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), by motions of the photographs' cameras, as
+    /// [`set_poses`](Self::set_poses) takes them.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn loss_and_pose_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<Motion>)> {
+        let result = self.result_of(step, rays, None)?;
+        let gradient = self.poses.as_ref().map(|poses| poses.by_motions(&result));
+        Ok((result.sums, gradient.unwrap_or_default()))
+    }
+
     /// Forward and backward over the rays of step `step`; the gradient is complete afterwards.
-    fn result_of(&mut self, step: u64, rays: u32) -> Result<StepResult> {
+    fn result_of(&mut self, step: u64, rays: u32, draw: Option<SampleDraw>) -> Result<StepResult> {
         self.state.totals.step = step;
         let backend = Arc::clone(&self.loaded.backend);
         let receipt = backend.install(|| {
-            self.gradients(rays);
+            self.gradients(rays, draw.as_ref());
             let receipt = backend.post(&self.partials);
             self.loaded.stages.reduce(&mut self.partials, &self.loaded.parameters, &mut self.gradient);
             receipt

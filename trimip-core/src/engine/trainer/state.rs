@@ -58,6 +58,9 @@ impl<B: Backend> Trainer<B> {
         if let Some(exposures) = &self.exposures {
             exposures.to_tensors(&mut file);
         }
+        if let Some(poses) = &self.poses {
+            poses.to_tensors(&mut file);
+        }
         self.device().health()?;
         Ok(Checkpoint { config: self.loaded.config.clone(), state: self.state, file })
     }
@@ -78,10 +81,15 @@ impl<B: Backend> Trainer<B> {
         let second = self.layout().from_tensors(&checkpoint.file, name, ".v")?;
         let exposures =
             self.exposures.as_ref().map(|new| new.restored(&checkpoint.file, name)).transpose()?;
+        let poses = self.poses.as_ref().map(|new| new.restored(&checkpoint.file, name)).transpose()?;
         self.loaded.restore_model(name, &checkpoint.file, Some(densities))?;
         if let Some(exposures) = exposures {
             self.loaded.stages.loss.set_gains(&exposures.gains());
             self.exposures = Some(exposures);
+        }
+        if let Some(poses) = poses {
+            self.loaded.stages.sampler.set_cameras(&poses.cameras());
+            self.poses = Some(poses);
         }
         for (buffer, values) in self.loaded.stages.optimizer.moments_mut().into_iter().zip([first, second]) {
             self.loaded.backend.write(buffer, &values);
@@ -104,6 +112,7 @@ impl<B: Backend> Trainer<B> {
         }
         self.loaded.stages.renderer.set_progress(progress);
         self.loaded.stages.sampler.set_progress(progress);
+        self.loaded.stages.loss.set_progress(progress);
         Ok(())
     }
 }

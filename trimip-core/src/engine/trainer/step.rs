@@ -8,8 +8,11 @@ use super::{
 use crate::{
     Backend, Encoder, Field, Renderer, Result, StepReport,
     engine::{
-        backend::{Loss, Occupancy, RenderedTile, Sampler, Stages},
-        batch::{Batch, FieldBackward, PartialGradients, StepSums, Tile, Tiling, Update, Workspace},
+        backend::{Loss, Occupancy, PoseGradients, RenderedTile, Sampler, Stages},
+        batch::{
+            Batch, FieldBackward, FieldDraw, PartialGradients, SampleDraw, StepSums, Tile, Tiling, Update,
+            Workspace,
+        },
         loaded::forward,
     },
     field::adamw::learning_rate,
@@ -31,6 +34,7 @@ fn backward<B: Backend>(
     parameters: &B::Buffer<f32>,
     workspace: &mut Workspace<B>,
     partial: &mut PartialGradients<B>,
+    draw: Option<&SampleDraw>,
 ) {
     let Workspace {
         stream,
@@ -42,6 +46,8 @@ fn backward<B: Backend>(
         radiance,
         cones,
         pixels,
+        kept,
+        marks,
         ..
     } = workspace;
     let (pixel_gradients, sums) = (&mut workspace.pixel_gradients, &mut partial.sums);
@@ -52,9 +58,42 @@ fn backward<B: Backend>(
     let tile = &mut Tile { stream, parameters, rays, samples };
     stages.renderer.backward(tile, radiance, cones, pixel_gradients, radiance_gradients);
     stages.loss.evaluate_rays(tile.stream, &rendered, radiance_gradients, sums);
+    if let Some(draw) = draw {
+        let arrays = FieldDraw { radiance, radiance_gradients, marks };
+        stages.field.draw(tile, draw, field_context, arrays);
+        stages.renderer.keep_drawn(stream, marks, samples, kept, sums);
+        stages.encoder.keep(stream, kept, encoder_context, features);
+        stages.field.keep_drawn(stream, kept, field_context, radiance, radiance_gradients);
+    }
+    let tile = &mut Tile { stream, parameters, rays, samples };
     let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
     stages.field.backward(tile, arrays, field_context, &mut partial.field);
     stages.encoder.backward(tile, encoder_context, &workspace.feature_gradients, &mut partial.encoder);
+}
+
+/// Adds the derivatives by the poses of the tile's photographs to the sums: encodes the samples on displaced rays, which
+/// takes two forward passes of the encoder.
+fn pose_gradients<B: Backend>(
+    stages: &Stages<B>,
+    parameters: &B::Buffer<f32>,
+    workspace: &mut Workspace<B>,
+    partial: &mut PartialGradients<B>,
+    step: u64,
+) {
+    let Some(poses) = &stages.poses else { return };
+    let Workspace { stream, rays, samples, feature_gradients, displaced, .. } = workspace;
+    for side in [1.0, -1.0] {
+        poses.displace(&mut Tile { stream, parameters, rays, samples }, step, side, displaced);
+        std::mem::swap(&mut rays.rays, &mut displaced.rays);
+        std::mem::swap(&mut samples.spheres, &mut displaced.spheres);
+        let tile = &mut Tile { stream, parameters, rays, samples };
+        stages.encoder.forward(tile, &mut displaced.encoder_context, &mut displaced.features);
+        std::mem::swap(&mut rays.rays, &mut displaced.rays);
+        std::mem::swap(&mut samples.spheres, &mut displaced.spheres);
+        poses.compare(&mut Tile { stream, parameters, rays, samples }, side, feature_gradients, displaced);
+    }
+    let tile = &mut Tile { stream, parameters, rays, samples };
+    poses.add(tile, step, &displaced.slopes, &mut partial.sums);
 }
 
 impl<B: Backend> Trainer<B> {
@@ -64,8 +103,9 @@ impl<B: Backend> Trainer<B> {
         ((SAMPLES_PER_TILE / marched_per_cone.max(1.0)) as u32).clamp(1, MAX_RAYS_PER_TILE)
     }
 
-    /// Runs forward and backward over `pixels` pixels; the partial gradients then hold the gradients.
-    pub(super) fn gradients(&mut self, pixels: u32) {
+    /// Runs forward and backward over `pixels` pixels; the partial gradients then hold the gradients. Without a draw all samples
+    /// have a backward pass.
+    pub(super) fn gradients(&mut self, pixels: u32, draw: Option<&SampleDraw>) {
         let step = self.state.totals.step;
         for partial in &mut self.partials {
             partial.sums = B::Sums::default();
@@ -87,7 +127,8 @@ impl<B: Backend> Trainer<B> {
                 &mut workspace.rays,
             );
             forward(stages, parameters, workspace, Some(step));
-            backward(stages, parameters, workspace, partial);
+            backward(stages, parameters, workspace, partial, draw);
+            pose_gradients(stages, parameters, workspace, partial, step);
         });
     }
 
@@ -126,6 +167,7 @@ impl<B: Backend> Trainer<B> {
             (((MOST_RAYS_PER_SAMPLE * target) as f64 / cones_per_pixel) as u64).max(LEAST_RAYS.into());
         self.state.rays_per_step = next.min(most).clamp(LEAST_RAYS.into(), limit) as u32;
         self.state.marched_per_ray = sums.marched as f32 / sums.rays.max(1) as f32;
+        self.adapt_draw(sums, progress);
     }
 
     /// Computes new parameters from the partial gradients, with those of the other ranks.
@@ -144,7 +186,7 @@ impl<B: Backend> Trainer<B> {
         if step.is_multiple_of(u64::from(self.loaded.config.occupancy.every)) {
             self.refresh_occupancy();
         }
-        self.gradients(self.state.rays_per_step);
+        self.gradients(self.state.rays_per_step, self.draw(step).as_ref());
         self.exchange.partials(&self.loaded.backend, &mut self.loaded.stages, &mut self.partials)?;
         let posted = Arrival::Posted(self.device().post(&self.partials));
         self.pending.push_back(Pending { spacing: self.state.spacing, sums: posted });
@@ -168,7 +210,7 @@ impl<B: Backend> Trainer<B> {
         if let Some((spacing, sums)) = &sums {
             self.adapt_batch(sums, *spacing, progress);
         }
-        self.adapt_exposures(rate);
+        self.adapt_photographs(rate, progress);
         self.count_left_out();
         let sums = sums.map_or_else(StepSums::default, |(_, sums)| sums);
         Ok(StepReport {

@@ -5,8 +5,9 @@ use super::Trainer;
 use crate::{
     Backend, Error, Result,
     engine::{
-        backend::Loss,
+        backend::{Loss, Sampler},
         batch::{MOST_PENDING, StepSums},
+        poses::Poses,
     },
 };
 
@@ -32,6 +33,7 @@ impl<B: Backend> Trainer<B> {
         totals.samples += sums.kept;
         totals.marched += sums.marched;
         totals.rays += sums.rays;
+        totals.left_out += sums.kept.saturating_sub(sums.drawn);
         totals.empty_batches += u64::from(sums.kept == 0);
     }
 
@@ -51,10 +53,9 @@ impl<B: Backend> Trainer<B> {
             Arrival::Posted(receipt) => {
                 let result = self.exchange.sums(self.loaded.backend.redeem(receipt)?)?;
                 self.count(&result.sums);
-                if let Some(exposures) = &mut self.exposures
-                    && is_finite(&result.sums)
-                {
-                    exposures.take(&result);
+                if is_finite(&result.sums) {
+                    self.exposures.iter_mut().for_each(|exposures| exposures.take(&result));
+                    self.poses.iter_mut().for_each(|poses| poses.take(&result));
                 }
                 Ok(result.sums)
             }
@@ -71,15 +72,23 @@ impl<B: Backend> Trainer<B> {
         self.spoilt.clone().map_or(Ok(()), Err)
     }
 
-    /// Moves the exposures of photographs by the gradients that are due, at the networks' learning rate `rate`.
-    pub(super) fn adapt_exposures(&mut self, rate: f64) {
-        let Some(exposures) = &mut self.exposures else { return };
+    /// Moves exposures and poses of photographs by the gradients that are due; the networks' learning rate at `progress` is
+    /// `rate`.
+    pub(super) fn adapt_photographs(&mut self, rate: f64, progress: f64) {
         let in_transit =
             self.pending.iter().filter(|pending| matches!(pending.sums, Arrival::Posted(_))).count();
-        let config = &self.loaded.config.optimizer;
-        let rate = config.exposure_rate * rate / config.learning_rate;
-        if exposures.advance(config, rate, self.state.totals.step, in_transit) {
-            self.loaded.stages.loss.set_gains(&exposures.gains());
+        let Self { loaded, state, exposures, poses, .. } = self;
+        let (config, step) = (&loaded.config.optimizer, state.totals.step);
+        let schedule = rate / config.learning_rate;
+        if let Some(exposures) = exposures
+            && exposures.advance(config, config.exposure_rate * schedule, step, in_transit)
+        {
+            loaded.stages.loss.set_gains(&exposures.gains());
+        }
+        if let Some(poses) = poses
+            && poses.advance(config, Poses::rate(config, schedule, progress), step, in_transit)
+        {
+            loaded.stages.sampler.set_cameras(&poses.cameras());
         }
     }
 

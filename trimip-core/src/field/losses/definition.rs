@@ -9,8 +9,13 @@ pub trait Definition: Sync {
     /// Name of the term and of its WGSL function: "smooth_l1".
     fn name(&self) -> &'static str;
 
-    /// Weight relative to the colour; 0 if the term is not at work.
+    /// Weight relative to the colour at the start of a run; 0 if the term is not at work.
     fn weight(&self, config: &LossConfig) -> f32;
+
+    /// The weight at `progress` in [0, 1] of a run.
+    fn weight_at(&self, config: &LossConfig, _progress: f64) -> f32 {
+        self.weight(config)
+    }
 
     /// The numbers that the term's formula takes from the settings, as a device receives them.
     fn numbers(&self, _config: &LossConfig) -> [f32; 3] {
@@ -46,7 +51,7 @@ pub trait PixelTerm: Definition {
     fn reference(&self, config: &LossConfig, pixel: [f64; 4], target: &Target) -> f64;
 }
 
-/// A term of the samples of a ray. That of a pixel is the mean over its cones.
+/// A term of the samples of a ray. That of a pixel is the mean over its cones, of which those without samples have 0.
 pub trait RayTerm: Definition {
     /// The value. `by_depth` receives the derivative by the optical depth of each sample.
     fn evaluate(&self, config: &LossConfig, cone: &ConeSamples<'_, f32>, by_depth: &mut [f32]) -> f32;
@@ -77,6 +82,8 @@ pub struct RaySample<R> {
     pub depth: R,
     /// Distance of its midpoint, world units.
     pub t: R,
+    /// Its length δ, world units.
+    pub length: R,
     /// Parameter of its midpoint along the ray, in units of the box's longest side ([`along`](crate::Space::along)); not below
     /// that of the sample in front of it.
     pub place: R,

@@ -138,6 +138,7 @@ mod tests {
             let x = f64::from(i);
             RaySample {
                 t: x,
+                length: 0.1,
                 depth: (1.7 * x).sin().powi(2) * 0.5,
                 place: 0.2 + 0.03 * x + 0.02 * x.cos(),
                 width: 0.01 + 0.002 * x,
@@ -198,7 +199,7 @@ mod tests {
     #[test]
     fn one_sample_has_its_width_alone_and_none_nothing() {
         assert_eq!(found::<f64>(&[]), (0.0, vec![]));
-        let part = RaySample { t: 1.0, depth: 0.7, place: 0.4, width: 0.03 };
+        let part = RaySample { t: 1.0, length: 0.1, depth: 0.7, place: 0.4, width: 0.03 };
         let w = 1.0 - (-0.7_f64).exp();
         let (value, gradient) = found(&[part]);
         assert!((value - w * w * 0.03 / 3.0).abs() < 1e-17);
@@ -223,6 +224,7 @@ mod tests {
     fn single_precision_is_near_and_extremes_stay_finite() {
         let narrow = |part: &RaySample<f64>| RaySample {
             t: part.t as f32,
+            length: part.length as f32,
             depth: part.depth as f32,
             place: part.place as f32,
             width: part.width as f32,
@@ -231,7 +233,7 @@ mod tests {
         let (near, by_depth) = found(&ray().iter().map(narrow).collect::<Vec<_>>());
         assert!((f64::from(near) - value).abs() < 1e-6 * value);
         assert!(by_depth.iter().zip(gradient).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6));
-        let part = |depth, place| RaySample { t: place, depth, place, width: 0.1 };
+        let part = |depth, place| RaySample { t: place, length: 0.1, depth, place, width: 0.1 };
         for parts in [
             vec![part(f32::MAX, 0.1), part(f32::MAX, 0.2)],
             vec![part(0.0, 0.0), part(1e-38, 0.5), part(0.0, 1.0)],

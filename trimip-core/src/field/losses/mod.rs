@@ -6,6 +6,7 @@
 
 pub mod charbonnier;
 mod definition;
+pub mod depth;
 pub mod distortion;
 pub mod exposure;
 pub mod opacity;
@@ -47,14 +48,18 @@ photometric! {
 pub const PIXEL_TERMS: &[&dyn PixelTerm] = &[&opacity::Opacity];
 
 /// The terms of a ray's samples.
-pub const RAY_TERMS: &[&dyn RayTerm] = &[&distortion::Distortion];
+pub const RAY_TERMS: &[&dyn RayTerm] = &[&distortion::Distortion, &depth::Depth];
 
 /// The adjustments of the colour that is compared.
 pub const ADJUSTMENTS: &[&dyn Adjustment] = &[&exposure::Gains];
 
-/// The terms that are at work, with their weights.
-pub fn at_work<T: Definition + ?Sized>(terms: &[&'static T], config: &LossConfig) -> Vec<(&'static T, f32)> {
-    let weighted = terms.iter().map(|&term| (term, term.weight(config)));
+/// The terms that are at work at `progress` in [0, 1] of a run, with their weights.
+pub fn at_work<T: Definition + ?Sized>(
+    terms: &[&'static T],
+    config: &LossConfig,
+    progress: f64,
+) -> Vec<(&'static T, f32)> {
+    let weighted = terms.iter().map(|&term| (term, term.weight_at(config, progress)));
     weighted.filter(|(_, weight)| *weight > 0.0).collect()
 }
 

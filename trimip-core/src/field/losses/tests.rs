@@ -89,18 +89,19 @@ fn pixel_terms_are_their_equations() {
 
 #[test]
 fn ray_terms_are_their_equations() {
-    let target = &Target { rgb: [0.2, 0.7, 0.4], opacity: 0.6, weight: 4.0, ..Target::default() };
+    let target = &Target { weight: 4.0, distance: 2.3, deviation: 0.15, ..Target::default() };
     let sample = |i: u32| {
         let x = f64::from(i);
         let depth = (1.7 * x).sin().powi(2) * 0.5;
-        RaySample { depth, t: 2.0 + 0.1 * x, place: 0.2 + 0.03 * x, width: 0.01 + 0.002 * x }
+        RaySample { depth, t: 2.0 + 0.1 * x, length: 0.1, place: 0.2 + 0.03 * x, width: 0.01 + 0.002 * x }
     };
     for (term, count) in RAY_TERMS.iter().flat_map(|term| [0, 1, 12].map(|count| (term, count))) {
         let config = example(*term);
         let wide: Vec<_> = (0..count).map(sample).collect();
         let narrow = |s: &RaySample<f64>| {
-            let [depth, t, place, width] = [s.depth, s.t, s.place, s.width].map(|x| x as f32);
-            RaySample { depth, t, place, width }
+            let [depth, t, length, place, width] =
+                [s.depth, s.t, s.length, s.place, s.width].map(|x| x as f32);
+            RaySample { depth, t, length, place, width }
         };
         let samples: Vec<_> = wide.iter().map(narrow).collect();
         let mut by_depth = vec![0.0; wide.len()];

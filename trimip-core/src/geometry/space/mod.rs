@@ -6,7 +6,7 @@ pub mod contraction;
 mod path;
 
 pub use contraction::{Ball, Curve};
-pub use path::{ContractedPath, Path, StraightPath};
+pub use path::{ContractedPath, Path, ROUNDING, StraightPath};
 
 use crate::{
     Aabb,

@@ -7,6 +7,9 @@ use crate::{
     geometry::elements::{Interval, Ray},
 };
 
+/// Error of a place along a ray by rounding to f32, relative to the coordinates that it is computed from: four units in the last place.
+pub const ROUNDING: f32 = 4.8e-7;
+
 /// The places of steps along a ray, and the steps that lie in empty cells.
 pub trait Path {
     /// Distance at the parameter `s`.
@@ -19,8 +22,8 @@ pub trait Path {
     fn radius(&self, t: f32) -> f32;
     /// Cell of a position.
     fn cell(&self, position: [f32; 3]) -> [u32; 3];
-    /// A parameter beyond `s` up to which the ray stays within the cube of all cells closer than `distance` cells to `cell`,
-    /// the one of `position` at `s`. Not finite if it cannot be computed.
+    /// A parameter up to which, from `s` on, the ray stays within the cube of all cells closer than `distance` cells to `cell`,
+    /// the one of `position` at `s`; before `s` if it may leave at once. Not finite if it cannot be computed.
     fn clear(&self, s: f32, position: [f32; 3], cell: [u32; 3], distance: u32) -> f32;
 }
 
@@ -76,8 +79,8 @@ impl Path for StraightPath {
     }
 
     #[inline(always)]
-    fn clear(&self, s: f32, _: [f32; 3], cell: [u32; 3], distance: u32) -> f32 {
-        self.exit_around(s, cell, distance)
+    fn clear(&self, _: f32, _: [f32; 3], cell: [u32; 3], distance: u32) -> f32 {
+        self.exit_around(cell, distance)
     }
 }
 
@@ -143,37 +146,40 @@ impl Path for ContractedPath {
 }
 
 impl StraightPath {
-    /// Distance beyond `t` at which the ray leaves the aligned cube of `size` cells that contains `cell`; infinite if
-    /// it cannot be computed.
+    /// Distance up to which the ray stays within the aligned cube of `size` cells that contains `cell`, its cell at some
+    /// distance before; infinite if it cannot be computed.
     #[inline(always)]
-    pub fn exit(&self, t: f32, cell: [u32; 3], size: u32) -> f32 {
-        let mut exit = f32::INFINITY;
-        for axis in 0..3 {
+    pub fn exit(&self, cell: [u32; 3], size: u32) -> f32 {
+        self.first_edge(|axis, forward| {
             let lower = cell[axis] & !(size - 1);
-            let edge = if self.ray.direction[axis] > 0.0 { lower + size } else { lower };
-            let edge = edge as f32 * self.cell_extent[axis] + self.space.aabb().min[axis];
-            let distance = (edge - self.ray.origin[axis]) * self.inverse_direction[axis];
-            // An axis along which the ray does not move gives ±∞ or NaN: no exit there.
-            if distance > t && distance < exit {
-                exit = distance;
-            }
-        }
-        exit
+            (if forward { lower + size } else { lower }) as f32
+        })
     }
 
-    /// Distance beyond `t` at which the ray leaves the cube of all cells closer than `distance` cells to `cell`, along
-    /// each axis; infinite if it cannot be computed.
+    /// Distance up to which the ray stays within the cube of all cells closer than `distance` cells to `cell`, along each
+    /// axis, likewise.
     #[inline(always)]
-    pub fn exit_around(&self, t: f32, cell: [u32; 3], distance: u32) -> f32 {
+    pub fn exit_around(&self, cell: [u32; 3], distance: u32) -> f32 {
         let reach = distance as f32;
+        self.first_edge(|axis, forward| {
+            let cell = cell[axis] as f32;
+            if forward { cell + reach } else { cell - reach + 1.0 }
+        })
+    }
+
+    /// Distance of the first edge that the ray reaches, of one across each axis, in cells from the corner of the box; earlier by what
+    /// rounding may move the ray's places. Without that, a ray that is about to cross an edge may have passed it already by this
+    /// reckoning, and would not see it any more.
+    #[inline(always)]
+    fn first_edge(&self, edge: impl Fn(usize, bool) -> f32) -> f32 {
         let mut exit = f32::INFINITY;
         for axis in 0..3 {
-            let cell = cell[axis] as f32;
-            let edge = if self.ray.direction[axis] > 0.0 { cell + reach } else { cell - reach + 1.0 };
-            let edge = edge * self.cell_extent[axis] + self.space.aabb().min[axis];
-            let distance = (edge - self.ray.origin[axis]) * self.inverse_direction[axis];
-            // An axis along which the ray does not move gives ±∞ or NaN: no exit there.
-            if distance > t && distance < exit {
+            let (origin, inverse) = (self.ray.origin[axis], self.inverse_direction[axis]);
+            let edge = edge(axis, self.ray.direction[axis] > 0.0) * self.cell_extent[axis]
+                + self.space.aabb().min[axis];
+            let distance = (edge - origin) * inverse - ROUNDING * (edge.abs() + origin.abs()) * inverse.abs();
+            // An axis along which the ray does not move gives ±∞ or NaN: no edge there.
+            if distance.is_finite() && distance < exit {
                 exit = distance;
             }
         }
@@ -207,9 +213,47 @@ mod tests {
         let cell = straight.cell(position);
         assert_eq!(cell, [0, 9, 4]);
         // The block of four cells from x = -1 to 0 and y = 1 to 1.5: y = 1.16 at t, 1.5 at (1.5 - 0.26) / 0.6.
-        let exit = straight.exit(t, cell, 4);
+        let exit = straight.exit(cell, 4);
         assert!((exit - 2.066_666_7).abs() < 1e-5, "{exit}");
         assert!((straight.radius(t) - 0.015).abs() < 1e-9);
+    }
+
+    /// A straight ray stays in its cell as far as is said, from the very places on where it crosses the edges of cells.
+    #[test]
+    fn a_ray_at_an_edge_is_never_said_to_stay_beyond_it() {
+        let space = Space::of(Aabb { min: [-1.5; 3], max: [1.5; 3] });
+        let (mut skipped, mut at_edges) = (0, 0);
+        for i in 0..6000_u32 {
+            let turn = 2.4 * i as f32;
+            let height = ((i % 97) as f32 / 48.0 - 1.0) * if i % 3 == 0 { 1e-3 } else { 0.9 };
+            let d = [turn.cos(), turn.sin(), height];
+            let norm = d.iter().map(|d| d * d).sum::<f32>().sqrt();
+            let direction = d.map(|d| d / norm);
+            let target = [(1.7 * turn).sin(), (0.3 * turn).cos(), (2.3 * turn).cos()];
+            let origin = std::array::from_fn(|axis| target[axis] - 4.0 * direction[axis]);
+            let ray = Ray { origin, slope: 0.01, direction, cosine: 1.0, ..Ray::default() };
+            let path = space.straight_path(&ray, 128);
+            let axis = i as usize % 3;
+            let edge = (20 + i % 90) as f32 * path.cell_extent[axis] - 1.5;
+            let crossing = (edge - origin[axis]) * path.inverse_direction[axis];
+            for t in [crossing.next_down(), crossing, crossing.next_up()] {
+                let position = path.position(t);
+                if !(t > 0.0 && position.iter().all(|x| (0.0..1.0).contains(x))) {
+                    continue;
+                }
+                at_edges += 1;
+                let cell = path.cell(position);
+                let clear = path.clear(t, position, cell, 1);
+                for part in 1..20 {
+                    let at = t + (clear - t) * part as f32 / 20.0;
+                    if at > t {
+                        assert_eq!(path.cell(path.position(at)), cell, "{ray:?} from {t} at {at}");
+                        skipped += 1;
+                    }
+                }
+            }
+        }
+        assert!(at_edges > 5000 && skipped > at_edges, "{skipped} of {at_edges}");
     }
 
     /// As far as the ray is said to stay within the cells around, it does (10,000 places along each of 200 rays).

@@ -38,13 +38,8 @@ fn hash_points(
     let radius = sphere.w / t * at;
     var turns = TURNS;
     let angle = turns[j] * 1.04719755;
-    // Two unit vectors around the ray (Duff et al. 2017).
-    let side = select(1.0, -1.0, d.z < 0.0);
-    let a = -1.0 / (side + d.z);
-    let b = d.x * d.y * a;
-    let u = vec3<f32>(1.0 + side * d.x * d.x * a, side * b, -side * d.x);
-    let v = vec3<f32>(b, side + d.y * d.y * a, -d.y);
-    let offset = (at - t) * d + 0.70710678 * radius * (cos(angle) * u + sin(angle) * v);
+    let basis = across(d);
+    let offset = (at - t) * d + 0.70710678 * radius * (cos(angle) * basis[0] + sin(angle) * basis[1]);
     let place = clamp(sphere.xyz + offset / params.extent, vec3<f32>(0.0), vec3<f32>(1.0));
     points[i] = vec4<f32>(place, 0.35355339 * radius / params.longest);
 }

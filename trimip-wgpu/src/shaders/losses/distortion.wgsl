@@ -38,7 +38,7 @@ fn advance(walk: Walk, depth: f32, at: vec2<f32>) -> Walk {
 }
 
 // The loss of a cone, times `fraction`.
-fn distortion(cone: u32, fraction: f32) -> f32 {
+fn distortion(cone: u32, at: u32, fraction: f32) -> f32 {
     let segment = segments[cone];
     if segment.y == 0u {
         return 0.0;

@@ -5,10 +5,13 @@ use super::Level;
 use crate::Aabb;
 use crate::config::HashGridConfig;
 use crate::field::encoders::definition::SamplePosition;
-use crate::math::scalar::Real;
+use crate::math::{basis::across, scalar::Real};
 
 /// Turn of each point around the ray, in sixths of a circle.
 pub const TURNS: [f64; 6] = [0.0, 2.0, 4.0, 3.0, 5.0, 1.0];
+
+/// Deviation in cells below which the weight is 1: the error function's argument is above 4.
+const WITHIN: f64 = 0.088;
 
 /// Points of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,15 +61,22 @@ impl<R: Real> Points<R> {
         // The cone's radius at the point.
         let radius = radius / t * at;
         let (sine, cosine) = (TURNS[j] * std::f64::consts::FRAC_PI_3).sin_cos();
-        let across = number(std::f64::consts::FRAC_1_SQRT_2) * radius;
-        let [u, v] = around(direction);
+        let offset_across = number(std::f64::consts::FRAC_1_SQRT_2) * radius;
+        let [u, v] = across(direction);
         let place = std::array::from_fn(|axis| {
-            let offset =
-                (at - t) * direction[axis] + across * (number(cosine) * u[axis] + number(sine) * v[axis]);
+            let offset = (at - t) * direction[axis]
+                + offset_across * (number(cosine) * u[axis] + number(sine) * v[axis]);
             (position[axis] + offset / self.extent[axis]).max(R::zero()).min(R::one())
         });
         let [x, y, z]: [R; 3] = place;
         [x, y, z, half_root * radius / self.longest]
+    }
+
+    /// True if [`level_weight`](Self::level_weight) is the same at this deviation and below it: cells are so wide that a sample
+    /// does not leave them.
+    #[inline(always)]
+    pub fn is_within(&self, level: &Level, deviation: R) -> bool {
+        !self.downweight || deviation * R::from_f64(f64::from(level.scale) + 1.0) < R::from_f64(WITHIN)
     }
 
     /// Weight of a level's features at a point, among all points.
@@ -99,16 +109,6 @@ fn erf<R: Real>(x: R) -> R {
     one - (by_8 * by_8).recip()
 }
 
-/// Two unit vectors that are orthogonal to a unit vector and to each other.
-#[inline(always)]
-fn around<R: Real>([x, y, z]: [R; 3]) -> [[R; 3]; 2] {
-    // Duff et al. 2017.
-    let sign = if z < R::zero() { -R::one() } else { R::one() };
-    let a = -(sign + z).recip();
-    let b = x * y * a;
-    [[R::one() + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y]]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -123,6 +123,17 @@ mod tests {
         assert!((level_weight(63.0, 0.5 / 64.0) - 0.682_689_f64).abs() < 1e-6);
         assert!((level_weight(63.0, 1.0 / 64.0) - 0.382_925_f64).abs() < 1e-6);
         assert_eq!(level_weight(63.0, 0.0_f64), 1.0);
+    }
+
+    #[test]
+    fn a_sample_within_wide_cells_has_the_weight_of_a_point() {
+        let level = Level { scale: 63.0, side: 64, first: 0, entries: 1 << 18, hashed: false };
+        let points = Points { count: 6, downweight: true, extent: [10.0; 3], longest: 10.0_f32 };
+        let whole = points.level_weight(&level, 0.0);
+        let deviations = (0..2000).map(|i| 1e-6 * i as f32);
+        let within: Vec<f32> = deviations.filter(|&deviation| points.is_within(&level, deviation)).collect();
+        assert!(within.len() > 1370 && within.len() < 1380, "{}", within.len());
+        assert!(within.iter().all(|&deviation| points.level_weight(&level, deviation) == whole));
     }
 
     /// Mean and variance along the ray, and the trace of the covariance across it, are those of the frustum.

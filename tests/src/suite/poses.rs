@@ -1,0 +1,132 @@
+//! Poses of photographs: the derivatives of a tile by the motions of cameras, those of a whole step, and what refined poses change
+//! of a run.
+
+use super::training::{configuration, steps};
+use crate::fixtures::{lively, noise, photographs};
+use glam::{DQuat, DVec3};
+use trimip_core::{
+    Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet, Viewer,
+    config::{CameraPoses, Contraction},
+    engine::{pose_preconditioner::Motion, trainer::Trainer},
+};
+
+/// Number of photographs.
+const PHOTOGRAPHS: usize = 3;
+
+/// A configuration that refines poses, with steps long enough to see them move.
+pub fn refined() -> Config {
+    let mut config = configuration();
+    config.train.cameras = CameraPoses::Refine;
+    (config.optimizer.camera_rate, config.optimizer.camera_delay) = (1e-3, 0.0);
+    config
+}
+
+/// Refined poses that stay where they are change no bit of a run, poses that move do, and no model holds them.
+///
+/// # Errors
+/// When a step fails.
+pub fn beside_the_model<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let run = |cameras: CameraPoses, rate: f64| {
+        let mut config = refined();
+        (config.train.cameras, config.optimizer.camera_rate) = (cameras, rate);
+        let views = noise(PHOTOGRAPHS, 16, 2, 2);
+        let mut trainer = Trainer::new(make(), &config, views)?;
+        steps(&mut trainer, &config, 12)?;
+        let parameters: Vec<u32> = trainer.parameters().into_iter().map(f32::to_bits).collect();
+        Ok((parameters, trainer.checkpoint()?, trainer.refined().map(|refined| refined.moved)))
+    };
+    let (plain, without, none) = run(CameraPoses::Fixed, 1e-3)?;
+    let (still, with, zero) = run(CameraPoses::Refine, 0.0)?;
+    let (moved, _, far) = run(CameraPoses::Refine, 1e-3)?;
+    assert!(plain == still, "poses that stay change bits");
+    assert!(plain != moved, "poses that move change nothing");
+    assert!(none.is_none() && zero.is_some_and(|moved| moved.picture == 0.0));
+    assert!(far.is_some_and(|moved| moved.picture > 1e-4 && moved.degrees > 0.0 && moved.distance > 0.0));
+    assert!(without.file.tensors.keys().all(|name| !name.starts_with("poses")));
+    assert!(with.file.tensors.keys().any(|name| name.starts_with("poses")));
+    let names = |file: trimip_core::field::tensors::TensorFile| file.tensors.into_keys().collect::<Vec<_>>();
+    assert_eq!(names(with.into_model().file), names(without.into_model().file));
+    Ok(())
+}
+
+/// The mean of all motions, in the axes of the world, stays zero. One photograph at two scales has one pose.
+///
+/// # Errors
+/// When a step fails.
+pub fn without_a_common_motion<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let config = refined();
+    let views = noise(PHOTOGRAPHS, 16, 2, 2);
+    let given: Vec<Camera> = views.views.iter().take(PHOTOGRAPHS).map(|view| view.camera).collect();
+    let mut trainer = Trainer::new(make(), &config, views)?;
+    steps(&mut trainer, &config, 12)?;
+    let found = trainer.refined().map(|refined| refined.cameras).unwrap_or_default();
+    assert!(found.iter().map(|(name, _)| name.as_str()).eq(["view 0", "view 1", "view 2"]));
+    let mut mean = [DVec3::ZERO; 2];
+    for ((_, found), given) in found.iter().zip(&given) {
+        let turn = DQuat::from_mat3(&(found.rotation * given.rotation.transpose())).to_scaled_axis();
+        assert!(turn.length() > 1e-6, "{turn}");
+        mean = [mean[0] + turn, mean[1] + (found.origin - given.origin)];
+    }
+    assert!(mean[0].length() < 1e-6 && mean[1].length() < 1e-6, "{mean:?}");
+    Ok(())
+}
+
+/// Steps over whose rays derivatives are averaged, and rays of each.
+const STEPS: u64 = 8;
+const RAYS: u32 = 512;
+
+/// Error of a derivative, relative to its size. Each ray is moved in one random direction of two, which leaves about 4 %.
+const TOLERANCE: f64 = 0.1;
+
+/// What a model of `config` shows to `PHOTOGRAPHS` cameras.
+fn rendered<B: Backend>(backend: B, config: &Config, parameters: &[f32]) -> Result<ViewSet> {
+    let mut trainer = Trainer::new(backend, config, noise(PHOTOGRAPHS, 48, 1, 3))?;
+    trainer.set_parameters(parameters);
+    trainer.occupy_all();
+    let wide = noise(PHOTOGRAPHS, 48, 1, 3).views.into_iter().map(|view| view.camera);
+    let intrinsics = Intrinsics::from_angle(48, 48, 0.5);
+    let cameras: Vec<Camera> = wide.map(|camera| Camera { intrinsics, ..camera }).collect();
+    let pictures: Vec<Vec<[f32; 3]>> =
+        cameras.iter().map(|camera| Ok(trainer.render(camera)?.rgb())).collect::<Result<_>>()?;
+    let byte = |channel: f32| (255.0 * channel).round() as u8;
+    Ok(photographs(&cameras, 1, |view, pixel| {
+        let [r, g, b] = pictures[view][pixel].map(byte);
+        [r, g, b, 255]
+    }))
+}
+
+/// The derivatives of a step by the motions of its cameras are the slopes of its loss: by rotations of cameras that are off
+/// from where the photographs were taken, by about two pixels.
+///
+/// # Errors
+/// When a step fails.
+pub fn whole_step<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut config = refined();
+    // What the derivatives leave out does not change: colours with the direction, and the ends of rays, which are opaque long before. Steps
+    // are short.
+    config.scene.contraction = Contraction::Ball;
+    config.field.density_shift = -2.0;
+    config.field.directions = false;
+    config.renderer.steps_per_diagonal = 256;
+    let parameters: Vec<f32> = lively(&Layout::new(&config), 13).iter().map(|value| 0.7 * value).collect();
+    let mut trainer = Trainer::new(make(), &config, rendered(make(), &config, &parameters)?)?;
+    trainer.set_parameters(&parameters);
+    trainer.occupy_all();
+    let turns = [[0.02, -0.015, 0.01], [-0.02, 0.01, 0.02], [0.01, 0.02, -0.015]];
+    let off: [Motion; PHOTOGRAPHS] = turns.map(|[a, b, c]| [a, b, c, 0.0, 0.0, 0.0]);
+    let mut at = |factor: f64| -> Result<(f64, f64)> {
+        trainer.set_poses(&off.map(|motion| motion.map(|part| factor * part)));
+        let (mut loss, mut slope) = (0.0, 0.0);
+        for step in 0..STEPS {
+            let (sums, gradient) = trainer.loss_and_pose_gradient(step, RAYS)?;
+            loss += sums.loss / sums.weight / STEPS as f64;
+            let products = gradient.as_flattened().iter().zip(off.as_flattened());
+            slope += products.map(|(by, part)| by * part).sum::<f64>() / STEPS as f64;
+        }
+        Ok((loss, slope))
+    };
+    let (expected, found) = ((at(1.2)?.0 - at(0.8)?.0) / 0.4, at(1.0)?.1);
+    assert!(expected > 5e-6, "the loss grows by {expected}");
+    assert!((found / expected - 1.0).abs() < TOLERANCE, "{found}, not {expected}");
+    Ok(())
+}

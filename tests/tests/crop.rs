@@ -1,0 +1,117 @@
+//! The crop of a place as a user meets it: chosen by the plan, kept in the model, applied to meshes and films.
+
+use std::{fs, path::Path};
+use trimip_tests::binary::{refuses, run, tiny_and};
+
+/// Trains the smallest model of contracted space into `run`, on cameras that look at the origin.
+fn train(here: &Path, more: &[&str]) {
+    let place = ["--out", "run", "--set", "scene.contraction=ball", "--set", "plan.hull=off"];
+    let answer = run(here, &tiny_and(&[&place[..], more].concat()));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+}
+
+/// Vertices of the mesh that the program writes with these arguments, and what it says.
+fn mesh(here: &Path, more: &[&str]) -> (Vec<[f64; 3]>, String) {
+    // After twenty steps space is a fog of low density.
+    let export = ["export", "mesh", "run", "--out", "mesh.obj", "--resolution", "32", "--level", "0.01"];
+    let answer = run(here, &[&export[..], &["--triangles", "0", "--no-colors"], more].concat());
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    let text = fs::read_to_string(here.join("mesh.obj")).unwrap();
+    let vertices = text.lines().filter_map(|line| line.strip_prefix("v ")).map(|line| {
+        let numbers: Vec<f64> = line.split(' ').take(3).map(|number| number.parse().unwrap()).collect();
+        numbers.try_into().unwrap()
+    });
+    (vertices.collect(), answer.out)
+}
+
+/// Centre and radius of the ball that the plan chose.
+fn planned(here: &Path) -> Vec<f64> {
+    let config = fs::read_to_string(here.join("run/config.toml")).unwrap();
+    let line = config.lines().find_map(|line| line.strip_prefix("crop = \"ball ")).expect("a ball");
+    line.trim_end_matches('"').split(',').map(|number| number.parse().unwrap()).collect()
+}
+
+fn distance(point: &[f64; 3], ball: &[f64]) -> f64 {
+    (0..3).map(|axis| (point[axis] - ball[axis]).powi(2)).sum::<f64>().sqrt()
+}
+
+#[test]
+fn the_mesh_of_a_place_is_its_crop() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here, &[]);
+    let ball = planned(here);
+    let cameras = fs::read_to_string(here.join("run/cameras.json")).unwrap();
+    assert_eq!(cameras.matches("transform_matrix").count(), 4, "those of the training photographs");
+    let (cropped, told) = mesh(here, &["--seen-by", "0"]);
+    assert!(told.contains("crop: ball ") && !cropped.is_empty(), "{told}");
+    let reach = |vertices: &[[f64; 3]]| vertices.iter().map(|p| distance(p, &ball)).fold(0.0, f64::max);
+    let spacing = ball[3] / 16.0;
+    assert!(reach(&cropped) <= ball[3] + 2.0 * spacing, "{} beyond {}", reach(&cropped), ball[3]);
+    let (whole, told) = mesh(here, &["--seen-by", "0", "--crop", "none"]);
+    assert!(told.contains("closed and manifold") && reach(&whole) > 1.5 * ball[3], "{told}");
+    let (part, told) = mesh(here, &["--seen-by", "0", "--crop", "box -0.2,-0.2,-0.2,0.2,0.3,0.4"]);
+    assert!(told.contains("crop: box -0.2,-0.2,-0.2,0.2,0.3,0.4"), "{told}");
+    let inside = |p: &[f64; 3]| (0..3).all(|i| p[i] >= -0.23 && p[i] <= [0.23, 0.33, 0.43][i]);
+    assert!(part.iter().all(inside), "{part:?}");
+    // The crop is a setting of the model: a copy elsewhere has it too.
+    fs::create_dir(here.join("alone")).unwrap();
+    fs::copy(here.join("run/model.safetensors"), here.join("alone/my.safetensors")).unwrap();
+    let alone =
+        ["export", "mesh", "alone/my.safetensors", "--resolution", "16", "--level", "0.01", "--seen-by", "0"];
+    let answer = run(here, &alone);
+    assert!(answer.code == Some(0) && answer.out.contains("crop: ball "), "{answer:?}");
+}
+
+#[test]
+fn what_no_camera_sees_is_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here, &[]);
+    let (all, _) = mesh(here, &["--seen-by", "0", "--specks", "0"]);
+    let (seen, told) = mesh(here, &["--seen-by", "1", "--specks", "0"]);
+    assert!(seen.len() < all.len() && told.contains("that few cameras see left out"), "{told}");
+    assert!(!seen.is_empty());
+}
+
+#[test]
+fn pictures_show_the_crop_alone_and_by_default_the_whole_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here, &[]);
+    let opacity = |out: &str, more: &[&str]| {
+        let film = ["render", "run", "--flythrough", "2", "--width", "16", "--what", "opacity", "--out", out];
+        let answer = run(here, &[&film[..], more].concat());
+        assert_eq!(answer.code, Some(0), "{}", answer.err);
+        let picture = image::open(here.join(out).join("0000_opacity.png")).unwrap().into_luma16();
+        picture.pixels().map(|pixel| f64::from(pixel.0[0])).sum::<f64>()
+    };
+    let (whole, part) = (opacity("whole", &[]), opacity("part", &["--crop", "auto"]));
+    assert!(part > 0.0 && part < whole, "{part} of {whole}");
+    assert_eq!(opacity("nothing", &["--crop", "ball 900,900,900,1"]), 0.0);
+    // The same folder with another crop is another job.
+    assert_eq!(opacity("whole", &["--crop", "auto"]), part);
+}
+
+#[test]
+fn an_object_has_no_crop_and_a_given_one_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let answer = run(here, &tiny_and(&["--out", "object"]));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    let config = fs::read_to_string(here.join("object/config.toml")).unwrap();
+    assert!(config.contains("crop = \"none\""));
+    train(here, &["--set", "scene.crop=ball 0,0,0,0.25"]);
+    assert_eq!(planned(here), [0.0, 0.0, 0.0, 0.25]);
+    for (crop, part) in [
+        ("ball 1,2", "a ball has four numbers"),
+        ("box 0,0,0,1,1,0", "above the first"),
+        ("cube", "it begins with none, box or ball"),
+    ] {
+        refuses(here, &["export", "mesh", "run", "--crop", crop], &[part, "or auto"]);
+        refuses(here, &["render", "run", "--crop", crop], &[part, "or auto"]);
+        let setting = format!("scene.crop={crop}");
+        refuses(here, &tiny_and(&["--out", "other", "--set", &setting]), &[part, "--set"]);
+    }
+    refuses(here, &["export", "mesh", "object", "--crop", "ball 99,0,0,1"], &["lies beside the scene's box"]);
+}

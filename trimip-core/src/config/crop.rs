@@ -1,0 +1,123 @@
+//! How a crop is written: the box or ball around a scene's subject to which meshes, films and viewers can be confined. World units.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// Greatest absolute value of a coordinate, as of the corners of a scene's box.
+const FARTHEST: f64 = 1e9;
+
+/// How a crop is written.
+pub const SYNTAX: &str =
+    "none, box X,Y,Z,X,Y,Z (lower and upper corner) or ball X,Y,Z,RADIUS, in world units";
+
+/// A part of the world. As text: `none`, `box 0,0,0,1,1,1` (lower and upper corner) or `ball 0,0,0,1` (centre and radius).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Crop {
+    /// All of it.
+    #[default]
+    None,
+    /// An axis-aligned box.
+    Box {
+        /// Lower corner.
+        min: [f64; 3],
+        /// Upper corner.
+        max: [f64; 3],
+    },
+    /// A ball.
+    Ball {
+        /// Centre.
+        centre: [f64; 3],
+        /// Radius.
+        radius: f64,
+    },
+}
+
+impl fmt::Display for Crop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let list = |numbers: &[f64]| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+        match self {
+            Self::None => write!(f, "none"),
+            Self::Box { min, max } => write!(f, "box {}", list(&[*min, *max].concat())),
+            Self::Ball { centre, radius } => write!(f, "ball {},{radius}", list(centre)),
+        }
+    }
+}
+
+impl FromStr for Crop {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let refuse = |what: &str| Err(format!("`{text}` is no crop: {what}; expected {SYNTAX}"));
+        let (kind, rest) = text.trim().split_once(char::is_whitespace).unwrap_or((text.trim(), ""));
+        let numbers: Result<Vec<f64>, _> = match rest.trim() {
+            "" => Ok(Vec::new()),
+            rest => rest.split(',').map(|number| number.trim().parse()).collect(),
+        };
+        let Ok(numbers) = numbers else { return refuse("a number cannot be read") };
+        // The negated comparison also refuses NaN.
+        if numbers.iter().any(|x| !(x.abs() <= FARTHEST)) {
+            return refuse("a number is not within ±1e9");
+        }
+        match (kind, &numbers[..]) {
+            ("none", []) => Ok(Self::None),
+            ("box", &[a, b, c, d, e, f]) => {
+                let [min, max] = [[a, b, c], [d, e, f]];
+                match (0..3).all(|i| min[i] < max[i]) {
+                    true => Ok(Self::Box { min, max }),
+                    false => refuse("the second corner must be above the first on every axis"),
+                }
+            }
+            ("ball", &[x, y, z, radius]) if radius > 0.0 => Ok(Self::Ball { centre: [x, y, z], radius }),
+            ("ball", &[_, _, _, _]) => refuse("the radius must be above 0"),
+            ("box", _) => refuse("a box has six numbers"),
+            ("ball", _) => refuse("a ball has four numbers"),
+            _ => refuse("it begins with none, box or ball"),
+        }
+    }
+}
+
+impl TryFrom<String> for Crop {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Crop> for String {
+    fn from(crop: Crop) -> Self {
+        crop.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_crop_is_written_as_it_is_read() {
+        for text in ["none", "box -1,0,0.5,1,2,3", "ball 0.1,-2,3,4.5"] {
+            assert_eq!(text.parse::<Crop>().unwrap().to_string(), text);
+        }
+        let spaced: Crop = "  box  0, 0, 0,\t1, 1, 1e0 ".parse().unwrap();
+        assert_eq!(spaced, Crop::Box { min: [0.0; 3], max: [1.0; 3] });
+        for (text, word) in [
+            ("", "begins with"),
+            ("cube 1,2,3", "begins with"),
+            ("none 1", "begins with"),
+            ("box 0,0,0,1,1", "six numbers"),
+            ("box 0,0,0,1,0,1", "above the first"),
+            ("box 0,0,0,1,x,1", "cannot be read"),
+            ("ball 0,0,0", "four numbers"),
+            ("ball 0,0,0,0", "above 0"),
+            ("ball 0,0,0,nan", "within"),
+            ("ball 0,0,0,inf", "within"),
+            ("box 0,0,0,1,1,2e9", "within"),
+        ] {
+            let error = text.parse::<Crop>().unwrap_err();
+            assert!(error.contains(word) && error.contains("ball X,Y,Z,RADIUS"), "{text}: {error}");
+        }
+    }
+}

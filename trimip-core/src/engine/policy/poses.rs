@@ -1,0 +1,82 @@
+//! The policy of the gradient by poses: the direction in which each ray is moved, and by how much.
+
+use crate::{
+    Config, Space, ViewSet,
+    config::CameraPoses,
+    engine::exposure::photographs,
+    geometry::elements::{Ray, Sphere},
+    math::{
+        basis::across,
+        rng::{Draws, Random, Sequence},
+    },
+};
+
+/// How rays are moved to see how the loss follows them.
+#[derive(Clone, Debug)]
+pub struct PosePolicy {
+    /// The space that rays pass through.
+    pub space: Space<f32>,
+    /// Number of photographs.
+    pub photographs: usize,
+    /// Features of a sample that are compared; a row is padded beyond them.
+    pub width: usize,
+    random: Random,
+}
+
+impl PosePolicy {
+    /// The policy of a configuration over training views; none unless it refines poses.
+    pub fn new(config: &Config, views: Option<&ViewSet>) -> Option<Self> {
+        let views = views.filter(|_| config.train.cameras == CameraPoses::Refine)?;
+        Some(Self {
+            space: Space::new(&config.scene),
+            photographs: photographs(views).into_iter().max().map_or(0, |last| last as usize + 1),
+            width: crate::field::encoders::of(config).width(config),
+            random: Random::new(config.seed),
+        })
+    }
+
+    /// The random numbers of a step.
+    pub fn draws(&self, step: u64) -> Draws {
+        self.random.at(Sequence::Motion, step)
+    }
+
+    /// The place of a moved ray's sample at distance `t` in the cube, with the radius of the one that it is compared with.
+    #[inline]
+    pub fn sphere(&self, moved: &Ray, t: f32, radius: f32) -> Sphere {
+        let point = std::array::from_fn(|axis| moved.origin[axis] + t * moved.direction[axis]);
+        Sphere { position: self.space.to_cube(point).map(|place| place.clamp(0.0, 1.0)), radius }
+    }
+}
+
+/// A random unit vector across ray number `index` of a step.
+#[inline]
+pub fn direction(draws: &Draws, index: u32, ray: &Ray) -> [f32; 3] {
+    // Uniform within a disc, then of length 1: no device's sine or cosine has a part in it.
+    let [x, y] = disc(draws, index);
+    let scale = (x * x + y * y).sqrt().recip();
+    let [u, v] = across(ray.direction);
+    std::array::from_fn(|axis| scale * (x * u[axis] + y * v[axis]))
+}
+
+/// A point of the unit disc: the first of four within a square that lies there, or else the last one.
+#[inline]
+fn disc(draws: &Draws, index: u32) -> [f32; 2] {
+    let mut point = [0.0; 2];
+    for word in draws.bits(index) {
+        point = [word >> 16, word & 0xffff].map(|half| (half as f32 + 0.5) / 32_768.0 - 1.0);
+        if point[0] * point[0] + point[1] * point[1] <= 1.0 {
+            break;
+        }
+    }
+    point
+}
+
+/// A ray moved by its own radius along `by`, at every distance.
+#[inline]
+pub fn moved(ray: &Ray, by: [f32; 3]) -> Ray {
+    Ray {
+        origin: std::array::from_fn(|axis| ray.origin[axis] + ray.radius * by[axis]),
+        direction: std::array::from_fn(|axis| ray.direction[axis] + ray.slope * by[axis]),
+        ..*ray
+    }
+}

@@ -1,0 +1,162 @@
+//! The preconditioner of a camera's pose (CamP, Park et al. 2023, Eqs. 5 to 8): of its parameters, each moves the picture by as much
+//! as any other, and none undoes another.
+
+use crate::{Camera, Space, math::symmetric::inverse_root_and_root};
+use glam::DVec3;
+
+/// Places along each side of the picture, and along the ray of each of them, at which motion is measured.
+const PLACES: usize = 8;
+
+/// Damping: multiple of the matrix's diagonal that is added (λ of CamP).
+const DIAGONAL: f64 = 0.1;
+
+/// Damping: added to the diagonal (μ of CamP).
+const LEAST: f64 = 1e-8;
+
+/// Rotation around the camera's axes (radians), then translation along them (world units).
+pub type Motion = [f64; 6];
+
+/// The map from parameters to motions of a camera: P = (JᵀJ + λ·diag(JᵀJ) + μ)^(−1/2), where J is the motion of points of the
+/// scene in the picture, as a fraction of its longer side.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Preconditioner {
+    matrix: [[f64; 6]; 6],
+    inverse: [[f64; 6]; 6],
+}
+
+impl Preconditioner {
+    /// The preconditioner of a camera that sees `space`: points are spread evenly over its picture, and along each ray by
+    /// the parameter of its steps.
+    pub fn new(camera: &Camera, space: &Space<f64>) -> Self {
+        let mut sum = [[0.0; 6]; 6];
+        let mut count = 0_u32;
+        each_point(camera, space, |direction, point, radius| {
+            let longer = f64::from(camera.intrinsics.width.max(camera.intrinsics.height));
+            // A pixel is the square whose disc of the same area the cone's sphere fits into.
+            let fraction = (std::f64::consts::PI.sqrt() * radius * longer).recip();
+            for across in [direction.any_orthonormal_pair().0, direction.any_orthonormal_pair().1] {
+                // A point at x in the camera's axes moves by ω × x + τ against the camera.
+                let row: [f64; 6] = {
+                    let turn = point.cross(across);
+                    [turn.x, turn.y, turn.z, across.x, across.y, across.z].map(|value| value * fraction)
+                };
+                for (sums, left) in sum.iter_mut().zip(row) {
+                    sums.iter_mut().zip(row).for_each(|(sum, right)| *sum += left * right);
+                }
+            }
+            count += 1;
+        });
+        for (i, row) in sum.iter_mut().enumerate() {
+            row.iter_mut().for_each(|value| *value /= f64::from(count.max(1)));
+            row[i] += DIAGONAL * row[i] + LEAST;
+        }
+        let [matrix, inverse] = inverse_root_and_root(sum);
+        Self { matrix, inverse }
+    }
+
+    /// The motion of these parameters.
+    pub fn motion(&self, parameters: Motion) -> Motion {
+        product(&self.matrix, parameters)
+    }
+
+    /// The parameters of a motion.
+    pub fn parameters(&self, motion: Motion) -> Motion {
+        product(&self.inverse, motion)
+    }
+
+    /// The derivatives by the parameters, for those by the motion.
+    pub fn gradient(&self, by_motion: Motion) -> Motion {
+        // The matrix is symmetric.
+        product(&self.matrix, by_motion)
+    }
+}
+
+/// Calls `take` with direction, place and radius of points in the camera's axes.
+fn each_point(camera: &Camera, space: &Space<f64>, mut take: impl FnMut(DVec3, DVec3, f64)) {
+    let middle = |i: usize| (i as f64 + 0.5) / PLACES as f64;
+    let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
+    for (x, y) in (0..PLACES).flat_map(|y| (0..PLACES).map(move |x| (x, y))) {
+        let cone = camera.cone_at::<f64>([middle(x) * width, middle(y) * height], 1.0);
+        if cone.is_none() {
+            continue;
+        }
+        let course = space.parameterisation(cone.origin, cone.direction);
+        let (enter, leave) = course.range();
+        if !(enter < leave) {
+            continue;
+        }
+        let [origin, direction] = [cone.origin, cone.direction].map(DVec3::from_array);
+        for t in (0..PLACES).map(|i| course.distance(enter + middle(i) * (leave - enter))) {
+            let point = origin + t * direction - camera.origin;
+            let axes = camera.rotation.transpose();
+            take(axes * direction, axes * point, cone.radius_at(t));
+        }
+    }
+}
+
+fn product(matrix: &[[f64; 6]; 6], vector: Motion) -> Motion {
+    matrix.map(|row| row.iter().zip(vector).map(|(a, b)| a * b).sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Aabb, Intrinsics};
+
+    fn camera() -> Camera {
+        let intrinsics = Intrinsics::from_angle(400, 300, 0.8);
+        Camera::look_at(intrinsics, DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z)
+    }
+
+    fn spaces() -> [Space<f64>; 2] {
+        let aabb = Aabb { min: [-1.0; 3], max: [1.0; 3] };
+        [Space::of(aabb), Space::contracted(aabb)]
+    }
+
+    /// Parameters of length h move the picture by about h of its longer side, whatever their direction. The damping makes
+    /// the motion smaller.
+    #[test]
+    fn every_parameter_moves_the_picture_by_as_much() {
+        for space in spaces() {
+            let (camera, h) = (camera(), 1e-4);
+            let preconditioner = Preconditioner::new(&camera, &space);
+            for i in 0..6 {
+                let mut parameters = [0.0; 6];
+                parameters[i] = h;
+                let motion = preconditioner.motion(parameters);
+                let [turn, shift] = [&motion[..3], &motion[3..]].map(DVec3::from_slice);
+                let (mut squares, mut count) = (0.0, 0.0);
+                each_point(&camera, &space, |_, point, _| {
+                    // The place in the picture, in pixels.
+                    let at = |p: DVec3| camera.intrinsics.fx / -p.z * p.truncate();
+                    let moved = point + turn.cross(point) + shift;
+                    squares += (at(moved) - at(point)).length_squared();
+                    count += 1.0;
+                });
+                let fraction = f64::sqrt(squares / count) / 400.0;
+                assert!(fraction < 1.3 * h && fraction > 0.2 * h, "{i}: {fraction} for {h}");
+            }
+        }
+    }
+
+    #[test]
+    fn parameters_and_motions_are_inverse() {
+        for space in spaces() {
+            let preconditioner = Preconditioner::new(&camera(), &space);
+            let parameters = [0.1, -0.2, 0.3, 0.4, -0.5, 0.6];
+            let back = preconditioner.parameters(preconditioner.motion(parameters));
+            for (found, expected) in back.into_iter().zip(parameters) {
+                assert!((found - expected).abs() < 1e-9, "{back:?}");
+            }
+        }
+    }
+
+    /// A camera that sees nothing of the scene has a pose all the same.
+    #[test]
+    fn a_camera_that_looks_away_has_finite_parameters() {
+        let [space, _] = spaces();
+        let away = Camera::look_at(camera().intrinsics, DVec3::X * 5.0, DVec3::X * 9.0, DVec3::Z);
+        let motion = Preconditioner::new(&away, &space).motion([1e-4; 6]);
+        assert!(motion.iter().all(|value| value.is_finite()), "{motion:?}");
+    }
+}

@@ -1,0 +1,135 @@
+//! Known depths of the training views: each point that several photographs saw tells the distance at which the rays of some pixels
+//! end.
+
+use crate::points::{Observation, Point};
+use glam::DVec3;
+use trimip_core::{Scale, View, ViewSet, scene::depths::KnownDepth};
+
+/// Least error of a point's place in a photograph, pixels: no feature is found more precisely.
+const LEAST_ERROR: f64 = 0.5;
+
+/// Least sine of the angle between the rays that fix a point.
+const LEAST_SINE: f64 = 1e-3;
+
+/// The pixels of all scales in which sure points were found, sorted. Where a pixel has several points, the nearest counts: it hides
+/// the others. Points that one training view alone saw have no known distance.
+pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
+    let Some(finest) = train.scales.first() else { return Vec::new() };
+    let views = &train.views[finest.views.clone()];
+    let scales: Vec<&Scale> =
+        train.scales.iter().filter(|scale| scale.views.len() == finest.views.len()).collect();
+    let mut depths = Vec::new();
+    for point in points.iter().filter(|point| point.is_sure() && point.track.len() > 1) {
+        let position = DVec3::from(point.position);
+        let sine = widest_sine(position, &point.track, views);
+        for seen in &point.track {
+            let Some(view) = views.get(seen.view as usize) else { continue };
+            let distance = (position - view.camera.origin).length();
+            let k = &view.camera.intrinsics;
+            let error = point.error.unwrap_or(0.0).max(LEAST_ERROR) / (k.fx * k.fy).sqrt();
+            let deviation = error * distance / sine.max(LEAST_SINE);
+            let known = |pixel| KnownDepth { pixel, distance: distance as f32, deviation: deviation as f32 };
+            depths.extend(scales.iter().filter_map(|scale| pixel(train, scale, seen)).map(known));
+        }
+    }
+    depths.retain(|known| known.distance.is_finite() && known.deviation > 0.0 && known.deviation.is_finite());
+    depths.sort_unstable_by(|a, b| {
+        (a.pixel, a.distance).partial_cmp(&(b.pixel, b.distance)).unwrap_or(a.pixel.cmp(&b.pixel))
+    });
+    depths.dedup_by_key(|known| known.pixel);
+    depths
+}
+
+/// Sine of the widest angle between two rays to a point, at most a right one.
+fn widest_sine(position: DVec3, track: &[Observation], views: &[View]) -> f64 {
+    let directions: Vec<DVec3> = track
+        .iter()
+        .filter_map(|seen| views.get(seen.view as usize))
+        .map(|view| (position - view.camera.origin).normalize_or_zero())
+        .collect();
+    let pairs =
+        directions.iter().enumerate().flat_map(|(i, a)| directions[..i].iter().map(move |b| (*a, *b)));
+    let sine = |(a, b): (DVec3, DVec3)| if a.dot(b) <= 0.0 { 1.0 } else { a.cross(b).length() };
+    pairs.map(sine).fold(0.0, f64::max)
+}
+
+/// The pixel of a scale in which a feature lies, among all pixels of the set.
+fn pixel(train: &ViewSet, scale: &Scale, seen: &Observation) -> Option<u32> {
+    let view = train.views[scale.views.clone()].get(seen.view as usize)?;
+    let k = &view.camera.intrinsics;
+    let [x, y] = seen.at.map(|place| (place / f64::from(scale.factor)).floor());
+    let inside = x >= 0.0 && y >= 0.0 && x < f64::from(k.width) && y < f64::from(k.height);
+    inside.then(|| view.offset + y as usize * k.width as usize + x as usize)?.try_into().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trimip_core::{Alpha, Camera, Intrinsics};
+
+    /// Two scales of three views of 8×4 pixels, whose cameras look along −z from x = 0, 1 and 2.
+    fn views() -> ViewSet {
+        let camera = |x: f64, level: u32| Camera {
+            intrinsics: Intrinsics { cx: 4.0, cy: 2.0, ..Intrinsics::from_angle(8, 4, 0.7) }.reduced(level),
+            rotation: glam::DMat3::IDENTITY,
+            origin: DVec3::new(x, 0.0, 0.0),
+        };
+        let view = |i: usize, level: u32| View {
+            name: format!("{i}"),
+            camera: camera(i as f64, level),
+            offset: if level == 0 { 32 * i } else { 96 + 8 * i },
+        };
+        let scale = |level: u32, views, pixels| Scale { factor: 1 << level, weight: 4.0, views, pixels };
+        ViewSet {
+            views: (0..6).map(|i| view(i % 3, i as u32 / 3)).collect(),
+            pixels: vec![[0; 4]; 120].into(),
+            alpha: Alpha::Straight,
+            scales: vec![scale(0, 0..3, 0..96), scale(1, 3..6, 96..120)],
+            depths: Vec::new(),
+        }
+    }
+
+    fn point(z: f64, track: &[(u32, [f64; 2])]) -> Point {
+        let track = track.iter().map(|&(view, at)| Observation { view, at }).collect();
+        Point { position: [0.0, 0.0, z], color: [0; 3], error: Some(1.0), seen: Some(3), track }
+    }
+
+    #[test]
+    fn points_are_known_in_their_pixels_at_every_scale() {
+        let own = point(-3.0, &[(0, [4.9, 2.0]), (2, [0.0, 3.5]), (1, [8.0, 0.5])]);
+        let found = of_points(&[own], &views());
+        // Row 2, column 4 of view 0; row 3, column 0 of view 2; the feature of view 1 lies beside its picture.
+        let pixels: Vec<u32> = found.iter().map(|known| known.pixel).collect();
+        assert_eq!(pixels, [2 * 8 + 4, 64 + 3 * 8, 96 + 4 + 2, 96 + 16 + 4]);
+        let far = 13.0_f64.sqrt();
+        for (known, distance) in found.iter().zip([3.0, far, 3.0, far]) {
+            assert!((f64::from(known.distance) - distance).abs() < 1e-6, "{known:?}");
+            // One pixel of the finest scale, over the sine of the angle between the views 0 and 2.
+            let deviation = distance / views().views[0].camera.intrinsics.fx / (2.0 / far);
+            assert!((f64::from(known.deviation) - deviation).abs() < 1e-5 * deviation, "{known:?}");
+        }
+    }
+
+    #[test]
+    fn the_nearest_point_of_a_pixel_counts() {
+        let track = [(0, [1.5, 1.5]), (1, [5.5, 1.5])];
+        for points in [[-5.0, -2.0], [-2.0, -5.0]] {
+            let found = of_points(&points.map(|z| point(z, &track)), &views());
+            assert_eq!(found.len(), 4);
+            assert_eq!((found[0].pixel, found[0].distance), (9, 2.0));
+        }
+    }
+
+    #[test]
+    fn unsure_points_and_those_of_one_view_tell_nothing() {
+        let track = [(0, [1.5, 1.5]), (1, [5.5, 1.5])];
+        let sure = point(-2.0, &track);
+        let unsure = [
+            Point { seen: Some(2), ..sure.clone() },
+            Point { error: Some(2.5), ..sure.clone() },
+            point(-2.0, &track[..1]),
+            Point { track: vec![], ..sure },
+        ];
+        assert_eq!(of_points(&unsure, &views()), []);
+    }
+}

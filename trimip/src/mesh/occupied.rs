@@ -1,0 +1,86 @@
+//! Where a model has a density at all, and its density on a grid. World units.
+
+use super::Grid;
+use trimip_core::{
+    Aabb, Crop, Error, Query, Result, Space, Viewer,
+    field::model::{Model, OCCUPANCY},
+    geometry::occupancy::cell_of,
+    math::bits,
+};
+
+/// Places per query of the model; it bounds the memory.
+pub(super) const PLACES_AT_ONCE: usize = 1 << 17;
+
+/// The occupied cells of a model within a crop.
+pub(super) struct Occupied {
+    /// The box of what is extracted.
+    pub aabb: Aabb<f64>,
+    crop: Crop,
+    space: Space<f64>,
+    resolution: u32,
+    bits: Vec<u8>,
+}
+
+impl Occupied {
+    /// The cells of a model. Contracted space without a crop ends at the box around its ball.
+    ///
+    /// # Errors
+    /// When the crop holds nothing of the scene's box, or the model lacks its occupancy grid.
+    pub fn new(model: &Model, crop: Crop) -> Result<Self> {
+        let resolution = model.config.occupancy.resolution;
+        let cells = (resolution as usize).pow(3);
+        let bits = model.file.u8("model", OCCUPANCY, &[cells.div_ceil(8)])?.to_vec();
+        let scene = &model.config.scene;
+        let (space, subject) = (Space::new(scene), scene.subject());
+        let aabb = match (crop.bounds(), space.ball()) {
+            (None, _) => subject,
+            (Some(bounds), Some(_)) => bounds,
+            (Some(bounds), None) => common(&bounds, &subject).ok_or_else(|| {
+                let what =
+                    format!("lies beside the scene's box, {:?} to {:?}", scene.aabb_min, scene.aabb_max);
+                Error::input(format!("crop {crop}"), what, "choose a part of this box, or none")
+            })?,
+        };
+        // The box of a contracted scene's subject is a crop of it.
+        let crop = if crop == Crop::None && space.ball().is_some() { Crop::from(aabb) } else { crop };
+        Ok(Self { aabb, crop, space, resolution, bits })
+    }
+
+    /// True if samples are placed at a point of the world.
+    pub fn holds(&self, point: [f64; 3]) -> bool {
+        let position = self.space.to_cube(point);
+        if !self.crop.contains(point) || !position.iter().all(|p| (0.0..=1.0).contains(p)) {
+            return false;
+        }
+        let cell = cell_of(position.map(|p| p as f32), self.resolution);
+        bits::is_set(&self.bits, cell as usize)
+    }
+
+    /// Fills a layer of the grid with densities, zero where nothing is occupied.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn sample(&self, viewer: &mut dyn Viewer, grid: &Grid, z: usize, layer: &mut [f32]) -> Result<()> {
+        layer.fill(0.0);
+        let radius = (0.5 * grid.spacing) as f32;
+        let point = |i: usize| grid.point([i % grid.points[0], i / grid.points[0], z]);
+        let places: Vec<usize> = (0..layer.len()).filter(|&i| self.holds(point(i))).collect();
+        for places in places.chunks(PLACES_AT_ONCE) {
+            let query = |&i: &usize| Query { point: point(i), radius, direction: [0.0, 0.0, -1.0] };
+            let queries: Vec<Query> = places.iter().map(query).collect();
+            for (&place, density) in places.iter().zip(viewer.densities(&queries)?) {
+                layer[place] = density;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The common part of two boxes; `None` if there is none.
+fn common(a: &Aabb<f64>, b: &Aabb<f64>) -> Option<Aabb<f64>> {
+    let part = Aabb {
+        min: std::array::from_fn(|axis| a.min[axis].max(b.min[axis])),
+        max: std::array::from_fn(|axis| a.max[axis].min(b.max[axis])),
+    };
+    (0..3).all(|axis| part.min[axis] < part.max[axis]).then_some(part)
+}

@@ -1,0 +1,34 @@
+//! Openings of a closed mesh: the walls that a crop cuts through a solid, and parts that few cameras saw.
+
+use super::{Grid, Mesh, seen::Sightings};
+use trimip_core::Crop;
+
+/// Coordinates in units of the spacing that differ by less are those of a grid point: a vertex is a thousandth of an edge or
+/// more from its ends.
+const ON_POINT: f64 = 4e-4;
+
+/// Removes the triangles that lie on the border of the crop, along with those of which fewer than `least` cameras see any
+/// corner. Returns how many of the latter there were.
+pub(super) fn open(mesh: &mut Mesh, grid: &Grid, crop: Crop, seen: Option<(&Sightings, u32)>) -> usize {
+    let flags = |test: &dyn Fn([f64; 3]) -> bool| -> Vec<bool> {
+        mesh.positions.iter().map(|position| test(position.map(f64::from))).collect()
+    };
+    let cut = flags(&|position| crop != Crop::None && is_cut(position, grid, crop));
+    let shown =
+        flags(&|position| seen.is_none_or(|(sightings, least)| u32::from(sightings.at(position)) >= least));
+    let walls = |triangle: &[u32; 3]| triangle.iter().all(|&vertex| cut[vertex as usize]);
+    let unseen = |triangle: &[u32; 3]| !triangle.iter().any(|&vertex| shown[vertex as usize]);
+    let keep: Vec<bool> = mesh.triangles.iter().map(|t| !walls(t) && !unseen(t)).collect();
+    let count = mesh.triangles.iter().filter(|t| !walls(t) && unseen(t)).count();
+    mesh.retain(|i| keep[i]);
+    count
+}
+
+/// True for a vertex on an edge of the grid that the border of the crop crosses.
+fn is_cut(position: [f64; 3], grid: &Grid, crop: Crop) -> bool {
+    let place: [f64; 3] = std::array::from_fn(|axis| (position[axis] - grid.origin[axis]) / grid.spacing);
+    let end = |round: &dyn Fn(f64) -> f64| {
+        crop.contains(std::array::from_fn(|axis| grid.origin[axis] + grid.spacing * round(place[axis])))
+    };
+    end(&|x| (x + ON_POINT).floor()) != end(&|x| (x - ON_POINT).ceil())
+}

@@ -1,0 +1,65 @@
+//! `cameras.json` of a run folder: the cameras of the training photographs at their finest scale, in the layout that a camera
+//! path has.
+
+use super::folder::RunFolder;
+use crate::view::{self, Named};
+use std::path::Path;
+use trimip_core::{Camera, Intrinsics, Result, ViewSet};
+
+/// The name of a finished model in its run folder.
+const MODEL: &str = "model.safetensors";
+
+/// The cameras of the finest photographs of a set, by their names.
+pub fn finest(views: &ViewSet) -> Vec<Named> {
+    let finest = views.scales.first().map(|scale| &views.views[scale.views.clone()]).unwrap_or_default();
+    finest.iter().map(|view| (view.name.clone(), view.camera)).collect()
+}
+
+/// The training cameras that the run of a model keeps: of a run folder, or of a model file in one. `None` if there are none, as
+/// beside the models of earlier versions.
+///
+/// # Errors
+/// When the file exists and holds no cameras.
+pub fn training_cameras(model: &Path) -> Result<Option<Vec<Camera>>> {
+    let folder = match model.is_dir() {
+        true => Some(model),
+        false if model.file_name().is_some_and(|name| name == MODEL) => model.parent(),
+        false => None,
+    };
+    let Some(path) = folder.map(|folder| RunFolder::new(folder).cameras()).filter(|path| path.is_file())
+    else {
+        return Ok(None);
+    };
+    // Every frame states its projection.
+    let cameras = view::cameras::path(&path, Intrinsics::default())?;
+    Ok(Some(cameras.into_iter().map(|(_, camera)| camera).collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::write_cameras;
+    use glam::DVec3;
+
+    #[test]
+    fn cameras_are_those_of_the_run_of_the_model() {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        assert_eq!(training_cameras(here).unwrap(), None);
+        let eye = DVec3::new(3.0, 0.1, 0.7);
+        let camera = Camera::look_at(Intrinsics::from_angle(40, 30, 0.7), eye, DVec3::ZERO, DVec3::Z);
+        write_cameras(&RunFolder::new(here).cameras(), &[("a".into(), camera)], None).unwrap();
+        for model in [here.to_path_buf(), here.join(MODEL)] {
+            let found = training_cameras(&model).unwrap().unwrap();
+            assert!(found.len() == 1 && (found[0].origin - eye).length() < 1e-12);
+            assert_eq!(found[0].intrinsics.width, 40);
+        }
+        assert_eq!(
+            training_cameras(&here.join("other.safetensors")).unwrap(),
+            None,
+            "it may be of another run"
+        );
+        std::fs::write(RunFolder::new(here).cameras(), "{").unwrap();
+        assert_eq!(training_cameras(here).unwrap_err().exit_code(), 2);
+    }
+}
