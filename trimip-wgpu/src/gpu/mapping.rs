@@ -30,9 +30,20 @@ impl Mapping {
         Self(state)
     }
 
-    /// Whether the mapping succeeded; `None` while it is pending.
-    pub fn result(&self) -> Option<bool> {
-        lock(&self.0).result
+    /// Blocks until the buffer is mapped; returns false if the mapping failed. The device has executed the copy already. The
+    /// result can still be pending, because another thread that polls the same device may be the one that delivers it.
+    /// `poll` polls the device and returns false if the device failed.
+    pub fn settle(&self, poll: impl Fn() -> bool) -> bool {
+        loop {
+            let result = lock(&self.0).result;
+            if let Some(mapped) = result {
+                return mapped;
+            }
+            if !poll() {
+                return false;
+            }
+            std::thread::yield_now();
+        }
     }
 
     /// Waits until the buffer is mapped; returns false if the mapping failed. `poll` polls the device and returns

@@ -51,7 +51,7 @@ impl Gpu {
         };
         let mapping = Mapping::of(&receipt.staging);
         let polled = self.poll(wgpu::PollType::Wait { submission_index: wait, timeout: None });
-        self.collect(&receipt, polled && mapping.result() == Some(true))
+        self.collect(&receipt, polled && mapping.settle(|| self.poll(wgpu::PollType::Poll)))
     }
 
     /// As [`Gpu::redeem`], without blocking: the future is pending until the device has executed the copy.
