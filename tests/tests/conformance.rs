@@ -26,6 +26,11 @@ fn with_threads(threads: &[u32], part: impl Fn(&dyn Fn() -> CpuBackend) -> Resul
 }
 
 #[test]
+fn a_run_begins_near_known_points() {
+    on_every_cpu(|make| suite::training::confined(make));
+}
+
+#[test]
 fn features_densities_and_colours_are_the_literal_ones() {
     on_every_cpu(|make| suite::stages::field(make));
 }

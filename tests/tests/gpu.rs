@@ -188,6 +188,11 @@ fn a_step_moves_parameters_by_the_written_rule() {
 }
 
 #[test]
+fn a_run_begins_near_known_points() {
+    reproducibly(|make| suite::training::confined(make));
+}
+
+#[test]
 fn no_checkpoint_has_an_update_by_a_loss_that_is_not_finite() {
     reproducibly(|make| suite::training::spoilt(make));
 }

@@ -8,8 +8,15 @@ use glam::DVec3;
 use trimip_core::{
     Backend, Camera, Config, ErrorKind, Intrinsics, Layout, Result, Session, ViewSet, Viewer,
     config::{EncoderKind, FilePrecision, Untouched, schedule::Schedule},
-    engine::{checkpoint::Checkpoint, loaded::LoadedModel, trainer::Trainer},
-    field::{encoders::tri_mip::CHANNELS, tensors::Tensor},
+    engine::{
+        checkpoint::{Checkpoint, OCCUPANCY_DENSITY},
+        loaded::LoadedModel,
+        trainer::Trainer,
+    },
+    field::{encoders::tri_mip::CHANNELS, model::OCCUPANCY, tensors::Tensor},
+    geometry::occupancy::OUTSIDE,
+    math::bits,
+    scene::known_space::{Confinement, KnownSpace},
 };
 
 /// A configuration with short steps: the occupancy warm-up ends at step 8, with a refresh every 4 steps.
@@ -57,7 +64,8 @@ pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Resul
     resume_with(&make, &drawn(), file)
 }
 
-/// A schedule that changes everything during the run: planes grow at steps 5 and 9, steps shorten, the batch grows.
+/// A schedule that changes everything during the run: planes grow at steps 5 and 9, steps shorten, the batch grows, and more
+/// cells of the occupancy grid can be occupied from steps 8 and 12 on.
 ///
 /// # Errors
 /// When the settings are refused.
@@ -68,6 +76,9 @@ pub fn scheduled() -> Result<Config> {
         halvings = [[0.0, 2], [0.11, 1], [0.21, 0]]
         [renderer]
         step_scale = [[0.0, 2.0], [0.2, 1.0]]
+        [occupancy]
+        seeded = 0.2
+        cleared = 0.3
         [loss]
         distortion = 0.05
         [optimizer]
@@ -83,6 +94,49 @@ pub fn scheduled() -> Result<Config> {
     settings.apply_file("schedules", text)?;
     config = Config::from_settings(&settings)?;
     Ok(config)
+}
+
+/// At first only cells near points of known depth are occupied, then all that photographs do not look through, then all. Without
+/// such points all can be from the start.
+///
+/// # Errors
+/// When a step fails.
+pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    use Confinement::{None, NotFree, Seeds};
+    const CELLS: usize = 16 * 16 * 16;
+    let mut config = configuration();
+    config.occupancy.resolution = 16;
+    (config.occupancy.seeded, config.occupancy.cleared) = (0.3, 0.6);
+    let mut views = fixtures::noise(9, 16, 2, 2);
+    for known in &mut views.depths {
+        (known.distance, known.deviation) = (4.0, 0.05);
+    }
+    let known = KnownSpace::of(&config, &views).expect("depths are known");
+    let allowed = |confinement| (0..CELLS).filter(|&cell| known.allows(confinement, cell)).count();
+    assert!(allowed(Seeds) + 100 < allowed(NotFree) && allowed(NotFree) + 10 < CELLS);
+    let mut trainer = Trainer::new(make(), &config, views.clone())?;
+    for (until, confinement) in [(1, Seeds), (12, Seeds), (13, NotFree), (24, NotFree), (32, None)] {
+        let done = trainer.checkpoint()?.state.totals.step;
+        steps(&mut trainer, &config, until - done)?;
+        let Checkpoint { state, file, .. } = trainer.checkpoint()?;
+        assert_eq!(state.confinement, confinement, "after step {until}");
+        let densities = file.f32("", OCCUPANCY_DENSITY, &[CELLS])?;
+        let bits = file.u8("", OCCUPANCY, &[CELLS / 8])?;
+        for (cell, density) in densities.iter().enumerate() {
+            let allowed = known.allows(confinement, cell);
+            assert_eq!(*density == OUTSIDE, !allowed, "after step {until}");
+            assert!(allowed || !bits::is_set(bits, cell), "after step {until}");
+        }
+    }
+    let Checkpoint { file, .. } = trainer.checkpoint()?;
+    let bits = file.u8("", OCCUPANCY, &[CELLS / 8])?;
+    assert!((0..CELLS).any(|cell| bits::is_set(bits, cell) && !known.allows(Seeds, cell)), "cells come back");
+    let mut trainer = Trainer::new(make(), &config, ViewSet { depths: Vec::new(), ..views })?;
+    steps(&mut trainer, &config, 1)?;
+    let Checkpoint { state, file, .. } = trainer.checkpoint()?;
+    assert_eq!(state.confinement, None);
+    assert!(!file.f32("", OCCUPANCY_DENSITY, &[CELLS])?.contains(&OUTSIDE));
+    Ok(())
 }
 
 /// A loss that is not finite is an error at most [`Backend::LAG`] steps late. Without lag the parameters and moments are those

@@ -60,6 +60,11 @@ impl Config {
                 "false where scene.contraction is not \"none\": silhouettes bound a scene",
             )?;
         }
+        to.together(
+            !self.occupancy.hull || (self.occupancy.seeded == 0.0 && self.occupancy.cleared == 0.0),
+            &["occupancy.hull", "occupancy.seeded", "occupancy.cleared"],
+            "silhouettes or points: silhouettes bound the grid for the whole run, points for a part of it; leave the others at 0 or false",
+        )?;
         self.encoder.check(to)?;
         self.hash_grid.check(to)?;
         self.rip_map.check(to)?;

@@ -75,7 +75,7 @@ section!(
     /// The occupancy grid.
     OccupancyConfig, "occupancy" {
         resolution: u32, every: u32, warmup: u32, warmup_fraction: f32, fraction: f32, decay: f32,
-        hull: bool, threshold: f32,
+        hull: bool, seeded: f64, cleared: f64, threshold: f32,
     }
 );
 section!(

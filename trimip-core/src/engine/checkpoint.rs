@@ -11,7 +11,7 @@ use crate::{
         model::{Model, expect_format, expect_tensors},
         tensors::{TensorFile, Values},
     },
-    scene::fingerprint::Fingerprint,
+    scene::{fingerprint::Fingerprint, known_space::Confinement},
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -46,6 +46,9 @@ pub struct TrainState {
     /// The step after which the optimiser's moments last started from zero.
     #[serde(default)]
     pub moments_since: u64,
+    /// Which cells of the occupancy grid can be occupied.
+    #[serde(default)]
+    pub confinement: Confinement,
     /// The views that the run is trained on.
     #[serde(default)]
     pub data: Option<Fingerprint>,

@@ -1,5 +1,5 @@
 //! What photographs show: their pixels ([`pixels`]) in views of several scales ([`views`]), rendered pictures ([`frame`]), how many
-//! cones a pixel has ([`cones`]), which distances are known ([`depths`]), silhouettes and the visual hull, and fingerprints by which two data sets are compared.
+//! cones a pixel has ([`cones`]), which distances are known ([`depths`]) and what they tell about space ([`known_space`]), silhouettes and the visual hull, and fingerprints by which two data sets are compared.
 
 pub mod cones;
 pub mod depths;
@@ -7,6 +7,7 @@ pub mod edge_exponents;
 pub mod fingerprint;
 pub mod frame;
 pub mod hull;
+pub mod known_space;
 pub mod pixels;
 pub mod silhouettes;
 pub mod views;

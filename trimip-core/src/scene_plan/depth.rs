@@ -1,4 +1,4 @@
-//! Whether rays should end at points of structure from motion.
+//! Whether the run begins near points of structure from motion, and rays should end there.
 
 use super::decision::{Context, Proposal};
 use crate::config::Contraction;
@@ -8,6 +8,12 @@ use toml::Value;
 /// Weight of the depth term over a run: points show where surfaces are, photographs how they look. In the second half photographs
 /// alone decide, so that wrong points leave no trace.
 const WEIGHTS: [[f64; 2]; 5] = [[0.0, 0.01], [0.125, 0.0075], [0.25, 0.005], [0.375, 0.0025], [0.5, 0.0]];
+
+/// Fraction of the run in which only cells near points can be occupied.
+const SEEDED: f64 = 0.3;
+
+/// Fraction of the run in which cells that photographs look through stay empty.
+const CLEARED: f64 = 1.0;
 
 pub(super) fn decide(context: &Context<'_>) -> Proposal {
     if context.now.scene.contraction == Contraction::None {
@@ -19,15 +25,27 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
         return Proposal::Unknown(reason.into(), "use photographs with a COLMAP model");
     }
     let weights = WEIGHTS.iter().map(|piece| Value::Array(piece.map(Value::Float).to_vec())).collect();
+    let mut changes = vec![
+        ("loss.depth", Value::Array(weights)),
+        ("occupancy.seeded", Value::Float(SEEDED)),
+        ("occupancy.cleared", Value::Float(CLEARED)),
+    ];
+    changes.retain(|(path, _)| !context.given(path));
     Proposal::Set {
         reason: format!(
-            "points that photographs saw tell where the rays of {known} pixels end; until half of the run they are drawn there"
+            "points that photographs saw tell where the rays of {known} pixels end: the run begins near the points, the space before them stays empty, and until half of the run rays are drawn to them"
         ),
-        changes: vec![("loss.depth", Value::Array(weights))],
+        changes,
     }
 }
 
-/// True if the depth term is at work and no point is known.
-pub(super) fn is_missing(config: &Config, views: &ViewSet) -> bool {
-    views.depths.is_empty() && config.loss.depth.values().any(|weight| weight > 0.0)
+/// The setting that needs points, if it is given and no point is known.
+pub(super) fn without_points(config: &Config, views: &ViewSet) -> Option<&'static str> {
+    let settings = [
+        ("loss.depth", config.loss.depth.values().any(|weight| weight > 0.0)),
+        ("occupancy.seeded", config.occupancy.seeded > 0.0),
+        ("occupancy.cleared", config.occupancy.cleared > 0.0),
+    ];
+    let used = settings.into_iter().find(|(_, used)| *used);
+    used.filter(|_| views.depths.is_empty()).map(|(setting, _)| setting)
 }

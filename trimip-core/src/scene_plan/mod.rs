@@ -57,9 +57,9 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
             "set it to 0, or use photographs with alpha",
         ));
     }
-    if depth::is_missing(&planned, facts.train) {
+    if let Some(setting) = depth::without_points(&planned, facts.train) {
         return Err(Error::input(
-            settings.place("loss.depth"),
+            settings.place(setting),
             "the data state no points that training photographs saw",
             "set it to 0, or use photographs with a COLMAP model",
         ));

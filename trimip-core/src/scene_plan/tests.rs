@@ -252,16 +252,21 @@ fn places_have_thin_surfaces_and_objects_keep_their_settings() {
 }
 
 #[test]
-fn rays_of_places_end_at_known_points_until_half_of_the_run() {
+fn places_begin_at_known_points_and_rays_end_there_until_half_of_the_run() {
     let known = KnownDepth { pixel: 3, distance: 2.0, deviation: 0.1 };
     let of = |alpha: bool, depths: &[KnownDepth], set: &[&str]| {
         let views = ViewSet { depths: depths.to_vec(), ..views(alpha) };
-        planned(&views, set).map(|(config, _)| config.loss.depth)
+        planned(&views, set)
+            .map(|(config, _)| (config.loss.depth, config.occupancy.seeded, config.occupancy.cleared))
     };
-    let depth = of(false, &[known], &[]).unwrap();
+    let (depth, seeded, cleared) = of(false, &[known], &[]).unwrap();
+    assert!(seeded > 0.0 && seeded <= 0.5 && cleared > seeded);
     assert!(depth.at(0.0) > 0.0 && depth.values().is_sorted_by(|a, b| a > b) && depth.at(0.5) == 0.0);
-    assert_eq!(of(false, &[known], &["loss.depth=0.3"]).unwrap().at(0.9), 0.3, "what is given stays");
-    let none = Config::default().loss.depth;
+    let given = of(false, &[known], &["loss.depth=0.3"]).unwrap();
+    assert_eq!((given.0.at(0.9), given.1, given.2), (0.3, 0.0, 0.0), "what is given stays");
+    let given = of(false, &[known], &["occupancy.seeded=0.1"]).unwrap();
+    assert_eq!(given, (depth, 0.1, cleared), "what is given stays");
+    let none = (Config::default().loss.depth, 0.0, 0.0);
     for (alpha, depths, set) in [
         (true, &[known][..], &[][..]),
         (false, &[], &[]),
@@ -270,7 +275,7 @@ fn rays_of_places_end_at_known_points_until_half_of_the_run() {
     ] {
         assert_eq!(of(alpha, depths, set).unwrap(), none, "{set:?}");
     }
-    for set in ["loss.depth=0.1", "plan.depth=on"] {
+    for set in ["loss.depth=0.1", "occupancy.seeded=0.1", "occupancy.cleared=1", "plan.depth=on"] {
         let error = of(false, &[], &[set]).unwrap_err();
         assert!(error.exit_code() == 2 && error.message.contains("no points"), "{error}");
     }

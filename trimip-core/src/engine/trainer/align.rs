@@ -68,5 +68,6 @@ fn settings(config: &Config) -> Config {
     config.train.cameras = CameraPoses::Refine;
     config.train.samples_per_step = config.train.samples_per_step.min(SAMPLES);
     config.occupancy.hull = false;
+    (config.occupancy.seeded, config.occupancy.cleared) = (0.0, 0.0);
     config
 }

@@ -3,8 +3,11 @@
 use super::{Trainer, rays::LEAST_RAYS};
 use crate::{
     Backend, Encoder, Optimizer, Renderer, Result, Slot,
-    engine::backend::{Loss, Sampler},
+    engine::backend::{Loss, Occupancy, Sampler},
     field::{encoders, params::ActiveRange},
+    geometry::occupancy::OUTSIDE,
+    math::bits,
+    scene::known_space::Confinement,
 };
 
 impl<B: Backend> Trainer<B> {
@@ -47,6 +50,31 @@ impl<B: Backend> Trainer<B> {
         self.enter(stage);
         self.loaded.refresh();
         Ok(())
+    }
+
+    /// Confines the occupancy grid as the run has it at `progress`: what was let go stays so, even if a longer run begins anew with
+    /// a smaller progress.
+    pub(super) fn follow_confinement(&mut self, progress: f64) {
+        let next = Confinement::at(&self.loaded.config, progress);
+        if next > self.state.confinement {
+            self.confine(next);
+        }
+    }
+
+    /// Empties the cells that cannot be occupied. Those that now can stay empty until a refresh asks about them.
+    pub(super) fn confine(&mut self, confinement: Confinement) {
+        self.state.confinement = confinement;
+        let occupancy = &mut self.loaded.stages.occupancy;
+        let (mut densities, mut bits) = (occupancy.densities(), occupancy.bits());
+        for (cell, density) in densities.iter_mut().enumerate() {
+            if self.known_space.as_ref().is_none_or(|known| known.allows(confinement, cell)) {
+                *density = density.max(0.0);
+            } else {
+                *density = OUTSIDE;
+                bits::clear(&mut bits, cell);
+            }
+        }
+        occupancy.restore(&bits, Some(&densities));
     }
 
     /// Brings the optimiser's moments together on every rank.

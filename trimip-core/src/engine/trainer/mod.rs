@@ -25,7 +25,11 @@ use crate::{
         poses::{Poses, Refined},
     },
     field::{encoders, model::Model},
-    scene::{fingerprint::Fingerprint, hull::Hull},
+    scene::{
+        fingerprint::Fingerprint,
+        hull::Hull,
+        known_space::{Confinement, KnownSpace},
+    },
 };
 use rays::{FIRST_KEPT_PER_RAY, LEAST_RAYS, first_kept_per_ray};
 use std::collections::VecDeque;
@@ -54,6 +58,8 @@ pub struct Trainer<B: Backend> {
     exposures: Option<Exposures>,
     /// With `train.cameras`.
     poses: Option<Poses>,
+    /// With `occupancy.seeded` or `occupancy.cleared`.
+    known_space: Option<KnownSpace>,
 }
 
 impl<B: Backend> Trainer<B> {
@@ -74,6 +80,7 @@ impl<B: Backend> Trainer<B> {
         let exposures = (config.loss.exposure == Exposure::Gain)
             .then(|| exposure::photographs(&views).into_iter().max().map_or(0, |last| last as usize + 1))
             .map(Exposures::new);
+        let known_space = KnownSpace::of(config, &views);
         let poses = Poses::new(config, &views);
         let data = Some(Fingerprint::of(&views));
         let mut loaded = LoadedModel::build(backend, config, Some(views))?;
@@ -100,6 +107,7 @@ impl<B: Backend> Trainer<B> {
                     .max(LEAST_RAYS),
                 marched_per_ray: FIRST_MARCHED_PER_RAY * (kept / FIRST_KEPT_PER_RAY) as f32 * cones as f32,
                 data,
+
                 ..TrainState::default()
             },
             loaded,
@@ -110,7 +118,11 @@ impl<B: Backend> Trainer<B> {
             exchange: Box::new(Alone),
             exposures,
             poses,
+            known_space,
         };
+        if trainer.known_space.is_some() {
+            trainer.confine(Confinement::at(config, 0.0));
+        }
         trainer.enter(encoders::of(config).stage(config, 0.0));
         trainer.loaded.refresh();
         Ok(trainer)

@@ -183,6 +183,7 @@ impl<B: Backend> Trainer<B> {
         self.expect_usable()?;
         let step = self.state.totals.step;
         self.set_progress(progress)?;
+        self.follow_confinement(progress);
         if step.is_multiple_of(u64::from(self.loaded.config.occupancy.every)) {
             self.refresh_occupancy();
         }

@@ -1,0 +1,326 @@
+//! What points that several photographs saw tell about space: rays end near them, and pass through free space on the way. A run
+//! that begins near the points alone cannot explain photographs by copies of the scene in front of their cameras (INGeo, arXiv
+//! 2212.01959, starts from known geometry in the same way).
+
+use crate::geometry::occupancy::cell_of;
+use crate::geometry::space::RayParameter;
+use crate::{Config, Space, View, ViewSet, math::bits};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+/// Cells around that of a point, in each direction, that are near it: half of a small object has no points.
+const NEAR: usize = 2;
+
+/// Cells around that of a point, in each direction, that are not free.
+const AROUND: usize = 1;
+
+/// Fewest rays that end in a cell with a point: one wrong match tells nothing.
+const LEAST_ENDS: u16 = 2;
+
+/// Fewest photographs that look through a free cell.
+const LEAST_VIEWS: u16 = 3;
+
+/// Fraction of the distance of a view's nearest point within which nothing stands around its camera. No ray tells of the space
+/// beside a camera, where the next one may be.
+const CLOSE: f64 = 0.2;
+
+/// Deviations before its end at which a ray is certain to be in free space.
+const CERTAIN: f64 = 3.0;
+
+/// Which cells of the occupancy grid can be occupied. A run goes through these in order and never back.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Confinement {
+    /// Those near points.
+    Seeds,
+    /// All but the free ones.
+    NotFree,
+    /// All.
+    #[default]
+    None,
+}
+
+impl Confinement {
+    /// The confinement that the settings ask for at `progress`.
+    pub fn at(config: &Config, progress: f64) -> Self {
+        let occupancy = &config.occupancy;
+        if progress < occupancy.seeded {
+            Self::Seeds
+        } else if progress < occupancy.cleared {
+            Self::NotFree
+        } else {
+            Self::None
+        }
+    }
+}
+
+/// The cells near points, and those that are free.
+#[derive(Debug)]
+pub struct KnownSpace {
+    /// One bit per cell.
+    near: Vec<u8>,
+    /// One bit per cell.
+    free: Vec<u8>,
+}
+
+impl KnownSpace {
+    /// Of the rays of known depth in the finest scale of `views`, which are in world coordinates. `None` if no run of this
+    /// configuration is confined, or if no cell is near a point.
+    pub fn of(config: &Config, views: &ViewSet) -> Option<Self> {
+        let finest = views.scales.first()?;
+        if Confinement::at(config, 0.0) == Confinement::None {
+            return None;
+        }
+        let cells = config.occupancy.cells();
+        let mut rays = Rays {
+            space: Space::new(&config.scene),
+            side: config.occupancy.resolution,
+            ends: vec![0; cells],
+            views: vec![0; cells],
+            last: vec![0; cells],
+        };
+        for (number, view) in (1..).zip(&views.views[finest.views.clone()]) {
+            rays.add(views, view, number);
+        }
+        let side = config.occupancy.resolution as usize;
+        let ends: Vec<bool> = rays.ends.iter().map(|count| *count >= LEAST_ENDS).collect();
+        let near = widened(&ends, side, NEAR);
+        let around = widened(&ends, side, AROUND);
+        let free = |cell: usize| rays.views[cell] >= LEAST_VIEWS && !around[cell];
+        near.contains(&true)
+            .then(|| Self { near: bits::of(cells, |cell| near[cell]), free: bits::of(cells, free) })
+    }
+
+    /// True if a cell can be occupied.
+    pub fn allows(&self, confinement: Confinement, cell: usize) -> bool {
+        match confinement {
+            Confinement::Seeds => bits::is_set(&self.near, cell) && !bits::is_set(&self.free, cell),
+            Confinement::NotFree => !bits::is_set(&self.free, cell),
+            Confinement::None => true,
+        }
+    }
+}
+
+/// Counts of rays by cell.
+struct Rays {
+    space: Space<f64>,
+    side: u32,
+    /// Rays that end in a cell.
+    ends: Vec<u16>,
+    /// Views with a ray that passes a cell.
+    views: Vec<u16>,
+    /// The last such view, by number.
+    last: Vec<u32>,
+}
+
+impl Rays {
+    /// Adds the rays of known depth of a view.
+    fn add(&mut self, views: &ViewSet, view: &View, number: u32) {
+        let k = &view.camera.intrinsics;
+        let pixels = view.offset..view.offset + k.width as usize * k.height as usize;
+        let before = |end: usize| views.depths.partition_point(|known| (known.pixel as usize) < end);
+        let step = self.space.cell(self.side);
+        let depths = &views.depths[before(pixels.start)..before(pixels.end)];
+        let nearest = depths.iter().map(|known| f64::from(known.distance)).fold(f64::INFINITY, f64::min);
+        if nearest.is_finite() {
+            self.add_around(view.camera.origin, CLOSE * nearest);
+        }
+        for known in depths {
+            let pixel = known.pixel - view.offset as u32;
+            let cone = view.camera.cone::<f64>(pixel % k.width, pixel / k.width);
+            let at = |t: f64| std::array::from_fn(|axis| cone.origin[axis] + t * cone.direction[axis]);
+            let (enter, leave) = match self.space.parameterisation(cone.origin, cone.direction) {
+                RayParameter::Straight { enter, leave } => (enter.max(0.0), leave),
+                RayParameter::Curved(_) => (0.0, f64::INFINITY),
+            };
+            let distance = f64::from(known.distance);
+            if (enter..leave).contains(&distance) {
+                let end = self.cell(at(distance));
+                self.ends[end] = self.ends[end].saturating_add(1);
+            }
+            let uncertain = CERTAIN * f64::from(known.deviation) + step / self.space.scale(at(distance));
+            let mut t = enter;
+            while t < leave.min(distance - uncertain) {
+                let cell = self.cell(at(t));
+                if self.last[cell] != number {
+                    self.last[cell] = number;
+                    self.views[cell] = self.views[cell].saturating_add(1);
+                }
+                t += step / self.space.scale(at(t));
+            }
+        }
+    }
+
+    /// Makes the cells free whose centres lie within `radius` of a camera, world units. Contraction makes no distance longer, so
+    /// they lie within as much of its place in the cube.
+    fn add_around(&mut self, origin: DVec3, radius: f64) {
+        let (side, extent) = (f64::from(self.side), self.space.aabb().extent());
+        let place = self.space.to_cube(origin.to_array());
+        let ends = |sign: f64| std::array::from_fn(|axis| place[axis] + sign * radius / extent[axis]);
+        let [low, high]: [[f64; 3]; 2] = [ends(-1.0), ends(1.0)];
+        let cells = |axis: usize| {
+            let end = |place: f64| (place * side).clamp(0.0, side) as u32;
+            end(low[axis])..end(high[axis]).saturating_add(1).min(self.side)
+        };
+        let [columns, rows, layers] = [cells(0), cells(1), cells(2)];
+        for (z, y) in layers.flat_map(|z| rows.clone().map(move |y| (z, y))) {
+            for x in columns.clone() {
+                let centre = [x, y, z].map(|cell| (f64::from(cell) + 0.5) / side);
+                if DVec3::from(self.space.to_world(centre)).distance(origin) <= radius {
+                    let cell = (x + self.side * (y + self.side * z)) as usize;
+                    self.views[cell] = self.views[cell].max(LEAST_VIEWS);
+                }
+            }
+        }
+    }
+
+    fn cell(&self, point: [f64; 3]) -> usize {
+        cell_of(self.space.to_cube(point).map(|x| x as f32), self.side) as usize
+    }
+}
+
+/// The cells that lie within `reach` of one of `cells`, along each axis.
+fn widened(cells: &[bool], side: usize, reach: usize) -> Vec<bool> {
+    let mut wide = cells.to_vec();
+    for stride in [1, side, side * side] {
+        let before = wide.clone();
+        for (cell, value) in wide.iter_mut().enumerate() {
+            let place = cell / stride % side;
+            let first = cell - stride * place.min(reach);
+            let last = cell + stride * (side - 1 - place).min(reach);
+            *value = (first..=last).step_by(stride).any(|near| before[near]);
+        }
+    }
+    wide
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Contraction;
+    use crate::scene::depths::KnownDepth;
+    use crate::{Alpha, Camera, Intrinsics, Scale, View};
+
+    /// Four views, in turn from (4, 0, 0) and (−4, 0, 0), to the origin, whose pixels of `depths` are known: view, column, row and
+    /// distance.
+    fn views(depths: &[(usize, usize, usize, f32)]) -> ViewSet {
+        let k = Intrinsics::from_angle(32, 32, 0.7);
+        let view = |i: usize| View {
+            name: i.to_string(),
+            camera: Camera::look_at(k, DVec3::X * if i % 2 == 0 { 4.0 } else { -4.0 }, DVec3::ZERO, DVec3::Z),
+            offset: 1024 * i,
+        };
+        let known = |&(view, x, y, distance): &(usize, usize, usize, f32)| KnownDepth {
+            pixel: (1024 * view + 32 * y + x) as u32,
+            distance,
+            deviation: 0.1,
+        };
+        ViewSet {
+            views: (0..4).map(view).collect(),
+            pixels: vec![[0; 4]; 4096].into(),
+            alpha: Alpha::Straight,
+            scales: vec![Scale { factor: 1, weight: 1.0, views: 0..4, pixels: 0..4096 }],
+            depths: depths.iter().map(known).collect(),
+        }
+    }
+
+    /// Cells along a side of the grid; each is 0.625 units wide where space keeps its shape.
+    const SIDE: usize = 64;
+
+    fn place() -> Config {
+        let mut config = Config::default();
+        config.scene.contraction = Contraction::Ball;
+        (config.scene.aabb_min, config.scene.aabb_max) = ([-20.0; 3], [20.0; 3]);
+        config.occupancy.resolution = SIDE as u32;
+        (config.occupancy.seeded, config.occupancy.cleared) = (0.2, 0.5);
+        config
+    }
+
+    #[test]
+    fn cells_around_ends_that_two_rays_share_are_near() {
+        let config = place();
+        let space = Space::<f64>::new(&config.scene);
+        // Both views see a place near the origin; view 1 alone sees one far behind it.
+        let views = views(&[(0, 16, 16, 4.0), (1, 15, 16, 4.0), (1, 3, 3, 40.0)]);
+        let known = KnownSpace::of(&config, &views).unwrap();
+        let cone = views.views[0].camera.cone::<f64>(16, 16);
+        let end = std::array::from_fn(|axis| cone.origin[axis] + 4.0 * cone.direction[axis]);
+        let place = space.to_cube(end).map(|x| (x * SIDE as f64) as i64);
+        for cell in 0..SIDE.pow(3) {
+            let at = [cell % SIDE, cell / SIDE % SIDE, cell / (SIDE * SIDE)];
+            let near = (0..3).all(|axis| (at[axis] as i64 - place[axis]).abs() <= NEAR as i64);
+            assert_eq!(known.allows(Confinement::Seeds, cell), near, "{at:?}");
+        }
+    }
+
+    #[test]
+    fn cells_that_three_views_look_through_are_free() {
+        let config = place();
+        let space = Space::<f64>::new(&config.scene);
+        let cell = |x: f64| cell_of(space.to_cube([x, 0.0, 0.0]).map(|x| x as f32), SIDE as u32) as usize;
+        let mut views = views(&[(0, 16, 16, 4.0), (1, 16, 16, 4.0), (2, 16, 16, 4.0), (3, 16, 16, 4.0)]);
+        let known = KnownSpace::of(&config, &views).unwrap();
+        let free = |x: f64| !known.allows(Confinement::NotFree, cell(x));
+        assert!(
+            ![2.4, 1.9, 0.0, -1.9, -2.4].into_iter().any(free),
+            "two views from each side do not tell enough"
+        );
+        assert!(
+            [4.5, 3.9, 3.6, -3.6, -3.9, -4.5].into_iter().all(free),
+            "but nothing stands close to their cameras"
+        );
+        for view in &mut views.views {
+            view.camera = Camera::look_at(view.camera.intrinsics, DVec3::X * 4.0, DVec3::ZERO, DVec3::Z);
+        }
+        let known = KnownSpace::of(&config, &views).unwrap();
+        let free = |x: f64| !known.allows(Confinement::NotFree, cell(x));
+        assert!([3.9, 3.0, 2.4, 1.9].into_iter().all(free), "between the cameras and the point");
+        assert!(![0.2, 0.0, -0.2, -1.0, -3.0].into_iter().any(free), "at the point and behind it");
+        assert!((0..SIDE.pow(3)).all(|cell| known.allows(Confinement::None, cell)));
+    }
+
+    #[test]
+    fn rays_beyond_the_box_of_a_bounded_space_tell_nothing() {
+        let mut config = place();
+        config.scene.contraction = Contraction::None;
+        (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0; 3], [1.0; 3]);
+        // View 0 sees the origin twice; three others see a place beyond the box, through it or past it.
+        let seen = [(0, 16, 16, 4.0), (0, 16, 17, 4.0), (1, 0, 0, 9.0), (2, 0, 0, 9.0), (3, 0, 0, 9.0)];
+        let known = KnownSpace::of(&config, &views(&seen)).unwrap();
+        let border = |cell: usize| {
+            [cell % SIDE, cell / SIDE % SIDE, cell / (SIDE * SIDE)].iter().any(|x| *x == 0 || x + 1 == SIDE)
+        };
+        for cell in (0..SIDE.pow(3)).filter(|cell| border(*cell)) {
+            assert!(!known.allows(Confinement::Seeds, cell) && known.allows(Confinement::NotFree, cell));
+        }
+    }
+
+    #[test]
+    fn nothing_known_confines_nothing() {
+        assert!(KnownSpace::of(&place(), &views(&[])).is_none());
+        let one = KnownSpace::of(&place(), &views(&[(1, 3, 3, 40.0)]));
+        assert!(one.is_none(), "one observation may be wrong");
+        let mut config = place();
+        (config.occupancy.seeded, config.occupancy.cleared) = (0.0, 0.0);
+        assert!(KnownSpace::of(&config, &views(&[(0, 16, 16, 4.0), (1, 15, 16, 4.0)])).is_none());
+    }
+
+    #[test]
+    fn confinement_follows_the_run() {
+        let config = place();
+        let at = |progress| Confinement::at(&config, progress);
+        assert_eq!([0.0, 0.19, 0.2, 0.49, 0.5, 1.0].map(at), {
+            use Confinement::{None, NotFree, Seeds};
+            [Seeds, Seeds, NotFree, NotFree, None, None]
+        });
+    }
+
+    #[test]
+    fn cells_at_the_border_have_their_neighbours_within_the_grid() {
+        for corner in [0, 7, 7 * 8, 7 * 64, 511] {
+            let mut cells = vec![false; 512];
+            cells[corner] = true;
+            assert_eq!(widened(&cells, 8, 2).iter().filter(|cell| **cell).count(), 27, "{corner}");
+        }
+    }
+}
