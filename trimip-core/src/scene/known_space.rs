@@ -207,7 +207,12 @@ mod tests {
         let k = Intrinsics::from_angle(32, 32, 0.7);
         let view = |i: usize| View {
             name: i.to_string(),
-            camera: Camera::look_at(k, DVec3::X * if i % 2 == 0 { 4.0 } else { -4.0 }, DVec3::ZERO, DVec3::Z),
+            camera: Camera::look_at(
+                k,
+                DVec3::X * if i.is_multiple_of(2) { 4.0 } else { -4.0 },
+                DVec3::ZERO,
+                DVec3::Z,
+            ),
             offset: 1024 * i,
         };
         let known = |&(view, x, y, distance): &(usize, usize, usize, f32)| KnownDepth {
