@@ -166,7 +166,7 @@ fn show_on_bar(bar: &ProgressBar, event: &Event) {
     }
 }
 
-/// What a training did, one line: steps, time, samples and rays with their rates.
+/// One line about a finished training: steps, time, samples and rays with their rates.
 pub fn trained(totals: &Totals) -> String {
     let drawn = totals.backward_fraction().filter(|fraction| *fraction < 1.0);
     let drawn =

@@ -190,7 +190,7 @@ pub struct Displaced<B: Backend> {
     pub rays: B::Buffer<Ray>,
     /// One per sample.
     pub spheres: B::Buffer<Sphere>,
-    /// What the encoder keeps of each sample.
+    /// The encoder's context of the displaced samples.
     pub encoder_context: B::Buffer<f32>,
     /// Encoded samples, [samples, stride].
     pub features: B::Buffer<f32>,

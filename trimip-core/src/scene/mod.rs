@@ -1,5 +1,6 @@
 //! What photographs show: their pixels ([`pixels`]) in views of several scales ([`views`]), rendered pictures ([`frame`]), how many
-//! cones a pixel has ([`cones`]), which distances are known ([`depths`]) and what they tell about space ([`known_space`]), silhouettes and the visual hull, and fingerprints by which two data sets are compared.
+//! cones a pixel has ([`cones`]), which distances are known ([`depths`]) and what they tell about space ([`known_space`]),
+//! silhouettes and the visual hull. Fingerprints tell two data sets apart.
 
 pub mod cones;
 pub mod depths;

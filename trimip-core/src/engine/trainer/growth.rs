@@ -52,8 +52,8 @@ impl<B: Backend> Trainer<B> {
         Ok(())
     }
 
-    /// Confines the occupancy grid as the run has it at `progress`: what was let go stays so, even if a longer run begins anew with
-    /// a smaller progress.
+    /// Lets the occupancy grid follow the confinement at `progress`. A cell that could be occupied is not confined again: the
+    /// progress of a run that is continued for longer falls back.
     pub(super) fn follow_confinement(&mut self, progress: f64) {
         let next = Confinement::at(&self.loaded.config, progress);
         if next > self.state.confinement {

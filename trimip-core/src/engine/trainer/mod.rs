@@ -107,7 +107,6 @@ impl<B: Backend> Trainer<B> {
                     .max(LEAST_RAYS),
                 marched_per_ray: FIRST_MARCHED_PER_RAY * (kept / FIRST_KEPT_PER_RAY) as f32 * cones as f32,
                 data,
-
                 ..TrainState::default()
             },
             loaded,

@@ -51,7 +51,7 @@ pub trait PixelTerm: Definition {
     fn reference(&self, config: &LossConfig, pixel: [f64; 4], target: &Target) -> f64;
 }
 
-/// A term of the samples of a ray. That of a pixel is the mean over its cones, of which those without samples have 0.
+/// A term of the samples of a ray. A pixel's term is the mean over its cones; a cone without samples adds 0.
 pub trait RayTerm: Definition {
     /// The value. `by_depth` receives the derivative by the optical depth of each sample.
     fn evaluate(&self, config: &LossConfig, cone: &ConeSamples<'_, f32>, by_depth: &mut [f32]) -> f32;
