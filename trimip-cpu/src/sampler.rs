@@ -9,7 +9,7 @@ use trimip_core::engine::policy::SamplerPolicy;
 use trimip_core::engine::ray_allocation::RayAllocation;
 use trimip_core::math::rng::Sequence;
 use trimip_core::scene::cones::PixelPattern;
-use trimip_core::scene::depths::{self, KnownDepth};
+use trimip_core::scene::depths::{DepthIndex, KnownDepth};
 use trimip_core::scene::views::composite_pixel;
 use trimip_core::{Camera, Config, ViewSet};
 
@@ -20,12 +20,14 @@ const AHEAD: usize = 32;
 pub struct CpuSampler {
     policy: SamplerPolicy,
     views: Option<ViewSet>,
+    depths: DepthIndex,
 }
 
 impl CpuSampler {
     /// A sampler over `views`. Without views it generates camera rays only.
     pub fn new(config: &Config, views: Option<ViewSet>) -> Self {
-        Self { policy: SamplerPolicy::new(config, views.as_ref()), views }
+        let depths = views.as_ref().map(|views| DepthIndex::new(&views.depths)).unwrap_or_default();
+        Self { policy: SamplerPolicy::new(config, views.as_ref()), views, depths }
     }
 
     /// The known depth of a pixel; of deviation 0 if there is none, or no use for it.
@@ -34,7 +36,7 @@ impl CpuSampler {
         if !self.policy.knows_depths() {
             return KnownDepth::default();
         }
-        depths::of_pixel(&views.depths, pixel).copied().unwrap_or_default()
+        self.depths.find(&views.depths, pixel).copied().unwrap_or_default()
     }
 }
 
