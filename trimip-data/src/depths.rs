@@ -11,18 +11,32 @@ const LEAST_ERROR: f64 = 0.5;
 /// Least sine of the angle between the rays that fix a point.
 const LEAST_SINE: f64 = 1e-3;
 
+/// Distance in pixels of the finest scale within which a view sees a point where it is, or as a multiple of the median of the view:
+/// wrong poses move all of its points.
+const MOST_PIXELS: f64 = 4.0;
+const MOST_TIMES: f64 = 3.0;
+
 /// The pixels of all scales in which sure points were found, sorted. Where a pixel has several points, the nearest counts: it hides
-/// the others. Points that one training view alone saw have no known distance.
+/// the others. A point counts where at least half of its training views, and at least two, see it where it is.
 pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
     let Some(finest) = train.scales.first() else { return Vec::new() };
     let views = &train.views[finest.views.clone()];
     let scales: Vec<&Scale> =
         train.scales.iter().filter(|scale| scale.views.len() == finest.views.len()).collect();
+    let limits = limits(points, views);
     let mut depths = Vec::new();
-    for point in points.iter().filter(|point| point.is_sure() && point.track.len() > 1) {
+    for point in points.iter().filter(|point| point.is_sure()) {
         let position = DVec3::from(point.position);
-        let sine = widest_sine(position, &point.track, views);
-        for seen in &point.track {
+        let agrees = |seen: &&Observation| {
+            let (view, limit) = (views.get(seen.view as usize), limits.get(seen.view as usize));
+            view.zip(limit).is_some_and(|(view, limit)| error(position, seen, view) <= *limit)
+        };
+        let track: Vec<Observation> = point.track.iter().filter(agrees).copied().collect();
+        if track.len() < 2.max(point.track.len().div_ceil(2)) {
+            continue;
+        }
+        let sine = widest_sine(position, &track, views);
+        for seen in &track {
             let Some(view) = views.get(seen.view as usize) else { continue };
             let distance = (position - view.camera.origin).length();
             let k = &view.camera.intrinsics;
@@ -38,6 +52,37 @@ pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
     });
     depths.dedup_by_key(|known| known.pixel);
     depths
+}
+
+/// Distance in pixels from where `view` saw a point at `position` to the image of that place; infinite if it has none.
+fn error(position: DVec3, seen: &Observation, view: &View) -> f64 {
+    let camera = &view.camera;
+    let image = camera.intrinsics.image_of(camera.rotation.transpose() * (position - camera.origin));
+    image.map_or(f64::INFINITY, |[x, y]| (x - seen.at[0]).hypot(y - seen.at[1]))
+}
+
+/// For each view the greatest [`error`] of a point that it sees where it is.
+fn limits(points: &[Point], views: &[View]) -> Vec<f64> {
+    let mut errors = vec![Vec::new(); views.len()];
+    for point in points {
+        for seen in &point.track {
+            if let Some((view, errors)) =
+                views.get(seen.view as usize).zip(errors.get_mut(seen.view as usize))
+            {
+                errors.push(error(point.position.into(), seen, view));
+            }
+        }
+    }
+    let limit = |mut errors: Vec<f64>| {
+        let middle = errors.len() / 2;
+        let median = match errors.is_empty() {
+            true => 0.0,
+            false => *errors.select_nth_unstable_by(middle, f64::total_cmp).1,
+        };
+        // A view that sees most points nowhere near has wrong poses.
+        if median.is_finite() { MOST_PIXELS.max(MOST_TIMES * median) } else { 0.0 }
+    };
+    errors.into_iter().map(limit).collect()
 }
 
 /// Sine of the widest angle between two rays to a point, at most a right one.
@@ -112,24 +157,72 @@ mod tests {
 
     #[test]
     fn the_nearest_point_of_a_pixel_counts() {
-        let track = [(0, [1.5, 1.5]), (1, [5.5, 1.5])];
-        for points in [[-5.0, -2.0], [-2.0, -5.0]] {
+        let track = [(0, [3.5, 1.5]), (1, [1.5, 1.5])];
+        for points in [[-5.0, -4.0], [-4.0, -5.0]] {
             let found = of_points(&points.map(|z| point(z, &track)), &views());
             assert_eq!(found.len(), 4);
-            assert_eq!((found[0].pixel, found[0].distance), (9, 2.0));
+            assert_eq!((found[0].pixel, found[0].distance), (8 + 3, 4.0));
         }
     }
 
     #[test]
     fn unsure_points_and_those_of_one_view_tell_nothing() {
-        let track = [(0, [1.5, 1.5]), (1, [5.5, 1.5])];
-        let sure = point(-2.0, &track);
+        let track = [(0, [3.5, 1.5]), (1, [1.5, 1.5])];
+        let sure = point(-4.0, &track);
+        assert_eq!(of_points(std::slice::from_ref(&sure), &views()).len(), 4);
         let unsure = [
             Point { seen: Some(2), ..sure.clone() },
             Point { error: Some(2.5), ..sure.clone() },
-            point(-2.0, &track[..1]),
+            point(-4.0, &track[..1]),
             Point { track: vec![], ..sure },
         ];
         assert_eq!(of_points(&unsure, &views()), []);
+    }
+
+    #[test]
+    fn points_that_are_not_where_the_views_saw_them_tell_nothing() {
+        let k = views().views[0].camera.intrinsics;
+        // Where the three views see a place.
+        let seen = |[x, y, z]: [f64; 3]| {
+            [0.0, 1.0, 2.0].map(|origin| [k.cx + k.fx * (x - origin) / -z, k.cy - k.fy * y / -z])
+        };
+        let track = |place| {
+            let seen = seen(place);
+            [0, 1, 2].map(|view| (view as u32, seen[view]))
+        };
+        let at = |position, track: &[(u32, [f64; 2])]| Point { position, ..point(0.0, track) };
+        let right: Vec<Point> = (0..9)
+            .map(|i| [0.1 * f64::from(i), 0.05 * f64::from(i), -6.0])
+            .map(|place| at(place, &track(place)))
+            .collect();
+        let known = of_points(&right, &views());
+        assert!(!known.is_empty());
+        let wrong = [[0.5, 0.2, 6.0], [6.0, 0.0, -6.0], [0.0, -3.0, -2.0]];
+        let wrong = wrong.map(|position| at(position, &track([0.5, 0.2, -6.0])));
+        assert_eq!(of_points(&[right.clone(), wrong.to_vec()].concat(), &views()), known);
+        // A point that one view found elsewhere counts in the others.
+        let place = [0.5, 0.2, -6.0];
+        let mut once = track(place);
+        once[1].1 = [7.5, 0.5];
+        let views_of = |points: &[Point]| {
+            let mut views: Vec<u32> = of_points(points, &views())
+                .iter()
+                .map(|known| known.pixel)
+                .filter(|pixel| *pixel < 96)
+                .collect();
+            views.iter_mut().for_each(|pixel| *pixel /= 32);
+            views
+        };
+        assert_eq!(views_of(&[at(place, &once)]), [0, 2]);
+        // All points of a view of a wrong pose lie beside it: they still tell.
+        let turned: Vec<Point> = right
+            .iter()
+            .map(|point| {
+                let mut moved = point.clone();
+                moved.track[0].at[0] -= 4.5;
+                moved
+            })
+            .collect();
+        assert!(views_of(&turned).contains(&0));
     }
 }
