@@ -96,13 +96,13 @@ pub fn scheduled() -> Result<Config> {
     Ok(config)
 }
 
-/// At first only cells near points of known depth are occupied, then all that photographs do not look through, then all. Without
-/// such points all can be from the start.
+/// At first only cells near points of known depth are occupied, then those farther from them, then all that photographs do not look
+/// through, then all. Without such points all can be from the start.
 ///
 /// # Errors
 /// When a step fails.
 pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    use Confinement::{None, NotFree, Seeds};
+    use Confinement::{Near, None, NotFree};
     const CELLS: usize = 16 * 16 * 16;
     let mut config = configuration();
     config.occupancy.resolution = 16;
@@ -113,9 +113,11 @@ pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     }
     let known = KnownSpace::of(&config, &views).expect("depths are known");
     let allowed = |confinement| (0..CELLS).filter(|&cell| known.allows(confinement, cell)).count();
-    assert!(allowed(Seeds) + 100 < allowed(NotFree) && allowed(NotFree) + 10 < CELLS);
+    assert!(allowed(Near(2)) + 100 < allowed(NotFree) && allowed(NotFree) + 10 < CELLS);
     let mut trainer = Trainer::new(make(), &config, views.clone())?;
-    for (until, confinement) in [(1, Seeds), (12, Seeds), (13, NotFree), (24, NotFree), (32, None)] {
+    let stages =
+        [(1, Near(2)), (5, Near(4)), (8, Near(8)), (12, Near(16)), (13, NotFree), (24, NotFree), (32, None)];
+    for (until, confinement) in stages {
         let done = trainer.checkpoint()?.state.totals.step;
         steps(&mut trainer, &config, until - done)?;
         let Checkpoint { state, file, .. } = trainer.checkpoint()?;
@@ -130,7 +132,10 @@ pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     }
     let Checkpoint { file, .. } = trainer.checkpoint()?;
     let bits = file.u8("", OCCUPANCY, &[CELLS / 8])?;
-    assert!((0..CELLS).any(|cell| bits::is_set(bits, cell) && !known.allows(Seeds, cell)), "cells come back");
+    assert!(
+        (0..CELLS).any(|cell| bits::is_set(bits, cell) && !known.allows(Near(2), cell)),
+        "cells come back"
+    );
     let mut trainer = Trainer::new(make(), &config, ViewSet { depths: Vec::new(), ..views })?;
     steps(&mut trainer, &config, 1)?;
     let Checkpoint { state, file, .. } = trainer.checkpoint()?;

@@ -8,8 +8,11 @@ use crate::{Config, Space, View, ViewSet, math::bits};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Cells around that of a point, in each direction, that are near it: half of a small object has no points.
-const NEAR: usize = 2;
+/// Cells around that of a point, in each direction, that are near it at first: half of a small object has no points.
+const NEAR: u8 = 2;
+
+/// The doublings of [`NEAR`] while a run is confined to what is near points: walls have points at their edges alone.
+const DOUBLINGS: u8 = 3;
 
 /// Cells around that of a point, in each direction, that are not free.
 const AROUND: usize = 1;
@@ -31,8 +34,8 @@ const CERTAIN: f64 = 3.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Confinement {
-    /// Those near points.
-    Seeds,
+    /// Those at most as many cells from that of a point, along each axis.
+    Near(u8),
     /// All but the free ones.
     NotFree,
     /// All.
@@ -45,7 +48,8 @@ impl Confinement {
     pub fn at(config: &Config, progress: f64) -> Self {
         let occupancy = &config.occupancy;
         if progress < occupancy.seeded {
-            Self::Seeds
+            let doublings = progress / occupancy.seeded * f64::from(DOUBLINGS + 1);
+            Self::Near(NEAR << (doublings as u8).min(DOUBLINGS))
         } else if progress < occupancy.cleared {
             Self::NotFree
         } else {
@@ -57,8 +61,8 @@ impl Confinement {
 /// The cells near points, and those that are free.
 #[derive(Debug)]
 pub struct KnownSpace {
-    /// One bit per cell.
-    near: Vec<u8>,
+    /// For each cell, the least reach at which it is near a point: [`NEAR`], its doublings, or the greatest number.
+    reach: Vec<u8>,
     /// One bit per cell.
     free: Vec<u8>,
 }
@@ -84,17 +88,18 @@ impl KnownSpace {
         }
         let side = config.occupancy.resolution as usize;
         let ends: Vec<bool> = rays.ends.iter().map(|count| *count >= LEAST_ENDS).collect();
-        let near = widened(&ends, side, NEAR);
+        if !ends.contains(&true) {
+            return None;
+        }
         let around = widened(&ends, side, AROUND);
         let free = |cell: usize| rays.views[cell] >= LEAST_VIEWS && !around[cell];
-        near.contains(&true)
-            .then(|| Self { near: bits::of(cells, |cell| near[cell]), free: bits::of(cells, free) })
+        Some(Self { reach: reach(ends, side), free: bits::of(cells, free) })
     }
 
     /// True if a cell can be occupied.
     pub fn allows(&self, confinement: Confinement, cell: usize) -> bool {
         match confinement {
-            Confinement::Seeds => bits::is_set(&self.near, cell) && !bits::is_set(&self.free, cell),
+            Confinement::Near(reach) => self.reach[cell] <= reach && !bits::is_set(&self.free, cell),
             Confinement::NotFree => !bits::is_set(&self.free, cell),
             Confinement::None => true,
         }
@@ -179,6 +184,21 @@ impl Rays {
     }
 }
 
+/// For each cell, the least of [`NEAR`] and its doublings at which it is near one of `cells`.
+fn reach(mut cells: Vec<bool>, side: usize) -> Vec<u8> {
+    let mut reach = vec![u8::MAX; cells.len()];
+    let mut before = 0;
+    for doublings in 0..=DOUBLINGS {
+        let now = NEAR << doublings;
+        cells = widened(&cells, side, usize::from(now - before));
+        for (reach, _) in reach.iter_mut().zip(&cells).filter(|(_, near)| **near) {
+            *reach = now.min(*reach);
+        }
+        before = now;
+    }
+    reach
+}
+
 /// The cells that lie within `reach` of one of `cells`, along each axis.
 fn widened(cells: &[bool], side: usize, reach: usize) -> Vec<bool> {
     let mut wide = cells.to_vec();
@@ -253,10 +273,14 @@ mod tests {
         let cone = views.views[0].camera.cone::<f64>(16, 16);
         let end = std::array::from_fn(|axis| cone.origin[axis] + 4.0 * cone.direction[axis]);
         let place = space.to_cube(end).map(|x| (x * SIDE as f64) as i64);
+        let free = |cell| !known.allows(Confinement::NotFree, cell);
         for cell in 0..SIDE.pow(3) {
             let at = [cell % SIDE, cell / SIDE % SIDE, cell / (SIDE * SIDE)];
-            let near = (0..3).all(|axis| (at[axis] as i64 - place[axis]).abs() <= NEAR as i64);
-            assert_eq!(known.allows(Confinement::Seeds, cell), near, "{at:?}");
+            let distance = (0..3).map(|axis| (at[axis] as i64 - place[axis]).abs()).max().unwrap();
+            for reach in [2, 4, 8, 16] {
+                let near = distance <= reach && !free(cell);
+                assert_eq!(known.allows(Confinement::Near(reach as u8), cell), near, "{at:?} within {reach}");
+            }
         }
     }
 
@@ -298,7 +322,7 @@ mod tests {
             [cell % SIDE, cell / SIDE % SIDE, cell / (SIDE * SIDE)].iter().any(|x| *x == 0 || x + 1 == SIDE)
         };
         for cell in (0..SIDE.pow(3)).filter(|cell| border(*cell)) {
-            assert!(!known.allows(Confinement::Seeds, cell) && known.allows(Confinement::NotFree, cell));
+            assert!(!known.allows(Confinement::Near(NEAR), cell) && known.allows(Confinement::NotFree, cell));
         }
     }
 
@@ -316,10 +340,13 @@ mod tests {
     fn confinement_follows_the_run() {
         let config = place();
         let at = |progress| Confinement::at(&config, progress);
-        assert_eq!([0.0, 0.19, 0.2, 0.49, 0.5, 1.0].map(at), {
-            use Confinement::{None, NotFree, Seeds};
-            [Seeds, Seeds, NotFree, NotFree, None, None]
+        let near = [0.0, 0.04, 0.06, 0.11, 0.16, 0.19].map(at);
+        assert_eq!(near, [2, 2, 4, 8, 16, 16].map(Confinement::Near));
+        assert_eq!([0.2, 0.49, 0.5, 1.0].map(at), {
+            use Confinement::{None, NotFree};
+            [NotFree, NotFree, None, None]
         });
+        assert!(near.is_sorted() && Confinement::Near(u8::MAX) < Confinement::NotFree);
     }
 
     #[test]
