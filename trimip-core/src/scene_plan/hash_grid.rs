@@ -12,7 +12,7 @@ const LEVELS: [i64; 2] = [8, 4];
 
 /// log2 of the entries per level in places, for budgets of fewer samples than the first number. Few entries stay in a
 /// processor's cache and are hit by many rays; many collide less.
-const ENTRIES: [(f64, i64); 2] = [(1e9, 17), (f64::INFINITY, 19)];
+const ENTRIES: [(f64, i64); 2] = [(8e7, 17), (f64::INFINITY, 19)];
 
 /// Learning rates in places: of the networks, and of the features as a multiple of it. With planes' rate of the networks, *fox*
 /// has 0.7 dB less after 90 s.

@@ -184,7 +184,8 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     };
     let step_scale: &[[f64; 2]] = match samples {
         _ if samples >= FINE_STEPS[1] => LONGEST_STEPS,
-        _ if long => LONG_STEPS,
+        // Surfaces of places are thin: longer steps at the end pass through them, and render speckles.
+        _ if long || config.scene.contraction == Contraction::Ball => LONG_STEPS,
         _ => SHORT_STEPS,
     };
     let mut changes =

@@ -287,7 +287,7 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
     let (config, findings) = of(false, &[]);
     assert_eq!(config.encoder.kind, EncoderKind::HashGrid, "{findings:?}");
     let grid = &config.hash_grid;
-    assert_eq!((grid.levels, grid.features, grid.log2_entries, grid.downweight), (8, 4, 17, true));
+    assert_eq!((grid.levels, grid.features, grid.downweight), (8, 4, true));
     let changes = || findings.iter().flat_map(|finding| &finding.changes);
     assert!(changes().all(|change| !change.path.starts_with("encoder.") || change.path == "encoder.kind"));
     let (config, _) = of(false, &["plan.encoder=on", "encoder.kind=hash-grid", "hash_grid.levels=12"]);
@@ -307,9 +307,16 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
     let few = planned(&views_of(false, 15), &[]).unwrap().0;
     assert_eq!((few.encoder.kind, few.loss.opacity), (EncoderKind::TriMip, 0.0), "few pixels");
     assert_eq!(of(false, &[]).0.loss.opacity, 0.1);
-    // A long run has more entries.
-    let (config, _) = of(false, &["train.seconds=1e5"]);
-    assert_eq!(config.hash_grid.log2_entries, 19);
+    for (steps, entries) in [("train.steps=1000", 17), ("train.steps=2000", 19), ("train.steps=200000", 19)] {
+        let (config, _) = of(false, &["train.samples_per_step=65536", steps]);
+        assert_eq!(
+            config.hash_grid.log2_entries, entries,
+            "few samples meet no entry of a large table twice"
+        );
+        assert_eq!(config.renderer.step_scale.at(1.0), if steps.ends_with("200000") { 0.5 } else { 1.0 });
+    }
+    let (bounded, _) = of(true, &["train.samples_per_step=65536", "train.steps=2000"]);
+    assert_eq!(bounded.renderer.step_scale.at(1.0), 2.0);
 }
 
 /// A continued run takes the decisions of its start as they are told.
