@@ -201,28 +201,19 @@ mod tests {
         let wrong = wrong.map(|position| at(position, &track([0.5, 0.2, -6.0])));
         assert_eq!(of_points(&[right.clone(), wrong.to_vec()].concat(), &views()), known);
         // A point that one view found elsewhere counts in the others.
-        let place = [0.5, 0.2, -6.0];
+        let place = [0.5, -0.6, -6.0];
         let mut once = track(place);
         once[1].1 = [7.5, 0.5];
         let views_of = |points: &[Point]| {
-            let mut views: Vec<u32> = of_points(points, &views())
-                .iter()
-                .map(|known| known.pixel)
-                .filter(|pixel| *pixel < 96)
-                .collect();
-            views.iter_mut().for_each(|pixel| *pixel /= 32);
-            views
+            let finest = of_points(points, &views()).into_iter().filter(|known| known.pixel < 96);
+            finest.filter(|own| !known.contains(own)).map(|own| own.pixel / 32).collect::<Vec<_>>()
         };
-        assert_eq!(views_of(&[at(place, &once)]), [0, 2]);
+        assert_eq!(views_of(&[right.clone(), vec![at(place, &once)]].concat()), [0, 2]);
         // All points of a view of a wrong pose lie beside it: they still tell.
-        let turned: Vec<Point> = right
-            .iter()
-            .map(|point| {
-                let mut moved = point.clone();
-                moved.track[0].at[0] -= 4.5;
-                moved
-            })
-            .collect();
-        assert!(views_of(&turned).contains(&0));
+        let turned = right.iter().cloned().map(|mut point| {
+            point.track[0].at[0] -= 4.5;
+            point
+        });
+        assert!(views_of(&turned.collect::<Vec<_>>()).contains(&0));
     }
 }
