@@ -10,9 +10,13 @@ use toml::Value;
 /// Levels and features per entry in places: a step reads half as many entries as with instant-ngp's 16 levels of two features.
 const LEVELS: [i64; 2] = [8, 4];
 
-/// log2 of the entries per level in places, for budgets of fewer samples than the first number. Few entries stay in a
-/// processor's cache and are hit by many rays; many collide less.
-const ENTRIES: [(f64, i64); 2] = [(8e7, 17), (f64::INFINITY, 19)];
+/// log2 of the entries per level in places: few entries stay in a processor's cache and are hit by many rays; many collide less.
+const ENTRIES: [i64; 2] = [17, 19];
+
+/// Photographs from which a place has much to tell, and budgets in samples from which it has many entries, with fewer and with as many
+/// photographs. *fox* (43 photographs) has 0.4 dB less with many entries after 76 M samples, *bonsai* (255) 0.2 dB more.
+const MANY_VIEWS: usize = 100;
+const MANY_SAMPLES: [f64; 2] = [1e9, 8e7];
 
 /// Learning rates in places: of the networks, and of the features as a multiple of it. With planes' rate of the networks, *fox*
 /// has 0.7 dB less after 90 s.
@@ -52,8 +56,9 @@ pub(super) fn for_places(context: &Context<'_>) -> Proposal {
         };
         return Proposal::Keep(reason.into());
     }
-    let samples = context.budget();
-    let entries = ENTRIES.iter().find(|(most, _)| samples < *most).map_or(19, |(_, entries)| *entries);
+    let photographs = context.facts.train.scales.first().map_or(0, |finest| finest.views.len());
+    let least = MANY_SAMPLES[usize::from(photographs >= MANY_VIEWS)];
+    let entries = ENTRIES[usize::from(context.budget() >= least)];
     let [levels, features] = LEVELS;
     let mut changes = vec![
         ("encoder.kind", Value::String("hash-grid".into())),

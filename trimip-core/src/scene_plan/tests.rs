@@ -307,13 +307,12 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
     let few = planned(&views_of(false, 15), &[]).unwrap().0;
     assert_eq!((few.encoder.kind, few.loss.opacity), (EncoderKind::TriMip, 0.0), "few pixels");
     assert_eq!(of(false, &[]).0.loss.opacity, 0.1);
-    for (steps, entries) in [("train.steps=1000", 17), ("train.steps=2000", 19), ("train.steps=200000", 19)] {
-        let (config, _) = of(false, &["train.samples_per_step=65536", steps]);
-        assert_eq!(
-            config.hash_grid.log2_entries, entries,
-            "few samples meet no entry of a large table twice"
-        );
-        assert_eq!(config.renderer.step_scale.at(1.0), if steps.ends_with("200000") { 0.5 } else { 1.0 });
+    // Many photographs or many samples fill a large table.
+    for (count, steps, entries) in [(16, 2_000, 17), (16, 200_000, 19), (100, 1_000, 17), (100, 2_000, 19)] {
+        let set = ["train.samples_per_step=65536", &format!("train.steps={steps}")];
+        let config = planned(&views_of(false, count), &set).unwrap().0;
+        assert_eq!(config.hash_grid.log2_entries, entries, "{count} photographs, {steps} steps");
+        assert_eq!(config.renderer.step_scale.at(1.0), if steps == 200_000 { 0.5 } else { 1.0 });
     }
     let (bounded, _) = of(true, &["train.samples_per_step=65536", "train.steps=2000"]);
     assert_eq!(bounded.renderer.step_scale.at(1.0), 2.0);
