@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// Cells around that of a point, in each direction, that are near it at first: half of a small object has no points.
 const NEAR: u8 = 2;
 
-/// The doublings of [`NEAR`] while a run is confined to what is near points: walls have points at their edges alone.
+/// How often [`NEAR`] doubles before a run leaves the points: walls have points at their edges alone.
 const DOUBLINGS: u8 = 3;
 
 /// Cells around that of a point, in each direction, that are not free.
@@ -34,7 +34,7 @@ const CERTAIN: f64 = 3.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Confinement {
-    /// Those at most as many cells from that of a point, along each axis.
+    /// Cells near points: along each axis, a point lies at most this many cells away.
     Near(u8),
     /// All but the free ones.
     NotFree,
@@ -61,7 +61,7 @@ impl Confinement {
 /// The cells near points, and those that are free.
 #[derive(Debug)]
 pub struct KnownSpace {
-    /// For each cell, the least reach at which it is near a point: [`NEAR`], its doublings, or the greatest number.
+    /// For each cell, the least reach at which it is near a point: [`NEAR`], one of its doublings, or [`u8::MAX`].
     reach: Vec<u8>,
     /// One bit per cell.
     free: Vec<u8>,
@@ -184,7 +184,7 @@ impl Rays {
     }
 }
 
-/// For each cell, the least of [`NEAR`] and its doublings at which it is near one of `cells`.
+/// For each cell, the least of [`NEAR`] and its doublings at which it is near one of `cells`; [`u8::MAX`] if none is enough.
 fn reach(mut cells: Vec<bool>, side: usize) -> Vec<u8> {
     let mut reach = vec![u8::MAX; cells.len()];
     let mut before = 0;
