@@ -296,6 +296,11 @@ fn targets_have_the_known_depths_of_their_pixels() {
 }
 
 #[test]
+fn pixels_are_drawn_by_the_error_map_as_core_draws_them() {
+    with_threads(&[1], |make| suite::sampling::error_map(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     with_threads(&[2], |make| suite::training::steady_batch(make));
 }

@@ -26,6 +26,7 @@ fn trained(
     config.data.edge_exponents.clone_from(&encoder.data.edge_exponents);
     config.loss.clone_from(&encoder.loss);
     config.train.backward_fraction.clone_from(&encoder.train.backward_fraction);
+    config.train.error_map.clone_from(&encoder.train.error_map);
     config.renderer.color_weight.clone_from(&encoder.renderer.color_weight);
     // There are at least 16 partial gradients, so several tiles share one and workers compete for them.
     config.train.samples_per_step = 4096;

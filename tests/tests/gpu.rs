@@ -264,6 +264,11 @@ fn targets_have_the_known_depths_of_their_pixels() {
 }
 
 #[test]
+fn pixels_are_drawn_by_the_error_map_as_core_draws_them() {
+    reproducibly(|make| suite::sampling::error_map(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     on_the_gpu(|make| suite::training::steady_batch(make));
 }

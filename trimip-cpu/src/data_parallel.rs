@@ -16,7 +16,8 @@ use std::sync::Arc;
 use trimip_core::config::TrainConfig;
 use trimip_core::engine::backend::Stages;
 use trimip_core::engine::batch::{PartialGradients, StepResult, Update};
-use trimip_core::engine::exchange::{Exchange, Rank, Ranks};
+use trimip_core::engine::error_map::CellErrors;
+use trimip_core::engine::exchange::{Exchange, Rank, Ranks, sum_errors};
 use trimip_core::{Backend, Error, Field, Optimizer, Result};
 
 /// The exchange of the CPU backend.
@@ -129,6 +130,10 @@ impl Exchange<CpuBackend> for DataParallel {
             reader.end()?;
         }
         Ok(())
+    }
+
+    fn errors(&mut self, errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
+        sum_errors(&*self.ranks, errors)
     }
 
     fn update(

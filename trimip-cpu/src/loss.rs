@@ -173,7 +173,8 @@ impl CpuLoss {
             let difference: [f32; 3] = std::array::from_fn(|c| seen[c] - target.rgb[c]);
             // What is left out of the loss is left out of the error, whatever colour is stored there.
             if target.weight > 0.0 {
-                sums.squared_error += difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
+                let squared = difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
+                sums.squared_error += f64::from(target.importance) * squared;
             }
             if !difference.iter().all(|d| d.is_finite()) {
                 sums.non_finite += 1;

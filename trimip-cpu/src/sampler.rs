@@ -1,10 +1,13 @@
 //! Ray generation on the CPU: random pixels of the training views, or all pixels of a camera.
 
+use crate::buffer::Buffer;
 use crate::simd::fetch;
 use crate::{CpuBackend, WorkerScratch};
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use trimip_core::engine::backend::Sampler;
 use trimip_core::engine::batch::{Ray, Rays, Segment, Target};
+use trimip_core::engine::error_map::{CellErrors, Drawn, ErrorMap, UNIT, error_of};
 use trimip_core::engine::policy::SamplerPolicy;
 use trimip_core::engine::ray_allocation::RayAllocation;
 use trimip_core::math::rng::Sequence;
@@ -21,13 +24,18 @@ pub struct CpuSampler {
     policy: SamplerPolicy,
     views: Option<ViewSet>,
     depths: DepthIndex,
+    /// Errors of each cell of the error map. Sums of integers do not depend on the order of threads.
+    errors: Vec<[AtomicU64; 2]>,
 }
 
 impl CpuSampler {
     /// A sampler over `views`. Without views it generates camera rays only.
     pub fn new(config: &Config, views: Option<ViewSet>) -> Self {
         let depths = views.as_ref().map(|views| DepthIndex::new(&views.depths)).unwrap_or_default();
-        Self { policy: SamplerPolicy::new(config, views.as_ref()), views, depths }
+        let policy = SamplerPolicy::new(config, views.as_ref());
+        let cells = policy.error_map().map_or(0, ErrorMap::len);
+        let errors = (0..cells).map(|_| Default::default()).collect();
+        Self { policy, views, depths, errors }
     }
 
     /// The known depth of a pixel; of deviation 0 if there is none, or no use for it.
@@ -85,16 +93,17 @@ impl Sampler<CpuBackend> for CpuSampler {
         let (policy, Some(views)) = (&self.policy, &self.views) else { return };
         let (scale_weights, random_background) = (policy.scale_weights(), policy.random_background());
         // Random pixels are not in any cache: several are prefetched before the first is read.
-        let mut drawn = [(0, 0); AHEAD];
+        let mut drawn = [Drawn { scale: 0, pixel: 0, importance: 1.0 }; AHEAD];
         for (slot, index) in range.clone().enumerate() {
             if slot % AHEAD == 0 {
                 for (drawn, index) in drawn.iter_mut().zip(index..range.end) {
-                    *drawn = policy.pixel(step, allocation, index);
-                    fetch(&raw const views.pixels[drawn.1]);
+                    *drawn = policy.pixel(&views.views, step, allocation, index);
+                    fetch(&raw const views.pixels[drawn.pixel]);
                 }
             }
-            let (scale, pixel) = drawn[slot % AHEAD];
-            let (mut weight, pattern) = (scale_weights.weight(scale), allocation.patterns()[scale]);
+            let Drawn { scale, pixel, importance } = drawn[slot % AHEAD];
+            let pattern = allocation.patterns()[scale];
+            let mut weight = scale_weights.weight(scale) * importance;
             let exponent = policy.exponents[scale];
             let scale = &views.scales[scale];
             let in_scale = &views.views[scale.views.clone()];
@@ -127,8 +136,35 @@ impl Sampler<CpuBackend> for CpuSampler {
                 exponent,
                 distance: known.distance,
                 deviation: known.deviation,
+                importance,
             });
         }
+    }
+
+    fn observe(
+        &self,
+        _: &mut WorkerScratch,
+        step: u64,
+        range: Range<u32>,
+        rays: &Rays<CpuBackend>,
+        pixel_gradients: &Buffer<[f32; 4]>,
+    ) {
+        let Some(map) = self.policy.error_map() else { return };
+        for ((index, target), gradient) in range.zip(rays.targets.iter()).zip(pixel_gradients.iter()) {
+            if target.weight > 0.0 {
+                let [error, count] = &self.errors[self.policy.cell(map, step, index)];
+                error.fetch_add((error_of(*gradient, target.weight) * UNIT) as u64, Relaxed);
+                count.fetch_add(1, Relaxed);
+            }
+        }
+    }
+
+    fn take_errors(&mut self) -> Vec<CellErrors> {
+        self.errors.iter_mut().map(|sums| sums.each_mut().map(|sum| std::mem::take(sum.get_mut()))).collect()
+    }
+
+    fn set_error_map(&mut self, map: ErrorMap) {
+        self.policy.set_error_map(map);
     }
 
     fn camera_rays(

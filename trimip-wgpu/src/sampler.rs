@@ -11,6 +11,7 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex};
 use trimip_core::engine::backend::Sampler;
 use trimip_core::engine::batch::Rays;
+use trimip_core::engine::error_map::{CellErrors, ErrorMap, Grid, MOST_ERROR, UNIT, per_pixel};
 use trimip_core::engine::policy::SamplerPolicy;
 use trimip_core::engine::ray_allocation::RayAllocation;
 use trimip_core::geometry::lens::MOST_ROUNDS;
@@ -18,13 +19,16 @@ use trimip_core::math::rng::Sequence;
 use trimip_core::scene::cones::PixelPattern;
 use trimip_core::scene::depths::KnownDepth;
 use trimip_core::scene::views::Alpha;
-use trimip_core::{Camera, Config, Error, Result, ViewSet};
+use trimip_core::{Camera, Config, Error, Result, Scale, View, ViewSet};
 
 /// Maximum number of threads that look up a step's pixels on the host.
 const MOST_THREADS: usize = 8;
 
 /// Maximum number of scales of a data set.
 const MOST_SCALES: usize = 8;
+
+/// Words of a cell's errors.
+const WORDS_OF_CELL: usize = 4;
 
 /// Cones along a side that stand for the quincunx on the device. No grid has as many.
 const QUINCUNX: u32 = 0x100;
@@ -47,14 +51,8 @@ shared! {
         radial: [f32; 4],
         denominator: [f32; 4],
         shift: [f32; 4],
-    }
-
-    /// A scale of the training views.
-    struct GpuScale as Scale {
-        first_pixel: u32,
-        pixels: u32,
-        first_view: u32,
-        views: u32,
+        /// First cell of the error map, its columns and rows; height of the view.
+        cells: [u32; 4],
     }
 
     /// Parameters of ray generation.
@@ -77,12 +75,20 @@ shared! {
         first_cone: u32,
         /// Number of known depths.
         depths: u32,
+        /// Number of cells of the error map, in each component.
+        cells: [u32; 4],
         /// Pixels of the step from this index on belong to this scale or a coarser one.
         begins: [u32; MOST_SCALES],
         /// By scale: loss weight of a pixel, its cones ([`side_of`]), edge exponent of its photographs.
         weights: [f32; MOST_SCALES],
         sides: [u32; MOST_SCALES],
         exponents: [f32; MOST_SCALES],
+        /// By scale: its first pixel and view, and their numbers; [`per_pixel`].
+        first_pixels: [u32; MOST_SCALES],
+        pixels: [u32; MOST_SCALES],
+        first_views: [u32; MOST_SCALES],
+        views: [u32; MOST_SCALES],
+        per_pixel: [f32; MOST_SCALES],
     }
 }
 
@@ -99,22 +105,25 @@ pub const CAMERA: Source = Parts(&[
 
 mirror!(KnownDepth as KnownDepth { pixel: u32, distance: f32, deviation: f32 });
 
+const VIEWS: Source = Text(include_str!("shaders/views.wgsl"));
 const DRAW: Source = Text(include_str!("shaders/draw.wgsl"));
+const EVENLY: Source = Text(include_str!("shaders/draw_evenly.wgsl"));
+const CELLS: Source = Text(include_str!("shaders/error_cells.wgsl"));
+const BY_ERROR: Source = Parts(&[CELLS, Text(include_str!("shaders/draw_by_error.wgsl"))]);
 const RAYS: [Source; 8] = [
     GRID,
     RANDOM,
     CAMERA,
     TARGET,
-    Source::of::<GpuScale>(),
     Source::of::<Params>(),
     DRAW,
+    VIEWS,
     Text(include_str!("shaders/rays.wgsl")),
 ];
-const KNOWN_DEPTHS: [Source; 8] = [
+const KNOWN_DEPTHS: [Source; 7] = [
     GRID,
     RANDOM,
     TARGET,
-    Source::of::<GpuScale>(),
     Source::of::<Params>(),
     Source::of::<KnownDepth>(),
     DRAW,
@@ -123,30 +132,56 @@ const KNOWN_DEPTHS: [Source; 8] = [
 const PHOTOGRAPHS_NONE: Source = Text(include_str!("shaders/photographs_none.wgsl"));
 const PHOTOGRAPHS_KEPT: Source = Text(include_str!("shaders/photographs_kept.wgsl"));
 
-/// The kernel that generates the rays of a training step.
-fn training_rays() -> Kernel {
-    Kernel::new(
+const OBSERVE: [Source; 9] = [
+    GRID,
+    RANDOM,
+    TARGET,
+    Source::of::<Params>(),
+    DRAW,
+    CELLS,
+    Source::real("UNIT", UNIT),
+    Source::real("MOST_ERROR", MOST_ERROR),
+    Text(include_str!("shaders/observe.wgsl")),
+];
+
+/// The kernel that generates the rays of a training step, whose pixels are drawn by the error map or evenly.
+fn training_rays(by_error: bool) -> Kernel {
+    let kernel = Kernel::new(
         "training_rays",
         &RAYS,
-        &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read), (5, Write), (6, Write)],
-    )
+        &[(0, Read), (1, Write), (2, Parameters), (3, Read), (5, Write), (6, Write)],
+    );
+    if by_error { kernel.and(&[BY_ERROR], &[(10, Read)]) } else { kernel.and(&[EVENLY], &[]) }
+}
+
+/// The same, and each pixel keeps the number of its photograph.
+fn training_rays_exposed(by_error: bool) -> Kernel {
+    training_rays(by_error).and(&[PHOTOGRAPHS_KEPT], &[(7, Write), (8, Read)])
+}
+
+/// The kernel that gives targets their known depths.
+fn known_depths() -> Kernel {
+    Kernel::new("known_depths", &KNOWN_DEPTHS, &[(2, Parameters), (5, Write), (9, Read)])
 }
 
 kernels! {
     /// The kernels of ray generation.
     pub struct Kernels {
         camera_rays: Kernel::new("camera_rays", &RAYS, &[(0, Read), (1, Write), (2, Parameters), (6, Write)])
-            .and(&[PHOTOGRAPHS_NONE], &[]),
-        training_rays: training_rays().and(&[PHOTOGRAPHS_NONE], &[]),
-        /// The same, and each pixel keeps the number of its photograph.
-        training_rays_exposed: training_rays().and(&[PHOTOGRAPHS_KEPT], &[(7, Write), (8, Read)]),
-        /// Gives targets their known depths.
-        known_depths: Kernel::new("known_depths", &KNOWN_DEPTHS, &[(2, Parameters), (4, Read), (5, Write), (9, Read)]),
+            .and(&[PHOTOGRAPHS_NONE, EVENLY], &[]),
+        training_rays: training_rays(false).and(&[PHOTOGRAPHS_NONE], &[]),
+        training_rays_exposed: training_rays_exposed(false),
+        training_rays_by_error: training_rays(true).and(&[PHOTOGRAPHS_NONE], &[]),
+        training_rays_exposed_by_error: training_rays_exposed(true),
+        known_depths: known_depths().and(&[EVENLY], &[]),
+        known_depths_by_error: known_depths().and(&[Source::of::<GpuView>(), VIEWS, BY_ERROR], &[(0, Read), (10, Read)]),
+        /// Adds the errors of pixels to their cells.
+        observe: Kernel::new("observe", &OBSERVE, &[(2, Parameters), (5, Read), (10, Read), (11, Read), (12, Write)]),
     }
 }
 
 impl GpuView {
-    fn new(camera: &Camera, offset: usize) -> Self {
+    fn new(camera: &Camera, offset: usize, cells: Grid) -> Self {
         let k = &camera.intrinsics;
         let axes = camera.rotation.to_cols_array_2d();
         let origin = camera.origin.to_array();
@@ -162,6 +197,7 @@ impl GpuView {
             radial: lens.radial.map(|k| k as f32),
             denominator: [d1, d2, d3, lens.domain()].map(|d| d as f32),
             shift: [p1, p2, s1, s2].map(|s| s as f32),
+            cells: [cells.first, cells.size[0], cells.size[1], k.height],
         }
     }
 }
@@ -182,9 +218,13 @@ struct Training {
     pixels: Mutex<Buffer<u32>>,
     /// All pixels, if they stay on the host.
     host: Option<trimip_core::Pixels>,
-    scales: Buffer<GpuScale>,
-    /// Index of the first pixel of each view.
-    offsets: Vec<usize>,
+    /// The views as the host knows them, and the cells of each.
+    on_host: Vec<View>,
+    cells: Vec<Grid>,
+    /// The random number from which each cell of the error map is drawn.
+    starts: Buffer<u32>,
+    /// Errors of each cell, as `observe` leaves them.
+    errors: Buffer<u32>,
     /// The photograph of each view, with `loss.exposure` or refined poses.
     photographs: Option<Buffer<u32>>,
     /// Sorted by pixel.
@@ -202,6 +242,12 @@ impl WgpuSampler {
             background: policy.background,
             scales: policy.scales.len() as u32,
             exponents: padded(policy.exponents.iter().copied(), 0.0),
+            cells: [policy.error_map().map_or(0, ErrorMap::len) as u32; 4],
+            first_pixels: by_scale(&policy, |scale| scale.pixels.start as u32),
+            pixels: by_scale(&policy, |scale| scale.pixels.len() as u32),
+            first_views: by_scale(&policy, |scale| scale.views.start as u32),
+            views: by_scale(&policy, |scale| scale.views.len() as u32),
+            per_pixel: padded(policy.scales.iter().map(|scale| per_pixel(scale.pixels.len())), 0.0),
             ..Params::default()
         };
         let training = match views {
@@ -217,6 +263,17 @@ impl WgpuSampler {
         let kernels = Kernels::new(gpu);
         Ok(Self { gpu: Arc::clone(gpu), kernels, policy, training, camera: Buffer::zeros(gpu, 1), params })
     }
+}
+
+/// The cells of the error map of each view's photograph.
+fn cells(policy: &SamplerPolicy, views: &ViewSet) -> Vec<Grid> {
+    let Some(map) = policy.error_map() else { return vec![Grid::default(); views.views.len()] };
+    views.scales.iter().flat_map(|_| map.grids()).copied().collect()
+}
+
+/// A number of each scale.
+fn by_scale(policy: &SamplerPolicy, of: impl Fn(&Scale) -> u32) -> [u32; MOST_SCALES] {
+    padded(policy.scales.iter().map(of), 0)
 }
 
 /// The number by which the device knows what alpha is.
@@ -277,8 +334,10 @@ impl Training {
             views: Buffer::zeros(gpu, 0),
             pixels: Mutex::new(Buffer::zeros(gpu, 0)),
             host: None,
-            scales: Buffer::zeros(gpu, 0),
-            offsets: views.views.iter().map(|view| view.offset).collect(),
+            cells: cells(policy, &views),
+            on_host: views.views.clone(),
+            starts: Buffer::zeros(gpu, 0),
+            errors: Buffer::zeros(gpu, WORDS_OF_CELL * policy.error_map().map_or(0, ErrorMap::len)),
             photographs: (!policy.photographs.is_empty()).then(|| Buffer::zeros(gpu, 0)),
             depths: Buffer::zeros(gpu, 0),
         };
@@ -286,17 +345,9 @@ impl Training {
         if let Some(of_views) = &mut training.photographs {
             of_views.write(&policy.photographs);
         }
-        let scales: Vec<GpuScale> = views
-            .scales
-            .iter()
-            .map(|scale| GpuScale {
-                first_pixel: scale.pixels.start as u32,
-                pixels: scale.pixels.len() as u32,
-                first_view: scale.views.start as u32,
-                views: scale.views.len() as u32,
-            })
-            .collect();
-        training.scales.write(&scales);
+        if let Some(map) = policy.error_map() {
+            training.starts.write(map.starts());
+        }
         training.depths.write(&views.depths);
         if streamed {
             training.host = Some(views.pixels);
@@ -308,7 +359,8 @@ impl Training {
 
     /// Writes the cameras of all views.
     fn place(&mut self, cameras: &[Camera]) {
-        let views = cameras.iter().zip(&self.offsets).map(|(camera, offset)| GpuView::new(camera, *offset));
+        let views = cameras.iter().zip(&self.on_host).zip(&self.cells);
+        let views = views.map(|((camera, view), cells)| GpuView::new(camera, view.offset, *cells));
         self.views.write(&views.collect::<Vec<_>>());
     }
 }
@@ -316,6 +368,7 @@ impl Training {
 /// Looks up the pixels `range` of a step, with the same random numbers as the device. A few threads share the work.
 fn look_up(
     policy: &SamplerPolicy,
+    views: &[View],
     host: &[[u8; 4]],
     step: u64,
     allocation: &RayAllocation,
@@ -328,7 +381,7 @@ fn look_up(
         for (words, first) in words.chunks_mut(part).zip(range.step_by(part)) {
             scope.spawn(move || {
                 for (word, index) in words.iter_mut().zip(first..) {
-                    *word = u32::from_le_bytes(host[policy.pixel(step, allocation, index).1]);
+                    *word = u32::from_le_bytes(host[policy.pixel(views, step, allocation, index).pixel]);
                 }
             });
         }
@@ -390,35 +443,86 @@ impl Sampler<WgpuBackend> for WgpuSampler {
         };
         let mut pixels = lock(&training.pixels);
         if let Some(host) = &training.host {
-            pixels.write(&look_up(policy, host, step, allocation, range.clone()));
+            pixels.write(&look_up(policy, &training.on_host, host, step, allocation, range.clone()));
         }
-        let Training { views, scales, photographs: of_views, .. } = training;
+        let Training { views, photographs: of_views, starts, .. } = training;
+        let by_error = policy.error_map().is_some();
         rays.photographs.resize(if of_views.is_some() { range.len() } else { 0 });
         let mut binds = Binds::new(views.bind()).and([
             rays.rays.bind(),
             pixels.bind(),
-            scales.bind(),
             rays.targets.bind(),
             rays.groups.bind(),
         ]);
-        let mut kernel = &self.kernels.training_rays;
         if let Some(of_views) = of_views {
-            kernel = &self.kernels.training_rays_exposed;
             binds = binds.and([rays.photographs.bind(), of_views.bind()]);
         }
+        binds = binds.and(by_error.then(|| starts.bind()));
+        let kernel = match (of_views.is_some(), by_error) {
+            (false, false) => &self.kernels.training_rays,
+            (true, false) => &self.kernels.training_rays_exposed,
+            (false, true) => &self.kernels.training_rays_by_error,
+            (true, true) => &self.kernels.training_rays_exposed_by_error,
+        };
         let items = Size::Items(range.len() as u64);
         self.gpu.dispatch(kernel, &binds, &params, items);
         if policy.knows_depths() && params.depths > 0 {
-            let binds = [scales.bind(), rays.targets.bind(), training.depths.bind()];
-            self.gpu.dispatch(&self.kernels.known_depths, &binds, &params, items);
+            let (targets, depths) = (rays.targets.bind(), training.depths.bind());
+            if by_error {
+                let binds = [views.bind(), targets, depths, starts.bind()];
+                self.gpu.dispatch(&self.kernels.known_depths_by_error, &binds, &params, items);
+            } else {
+                self.gpu.dispatch(&self.kernels.known_depths, &[targets, depths], &params, items);
+            }
         }
+    }
+
+    fn observe(
+        &self,
+        _: &mut Stream,
+        step: u64,
+        range: Range<u32>,
+        rays: &Rays<WgpuBackend>,
+        pixel_gradients: &Buffer<[f32; 4]>,
+    ) {
+        let (Some(training), Some(_)) = (&self.training, self.policy.error_map()) else { return };
+        let params = Params {
+            draws: self.policy.random.at(Sequence::Pixel, step).words(),
+            first: range.start,
+            count: range.len() as u32,
+            ..self.params
+        };
+        let Training { starts, errors, .. } = training;
+        let binds = [rays.targets.bind(), starts.bind(), pixel_gradients.bind(), errors.bind()];
+        self.gpu.dispatch(&self.kernels.observe, &binds, &params, Size::Items(range.len() as u64));
+    }
+
+    fn take_errors(&mut self) -> Vec<CellErrors> {
+        let Some(training) = &mut self.training else { return Vec::new() };
+        let words = training.errors.read();
+        training.errors.write(&vec![0; words.len()]);
+        words
+            .as_chunks()
+            .0
+            .iter()
+            .map(|&[low, high, count, _]: &[u32; WORDS_OF_CELL]| {
+                [u64::from(high) << 32 | u64::from(low), count.into()]
+            })
+            .collect()
+    }
+
+    fn set_error_map(&mut self, map: ErrorMap) {
+        if let Some(training) = &mut self.training {
+            training.starts.write(map.starts());
+        }
+        self.policy.set_error_map(map);
     }
 
     fn camera_rays(&self, _: &mut Stream, camera: &Camera, range: Range<u32>, rays: &mut Rays<WgpuBackend>) {
         let pattern = self.policy.division.pattern(camera);
         make_room(rays, &range, 0..range.len() as u32 * pattern.count());
         rays.targets.resize(0);
-        self.gpu.write(self.camera.raw(), &[GpuView::new(camera, 0)]);
+        self.gpu.write(self.camera.raw(), &[GpuView::new(camera, 0, Grid::default())]);
         let params = Params {
             first: range.start,
             count: range.len() as u32,

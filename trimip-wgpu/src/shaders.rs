@@ -42,6 +42,7 @@ pub const TARGET: Source = Parts(&[
     Source::whole("TARGET_EXPONENT", words(offset_of!(Target, exponent))),
     Source::whole("TARGET_DISTANCE", words(offset_of!(Target, distance))),
     Source::whole("TARGET_DEVIATION", words(offset_of!(Target, deviation))),
+    Source::whole("TARGET_IMPORTANCE", words(offset_of!(Target, importance))),
 ]);
 
 /// Two unit vectors across a direction.

@@ -78,7 +78,7 @@ fn every_variant_is_valid_and_fits_everywhere() {
                 _ => continue,
             };
             if access == Access::Parameters {
-                assert!(size <= 256, "{name}: parameters of {size} bytes");
+                assert!(size <= 512, "{name}: parameters of {size} bytes");
             } else {
                 storage += 1;
             }

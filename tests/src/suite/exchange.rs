@@ -2,7 +2,7 @@
 
 use super::exposure::exposed;
 use super::poses::refined;
-use super::training::{configuration, scheduled, steps};
+use super::training::{configuration, drawn, scheduled, steps};
 use crate::fixtures;
 use crate::ranks::Threads;
 use std::sync::{
@@ -25,7 +25,7 @@ type Make<'a, B> = &'a (dyn Fn(Arc<dyn Ranks>, &Config) -> Box<dyn Exchange<B>> 
 
 /// Configurations that cover every path from the gradient to the parameters.
 fn configurations() -> Result<Vec<Config>> {
-    let mut all = vec![scheduled()?, exposed(), refined()];
+    let mut all = vec![scheduled()?, exposed(), refined(), drawn()];
     for encoder in
         fixtures::every_encoder().into_iter().chain([fixtures::growing_tensor(), fixtures::growing_voxels()])
     {

@@ -111,7 +111,17 @@ impl Given {
         // A third of the pixels have no point.
         let deviation = [0.0, 0.05, random.between(1e-3, 0.5) as f32][random.below(3)];
         let distance = random.between(0.0, 3.0) as f32;
-        self.targets.push(Target { rgb, weight, background, opacity: own, exponent, distance, deviation });
+        let importance = [1.0, random.between(0.2, 3.0) as f32][random.below(2)];
+        self.targets.push(Target {
+            rgb,
+            weight,
+            background,
+            opacity: own,
+            exponent,
+            distance,
+            deviation,
+            importance,
+        });
         self.photographs.push(random.below(GAINS.len()) as u32);
     }
 
@@ -133,9 +143,9 @@ impl Given {
     /// The same with pixels of the colour that they should have.
     pub fn without_colours(mut self) -> Self {
         self.pixels.fill(Pixel::default());
-        self.targets
-            .iter_mut()
-            .for_each(|target| *target = Target { weight: target.weight, ..Target::default() });
+        self.targets.iter_mut().for_each(|target| {
+            *target = Target { weight: target.weight, importance: 1.0, ..Target::default() }
+        });
         self
     }
 

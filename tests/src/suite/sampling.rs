@@ -1,12 +1,15 @@
-//! Selection of training rays: fractions and weights of the scales, backgrounds, and known depths.
+//! Selection of training rays: fractions and weights of the scales, backgrounds, known depths, and the error map.
 
 use super::Bench;
 use crate::fixtures::{lively, noise, small};
 use std::ops::Range;
 use trimip_core::{
     Backend, Layout, Result,
-    config::{TrainBackground, schedule::Schedule},
-    engine::backend::Sampler,
+    config::{Exposure, TrainBackground, schedule::Schedule},
+    engine::{
+        backend::Sampler,
+        error_map::{UNIT, error_of},
+    },
 };
 
 /// The rays of a step are distributed over the scales by the schedule, and their weights compensate. The width of a
@@ -117,6 +120,81 @@ pub fn known_depths<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         // Every third pixel is known.
         let (low, high) = if progress < 0.5 { (RAYS.len() / 4, RAYS.len() / 2) } else { (0, 0) };
         assert!((low..=high).contains(&supervised), "{supervised} at {progress}");
+    }
+    Ok(())
+}
+
+/// With an error map, the photographs' pixels are drawn as core draws them, at every scale, with their known depths and whether or not
+/// pixels keep their photographs; errors go to their cells, and the next map draws other pixels.
+///
+/// # Errors
+/// When the backend refuses the configuration.
+pub fn error_map<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    const RAYS: Range<u32> = 5..3_005;
+    for exposure in [Exposure::None, Exposure::Gain] {
+        let mut config = small();
+        config.train.error_map = Schedule::new(vec![[0.0, 0.75]]);
+        config.loss.depth = Schedule::new(vec![[0.0, 0.5]]);
+        config.loss.exposure = exposure;
+        let mut views = noise(3, 80, 3, 4);
+        // The colour of a pixel is its number.
+        for (pixel, number) in views.pixels.iter_mut().zip(0_u32..) {
+            *pixel = [number as u8, (number >> 8) as u8, (number >> 16) as u8, 255];
+        }
+        let known = views.depths.clone();
+        let all = views.views.clone();
+        let mut bench = Bench::new(make(), &config, Some(views), &lively(&Layout::new(&config), 1))?;
+        let Bench { backend, stages, workspace, .. } = &mut bench;
+        let allocation = stages.sampler.scale_weights().allocate(RAYS.end);
+        let mut before = Vec::new();
+        for round in 0..3 {
+            stages.sampler.training_rays(&mut workspace.stream, 7, &allocation, RAYS, &mut workspace.rays);
+            let targets = backend.read(&workspace.rays.targets);
+            let policy = stages.sampler.policy();
+            let map = policy.error_map().expect("the configuration has a map").clone();
+            let mut expected = vec![[0; 2]; map.len()];
+            let gradients: Vec<[f32; 4]> =
+                (0..RAYS.len()).map(|i| [0.0, 1e-4 * i as f32, 1e-3, 0.5]).collect();
+            let mut pixels = Vec::new();
+            for ((index, target), gradient) in RAYS.zip(&targets).zip(&gradients) {
+                let own = policy.pixel(&all, 7, &allocation, index);
+                let [low, middle, high] = target.rgb.map(|channel| (255.0 * channel).round() as usize);
+                assert_eq!(low + (middle << 8) + (high << 16), own.pixel, "pixel {index}, round {round}");
+                let weight = policy.scale_weights().weight(own.scale) * own.importance;
+                assert!((target.importance / own.importance - 1.0).abs() < 1e-5, "{target:?}, not {own:?}");
+                assert!((target.weight / weight - 1.0).abs() < 1e-5, "{target:?}, not {weight}");
+                let depth = known.iter().find(|known| known.pixel as usize == own.pixel);
+                assert_eq!(target.deviation, depth.map_or(0.0, |own| own.deviation));
+                let [error, count] = &mut expected[policy.cell(&map, 7, index)];
+                *error += (error_of(*gradient, target.weight) * UNIT) as u64;
+                *count += 1;
+                pixels.push(own.pixel);
+            }
+            assert_ne!(pixels, before, "round {round}");
+            before = pixels;
+            backend.write(&mut workspace.pixel_gradients, &gradients);
+            stages.sampler.observe(
+                &mut workspace.stream,
+                7,
+                RAYS,
+                &workspace.rays,
+                &workspace.pixel_gradients,
+            );
+            let found = stages.sampler.take_errors();
+            for (cell, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                assert_eq!(found[1], expected[1], "cell {cell}");
+                let off = found[0].abs_diff(expected[0]) as f64;
+                assert!(off <= 1e-5 * expected[0] as f64 + expected[1] as f64, "{found:?}, not {expected:?}");
+            }
+            assert_eq!(found.len(), map.len());
+            assert!(
+                stages.sampler.take_errors().iter().all(|errors| *errors == [0; 2]),
+                "they are empty now"
+            );
+            let mut next = map;
+            next.update(&found, 0.75);
+            stages.sampler.set_error_map(next);
+        }
     }
     Ok(())
 }

@@ -28,10 +28,11 @@ pub fn configuration() -> Config {
     config
 }
 
-/// A configuration whose steps draw half of their samples.
+/// A configuration whose steps draw pixels by the error map, and half of their samples.
 pub fn drawn() -> Config {
     let mut config = configuration();
     config.train.backward_fraction = Schedule::new(vec![[0.0, 1.0], [0.1, 0.5]]);
+    config.train.error_map = Schedule::new(vec![[0.0, 0.8], [0.3, 0.5]]);
     config.renderer.color_weight = Schedule::new(vec![[0.0, 0.0], [0.2, 0.01]]);
     config
 }

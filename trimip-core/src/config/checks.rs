@@ -210,6 +210,11 @@ impl TrainConfig {
             "[[0.0, fraction], ...] with rising fractions of the run below 1 and fractions of the samples from 0.01 to 1",
         )?;
         to.check(
+            self.error_map.is_whole(),
+            "train.error_map",
+            "[[0.0, fraction], ...] with rising fractions of the run below 1 and fractions of the pixels from 0 to 0.95",
+        )?;
+        to.check(
             self.scale_weighting.is_whole(),
             "train.scale_weighting",
             "[[0.0, weighting], ...] with rising fractions below 1 and weightings from 0 to 1",

@@ -88,7 +88,7 @@ section!(
 section!(
     /// Length of the run and size of a step.
     TrainConfig, "train" {
-        steps: u64, seconds: f64, samples_per_step: u32, leaves: u32, batch_scale: Schedule, backward_fraction: Schedule, scale_weighting: Schedule, cones: Schedule, background: TrainBackground,
+        steps: u64, seconds: f64, samples_per_step: u32, leaves: u32, batch_scale: Schedule, backward_fraction: Schedule, error_map: Schedule, scale_weighting: Schedule, cones: Schedule, background: TrainBackground,
         background_fraction: Schedule, cameras: CameraPoses,
         checkpoint_seconds: f64, log_seconds: f64,
     }

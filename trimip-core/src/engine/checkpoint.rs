@@ -5,7 +5,7 @@ pub use crate::{engine::batch::MOST_PENDING, field::tensor_names::OCCUPANCY_DENS
 
 use crate::{
     Config, Error, Result,
-    engine::{batch::StepSums, events::Totals, exposure, poses, trainer::rays::most_rays},
+    engine::{batch::StepSums, error_map, events::Totals, exposure, poses, trainer::rays::most_rays},
     field::{
         encoders,
         model::{Model, expect_format, expect_tensors},
@@ -136,7 +136,7 @@ impl TrainState {
 /// True for tensors, beside moments, that only training needs.
 fn of_training(name: &str) -> bool {
     name == OCCUPANCY_DENSITY
-        || [exposure::PREFIX, poses::PREFIX].iter().any(|prefix| name.starts_with(prefix))
+        || [exposure::PREFIX, poses::PREFIX, error_map::PREFIX].iter().any(|prefix| name.starts_with(prefix))
 }
 
 /// The state of a training run.

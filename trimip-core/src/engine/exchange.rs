@@ -9,6 +9,7 @@ use crate::{
     engine::{
         backend::Stages,
         batch::{PartialGradients, StepResult, Update},
+        error_map::CellErrors,
     },
 };
 use std::sync::Arc;
@@ -51,6 +52,14 @@ pub trait Exchange<B: Backend>: Send {
     fn update(&mut self, backend: &B, stages: &mut Stages<B>, update: &mut Update<'_, B>) -> Result<()> {
         backend.update(stages, update);
         Ok(())
+    }
+
+    /// Called with the errors of the pixels that this rank drew, by cells of the error map; returns those of all ranks.
+    ///
+    /// # Errors
+    /// When another rank is gone.
+    fn errors(&mut self, errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
+        Ok(errors)
     }
 
     /// Called before the optimiser's moments are read: afterwards every rank has all of them.
@@ -115,6 +124,10 @@ impl<B: Backend> Exchange<B> for Summed {
         Ok(all)
     }
 
+    fn errors(&mut self, errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
+        sum_errors(&*self.ranks, errors)
+    }
+
     fn update(&mut self, backend: &B, stages: &mut Stages<B>, update: &mut Update<'_, B>) -> Result<()> {
         let mut own = backend.read(update.gradient);
         let mut message = bytemuck::bytes_of(&backend.weight(update.partials)).to_vec();
@@ -140,4 +153,24 @@ impl<B: Backend> Exchange<B> for Summed {
         backend.update_all(stages, update);
         Ok(())
     }
+}
+
+/// The errors of all ranks, added up: every rank calls this with its own. Sums of integers do not depend on the order of ranks.
+///
+/// # Errors
+/// When another rank is gone.
+pub fn sum_errors(ranks: &dyn Ranks, mut errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
+    let Rank { id, size } = ranks.rank();
+    let own = bytemuck::cast_slice(&errors).to_vec();
+    let mut received = vec![Vec::new(); size];
+    ranks.all_to_all(&vec![&own[..]; size], &mut received)?;
+    for (_, bytes) in received.iter().enumerate().filter(|(rank, _)| *rank != id) {
+        if bytes.len() != own.len() {
+            let (expected, found) = (own.len(), bytes.len());
+            return Err(fault(format_args!("expected errors of {expected} bytes, found {found}")));
+        }
+        let words = bytes.as_chunks().0.iter().map(|word| u64::from_ne_bytes(*word));
+        errors.as_flattened_mut().iter_mut().zip(words).for_each(|(sum, word)| *sum = sum.wrapping_add(word));
+    }
+    Ok(errors)
 }

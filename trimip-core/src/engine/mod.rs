@@ -5,6 +5,7 @@
 pub mod backend;
 pub mod batch;
 pub mod checkpoint;
+pub mod error_map;
 pub mod events;
 pub mod exchange;
 pub mod exposure;

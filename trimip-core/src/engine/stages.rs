@@ -11,6 +11,7 @@ use crate::{
             Displaced, FieldBackward, FieldDraw, PartialGradients, Radiance, Rays, SampleDraw, Samples, Tile,
             Update, Workspace,
         },
+        error_map::{CellErrors, ErrorMap},
         policy::{OptimizerPolicy, RendererPolicy, SamplerPolicy},
         proxy::Guide,
         ray_allocation::{RayAllocation, ScaleWeights},
@@ -342,7 +343,7 @@ pub trait Sampler<B: Backend>: Send + Sync {
     fn set_cameras(&mut self, cameras: &[Camera]);
 
     /// Generates the cones of the pixels `range` of a training step. `allocation` tells which scale each pixel belongs to;
-    /// within a scale, pixels are drawn uniformly.
+    /// within a scale, pixels are drawn uniformly, or by the error map.
     fn training_rays(
         &self,
         stream: &mut B::Stream,
@@ -351,6 +352,23 @@ pub trait Sampler<B: Backend>: Send + Sync {
         range: Range<u32>,
         rays: &mut Rays<B>,
     );
+
+    /// Adds the errors of the pixels `range` of a training step to their cells of the error map, if there is one. `rays` are theirs, and
+    /// `pixel_gradients` what [`Loss::evaluate_pixels`] wrote.
+    fn observe(
+        &self,
+        stream: &mut B::Stream,
+        step: u64,
+        range: Range<u32>,
+        rays: &Rays<B>,
+        pixel_gradients: &B::Buffer<[f32; 4]>,
+    );
+
+    /// Returns what [`observe`](Self::observe) has added up, one per cell, and empties it. Waits for the device.
+    fn take_errors(&mut self) -> Vec<CellErrors>;
+
+    /// Draws the pixels of later steps by another error map of the same photographs.
+    fn set_error_map(&mut self, map: ErrorMap);
 
     /// Generates the cones of the pixels `range` of a camera, row by row.
     fn camera_rays(&self, stream: &mut B::Stream, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);

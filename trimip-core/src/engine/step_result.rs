@@ -11,7 +11,7 @@ pub struct StepSums {
     pub loss: f64,
     /// Σ weight over the rays that the loss is averaged over.
     pub weight: f64,
-    /// Σ squared error over channels.
+    /// Σ importance · squared error over channels.
     pub squared_error: f64,
     /// Pixels.
     pub rays: u64,

@@ -56,7 +56,7 @@ impl From<Cone<f32>> for Ray {
 pub struct Target {
     /// Colour of the photograph's pixel on the background.
     pub rgb: [f32; 3],
-    /// Area weight of the pixel, 4^level.
+    /// Weight of the pixel: its area, 4^level, divided by how much oftener than evenly its scale and the pixel are drawn.
     pub weight: f32,
     /// Background colour behind the ray.
     pub background: [f32; 3],
@@ -68,6 +68,9 @@ pub struct Target {
     pub distance: f32,
     /// Standard deviation of `distance`; 0 if no point is known.
     pub deviation: f32,
+    /// Probability of the pixel if its scale were drawn from evenly, relative to the one that it has: 1 without an
+    /// [`ErrorMap`](crate::engine::error_map::ErrorMap). A part of the weight.
+    pub importance: f32,
 }
 
 /// A sphere inscribed in a cone: the input of a query of the field.

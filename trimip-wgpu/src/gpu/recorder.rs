@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 use std::num::NonZeroU64;
 
 /// Bytes between the parameters of two dispatches: an alignment that every device supports.
-const PARAMETERS_STRIDE: usize = 256;
+const PARAMETERS_STRIDE: usize = 512;
 
 /// Dispatches per submission. More are submitted in several parts.
 const DISPATCHES: usize = 2048;

@@ -38,7 +38,7 @@ fn cones_of_pixels() {
         camera.cone_in::<f64>(x, y, index, PixelPattern::Grid(side))
     };
     compare(
-        files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(0.36, -0.8, 0.48, 1.0), vec4<f32>(0.48, 0.6, 0.64, -2.0), vec4<f32>(-0.8, 0.0, 0.6, 0.5)); let view = View(rows, vec4<f32>(60.0, 50.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 3000.0), 64u, 0u, 0u, vec4<f32>(), vec4<f32>(), vec4<f32>()); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(0.36, -0.8, 0.48, 1.0), vec4<f32>(0.48, 0.6, 0.64, -2.0), vec4<f32>(-0.8, 0.0, 0.6, 0.5)); let view = View(rows, vec4<f32>(60.0, 50.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 3000.0), 64u, 0u, 0u, vec4<f32>(), vec4<f32>(), vec4<f32>(), vec4<u32>()); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         &inputs,
         |x| {
             let Cone { direction: [u, v, w], slope, .. } = cone(x);
@@ -67,7 +67,7 @@ fn bent(files: &[Source], lens: Lens) {
 #[test]
 fn cones_of_a_phone() {
     bent(
-        files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 1u, vec4<f32>(0.0578421, -0.0805099, 0.01, -0.002), vec4<f32>(0.0, 0.0, 0.0, 10.0), vec4<f32>(-0.00098, 0.00015575, 0.0, 0.0)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 1u, vec4<f32>(0.0578421, -0.0805099, 0.01, -0.002), vec4<f32>(0.0, 0.0, 0.0, 10.0), vec4<f32>(-0.00098, 0.00015575, 0.0, 0.0), vec4<u32>()); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         Lens::perspective([0.0578421, -0.0805099, 0.01, -0.002], [-0.00098, 0.00015575], [0.0; 3]),
     );
 }
@@ -75,7 +75,7 @@ fn cones_of_a_phone() {
 #[test]
 fn cones_of_a_rational_lens() {
     bent(
-        files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 1u, vec4<f32>(0.1, 0.02, 0.003, 0.0), vec4<f32>(0.3, 0.02, 0.001, 10.0), vec4<f32>(0.001, -0.002, 0.0, 0.0)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 1u, vec4<f32>(0.1, 0.02, 0.003, 0.0), vec4<f32>(0.3, 0.02, 0.001, 10.0), vec4<f32>(0.001, -0.002, 0.0, 0.0), vec4<u32>()); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         Lens::perspective([0.1, 0.02, 0.003, 0.0], [0.001, -0.002], [0.3, 0.02, 0.001]),
     );
 }
@@ -83,7 +83,7 @@ fn cones_of_a_rational_lens() {
 #[test]
 fn cones_of_a_fisheye() {
     bent(
-        files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 2u, vec4<f32>(-0.02, 0.004, -0.002, 0.0003), vec4<f32>(0.0, 0.0, 0.0, 3.14159), vec4<f32>(0.001, -0.0005, 0.002, -0.001)); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
+        files!(CAMERA; "let rows = array<vec4<f32>, 3>(vec4<f32>(1.0, 0.0, 0.0, 0.0), vec4<f32>(0.0, 1.0, 0.0, 0.0), vec4<f32>(0.0, 0.0, 1.0, 0.0)); let view = View(rows, vec4<f32>(40.0, 42.0, 31.0, 25.5), 1.0 / sqrt(3.14159265 * 1680.0), 64u, 0u, 2u, vec4<f32>(-0.02, 0.004, -0.002, 0.0003), vec4<f32>(0.0, 0.0, 0.0, 3.14159), vec4<f32>(0.001, -0.0005, 0.002, -0.001), vec4<u32>()); let c = cone_in(view, u32(x.x), u32(x.y), u32(x.z), u32(x.w)); return vec4<f32>(c.direction, c.slope);"),
         Lens::fisheye([-0.02, 0.004, -0.002, 0.0003], [0.001, -0.0005], [0.002, -0.001]),
     );
 }

@@ -14,7 +14,7 @@ fn known_depths(
     if i >= params.count {
         return;
     }
-    let pixel = drawn(params.first + i).y;
+    let pixel = drawn(params.first + i).pixel;
     // The first entry that is not before the pixel.
     var low = 0u;
     var high = params.depths;

@@ -68,7 +68,7 @@ fn evaluate(
             finite = finite && is_finite(difference);
             let value = penalty(difference);
             loss += value.x / 3.0;
-            squared += select(0.0, difference * difference, weight > 0.0);
+            squared += select(0.0, targets[at + TARGET_IMPORTANCE] * difference * difference, weight > 0.0);
             by_colour[c] = select(0.0, weight * value.y / 3.0, counted);
         }
         if finite {

@@ -1,7 +1,6 @@
 // Ray generation: random pixels of the training views, or all pixels of a camera. The same as the CPU's sampler. Needs
-// `drawn`.
+// `views` and `drawn`.
 
-@group(0) @binding(0) var<storage, read> views: array<View>;
 @group(0) @binding(1) var<storage, read_write> rays: array<Ray>;
 @group(0) @binding(3) var<storage, read> pixels: array<u32>;
 @group(0) @binding(5) var<storage, read_write> targets: array<f32>;
@@ -64,12 +63,11 @@ fn training_rays(
     }
     let index = params.first + i;
     let own = drawn(index);
-    let s = own.x;
-    let pixel = own.y;
-    let scale = scales[s];
+    let s = own.scale;
+    let pixel = own.pixel;
     // The last view that starts at or before the pixel.
-    var low = scale.first_view;
-    var high = scale.first_view + scale.views;
+    var low = params.first_views[s / 4u][s % 4u];
+    var high = low + params.views[s / 4u][s % 4u];
     while high - low > 1u {
         let middle = (low + high) / 2u;
         if views[middle].offset <= pixel {
@@ -103,7 +101,7 @@ fn training_rays(
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
     // Nothing is learned from pixels that the lens has no ray for.
-    targets[at + TARGET_WEIGHT] = select(0.0, fraction * params.weights[s / 4u][s % 4u], seen);
+    targets[at + TARGET_WEIGHT] = select(0.0, fraction * params.weights[s / 4u][s % 4u] * own.importance, seen);
     targets[at + TARGET_BACKGROUND] = background.r;
     targets[at + TARGET_BACKGROUND + 1u] = background.g;
     targets[at + TARGET_BACKGROUND + 2u] = background.b;
@@ -112,4 +110,5 @@ fn training_rays(
     // `known_depths` writes those that are known.
     targets[at + TARGET_DISTANCE] = 0.0;
     targets[at + TARGET_DEVIATION] = 0.0;
+    targets[at + TARGET_IMPORTANCE] = own.importance;
 }

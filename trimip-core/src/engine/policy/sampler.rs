@@ -2,9 +2,10 @@
 //! random backgrounds, by the schedules.
 
 use crate::{
-    Config, Scale, ViewSet,
+    Config, Scale, View, ViewSet,
     config::{CameraPoses, Exposure, LossConfig, TrainConfig},
     engine::{
+        error_map::{Drawn, ErrorMap},
         exposure,
         ray_allocation::{RayAllocation, ScaleSampling, ScaleWeights},
     },
@@ -34,6 +35,7 @@ pub struct SamplerPolicy {
     sampling: Option<ScaleSampling>,
     scale_weights: ScaleWeights,
     random_background: f32,
+    error_map: Option<ErrorMap>,
 }
 
 impl SamplerPolicy {
@@ -55,6 +57,8 @@ impl SamplerPolicy {
             sampling: views.map(|views| ScaleSampling::new(config, views)),
             scale_weights: ScaleWeights::default(),
             random_background: 0.0,
+            // A trainer refuses views that can have none.
+            error_map: views.and_then(|views| ErrorMap::new(config, views).ok().flatten()),
         };
         policy.set_progress(0.0);
         policy
@@ -86,13 +90,39 @@ impl SamplerPolicy {
         self.knows_depths
     }
 
-    /// Scale of pixel `index` of a training step, and its index among all pixels of the views: uniform within the scale.
+    /// The error map, with `train.error_map`.
+    pub fn error_map(&self) -> Option<&ErrorMap> {
+        self.error_map.as_ref()
+    }
+
+    /// Replaces the error map by one of the same photographs.
+    pub fn set_error_map(&mut self, map: ErrorMap) {
+        self.error_map = Some(map);
+    }
+
+    /// Pixel `index` of a training step, from the scale that `draw` gives it. `views` are all views. Within the scale it is uniform,
+    /// or drawn by the error map.
     #[inline]
-    pub fn pixel(&self, step: u64, draw: &RayAllocation, index: u32) -> (usize, usize) {
+    pub fn pixel(&self, views: &[View], step: u64, draw: &RayAllocation, index: u32) -> Drawn {
         let scale = draw.scale(index);
-        let pixels = &self.scales[scale].pixels;
+        let Scale { pixels, views: of_scale, .. } = &self.scales[scale];
         let bits = self.random.bits(Sequence::Pixel, step, index);
-        (scale, pixels.start + below(bits[0], pixels.len() as u32) as usize)
+        match &self.error_map {
+            None => {
+                let pixel = pixels.start + below(bits[0], pixels.len() as u32) as usize;
+                Drawn { scale, pixel, importance: 1.0 }
+            }
+            Some(map) => {
+                let (pixel, importance) = map.draw(&views[of_scale.clone()], pixels.len(), bits);
+                Drawn { scale, pixel, importance }
+            }
+        }
+    }
+
+    /// The cell of the error map that pixel `index` of a training step is drawn from.
+    #[inline]
+    pub fn cell(&self, map: &ErrorMap, step: u64, index: u32) -> usize {
+        map.cell(self.random.bits(Sequence::Pixel, step, index)[0])
     }
 }
 
@@ -100,7 +130,7 @@ impl SamplerPolicy {
 mod tests {
     use super::*;
     use crate::{
-        Alpha, Camera, Intrinsics, View,
+        Alpha, Camera, Intrinsics,
         config::{TrainBackground, schedule::Schedule},
     };
     use glam::DVec3;
@@ -137,7 +167,8 @@ mod tests {
         let draw = policy.scale_weights().allocate(4000);
         let mut counts = [0; 80];
         for index in 0..4000 {
-            let (scale, pixel) = policy.pixel(3, &draw, index);
+            let Drawn { scale, pixel, importance } = policy.pixel(&views().views, 3, &draw, index);
+            assert_eq!(importance, 1.0);
             assert!(policy.scales[scale].pixels.contains(&pixel), "{index}");
             counts[pixel] += 1;
         }

@@ -61,6 +61,29 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
+    /// Lets the error map follow the errors of the last steps.
+    pub(super) fn follow_errors(&mut self, progress: f64) -> Result<()> {
+        self.gather_errors()?;
+        let fraction = self.loaded.config.train.error_map.at(progress);
+        let sampler = &mut self.loaded.stages.sampler;
+        if let Some(mut map) = sampler.policy().error_map().cloned() {
+            map.update(&std::mem::take(&mut self.errors), fraction);
+            sampler.set_error_map(map);
+        }
+        Ok(())
+    }
+
+    /// Brings the errors that all ranks have observed together on every rank.
+    pub(super) fn gather_errors(&mut self) -> Result<()> {
+        let sampler = &mut self.loaded.stages.sampler;
+        let Some(map) = sampler.policy().error_map() else { return Ok(()) };
+        self.errors.resize(map.len(), [0; 2]);
+        let errors = self.exchange.errors(sampler.take_errors())?;
+        let added = errors.as_flattened().iter();
+        self.errors.as_flattened_mut().iter_mut().zip(added).for_each(|(sum, error)| *sum += error);
+        Ok(())
+    }
+
     /// Empties the cells that cannot be occupied. Those that now can stay empty until a refresh asks about them.
     pub(super) fn confine(&mut self, confinement: Confinement) {
         self.state.confinement = confinement;

@@ -19,6 +19,7 @@ use crate::{
         backend::{Loss, Occupancy, Optimizer, Sampler},
         batch::{PartialGradients, Radiance},
         checkpoint::{Checkpoint, TrainState},
+        error_map::{CellErrors, ErrorMap},
         exchange::{Alone, Exchange},
         exposure::{self, Exposures},
         loaded::LoadedModel,
@@ -54,6 +55,8 @@ pub struct Trainer<B: Backend> {
     /// Why the parameters are of no use: they hold the update of a step whose loss was not finite.
     spoilt: Option<Error>,
     exchange: Box<dyn Exchange<B>>,
+    /// Errors since the error map last followed them, as far as all ranks have brought them together. With `train.error_map`.
+    errors: Vec<CellErrors>,
     /// With `loss.exposure`.
     exposures: Option<Exposures>,
     /// With `train.cameras`.
@@ -76,6 +79,7 @@ impl<B: Backend> Trainer<B> {
         if views.pixels.is_empty() {
             return Err(Error::input("training views", "no pixels", "name a data set with training images"));
         }
+        ErrorMap::new(config, &views)?;
         let hull = config.occupancy.hull.then(|| Hull::of(config, &views)).flatten();
         let exposures = (config.loss.exposure == Exposure::Gain)
             .then(|| exposure::photographs(&views).into_iter().max().map_or(0, |last| last as usize + 1))
@@ -115,6 +119,7 @@ impl<B: Backend> Trainer<B> {
             pending: VecDeque::new(),
             spoilt: None,
             exchange: Box::new(Alone),
+            errors: Vec::new(),
             exposures,
             poses,
             known_space,

@@ -40,6 +40,7 @@ impl<B: Backend> Trainer<B> {
     pub(super) fn gather(&mut self) -> Result<()> {
         self.expect_usable()?;
         self.drain()?;
+        self.gather_errors()?;
         self.gather_moments()
     }
 
@@ -57,6 +58,9 @@ impl<B: Backend> Trainer<B> {
         file.tensors.insert(OCCUPANCY_DENSITY.into(), Tensor::f32(&[densities.len()], densities));
         if let Some(exposures) = &self.exposures {
             exposures.to_tensors(&mut file);
+        }
+        if let Some(map) = self.loaded.stages.sampler.policy().error_map() {
+            map.to_tensors(&self.errors, &mut file);
         }
         if let Some(poses) = &self.poses {
             poses.to_tensors(&mut file);
@@ -82,6 +86,8 @@ impl<B: Backend> Trainer<B> {
         let exposures =
             self.exposures.as_ref().map(|new| new.restored(&checkpoint.file, name)).transpose()?;
         let poses = self.poses.as_ref().map(|new| new.restored(&checkpoint.file, name)).transpose()?;
+        let map = self.loaded.stages.sampler.policy().error_map();
+        let map = map.map(|new| new.restored(&checkpoint.file, name)).transpose()?;
         self.loaded.restore_model(name, &checkpoint.file, Some(densities))?;
         if let Some(exposures) = exposures {
             self.loaded.stages.loss.set_gains(&exposures.gains());
@@ -90,6 +96,11 @@ impl<B: Backend> Trainer<B> {
         if let Some(poses) = poses {
             self.loaded.stages.sampler.set_cameras(&poses.cameras());
             self.poses = Some(poses);
+        }
+        if let Some((map, errors)) = map {
+            self.loaded.stages.sampler.set_error_map(map);
+            self.loaded.stages.sampler.take_errors();
+            self.errors = errors;
         }
         for (buffer, values) in self.loaded.stages.optimizer.moments_mut().into_iter().zip([first, second]) {
             self.loaded.backend.write(buffer, &values);

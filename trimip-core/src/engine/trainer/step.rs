@@ -123,12 +123,14 @@ impl<B: Backend> Trainer<B> {
                 &mut workspace.stream,
                 step,
                 &allocation,
-                range,
+                range.clone(),
                 &mut workspace.rays,
             );
             forward(stages, parameters, workspace, Some(step));
             backward(stages, parameters, workspace, partial, draw);
             pose_gradients(stages, parameters, workspace, partial, step);
+            let Workspace { stream, rays, pixel_gradients, .. } = workspace;
+            stages.sampler.observe(stream, step, range, rays, pixel_gradients);
         });
     }
 
@@ -186,6 +188,7 @@ impl<B: Backend> Trainer<B> {
         self.follow_confinement(progress);
         if step.is_multiple_of(u64::from(self.loaded.config.occupancy.every)) {
             self.refresh_occupancy();
+            self.follow_errors(progress)?;
         }
         self.gradients(self.state.rays_per_step, self.draw(step).as_ref());
         self.exchange.partials(&self.loaded.backend, &mut self.loaded.stages, &mut self.partials)?;

@@ -1,0 +1,386 @@
+//! The error map (`train.error_map`): which pixels a step draws. Photographs are divided into cells, the same at every scale, and
+//! each cell has the mean squared error that drawn pixels had there. A part of a step's pixels is drawn with a probability
+//! proportional to the root of it, which minimises the variance of the gradient (importance sampling); the others are drawn evenly. A
+//! pixel's loss is divided by its probability, so that the expected gradient stays that of even draws.
+
+use crate::{
+    Config, Error, Result, View, ViewSet,
+    engine::exposure::photographs,
+    field::tensors::{Tensor, TensorFile},
+    math::rng::below,
+};
+
+/// Prefix of the names of its tensors in checkpoints.
+pub const PREFIX: &str = "error_map.";
+
+/// Side of a cell, in pixels of the finest scale, unless there would be more than [`MOST_CELLS`].
+const SIDE: u32 = 32;
+
+/// Most cells of all photographs. Probabilities are multiples of 2^−32, and a cell has several thousand of them.
+const MOST_CELLS: u64 = 1 << 18;
+
+/// What remains of the sums of a cell at an update. With updates every 16 steps, a cell forgets half in 430 steps.
+const DECAY: f32 = 0.975;
+
+/// Number of pixels of mean error that every cell is thought to have had.
+const PRIOR: f64 = 2.0;
+
+/// Fixed-point value of a squared error of 1, as devices sum them up.
+pub const UNIT: f32 = 16_777_216.0;
+
+/// Largest squared error of a pixel that counts.
+pub const MOST_ERROR: f32 = 16.0;
+
+/// What the drawn pixels of a cell add up to: squared errors, multiples of 1 / [`UNIT`], and their number.
+pub type CellErrors = [u64; 2];
+
+/// The cells of a photograph.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Grid {
+    /// Index of the first cell among those of all photographs.
+    pub first: u32,
+    /// Columns and rows; cells follow row by row.
+    pub size: [u32; 2],
+}
+
+/// A drawn pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drawn {
+    /// Scale.
+    pub scale: usize,
+    /// Index among all pixels of the views.
+    pub pixel: usize,
+    /// Probability of the pixel if its scale were drawn from evenly, relative to the one that it has.
+    pub importance: f32,
+}
+
+/// The cells of all photographs, their errors and probabilities.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ErrorMap {
+    /// One per photograph, in the order of each scale's views.
+    grids: Vec<Grid>,
+    /// Number of finest pixels of each cell.
+    areas: Vec<u32>,
+    /// Σ squared error and number of drawn pixels of each cell, both decaying.
+    sums: Vec<[f32; 2]>,
+    /// The random number from which each cell is drawn: the first is 0. The last ends at 2^32.
+    starts: Vec<u32>,
+}
+
+/// The pixels `begin..end` of the part `part` of `parts` along a side of `pixels` pixels.
+#[inline]
+fn part(pixels: u32, part: u32, parts: u32) -> [u32; 2] {
+    [part, part + 1].map(|edge| (edge * pixels).div_ceil(parts))
+}
+
+/// The squared error that the gradient of a pixel's loss tells, mean over channels: of the usual losses it is the squared
+/// difference of colours, as far as that is small.
+#[inline]
+pub fn error_of(gradient: [f32; 4], weight: f32) -> f32 {
+    let [r, g, b, _] = gradient.map(|by| 3.0 * by / weight);
+    let error = (r * r + g * g + b * b) / 3.0;
+    // Not `min`: what is not a number counts as the most.
+    if error < MOST_ERROR { error } else { MOST_ERROR }
+}
+
+impl ErrorMap {
+    /// An even map of `views`, if the configuration draws pixels by their errors at any time.
+    ///
+    /// # Errors
+    /// When the scales do not show the same photographs in the same order.
+    pub fn new(config: &Config, views: &ViewSet) -> Result<Option<Self>> {
+        let used = config.train.error_map.values().any(|fraction| fraction > 0.0);
+        let Some(finest) = views.scales.first().filter(|_| used) else { return Ok(None) };
+        let numbers = photographs(views);
+        let of_scale = |views: std::ops::Range<usize>| &numbers[views];
+        if views.scales.iter().any(|scale| of_scale(scale.views.clone()) != of_scale(finest.views.clone())) {
+            return Err(Error::input(
+                "train.error_map",
+                "the scales of the data set show different photographs",
+                "set train.error_map to 0, or give every photograph at every scale",
+            ));
+        }
+        let size = |view: &View| [view.camera.intrinsics.width, view.camera.intrinsics.height];
+        let count = finest.views.len();
+        // No cell is empty at any scale.
+        let least: Vec<[u32; 2]> = (0..count)
+            .map(|i| {
+                let sizes = views.scales.iter().map(|scale| size(&views.views[scale.views.start + i]));
+                sizes.fold([u32::MAX; 2], |[w, h], [x, y]| [w.min(x), h.min(y)])
+            })
+            .collect();
+        let divided = |side: u32| -> Vec<[u32; 2]> {
+            let sizes = views.views[finest.views.clone()].iter().map(size).zip(&least);
+            sizes.map(|(size, least)| [0, 1].map(|i| size[i].div_ceil(side).min(least[i]))).collect()
+        };
+        let cells = |sizes: &[[u32; 2]]| sizes.iter().map(|[x, y]| u64::from(x * y)).sum::<u64>();
+        let mut side = SIDE;
+        while cells(&divided(side)) > MOST_CELLS.max(count as u64) {
+            side *= 2;
+        }
+        let mut map = Self { grids: Vec::new(), areas: Vec::new(), sums: Vec::new(), starts: Vec::new() };
+        for (view, [columns, rows]) in views.views[finest.views.clone()].iter().zip(divided(side)) {
+            map.grids.push(Grid { first: map.areas.len() as u32, size: [columns, rows] });
+            let [width, height] = size(view);
+            let along = |pixels, parts| move |i| part(pixels, i, parts);
+            for [top, bottom] in (0..rows).map(along(height, rows)) {
+                let widths = (0..columns).map(along(width, columns));
+                map.areas.extend(widths.map(|[left, right]| (right - left) * (bottom - top)));
+            }
+        }
+        map.sums = vec![[0.0; 2]; map.areas.len()];
+        map.follow(0.0);
+        Ok(Some(map))
+    }
+
+    /// Number of cells.
+    pub fn len(&self) -> usize {
+        self.areas.len()
+    }
+
+    /// True without cells.
+    pub fn is_empty(&self) -> bool {
+        self.areas.is_empty()
+    }
+
+    /// The cells of each photograph, in the order of each scale's views.
+    pub fn grids(&self) -> &[Grid] {
+        &self.grids
+    }
+
+    /// The random number from which each cell is drawn, rising from 0.
+    pub fn starts(&self) -> &[u32] {
+        &self.starts
+    }
+
+    /// Takes the errors of the last steps. From now on the fraction `fraction` of the pixels is drawn by the errors.
+    pub fn update(&mut self, errors: &[CellErrors], fraction: f64) {
+        for (sums, &[error, count]) in self.sums.iter_mut().zip(errors) {
+            *sums = [DECAY * sums[0] + error as f32 / UNIT, DECAY * sums[1] + count as f32];
+        }
+        self.follow(fraction);
+    }
+
+    /// Makes the probabilities of the cells those of their errors.
+    fn follow(&mut self, fraction: f64) {
+        let sum = |i: usize| self.sums.iter().map(|sums| f64::from(sums[i])).sum::<f64>();
+        let mean = sum(0) / sum(1).max(1.0);
+        let by_error = |(&area, &[error, count]): (&u32, &[f32; 2])| {
+            f64::from(area) * ((f64::from(error) + PRIOR * mean) / (f64::from(count) + PRIOR)).sqrt()
+        };
+        let weights: Vec<f64> = self.areas.iter().zip(&self.sums).map(by_error).collect();
+        let all: f64 = weights.iter().sum();
+        let area = self.areas.iter().map(|&area| f64::from(area)).sum::<f64>();
+        // A map without errors is even.
+        let fraction = if all > 0.0 { fraction } else { 0.0 };
+        let (mut before, range) = (0.0, f64::from(u32::MAX) + 1.0);
+        self.starts.clear();
+        for (&own, weight) in self.areas.iter().zip(weights) {
+            let least = self.starts.last().map_or(0, |last| last + 1);
+            self.starts.push(((range * before).round() as u32).max(least));
+            before +=
+                (1.0 - fraction) * f64::from(own) / area + fraction * weight / all.max(f64::MIN_POSITIVE);
+        }
+    }
+
+    /// The cell that a random number draws.
+    #[inline]
+    pub fn cell(&self, bits: u32) -> usize {
+        self.starts.partition_point(|&start| start <= bits) - 1
+    }
+
+    /// The pixel that random numbers draw from the views of a scale, which has `count` pixels.
+    #[inline]
+    pub fn draw(&self, views: &[View], count: usize, bits: [u32; 4]) -> (usize, f32) {
+        let cell = self.cell(bits[0]);
+        let photograph = self.grids.partition_point(|grid| grid.first as usize <= cell) - 1;
+        let (grid, view) = (self.grids[photograph], &views[photograph]);
+        let within = cell as u32 - grid.first;
+        let at = [within % grid.size[0], within / grid.size[0]];
+        let size = [view.camera.intrinsics.width, view.camera.intrinsics.height];
+        let [[left, right], [top, bottom]] = [0, 1].map(|i| part(size[i], at[i], grid.size[i]));
+        let x = left + below(bits[1], right - left);
+        let y = top + below(bits[2], bottom - top);
+        // 2^32 where there is a single cell.
+        let width = match self.starts.get(cell + 1) {
+            Some(&next) => (next - self.starts[cell]) as f32,
+            None => (u64::from(u32::MAX) + 1 - u64::from(self.starts[cell])) as f32,
+        };
+        let area = ((right - left) * (bottom - top)) as f32;
+        (view.offset + (y * size[0] + x) as usize, area / width * per_pixel(count))
+    }
+
+    /// Adds everything that training needs to go on; `pending` are the errors since the last update.
+    pub(crate) fn to_tensors(&self, pending: &[CellErrors], file: &mut TensorFile) {
+        let words = |values: &[u32]| Tensor::u8(&[values.len(), 4], bytemuck::cast_slice(values).to_vec());
+        let sums = Tensor::f32(&[self.len(), 2], self.sums.as_flattened().to_vec());
+        let pending: Vec<u8> = pending.as_flattened().iter().flat_map(|value| value.to_le_bytes()).collect();
+        file.tensors.insert(format!("{PREFIX}sums"), sums);
+        file.tensors.insert(format!("{PREFIX}starts"), words(&self.starts));
+        file.tensors.insert(format!("{PREFIX}pending"), Tensor::u8(&[self.len(), 16], pending));
+    }
+
+    /// The state in a checkpoint of a run on the same photographs, with the errors since its last update; `name` is its place.
+    pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<(Self, Vec<CellErrors>)> {
+        let tensor = |of: &str| format!("{PREFIX}{of}");
+        let sums = file.f32(name, &tensor("sums"), &[self.len(), 2])?.as_chunks().0.to_vec();
+        let starts = file.u8(name, &tensor("starts"), &[self.len(), 4])?;
+        let starts: Vec<u32> = starts.as_chunks().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect();
+        let pending = file.u8(name, &tensor("pending"), &[self.len(), 16])?;
+        let pending: Vec<u64> =
+            pending.as_chunks().0.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect();
+        let rising = starts.first() == Some(&0) && starts.is_sorted_by(|a, b| a < b);
+        let finite =
+            |sums: &Vec<[f32; 2]>| sums.as_flattened().iter().all(|sum| sum.is_finite() && *sum >= 0.0);
+        if !rising || !finite(&sums) {
+            return Err(Error::input(
+                name,
+                "its error map is none",
+                "the file is damaged; give --fresh to start the run anew",
+            ));
+        }
+        Ok((Self { sums, starts, ..self.clone() }, pending.as_chunks().0.to_vec()))
+    }
+}
+
+/// 2^32 by the pixels of a scale: what the probability of one of them is divided by.
+#[inline]
+pub fn per_pixel(count: usize) -> f32 {
+    4_294_967_296.0 / count as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Alpha, Camera, Intrinsics, Scale,
+        config::schedule::Schedule,
+        math::rng::{Random, Sequence},
+    };
+    use glam::DVec3;
+
+    /// Photographs of these sizes at two scales, the coarse one of rounded-up halves.
+    fn views(sizes: &[[u32; 2]]) -> ViewSet {
+        let (mut views, mut scales, mut offset) = (Vec::new(), Vec::new(), 0);
+        for factor in [1, 2] {
+            let before = (views.len(), offset);
+            for (i, size) in sizes.iter().enumerate() {
+                let [width, height] = size.map(|side| side.div_ceil(factor));
+                let intrinsics = Intrinsics::from_angle(width, height, 0.7);
+                let camera = Camera::look_at(intrinsics, DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z);
+                views.push(View { name: i.to_string(), camera, offset });
+                offset += (width * height) as usize;
+            }
+            let weight = (factor * factor) as f32;
+            scales.push(Scale { factor, weight, views: before.0..views.len(), pixels: before.1..offset });
+        }
+        let pixels = vec![[0; 4]; offset].into();
+        ViewSet { views, pixels, alpha: Alpha::Straight, scales, depths: Vec::new() }
+    }
+
+    fn map(views: &ViewSet) -> ErrorMap {
+        let mut config = Config::default();
+        config.train.error_map = Schedule::new(vec![[0.0, 0.5]]);
+        ErrorMap::new(&config, views).unwrap().unwrap()
+    }
+
+    /// Errors that rise with the square of the cell's number.
+    fn errors(map: &ErrorMap) -> Vec<CellErrors> {
+        (0..map.len() as u64).map(|i| [(i * i + 1) * UNIT as u64, 1000]).collect()
+    }
+
+    #[test]
+    fn no_map_is_made_where_none_is_used() {
+        assert_eq!(ErrorMap::new(&Config::default(), &views(&[[8, 8]])).unwrap(), None);
+    }
+
+    /// Every pixel is drawn as often as its importance tells, and the importances make all of them count alike.
+    #[test]
+    fn pixels_are_drawn_by_their_importance() {
+        let views = views(&[[70, 40], [33, 5], [1, 1]]);
+        let mut map = map(&views);
+        assert_eq!(map.len(), 3 * 2 + 2 + 1);
+        map.update(&errors(&map), 0.8);
+        for scale in &views.scales {
+            let (count, draws) = (scale.pixels.len(), 2_000_000);
+            let (mut found, mut importances) = (vec![0; count], vec![0.0; count]);
+            let random = Random::new(3).at(Sequence::Pixel, 5);
+            for index in 0..draws {
+                let (pixel, importance) =
+                    map.draw(&views.views[scale.views.clone()], count, random.bits(index));
+                let own = pixel - scale.pixels.start;
+                found[own] += 1;
+                importances[own] = f64::from(importance);
+            }
+            for (pixel, (&found, importance)) in found.iter().zip(importances).enumerate() {
+                let expected = f64::from(draws) / count as f64 / importance;
+                assert!(
+                    (f64::from(found) - expected).abs() < 5.5 * expected.sqrt(),
+                    "{pixel}: {found}, not {expected}"
+                );
+            }
+        }
+    }
+
+    /// The literal rule: a part of the pixels evenly, the others by area and the root of the mean squared error.
+    #[test]
+    fn cells_have_the_probabilities_of_their_errors() {
+        let views = views(&[[70, 40], [33, 5], [1, 1]]);
+        let mut map = map(&views);
+        let even = map.clone();
+        map.update(&errors(&map), 0.0);
+        assert_eq!(map.starts(), even.starts());
+        map.update(&vec![[0; 2]; map.len()], 0.8);
+        let areas: Vec<f64> = map.areas.iter().map(|&area| f64::from(area)).collect();
+        assert_eq!(areas.iter().sum::<f64>(), views.scales[0].pixels.len() as f64);
+        let mean = (0..9).map(|i| f64::from(i * i + 1)).sum::<f64>() / 9000.0;
+        let root = |i: usize| (((0.975 * (i * i + 1) as f64) + 2.0 * mean) / 977.0).sqrt();
+        let all: f64 = (0..9).map(|i| areas[i] * root(i)).sum();
+        let ends = map.starts().iter().skip(1).map(|&start| f64::from(start)).chain([4_294_967_296.0]);
+        for (i, (&start, end)) in map.starts().iter().zip(ends).enumerate() {
+            let found = (end - f64::from(start)) / 4_294_967_296.0;
+            let even = areas[i] / areas.iter().sum::<f64>();
+            let expected = 0.2 * even + 0.8 * areas[i] * root(i) / all;
+            assert!((found / expected - 1.0).abs() < 1e-5, "cell {i}: {found}, not {expected}");
+        }
+    }
+
+    #[test]
+    fn scales_of_other_photographs_are_refused() {
+        let mut views = views(&[[8, 8], [8, 8]]);
+        views.views[3].name = "another".into();
+        let mut config = Config::default();
+        config.train.error_map = Schedule::new(vec![[0.0, 0.0], [0.5, 0.5]]);
+        let error = ErrorMap::new(&config, &views).unwrap_err().to_string();
+        assert!(error.contains("train.error_map"), "{error}");
+    }
+
+    #[test]
+    fn large_sets_have_larger_cells() {
+        let many = views(&vec![[640, 480]; 1000]);
+        let map = map(&many);
+        assert!(map.len() as u64 <= MOST_CELLS && map.len() >= 1000 * 20, "{}", map.len());
+    }
+
+    #[test]
+    fn a_checkpoint_has_the_whole_state() {
+        let views = views(&[[70, 40], [33, 5]]);
+        let (mut map, new) = (map(&views), map(&views));
+        map.update(&errors(&map), 0.7);
+        let pending: Vec<CellErrors> = (0..map.len() as u64).map(|i| [u64::MAX - i, i << 40]).collect();
+        let mut file = TensorFile::default();
+        map.to_tensors(&pending, &mut file);
+        assert_eq!(new.restored(&file, "checkpoint").unwrap(), (map, pending));
+        let starts = file.tensors.get_mut("error_map.starts").unwrap();
+        *starts = Tensor::u8(&starts.shape.clone(), vec![0; 4 * new.len()]);
+        assert!(new.restored(&file, "checkpoint").is_err());
+    }
+
+    #[test]
+    fn errors_are_those_of_colours() {
+        assert!((error_of([0.2, -0.1, 0.4, 9.0], 2.0) - 2.25 * (0.04 + 0.01 + 0.16) / 3.0).abs() < 1e-6);
+        for gradient in [[f32::NAN; 4], [f32::INFINITY; 4], [1e30; 4]] {
+            assert_eq!(error_of(gradient, 1.0), MOST_ERROR);
+        }
+    }
+}
