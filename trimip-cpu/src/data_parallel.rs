@@ -17,7 +17,7 @@ use trimip_core::config::TrainConfig;
 use trimip_core::engine::backend::Stages;
 use trimip_core::engine::batch::{PartialGradients, StepResult, Update};
 use trimip_core::engine::error_map::CellErrors;
-use trimip_core::engine::exchange::{Exchange, Rank, Ranks, sum_errors};
+use trimip_core::engine::exchange::{Exchange, Rank, Ranks, Summed};
 use trimip_core::{Backend, Error, Field, Optimizer, Result};
 
 /// The exchange of the CPU backend.
@@ -133,7 +133,8 @@ impl Exchange<CpuBackend> for DataParallel {
     }
 
     fn errors(&mut self, errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
-        sum_errors(&*self.ranks, errors)
+        // Sums of integers do not depend on the ranks.
+        Exchange::<CpuBackend>::errors(&mut Summed::new(Arc::clone(&self.ranks)), errors)
     }
 
     fn update(

@@ -31,7 +31,7 @@ pub const UNIT: f32 = 16_777_216.0;
 /// Largest squared error of a pixel that counts.
 pub const MOST_ERROR: f32 = 16.0;
 
-/// What the drawn pixels of a cell add up to: squared errors, multiples of 1 / [`UNIT`], and their number.
+/// Sum of the squared errors of a cell's drawn pixels, in multiples of 1 / [`UNIT`], and the number of these pixels.
 pub type CellErrors = [u64; 2];
 
 /// The cells of a photograph.
@@ -175,9 +175,12 @@ impl ErrorMap {
         let fraction = if all > 0.0 { fraction } else { 0.0 };
         let (mut before, range) = (0.0, f64::from(u32::MAX) + 1.0);
         self.starts.clear();
-        for (&own, weight) in self.areas.iter().zip(weights) {
+        let cells = self.areas.len() as u32;
+        for ((i, &own), weight) in (0..).zip(&self.areas).zip(weights) {
+            // Every cell can be drawn: by one number, if it is tiny.
             let least = self.starts.last().map_or(0, |last| last + 1);
-            self.starts.push(((range * before).round() as u32).max(least));
+            let most = u32::MAX - (cells - 1 - i);
+            self.starts.push(((range * before).round() as u32).max(least).min(most));
             before +=
                 (1.0 - fraction) * f64::from(own) / area + fraction * weight / all.max(f64::MIN_POSITIVE);
         }
@@ -243,7 +246,7 @@ impl ErrorMap {
     }
 }
 
-/// 2^32 by the pixels of a scale: what the probability of one of them is divided by.
+/// 2^32 divided by the number of pixels of a scale: the width of the range of random numbers that an even draw gives each of them.
 #[inline]
 pub fn per_pixel(count: usize) -> f32 {
     4_294_967_296.0 / count as f32
@@ -353,6 +356,18 @@ mod tests {
         config.train.error_map = Schedule::new(vec![[0.0, 0.0], [0.5, 0.5]]);
         let error = ErrorMap::new(&config, &views).unwrap_err().to_string();
         assert!(error.contains("train.error_map"), "{error}");
+    }
+
+    /// Cells whose probability is below 2^−32, at both ends of the random numbers.
+    #[test]
+    fn tiny_cells_can_be_drawn() {
+        let views = views(&[[1, 1], [1, 1], [1, 1], [9, 9], [1, 1], [1, 1], [1, 1]]);
+        let mut map = map(&views);
+        let errors: Vec<CellErrors> = (0..7).map(|i| [u64::from(i == 3) << 60, 1 << 40]).collect();
+        map.update(&errors, 1.0);
+        let starts = map.starts();
+        assert!(starts[0] == 0 && starts.is_sorted_by(|a, b| a < b), "{starts:?}");
+        assert_eq!((map.cell(2), map.cell(1 << 31), map.cell(u32::MAX)), (2, 3, 6));
     }
 
     #[test]

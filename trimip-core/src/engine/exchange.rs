@@ -125,7 +125,18 @@ impl<B: Backend> Exchange<B> for Summed {
     }
 
     fn errors(&mut self, errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
-        sum_errors(&*self.ranks, errors)
+        let own: Vec<u8> = bytemuck::cast_slice(&errors).to_vec();
+        let mut all = vec![[0; 2]; errors.len()];
+        self.gather(&own, |bytes| {
+            if bytes.len() != own.len() {
+                let (expected, found) = (own.len(), bytes.len());
+                return Err(fault(format_args!("expected errors of {expected} bytes, found {found}")));
+            }
+            let words = bytes.as_chunks().0.iter().map(|word| u64::from_ne_bytes(*word));
+            all.as_flattened_mut().iter_mut().zip(words).for_each(|(sum, word)| *sum += word);
+            Ok(())
+        })?;
+        Ok(all)
     }
 
     fn update(&mut self, backend: &B, stages: &mut Stages<B>, update: &mut Update<'_, B>) -> Result<()> {
@@ -153,24 +164,4 @@ impl<B: Backend> Exchange<B> for Summed {
         backend.update_all(stages, update);
         Ok(())
     }
-}
-
-/// The errors of all ranks, added up: every rank calls this with its own. Sums of integers do not depend on the order of ranks.
-///
-/// # Errors
-/// When another rank is gone.
-pub fn sum_errors(ranks: &dyn Ranks, mut errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
-    let Rank { id, size } = ranks.rank();
-    let own = bytemuck::cast_slice(&errors).to_vec();
-    let mut received = vec![Vec::new(); size];
-    ranks.all_to_all(&vec![&own[..]; size], &mut received)?;
-    for (_, bytes) in received.iter().enumerate().filter(|(rank, _)| *rank != id) {
-        if bytes.len() != own.len() {
-            let (expected, found) = (own.len(), bytes.len());
-            return Err(fault(format_args!("expected errors of {expected} bytes, found {found}")));
-        }
-        let words = bytes.as_chunks().0.iter().map(|word| u64::from_ne_bytes(*word));
-        errors.as_flattened_mut().iter_mut().zip(words).for_each(|(sum, word)| *sum = sum.wrapping_add(word));
-    }
-    Ok(errors)
 }
