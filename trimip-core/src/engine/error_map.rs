@@ -363,7 +363,7 @@ mod tests {
     fn tiny_cells_can_be_drawn() {
         let views = views(&[[1, 1], [1, 1], [1, 1], [9, 9], [1, 1], [1, 1], [1, 1]]);
         let mut map = map(&views);
-        let errors: Vec<CellErrors> = (0..7).map(|i| [u64::from(i == 3) << 60, 1 << 40]).collect();
+        let errors: Vec<CellErrors> = (0..7).map(|i| [u64::from(i == 3) << 63, 1 << 60]).collect();
         map.update(&errors, 1.0);
         let starts = map.starts();
         assert!(starts[0] == 0 && starts.is_sorted_by(|a, b| a < b), "{starts:?}");
