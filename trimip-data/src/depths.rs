@@ -23,15 +23,16 @@ pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
     let views = &train.views[finest.views.clone()];
     let scales: Vec<&Scale> =
         train.scales.iter().filter(|scale| scale.views.len() == finest.views.len()).collect();
-    let limits = limits(points, views);
+    let errors = errors(points, views);
+    let limits = limits(points, &errors, views.len());
     let mut depths = Vec::new();
-    for point in points.iter().filter(|point| point.is_sure()) {
+    for (point, errors) in points.iter().zip(&errors).filter(|(point, _)| point.is_sure()) {
         let position = DVec3::from(point.position);
-        let agrees = |seen: &&Observation| {
-            let (view, limit) = (views.get(seen.view as usize), limits.get(seen.view as usize));
-            view.zip(limit).is_some_and(|(view, limit)| error(position, seen, view) <= *limit)
+        let agrees = |(seen, error): &(&Observation, &f64)| {
+            limits.get(seen.view as usize).is_some_and(|limit| *error <= limit)
         };
-        let track: Vec<Observation> = point.track.iter().filter(agrees).copied().collect();
+        let track: Vec<Observation> =
+            point.track.iter().zip(errors).filter(agrees).map(|(seen, _)| *seen).collect();
         if track.len() < 2.max(point.track.len().div_ceil(2)) {
             continue;
         }
@@ -54,23 +55,24 @@ pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
     depths
 }
 
-/// Distance in pixels from where `view` saw a point at `position` to the image of that place; infinite if it has none.
-fn error(position: DVec3, seen: &Observation, view: &View) -> f64 {
-    let camera = &view.camera;
-    let image = camera.intrinsics.image_of(camera.rotation.transpose() * (position - camera.origin));
-    image.map_or(f64::INFINITY, |[x, y]| (x - seen.at[0]).hypot(y - seen.at[1]))
+/// Reprojection error of each observation of each point, in the order of its track, pixels of the finest scale. Infinite where the
+/// view has no image of the point, or is none of `views`.
+fn errors(points: &[Point], views: &[View]) -> Vec<Vec<f64>> {
+    let of_point = |point: &Point| {
+        let of =
+            |seen: &Observation| seen.error(point.position.into(), &views.get(seen.view as usize)?.camera);
+        point.track.iter().map(|seen| of(seen).unwrap_or(f64::INFINITY)).collect()
+    };
+    points.iter().map(of_point).collect()
 }
 
-/// For each view the greatest [`error`] of a point that it sees where it is.
-fn limits(points: &[Point], views: &[View]) -> Vec<f64> {
-    let mut errors = vec![Vec::new(); views.len()];
-    for point in points {
-        for seen in &point.track {
-            if let Some((view, errors)) =
-                views.get(seen.view as usize).zip(errors.get_mut(seen.view as usize))
-            {
-                errors.push(error(point.position.into(), seen, view));
-            }
+/// For each view the greatest error of a point that it sees where it is; `errors` are those of the points' tracks.
+fn limits(points: &[Point], errors: &[Vec<f64>], views: usize) -> Vec<f64> {
+    let mut of_view = vec![Vec::new(); views];
+    for (seen, &error) in points.iter().zip(errors).flat_map(|(point, errors)| point.track.iter().zip(errors))
+    {
+        if let Some(of_view) = of_view.get_mut(seen.view as usize) {
+            of_view.push(error);
         }
     }
     let limit = |mut errors: Vec<f64>| {
@@ -82,7 +84,7 @@ fn limits(points: &[Point], views: &[View]) -> Vec<f64> {
         // A view that sees most points nowhere near has wrong poses.
         if median.is_finite() { MOST_PIXELS.max(MOST_TIMES * median) } else { 0.0 }
     };
-    errors.into_iter().map(limit).collect()
+    of_view.into_iter().map(limit).collect()
 }
 
 /// Sine of the widest angle between two rays to a point, at most a right one.

@@ -1,7 +1,8 @@
 //! Points of a scene from structure from motion: where they are, how sure they are, which photographs saw them, and the box
 //! around them. World units of the poses; places in pixels.
 
-use trimip_core::{Aabb, plural::count, scene_plan::StatedBox};
+use glam::DVec3;
+use trimip_core::{Aabb, Camera, plural::count, scene_plan::StatedBox};
 
 /// Share of the points dropped as outliers at each end of an axis.
 const OUTLIERS: f64 = 0.02;
@@ -36,6 +37,17 @@ pub struct Observation {
     pub view: u32,
     /// Place in that view, pixels.
     pub at: [f64; 2],
+}
+
+impl Observation {
+    /// Reprojection error in pixels: the distance from where the view saw the point to where `camera`, the view's, projects
+    /// `position`. `None` if the camera has no image of that place.
+    pub fn error(&self, position: DVec3, camera: &Camera) -> Option<f64> {
+        let at = camera.rotation.transpose() * (position - camera.origin);
+        let [x, y] = camera.intrinsics.image_of(at)?;
+        let error = (x - self.at[0]).hypot(y - self.at[1]);
+        error.is_finite().then_some(error)
+    }
 }
 
 impl Point {

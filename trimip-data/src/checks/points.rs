@@ -5,7 +5,8 @@ use super::{
     check::{Check, Suspect, Values, Verdict},
     views::{cameras, median, of_views},
 };
-use crate::Point;
+use crate::{Point, points::Observation};
+use glam::DVec3;
 use trimip_core::{Camera, ViewSet};
 
 /// Median reprojection error of a view that is doubted, pixels: bundle adjustment leaves about one.
@@ -23,17 +24,14 @@ const LEAST_POINTS: usize = 8;
 /// Share of the points in front of the cameras that saw them below which axes are doubted: rightly it is 1.
 const LEAST_AHEAD: f64 = 0.95;
 
-/// Points as the views saw them: view, camera, the point in its axes, and the place where it was found.
+/// Points as the views saw them: the point's place, what the view saw, and its camera.
 fn observed<'a>(
     cameras: &'a [Camera],
     points: &'a [Point],
-) -> impl Iterator<Item = (usize, &'a Camera, glam::DVec3, [f64; 2])> {
+) -> impl Iterator<Item = (DVec3, &'a Observation, &'a Camera)> {
     points.iter().flat_map(move |point| {
-        point.track.iter().filter_map(move |seen| {
-            let camera = cameras.get(seen.view as usize)?;
-            let at = camera.rotation.transpose() * (glam::DVec3::from_array(point.position) - camera.origin);
-            Some((seen.view as usize, camera, at, seen.at))
-        })
+        let seen = point.track.iter();
+        seen.filter_map(move |seen| Some((point.position.into(), seen, cameras.get(seen.view as usize)?)))
     })
 }
 
@@ -46,10 +44,9 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     );
     let cameras = cameras(train);
     let mut errors: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];
-    for (view, camera, at, found) in observed(&cameras, points) {
+    for (position, seen, camera) in observed(&cameras, points) {
         // A point that the camera cannot see is far off.
-        let error = camera.intrinsics.image_of(at).map(|[x, y]| (x - found[0]).hypot(y - found[1]));
-        errors[view].push(error.filter(|error| error.is_finite()).unwrap_or(f64::MAX));
+        errors[seen.view as usize].push(seen.error(position, camera).unwrap_or(f64::MAX));
     }
     let enough = |errors: Vec<f64>| if errors.len() < LEAST_POINTS { None } else { median(errors) };
     let medians: Vec<Option<f64>> = errors.into_iter().map(enough).collect();
@@ -96,10 +93,12 @@ pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     );
     let cameras = cameras(train);
     let mut counts = vec![[0_u32; 2]; cameras.len()];
-    for (view, camera, at, _) in observed(&cameras, points) {
+    for (position, seen, camera) in observed(&cameras, points) {
+        let at = camera.rotation.transpose() * (position - camera.origin);
+        let [front, all] = &mut counts[seen.view as usize];
         // A fisheye sees to the side, and behind it.
-        counts[view][0] += u32::from(at.z < 0.0 || camera.intrinsics.image_of(at).is_some());
-        counts[view][1] += 1;
+        *front += u32::from(at.z < 0.0 || camera.intrinsics.image_of(at).is_some());
+        *all += 1;
     }
     let [front, all] =
         counts.iter().fold([0_u64; 2], |sum, count| [0, 1].map(|i| sum[i] + u64::from(count[i])));
