@@ -1,11 +1,27 @@
-//! Text files as people and their editors write them: UTF-8, with or without a byte order mark.
+//! Text files as people and their editors write them: UTF-8 with or without a byte order mark, UTF-16 with one.
 
 use crate::{Error, Result};
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
 
 /// The bytes of a text without the byte order mark that editors of some systems put first.
 pub fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes)
+}
+
+/// The bytes of a text in UTF-8: without a byte order mark, and recoded from UTF-16 if its mark is there. What is not valid in UTF-16 is
+/// replaced.
+pub fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
+    let units = |from: fn([u8; 2]) -> u16| {
+        let (pairs, _) = bytes[2..].as_chunks();
+        let characters = char::decode_utf16(pairs.iter().map(|pair| from(*pair)));
+        let text: String = characters.map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect();
+        Cow::Owned(text.into_bytes())
+    };
+    match bytes {
+        [0xff, 0xfe, ..] => units(u16::from_le_bytes),
+        [0xfe, 0xff, ..] => units(u16::from_be_bytes),
+        _ => Cow::Borrowed(without_mark(bytes)),
+    }
 }
 
 /// Reads a text file; `advice` says what to do if it cannot be read.
@@ -15,7 +31,7 @@ pub fn without_mark(bytes: &[u8]) -> &[u8] {
 pub fn read(path: &Path, advice: &str) -> Result<String> {
     let bytes = std::fs::read(path)
         .map_err(|error| Error::input(path.display(), format!("cannot be read: {error}"), advice))?;
-    match std::str::from_utf8(without_mark(&bytes)) {
+    match std::str::from_utf8(&decoded(&bytes)) {
         Ok(text) => Ok(text.into()),
         Err(error) => Err(Error::input(
             path.display(),
@@ -38,7 +54,13 @@ mod tests {
             std::fs::write(&path, bytes).unwrap();
             assert_eq!(read(&path, "").unwrap(), text);
         }
-        std::fs::write(&path, b"\xff\xfes\0").unwrap();
+        for (bytes, text) in
+            [(&b"\xff\xfes\0\xfc\0"[..], "sü"), (b"\xfe\xff\0s", "s"), (b"\xff\xfe\0\xd8s\0", "\u{fffd}s")]
+        {
+            std::fs::write(&path, bytes).unwrap();
+            assert_eq!(read(&path, "").unwrap(), text);
+        }
+        std::fs::write(&path, b"s\xff").unwrap();
         let error = read(&path, "").unwrap_err();
         assert!(error.exit_code() == 2 && error.message.contains("a.txt: is not UTF-8"), "{error}");
     }

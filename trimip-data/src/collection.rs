@@ -1,6 +1,7 @@
 //! Folders of scenes: the eight Blender scenes of NeRF, at one scale or as multi-scale sets, in the order of the tables.
 
-use crate::layout::{Layout, found};
+use crate::layout::Layout;
+use crate::readers::found;
 use crate::settings::DataConfig;
 use std::path::{Path, PathBuf};
 use trimip_core::{Error, Result};

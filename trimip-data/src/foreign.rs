@@ -77,7 +77,8 @@ pub(crate) fn beside(path: &Path) -> Option<(PathBuf, &'static Foreign)> {
     found.into_iter().next()
 }
 
-fn of_name(path: &Path) -> Option<&'static Foreign> {
+/// The format by the end of a file's name.
+pub(crate) fn of_name(path: &Path) -> Option<&'static Foreign> {
     let extension = path.extension()?.to_str()?.to_lowercase();
     ALL.into_iter().find(|format| format.extensions.contains(&extension.as_str()))
 }

@@ -4,11 +4,11 @@ use crate::{
     describe, lens,
     scene::{Scene, opened},
     settings::DataConfig,
-    source::{Source, assemble_in, rows},
+    source::{assemble_in, rows},
     survey::Survey,
     watch::{Meter, Watch},
 };
-use trimip_core::{Alpha, Camera, Result, plural::count};
+use trimip_core::{Alpha, Result, plural::count};
 
 /// Everything that is known about a scene without training.
 #[derive(Debug)]
@@ -19,8 +19,6 @@ pub struct Inspection {
     pub layout: &'static str,
     /// The scene in words, a line each, without warnings.
     pub lines: Vec<String>,
-    /// Name and camera at full size of each test frame.
-    pub test: Vec<(String, Camera)>,
 }
 
 /// Everything that is known about a scene without training: lines, then warnings. Progress of reading goes to `watch`.
@@ -90,9 +88,7 @@ pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
             scale.weight
         ));
     }
-    let named = |source: &Source| Some((source.name.clone(), source.views.first()?.1));
-    let test = survey.test.iter().filter_map(named).collect();
-    Ok(Inspection { layout: survey.layout, lines, test, scene: opened(survey, config, train) })
+    Ok(Inspection { layout: survey.layout, lines, scene: opened(survey, config, train) })
 }
 
 /// "4.03", or "3.90 to 4.10".

@@ -32,6 +32,13 @@ impl Size {
         Self { width: self.width.or(other.width), height: self.height.or(other.height) }
     }
 
+    /// The factors along x and y to the size of an image, if both sides are stated and differ but the shape is the same.
+    pub(crate) fn factors(self, image: &Photograph) -> Option<[f64; 2]> {
+        let own = [self.width?, self.height?];
+        let sizes = [image.width, image.height];
+        if own == sizes { None } else { factors(own, sizes) }
+    }
+
     /// Refuses an image whose size differs.
     pub(crate) fn check(self, image: &Photograph) -> Result<()> {
         let (width, height) = (self.width.unwrap_or(image.width), self.height.unwrap_or(image.height));
@@ -49,6 +56,23 @@ impl Size {
             "use the images the cameras were computed for, or scale w, h, fl_x, fl_y, cx and cy along",
         ))
     }
+}
+
+/// The factors along x and y from a camera of the size `own` to a photograph of the size `sizes`, if both have the same shape but for
+/// rounding.
+pub(crate) fn factors(own: [u32; 2], sizes: [u32; 2]) -> Option<[f64; 2]> {
+    // The factors that round to each side.
+    let range = |side: usize| [-1.0, 1.0].map(|by| (f64::from(sizes[side]) + by) / f64::from(own[side]));
+    let ([low_x, high_x], [low_y, high_y]) = (range(0), range(1));
+    let alike = low_x.max(low_y) < high_x.min(high_y);
+    alike.then(|| [0, 1].map(|side| f64::from(sizes[side]) / f64::from(own[side])))
+}
+
+/// The intrinsics of the same photograph in another size.
+pub(crate) fn scaled(k: Intrinsics, [x, y]: [f64; 2]) -> Intrinsics {
+    let side = |side: u32, by: f64| (f64::from(side) * by).round() as u32;
+    let (width, height) = (side(k.width, x), side(k.height, y));
+    Intrinsics { width, height, fx: k.fx * x, cx: k.cx * x, fy: k.fy * y, cy: k.cy * y, ..k }
 }
 
 /// The intrinsics of a frame whose image has that size.

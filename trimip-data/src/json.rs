@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value};
 use std::{fmt::Display, fs, path::Path};
-use trimip_core::{Error, Result, text::without_mark};
+use trimip_core::{Error, Result, text::decoded};
 
 /// Reads and parses a file.
 pub(crate) fn read(path: &Path) -> Result<Value> {
@@ -14,7 +14,7 @@ pub(crate) fn read(path: &Path) -> Result<Value> {
 
 /// Parses the bytes of a file.
 pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
-    let bytes = without_mark(bytes);
+    let bytes = &*decoded(bytes);
     serde_json::from_slice(bytes).map_err(|error| {
         let (line, column) = (error.line(), error.column());
         let place = format!("{}:{line}:{column}", path.display());
@@ -152,6 +152,8 @@ mod tests {
 
     #[test]
     fn a_byte_order_mark_is_read_over() {
-        assert_eq!(parse(Path::new("a"), b"\xef\xbb\xbf[]").unwrap(), Value::Array(vec![]));
+        for bytes in [&b"\xef\xbb\xbf[]"[..], b"\xff\xfe[\0]\0", b"\xfe\xff\0[\0]"] {
+            assert_eq!(parse(Path::new("a"), bytes).unwrap(), Value::Array(vec![]));
+        }
     }
 }

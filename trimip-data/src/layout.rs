@@ -2,8 +2,9 @@
 
 use crate::settings::DataConfig;
 use crate::{
+    advice::advice,
     readers::{
-        READERS,
+        READERS, found,
         reader::{OpenScene, Reader},
     },
     split::Split,
@@ -97,7 +98,7 @@ fn detect(config: &DataConfig) -> Result<&'static Reader> {
         Error::input(
             root.display(),
             format!("holds no scene: looked for {}", listed(&files, "and")),
-            instead(root),
+            advice(root),
         )
     })
 }
@@ -119,21 +120,6 @@ pub(crate) fn is_format(format: &str) -> bool {
 pub(crate) fn formats() -> String {
     let known = std::iter::once(AUTO).chain(READERS.iter().map(|reader| reader.format));
     listed(&known.map(|format| format!("\"{format}\"")).collect::<Vec<_>>(), "or")
-}
-
-/// The reader that the files in a folder show.
-pub(crate) fn found(root: &Path) -> Option<&'static Reader> {
-    READERS.iter().copied().find(|reader| (reader.recognises)(root))
-}
-
-/// Advice for a folder without a scene.
-fn instead(root: &Path) -> String {
-    let mut entries = root.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
-    if let Some(inner) = entries.find(|path| path.is_dir() && found(path).is_some()) {
-        return format!("name {}, which holds one", inner.display());
-    }
-    let advice = READERS.iter().find_map(|reader| (reader.advises)(root));
-    advice.unwrap_or_else(|| "name a folder with one of them".into())
 }
 
 /// `a`, `a or b`, `a, b or c`.

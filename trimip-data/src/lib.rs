@@ -17,6 +17,7 @@
 
 #![deny(unsafe_code)]
 
+mod advice;
 pub mod builtin;
 pub mod checks;
 mod collection;
@@ -37,6 +38,7 @@ mod masks;
 mod names;
 mod orientation;
 mod photograph;
+mod pictures;
 mod ply;
 mod points;
 mod pose;

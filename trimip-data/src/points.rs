@@ -79,7 +79,11 @@ impl Cloud {
         } else {
             format!("{} sure ones of {}", sure.len(), count(self.points.len(), "point"))
         };
-        Some(StatedBox { aabb: around(&sure), source: format!("around {named} {source}") })
+        Some(StatedBox {
+            aabb: around(&sure),
+            source: format!("around {named} {source}"),
+            around_points: true,
+        })
     }
 
     /// The points with their tracks by training view. `views` are the names of the views at the finest scale, whose

@@ -19,6 +19,8 @@ pub struct Scene {
     pub train: ViewSet,
     /// Test frames, each a set with one view per scale, decoded or rendered on request.
     pub test: Box<dyn Frames>,
+    /// Name and camera at full size of each test frame.
+    pub test_views: Vec<(String, Camera)>,
     /// The bounding box that the data state.
     pub stated: Option<StatedBox>,
     /// Points of the scene that the data state, with the training views that saw them.
@@ -96,7 +98,9 @@ pub(crate) fn opened(survey: Survey, config: &DataConfig, mut train: ViewSet) ->
     train.depths = depths::of_points(&survey.points, &train);
     let description = describe::description(&survey, config, &train);
     let of_masks = masks::warnings(&survey.train, &train);
+    let named = |source: &Source| Some((source.name.clone(), source.views.first()?.1));
     Scene {
+        test_views: survey.test.iter().filter_map(named).collect(),
         name: survey.name,
         train,
         test: frames(survey.test, survey.alpha),

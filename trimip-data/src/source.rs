@@ -3,14 +3,13 @@
 
 use crate::settings::{Finish, PixelStore};
 use crate::{
-    builtin, foreign,
+    builtin,
     mask::Mask,
     photograph::Photograph,
     pyramid, store,
     watch::{Meter, unwatched},
 };
 use rayon::prelude::*;
-use std::path::Path;
 use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
 
 /// Memory of the photographs that are decoded at once, bytes, unless a single one takes more.
@@ -283,36 +282,4 @@ pub(crate) fn map_in_order<T: Sync, R: Send>(
 ) -> Result<Vec<R>> {
     let results: Vec<_> = items.par_iter().enumerate().map(|(index, item)| map(index, item)).collect();
     results.into_iter().collect()
-}
-
-/// The file that an entry names: as written, with one of the usual extensions, or with the slashes of this system.
-pub(crate) fn find_image(root: &Path, named: &str, place: &str) -> Result<std::path::PathBuf> {
-    let turned = named.replace('\\', "/");
-    let written = if turned == named { vec![named] } else { vec![named, &turned] };
-    let candidates: Vec<std::path::PathBuf> = written
-        .iter()
-        .flat_map(|named| {
-            ["", ".png", ".jpg", ".jpeg"].map(|extension| root.join(format!("{named}{extension}")))
-        })
-        .collect();
-    if let Some(path) = candidates.iter().find(|path| path.is_file()) {
-        return Ok(path.clone());
-    }
-    let known = candidates.iter().find_map(|path| foreign::beside(path));
-    if let Some((path, format)) = known {
-        let what = format!(
-            "image {} does not exist; {} beside it is {}, which is not read",
-            candidates[0].display(),
-            path.display(),
-            format.name
-        );
-        return Err(Error::input(place, what, format.remedy(&path)));
-    }
-    let has_extension = [".png", ".jpg", ".jpeg"].iter().any(|end| named.to_lowercase().ends_with(end));
-    let tried = if has_extension { "" } else { " (nor with .png, .jpg or .jpeg added)" };
-    Err(Error::input(
-        place,
-        format!("image {} does not exist{tried}", candidates[0].display()),
-        "copy it there or remove its entry",
-    ))
 }

@@ -8,22 +8,36 @@ use trimip_core::{Aabb, Error, Result, scene_plan::StatedBox};
 /// Defaults of `scale` and `offset`: Instant-NGP's unit cube in world units.
 const NGP: (f64, f64) = (0.33, 0.5);
 
-/// The box and the points that `file` in `root` states; the box around the points takes precedence.
-pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<(Option<StatedBox>, Cloud)> {
-    let mut cloud = Cloud::default();
+/// What a transforms file states of the scene.
+#[derive(Debug, Default)]
+pub(crate) struct Stated {
+    pub(crate) aabb: Option<StatedBox>,
+    pub(crate) cloud: Cloud,
+    /// What is not read.
+    pub(crate) warning: Option<String>,
+}
+
+/// The box and the points that `file` in `root` states; the box around the points takes precedence. Points that are not there are left
+/// out with a warning.
+pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Stated> {
+    let mut stated = Stated::default();
     if let Some(named) = file.text("ply_file_path")? {
         let path = root.join(named.replace('\\', "/"));
-        let bytes = fs::read(&path).map_err(|error| {
-            let what = format!("\"ply_file_path\" {} cannot be read: {error}", path.display());
-            Error::input(&file.place, what, "export the points again, or remove the key")
-        })?;
-        cloud.points = ply::points(&path.display().to_string(), &bytes)?;
-        let stated = cloud.stated(&format!("of {named}"));
-        if stated.is_some() {
-            return Ok((stated, cloud));
+        match fs::read(&path) {
+            Ok(bytes) => {
+                stated.cloud.points = ply::points(&path.display().to_string(), &bytes)?;
+                stated.aabb = stated.cloud.stated(&format!("of {named}"));
+            }
+            Err(error) => {
+                let what = format!("\"ply_file_path\" {} cannot be read: {error}", path.display());
+                stated.warning = Some(format!("{}: {what}; its points are left out", file.place));
+            }
         }
     }
-    Ok((cube(file)?, cloud))
+    if stated.aabb.is_none() {
+        stated.aabb = cube(file)?;
+    }
+    Ok(stated)
 }
 
 /// The cube of Instant-NGP.
@@ -56,7 +70,7 @@ pub(crate) fn cube(file: &Node<'_>) -> Result<Option<StatedBox>> {
             "a number that makes a finite box with \"scale\" and \"offset\"",
         ));
     }
-    Ok(Some(StatedBox { aabb, source: format!("of aabb_scale {aabb_scale}") }))
+    Ok(Some(StatedBox { aabb, source: format!("of aabb_scale {aabb_scale}"), around_points: false }))
 }
 
 fn wrong(file: &Node<'_>, key: &str, expected: &str) -> Error {
@@ -76,7 +90,7 @@ mod tests {
     fn aabb_scale_is_the_cube_of_instant_ngp() {
         let root = Path::new("");
         let of = |value: serde_json::Value| {
-            read(root, &Node::new("a.json", &value).unwrap()).map(|(b, _)| b.map(|b| b.aabb))
+            read(root, &Node::new("a.json", &value).unwrap()).map(|found| found.aabb.map(|found| found.aabb))
         };
         let cube = of(json!({ "aabb_scale": 4 })).unwrap().unwrap();
         assert!(
@@ -109,8 +123,8 @@ mod tests {
         text += "1000 1000 1000 7\n";
         fs::write(folder.path().join("points.ply"), text).unwrap();
         let value = json!({ "ply_file_path": "points.ply", "aabb_scale": 16 });
-        let (found, cloud) = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap();
-        let found = found.unwrap();
+        let Stated { aabb, cloud, .. } = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap();
+        let found = aabb.unwrap();
         assert_eq!((cloud.points.len(), cloud.points[3].color), (201, [7, 0, 0]));
         assert!(found.source.contains("201 points"), "{}", found.source);
         for (axis, [low, high]) in [[0.0, 1.0], [0.0, 2.0], [-1.0, 0.0]].into_iter().enumerate() {
@@ -119,7 +133,8 @@ mod tests {
             assert!((found.aabb.max[axis] - high).abs() < 0.06 * side, "{found:?}");
         }
         let value = json!({ "ply_file_path": "absent.ply" });
-        let error = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("absent.ply"), "{error}");
+        let left_out = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap();
+        assert!(left_out.cloud.points.is_empty() && left_out.aabb.is_none());
+        assert!(left_out.warning.unwrap().contains("absent.ply cannot be read"));
     }
 }

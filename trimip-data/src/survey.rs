@@ -116,30 +116,38 @@ fn tested(
     train: &mut Vec<Source>,
     facts: &mut Facts,
 ) -> Result<Vec<Source>> {
-    let every = match config.holdout {
-        // A folder without a test split is tested on some of its training frames.
-        0 if config.test == TEST && !layout.has_split(TEST)? => {
-            facts.warnings.push(format!(
-                "{} has no split \"{TEST}\": every {HOLD_OUT}th training frame is held out for testing",
-                Path::new(&config.root).display(),
-            ));
-            HOLD_OUT
-        }
-        every => every as usize,
-    };
-    if every > 0 {
-        return hold_out(train, every);
+    if config.holdout > 0 {
+        return hold_out(train, config.holdout as usize);
     }
-    let test = layout.split(&config.test)?;
+    let mut split = config.test.as_str();
+    if split == TEST && !layout.has_split(TEST)? {
+        let root = Path::new(&config.root).display();
+        let validated = !config.train.iter().any(|split| split == VAL) && layout.has_split(VAL)?;
+        // A folder without a test split is tested on its validation frames, or on some of its training frames.
+        if !validated {
+            facts.warnings.push(format!(
+                "{root} has no photographs of a split \"{TEST}\": every {HOLD_OUT}th training frame is held out for testing"
+            ));
+            return hold_out(train, HOLD_OUT);
+        }
+        facts
+            .warnings
+            .push(format!("{root} has no photographs of a split \"{TEST}\": \"{VAL}\" is the test split"));
+        split = VAL;
+    }
+    let test = layout.split(split)?;
     facts.warnings.extend(test.warnings);
-    if config.train.contains(&config.test) {
-        facts.warnings.push(format!("split \"{}\" is both trained and tested on", config.test));
+    if config.train.iter().any(|trained| trained == split) {
+        facts.warnings.push(format!("split \"{split}\" is both trained and tested on"));
     }
     Ok(test.sources)
 }
 
 /// The test split if no other is named.
 const TEST: &str = "test";
+
+/// The split that some exporters write in its place.
+const VAL: &str = "val";
 
 /// Halves all photographs until those for training fit into `data.most_pixels`.
 fn shrink(

@@ -4,7 +4,7 @@
 
 use crate::settings::DataConfig;
 use crate::{
-    builtin, layout,
+    builtin,
     lens::lens_terms,
     readers::{self, blender, multiscale::METADATA},
     source::{Source, assemble, map_in_order, rows},
@@ -76,7 +76,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
         ));
     }
     // The source may be this folder, whose reading would change.
-    if layout::found(folder).is_some() {
+    if readers::found(folder).is_some() {
         return Err(exists(folder));
     }
     let mut splits: Vec<(&str, &[Source])> = Vec::new();

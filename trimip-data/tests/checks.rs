@@ -78,7 +78,8 @@ fn a_scene_as_it_should_be_is_not_doubted() {
         assert_eq!(check.verdict, Verdict::Fine, "{check:?}");
         assert_eq!((check.warning(train), check.suspects.len()), (None, 0));
     }
-    let overlap = &all[0].values[0];
+    let silhouettes = all.iter().find(|check| check.name == "silhouettes and poses").unwrap();
+    let overlap = &silhouettes.values[0];
     assert_eq!(overlap.of.len(), 32);
     assert!(overlap.of.iter().all(|value| value.is_some_and(|value| value > 0.8)), "{overlap:?}");
 }
@@ -201,6 +202,38 @@ fn a_zoom_and_another_size_stand_apart() {
     let check = checks::sizes(&scene.train);
     assert_eq!(views(&check), [2]);
     assert!(check.suspects[0].figure.contains("focal length"), "{check:?}");
+}
+
+#[test]
+fn cameras_that_no_rig_has_are_named() {
+    let scene = scene();
+    let train = &scene.train;
+    let mut far = train.clone();
+    posed(&mut far, |frame, own| match frame {
+        7 => Camera { origin: 2000.0 * own[7].origin, ..own[7] },
+        _ => own[frame],
+    });
+    let found = checks::stray(&far);
+    assert!(doubted(&found) && views(&found) == [7], "{found:?}");
+    let lens = |change: &dyn Fn(&mut Camera)| {
+        let mut other = train.clone();
+        for scale in other.scales.clone() {
+            change(&mut other.views[scale.views.start + 3].camera);
+        }
+        checks::optics(&other)
+    };
+    // An angle in degrees, and a principal point of a larger photograph.
+    let wide = lens(&|camera| camera.intrinsics.fx = 0.5);
+    let shifted = lens(&|camera| camera.intrinsics.cx *= 2.0);
+    for (found, figure) in [(wide, "field of view of 17"), (shifted, "principal point 50 % from the middle")]
+    {
+        assert!(doubted(&found) && views(&found) == [3], "{found:?}");
+        assert!(found.suspects[0].figure.contains(figure), "{found:?}");
+    }
+    let mut few = train.clone();
+    few.scales[0].views.end = few.scales[0].views.start + 3;
+    let found = checks::number(&few);
+    assert!(doubted(&found) && found.figure == "3 photographs to learn from", "{found:?}");
 }
 
 /// No data make a check fail.

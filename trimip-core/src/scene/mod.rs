@@ -10,5 +10,7 @@ pub mod frame;
 pub mod hull;
 pub mod known_space;
 pub mod pixels;
+pub mod plain;
 pub mod silhouettes;
+pub mod strays;
 pub mod views;

@@ -22,6 +22,8 @@ pub struct StatedBox {
     pub aabb: Aabb<f64>,
     /// Description of its source.
     pub source: String,
+    /// True if it lies around points of the scene; false for Instant-NGP's cube.
+    pub around_points: bool,
 }
 
 /// The device of a run.

@@ -7,6 +7,7 @@ mod coverage;
 mod doubles;
 mod focus;
 mod points;
+mod rig;
 mod silhouettes;
 mod sizes;
 mod views;
@@ -17,6 +18,7 @@ pub use coverage::coverage;
 pub use doubles::{photographs, poses};
 pub use focus::focus;
 pub use points::{ahead, reprojection};
+pub use rig::{number, optics, stray};
 pub use silhouettes::silhouettes;
 pub use sizes::sizes;
 pub use views::{coarsest, name};
@@ -41,6 +43,9 @@ pub struct Subject<'a> {
 pub fn all(subject: &Subject<'_>) -> Vec<Check> {
     let Subject { train, test, points, aabb } = *subject;
     vec![
+        number(train),
+        stray(train),
+        optics(train),
         silhouettes(train),
         reprojection(train, points),
         ahead(train, points),

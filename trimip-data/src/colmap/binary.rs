@@ -31,7 +31,9 @@ pub(super) fn cameras(file: File<'_>) -> Result<Vec<ModelCamera>> {
         let kind = Kind::of_number(i32::from_le_bytes(rest.take()?)).map_err(|what| wrong(what, ADVICE))?;
         let size = [rest.u64()?, rest.u64()?];
         rest.needs(kind.parameters().len(), 8, "parameters")?;
-        let parameters = (0..kind.parameters().len()).map(|_| rest.f64()).collect::<Result<_>>()?;
+        let parameters = (0..kind.parameters().len())
+            .map(|_| rest.take().map(f64::from_le_bytes))
+            .collect::<Result<_>>()?;
         cameras.push(
             ModelCamera::new(id, kind, size, parameters)
                 .map_err(|what| wrong(what, "export the model again"))?,
@@ -175,12 +177,12 @@ impl<'a> Rest<'a> {
         let Some(length) = left.iter().position(|&byte| byte == 0) else {
             return Err(self.wrong("the file ends within a name".into()));
         };
-        let name = std::str::from_utf8(&left[..length])
-            .ok()
-            .filter(|name| !name.is_empty())
-            .ok_or_else(|| self.wrong("the name of an image is empty or not UTF-8".into()))?;
+        if length == 0 {
+            return Err(self.wrong("the name of an image is empty".into()));
+        }
         self.at += length + 1;
-        Ok(name.into())
+        // Characters of a code page are replaced, as in the names of files that are looked for.
+        Ok(String::from_utf8_lossy(&left[..length]).into_owned())
     }
 
     fn end(&self) -> Result<()> {

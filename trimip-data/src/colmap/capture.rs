@@ -2,14 +2,17 @@
 //! Frames are sorted by the names of their images; every 8th is the test split.
 
 use super::{
+    lenses::ModelCamera,
     locate,
     model::{Model, ModelImage},
 };
 use crate::settings::DataConfig;
 use crate::{
     division::{self, Selection},
+    intrinsics::{factors, scaled},
     names,
     photograph::Photograph,
+    pictures::Pictures,
     points::{Cloud, Observation, Point},
     source::{Pixels, Source, map_in_order},
     split::Split,
@@ -20,7 +23,7 @@ use std::{
     collections::{BTreeSet, HashMap},
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Result, plural::count};
+use trimip_core::{Camera, Error, Result, plural::count};
 
 /// A capture with a model, before any photograph is decoded.
 pub(crate) struct Capture {
@@ -52,21 +55,27 @@ impl Capture {
             let advice = "COLMAP placed no photograph: take more of them, with more overlap";
             return Err(Error::input(file.display(), "holds no image", advice));
         }
+        let mut warnings: Vec<String> = found.warning.into_iter().collect();
+        warnings.extend(without_camera(&mut model, &file)?);
         model.images.sort_unstable_by(|a, b| a.name.cmp(&b.name));
         let image_names: Vec<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
         let folder = locate::photographs(root, &config.images, &found.folder, &image_names)?;
-        complete(&file, &folder, &image_names)?;
-        let mut warnings: Vec<String> =
-            found.warning.into_iter().chain(unplaced(&folder, &image_names)).collect();
+        warnings.extend(unplaced(&folder, &image_names));
+        let looked_in = if config.images.is_empty() { root } else { &folder };
+        let paths = found_photographs(&file, &folder, looked_in, &image_names)?;
+        warnings.extend(paths.warnings);
+        let mut there = paths.paths.iter().map(Option::is_some);
+        model.images.retain(|_| there.next().unwrap_or(false));
 
         let cameras = model.cameras_of_images(&file.display().to_string())?;
+        let image_names: Vec<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
         let names = names::unique(&image_names);
-        let frames = model.images.iter().zip(cameras).zip(&names).map(|((image, camera), name)| {
+        let of_images = model.images.iter().zip(cameras).zip(&names).zip(paths.paths.into_iter().flatten());
+        let frames = of_images.map(|(((image, camera), name), path)| {
             let place = format!("{}: {}", file.display(), image.place());
-            Frame { name: name.clone(), path: folder.join(&image.name), place, camera }
+            Frame { name: name.clone(), path, place, camera }
         });
-        let frames = frames.collect();
-        let scaled = frames_scaled(frames, !config.images.is_empty())?;
+        let scaled = frames_scaled(frames.collect())?;
         warnings.extend(scaled.warning);
         let cloud = cloud(&model, names, &scaled.factors);
         let notes = vec![format!(
@@ -123,14 +132,17 @@ impl Model {
     /// # Errors
     /// Of kind `Input`: a pose that is not finite, a camera that is not there.
     pub fn cameras_of_images(&self, file: &str) -> Result<Vec<Camera>> {
-        let cameras: HashMap<u32, Intrinsics> =
-            self.cameras.iter().map(|camera| (camera.id, camera.intrinsics())).collect();
+        let cameras: HashMap<u32, &ModelCamera> =
+            self.cameras.iter().map(|camera| (camera.id, camera)).collect();
         let camera = |image: &ModelImage| {
             let place = format!("{file}: {}", image.place());
             let (rotation, origin) = pose(image, &place)?;
-            let unknown = || Error::input(&place, "has an unknown camera", "export the model again");
-            let intrinsics = *cameras.get(&image.camera).ok_or_else(unknown)?;
-            Ok(Camera { intrinsics, rotation, origin })
+            let wrong = |what: &str| Error::input(&place, what, "export the model again");
+            let camera = cameras.get(&image.camera).ok_or_else(|| wrong("has an unknown camera"))?;
+            if !camera.is_finite() {
+                return Err(wrong("has a camera whose parameters are not finite"));
+            }
+            Ok(Camera { intrinsics: camera.intrinsics(), rotation, origin })
         };
         self.images.iter().map(camera).collect()
     }
@@ -149,20 +161,84 @@ fn pose(image: &ModelImage, place: &str) -> Result<(DMat3, DVec3)> {
     Ok((DMat3::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis), origin))
 }
 
-/// Refuses a folder that lacks photographs of the model.
-fn complete(file: &Path, folder: &Path, names: &[&str]) -> Result<()> {
-    let missing: Vec<&&str> = names.iter().filter(|name| !folder.join(name).is_file()).collect();
-    let Some(first) = missing.first() else { return Ok(()) };
-    Err(Error::input(
+/// Leaves out images whose cameras have parameters that are no numbers, with a warning that names the first.
+fn without_camera(model: &mut Model, file: &Path) -> Result<Option<String>> {
+    let broken: BTreeSet<u32> =
+        model.cameras.iter().filter(|camera| !camera.is_finite()).map(|camera| camera.id).collect();
+    let all = model.images.len();
+    let (out, kept) = model.images.drain(..).partition(|image| broken.contains(&image.camera));
+    let out: Vec<ModelImage> = out;
+    model.images = kept;
+    let Some(first) = out.first() else { return Ok(None) };
+    let what = format!("camera {} of {} has parameters that are not finite", first.camera, first.place());
+    if model.images.is_empty() {
+        return Err(Error::input(file.display(), what, "calibrate again and export the model"));
+    }
+    Ok(Some(format!(
+        "{}: {what}: {} of {} are left out",
         file.display(),
-        format!(
-            "{} of {} photographs are missing, the first is {}",
+        out.len(),
+        count(all, "photograph")
+    )))
+}
+
+/// The photographs of a model, in the order of its images.
+struct Photographs {
+    /// `None` where it is not there.
+    paths: Vec<Option<PathBuf>>,
+    warnings: Vec<String>,
+}
+
+/// Finds the photographs of a model in `folder`, and what is not there below `root`. Those that are nowhere are left out.
+///
+/// # Errors
+/// If more than half are nowhere, or one photograph is that of two images.
+fn found_photographs(file: &Path, folder: &Path, root: &Path, names: &[&str]) -> Result<Photographs> {
+    let pictures = Pictures::new(root);
+    let find = |name: &&str| {
+        let path = folder.join(name);
+        if path.is_file() { Some(path) } else { Some(pictures.find(name, "").ok()?.path) }
+    };
+    let paths: Vec<Option<PathBuf>> = names.iter().map(find).collect();
+    let is_moved = |(name, path): &(&&str, &PathBuf)| folder.join(name) != **path;
+    let found = names.iter().zip(&paths).filter_map(|(name, path)| Some((name, path.as_ref()?)));
+    let moved: Vec<_> = found.filter(is_moved).collect();
+    let all = names.len();
+    let missing: Vec<&&str> =
+        names.iter().zip(&paths).filter(|(_, path)| path.is_none()).map(|(name, _)| name).collect();
+    let mut warnings = Vec::new();
+    if let Some(first) = missing.first() {
+        let what = format!(
+            "{} of {} are missing, the first is {}",
             missing.len(),
-            names.len(),
+            count(all, "photograph"),
             folder.join(first).display()
-        ),
-        "copy them there, or set data.images to their folder",
-    ))
+        );
+        if 2 * missing.len() > all {
+            let advice = "copy them there, or set data.images to their folder";
+            return Err(Error::input(file.display(), what, advice));
+        }
+        warnings.push(format!("{}: {what}; they are left out", file.display()));
+    }
+    let mut used: HashMap<&PathBuf, &str> = HashMap::new();
+    for (name, path) in names.iter().zip(&paths) {
+        let Some(path) = path else { continue };
+        if let Some(other) = used.insert(path, name) {
+            let what = format!("{} may be the photograph of {other} and of {name}", path.display());
+            let advice = "copy the photographs into folders as the model names them";
+            return Err(Error::input(file.display(), what, advice));
+        }
+    }
+    if let Some((name, path)) = moved.first() {
+        warnings.push(format!(
+            "{}: {} of {} lie elsewhere than the model says: {name} is {}",
+            file.display(),
+            moved.len(),
+            count(all, "photograph"),
+            path.display()
+        ));
+    }
+    Ok(Photographs { paths, warnings })
 }
 
 /// A warning if photographs beside those of the model are not in it.
@@ -183,10 +259,9 @@ struct Scaled {
     warning: Option<String>,
 }
 
-/// Compares photographs with cameras. Where the folder was `named`, photographs of another size but the same shape are
-/// accepted, and their cameras scaled.
-fn frames_scaled(mut frames: Vec<Frame>, named: bool) -> Result<Scaled> {
-    let factors = map_in_order(&frames, |_, frame| {
+/// Compares photographs with cameras. Cameras of photographs of another size but the same shape are scaled.
+fn frames_scaled(mut frames: Vec<Frame>) -> Result<Scaled> {
+    let by = map_in_order(&frames, |_, frame| {
         let k = &frame.camera.intrinsics;
         let image = Photograph::open(frame.path.clone(), frame.place.clone())?;
         let image = image.fit(Some(k.width), Some(k.height));
@@ -194,37 +269,31 @@ fn frames_scaled(mut frames: Vec<Frame>, named: bool) -> Result<Scaled> {
         if sizes == own {
             return Ok([1.0; 2]);
         }
-        // The factors that round to each side.
-        let range = |side: usize| [-1.0, 1.0].map(|by| (f64::from(sizes[side]) + by) / f64::from(own[side]));
-        let ([low_x, high_x], [low_y, high_y]) = (range(0), range(1));
-        if named && low_x.max(low_y) < high_x.min(high_y) {
-            return Ok([0, 1].map(|side| f64::from(sizes[side]) / f64::from(own[side])));
-        }
-        Err(Error::input(
-            &frame.place,
-            format!(
+        factors(own, sizes).ok_or_else(|| {
+            let what = format!(
                 "image {} is {}x{} pixels, but its camera has {}x{}",
                 image.path.display(),
                 sizes[0],
                 sizes[1],
                 own[0],
                 own[1]
-            ),
-            "use the images the cameras were computed for; for the same images in another size, name their folder in \
-             data.images",
-        ))
+            );
+            Error::input(
+                &frame.place,
+                what,
+                "use the images the cameras were computed for, or others of their shape",
+            )
+        })
     })?;
     let mut warning = None;
-    for (frame, [x, y]) in frames.iter_mut().zip(&factors).filter(|(_, factors)| **factors != [1.0; 2]) {
-        let k = &mut frame.camera.intrinsics;
-        let side = |side: u32, by: f64| (f64::from(side) * by).round() as u32;
-        (k.width, k.height) = (side(k.width, *x), side(k.height, *y));
-        (k.fx, k.cx, k.fy, k.cy) = (k.fx * x, k.cx * x, k.fy * y, k.cy * y);
+    for (frame, factors) in frames.iter_mut().zip(&by).filter(|(_, factors)| **factors != [1.0; 2]) {
+        frame.camera.intrinsics = scaled(frame.camera.intrinsics, *factors);
         warning = warning.or(Some(format!(
-            "the photographs of data.images are {x:.4} times as wide as those of the COLMAP model: cameras are scaled along"
+            "the photographs are {:.4} times as wide as those of the COLMAP model: cameras are scaled along",
+            factors[0]
         )));
     }
-    Ok(Scaled { frames, factors, warning })
+    Ok(Scaled { frames, factors: by, warning })
 }
 
 /// Points with their tracks by frame, which must be in order of their names.

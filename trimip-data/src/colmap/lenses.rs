@@ -91,9 +91,6 @@ impl ModelCamera {
             ));
         }
         for (name, value) in kind.parameters().iter().zip(&parameters) {
-            if !value.is_finite() {
-                return Err(format!("has a {name} that is not finite"));
-            }
             if name.starts_with('f') && *value <= 0.0 {
                 return Err(format!("has the focal length {value}"));
             }
@@ -102,6 +99,11 @@ impl ModelCamera {
             }
         }
         Ok(Self { id, kind, width, height, parameters })
+    }
+
+    /// False if a parameter is no number: its calibration failed.
+    pub fn is_finite(&self) -> bool {
+        self.parameters.iter().all(|parameter| parameter.is_finite())
     }
 
     /// Name of its camera model.

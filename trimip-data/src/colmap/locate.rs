@@ -5,16 +5,28 @@ use super::{
     model::{Encoding, File, Model},
     text,
 };
+use crate::pictures::{self, Pictures};
 use std::{
     fs,
     io::Read,
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Result};
+use trimip_core::{Error, Result, text::decoded};
 
 /// Folders of a model within a scene, in the order in which they are tried.
-const FOLDERS: [&str; 8] =
-    ["", "sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "colmap/bin", "colmap/txt", "colmap"];
+const FOLDERS: [&str; 11] = [
+    "",
+    "sparse/0",
+    "sparse",
+    "colmap/sparse/0",
+    "colmap/sparse",
+    "colmap/bin",
+    "colmap/txt",
+    "colmap",
+    "dense/0/sparse",
+    "dense/sparse",
+    "undistorted/sparse",
+];
 /// Folders that hold several models by number.
 const SEVERAL: [&str; 2] = ["sparse", "colmap/sparse"];
 /// How far above a model its photographs are looked for.
@@ -132,6 +144,13 @@ impl Model {
                 Error::input(path.display(), what, "check the path and its permissions")
             })
         };
+        let read = |path: &Path| {
+            let bytes = read(path)?;
+            Ok::<_, Error>(match encoding {
+                Encoding::Text => readable(&bytes),
+                Encoding::Binary => bytes,
+            })
+        };
         let [cameras, images, points] = ["cameras", "images", "points3D"].map(path);
         let names = [&cameras, &images, &points].map(|path| path.display().to_string());
         let seen = points.is_file().then(|| read(&points)).transpose()?;
@@ -142,6 +161,11 @@ impl Model {
             seen.as_ref().map(|bytes| File { name: &names[2], bytes }),
         )
     }
+}
+
+/// A text in UTF-8. Characters of a code page are replaced: they occur in names of photographs, which are looked for alike.
+fn readable(bytes: &[u8]) -> Vec<u8> {
+    String::from_utf8_lossy(&decoded(bytes)).into_owned().into_bytes()
 }
 
 impl Encoding {
@@ -161,23 +185,17 @@ pub(super) fn images_file(folder: &Path) -> PathBuf {
 /// The folder of the photographs: `stated` within the scene, or the first that holds one of the named files.
 pub(super) fn photographs(root: &Path, stated: &str, model: &Path, names: &[&str]) -> Result<PathBuf> {
     if !stated.is_empty() {
-        let folder = root.join(stated);
-        if folder.is_dir() {
-            return Ok(folder);
-        }
-        let what = format!("is \"{stated}\", but {} is not a folder", folder.display());
-        return Err(Error::input(
-            "data.images",
-            what,
-            "name the folder of the photographs relative to data.root",
-        ));
+        return pictures::stated(root, stated);
     }
     // A relative path has no parents beyond its beginning.
     let model = std::path::absolute(model).unwrap_or_else(|_| model.into());
     let above = model.ancestors().skip(1).take(LEVELS_UP).map(|folder| folder.join("images"));
     let folders: Vec<PathBuf> = [root.join("images"), root.into()].into_iter().chain(above).collect();
     let found = folders.iter().find(|folder| names.iter().any(|name| folder.join(name).is_file()));
-    found.cloned().ok_or_else(|| {
+    let pictures = Pictures::new(root);
+    let moved =
+        || names.iter().find_map(|name| pictures.find(name, "").ok()?.path.parent().map(Path::to_path_buf));
+    found.cloned().or_else(moved).ok_or_else(|| {
         Error::input(
             images_file(&model).display(),
             format!(

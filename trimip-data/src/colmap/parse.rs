@@ -21,7 +21,7 @@ impl Model {
         images: File<'_>,
         points: Option<File<'_>>,
     ) -> Result<Self> {
-        let model = match encoding {
+        let mut model = match encoding {
             Encoding::Text => Self {
                 cameras: text::cameras(cameras)?,
                 images: text::images(images)?,
@@ -33,8 +33,20 @@ impl Model {
                 points: points.map(binary::points).transpose()?.unwrap_or_default(),
             },
         };
+        model.drop_unknown_images();
         model.check(cameras.name, images.name, points.map_or("", |file| file.name))?;
         Ok(model)
+    }
+
+    /// Leaves out of each track the images that the model does not hold: people take photographs out of it.
+    fn drop_unknown_images(&mut self) {
+        let known = sorted(self.images.iter().map(|image| image.id));
+        for point in &mut self.points {
+            let is_known = |step: &[u32; 2]| known.binary_search(&step[0]).is_ok();
+            if !point.track.iter().all(is_known) {
+                point.track = point.track.iter().copied().filter(is_known).collect();
+            }
+        }
     }
 
     /// Entries are unique and name what is there.
@@ -67,8 +79,7 @@ impl Model {
         for point in &self.points {
             for [image, feature] in &point.track {
                 let Ok(at) = order.binary_search_by_key(image, |&index| self.images[index].id) else {
-                    let what = format!("was seen in image {image}, which {images} does not hold");
-                    return broken(points, format!("point {}", point.id), what);
+                    continue;
                 };
                 let places = self.images[order[at]].places.len();
                 // Some programs drop the features but keep the tracks.

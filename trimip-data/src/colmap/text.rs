@@ -23,11 +23,11 @@ pub(super) fn cameras(file: File<'_>) -> Result<Vec<ModelCamera>> {
         let id = line.number("a camera's number")?;
         let kind = line.word("a camera model")?;
         let kind = Kind::of_name(kind).map_err(|what| line.wrong(format!("camera {id} {what}"), ADVICE))?;
-        let size = [line.number("a width")?, line.number("a height")?];
+        let size = [line.side("a width")?, line.side("a height")?];
         let count = line.words.clone().count();
         let mut parameters = Vec::with_capacity(count);
         for _ in 0..count {
-            parameters.push(line.finite("a parameter")?);
+            parameters.push(line.parameter()?);
         }
         let camera = ModelCamera::new(id, kind, size, parameters.into());
         cameras.push(
@@ -199,6 +199,27 @@ impl<'a> Line<'a> {
             return Ok(value);
         }
         Err(self.wrong(format!("{value} as {expected} is not a finite number"), "export the model again"))
+    }
+
+    /// A number of pixels; some exporters write 1920.0.
+    fn side(&mut self, expected: &str) -> Result<u64> {
+        let side: f64 = self.number(expected)?;
+        // As a cast, which saturates; the range is checked with the camera.
+        if side.fract() == 0.0 && side >= 0.0 {
+            return Ok(side as u64);
+        }
+        Err(self.wrong(format!("{side} is not {expected}"), "correct the line or export the model again"))
+    }
+
+    /// A parameter of a camera; not a number where its calibration failed, as the systems' libraries write it.
+    fn parameter(&mut self) -> Result<f64> {
+        let word = self.words.clone().next().unwrap_or_default().to_ascii_lowercase();
+        let unsigned = word.trim_start_matches(['-', '+']);
+        if unsigned.starts_with("nan") || unsigned.starts_with("1.#") {
+            self.words.next();
+            return Ok(f64::NAN);
+        }
+        self.number("a parameter")
     }
 
     fn numbers<const N: usize>(&mut self, expected: &str) -> Result<[f64; N]> {

@@ -4,12 +4,14 @@
 use super::reader::{CameraFile, OpenScene, Reader};
 use crate::{
     division::{self, Selection},
-    intrinsics::{Size, intrinsics},
+    intrinsics::{Size, intrinsics, scaled},
     json::{self, Node},
     names,
     photograph::Photograph,
+    pictures::{self, Pictures},
     pose,
-    source::{Pixels, Source, find_image, map_in_order},
+    settings::DataConfig,
+    source::{Pixels, Source, map_in_order},
     split::Split,
     stated_box,
 };
@@ -26,7 +28,8 @@ pub(super) static READER: Reader = Reader {
     name: "Blender layout",
     files: Some("transforms_train.json, transforms.json"),
     recognises: |root| undivided(root).is_file() || !splits(root).is_empty(),
-    open: |root, config| Ok(Box::new(Folder { root: root.into(), scales: config.scales })),
+    open: |root, config| Ok(Box::new(Folder::open(root, config)?)),
+    images: Some("Blender layouts"),
     divisible: true,
     camera_files: &[CameraFile {
         kind: "transforms",
@@ -35,7 +38,6 @@ pub(super) static READER: Reader = Reader {
         example,
         memory: 160,
     }],
-    ..Reader::PLAIN
 };
 
 /// One frame.
@@ -48,42 +50,70 @@ fn example() -> Vec<u8> {
 /// A folder with transforms files, which are read with their splits.
 struct Folder {
     root: PathBuf,
+    pictures: Pictures,
     scales: u32,
+}
+
+impl Folder {
+    fn open(root: &Path, config: &DataConfig) -> Result<Self> {
+        let pictures = Pictures::new(pictures::stated(root, &config.images)?);
+        Ok(Self { root: root.into(), pictures, scales: config.scales })
+    }
 }
 
 impl OpenScene for Folder {
     fn split(&self, split: &str) -> Result<Split> {
-        read(&self.root, split, self.scales)
+        read(self, split)
     }
 
     fn has_split(&self, split: &str) -> Result<bool> {
-        has_split(&self.root, split)
+        has_split(self, split)
     }
 
     fn undivided(&self) -> Result<Option<Split>> {
-        read_all(&self.root, self.scales)
+        read_all(self)
     }
 }
 
-/// Names of the splits with a file of their own.
+/// Beginnings of the names of transforms files; some exporters leave out the s.
+const PREFIXES: [&str; 2] = ["transforms", "transform"];
+
+/// Names of the splits with a file of their own. Files beside `transforms.json` are other versions of it, unless one of them holds
+/// the training frames.
 pub(crate) fn splits(root: &Path) -> Vec<String> {
     let Ok(entries) = root.read_dir() else { return Vec::new() };
     let mut names: Vec<String> = entries
         .flatten()
         .filter_map(|entry| {
             let name = entry.file_name().into_string().ok()?;
-            Some(name.strip_prefix("transforms_")?.strip_suffix(".json")?.to_string())
+            let rest = PREFIXES.iter().find_map(|prefix| name.strip_prefix(prefix)?.strip_prefix('_'))?;
+            Some(rest.strip_suffix(".json")?.to_string())
         })
         .collect();
     names.sort();
+    names.dedup();
+    if undivided(root).is_file() && !names.iter().any(|name| name == TRAIN) {
+        names.clear();
+    }
     names
 }
 
+/// The split of the training frames.
+const TRAIN: &str = "train";
+
+/// The file of a split.
+fn split_file(root: &Path, split: &str) -> PathBuf {
+    let [first, other] = PREFIXES.map(|prefix| root.join(format!("{prefix}_{split}.json")));
+    if first.is_file() || !other.is_file() { first } else { other }
+}
+
 /// True if a folder has frames of a split.
-fn has_split(root: &Path, split: &str) -> Result<bool> {
+fn has_split(folder: &Folder, split: &str) -> Result<bool> {
+    let root = &folder.root;
     let found = splits(root);
     if !found.is_empty() {
-        return Ok(found.iter().any(|name| name == split));
+        let is_there = found.iter().any(|name| name == split);
+        return Ok(is_there && has_photographs(&folder.pictures, &split_file(root, split)));
     }
     let path = undivided(root);
     let document = json::read(&path)?;
@@ -91,18 +121,27 @@ fn has_split(root: &Path, split: &str) -> Result<bool> {
     Ok(lists.is_empty() || lists.contains(&split))
 }
 
+/// False for a file none of whose photographs is there: BlenderNeRF writes the cameras of test frames that it does not render. Errors
+/// in the file are told when it is read.
+fn has_photographs(pictures: &Pictures, path: &Path) -> bool {
+    let Ok(document) = json::read(path) else { return true };
+    let Some(entries) = document.get("frames").and_then(Value::as_array) else { return true };
+    let named: Vec<&str> = entries.iter().filter_map(named).collect();
+    named.is_empty() || named.iter().any(|named| pictures.find(named, "").is_ok())
+}
+
 /// The file of a folder that holds all frames.
 pub(crate) fn undivided(root: &Path) -> PathBuf {
-    root.join("transforms.json")
+    let [first, other] = PREFIXES.map(|prefix| root.join(format!("{prefix}.json")));
+    if first.is_file() || !other.is_file() { first } else { other }
 }
 
 /// The frames of `split` with the headers of their images.
-fn read(root: &Path, split: &str, scales: u32) -> Result<Split> {
+fn read(folder: &Folder, split: &str) -> Result<Split> {
+    let root = &folder.root;
     let found = splits(root);
     if found.iter().any(|name| name == split) {
-        return read_file(root, &root.join(format!("transforms_{split}.json")), split, scales, |_, _| {
-            Ok(Selection::All)
-        });
+        return read_file(folder, &split_file(root, split), split, |_, _| Ok(Selection::All));
     }
     if !found.is_empty() {
         return Err(division::unknown(root, split, &found.join(", ")));
@@ -115,23 +154,22 @@ fn read(root: &Path, split: &str, scales: u32) -> Result<Split> {
             "set data.root to the folder of a Blender-layout scene",
         ));
     }
-    read_file(root, &path, split, scales, |file, entries| division::divide(&path, file, entries, split))
+    read_file(folder, &path, split, |file, entries| division::divide(&path, file, entries, split))
 }
 
 /// All frames of the file without splits; `None` if the splits have files of their own.
-fn read_all(root: &Path, scales: u32) -> Result<Option<Split>> {
-    if !splits(root).is_empty() {
+fn read_all(folder: &Folder) -> Result<Option<Split>> {
+    if !splits(&folder.root).is_empty() {
         return Ok(None);
     }
-    read_file(root, &undivided(root), "train", scales, |_, _| Ok(Selection::All)).map(Some)
+    read_file(folder, &undivided(&folder.root), "train", |_, _| Ok(Selection::All)).map(Some)
 }
 
 /// The frames of a file that `divide` chooses.
 fn read_file(
-    root: &Path,
+    folder: &Folder,
     path: &Path,
     split: &str,
-    scales: u32,
     divide: impl Fn(&Node<'_>, &[Value]) -> Result<Selection>,
 ) -> Result<Split> {
     let document = json::read(path)?;
@@ -142,21 +180,44 @@ fn read_file(
     if chosen.is_empty() {
         return Err(division::empty(path, split, entries.len(), &selection));
     }
-    let sources = map_in_order(&chosen, |_, &index| {
-        let entry = transforms.entry(index)?;
+    let chosen: Vec<(usize, Entry<'_>)> =
+        chosen.into_iter().map(|index| Ok((index, transforms.entry(index)?))).collect::<Result<_>>()?;
+    let places = chosen.iter().map(|(_, entry)| (entry.named, entry.frame.place.clone()));
+    let (paths, moved) = pictures::of_entries(&folder.pictures, places)?;
+    let frames: Vec<_> = chosen.iter().zip(paths).collect();
+    let found = map_in_order(&frames, |_, ((index, entry), path)| {
         let place = &entry.frame.place;
-        let image = Photograph::open(find_image(root, entry.named, place)?, place.clone())?;
+        let image = Photograph::open(path.clone(), place.clone())?;
         let image = image.fit(entry.size.width, entry.size.height);
-        entry.size.check(&image)?;
-        let camera = entry.camera(file, image.width, image.height)?;
+        let factors = entry.size.factors(&image);
+        let camera = match factors {
+            Some(factors) => {
+                let (width, height) = (entry.size.width.unwrap_or(1), entry.size.height.unwrap_or(1));
+                let stated = entry.camera(file, width, height)?;
+                Camera { intrinsics: scaled(stated.intrinsics, factors), ..stated }
+            }
+            None => {
+                entry.size.check(&image)?;
+                entry.camera(file, image.width, image.height)?
+            }
+        };
         let pixels = Pixels::Photograph(image);
-        let source = Source::averaged(names[index].clone(), camera, scales, place, pixels)?;
-        Ok(Source { mask_path: entry.mask_path.map(str::to_string), ..source })
+        let source = Source::averaged(names[*index].clone(), camera, folder.scales, place, pixels)?;
+        Ok((Source { mask_path: entry.mask_path.map(str::to_string), ..source }, factors))
     })?;
+    let (sources, factors): (Vec<Source>, Vec<_>) = found.into_iter().unzip();
+    let chosen: Vec<usize> = chosen.into_iter().map(|(index, _)| index).collect();
     check_shared_focal(file, entries, &chosen, &sources, *size)?;
-    let (stated, cloud) = stated_box::read(root, file)?;
-    let warnings = selection.warning(path, "in file order").into_iter().collect();
-    Ok(Split { sources, warnings, notes: applied(file)?, stated, cloud })
+    let stated = stated_box::read(&folder.root, file)?;
+    let scaled = factors.into_iter().flatten().next().map(|[x, _]| {
+        format!(
+            "the photographs of {} are {x:.4} times as wide as it states: cameras are scaled along",
+            path.display()
+        )
+    });
+    let divided = selection.warning(path, "in file order");
+    let warnings = divided.into_iter().chain(moved).chain(scaled).chain(stated.warning).collect();
+    Ok(Split { sources, warnings, notes: applied(file)?, stated: stated.aabb, cloud: stated.cloud })
 }
 
 /// Names and cameras of all frames of a transforms file, whose photographs have `size` where none is stated. Checks all that

@@ -42,7 +42,6 @@ pub(super) static READER: Reader = Reader {
     images: Some("LLFF captures"),
     divisible: true,
     camera_files: &[CameraFile { kind: "poses-bounds", file: FILE, cameras, example, memory: 16 }],
-    ..Reader::PLAIN
 };
 
 /// Two photographs.

@@ -9,10 +9,16 @@ mod npy;
 pub(crate) mod reader;
 
 use reader::Reader;
+use std::path::Path;
 
 /// All readers, in the order in which a folder is recognised.
 pub(crate) static READERS: &[&Reader] =
     &[&multiscale::READER, &blender::READER, &colmap::READER, &llff::READER, &builtin::READER];
+
+/// The reader that the files in a folder show.
+pub(crate) fn found(root: &Path) -> Option<&'static Reader> {
+    READERS.iter().copied().find(|reader| (reader.recognises)(root))
+}
 
 #[cfg(test)]
 mod tests {
@@ -20,7 +26,7 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_documented_in_the_order_of_recognition() {
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/formats.md");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/formats.md");
         let page = std::fs::read_to_string(path).unwrap();
         let (_, table) = page.split_once("| `data.format` | scene | shown by |\n|---|---|---|\n").unwrap();
         let rows: Vec<&str> = table.lines().take_while(|line| line.starts_with('|')).collect();

@@ -7,9 +7,10 @@ use crate::{
     lens,
     names::stem,
     photograph::Photograph,
+    pictures::Pictures,
     pose,
     settings::DataConfig,
-    source::{Pixels, Source, find_image, map_in_order},
+    source::{Pixels, Source, map_in_order},
     split::Split,
 };
 use serde_json::{Value, json};
@@ -99,8 +100,8 @@ impl OpenScene for Metadata {
                 "raise data.scales or export the set again",
             ));
         }
-        let entries =
-            map_in_order(&wanted, |_, &index| Ok((levels[index], table.entry(&self.root, index)?)))?;
+        let pictures = Pictures::new(&self.root);
+        let entries = map_in_order(&wanted, |_, &index| Ok((levels[index], table.entry(&pictures, index)?)))?;
         let sources = frames(&table.node.place, entries)?;
         let found = sources.first().map_or(0, |source| source.views.len());
         let warnings = (found < scales as usize).then(|| {
@@ -194,9 +195,9 @@ impl<'a> Table<'a> {
         })
     }
 
-    fn entry(&self, root: &Path, index: usize) -> Result<Entry> {
+    fn entry(&self, pictures: &Pictures, index: usize) -> Result<Entry> {
         let (named, place) = (self.named(index)?, self.place(index));
-        let image = Photograph::open(find_image(root, named, &place)?, place)?;
+        let image = Photograph::open(pictures.find(named, &place)?.path, place)?;
         let [width, height] = self.size(index)?;
         if (width, height) != (image.width, image.height) {
             return Err(Error::input(

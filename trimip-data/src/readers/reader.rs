@@ -1,5 +1,5 @@
-//! What a reader of scenes is: how it recognises a folder, what it is called, how it reads, what it advises. A reader is one
-//! file with one of these values, which a line of the registry names.
+//! What a reader of scenes is: how it recognises a folder, what it is called, how it reads. A reader is one file with one of these
+//! values, which a line of the registry names.
 
 use crate::settings::DataConfig;
 use crate::split::Split;
@@ -18,8 +18,6 @@ pub(crate) struct Reader {
     pub(crate) recognises: fn(&Path) -> bool,
     /// Opens the scene in a folder. Cameras may be read here or with each split; no photograph is decoded.
     pub(crate) open: fn(&Path, &DataConfig) -> Result<Box<dyn OpenScene>>,
-    /// What a folder lacks that holds no scene but parts of one of this kind, and what to do.
-    pub(crate) advises: fn(&Path) -> Option<String>,
     /// Such scenes in words, if their photographs are looked for in `data.images`.
     pub(crate) images: Option<&'static str>,
     /// Whether `data.test_list` can divide its frames.
@@ -36,7 +34,6 @@ impl Reader {
         files: Some(""),
         recognises: |_| false,
         open: |_, _| Err(trimip_core::Error::run("a reader without a function that opens")),
-        advises: |_| None,
         images: None,
         divisible: false,
         camera_files: &[],

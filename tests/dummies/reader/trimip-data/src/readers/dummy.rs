@@ -6,8 +6,9 @@ use crate::{
     division::{self, Selection},
     names,
     photograph::Photograph,
+    pictures::Pictures,
     settings::DataConfig,
-    source::{Pixels, Source, find_image, map_in_order},
+    source::{Pixels, Source, map_in_order},
     split::Split,
 };
 use glam::{DMat3, DVec3};
@@ -112,15 +113,16 @@ impl Rail {
         if chosen.is_empty() {
             return Err(division::empty(&path, split, self.lines.len(), selection));
         }
-        let sources = map_in_order(&chosen, |_, &index| self.source(index))?;
+        let pictures = Pictures::new(&self.root);
+        let sources = map_in_order(&chosen, |_, &index| self.source(&pictures, index))?;
         let warnings = selection.warning(&path, "in order of their lines").into_iter().collect();
         Ok(Split { sources, warnings, ..Split::default() })
     }
 
     /// A frame with the header of its photograph.
-    fn source(&self, index: usize) -> Result<Source> {
+    fn source(&self, pictures: &Pictures, index: usize) -> Result<Source> {
         let Line { place, photograph, .. } = &self.lines[index];
-        let image = Photograph::open(find_image(&self.root, photograph, place)?, place.clone())?;
+        let image = Photograph::open(pictures.find(photograph, place)?.path, place.clone())?;
         let camera = self.lines[index].camera(image.width, image.height);
         Source::averaged(self.names[index].clone(), camera, self.scales, place, Pixels::Photograph(image))
     }

@@ -1,0 +1,60 @@
+//! Stray cameras: those that stand far from all others.
+
+use crate::Camera;
+use glam::DVec3;
+
+/// A camera that is this many times as far from the middle of all cameras as half of them are is a stray one: its pose is wrong, or it
+/// belongs to another place.
+pub const STRAY: f64 = 30.0;
+
+/// Largest share of stray cameras: of more, the middle means nothing.
+const MOST_STRAYS: f64 = 0.1;
+
+/// Cameras that stand far from all others, in their order: how many times as far from the middle of all as half of them.
+pub fn strays(cameras: &[Camera]) -> Vec<(usize, f64)> {
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(0.0)
+    };
+    let middle = DVec3::from_array(std::array::from_fn(|axis| {
+        median(cameras.iter().map(|camera| camera.origin[axis]).collect())
+    }));
+    let distances: Vec<f64> = cameras.iter().map(|camera| camera.origin.distance(middle)).collect();
+    let usual = median(distances.clone());
+    let far = distances.iter().map(|distance| distance / usual).enumerate();
+    let strays: Vec<(usize, f64)> = far.filter(|(_, times)| *times > STRAY && times.is_finite()).collect();
+    if strays.len() as f64 > MOST_STRAYS * cameras.len() as f64 { Vec::new() } else { strays }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Intrinsics;
+
+    /// Cameras on a sphere of that radius.
+    fn ring(centre: DVec3, radius: f64, count: usize) -> Vec<Camera> {
+        let k = Intrinsics::from_angle(64, 64, 0.7);
+        let at = |i: usize| {
+            let turn = i as f64 * 2.4;
+            let direction = DVec3::new(turn.cos(), turn.sin(), 0.3 * (i % 3) as f64).normalize();
+            Camera::look_at(k, centre + radius * direction, centre, DVec3::Z)
+        };
+        (0..count).map(at).collect()
+    }
+
+    #[test]
+    fn cameras_far_from_all_others_are_strays() {
+        let centre = DVec3::new(3.0, 4.0, 5.0);
+        let mut cameras = ring(centre, 2.0, 40);
+        assert_eq!(strays(&cameras), []);
+        cameras[7].origin = DVec3::new(0.0, 5000.0, 0.0);
+        let found = strays(&cameras);
+        assert!(found.len() == 1 && found[0].0 == 7 && (found[0].1 / 2500.0 - 1.0).abs() < 0.1, "{found:?}");
+        // Half of the cameras in one place, or many far ones: there is no middle to be far from.
+        let burst = [vec![cameras[0]; 30], ring(centre, 2.0, 10)].concat();
+        assert_eq!(strays(&burst), []);
+        let two = [ring(centre, 2.0, 10), ring(100.0 * centre, 2.0, 6)].concat();
+        assert_eq!(strays(&two), []);
+        assert_eq!(strays(&[]), []);
+    }
+}

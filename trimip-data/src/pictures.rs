@@ -1,0 +1,345 @@
+//! Where the photographs of a scene lie. Entries name them by a path, which is often that of another machine, of another ending
+//! (`.jpg` for `.JPG`), or of a folder of which only a smaller copy is there (`images` for `images_4`).
+
+use crate::{foreign, names};
+use std::{
+    collections::{HashMap, HashSet},
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
+use trimip_core::{Error, Result, plural::count};
+
+/// How deep below the scene's folder photographs are looked for, and how many files are looked at.
+const MOST_DEPTH: usize = 5;
+const MOST_FILES: usize = 200_000;
+
+/// Beginnings of the names of folders whose pictures are no photographs.
+const OTHERS: [&str; 7] = ["mask", "depth", "normal", "semantic", "segment", "confidence", "."];
+
+/// Names of folders that divide photographs: a photograph of one is none of another.
+const SPLITS: [&str; 5] = ["train", "val", "valid", "test", "eval"];
+
+/// The usual folders of photographs.
+const USUAL: [&str; 7] = ["images", "image", "rgb", "input", "frames", "photos", "color"];
+
+/// The photographs of a scene.
+pub(crate) struct Pictures {
+    /// The folder from which entries name them.
+    root: PathBuf,
+    /// All pictures below it, listed when the first is not where its entry says.
+    listed: OnceLock<List>,
+}
+
+/// The pictures below a folder.
+#[derive(Default)]
+struct List {
+    /// By their stems in lower case, each list sorted.
+    by_stem: HashMap<String, Vec<Picture>>,
+    /// Names of the folders that hold them, in lower case.
+    folders: HashSet<String>,
+}
+
+/// A picture below the folder.
+struct Picture {
+    path: PathBuf,
+    /// Names of its folders below the scene's, in lower case.
+    folders: Vec<String>,
+}
+
+/// A photograph that was found.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Found {
+    pub(crate) path: PathBuf,
+    /// True if it is not where its entry says.
+    pub(crate) moved: bool,
+}
+
+impl Pictures {
+    /// Those below a folder.
+    pub(crate) fn new(root: impl Into<PathBuf>) -> Self {
+        Self { root: root.into(), listed: OnceLock::new() }
+    }
+
+    /// The photograph that an entry names: as written, with one of the usual endings, or with the slashes of this system. Otherwise
+    /// the only picture that may be meant: of the same name but for its ending and the case of its letters, in a folder of the same
+    /// name, or in another one if the named folder is none of a split.
+    ///
+    /// # Errors
+    /// Of kind `Input`, at `place`: no such photograph, several of them, or one in a format that is not read.
+    pub(crate) fn find(&self, named: &str, place: &str) -> Result<Found> {
+        let turned = named.replace('\\', "/");
+        let written = if turned == named { vec![named] } else { vec![named, &turned] };
+        let candidates: Vec<PathBuf> = written
+            .iter()
+            .flat_map(|named| {
+                ["", ".png", ".jpg", ".jpeg"].map(|ending| self.root.join(format!("{named}{ending}")))
+            })
+            .collect();
+        if let Some(path) = candidates.iter().find(|path| path.is_file()) {
+            return Ok(Found { path: path.clone(), moved: false });
+        }
+        match self.elsewhere(&turned).as_slice() {
+            [] => Err(missing(named, &candidates, place)),
+            [path] => Ok(Found { path: path.to_path_buf(), moved: true }),
+            several => {
+                let told: Vec<String> = several.iter().map(|path| path.display().to_string()).collect();
+                let what = format!(
+                    "image {} does not exist, and {} may be meant: {}",
+                    candidates[0].display(),
+                    count(several.len(), "picture"),
+                    told[..told.len().min(3)].join(", ")
+                );
+                Err(Error::input(place, what, "name one of them, or leave only that one there"))
+            }
+        }
+    }
+
+    /// The pictures that may be meant by a path with forward slashes at which there is none.
+    fn elsewhere(&self, named: &str) -> Vec<&Path> {
+        let mut parts: Vec<String> = named
+            .split('/')
+            .filter(|part| !part.is_empty() && *part != "." && *part != "..")
+            .map(str::to_lowercase)
+            .collect();
+        let Some(file) = parts.pop() else { return Vec::new() };
+        let listed = self.listed.get_or_init(|| list(&self.root));
+        let Some(alike) = listed.by_stem.get(&names::key(&file)) else { return Vec::new() };
+        // How many folders before its name agree.
+        let agreeing = |picture: &Picture| {
+            parts.iter().rev().zip(picture.folders.iter().rev()).take_while(|(a, b)| a == b).count()
+        };
+        let most = alike.iter().map(agreeing).max().unwrap_or(0);
+        let mut meant: Vec<&Picture> = alike.iter().filter(|picture| agreeing(picture) == most).collect();
+        if most == 0 {
+            let folder = parts.last().map_or("", String::as_str);
+            // Where the named folder is there, the picture is not in it.
+            if listed.folders.contains(folder) {
+                return Vec::new();
+            }
+            let of_split = |name: &str| SPLITS.contains(&name);
+            meant.retain(|picture| {
+                let own = picture.folders.last().map_or("", String::as_str);
+                !(of_split(folder) || of_split(own))
+            });
+            // Of smaller copies (`images_2`, `images_4`) the largest.
+            let reduction = |picture: &Picture| {
+                picture.folders.last()?.strip_prefix(folder)?.strip_prefix('_')?.parse::<u32>().ok()
+            };
+            let usual =
+                |picture: &Picture| picture.folders.last().is_none_or(|own| USUAL.contains(&own.as_str()));
+            if let Some(least) = meant.iter().filter_map(|picture| reduction(picture)).min() {
+                meant.retain(|picture| reduction(picture) == Some(least));
+            } else if meant.iter().any(|picture| usual(picture)) {
+                meant.retain(|picture| usual(picture));
+            }
+        }
+        let depth = meant.iter().map(|picture| picture.folders.len()).min();
+        meant.retain(|picture| Some(picture.folders.len()) == depth);
+        // The same picture with several endings is one.
+        let folder = |picture: &Picture| picture.path.parent().map(Path::to_path_buf);
+        let first = meant.first().map(|picture| folder(picture));
+        if meant.iter().all(|picture| Some(folder(picture)) == first) {
+            let rank = |picture: &&Picture| {
+                let name = picture.path.file_name().map(|name| name.to_string_lossy().to_lowercase());
+                (name.as_deref() != Some(file.as_str()), picture.path.clone())
+            };
+            meant = meant.into_iter().min_by_key(rank).into_iter().collect();
+        }
+        meant.into_iter().map(|picture| picture.path.as_path()).collect()
+    }
+}
+
+/// The folder from which entries name photographs: `images` within the scene, if that is stated.
+///
+/// # Errors
+/// Of kind `Input`: the stated folder is none.
+pub(crate) fn stated(root: &Path, images: &str) -> Result<PathBuf> {
+    if images.is_empty() {
+        return Ok(root.into());
+    }
+    let folder = root.join(images);
+    if folder.is_dir() {
+        return Ok(folder);
+    }
+    let what = format!("is \"{images}\", but {} is not a folder", folder.display());
+    Err(Error::input("data.images", what, "name the folder of the photographs relative to data.root"))
+}
+
+/// All pictures below a folder.
+fn list(root: &Path) -> List {
+    let mut listed = List::default();
+    let (mut folders, mut looked_at) = (vec![(root.to_path_buf(), Vec::new())], 0);
+    while let Some((folder, names)) = folders.pop() {
+        for path in folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path()) {
+            looked_at += 1;
+            if looked_at > MOST_FILES {
+                break;
+            }
+            let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+            if path.is_dir() {
+                if names.len() < MOST_DEPTH && !OTHERS.iter().any(|other| name.starts_with(other)) {
+                    folders.push((path, [&names[..], &[name]].concat()));
+                }
+            } else if names::is_picture(&path) {
+                let picture = Picture { path, folders: names.clone() };
+                listed.folders.extend(names.last().cloned());
+                listed.by_stem.entry(names::key(&name)).or_default().push(picture);
+            }
+        }
+    }
+    listed.by_stem.values_mut().for_each(|pictures| pictures.sort_by(|a, b| a.path.cmp(&b.path)));
+    listed
+}
+
+/// The error for a photograph that is nowhere.
+fn missing(named: &str, candidates: &[PathBuf], place: &str) -> Error {
+    if let Some((path, format)) = candidates.iter().find_map(|path| foreign::beside(path)) {
+        let what = format!(
+            "image {} does not exist; {} beside it is {}, which is not read",
+            candidates[0].display(),
+            path.display(),
+            format.name
+        );
+        return Error::input(place, what, format.remedy(&path));
+    }
+    let has_ending = names::is_picture(Path::new(named));
+    let tried = if has_ending { "" } else { " (nor with .png, .jpg or .jpeg added)" };
+    Error::input(
+        place,
+        format!("image {} does not exist{tried}", candidates[0].display()),
+        "copy it there or remove its entry",
+    )
+}
+
+/// The photographs of all entries, in their order; `place` is that of an entry in messages. The warning tells of photographs that
+/// are not where their entries say.
+///
+/// # Errors
+/// Of kind `Input`: photographs that are not found, with their number, and one photograph for several entries.
+pub(crate) fn of_entries<'a>(
+    pictures: &Pictures,
+    entries: impl Iterator<Item = (&'a str, String)>,
+) -> Result<(Vec<PathBuf>, Option<String>)> {
+    let (mut paths, mut errors, mut moved) = (Vec::new(), Vec::new(), Vec::new());
+    for (named, place) in entries {
+        match pictures.find(named, &place) {
+            Ok(found) => {
+                if found.moved {
+                    moved.push((named, found.path.clone(), place));
+                }
+                paths.push(found.path);
+            }
+            Err(error) => errors.push(error),
+        }
+    }
+    let all = paths.len() + errors.len();
+    match errors.len() {
+        0 => {}
+        1 => return Err(errors.remove(0)),
+        several => {
+            let first = errors.remove(0);
+            let more = format!("{} more of {} are missing", several - 1, count(all, "photograph"));
+            return Err(Error { message: format!("{} ({more})", first.message), ..first });
+        }
+    }
+    let Some((named, path, _)) = moved.first() else { return Ok((paths, None)) };
+    let warning = format!(
+        "{} of {} lie elsewhere than their entries say: {named} is {}",
+        moved.len(),
+        count(all, "photograph"),
+        path.display()
+    );
+    let mut used: HashSet<&PathBuf> = HashSet::new();
+    let twice = paths.iter().find(|path| !used.insert(path));
+    if let Some((named, path, place)) =
+        twice.and_then(|twice| moved.iter().find(|(_, path, _)| path == twice))
+    {
+        return Err(Error::input(
+            place,
+            format!("image {named} does not exist, and {} is that of another entry", path.display()),
+            "copy the photographs into the folders that the entries name",
+        ));
+    }
+    Ok((paths, Some(warning)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    /// What is found for a name among files.
+    fn found(files: &[&str], named: &str) -> std::result::Result<String, String> {
+        let folder = tempfile::tempdir().unwrap();
+        for file in files {
+            let path = folder.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, b"").unwrap();
+        }
+        let found = Pictures::new(folder.path()).find(named, "entry").map_err(|error| error.to_string())?;
+        let path = found.path.strip_prefix(folder.path()).unwrap().display().to_string();
+        assert_eq!(found.moved, !files.contains(&named.trim_start_matches("./")), "{named}");
+        Ok(path)
+    }
+
+    #[test]
+    fn photographs_are_found_where_copying_and_renaming_left_them() {
+        let table: [(&[&str], &str, &str); 15] = [
+            (&["images/a.jpg", "a.jpg"], "images/a.jpg", "images/a.jpg"),
+            (&["images/a.JPG"], "images/a.jpg", "images/a.JPG"),
+            (&["images/a.JPG"], "./images/a", "images/a.JPG"),
+            (&["Images/A.png"], "images/a.jpg", "Images/A.png"),
+            (&["images/a.png", "images/a.jpg"], "images/a.JPG", "images/a.jpg"),
+            (&["images/a.jpg"], "/home/someone/scene/images/a.jpg", "images/a.jpg"),
+            (&["images/a.jpg"], "D:\\data\\scene\\images\\a.jpg", "images/a.jpg"),
+            (&["rgb/a.jpg"], "./..\\data\\canister\\rgb/a.jpg", "rgb/a.jpg"),
+            (&["images_4/a.png", "images_8/a.png"], "images/a.png", "images_4/a.png"),
+            (&["images/a.png", "masks/a.png"], "undistorted/a.png", "images/a.png"),
+            (&["images/a.png", "backup/a.png"], "undistorted/a.png", "images/a.png"),
+            (&["a.png"], "images/a.png", "a.png"),
+            (&["images/left/a.png", "images/right/a.png"], "/x/left/a.png", "images/left/a.png"),
+            (&["images/a.png", "old/images/a.png"], "/x/images/a.png", "images/a.png"),
+            (&["test/r_0.png", "train/r_0.png"], "/x/train/r_0", "train/r_0.png"),
+        ];
+        for (files, named, expected) in table {
+            assert_eq!(found(files, named).as_deref(), Ok(expected), "{named} of {files:?}");
+        }
+    }
+
+    #[test]
+    fn no_photograph_is_taken_for_another() {
+        let table: [(&[&str], &str, &str); 8] = [
+            (&["left/b.png", "right/a.png"], "left/a.png", "does not exist"),
+            (&["images/b.png", "backup/a.png"], "images/a.png", "does not exist"),
+            (&["train/r_0.png"], "./test/r_0", "does not exist"),
+            (&["images/r_0.png"], "./test/r_0", "does not exist"),
+            (&["train/r_0.png"], "images/r_0.png", "does not exist"),
+            (&["masks/a.png", "depths/a.png"], "images/a.png", "does not exist"),
+            (&["left/a.png", "right/a.png"], "images/a.png", "2 pictures may be meant"),
+            (&["images/a.heic"], "images/a.jpg", "is a HEIC image"),
+        ];
+        for (files, named, expected) in table {
+            let error = found(files, named).unwrap_err();
+            assert!(error.contains(expected), "{named} of {files:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn two_entries_have_two_photographs() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("images")).unwrap();
+        fs::write(folder.path().join("images/a.png"), b"").unwrap();
+        let pictures = Pictures::new(folder.path());
+        let of = |named: &[&'static str]| {
+            of_entries(&pictures, named.iter().map(|named| (*named, (*named).to_string())))
+        };
+        let (paths, warning) = of(&["/x/images/a.png"]).unwrap();
+        assert_eq!(paths, [folder.path().join("images/a.png")]);
+        assert!(warning.unwrap().starts_with("1 of 1 photograph lie"));
+        let error = of(&["left/a.png", "right/a.png"]).unwrap_err();
+        assert!(error.message.contains("is that of another entry"), "{error}");
+        let error = of(&["images/b.png", "images/a.png", "images/c.png"]).unwrap_err();
+        assert!(error.message.contains("images/b.png does not exist"), "{error}");
+        assert!(error.message.ends_with("(1 more of 3 photographs are missing)"), "{error}");
+    }
+}
