@@ -301,6 +301,11 @@ fn pixels_are_drawn_by_the_error_map_as_core_draws_them() {
 }
 
 #[test]
+fn the_unit_of_length_changes_nothing() {
+    with_threads(&[2], |make| suite::units::change_nothing(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     with_threads(&[2], |make| suite::training::steady_batch(make));
 }

@@ -269,6 +269,11 @@ fn pixels_are_drawn_by_the_error_map_as_core_draws_them() {
 }
 
 #[test]
+fn the_unit_of_length_changes_nothing() {
+    reproducibly(|make| suite::units::change_nothing(make));
+}
+
+#[test]
 fn the_batch_follows_the_step() {
     on_the_gpu(|make| suite::training::steady_batch(make));
 }

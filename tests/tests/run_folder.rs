@@ -3,7 +3,7 @@
 
 use std::{fs, path::Path, process::Stdio, time::Duration};
 use trimip_tests::{
-    binary::{command, run, tiny_and},
+    binary::{command, run, tiny, tiny_and},
     files::files,
 };
 
@@ -106,7 +106,7 @@ fn the_report_of_a_finished_run_is_what_the_run_is_now() {
     for name in whole.keys() {
         let path = here.join("run").join(name);
         let text = name.to_string_lossy();
-        // Without these it is another run, or none; a finished run does not open the photographs, which tell the cameras.
+        // Without these it is another run, or none; a finished run of the built-in scene does not open the photographs, which tell the cameras.
         if ["config.toml", "plan.json", "metrics.jsonl", "cameras.json"].iter().any(|kept| text == *kept)
             || text.ends_with(".safetensors")
         {
@@ -129,6 +129,37 @@ fn the_report_of_a_finished_run_is_what_the_run_is_now() {
             assert!(says(&String::from_utf8_lossy(&now[Path::new("report.json")]), "finished"), "{text}");
         }
     }
+}
+
+#[test]
+fn a_finished_run_of_other_photographs_is_not_this_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    for (scene, finish) in [("a/scene", "matt"), ("b/scene", "lacquered")] {
+        fs::create_dir_all(here.join(scene).parent().unwrap()).unwrap();
+        let finish = format!("data.builtin_finish={finish}");
+        let answer = run(here, &[&["data", "builtin", scene, "--set", &finish][..], &tiny()].concat());
+        assert_eq!(answer.code, Some(0), "{answer:?}");
+    }
+    let of = |scene: &'static str, more: &[&'static str]| {
+        let format = ["--set", "data.format=auto", "--set", "eval.min_psnr=0"];
+        run(here, &[&[scene][..], &tiny(), &format, more].concat())
+    };
+    assert_eq!(of("a/scene", &[]).code, Some(0));
+    let told = [
+        "runs/scene",
+        "holds a run of other photographs: other pixels of the training views",
+        "--out",
+        "--fresh",
+    ];
+    of("b/scene", &[]).expect_error(2, &told);
+    let answer = of("a/scene", &[]);
+    assert!(
+        answer.code == Some(0) && answer.out.contains("finished: runs/scene holds this run"),
+        "{answer:?}"
+    );
+    assert_eq!(of("b/scene", &["--fresh"]).code, Some(0));
+    of("a/scene", &[]).expect_error(2, &told);
 }
 
 /// The plan's predicted memory against the peak resident memory of the process, on a scene of medium size.

@@ -4,7 +4,7 @@
 use trimip_core::scene_plan::{self, Compute, Facts, Finding};
 use trimip_core::{Config, Result, Settings, Space};
 use trimip_data::checks::{self, Check, Subject};
-use trimip_data::{Watch, examine};
+use trimip_data::{Scene, Watch, examine};
 
 /// A capture as it is understood.
 #[derive(Debug)]
@@ -29,7 +29,7 @@ pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
     let configured = Config::from_settings(&settings)?;
     let seen = examine(&configured.section()?, watch)?;
     let (test, compute): (Vec<_>, _) =
-        (seen.test.iter().map(|(_, camera)| *camera).collect(), Compute::one_thread());
+        (seen.scene.test_views.iter().map(|(_, camera)| *camera).collect(), Compute::one_thread());
     let facts = Facts {
         train: &seen.scene.train,
         test: &test,
@@ -44,13 +44,26 @@ pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
     let planned = Config::from_settings(&settings)?;
     warnings.extend(scene_plan::warnings(&planned, &facts));
     let space = Space::<f64>::new(&planned.scene);
-    let checks = checks::all(&Subject {
-        train: &seen.scene.train,
-        test: &seen.test,
-        points: &seen.scene.points,
-        aabb: if space.ball().is_none() { Some(space.aabb()) } else { None },
-    });
+    let checks = checks::all(&subject(&seen.scene, &space));
     Ok(Inspection { seen, space, plan, warnings, checks })
+}
+
+/// What is checked of a scene.
+fn subject<'a>(scene: &'a Scene, space: &'a Space<f64>) -> Subject<'a> {
+    Subject {
+        train: &scene.train,
+        test: &scene.test_views,
+        points: &scene.points,
+        aabb: if space.ball().is_none() { Some(space.aabb()) } else { None },
+    }
+}
+
+/// All warnings about a scene before it is trained: of the data, of the plan, of the checks.
+pub fn warnings(scene: &Scene, planned: &Config, facts: &Facts<'_>) -> Vec<String> {
+    let space = Space::<f64>::new(&planned.scene);
+    let checks = checks::all(&subject(scene, &space));
+    let suspicious = checks.iter().filter_map(|check| check.warning(&scene.train));
+    scene.warnings.iter().cloned().chain(scene_plan::warnings(planned, facts)).chain(suspicious).collect()
 }
 
 impl Inspection {

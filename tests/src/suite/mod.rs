@@ -22,6 +22,7 @@ pub mod scenes;
 pub mod seeing;
 pub mod stages;
 pub mod training;
+pub mod units;
 
 use trimip_core::{
     Backend, Config, Encoder, Field, Layout, Result, ViewSet,

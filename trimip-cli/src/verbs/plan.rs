@@ -9,7 +9,7 @@ use crate::verbs::bench::training::{self, Bench, Variant, VariantRow};
 use crate::{settings, terminal};
 use serde::Serialize;
 use serde_json::json;
-use trimip::{backends, data::Scene};
+use trimip::{backends, data::Scene, inspect};
 use trimip_core::config::PlanChoice;
 use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::scene_plan::{self, Facts, Finding};
@@ -86,7 +86,7 @@ impl Planned {
             Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };
         let findings = scene_plan::make(&mut settings, &facts)?;
         let config = Config::from_settings(&settings)?;
-        let warnings = scene_plan::warnings(&config, &facts);
+        let warnings = inspect::warnings(&scene, &config, &facts);
         Ok(Self { scene, findings, config, warnings })
     }
 }

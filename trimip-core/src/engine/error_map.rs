@@ -83,6 +83,13 @@ pub fn error_of(gradient: [f32; 4], weight: f32) -> f32 {
     if error < MOST_ERROR { error } else { MOST_ERROR }
 }
 
+/// True if all scales show the same photographs in the same order.
+pub fn same_photographs(views: &ViewSet) -> bool {
+    let numbers = photographs(views);
+    let mut scales = views.scales.iter().map(|scale| &numbers[scale.views.clone()]);
+    scales.next().is_none_or(|finest| scales.all(|scale| scale == finest))
+}
+
 impl ErrorMap {
     /// An even map of `views`, if the configuration draws pixels by their errors at any time.
     ///
@@ -91,9 +98,7 @@ impl ErrorMap {
     pub fn new(config: &Config, views: &ViewSet) -> Result<Option<Self>> {
         let used = config.train.error_map.values().any(|fraction| fraction > 0.0);
         let Some(finest) = views.scales.first().filter(|_| used) else { return Ok(None) };
-        let numbers = photographs(views);
-        let of_scale = |views: std::ops::Range<usize>| &numbers[views];
-        if views.scales.iter().any(|scale| of_scale(scale.views.clone()) != of_scale(finest.views.clone())) {
+        if !same_photographs(views) {
             return Err(Error::input(
                 "train.error_map",
                 "the scales of the data set show different photographs",

@@ -3,6 +3,7 @@
 
 use crate::geometry::occupancy::coordinates;
 use crate::geometry::projections::BallImage;
+use crate::scene::strays::strays;
 use crate::{Aabb, Camera, Scale, ViewSet};
 use glam::DVec3;
 
@@ -144,13 +145,16 @@ fn silhouettes(views: &ViewSet) -> Option<Vec<Silhouette>> {
     };
     let scale = views.scales.iter().rev().find(fine_enough).or(views.scales.first())?;
     let stride = scale.views.len().div_ceil(MOST_VIEWS).max(1);
+    // What a stray camera shows is not where its pose says.
+    let cameras: Vec<Camera> = scale.views.clone().map(|index| views.views[index].camera).collect();
+    let strays: Vec<usize> = strays(&cameras).into_iter().map(|(place, _)| place).collect();
     let mut silhouettes: Vec<_> = scale
         .views
         .clone()
         .enumerate()
-        .map(|(place, index)| match place % stride {
-            0 => Silhouette::new(views, index),
-            _ => Silhouette { camera: views.views[index].camera, sums: None },
+        .map(|(place, index)| match place.is_multiple_of(stride) && !strays.contains(&place) {
+            true => Silhouette::new(views, index),
+            false => Silhouette { camera: views.views[index].camera, sums: None },
         })
         .collect();
     // Views with silhouettes first: most cells are carved before the others are used.

@@ -3,12 +3,15 @@
 
 use super::common_view::{COMMON, cameras, common_view, focus, is_ahead};
 use super::decision::{Context, Proposal};
-use super::facts::Facts;
+use super::facts::{Facts, StatedBox};
 use super::fineness::significant;
 use super::{hash_grid, leave_out::saved, tri_mip};
 use crate::config::{Contraction, PlaneShape};
 use crate::field::encoders::tri_mip::Pyramid;
-use crate::{Aabb, Camera, Config, scene::silhouettes};
+use crate::{
+    Aabb, Camera, Config,
+    scene::{plain, silhouettes},
+};
 use glam::DVec3;
 use toml::Value;
 
@@ -42,7 +45,7 @@ pub(super) fn find(context: &Context<'_>) -> Proposal {
     let start = if given { None } else { start(facts) };
     let found = start.is_some();
     let start = start.unwrap_or_else(|| Start { aabb: whole, source: "as configured".into() });
-    let fraction = if found && facts.stated.is_none() { COMMON } else { 0.0 };
+    let fraction = if found && stated(facts).is_none() { COMMON } else { 0.0 };
     let hull = silhouettes::bounds(facts.train, &start.aabb, fraction);
     let (aabb, reason) = match &hull {
         Some(hull) => {
@@ -98,7 +101,7 @@ fn unbounded(context: &Context<'_>) -> Option<Proposal> {
     let wanted = if context.given("scene.contraction") {
         now.scene.contraction == Contraction::Ball
     } else {
-        !silhouettes::any(facts.train)
+        !silhouettes::any(facts.train) && plain::colour(facts.train).is_none()
     };
     if !wanted || boxed {
         return None;
@@ -171,11 +174,19 @@ fn sized(context: &Context<'_>, aabb: &Aabb<f64>) -> Config {
     config
 }
 
-/// The box that the data state, otherwise one around the cameras' common focus.
+/// The box that the data state, if it is one: exporters write Instant-NGP's cube whatever the scene is, and silhouettes know better.
+fn stated<'a>(facts: &Facts<'a>) -> Option<&'a StatedBox> {
+    facts.stated.filter(|stated| stated.around_points || !silhouettes::any(facts.train))
+}
+
+/// The box that the data state, otherwise one around the cameras' common focus; the cube of a scene whose cameras have none.
 fn start(facts: &Facts<'_>) -> Option<Start> {
-    if let Some(stated) = facts.stated {
-        return Some(Start { aabb: stated.aabb, source: stated.source.clone() });
-    }
+    let of = |stated: &StatedBox| Start { aabb: stated.aabb, source: stated.source.clone() };
+    stated(facts).map(of).or_else(|| around_focus(facts)).or_else(|| facts.stated.map(of))
+}
+
+/// The box around the cameras' common focus.
+fn around_focus(facts: &Facts<'_>) -> Option<Start> {
     let cameras = cameras(facts.train);
     let focus = focus(&cameras)?;
     let mut distances: Vec<f64> = cameras.iter().map(|camera| distance(camera, focus)).collect();

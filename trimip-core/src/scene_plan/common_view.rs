@@ -1,6 +1,6 @@
 //! The common view of cameras: the point nearest to their optical axes, and the region that many of them see. World units.
 
-use crate::{Aabb, Camera, ViewSet};
+use crate::{Aabb, Camera, ViewSet, scene::strays::strays};
 use glam::{DMat3, DVec3};
 
 /// Cells along each side of the grid for the common view.
@@ -16,11 +16,15 @@ pub(super) const COMMON: f64 = 0.5;
 /// this: all directions within about 3°.
 const PARALLEL: f64 = 3e-3;
 
-/// Cameras of the finest photographs, at most [`MOST_CAMERAS`].
+/// Cameras of the finest photographs, at most [`MOST_CAMERAS`], without stray ones.
 pub(super) fn cameras(views: &ViewSet) -> Vec<Camera> {
     let Some(finest) = views.scales.first() else { return Vec::new() };
-    let stride = finest.views.len().div_ceil(MOST_CAMERAS).max(1);
-    finest.views.clone().step_by(stride).map(|view| views.views[view].camera).collect()
+    let mut all: Vec<Camera> = finest.views.clone().map(|view| views.views[view].camera).collect();
+    for (stray, _) in strays(&all).into_iter().rev() {
+        all.remove(stray);
+    }
+    let stride = all.len().div_ceil(MOST_CAMERAS).max(1);
+    all.into_iter().step_by(stride).collect()
 }
 
 /// The point nearest to all optical axes, by least squares; `None` if they are parallel. The axis of a panorama says nothing.
@@ -37,6 +41,17 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     // The eigenvalues of a mean of projections lie in [0, 1], so the determinant is at most the smallest one.
     let mean = matrix * (1.0 / cameras.len().max(1) as f64);
     (mean.determinant() > PARALLEL * 0.5).then(|| matrix.inverse() * right).filter(|focus| focus.is_finite())
+}
+
+/// Cameras nearer to each other than this share of their distance to the origin stand at one place.
+const ONE_PLACE: f64 = 1e-9;
+
+/// True for several cameras that look around from one place: nothing they see has a depth.
+pub(super) fn at_one_place(cameras: &[Camera]) -> bool {
+    let Some((first, others)) = cameras.split_first() else { return false };
+    let near = ONE_PLACE * first.origin.length().max(f64::MIN_POSITIVE);
+    let together = others.iter().all(|other| other.origin.distance(first.origin) <= near);
+    together && !others.is_empty() && focus(cameras).is_some()
 }
 
 /// True if most of the cameras look towards a point.
@@ -93,6 +108,16 @@ mod tests {
         let parallel: Vec<Camera> = (0..10).map(aside).collect();
         assert_eq!(focus(&parallel), None);
         assert_eq!(focus(&[]), None);
+    }
+
+    #[test]
+    fn cameras_that_only_turn_stand_at_one_place() {
+        let around = ring(DVec3::new(5.0, 6.0, 7.0), 4.0, 12);
+        assert!(!at_one_place(&around));
+        let turned: Vec<Camera> =
+            around.iter().map(|camera| Camera { origin: around[0].origin, ..*camera }).collect();
+        assert!(at_one_place(&turned));
+        assert!(!at_one_place(&turned[..1]) && !at_one_place(&[]));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::decision::Decision;
 use super::{aabb, cones, crop, depth, detail, hash_grid, leave_out, recipe, tri_mip};
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 16] = [
+pub(super) const DECISIONS: [Decision; 18] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -42,6 +42,18 @@ pub(super) const DECISIONS: [Decision; 16] = [
         decide: recipe::solids,
     },
     Decision { key: "surfaces", owns: &[], choice: |config| config.plan.surfaces, decide: recipe::surfaces },
+    Decision {
+        key: "density",
+        owns: &["field.density_scale"],
+        choice: |config| config.plan.density,
+        decide: recipe::density,
+    },
+    Decision {
+        key: "error_map",
+        owns: &["train.error_map"],
+        choice: |config| config.plan.error_map,
+        decide: recipe::error_map,
+    },
     Decision {
         key: "depth",
         owns: &["loss.depth"],

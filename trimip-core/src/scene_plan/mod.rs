@@ -31,6 +31,7 @@ pub use warnings::warnings;
 
 use crate::config::PlanChoice;
 use crate::{Config, Error, Origin, Result, Settings};
+use common_view::{at_one_place, cameras};
 use decision::{Context, Decision, Proposal};
 use decisions::DECISIONS;
 
@@ -46,6 +47,7 @@ pub fn keys() -> impl Iterator<Item = &'static str> {
 pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> {
     let configured = Config::from_settings(settings)?;
     let given = settings.clone();
+    expect_depth(settings, &configured, facts)?;
     let findings: Result<Vec<_>> =
         DECISIONS.iter().map(|decision| take(decision, settings, &given, &configured, facts)).collect();
     // Only now it is known whether space is contracted.
@@ -73,7 +75,23 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
 /// When it is `on` and cannot be taken.
 pub fn make_box(settings: &mut Settings, facts: &Facts<'_>) -> Result<Finding> {
     let (configured, given) = (Config::from_settings(settings)?, settings.clone());
+    expect_depth(settings, &configured, facts)?;
     take(&DECISIONS[0], settings, &given, &configured, facts)
+}
+
+/// Refuses cameras that only turn at one place, where a box is to be planned around what they see.
+fn expect_depth(settings: &Settings, configured: &Config, facts: &Facts<'_>) -> Result<()> {
+    let given =
+        ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| *settings.origin(path) != Origin::Default);
+    let cameras = cameras(facts.train);
+    if given || configured.plan.aabb == PlanChoice::Off || facts.stated.is_some() || !at_one_place(&cameras) {
+        return Ok(());
+    }
+    Err(Error::input(
+        "training photographs",
+        format!("all {} cameras stand at one place, from which no depth can be learned", cameras.len()),
+        "walk around the subject; or are the matrices world-to-camera? Poses are camera-to-world",
+    ))
 }
 
 fn take(

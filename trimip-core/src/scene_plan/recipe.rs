@@ -2,9 +2,13 @@
 //! of samples that the time budget allows on this machine.
 
 use super::decision::{Context, Proposal};
+use super::fineness::significant;
 use super::tri_mip;
 use crate::config::{Contraction, Precision};
-use crate::{Config, ViewSet, scene::silhouettes};
+use crate::{
+    Aabb, Config, ViewSet,
+    scene::{plain, silhouettes},
+};
 use toml::Value;
 
 /// Weight of the opacity loss where opacity is known: it makes models solid.
@@ -20,6 +24,17 @@ const MANY_PIXELS: usize = 1 << 20;
 
 /// Transmittance and weight below which a place's samples are dropped: they show less than a pixel's rounding.
 const FAINT: [f64; 2] = [0.02, 0.002];
+
+/// Longest sides of the box for which the density of a new model is that of its logits: of Blender scenes at ±1.5 units, and of places in
+/// contracted space. A thinner start has fewer samples, and *fox* loses 1.1 dB with a quarter of the density.
+const USUAL_SIDES: [f64; 2] = [3.0, 20.0];
+
+/// Fraction of a step's pixels that are drawn by their errors.
+const BY_ERROR: f64 = 0.8;
+
+/// Most samples of a run per pixel of its photographs for an error map. With 15 of them (*dtu24*), pixels that stay wrong are those that
+/// photographs contradict, and the map gains nothing.
+const SEEN_LITTLE: f64 = 4.0;
 
 /// Alpha of an opaque pixel.
 const OPAQUE: u8 = 255;
@@ -66,6 +81,14 @@ pub(super) fn background(context: &Context<'_>) -> Proposal {
     let views = context.facts.train;
     if has_alpha(views) {
         return Proposal::Keep("the photographs have alpha: theirs is the configured one".into());
+    }
+    if let Some(colour) = plain::colour(views).filter(|_| context.now.scene.contraction == Contraction::None)
+    {
+        let colour = colour.map(|value| Value::Float((f64::from(value) * 1000.0).round() / 1000.0));
+        return Proposal::Set {
+            reason: "the borders of all photographs have one colour, which is behind the box".into(),
+            changes: vec![("data.background", Value::Array(colour.to_vec()))],
+        };
     }
     let Some(coarsest) = views.scales.last().filter(|scale| !scale.pixels.is_empty()) else {
         return Proposal::Keep("there is no photograph".into());
@@ -159,6 +182,42 @@ pub(super) fn surfaces(context: &Context<'_>) -> Proposal {
     Proposal::Set {
         reason: "rays of places end in thin surfaces; samples that show nothing are dropped, so that more rays are seen".into(),
         changes,
+    }
+}
+
+/// Density is per unit of length. Its scale follows the box, so that a new model lets as much light through whatever the unit is. Powers
+/// of two keep the usual boxes at 1.
+pub(super) fn density(context: &Context<'_>) -> Proposal {
+    let side = Aabb::<f64>::new(&context.now.scene).longest();
+    let [bounded, contracted] = USUAL_SIDES;
+    let usual = match context.now.scene.contraction {
+        Contraction::None => bounded,
+        Contraction::Ball => contracted,
+    };
+    let scale = (usual / side).log2().round().exp2();
+    if scale == 1.0 || !scale.is_normal() {
+        return Proposal::Keep("the box has a usual size".into());
+    }
+    Proposal::Set {
+        reason: format!("the longest side of the box is {} units", significant(side)),
+        changes: vec![("field.density_scale", Value::Float(scale))],
+    }
+}
+
+pub(super) fn error_map(context: &Context<'_>) -> Proposal {
+    if !crate::engine::error_map::same_photographs(context.facts.train) {
+        return Proposal::Keep("the scales show different photographs".into());
+    }
+    let pixels = context.facts.train.pixels.len() as f64;
+    if context.budget() > SEEN_LITTLE * pixels {
+        return Proposal::Keep(format!("the budget sees each of {:.1} M pixels often", 1e-6 * pixels));
+    }
+    Proposal::Set {
+        reason: format!(
+            "the budget sees each of {:.1} M pixels rarely: most are drawn where the errors of earlier ones are large",
+            1e-6 * pixels
+        ),
+        changes: vec![("train.error_map", Value::Float(BY_ERROR))],
     }
 }
 

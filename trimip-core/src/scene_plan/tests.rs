@@ -252,6 +252,95 @@ fn places_have_thin_surfaces_and_objects_keep_their_settings() {
 }
 
 #[test]
+fn density_follows_the_size_of_the_box() {
+    let of = |side: f64, set: &[&str]| {
+        let corners = [-0.5 * side, 0.5 * side].map(|x| format!("[{x}, {x}, {x}]"));
+        let given = [format!("scene.aabb_min={}", corners[0]), format!("scene.aabb_max={}", corners[1])];
+        let set: Vec<&str> = given.iter().map(String::as_str).chain(set.iter().copied()).collect();
+        planned(&views(true), &set).unwrap().0.field.density_scale
+    };
+    for (side, scale) in
+        [(3.0, 1.0), (2.2, 1.0), (4.1, 1.0), (6.0, 0.5), (3072.0, 1.0 / 1024.0), (3e-3, 1024.0)]
+    {
+        assert_eq!(of(side, &[]), scale, "{side}");
+    }
+    assert_eq!(of(3000.0, &["field.density_scale=7"]), 7.0, "what is given stays");
+    assert_eq!(of(3000.0, &["plan.density=off"]), 1.0);
+}
+
+#[test]
+fn pixels_that_a_budget_sees_rarely_are_drawn_by_their_errors() {
+    let views = views(true);
+    let pixels = views.pixels.len() as u64;
+    let of = |samples: u64, set: &[&str]| {
+        let steps = format!("train.steps={}", samples / 256);
+        let set = [&[steps.as_str(), "train.samples_per_step=256"], set].concat();
+        planned(&views, &set).unwrap().0.train.error_map.at(0.5)
+    };
+    assert_eq!((of(3 * pixels, &[]), of(5 * pixels, &[])), (0.8, 0.0));
+    assert_eq!(of(3 * pixels, &["train.error_map=0.3"]), 0.3, "what is given stays");
+    assert_eq!(of(3 * pixels, &["plan.error_map=off"]), 0.0);
+    let mut others = views.clone();
+    others.views[0].name = "another".into();
+    let set = ["train.steps=1", "train.samples_per_step=256"];
+    assert_eq!(planned(&others, &set).unwrap().0.train.error_map.at(0.5), 0.0);
+}
+
+#[test]
+fn a_plain_background_bounds_the_scene() {
+    let mut plain = views(true);
+    for pixel in &mut *plain.pixels {
+        if pixel[3] < 255 {
+            *pixel = [200, 210, 220, 255];
+        }
+    }
+    let (config, findings) = planned(&plain, &[]).unwrap();
+    assert_eq!(config.scene.contraction, Contraction::None, "{findings:?}");
+    assert_eq!(config.data.background, [0.784, 0.824, 0.863], "{findings:?}");
+    assert_ne!(config.scene, Config::default().scene, "{findings:?}");
+}
+
+#[test]
+fn a_stray_camera_moves_no_box() {
+    for alpha in [true, false] {
+        let (usual, _) = planned(&views(alpha), &[]).unwrap();
+        let mut moved = views(alpha);
+        let scales: Vec<usize> = moved.scales.iter().map(|scale| scale.views.start).collect();
+        for first in scales {
+            moved.views[first].camera.origin *= 2000.0;
+        }
+        let (config, findings) = planned(&moved, &[]).unwrap();
+        let side = |config: &Config| Aabb::<f64>::new(&config.scene).longest();
+        assert!((side(&config) / side(&usual) - 1.0).abs() < 0.2, "{alpha}: {findings:?}");
+    }
+}
+
+#[test]
+fn silhouettes_shrink_the_cube_that_exporters_state() {
+    let train = views(true);
+    let compute = Compute::one_thread();
+    let plan = |stated: Option<&StatedBox>| {
+        let mut settings = Settings::defaults();
+        make(&mut settings, &Facts { train: &train, test: &[], stated, compute: &compute }).unwrap();
+        Config::from_settings(&settings).unwrap().scene
+    };
+    let cube = |half: f64| Aabb { min: [-half; 3], max: [half; 3] };
+    let stated = |around_points| StatedBox { aabb: cube(24.0), source: "stated".into(), around_points };
+    assert_eq!(plan(Some(&stated(false))), plan(None));
+    assert_ne!(plan(Some(&stated(true))), plan(None));
+}
+
+#[test]
+fn cameras_at_one_place_are_refused() {
+    let mut train = views(false);
+    let origin = train.views[0].camera.origin;
+    train.views.iter_mut().for_each(|view| view.camera.origin = origin);
+    let error = planned(&train, &[]).unwrap_err();
+    assert!(error.exit_code() == 2 && error.message.contains("stand at one place"), "{error}");
+    assert!(error.message.contains("world-to-camera"), "{error}");
+}
+
+#[test]
 fn places_begin_at_known_points_and_rays_end_there_until_half_of_the_run() {
     let known = KnownDepth { pixel: 3, distance: 2.0, deviation: 0.1 };
     let of = |alpha: bool, depths: &[KnownDepth], set: &[&str]| {

@@ -14,10 +14,10 @@ use super::{
     store::FileStore,
 };
 use crate::{
-    backends, machine, ranks,
+    backends, inspect, machine, ranks,
     view::{PerceptualMetrics, write_cameras},
 };
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -34,7 +34,7 @@ use trimip_core::{
     scene::fingerprint::Fingerprint,
     scene_plan::{self, Facts},
 };
-use trimip_data::Watch;
+use trimip_data::{Watch, settings::DataConfig};
 
 /// Observers of a training and its stop flag.
 pub struct Listeners<'a> {
@@ -125,6 +125,26 @@ impl Trained {
     }
 }
 
+/// Refuses the finished run of a folder for other photographs than those of the settings. Photographs that are no longer there cannot
+/// be compared.
+fn expect_photographs(
+    folder: &RunFolder,
+    config: &Config,
+    trained_on: Option<Fingerprint>,
+    reading: Watch<'_>,
+) -> Result<()> {
+    let data: DataConfig = config.section()?;
+    // Without a folder, the settings tell what the photographs are.
+    let Some(theirs) = trained_on.filter(|_| !data.root.is_empty()) else { return Ok(()) };
+    let Ok(scene) = trimip_data::open_watched(&data, reading) else { return Ok(()) };
+    let Some(difference) = Fingerprint::of(&scene.train).difference(&theirs) else { return Ok(()) };
+    Err(Error::input(
+        folder.root().display(),
+        format!("holds a run of other photographs: {difference}"),
+        "give --out for a folder of its own, or --fresh to replace that run",
+    ))
+}
+
 impl Training {
     /// Trains `settings` into a folder. Resumes an existing run with the same settings; does nothing if that run is
     /// finished.
@@ -210,6 +230,18 @@ impl Training {
     /// # Errors
     /// When the settings, the data, the folder or the device are refused.
     pub fn run_with(self, listeners: Listeners<'_>) -> Result<Trained> {
+        let root = self.folder.root().to_path_buf();
+        let absent: Vec<PathBuf> =
+            root.ancestors().take_while(|folder| !folder.exists()).map(Path::to_path_buf).collect();
+        let trained = self.begun_with(listeners);
+        if trained.is_err() {
+            // A refused training leaves none of the folders that it created; one that holds anything stays.
+            let _ = absent.iter().try_for_each(std::fs::remove_dir);
+        }
+        trained
+    }
+
+    fn begun_with(self, listeners: Listeners<'_>) -> Result<Trained> {
         let folder = &self.folder;
         let (begin, held) = match &self.work {
             Work::Train { settings, fresh } => {
@@ -234,6 +266,8 @@ impl Training {
         folder.sweep();
         if let Some(history) = begin.finished(folder)? {
             let config = Config::from_settings(&begin.settings)?;
+            let trained_on = begin.checkpoint.as_ref().and_then(|checkpoint| checkpoint.state.data);
+            expect_photographs(folder, &config, trained_on, listeners.reading)?;
             return Ok(Trained {
                 folder: folder.clone(),
                 scene: scene_name(&config),
@@ -267,7 +301,7 @@ impl Training {
             findings = scene_plan::make(&mut settings, &facts)?;
             config = Config::from_settings(&settings)?;
         }
-        let doubts = scene_plan::warnings(&config, &facts);
+        let mut warnings = inspect::warnings(&scene, &config, &facts);
         let totals = checkpoint.as_ref().map_or_else(Totals::default, |checkpoint| checkpoint.state.totals);
         let subject = Subject {
             name: &scene.name,
@@ -279,8 +313,6 @@ impl Training {
         let overview = Overview::new(&config, &subject, &findings, &predicted, folder.root(), totals.step);
         // A GPU has its own memory, and its backend reports what does not fit.
         let on_host = config.backend == "cpu";
-        let mut warnings = scene.warnings.clone();
-        warnings.extend(doubts);
         if on_host {
             warnings.extend(memory::check(&config, &predicted, self.near.size)?);
         }

@@ -27,7 +27,7 @@ const IGNORED: [[u8; 3]; 2] = [[250, 205, 205], [226, 150, 150]];
 /// The section; empty without frames.
 pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Result<String> {
     let train = seen.seen.scene.train.scales.first().map_or(0, |scale| scale.views.len());
-    let all = train + seen.seen.test.len();
+    let all = train + seen.seen.scene.test_views.len();
     let count = all.min(SPREAD);
     let mut shown: Vec<usize> = (0..count).map(|i| i * all / count).collect();
     let mut doubted: Vec<usize> = doubts.keys().copied().filter(|view| !shown.contains(view)).collect();
@@ -69,7 +69,7 @@ fn trained(seen: &Inspection, view: usize, doubts: &[String]) -> Result<String> 
 }
 
 fn tested(seen: &Inspection, index: usize) -> Result<String> {
-    let Some((name, camera)) = seen.seen.test.get(index) else { return Ok(String::new()) };
+    let Some((name, camera)) = seen.seen.scene.test_views.get(index) else { return Ok(String::new()) };
     let set = seen.seen.scene.test.load(index)?;
     let Some(scale) = coarsest(&set, SOURCE) else { return Ok(String::new()) };
     thumbnail(&set, scale.views.start, name, camera, "test", &[])

@@ -56,7 +56,7 @@ fn head(seen: &Inspection) -> String {
     };
     let tiles = [
         (finest.len().to_string(), "training views"),
-        (seen.seen.test.len().to_string(), "test views"),
+        (seen.seen.scene.test_views.len().to_string(), "test views"),
         (size.map_or("none".into(), |k| format!("{}×{}", k.width, k.height)), "pixels of the first"),
         (scene.train.scales.len().to_string(), "scales"),
         (terminal::bytes(scene.train.bytes() as u64), "training pixels in memory"),

@@ -65,7 +65,7 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
         let view = &scene.train.views[index];
         DrawnCamera { name: &view.name, camera: &view.camera, class, split: "training", doubts }
     });
-    let test = seen.seen.test.iter().map(|(name, camera)| DrawnCamera {
+    let test = seen.seen.scene.test_views.iter().map(|(name, camera)| DrawnCamera {
         name,
         camera,
         class: "test",
