@@ -13,9 +13,9 @@ const LEAST_OBJECT: f64 = 0.005;
 
 /// The colour of the borders of all photographs before which something stands, in [0, 1]; `None` if they have several, or alpha.
 pub fn colour(views: &ViewSet) -> Option<[f32; 3]> {
-    let coarsest = views.scales.last()?;
+    let [finest, coarsest] = [views.scales.first()?, views.scales.last()?];
     let mut borders = Vec::new();
-    for index in coarsest.views.clone() {
+    for index in finest.views.clone() {
         let k = &views.views[index].camera.intrinsics;
         let (width, height) = (k.width as usize, k.height as usize);
         let pixels = views.pixels_of(index);

@@ -25,9 +25,11 @@ const MANY_PIXELS: usize = 1 << 20;
 /// Transmittance and weight below which a place's samples are dropped: they show less than a pixel's rounding.
 const FAINT: [f64; 2] = [0.02, 0.002];
 
-/// Longest sides of the box for which the density of a new model is that of its logits: of Blender scenes at ±1.5 units, and of places in
-/// contracted space. A thinner start has fewer samples, and *fox* loses 1.1 dB with a quarter of the density.
-const USUAL_SIDES: [f64; 2] = [3.0, 20.0];
+/// Longest side of the box for which the density of a new model is that of its logits: Blender scenes at ±1.5 units.
+const USUAL_SIDE: f64 = 3.0;
+
+/// The same for places in contracted space. With a quarter of the density, *fox* loses 1.1 dB in a minute.
+const USUAL_PLACE: f64 = 20.0;
 
 /// Fraction of a step's pixels that are drawn by their errors.
 const BY_ERROR: f64 = 0.8;
@@ -186,16 +188,14 @@ pub(super) fn surfaces(context: &Context<'_>) -> Proposal {
 }
 
 /// Density is per unit of length. Its scale follows the box, so that a new model lets as much light through whatever the unit is. Powers
-/// of two keep the usual boxes at 1.
+/// of two keep the usual boxes of objects at 1.
 pub(super) fn density(context: &Context<'_>) -> Proposal {
     let side = Aabb::<f64>::new(&context.now.scene).longest();
-    let [bounded, contracted] = USUAL_SIDES;
-    let usual = match context.now.scene.contraction {
-        Contraction::None => bounded,
-        Contraction::Ball => contracted,
+    let scale = match context.now.scene.contraction {
+        Contraction::None => (USUAL_SIDE / side).log2().round().exp2(),
+        Contraction::Ball => significant(USUAL_PLACE / side).parse().unwrap_or(1.0),
     };
-    let scale = (usual / side).log2().round().exp2();
-    if scale == 1.0 || !scale.is_normal() {
+    if scale == 1.0 || !f64::is_normal(scale) {
         return Proposal::Keep("the box has a usual size".into());
     }
     Proposal::Set {

@@ -264,6 +264,9 @@ fn density_follows_the_size_of_the_box() {
     {
         assert_eq!(of(side, &[]), scale, "{side}");
     }
+    let (place, _) = planned(&views(false), &[]).unwrap();
+    let product = f64::from(place.field.density_scale) * Aabb::<f64>::new(&place.scene).longest();
+    assert!((product / 20.0 - 1.0).abs() < 0.005, "{place:?}");
     assert_eq!(of(3000.0, &["field.density_scale=7"]), 7.0, "what is given stays");
     assert_eq!(of(3000.0, &["plan.density=off"]), 1.0);
 }
