@@ -20,7 +20,7 @@ use crate::{
 use glam::{DMat3, DQuat, DVec3};
 use std::{
     cell::Cell,
-    collections::{BTreeSet, HashMap},
+    collections::{BTreeSet, HashMap, HashSet},
     path::{Path, PathBuf},
 };
 use trimip_core::{Camera, Error, Result, plural::count};
@@ -195,9 +195,15 @@ struct Photographs {
 /// If more than half are nowhere, or one photograph is that of two images.
 fn found_photographs(file: &Path, folder: &Path, root: &Path, names: &[&str]) -> Result<Photographs> {
     let pictures = Pictures::new(root);
+    let exact: HashSet<PathBuf> =
+        names.iter().map(|name| folder.join(name)).filter(|path| path.is_file()).collect();
     let find = |name: &&str| {
         let path = folder.join(name);
-        if path.is_file() { Some(path) } else { Some(pictures.find(name, "").ok()?.path) }
+        if exact.contains(&path) {
+            return Some(path);
+        }
+        // The photograph of another image is none of this one.
+        pictures.find(name, "").ok().map(|found| found.path).filter(|path| !exact.contains(path))
     };
     let paths: Vec<Option<PathBuf>> = names.iter().map(find).collect();
     let is_moved = |(name, path): &(&&str, &PathBuf)| folder.join(name) != **path;
