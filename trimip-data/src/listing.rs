@@ -18,7 +18,7 @@ use std::{
     cell::Cell,
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Result, scene_plan::StatedBox};
 
 /// A frame of a file.
 #[derive(Clone, Debug)]
@@ -32,6 +32,17 @@ pub(crate) struct Listed {
     /// Centre of projection, world units.
     pub(crate) origin: DVec3,
     pub(crate) calibration: Calibration,
+    /// Its split, if the file divides frames.
+    pub(crate) split: Option<&'static str>,
+}
+
+/// What a file states of the scene beside its frames.
+#[derive(Default)]
+pub(crate) struct Stated {
+    /// The box; without it, it lies around the points.
+    pub(crate) aabb: Option<StatedBox>,
+    pub(crate) points: Vec<Point>,
+    pub(crate) warnings: Vec<String>,
 }
 
 /// How a photograph was projected.
@@ -41,6 +52,8 @@ pub(crate) enum Calibration {
     Sized(Intrinsics),
     /// For photographs as they are, with the principal point in their middle: the focal length in their pixels, and the lens.
     Centred(f64, Lens),
+    /// For photographs as they are: lengths are in their pixels, and the size of these intrinsics means nothing.
+    Unsized(Intrinsics),
 }
 
 impl Listed {
@@ -48,6 +61,7 @@ impl Listed {
     pub(crate) fn camera(&self, size: [u32; 2]) -> Camera {
         let intrinsics = match self.calibration {
             Calibration::Sized(intrinsics) => intrinsics,
+            Calibration::Unsized(intrinsics) => Intrinsics { width: size[0], height: size[1], ..intrinsics },
             Calibration::Centred(focal, lens) => {
                 let [width, height] = size;
                 let [cx, cy] = size.map(|side| 0.5 * f64::from(side));
@@ -64,7 +78,7 @@ pub(crate) fn vision_pose(to_camera: DMat3, translation: DVec3) -> (DMat3, DVec3
     (DMat3::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis), -(to_world * translation))
 }
 
-/// All frames of a scene; every 8th is the test split.
+/// All frames of a scene; every 8th is the test split, unless the file divides them.
 pub(crate) struct Listing {
     file: PathBuf,
     frames: Vec<Listed>,
@@ -72,12 +86,13 @@ pub(crate) struct Listing {
     pictures: Pictures,
     scales: u32,
     warnings: Vec<String>,
+    aabb: Option<StatedBox>,
     /// Given to the first split that is read.
     cloud: Cell<Cloud>,
 }
 
 impl Listing {
-    /// The frames of `file` in the folder of a scene, and the points that it states.
+    /// The frames of `file` in the folder of a scene.
     ///
     /// # Errors
     /// Of kind `Input`: there is no frame, or `data.images` is no folder.
@@ -86,9 +101,9 @@ impl Listing {
         config: &DataConfig,
         file: &Path,
         mut frames: Vec<Listed>,
-        points: Vec<Point>,
-        warnings: Vec<String>,
+        stated: Stated,
     ) -> Result<Self> {
+        let Stated { aabb, points, warnings } = stated;
         if frames.is_empty() {
             return Err(Error::input(file.display(), "has no frame with a pose", "export the cameras again"));
         }
@@ -96,11 +111,23 @@ impl Listing {
         let names = names::unique(&frames.iter().map(|frame| frame.named.as_str()).collect::<Vec<_>>());
         let pictures = Pictures::new(pictures::stated(root, &config.images)?);
         let cloud = Cell::new(Cloud { points, frames: names.clone() });
-        Ok(Self { file: file.into(), frames, names, pictures, scales: config.scales, warnings, cloud })
+        Ok(Self { file: file.into(), frames, names, pictures, scales: config.scales, warnings, aabb, cloud })
+    }
+
+    /// True if the file divides the frames.
+    fn is_divided(&self) -> bool {
+        self.frames.iter().any(|frame| frame.split.is_some())
     }
 
     fn selected(&self, split: &str, selection: &Selection) -> Result<Split> {
-        let chosen = selection.choose(self.frames.len());
+        let of_split = |frame: &Listed| frame.split == Some(split);
+        let chosen = match selection {
+            Selection::All => selection.choose(self.frames.len()),
+            _ if self.is_divided() => {
+                (0..self.frames.len()).filter(|&index| of_split(&self.frames[index])).collect()
+            }
+            _ => selection.choose(self.frames.len()),
+        };
         if chosen.is_empty() {
             return Err(division::empty(&self.file, split, self.frames.len(), selection));
         }
@@ -123,10 +150,10 @@ impl Listing {
                 self.file.display()
             )
         });
-        let divided = selection.warning(&self.file, "in order of their names");
+        let divided = selection.warning(&self.file, "in order of their names").filter(|_| !self.is_divided());
         let warnings = self.warnings.iter().cloned().chain(divided).chain(moved).chain(by).collect();
         let cloud = self.cloud.take();
-        let stated = cloud.stated(&format!("of {}", self.file.display()));
+        let stated = self.aabb.clone().or_else(|| cloud.stated(&format!("of {}", self.file.display())));
         Ok(Split { sources, warnings, stated, cloud, ..Split::default() })
     }
 }
@@ -136,8 +163,14 @@ impl OpenScene for Listing {
         match split {
             "train" => self.selected(split, &Selection::Train),
             "test" => self.selected(split, &Selection::Test),
+            _ if self.is_divided() && self.has_split(split)? => self.selected(split, &Selection::Train),
             _ => Err(division::unknown(&self.file, split, "train, test")),
         }
+    }
+
+    fn has_split(&self, split: &str) -> Result<bool> {
+        let is_there = |frame: &Listed| frame.split == Some(split);
+        Ok(!self.is_divided() && ["train", "test"].contains(&split) || self.frames.iter().any(is_there))
     }
 
     fn undivided(&self) -> Result<Option<Split>> {

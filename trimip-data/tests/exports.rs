@@ -226,3 +226,58 @@ fn raw_exports_of_polycam_are_read() {
         assert!(error.exit_code() == 2 && error.message.contains("3.json: has no \"t_21\""), "{error}");
     }
 }
+
+#[test]
+fn the_layout_of_nsvf_is_read_with_its_splits_and_its_box() {
+    let all = cameras(Intrinsics {
+        width: 60,
+        height: 40,
+        fx: 51.5,
+        fy: 52.5,
+        cx: 29.0,
+        cy: 21.0,
+        lens: Lens::default(),
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    fs::create_dir(root.join("pose")).unwrap();
+    for (index, camera) in all.iter().enumerate() {
+        let axes = camera.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+        let rows: String = (0..3)
+            .map(|i| format!("{} {} {} {}\n", axes.row(i).x, axes.row(i).y, axes.row(i).z, camera.origin[i]))
+            .collect();
+        // Seven are trained and two validated on.
+        let name = format!("{}_{index:04}", index / 7);
+        fs::write(root.join(format!("pose/{name}.txt")), rows + "0 0 0 1\n").unwrap();
+        save_image(&root.join(format!("rgb/{name}.png")), 60, 40);
+    }
+    let matrix = "51.5 0 29 0\n0 52.5 21 0\n0 0 1 0\n0 0 0 1\n";
+    fs::write(root.join("intrinsics.txt"), matrix).unwrap();
+    fs::write(root.join("bbox.txt"), "-1 -2 -3 1 2 3 0.4\n").unwrap();
+    let scene = open(&settings(root, 1)).unwrap();
+    assert_eq!((scene.train.views.len(), scene.test.len()), (7, 2));
+    for (view, expected) in scene.train.views.iter().zip(&all) {
+        assert!((view.camera.origin - expected.origin).length() < 1e-9);
+        let apart = view.camera.rotation - expected.rotation;
+        assert!(apart.to_cols_array().iter().all(|entry| entry.abs() < 1e-9));
+        assert_eq!(view.camera.intrinsics, expected.intrinsics);
+    }
+    let stated = scene.stated.unwrap();
+    assert_eq!((stated.aabb.min, stated.aabb.max), ([-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]));
+    assert!(scene.warnings.iter().any(|w| w.contains("\"val\" is the test split")), "{:?}", scene.warnings);
+    for (text, fx) in
+        [("44.5 30 20 0.\n0. 0. 0.\n0.\n1.\n40 60\n", 44.5), ("45.5 0 30 0 45.5 20 0 0 1\n", 45.5)]
+    {
+        fs::write(root.join("intrinsics.txt"), text).unwrap();
+        let k = open(&settings(root, 1)).unwrap().train.views[0].camera.intrinsics;
+        assert_eq!((k.fx, k.fy, k.cx, k.cy), (fx, fx, 30.0, 20.0), "{text}");
+    }
+    fs::write(root.join("bbox.txt"), "-1 -2 -3 1 -2 3\n").unwrap();
+    assert!(open(&settings(root, 1)).unwrap_err().message.contains("bbox.txt: states the corners"));
+    fs::write(root.join("bbox.txt"), "-1 -2 wide\n").unwrap();
+    assert!(
+        open(&settings(root, 1)).unwrap_err().message.contains("bbox.txt:1: \"wide\" is not a finite number")
+    );
+    fs::write(root.join("intrinsics.txt"), "0\n").unwrap();
+    assert!(open(&settings(root, 1)).unwrap_err().message.contains("states neither a matrix nor"));
+}

@@ -4,7 +4,7 @@
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
-    listing::{Calibration, Listed, Listing},
+    listing::{Calibration, Listed, Listing, Stated},
     names,
     points::Point,
     pose,
@@ -46,7 +46,7 @@ pub(super) static READER: Reader = Reader {
         })?;
         let listed = list(root, &path)?;
         let bundle = Bundle::read(&path.display().to_string(), &bytes, |index| listed.get(index).cloned())?;
-        Ok(Box::new(Listing::new(root, config, &path, bundle.frames, bundle.points, bundle.warnings)?))
+        Ok(Box::new(Listing::new(root, config, &path, bundle.frames, bundle.stated)?))
     },
     images: Some("Bundler models"),
     divisible: true,
@@ -89,8 +89,7 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
 /// A file.
 struct Bundle {
     frames: Vec<Listed>,
-    points: Vec<Point>,
-    warnings: Vec<String>,
+    stated: Stated,
 }
 
 impl Bundle {
@@ -130,6 +129,7 @@ impl Bundle {
                     focal,
                     Lens::perspective([k1, k2, 0.0, 0.0], [0.0; 2], [0.0; 3]),
                 ),
+                split: None,
             });
         }
         let mut found = Vec::new();
@@ -146,7 +146,7 @@ impl Bundle {
             .then(|| format!("{name} placed {} of {}", frames.len(), count(cameras, "photograph")))
             .into_iter()
             .collect();
-        Ok(Self { frames, points: found, warnings })
+        Ok(Self { frames, stated: Stated { points: found, warnings, ..Stated::default() } })
     }
 }
 

@@ -7,6 +7,7 @@ mod colmap;
 mod llff;
 pub(crate) mod multiscale;
 mod npy;
+mod nsvf;
 mod opensfm;
 mod polycam;
 pub(crate) mod reader;
@@ -23,6 +24,7 @@ pub(crate) static READERS: &[&Reader] = &[
     &opensfm::READER,
     &bundler::READER,
     &polycam::READER,
+    &nsvf::READER,
     &builtin::READER,
 ];
 

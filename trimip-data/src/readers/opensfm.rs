@@ -5,7 +5,7 @@
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
     json::{self, Node},
-    listing::{Calibration, Listed, Listing, vision_pose},
+    listing::{Calibration, Listed, Listing, Stated, vision_pose},
     names,
     points::Point,
 };
@@ -30,7 +30,7 @@ pub(super) static READER: Reader = Reader {
     open: |root, config| {
         let path = path(root).unwrap_or_else(|| root.join(FILE));
         let best = Reconstruction::read(&path, &json::read(&path)?)?;
-        Ok(Box::new(Listing::new(root, config, &path, best.frames, best.points, best.warnings)?))
+        Ok(Box::new(Listing::new(root, config, &path, best.frames, best.stated)?))
     },
     images: Some("OpenSfM reconstructions"),
     divisible: true,
@@ -59,8 +59,7 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
 /// A reconstruction.
 struct Reconstruction {
     frames: Vec<Listed>,
-    points: Vec<Point>,
-    warnings: Vec<String>,
+    stated: Stated,
 }
 
 impl Reconstruction {
@@ -103,7 +102,7 @@ impl Reconstruction {
                 ));
             }
             let calibration = Calibration::Sized(calibration);
-            Ok(Listed { named: name.into(), place: shot.place, rotation, origin, calibration })
+            Ok(Listed { named: name.into(), place: shot.place, rotation, origin, calibration, split: None })
         };
         let frames = entries(&node, "shots")?.into_iter().map(frame).collect::<Result<_>>()?;
         let points = match node.get("points") {
@@ -124,7 +123,7 @@ impl Reconstruction {
             })
             .into_iter()
             .collect();
-        Ok(Self { frames, points, warnings })
+        Ok(Self { frames, stated: Stated { points, warnings, ..Stated::default() } })
     }
 }
 

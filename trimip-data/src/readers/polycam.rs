@@ -5,7 +5,7 @@ use super::reader::Reader;
 use crate::{
     intrinsics::Size,
     json::{self, Node},
-    listing::{Calibration, Listed, Listing},
+    listing::{Calibration, Listed, Listing, Stated},
     names, pose,
     source::map_in_order,
 };
@@ -34,7 +34,7 @@ pub(super) static READER: Reader = Reader {
             entries.filter(|path| path.extension().is_some_and(|end| end == "json")).collect();
         files.sort();
         let frames = map_in_order(&files, |_, path| frame(path, images))?;
-        Ok(Box::new(Listing::new(root, config, &folder, frames, Vec::new(), Vec::new())?))
+        Ok(Box::new(Listing::new(root, config, &folder, frames, Stated::default())?))
     },
     images: Some("raw exports of Polycam"),
     divisible: true,
@@ -75,5 +75,12 @@ fn frame(path: &Path, images: &str) -> Result<Listed> {
     let (cx, cy) = (number("cx")?, number("cy")?);
     let intrinsics = Intrinsics { width, height, fx, fy, cx, cy, lens: Lens::default() };
     let named = format!("{images}/{}", names::stem(&path.file_stem().unwrap_or_default().to_string_lossy()));
-    Ok(Listed { named, place: node.place, rotation, origin, calibration: Calibration::Sized(intrinsics) })
+    Ok(Listed {
+        named,
+        place: node.place,
+        rotation,
+        origin,
+        calibration: Calibration::Sized(intrinsics),
+        split: None,
+    })
 }
