@@ -15,21 +15,12 @@ const ARCHIVES: [&str; 6] = ["zip", "tar", "gz", "tgz", "7z", "rar"];
 /// File in which COLMAP keeps features and matches.
 const DATABASE: &str = "database.db";
 
-/// Folder of a raw export of Polycam.
-const KEYFRAMES: &str = "keyframes";
-
 /// What is to be done with a folder that holds no scene.
 pub(crate) fn advice(root: &Path) -> String {
     let content = Content::of(root);
     let shown = |path: &Path| path.display().to_string();
     if let Some(inner) = &content.scene {
         return format!("name {}, which holds one", shown(inner));
-    }
-    if root.join(KEYFRAMES).join("cameras").is_dir() {
-        return format!(
-            "it is a raw export of Polycam: ns-process-data polycam --data {} --output-dir DIR makes a scene of it",
-            shown(root)
-        );
     }
     let pictures = |folder: &Path| format!("--image_path {}", shown(folder));
     let folder = content.pictures.first().and_then(|path| path.parent()).unwrap_or(root);
@@ -153,7 +144,7 @@ mod tests {
 
     #[test]
     fn a_folder_without_a_scene_has_a_next_command() {
-        let table: [(&[&str], &[&str]); 9] = [
+        let table: [(&[&str], &[&str]); 8] = [
             (&["a/b/transforms_train.json", "a/b/train/r_0.png"], &["name ROOT/a/b, which holds one"]),
             (
                 &["images/0.jpg", "images/1.jpg"],
@@ -168,10 +159,6 @@ mod tests {
             (
                 &["database.db", "images/0.png"],
                 &["colmap mapper --database_path ROOT/database.db --image_path ROOT/images"],
-            ),
-            (
-                &["keyframes/cameras/0.json", "keyframes/images/0.jpg"],
-                &["raw export of Polycam", "ns-process-data polycam"],
             ),
             (&["lego.zip"], &["unpack ROOT/lego.zip"]),
             (&["notes.txt"], &["name a folder with one of them"]),

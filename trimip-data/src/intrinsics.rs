@@ -13,6 +13,11 @@ pub(crate) struct Size {
 
 impl Size {
     pub(crate) fn of(node: &Node<'_>) -> Result<Self> {
+        Self::named(node, ["w", "h"])
+    }
+
+    /// The size under these keys.
+    pub(crate) fn named(node: &Node<'_>, [width, height]: [&str; 2]) -> Result<Self> {
         let side = |key: &str| -> Result<Option<u32>> {
             let Some(value) = node.number(key)? else { return Ok(None) };
             // Some exporters write 1080.0.
@@ -25,7 +30,7 @@ impl Size {
                 "expected a whole number of pixels",
             ))
         };
-        Ok(Self { width: side("w")?, height: side("h")? })
+        Ok(Self { width: side(width)?, height: side(height)? })
     }
 
     pub(crate) fn or(self, other: Self) -> Self {

@@ -2,18 +2,31 @@
 
 pub(crate) mod blender;
 pub(crate) mod builtin;
+mod bundler;
 mod colmap;
 mod llff;
 pub(crate) mod multiscale;
 mod npy;
+mod nsvf;
+mod opensfm;
+mod polycam;
 pub(crate) mod reader;
 
 use reader::Reader;
 use std::path::Path;
 
 /// All readers, in the order in which a folder is recognised.
-pub(crate) static READERS: &[&Reader] =
-    &[&multiscale::READER, &blender::READER, &colmap::READER, &llff::READER, &builtin::READER];
+pub(crate) static READERS: &[&Reader] = &[
+    &multiscale::READER,
+    &blender::READER,
+    &colmap::READER,
+    &llff::READER,
+    &opensfm::READER,
+    &bundler::READER,
+    &polycam::READER,
+    &nsvf::READER,
+    &builtin::READER,
+];
 
 /// The reader that the files in a folder show.
 pub(crate) fn found(root: &Path) -> Option<&'static Reader> {

@@ -1,0 +1,86 @@
+//! A raw export of Polycam: a JSON file for each photograph in `keyframes/`, of the poses that were corrected if it has them. Keys `t_00` to
+//! `t_23` are the rows of a camera-to-world matrix with OpenGL axes, in ARKit's world with y up. Here z is up, as nerfstudio turns it.
+
+use super::reader::Reader;
+use crate::{
+    intrinsics::Size,
+    json::{self, Node},
+    listing::{Calibration, Listed, Listing, Stated},
+    names, pose,
+    source::map_in_order,
+};
+use std::path::{Path, PathBuf};
+use trimip_core::{Error, Intrinsics, Lens, Result};
+
+/// Folders of poses and of their photographs.
+const FOLDERS: [[&str; 2]; 2] = [
+    ["keyframes/corrected_cameras", "keyframes/corrected_images"],
+    ["keyframes/cameras", "keyframes/images"],
+];
+
+pub(super) static READER: Reader = Reader {
+    format: "polycam",
+    name: "raw export of Polycam",
+    files: Some("keyframes/cameras"),
+    recognises: |root| folders(root).is_some(),
+    open: |root, config| {
+        let Some([poses, images]) = folders(root) else {
+            let what = "holds no raw export of Polycam: looked for keyframes/cameras";
+            return Err(Error::input(root.display(), what, "export it from Polycam with raw data"));
+        };
+        let folder = root.join(poses);
+        let entries = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+        let mut files: Vec<PathBuf> =
+            entries.filter(|path| path.extension().is_some_and(|end| end == "json")).collect();
+        files.sort();
+        let frames = map_in_order(&files, |_, path| frame(path, images))?;
+        Ok(Box::new(Listing::new(root, config, &folder, frames, Stated::default())?))
+    },
+    images: Some("raw exports of Polycam"),
+    divisible: true,
+    camera_files: &[],
+};
+
+fn folders(root: &Path) -> Option<[&'static str; 2]> {
+    FOLDERS.into_iter().find(|[poses, _]| root.join(poses).is_dir())
+}
+
+/// The frame of a file; its photograph has the same name in `images`.
+fn frame(path: &Path, images: &str) -> Result<Listed> {
+    let document = json::read(path)?;
+    let node = Node::new(path.display(), &document)?;
+    let number = |key: &str| -> Result<f64> {
+        let value = node.required(key)?;
+        value.as_f64().ok_or_else(|| node.unexpected(key, "a number", value))
+    };
+    // World axes x, y, z are ARKit's z, x, y.
+    let row = |of: u32| -> Result<[f64; 4]> {
+        let entry = |column: u32| number(&format!("t_{of}{column}"));
+        Ok([entry(0)?, entry(1)?, entry(2)?, entry(3)?])
+    };
+    let wrong = |what: String| Error::input(&node.place, format!("its pose {what}"), "export it again");
+    let (rotation, origin) = pose::checked([row(2)?, row(0)?, row(1)?]).map_err(wrong)?;
+    let size = Size::named(&node, ["width", "height"])?;
+    let (Some(width), Some(height)) = (size.width, size.height) else {
+        return Err(Error::input(&node.place, "has no \"width\" and \"height\"", "export it again"));
+    };
+    let [fx, fy] = [number("fx")?, number("fy")?];
+    if !(fx > 0.0 && fy > 0.0) {
+        return Err(Error::input(
+            &node.place,
+            format!("has the focal lengths {fx} and {fy}"),
+            "export it again",
+        ));
+    }
+    let (cx, cy) = (number("cx")?, number("cy")?);
+    let intrinsics = Intrinsics { width, height, fx, fy, cx, cy, lens: Lens::default() };
+    let named = format!("{images}/{}", names::stem(&path.file_stem().unwrap_or_default().to_string_lossy()));
+    Ok(Listed {
+        named,
+        place: node.place,
+        rotation,
+        origin,
+        calibration: Calibration::Sized(intrinsics),
+        split: None,
+    })
+}

@@ -1,0 +1,283 @@
+//! Exports of other programs: the same cameras written by the conventions of OpenSfM, Bundler and Polycam are read as those of a
+//! transforms file, and what is broken is named.
+
+mod common;
+
+use common::{save_image, settings, write};
+use glam::{DMat3, DQuat, DVec3};
+use serde_json::{Value, json};
+use std::{fmt::Write, fs, path::Path};
+use trimip_core::{Camera, Intrinsics, Lens};
+use trimip_data::{Scene, open};
+
+/// Nine cameras around the origin, camera-to-world with OpenGL axes.
+fn cameras(intrinsics: Intrinsics) -> Vec<Camera> {
+    let place = |i: i32| {
+        let turn = 0.7 * f64::from(i);
+        DVec3::new(3.0 * turn.cos(), 3.0 * turn.sin(), 0.3 * f64::from(i % 3))
+    };
+    let look = |i: i32| Camera::look_at(intrinsics, place(i), DVec3::new(0.1, 0.2, 0.1), DVec3::Z);
+    (0..9).map(look).collect()
+}
+
+fn name(index: usize) -> String {
+    format!("images/{index}.png")
+}
+
+fn save_images(root: &Path, size: [u32; 2]) {
+    (0..9).for_each(|index| save_image(&root.join(name(index)), size[0], size[1]));
+}
+
+/// The training views have the poses and intrinsics of `expected`, in order of their names; every 8th is a test view.
+fn assert_cameras(scene: &Scene, expected: &[Camera]) {
+    let kept = expected.iter().enumerate().filter(|(index, _)| index % 8 != 0).map(|(_, camera)| camera);
+    assert_eq!((scene.train.views.len(), scene.test.len()), (7, 2));
+    for (view, expected) in scene.train.views.iter().zip(kept) {
+        let found = view.camera;
+        assert!((found.origin - expected.origin).length() < 1e-9, "{found:?}, not {expected:?}");
+        let apart = found.rotation - expected.rotation;
+        assert!(apart.to_cols_array().iter().all(|entry| entry.abs() < 1e-9), "{found:?}, not {expected:?}");
+        let (k, other) = (found.intrinsics, expected.intrinsics);
+        assert_eq!((k.width, k.height, k.lens), (other.width, other.height, other.lens));
+        for (a, b) in [(k.fx, other.fx), (k.fy, other.fy), (k.cx, other.cx), (k.cy, other.cy)] {
+            assert!((a - b).abs() < 1e-9, "{k:?}, not {other:?}");
+        }
+    }
+}
+
+/// World-to-camera rotation and translation in the axes of computer vision.
+fn vision(camera: &Camera) -> (DMat3, DVec3) {
+    let to_world = camera.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    (to_world.transpose(), -(to_world.transpose() * camera.origin))
+}
+
+/// A reconstruction of OpenSfM.
+fn reconstruction(all: &[Camera], camera: &Value) -> Value {
+    let shots: serde_json::Map<String, Value> = all
+        .iter()
+        .enumerate()
+        .map(|(index, own)| {
+            let (rotation, translation) = vision(own);
+            let (axis, angle) = DQuat::from_mat3(&rotation).to_axis_angle();
+            let shot = json!({ "rotation": (axis * angle).to_array(), "translation": translation.to_array(), "camera": "a b" });
+            (format!("{index}.png"), shot)
+        })
+        .collect();
+    let points: serde_json::Map<String, Value> = (0..120)
+        .map(|i| {
+            let at = [f64::from(i % 5), f64::from(i / 5 % 5), f64::from(i / 25)];
+            (i.to_string(), json!({ "coordinates": at, "color": [10.0, 20.0, f64::from(i)] }))
+        })
+        .collect();
+    json!({ "cameras": { "a b": camera }, "shots": shots, "points": points })
+}
+
+#[test]
+fn reconstructions_of_opensfm_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    save_images(root, [60, 40]);
+    let size = |lens: Lens, [fx, fy]: [f64; 2], [cx, cy]: [f64; 2]| Intrinsics {
+        width: 60,
+        height: 40,
+        fx,
+        fy,
+        cx,
+        cy,
+        lens,
+    };
+    let cases = [
+        (
+            json!({ "projection_type": "perspective", "width": 60, "height": 40, "focal": 0.85, "k1": -0.1, "k2": 0.02 }),
+            size(Lens::perspective([-0.1, 0.02, 0.0, 0.0], [0.0; 2], [0.0; 3]), [51.0; 2], [30.0, 20.0]),
+        ),
+        (
+            json!({ "projection_type": "brown", "width": 60, "height": 40, "focal_x": 0.85, "focal_y": 0.9, "c_x": 0.01,
+                "c_y": -0.02, "k1": -0.1, "k2": 0.02, "k3": 0.001, "p1": 0.002, "p2": -0.003 }),
+            size(
+                Lens::perspective([-0.1, 0.02, 0.001, 0.0], [0.002, -0.003], [0.0; 3]),
+                [51.0, 54.0],
+                [30.6, 18.8],
+            ),
+        ),
+        (
+            json!({ "projection_type": "fisheye", "width": 60, "height": 40, "focal": 0.5, "k1": -0.01, "k2": 0.002 }),
+            size(Lens::fisheye([-0.01, 0.002, 0.0, 0.0], [0.0; 2], [0.0; 2]), [30.0; 2], [30.0, 20.0]),
+        ),
+    ];
+    for place in ["reconstruction.json", "opensfm/reconstruction.json"] {
+        let path = root.join(place);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        for (camera, intrinsics) in &cases {
+            let all = cameras(*intrinsics);
+            let few = reconstruction(&all[..2], camera);
+            write(&path, &json!([few, reconstruction(&all, camera)]));
+            let scene = open(&settings(root, 1)).unwrap();
+            assert_cameras(&scene, &all);
+            assert!(
+                scene.warnings.iter().any(|w| w.contains("holds 2 reconstructions")),
+                "{:?}",
+                scene.warnings
+            );
+            assert_eq!((scene.points.len(), scene.points[7].color[0]), (120, 10));
+            assert!(scene.stated.unwrap().source.contains("120 points"));
+        }
+        fs::remove_file(path).unwrap();
+    }
+    let path = root.join("reconstruction.json");
+    let good = reconstruction(&cameras(cases[0].1), &cases[0].0);
+    type Change = fn(&mut Value);
+    let broken: [(Change, &str); 7] = [
+        (|d| *d = json!({}), "holds no reconstruction"),
+        (|d| d[0]["shots"]["3.png"]["camera"] = json!("other"), "shot 3.png: has the unknown camera other"),
+        (|d| d[0]["shots"]["3.png"]["rotation"] = json!([1, 2]), "expected three numbers"),
+        (|d| d[0]["cameras"]["a b"]["projection_type"] = json!("dual"), "\"dual\", which is not read"),
+        (|d| d[0]["cameras"]["a b"]["focal"] = json!(0), "has no positive focal length"),
+        (|d| d[0]["cameras"]["a b"]["width"] = json!(0.5), "expected a whole number of pixels"),
+        (|d| d[0]["shots"] = json!({}), "has no frame with a pose"),
+    ];
+    for (change, what) in broken {
+        let mut document = json!([good]);
+        change(&mut document);
+        write(&path, &document);
+        let error = open(&settings(root, 1)).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains(what), "{what}: {error}");
+    }
+}
+
+#[test]
+fn models_of_bundler_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    save_images(root, [60, 40]);
+    let lens = Lens::perspective([-0.1, 0.02, 0.0, 0.0], [0.0; 2], [0.0; 3]);
+    let all = cameras(Intrinsics { width: 60, height: 40, fx: 51.5, fy: 51.5, cx: 30.0, cy: 20.0, lens });
+    let mut text = "# Bundle file v0.3\n10 2\n".to_string();
+    for camera in &all {
+        let to_camera = camera.rotation.transpose();
+        writeln!(text, "51.5 -0.1 0.02").unwrap();
+        (0..3).for_each(|i| {
+            writeln!(text, "{} {} {}", to_camera.row(i).x, to_camera.row(i).y, to_camera.row(i).z).unwrap()
+        });
+        let t = -(to_camera * camera.origin);
+        writeln!(text, "{} {} {}", t.x, t.y, t.z).unwrap();
+    }
+    // One was not placed.
+    text += "0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n";
+    text += "0.5 0.25 -1\n9 99 199\n2 0 3 1.5 -2.5 1 4 2 -3\n1 2 3\n0 0 255\n0\n";
+    fs::write(root.join("bundle.out"), &text).unwrap();
+    let error = open(&settings(root, 1)).unwrap_err();
+    assert!(error.exit_code() == 2 && error.message.contains("has no list of photographs"), "{error}");
+    let list: String = (0..10).map(|index| format!("./{} 0 51.5\n", name(index))).collect();
+    fs::write(root.join("list.txt"), &list).unwrap();
+    let scene = open(&settings(root, 1)).unwrap();
+    assert_cameras(&scene, &all);
+    assert!(scene.warnings.iter().any(|w| w.contains("placed 9 of 10 photographs")), "{:?}", scene.warnings);
+    assert_eq!(
+        (scene.points[0].position, scene.points[0].color, scene.points[0].seen),
+        ([0.5, 0.25, -1.0], [9, 99, 199], Some(2))
+    );
+    assert_eq!(scene.points.len(), 2);
+    for (broken, what) in [
+        (text.replace("10 2\n", "10 3\n"), "is missing: the file ends there"),
+        (text.replace("10 2\n", "1e9 2\n"), "is a count that the file cannot hold"),
+        (text.replacen("51.5 -0.1", "-51.5 -0.1", 1), "camera 0: has the focal length -51.5"),
+        (text.replacen("51.5 -0.1", "51.5 wide", 1), "number 4: is not a finite number"),
+    ] {
+        fs::write(root.join("bundle.out"), broken).unwrap();
+        let error = open(&settings(root, 1)).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains(what), "{what}: {error}");
+    }
+    fs::write(root.join("bundle.out"), &text).unwrap();
+    fs::write(root.join("list.txt"), "images/0.png\n").unwrap();
+    assert!(
+        open(&settings(root, 1)).unwrap_err().message.contains("camera 1: has no photograph in the list")
+    );
+}
+
+#[test]
+fn raw_exports_of_polycam_are_read() {
+    let lens = Lens::default();
+    let all = cameras(Intrinsics { width: 60, height: 40, fx: 51.5, fy: 52.5, cx: 29.0, cy: 21.0, lens });
+    for kind in ["", "corrected_"] {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("keyframes");
+        fs::create_dir_all(root.join(format!("{kind}cameras"))).unwrap();
+        for (index, camera) in all.iter().enumerate() {
+            let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
+            let o = camera.origin;
+            // ARKit's axes x, y, z are ours y, z, x.
+            let rows = [[y, [o.y; 3]], [z, [o.z; 3]], [x, [o.x; 3]]];
+            let mut document = json!({ "fx": 51.5, "fy": 52.5, "cx": 29.0, "cy": 21.0, "width": 60, "height": 40, "blur_score": 90.0 });
+            for (i, [axes, [at, ..]]) in rows.iter().enumerate() {
+                (0..3).for_each(|j| document[format!("t_{i}{j}")] = json!(axes[j]));
+                document[format!("t_{i}3")] = json!(at);
+            }
+            write(&root.join(format!("{kind}cameras/{index}.json")), &document);
+            save_image(&root.join(format!("{kind}images/{index}.png")), 60, 40);
+        }
+        let scene = open(&settings(folder.path(), 1)).unwrap();
+        assert_cameras(&scene, &all);
+        let path = root.join(format!("{kind}cameras/3.json"));
+        let mut document: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        document.as_object_mut().unwrap().remove("t_21");
+        write(&path, &document);
+        let error = open(&settings(folder.path(), 1)).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("3.json: has no \"t_21\""), "{error}");
+    }
+}
+
+#[test]
+fn the_layout_of_nsvf_is_read_with_its_splits_and_its_box() {
+    let all = cameras(Intrinsics {
+        width: 60,
+        height: 40,
+        fx: 51.5,
+        fy: 52.5,
+        cx: 29.0,
+        cy: 21.0,
+        lens: Lens::default(),
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    fs::create_dir(root.join("pose")).unwrap();
+    for (index, camera) in all.iter().enumerate() {
+        let axes = camera.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+        let rows: String = (0..3)
+            .map(|i| format!("{} {} {} {}\n", axes.row(i).x, axes.row(i).y, axes.row(i).z, camera.origin[i]))
+            .collect();
+        // Seven are trained and two validated on.
+        let name = format!("{}_{index:04}", index / 7);
+        fs::write(root.join(format!("pose/{name}.txt")), rows + "0 0 0 1\n").unwrap();
+        save_image(&root.join(format!("rgb/{name}.png")), 60, 40);
+    }
+    let matrix = "51.5 0 29 0\n0 52.5 21 0\n0 0 1 0\n0 0 0 1\n";
+    fs::write(root.join("intrinsics.txt"), matrix).unwrap();
+    fs::write(root.join("bbox.txt"), "-1 -2 -3 1 2 3 0.4\n").unwrap();
+    let scene = open(&settings(root, 1)).unwrap();
+    assert_eq!((scene.train.views.len(), scene.test.len()), (7, 2));
+    for (view, expected) in scene.train.views.iter().zip(&all) {
+        assert!((view.camera.origin - expected.origin).length() < 1e-9);
+        let apart = view.camera.rotation - expected.rotation;
+        assert!(apart.to_cols_array().iter().all(|entry| entry.abs() < 1e-9));
+        assert_eq!(view.camera.intrinsics, expected.intrinsics);
+    }
+    let stated = scene.stated.unwrap();
+    assert_eq!((stated.aabb.min, stated.aabb.max), ([-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]));
+    assert!(scene.warnings.iter().any(|w| w.contains("\"val\" is the test split")), "{:?}", scene.warnings);
+    for (text, fx) in
+        [("44.5 30 20 0.\n0. 0. 0.\n0.\n1.\n40 60\n", 44.5), ("45.5 0 30 0 45.5 20 0 0 1\n", 45.5)]
+    {
+        fs::write(root.join("intrinsics.txt"), text).unwrap();
+        let k = open(&settings(root, 1)).unwrap().train.views[0].camera.intrinsics;
+        assert_eq!((k.fx, k.fy, k.cx, k.cy), (fx, fx, 30.0, 20.0), "{text}");
+    }
+    fs::write(root.join("bbox.txt"), "-1 -2 -3 1 -2 3\n").unwrap();
+    assert!(open(&settings(root, 1)).unwrap_err().message.contains("bbox.txt: states the corners"));
+    fs::write(root.join("bbox.txt"), "-1 -2 wide\n").unwrap();
+    assert!(
+        open(&settings(root, 1)).unwrap_err().message.contains("bbox.txt:1: \"wide\" is not a finite number")
+    );
+    fs::write(root.join("intrinsics.txt"), "0\n").unwrap();
+    assert!(open(&settings(root, 1)).unwrap_err().message.contains("states neither a matrix nor"));
+}
