@@ -1,5 +1,5 @@
 //! Photographs with cameras, ready to train and test on: Blender JSON folders, COLMAP models, LLFF captures, exports of OpenSfM,
-//! Bundler and Polycam, NSVF's data sets, the public multi-scale set's `metadata.json`, and a built-in ray-traced scene that needs no files. Poses are camera-to-world, OpenGL axes;
+//! Bundler, Metashape and Polycam, NSVF's data sets, the public multi-scale set's `metadata.json`, and a built-in ray-traced scene that needs no files. Poses are camera-to-world, OpenGL axes;
 //! lengths are world units, angles radians, focal lengths pixels.
 //!
 //! ```

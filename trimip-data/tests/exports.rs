@@ -281,3 +281,80 @@ fn the_layout_of_nsvf_is_read_with_its_splits_and_its_box() {
     fs::write(root.join("intrinsics.txt"), "0\n").unwrap();
     assert!(open(&settings(root, 1)).unwrap_err().message.contains("states neither a matrix nor"));
 }
+
+/// The file of Metashape's export; the photograph 9 was not placed.
+fn metashape(all: &[Camera], kind: &str, terms: &str) -> String {
+    let cameras: String = all
+        .iter()
+        .enumerate()
+        .map(|(index, camera)| {
+            let axes = camera.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+            let rows: String = (0..3)
+                .map(|i| format!("{} {} {} {} ", axes.row(i).x, axes.row(i).y, axes.row(i).z, camera.origin[i]))
+                .collect();
+            format!("<camera id=\"{index}\" sensor_id=\"3\" label=\"{index}\"><transform>{rows}0 0 0 1</transform></camera>\n")
+        })
+        .collect();
+    let initial = format!(
+        "<calibration type=\"{kind}\" class=\"initial\"><resolution width=\"60\" height=\"40\"/><f>7</f></calibration>"
+    );
+    let adjusted = format!(
+        "<calibration type=\"{kind}\" class=\"adjusted\"><resolution width=\"60\" height=\"40\"/>{terms}</calibration>"
+    );
+    format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"2.0.0\">\n <chunk label=\"Chunk 1\">\n  <sensors next_id=\"4\">\
+         <sensor id=\"3\" label=\"unknown\" type=\"{kind}\"><resolution width=\"60\" height=\"40\"/>{initial}{adjusted}</sensor></sensors>\n\
+         <cameras><group label=\"walk\">{cameras}</group><camera id=\"9\" sensor_id=\"3\" label=\"9\"/></cameras></chunk></document>"
+    )
+}
+
+#[test]
+fn camera_exports_of_metashape_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    save_images(root, [60, 40]);
+    let path = root.join("my export.xml");
+    let radial = [-0.1, 0.02, 0.003, -0.0004];
+    let size =
+        |lens: Lens| Intrinsics { width: 60, height: 40, fx: 51.75, fy: 51.5, cx: 29.0, cy: 21.5, lens };
+    let terms = "<f>51.5</f><cx>-1</cx><cy>1.5</cy><k1>-0.1</k1><k2>0.02</k2><k3>0.003</k3><k4>-0.0004</k4><p1>0.002</p1>\
+                 <p2>-0.003</p2><b1>0.25</b1>";
+    // Metashape's p1 bends along x, OpenCV's along y.
+    for (kind, lens) in [
+        ("frame", Lens::perspective(radial, [-0.003, 0.002], [0.0; 3])),
+        ("fisheye", Lens::fisheye(radial, [-0.003, 0.002], [0.0; 2])),
+    ] {
+        let all = cameras(size(lens));
+        fs::write(&path, metashape(&all, kind, terms)).unwrap();
+        let scene = open(&settings(root, 1)).unwrap();
+        assert_cameras(&scene, &all);
+        assert!(
+            scene.warnings.iter().any(|w| w.contains("Metashape placed 9 of 10")),
+            "{:?}",
+            scene.warnings
+        );
+    }
+    let all = cameras(size(Lens::default()));
+    let whole = metashape(&all, "frame", terms);
+    fs::write(&path, metashape(&all, "frame", "<f>51.5</f><b2>0.5</b2>")).unwrap();
+    let scene = open(&settings(root, 1)).unwrap();
+    assert!(scene.warnings.iter().any(|w| w.contains("skew b2")), "{:?}", scene.warnings);
+    for (broken, what) in [
+        (whole.replace("</chunk>", ""), "invalid XML"),
+        (whole.replace("<f>51.5</f>", ""), "sensor 3: has no positive focal length f"),
+        (whole.replace("<f>51.5</f>", "<f>wide</f>"), "sensor 3: f is \"wide\", not a finite number"),
+        (
+            whole.replace("sensor_id=\"3\" label=\"4\"", "sensor_id=\"5\" label=\"4\""),
+            "camera 4: has the unknown sensor 5",
+        ),
+        (
+            whole.replacen("0 0 0 1</transform>", "</transform>", 1),
+            "camera 0: its transform is not 16 numbers",
+        ),
+        (whole.replace("\"frame\"", "\"rpc\""), "is of the type \"rpc\", which is not read"),
+    ] {
+        fs::write(&path, broken).unwrap();
+        let error = open(&settings(root, 1)).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains(what), "{what}: {error}");
+    }
+}

@@ -5,6 +5,7 @@ pub(crate) mod builtin;
 mod bundler;
 mod colmap;
 mod llff;
+mod metashape;
 pub(crate) mod multiscale;
 mod npy;
 mod nsvf;
@@ -25,6 +26,7 @@ pub(crate) static READERS: &[&Reader] = &[
     &bundler::READER,
     &polycam::READER,
     &nsvf::READER,
+    &metashape::READER,
     &builtin::READER,
 ];
 
