@@ -140,9 +140,12 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
     let first = report(&folder.join("runs/scene"));
     let constant = first["mean"]["psnr_constant"].as_f64().unwrap();
     assert!(psnr(&first) > constant + 2.0, "{} where a mean colour has {constant}", psnr(&first));
-    for part in
-        ["no alpha", "plan.background: set", "plan.aabb: set: the photographs show their surroundings"]
-    {
+    // What was transparent is black now: a plain background, which bounds the scene.
+    for part in [
+        "no alpha",
+        "plan.background: set: the borders of all photographs have one colour",
+        "plan.aabb: set: the photographs have no silhouettes; the box lies around what the cameras look at",
+    ] {
         assert!(answer.out.contains(part), "{part}: {}", answer.out);
     }
     let bounded = ["--set", "loss.opacity=0.1", "--set", "scene.contraction=none"];
