@@ -140,7 +140,7 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
     let first = report(&folder.join("runs/scene"));
     let constant = first["mean"]["psnr_constant"].as_f64().unwrap();
     assert!(psnr(&first) > constant + 2.0, "{} where a mean colour has {constant}", psnr(&first));
-    // What was transparent is black now: a plain background, which bounds the scene.
+    // Transparent pixels are black now. The plan takes them for a plain background and bounds the scene.
     for part in [
         "no alpha",
         "plan.background: set: the borders of all photographs have one colour",

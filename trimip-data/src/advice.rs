@@ -1,4 +1,4 @@
-//! What a folder without a scene probably is, and the command that makes one of it.
+//! Advice for a folder without a scene: the command that makes a scene of the files in it.
 
 use crate::{foreign, names, readers::found};
 use std::path::{Path, PathBuf};
@@ -15,10 +15,14 @@ const ARCHIVES: [&str; 6] = ["zip", "tar", "gz", "tgz", "7z", "rar"];
 /// File in which COLMAP keeps features and matches.
 const DATABASE: &str = "database.db";
 
-/// What is to be done with a folder that holds no scene.
+/// The next command for a folder that holds no scene, in words.
 pub(crate) fn advice(root: &Path) -> String {
     let content = Content::of(root);
-    let shown = |path: &Path| path.display().to_string();
+    // A shell reads a name with blanks as one word only between quotes.
+    let shown = |path: &Path| match path.display().to_string() {
+        blank if blank.contains(char::is_whitespace) => format!("\"{blank}\""),
+        plain => plain,
+    };
     if let Some(inner) = &content.scene {
         return format!("name {}, which holds one", shown(inner));
     }
@@ -76,7 +80,7 @@ pub(crate) fn advice(root: &Path) -> String {
     "name a folder with one of them".into()
 }
 
-/// What lies in a folder and below it, the first of each kind in order of their paths.
+/// The files in a folder and below it: the first of each kind, in order of their paths.
 #[derive(Default)]
 struct Content {
     /// A folder with a scene.
@@ -144,7 +148,7 @@ mod tests {
 
     #[test]
     fn a_folder_without_a_scene_has_a_next_command() {
-        let table: [(&[&str], &[&str]); 8] = [
+        let table: [(&[&str], &[&str]); 9] = [
             (&["a/b/transforms_train.json", "a/b/train/r_0.png"], &["name ROOT/a/b, which holds one"]),
             (
                 &["images/0.jpg", "images/1.jpg"],
@@ -161,6 +165,7 @@ mod tests {
                 &["colmap mapper --database_path ROOT/database.db --image_path ROOT/images"],
             ),
             (&["lego.zip"], &["unpack ROOT/lego.zip"]),
+            (&["my walk/0.jpg"], &["--image_path \"ROOT/my walk\" --dense 0"]),
             (&["notes.txt"], &["name a folder with one of them"]),
         ];
         for (files, expected) in table {

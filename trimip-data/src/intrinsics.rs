@@ -2,6 +2,7 @@
 //! `fl_x` the focal length follows from `camera_angle_x`, or as the camera model says. Lengths in pixels, angles in radians.
 
 use crate::{json::Node, lens, photograph::Photograph};
+use std::path::Path;
 use trimip_core::{Error, Intrinsics, Result, geometry::projections::Model};
 
 /// Image size from `w` and `h`.
@@ -37,47 +38,64 @@ impl Size {
         Self { width: self.width.or(other.width), height: self.height.or(other.height) }
     }
 
-    /// The factors along x and y to the size of an image, if both sides are stated and differ but the shape is the same.
-    pub(crate) fn factors(self, image: &Photograph) -> Option<[f64; 2]> {
-        let own = [self.width?, self.height?];
-        let sizes = [image.width, image.height];
-        if own == sizes { None } else { factors(own, sizes) }
-    }
-
     /// Refuses an image whose size differs.
     pub(crate) fn check(self, image: &Photograph) -> Result<()> {
         let (width, height) = (self.width.unwrap_or(image.width), self.height.unwrap_or(image.height));
         if (width, height) == (image.width, image.height) {
             return Ok(());
         }
-        Err(Error::input(
-            &image.place,
-            format!(
-                "image {} is {}x{} pixels, but the file states {width}x{height}",
-                image.path.display(),
-                image.width,
-                image.height
-            ),
-            "use the images the cameras were computed for, or scale w, h, fl_x, fl_y, cx and cy along",
-        ))
+        Err(other_size(image, [width, height]))
     }
 }
 
-/// The factors along x and y from a camera of the size `own` to a photograph of the size `sizes`, if both have the same shape but for
-/// rounding.
-pub(crate) fn factors(own: [u32; 2], sizes: [u32; 2]) -> Option<[f64; 2]> {
+/// A photograph that was compared with the intrinsics that a file states for it.
+pub(crate) struct Fitted {
+    /// Turned to the stated size, if only then it has it.
+    pub(crate) image: Photograph,
+    /// In the size of the photograph.
+    pub(crate) intrinsics: Intrinsics,
+    /// Pixels of the photograph per stated pixel, along x and y.
+    pub(crate) factors: [f64; 2],
+}
+
+/// Compares a photograph with the intrinsics that a file states for it. Where the photograph has another size but the same shape, up to
+/// rounding, focal lengths and principal point are scaled along.
+///
+/// # Errors
+/// Of kind `Input`: the photograph has another shape.
+pub(crate) fn fitted(image: Photograph, stated: Intrinsics) -> Result<Fitted> {
+    let image = image.fit(Some(stated.width), Some(stated.height));
+    let (own, sizes) = ([stated.width, stated.height], [image.width, image.height]);
     // The factors that round to each side.
     let range = |side: usize| [-1.0, 1.0].map(|by| (f64::from(sizes[side]) + by) / f64::from(own[side]));
     let ([low_x, high_x], [low_y, high_y]) = (range(0), range(1));
-    let alike = low_x.max(low_y) < high_x.min(high_y);
-    alike.then(|| [0, 1].map(|side| f64::from(sizes[side]) / f64::from(own[side])))
+    if low_x.max(low_y) >= high_x.min(high_y) {
+        return Err(other_size(&image, own));
+    }
+    let factors = [0, 1].map(|side| f64::from(sizes[side]) / f64::from(own[side]));
+    let ([x, y], [width, height]) = (factors, sizes);
+    let Intrinsics { fx, fy, cx, cy, lens, .. } = stated;
+    let intrinsics = Intrinsics { width, height, fx: fx * x, fy: fy * y, cx: cx * x, cy: cy * y, lens };
+    Ok(Fitted { image, intrinsics, factors })
 }
 
-/// The intrinsics of the same photograph in another size.
-pub(crate) fn scaled(k: Intrinsics, [x, y]: [f64; 2]) -> Intrinsics {
-    let side = |side: u32, by: f64| (f64::from(side) * by).round() as u32;
-    let (width, height) = (side(k.width, x), side(k.height, y));
-    Intrinsics { width, height, fx: k.fx * x, cx: k.cx * x, fy: k.fy * y, cy: k.cy * y, ..k }
+/// A warning if photographs have another size than `file` states.
+pub(crate) fn scaled_along(file: &Path, factors: impl IntoIterator<Item = [f64; 2]>) -> Option<String> {
+    let [x, _] = factors.into_iter().find(|factors| *factors != [1.0; 2])?;
+    let file = file.display();
+    Some(format!("the photographs of {file} are {x:.4} times as wide as it states: cameras are scaled along"))
+}
+
+/// The error for a photograph of another size than the stated one.
+fn other_size(image: &Photograph, [width, height]: [u32; 2]) -> Error {
+    let what = format!(
+        "image {} is {}x{} pixels, but the file states {width}x{height}",
+        image.path.display(),
+        image.width,
+        image.height
+    );
+    let advice = "use the images the cameras were computed for, or others of their shape";
+    Error::input(&image.place, what, advice)
 }
 
 /// The intrinsics of a frame whose image has that size.

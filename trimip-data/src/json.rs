@@ -1,14 +1,13 @@
 //! JSON documents with errors that name their place: `file:line:column` for syntax, `file: frame 17 (path)` for content.
 
+use crate::files;
 use serde_json::{Map, Value};
-use std::{fmt::Display, fs, path::Path};
+use std::{fmt::Display, path::Path};
 use trimip_core::{Error, Result, text::decoded};
 
 /// Reads and parses a file.
 pub(crate) fn read(path: &Path) -> Result<Value> {
-    let bytes = fs::read(path).map_err(|error| {
-        Error::input(path.display(), format!("cannot be read: {error}"), "check the path and its permissions")
-    })?;
+    let bytes = files::read(path)?;
     parse(path, &bytes)
 }
 

@@ -25,6 +25,7 @@ pub mod colmap;
 mod depths;
 mod describe;
 mod division;
+mod files;
 mod foreign;
 pub mod in_memory;
 mod inspect;

@@ -3,11 +3,10 @@
 
 use crate::{
     division::{self, Selection},
-    intrinsics::{factors, scaled},
+    intrinsics::{Fitted, fitted, scaled_along},
     names,
     photograph::Photograph,
     pictures::{self, Pictures},
-    points::{Cloud, Point},
     readers::reader::OpenScene,
     settings::DataConfig,
     source::{Pixels, Source, map_in_order},
@@ -18,11 +17,11 @@ use std::{
     cell::Cell,
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result, scene_plan::StatedBox};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Result};
 
 /// A frame of a file.
 #[derive(Clone, Debug)]
-pub(crate) struct Listed {
+pub(crate) struct Frame {
     /// The path that the file states for its photograph.
     pub(crate) named: String,
     /// The entry, for messages.
@@ -36,43 +35,37 @@ pub(crate) struct Listed {
     pub(crate) split: Option<&'static str>,
 }
 
-/// What a file states of the scene beside its frames.
-#[derive(Default)]
-pub(crate) struct Stated {
-    /// The box; without it, it lies around the points.
-    pub(crate) aabb: Option<StatedBox>,
-    pub(crate) points: Vec<Point>,
-    pub(crate) warnings: Vec<String>,
-}
-
 /// How a photograph was projected.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Calibration {
     /// For photographs of a stated size.
     Sized(Intrinsics),
-    /// For photographs as they are, with the principal point in their middle: the focal length in their pixels, and the lens.
-    Centred(f64, Lens),
-    /// For photographs as they are: lengths are in their pixels, and the size of these intrinsics means nothing.
-    Unsized(Intrinsics),
+    /// For photographs of any size; lengths are in their pixels. Without a principal point it is the middle of the photograph.
+    Unsized { focal: [f64; 2], centre: Option<[f64; 2]>, lens: Lens },
 }
 
-impl Listed {
-    /// The camera of a photograph of that size.
-    pub(crate) fn camera(&self, size: [u32; 2]) -> Camera {
-        let intrinsics = match self.calibration {
+impl Calibration {
+    /// The intrinsics of photographs of that size, if no size is stated.
+    fn intrinsics(&self, [width, height]: [u32; 2]) -> Intrinsics {
+        match *self {
             Calibration::Sized(intrinsics) => intrinsics,
-            Calibration::Unsized(intrinsics) => Intrinsics { width: size[0], height: size[1], ..intrinsics },
-            Calibration::Centred(focal, lens) => {
-                let [width, height] = size;
-                let [cx, cy] = size.map(|side| 0.5 * f64::from(side));
-                Intrinsics { width, height, fx: focal, fy: focal, cx, cy, lens }
+            Calibration::Unsized { focal: [fx, fy], centre, lens } => {
+                let [cx, cy] = centre.unwrap_or([width, height].map(|side| 0.5 * f64::from(side)));
+                Intrinsics { width, height, fx, fy, cx, cy, lens }
             }
-        };
+        }
+    }
+}
+
+impl Frame {
+    /// Its camera; photographs have the size `size` if none is stated.
+    pub(crate) fn camera(&self, size: [u32; 2]) -> Camera {
+        let intrinsics = self.calibration.intrinsics(size);
         Camera { intrinsics, rotation: self.rotation, origin: self.origin }
     }
 }
 
-/// A frame whose pose is world-to-camera with x right, y down and z forward, as in computer vision.
+/// Rotation and centre of a camera whose pose is world-to-camera with x right, y down and z forward, as in computer vision.
 pub(crate) fn vision_pose(to_camera: DMat3, translation: DVec3) -> (DMat3, DVec3) {
     let to_world = to_camera.transpose();
     (DMat3::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis), -(to_world * translation))
@@ -81,18 +74,17 @@ pub(crate) fn vision_pose(to_camera: DMat3, translation: DVec3) -> (DMat3, DVec3
 /// All frames of a scene; every 8th is the test split, unless the file divides them.
 pub(crate) struct Listing {
     file: PathBuf,
-    frames: Vec<Listed>,
+    frames: Vec<Frame>,
     names: Vec<String>,
     pictures: Pictures,
     scales: u32,
-    warnings: Vec<String>,
-    aabb: Option<StatedBox>,
-    /// Given to the first split that is read.
-    cloud: Cell<Cloud>,
+    /// What the file states beside frames; given to the first split that is read.
+    facts: Cell<Split>,
 }
 
 impl Listing {
-    /// The frames of `file` in the folder of a scene.
+    /// The frames of `file` in the folder of a scene. `facts` is what the file states beside them: a split without frames, whose box lies
+    /// around its points if it states none.
     ///
     /// # Errors
     /// Of kind `Input`: there is no frame, or `data.images` is no folder.
@@ -100,18 +92,18 @@ impl Listing {
         root: &Path,
         config: &DataConfig,
         file: &Path,
-        mut frames: Vec<Listed>,
-        stated: Stated,
+        mut frames: Vec<Frame>,
+        mut facts: Split,
     ) -> Result<Self> {
-        let Stated { aabb, points, warnings } = stated;
         if frames.is_empty() {
             return Err(Error::input(file.display(), "has no frame with a pose", "export the cameras again"));
         }
         frames.sort_by(|a, b| a.named.cmp(&b.named));
         let names = names::unique(&frames.iter().map(|frame| frame.named.as_str()).collect::<Vec<_>>());
         let pictures = Pictures::new(pictures::stated(root, &config.images)?);
-        let cloud = Cell::new(Cloud { points, frames: names.clone() });
-        Ok(Self { file: file.into(), frames, names, pictures, scales: config.scales, warnings, aabb, cloud })
+        facts.stated = facts.stated.or_else(|| facts.cloud.stated(&format!("of {}", file.display())));
+        let facts = Cell::new(facts);
+        Ok(Self { file: file.into(), frames, names, pictures, scales: config.scales, facts })
     }
 
     /// True if the file divides the frames.
@@ -120,41 +112,34 @@ impl Listing {
     }
 
     fn selected(&self, split: &str, selection: &Selection) -> Result<Split> {
-        let of_split = |frame: &Listed| frame.split == Some(split);
-        let chosen = match selection {
-            Selection::All => selection.choose(self.frames.len()),
-            _ if self.is_divided() => {
-                (0..self.frames.len()).filter(|&index| of_split(&self.frames[index])).collect()
+        let chosen: Vec<usize> = match selection {
+            Selection::Train | Selection::Test if self.is_divided() => {
+                (0..self.frames.len()).filter(|&index| self.frames[index].split == Some(split)).collect()
             }
             _ => selection.choose(self.frames.len()),
         };
         if chosen.is_empty() {
             return Err(division::empty(&self.file, split, self.frames.len(), selection));
         }
-        let entries =
-            chosen.iter().map(|&index| (self.frames[index].named.as_str(), self.frames[index].place.clone()));
-        let (paths, moved) = pictures::of_entries(&self.pictures, entries)?;
+        let named = chosen.iter().map(|&index| &self.frames[index]);
+        let named = named.map(|frame| (frame.named.as_str(), frame.place.clone()));
+        let (paths, moved) = pictures::of_entries(&self.pictures, &self.file, named)?;
         let chosen: Vec<_> = chosen.into_iter().zip(paths).collect();
         let (frames, names, scales) = (&self.frames, &self.names, self.scales);
         let found = map_in_order(&chosen, |_, (index, path)| {
             let frame = &frames[*index];
             let image = Photograph::open(path.clone(), frame.place.clone())?;
-            let (image, camera, factors) = fitted(frame, image)?;
-            let (name, pixels) = (names[*index].clone(), Pixels::Photograph(image));
-            Ok((Source::averaged(name, camera, scales, &frame.place, pixels)?, factors))
+            let camera = frame.camera([image.width, image.height]);
+            let Fitted { image, intrinsics, factors } = fitted(image, camera.intrinsics)?;
+            let (camera, pixels) = (Camera { intrinsics, ..camera }, Pixels::Photograph(image));
+            Ok((Source::averaged(names[*index].clone(), camera, scales, &frame.place, pixels)?, factors))
         })?;
-        let (sources, factors): (Vec<Source>, Vec<_>) = found.into_iter().unzip();
-        let by = factors.into_iter().flatten().next().map(|[x, _]| {
-            format!(
-                "the photographs of {} are {x:.4} times as wide as it states: cameras are scaled along",
-                self.file.display()
-            )
-        });
+        let (sources, factors): (Vec<Source>, Vec<[f64; 2]>) = found.into_iter().unzip();
         let divided = selection.warning(&self.file, "in order of their names").filter(|_| !self.is_divided());
-        let warnings = self.warnings.iter().cloned().chain(divided).chain(moved).chain(by).collect();
-        let cloud = self.cloud.take();
-        let stated = self.aabb.clone().or_else(|| cloud.stated(&format!("of {}", self.file.display())));
-        Ok(Split { sources, warnings, stated, cloud, ..Split::default() })
+        let facts = self.facts.take();
+        let warnings = facts.warnings.into_iter().chain(divided).chain(moved);
+        let warnings = warnings.chain(scaled_along(&self.file, factors)).collect();
+        Ok(Split { sources, warnings, ..facts })
     }
 }
 
@@ -169,41 +154,11 @@ impl OpenScene for Listing {
     }
 
     fn has_split(&self, split: &str) -> Result<bool> {
-        let is_there = |frame: &Listed| frame.split == Some(split);
+        let is_there = |frame: &Frame| frame.split == Some(split);
         Ok(!self.is_divided() && ["train", "test"].contains(&split) || self.frames.iter().any(is_there))
     }
 
     fn undivided(&self) -> Result<Option<Split>> {
         self.selected("train", &Selection::All).map(Some)
     }
-}
-
-/// A photograph turned as its camera sees it, the camera in its size, and by which factors it was scaled.
-fn fitted(frame: &Listed, image: Photograph) -> Result<(Photograph, Camera, Option<[f64; 2]>)> {
-    let Calibration::Sized(k) = frame.calibration else {
-        let camera = frame.camera([image.width, image.height]);
-        return Ok((image, camera, None));
-    };
-    let image = image.fit(Some(k.width), Some(k.height));
-    let (own, sizes) = ([k.width, k.height], [image.width, image.height]);
-    let camera = frame.camera(sizes);
-    if own == sizes {
-        return Ok((image, camera, None));
-    }
-    let Some(factors) = factors(own, sizes) else {
-        let what = format!(
-            "image {} is {}x{} pixels, but the file states {}x{}",
-            image.path.display(),
-            sizes[0],
-            sizes[1],
-            own[0],
-            own[1]
-        );
-        return Err(Error::input(
-            &frame.place,
-            what,
-            "use the images the cameras were computed for, or others of their shape",
-        ));
-    };
-    Ok((image, Camera { intrinsics: scaled(camera.intrinsics, factors), ..camera }, Some(factors)))
 }

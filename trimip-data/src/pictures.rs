@@ -25,6 +25,8 @@ const USUAL: [&str; 7] = ["images", "image", "rgb", "input", "frames", "photos",
 /// The photographs of a scene.
 pub(crate) struct Pictures {
     /// The folder from which entries name them.
+    folder: PathBuf,
+    /// The folder in which they are looked for where that has none.
     root: PathBuf,
     /// All pictures below it, listed when the first is not where its entry says.
     listed: OnceLock<List>,
@@ -46,18 +48,24 @@ struct Picture {
     folders: Vec<String>,
 }
 
-/// A photograph that was found.
+/// Where a photograph was found.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Found {
+pub(crate) struct Location {
     pub(crate) path: PathBuf,
     /// True if it is not where its entry says.
     pub(crate) moved: bool,
 }
 
 impl Pictures {
-    /// Those below a folder.
+    /// Those below a folder, from which entries name them.
     pub(crate) fn new(root: impl Into<PathBuf>) -> Self {
-        Self { root: root.into(), listed: OnceLock::new() }
+        let root = root.into();
+        Self { folder: root.clone(), root, listed: OnceLock::new() }
+    }
+
+    /// Those below `root`, where entries name them from `folder`.
+    pub(crate) fn named_from(folder: &Path, root: &Path) -> Self {
+        Self { folder: folder.into(), ..Self::new(root) }
     }
 
     /// The photograph that an entry names: as written, with one of the usual endings, or with the slashes of this system. Otherwise
@@ -66,21 +74,21 @@ impl Pictures {
     ///
     /// # Errors
     /// Of kind `Input`, at `place`: no such photograph, several of them, or one in a format that is not read.
-    pub(crate) fn find(&self, named: &str, place: &str) -> Result<Found> {
+    pub(crate) fn find(&self, named: &str, place: &str) -> Result<Location> {
         let turned = named.replace('\\', "/");
         let written = if turned == named { vec![named] } else { vec![named, &turned] };
         let candidates: Vec<PathBuf> = written
             .iter()
             .flat_map(|named| {
-                ["", ".png", ".jpg", ".jpeg"].map(|ending| self.root.join(format!("{named}{ending}")))
+                ["", ".png", ".jpg", ".jpeg"].map(|ending| self.folder.join(format!("{named}{ending}")))
             })
             .collect();
         if let Some(path) = candidates.iter().find(|path| path.is_file()) {
-            return Ok(Found { path: path.clone(), moved: false });
+            return Ok(Location { path: path.clone(), moved: false });
         }
         match self.elsewhere(&turned).as_slice() {
             [] => Err(missing(named, &candidates, place)),
-            [path] => Ok(Found { path: path.to_path_buf(), moved: true }),
+            [path] => Ok(Location { path: path.to_path_buf(), moved: true }),
             several => {
                 let told: Vec<String> = several.iter().map(|path| path.display().to_string()).collect();
                 let what = format!(
@@ -211,56 +219,104 @@ fn missing(named: &str, candidates: &[PathBuf], place: &str) -> Error {
     )
 }
 
-/// The photographs of all entries, in their order; `place` is that of an entry in messages. The warning tells of photographs that
-/// are not where their entries say.
-///
-/// # Errors
-/// Of kind `Input`: photographs that are not found, with their number, and one photograph for several entries.
-pub(crate) fn of_entries<'a>(
+/// Finds the photographs of all entries, in their order; an entry has the name of a photograph and a place for messages. A photograph
+/// that is not where an entry says is none that another entry has.
+fn resolved<'a>(
     pictures: &Pictures,
     entries: impl Iterator<Item = (&'a str, String)>,
-) -> Result<(Vec<PathBuf>, Option<String>)> {
-    let (mut paths, mut errors, mut moved) = (Vec::new(), Vec::new(), Vec::new());
-    for (named, place) in entries {
-        match pictures.find(named, &place) {
-            Ok(found) => {
-                if found.moved {
-                    moved.push((named, found.path.clone(), place));
-                }
-                paths.push(found.path);
+) -> Vec<(&'a str, Result<Location>)> {
+    let entries: Vec<(&str, String)> = entries.collect();
+    let found: Vec<Result<Location>> =
+        entries.iter().map(|(named, place)| pictures.find(named, place)).collect();
+    let mut uses: HashMap<PathBuf, usize> = HashMap::new();
+    for location in found.iter().flatten() {
+        *uses.entry(location.path.clone()).or_default() += 1;
+    }
+    let alone = |((named, place), found): ((&'a str, String), Result<Location>)| {
+        let found = found.and_then(|location| {
+            match location.moved && uses.get(&location.path).is_some_and(|&uses| uses > 1) {
+                false => Ok(location),
+                true => Err(Error::input(
+                    place,
+                    format!(
+                        "image {named} does not exist, and {} is that of another entry",
+                        location.path.display()
+                    ),
+                    "copy the photographs into the folders that the entries name",
+                )),
             }
-            Err(error) => errors.push(error),
+        });
+        (named, found)
+    };
+    entries.into_iter().zip(found).map(alone).collect()
+}
+
+/// A warning about photographs that are not where the entries of `file` say.
+fn moved(file: &Path, resolved: &[(&str, Result<Location>)]) -> Option<String> {
+    let is_moved = |(named, found): &'_ (&str, Result<Location>)| {
+        let location = found.as_ref().ok().filter(|location| location.moved)?;
+        Some(format!("{named} is {}", location.path.display()))
+    };
+    let moved: Vec<String> = resolved.iter().filter_map(is_moved).collect();
+    let first = moved.first()?;
+    let all = count(resolved.len(), "photograph");
+    Some(format!("{}: {} of {all} lie elsewhere than it says: {first}", file.display(), moved.len()))
+}
+
+/// Finds the photographs of all entries of `file`, in their order. A warning tells of photographs that are not where their entries say.
+///
+/// # Errors
+/// Of kind `Input`, for the first photograph that is not found, with the number of others.
+pub(crate) fn of_entries<'a>(
+    pictures: &Pictures,
+    file: &Path,
+    entries: impl Iterator<Item = (&'a str, String)>,
+) -> Result<(Vec<PathBuf>, Option<String>)> {
+    let resolved = resolved(pictures, entries);
+    let warning = moved(file, &resolved);
+    let all = resolved.len();
+    let others = resolved.iter().filter(|(_, found)| found.is_err()).count().saturating_sub(1);
+    let found: Result<Vec<PathBuf>> =
+        resolved.into_iter().map(|(_, found)| found.map(|location| location.path)).collect();
+    let with_others = |error: Error| match others {
+        0 => error,
+        more => {
+            let more = format!("{more} more of {} are missing", count(all, "photograph"));
+            Error { message: format!("{} ({more})", error.message), ..error }
         }
-    }
-    let all = paths.len() + errors.len();
-    match errors.len() {
-        0 => {}
-        1 => return Err(errors.remove(0)),
-        several => {
-            let first = errors.remove(0);
-            let more = format!("{} more of {} are missing", several - 1, count(all, "photograph"));
-            return Err(Error { message: format!("{} ({more})", first.message), ..first });
+    };
+    Ok((found.map_err(with_others)?, warning))
+}
+
+/// Finds most photographs of the entries of `file`, in their order: `None` for one that is not found. Warnings tell of these, and of
+/// photographs that are not where their entries say.
+///
+/// # Errors
+/// Of kind `Input`, if more than half are not found.
+pub(crate) fn of_most_entries<'a>(
+    pictures: &Pictures,
+    file: &Path,
+    entries: impl Iterator<Item = (&'a str, String)>,
+) -> Result<(Vec<Option<PathBuf>>, Vec<String>)> {
+    let resolved = resolved(pictures, entries);
+    let mut warnings: Vec<String> = moved(file, &resolved).into_iter().collect();
+    let missing: Vec<&str> =
+        resolved.iter().filter(|(_, found)| found.is_err()).map(|(named, _)| *named).collect();
+    if let Some(first) = missing.first() {
+        let what = format!(
+            "{} of {} are missing, the first is {}",
+            missing.len(),
+            count(resolved.len(), "photograph"),
+            pictures.folder.join(first).display()
+        );
+        if 2 * missing.len() > resolved.len() {
+            let advice = "copy them there, or set data.images to their folder";
+            return Err(Error::input(file.display(), what, advice));
         }
+        warnings.push(format!("{}: {what}; they are left out", file.display()));
     }
-    let Some((named, path, _)) = moved.first() else { return Ok((paths, None)) };
-    let warning = format!(
-        "{} of {} lie elsewhere than their entries say: {named} is {}",
-        moved.len(),
-        count(all, "photograph"),
-        path.display()
-    );
-    let mut used: HashSet<&PathBuf> = HashSet::new();
-    let twice = paths.iter().find(|path| !used.insert(path));
-    if let Some((named, path, place)) =
-        twice.and_then(|twice| moved.iter().find(|(_, path, _)| path == twice))
-    {
-        return Err(Error::input(
-            place,
-            format!("image {named} does not exist, and {} is that of another entry", path.display()),
-            "copy the photographs into the folders that the entries name",
-        ));
-    }
-    Ok((paths, Some(warning)))
+    let path = |(_, found): (&str, Result<Location>)| found.ok().map(|location| location.path);
+    Ok((resolved.into_iter().map(path).collect(), warnings))
 }
 
 #[cfg(test)]
@@ -268,7 +324,7 @@ mod tests {
     use super::*;
     use std::fs;
 
-    /// What is found for a name among files.
+    /// The photograph that a name means among files.
     fn found(files: &[&str], named: &str) -> std::result::Result<String, String> {
         let folder = tempfile::tempdir().unwrap();
         for file in files {
@@ -331,11 +387,19 @@ mod tests {
         fs::write(folder.path().join("images/a.png"), b"").unwrap();
         let pictures = Pictures::new(folder.path());
         let of = |named: &[&'static str]| {
-            of_entries(&pictures, named.iter().map(|named| (*named, (*named).to_string())))
+            of_entries(
+                &pictures,
+                Path::new("a.json"),
+                named.iter().map(|named| (*named, (*named).to_string())),
+            )
         };
         let (paths, warning) = of(&["/x/images/a.png"]).unwrap();
         assert_eq!(paths, [folder.path().join("images/a.png")]);
-        assert!(warning.unwrap().starts_with("1 of 1 photograph lie"));
+        assert!(
+            warning
+                .unwrap()
+                .starts_with("a.json: 1 of 1 photograph lie elsewhere than it says: /x/images/a.png is ")
+        );
         let error = of(&["left/a.png", "right/a.png"]).unwrap_err();
         assert!(error.message.contains("is that of another entry"), "{error}");
         let error = of(&["images/b.png", "images/a.png", "images/c.png"]).unwrap_err();

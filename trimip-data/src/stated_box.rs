@@ -1,43 +1,34 @@
 //! The bounding box that a transforms file states: points from structure from motion (`ply_file_path`, nerfstudio), or
 //! Instant-NGP's `aabb_scale` with `scale` and `offset`. World units of the file's poses.
 
-use crate::{json::Node, ply, points::Cloud};
+use crate::{json::Node, ply, split::Split};
 use std::{fs, path::Path};
 use trimip_core::{Aabb, Error, Result, scene_plan::StatedBox};
 
 /// Defaults of `scale` and `offset`: Instant-NGP's unit cube in world units.
 const NGP: (f64, f64) = (0.33, 0.5);
 
-/// What a transforms file states of the scene.
-#[derive(Debug, Default)]
-pub(crate) struct Stated {
-    pub(crate) aabb: Option<StatedBox>,
-    pub(crate) cloud: Cloud,
-    /// What is not read.
-    pub(crate) warning: Option<String>,
-}
-
-/// The box and the points that `file` in `root` states; the box around the points takes precedence. Points that are not there are left
-/// out with a warning.
-pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Stated> {
-    let mut stated = Stated::default();
+/// The box and the points that `file` in `root` states, as a split without frames; the box around the points takes precedence. Points
+/// that are not there are left out with a warning.
+pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Split> {
+    let mut facts = Split::default();
     if let Some(named) = file.text("ply_file_path")? {
         let path = root.join(named.replace('\\', "/"));
         match fs::read(&path) {
             Ok(bytes) => {
-                stated.cloud.points = ply::points(&path.display().to_string(), &bytes)?;
-                stated.aabb = stated.cloud.stated(&format!("of {named}"));
+                facts.cloud.points = ply::points(&path.display().to_string(), &bytes)?;
+                facts.stated = facts.cloud.stated(&format!("of {named}"));
             }
             Err(error) => {
                 let what = format!("\"ply_file_path\" {} cannot be read: {error}", path.display());
-                stated.warning = Some(format!("{}: {what}; its points are left out", file.place));
+                facts.warnings.push(format!("{}: {what}; its points are left out", file.place));
             }
         }
     }
-    if stated.aabb.is_none() {
-        stated.aabb = cube(file)?;
+    if facts.stated.is_none() {
+        facts.stated = cube(file)?;
     }
-    Ok(stated)
+    Ok(facts)
 }
 
 /// The cube of Instant-NGP.
@@ -90,7 +81,8 @@ mod tests {
     fn aabb_scale_is_the_cube_of_instant_ngp() {
         let root = Path::new("");
         let of = |value: serde_json::Value| {
-            read(root, &Node::new("a.json", &value).unwrap()).map(|found| found.aabb.map(|found| found.aabb))
+            read(root, &Node::new("a.json", &value).unwrap())
+                .map(|facts| facts.stated.map(|found| found.aabb))
         };
         let cube = of(json!({ "aabb_scale": 4 })).unwrap().unwrap();
         assert!(
@@ -123,8 +115,8 @@ mod tests {
         text += "1000 1000 1000 7\n";
         fs::write(folder.path().join("points.ply"), text).unwrap();
         let value = json!({ "ply_file_path": "points.ply", "aabb_scale": 16 });
-        let Stated { aabb, cloud, .. } = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap();
-        let found = aabb.unwrap();
+        let Split { stated, cloud, .. } = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap();
+        let found = stated.unwrap();
         assert_eq!((cloud.points.len(), cloud.points[3].color), (201, [7, 0, 0]));
         assert!(found.source.contains("201 points"), "{}", found.source);
         for (axis, [low, high]) in [[0.0, 1.0], [0.0, 2.0], [-1.0, 0.0]].into_iter().enumerate() {
@@ -134,7 +126,7 @@ mod tests {
         }
         let value = json!({ "ply_file_path": "absent.ply" });
         let left_out = read(folder.path(), &Node::new("a.json", &value).unwrap()).unwrap();
-        assert!(left_out.cloud.points.is_empty() && left_out.aabb.is_none());
-        assert!(left_out.warning.unwrap().contains("absent.ply cannot be read"));
+        assert!(left_out.cloud.points.is_empty() && left_out.stated.is_none());
+        assert!(left_out.warnings[0].contains("absent.ply cannot be read"));
     }
 }

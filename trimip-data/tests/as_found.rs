@@ -4,13 +4,12 @@
 mod common;
 
 use common::{
-    blender_scene,
+    assert_same, blender_scene,
     colmap::{Sparse, capture},
     frame, save_image, settings, write,
 };
 use serde_json::{Value, json};
 use std::{fs, path::Path};
-use trimip_core::ViewSet;
 use trimip_data::{Scene, open};
 
 /// `transforms.json` of frames with these paths, 16 × 12 pixels, and the cameras that it has.
@@ -44,11 +43,6 @@ fn warned(scene: &Scene, what: &str) {
     assert!(scene.warnings.iter().any(|warning| warning.contains(what)), "{what}: {:?}", scene.warnings);
 }
 
-/// The same cameras and pixels.
-fn assert_same(ours: &ViewSet, theirs: &ViewSet) {
-    common::assert_same(ours, theirs);
-}
-
 #[test]
 fn photographs_are_found_by_the_end_of_their_path() {
     let usual = scene_of(&|i| format!("images/{i}.png"), &|i| format!("images/{i}.png"), [16, 12]).unwrap();
@@ -64,7 +58,7 @@ fn photographs_are_found_by_the_end_of_their_path() {
     for named in named {
         let found = scene_of(named, &|i| format!("images/{i}.png"), [16, 12]).unwrap();
         assert_same(&found.train, &usual.train);
-        warned(&found, &format!("photographs lie elsewhere than their entries say: {} is ", named(1)));
+        warned(&found, &format!("of 8 photographs lie elsewhere than it says: {} is ", named(1)));
     }
 }
 
@@ -175,7 +169,7 @@ fn photographs_of_a_model_are_found_by_the_end_of_their_path() {
             }
             let found = open(&settings(root.path(), 1)).unwrap();
             assert_same(&found.train, &usual.train);
-            warned(&found, "10 of 10 photographs lie elsewhere than the model says: ");
+            warned(&found, "10 of 10 photographs lie elsewhere than it says: ");
         }
     }
 }

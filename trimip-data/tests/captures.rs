@@ -436,7 +436,7 @@ fn photographs_in_another_size_have_scaled_cameras() {
     assert!((seventh.fx / whole.train.views[0].camera.intrinsics.fx - 0.15).abs() < 1e-12);
     config.images = "cut".into();
     let message = open(&config).unwrap_err().message;
-    assert!(message.contains("is 15x8 pixels, but its camera has 60x40"), "{message}");
+    assert!(message.contains("is 15x8 pixels, but the file states 60x40"), "{message}");
     fs::rename(root.path().join("images_4"), root.path().join("images_5")).unwrap();
     fs::remove_dir_all(root.path().join("images")).unwrap();
     fs::rename(root.path().join("images_5"), root.path().join("images")).unwrap();

@@ -145,7 +145,7 @@ fn silhouettes(views: &ViewSet) -> Option<Vec<Silhouette>> {
     };
     let scale = views.scales.iter().rev().find(fine_enough).or(views.scales.first())?;
     let stride = scale.views.len().div_ceil(MOST_VIEWS).max(1);
-    // What a stray camera shows is not where its pose says.
+    // A stray camera has a wrong pose, so its silhouette carves nothing.
     let cameras: Vec<Camera> = scale.views.clone().map(|index| views.views[index].camera).collect();
     let strays: Vec<usize> = strays(&cameras).into_iter().map(|(place, _)| place).collect();
     let mut silhouettes: Vec<_> = scale

@@ -26,6 +26,13 @@ pub fn strays(cameras: &[Camera]) -> Vec<(usize, f64)> {
     if strays.len() as f64 > MOST_STRAYS * cameras.len() as f64 { Vec::new() } else { strays }
 }
 
+/// The cameras that are no strays, in their order.
+pub fn without_strays(cameras: &[Camera]) -> Vec<Camera> {
+    let strays = strays(cameras);
+    let is_near = |(index, _): &(usize, &Camera)| strays.iter().all(|(stray, _)| stray != index);
+    cameras.iter().enumerate().filter(is_near).map(|(_, camera)| *camera).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -49,6 +56,7 @@ mod tests {
         assert_eq!(strays(&cameras), []);
         cameras[7].origin = DVec3::new(0.0, 5000.0, 0.0);
         let found = strays(&cameras);
+        assert_eq!(without_strays(&cameras), [&cameras[..7], &cameras[8..]].concat());
         assert!(found.len() == 1 && found[0].0 == 7 && (found[0].1 / 2500.0 - 1.0).abs() < 0.1, "{found:?}");
         // Half of the cameras in one place, or many far ones: there is no middle to be far from.
         let burst = [vec![cameras[0]; 30], ring(centre, 2.0, 10)].concat();

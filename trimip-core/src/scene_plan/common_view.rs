@@ -1,6 +1,6 @@
 //! The common view of cameras: the point nearest to their optical axes, and the region that many of them see. World units.
 
-use crate::{Aabb, Camera, ViewSet, scene::strays::strays};
+use crate::{Aabb, Camera, ViewSet, scene::strays::without_strays};
 use glam::{DMat3, DVec3};
 
 /// Cells along each side of the grid for the common view.
@@ -19,19 +19,19 @@ const PARALLEL: f64 = 3e-3;
 /// Cameras of the finest photographs, at most [`MOST_CAMERAS`], without stray ones.
 pub(super) fn cameras(views: &ViewSet) -> Vec<Camera> {
     let Some(finest) = views.scales.first() else { return Vec::new() };
-    let mut all: Vec<Camera> = finest.views.clone().map(|view| views.views[view].camera).collect();
-    for (stray, _) in strays(&all).into_iter().rev() {
-        all.remove(stray);
-    }
-    let stride = all.len().div_ceil(MOST_CAMERAS).max(1);
-    all.into_iter().step_by(stride).collect()
+    let all: Vec<Camera> = finest.views.clone().map(|view| views.views[view].camera).collect();
+    let near = without_strays(&all);
+    let stride = near.len().div_ceil(MOST_CAMERAS).max(1);
+    near.into_iter().step_by(stride).collect()
 }
 
-/// The point nearest to all optical axes, by least squares; `None` if they are parallel. The axis of a panorama says nothing.
+/// The point nearest to all optical axes, by least squares; `None` if they are parallel. The axes of panoramas and of stray cameras say
+/// nothing.
 pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
     let directed = |camera: &&Camera| camera.intrinsics.lens.model.definition().directed;
-    let cameras: Vec<&Camera> = cameras.iter().filter(directed).collect();
+    let near = without_strays(cameras);
+    let cameras: Vec<&Camera> = near.iter().filter(directed).collect();
     for camera in &cameras {
         let axis = camera.rotation.z_axis;
         let across = DMat3::IDENTITY - DMat3::from_cols(axis * axis.x, axis * axis.y, axis * axis.z);
@@ -105,6 +105,9 @@ mod tests {
         }
         let first = ring(DVec3::ZERO, 4.0, 1)[0];
         let aside = |i: i32| Camera { origin: DVec3::new(0.1 * f64::from(i), 0.0, 0.0), ..first };
+        let mut stray = ring(DVec3::ZERO, 4.0, 20);
+        stray[5] = Camera { origin: DVec3::new(900.0, 800.0, -700.0), ..stray[5] };
+        assert!(focus(&stray).unwrap().length() < 1e-6, "a stray camera moves the focus");
         let parallel: Vec<Camera> = (0..10).map(aside).collect();
         assert_eq!(focus(&parallel), None);
         assert_eq!(focus(&[]), None);

@@ -9,10 +9,10 @@ use super::{
 use crate::settings::DataConfig;
 use crate::{
     division::{self, Selection},
-    intrinsics::{factors, scaled},
+    intrinsics::{Fitted, fitted, scaled_along},
     names,
     photograph::Photograph,
-    pictures::Pictures,
+    pictures::{self, Pictures},
     points::{Cloud, Observation, Point},
     source::{Pixels, Source, map_in_order},
     split::Split,
@@ -20,7 +20,7 @@ use crate::{
 use glam::{DMat3, DQuat, DVec3};
 use std::{
     cell::Cell,
-    collections::{BTreeSet, HashMap, HashSet},
+    collections::{BTreeSet, HashMap},
     path::{Path, PathBuf},
 };
 use trimip_core::{Camera, Error, Result, plural::count};
@@ -62,22 +62,25 @@ impl Capture {
         let folder = locate::photographs(root, &config.images, &found.folder, &image_names)?;
         warnings.extend(unplaced(&folder, &image_names));
         let looked_in = if config.images.is_empty() { root } else { &folder };
-        let paths = found_photographs(&file, &folder, looked_in, &image_names)?;
-        warnings.extend(paths.warnings);
-        let mut there = paths.paths.iter().map(Option::is_some);
+        let pictures = Pictures::named_from(&folder, looked_in);
+        let entries = image_names.iter().map(|name| (*name, String::new()));
+        let (paths, of_photographs) = pictures::of_most_entries(&pictures, &file, entries)?;
+        warnings.extend(of_photographs);
+        let mut there = paths.iter().map(Option::is_some);
         model.images.retain(|_| there.next().unwrap_or(false));
 
         let cameras = model.cameras_of_images(&file.display().to_string())?;
         let image_names: Vec<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
         let names = names::unique(&image_names);
-        let of_images = model.images.iter().zip(cameras).zip(&names).zip(paths.paths.into_iter().flatten());
+        let of_images = model.images.iter().zip(cameras).zip(&names).zip(paths.into_iter().flatten());
         let frames = of_images.map(|(((image, camera), name), path)| {
             let place = format!("{}: {}", file.display(), image.place());
             Frame { name: name.clone(), path, place, camera }
         });
-        let scaled = frames_scaled(frames.collect())?;
-        warnings.extend(scaled.warning);
-        let cloud = cloud(&model, names, &scaled.factors);
+        let mut frames: Vec<Frame> = frames.collect();
+        let factors = scale_cameras(&mut frames)?;
+        let cloud = cloud(&model, names, &factors);
+        warnings.extend(scaled_along(&file, factors));
         let notes = vec![format!(
             "COLMAP model {}: {}, {}, {}; world units are the model's",
             found.folder.display(),
@@ -86,7 +89,7 @@ impl Capture {
             count(model.points.len(), "point"),
         )];
         let scales = config.scales;
-        Ok(Self { file, frames: scaled.frames, scales, warnings, notes, cloud: Cell::new(cloud) })
+        Ok(Self { file, frames, scales, warnings, notes, cloud: Cell::new(cloud) })
     }
 
     /// The frames of "train" or "test".
@@ -182,71 +185,6 @@ fn without_camera(model: &mut Model, file: &Path) -> Result<Option<String>> {
     )))
 }
 
-/// The photographs of a model, in the order of its images.
-struct Photographs {
-    /// `None` where it is not there.
-    paths: Vec<Option<PathBuf>>,
-    warnings: Vec<String>,
-}
-
-/// Finds the photographs of a model in `folder`, and what is not there below `root`. Those that are nowhere are left out.
-///
-/// # Errors
-/// If more than half are nowhere, or one photograph is that of two images.
-fn found_photographs(file: &Path, folder: &Path, root: &Path, names: &[&str]) -> Result<Photographs> {
-    let pictures = Pictures::new(root);
-    let exact: HashSet<PathBuf> =
-        names.iter().map(|name| folder.join(name)).filter(|path| path.is_file()).collect();
-    let find = |name: &&str| {
-        let path = folder.join(name);
-        if exact.contains(&path) {
-            return Some(path);
-        }
-        // The photograph of another image is none of this one.
-        pictures.find(name, "").ok().map(|found| found.path).filter(|path| !exact.contains(path))
-    };
-    let paths: Vec<Option<PathBuf>> = names.iter().map(find).collect();
-    let is_moved = |(name, path): &(&&str, &PathBuf)| folder.join(name) != **path;
-    let found = names.iter().zip(&paths).filter_map(|(name, path)| Some((name, path.as_ref()?)));
-    let moved: Vec<_> = found.filter(is_moved).collect();
-    let all = names.len();
-    let missing: Vec<&&str> =
-        names.iter().zip(&paths).filter(|(_, path)| path.is_none()).map(|(name, _)| name).collect();
-    let mut warnings = Vec::new();
-    if let Some(first) = missing.first() {
-        let what = format!(
-            "{} of {} are missing, the first is {}",
-            missing.len(),
-            count(all, "photograph"),
-            folder.join(first).display()
-        );
-        if 2 * missing.len() > all {
-            let advice = "copy them there, or set data.images to their folder";
-            return Err(Error::input(file.display(), what, advice));
-        }
-        warnings.push(format!("{}: {what}; they are left out", file.display()));
-    }
-    let mut used: HashMap<&PathBuf, &str> = HashMap::new();
-    for (name, path) in names.iter().zip(&paths) {
-        let Some(path) = path else { continue };
-        if let Some(other) = used.insert(path, name) {
-            let what = format!("{} may be the photograph of {other} and of {name}", path.display());
-            let advice = "copy the photographs into folders as the model names them";
-            return Err(Error::input(file.display(), what, advice));
-        }
-    }
-    if let Some((name, path)) = moved.first() {
-        warnings.push(format!(
-            "{}: {} of {} lie elsewhere than the model says: {name} is {}",
-            file.display(),
-            moved.len(),
-            count(all, "photograph"),
-            path.display()
-        ));
-    }
-    Ok(Photographs { paths, warnings })
-}
-
 /// A warning if photographs beside those of the model are not in it.
 fn unplaced(folder: &Path, names: &[&str]) -> Option<String> {
     let parents: BTreeSet<PathBuf> =
@@ -257,49 +195,17 @@ fn unplaced(folder: &Path, names: &[&str]) -> Option<String> {
         .then(|| format!("COLMAP placed {} of {pictures} photographs in {}", names.len(), folder.display()))
 }
 
-/// Frames with cameras in the size of their photographs.
-struct Scaled {
-    frames: Vec<Frame>,
-    /// Pixels of the photograph per pixel of the camera, along x and y.
-    factors: Vec<[f64; 2]>,
-    warning: Option<String>,
-}
-
-/// Compares photographs with cameras. Cameras of photographs of another size but the same shape are scaled.
-fn frames_scaled(mut frames: Vec<Frame>) -> Result<Scaled> {
-    let by = map_in_order(&frames, |_, frame| {
-        let k = &frame.camera.intrinsics;
+/// Gives the cameras of frames the size of their photographs: pixels of the photograph per pixel of the camera, along x and y.
+fn scale_cameras(frames: &mut [Frame]) -> Result<Vec<[f64; 2]>> {
+    let fitted = map_in_order(frames, |_, frame| {
         let image = Photograph::open(frame.path.clone(), frame.place.clone())?;
-        let image = image.fit(Some(k.width), Some(k.height));
-        let (sizes, own) = ([image.width, image.height], [k.width, k.height]);
-        if sizes == own {
-            return Ok([1.0; 2]);
-        }
-        factors(own, sizes).ok_or_else(|| {
-            let what = format!(
-                "image {} is {}x{} pixels, but its camera has {}x{}",
-                image.path.display(),
-                sizes[0],
-                sizes[1],
-                own[0],
-                own[1]
-            );
-            Error::input(
-                &frame.place,
-                what,
-                "use the images the cameras were computed for, or others of their shape",
-            )
-        })
+        let Fitted { intrinsics, factors, .. } = fitted(image, frame.camera.intrinsics)?;
+        Ok((intrinsics, factors))
     })?;
-    let mut warning = None;
-    for (frame, factors) in frames.iter_mut().zip(&by).filter(|(_, factors)| **factors != [1.0; 2]) {
-        frame.camera.intrinsics = scaled(frame.camera.intrinsics, *factors);
-        warning = warning.or(Some(format!(
-            "the photographs are {:.4} times as wide as those of the COLMAP model: cameras are scaled along",
-            factors[0]
-        )));
+    for (frame, (intrinsics, _)) in frames.iter_mut().zip(&fitted) {
+        frame.camera.intrinsics = *intrinsics;
     }
-    Ok(Scaled { frames, factors: by, warning })
+    Ok(fitted.into_iter().map(|(_, factors)| factors).collect())
 }
 
 /// Points with their tracks by frame, which must be in order of their names.

@@ -5,7 +5,10 @@ use super::{
     model::{Encoding, File, Model},
     text,
 };
-use crate::pictures::{self, Pictures};
+use crate::{
+    files,
+    pictures::{self, Pictures},
+};
 use std::{
     fs,
     io::Read,
@@ -139,13 +142,7 @@ impl Model {
         })?;
         let path = |name: &str| folder.join(format!("{name}.{}", encoding.extension()));
         let read = |path: &Path| {
-            fs::read(path).map_err(|error| {
-                let what = format!("cannot be read: {error}");
-                Error::input(path.display(), what, "check the path and its permissions")
-            })
-        };
-        let read = |path: &Path| {
-            let bytes = read(path)?;
+            let bytes = files::read(path)?;
             Ok::<_, Error>(match encoding {
                 Encoding::Text => readable(&bytes),
                 Encoding::Binary => bytes,

@@ -4,7 +4,7 @@
 use super::reader::{CameraFile, OpenScene, Reader};
 use crate::{
     division::{self, Selection},
-    intrinsics::{Size, intrinsics, scaled},
+    intrinsics::{Fitted, Size, fitted, intrinsics, scaled_along},
     json::{self, Node},
     names,
     photograph::Photograph,
@@ -182,42 +182,24 @@ fn read_file(
     }
     let chosen: Vec<(usize, Entry<'_>)> =
         chosen.into_iter().map(|index| Ok((index, transforms.entry(index)?))).collect::<Result<_>>()?;
-    let places = chosen.iter().map(|(_, entry)| (entry.named, entry.frame.place.clone()));
-    let (paths, moved) = pictures::of_entries(&folder.pictures, places)?;
+    let named = chosen.iter().map(|(_, entry)| (entry.named, entry.frame.place.clone()));
+    let (paths, moved) = pictures::of_entries(&folder.pictures, path, named)?;
     let frames: Vec<_> = chosen.iter().zip(paths).collect();
     let found = map_in_order(&frames, |_, ((index, entry), path)| {
         let place = &entry.frame.place;
         let image = Photograph::open(path.clone(), place.clone())?;
-        let image = image.fit(entry.size.width, entry.size.height);
-        let factors = entry.size.factors(&image);
-        let camera = match factors {
-            Some(factors) => {
-                let (width, height) = (entry.size.width.unwrap_or(1), entry.size.height.unwrap_or(1));
-                let stated = entry.camera(file, width, height)?;
-                Camera { intrinsics: scaled(stated.intrinsics, factors), ..stated }
-            }
-            None => {
-                entry.size.check(&image)?;
-                entry.camera(file, image.width, image.height)?
-            }
-        };
+        let (image, camera, factors) = entry.seen_by(file, image)?;
         let pixels = Pixels::Photograph(image);
         let source = Source::averaged(names[*index].clone(), camera, folder.scales, place, pixels)?;
         Ok((Source { mask_path: entry.mask_path.map(str::to_string), ..source }, factors))
     })?;
-    let (sources, factors): (Vec<Source>, Vec<_>) = found.into_iter().unzip();
+    let (sources, factors): (Vec<Source>, Vec<[f64; 2]>) = found.into_iter().unzip();
     let chosen: Vec<usize> = chosen.into_iter().map(|(index, _)| index).collect();
     check_shared_focal(file, entries, &chosen, &sources, *size)?;
-    let stated = stated_box::read(&folder.root, file)?;
-    let scaled = factors.into_iter().flatten().next().map(|[x, _]| {
-        format!(
-            "the photographs of {} are {x:.4} times as wide as it states: cameras are scaled along",
-            path.display()
-        )
-    });
-    let divided = selection.warning(path, "in file order");
-    let warnings = divided.into_iter().chain(moved).chain(scaled).chain(stated.warning).collect();
-    Ok(Split { sources, warnings, notes: applied(file)?, stated: stated.aabb, cloud: stated.cloud })
+    let facts = stated_box::read(&folder.root, file)?;
+    let warnings = selection.warning(path, "in file order").into_iter().chain(moved);
+    let warnings = warnings.chain(scaled_along(path, factors)).chain(facts.warnings).collect();
+    Ok(Split { sources, warnings, notes: applied(file)?, ..facts })
 }
 
 /// Names and cameras of all frames of a transforms file, whose photographs have `size` where none is stated. Checks all that
@@ -295,6 +277,19 @@ impl Entry<'_> {
     fn camera(&self, file: &Node<'_>, width: u32, height: u32) -> Result<Camera> {
         let (rotation, origin) = self.pose;
         Ok(Camera { intrinsics: intrinsics(file, &self.frame, width, height)?, rotation, origin })
+    }
+
+    /// The photograph turned as its camera sees it, the camera in its size, and by which factors the file's sizes were scaled.
+    fn seen_by(&self, file: &Node<'_>, image: Photograph) -> Result<(Photograph, Camera, [f64; 2])> {
+        if let (Some(width), Some(height)) = (self.size.width, self.size.height) {
+            let stated = self.camera(file, width, height)?;
+            let Fitted { image, intrinsics, factors } = fitted(image, stated.intrinsics)?;
+            return Ok((image, Camera { intrinsics, ..stated }, factors));
+        }
+        let image = image.fit(self.size.width, self.size.height);
+        self.size.check(&image)?;
+        let camera = self.camera(file, image.width, image.height)?;
+        Ok((image, camera, [1.0; 2]))
     }
 }
 

@@ -4,13 +4,14 @@
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
-    listing::{Calibration, Listed, Listing, Stated},
+    files,
+    listing::{Calibration, Frame, Listing},
     names,
-    points::Point,
+    points::{Cloud, Point},
     pose,
+    split::Split,
 };
 use std::{
-    fs,
     path::{Path, PathBuf},
     str::SplitAsciiWhitespace,
 };
@@ -37,16 +38,10 @@ pub(super) static READER: Reader = Reader {
     recognises: |root| path(root).is_some(),
     open: |root, config| {
         let path = path(root).unwrap_or_else(|| root.join(FILE));
-        let bytes = fs::read(&path).map_err(|error| {
-            Error::input(
-                path.display(),
-                format!("cannot be read: {error}"),
-                "check the path and its permissions",
-            )
-        })?;
+        let bytes = files::read(&path)?;
         let listed = list(root, &path)?;
         let bundle = Bundle::read(&path.display().to_string(), &bytes, |index| listed.get(index).cloned())?;
-        Ok(Box::new(Listing::new(root, config, &path, bundle.frames, bundle.stated)?))
+        Ok(Box::new(Listing::new(root, config, &path, bundle.frames, bundle.facts)?))
     },
     images: Some("Bundler models"),
     divisible: true,
@@ -54,7 +49,7 @@ pub(super) static READER: Reader = Reader {
 };
 
 fn path(root: &Path) -> Option<PathBuf> {
-    PLACES.iter().map(|place| root.join(place)).find(|path| path.is_file())
+    files::first(root, &PLACES)
 }
 
 /// The photographs in order of the cameras: the first word of each line.
@@ -88,8 +83,9 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
 
 /// A file.
 struct Bundle {
-    frames: Vec<Listed>,
-    stated: Stated,
+    frames: Vec<Frame>,
+    /// What it states beside frames.
+    facts: Split,
 }
 
 impl Bundle {
@@ -120,15 +116,13 @@ impl Bundle {
             let (to_camera, translation) = pose::checked([row(0), row(1), row(2)]).map_err(wrong)?;
             let named = photograph(index).ok_or_else(|| wrong("has no photograph in the list".into()))?;
             let rotation = to_camera.transpose();
-            frames.push(Listed {
+            let lens = Lens::perspective([k1, k2, 0.0, 0.0], [0.0; 2], [0.0; 3]);
+            frames.push(Frame {
                 place: format!("{name}: camera {index} ({named})"),
                 named,
                 rotation,
                 origin: -(rotation * translation),
-                calibration: Calibration::Centred(
-                    focal,
-                    Lens::perspective([k1, k2, 0.0, 0.0], [0.0; 2], [0.0; 3]),
-                ),
+                calibration: Calibration::Unsized { focal: [focal; 2], centre: None, lens },
                 split: None,
             });
         }
@@ -146,7 +140,10 @@ impl Bundle {
             .then(|| format!("{name} placed {} of {}", frames.len(), count(cameras, "photograph")))
             .into_iter()
             .collect();
-        Ok(Self { frames, stated: Stated { points: found, warnings, ..Stated::default() } })
+        Ok(Self {
+            frames,
+            facts: Split { cloud: Cloud { points: found, ..Cloud::default() }, warnings, ..Split::default() },
+        })
     }
 }
 

@@ -4,14 +4,16 @@
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
-    listing::{Calibration, Listed, Listing, Stated},
+    files,
+    listing::{Calibration, Frame, Listing},
     names, pose,
+    split::Split,
 };
 use glam::DMat3;
 use roxmltree::{Document, Node, ParsingOptions};
 use std::{
     collections::HashMap,
-    fs::{self, File},
+    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
@@ -34,15 +36,9 @@ pub(super) static READER: Reader = Reader {
     recognises: |root| path(root).is_some(),
     open: |root, config| {
         let path = path(root).unwrap_or_else(|| root.join(FILE));
-        let bytes = fs::read(&path).map_err(|error| {
-            Error::input(
-                path.display(),
-                format!("cannot be read: {error}"),
-                "check the path and its permissions",
-            )
-        })?;
-        let Export { frames, stated } = Export::read(&path.display().to_string(), &bytes)?;
-        Ok(Box::new(Listing::new(root, config, &path, frames, stated)?))
+        let bytes = files::read(&path)?;
+        let Export { frames, facts } = Export::read(&path.display().to_string(), &bytes)?;
+        Ok(Box::new(Listing::new(root, config, &path, frames, facts)?))
     },
     images: Some("camera exports of Metashape"),
     divisible: true,
@@ -87,8 +83,9 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
 
 /// A file.
 struct Export {
-    frames: Vec<Listed>,
-    stated: Stated,
+    frames: Vec<Frame>,
+    /// What it states beside frames.
+    facts: Split,
 }
 
 impl Export {
@@ -137,7 +134,7 @@ impl Export {
                 .map_err(|what| wrong(format!("its transform {what}")))?;
             let rotation = DMat3::from_cols(axes.x_axis, -axes.y_axis, -axes.z_axis);
             let calibration = Calibration::Sized(intrinsics);
-            frames.push(Listed { named: label.into(), place, rotation, origin, calibration, split: None });
+            frames.push(Frame { named: label.into(), place, rotation, origin, calibration, split: None });
         }
         let all = frames.len() + unplaced;
         let mut warnings = Vec::new();
@@ -151,7 +148,7 @@ impl Export {
         if skewed {
             warnings.push(format!("{name}: the skew b2 of its sensors is left out"));
         }
-        Ok(Self { frames, stated: Stated { warnings, ..Stated::default() } })
+        Ok(Self { frames, facts: Split { warnings, ..Split::default() } })
     }
 }
 

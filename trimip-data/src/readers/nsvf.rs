@@ -4,13 +4,14 @@
 
 use super::reader::Reader;
 use crate::{
-    listing::{Calibration, Listed, Listing, Stated},
+    listing::{Calibration, Frame, Listing},
     names, pose,
     source::map_in_order,
+    split::Split,
 };
 use glam::DMat3;
 use std::path::{Path, PathBuf};
-use trimip_core::{Aabb, Error, Intrinsics, Lens, Result, scene_plan::StatedBox, text};
+use trimip_core::{Aabb, Error, Lens, Result, scene_plan::StatedBox, text};
 
 /// Folder of the poses, and the file of the intrinsics.
 const POSES: &str = "pose";
@@ -37,8 +38,8 @@ pub(super) static READER: Reader = Reader {
         files.sort();
         let calibration = calibration(&root.join(INTRINSICS))?;
         let frames = map_in_order(&files, |_, path| frame(path, calibration))?;
-        let stated = Stated { aabb: bounds(&root.join(BOX))?, ..Stated::default() };
-        Ok(Box::new(Listing::new(root, config, &folder, frames, stated)?))
+        let facts = Split { stated: bounds(&root.join(BOX))?, ..Split::default() };
+        Ok(Box::new(Listing::new(root, config, &folder, frames, facts)?))
     },
     images: Some("NSVF layouts"),
     divisible: true,
@@ -66,7 +67,7 @@ fn numbers(path: &Path) -> Result<Vec<Vec<f64>>> {
 }
 
 /// A frame whose pose is the file's; its photograph has the same name.
-fn frame(path: &Path, calibration: Calibration) -> Result<Listed> {
+fn frame(path: &Path, calibration: Calibration) -> Result<Frame> {
     let place = path.display().to_string();
     let rows = numbers(path)?;
     let row = |i: usize| rows.get(i).and_then(|row| row.first_chunk()).copied();
@@ -77,7 +78,7 @@ fn frame(path: &Path, calibration: Calibration) -> Result<Listed> {
     let rotation = DMat3::from_cols(axes.x_axis, -axes.y_axis, -axes.z_axis);
     let name = path.file_stem().unwrap_or_default().to_string_lossy();
     let split = SPLITS.iter().find(|(start, _)| name.starts_with(start)).map(|(_, split)| *split);
-    Ok(Listed { named: format!("rgb/{}", names::key(&name)), place, rotation, origin, calibration, split })
+    Ok(Frame { named: format!("rgb/{}", names::key(&name)), place, rotation, origin, calibration, split })
 }
 
 /// Focal lengths and principal point: a matrix, or a line with the focal length and the principal point.
@@ -95,11 +96,11 @@ fn calibration(path: &Path) -> Result<Calibration> {
         _ => None,
     };
     let found = found.filter(|(focal, _)| focal.iter().all(|focal| *focal > 0.0));
-    let ([fx, fy], [cx, cy]) = found.ok_or_else(|| {
+    let (focal, centre) = found.ok_or_else(|| {
         let what = "states neither a matrix nor a focal length and a principal point";
         Error::input(path.display(), what, ADVICE)
     })?;
-    Ok(Calibration::Unsized(Intrinsics { fx, fy, cx, cy, lens: Lens::default(), ..Intrinsics::default() }))
+    Ok(Calibration::Unsized { focal, centre: Some(centre), lens: Lens::default() })
 }
 
 /// The box of the scene, if its file is there.

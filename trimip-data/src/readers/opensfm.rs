@@ -4,10 +4,12 @@
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
+    files,
     json::{self, Node},
-    listing::{Calibration, Listed, Listing, Stated, vision_pose},
+    listing::{Calibration, Frame, Listing, vision_pose},
     names,
-    points::Point,
+    points::{Cloud, Point},
+    split::Split,
 };
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
@@ -30,7 +32,7 @@ pub(super) static READER: Reader = Reader {
     open: |root, config| {
         let path = path(root).unwrap_or_else(|| root.join(FILE));
         let best = Reconstruction::read(&path, &json::read(&path)?)?;
-        Ok(Box::new(Listing::new(root, config, &path, best.frames, best.stated)?))
+        Ok(Box::new(Listing::new(root, config, &path, best.frames, best.facts)?))
     },
     images: Some("OpenSfM reconstructions"),
     divisible: true,
@@ -38,7 +40,7 @@ pub(super) static READER: Reader = Reader {
 };
 
 fn path(root: &Path) -> Option<PathBuf> {
-    PLACES.iter().map(|place| root.join(place)).find(|path| path.is_file())
+    files::first(root, &PLACES)
 }
 
 /// A camera and two shots.
@@ -58,8 +60,9 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
 
 /// A reconstruction.
 struct Reconstruction {
-    frames: Vec<Listed>,
-    stated: Stated,
+    frames: Vec<Frame>,
+    /// What it states beside frames.
+    facts: Split,
 }
 
 impl Reconstruction {
@@ -102,7 +105,7 @@ impl Reconstruction {
                 ));
             }
             let calibration = Calibration::Sized(calibration);
-            Ok(Listed { named: name.into(), place: shot.place, rotation, origin, calibration, split: None })
+            Ok(Frame { named: name.into(), place: shot.place, rotation, origin, calibration, split: None })
         };
         let frames = entries(&node, "shots")?.into_iter().map(frame).collect::<Result<_>>()?;
         let points = match node.get("points") {
@@ -123,7 +126,10 @@ impl Reconstruction {
             })
             .into_iter()
             .collect();
-        Ok(Self { frames, stated: Stated { points, warnings, ..Stated::default() } })
+        Ok(Self {
+            frames,
+            facts: Split { cloud: Cloud { points, ..Cloud::default() }, warnings, ..Split::default() },
+        })
     }
 }
 

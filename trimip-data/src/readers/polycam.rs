@@ -5,9 +5,10 @@ use super::reader::Reader;
 use crate::{
     intrinsics::Size,
     json::{self, Node},
-    listing::{Calibration, Listed, Listing, Stated},
+    listing::{Calibration, Frame, Listing},
     names, pose,
     source::map_in_order,
+    split::Split,
 };
 use std::path::{Path, PathBuf};
 use trimip_core::{Error, Intrinsics, Lens, Result};
@@ -34,7 +35,7 @@ pub(super) static READER: Reader = Reader {
             entries.filter(|path| path.extension().is_some_and(|end| end == "json")).collect();
         files.sort();
         let frames = map_in_order(&files, |_, path| frame(path, images))?;
-        Ok(Box::new(Listing::new(root, config, &folder, frames, Stated::default())?))
+        Ok(Box::new(Listing::new(root, config, &folder, frames, Split::default())?))
     },
     images: Some("raw exports of Polycam"),
     divisible: true,
@@ -46,7 +47,7 @@ fn folders(root: &Path) -> Option<[&'static str; 2]> {
 }
 
 /// The frame of a file; its photograph has the same name in `images`.
-fn frame(path: &Path, images: &str) -> Result<Listed> {
+fn frame(path: &Path, images: &str) -> Result<Frame> {
     let document = json::read(path)?;
     let node = Node::new(path.display(), &document)?;
     let number = |key: &str| -> Result<f64> {
@@ -75,7 +76,7 @@ fn frame(path: &Path, images: &str) -> Result<Listed> {
     let (cx, cy) = (number("cx")?, number("cy")?);
     let intrinsics = Intrinsics { width, height, fx, fy, cx, cy, lens: Lens::default() };
     let named = format!("{images}/{}", names::stem(&path.file_stem().unwrap_or_default().to_string_lossy()));
-    Ok(Listed {
+    Ok(Frame {
         named,
         place: node.place,
         rotation,

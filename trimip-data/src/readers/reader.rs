@@ -1,5 +1,4 @@
-//! What a reader of scenes is: how it recognises a folder, what it is called, how it reads. A reader is one file with one of these
-//! values, which a line of the registry names.
+//! The type of a scene reader. A reader is one file with a value of this type, which a line of the registry names.
 
 use crate::settings::DataConfig;
 use crate::split::Split;
