@@ -53,7 +53,7 @@ impl Hybrid {
             );
         };
         let mut sure = true;
-        advance(policy, ray, occupancy, &mut cursor, |Interval { t, .. }, sphere| {
+        advance(policy, ray, occupancy, &mut cursor, |Interval { t, .. }, sphere, _| {
             // Also where the axis of a wide cone misses the cells with a density, its spheres may touch them.
             if sphere.radius > guide.widest {
                 sure = false;

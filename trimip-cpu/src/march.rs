@@ -8,8 +8,8 @@ use trimip_core::engine::batch::{Interval, Ray, Rays, Samples, Segment, Sphere};
 use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::geometry::space::Path;
 
-/// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, until it returns
-/// false. Returns true if the ray has left the box.
+/// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, with that cell, until it
+/// returns false. Returns true if the ray has left the box.
 ///
 /// Skips empty cubes by the distance field; the samples are exactly those of testing every step.
 #[inline(always)]
@@ -18,7 +18,7 @@ pub fn advance(
     ray: &Ray,
     occupancy: &CpuOccupancy,
     cursor: &mut Cursor,
-    place: impl FnMut(Interval, Sphere) -> bool,
+    place: impl FnMut(Interval, Sphere, [u32; 3]) -> bool,
 ) -> bool {
     let space = &policy.space;
     match space.ball() {
@@ -87,7 +87,7 @@ fn follow(
     path: &impl Path,
     occupancy: &CpuOccupancy,
     cursor: &mut Cursor,
-    mut place: impl FnMut(Interval, Sphere) -> bool,
+    mut place: impl FnMut(Interval, Sphere, [u32; 3]) -> bool,
 ) -> bool {
     let Cursor { first, leave, step, mut index } = *cursor;
     let inverse_step = step.recip();
@@ -102,7 +102,8 @@ fn follow(
             }
             if steps.empty[i] == 0 {
                 let (position, t) = (steps.positions[i], steps.t[i]);
-                if !place(path.interval(t, step), Sphere { position, radius: path.radius(t) }) {
+                let sphere = Sphere { position, radius: path.radius(t) };
+                if !place(path.interval(t, step), sphere, steps.cells[i]) {
                     cursor.index = index + (i + 1) as f32;
                     return false;
                 }
@@ -149,7 +150,7 @@ impl Kernel for March<'_> {
             let owners = &mut samples.rays[start..];
             let (intervals, spheres) = (&mut samples.intervals[start..], &mut samples.spheres[start..]);
             let mut cursor = Cursor::new(policy, ray, jitter, rays.first + i as u32);
-            advance(policy, ray, occupancy, &mut cursor, |interval, sphere| {
+            advance(policy, ray, occupancy, &mut cursor, |interval, sphere, _| {
                 let place = count - start;
                 (owners[place], intervals[place], spheres[place]) = (i as u32, interval, sphere);
                 count += 1;

@@ -59,6 +59,13 @@ impl CpuOccupancy {
         self.distances[(x + side * (y + side * z)) as usize].into()
     }
 
+    /// Running maximum of the density of a cell, see [`decayed`].
+    #[inline(always)]
+    pub fn density(&self, [x, y, z]: [u32; 3]) -> f32 {
+        let side = self.policy.resolution();
+        self.densities[(x + side * (y + side * z)) as usize] / self.policy.step_length
+    }
+
     /// Block index and bit index of a cell.
     fn place(&self, cell: u32) -> (usize, u32) {
         let blocks = self.policy.resolution() / BLOCK;

@@ -16,8 +16,11 @@ use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::math::compositing::{Pruning, Visibility};
 use trimip_core::{Encoder, Field, Renderer};
 
-/// Samples per ray that are evaluated at once; few, so that little is evaluated behind the surface.
+/// Samples per ray that are evaluated at once, at most.
 const PIECE: usize = 16;
+
+/// As many samples of a ray are evaluated at once, at least, before the grid's densities can end its piece.
+const LEAST: usize = 4;
 
 impl Rows {
     fn new(field: &CpuField) -> Self {
@@ -197,7 +200,8 @@ impl Scratch {
     }
 }
 
-/// Places the next piece of every ray that is being walked, one segment each.
+/// Places the next piece of every ray that is being walked, one segment each. A piece ends where the ray is opaque by the grid's
+/// running densities, so that little is evaluated behind the surface. They are maxima: the ray may have to go on.
 struct PlaceSamples<'a> {
     walkers: &'a mut [Walker],
     stages: &'a Stages<CpuBackend>,
@@ -222,15 +226,18 @@ impl Kernel for PlaceSamples<'_> {
         for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
             let start = count;
             let ray = &rays.rays[walker.ray as usize];
+            let mut depth = walker.depth;
             walker.out = advance(
                 &stages.renderer.policy,
                 ray,
                 &stages.occupancy,
                 &mut walker.cursor,
-                |interval, sphere| {
+                |interval, sphere, cell| {
                     (owners[count], intervals[count], spheres[count]) = (walker.ray, interval, sphere);
                     count += 1;
-                    count - start < PIECE
+                    depth += stages.occupancy.density(cell) * interval.length;
+                    let own = count - start;
+                    own < LEAST || own < PIECE && !(depth > stages.renderer.policy.pruning.max_depth)
                 },
             );
             *segment = Segment { start: start as u32, count: (count - start) as u32 };

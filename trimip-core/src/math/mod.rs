@@ -1,11 +1,12 @@
 //! Formulas that know nothing of scenes or devices, generic over f32 and f64 ([`scalar::Real`]): compositing (NeRF Eq. 3),
 //! spherical harmonics, counter-based random numbers, sets of bits, bases across a direction, functions of
-//! symmetric matrices.
+//! symmetric matrices, rounding.
 
 pub mod basis;
 pub mod bits;
 pub mod compositing;
 pub mod rng;
+pub mod rounding;
 pub mod scalar;
 pub mod sh;
 pub mod symmetric;

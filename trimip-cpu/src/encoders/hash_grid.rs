@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use trimip_core::engine::batch::Sphere;
 use trimip_core::field::encoders::SamplePosition;
 use trimip_core::field::encoders::hash_grid::{Level, Levels, PRIMES, Points};
+use trimip_core::math::rounding::floor;
 use trimip_core::{Aabb, Config, Result};
 
 /// Levels of the grid and the instruction set.
@@ -156,12 +157,11 @@ impl Corners {
         for axis in 0..3 {
             for i in 0..BLOCK {
                 let place = places[axis][i] * level.scale + 0.5;
-                // The place is not negative.
-                let lower = place as i32;
-                let fraction = place - lower as f32;
+                let (lower, index) = floor(place);
+                let fraction = place - lower;
                 fractions[axis][0][i] = 1.0 - fraction;
                 fractions[axis][1][i] = fraction;
-                parts[axis][0][i] = (lower as u32).wrapping_mul(strides[axis]);
+                parts[axis][0][i] = index.wrapping_mul(strides[axis]);
                 parts[axis][1][i] = parts[axis][0][i].wrapping_add(strides[axis]);
             }
         }
@@ -244,7 +244,14 @@ impl Block {
             false if reads.is_within(level, self.deviations.into_iter().fold(0.0, f32::max)) => {
                 [reads.level_weight(level, 0.0); BLOCK]
             }
-            false => self.deviations.map(|deviation| reads.level_weight(level, deviation)),
+            false => {
+                // One loop, which the compiler turns into vector instructions.
+                let mut weights = [0.0; BLOCK];
+                for i in 0..BLOCK {
+                    weights[i] = reads.level_weight(level, self.deviations[i]);
+                }
+                weights
+            }
         };
         Corners::of(level, &self.places, &weights)
     }

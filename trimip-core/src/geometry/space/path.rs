@@ -5,6 +5,7 @@ use super::contraction::{Ball, Curve, STRETCH};
 use crate::{
     Space,
     geometry::elements::{Interval, Ray},
+    math::rounding::floor,
 };
 
 /// Error of a place along a ray by rounding to f32, relative to the coordinates that it is computed from: four units in the last place.
@@ -75,7 +76,7 @@ impl Path for StraightPath {
 
     #[inline(always)]
     fn cell(&self, position: [f32; 3]) -> [u32; 3] {
-        position.map(|p| ((p * self.cells) as u32).min(self.last))
+        position.map(|p| floor((p * self.cells).max(0.0).min(self.last as f32)).1)
     }
 
     #[inline(always)]
