@@ -311,6 +311,11 @@ pub(crate) fn of_most_entries<'a>(
         );
         if 2 * missing.len() > resolved.len() {
             let advice = "copy them there, or set data.images to their folder";
+            if let Some((path, format)) = foreign::beside(&pictures.folder.join(first)) {
+                let what =
+                    format!("{what}; {} beside it is {}, which is not read", path.display(), format.name);
+                return Err(Error::input(file.display(), what, format.remedy(&path)));
+            }
             return Err(Error::input(file.display(), what, advice));
         }
         warnings.push(format!("{}: {what}; they are left out", file.display()));
