@@ -58,6 +58,7 @@ mod store;
 mod survey;
 mod warnings;
 mod watch;
+mod webp;
 mod workers;
 mod write;
 

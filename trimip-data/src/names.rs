@@ -3,7 +3,7 @@
 use std::{collections::HashMap, path::Path};
 
 /// Endings of photographs.
-const ENDINGS: [&str; 3] = [".png", ".jpg", ".jpeg"];
+pub(crate) const ENDINGS: [&str; 7] = [".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"];
 
 /// True if a path ends as a photograph does and is not hidden: macOS puts `._1.jpg` beside `1.jpg` on other file systems.
 pub(crate) fn is_picture(path: &Path) -> bool {

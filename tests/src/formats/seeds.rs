@@ -147,6 +147,9 @@ pub(super) fn pictures() -> Vec<Vec<u8>> {
     vec![
         of(DynamicImage::ImageLuma8(grey.clone()), png),
         of(DynamicImage::ImageRgba16(deep), png),
+        of(DynamicImage::ImageRgb8(color.clone()), ImageFormat::Bmp),
+        of(DynamicImage::ImageRgb8(color.clone()), ImageFormat::WebP),
+        of(DynamicImage::ImageLumaA8(soft.clone()), ImageFormat::WebP),
         of(DynamicImage::ImageLumaA8(soft), png),
         of(DynamicImage::ImageRgb8(color.clone()), png),
         of(DynamicImage::ImageRgb8(color), jpeg),
