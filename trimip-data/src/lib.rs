@@ -56,6 +56,7 @@ mod split;
 mod stated_box;
 mod store;
 mod survey;
+mod tiff;
 mod warnings;
 mod watch;
 mod webp;

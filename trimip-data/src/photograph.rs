@@ -4,7 +4,7 @@
 use crate::{
     foreign,
     orientation::{self, Turn},
-    webp,
+    tiff, webp,
 };
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits, metadata::Orientation};
 use std::{
@@ -173,6 +173,7 @@ fn is_truncated_jpeg(bytes: &[u8]) -> bool {
 
 fn reader<S: BufRead + Seek>(mut source: S) -> image::ImageResult<ImageReader<S>> {
     webp::check(&mut source)?;
+    tiff::check(&mut source)?;
     // The content determines the format, not the name: JPEGs named .png are common.
     Ok(ImageReader::new(source).with_guessed_format()?)
 }

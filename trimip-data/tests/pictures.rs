@@ -140,6 +140,33 @@ fn webp_files_hold_the_parts_that_they_state() {
     assert!(put(picture + 8, &[0xf0, 0xff, 0xff]).contains("a part ends behind the file"));
 }
 
+/// As above, of both orders of bytes and of both sizes of entries.
+#[test]
+fn tiff_files_hold_the_values_that_they_state() {
+    let color = ImageBuffer::from_fn(19, 11, |x, y| Rgb([x as u8, y as u8, 9]));
+    let whole = bytes(color, ImageFormat::Tiff);
+    let place = |at: usize| u32::from_le_bytes(whole[at..at + 4].try_into().unwrap()) as usize;
+    let directory = place(4);
+    let entries = usize::from(u16::from_le_bytes(whole[directory..directory + 2].try_into().unwrap()));
+    for entry in (0..entries).map(|index| directory + 2 + 12 * index) {
+        let mut broken = whole.clone();
+        broken[entry + 4..entry + 8].copy_from_slice(&0x1000_0000_u32.to_le_bytes());
+        let message = photograph("a file", &broken).unwrap_err().message;
+        assert!(message.contains("the values of an entry end behind the file"), "{message}");
+    }
+    // An entry of 2^28 floats.
+    let big = [
+        &b"MM\0\x2b\0\x08\0\0\0\0\0\0\0\0\0\x10\0\0\0\0\0\0\0\x01\x01\0\0\x0b\0\0\0\0\x10\0\0\0"[..],
+        &[0; 8],
+    ]
+    .concat();
+    let small = [&b"MM\0\x2a\0\0\0\x08\0\x01\x01\0\0\x0b\x10\0\0\0\0\0\0\0\0\0"[..], &[0; 8]].concat();
+    for file in [big, small] {
+        let message = photograph("a file", &file).unwrap_err().message;
+        assert!(message.contains("the values of an entry end behind the file"), "{message}");
+    }
+}
+
 /// Whatever follows the place at which a file ends: no pixels are made up.
 #[test]
 fn truncated_files_are_errors_wherever_pixels_are_missing() {
