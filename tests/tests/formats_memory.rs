@@ -130,6 +130,13 @@ fn the_shortest_entries_stay_within_what_each_format_states() {
         "changes".into(),
         many(finding, "{\"path\":\"\",\"from\":\"\",\"to\":\"\"},", "]}]"),
     ));
+    let record3d = "{\"w\":1,\"h\":1,\"K\":[1,0,0,0,1,0,0,0,1],\"poses\":[";
+    files.push(("record3d", "poses".into(), many(record3d, "[0,0,0,1,0,0,0],", "]}")));
+    files.push((
+        "realitycapture",
+        "lines".into(),
+        many("#name,x,y,alt,heading,pitch,roll,f\n", "a,0,0,0,0,0,0,1\n", ""),
+    ));
     let mut worst: HashMap<&str, (f64, String)> = HashMap::new();
     for (name, unit, bytes) in &files {
         let multiple = Format::of(name).memory(bytes) as f64 / bytes.len() as f64;

@@ -148,7 +148,11 @@ mod tests {
 
     #[test]
     fn a_folder_without_a_scene_has_a_next_command() {
-        let table: [(&[&str], &[&str]); 9] = [
+        let table: [(&[&str], &[&str]); 13] = [
+            (&["0.webp", "1.TIF", "2.bmp"], &["its 3 pictures need cameras"]),
+            (&["DSC_1.DNG"], &["ROOT/DSC_1.DNG is a camera's raw image", "darktable-cli ROOT/DSC_1.DNG"]),
+            (&["a.avif"], &["ROOT/a.avif is an AVIF image", "ffmpeg -i ROOT/a.avif ROOT/a.png"]),
+            (&["a.jxl"], &["ROOT/a.jxl is a JPEG XL image", "djxl ROOT/a.jxl ROOT/a.png"]),
             (&["a/b/transforms_train.json", "a/b/train/r_0.png"], &["name ROOT/a/b, which holds one"]),
             (
                 &["images/0.jpg", "images/1.jpg"],

@@ -27,17 +27,13 @@ const AVIF: Foreign =
     Foreign { name: "an AVIF image", extensions: &["avif"], command: "ffmpeg -i IN OUT.png" };
 const RAW: Foreign = Foreign {
     name: "a camera's raw image",
-    extensions: &["cr2", "cr3", "nef", "dng", "arw", "orf", "rw2", "raf"],
+    extensions: &["cr2", "cr3", "nef", "nrw", "dng", "arw", "srw", "orf", "rw2", "raf", "pef", "3fr", "iiq"],
     command: "darktable-cli IN OUT.png",
 };
-const WEBP: Foreign = Foreign { name: "a WebP image", extensions: &["webp"], command: "magick IN OUT.png" };
-const TIFF: Foreign =
-    Foreign { name: "a TIFF image", extensions: &["tif", "tiff"], command: "magick IN OUT.png" };
-const BMP: Foreign = Foreign { name: "a BMP image", extensions: &["bmp"], command: "magick IN OUT.png" };
 const GIF: Foreign = Foreign { name: "a GIF image", extensions: &["gif"], command: "magick IN OUT.png" };
 const JXL: Foreign = Foreign { name: "a JPEG XL image", extensions: &["jxl"], command: "djxl IN OUT.png" };
 
-const ALL: [&Foreign; 8] = [&HEIC, &AVIF, &RAW, &WEBP, &TIFF, &BMP, &GIF, &JXL];
+const ALL: [&Foreign; 5] = [&HEIC, &AVIF, &RAW, &GIF, &JXL];
 
 impl Foreign {
     /// What to do with such a file.
@@ -53,12 +49,12 @@ impl Foreign {
 pub(crate) fn of_file(path: &Path) -> Option<&'static Foreign> {
     let mut head = [0; 16];
     let length = File::open(path).and_then(|mut file| file.read(&mut head)).unwrap_or(0);
-    let by_name = of_name(path);
-    match of_content(&head[..length]) {
-        // Raw images of most cameras are TIFF files.
-        Some(&TIFF) if by_name == Some(&RAW) => by_name,
-        found => found.or(by_name),
-    }
+    of_content(&head[..length]).or(of_name(path))
+}
+
+/// True for a camera's raw image by its name. Most are TIFF files whose first picture is a small copy.
+pub(crate) fn is_raw(path: &Path) -> bool {
+    of_name(path) == Some(&RAW)
 }
 
 /// The file of another format that lies where `path` is missing: the same name but for the extension.
@@ -94,15 +90,9 @@ fn of_content(head: &[u8]) -> Option<&'static Foreign> {
             _ => None,
         };
     }
-    if head.starts_with(b"RIFF") && head.get(8..12) == Some(b"WEBP") {
-        return Some(&WEBP);
-    }
-    let starts: [(&[u8], &'static Foreign); 8] = [
-        (b"II*\0", &TIFF),
-        (b"MM\0*", &TIFF),
+    let starts: [(&[u8], &'static Foreign); 5] = [
         (b"FUJIFILMCCD-RAW", &RAW),
         (b"IIRO", &RAW),
-        (b"BM", &BMP),
         (b"GIF8", &GIF),
         (b"\xff\x0a", &JXL),
         (b"\0\0\0\x0cJXL ", &JXL),
@@ -121,9 +111,9 @@ mod tests {
         let cases: [(&str, &[u8], Option<&Foreign>); 9] = [
             ("a.png", b"\0\0\0\x18ftypheic\0\0\0\0", Some(&HEIC)),
             ("b.png", b"\0\0\0\x18ftypavif\0\0\0\0", Some(&AVIF)),
-            ("c.png", b"RIFF\x10\0\0\0WEBPVP8 ", Some(&WEBP)),
+            ("c.png", b"RIFF\x10\0\0\0WEBPVP8 ", None),
             ("d.nef", b"MM\0*\0\0\0\x08", Some(&RAW)),
-            ("e.jpg", b"II*\0\x08\0\0\0", Some(&TIFF)),
+            ("e.tif", b"II*\0\x08\0\0\0", None),
             ("f.HEIF", b"", Some(&HEIC)),
             ("g.gif", b"GIF89a", Some(&GIF)),
             ("h.png", b"\x89PNG\r\n\x1a\n", None),

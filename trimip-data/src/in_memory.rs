@@ -41,7 +41,7 @@ pub fn ply(name: &str, bytes: &[u8]) -> Result<Vec<Point>> {
     ply::points(name, bytes)
 }
 
-/// Width, height and RGBA pixels of a photograph, PNG or JPEG.
+/// Width, height and RGBA pixels of a photograph: PNG, JPEG, WebP, TIFF or BMP.
 ///
 /// # Errors
 /// If it cannot be decoded to its end, or has no pixels or more than 2^28.
@@ -50,7 +50,7 @@ pub fn photograph(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
     Ok((image.width(), image.height(), image.into_rgba8().into_raw()))
 }
 
-/// Width, height and kept share of each pixel of a mask, PNG or JPEG, whose white is kept.
+/// Width, height and kept share of each pixel of a mask, of the same formats, whose white is kept.
 ///
 /// # Errors
 /// As [`photograph`].

@@ -92,6 +92,15 @@ impl<'a> Node<'a> {
             .transpose()
     }
 
+    /// The number under a key, or that in the text under it; `None` if it is absent or null.
+    pub(crate) fn number_or_text(&self, key: &str) -> Result<Option<f64>> {
+        let number = self.get(key).and_then(|value| value.as_str()?.trim().parse().ok());
+        match number.filter(|value: &f64| value.is_finite()) {
+            Some(number) => Ok(Some(number)),
+            None => self.number(key),
+        }
+    }
+
     /// The text under a key; `None` if it is absent or null.
     pub(crate) fn text(&self, key: &str) -> Result<Option<&'a str>> {
         let text = |value: &'a Value| value.as_str().ok_or_else(|| self.unexpected(key, "a text", value));

@@ -65,7 +65,8 @@ pub(crate) fn described(lens: &Lens) -> Option<String> {
 pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
     let mut terms = [0.0; 10];
     for (term, key) in terms.iter_mut().zip(TERMS) {
-        *term = frame.number(key)?.or(file.number(key)?).unwrap_or(0.0);
+        // nerfstudio's importer of RealityCapture writes texts.
+        *term = frame.number_or_text(key)?.or(file.number_or_text(key)?).unwrap_or(0.0);
     }
     let [k1, k2, k3, k4, k5, k6, p1, p2, s1, s2] = terms;
     let refuse = |model: &str, known: &str| {
@@ -157,6 +158,8 @@ mod tests {
         assert_eq!(lens(json!({ "is_fisheye": true }), four.clone()).unwrap(), fisheye);
         let rational = Lens::perspective([0.1, 0.2, 0.3, 0.0], [0.0; 2], [0.4, 0.0, 0.0]);
         assert_eq!(lens(json!({ "camera_model": "FULL_OPENCV" }), four).unwrap(), rational);
+        let texts = lens(json!({ "k1": "0.1", "k2": " -2e-002" }), json!({ "p1": "0.003" })).unwrap();
+        assert_eq!(texts, Lens::perspective([0.1, -0.02, 0.0, 0.0], [0.003, 0.0], [0.0; 3]));
         assert!(lens(json!({ "camera_model": "PINHOLE", "k1": 0.0 }), json!({})).unwrap().is_straight());
     }
 
@@ -192,5 +195,6 @@ mod tests {
         refused(json!({ "camera_model": 3 }), "camera_model");
         refused(json!({ "is_fisheye": "yes" }), "is_fisheye");
         refused(json!({ "k1": "much" }), "k1");
+        refused(json!({ "k1": "NaN" }), "k1");
     }
 }

@@ -1,5 +1,6 @@
 //! Photographs with cameras, ready to train and test on: Blender JSON folders, COLMAP models, LLFF captures, exports of OpenSfM,
-//! Bundler, Metashape and Polycam, NSVF's data sets, the public multi-scale set's `metadata.json`, and a built-in ray-traced scene that needs no files. Poses are camera-to-world, OpenGL axes;
+//! Bundler, Metashape, RealityCapture, Polycam and Record3D, data sets of NSVF and ARKitScenes, the public multi-scale set's `metadata.json`, and
+//! a built-in ray-traced scene that needs no files. Poses are camera-to-world, OpenGL axes;
 //! lengths are world units, angles radians, focal lengths pixels.
 //!
 //! ```
@@ -38,6 +39,7 @@ mod listing;
 mod mask;
 mod masks;
 mod names;
+mod numbers;
 mod orientation;
 mod photograph;
 mod pictures;
@@ -54,8 +56,10 @@ mod split;
 mod stated_box;
 mod store;
 mod survey;
+mod tiff;
 mod warnings;
 mod watch;
+mod webp;
 mod workers;
 mod write;
 

@@ -1,5 +1,5 @@
-//! Frames that a file lists with their cameras, as other programs export them. Their photographs are found, and measured against the
-//! cameras, when a split is read.
+//! Frames that a file lists with their cameras, as other programs export them. Their photographs are found when the file is opened, and
+//! measured against the cameras when a split is read.
 
 use crate::{
     division::{self, Selection},
@@ -42,6 +42,8 @@ pub(crate) enum Calibration {
     Sized(Intrinsics),
     /// For photographs of any size; lengths are in their pixels. Without a principal point it is the middle of the photograph.
     Unsized { focal: [f64; 2], centre: Option<[f64; 2]>, lens: Lens },
+    /// For photographs of any size; lengths are multiples of their longer side, and the principal point is counted from their middle.
+    Relative { focal: f64, centre: [f64; 2], lens: Lens },
 }
 
 impl Calibration {
@@ -51,6 +53,12 @@ impl Calibration {
             Calibration::Sized(intrinsics) => intrinsics,
             Calibration::Unsized { focal: [fx, fy], centre, lens } => {
                 let [cx, cy] = centre.unwrap_or([width, height].map(|side| 0.5 * f64::from(side)));
+                Intrinsics { width, height, fx, fy, cx, cy, lens }
+            }
+            Calibration::Relative { focal, centre: [x, y], lens } => {
+                let longer = f64::from(width.max(height));
+                let (fx, fy) = (focal * longer, focal * longer);
+                let (cx, cy) = (0.5 * f64::from(width) + x * longer, 0.5 * f64::from(height) + y * longer);
                 Intrinsics { width, height, fx, fy, cx, cy, lens }
             }
         }
@@ -71,23 +79,22 @@ pub(crate) fn vision_pose(to_camera: DMat3, translation: DVec3) -> (DMat3, DVec3
     (DMat3::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis), -(to_world * translation))
 }
 
-/// All frames of a scene; every 8th is the test split, unless the file divides them.
+/// All frames of a scene whose photographs are there; every 8th is the test split, unless the file divides them.
 pub(crate) struct Listing {
     file: PathBuf,
-    frames: Vec<Frame>,
+    frames: Vec<(Frame, PathBuf)>,
     names: Vec<String>,
-    pictures: Pictures,
     scales: u32,
     /// What the file states beside frames; given to the first split that is read.
     facts: Cell<Split>,
 }
 
 impl Listing {
-    /// The frames of `file` in the folder of a scene. `facts` is what the file states beside them: a split without frames, whose box lies
-    /// around its points if it states none.
+    /// The frames of `file` in the folder of a scene, without those whose photographs were deleted. `facts` is what the file states beside
+    /// them: a split without frames, whose box lies around its points if it states none.
     ///
     /// # Errors
-    /// Of kind `Input`: there is no frame, or `data.images` is no folder.
+    /// Of kind `Input`: there is no frame, more than half of the photographs are missing, or `data.images` is no folder.
     pub(crate) fn new(
         root: &Path,
         config: &DataConfig,
@@ -99,35 +106,36 @@ impl Listing {
             return Err(Error::input(file.display(), "has no frame with a pose", "export the cameras again"));
         }
         frames.sort_by(|a, b| a.named.cmp(&b.named));
-        let names = names::unique(&frames.iter().map(|frame| frame.named.as_str()).collect::<Vec<_>>());
         let pictures = Pictures::new(pictures::stated(root, &config.images)?);
+        let entries = frames.iter().map(|frame| (frame.named.as_str(), frame.place.clone()));
+        let (paths, warnings) = pictures::of_most_entries(&pictures, file, entries)?;
+        facts.warnings.extend(warnings);
+        let found = frames.into_iter().zip(paths).filter_map(|(frame, path)| Some((frame, path?)));
+        let frames: Vec<(Frame, PathBuf)> = found.collect();
+        let names = names::unique(&frames.iter().map(|(frame, _)| frame.named.as_str()).collect::<Vec<_>>());
         facts.stated = facts.stated.or_else(|| facts.cloud.stated(&format!("of {}", file.display())));
         let facts = Cell::new(facts);
-        Ok(Self { file: file.into(), frames, names, pictures, scales: config.scales, facts })
+        Ok(Self { file: file.into(), frames, names, scales: config.scales, facts })
     }
 
     /// True if the file divides the frames.
     fn is_divided(&self) -> bool {
-        self.frames.iter().any(|frame| frame.split.is_some())
+        self.frames.iter().any(|(frame, _)| frame.split.is_some())
     }
 
     fn selected(&self, split: &str, selection: &Selection) -> Result<Split> {
         let chosen: Vec<usize> = match selection {
             Selection::Train | Selection::Test if self.is_divided() => {
-                (0..self.frames.len()).filter(|&index| self.frames[index].split == Some(split)).collect()
+                (0..self.frames.len()).filter(|&index| self.frames[index].0.split == Some(split)).collect()
             }
             _ => selection.choose(self.frames.len()),
         };
         if chosen.is_empty() {
             return Err(division::empty(&self.file, split, self.frames.len(), selection));
         }
-        let named = chosen.iter().map(|&index| &self.frames[index]);
-        let named = named.map(|frame| (frame.named.as_str(), frame.place.clone()));
-        let (paths, moved) = pictures::of_entries(&self.pictures, &self.file, named)?;
-        let chosen: Vec<_> = chosen.into_iter().zip(paths).collect();
         let (frames, names, scales) = (&self.frames, &self.names, self.scales);
-        let found = map_in_order(&chosen, |_, (index, path)| {
-            let frame = &frames[*index];
+        let found = map_in_order(&chosen, |_, index| {
+            let (frame, path) = &frames[*index];
             let image = Photograph::open(path.clone(), frame.place.clone())?;
             let camera = frame.camera([image.width, image.height]);
             let Fitted { image, intrinsics, factors } = fitted(image, camera.intrinsics)?;
@@ -137,7 +145,7 @@ impl Listing {
         let (sources, factors): (Vec<Source>, Vec<[f64; 2]>) = found.into_iter().unzip();
         let divided = selection.warning(&self.file, "in order of their names").filter(|_| !self.is_divided());
         let facts = self.facts.take();
-        let warnings = facts.warnings.into_iter().chain(divided).chain(moved);
+        let warnings = facts.warnings.into_iter().chain(divided);
         let warnings = warnings.chain(scaled_along(&self.file, factors)).collect();
         Ok(Split { sources, warnings, ..facts })
     }
@@ -154,7 +162,7 @@ impl OpenScene for Listing {
     }
 
     fn has_split(&self, split: &str) -> Result<bool> {
-        let is_there = |frame: &Frame| frame.split == Some(split);
+        let is_there = |(frame, _): &(Frame, PathBuf)| frame.split == Some(split);
         Ok(!self.is_divided() && ["train", "test"].contains(&split) || self.frames.iter().any(is_there))
     }
 

@@ -3,12 +3,17 @@
 use std::{collections::HashMap, path::Path};
 
 /// Endings of photographs.
-const ENDINGS: [&str; 3] = [".png", ".jpg", ".jpeg"];
+pub(crate) const ENDINGS: [&str; 7] = [".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"];
 
-/// True if a path ends as a photograph does.
+/// True if a path ends as a photograph does and is not hidden: macOS puts `._1.jpg` beside `1.jpg` on other file systems.
 pub(crate) fn is_picture(path: &Path) -> bool {
     let name = path.to_string_lossy().to_lowercase();
-    ENDINGS.iter().any(|end| name.ends_with(end))
+    !is_hidden(path) && ENDINGS.iter().any(|end| name.ends_with(end))
+}
+
+/// True for a name that begins with a dot.
+pub(crate) fn is_hidden(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'))
 }
 
 /// A path with forward slashes, without `./` before it and without the ending of a photograph.

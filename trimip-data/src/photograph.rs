@@ -1,11 +1,12 @@
 //! Image files: size from the header, pixels as 8-bit RGBA. 16 bits are rounded to the nearest 8, grey is replicated,
-//! palettes are looked up, missing alpha is 1.
+//! palettes are looked up, missing alpha is 1. Floats are refused, whose range nothing states.
 
 use crate::{
     foreign,
     orientation::{self, Turn},
+    tiff, webp,
 };
-use image::{DynamicImage, ImageDecoder, ImageReader, metadata::Orientation};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits, metadata::Orientation};
 use std::{
     fmt::Display,
     fs::{self, File},
@@ -20,6 +21,12 @@ const MAX_PIXELS: u64 = 1 << 28;
 /// Bytes of memory for each pixel of an image that is decoded and averaged: RGBA, and a quarter of a pixel in f32; the
 /// decoder's own pixels are there before the latter. Half a byte more for the coarser levels.
 const BYTES_OF_A_PIXEL: u64 = 9;
+
+/// Bytes of a pixel while it is decoded: four channels of 16 bits.
+const MOST_BYTES_OF_A_PIXEL: u64 = 8;
+
+/// Memory that a TIFF file may take beside its pixels, for tiles that are larger than it.
+const BESIDE: u64 = 16 << 20;
 
 /// An image file and its header.
 #[derive(Debug)]
@@ -48,10 +55,16 @@ impl Photograph {
 
     /// Reads the header of the image `source`, which `path` names.
     fn header(path: PathBuf, place: String, source: impl BufRead + Seek) -> Result<Self> {
-        let mut decoder = reader(source)
-            .and_then(ImageReader::into_decoder)
-            .map_err(|error| undecodable(&place, &path, &error))?;
+        let reader = reader(source).map_err(|error| undecodable(&place, &path, &error))?;
+        if reader.format() == Some(ImageFormat::Tiff) && foreign::is_raw(&path) {
+            return Err(undecodable(&place, &path, &""));
+        }
+        let mut decoder = reader.into_decoder().map_err(|error| undecodable(&place, &path, &error))?;
         let (width, height) = decoder.dimensions();
+        if matches!(decoder.color_type(), ColorType::Rgb32F | ColorType::Rgba32F) {
+            let what = format!("image {} has pixels of floating-point numbers", path.display());
+            return Err(Error::input(place, what, "convert it and all like it to 8 or 16 bits"));
+        }
         let alpha = decoder.color_type().has_alpha();
         if width == 0 || height == 0 || u64::from(width) * u64::from(height) > MAX_PIXELS {
             return Err(Error::input(
@@ -116,8 +129,15 @@ impl Photograph {
         if is_truncated_jpeg(bytes) {
             return Err(wrong(&"the file ends before the image does"));
         }
-        let mut image =
-            reader(Cursor::new(bytes)).and_then(ImageReader::decode).map_err(|error| wrong(&error))?;
+        let mut reader = reader(Cursor::new(bytes)).map_err(|error| wrong(&error))?;
+        if reader.format() == Some(ImageFormat::Tiff) {
+            let mut limits = Limits::default();
+            // The pixels are counted twice: by the reader and by its decoder.
+            let pixels = 2 * MOST_BYTES_OF_A_PIXEL * u64::from(self.width) * u64::from(self.height);
+            limits.max_alloc = Some(pixels + bytes.len() as u64 + BESIDE);
+            reader.limits(limits);
+        }
+        let mut image = reader.decode().map_err(|error| wrong(&error))?;
         if let Turn::Applied(tag) = self.turn {
             image.apply_orientation(tag);
         }
@@ -151,7 +171,9 @@ fn is_truncated_jpeg(bytes: &[u8]) -> bool {
     true
 }
 
-fn reader<S: BufRead + Seek>(source: S) -> image::ImageResult<ImageReader<S>> {
+fn reader<S: BufRead + Seek>(mut source: S) -> image::ImageResult<ImageReader<S>> {
+    webp::check(&mut source)?;
+    tiff::check(&mut source)?;
     // The content determines the format, not the name: JPEGs named .png are common.
     Ok(ImageReader::new(source).with_guessed_format()?)
 }

@@ -80,7 +80,8 @@ impl Pictures {
         let candidates: Vec<PathBuf> = written
             .iter()
             .flat_map(|named| {
-                ["", ".png", ".jpg", ".jpeg"].map(|ending| self.folder.join(format!("{named}{ending}")))
+                let endings = [""].into_iter().chain(names::ENDINGS);
+                endings.map(move |ending| self.folder.join(format!("{named}{ending}")))
             })
             .collect();
         if let Some(path) = candidates.iter().find(|path| path.is_file()) {
@@ -211,7 +212,7 @@ fn missing(named: &str, candidates: &[PathBuf], place: &str) -> Error {
         return Error::input(place, what, format.remedy(&path));
     }
     let has_ending = names::is_picture(Path::new(named));
-    let tried = if has_ending { "" } else { " (nor with .png, .jpg or .jpeg added)" };
+    let tried = if has_ending { "" } else { " (nor with .png, .jpg or another ending added)" };
     Error::input(
         place,
         format!("image {} does not exist{tried}", candidates[0].display()),
@@ -310,6 +311,11 @@ pub(crate) fn of_most_entries<'a>(
             pictures.folder.join(first).display()
         );
         if 2 * missing.len() > resolved.len() {
+            if let Some((path, format)) = foreign::beside(&pictures.folder.join(first)) {
+                let what =
+                    format!("{what}; {} beside it is {}, which is not read", path.display(), format.name);
+                return Err(Error::input(file.display(), what, format.remedy(&path)));
+            }
             let advice = "copy them there, or set data.images to their folder";
             return Err(Error::input(file.display(), what, advice));
         }
@@ -340,7 +346,11 @@ mod tests {
 
     #[test]
     fn photographs_are_found_where_copying_and_renaming_left_them() {
-        let table: [(&[&str], &str, &str); 15] = [
+        let table: [(&[&str], &str, &str); 19] = [
+            (&["images/a.webp"], "images/a.jpg", "images/a.webp"),
+            (&["images/a.TIF"], "images/a.png", "images/a.TIF"),
+            (&["images/a.tiff"], "/x/images/a.tif", "images/a.tiff"),
+            (&["images/a.bmp", "depths/a.tif"], "D:\\x\\images\\a.png", "images/a.bmp"),
             (&["images/a.jpg", "a.jpg"], "images/a.jpg", "images/a.jpg"),
             (&["images/a.JPG"], "images/a.jpg", "images/a.JPG"),
             (&["images/a.JPG"], "./images/a", "images/a.JPG"),

@@ -38,16 +38,21 @@ pub(crate) fn parse(place: &str, key: &str, value: &Value) -> Result<(DMat3, DVe
 /// What a matrix is said to be that has such a number.
 const NOT_FINITE: &str = "holds a number that is not finite";
 
-/// Rotation and camera centre from the rows of a matrix. The error says what is wrong.
+/// Rotation and camera centre from the rows of a matrix. Axes that are longer or shorter by one factor, as those of a scaled camera object,
+/// have the same rays as a rotation. The error says what is wrong.
 pub(crate) fn checked(rows: [[f64; 4]; 3]) -> std::result::Result<(DMat3, DVec3), String> {
     if rows.iter().flatten().any(|entry| !entry.is_finite()) {
         return Err(NOT_FINITE.into());
     }
     let column = |c: usize| DVec3::new(rows[0][c], rows[1][c], rows[2][c]);
-    let rotation = DMat3::from_cols(column(0), column(1), column(2));
+    let lengths = [0, 1, 2].map(|c| column(c).length());
+    let scale = lengths.iter().sum::<f64>() / 3.0;
+    let alike = lengths.iter().all(|length| (length - scale).abs() <= ROTATION_TOLERANCE * scale);
+    let is_scaled = alike && scale.is_normal() && (scale - 1.0).abs() > ROTATION_TOLERANCE;
+    let factor = if is_scaled { scale.recip() } else { 1.0 };
+    let rotation = DMat3::from_cols(column(0) * factor, column(1) * factor, column(2) * factor);
     let deviation = deviation(rotation);
     if deviation > ROTATION_TOLERANCE || !deviation.is_finite() {
-        let lengths = [0, 1, 2].map(|c| column(c).length());
         return Err(format!(
             "is not a rotation: |R R^T - I| is {deviation:.1e}, its axes have the lengths {:.4}, {:.4}, {:.4}",
             lengths[0], lengths[1], lengths[2]
@@ -58,6 +63,12 @@ pub(crate) fn checked(rows: [[f64; 4]; 3]) -> std::result::Result<(DMat3, DVec3)
         return Err(format!("mirrors the scene: its determinant is {determinant:.3} instead of 1"));
     }
     Ok((if deviation > CORRECTED_ABOVE { nearest_rotation(rotation) } else { rotation }, column(3)))
+}
+
+/// The rotation around an axis by its length in radians.
+pub(crate) fn around(axis: DVec3) -> DMat3 {
+    let angle = axis.length();
+    if angle == 0.0 { DMat3::IDENTITY } else { DMat3::from_axis_angle(axis / angle, angle) }
 }
 
 /// Rows of numbers; `None` if an entry is something else.
@@ -122,6 +133,23 @@ mod tests {
             let message = error(value);
             assert!(message.starts_with("f.json: frame 3 (r_3): \"transform_matrix\" "), "{message}");
             assert!(message.contains(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn axes_of_one_length_are_a_rotation() {
+        for scale in [1e-4, 0.25, 2.0, 1e6] {
+            let rows = json!([[0, 0, scale, 5], [scale, 0, 0, 6], [0, scale, 0, 7]]);
+            let (rotation, origin) = parse("", "", &rows).unwrap();
+            assert!(deviation(rotation) < 1e-14 && (rotation.x_axis - DVec3::Y).length() < 1e-14);
+            assert_eq!(origin, DVec3::new(5.0, 6.0, 7.0));
+            assert!(
+                error(json!([[scale, 0, 0, 0], [0, scale, 0, 0], [0, 0, -scale, 0]])).contains("mirrors")
+            );
+            assert!(
+                error(json!([[scale, 0, 0, 0], [0, scale, 0, 0], [0, 0, 3.0 * scale, 0]]))
+                    .contains("lengths")
+            );
         }
     }
 

@@ -3,53 +3,15 @@
 
 mod common;
 
-use common::{save_image, settings, write};
+use common::{
+    ring::{assert_cameras, cameras, name, save_images, vision},
+    save_image, settings, write,
+};
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
-use std::{fmt::Write, fs, path::Path};
+use std::{fmt::Write, fs};
 use trimip_core::{Camera, Intrinsics, Lens};
-use trimip_data::{Scene, open};
-
-/// Nine cameras around the origin, camera-to-world with OpenGL axes.
-fn cameras(intrinsics: Intrinsics) -> Vec<Camera> {
-    let place = |i: i32| {
-        let turn = 0.7 * f64::from(i);
-        DVec3::new(3.0 * turn.cos(), 3.0 * turn.sin(), 0.3 * f64::from(i % 3))
-    };
-    let look = |i: i32| Camera::look_at(intrinsics, place(i), DVec3::new(0.1, 0.2, 0.1), DVec3::Z);
-    (0..9).map(look).collect()
-}
-
-fn name(index: usize) -> String {
-    format!("images/{index}.png")
-}
-
-fn save_images(root: &Path, size: [u32; 2]) {
-    (0..9).for_each(|index| save_image(&root.join(name(index)), size[0], size[1]));
-}
-
-/// The training views have the poses and intrinsics of `expected`, in order of their names; every 8th is a test view.
-fn assert_cameras(scene: &Scene, expected: &[Camera]) {
-    let kept = expected.iter().enumerate().filter(|(index, _)| index % 8 != 0).map(|(_, camera)| camera);
-    assert_eq!((scene.train.views.len(), scene.test.len()), (7, 2));
-    for (view, expected) in scene.train.views.iter().zip(kept) {
-        let found = view.camera;
-        assert!((found.origin - expected.origin).length() < 1e-9, "{found:?}, not {expected:?}");
-        let apart = found.rotation - expected.rotation;
-        assert!(apart.to_cols_array().iter().all(|entry| entry.abs() < 1e-9), "{found:?}, not {expected:?}");
-        let (k, other) = (found.intrinsics, expected.intrinsics);
-        assert_eq!((k.width, k.height, k.lens), (other.width, other.height, other.lens));
-        for (a, b) in [(k.fx, other.fx), (k.fy, other.fy), (k.cx, other.cx), (k.cy, other.cy)] {
-            assert!((a - b).abs() < 1e-9, "{k:?}, not {other:?}");
-        }
-    }
-}
-
-/// World-to-camera rotation and translation in the axes of computer vision.
-fn vision(camera: &Camera) -> (DMat3, DVec3) {
-    let to_world = camera.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
-    (to_world.transpose(), -(to_world.transpose() * camera.origin))
-}
+use trimip_data::open;
 
 /// A reconstruction of OpenSfM.
 fn reconstruction(all: &[Camera], camera: &Value) -> Value {

@@ -180,3 +180,19 @@ fn scenes_of_changed_metadata_open_or_tell() {
     write_multiscale(&data, root.path(), &unwatched).unwrap();
     scenes(root.path(), &["metadata.json"]);
 }
+
+#[test]
+fn scenes_of_a_changed_trajectory_open_or_tell() {
+    let root = tempfile::tempdir().unwrap();
+    let root = root.path();
+    fs::create_dir(root.join("lowres_wide_intrinsics")).unwrap();
+    let mut poses = String::new();
+    for i in 0..4 {
+        save_image(&root.join(format!("lowres_wide/7_10.{i}00.png")), 8, 6);
+        fs::write(root.join(format!("lowres_wide_intrinsics/7_10.{i}00.pincam")), "8 6 9 9.5 4.1 3\n")
+            .unwrap();
+        poses += &format!("10.{i} 0.1 0.2 0.{i} {i} 0.5 4\n");
+    }
+    fs::write(root.join("lowres_wide.traj"), poses).unwrap();
+    scenes(root, &["lowres_wide.traj", "lowres_wide_intrinsics/7_10.200.pincam"]);
+}

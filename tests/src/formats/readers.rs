@@ -121,12 +121,19 @@ fn ply(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Pixels of 8 bytes while they are decoded and 4 afterwards; coefficients of a progressive JPEG; what decoders hold beside.
+/// Pixels of 8 bytes while they are decoded and 4 afterwards; coefficients of a progressive JPEG; what decoders hold beside. A part of a WebP
+/// file, whose length has 24 bits, and a tile of a TIFF file are held before they are read.
 fn picture(bytes: &[u8]) -> usize {
     let size = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok();
     let size = size.and_then(|reader| reader.into_dimensions().ok()).unwrap_or((0, 0));
     let pixels = u64::from(size.0) * u64::from(size.1);
-    if pixels > 1 << 28 { 16 * bytes.len() + FIXED } else { 24 * pixels as usize + 16 * bytes.len() + FIXED }
+    let in_parts = [&b"RIFF"[..], b"II", b"MM"].iter().any(|start| bytes.starts_with(start));
+    let beside = if in_parts { 20 << 20 } else { FIXED };
+    if pixels > 1 << 28 {
+        16 * bytes.len() + beside
+    } else {
+        24 * pixels as usize + 16 * bytes.len() + beside
+    }
 }
 
 /// A text, or no text, which the programs refuse where they read the file.

@@ -146,7 +146,12 @@ pub(super) fn pictures() -> Vec<Vec<u8>> {
     let color = image::ImageBuffer::from_fn(w, h, |x, y| Rgb([byte(x, y), byte(y, x), 9]));
     vec![
         of(DynamicImage::ImageLuma8(grey.clone()), png),
-        of(DynamicImage::ImageRgba16(deep), png),
+        of(DynamicImage::ImageRgba16(deep.clone()), png),
+        of(DynamicImage::ImageRgba16(deep), ImageFormat::Tiff),
+        of(DynamicImage::ImageRgb8(color.clone()), ImageFormat::Tiff),
+        of(DynamicImage::ImageRgb8(color.clone()), ImageFormat::Bmp),
+        of(DynamicImage::ImageRgb8(color.clone()), ImageFormat::WebP),
+        of(DynamicImage::ImageLumaA8(soft.clone()), ImageFormat::WebP),
         of(DynamicImage::ImageLumaA8(soft), png),
         of(DynamicImage::ImageRgb8(color.clone()), png),
         of(DynamicImage::ImageRgb8(color), jpeg),

@@ -1,5 +1,6 @@
 //! The registry of scene readers: one file each, and a line of the list below.
 
+mod arkitscenes;
 pub(crate) mod blender;
 pub(crate) mod builtin;
 mod bundler;
@@ -12,6 +13,8 @@ mod nsvf;
 mod opensfm;
 mod polycam;
 pub(crate) mod reader;
+mod realitycapture;
+mod record3d;
 
 use reader::Reader;
 use std::path::Path;
@@ -27,6 +30,9 @@ pub(crate) static READERS: &[&Reader] = &[
     &polycam::READER,
     &nsvf::READER,
     &metashape::READER,
+    &realitycapture::READER,
+    &record3d::READER,
+    &arkitscenes::READER,
     &builtin::READER,
 ];
 

@@ -1,7 +1,10 @@
 //! The public multi-scale layout: `metadata.json` with, per split, the arrays file_path, cam2world, width, height,
 //! focal, lossmult (4^level) and optionally pix2cam. There is one image file per view; nothing is averaged.
 
-use super::reader::{CameraFile, OpenScene, Reader};
+use super::{
+    reader::{CameraFile, OpenScene, Reader},
+    record3d,
+};
 use crate::{
     json::{self, Node},
     lens,
@@ -21,7 +24,10 @@ pub(super) static READER: Reader = Reader {
     format: "multiscale",
     name: "multi-scale set",
     files: Some(METADATA),
-    recognises: |root| root.join(METADATA).is_file(),
+    recognises: |root| {
+        let path = root.join(METADATA);
+        path.is_file() && !record3d::is_capture(&path)
+    },
     open: |root, config| Ok(Box::new(Metadata::open(root, config)?)),
     camera_files: &[CameraFile {
         kind: "metadata",

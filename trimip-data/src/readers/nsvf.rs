@@ -5,13 +5,13 @@
 use super::reader::Reader;
 use crate::{
     listing::{Calibration, Frame, Listing},
-    names, pose,
+    names, numbers, pose,
     source::map_in_order,
     split::Split,
 };
 use glam::DMat3;
 use std::path::{Path, PathBuf};
-use trimip_core::{Aabb, Error, Lens, Result, scene_plan::StatedBox, text};
+use trimip_core::{Aabb, Error, Lens, Result, scene_plan::StatedBox};
 
 /// Folder of the poses, and the file of the intrinsics.
 const POSES: &str = "pose";
@@ -33,8 +33,9 @@ pub(super) static READER: Reader = Reader {
     open: |root, config| {
         let folder = root.join(POSES);
         let entries = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
-        let mut files: Vec<PathBuf> =
-            entries.filter(|path| path.extension().is_some_and(|end| end == "txt")).collect();
+        let mut files: Vec<PathBuf> = entries
+            .filter(|path| path.extension().is_some_and(|end| end == "txt") && !names::is_hidden(path))
+            .collect();
         files.sort();
         let calibration = calibration(&root.join(INTRINSICS))?;
         let frames = map_in_order(&files, |_, path| frame(path, calibration))?;
@@ -46,30 +47,10 @@ pub(super) static READER: Reader = Reader {
     camera_files: &[],
 };
 
-/// The lines of numbers of a file.
-fn numbers(path: &Path) -> Result<Vec<Vec<f64>>> {
-    let text = text::read(path, ADVICE)?;
-    let line = |(index, line): (usize, &str)| {
-        let number = |word: &str| {
-            word.parse().ok().filter(|value: &f64| value.is_finite()).ok_or_else(|| {
-                let word: String = word.chars().take(40).collect();
-                Error::input(
-                    format!("{}:{}", path.display(), index + 1),
-                    format!("\"{word}\" is not a finite number"),
-                    ADVICE,
-                )
-            })
-        };
-        line.split_ascii_whitespace().map(number).collect::<Result<Vec<f64>>>()
-    };
-    let lines = text.lines().enumerate().map(line).collect::<Result<Vec<_>>>()?;
-    Ok(lines.into_iter().filter(|line| !line.is_empty()).collect())
-}
-
 /// A frame whose pose is the file's; its photograph has the same name.
 fn frame(path: &Path, calibration: Calibration) -> Result<Frame> {
     let place = path.display().to_string();
-    let rows = numbers(path)?;
+    let rows = numbers::lines(path, ADVICE)?;
     let row = |i: usize| rows.get(i).and_then(|row| row.first_chunk()).copied();
     let [Some(a), Some(b), Some(c)] = [row(0), row(1), row(2)] else {
         return Err(Error::input(&place, "is not a 4x4 matrix", ADVICE));
@@ -83,7 +64,7 @@ fn frame(path: &Path, calibration: Calibration) -> Result<Frame> {
 
 /// Focal lengths and principal point: a matrix, or a line with the focal length and the principal point.
 fn calibration(path: &Path) -> Result<Calibration> {
-    let lines = numbers(path)?;
+    let lines = numbers::lines(path, ADVICE)?;
     let found = match &lines[..] {
         [first, second, ..] if first.len() == second.len() && first.len() >= 3 => {
             Some(([first[0], second[1]], [first[2], second[2]]))
@@ -108,7 +89,7 @@ fn bounds(path: &Path) -> Result<Option<StatedBox>> {
     if !path.is_file() {
         return Ok(None);
     }
-    let all = numbers(path)?.concat();
+    let all = numbers::lines(path, ADVICE)?.concat();
     let Some(&[x, y, z, to_x, to_y, to_z]) = all.first_chunk() else {
         return Err(Error::input(path.display(), "holds no two corners", ADVICE));
     };

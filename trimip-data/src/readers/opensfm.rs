@@ -9,9 +9,10 @@ use crate::{
     listing::{Calibration, Frame, Listing, vision_pose},
     names,
     points::{Cloud, Point},
+    pose,
     split::Split,
 };
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use serde_json::{Value, json};
 use std::{
     collections::HashMap,
@@ -96,7 +97,7 @@ impl Reconstruction {
                 )
             })?;
             let (axis, translation) = (vector(&shot, "rotation")?, vector(&shot, "translation")?);
-            let (rotation, origin) = vision_pose(rotation(axis), translation);
+            let (rotation, origin) = vision_pose(pose::around(axis), translation);
             if !(rotation.is_finite() && origin.is_finite()) {
                 return Err(Error::input(
                     &shot.place,
@@ -147,12 +148,6 @@ fn vector(node: &Node<'_>, key: &str) -> Result<DVec3> {
     let numbers = numbers.and_then(|numbers| numbers.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>());
     let numbers = numbers.ok_or_else(|| node.unexpected(key, "three numbers", value))?;
     Ok(DVec3::new(numbers[0], numbers[1], numbers[2]))
-}
-
-/// The rotation around an axis by its length in radians.
-fn rotation(axis: DVec3) -> DMat3 {
-    let angle = axis.length();
-    if angle == 0.0 { DMat3::IDENTITY } else { DMat3::from_axis_angle(axis / angle, angle) }
 }
 
 fn point(node: &Node<'_>) -> Result<Point> {

@@ -31,8 +31,9 @@ pub(super) static READER: Reader = Reader {
         };
         let folder = root.join(poses);
         let entries = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
-        let mut files: Vec<PathBuf> =
-            entries.filter(|path| path.extension().is_some_and(|end| end == "json")).collect();
+        let mut files: Vec<PathBuf> = entries
+            .filter(|path| path.extension().is_some_and(|end| end == "json") && !names::is_hidden(path))
+            .collect();
         files.sort();
         let frames = map_in_order(&files, |_, path| frame(path, images))?;
         Ok(Box::new(Listing::new(root, config, &folder, frames, Split::default())?))
@@ -62,9 +63,6 @@ fn frame(path: &Path, images: &str) -> Result<Frame> {
     let wrong = |what: String| Error::input(&node.place, format!("its pose {what}"), "export it again");
     let (rotation, origin) = pose::checked([row(2)?, row(0)?, row(1)?]).map_err(wrong)?;
     let size = Size::named(&node, ["width", "height"])?;
-    let (Some(width), Some(height)) = (size.width, size.height) else {
-        return Err(Error::input(&node.place, "has no \"width\" and \"height\"", "export it again"));
-    };
     let [fx, fy] = [number("fx")?, number("fy")?];
     if !(fx > 0.0 && fy > 0.0) {
         return Err(Error::input(
@@ -74,14 +72,12 @@ fn frame(path: &Path, images: &str) -> Result<Frame> {
         ));
     }
     let (cx, cy) = (number("cx")?, number("cy")?);
-    let intrinsics = Intrinsics { width, height, fx, fy, cx, cy, lens: Lens::default() };
+    let lens = Lens::default();
+    // Poses that newer versions correct state no size: lengths are in pixels of the photograph.
+    let calibration = match (size.width, size.height) {
+        (Some(width), Some(height)) => Calibration::Sized(Intrinsics { width, height, fx, fy, cx, cy, lens }),
+        _ => Calibration::Unsized { focal: [fx, fy], centre: Some([cx, cy]), lens },
+    };
     let named = format!("{images}/{}", names::stem(&path.file_stem().unwrap_or_default().to_string_lossy()));
-    Ok(Frame {
-        named,
-        place: node.place,
-        rotation,
-        origin,
-        calibration: Calibration::Sized(intrinsics),
-        split: None,
-    })
+    Ok(Frame { named, place: node.place, rotation, origin, calibration, split: None })
 }

@@ -2,6 +2,7 @@
 #![allow(dead_code, missing_docs)] // each test file uses its part
 
 pub mod colmap;
+pub mod ring;
 
 use image::{DynamicImage, ImageBuffer, Rgba};
 use serde_json::{Value, json};

@@ -1,0 +1,26 @@
+//! Files of numbers between blanks, such as matrices and trajectories.
+
+use std::path::Path;
+use trimip_core::{Error, Result, text};
+
+/// The lines of numbers of a file, without empty lines. `advice` says what to do if it cannot be read.
+///
+/// # Errors
+/// Of kind `Input`, with the line: a word is no finite number.
+pub(crate) fn lines(path: &Path, advice: &str) -> Result<Vec<Vec<f64>>> {
+    let text = text::read(path, advice)?;
+    let line = |(index, line): (usize, &str)| {
+        let place = || format!("{}:{}", path.display(), index + 1);
+        line.split_ascii_whitespace()
+            .map(|word| number(word).map_err(|what| Error::input(place(), what, advice)))
+            .collect::<Result<Vec<f64>>>()
+    };
+    let lines = text.lines().enumerate().map(line).collect::<Result<Vec<_>>>()?;
+    Ok(lines.into_iter().filter(|line| !line.is_empty()).collect())
+}
+
+/// A finite number. The error says what is wrong.
+pub(crate) fn number(word: &str) -> std::result::Result<f64, String> {
+    let value = word.parse().ok().filter(|value: &f64| value.is_finite());
+    value.ok_or_else(|| format!("\"{}\" is not a finite number", word.chars().take(40).collect::<String>()))
+}

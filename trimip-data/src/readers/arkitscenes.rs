@@ -1,0 +1,123 @@
+//! A scene of Apple's ARKitScenes: photographs in `lowres_wide/`, called by video and time in seconds, the intrinsics of each in
+//! `lowres_wide_intrinsics/` (width, height, focal lengths, principal point), and `lowres_wide.traj`, a pose a line: time, an axis times an
+//! angle, and a translation, world-to-camera with x right, y down and z forward (ARKitScenes, DATA.md and its loader).
+
+use super::reader::Reader;
+use crate::{
+    listing::{Calibration, Frame, Listing, vision_pose},
+    names, numbers, pose,
+    source::map_in_order,
+    split::Split,
+};
+use glam::DVec3;
+use std::path::{Path, PathBuf};
+use trimip_core::{Error, Intrinsics, Lens, Result, plural::count};
+
+/// Trajectory, photographs and their intrinsics.
+const POSES: &str = "lowres_wide.traj";
+const IMAGES: &str = "lowres_wide";
+const INTRINSICS: &str = "lowres_wide_intrinsics";
+
+/// How far the time of a pose may be from that of its photograph, seconds; and the steps by which names of intrinsics are rounded.
+const MOST_APART: f64 = 5e-3;
+const STEPS: [f64; 3] = [0.0, -1e-3, 1e-3];
+
+const ADVICE: &str = "download the scene again";
+
+pub(super) static READER: Reader = Reader {
+    format: "arkitscenes",
+    name: "scene of ARKitScenes",
+    files: Some("lowres_wide.traj"),
+    recognises: |root| root.join(POSES).is_file(),
+    open: |root, config| {
+        let path = root.join(POSES);
+        let poses = poses(&path)?;
+        let mut photographs: Vec<PathBuf> =
+            root.join(IMAGES).read_dir().into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+        photographs.retain(|path| names::is_picture(path));
+        photographs.sort();
+        let found = map_in_order(&photographs, |_, path| frame(root, path, &poses))?;
+        let frames: Vec<Frame> = found.into_iter().flatten().collect();
+        let warnings = (frames.len() < photographs.len())
+            .then(|| {
+                let all = count(photographs.len(), "photograph");
+                format!("{} has poses of {} of {all}: the others are left out", path.display(), frames.len())
+            })
+            .into_iter()
+            .collect();
+        Ok(Box::new(Listing::new(root, config, &path, frames, Split { warnings, ..Split::default() })?))
+    },
+    images: Some("scenes of ARKitScenes"),
+    divisible: true,
+    camera_files: &[],
+};
+
+/// A line of the trajectory: time, rotation around an axis, translation.
+type Line = [f64; 7];
+
+/// The poses in order of time.
+fn poses(path: &Path) -> Result<Vec<Line>> {
+    let pose = |(index, line): (usize, Vec<f64>)| {
+        let found = count(line.len(), "number");
+        line.try_into().map_err(|_| {
+            Error::input(
+                format!("{}: pose {index}", path.display()),
+                format!("is {found} instead of 7"),
+                ADVICE,
+            )
+        })
+    };
+    let mut poses: Vec<Line> =
+        numbers::lines(path, ADVICE)?.into_iter().enumerate().map(pose).collect::<Result<_>>()?;
+    poses.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    Ok(poses)
+}
+
+/// The pose nearest in time, if it is near.
+fn near(poses: &[Line], time: f64) -> Option<&Line> {
+    let after = poses.partition_point(|pose| pose[0] < time);
+    let apart = |pose: &&Line| (pose[0] - time).abs();
+    let around = poses[after.saturating_sub(1)..].iter().take(2);
+    around.min_by(|a, b| apart(a).total_cmp(&apart(b))).filter(|pose| apart(pose) < MOST_APART)
+}
+
+/// The frame of a photograph; `None` without a pose.
+fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>> {
+    let place = photograph.display().to_string();
+    let name = names::stem(&photograph.file_name().unwrap_or_default().to_string_lossy());
+    let parts = name.rsplit_once('_').and_then(|(video, time)| Some((video, numbers::number(time).ok()?)));
+    let Some((video, time)) = parts else {
+        let what = "is not called by video and time, as 41069021_305.377.png";
+        return Err(Error::input(place, what, "give it its name again"));
+    };
+    let Some(&[_, x, y, z, tx, ty, tz]) = near(poses, time) else { return Ok(None) };
+    let (rotation, origin) = vision_pose(pose::around(DVec3::new(x, y, z)), DVec3::new(tx, ty, tz));
+    if !(rotation.is_finite() && origin.is_finite()) {
+        return Err(Error::input(place, "has a pose that is not finite", ADVICE));
+    }
+    let candidates =
+        STEPS.map(|step| root.join(INTRINSICS).join(format!("{video}_{:.3}.pincam", time + step)));
+    let path = candidates.iter().find(|path| path.is_file()).unwrap_or(&candidates[0]);
+    Ok(Some(Frame {
+        named: format!("{IMAGES}/{}", photograph.file_name().unwrap_or_default().to_string_lossy()),
+        place,
+        rotation,
+        origin,
+        calibration: Calibration::Sized(intrinsics(path)?),
+        split: None,
+    }))
+}
+
+/// The intrinsics of a file.
+fn intrinsics(path: &Path) -> Result<Intrinsics> {
+    let wrong = |what: String| Error::input(path.display(), what, ADVICE);
+    let all = numbers::lines(path, ADVICE)?.concat();
+    let [width, height, fx, fy, cx, cy] = all[..] else {
+        return Err(wrong(format!("holds {} instead of 6", count(all.len(), "number"))));
+    };
+    let is_side = |side: f64| side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0;
+    if !(is_side(width) && is_side(height) && fx > 0.0 && fy > 0.0) {
+        return Err(wrong(format!("states {width}x{height} pixels and the focal lengths {fx} and {fy}")));
+    }
+    Ok(Intrinsics { width: width as u32, height: height as u32, fx, fy, cx, cy, lens: Lens::default() })
+}
