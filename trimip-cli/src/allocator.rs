@@ -84,3 +84,29 @@ unsafe impl GlobalAlloc for Ending {
         unsafe { System.dealloc(memory, layout) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_blocks_of_any_alignment_are_zero_where_they_should_be() {
+        for align in [1, 16, 64, 4096] {
+            let layout = Layout::from_size_align(LARGE + 12_345, align).unwrap();
+            // The second block may be memory that was written to.
+            for _ in 0..2 {
+                // SAFETY: the layout has a size, and the block is freed with it.
+                unsafe {
+                    let memory = ALLOCATOR.alloc_zeroed(layout);
+                    assert_eq!(memory as usize % align, 0);
+                    let bytes = std::slice::from_raw_parts_mut(memory, layout.size());
+                    assert!(bytes.iter().all(|byte| *byte == 0));
+                    bytes.fill(7);
+                    let grown = ALLOCATOR.realloc(memory, layout, 2 * layout.size());
+                    assert!(std::slice::from_raw_parts(grown, layout.size()).iter().all(|byte| *byte == 7));
+                    ALLOCATOR.dealloc(grown, Layout::from_size_align(2 * layout.size(), align).unwrap());
+                }
+            }
+        }
+    }
+}
