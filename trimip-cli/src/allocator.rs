@@ -29,6 +29,9 @@ fn given(memory: *mut u8, layout: Layout) -> *mut u8 {
 /// Blocks of this size and larger are backed with huge pages.
 const LARGE: usize = 8 << 20;
 
+/// The kernel's own zeros are used up to this alignment, so that pages that nobody touches take no memory.
+const USUAL: usize = 16;
+
 /// Asks for huge pages in a block of `size` bytes. Nothing happens where there are none.
 #[cfg(target_os = "linux")]
 fn advise(memory: *mut u8, size: usize) {
@@ -62,11 +65,11 @@ unsafe impl GlobalAlloc for Ending {
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        if layout.size() < LARGE {
+        if layout.size() < LARGE || layout.align() <= USUAL {
             // SAFETY: as above.
-            return given(unsafe { System.alloc_zeroed(layout) }, layout);
+            return advised(given(unsafe { System.alloc_zeroed(layout) }, layout), layout.size());
         }
-        // The system's allocator writes its zeros itself where the alignment is unusual: pages must be huge before.
+        // Here the system's allocator would write the zeros itself, and pages must be huge before.
         // SAFETY: as above.
         let memory = unsafe { self.alloc(layout) };
         // SAFETY: the block has as many bytes.
