@@ -59,7 +59,7 @@ impl CpuOccupancy {
         self.distances[(x + side * (y + side * z)) as usize].into()
     }
 
-    /// Running maximum of the density of a cell, see [`decayed`].
+    /// Running maximum of the density of a cell, see [`decayed`]; 0 in a model that is not trained.
     #[inline(always)]
     pub fn density(&self, [x, y, z]: [u32; 3]) -> f32 {
         let side = self.policy.resolution();

@@ -19,16 +19,18 @@ pub(crate) fn check(source: &mut (impl Read + Seek)) -> io::Result<()> {
         source.read_exact(&mut head)?;
         head.starts_with(b"RIFF") && head.ends_with(b"WEBP")
     };
-    let found = if is_webp { parts(source, 12..end, None) } else { Ok(()) };
+    let found = if is_webp { parts(source, 12..end, None, false) } else { Ok(()) };
     source.rewind()?;
     found
 }
 
-/// Checks the parts in a range of the file, whose pictures have the size `size` if it is stated.
+/// Checks the parts in a range of the file, whose pictures have the size `size` if it is stated. A picture of an animation has parts of its
+/// own, but none of them is such a picture (RFC 9649, 2.7.1.1), so that a file cannot nest them without end.
 fn parts(
     source: &mut (impl Read + Seek),
     range: std::ops::Range<u64>,
     mut size: Option<[u32; 2]>,
+    in_picture: bool,
 ) -> io::Result<()> {
     let mut at = range.start;
     while range.end - at >= HEAD {
@@ -48,13 +50,14 @@ fn parts(
                 let [_, _, _, _, w0, w1, w2, h0, h1, h2] = first(source)?;
                 size = Some([[w0, w1, w2], [h0, h1, h2]].map(side));
             }
+            b"ANMF" if in_picture => return Err(wrong("a picture of the animation holds another")),
             b"ANMF" => {
                 let [_, _, _, _, _, _, w0, w1, w2, h0, h1, h2, _, _, _, _] = first(source)?;
                 let own = [[w0, w1, w2], [h0, h1, h2]].map(side);
                 if size.is_some_and(|size| own[0] > size[0] || own[1] > size[1]) || length < 16 {
                     return Err(wrong("a picture is larger than the file states"));
                 }
-                parts(source, data.start + 16..data.end, Some(own))?;
+                parts(source, data.start + 16..data.end, Some(own), true)?;
             }
             b"VP8 " => {
                 let [t0, t1, t2, _, _, _, w0, w1, h0, h1] = first(source)?;

@@ -140,7 +140,21 @@ fn webp_files_hold_the_parts_that_they_state() {
     assert!(put(picture + 8, &[0xf0, 0xff, 0xff]).contains("a part ends behind the file"));
 }
 
-/// As above, of both orders of bytes and of both sizes of entries.
+/// Pictures of an animation in each other, as deep as the file is long: looking at them takes no more of the stack than one.
+#[test]
+fn webp_pictures_hold_no_others() {
+    let depth = 200_000_u32;
+    let mut bytes = b"RIFF\0\0\0\0WEBP".to_vec();
+    for level in (0..depth).rev() {
+        bytes.extend(b"ANMF");
+        bytes.extend((16 + 24 * level).to_le_bytes());
+        bytes.extend([0; 16]);
+    }
+    let message = photograph("a file", &bytes).unwrap_err().message;
+    assert!(message.contains("a picture of the animation holds another"), "{message}");
+}
+
+/// As for WebP, of both orders of bytes and of both sizes of entries.
 #[test]
 fn tiff_files_hold_the_values_that_they_state() {
     let color = ImageBuffer::from_fn(19, 11, |x, y| Rgb([x as u8, y as u8, 9]));

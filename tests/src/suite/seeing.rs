@@ -2,7 +2,7 @@
 
 use super::{Bench, marching, wide};
 use crate::{
-    fixtures::lively,
+    fixtures::{TestRandom, lively},
     reference::{Reference, Sample, visible},
 };
 use trimip_core::{
@@ -37,7 +37,16 @@ fn bench<B: Backend>(backend: B, limits: (f32, f32)) -> Result<(Bench<B>, trimip
     let last = layout.network("density").last().map_or(0..0, |slot| slot.range.clone());
     parameters[last].iter_mut().for_each(|weight| *weight *= 4.0);
     let mut bench = Bench::new(backend, &config, None, &parameters)?;
-    bench.stages.occupancy.restore(&marching::bits(32, 0.5, 7), None);
+    // A backend may walk as far at once as the densities of cells let it: empty, thin, opaque after some steps, and at once.
+    let mut random = TestRandom::new(9);
+    let density = |_| match random.below(40) {
+        0 => 1e3,
+        1..8 => 0.7,
+        8..16 => 0.02,
+        _ => 0.0,
+    };
+    let densities: Vec<f32> = (0..32_u32.pow(3)).map(density).collect();
+    bench.stages.occupancy.restore(&marching::bits(32, 0.5, 7), Some(&densities));
     bench.workspace.rays.place(&bench.backend, &marching::rays(11));
     Ok((bench, config))
 }

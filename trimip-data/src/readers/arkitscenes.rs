@@ -18,8 +18,10 @@ const POSES: &str = "lowres_wide.traj";
 const IMAGES: &str = "lowres_wide";
 const INTRINSICS: &str = "lowres_wide_intrinsics";
 
-/// How far the time of a pose may be from that of its photograph, seconds; and the steps by which names of intrinsics are rounded.
+/// The time of a pose may differ by this from that of its photograph, seconds.
 const MOST_APART: f64 = 5e-3;
+
+/// The time in the name of a photograph's intrinsics may differ by these from that in the photograph's name, seconds: both are rounded.
 const STEPS: [f64; 3] = [0.0, -1e-3, 1e-3];
 
 const ADVICE: &str = "download the scene again";

@@ -97,7 +97,7 @@ struct Columns {
 }
 
 impl Columns {
-    /// Those that a line names; `None` if one is not among them that is needed.
+    /// The columns that a line names; `None` if a needed one is missing.
     fn of(line: &str) -> Option<Self> {
         let line = line.trim().trim_start_matches('#');
         SEPARATORS.into_iter().find_map(|separator| {

@@ -56,7 +56,7 @@ fn inputs() -> impl Iterator<Item = &'static (&'static str, Input)> {
     all.into_iter().flatten()
 }
 
-/// What is wrong with a report, if anything is.
+/// Opens the input of a report. Returns what came out if it is not what the report says.
 fn failure(report: &Report, input: Input) -> Option<String> {
     let folder = tempfile::tempdir().unwrap();
     let expected = input(folder.path());
