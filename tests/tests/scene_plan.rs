@@ -7,6 +7,7 @@ use trimip_core::{
     Config, Settings,
     config::{FilePrecision, PlaneShape},
     field::model::Model,
+    scene::origin::LocalOrigin,
 };
 use trimip_tests::binary::{run, tiny_and};
 
@@ -171,7 +172,13 @@ fn plan_twice(scales: u32, expected: &[&str]) {
     let config = Config::from_settings(&settings).unwrap();
     let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let compute = Compute::one_thread();
-    let facts = Facts { train: &scene.train, test: &scene.test.cameras(), stated: None, compute: &compute };
+    let facts = Facts {
+        train: &scene.train,
+        test: &scene.test.cameras(),
+        stated: None,
+        origin: LocalOrigin::default(),
+        compute: &compute,
+    };
     let decided = |settings: &mut Settings| {
         let findings = scene_plan::make(settings, &facts).unwrap();
         findings.into_iter().filter(|f| f.left_out).map(|f| f.decision).collect::<Vec<_>>()

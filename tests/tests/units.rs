@@ -6,6 +6,7 @@ use trimip_core::{
     Config, Session, ViewSet,
     config::Contraction,
     engine::trainer::Trainer,
+    scene::origin::LocalOrigin,
     scene_plan::{self, Compute, Facts},
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
@@ -71,7 +72,8 @@ fn trained(views: ViewSet) -> (Config, f64) {
         settings.apply_assignment(&assignment).unwrap();
     }
     let (test, compute) = (Vec::new(), Compute::one_thread());
-    let facts = Facts { train: &views, test: &test, stated: None, compute: &compute };
+    let facts =
+        Facts { train: &views, test: &test, stated: None, origin: LocalOrigin::default(), compute: &compute };
     scene_plan::make(&mut settings, &facts).unwrap();
     let config = Config::from_settings(&settings).unwrap();
     let mut trainer = Trainer::new(CpuBackend::new(2, Simd::detect()).unwrap(), &config, views).unwrap();

@@ -111,6 +111,7 @@ pub fn default_folder(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use trimip_core::scene::origin::LocalOrigin;
 
     #[test]
     fn durations_are_read_in_seconds_minutes_and_hours() {
@@ -173,7 +174,8 @@ mod tests {
     #[test]
     fn the_path_that_is_shipped_ends_16_times_as_far_away_as_it_begins() {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/zoom.json");
-        let cameras = trimip::view::cameras::path(&file, trimip::Intrinsics::from_angle(8, 8, 0.7)).unwrap();
+        let intrinsics = trimip::Intrinsics::from_angle(8, 8, 0.7);
+        let cameras = trimip::view::cameras::path(&file, intrinsics, LocalOrigin::default()).unwrap();
         // All cameras look at one point of the built-in scene.
         let distances: Vec<f64> = cameras
             .iter()

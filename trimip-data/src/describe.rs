@@ -39,6 +39,9 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
             if train.pixels.bytes_in_memory() > 0 { "in memory" } else { "in a file" }
         ),
     ];
+    if !survey.origin.is_zero() {
+        lines.push(format!("coordinates count from {} of the files (data.origin)", survey.origin));
+    }
     lines.extend(survey.notes.iter().cloned());
     lines.extend(masks::described(&survey.train, train));
     lines

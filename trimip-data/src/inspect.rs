@@ -8,7 +8,7 @@ use crate::{
     survey::Survey,
     watch::{Meter, Watch},
 };
-use trimip_core::{Alpha, Result, plural::count};
+use trimip_core::{Alpha, Result, plural::count, scene::origin::LocalOrigin};
 
 /// Everything that is known about a scene without training.
 #[derive(Debug)]
@@ -36,7 +36,7 @@ pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
 /// # Errors
 /// As [`open`](crate::open).
 pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
-    let survey = Survey::new(config)?;
+    let survey = Survey::new(config)?.local(config, LocalOrigin::chosen)?;
     let train =
         assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(rows(&survey.train), watch))?;
     let mut lines = describe::description(&survey, config, &train);
@@ -55,12 +55,13 @@ pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
             [one] => lines.push(format!("{name}: lens {one}")),
             all => lines.push(format!("{name}: {}, the first {}", count(all.len(), "lens model"), all[0])),
         }
+        let places = || cameras().map(|camera| survey.origin.stated(camera.origin));
         lines.push(format!(
             "{name}: cameras {} from the origin, x {}, y {}, z {}",
-            range(cameras().map(|camera| camera.origin.length())),
-            range(cameras().map(|camera| camera.origin.x)),
-            range(cameras().map(|camera| camera.origin.y)),
-            range(cameras().map(|camera| camera.origin.z)),
+            range(places().map(|place| place.length())),
+            range(places().map(|place| place.x)),
+            range(places().map(|place| place.y)),
+            range(places().map(|place| place.z)),
         ));
     }
     if let Some(scale) = train.scales.first() {

@@ -9,7 +9,9 @@ use crate::{
     watch::{Meter, Watch, unwatched},
     workers,
 };
-use trimip_core::{Alpha, Camera, Error, Frames, Result, ViewSet, scene_plan::StatedBox};
+use trimip_core::{
+    Alpha, Camera, Error, Frames, Result, ViewSet, scene::origin::LocalOrigin, scene_plan::StatedBox,
+};
 
 /// A scene ready to train and test on.
 pub struct Scene {
@@ -25,6 +27,8 @@ pub struct Scene {
     pub stated: Option<StatedBox>,
     /// Points of the scene that the data state, with the training views that saw them.
     pub points: Vec<Point>,
+    /// Where the coordinates of cameras, box and points begin in those of the files (`data.origin`).
+    pub origin: LocalOrigin,
     /// Warnings about the data, to be shown beside every result.
     pub warnings: Vec<String>,
     /// A description in a few lines: layout, views, sizes, scales, memory.
@@ -51,7 +55,8 @@ impl std::fmt::Debug for Scene {
     }
 }
 
-/// Opens the scene that the settings name: reads every camera and image header, decodes the training images.
+/// Opens the scene that the settings name: reads every camera and image header, decodes the training images. Without `data.origin`,
+/// the coordinates of a scene far from their origin count from [a place](LocalOrigin::chosen) among its cameras.
 ///
 /// # Errors
 /// Of kind `Input`, one line each: what is wrong, in which file and frame, and what to do.
@@ -65,25 +70,27 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
 /// As [`open`].
 pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
     workers::start()?;
-    let survey = Survey::new(config)?;
+    let survey = Survey::new(config)?.local(config, LocalOrigin::chosen)?;
     let train =
         assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(rows(&survey.train), watch))?;
     Ok(opened(survey, config, train))
 }
 
 /// Opens the test frames of the scene that the settings name. Reads every camera and image header as [`open`] does, but
-/// decodes no training image, which saves time and memory.
+/// decodes no training image, which saves time and memory. Without `data.origin`, as of a model that was trained near the origin, the
+/// coordinates are those of the files.
 ///
 /// # Errors
 /// As [`open`]; of kind `Input` if there is no test frame.
 pub fn open_test(config: &DataConfig) -> Result<TestSet> {
     workers::start()?;
-    let Survey { name, train, test, warnings, alpha, .. } = Survey::new(config)?;
+    let survey = Survey::new(config)?.local(config, |_| LocalOrigin::default())?;
+    let cameras = survey.cameras();
+    let Survey { name, train, test, warnings, alpha, .. } = survey;
     if test.is_empty() {
         let named = format!("data.test = \"{}\"", config.test);
         return Err(Error::input(named, "the test split holds no view", "name another data.test"));
     }
-    let cameras = train.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect();
     let photographs = frames(train, alpha);
     Ok(TestSet { name, frames: frames(test, alpha), train: cameras, photographs, warnings })
 }
@@ -106,6 +113,7 @@ pub(crate) fn opened(survey: Survey, config: &DataConfig, mut train: ViewSet) ->
         test: frames(survey.test, survey.alpha),
         stated: survey.stated,
         points: survey.points,
+        origin: survey.origin,
         warnings: [survey.warnings, of_masks].concat(),
         description,
     }

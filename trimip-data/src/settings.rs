@@ -22,6 +22,7 @@ use trimip_core::config::Convention;
 #[expect(missing_docs, reason = "the tables above and core's document the fields")]
 pub struct DataConfig {
     pub root: String,
+    pub origin: Vec<f64>,
     pub format: String,
     pub images: String,
     pub train: Vec<String>,

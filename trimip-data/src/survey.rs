@@ -6,12 +6,12 @@ use crate::{
     list, masks,
     points::{Cloud, Point},
     settings::DataConfig,
-    source::Source,
+    source::{Pixels, Source},
     split::Split,
     warnings,
 };
 use std::path::Path;
-use trimip_core::{Alpha, Error, Result, scene_plan::StatedBox};
+use trimip_core::{Alpha, Camera, Error, Result, scene::origin::LocalOrigin, scene_plan::StatedBox};
 
 /// A scene before any image is decoded.
 pub(crate) struct Survey {
@@ -29,10 +29,12 @@ pub(crate) struct Survey {
     /// What alpha is in all views.
     pub(crate) alpha: Alpha,
     pub(crate) points: Vec<Point>,
+    /// Where the coordinates of cameras, box and points begin in those of the files.
+    pub(crate) origin: LocalOrigin,
 }
 
 impl Survey {
-    /// Reads every camera and image header of the scene that the settings name.
+    /// Reads every camera and image header of the scene that the settings name. Its coordinates are those of the files.
     pub(crate) fn new(config: &DataConfig) -> Result<Self> {
         if !(1..=8).contains(&config.scales) {
             return Err(Error::input("data.scales", format!("is {}", config.scales), "expected 1 to 8"));
@@ -83,7 +85,37 @@ impl Survey {
         let halvings = train.first().map_or(0, |source| source.halvings);
         let points = cloud.seen_by(train.iter().map(|source| source.name.as_str()), halvings);
         let layout = layout.reader.name;
-        Ok(Self { name, layout, train_splits, train, test, warnings, notes, stated, alpha, points })
+        let origin = LocalOrigin::default();
+        Ok(Self { name, layout, train_splits, train, test, warnings, notes, stated, alpha, points, origin })
+    }
+
+    /// The same scene in coordinates that count from `data.origin`, or, if none is given, from the place that `choose` finds for the
+    /// training cameras.
+    pub(crate) fn local(mut self, config: &DataConfig, choose: fn(&[Camera]) -> LocalOrigin) -> Result<Self> {
+        let origin = match config.origin[..] {
+            [] => choose(&self.cameras()),
+            ref given => LocalOrigin::at(given),
+        };
+        let rendered = self.train.iter().any(|source| matches!(source.pixels, Pixels::Rendered { .. }));
+        if rendered && !origin.is_zero() {
+            let what = format!("is {origin}, and the built-in scene is rendered at its own origin");
+            return Err(Error::input("data.origin", what, "leave it out"));
+        }
+        for (_, camera) in self.train.iter_mut().chain(&mut self.test).flat_map(|source| &mut source.views) {
+            *camera = origin.local(*camera);
+        }
+        for point in &mut self.points {
+            point.position = origin.local(point.position);
+        }
+        if let Some(stated) = &mut self.stated {
+            stated.aabb = origin.local(stated.aabb);
+        }
+        Ok(Self { origin, ..self })
+    }
+
+    /// Cameras of the training views at their finest scale.
+    pub(crate) fn cameras(&self) -> Vec<Camera> {
+        self.train.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect()
     }
 }
 

@@ -12,10 +12,17 @@ pub struct Mesh(pub mesh::Mesh);
 
 #[pymethods]
 impl Mesh {
-    /// Places of the vertices: float32 [vertices, 3], world units.
+    /// Places of the vertices: float32 [vertices, 3], world units, counted from `origin`.
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         threes(py, &self.0.positions)
+    }
+
+    /// Where these coordinates begin in those of the photographs: three numbers, 0 unless these lie far from the origin of their
+    /// coordinates. Files have the coordinates of the photographs.
+    #[getter]
+    fn origin(&self) -> [f64; 3] {
+        self.0.origin.numbers()
     }
 
     /// Unit normals of the vertices, outward: float32 [vertices, 3].

@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 use trimip::mesh::{self, Extraction, Goal};
 use trimip::view::{PerceptualMetrics, TestViews, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
-use trimip_core::{Query, field::encoders, run::evaluate::ViewResult};
+use trimip_core::{Query, field::encoders, run::evaluate::ViewResult, scene::origin::LocalOrigin};
 
 /// Views as arrays. One view has [height, width, …], several have [views, height, width, …].
 #[pyclass(frozen, get_all, module = "trimip")]
@@ -92,6 +92,11 @@ impl Model {
         Ok(Self { model, viewer: Mutex::new(viewer) })
     }
 
+    /// Where the coordinates of the model begin in those of the photographs, which Python's have.
+    fn origin(&self) -> LocalOrigin {
+        LocalOrigin::of(&self.model.config.data)
+    }
+
     /// Works with the viewer while the interpreter is free. A thread that holds the interpreter never waits for the viewer.
     fn work<T: Send>(
         &self,
@@ -134,7 +139,7 @@ impl Model {
                 refused("directions", "a row without direction", "give vectors other than 0")
             })?;
             let direction = unit.to_array().map(|number| number as f32);
-            Ok(Query { point, radius: radius as f32, direction })
+            Ok(Query { point: self.origin().local(point), radius: radius as f32, direction })
         };
         points.into_iter().zip(directions).map(one).collect()
     }
@@ -157,7 +162,7 @@ impl Model {
 
     /// Renders the view of a camera.
     fn render(&self, py: Python<'_>, camera: &Camera) -> PyResult<Frame> {
-        let camera = camera.0;
+        let camera = self.origin().local(camera.0);
         let frame = self.work(py, |viewer, interrupted| {
             viewer.render_watched(&camera, &mut |_, _| interrupted.goes_on())
         })?;
@@ -173,10 +178,11 @@ impl Model {
         if cameras.iter().any(|camera| [camera.0.intrinsics.height, camera.0.intrinsics.width] != size) {
             return Err(refused("cameras", "pictures of different sizes", "render them one by one"));
         }
+        let origin = self.origin();
         let frames = self.work(py, |viewer, interrupted| {
             let mut frames = Vec::with_capacity(cameras.len());
             for camera in &cameras {
-                match viewer.render_watched(&camera.0, &mut |_, _| interrupted.goes_on())? {
+                match viewer.render_watched(&origin.local(camera.0), &mut |_, _| interrupted.goes_on())? {
                     Some(frame) => frames.push(frame),
                     None => return Ok(None),
                 }
@@ -282,7 +288,14 @@ impl Model {
         value::python(py, &settings.table())
     }
 
-    /// The box of the scene: its two corners, world units.
+    /// Where the coordinates of `aabb` and of a mesh's positions begin in those of the photographs, which cameras and points have:
+    /// three numbers, 0 unless the photographs lie far from the origin of their coordinates (data.origin).
+    #[getter]
+    fn local_origin(&self) -> [f64; 3] {
+        self.origin().numbers()
+    }
+
+    /// The box of the scene: its two corners, world units, counted from `local_origin`.
     #[getter]
     fn aabb(&self) -> ([f32; 3], [f32; 3]) {
         (self.model.config.scene.aabb_min, self.model.config.scene.aabb_max)

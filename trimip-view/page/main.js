@@ -265,7 +265,11 @@ function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(anchor.href), 10000);
 }
 find("picture").addEventListener("click", () => view.toBlob((blob) => download(`${scene.name}.png`, blob)));
-const rows = (pose) => [pose.slice(0, 4), pose.slice(4, 8), pose.slice(8, 12), [0, 0, 0, 1]];
+/** A pose as `--pose` and `--path` read it: in the coordinates of the photographs, from which the page's count from scene.origin. */
+const rows = (pose) => {
+  const row = (i) => [...pose.slice(4 * i, 4 * i + 3), pose[4 * i + 3] + (scene.origin[i] ?? 0)];
+  return [row(0), row(1), row(2), [0, 0, 0, 1]];
+};
 find("pose").addEventListener("click", async () => {
   const text = JSON.stringify(rows(currentPose()));
   // Without https only this machine's own pages have a clipboard.

@@ -68,6 +68,7 @@ impl Scene {
             "encoder": self.config.encoder.kind,
             "box": { "min": scene.aabb_min, "max": scene.aabb_max },
             "up": scene.up,
+            "origin": self.config.data.origin,
             "crop": scene.crop,
             "background": self.config.data.background,
             "renderers": renderers,

@@ -34,6 +34,7 @@ pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
         train: &seen.scene.train,
         test: &test,
         stated: seen.scene.stated.as_ref(),
+        origin: seen.scene.origin,
         compute: &compute,
     };
     let (mut plan, mut warnings) = (None, Vec::new());

@@ -46,7 +46,8 @@ pub fn override_model(model: &mut Model, assignments: &[String]) -> Result<()> {
         settings.apply_assignment(assignment)?;
         let key = assignment.split('=').next().unwrap_or_default().trim();
         let section = key.split('.').next().unwrap_or_default();
-        if let Some((last, others)) = free.split_last().filter(|_| !free.contains(&section)) {
+        let belongs = !free.contains(&section) || key == "data.origin";
+        if let Some((last, others)) = free.split_last().filter(|_| belongs) {
             return Err(Error::input(
                 format!("--set {assignment}"),
                 "this setting belongs to the trained model",
@@ -191,7 +192,7 @@ mod tests {
         let text = config.to_toml();
         let data = text.split_once("[data]\n").and_then(|(_, rest)| rest.split_once("\n\n")).unwrap().0;
         let keys: Vec<&str> = data.lines().filter_map(|line| line.split(" = ").next()).collect();
-        let expected = "root format images train test holdout test_list lens masks mask_keeps mask_role scales \
+        let expected = "root format images train test holdout test_list lens masks mask_keeps mask_role origin scales \
                         convention edge_exponents background builtin_size builtin_train builtin_test \
                         builtin_supersampling builtin_finish most_pixels pixels";
         assert_eq!(keys, expected.split_whitespace().collect::<Vec<_>>());

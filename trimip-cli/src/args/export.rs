@@ -65,6 +65,10 @@ pub struct MeshArguments {
     /// Leave out what fewer than N training cameras see; 0 = keep all [default: 3 in contracted space, otherwise 0]
     #[arg(long, value_name = "N")]
     pub seen_by: Option<u32>,
+    /// Write coordinates that count from data.origin, for programs with 32 bits; the file states what to add. Without, all are those
+    /// of the photographs; the two differ where these lie far from the origin of their coordinates
+    #[arg(long)]
+    pub local: bool,
     /// Leave out the colours of the vertices
     #[arg(long)]
     pub no_colors: bool,

@@ -4,6 +4,7 @@ use clap::Args;
 use std::path::PathBuf;
 use std::str::FromStr;
 use trimip::{Config, Crop};
+use trimip_core::scene::origin::LocalOrigin;
 
 /// Sources of settings.
 #[derive(Args, Clone, Debug, Default)]
@@ -49,11 +50,11 @@ pub enum CropChoice {
 }
 
 impl CropChoice {
-    /// The crop of a model of this configuration.
+    /// The crop of a model of this configuration, in its coordinates; one that is given has those of the photographs.
     pub fn of(self, config: &Config) -> Crop {
         match self {
             Self::Auto => config.scene.crop,
-            Self::Given(crop) => crop,
+            Self::Given(crop) => LocalOrigin::of(&config.data).local(crop),
         }
     }
 }

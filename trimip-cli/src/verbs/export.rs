@@ -11,9 +11,10 @@ use crate::{
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
-use trimip::mesh::{self, Extracted, Extraction, Goal, MeshFormat};
+use trimip::mesh::{self, Coordinates, Extracted, Extraction, Goal, MeshFormat};
 use trimip::run::{cameras::training_cameras, folder as run_folder};
 use trimip::{Crop, Result, backends, settings};
+use trimip_core::scene::origin::LocalOrigin;
 
 /// Steps of the bar.
 const BAR: u64 = 1000;
@@ -33,6 +34,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     let mut model = run_folder::read_model(&arguments.model)?;
     settings::override_model(&mut model, &arguments.set)?;
     backends::check(&model.config.backend)?;
+    let origin = LocalOrigin::of(&model.config.data);
     // Opened first: a missing data set is told before the work, not after it.
     let data = match trimip_data::open_test(&model.config.section()?) {
         Ok(data) => Some(data),
@@ -41,7 +43,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     };
     let cameras = match &data {
         Some(data) => data.train.clone(),
-        None => training_cameras(&arguments.model)?.unwrap_or_default(),
+        None => training_cameras(&arguments.model, origin)?.unwrap_or_default(),
     };
     if cameras.is_empty() {
         terminal::aside(
@@ -80,8 +82,17 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     bar.finish_and_clear();
     let Some(extracted) = extracted else { return Ok(interrupt::EXIT_CODE) };
     let seconds = started.elapsed().as_secs_f64();
-    let bytes = mesh::write(&extracted.mesh, &out)?;
-    describe(&extracted, what.crop, seconds).iter().for_each(terminal::prose);
+    let coordinates = if arguments.local { Coordinates::Local } else { Coordinates::Stated };
+    let bytes = mesh::write_in(&extracted.mesh, coordinates, &out)?;
+    if !origin.is_zero() {
+        terminal::prose(match coordinates {
+            Coordinates::Stated => "coordinates: those of the photographs, with 64 bits; a program that shows steps has 32: write \
+                                    for it with --local"
+                .to_string(),
+            Coordinates::Local => format!("coordinates: those of the photographs minus {origin}"),
+        });
+    }
+    describe(&extracted, origin.stated(what.crop), seconds).iter().for_each(terminal::prose);
     if let (Some(stride), Some(data)) = (arguments.silhouettes, &data) {
         terminal::prose(match mesh::overlap(&extracted.mesh, data.frames.as_ref(), stride as usize)? {
             Some(found) => format!(

@@ -82,8 +82,13 @@ impl Planned {
         let scene = open(&configured.section()?)?;
         let compute = backends::compute(&configured, near)?;
         let test = scene.test.cameras();
-        let facts =
-            Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };
+        let facts = Facts {
+            train: &scene.train,
+            test: &test,
+            stated: scene.stated.as_ref(),
+            origin: scene.origin,
+            compute: &compute,
+        };
         let findings = scene_plan::make(&mut settings, &facts)?;
         let config = Config::from_settings(&settings)?;
         let warnings = inspect::warnings(&scene, &config, &facts);

@@ -18,7 +18,7 @@ use trimip::ranks::{digest, scatter_jobs, work_on_jobs};
 use trimip::run::folder::{self as run_folder, RunFolder};
 use trimip::view::{Named, Quantity, RenderJob, video, write_cameras};
 use trimip::{Camera, Config, Crop, Error, Result, Viewer, backends, model::Model, settings, view};
-use trimip_core::engine::exchange::Ranks;
+use trimip_core::{engine::exchange::Ranks, scene::origin::LocalOrigin};
 
 /// Refuses the folder of a run: the cameras of its photographs have the name that those of pictures have.
 fn expect_no_run(out: &Path) -> Result<()> {
@@ -65,7 +65,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     backends::software_remark(config).iter().for_each(|remark| terminal::note(format!("warning: {remark}")));
     session.notes().iter().for_each(|note| terminal::note(format!("warning: {note}")));
     let ranged = what.contains(&Quantity::Depth).then_some(&config.scene);
-    write_cameras(&out.join(view::CAMERAS), cameras, ranged)?;
+    write_cameras(&out.join(view::CAMERAS), cameras, LocalOrigin::of(&config.data), ranged)?;
 
     let rows = |camera: &Camera| u64::from(camera.intrinsics.height);
     let bar =

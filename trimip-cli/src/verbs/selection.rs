@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use trimip::run::{cameras::training_cameras, store::file_stem};
 use trimip::view::{Named, cameras::resized, flythrough, turntable, turntable::Turntable};
 use trimip::{Camera, Config, Error, Intrinsics, Result, view};
+use trimip_core::scene::origin::LocalOrigin;
 
 /// Width and height of pictures in pixels, for cameras without.
 const SIDE: u32 = 800;
@@ -24,7 +25,7 @@ pub fn beside(model: &Path) -> PathBuf {
     folder.join("renders")
 }
 
-/// The cameras that the arguments select.
+/// The cameras that the arguments select, in the coordinates of the model. What the arguments state has those of the photographs.
 pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>> {
     if let Some(fov) = arguments.fov
         && !(fov > 0.0 && fov < 180.0)
@@ -40,14 +41,15 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
         Some(given) => cameras::vector("--up", given)?,
         None => DVec3::from_array(config.scene.up.map(f64::from)),
     };
+    let origin = LocalOrigin::of(&config.data);
     if let Some(text) = &arguments.pose {
-        return Ok(vec![("pose".into(), cameras::pose(text, intrinsics)?)]);
+        return Ok(vec![("pose".into(), origin.local(cameras::pose(text, intrinsics)?))]);
     }
     if let Some(text) = &arguments.look_at {
-        return Ok(vec![("look_at".into(), cameras::look_at(text, up, intrinsics)?)]);
+        return Ok(vec![("look_at".into(), origin.local(cameras::look_at(text, up, intrinsics)?))]);
     }
     if let Some(file) = &arguments.path {
-        return view::cameras::path(file, intrinsics);
+        return view::cameras::path(file, intrinsics, origin);
     }
     if let Some(count) = arguments.turntable {
         let (elevation, distance) = (arguments.elevation, arguments.distance);
@@ -81,7 +83,7 @@ pub fn photographed(model: &Path, config: &Config) -> Result<Vec<Camera>> {
         Ok(data) => return Ok(data.train),
         Err(error) => error,
     };
-    training_cameras(model)?.ok_or(missing)
+    training_cameras(model, LocalOrigin::of(&config.data))?.ok_or(missing)
 }
 
 /// The projection of `--width`, `--height` and `--fov` with square pixels; what is not given is that of `like`.

@@ -15,7 +15,7 @@ use trimip::report::{Report, Status};
 use trimip::run::cameras::training_cameras;
 use trimip::view::{pictures, strip};
 use trimip::{Config, Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
-use trimip_core::{atomic::write_atomically, run::Observer};
+use trimip_core::{atomic::write_atomically, run::Observer, scene::origin::LocalOrigin};
 use trimip_view::LiveView;
 
 /// Trains with the given settings. All input is validated before any long work begins.
@@ -154,7 +154,8 @@ fn show_around(folder: &RunFolder, config: &Config) -> Result<()> {
     }
     let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
     // Without them the strip of a place is that of an object.
-    let photographed = training_cameras(folder.root()).ok().flatten().unwrap_or_default();
+    let photographed =
+        training_cameras(folder.root(), LocalOrigin::of(&config.data)).ok().flatten().unwrap_or_default();
     let cameras = strip::cameras(&config.scene, &photographed, STRIP_SIDE)?;
     let strip = strip::strip(&mut *viewer, &cameras, STRIP_SIDE, STRIP_TIME)?;
     strip.map_or(Ok(()), |strip| write_atomically(&path, &pictures::png(strip)?))

@@ -102,6 +102,7 @@ impl Config {
 
 impl PhotographsConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
+        to.check([0, 3].contains(&self.origin.len()), "data.origin", "[] or [x, y, z]")?;
         to.together(
             self.convention == Convention::Public
                 || self.edge_exponents.iter().all(|&exponent| exponent == 0.0),

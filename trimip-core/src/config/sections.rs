@@ -32,7 +32,7 @@ section!(
     /// What core knows of the photographs: their folder, their scales and what their pixels show. `trimip-data` adds how they
     /// are read.
     PhotographsConfig, "data" {
-        root: String, scales: u32, convention: Convention, edge_exponents: Vec<f32>, background: [f32; 3],
+        root: String, origin: Vec<f64>, scales: u32, convention: Convention, edge_exponents: Vec<f32>, background: [f32; 3],
     }
 );
 section!(

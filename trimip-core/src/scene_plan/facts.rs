@@ -1,6 +1,6 @@
 //! Inputs of the scene plan.
 
-use crate::{Aabb, Camera, ViewSet};
+use crate::{Aabb, Camera, ViewSet, scene::origin::LocalOrigin};
 
 /// Inputs of the plan.
 #[derive(Clone, Copy, Debug)]
@@ -11,6 +11,8 @@ pub struct Facts<'a> {
     pub test: &'a [Camera],
     /// The bounding box that the data state.
     pub stated: Option<&'a StatedBox>,
+    /// Where the coordinates of all of these begin in those of the photographs.
+    pub origin: LocalOrigin,
     /// The device.
     pub compute: &'a Compute,
 }

@@ -1,5 +1,6 @@
 //! Decisions of the scene plan as they are printed and stored in `plan.json`.
 
+use super::origin;
 use crate::config::PlanChoice;
 use serde::{Deserialize, Serialize};
 
@@ -36,6 +37,7 @@ impl std::fmt::Display for Finding {
             (false, false) => "set",
             (false, true) => "kept",
         };
-        write!(f, "plan.{}: {verdict}: {}", self.decision, self.reason)
+        let section = if self.decision == origin::KEY { "data" } else { "plan" };
+        write!(f, "{section}.{}: {verdict}: {}", self.decision, self.reason)
     }
 }

@@ -16,6 +16,7 @@ mod finding;
 mod fineness;
 mod hash_grid;
 mod leave_out;
+mod origin;
 pub mod radii;
 mod recipe;
 mod rip_map;
@@ -45,10 +46,11 @@ pub fn keys() -> impl Iterator<Item = &'static str> {
 /// # Errors
 /// When a decision is `on` and cannot be taken.
 pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> {
+    let settled = origin::settle(settings, facts)?;
     let configured = Config::from_settings(settings)?;
     let given = settings.clone();
     expect_depth(settings, &configured, facts)?;
-    let findings: Result<Vec<_>> =
+    let decided: Result<Vec<_>> =
         DECISIONS.iter().map(|decision| take(decision, settings, &given, &configured, facts)).collect();
     // Only now it is known whether space is contracted.
     let planned = Config::from_settings(settings)?;
@@ -66,7 +68,7 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
             "set it to 0, or use photographs with a COLMAP model",
         ));
     }
-    findings
+    Ok(settled.into_iter().chain(decided?).collect())
 }
 
 /// Takes the decision on the box alone, which no device has a part in, and changes `settings` accordingly.
@@ -74,6 +76,7 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
 /// # Errors
 /// When it is `on` and cannot be taken.
 pub fn make_box(settings: &mut Settings, facts: &Facts<'_>) -> Result<Finding> {
+    origin::settle(settings, facts)?;
     let (configured, given) = (Config::from_settings(settings)?, settings.clone());
     expect_depth(settings, &configured, facts)?;
     take(&DECISIONS[0], settings, &given, &configured, facts)
@@ -157,6 +160,9 @@ fn take(
 pub fn adopt(settings: &mut Settings, findings: &[Finding]) -> Result<()> {
     let config = Config::from_settings(settings)?;
     let off = |key: &str| {
+        if key == origin::KEY {
+            return false;
+        }
         let decision = DECISIONS.iter().find(|decision| decision.key == key);
         decision.is_none_or(|decision| (decision.choice)(&config) == PlanChoice::Off)
     };

@@ -3,12 +3,12 @@
 use super::*;
 use crate::config::{Contraction, EncoderKind, FilePrecision};
 use crate::field::encoders::tri_mip::Pyramid;
-use crate::scene::{cones::PixelPattern, depths::KnownDepth};
+use crate::scene::{cones::PixelPattern, depths::KnownDepth, origin::LocalOrigin};
 use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
 use glam::DVec3;
 
 /// Sixteen views of a ball of radius 0.4 around (0.5, 0, 0), at two scales.
-fn views(alpha: bool) -> ViewSet {
+pub(super) fn views(alpha: bool) -> ViewSet {
     views_of(alpha, 16)
 }
 
@@ -52,7 +52,7 @@ fn planned(train: &ViewSet, set: &[&str]) -> Result<(Config, Vec<Finding>)> {
     set.iter().for_each(|assignment| settings.apply_assignment(assignment).unwrap());
     let test: Vec<Camera> = train.views.iter().map(|view| view.camera).collect();
     let compute = Compute::one_thread();
-    let facts = Facts { train, test: &test, stated: None, compute: &compute };
+    let facts = Facts { train, test: &test, stated: None, origin: LocalOrigin::default(), compute: &compute };
     let findings = make(&mut settings, &facts)?;
     Ok((Config::from_settings(&settings)?, findings))
 }
@@ -204,7 +204,10 @@ fn the_box_and_its_detail_do_not_depend_on_units_or_place() {
 
 fn warnings_of(config: &Config, train: &ViewSet) -> Vec<String> {
     let compute = Compute::one_thread();
-    warnings(config, &Facts { train, test: &[], stated: None, compute: &compute })
+    warnings(
+        config,
+        &Facts { train, test: &[], stated: None, origin: LocalOrigin::default(), compute: &compute },
+    )
 }
 
 #[test]
@@ -324,7 +327,11 @@ fn silhouettes_shrink_the_cube_that_exporters_state() {
     let compute = Compute::one_thread();
     let plan = |stated: Option<&StatedBox>| {
         let mut settings = Settings::defaults();
-        make(&mut settings, &Facts { train: &train, test: &[], stated, compute: &compute }).unwrap();
+        make(
+            &mut settings,
+            &Facts { train: &train, test: &[], stated, origin: LocalOrigin::default(), compute: &compute },
+        )
+        .unwrap();
         Config::from_settings(&settings).unwrap().scene
     };
     let cube = |half: f64| Aabb { min: [-half; 3], max: [half; 3] };
@@ -515,7 +522,8 @@ fn surroundings_are_contracted() {
     distances.sort_by(f64::total_cmp);
     assert!((distances[distances.len() / 2] / radius - 1.0).abs() < 1e-3, "{radius}: {distances:?}");
     let compute = Compute::one_thread();
-    let facts = Facts { train: &train, test: &[], stated: None, compute: &compute };
+    let facts =
+        Facts { train: &train, test: &[], stated: None, origin: LocalOrigin::default(), compute: &compute };
     assert!(warnings(&config, &facts).iter().all(|warning| !warning.contains("covers only")));
     for (alpha, given) in [
         (true, &[][..]),

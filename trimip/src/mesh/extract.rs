@@ -13,7 +13,7 @@ use super::{
 use glam::{DVec3, Vec3};
 use trimip_core::{
     Aabb, Camera, Config, Crop, Error, Query, Result, Viewer, config::Contraction, field::model::Model,
-    math::compositing::composite,
+    math::compositing::composite, scene::origin::LocalOrigin,
 };
 
 /// Optical depth that a marching step has at the level of the surface, unless a level is given. A ray that grazes the
@@ -215,6 +215,7 @@ pub fn extract(
     if what.colors {
         mesh.colors = colors(viewer, &mesh, grid.spacing)?;
     }
+    mesh.origin = LocalOrigin::of(&model.config.data);
     Ok(Some(Extracted { mesh, level, spacing: grid.spacing, removed, unseen, triangles }))
 }
 

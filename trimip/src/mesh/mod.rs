@@ -20,4 +20,4 @@ pub use marching::{Grid, march};
 pub use silhouettes::{Overlap, overlap, rasterise};
 pub use simplify::{Goal, simplify};
 pub use surface::{Defects, Mesh};
-pub use write::{MeshFormat, write};
+pub use write::{Coordinates, MeshFormat, write, write_in};

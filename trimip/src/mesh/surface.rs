@@ -1,12 +1,15 @@
 //! A triangle mesh: its measures, its defects as a surface, its normals.
 
 use std::collections::HashMap;
+use trimip_core::scene::origin::LocalOrigin;
 
 /// A triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// One per vertex, world units.
+    /// One per vertex, world units, counted from `origin`.
     pub positions: Vec<[f32; 3]>,
+    /// Where these coordinates begin in those of the photographs.
+    pub origin: LocalOrigin,
     /// One unit normal per vertex, outward; empty if unknown.
     pub normals: Vec<[f32; 3]>,
     /// One RGB colour per vertex, in the colour values of the photographs; empty if unknown.

@@ -1,5 +1,6 @@
 //! Mesh files: PLY (binary), OBJ and GLB (binary glTF 2.0), with normals and vertex colours where the mesh has them.
-//! Positions keep the units and axes of the scene; glTF calls its y axis up, which no axis of a scene need be.
+//! Positions keep the units and axes of the scene; glTF calls its y axis up, which no axis of a scene need be. Those of a scene far
+//! from the origin of its coordinates need 64 bits: a PLY has doubles then, an OBJ all digits, a GLB a node that moves its vertices.
 
 use super::surface::Mesh;
 use serde_json::json;
@@ -33,15 +34,35 @@ impl MeshFormat {
     }
 }
 
-/// Writes a mesh in the format that its name states, atomically; returns the size of the file in bytes.
+/// The coordinates of a file. They differ for a scene far from the origin of its coordinates alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Coordinates {
+    /// Those of the photographs.
+    #[default]
+    Stated,
+    /// Those of the mesh, which 32 bits hold. The file states what to add: an `offset` in a comment of a PLY or OBJ, in the `extras`
+    /// of a GLB's asset.
+    Local,
+}
+
+/// Writes a mesh in the format that its name states and in the coordinates of the photographs, atomically; returns the size of the
+/// file in bytes.
 ///
 /// # Errors
 /// When the name states no format, the mesh is empty, or the file cannot be written.
 pub fn write(mesh: &Mesh, path: &Path) -> Result<u64> {
+    write_in(mesh, Coordinates::Stated, path)
+}
+
+/// As [`write`], in these coordinates.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_in(mesh: &Mesh, coordinates: Coordinates, path: &Path) -> Result<u64> {
     let bytes = match MeshFormat::of(path)? {
-        MeshFormat::Ply => ply(mesh),
-        MeshFormat::Obj => obj(mesh).into_bytes(),
-        MeshFormat::Glb => glb(mesh)?,
+        MeshFormat::Ply => ply(mesh, coordinates),
+        MeshFormat::Obj => obj(mesh, coordinates).into_bytes(),
+        MeshFormat::Glb => glb(mesh, coordinates)?,
     };
     write_atomically(path, &bytes)?;
     Ok(bytes.len() as u64)
@@ -52,13 +73,28 @@ fn eight_bits(color: [f32; 3]) -> [u8; 3] {
     color.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
 }
 
-fn ply(mesh: &Mesh) -> Vec<u8> {
+/// The comment of a file in local coordinates, without the format's sign of a comment.
+fn offset(mesh: &Mesh, coordinates: Coordinates) -> Option<String> {
+    let [x, y, z] = mesh.origin.numbers();
+    let wanted = coordinates == Coordinates::Local && !mesh.origin.is_zero();
+    wanted.then(|| format!("offset {x} {y} {z} is to be added to all positions"))
+}
+
+/// The positions of the photographs' coordinates, if they are to be written and 32 bits do not hold them.
+fn in_64_bits(mesh: &Mesh, coordinates: Coordinates) -> Option<impl Iterator<Item = [f64; 3]>> {
+    let wanted = coordinates == Coordinates::Stated && !mesh.origin.is_zero();
+    wanted.then(|| mesh.positions.iter().map(|position| mesh.origin.stated(position.map(f64::from))))
+}
+
+fn ply(mesh: &Mesh, coordinates: Coordinates) -> Vec<u8> {
+    let comment = offset(mesh, coordinates).map_or_else(String::new, |text| format!("comment {text}\n"));
     let mut header =
-        format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", mesh.positions.len());
+        format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {}\n", mesh.positions.len());
+    let mut places = in_64_bits(mesh, coordinates);
     let mut properties = |kind: &str, names: &[&str]| {
         names.iter().for_each(|name| header += &format!("property {kind} {name}\n"));
     };
-    properties("float", &["x", "y", "z"]);
+    properties(if places.is_some() { "double" } else { "float" }, &["x", "y", "z"]);
     if !mesh.normals.is_empty() {
         properties("float", &["nx", "ny", "nz"]);
     }
@@ -71,7 +107,10 @@ fn ply(mesh: &Mesh) -> Vec<u8> {
     );
     let mut bytes = header.into_bytes();
     for (i, position) in mesh.positions.iter().enumerate() {
-        bytes.extend(bytemuck_of(position));
+        match places.as_mut().and_then(Iterator::next) {
+            Some(place) => bytes.extend(place.map(f64::to_le_bytes).into_iter().flatten()),
+            None => bytes.extend(bytemuck_of(position)),
+        }
         bytes.extend(mesh.normals.get(i).into_iter().flat_map(bytemuck_of));
         bytes.extend(mesh.colors.get(i).into_iter().flat_map(|&color| eight_bits(color)));
     }
@@ -87,14 +126,19 @@ fn bytemuck_of(values: &[f32; 3]) -> impl Iterator<Item = u8> + use<> {
     values.map(f32::to_le_bytes).into_iter().flatten()
 }
 
-fn obj(mesh: &Mesh) -> String {
+fn obj(mesh: &Mesh, coordinates: Coordinates) -> String {
     use std::fmt::Write as _;
-    let mut text = String::new();
+    let mut text = offset(mesh, coordinates).map_or_else(String::new, |text| format!("# {text}\n"));
+    let mut places = in_64_bits(mesh, coordinates);
     for (i, [x, y, z]) in mesh.positions.iter().enumerate() {
         // Writing to a string does not fail.
+        let _ = match places.as_mut().and_then(Iterator::next) {
+            Some([x, y, z]) => write!(text, "v {x} {y} {z}"),
+            None => write!(text, "v {x} {y} {z}"),
+        };
         let _ = match mesh.colors.get(i) {
-            Some([r, g, b]) => writeln!(text, "v {x} {y} {z} {r} {g} {b}"),
-            None => writeln!(text, "v {x} {y} {z}"),
+            Some([r, g, b]) => writeln!(text, " {r} {g} {b}"),
+            None => writeln!(text),
         };
     }
     for [x, y, z] in &mesh.normals {
@@ -121,7 +165,7 @@ const GLB: u32 = 0x4654_6c67;
 const JSON: u32 = 0x4e4f_534a;
 const BIN: u32 = 0x004e_4942;
 
-fn glb(mesh: &Mesh) -> Result<Vec<u8>> {
+fn glb(mesh: &Mesh, coordinates: Coordinates) -> Result<Vec<u8>> {
     let Some([low, high]) = mesh.bounds().filter(|_| !mesh.triangles.is_empty()) else {
         return Err(Error::run("a mesh without triangles cannot be written as glTF"));
     };
@@ -153,7 +197,7 @@ fn glb(mesh: &Mesh) -> Result<Vec<u8>> {
     let scalars =
         json!({ "componentType": UNSIGNED_INT, "count": 3 * mesh.triangles.len(), "type": "SCALAR" });
     let indices = add(indices, ELEMENT_ARRAY_BUFFER, scalars);
-    let root = json!({
+    let mut root = json!({
         "asset": { "version": "2.0", "generator": format!("trimip {}", env!("CARGO_PKG_VERSION")) },
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
@@ -169,6 +213,13 @@ fn glb(mesh: &Mesh) -> Result<Vec<u8>> {
         "bufferViews": views,
         "accessors": accessors,
     });
+    if !mesh.origin.is_zero() {
+        let numbers = json!(mesh.origin.numbers());
+        match coordinates {
+            Coordinates::Stated => root["nodes"][0]["translation"] = numbers,
+            Coordinates::Local => root["asset"]["extras"] = json!({ "offset": numbers }),
+        }
+    }
     let mut text = serde_json::to_vec(&root).map_err(Error::run)?;
     text.resize(text.len().next_multiple_of(4), b' ');
     // All values have four bytes, so the data need no padding.

@@ -4,7 +4,7 @@
 use super::folder::RunFolder;
 use crate::view::{self, Named};
 use std::path::Path;
-use trimip_core::{Camera, Intrinsics, Result, ViewSet};
+use trimip_core::{Camera, Intrinsics, Result, ViewSet, scene::origin::LocalOrigin};
 
 /// The name of a finished model in its run folder.
 const MODEL: &str = "model.safetensors";
@@ -15,12 +15,12 @@ pub fn finest(views: &ViewSet) -> Vec<Named> {
     finest.iter().map(|view| (view.name.clone(), view.camera)).collect()
 }
 
-/// The training cameras that the run of a model keeps: of a run folder, or of a model file in one. `None` if there are none, as
-/// beside the models of earlier versions.
+/// The training cameras that the run of a model keeps: of a run folder, or of a model file in one, in coordinates that count from
+/// `origin`, the model's. `None` if there are none, as beside the models of earlier versions.
 ///
 /// # Errors
 /// When the file exists and holds no cameras.
-pub fn training_cameras(model: &Path) -> Result<Option<Vec<Camera>>> {
+pub fn training_cameras(model: &Path, origin: LocalOrigin) -> Result<Option<Vec<Camera>>> {
     let folder = match model.is_dir() {
         true => Some(model),
         false if model.file_name().is_some_and(|name| name == MODEL) => model.parent(),
@@ -31,7 +31,7 @@ pub fn training_cameras(model: &Path) -> Result<Option<Vec<Camera>>> {
         return Ok(None);
     };
     // Every frame states its projection.
-    let cameras = view::cameras::path(&path, Intrinsics::default())?;
+    let cameras = view::cameras::path(&path, Intrinsics::default(), origin)?;
     Ok(Some(cameras.into_iter().map(|(_, camera)| camera).collect()))
 }
 
@@ -45,21 +45,22 @@ mod tests {
     fn cameras_are_those_of_the_run_of_the_model() {
         let folder = tempfile::tempdir().unwrap();
         let here = folder.path();
-        assert_eq!(training_cameras(here).unwrap(), None);
+        let origin = LocalOrigin::at(&[448_260.0, 5_411_932.0, 311.0]);
+        assert_eq!(training_cameras(here, origin).unwrap(), None);
         let eye = DVec3::new(3.0, 0.1, 0.7);
         let camera = Camera::look_at(Intrinsics::from_angle(40, 30, 0.7), eye, DVec3::ZERO, DVec3::Z);
-        write_cameras(&RunFolder::new(here).cameras(), &[("a".into(), camera)], None).unwrap();
+        write_cameras(&RunFolder::new(here).cameras(), &[("a".into(), camera)], origin, None).unwrap();
         for model in [here.to_path_buf(), here.join(MODEL)] {
-            let found = training_cameras(&model).unwrap().unwrap();
-            assert!(found.len() == 1 && (found[0].origin - eye).length() < 1e-12);
+            let found = training_cameras(&model, origin).unwrap().unwrap();
+            assert!(found.len() == 1 && (found[0].origin - eye).length() < 2e-9);
             assert_eq!(found[0].intrinsics.width, 40);
         }
         assert_eq!(
-            training_cameras(&here.join("other.safetensors")).unwrap(),
+            training_cameras(&here.join("other.safetensors"), origin).unwrap(),
             None,
             "it may be of another run"
         );
         std::fs::write(RunFolder::new(here).cameras(), "{").unwrap();
-        assert_eq!(training_cameras(here).unwrap_err().exit_code(), 2);
+        assert_eq!(training_cameras(here, origin).unwrap_err().exit_code(), 2);
     }
 }

@@ -7,11 +7,12 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trimip_core::{
-    Camera, Error, Result,
+    Camera, Config, Error, Result,
     atomic::write_atomically,
     engine::checkpoint::Checkpoint,
     field::model::Model,
     run::{Store, evaluate::ViewResult},
+    scene::origin::LocalOrigin,
 };
 
 /// What the file name of a comparison has after that of its picture.
@@ -75,6 +76,8 @@ struct Shown {
 /// Stores a run in its folder.
 pub struct FileStore<'a> {
     folder: &'a RunFolder,
+    /// Where the coordinates of the run begin in those of the photographs.
+    origin: LocalOrigin,
     /// Indices of the test frames with pictures, and their maximum number.
     picked: Vec<usize>,
     images: usize,
@@ -84,10 +87,11 @@ pub struct FileStore<'a> {
 }
 
 impl<'a> FileStore<'a> {
-    /// Stores pictures of the first `images` test frames that it sees. An evaluation renders evenly spaced frames
-    /// first.
-    pub fn new(folder: &'a RunFolder, images: usize) -> Self {
-        Self { folder, picked: Vec::new(), images, records: Vec::new(), worst: None, best: None }
+    /// Stores the run of `config`, with pictures of the first `eval.images` test frames that it sees. An evaluation renders evenly
+    /// spaced frames first.
+    pub fn new(folder: &'a RunFolder, config: &Config) -> Self {
+        let (origin, images) = (LocalOrigin::of(&config.data), config.eval.images as usize);
+        Self { folder, origin, picked: Vec::new(), images, records: Vec::new(), worst: None, best: None }
     }
 
     /// Writes the worst and the best view and `views.json`, and removes pictures of an earlier evaluation. With
@@ -161,7 +165,7 @@ impl Store for FileStore<'_> {
     }
 
     fn cameras(&mut self, cameras: &[(String, Camera)]) -> Result<()> {
-        write_cameras(&self.folder.cameras(), cameras, None)
+        write_cameras(&self.folder.cameras(), cameras, self.origin, None)
     }
 
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()> {
@@ -236,7 +240,9 @@ mod tests {
         let temporary = tempfile::tempdir().unwrap();
         let folder = RunFolder::new(temporary.path());
         folder.prepare_images().unwrap();
-        let mut store = FileStore::new(&folder, 1);
+        let mut config = Config::default();
+        config.eval.images = 1;
+        let mut store = FileStore::new(&folder, &config);
         let rendered = Frame { width: 2, height: 1, pixels: vec![Default::default(); 2] };
         let target = [[0.5; 3]; 2];
         // Frame 0 is selected; scale 2 has the lowest and the highest PSNR overall.

@@ -31,7 +31,7 @@ use trimip_core::{
     field::model::Model,
     measures::quality::mean_quality,
     run::{Observer, Outcome, Run},
-    scene::fingerprint::Fingerprint,
+    scene::{fingerprint::Fingerprint, origin::LocalOrigin},
     scene_plan::{self, Facts},
 };
 use trimip_data::{Watch, settings::DataConfig};
@@ -295,8 +295,13 @@ impl Training {
         if let Some(ranks) = &self.ranks {
             compute = ranks::together(compute, &**ranks);
         }
-        let facts =
-            Facts { train: &scene.train, test: &test, stated: scene.stated.as_ref(), compute: &compute };
+        let facts = Facts {
+            train: &scene.train,
+            test: &test,
+            stated: scene.stated.as_ref(),
+            origin: scene.origin,
+            compute: &compute,
+        };
         if checkpoint.is_none() {
             findings = scene_plan::make(&mut settings, &facts)?;
             config = Config::from_settings(&settings)?;
@@ -341,7 +346,7 @@ impl Training {
         if !resumed {
             folder.write_findings(&findings)?;
         }
-        write_cameras(&folder.cameras(), &photographed, None)?;
+        write_cameras(&folder.cameras(), &photographed, LocalOrigin::of(&config.data), None)?;
         folder.prepare_images()?;
         // It shows an earlier model; there is none in a new folder.
         let _ = std::fs::remove_file(folder.turntable());
@@ -354,7 +359,7 @@ impl Training {
             None if resumed => recorder.emit(&Event::Resumed { totals }),
             None => {}
         }
-        let mut store = FileStore::new(folder, config.eval.images as usize);
+        let mut store = FileStore::new(folder, &config);
         let evaluated = recorder.history.last_evaluated();
         let last_step = self.stop_after.map_or(u64::MAX, |steps| totals.step.saturating_add(steps));
         let outcome = Run {

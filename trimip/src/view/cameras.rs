@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result, text};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Result, scene::origin::LocalOrigin, text};
 
 /// Largest width or height of a rendered picture, pixels.
 pub const MAX_SIDE: f64 = 16_384.0;
@@ -86,15 +86,17 @@ struct Stated {
     extent: Option<f64>,
 }
 
-/// Cameras of a file in the format of `transforms_test.json`; missing fields come from `fallback`.
+/// Cameras of a file in the format of `transforms_test.json`; missing fields come from `fallback`. The file has the coordinates of the
+/// photographs, the cameras those that count from `origin`.
 ///
 /// # Errors
 /// When the file cannot be read, or a frame has an invalid camera.
-pub fn path(file: &Path, fallback: Intrinsics) -> Result<Vec<Named>> {
-    path_of(&file.display().to_string(), &read(file)?, fallback)
+pub fn path(file: &Path, fallback: Intrinsics, origin: LocalOrigin) -> Result<Vec<Named>> {
+    let stated = path_of(&file.display().to_string(), &read(file)?, fallback)?;
+    Ok(stated.into_iter().map(|(name, camera)| (name, origin.local(camera))).collect())
 }
 
-/// As [`path`], from the text of the file, which `place` names.
+/// As [`path`], from the text of the file, which `place` names, and in its coordinates.
 ///
 /// # Errors
 /// As [`path`].
@@ -210,14 +212,14 @@ mod tests {
             std::f64::consts::FRAC_PI_2
         );
         std::fs::write(&file, text).unwrap();
-        let cameras = path(&file, intrinsics()).unwrap();
+        let cameras = path(&file, intrinsics(), LocalOrigin::default()).unwrap();
         let k = cameras[1].1.intrinsics;
         assert_eq!((cameras.len(), k.width, k.height, k.fx, k.fy, k.cx), (3, 100, 50, 60.0, 60.0, 50.0));
         let [first, last] = [0, 2].map(|at: usize| cameras[at].1.intrinsics);
         assert_eq!((first.fx, first.fy), (120.0, 110.0));
         assert!((last.fx - 50.0).abs() < 1e-9 && last.fy == last.fx, "{last:?}");
         std::fs::write(&file, "{\"frames\": [{\"transform_matrix\": [1]}]}").unwrap();
-        assert!(path(&file, intrinsics()).unwrap_err().message.contains("frames[0]"));
+        assert!(path(&file, intrinsics(), LocalOrigin::default()).unwrap_err().message.contains("frames[0]"));
     }
 
     #[test]

@@ -7,7 +7,9 @@ use super::{
 };
 use serde_json::json;
 use std::path::{Path, PathBuf};
-use trimip_core::{Camera, Error, Frame, Result, atomic::write_atomically, config::SceneConfig};
+use trimip_core::{
+    Camera, Error, Frame, Result, atomic::write_atomically, config::SceneConfig, scene::origin::LocalOrigin,
+};
 
 /// File format of rendered views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -156,15 +158,22 @@ pub fn expect_no_others(
     }
 }
 
-/// Writes the cameras in the layout that `--path` reads; with `scene`, each camera has its depth range in world units.
+/// Writes the cameras in the layout that `--path` reads and in the coordinates of the photographs: those of `cameras` count from
+/// `origin`. With `scene`, each camera has its depth range in world units.
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn write_cameras(path: &Path, cameras: &[cameras::Named], scene: Option<&SceneConfig>) -> Result<()> {
+pub fn write_cameras(
+    path: &Path,
+    cameras: &[cameras::Named],
+    origin: LocalOrigin,
+    scene: Option<&SceneConfig>,
+) -> Result<()> {
     let frames: Vec<_> = cameras
         .iter()
         .map(|(name, camera)| {
-            let (k, m, o) = (camera.intrinsics, camera.rotation.transpose().to_cols_array_2d(), camera.origin);
+            let (k, m) = (camera.intrinsics, camera.rotation.transpose().to_cols_array_2d());
+            let o = origin.stated(camera.origin);
             let row = |i: usize| [m[i][0], m[i][1], m[i][2], o[i]];
             let mut frame = json!({
                 "file_path": name, "w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy,
@@ -217,13 +226,17 @@ mod tests {
         let scene =
             SceneConfig { aabb_min: [-1.0; 3], aabb_max: [1.0; 3], ..trimip_core::Config::default().scene };
         let every = Model::ALL.iter().map(|model| (None, Lens::of(*model)));
+        let origin = LocalOrigin::at(&[4_075_539.0, 931_735.0, 4_801_629.0]);
         let lenses = [(None, Lens::default()), (Some(&scene), Lens::default()), (None, bent)];
         for (ranged, lens) in lenses.into_iter().chain(every) {
             let camera = look_at("3,1,2/0,0.5,0", Intrinsics { lens, ..intrinsics });
-            write_cameras(&path, &[("a".into(), camera)], ranged).unwrap();
-            let read = cameras::path(&path, Intrinsics::from_angle(1, 1, 1.0)).unwrap();
-            assert_eq!(read[0].1, camera);
+            write_cameras(&path, &[("a".into(), camera)], origin, ranged).unwrap();
+            let read = cameras::path(&path, Intrinsics::from_angle(1, 1, 1.0), origin).unwrap();
+            assert!((read[0].1.origin - camera.origin).length() < 2e-9, "{:?}", read[0].1);
+            assert_eq!(Camera { origin: camera.origin, ..read[0].1 }, camera);
             let json: Value = serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+            let at = |row: usize| json["frames"][0]["transform_matrix"][row][3].as_f64().unwrap();
+            assert!((at(0) - 4_075_542.0).abs() + (at(1) - 931_736.0).abs() < 2e-9, "{json}");
             let stated =
                 ["depth_near", "depth_far"].map(|key| json["frames"][0][key].as_f64().map(|v| v as f32));
             let range = ranged.map(|scene| depth_range(scene, &camera));
@@ -247,7 +260,7 @@ mod tests {
         }
         std::fs::write(here.join("b_color.png"), "mine").unwrap();
         check().unwrap();
-        write_cameras(&here.join(CAMERAS), &views, None).unwrap();
+        write_cameras(&here.join(CAMERAS), &views, LocalOrigin::default(), None).unwrap();
         std::fs::write(here.join("a_color.png"), "a picture").unwrap();
         check().unwrap();
     }

@@ -107,6 +107,10 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
             format!("The box measures {} units.", sides.join(" × "))
         }
     };
+    let from = match scene.origin.is_zero() {
+        true => String::new(),
+        false => format!(", counted from {} of the photographs' coordinates", scene.origin),
+    };
     let points = match scene.points.len() {
         0 => "",
         _ => "<span><i style=\"color:#7f7f7f\"></i>points, thinned</span>",
@@ -115,7 +119,7 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
         "<section><h2>Cameras and space</h2><div class=\"legend\">\
          <span><i style=\"color:#0072b2\"></i>training</span><span><i style=\"color:#e69f00\"></i>test</span>\
          <span><i style=\"color:#d01c1c\"></i>suspicious</span><span><i style=\"color:#009e73\"></i>planned space</span>{points}\
-         </div><div class=\"wide sides\">{drawings}</div><p class=\"lead\">{shown}{bounds} Numbers are world units. Point at a \
+         </div><div class=\"wide sides\">{drawings}</div><p class=\"lead\">{shown}{bounds} Numbers are world units{from}. Point at a \
          camera for its name.</p></section>\n"
     )
 }
