@@ -47,6 +47,14 @@ fn a_page_is_one_file_and_the_lines_stay() {
     let plain = run(folder, &["data", "inspect", "scene"]);
     done(&plain);
     assert!(!plain.out.contains("warning"), "{}", plain.out);
+    // A file of the scene is accepted like its folder, as by the verbs that train and plan.
+    let by_file = run(folder, &["data", "inspect", "scene/transforms_train.json"]);
+    done(&by_file);
+    assert_eq!(by_file.out, plain.out);
+    for (name, said) in [("scene/train/r_0.png", "is a file"), ("absent", "does not exist")] {
+        let refused = run(folder, &["data", "inspect", name]);
+        assert!(refused.code == Some(2) && refused.err.contains(said), "{name}: {refused:?}");
+    }
     let told = run(folder, &["data", "inspect", "scene", "--html", "pages/scene.html"]);
     done(&told);
     assert_eq!(told.out, plain.out);

@@ -17,7 +17,7 @@ pub struct DataArguments {
 pub enum DataAction {
     /// Describe a data set and check it
     Inspect {
-        /// Folder of the scene; overrides data.root
+        /// Folder of the scene, or its transforms.json; overrides data.root
         root: Option<PathBuf>,
         /// Also write a page: cameras and box from three sides, thumbnails, warnings and checks, in one file
         #[arg(long, value_name = "FILE", value_parser = ending("html"))]

@@ -6,7 +6,7 @@ use crate::{
     report, settings, terminal,
 };
 use std::path::Path;
-use trimip::{Config, Error, Result, Settings, inspect, run::folder as run_folder};
+use trimip::{Config, Result, Settings, inspect, run::folder as run_folder};
 use trimip_data::Watch;
 
 /// Runs the selected action.
@@ -37,13 +37,15 @@ pub fn run(arguments: &DataArguments) -> Result<u8> {
 }
 
 fn with_root(arguments: &SettingsArguments, root: Option<&Path>) -> Result<(Settings, Config)> {
-    let (mut settings, _) = settings::load(arguments)?;
+    let (mut given, _) = settings::load(arguments)?;
     if let Some(root) = root {
-        let text = root.to_str();
-        let utf8 =
-            text.ok_or_else(|| Error::input(root.display(), "the path is not UTF-8", "rename the folder"));
-        settings.set("data.root", utf8?)?;
+        // What does not exist is told when it is opened: here it cannot be a mistyped verb.
+        let root = match root.exists() {
+            true => settings::scene_root(root)?,
+            false => root.display().to_string(),
+        };
+        given.set("data.root", root)?;
     }
-    let config = Config::from_settings(&settings)?;
-    Ok((settings, config))
+    let config = Config::from_settings(&given)?;
+    Ok((given, config))
 }
