@@ -15,8 +15,8 @@ pub fn inverse_root_and_root<const N: usize>(a: [[f64; N]; N]) -> [[[f64; N]; N]
     })
 }
 
-/// Eigenvalues, and the eigenvectors as columns.
-fn eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
+/// Eigenvalues of a symmetric matrix, and the eigenvectors as columns.
+pub fn eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
     let mut vectors = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
     for _ in 0..SWEEPS {
         for p in 0..N {

@@ -3,8 +3,10 @@
 
 use super::common_view::{COMMON, cameras, common_view, focus, is_ahead};
 use super::decision::{Context, Proposal};
+use super::facing::Facing;
 use super::facts::{Facts, StatedBox};
 use super::fineness::significant;
+use super::up::{self, Up};
 use super::{hash_grid, leave_out::saved, tri_mip};
 use crate::config::{Contraction, PlaneShape};
 use crate::field::encoders::tri_mip::Pyramid;
@@ -106,7 +108,8 @@ fn unbounded(context: &Context<'_>) -> Option<Proposal> {
     if !wanted || boxed {
         return None;
     }
-    let (centre, radius, source) = surroundings(facts)?;
+    let facing = Facing::of(facts.train);
+    let (centre, radius, source) = surroundings(facts, facing.as_ref())?;
     let cube = |half: f64| Aabb { min: (centre - half).to_array(), max: (centre + half).to_array() };
     let aabb = cube(2.0 * radius);
     let sized = sized(context, &aabb);
@@ -123,29 +126,33 @@ fn unbounded(context: &Context<'_>) -> Option<Proposal> {
         changes.push(("encoder.shape", Value::String("box".into())));
         changes.push(("encoder.plane_size", Value::Integer(sized.encoder.plane_size.into())));
     }
+    let mut told = None;
     if !context.given("scene.up") {
-        changes.push(("scene.up", corner(up(facts).to_array().map(|x| x as f32))));
+        let Up { direction, reason } = up::find(facts.train, facing.as_ref());
+        changes.extend(direction.map(|up| ("scene.up", corner(up.to_array().map(|x| x as f32)))));
+        told = reason;
     }
     Some(Proposal::Set {
         reason: format!(
             "the photographs show their surroundings: space keeps its shape within {} units of {source}, and all beyond \
-             is contracted",
-            significant(radius)
+             is contracted{}",
+            significant(radius),
+            told.map_or_else(String::new, |told| format!("; {told}"))
         ),
         changes,
     })
 }
 
-/// The cameras' mean up direction to two digits, which are enough to stand upright.
-fn up(facts: &Facts<'_>) -> DVec3 {
-    let sum: DVec3 = cameras(facts.train).iter().map(|camera| camera.rotation.y_axis).sum();
-    let mean = (100.0 * sum.normalize_or(DVec3::Z)).round() / 100.0;
-    if mean == DVec3::ZERO { DVec3::Z } else { mean }
-}
-
-/// Centre and radius of the ball that keeps its shape, and what the centre is: what the cameras look at, or their midst if
-/// they look at no common place.
-fn surroundings(facts: &Facts<'_>) -> Option<(DVec3, f64, &'static str)> {
+/// Centre and radius of the ball that keeps its shape, and what the centre is: what the cameras look at, the middle of what they face
+/// along one direction, or their midst if they look at no common place.
+fn surroundings(facts: &Facts<'_>, facing: Option<&Facing>) -> Option<(DVec3, f64, &'static str)> {
+    if let Some((centre, radius)) = facing.and_then(Facing::ball) {
+        return Some((
+            centre,
+            radius,
+            "the middle of what the cameras see along the direction in which all look",
+        ));
+    }
     let cameras = cameras(facts.train);
     let midst = cameras.iter().map(|camera| camera.origin).sum::<DVec3>() / cameras.len() as f64;
     let median = |centre: DVec3| {

@@ -2,6 +2,7 @@
 
 use super::common_view::{COMMON, cameras, focus, is_ahead};
 use super::decision::{Context, Proposal};
+use super::facing::Facing;
 use super::fineness::significant;
 use crate::Crop;
 use crate::config::Contraction;
@@ -16,7 +17,8 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     if context.now.scene.contraction == Contraction::None {
         return Proposal::Keep("the scene's box bounds what is shown".into());
     }
-    let Some((centre, radius)) = subject(&cameras(context.facts.train)) else {
+    let faced = Facing::of(context.facts.train).and_then(|facing| facing.ball());
+    let Some((centre, radius)) = faced.or_else(|| subject(&cameras(context.facts.train))) else {
         return Proposal::Keep("the cameras have no common subject: nothing is left out".into());
     };
     let crop =

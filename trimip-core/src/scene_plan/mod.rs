@@ -11,6 +11,7 @@ mod decision;
 mod decisions;
 mod depth;
 mod detail;
+mod facing;
 mod facts;
 mod finding;
 mod fineness;
@@ -20,9 +21,11 @@ mod origin;
 pub mod radii;
 mod recipe;
 mod rip_map;
+mod sweep;
 #[cfg(test)]
 mod tests;
 mod tri_mip;
+mod up;
 mod warnings;
 
 pub use common_view::focus;
