@@ -90,6 +90,7 @@ pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
             Ok(Lens::fisheye([k1, k2, k3, k4], [p1, p2], [s1, s2]))
         }
         "THIN_PRISM_FISHEYE" => refuse(model, "k1 to k4, p1, p2, sx1 and sy1"),
+        "FISHEYE" | "SIMPLE_FISHEYE" if terms != [0.0; 10] => refuse(model, "no coefficients"),
         _ if own == Model::Fisheye && [k3, k4, k5, k6, p1, p2, s1, s2] == [0.0; 8] => {
             Ok(Lens::fisheye([k1, k2, 0.0, 0.0], [0.0; 2], [0.0; 2]))
         }

@@ -43,8 +43,8 @@ fn transforms(sparse: &Sparse) -> Vec<Value> {
         });
         let (_, _, model, _, p) = &sparse.cameras[*camera as usize - 1];
         let keys: &[&str] = match *model {
-            "SIMPLE_PINHOLE" => &["f", "cx", "cy"],
-            "PINHOLE" => &["fl_x", "fl_y", "cx", "cy"],
+            "SIMPLE_PINHOLE" | "SIMPLE_FISHEYE" => &["f", "cx", "cy"],
+            "PINHOLE" | "FISHEYE" => &["fl_x", "fl_y", "cx", "cy"],
             "SIMPLE_RADIAL" | "SIMPLE_RADIAL_FISHEYE" => &["f", "cx", "cy", "k1"],
             "RADIAL" | "RADIAL_FISHEYE" => &["f", "cx", "cy", "k1", "k2"],
             "OPENCV" => &["fl_x", "fl_y", "cx", "cy", "k1", "k2", "p1", "p2"],
@@ -197,6 +197,8 @@ fn literal(model: &str, p: &[f64], [u, v, w]: [f64; 3]) -> [f64; 2] {
             let radial = p[4] * t2 + p[5] * t2.powi(2) + p[6] * t2.powi(3) + p[7] * t2.powi(4);
             [p[0] * (a + a * radial) + p[2], p[1] * (b + b * radial) + p[3]]
         }
+        "SIMPLE_FISHEYE" => [p[0] * a + p[1], p[0] * b + p[2]],
+        "FISHEYE" => [p[0] * a + p[2], p[1] * b + p[3]],
         "SIMPLE_RADIAL_FISHEYE" => [p[0] * (a + a * p[3] * t2) + p[1], p[0] * (b + b * p[3] * t2) + p[2]],
         "RADIAL_FISHEYE" => {
             let radial = p[3] * t2 + p[4] * t2 * t2;

@@ -21,16 +21,8 @@ fn kinds() -> impl Iterator<Item = Kind> {
 }
 
 /// Models of COLMAP beyond the first: what is of them in no registry is not supported.
-const OTHERS: [(i32, &str); 8] = [
-    (7, "FOV"),
-    (11, "RAD_TAN_THIN_PRISM_FISHEYE"),
-    (12, "SIMPLE_DIVISION"),
-    (13, "DIVISION"),
-    (14, "SIMPLE_FISHEYE"),
-    (15, "FISHEYE"),
-    (16, "EUCM"),
-    (17, "EQUIRECTANGULAR"),
-];
+const OTHERS: [(i32, &str); 5] =
+    [(7, "FOV"), (11, "RAD_TAN_THIN_PRISM_FISHEYE"), (12, "SIMPLE_DIVISION"), (13, "DIVISION"), (16, "EUCM")];
 
 /// What to do about a model that has none.
 pub(super) const ADVICE: &str = "run COLMAP's image_undistorter, which writes PINHOLE cameras and their images, or calibrate with OPENCV or \

@@ -18,7 +18,14 @@ const NARROW: f64 = 1e-3;
 impl Projection for Fisheye {
     const DEFINITION: Definition = Definition {
         name: "fisheye",
-        file_names: &["OPENCV_FISHEYE", "THIN_PRISM_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"],
+        file_names: &[
+            "OPENCV_FISHEYE",
+            "THIN_PRISM_FISHEYE",
+            "SIMPLE_RADIAL_FISHEYE",
+            "RADIAL_FISHEYE",
+            "FISHEYE",
+            "SIMPLE_FISHEYE",
+        ],
         flags: &["is_fisheye"],
         colmap: &[
             Colmap {
@@ -33,6 +40,8 @@ impl Projection for Fisheye {
                 name: "THIN_PRISM_FISHEYE",
                 parameters: &["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"],
             },
+            Colmap { number: 14, name: "SIMPLE_FISHEYE", parameters: &["f", "cx", "cy"] },
+            Colmap { number: 15, name: "FISHEYE", parameters: &["fx", "fy", "cx", "cy"] },
         ],
         distorted: true,
         angles: true,
