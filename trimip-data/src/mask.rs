@@ -2,9 +2,12 @@
 //! mask of one colour has its shape in alpha. Shares are 8-bit: 255 is kept whole.
 
 use crate::photograph::Photograph;
-use image::DynamicImage;
+use image::{DynamicImage, ImageBuffer, Luma, Rgb};
 use std::path::PathBuf;
 use trimip_core::{Error, Result};
+
+/// Greatest distance from black or white that the compression of a JPEG makes of it, of 255.
+const TRACES: u8 = 24;
 
 /// What is not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +71,11 @@ impl Mask {
     /// # Errors
     /// If the mask cannot be decoded.
     pub(crate) fn apply(&self, pixels: &mut [[u8; 4]]) -> Result<()> {
-        let fractions = fractions(self.file.image()?, self.white, self.role);
+        let mut image = self.file.image()?;
+        if self.file.lossy {
+            image = sharpened(image, self.role);
+        }
+        let fractions = fractions(image, self.white, self.role);
         for (pixel, fraction) in pixels.iter_mut().zip(fractions) {
             let alpha = (u32::from(pixel[3]) * u32::from(fraction) + 127) / 255;
             *pixel = if fraction == 0 { [0; 4] } else { [pixel[0], pixel[1], pixel[2], alpha as u8] };
@@ -80,6 +87,22 @@ impl Mask {
 /// The kept share of each pixel of a mask of an object whose white is kept.
 pub(crate) fn kept(image: DynamicImage) -> Vec<u8> {
     fractions(image, true, Role::Object)
+}
+
+/// A mask that was stored as a JPEG, whose greys near black and white are traces of its compression; where grey has no meaning,
+/// what is darker than half is black.
+fn sharpened(image: DynamicImage, role: Role) -> DynamicImage {
+    let (black, white) = if role == Role::Ignore { (127, 128) } else { (TRACES, 255 - TRACES) };
+    let image = image.into_rgb8();
+    let sharp = |x, y| {
+        let Rgb([r, g, b]) = *image.get_pixel(x, y);
+        Luma([match r.max(g).max(b) {
+            dark if dark <= black => 0,
+            bright if bright >= white => 255,
+            grey => grey,
+        }])
+    };
+    ImageBuffer::from_fn(image.width(), image.height(), sharp).into()
 }
 
 /// The kept share of each pixel of a mask.
@@ -110,13 +133,24 @@ fn fractions(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::{ImageBuffer, Luma, LumaA, Rgb, Rgba};
+    use image::{LumaA, Rgba};
 
     fn of<P: image::Pixel + 'static>(pixels: [P; 4], white: bool, role: Role) -> Vec<u8>
     where
         DynamicImage: From<ImageBuffer<P, Vec<P::Subpixel>>>,
     {
         fractions(ImageBuffer::from_fn(4, 1, |x, _| pixels[x as usize]).into(), white, role)
+    }
+
+    #[test]
+    fn traces_of_compression_are_no_soft_edges() {
+        let of = |values: [u8; 4], role| {
+            let image = ImageBuffer::from_fn(4, 1, |x, _| Luma([values[x as usize]]));
+            fractions(sharpened(image.into(), role), true, role)
+        };
+        assert_eq!(of([3, 250, 24, 231], Role::Object), [0, 255, 0, 255]);
+        assert_eq!(of([3, 250, 100, 40], Role::Object), [0, 255, 100, 40], "soft edges stay");
+        assert_eq!(of([3, 250, 100, 140], Role::Ignore), [0, 255, 0, 255]);
     }
 
     #[test]

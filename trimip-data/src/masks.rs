@@ -4,6 +4,7 @@
 use crate::settings::{DataConfig, MaskKeeps, MaskRole};
 use crate::{
     mask::{Mask, Role},
+    names::ENDINGS,
     photograph::Photograph,
     source::{Pixels, Source, map_in_order},
 };
@@ -142,15 +143,17 @@ impl MaskSearch<'_> {
     }
 
     /// Files of the folder that would be the mask: in the photograph's subfolder, or in fewer of its levels; by its whole
-    /// name and by the name without extension.
+    /// name and by the name without extension, with any ending of a picture, PNG first.
     fn candidates(&self, photograph: &Photograph) -> Vec<PathBuf> {
         let Some(folder) = self.folder else { return Vec::new() };
         let parts = below(&photograph.path, self.root);
         let Some((name, levels)) = parts.split_last() else { return Vec::new() };
         let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
-        let names = [format!("{name}.png"), format!("{stem}.png")];
+        let names = [name.as_str(), &stem];
         let levels = (0..=levels.len()).map(|skipped| levels[skipped..].iter().collect::<PathBuf>());
-        let within = levels.flat_map(|level| names.each_ref().map(|name| folder.join(&level).join(name)));
+        let files: Vec<String> =
+            names.iter().flat_map(|name| ENDINGS.map(|ending| format!("{name}{ending}"))).collect();
+        let within = levels.flat_map(|level| files.iter().map(move |file| folder.join(&level).join(file)));
         within.filter(|path| *path != photograph.path).collect()
     }
 
@@ -160,14 +163,16 @@ impl MaskSearch<'_> {
         let tried: Vec<String> = files()
             .take(1)
             .flat_map(|first| self.candidates(first))
+            .filter(|path| path.to_string_lossy().ends_with(ENDINGS[0]))
             .map(|path| path.display().to_string())
             .collect();
         let what = match tried.as_slice() {
             [] => "there is no photograph that could have a mask".to_string(),
             tried => format!(
-                "holds no mask of {}: looked for {}",
+                "holds no mask of {}: looked for {}, and for {} instead",
                 count(files().count(), "photograph"),
-                tried.join(", ")
+                tried.join(", "),
+                ENDINGS[1..].join(", ")
             ),
         };
         let place = format!("data.masks = \"{}\"", self.config.masks);

@@ -42,6 +42,8 @@ pub(crate) struct Photograph {
     pub(crate) turn: Turn,
     /// True if the file has an alpha channel.
     pub(crate) alpha: bool,
+    /// True if its pixels are near what was stored: the file is a JPEG.
+    pub(crate) lossy: bool,
 }
 
 impl Photograph {
@@ -56,7 +58,8 @@ impl Photograph {
     /// Reads the header of the image `source`, which `path` names.
     fn header(path: PathBuf, place: String, source: impl BufRead + Seek) -> Result<Self> {
         let reader = reader(source).map_err(|error| undecodable(&place, &path, &error))?;
-        if reader.format() == Some(ImageFormat::Tiff) && foreign::is_raw(&path) {
+        let format = reader.format();
+        if format == Some(ImageFormat::Tiff) && foreign::is_raw(&path) {
             return Err(undecodable(&place, &path, &""));
         }
         let mut decoder = reader.into_decoder().map_err(|error| undecodable(&place, &path, &error))?;
@@ -75,7 +78,8 @@ impl Photograph {
         }
         let tag = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         let turn = orientation::decide((width, height), tag, None, None);
-        Ok(Self { path, place, width, height, tag, turn, alpha })
+        let lossy = format == Some(ImageFormat::Jpeg);
+        Ok(Self { path, place, width, height, tag, turn, alpha, lossy })
     }
 
     /// Turns the photograph as its EXIF orientation says if only then it has the stated size, as far as one is stated.

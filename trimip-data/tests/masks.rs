@@ -65,7 +65,7 @@ fn pixel(scene: &Scene, x: usize, y: usize) -> [u8; 4] {
 fn masks_are_found_wherever_tools_put_them_and_mean_what_they_mean_there() {
     type Place = fn(usize) -> String;
     // Place of the mask, whether its white is the left, and what alpha becomes.
-    let cases: [(Place, bool, Alpha); 7] = [
+    let cases: [(Place, bool, Alpha); 10] = [
         (|i| format!("masks/a/{i}.png"), false, Alpha::Straight),
         (|i| format!("masks/a/{i}.png.png"), false, Alpha::Straight),
         (|i| format!("masks/{i}.png"), false, Alpha::Straight),
@@ -73,6 +73,9 @@ fn masks_are_found_wherever_tools_put_them_and_mean_what_they_mean_there() {
         (|i| format!("images/a/dynamic_mask_{i}.png"), true, Alpha::Kept),
         (|i| format!("stated/m{i}.png"), false, Alpha::Kept),
         (|i| format!("other/a/{i}.png"), false, Alpha::Straight),
+        (|i| format!("masks/a/{i}.webp"), false, Alpha::Straight),
+        (|i| format!("masks/a/{i}.png.tif"), false, Alpha::Straight),
+        (|i| format!("masks/{i}.bmp"), false, Alpha::Straight),
     ];
     for (number, (place, white_left, alpha)) in cases.into_iter().enumerate() {
         let folder = tempfile::tempdir().unwrap();
