@@ -4,7 +4,7 @@ use super::decision::{Context, Proposal};
 use super::fineness::{self, Fineness};
 use super::recipe;
 use crate::Aabb;
-use crate::config::{Contraction, EncoderKind, PlanChoice};
+use crate::config::{Config, Contraction, EncoderKind, PlanChoice};
 use toml::Value;
 
 /// Levels and features per entry in places: a step reads half as many entries as with instant-ngp's 16 levels of two features.
@@ -29,6 +29,21 @@ const PROBED: f64 = 0.02;
 
 /// Best width of the finest cells in pixel footprints: finer ones are hit by fewer rays and collide more often.
 const CELL: f64 = 1.3;
+
+/// Samples per second with the hash grid over those with planes, by its log2 of entries per level up to the first number and beyond
+/// (*fox* in 60 s, *bonsai* in 300 s, two cores).
+const PACES: ([f64; 2], u32) = ([0.7, 0.5], 17);
+
+/// What the encoder leaves of the expected samples per second, which are those of planes. Budgets are told by it; the plan's limits are
+/// in samples of planes.
+pub(super) fn pace(config: &Config) -> f64 {
+    let ([small, large], most) = PACES;
+    match config.encoder.kind {
+        EncoderKind::HashGrid if config.hash_grid.log2_entries <= most => small,
+        EncoderKind::HashGrid => large,
+        _ => 1.0,
+    }
+}
 
 /// True if [`for_places`] will choose the encoder once space is contracted: there are many pixels, and nobody chose an
 /// encoder or a setting of one.

@@ -3,7 +3,7 @@
 
 use super::decision::{Context, Proposal};
 use super::fineness::significant;
-use super::tri_mip;
+use super::{hash_grid, tri_mip};
 use crate::config::{Contraction, Precision};
 use crate::{
     Aabb, Config, ViewSet,
@@ -272,7 +272,7 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
             "{:.0} s on {} buy about {:.0} M samples",
             config.train.seconds,
             compute.name,
-            1e-6 * samples
+            1e-6 * hash_grid::pace(config) * samples
         ),
         steps => format!("{steps} steps are {:.0} M samples", 1e-6 * samples),
     };
