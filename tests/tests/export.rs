@@ -180,7 +180,7 @@ fn what_cannot_be_exported_is_refused_and_nothing_is_written() {
         (&["--error", "0.1", "--triangles", "5"], 2, "cannot be used with"),
         (&["--set", "encoder.levels=2"], 2, "encoder.levels"),
         (&["--set", "data.root=elsewhere", "--set", "data.format=blender", "--silhouettes"], 2, "elsewhere"),
-        (&["--level", "1e9", "--out", "mesh.ply"], 1, "no surface of density"),
+        (&["--level", "1e9", "--resolution", "16", "--out", "mesh.ply"], 1, "no surface of density"),
     ] {
         let answer = run(here, &[&["export", "mesh", "run"], arguments].concat());
         assert_eq!((answer.code, answer.out.as_str()), (Some(code), ""), "{arguments:?}: {}", answer.err);
