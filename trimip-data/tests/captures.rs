@@ -4,7 +4,7 @@ mod common;
 
 use common::{
     assert_same,
-    colmap::{Sparse, capture, rotation},
+    colmap::{Sparse, capture, capture_by, later_models, models, rotation},
     save_image, settings, write,
 };
 use glam::{DMat3, DQuat, DVec3};
@@ -216,7 +216,7 @@ fn literal(model: &str, p: &[f64], [u, v, w]: [f64; 3]) -> [f64; 2] {
 
 #[test]
 fn every_camera_model_projects_as_colmap_does() {
-    let sparse = capture();
+    let sparse = capture_by([models(), later_models()].concat());
     let root = tempfile::tempdir().unwrap();
     save_images(&root.path().join("images"), &sparse, [60, 40]);
     sparse.write_binary(&root.path().join("sparse"));

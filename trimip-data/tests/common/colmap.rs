@@ -113,9 +113,12 @@ pub fn models() -> Vec<(i32, &'static str, Vec<f64>)> {
             "THIN_PRISM_FISHEYE",
             vec![31.5, 29.25, 28.7, 21.3, 0.03, -0.01, 0.001, -0.0005, 0.002, -0.0002, 0.002, -0.001],
         ),
-        (14, "SIMPLE_FISHEYE", vec![31.5, 28.7, 21.3]),
-        (15, "FISHEYE", vec![31.5, 29.25, 28.7, 21.3]),
     ]
+}
+
+/// Camera models that later versions have beside them.
+pub fn later_models() -> Vec<(i32, &'static str, Vec<f64>)> {
+    vec![(14, "SIMPLE_FISHEYE", vec![31.5, 28.7, 21.3]), (15, "FISHEYE", vec![31.5, 29.25, 28.7, 21.3])]
 }
 
 /// A rotation by a quaternion w, x, y, z of length 1, as rows.
@@ -138,8 +141,13 @@ pub fn placed(n: u32) -> ([f64; 4], [f64; 3]) {
 /// A capture of one image per camera model, in two folders, with a grid of points that all images see. The features are
 /// those of a pinhole and no projections of the points.
 pub fn capture() -> Sparse {
+    capture_by(models())
+}
+
+/// The same with one image for each of these camera models.
+pub fn capture_by(models: Vec<(i32, &'static str, Vec<f64>)>) -> Sparse {
     let mut sparse = Sparse::default();
-    for (n, (model, name, parameters)) in (0_u32..).zip(models()) {
+    for (n, (model, name, parameters)) in (0_u32..).zip(models) {
         sparse.cameras.push((n + 1, model, name, [60, 40], parameters));
         let (q, t) = placed(n);
         let features =
