@@ -1,6 +1,6 @@
 //! Shared parts of the tests across crates: the whole model in f64 ([`mod@reference`]), small test problems
 //! ([`fixtures`]), the program under test ([`binary`]), the tests that every backend must pass ([`suite`]), what any bytes
-//! get from every reader ([`formats`]), and the lists of ARCHITECTURE.md ([`lists`]).
+//! get from every reader ([`formats`]), zip archives of any kind ([`zip`]), and the lists of ARCHITECTURE.md ([`lists`]).
 
 #![deny(unsafe_code)]
 
@@ -16,3 +16,6 @@ pub mod reference;
 pub mod suite;
 pub mod watching;
 pub mod whole;
+#[allow(missing_docs)]
+#[path = "../../trimip-data/tests/common/zip.rs"]
+pub mod zip;

@@ -6,7 +6,10 @@ use trimip_core::{
     engine::{checkpoint::Checkpoint, events::Event},
     field::model::Model,
 };
-use trimip_tests::binary::{command, root, run, tiny, tiny_and};
+use trimip_tests::{
+    binary::{command, root, run, tiny, tiny_and},
+    zip::{Entry, archive, packed},
+};
 
 fn json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
@@ -288,6 +291,40 @@ fn verbs_answer() {
     let parameters =
         |name: &str| Model::read(&here.join(name).join("model.safetensors")).unwrap().file.tensors;
     assert!(parameters("written") == parameters("run"), "the written photographs are the rendered ones");
+}
+
+#[test]
+fn an_archive_stands_for_its_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let good = |arguments: &[&str]| {
+        let answer = run(here, arguments);
+        assert_eq!(answer.code, Some(0), "{arguments:?}: {answer:?}");
+        answer.out
+    };
+    good(&[&["data", "builtin", "scene"][..], &tiny()].concat());
+    let filler = Entry::deflated("filler.bin", &vec![0; 100 << 20]);
+    fs::write(here.join("a.zip"), archive(&[packed(&here.join("scene"), "lego/"), vec![filler]].concat()))
+        .unwrap();
+    // One that is killed leaves a folder that none takes for whole.
+    let mut killed = command(here, &["plan", "a.zip"]).spawn().unwrap();
+    while !here.join("a.zip.tmp/filler.bin").exists() && killed.try_wait().unwrap().is_none() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    killed.kill().unwrap();
+    let ended = killed.wait().unwrap();
+    assert!(!ended.success() && here.join("a.zip.tmp").exists() && !here.join("a").exists(), "{ended:?}");
+    let told = "a.zip is unpacked in a: 9 files, ";
+    for arguments in [&["plan", "a.zip"][..], &["data", "inspect", "a.zip"]] {
+        assert!(good(arguments).lines().any(|line| line.starts_with(told)), "{}", good(arguments));
+    }
+    assert!(!here.join("a.zip.tmp").exists());
+    let training = |scene| [&[scene][..], &tiny(), &["--set", "data.format=auto"]].concat();
+    (0..2).for_each(|_| drop(good(&training("a.zip"))));
+    good(&training("scene"));
+    good(&["eval", "runs/a"]);
+    let parameters = |name: &str| Model::read(&here.join(name)).unwrap().file.tensors;
+    assert!(parameters("runs/a/model.safetensors") == parameters("runs/scene/model.safetensors"));
 }
 
 #[test]

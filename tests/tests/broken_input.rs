@@ -4,7 +4,10 @@
 use serde_json::{Value, json};
 use std::{fs, path::Path};
 use tempfile::TempDir;
-use trimip_tests::binary::{refuses, run, tiny, tiny_and};
+use trimip_tests::{
+    binary::{refuses, run, tiny, tiny_and},
+    zip::{Entry, archive, packed},
+};
 
 /// A folder with the built-in scene as files in `scene`.
 fn scene() -> TempDir {
@@ -96,6 +99,37 @@ fn broken_scenes_are_refused() {
         breaking(folder.path());
         refuses(folder.path(), &training(), places);
     }
+}
+
+#[test]
+fn broken_archives_are_refused() {
+    let folder = scene();
+    let here = folder.path();
+    let whole = packed(&here.join("scene"), "");
+    let with = |entry: Entry| archive(&[&whole[..], &[entry]].concat());
+    let good = archive(&whole);
+    let film = Entry::stored("walk.mp4", b"");
+    for (bytes, places) in [
+        (good[..good.len() / 2].to_vec(), ["a.zip: is no zip archive", "copy or download the archive again"]),
+        (with(Entry::stored("../../x.png", b"x")), ["a.zip: ../../x.png: ", "leads out of the folder"]),
+        (with(Entry { checksum: 7, ..film.clone() }), ["a.zip: walk.mp4: ", "is damaged"]),
+        (with(Entry { flags: 1, ..film.clone() }), ["a.zip: walk.mp4: ", "is encrypted"]),
+        (archive(&[film]), ["a.zip: holds no scene", "unpack it to a: a/walk.mp4 is a film"]),
+        (archive(&[]), ["a.zip: ", "holds no file"]),
+    ] {
+        fs::write(here.join("a.zip"), bytes).unwrap();
+        refuses(here, &["plan", "a.zip"], &places);
+        refuses(here, &["data", "inspect", "a.zip"], &places);
+        let training = tiny_and(&["--out", "run", "--set", "data.format=auto", "--set", "data.root=a.zip"]);
+        refuses(here, &training, &places);
+        assert!(!here.join("a").exists() && !here.join("a.zip.tmp").exists());
+    }
+    // The folder of another.
+    fs::write(here.join("scene.zip"), good).unwrap();
+    refuses(here, &["plan", "scene.zip"], &["scene: is where scene.zip is to be unpacked", "name scene"]);
+    fs::write(here.join("scene.tar"), "").unwrap();
+    refuses(here, &["plan", "scene.tar"], &["is a file, not the folder of a scene"]);
+    refuses(here, &["data", "inspect", "gone.zip"], &["gone.zip: does not exist"]);
 }
 
 #[test]

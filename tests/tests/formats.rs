@@ -52,6 +52,7 @@ formats! {
     configurations_of_any_bytes "configuration" 500
     assignments_of_any_bytes "assignment" 500
     paths_of_any_bytes "path" 20_000
+    archives_of_any_bytes "archive" 10_000
     models_of_any_bytes "model" 1_000
     checkpoints_of_any_bytes "checkpoint" 1_000
     curves_of_any_bytes "curve" 20_000

@@ -40,6 +40,27 @@ fn with_metadata(format: &str, config: &str) -> Vec<u8> {
     with_header(serde_json::json!({ "__metadata__": { "trimip": own } }).to_string().into_bytes())
 }
 
+/// A zip archive whose entries have the shortest names that differ, and one file between them all.
+fn short_archive() -> Vec<u8> {
+    let local = [&b"PK\x03\x04"[..], &[0; 26]].concat();
+    let names = (0..SIZE / 50).map(|number| format!("{number:x}"));
+    let entry = |name: String| {
+        let mut entry = b"PK\x01\x02".to_vec();
+        entry.extend([0; 24]);
+        entry.extend((name.len() as u16).to_le_bytes());
+        entry.extend([0; 16]);
+        entry.extend(name.bytes());
+        entry
+    };
+    let directory: Vec<u8> = names.flat_map(entry).collect();
+    let mut end = b"PK\x05\x06\0\0\0\0".to_vec();
+    (0..2).for_each(|_| end.extend(((SIZE / 50) as u16).to_le_bytes()));
+    end.extend((directory.len() as u32).to_le_bytes());
+    end.extend((local.len() as u32).to_le_bytes());
+    end.extend([0; 2]);
+    [local, directory, end].concat()
+}
+
 #[test]
 fn the_shortest_entries_stay_within_what_each_format_states() {
     let json = ["0,", "[],", "{},", "\"\",", "{\"\":0},", "{\"\":[0]},", "[[[[[[0]]]]]],"];
@@ -137,6 +158,7 @@ fn the_shortest_entries_stay_within_what_each_format_states() {
         "lines".into(),
         many("#name,x,y,alt,heading,pitch,roll,f\n", "a,0,0,0,0,0,0,1\n", ""),
     ));
+    files.push(("archive", "entries".into(), short_archive()));
     let mut worst: HashMap<&str, (f64, String)> = HashMap::new();
     for (name, unit, bytes) in &files {
         let multiple = Format::of(name).memory(bytes) as f64 / bytes.len() as f64;

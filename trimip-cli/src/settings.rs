@@ -4,6 +4,7 @@ use crate::args::{SceneArguments, SettingsArguments};
 use std::path::Path;
 use trimip::{Config, Error, Result, Settings, systems};
 use trimip_core::text;
+use trimip_data::is_archive;
 
 /// Settings of a system, a configuration file and the command line. Checks every range.
 pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
@@ -38,7 +39,7 @@ pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Resu
     load(&SettingsArguments { set, ..arguments.clone() })
 }
 
-/// The folder of a scene as `data.root`. An invalid folder gives an error that suggests what to type.
+/// The folder of a scene, or its archive, as `data.root`. An invalid one gives an error that suggests what to type.
 pub fn scene_root(folder: &Path) -> Result<String> {
     let (place, name) = (folder.display(), folder.file_name().unwrap_or_default().to_string_lossy());
     let text = |path: &Path| {
@@ -69,6 +70,9 @@ pub fn scene_root(folder: &Path) -> Result<String> {
         let parent = folder.parent().filter(|parent| *parent != Path::new(""));
         return text(parent.unwrap_or(Path::new(".")));
     }
+    if is_archive(folder) {
+        return text(folder);
+    }
     let advice = match name.ends_with(".toml") {
         true => format!("type `trimip-cli --config {place}`"),
         false => "name the folder that holds transforms.json and the photographs".into(),
@@ -92,16 +96,20 @@ pub fn duration(place: &str, text: &str) -> Result<f64> {
         .ok_or_else(|| Error::input(place, format!("`{text}` is no duration"), "write 90s, 5m or 1h"))
 }
 
-/// Default name of the run folder: `runs/` and the stem of the configuration file, or the scene's folder, and the system.
+/// Default name of the run folder: `runs/` and the stem of the configuration file, of the scene's archive, or the scene's
+/// folder, and the system.
 pub fn default_folder(
     config: Option<&Path>,
     scene: Option<&Path>,
     system: Option<&str>,
 ) -> std::path::PathBuf {
     let whole = scene.map(|scene| scene.canonicalize().unwrap_or_else(|_| scene.to_path_buf()));
-    let folder =
-        whole.as_deref().map(|whole| if whole.is_file() { whole.parent().unwrap_or(whole) } else { whole });
-    let name = config.and_then(Path::file_stem).or(folder.and_then(Path::file_name));
+    let folder = whole.map(|whole| match whole.parent() {
+        _ if is_archive(&whole) => whole.with_extension(""),
+        Some(parent) if whole.is_file() => parent.into(),
+        _ => whole,
+    });
+    let name = config.and_then(Path::file_stem).or(folder.as_deref().and_then(Path::file_name));
     let names =
         name.map(|name| name.to_string_lossy().into_owned()).into_iter().chain(system.map(String::from));
     let name = names.collect::<Vec<_>>().join("-");
@@ -141,6 +149,10 @@ mod tests {
         }
         assert!(scene_root(Path::new("rendr")).unwrap_err().message.contains("--help"));
         assert_eq!(default_folder(None, Some(folder.path()), None).file_name(), folder.path().file_name());
+        let archive = folder.path().join("capture.1.zip");
+        std::fs::write(&archive, "").unwrap();
+        assert_eq!(scene_root(&archive).unwrap(), archive.to_str().unwrap());
+        assert_eq!(default_folder(None, Some(&archive), None), Path::new("runs/capture.1"));
         let named = |config: Option<&str>, system| default_folder(config.map(Path::new), None, system);
         assert_eq!(named(Some("a/b.toml"), Some("ngp")), Path::new("runs/b-ngp"));
         assert_eq!((named(None, Some("ngp")), named(None, None)), ("runs/ngp".into(), "runs/default".into()));

@@ -48,9 +48,9 @@ pub(crate) fn replace_atomically<T>(
     Ok(result)
 }
 
-/// Flushes the entry of a file in its folder to the disk: without it a power failure may undo a rename. Systems that
+/// Flushes the entry of a file or folder in its folder to the disk: without it a power failure may undo a rename. Systems that
 /// cannot open a folder, and file systems that cannot flush one, have no better promise to give.
-fn sync_folder_of(path: &Path) {
+pub fn sync_folder_of(path: &Path) {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if let Ok(folder) = File::open(folder) {
         let _ = folder.sync_all();

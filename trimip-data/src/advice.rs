@@ -1,6 +1,6 @@
 //! Advice for a folder without a scene: the command that makes a scene of the files in it.
 
-use crate::{foreign, names, readers::found};
+use crate::{foreign, names, readers::found, zip::is_archive};
 use std::path::{Path, PathBuf};
 use trimip_core::plural::count;
 
@@ -8,34 +8,40 @@ use trimip_core::plural::count;
 const MOST_DEPTH: usize = 3;
 const MOST_FILES: usize = 100_000;
 
-/// Endings of films and of archives.
+/// Endings of films, and of archives that are not unpacked.
 const FILMS: [&str; 8] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "insv", "mts"];
-const ARCHIVES: [&str; 6] = ["zip", "tar", "gz", "tgz", "7z", "rar"];
+const ARCHIVES: [&str; 5] = ["tar", "gz", "tgz", "7z", "rar"];
 
 /// File in which COLMAP keeps features and matches.
 const DATABASE: &str = "database.db";
 
 /// The next command for a folder that holds no scene, in words.
 pub(crate) fn advice(root: &Path) -> String {
-    let content = Content::of(root);
+    next(root, root).unwrap_or_else(|| "name a folder with one of them".into())
+}
+
+/// As [`advice`] for a folder that the command calls by `named`; `None` if it holds nothing to begin with.
+pub(crate) fn next(root: &Path, named: &Path) -> Option<String> {
+    let content = Content::of(root, named);
+    let root = named;
     // A shell reads a name with blanks as one word only between quotes.
     let shown = |path: &Path| match path.display().to_string() {
         blank if blank.contains(char::is_whitespace) => format!("\"{blank}\""),
         plain => plain,
     };
     if let Some(inner) = &content.scene {
-        return format!("name {}, which holds one", shown(inner));
+        return Some(format!("name {}, which holds one", shown(inner)));
     }
     let pictures = |folder: &Path| format!("--image_path {}", shown(folder));
     let folder = content.pictures.first().and_then(|path| path.parent()).unwrap_or(root);
     if let Some(database) = &content.database {
         let beside = database.parent().unwrap_or(root);
-        return format!(
+        return Some(format!(
             "COLMAP has not placed its photographs: mkdir {0}/sparse && colmap mapper --database_path {1} {2} --output_path {0}/sparse",
             shown(beside),
             shown(database),
             pictures(folder)
-        );
+        ));
     }
     let cameras = |folder: &Path| {
         format!(
@@ -45,39 +51,39 @@ pub(crate) fn advice(root: &Path) -> String {
         )
     };
     if !content.pictures.is_empty() {
-        return format!(
+        return Some(format!(
             "its {} cameras, which COLMAP finds: {}",
             match content.pictures.len() {
                 1 => "picture needs".into(),
                 several => format!("{} need", count(several, "picture")),
             },
             cameras(folder)
-        );
+        ));
     }
     if let Some((path, format)) = &content.foreign {
         let folder = path.parent().unwrap_or(root);
-        return format!(
+        return Some(format!(
             "{} is {}: {}; then find their cameras: {}",
             shown(path),
             format.name,
             format.remedy(path),
             cameras(folder)
-        );
+        ));
     }
     if let Some(film) = &content.film {
         let images = film.parent().unwrap_or(root).join("images");
-        return format!(
+        return Some(format!(
             "{} is a film: take photographs out of it, mkdir {1} && ffmpeg -i {0} -vf fps=2 -q:v 2 {1}/%04d.jpg, and find \
              their cameras: {2}",
             shown(film),
             shown(&images),
             cameras(&images)
-        );
+        ));
     }
-    if let Some(archive) = &content.archive {
-        return format!("unpack {}, and name the folder in it", shown(archive));
+    if let Some(zip) = &content.zip {
+        return Some(format!("name {}, which is unpacked then", shown(zip)));
     }
-    "name a folder with one of them".into()
+    content.archive.map(|archive| format!("unpack {}, and name the folder in it", shown(&archive)))
 }
 
 /// The files in a folder and below it: the first of each kind, in order of their paths.
@@ -89,12 +95,16 @@ struct Content {
     pictures: Vec<PathBuf>,
     foreign: Option<(PathBuf, &'static foreign::Foreign)>,
     film: Option<PathBuf>,
+    zip: Option<PathBuf>,
     archive: Option<PathBuf>,
     database: Option<PathBuf>,
 }
 
 impl Content {
-    fn of(root: &Path) -> Self {
+    /// What is in `root`, below `named`.
+    fn of(root: &Path, named: &Path) -> Self {
+        let called =
+            |path: PathBuf| path.strip_prefix(root).map_or_else(|_| path.clone(), |below| named.join(below));
         let mut content = Self::default();
         let mut level = vec![root.to_path_buf()];
         let mut looked_at = 0;
@@ -108,11 +118,11 @@ impl Content {
                 for path in paths {
                     if path.is_dir() {
                         if content.scene.is_none() && found(&path).is_some() {
-                            content.scene = Some(path.clone());
+                            content.scene = Some(called(path.clone()));
                         }
                         below.push(path);
                     } else {
-                        content.take(path);
+                        content.take(called(path));
                     }
                 }
                 if looked_at > MOST_FILES {
@@ -135,6 +145,8 @@ impl Content {
             self.foreign.get_or_insert((path, format));
         } else if FILMS.contains(&ending.as_str()) {
             self.film.get_or_insert(path);
+        } else if is_archive(&path) {
+            self.zip.get_or_insert(path);
         } else if ARCHIVES.contains(&ending.as_str()) {
             self.archive.get_or_insert(path);
         }
@@ -148,7 +160,7 @@ mod tests {
 
     #[test]
     fn a_folder_without_a_scene_has_a_next_command() {
-        let table: [(&[&str], &[&str]); 13] = [
+        let table: [(&[&str], &[&str]); 14] = [
             (&["0.webp", "1.TIF", "2.bmp"], &["its 3 pictures need cameras"]),
             (&["DSC_1.DNG"], &["ROOT/DSC_1.DNG is a camera's raw image", "darktable-cli ROOT/DSC_1.DNG"]),
             (&["a.avif"], &["ROOT/a.avif is an AVIF image", "ffmpeg -i ROOT/a.avif ROOT/a.png"]),
@@ -168,7 +180,8 @@ mod tests {
                 &["database.db", "images/0.png"],
                 &["colmap mapper --database_path ROOT/database.db --image_path ROOT/images"],
             ),
-            (&["lego.zip"], &["unpack ROOT/lego.zip"]),
+            (&["lego.zip"], &["name ROOT/lego.zip, which is unpacked then"]),
+            (&["lego.7z", "lego.tar"], &["unpack ROOT/lego.7z, and name the folder in it"]),
             (&["my walk/0.jpg"], &["--image_path \"ROOT/my walk\" --dense 0"]),
             (&["notes.txt"], &["name a folder with one of them"]),
         ];

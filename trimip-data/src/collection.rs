@@ -1,6 +1,6 @@
 //! Folders of scenes: the eight Blender scenes of NeRF, at one scale or as multi-scale sets, in the order of the tables.
 
-use crate::layout::Layout;
+use crate::layout::{self, Layout};
 use crate::readers::found;
 use crate::settings::DataConfig;
 use std::path::{Path, PathBuf};
@@ -56,7 +56,8 @@ pub fn is_scene(folder: &Path) -> bool {
 /// # Errors
 /// When the folder holds no scene.
 pub fn has_split(config: &DataConfig, split: &str) -> Result<bool> {
-    Layout::open(config)?.has_split(split)
+    let (config, _) = layout::unpacked(config)?;
+    Layout::open(&config)?.has_split(split)
 }
 
 #[cfg(test)]

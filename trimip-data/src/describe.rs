@@ -42,7 +42,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
     if !survey.origin.is_zero() {
         lines.push(format!("coordinates count from {} of the files (data.origin)", survey.origin));
     }
-    lines.extend(survey.notes.iter().cloned());
+    lines.extend(survey.unpacked.iter().chain(&survey.notes).cloned());
     lines.extend(masks::described(&survey.train, train));
     lines
 }

@@ -6,6 +6,7 @@ use crate::{
     mask, photograph, ply,
     points::Point,
     readers::{READERS, blender, multiscale},
+    zip::{Limits, Zip},
 };
 use std::path::Path;
 use trimip_core::{Camera, Result};
@@ -57,4 +58,22 @@ pub fn photograph(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
 pub fn mask(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
     let image = photograph::of_bytes(Path::new(name), bytes)?;
     Ok((image.width(), image.height(), mask::kept(image)))
+}
+
+/// Paths and sizes of the files of a zip archive, each of which is read to its end. At most 64 MiB are unpacked.
+///
+/// # Errors
+/// An archive that is broken or not to be trusted.
+pub fn archive(name: &str, bytes: &[u8]) -> Result<Vec<(String, u64)>> {
+    let limits = Limits { bytes: 64 << 20, ratio: 0, ..Limits::USUAL };
+    let zip = Zip::open(&name, bytes, bytes.len() as u64, &limits)?;
+    let read = |file: &crate::zip::File| {
+        let mut length = 0;
+        zip.read(file, |part| {
+            length += part.len() as u64;
+            Ok(())
+        })?;
+        Ok((file.path.clone(), length))
+    };
+    zip.files.iter().map(read).collect()
 }

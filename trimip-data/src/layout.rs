@@ -3,13 +3,15 @@
 use crate::settings::DataConfig;
 use crate::{
     advice::advice,
+    archive::{self, Wanted},
     readers::{
         READERS, found,
         reader::{OpenScene, Reader},
     },
     split::Split,
+    zip::is_archive,
 };
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
 use trimip_core::{Error, Result};
 
 /// The value of `data.format` by which the files of a folder choose.
@@ -71,12 +73,43 @@ impl Layout {
     }
 }
 
+/// The settings with the folder of the scene in place of its archive, and what was unpacked where.
+pub(crate) fn unpacked(config: &DataConfig) -> Result<(Cow<'_, DataConfig>, Option<String>)> {
+    let named = named(config)?;
+    let root = Path::new(&config.root);
+    if named.is_some_and(|reader| reader.files.is_none()) || !(is_archive(root) && root.is_file()) {
+        return Ok((Cow::Borrowed(config), None));
+    }
+    let files = match named {
+        Some(reader) => reader.files.unwrap_or_default().to_string(),
+        None => looked_for(),
+    };
+    let is_scene =
+        |folder: &Path| named.map_or(found(folder).is_some(), |reader| (reader.recognises)(folder));
+    let unpacked = archive::unpacked(root, &Wanted { is_scene: &is_scene, files: &files })?;
+    let Some(root) = unpacked.root.to_str().map(String::from) else {
+        return Err(Error::input(unpacked.root.display(), "the path is not UTF-8", "rename the archive"));
+    };
+    Ok((Cow::Owned(DataConfig { root, ..config.clone() }), Some(unpacked.note)))
+}
+
+/// The reader that `data.format` names; `None` if the files of a folder choose.
+fn named(config: &DataConfig) -> Result<Option<&'static Reader>> {
+    match config.format.as_str() {
+        AUTO => Ok(None),
+        format => of_format(format).map(Some),
+    }
+}
+
+/// The files by which scenes are recognised, in words.
+fn looked_for() -> String {
+    let files: Vec<String> = READERS.iter().filter_map(|reader| reader.files).map(str::to_string).collect();
+    listed(&files, "and")
+}
+
 /// The reader of the configured folder; an error if it has none.
 fn detect(config: &DataConfig) -> Result<&'static Reader> {
-    let named = match config.format.as_str() {
-        AUTO => None,
-        format => Some(of_format(format)?),
-    };
+    let named = named(config)?;
     if let Some(reader) = named.filter(|reader| reader.files.is_none()) {
         return Ok(reader);
     }
@@ -93,13 +126,7 @@ fn detect(config: &DataConfig) -> Result<&'static Reader> {
         return Err(Error::input(root.display(), what, "set data.root to the folder of a scene"));
     }
     named.or_else(|| found(root)).ok_or_else(|| {
-        let files: Vec<String> =
-            READERS.iter().filter_map(|reader| reader.files).map(str::to_string).collect();
-        Error::input(
-            root.display(),
-            format!("holds no scene: looked for {}", listed(&files, "and")),
-            advice(root),
-        )
+        Error::input(root.display(), format!("holds no scene: looked for {}", looked_for()), advice(root))
     })
 }
 

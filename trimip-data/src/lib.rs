@@ -19,6 +19,7 @@
 #![deny(unsafe_code)]
 
 mod advice;
+mod archive;
 pub mod builtin;
 pub mod checks;
 mod collection;
@@ -62,6 +63,7 @@ mod watch;
 mod webp;
 mod workers;
 mod write;
+mod zip;
 
 pub use collection::{BLENDER_SCENES, Collection, has_split, is_scene};
 pub use inspect::{Inspection, examine, inspect};
@@ -71,3 +73,4 @@ pub use scene::{Scene, TestSet, open, open_test, open_watched};
 pub use section::SECTION;
 pub use watch::{Watch, unwatched};
 pub use write::{Summary, write_builtin, write_multiscale};
+pub use zip::is_archive;

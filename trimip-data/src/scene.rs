@@ -29,6 +29,8 @@ pub struct Scene {
     pub points: Vec<Point>,
     /// Where the coordinates of cameras, box and points begin in those of the files (`data.origin`).
     pub origin: LocalOrigin,
+    /// Where the archive of the scene was unpacked, in words; a line of the description.
+    pub unpacked: Option<String>,
     /// Warnings about the data, to be shown beside every result.
     pub warnings: Vec<String>,
     /// A description in a few lines: layout, views, sizes, scales, memory.
@@ -114,6 +116,7 @@ pub(crate) fn opened(survey: Survey, config: &DataConfig, mut train: ViewSet) ->
         stated: survey.stated,
         points: survey.points,
         origin: survey.origin,
+        unpacked: survey.unpacked,
         warnings: [survey.warnings, of_masks].concat(),
         description,
     }

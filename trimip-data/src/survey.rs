@@ -2,7 +2,7 @@
 
 use crate::{
     division::HOLD_OUT,
-    layout::Layout,
+    layout::{self, Layout},
     list, masks,
     points::{Cloud, Point},
     settings::DataConfig,
@@ -23,6 +23,8 @@ pub(crate) struct Survey {
     pub(crate) train: Vec<Source>,
     pub(crate) test: Vec<Source>,
     pub(crate) warnings: Vec<String>,
+    /// Where its archive was unpacked, in words.
+    pub(crate) unpacked: Option<String>,
     /// More lines of the description.
     pub(crate) notes: Vec<String>,
     pub(crate) stated: Option<StatedBox>,
@@ -42,6 +44,8 @@ impl Survey {
         if config.train.is_empty() {
             return Err(Error::input("data.train", "names no split", "name at least one"));
         }
+        let (config, unpacked) = layout::unpacked(config)?;
+        let config = &*config;
         let layout = Layout::open(config)?;
         let root = Path::new(&config.root);
         let name = match layout.reader.files {
@@ -86,7 +90,20 @@ impl Survey {
         let points = cloud.seen_by(train.iter().map(|source| source.name.as_str()), halvings);
         let layout = layout.reader.name;
         let origin = LocalOrigin::default();
-        Ok(Self { name, layout, train_splits, train, test, warnings, notes, stated, alpha, points, origin })
+        Ok(Self {
+            name,
+            layout,
+            train_splits,
+            train,
+            test,
+            warnings,
+            unpacked,
+            notes,
+            stated,
+            alpha,
+            points,
+            origin,
+        })
     }
 
     /// The same scene in coordinates that count from `data.origin`, or, if none is given, from the place that `choose` finds for the

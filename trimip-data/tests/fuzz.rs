@@ -3,7 +3,12 @@
 
 mod common;
 
-use common::{colmap::capture, frame, save_image, settings, write};
+use common::{
+    blender_scene,
+    colmap::capture,
+    frame, save_image, settings, write,
+    zip::{archive, packed},
+};
 use proptest::{prelude::*, sample::Index, test_runner::TestRunner};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
@@ -195,4 +200,34 @@ fn scenes_of_a_changed_trajectory_open_or_tell() {
     }
     fs::write(root.join("lowres_wide.traj"), poses).unwrap();
     scenes(root, &["lowres_wide.traj", "lowres_wide_intrinsics/7_10.200.pincam"]);
+}
+
+/// An archive of a scene of which some bytes are changed. Nothing of one that is refused is left, and nothing is written beside its
+/// folder.
+#[test]
+fn scenes_of_a_changed_archive_open_or_tell() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("scene");
+    fs::create_dir(&root).unwrap();
+    blender_scene(&root);
+    let whole = archive(&packed(&root, "scene/"));
+    let here = folder.path().join("here");
+    fs::create_dir(&here).unwrap();
+    let path = here.join("a.zip");
+    fuzz(cases(), 1, |_, edits| {
+        fs::write(&path, edited(&whole, &edits)).unwrap();
+        let opened = open(&settings(&path, 1));
+        let mut names: Vec<_> =
+            fs::read_dir(&here).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        let expected: &[&str] = match here.join("a").is_dir() {
+            true => &["a", "a.zip"],
+            false => &["a.zip"],
+        };
+        prop_assert_eq!(&names, expected);
+        prop_assert!(opened.is_err() || names.len() == 2);
+        let _ = fs::remove_dir_all(here.join("a"));
+        // A scene whose files have other names may be whole and lack photographs.
+        opened.map_or_else(|error| assert_told(&error, &["a.zip", "transforms_"]), |_| Ok(()))
+    });
 }

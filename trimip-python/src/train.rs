@@ -94,7 +94,11 @@ fn given(
         value::apply(&mut all, settings)?;
     }
     let root = trimip::Config::from_settings(&all).map_err(raised)?.data.root;
-    let scene = Path::new(&root).file_name().map(|name| name.to_string_lossy().into_owned());
+    let scene = match Path::new(&root) {
+        archive if trimip::data::is_archive(archive) => archive.file_stem(),
+        folder => folder.file_name(),
+    };
+    let scene = scene.map(|name| name.to_string_lossy().into_owned());
     let name = name.or(scene).unwrap_or_else(|| "python".into());
     Ok((all, Path::new("runs").join(name)))
 }

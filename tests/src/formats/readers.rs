@@ -50,7 +50,7 @@ type Read = fn(&[u8]) -> Result<()>;
 type Seeds = fn() -> Vec<Vec<u8>>;
 type Limit = fn(&[u8]) -> usize;
 
-fn others() -> [Format; 14] {
+fn others() -> [Format; 15] {
     let of = |name, files, read: Read, seeds: Seeds, limit: Limit| -> Format {
         Format { name, files, read: Box::new(read), seeds: Box::new(seeds), limit: Box::new(limit) }
     };
@@ -78,6 +78,13 @@ fn others() -> [Format; 14] {
             picture,
         ),
         of("mask", &["mask"], |bytes| in_memory::mask("mask", bytes).map(drop), seeds::pictures, picture),
+        of(
+            "archive",
+            &["archive.zip"],
+            |bytes| in_memory::archive("archive.zip", bytes).map(drop),
+            seeds::archives,
+            |b| 8 * b.len() + FIXED,
+        ),
         of("configuration", &["run.toml"], configuration, seeds::configurations, |b| 400 * b.len() + FIXED),
         of("assignment", &["--set"], assignment, seeds::assignments, |b| 400 * b.len() + FIXED),
         of("path", &["path.json"], path, seeds::paths, |b| 160 * b.len() + FIXED),

@@ -6,7 +6,7 @@ mod colmap;
 
 pub use colmap::Sparse;
 
-use crate::suite::hybrid::add_proxy;
+use crate::{suite::hybrid::add_proxy, zip};
 use image::{DynamicImage, ImageFormat, Luma, LumaA, Rgb, Rgba};
 use serde_json::{Value, json};
 use std::{io::Cursor, sync::OnceLock};
@@ -27,6 +27,19 @@ use trimip_data::settings::DataConfig;
 
 const POSE: [[f64; 4]; 4] =
     [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, -1.0, -4.0], [0.0, 1.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]];
+
+/// An archive with a folder and what is left out, stored and compressed files; a smaller one.
+pub(super) fn archives() -> Vec<Vec<u8>> {
+    let camera = br#"{"camera_angle_x": 0.7, "frames": []}"#;
+    let scene = [
+        zip::Entry::stored("scene/", b""),
+        zip::Entry::deflated("scene/transforms_train.json", camera),
+        zip::Entry::stored("scene/train/r_0.png", b"\x89PNG"),
+        zip::Entry::deflated("scene/points.ply", &[b'0'; 300]),
+        zip::Entry::stored("__MACOSX/scene/._r_0.png", b"x"),
+    ];
+    vec![zip::archive(&scene), zip::archive(&scene[3..])]
+}
 
 /// More files of a kind of cameras than the example that its reader has.
 pub(super) fn of_cameras(kind: &str) -> Vec<Vec<u8>> {

@@ -17,7 +17,7 @@ pub struct DataArguments {
 pub enum DataAction {
     /// Describe a data set and check it
     Inspect {
-        /// Folder of the scene, or its transforms.json; overrides data.root
+        /// Folder of the scene, its transforms.json or its zip archive; overrides data.root
         root: Option<PathBuf>,
         /// Also write a page: cameras and box from three sides, thumbnails, warnings and checks, in one file
         #[arg(long, value_name = "FILE", value_parser = ending("html"))]
@@ -30,7 +30,7 @@ pub enum DataAction {
     Multiscale {
         /// Folder to write
         out: PathBuf,
-        /// Folder of the scene; overrides data.root
+        /// Folder of the scene or its zip archive; overrides data.root
         #[arg(long, value_name = "DIR")]
         root: Option<PathBuf>,
         /// Settings.

@@ -23,7 +23,7 @@ pub struct SettingsArguments {
 /// The scene and the duration of training.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SceneArguments {
-    /// Folder of the scene: photographs with transforms*.json, metadata.json or a COLMAP model (data.root)
+    /// Folder of the scene: photographs with transforms*.json, metadata.json or a COLMAP model; or its zip archive (data.root)
     #[arg(value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
     /// Minutes of training; evaluation takes extra time (train.seconds) [default: 5]

@@ -28,6 +28,7 @@ const CHANCE: f64 = 0.05;
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
     let Planned { scene, findings, config: planned, warnings } = Planned::of(arguments, Rank::ONLY)?;
     terminal::line(format!("scene plan of {}", scene.name));
+    scene.unpacked.iter().for_each(terminal::prose);
     for finding in &findings {
         terminal::prose(finding);
         for change in &finding.changes {

@@ -3,6 +3,7 @@
 
 pub mod colmap;
 pub mod ring;
+pub mod zip;
 
 use image::{DynamicImage, ImageBuffer, Rgba};
 use serde_json::{Value, json};

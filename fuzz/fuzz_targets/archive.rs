@@ -1,0 +1,3 @@
+#![no_main]
+
+trimip_fuzz::target!("archive");

@@ -1,0 +1,267 @@
+//! A scene in a zip archive. It is unpacked once, into a folder beside the archive that is called as it without its ending. The
+//! files are written to a temporary folder that is renamed when all of them are there, so a folder of that name is whole.
+
+use crate::{
+    advice,
+    zip::{self, Limits, Zip},
+};
+use serde_json::{Value, json};
+use std::{
+    collections::BTreeSet,
+    fs::{self, File, OpenOptions},
+    io::Write,
+    path::{Path, PathBuf},
+};
+use trimip_core::{
+    Error, Result,
+    atomic::{sync_folder_of, temporary},
+    plural::count,
+};
+
+/// The file that marks a folder as unpacked by this program, and tells of which archive. Archives cannot hold it: hidden files are
+/// left out of them.
+const MARK: &str = ".unpacked.json";
+
+/// How deep below the folder a scene is looked for, and in how many folders of a level.
+const MOST_DEPTH: usize = 3;
+const MOST_FOLDERS: usize = 1000;
+
+/// The scene of an archive.
+pub(crate) struct Unpacked {
+    /// Its folder.
+    pub(crate) root: PathBuf,
+    /// What was unpacked where.
+    pub(crate) note: String,
+}
+
+/// What is looked for in an archive.
+pub(crate) struct Wanted<'a> {
+    /// Whether a folder is such a scene.
+    pub(crate) is_scene: &'a dyn Fn(&Path) -> bool,
+    /// The files that show it, in words.
+    pub(crate) files: &'a str,
+}
+
+/// Unpacks an archive, unless that was done before, and finds the scene in it.
+///
+/// # Errors
+/// Of kind `Input`: an archive that is broken or not to be trusted, one without a scene, and a folder that cannot be written or is another's.
+/// What was written is removed.
+pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> {
+    // Network file systems lock only what can be written.
+    let file = OpenOptions::new().read(true).write(true).open(archive).or_else(|_| File::open(archive));
+    let wrong = |error: std::io::Error| {
+        Error::input(
+            archive.display(),
+            format!("cannot be read: {error}"),
+            "check the path and its permissions",
+        )
+    };
+    let file = file.map_err(wrong)?;
+    let length = file.metadata().map_err(wrong)?.len();
+    let zip = Zip::of_file(&archive.display(), file.try_clone().map_err(wrong)?, &Limits::USUAL)?;
+    let folder = archive.with_extension("");
+    let name = archive.file_name().unwrap_or_default().to_string_lossy();
+    let mark =
+        json!({ "archive": name, "bytes": length, "fingerprint": format!("{:016x}", zip.fingerprint) });
+    if !is_there(archive, &folder, &mark, wanted)? {
+        // Of several processes one unpacks, and the others wait. The lock ends with the process.
+        file.lock().map_err(|error| {
+            let what = format!("cannot be locked: {error}");
+            Error::input(archive.display(), what, "unpack it and name the folder")
+        })?;
+        if !is_there(archive, &folder, &mark, wanted)? {
+            unpack(archive, &zip, &folder, &mark, wanted)?;
+        }
+    }
+    let bytes: u64 = zip.files.iter().map(zip::File::bytes).sum();
+    let note = format!(
+        "{} is unpacked in {}: {}, {:.1} MB",
+        archive.display(),
+        folder.display(),
+        count(zip.files.len(), "file"),
+        1e-6 * bytes as f64
+    );
+    Ok(Unpacked { root: scene(archive, &folder, &folder, wanted)?, note })
+}
+
+/// True if the folder is the unpacked archive, false if there is nothing.
+///
+/// # Errors
+/// If it is anything else.
+fn is_there(archive: &Path, folder: &Path, mark: &Value, wanted: &Wanted<'_>) -> Result<bool> {
+    if folder.symlink_metadata().is_err() {
+        return Ok(false);
+    }
+    let refused = |what: String, advice: String| Err(Error::input(folder.display(), what, advice));
+    let name_it = format!("or name {} if it holds the scene", folder.display());
+    match marked(folder) {
+        Some(found) if ["bytes", "fingerprint"].iter().all(|key| found[*key] == mark[*key]) => Ok(true),
+        Some(found) => refused(
+            format!("was unpacked from another archive ({}) than {}", found["archive"], archive.display()),
+            format!("remove or rename it, {name_it}"),
+        ),
+        None if (wanted.is_scene)(folder) => refused(
+            format!("is where {} is to be unpacked, and holds a scene already", archive.display()),
+            format!("name {}, or rename one of the two", folder.display()),
+        ),
+        None => refused(
+            format!("is where {} is to be unpacked, and was not made by this program", archive.display()),
+            format!("rename one of the two, {name_it}"),
+        ),
+    }
+}
+
+/// The mark of a folder that this program unpacked.
+fn marked(folder: &Path) -> Option<Value> {
+    let is_folder = folder.symlink_metadata().is_ok_and(|found| found.is_dir());
+    let mark = fs::read(folder.join(MARK)).ok().filter(|_| is_folder)?;
+    serde_json::from_slice(&mark).ok().filter(|mark: &Value| mark["fingerprint"].is_string())
+}
+
+/// A folder that is removed unless it becomes another.
+struct Unfinished(PathBuf);
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        let _ = remove(&self.0);
+    }
+}
+
+/// Removes a temporary folder, its mark at last: what a killed process leaves of it still tells whose it is.
+fn remove(root: &Path) -> std::io::Result<()> {
+    for entry in root.read_dir()? {
+        let entry = entry?;
+        match entry.file_type()?.is_dir() {
+            true => fs::remove_dir_all(entry.path())?,
+            false if entry.file_name() != MARK => fs::remove_file(entry.path())?,
+            false => {}
+        }
+    }
+    fs::remove_dir_all(root)
+}
+
+/// Writes the files of an archive to a temporary folder, which becomes `folder` once it is whole and holds a scene.
+fn unpack(
+    archive: &Path,
+    zip: &Zip<impl rawzip::ReaderAt>,
+    folder: &Path,
+    mark: &Value,
+    wanted: &Wanted<'_>,
+) -> Result<()> {
+    let unwritable = |path: &Path, error: std::io::Error| {
+        let what = format!("cannot write {}: {error}", path.display());
+        Error::input(
+            archive.display(),
+            what,
+            "copy it to where there is room, or unpack it elsewhere and name the folder",
+        )
+    };
+    let root = temporary(archive);
+    remove_left(&root, archive)?;
+    fs::create_dir(&root).map_err(|error| unwritable(&root, error))?;
+    let root = Unfinished(root);
+    let mark_path = root.0.join(MARK);
+    fs::write(&mark_path, mark.to_string()).map_err(|error| unwritable(&mark_path, error))?;
+    let paths: Vec<PathBuf> = zip.files.iter().map(|file| root.0.join(&file.path)).collect();
+    // Those with others in them come first.
+    let above = |path| Path::ancestors(path).skip(1).take_while(|above| *above != root.0);
+    let folders: BTreeSet<&Path> = paths.iter().flat_map(|path| above(path)).collect();
+    for folder in &folders {
+        fs::create_dir(folder).map_err(|error| unwritable(folder, error))?;
+    }
+    for (file, path) in zip.files.iter().zip(&paths) {
+        let mut out = File::create_new(path).map_err(|error| unwritable(path, error))?;
+        zip.read(file, |bytes| out.write_all(bytes).map_err(|error| unwritable(path, error)))?;
+    }
+    scene(archive, &root.0, folder, wanted)?;
+    // Systems write many files at once faster than one after the other.
+    for path in paths.iter().chain([&mark_path]) {
+        let flushed = OpenOptions::new().write(true).open(path).and_then(|file| file.sync_all());
+        flushed.map_err(|error| unwritable(path, error))?;
+    }
+    folders.iter().for_each(|folder| sync_folder_of(folder));
+    sync_folder_of(&mark_path);
+    fs::rename(&root.0, folder).map_err(|error| unwritable(folder, error))?;
+    sync_folder_of(folder);
+    Ok(())
+}
+
+/// Removes the temporary folder of a process that was killed.
+///
+/// # Errors
+/// If it is another's.
+fn remove_left(root: &Path, archive: &Path) -> Result<()> {
+    if root.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    // A process that was killed before the mark was written leaves a folder with nothing else.
+    let is_bare = root
+        .read_dir()
+        .is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|entry| entry.file_name() == MARK)));
+    let is_folder = root.symlink_metadata().is_ok_and(|found| found.is_dir());
+    if is_folder && (is_bare || marked(root).is_some()) && remove(root).is_ok() {
+        return Ok(());
+    }
+    let what = format!("is in the way of unpacking {}", archive.display());
+    Err(Error::input(root.display(), what, "remove or rename it"))
+}
+
+/// The folder of the scene below `root`: itself, or the only one of the first level that has any. Messages call `root` by `named`.
+fn scene(archive: &Path, root: &Path, named: &Path, wanted: &Wanted<'_>) -> Result<PathBuf> {
+    let mut level = vec![root.to_path_buf()];
+    for _ in 0..=MOST_DEPTH {
+        let mut scenes = level.iter().filter(|folder| (wanted.is_scene)(folder));
+        match (scenes.next(), scenes.next()) {
+            (None, _) => {}
+            (Some(scene), None) => return Ok(scene.clone()),
+            (Some(first), Some(second)) => {
+                let shown =
+                    |path: &Path| named.join(path.strip_prefix(root).unwrap_or(path)).display().to_string();
+                return Err(Error::input(
+                    archive.display(),
+                    format!(
+                        "holds several scenes: {}, {}{}",
+                        shown(first),
+                        shown(second),
+                        if scenes.next().is_some() { ", …" } else { "" }
+                    ),
+                    "unpack it and name one of them",
+                ));
+            }
+        }
+        level = below(&level);
+    }
+    let looked = format!("holds no scene: looked for {}", wanted.files);
+    let (what, advice) = match advice::next(root, named) {
+        Some(next) => (looked, format!("unpack it to {}: {next}", named.display())),
+        None => (
+            format!("{looked}, and found {}", held(root)),
+            "name an archive or a folder with one of them".into(),
+        ),
+    };
+    Err(Error::input(archive.display(), what, advice))
+}
+
+/// The folders in these folders, in order of their paths.
+fn below(folders: &[PathBuf]) -> Vec<PathBuf> {
+    let entries = folders.iter().flat_map(|folder| folder.read_dir().into_iter().flatten().flatten());
+    let mut below: Vec<PathBuf> =
+        entries.map(|entry| entry.path()).filter(|path| path.is_dir()).take(MOST_FOLDERS).collect();
+    below.sort();
+    below
+}
+
+/// The first names in a folder, in words.
+fn held(root: &Path) -> String {
+    let entries = root.read_dir().into_iter().flatten().flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.filter(|name| name != MARK).collect();
+    names.sort();
+    let more = names.len().saturating_sub(3);
+    names.truncate(3);
+    match more {
+        0 => names.join(", "),
+        more => format!("{} and {more} more", names.join(", ")),
+    }
+}
