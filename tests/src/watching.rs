@@ -30,7 +30,15 @@ impl Shown {
     /// # Panics
     /// If it does not print an address.
     pub fn start(folder: &Path, model: &str) -> Self {
-        let mut child = command(folder, &["view", model])
+        Self::start_with(folder, model, &[])
+    }
+
+    /// As [`start`](Self::start), with these options.
+    ///
+    /// # Panics
+    /// As [`start`](Self::start).
+    pub fn start_with(folder: &Path, model: &str, options: &[&str]) -> Self {
+        let mut child = command(folder, &[&["view", model], options].concat())
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()

@@ -1,7 +1,9 @@
 //! The crop of a place as a user meets it: chosen by the plan, kept in the model, applied to meshes and films.
 
+use serde_json::{Value, json};
 use std::{fs, path::Path};
 use trimip_tests::binary::{refuses, run, tiny_and};
+use trimip_tests::watching::{Shown, view};
 
 /// Trains the smallest model of contracted space into `run`, on cameras that look at the origin.
 fn train(here: &Path, more: &[&str]) {
@@ -93,6 +95,44 @@ fn pictures_show_the_crop_alone_and_by_default_the_whole_place() {
     assert_eq!(opacity("whole", &["--crop", "auto"]), part);
 }
 
+/// What `view` tells its page when it opens.
+fn about(shown: &Shown) -> Value {
+    let (status, text) = shown.get(&format!("/{}/scene.json", shown.token), &[]);
+    assert_eq!(status, 200);
+    serde_json::from_slice(&text).unwrap()
+}
+
+#[test]
+fn pages_open_with_the_crop_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here, &["--set", "scene.crop=ball 0,0,0,0.5"]);
+    // A given crop takes the place of the model's; without one the switch has the model's.
+    let (own, given) = ("ball 0,0,0,0.5", "box -0.2,-0.2,-0.2,0.2,0.3,0.4");
+    let nothing = "ball 900,900,900,1";
+    for (options, crop, cropped) in [
+        (&[][..], own, false),
+        (&["--crop", "none"], own, false),
+        (&["--crop", "auto"], own, true),
+        (&["--crop", given], given, true),
+        (&["--crop", nothing], nothing, true),
+    ] {
+        let shown = Shown::start_with(here, "run", options);
+        let told = about(&shown);
+        assert_eq!((&told["crop"], &told["cropped"]), (&json!(crop), &json!(cropped)), "{options:?}");
+        let mut page = shown.join(&shown.token, None).expect("the page may enter");
+        let mut light = |id: u64, cropped: bool| {
+            let mut request = view(id, [1.0, 0.4, 0.7], 24, 24);
+            (request["show"], request["cropped"]) = (json!("opacity"), json!(cropped));
+            let picture = image::load_from_memory(&page.finest(&request).unwrap().jpeg).unwrap().to_luma8();
+            picture.pixels().map(|pixel| u64::from(pixel.0[0])).sum::<u64>()
+        };
+        let (whole, part) = (light(1, false), light(2, true));
+        assert!(part < whole && (part == 0) == (crop == nothing), "{options:?}: {part} of {whole}");
+        assert_eq!(light(3, false), whole);
+    }
+}
+
 #[test]
 fn an_object_has_no_crop_and_a_given_one_is_kept() {
     let folder = tempfile::tempdir().unwrap();
@@ -110,8 +150,12 @@ fn an_object_has_no_crop_and_a_given_one_is_kept() {
     ] {
         refuses(here, &["export", "mesh", "run", "--crop", crop], &[part, "or auto"]);
         refuses(here, &["render", "run", "--crop", crop], &[part, "or auto"]);
+        refuses(here, &["view", "run", "--crop", crop], &[part, "or auto"]);
+        refuses(here, &["export", "web", "run", "--crop", crop], &[part, "or auto"]);
         let setting = format!("scene.crop={crop}");
         refuses(here, &tiny_and(&["--out", "other", "--set", &setting]), &[part, "--set"]);
     }
     refuses(here, &["export", "mesh", "object", "--crop", "ball 99,0,0,1"], &["lies beside the scene's box"]);
+    let told = about(&Shown::start_with(here, "object", &["--crop", "auto"]));
+    assert_eq!((&told["crop"], &told["cropped"]), (&json!("none"), &json!(false)));
 }

@@ -12,6 +12,7 @@ use trimip_core::{
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::binary::{Answer, refuses, run, tiny_and};
+use trimip_tests::watching::{Shown, view};
 
 /// Universal Transverse Mercator, earth-centred, and along one axis: metres.
 const FAR: [DVec3; 3] = [
@@ -264,6 +265,16 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     done(&cropped);
     assert!(cropped.out.contains(&format!("crop: {crop}")), "{}", cropped.out);
     assert!((vertex(&here.join("cropped.ply")).0 - by).length() < 1.3);
+
+    // So do the crops of pages; their views count from the origin.
+    let shown = Shown::start_with(here, "far-run", &["--crop", &crop]);
+    let told = shown.get(&format!("/{}/scene.json", shown.token), &[]).1;
+    assert_eq!(serde_json::from_slice::<Value>(&told).unwrap()["crop"], crop);
+    let mut page = shown.join(&shown.token, None).unwrap();
+    let mut request = view(1, [3.0, 1.0, 2.0], 24, 24);
+    (request["show"], request["cropped"]) = (json!("opacity"), json!(true));
+    let seen = image::load_from_memory(&page.finest(&request).unwrap().jpeg).unwrap().to_luma8();
+    assert!(seen.pixels().any(|pixel| pixel.0[0] > 16), "the crop is where the scene is");
 
     // What is known of a folder is told in its own coordinates.
     let inspected = run(here, &["data", "inspect", "far", "--html", "far.html"]);

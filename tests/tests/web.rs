@@ -1,6 +1,5 @@
 //! `export web`: a page that renders a model by itself, in a real browser, against the CPU backend.
 
-use serde_json::json;
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
@@ -116,7 +115,8 @@ fn a_page_without_a_server_renders_as_the_cpu_does() {
     refuses(here, &["export", "web", "nothing", "--viewer", "nowhere"], &["nothing"]);
     let Some(program) = program() else { return };
     let program = program.to_str().unwrap();
-    let answer = run(here, &["export", "web", "run", "--viewer", program, "--out", "site"]);
+    let crop = "ball 0,0,0,0.5";
+    let answer = run(here, &["export", "web", "run", "--viewer", program, "--out", "site", "--crop", crop]);
     assert_eq!(answer.code, Some(0), "{answer:?}");
     let site = serve(here.join("site"));
     let Some(mut browser) = Browser::start_with(900, 600, &["--enable-unsafe-webgpu"]) else { return };
@@ -126,18 +126,35 @@ fn a_page_without_a_server_renders_as_the_cpu_does() {
     assert_eq!(browser.value("document.getElementById('message').textContent"), "");
     browser.wait("document.getElementById('view').dataset.done === 'true'");
     let request = view(1, [3.0, 1.0, 2.0], 64, 48);
-    let call = format!("(async () => [...await trimip.render({}, 40, 64, 48)])()", json!(request["pose"]),);
-    let found = browser.value(&call);
-    let found: Vec<f32> =
-        found.as_array().expect("numbers").iter().map(|byte| byte.as_f64().unwrap() as f32 / 255.0).collect();
-    let found: Vec<[f32; 3]> = found.chunks_exact(4).map(|rgba| [rgba[0], rgba[1], rgba[2]]).collect();
     let model = trimip::read_model(&here.join("site/model.trimip")).unwrap();
-    let expected = backends::load(&model).unwrap().render(&camera()).unwrap().rgb();
-    let psnr = metrics::psnr(&found, &expected);
-    println!("browser against CPU: {psnr:.1} dB");
-    assert!(psnr > 45.0, "{psnr:.1} dB");
-    // A drag changes the picture.
+    assert_eq!(model.config.scene.crop.to_string(), crop);
+    let mut viewer = backends::load(&model).unwrap();
+    let mut pictures = Vec::new();
+    for (cropped, keep) in [(true, &[model.config.scene.crop][..]), (false, &[])] {
+        let call =
+            format!("(async () => [...await trimip.render({}, 40, 64, 48, {cropped})])()", request["pose"]);
+        let found = browser.value(&call);
+        let found = found.as_array().expect("numbers").iter();
+        let found: Vec<f32> = found.map(|byte| byte.as_f64().unwrap() as f32 / 255.0).collect();
+        let found: Vec<[f32; 3]> = found.chunks_exact(4).map(|rgba| [rgba[0], rgba[1], rgba[2]]).collect();
+        viewer.clip(keep).unwrap();
+        let psnr = metrics::psnr(&found, &viewer.render(&camera()).unwrap().rgb());
+        println!("browser against CPU, cropped {cropped}: {psnr:.1} dB");
+        assert!(psnr > 45.0, "{psnr:.1} dB");
+        pictures.push(found);
+    }
+    assert!(metrics::psnr(&pictures[0], &pictures[1]) < 40.0, "the crop leaves something out");
+    // The page opened with the crop alone; its switch shows everything.
     let picture = "document.getElementById('view').toDataURL()";
+    assert_eq!(browser.value("document.querySelector('#crop code').textContent"), crop);
+    assert_eq!(browser.value("document.getElementById('cropped').checked"), true);
+    let cropped = browser.value(picture);
+    browser.value("document.getElementById('cropped').click()");
+    browser
+        .wait(&format!("{picture} !== {cropped} && document.getElementById('view').dataset.done === 'true'"));
+    browser.value("document.getElementById('cropped').click()");
+    browser.wait(&format!("{picture} === {cropped}"));
+    // A drag changes the picture.
     let before = browser.value(picture);
     browser.drag([200.0, 200.0], [300.0, 240.0]);
     browser.wait(&format!("{picture} !== {before}"));

@@ -46,11 +46,11 @@ async function open() {
     throw new Error("This browser has no WebGPU, which this page renders with. Recent versions of Chrome, Edge, Firefox and Safari have it.");
   }
   await start();
-  const { name, model } = await (await fetch("about.json")).json();
+  const { name, model, cropped } = await (await fetch("about.json")).json();
   document.title = `${name} · trimip`;
   find("name").textContent = name;
   const viewer = await Viewer.load(await bytes(model));
-  return [viewer, JSON.parse(viewer.about())];
+  return [viewer, { ...JSON.parse(viewer.about()), cropped }];
 }
 
 let viewer, orbit;
@@ -77,7 +77,7 @@ async function drawAll() {
       const part = Math.min(1, Math.max(fits, LEAST / Math.max(...whole)));
       const [width, height] = whole.map((side) => Math.max(1, Math.round(side * part)));
       const begun = performance.now();
-      const pixels = await viewer.render(Float64Array.from(orbit.pose()), orbit.fov, width, height);
+      const pixels = await viewer.render(Float64Array.from(orbit.pose()), orbit.fov, width, height, find("cropped").checked);
       const took = Math.max(performance.now() - begun, 1);
       speed += 0.4 * ((width * height) / took - speed);
       [view.width, view.height] = [width, height];
@@ -103,6 +103,10 @@ try {
   [viewer, about] = await open();
   orbit = new Orbit(about.box, about.up, Number(find("fov").value), view);
   gestures(view, orbit, changed);
+  find("crop").hidden = about.crop === "none";
+  find("crop").querySelector("code").textContent = about.crop;
+  find("cropped").checked = about.cropped;
+  find("cropped").addEventListener("change", changed);
   find("fov").addEventListener("input", () => {
     orbit.fov = Number(find("fov").value);
     find("fov-value").textContent = `${orbit.fov}°`;
@@ -124,8 +128,8 @@ try {
   new ResizeObserver(changed).observe(view);
   say("");
   view.focus({ preventScroll: true });
-  // For scripts: RGBA of a view.
-  window.trimip = { render: (pose, fov, width, height) => viewer.render(Float64Array.from(pose), fov, width, height) };
+  // For scripts: RGBA of a view, of the whole place or of its crop alone.
+  window.trimip = { render: (pose, fov, width, height, cropped = false) => viewer.render(Float64Array.from(pose), fov, width, height, cropped) };
 } catch (error) {
   say(error.message ?? String(error));
 }

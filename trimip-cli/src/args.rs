@@ -182,6 +182,11 @@ pub struct ViewArguments {
     /// Port; 0 takes a free one
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub port: u16,
+    /// What the page shows when it opens, in world units: none (the whole place), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
+    /// (lower and upper corner) or "ball X,Y,Z,RADIUS"; by cells of the occupancy grid. A switch of the page shows the crop
+    /// alone or everything
+    #[arg(long, default_value = "none", value_name = "CROP")]
+    pub crop: CropChoice,
     /// Override a setting of data, renderer, hybrid, backend, threads or wgpu (data.root=.. for a moved data set)
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,

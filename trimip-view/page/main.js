@@ -106,6 +106,7 @@ find("unclip").addEventListener("click", () => {
 
 find("crop").hidden = scene.crop === "none";
 find("crop").querySelector("code").textContent = scene.crop;
+find("cropped").checked = find("crop").closest("details").open = scene.cropped;
 find("cropped").addEventListener("change", settled);
 
 /** The part of the box that is shown, or null for all. */

@@ -11,6 +11,7 @@ use trimip::run::folder::RunFolder;
 use trimip::view::pictures::rgb_image;
 use trimip::{backends, settings};
 use trimip_core::field::model::{Model, assets};
+use trimip_core::scene::origin::LocalOrigin;
 use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, engine::proxy::Proxy};
 
 /// Photographs that are kept decoded.
@@ -22,6 +23,8 @@ pub struct Scene {
     pub name: String,
     /// Its configuration.
     pub config: Config,
+    /// True if pages show its crop alone (`scene.crop`) when they open.
+    pub cropped: bool,
     /// What it was trained and tested on, if that is there.
     pub photographs: Photographs,
     /// What the user should know, a line each.
@@ -56,7 +59,7 @@ impl Scene {
             Err(error) => (Photographs::none(), vec![format!("no photographs: {error}")]),
         };
         notes.extend(renderers.notes());
-        Ok((Self { name, config: model.config, photographs, notes, report: None }, renderers))
+        Ok((Self { name, config: model.config, cropped: false, photographs, notes, report: None }, renderers))
     }
 
     /// What a page is told when it opens.
@@ -69,7 +72,8 @@ impl Scene {
             "box": { "min": scene.aabb_min, "max": scene.aabb_max },
             "up": scene.up,
             "origin": self.config.data.origin,
-            "crop": scene.crop,
+            "crop": LocalOrigin::of(&self.config.data).stated(scene.crop),
+            "cropped": self.cropped,
             "background": self.config.data.background,
             "renderers": renderers,
             "flip": cfg!(feature = "flip"),

@@ -6,7 +6,8 @@ use glam::{DMat3, DVec3};
 use serde_json::json;
 use trimip_core::engine::loaded::LoadedModel;
 use trimip_core::field::model::Model;
-use trimip_core::{Camera, Error, Intrinsics};
+use trimip_core::scene::origin::LocalOrigin;
+use trimip_core::{Camera, Crop, Error, Intrinsics, Viewer as _};
 use trimip_wgpu::WgpuBackend;
 use wasm_bindgen::prelude::*;
 
@@ -14,6 +15,9 @@ use wasm_bindgen::prelude::*;
 #[wasm_bindgen]
 pub struct Viewer {
     loaded: LoadedModel<WgpuBackend>,
+    crop: Crop,
+    /// True while pictures show the crop alone.
+    cropped: bool,
     about: String,
 }
 
@@ -32,23 +36,25 @@ impl Viewer {
         drop(bytes);
         model.config.renderer.kind = trimip_core::config::RendererKind::Volume;
         let scene = &model.config.scene;
+        let crop = scene.crop;
         let about = json!({
             "box": { "min": scene.aabb_min, "max": scene.aabb_max },
             "up": scene.up,
+            "crop": LocalOrigin::of(&model.config.data).stated(crop),
             "background": model.config.data.background,
         })
         .to_string();
         let loaded = trimip_wgpu::load_async(&model, "").await.map_err(thrown)?;
-        Ok(Self { loaded, about })
+        Ok(Self { loaded, crop, cropped: false, about })
     }
 
-    /// The scene's box, its up and its background, as JSON.
+    /// The scene's box, its up, its crop in the coordinates of the photographs, and its background, as JSON.
     pub fn about(&self) -> String {
         self.about.clone()
     }
 
     /// Renders a view. `pose` is a camera-to-world matrix [R|t] of 12 numbers row by row, OpenGL axes; `fov` is horizontal, in
-    /// degrees. Returns RGBA, 8 bits each, row by row.
+    /// degrees. If `cropped`, it shows the crop of the model alone. Returns RGBA, 8 bits each, row by row.
     ///
     /// # Errors
     /// When the pose has other numbers, or the device fails.
@@ -58,6 +64,7 @@ impl Viewer {
         fov: f64,
         width: u32,
         height: u32,
+        cropped: bool,
     ) -> Result<Vec<u8>, JsError> {
         if pose.len() != 12 || !(fov > 0.0 && fov < 180.0) || width == 0 || height == 0 {
             return Err(JsError::new("expected 12 numbers, a field of view and a size"));
@@ -68,6 +75,11 @@ impl Viewer {
             rotation: DMat3::from_cols(column(0), column(1), column(2)),
             origin: column(3),
         };
+        if cropped != self.cropped {
+            let keep = [self.crop];
+            self.loaded.clip(if cropped { &keep } else { &[] }).map_err(thrown)?;
+            self.cropped = cropped;
+        }
         let frame = self.loaded.render_async(&camera).await.map_err(thrown)?;
         let byte = |value: f32| (255.0 * value.clamp(0.0, 1.0)).round() as u8;
         Ok(frame

@@ -32,6 +32,11 @@ pub struct WebArguments {
     /// Folder with the page's program, as tools/web.sh builds it
     #[arg(long, value_name = "DIR", default_value = "target/web")]
     pub viewer: PathBuf,
+    /// What the page shows when it opens, in world units: none (the whole place), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
+    /// (lower and upper corner) or "ball X,Y,Z,RADIUS"; by cells of the occupancy grid. A switch of the page shows the crop
+    /// alone or everything
+    #[arg(long, default_value = "none", value_name = "CROP")]
+    pub crop: CropChoice,
 }
 
 /// Options of `export mesh`.

@@ -57,6 +57,16 @@ impl CropChoice {
             Self::Given(crop) => LocalOrigin::of(&config.data).local(crop),
         }
     }
+
+    /// Makes this crop that of the configuration, from which a page takes it, unless it is none. True if the page opens with it.
+    pub fn opens(self, config: &mut Config) -> bool {
+        let crop = self.of(config);
+        let any = crop != Crop::None;
+        if any {
+            config.scene.crop = crop;
+        }
+        any
+    }
 }
 
 impl FromStr for CropChoice {

@@ -14,7 +14,8 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// Opens the model and serves it.
 pub fn run(arguments: &ViewArguments) -> Result<u8> {
-    let (scene, renderers) = Scene::open(&arguments.model, &arguments.set)?;
+    let (mut scene, renderers) = Scene::open(&arguments.model, &arguments.set)?;
+    scene.cropped = arguments.crop.opens(&mut scene.config);
     backends::software_remark(&scene.config)
         .iter()
         .for_each(|remark| terminal::aside(format!("warning: {remark}")));

@@ -36,8 +36,9 @@ pub struct LoadedModel<B: Backend> {
     frame: B::Buffer<Pixel>,
     /// Data that the renderer needs beside the parameters.
     assets: Assets,
-    /// All bits of the occupancy grid, while some are left out.
-    unclipped: Option<Vec<u8>>,
+    /// The occupancy bits of a finished model, also of cells that are left out. The host has them: a page cannot wait until a device
+    /// is read.
+    unclipped: Vec<u8>,
 }
 
 impl<B: Backend> LoadedModel<B> {
@@ -55,6 +56,7 @@ impl<B: Backend> LoadedModel<B> {
         }
         let mut loaded = Self::build(Arc::new(backend), &model.config, None)?;
         loaded.restore_model("model", &model.file, None)?;
+        loaded.unclipped = model.file.u8("model", OCCUPANCY, &[loaded.cells().div_ceil(8)])?.to_vec();
         loaded.stages.renderer.set_progress(1.0);
         Ok(loaded)
     }
@@ -74,7 +76,7 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Self {
             frame: backend.zeros(0),
             assets: Assets::new(),
-            unclipped: None,
+            unclipped: Vec::new(),
             backend,
             config: config.clone(),
             centre,
@@ -203,11 +205,11 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Some(all.into_inner().unwrap_or_else(PoisonError::into_inner)))
     }
 
-    /// The bits of the occupancy grid `all`, without those of cells whose centre is outside of a part of `keep`.
-    fn clipped(&self, all: &[u8], keep: &[Crop]) -> Vec<u8> {
+    /// The occupancy bits of a finished model, without those of cells whose centre is outside of a part of `keep`.
+    fn clipped(&self, keep: &[Crop]) -> Vec<u8> {
         let space = Space::<f32>::new(&self.config.centred().0.scene);
         let resolution = self.config.occupancy.resolution;
-        let mut bits = all.to_vec();
+        let mut bits = self.unclipped.clone();
         for cell in 0..self.cells() as u32 {
             let place = coordinates(cell, resolution).map(|c| (c as f32 + 0.5) / resolution as f32);
             let world = DVec3::from_array(space.to_world(place).map(f64::from)) + self.centre;
@@ -236,7 +238,6 @@ impl<B: Backend> LoadedModel<B> {
         let values = self.layout.from_tensors(file, name, "")?;
         let bits = file.u8(name, OCCUPANCY, &[self.cells().div_ceil(8)])?;
         self.assets = assets(file);
-        self.unclipped = None;
         self.stages.renderer.set_assets(&self.assets)?;
         self.stages.occupancy.restore(bits, densities);
         self.set_parameters(&values);
@@ -385,10 +386,10 @@ impl<B: Backend> Viewer for LoadedModel<B> {
     }
 
     fn clip(&mut self, keep: &[Crop]) -> Result<()> {
-        let all = self.unclipped.take().unwrap_or_else(|| self.stages.occupancy.bits());
-        let bits = if keep.is_empty() { all.clone() } else { self.clipped(&all, keep) };
-        self.stages.occupancy.restore(&bits, None);
-        self.unclipped = (!keep.is_empty()).then_some(all);
+        match keep {
+            [] => self.stages.occupancy.restore(&self.unclipped, None),
+            _ => self.stages.occupancy.restore(&self.clipped(keep), None),
+        }
         self.backend.health()
     }
 }

@@ -31,6 +31,7 @@ pub fn export(arguments: &WebArguments) -> Result<u8> {
     // Where the photographs lie is nobody else's business.
     let mut config = model.config.clone();
     config.data.root = Config::default().data.root;
+    let cropped = arguments.crop.opens(&mut config);
     let model = Model::new(config, model.file);
     let beside = || {
         let own = &arguments.model;
@@ -54,7 +55,7 @@ pub fn export(arguments: &WebArguments) -> Result<u8> {
         return Err(Error::input(out.display(), "holds a page of something else", "choose another --out"));
     }
     run_folder::create_writable(&out)?;
-    let about = json!({ "name": name, "model": MODEL }).to_string();
+    let about = json!({ "name": name, "model": MODEL, "cropped": cropped }).to_string();
     for (name, text) in PAGE.into_iter().chain([(ABOUT, &*about)]) {
         write_atomically(&out.join(name), text.as_bytes())?;
     }
