@@ -1,5 +1,5 @@
 //! Known depths of the training views: each point that several photographs saw tells the distance at which the rays of some pixels
-//! end.
+//! end. [`depth_images`](crate::depth_images) tell it of others.
 
 use crate::points::{Observation, Point};
 use glam::DVec3;
@@ -47,6 +47,11 @@ pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
             depths.extend(scales.iter().filter_map(|scale| pixel(train, scale, seen)).map(known));
         }
     }
+    nearest(depths)
+}
+
+/// The known depths that are finite, sorted by pixel; the nearest of each pixel.
+pub(crate) fn nearest(mut depths: Vec<KnownDepth>) -> Vec<KnownDepth> {
     depths.retain(|known| known.distance.is_finite() && known.deviation > 0.0 && known.deviation.is_finite());
     depths.sort_unstable_by(|a, b| {
         (a.pixel, a.distance).partial_cmp(&(b.pixel, b.distance)).unwrap_or(a.pixel.cmp(&b.pixel))
@@ -101,7 +106,7 @@ fn widest_sine(position: DVec3, track: &[Observation], views: &[View]) -> f64 {
 }
 
 /// The pixel of a scale in which a feature lies, among all pixels of the set.
-fn pixel(train: &ViewSet, scale: &Scale, seen: &Observation) -> Option<u32> {
+pub(crate) fn pixel(train: &ViewSet, scale: &Scale, seen: &Observation) -> Option<u32> {
     let view = train.views[scale.views.clone()].get(seen.view as usize)?;
     let k = &view.camera.intrinsics;
     let [x, y] = seen.at.map(|place| (place / f64::from(scale.factor)).floor());

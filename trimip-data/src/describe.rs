@@ -68,7 +68,7 @@ pub(crate) fn sizes(sources: &[Source]) -> String {
 /// "with alpha", or how many of the photographs have it.
 pub(crate) fn alpha(sources: &[Source]) -> String {
     let files = || sources.iter().flat_map(|source| source.files());
-    match (files().filter(|file| file.alpha).count(), files().count()) {
+    match (files().filter(|file| file.has_alpha()).count(), files().count()) {
         (_, 0) => "alpha rendered".into(),
         (0, _) => "no alpha".into(),
         (masked, total) if masked == total => "with alpha".into(),

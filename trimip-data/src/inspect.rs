@@ -2,13 +2,11 @@
 
 use crate::{
     describe, lens,
-    scene::{Scene, opened},
+    scene::{Scene, opened, surveyed},
     settings::DataConfig,
-    source::{assemble_in, rows},
-    survey::Survey,
-    watch::{Meter, Watch},
+    watch::Watch,
 };
-use trimip_core::{Alpha, Result, plural::count, scene::origin::LocalOrigin};
+use trimip_core::{Alpha, Result, plural::count};
 
 /// Everything that is known about a scene without training.
 #[derive(Debug)]
@@ -36,9 +34,7 @@ pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
 /// # Errors
 /// As [`open`](crate::open).
 pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
-    let survey = Survey::new(config)?.local(config, LocalOrigin::chosen)?;
-    let train =
-        assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(rows(&survey.train), watch))?;
+    let (survey, train) = surveyed(config, watch)?;
     let mut lines = describe::description(&survey, config, &train);
     for (name, sources) in [("train", &survey.train), ("test", &survey.test)] {
         let cameras = || sources.iter().filter_map(|source| source.views.first().map(|(_, camera)| camera));

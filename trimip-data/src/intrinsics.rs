@@ -66,10 +66,7 @@ pub(crate) struct Fitted {
 pub(crate) fn fitted(image: Photograph, stated: Intrinsics) -> Result<Fitted> {
     let image = image.fit(Some(stated.width), Some(stated.height));
     let (own, sizes) = ([stated.width, stated.height], [image.width, image.height]);
-    // The factors that round to each side.
-    let range = |side: usize| [-1.0, 1.0].map(|by| (f64::from(sizes[side]) + by) / f64::from(own[side]));
-    let ([low_x, high_x], [low_y, high_y]) = (range(0), range(1));
-    if low_x.max(low_y) >= high_x.min(high_y) {
+    if !alike(sizes, own) {
         return Err(other_size(&image, own));
     }
     let factors = [0, 1].map(|side| f64::from(sizes[side]) / f64::from(own[side]));
@@ -77,6 +74,14 @@ pub(crate) fn fitted(image: Photograph, stated: Intrinsics) -> Result<Fitted> {
     let Intrinsics { fx, fy, cx, cy, lens, .. } = stated;
     let intrinsics = Intrinsics { width, height, fx: fx * x, fy: fy * y, cx: cx * x, cy: cy * y, lens };
     Ok(Fitted { image, intrinsics, factors })
+}
+
+/// True if a picture of the size `sizes` has the shape of one of the size `own`, up to rounding.
+pub(crate) fn alike(sizes: [u32; 2], own: [u32; 2]) -> bool {
+    // The factors that round to each side.
+    let range = |side: usize| [-1.0, 1.0].map(|by| (f64::from(sizes[side]) + by) / f64::from(own[side]));
+    let ([low_x, high_x], [low_y, high_y]) = (range(0), range(1));
+    low_x.max(low_y) < high_x.min(high_y)
 }
 
 /// A warning if photographs have another size than `file` states.

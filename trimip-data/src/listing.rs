@@ -2,6 +2,7 @@
 //! measured against the cameras when a split is read.
 
 use crate::{
+    depth_image::DepthFile,
     division::{self, Selection},
     intrinsics::{Fitted, fitted, scaled_along},
     names,
@@ -83,6 +84,8 @@ pub(crate) fn vision_pose(to_camera: DMat3, translation: DVec3) -> (DMat3, DVec3
 pub(crate) struct Listing {
     file: PathBuf,
     frames: Vec<(Frame, PathBuf)>,
+    /// The depth image of each frame that has one.
+    depths: Vec<Option<DepthFile>>,
     names: Vec<String>,
     scales: u32,
     /// What the file states beside frames; given to the first split that is read.
@@ -115,7 +118,14 @@ impl Listing {
         let names = names::unique(&frames.iter().map(|(frame, _)| frame.named.as_str()).collect::<Vec<_>>());
         facts.stated = facts.stated.or_else(|| facts.cloud.stated(&format!("of {}", file.display())));
         let facts = Cell::new(facts);
-        Ok(Self { file: file.into(), frames, names, scales: config.scales, facts })
+        let depths = vec![None; frames.len()];
+        Ok(Self { file: file.into(), frames, depths, names, scales: config.scales, facts })
+    }
+
+    /// The same frames with the depth images that `of` finds by the paths of photographs.
+    pub(crate) fn with_depths(mut self, of: impl Fn(&Path) -> Option<DepthFile>) -> Self {
+        self.depths = self.frames.iter().map(|(_, path)| of(path)).collect();
+        self
     }
 
     /// True if the file divides the frames.
@@ -133,14 +143,15 @@ impl Listing {
         if chosen.is_empty() {
             return Err(division::empty(&self.file, split, self.frames.len(), selection));
         }
-        let (frames, names, scales) = (&self.frames, &self.names, self.scales);
+        let Self { frames, depths, names, scales, .. } = self;
         let found = map_in_order(&chosen, |_, index| {
             let (frame, path) = &frames[*index];
             let image = Photograph::open(path.clone(), frame.place.clone())?;
             let camera = frame.camera([image.width, image.height]);
             let Fitted { image, intrinsics, factors } = fitted(image, camera.intrinsics)?;
             let (camera, pixels) = (Camera { intrinsics, ..camera }, Pixels::Photograph(image));
-            Ok((Source::averaged(names[*index].clone(), camera, scales, &frame.place, pixels)?, factors))
+            let source = Source::averaged(names[*index].clone(), camera, *scales, &frame.place, pixels)?;
+            Ok((Source { depth: depths[*index].clone(), ..source }, factors))
         })?;
         let (sources, factors): (Vec<Source>, Vec<[f64; 2]>) = found.into_iter().unzip();
         let divided = selection.warning(&self.file, "in order of their names").filter(|_| !self.is_divided());

@@ -40,8 +40,8 @@ pub(crate) struct Photograph {
     /// Its EXIF orientation, and what follows from it.
     tag: Orientation,
     pub(crate) turn: Turn,
-    /// True if the file has an alpha channel.
-    pub(crate) alpha: bool,
+    /// Channels and bits of its pixels.
+    pub(crate) color: ColorType,
     /// True if its pixels are near what was stored: the file is a JPEG.
     pub(crate) lossy: bool,
 }
@@ -68,7 +68,7 @@ impl Photograph {
             let what = format!("image {} has pixels of floating-point numbers", path.display());
             return Err(Error::input(place, what, "convert it and all like it to 8 or 16 bits"));
         }
-        let alpha = decoder.color_type().has_alpha();
+        let color = decoder.color_type();
         if width == 0 || height == 0 || u64::from(width) * u64::from(height) > MAX_PIXELS {
             return Err(Error::input(
                 place,
@@ -79,7 +79,12 @@ impl Photograph {
         let tag = decoder.orientation().unwrap_or(Orientation::NoTransforms);
         let turn = orientation::decide((width, height), tag, None, None);
         let lossy = format == Some(ImageFormat::Jpeg);
-        Ok(Self { path, place, width, height, tag, turn, alpha, lossy })
+        Ok(Self { path, place, width, height, tag, turn, color, lossy })
+    }
+
+    /// True if the file has an alpha channel.
+    pub(crate) fn has_alpha(&self) -> bool {
+        self.color.has_alpha()
     }
 
     /// Turns the photograph as its EXIF orientation says if only then it has the stated size, as far as one is stated.
@@ -204,7 +209,7 @@ mod tests {
         let path = folder.path().join(name);
         image.into().save(&path).unwrap();
         let photograph = Photograph::open(path, "test".into()).unwrap();
-        (photograph.decode().unwrap(), photograph.alpha)
+        (photograph.decode().unwrap(), photograph.has_alpha())
     }
 
     #[test]
@@ -251,7 +256,7 @@ mod tests {
         fs::write(&path, bytes).unwrap();
         let photograph = Photograph::open(path, "test".into()).unwrap();
         assert_eq!(photograph.decode().unwrap(), [10, 20, 30, 255, 40, 50, 60, 128]);
-        assert!(photograph.alpha);
+        assert!(photograph.has_alpha());
     }
 
     #[test]

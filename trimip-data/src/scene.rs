@@ -2,6 +2,7 @@
 
 use crate::settings::DataConfig;
 use crate::{
+    depth_images::{DepthImages, Known},
     depths, describe, masks,
     points::Point,
     source::{FrameList, Source, assemble_in, rows},
@@ -72,10 +73,21 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
 /// As [`open`].
 pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
     workers::start()?;
-    let survey = Survey::new(config)?.local(config, LocalOrigin::chosen)?;
-    let train =
-        assemble_in(config.pixels, &survey.train, survey.alpha, &Meter::new(rows(&survey.train), watch))?;
+    let (survey, train) = surveyed(config, watch)?;
     Ok(opened(survey, config, train))
+}
+
+/// The scene that the settings name and its training views with all that is known of them.
+pub(crate) fn surveyed(config: &DataConfig, watch: Watch<'_>) -> Result<(Survey, ViewSet)> {
+    let mut survey = Survey::new(config)?.local(config, LocalOrigin::chosen)?;
+    let images = DepthImages::find(config, &survey.train)?;
+    let meter = Meter::new(rows(&survey.train), watch);
+    let mut train = assemble_in(config.pixels, &survey.train, survey.alpha, &meter)?;
+    let Known { depths, note, warnings } = images.known(&survey.train, &train)?;
+    train.depths = depths::nearest([depths::of_points(&survey.points, &train), depths].concat());
+    survey.notes.extend(note);
+    survey.warnings.extend(warnings);
+    Ok((survey, train))
 }
 
 /// Opens the test frames of the scene that the settings name. Reads every camera and image header as [`open`] does, but
@@ -103,8 +115,7 @@ fn frames(sources: Vec<Source>, alpha: Alpha) -> Box<dyn Frames> {
 }
 
 /// The scene with its training views.
-pub(crate) fn opened(survey: Survey, config: &DataConfig, mut train: ViewSet) -> Scene {
-    train.depths = depths::of_points(&survey.points, &train);
+pub(crate) fn opened(survey: Survey, config: &DataConfig, train: ViewSet) -> Scene {
     let description = describe::description(&survey, config, &train);
     let of_masks = masks::warnings(&survey.train, &train);
     let named = |source: &Source| Some((source.name.clone(), source.views.first()?.1));

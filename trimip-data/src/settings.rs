@@ -33,6 +33,7 @@ pub struct DataConfig {
     pub masks: String,
     pub mask_keeps: MaskKeeps,
     pub mask_role: MaskRole,
+    pub depths: bool,
     pub scales: u32,
     pub convention: Convention,
     pub edge_exponents: Vec<f32>,

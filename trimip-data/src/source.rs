@@ -4,6 +4,7 @@
 use crate::settings::{Finish, PixelStore};
 use crate::{
     builtin,
+    depth_image::DepthFile,
     mask::Mask,
     photograph::Photograph,
     pyramid, store,
@@ -28,6 +29,8 @@ pub(crate) struct Source {
     pub(crate) mask: Option<Mask>,
     /// The mask that its entry states.
     pub(crate) mask_path: Option<String>,
+    /// The depth image of its photograph, whether it is there or not.
+    pub(crate) depth: Option<DepthFile>,
 }
 
 /// The source of a frame's pixels.
@@ -70,7 +73,7 @@ impl Source {
         let views = (0..scales)
             .map(|level| (level, Camera { intrinsics: camera.intrinsics.reduced(level), ..camera }))
             .collect();
-        Ok(Self { name, views, halvings: 0, pixels, mask: None, mask_path: None })
+        Ok(Self { name, views, halvings: 0, pixels, mask: None, mask_path: None, depth: None })
     }
 
     /// Number of pixels of all its views.

@@ -41,7 +41,7 @@ pub(crate) fn orientation<'a>(sources: impl Iterator<Item = &'a Source>) -> Opti
 pub(crate) fn alpha(train: &[Source], alpha: Alpha) -> Option<String> {
     let silhouette = |source: &Source| alpha.is_opacity() && source.mask.is_some();
     let files = || train.iter().flat_map(|source| source.files().iter().map(move |file| (source, file)));
-    let masked = files().filter(|(source, file)| file.alpha || silhouette(source)).count();
+    let masked = files().filter(|(source, file)| file.has_alpha() || silhouette(source)).count();
     let total = files().count();
     (0 < masked && masked < total).then(|| {
         format!(

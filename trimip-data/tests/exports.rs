@@ -4,7 +4,7 @@
 mod common;
 
 use common::{
-    ring::{assert_cameras, cameras, name, save_images, vision},
+    ring::{assert_cameras, cameras, name, polycam, save_images, vision},
     save_image, settings, write,
 };
 use glam::{DMat3, DQuat, DVec3};
@@ -164,20 +164,7 @@ fn raw_exports_of_polycam_are_read() {
     for kind in ["", "corrected_"] {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("keyframes");
-        fs::create_dir_all(root.join(format!("{kind}cameras"))).unwrap();
-        for (index, camera) in all.iter().enumerate() {
-            let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
-            let o = camera.origin;
-            // ARKit's axes x, y, z are ours y, z, x.
-            let rows = [[y, [o.y; 3]], [z, [o.z; 3]], [x, [o.x; 3]]];
-            let mut document = json!({ "fx": 51.5, "fy": 52.5, "cx": 29.0, "cy": 21.0, "width": 60, "height": 40, "blur_score": 90.0 });
-            for (i, [axes, [at, ..]]) in rows.iter().enumerate() {
-                (0..3).for_each(|j| document[format!("t_{i}{j}")] = json!(axes[j]));
-                document[format!("t_{i}3")] = json!(at);
-            }
-            write(&root.join(format!("{kind}cameras/{index}.json")), &document);
-            save_image(&root.join(format!("{kind}images/{index}.png")), 60, 40);
-        }
+        polycam(folder.path(), &all, kind);
         let scene = open(&settings(folder.path(), 1)).unwrap();
         assert_cameras(&scene, &all);
         let path = root.join(format!("{kind}cameras/3.json"));

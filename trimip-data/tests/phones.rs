@@ -3,7 +3,7 @@
 mod common;
 
 use common::{
-    ring::{assert_cameras, cameras, pinhole, save_images, vision},
+    ring::{arkitscenes, assert_cameras, cameras, pinhole, save_images},
     save_image, settings, write,
 };
 use glam::{DQuat, DVec3};
@@ -119,27 +119,6 @@ fn broken_captures_of_record3d_are_named() {
     (0..6).for_each(|i| save_image(&root.join(format!("rgb/{i}.png")), 60, 40));
     fs::write(root.join("rgb/4.png"), "no image").unwrap();
     assert!(refused(root).contains("rgb/4.png cannot be decoded"));
-}
-
-/// Writes a scene of ARKitScenes: photographs 0.1 s apart, the poses 2 ms before them.
-fn arkitscenes(root: &Path, all: &[Camera]) -> String {
-    let mut trajectory = String::new();
-    for (index, camera) in all.iter().enumerate() {
-        let (rotation, t) = vision(camera);
-        let (axis, angle) = DQuat::from_mat3(&rotation).to_axis_angle();
-        let r = axis * angle;
-        let time = 305.3 + 0.1 * index as f64;
-        trajectory += &format!("{} {} {} {} {} {} {}\n", time - 0.002, r.x, r.y, r.z, t.x, t.y, t.z);
-        save_image(&root.join(format!("lowres_wide/41069021_{time:.3}.png")), 60, 40);
-        let intrinsics = root.join("lowres_wide_intrinsics");
-        fs::create_dir_all(&intrinsics).unwrap();
-        // Some are called by a time that was rounded otherwise.
-        let rounded = time + [0.0, 0.001, -0.001][index % 3];
-        fs::write(intrinsics.join(format!("41069021_{rounded:.3}.pincam")), "60 40 51.5 52.5 29 21\n")
-            .unwrap();
-    }
-    fs::write(root.join("lowres_wide.traj"), &trajectory).unwrap();
-    trajectory
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Known distances: pixels of the training views whose rays end at points that several photographs saw.
+//! Known distances: pixels of the training views whose rays end at points that several photographs saw, or that depth images show.
 
 use bytemuck::{Pod, Zeroable};
 

@@ -1,11 +1,11 @@
-//! Whether the run begins near points of structure from motion, and rays should end there.
+//! Whether the run begins near points of structure from motion and surfaces of depth images, and rays should end there.
 
 use super::decision::{Context, Proposal};
 use crate::config::Contraction;
 use crate::{Config, ViewSet};
 use toml::Value;
 
-/// Weight of the depth term over a run: points show where surfaces are, photographs how they look. In the second half photographs
+/// Weight of the depth term over a run: known points show where surfaces are, photographs how they look. In the second half photographs
 /// alone decide, so that wrong points leave no trace.
 const WEIGHTS: [[f64; 2]; 5] = [[0.0, 0.01], [0.125, 0.0075], [0.25, 0.005], [0.375, 0.0025], [0.5, 0.0]];
 
@@ -21,8 +21,8 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     }
     let known = context.facts.train.depths.len();
     if known == 0 {
-        let reason = "the data state no points that training photographs saw";
-        return Proposal::Unknown(reason.into(), "use photographs with a COLMAP model");
+        let reason = "the data state no points that training photographs saw, and no depth images";
+        return Proposal::Unknown(reason.into(), "use photographs with a COLMAP model or with depth images");
     }
     let weights = WEIGHTS.iter().map(|piece| Value::Array(piece.map(Value::Float).to_vec())).collect();
     let mut changes = vec![
@@ -33,7 +33,7 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     changes.retain(|(path, _)| !context.given(path));
     Proposal::Set {
         reason: format!(
-            "points that photographs saw tell where the rays of {known} pixels end: the run begins near the points, the space before them stays empty, and until half of the run rays are drawn to them"
+            "points that photographs saw, or depth images, tell where the rays of {known} pixels end: the run begins near the points, the space before them stays empty, and until half of the run rays are drawn to them"
         ),
         changes,
     }

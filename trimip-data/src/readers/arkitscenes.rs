@@ -4,6 +4,7 @@
 
 use super::reader::Reader;
 use crate::{
+    depth_image::DepthFile,
     listing::{Calibration, Frame, Listing, vision_pose},
     names, numbers, pose,
     source::map_in_order,
@@ -17,6 +18,9 @@ use trimip_core::{Error, Intrinsics, Lens, Result, plural::count};
 const POSES: &str = "lowres_wide.traj";
 const IMAGES: &str = "lowres_wide";
 const INTRINSICS: &str = "lowres_wide_intrinsics";
+
+/// Depth images and how sure they are, called as the photographs: millimetres of 16 bits, and 0 to 2 (DATA.md).
+const DEPTHS: [&str; 2] = ["lowres_depth", "confidence"];
 
 /// The time of a pose may differ by this from that of its photograph, seconds.
 const MOST_APART: f64 = 5e-3;
@@ -47,7 +51,9 @@ pub(super) static READER: Reader = Reader {
             })
             .into_iter()
             .collect();
-        Ok(Box::new(Listing::new(root, config, &path, frames, Split { warnings, ..Split::default() })?))
+        let facts = Split { warnings, ..Split::default() };
+        let listing = Listing::new(root, config, &path, frames, facts)?;
+        Ok(Box::new(listing.with_depths(|photograph| DepthFile::of_arkit(root, DEPTHS, photograph))))
     },
     images: Some("scenes of ARKitScenes"),
     divisible: true,

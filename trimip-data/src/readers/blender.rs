@@ -3,6 +3,7 @@
 
 use super::reader::{CameraFile, OpenScene, Reader};
 use crate::{
+    depth_image::DepthFile,
     division::{self, Selection},
     intrinsics::{Fitted, Size, fitted, intrinsics, scaled_along},
     json::{self, Node},
@@ -39,6 +40,9 @@ pub(super) static READER: Reader = Reader {
         memory: 160,
     }],
 };
+
+/// Units of poses for each unit of a depth image, if the file states none (nerfstudio).
+const DEPTH_UNIT: f64 = 1e-3;
 
 /// One frame.
 fn example() -> Vec<u8> {
@@ -185,13 +189,15 @@ fn read_file(
     let named = chosen.iter().map(|(_, entry)| (entry.named, entry.frame.place.clone()));
     let (paths, moved) = pictures::of_entries(&folder.pictures, path, named)?;
     let frames: Vec<_> = chosen.iter().zip(paths).collect();
+    let root = &folder.root;
     let found = map_in_order(&frames, |_, ((index, entry), path)| {
         let place = &entry.frame.place;
         let image = Photograph::open(path.clone(), place.clone())?;
         let (image, camera, factors) = entry.seen_by(file, image)?;
         let pixels = Pixels::Photograph(image);
         let source = Source::averaged(names[*index].clone(), camera, folder.scales, place, pixels)?;
-        Ok((Source { mask_path: entry.mask_path.map(str::to_string), ..source }, factors))
+        let depth = entry.depth.as_ref().map(|depth| depth.below(root));
+        Ok((Source { mask_path: entry.mask_path.map(str::to_string), depth, ..source }, factors))
     })?;
     let (sources, factors): (Vec<Source>, Vec<[f64; 2]>) = found.into_iter().unzip();
     let chosen: Vec<usize> = chosen.into_iter().map(|(index, _)| index).collect();
@@ -253,6 +259,7 @@ impl<'a> Transforms<'a> {
             pose: pose::read(&frame, "transform_matrix")?,
             size: Size::of(&frame)?.or(self.size),
             mask_path: frame.text("mask_path")?,
+            depth: depth(&self.file, &frame)?,
             frame,
         })
     }
@@ -270,6 +277,7 @@ struct Entry<'a> {
     pose: (DMat3, DVec3),
     size: Size,
     mask_path: Option<&'a str>,
+    depth: Option<DepthFile>,
 }
 
 impl Entry<'_> {
@@ -291,6 +299,20 @@ impl Entry<'_> {
         let camera = self.camera(file, image.width, image.height)?;
         Ok((image, camera, [1.0; 2]))
     }
+}
+
+/// The depth image that a frame states, whose numbers are in units of `depth_unit_scale_factor` (nerfstudio's default are thousandths) of the
+/// original poses, which the poses of the file are `applied_scale` times.
+fn depth(file: &Node<'_>, frame: &Node<'_>) -> Result<Option<DepthFile>> {
+    let Some(path) = frame.text("depth_file_path")? else { return Ok(None) };
+    let key = "depth_unit_scale_factor";
+    let of_file = file.number(key)?;
+    let factor = frame.number(key)?.or(of_file).unwrap_or(DEPTH_UNIT);
+    if !(factor.is_finite() && factor > 0.0) {
+        let what = format!("\"{key}\" is {factor}");
+        return Err(Error::input(&frame.place, what, "expected a number above 0, or no such key"));
+    }
+    Ok(Some(DepthFile::new(path, factor * file.number("applied_scale")?.unwrap_or(1.0))))
 }
 
 /// What nerfstudio did to the original poses before it wrote them: the poses of the file are `applied_scale` ·

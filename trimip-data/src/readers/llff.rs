@@ -2,13 +2,10 @@
 //! 3 × 5 matrix [R | t | (h, w, f)], row by row, then the near and far bounds. The columns of R are the camera's axes down, right
 //! and backwards in the world; h, w, f are pixels of the original photographs (Mildenhall et al. 2019, `load_llff.py` of NeRF).
 
-use super::{
-    npy,
-    reader::{CameraFile, OpenScene, Reader},
-};
+use super::reader::{CameraFile, OpenScene, Reader};
 use crate::{
     division::{self, Selection},
-    names,
+    names, npy,
     photograph::Photograph,
     pose,
     settings::DataConfig,

@@ -8,7 +8,6 @@ mod colmap;
 mod llff;
 mod metashape;
 pub(crate) mod multiscale;
-mod npy;
 mod nsvf;
 mod opensfm;
 mod polycam;

@@ -323,6 +323,7 @@ fn frames(place: &str, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
                 halvings: 0,
                 mask: None,
                 mask_path: None,
+                depth: None,
                 pixels: Pixels::Stored(vec![image]),
             });
             continue;

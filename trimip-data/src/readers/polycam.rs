@@ -3,6 +3,7 @@
 
 use super::reader::Reader;
 use crate::{
+    depth_image::DepthFile,
     intrinsics::Size,
     json::{self, Node},
     listing::{Calibration, Frame, Listing},
@@ -18,6 +19,10 @@ const FOLDERS: [[&str; 2]; 2] = [
     ["keyframes/corrected_cameras", "keyframes/corrected_images"],
     ["keyframes/cameras", "keyframes/images"],
 ];
+
+/// Folders of the depth images and of how sure they are, called as the photographs. Both are ARKit's: millimetres of 16 bits, and 0 where
+/// the depth is not sure (Polycam's polyform, README).
+const DEPTHS: [&str; 2] = ["keyframes/depth", "keyframes/confidence"];
 
 pub(super) static READER: Reader = Reader {
     format: "polycam",
@@ -36,7 +41,8 @@ pub(super) static READER: Reader = Reader {
             .collect();
         files.sort();
         let frames = map_in_order(&files, |_, path| frame(path, images))?;
-        Ok(Box::new(Listing::new(root, config, &folder, frames, Split::default())?))
+        let listing = Listing::new(root, config, &folder, frames, Split::default())?;
+        Ok(Box::new(listing.with_depths(|photograph| DepthFile::of_arkit(root, DEPTHS, photograph))))
     },
     images: Some("raw exports of Polycam"),
     divisible: true,

@@ -1,8 +1,9 @@
 //! Nine cameras around the origin, which exports of other programs describe.
 
-use super::save_image;
-use glam::{DMat3, DVec3};
-use std::path::Path;
+use super::{save_image, write};
+use glam::{DMat3, DQuat, DVec3};
+use serde_json::{Value, json};
+use std::{fs, path::Path};
 use trimip_core::{Camera, Intrinsics, Lens};
 use trimip_data::Scene;
 
@@ -51,4 +52,62 @@ pub fn assert_cameras(scene: &Scene, expected: &[Camera]) {
 pub fn vision(camera: &Camera) -> (DMat3, DVec3) {
     let to_world = camera.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     (to_world.transpose(), -(to_world.transpose() * camera.origin))
+}
+
+/// Writes a scene of ARKitScenes: photographs 0.1 s apart, the poses 2 ms before them.
+pub fn arkitscenes(root: &Path, all: &[Camera]) -> String {
+    let mut trajectory = String::new();
+    for (index, camera) in all.iter().enumerate() {
+        let (rotation, t) = vision(camera);
+        let (axis, angle) = DQuat::from_mat3(&rotation).to_axis_angle();
+        let r = axis * angle;
+        let time = 305.3 + 0.1 * index as f64;
+        trajectory += &format!("{} {} {} {} {} {} {}\n", time - 0.002, r.x, r.y, r.z, t.x, t.y, t.z);
+        save_image(&root.join(format!("lowres_wide/41069021_{time:.3}.png")), 60, 40);
+        let intrinsics = root.join("lowres_wide_intrinsics");
+        fs::create_dir_all(&intrinsics).unwrap();
+        // Some are called by a time that was rounded otherwise.
+        let rounded = time + [0.0, 0.001, -0.001][index % 3];
+        fs::write(intrinsics.join(format!("41069021_{rounded:.3}.pincam")), "60 40 51.5 52.5 29 21\n")
+            .unwrap();
+    }
+    fs::write(root.join("lowres_wide.traj"), &trajectory).unwrap();
+    trajectory
+}
+
+/// Writes a raw export of Polycam; `kind` is "corrected_" for poses and photographs that Polycam corrected.
+pub fn polycam(root: &Path, all: &[Camera], kind: &str) {
+    let root = root.join("keyframes");
+    fs::create_dir_all(root.join(format!("{kind}cameras"))).unwrap();
+    for (index, camera) in all.iter().enumerate() {
+        let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
+        let o = camera.origin;
+        // ARKit's axes x, y, z are ours y, z, x.
+        let rows = [[y, [o.y; 3]], [z, [o.z; 3]], [x, [o.x; 3]]];
+        let mut document = json!({ "fx": 51.5, "fy": 52.5, "cx": 29.0, "cy": 21.0, "width": 60, "height": 40, "blur_score": 90.0 });
+        for (i, [axes, [at, ..]]) in rows.iter().enumerate() {
+            (0..3).for_each(|j| document[format!("t_{i}{j}")] = json!(axes[j]));
+            document[format!("t_{i}3")] = json!(at);
+        }
+        write(&root.join(format!("{kind}cameras/{index}.json")), &document);
+        save_image(&root.join(format!("{kind}images/{index}.png")), 60, 40);
+    }
+}
+
+/// `transforms.json` of cameras whose lens is that of `intrinsics`, a frame each.
+pub fn transforms(all: &[Camera], intrinsics: Intrinsics) -> Value {
+    let frame = |(index, camera): (usize, &Camera)| {
+        let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
+        let row = |axes: [f64; 3], at: f64| [axes[0], axes[1], axes[2], at];
+        let o = camera.origin;
+        json!({
+            "file_path": name(index),
+            "transform_matrix": [row(x, o.x), row(y, o.y), row(z, o.z), [0.0, 0.0, 0.0, 1.0]],
+        })
+    };
+    let Intrinsics { width, height, fx, fy, cx, cy, .. } = intrinsics;
+    json!({
+        "w": width, "h": height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy,
+        "frames": all.iter().enumerate().map(frame).collect::<Vec<_>>(),
+    })
 }

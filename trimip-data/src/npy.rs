@@ -8,22 +8,19 @@ use trimip_core::{Error, Result};
 ///
 /// # Errors
 /// Of kind `Input`: another format, kind of numbers or shape; a file of another length; numbers that are not finite.
-pub(super) fn rows<const N: usize>(name: &str, bytes: &[u8], advice: &str) -> Result<Vec<[f64; N]>> {
+pub(crate) fn rows<const N: usize>(name: &str, bytes: &[u8], advice: &str) -> Result<Vec<[f64; N]>> {
     let wrong = |what: String| Error::input(name, what, advice);
-    let header = Header::parse(bytes).map_err(|what| wrong(format!("is no table of NumPy: {what}")))?;
-    let Header { big, size, by_columns, rows, columns, values } = header;
-    if columns != N || rows == 0 {
+    let header = Header::of(name, bytes, advice)?;
+    let Header { rows, columns, planes, .. } = header;
+    if planes || columns != N || rows == 0 {
         return Err(wrong(format!(
-            "holds {rows} x {columns} numbers, expected {N} in each of one or more rows"
+            "holds {rows} x {columns}{} numbers, expected {N} in each of one or more rows",
+            if planes { " x 1" } else { "" }
         )));
     }
-    if rows.checked_mul(N * size) != Some(values.len()) {
-        let what = format!("states {rows} x {N} numbers of {size} bytes, and {} bytes follow", values.len());
-        return Err(wrong(what));
-    }
+    header.expect_whole(name, bytes, advice)?;
     let row = |row: usize| {
-        let index = |column: usize| if by_columns { column * rows + row } else { row * N + column };
-        let own = std::array::from_fn(|column| number(&values[index(column) * size..][..size], big));
+        let own = std::array::from_fn(|column| header.number(bytes, row, column));
         match own.iter().all(|value: &f64| value.is_finite()) {
             true => Ok(own),
             false => Err(wrong(format!("holds a number that is not finite in row {row}"))),
@@ -31,6 +28,42 @@ pub(super) fn rows<const N: usize>(name: &str, bytes: &[u8], advice: &str) -> Re
     };
     (0..rows).map(row).collect()
 }
+
+/// A table of any size, whose numbers are read from its bytes one by one.
+#[derive(Debug)]
+pub(crate) struct Table {
+    header: Header,
+    bytes: Vec<u8>,
+}
+
+impl Table {
+    /// The table in the bytes of a file, also of a shape with a third side of 1.
+    ///
+    /// # Errors
+    /// Of kind `Input`: another format, kind of numbers or shape; a file of another length.
+    pub(crate) fn new(name: &str, bytes: Vec<u8>, advice: &str) -> Result<Self> {
+        let header = Header::of(name, &bytes, advice)?;
+        header.expect_whole(name, &bytes, advice)?;
+        Ok(Self { header, bytes })
+    }
+
+    /// Rows and columns that the first bytes of a file state, [`HEAD`] of them or more.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub(crate) fn sides(name: &str, bytes: &[u8], advice: &str) -> Result<[usize; 2]> {
+        let Header { rows, columns, .. } = Header::of(name, bytes, advice)?;
+        Ok([rows, columns])
+    }
+
+    /// The number in a row and a column that the table has.
+    pub(crate) fn number(&self, row: usize, column: usize) -> f64 {
+        self.header.number(&self.bytes, row, column)
+    }
+}
+
+/// Bytes in which the header of a file lies.
+pub(crate) const HEAD: u64 = 1 << 17;
 
 /// A number of four or eight bytes, the highest first if it is `big`.
 fn number(bytes: &[u8], big: bool) -> f64 {
@@ -44,8 +77,9 @@ fn number(bytes: &[u8], big: bool) -> f64 {
     }
 }
 
-/// The header of a table, and the bytes behind it.
-struct Header<'a> {
+/// The header of a table.
+#[derive(Debug)]
+struct Header {
     /// Whether the highest byte of a number comes first.
     big: bool,
     /// Bytes of a number.
@@ -54,12 +88,38 @@ struct Header<'a> {
     by_columns: bool,
     rows: usize,
     columns: usize,
-    values: &'a [u8],
+    /// Whether the shape has a third side, of 1.
+    planes: bool,
+    /// Where the numbers begin.
+    start: usize,
 }
 
-impl<'a> Header<'a> {
+impl Header {
+    fn of(name: &str, bytes: &[u8], advice: &str) -> Result<Self> {
+        let wrong = |what: String| Error::input(name, format!("is no table of NumPy: {what}"), advice);
+        Self::parse(bytes).map_err(wrong)
+    }
+
+    /// Refuses a file of another length than its header states.
+    fn expect_whole(&self, name: &str, bytes: &[u8], advice: &str) -> Result<()> {
+        let Self { size, rows, columns, start, .. } = *self;
+        let follow = bytes.len() - start;
+        let stated = rows.checked_mul(columns).and_then(|count| count.checked_mul(size));
+        if stated == Some(follow) {
+            return Ok(());
+        }
+        let what = format!("states {rows} x {columns} numbers of {size} bytes, and {follow} bytes follow");
+        Err(Error::input(name, what, advice))
+    }
+
+    /// The number in a row and a column of a whole file.
+    fn number(&self, bytes: &[u8], row: usize, column: usize) -> f64 {
+        let index = if self.by_columns { column * self.rows + row } else { row * self.columns + column };
+        number(&bytes[self.start + index * self.size..][..self.size], self.big)
+    }
+
     /// The error says what is wrong.
-    fn parse(bytes: &'a [u8]) -> std::result::Result<Self, String> {
+    fn parse(bytes: &[u8]) -> std::result::Result<Self, String> {
         let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("its first bytes are others")?;
         let (&[major, _], rest) = rest.split_first_chunk().ok_or("it ends early")?;
         let (length, rest) = match (major, rest) {
@@ -98,8 +158,14 @@ impl<'a> Header<'a> {
             .map_or("", |shape| shape.0);
         let sides: Vec<Option<usize>> =
             shape.trim_end_matches(',').split(',').map(|side| side.trim().parse().ok()).collect();
+        let start = bytes.len() - values.len();
         match sides[..] {
-            [Some(rows), Some(columns)] => Ok(Self { big, size, by_columns, rows, columns, values }),
+            [Some(rows), Some(columns)] => {
+                Ok(Self { big, size, by_columns, rows, columns, planes: false, start })
+            }
+            [Some(rows), Some(columns), Some(1)] => {
+                Ok(Self { big, size, by_columns, rows, columns, planes: true, start })
+            }
             _ => Err(format!("its shape is ({}), expected two numbers", shape.escape_debug())),
         }
     }
@@ -162,7 +228,7 @@ mod tests {
             (of("{}"), "no 'descr'"),
             (of(&header("<i8", "False", "(2, 3)")), "'<i8', known are f8 and f4"),
             (of(&header("<f8", "Maybe", "(2, 3)")), "neither True nor False"),
-            (of(&header("<f8", "False", "(2, 3, 1)")), "expected two numbers"),
+            (of(&header("<f8", "False", "(2, 3, 1)")), "holds 2 x 3 x 1 numbers, expected 3"),
             (of(&header("<f8", "False", "(6,)")), "expected two numbers"),
             (of(&header("<f8", "False", "(3, 2)")), "holds 3 x 2 numbers, expected 3"),
             (of(&header("<f8", "False", "(9223372036854775808, 3)")), "and 48 bytes follow"),
