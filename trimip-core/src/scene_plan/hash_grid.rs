@@ -32,7 +32,7 @@ const CELL: f64 = 1.3;
 
 /// Samples per second with the hash grid over those with planes, by its log2 of entries per level up to the first number and beyond
 /// (*fox* in 60 s, *bonsai* in 300 s, two cores).
-const PACES: ([f64; 2], u32) = ([0.7, 0.5], 17);
+const PACES: ([f64; 2], u32) = ([0.7, 0.6], 17);
 
 /// What the encoder leaves of the expected samples per second, which are those of planes. Budgets are told by it; the plan's limits are
 /// in samples of planes.
