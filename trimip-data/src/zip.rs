@@ -91,6 +91,9 @@ impl<R: ReaderAt> Zip<R> {
             rawzip::ErrorKind::IO(error) if error.kind() != ErrorKind::UnexpectedEof => {
                 unreadable(name, error)
             }
+            rawzip::ErrorKind::InvalidEndOfCentralDirectory => {
+                damaged(name, &"its directory is not where it states")
+            }
             _ => Error::input(name, "is no zip archive, or its end is missing", AGAIN),
         })?;
         let (mut files, mut hashes, mut listed, mut bytes) = (Vec::new(), Vec::new(), 0_u64, 0_u64);
