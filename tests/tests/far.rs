@@ -12,7 +12,7 @@ use trimip_core::{
 };
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::binary::{Answer, refuses, run, tiny_and};
-use trimip_tests::watching::{Shown, view};
+use trimip_tests::watching::{self, Shown};
 
 /// Universal Transverse Mercator, earth-centred, and along one axis: metres.
 const FAR: [DVec3; 3] = [
@@ -271,7 +271,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     let told = shown.get(&format!("/{}/scene.json", shown.token), &[]).1;
     assert_eq!(serde_json::from_slice::<Value>(&told).unwrap()["crop"], crop);
     let mut page = shown.join(&shown.token, None).unwrap();
-    let mut request = view(1, [3.0, 1.0, 2.0], 24, 24);
+    let mut request = watching::view(1, [3.0, 1.0, 2.0], 24, 24);
     (request["show"], request["cropped"]) = (json!("opacity"), json!(true));
     let seen = image::load_from_memory(&page.finest(&request).unwrap().jpeg).unwrap().to_luma8();
     assert!(seen.pixels().any(|pixel| pixel.0[0] > 16), "the crop is where the scene is");
