@@ -1,4 +1,4 @@
-//! The crop of a place as a user meets it: chosen by the plan, kept in the model, applied to meshes and films.
+//! The crop of a place as a user meets it: chosen by the plan, kept in the model, applied to meshes, films and pages.
 
 use serde_json::{Value, json};
 use std::{fs, path::Path};
@@ -106,7 +106,8 @@ fn about(shown: &Shown) -> Value {
 fn pages_open_with_the_crop_that_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    train(here, &["--set", "scene.crop=ball 0,0,0,0.5"]);
+    let answer = run(here, &tiny_and(&["--out", "run", "--set", "scene.crop=ball 0,0,0,0.5"]));
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
     // A given crop takes the place of the model's; without one the switch has the model's.
     let (own, given) = ("ball 0,0,0,0.5", "box -0.2,-0.2,-0.2,0.2,0.3,0.4");
     let nothing = "ball 900,900,900,1";
@@ -122,7 +123,7 @@ fn pages_open_with_the_crop_that_is_asked_for() {
         assert_eq!((&told["crop"], &told["cropped"]), (&json!(crop), &json!(cropped)), "{options:?}");
         let mut page = shown.join(&shown.token, None).expect("the page may enter");
         let mut light = |id: u64, cropped: bool| {
-            let mut request = view(id, [1.0, 0.4, 0.7], 24, 24);
+            let mut request = view(id, [3.0, 1.0, 2.0], 24, 24);
             (request["show"], request["cropped"]) = (json!("opacity"), json!(cropped));
             let picture = image::load_from_memory(&page.finest(&request).unwrap().jpeg).unwrap().to_luma8();
             picture.pixels().map(|pixel| u64::from(pixel.0[0])).sum::<u64>()
