@@ -303,7 +303,7 @@ fn an_archive_stands_for_its_folder() {
         answer.out
     };
     good(&[&["data", "builtin", "scene"][..], &tiny()].concat());
-    let filler = Entry::deflated("filler.bin", &vec![0; 100 << 20]);
+    let filler = Entry::deflated("filler.bin", &vec![0; 64 << 20]);
     fs::write(here.join("a.zip"), archive(&[packed(&here.join("scene"), "lego/"), vec![filler]].concat()))
         .unwrap();
     // One that is killed leaves a folder that none takes for whole.
