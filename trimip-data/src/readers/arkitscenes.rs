@@ -106,9 +106,11 @@ fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>
     let candidates =
         STEPS.map(|step| root.join(INTRINSICS).join(format!("{video}_{:.3}.pincam", time + step)));
     let path = candidates.iter().find(|path| path.is_file()).unwrap_or(&candidates[0]);
+    let named = format!("{IMAGES}/{}", photograph.file_name().unwrap_or_default().to_string_lossy());
     Ok(Some(Frame {
-        named: format!("{IMAGES}/{}", photograph.file_name().unwrap_or_default().to_string_lossy()),
-        place,
+        // What is wrong with its size is stated there.
+        place: format!("{}: frame {named}", path.display()),
+        named,
         rotation,
         origin,
         calibration: Calibration::Sized(intrinsics(path)?),
