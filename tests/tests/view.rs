@@ -427,19 +427,28 @@ fn the_page_works_in_a_browser() {
     browser.wait("document.getElementById('view')?.dataset.done === 'true'");
 }
 
+/// True once the picture has all its pixels: that of a moving camera is done with fewer.
+const FINEST: &str = "(() => { const c = document.getElementById('view'); return c?.dataset.done === 'true'
+    && document.getElementById('size').textContent.startsWith(`${c.width}×${c.height},`); })()";
+
 #[test]
-fn the_page_opens_with_its_crop_switched_on() {
+fn the_page_opens_cropped_and_its_switch_shows_everything() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     trained(here);
     let shown = Shown::start_with(here, "run", &["--crop", "ball 0,0,0,0.5"]);
     let Some(mut browser) = Browser::start(1200, 800) else { return };
     browser.open(&shown.address());
-    browser.wait("document.getElementById('view')?.dataset.done === 'true'");
+    browser.wait(FINEST);
     assert_eq!(browser.value("document.querySelector('#crop code').textContent"), "ball 0,0,0,0.5");
     let state =
         "[document.getElementById('cropped').checked, document.getElementById('crop').offsetHeight > 0]";
     assert_eq!(browser.value(state), json!([true, true]));
+    let cropped = browser.value(PICTURE);
+    browser.value("document.getElementById('cropped').click()");
+    browser.wait(&format!("{PICTURE} !== {cropped} && {FINEST}"));
+    browser.value("document.getElementById('cropped').click()");
+    browser.wait(&format!("{PICTURE} === {cropped}"));
 }
 
 /// Keeps a screenshot for a person, where `TRIMIP_SCREENSHOTS` names a folder.
