@@ -54,10 +54,10 @@ pub fn write(mesh: &Mesh, path: &Path) -> Result<u64> {
     write_in(mesh, Coordinates::Stated, path)
 }
 
-/// As [`write`], in these coordinates.
+/// As [`write()`], in these coordinates.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_in(mesh: &Mesh, coordinates: Coordinates, path: &Path) -> Result<u64> {
     let bytes = match MeshFormat::of(path)? {
         MeshFormat::Ply => ply(mesh, coordinates),
