@@ -21,8 +21,7 @@ const MOST_OF_VIEW: usize = 1 << 12;
 /// Most known pixels of a scene, 24 MB.
 const MOST_OF_SCENE: usize = 1 << 21;
 
-/// Least deviation as a share of the distance. Phones' sensors measure within 1 to 2 cm at arm's length and a few at the end of their
-/// range of 5 m (Luetzenburg et al., Sci. Rep. 11, 2021; Polycam's polyform).
+/// Least deviation as a share of the distance: an assumption for the sensors of phones, whose files state none.
 const DEVIATION: f64 = 0.02;
 
 /// Share by which neighbouring depths of one surface differ at most. Depths between two surfaces are on neither.
