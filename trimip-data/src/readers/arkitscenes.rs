@@ -108,7 +108,7 @@ fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>
     let path = candidates.iter().find(|path| path.is_file()).unwrap_or(&candidates[0]);
     let named = format!("{IMAGES}/{}", photograph.file_name().unwrap_or_default().to_string_lossy());
     Ok(Some(Frame {
-        // What is wrong with its size is stated there.
+        // The file of the intrinsics states the size, so errors of the size name it.
         place: format!("{}: frame {named}", path.display()),
         named,
         rotation,
