@@ -31,7 +31,15 @@ pub fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
 pub fn read(path: &Path, advice: &str) -> Result<String> {
     let bytes = std::fs::read(path)
         .map_err(|error| Error::input(path.display(), format!("cannot be read: {error}"), advice))?;
-    match std::str::from_utf8(&decoded(&bytes)) {
+    of_bytes(path, &bytes)
+}
+
+/// The text of a file with these bytes.
+///
+/// # Errors
+/// When they are not UTF-8.
+pub fn of_bytes(path: &Path, bytes: &[u8]) -> Result<String> {
+    match std::str::from_utf8(&decoded(bytes)) {
         Ok(text) => Ok(text.into()),
         Err(error) => Err(Error::input(
             path.display(),

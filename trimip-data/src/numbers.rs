@@ -8,7 +8,18 @@ use trimip_core::{Error, Result, text};
 /// # Errors
 /// Of kind `Input`, with the line: a word is no finite number.
 pub(crate) fn lines(path: &Path, advice: &str) -> Result<Vec<Vec<f64>>> {
-    let text = text::read(path, advice)?;
+    of_text(path, &text::read(path, advice)?, advice)
+}
+
+/// As [`lines`], of the bytes of a file.
+///
+/// # Errors
+/// As [`lines`], and where the bytes are not UTF-8.
+pub(crate) fn parse(path: &Path, bytes: &[u8], advice: &str) -> Result<Vec<Vec<f64>>> {
+    of_text(path, &text::of_bytes(path, bytes)?, advice)
+}
+
+fn of_text(path: &Path, text: &str, advice: &str) -> Result<Vec<Vec<f64>>> {
     let line = |(index, line): (usize, &str)| {
         let place = || format!("{}:{}", path.display(), index + 1);
         line.split_ascii_whitespace()

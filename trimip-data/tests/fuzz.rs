@@ -202,6 +202,42 @@ fn scenes_of_a_changed_trajectory_open_or_tell() {
     scenes(root, &["lowres_wide.traj", "lowres_wide_intrinsics/7_10.200.pincam"]);
 }
 
+#[test]
+fn scenes_of_a_changed_raw_export_open_or_tell() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("keyframes");
+    fs::create_dir_all(root.join("cameras")).unwrap();
+    let mut files = Vec::new();
+    for i in 0..4 {
+        save_image(&root.join(format!("images/{i}.png")), 8, 6);
+        let document = json!({
+            "fx": 9.0, "fy": 8.5, "cx": 4.1, "cy": 3.0, "width": 8, "height": 6, "blur_score": 90.0,
+            "t_00": 1.0, "t_01": 0.0, "t_02": 0.0, "t_03": 0.5 * f64::from(i),
+            "t_10": 0.0, "t_11": 0.0, "t_12": -1.0, "t_13": 0.25,
+            "t_20": 0.0, "t_21": 1.0, "t_22": 0.0, "t_23": -2.0,
+        });
+        write(&root.join(format!("cameras/{i}.json")), &document);
+        files.push(format!("keyframes/cameras/{i}.json"));
+    }
+    scenes(folder.path(), &[&files[0], &files[2]]);
+}
+
+#[test]
+fn scenes_of_a_changed_nsvf_layout_open_or_tell() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    fs::create_dir(root.join("pose")).unwrap();
+    for i in 0..4 {
+        let name = format!("{}_{i:04}", i / 3);
+        save_image(&root.join(format!("rgb/{name}.png")), 8, 6);
+        let rows = format!("1 0 0 {}\n0 0 1 -2\n0 -1 0 0.25\n0 0 0 1\n", 0.5 * f64::from(i));
+        fs::write(root.join(format!("pose/{name}.txt")), rows).unwrap();
+    }
+    fs::write(root.join("intrinsics.txt"), "9 0 4.1 0\n0 8.5 3 0\n0 0 1 0\n0 0 0 1\n").unwrap();
+    fs::write(root.join("bbox.txt"), "-1 -2 -3 1 2 3 0.4\n").unwrap();
+    scenes(root, &["intrinsics.txt", "bbox.txt", "pose/0_0001.txt"]);
+}
+
 /// An archive of a scene of which some bytes are changed. Nothing of one that is refused is left, and nothing is written beside its
 /// folder.
 #[test]

@@ -2,7 +2,7 @@
 //! `lowres_wide_intrinsics/` (width, height, focal lengths, principal point), and `lowres_wide.traj`, a pose a line: time, an axis times an
 //! angle, and a translation, world-to-camera with x right, y down and z forward (ARKitScenes, DATA.md and its loader).
 
-use super::reader::Reader;
+use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
     depth_image::DepthFile,
     listing::{Calibration, Frame, Listing, vision_pose},
@@ -10,9 +10,9 @@ use crate::{
     source::map_in_order,
     split::Split,
 };
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use std::path::{Path, PathBuf};
-use trimip_core::{Error, Intrinsics, Lens, Result, plural::count};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Result, plural::count};
 
 /// Trajectory, photographs and their intrinsics.
 const POSES: &str = "lowres_wide.traj";
@@ -37,7 +37,7 @@ pub(super) static READER: Reader = Reader {
     recognises: |root| root.join(POSES).is_file(),
     open: |root, config| {
         let path = root.join(POSES);
-        let poses = poses(&path)?;
+        let poses = poses(&path, numbers::lines(&path, ADVICE)?)?;
         let mut photographs: Vec<PathBuf> =
             root.join(IMAGES).read_dir().into_iter().flatten().flatten().map(|entry| entry.path()).collect();
         photographs.retain(|path| names::is_picture(path));
@@ -57,14 +57,51 @@ pub(super) static READER: Reader = Reader {
     },
     images: Some("scenes of ARKitScenes"),
     divisible: true,
-    camera_files: &[],
+    camera_files: &[
+        CameraFile {
+            kind: "arkitscenes-trajectory",
+            file: POSES,
+            cameras: cameras_of_trajectory,
+            example: || TRAJECTORY.into(),
+            memory: 64,
+        },
+        CameraFile {
+            kind: "arkitscenes-intrinsics",
+            file: "lowres_wide_intrinsics/7_10.250.pincam",
+            cameras: camera_of_intrinsics,
+            example: || PINCAM.into(),
+            memory: 64,
+        },
+    ],
 };
+
+/// A trajectory and the intrinsics of a photograph as in the files.
+const TRAJECTORY: &str = "10.25 0.1 0.2 0.3 0.25 0.5 4\n10.5 0.1 -0.2 0.3 0.5 0.5 4\n";
+const PINCAM: &str = "8 6 9 9.5 4.1 3.2\n";
+
+/// A camera for each pose, called by its number.
+fn cameras_of_trajectory(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
+    let path = Path::new(INTRINSICS);
+    let intrinsics = intrinsics(path, &numbers::parse(path, PINCAM.as_bytes(), ADVICE)?)?;
+    let path = Path::new(name);
+    let camera = |(index, line): (usize, &Line)| {
+        let (rotation, origin) = placed(line).ok_or_else(|| not_finite(name))?;
+        Ok((index.to_string(), Camera { intrinsics, rotation, origin }))
+    };
+    poses(path, numbers::parse(path, bytes, ADVICE)?)?.iter().enumerate().map(camera).collect()
+}
+
+fn camera_of_intrinsics(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
+    let path = Path::new(name);
+    let intrinsics = intrinsics(path, &numbers::parse(path, bytes, ADVICE)?)?;
+    Ok(vec![(names::stem(name), Camera { intrinsics, rotation: DMat3::IDENTITY, origin: DVec3::ZERO })])
+}
 
 /// A line of the trajectory: time, rotation around an axis, translation.
 type Line = [f64; 7];
 
-/// The poses in order of time.
-fn poses(path: &Path) -> Result<Vec<Line>> {
+/// The poses of the lines of a file, in order of time.
+fn poses(path: &Path, lines: Vec<Vec<f64>>) -> Result<Vec<Line>> {
     let pose = |(index, line): (usize, Vec<f64>)| {
         let found = count(line.len(), "number");
         line.try_into().map_err(|_| {
@@ -75,8 +112,7 @@ fn poses(path: &Path) -> Result<Vec<Line>> {
             )
         })
     };
-    let mut poses: Vec<Line> =
-        numbers::lines(path, ADVICE)?.into_iter().enumerate().map(pose).collect::<Result<_>>()?;
+    let mut poses: Vec<Line> = lines.into_iter().enumerate().map(pose).collect::<Result<_>>()?;
     poses.sort_by(|a, b| a[0].total_cmp(&b[0]));
     Ok(poses)
 }
@@ -89,6 +125,16 @@ fn near(poses: &[Line], time: f64) -> Option<&Line> {
     around.min_by(|a, b| apart(a).total_cmp(&apart(b))).filter(|pose| apart(pose) < MOST_APART)
 }
 
+/// Rotation and centre of the camera of a pose, if they are finite.
+fn placed(&[_, x, y, z, tx, ty, tz]: &Line) -> Option<(DMat3, DVec3)> {
+    let (rotation, origin) = vision_pose(pose::around(DVec3::new(x, y, z)), DVec3::new(tx, ty, tz));
+    (rotation.is_finite() && origin.is_finite()).then_some((rotation, origin))
+}
+
+fn not_finite(place: &str) -> Error {
+    Error::input(place, "has a pose that is not finite", ADVICE)
+}
+
 /// The frame of a photograph; `None` without a pose.
 fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>> {
     let place = photograph.display().to_string();
@@ -98,11 +144,8 @@ fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>
         let what = "is not called by video and time, as 41069021_305.377.png";
         return Err(Error::input(place, what, "give it its name again"));
     };
-    let Some(&[_, x, y, z, tx, ty, tz]) = near(poses, time) else { return Ok(None) };
-    let (rotation, origin) = vision_pose(pose::around(DVec3::new(x, y, z)), DVec3::new(tx, ty, tz));
-    if !(rotation.is_finite() && origin.is_finite()) {
-        return Err(Error::input(place, "has a pose that is not finite", ADVICE));
-    }
+    let Some(line) = near(poses, time) else { return Ok(None) };
+    let (rotation, origin) = placed(line).ok_or_else(|| not_finite(&place))?;
     let candidates =
         STEPS.map(|step| root.join(INTRINSICS).join(format!("{video}_{:.3}.pincam", time + step)));
     let path = candidates.iter().find(|path| path.is_file()).unwrap_or(&candidates[0]);
@@ -113,15 +156,15 @@ fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>
         named,
         rotation,
         origin,
-        calibration: Calibration::Sized(intrinsics(path)?),
+        calibration: Calibration::Sized(intrinsics(path, &numbers::lines(path, ADVICE)?)?),
         split: None,
     }))
 }
 
-/// The intrinsics of a file.
-fn intrinsics(path: &Path) -> Result<Intrinsics> {
+/// The intrinsics of the lines of a file.
+fn intrinsics(path: &Path, lines: &[Vec<f64>]) -> Result<Intrinsics> {
     let wrong = |what: String| Error::input(path.display(), what, ADVICE);
-    let all = numbers::lines(path, ADVICE)?.concat();
+    let all = lines.concat();
     let [width, height, fx, fy, cx, cy] = all[..] else {
         return Err(wrong(format!("holds {} instead of 6", count(all.len(), "number"))));
     };

@@ -64,18 +64,20 @@ mod tests {
 
     #[test]
     fn examples_are_valid_and_no_reader_takes_another_for_its_own() {
-        for reader in READERS {
+        for reader in READERS.iter().filter(|reader| !reader.camera_files.is_empty()) {
+            let folder = tempfile::tempdir().unwrap();
             for file in reader.camera_files {
-                let folder = tempfile::tempdir().unwrap();
-                std::fs::write(folder.path().join(file.file), (file.example)()).unwrap();
-                let shown: Vec<&str> = READERS
-                    .iter()
-                    .filter(|other| (other.recognises)(folder.path()))
-                    .map(|other| other.format)
-                    .collect();
-                assert_eq!(shown, [reader.format]);
+                let path = folder.path().join(file.file);
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(path, (file.example)()).unwrap();
                 assert!(!(file.cameras)(file.file, &(file.example)()).unwrap().is_empty());
             }
+            let shown: Vec<&str> = READERS
+                .iter()
+                .filter(|other| (other.recognises)(folder.path()))
+                .map(|other| other.format)
+                .collect();
+            assert_eq!(shown, [reader.format]);
         }
     }
 }

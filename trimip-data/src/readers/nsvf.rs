@@ -2,7 +2,7 @@
 //! `bbox.txt`. Poses are camera-to-world with x right, y down and z forward. Names begin with the number of their split (Liu et al. 2020,
 //! README of NSVF).
 
-use super::reader::Reader;
+use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
     listing::{Calibration, Frame, Listing},
     names, numbers, pose,
@@ -37,20 +37,56 @@ pub(super) static READER: Reader = Reader {
             .filter(|path| path.extension().is_some_and(|end| end == "txt") && !names::is_hidden(path))
             .collect();
         files.sort();
-        let calibration = calibration(&root.join(INTRINSICS))?;
-        let frames = map_in_order(&files, |_, path| frame(path, calibration))?;
+        let path = root.join(INTRINSICS);
+        let calibration = calibration(&path, &numbers::lines(&path, ADVICE)?)?;
+        let frames =
+            map_in_order(&files, |_, path| frame(path, &numbers::lines(path, ADVICE)?, calibration))?;
         let facts = Split { stated: bounds(&root.join(BOX))?, ..Split::default() };
         Ok(Box::new(Listing::new(root, config, &folder, frames, facts)?))
     },
     images: Some("NSVF layouts"),
     divisible: true,
-    camera_files: &[],
+    camera_files: &[
+        CameraFile {
+            kind: "nsvf-pose",
+            file: "pose/0_0000.txt",
+            cameras: camera_of_pose,
+            example: || EXAMPLE_POSE.into(),
+            memory: 64,
+        },
+        CameraFile {
+            kind: "nsvf-intrinsics",
+            file: INTRINSICS,
+            cameras: camera_of_intrinsics,
+            example: || EXAMPLE_INTRINSICS.into(),
+            memory: 64,
+        },
+    ],
 };
 
-/// A frame whose pose is the file's; its photograph has the same name.
-fn frame(path: &Path, calibration: Calibration) -> Result<Frame> {
+/// A pose and a matrix of intrinsics as in the files.
+const EXAMPLE_POSE: &str = "0.8 0 0.6 0.25\n0 1 0 0.5\n-0.6 0 0.8 4\n0 0 0 1\n";
+const EXAMPLE_INTRINSICS: &str = "9 0 4.1 0\n0 9.5 3.2 0\n0 0 1 0\n0 0 0 1\n";
+
+fn camera_of_pose(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
+    let matrix = numbers::parse(Path::new(INTRINSICS), EXAMPLE_INTRINSICS.as_bytes(), ADVICE)?;
+    camera(name, &numbers::parse(Path::new(name), bytes, ADVICE)?, INTRINSICS, &matrix)
+}
+
+fn camera_of_intrinsics(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
+    let pose = numbers::parse(Path::new(POSES), EXAMPLE_POSE.as_bytes(), ADVICE)?;
+    camera(POSES, &pose, name, &numbers::parse(Path::new(name), bytes, ADVICE)?)
+}
+
+/// The camera of the numbers of a pose and of the intrinsics.
+fn camera(pose: &str, rows: &[Vec<f64>], intrinsics: &str, matrix: &[Vec<f64>]) -> Result<NamedCameras> {
+    let frame = frame(Path::new(pose), rows, calibration(Path::new(intrinsics), matrix)?)?;
+    Ok(vec![(names::stem(&frame.named), frame.camera([8, 6]))])
+}
+
+/// The frame of a file of a pose with these numbers; its photograph has the same name.
+fn frame(path: &Path, rows: &[Vec<f64>], calibration: Calibration) -> Result<Frame> {
     let place = path.display().to_string();
-    let rows = numbers::lines(path, ADVICE)?;
     let row = |i: usize| rows.get(i).and_then(|row| row.first_chunk()).copied();
     let [Some(a), Some(b), Some(c)] = [row(0), row(1), row(2)] else {
         return Err(Error::input(&place, "is not a 4x4 matrix", ADVICE));
@@ -62,10 +98,9 @@ fn frame(path: &Path, calibration: Calibration) -> Result<Frame> {
     Ok(Frame { named: format!("rgb/{}", names::key(&name)), place, rotation, origin, calibration, split })
 }
 
-/// Focal lengths and principal point: a matrix, or a line with the focal length and the principal point.
-fn calibration(path: &Path) -> Result<Calibration> {
-    let lines = numbers::lines(path, ADVICE)?;
-    let found = match &lines[..] {
+/// Focal lengths and principal point of the numbers of a file: a matrix, or a line with the focal length and the principal point.
+fn calibration(path: &Path, lines: &[Vec<f64>]) -> Result<Calibration> {
+    let found = match lines {
         [first, second, ..] if first.len() == second.len() && first.len() >= 3 => {
             Some(([first[0], second[1]], [first[2], second[2]]))
         }

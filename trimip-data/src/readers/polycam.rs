@@ -1,7 +1,7 @@
 //! A raw export of Polycam: a JSON file for each photograph in `keyframes/`, of the poses that were corrected if it has them. Keys `t_00` to
 //! `t_23` are the rows of a camera-to-world matrix with OpenGL axes, in ARKit's world with y up. Here z is up, as nerfstudio turns it.
 
-use super::reader::Reader;
+use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
     depth_image::DepthFile,
     intrinsics::Size,
@@ -11,6 +11,7 @@ use crate::{
     source::map_in_order,
     split::Split,
 };
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use trimip_core::{Error, Intrinsics, Lens, Result};
 
@@ -23,6 +24,9 @@ const FOLDERS: [[&str; 2]; 2] = [
 /// Folders of the depth images and of how sure they are, called as the photographs. Both are ARKit's: millimetres of 16 bits, and 0 where
 /// the depth is not sure (Polycam's polyform, README).
 const DEPTHS: [&str; 2] = ["keyframes/depth", "keyframes/confidence"];
+
+/// A file of a pose.
+const FILE: &str = "keyframes/cameras/0.json";
 
 pub(super) static READER: Reader = Reader {
     format: "polycam",
@@ -40,23 +44,40 @@ pub(super) static READER: Reader = Reader {
             .filter(|path| path.extension().is_some_and(|end| end == "json") && !names::is_hidden(path))
             .collect();
         files.sort();
-        let frames = map_in_order(&files, |_, path| frame(path, images))?;
+        let frames = map_in_order(&files, |_, path| frame(path, &json::read(path)?, images))?;
         let listing = Listing::new(root, config, &folder, frames, Split::default())?;
         Ok(Box::new(listing.with_depths(|photograph| DepthFile::of_arkit(root, DEPTHS, photograph))))
     },
     images: Some("raw exports of Polycam"),
     divisible: true,
-    camera_files: &[],
+    camera_files: &[CameraFile { kind: "polycam", file: FILE, cameras, example, memory: 160 }],
 };
 
 fn folders(root: &Path) -> Option<[&'static str; 2]> {
     FOLDERS.into_iter().find(|[poses, _]| root.join(poses).is_dir())
 }
 
+/// A pose.
+fn example() -> Vec<u8> {
+    json!({
+        "fx": 9.0, "fy": 9.5, "cx": 4.1, "cy": 3.2, "width": 8, "height": 6, "blur_score": 90.0,
+        "t_00": 0.8, "t_01": 0.0, "t_02": 0.6, "t_03": 0.25,
+        "t_10": 0.0, "t_11": 1.0, "t_12": 0.0, "t_13": 0.5,
+        "t_20": -0.6, "t_21": 0.0, "t_22": 0.8, "t_23": 4.0,
+    })
+    .to_string()
+    .into_bytes()
+}
+
+fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
+    let path = Path::new(name);
+    let frame = frame(path, &json::parse(path, bytes)?, FOLDERS[1][1])?;
+    Ok(vec![(names::stem(&frame.named), frame.camera([8, 6]))])
+}
+
 /// The frame of a file; its photograph has the same name in `images`.
-fn frame(path: &Path, images: &str) -> Result<Frame> {
-    let document = json::read(path)?;
-    let node = Node::new(path.display(), &document)?;
+fn frame(path: &Path, document: &Value, images: &str) -> Result<Frame> {
+    let node = Node::new(path.display(), document)?;
     let number = |key: &str| -> Result<f64> {
         let value = node.required(key)?;
         value.as_f64().ok_or_else(|| node.unexpected(key, "a number", value))

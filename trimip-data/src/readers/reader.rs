@@ -21,7 +21,7 @@ pub(crate) struct Reader {
     pub(crate) images: Option<&'static str>,
     /// Whether `data.test_list` can divide its frames.
     pub(crate) divisible: bool,
-    /// The files that hold all cameras of a split or of a scene.
+    /// The files of cameras, poses or intrinsics, each of which is read by itself.
     pub(crate) camera_files: &'static [CameraFile],
 }
 
@@ -64,9 +64,9 @@ pub type NamedCameras = Vec<(String, Camera)>;
 pub struct CameraFile {
     /// Name of its kind.
     pub kind: &'static str,
-    /// Its usual file name, or the most usual of several.
+    /// Its usual path in the folder of the scene, or the most usual of several.
     pub file: &'static str,
-    /// Short names and cameras of all its frames. The first argument names the file in errors. Photographs without a stated
+    /// Short names and cameras of all its frames; what it does not state is that of an example. The first argument names the file in errors. Photographs without a stated
     /// size have 8 × 6 pixels.
     ///
     /// # Errors
