@@ -1,6 +1,9 @@
 //! The common view of cameras: the point nearest to their optical axes, and the region that many of them see. World units.
 
-use crate::{Aabb, Camera, ViewSet, scene::strays::without_strays};
+use crate::{
+    Aabb, Camera, ViewSet,
+    scene::{origin::LocalOrigin, strays::without_strays},
+};
 use glam::{DMat3, DVec3};
 
 /// Cells along each side of the grid for the common view.
@@ -43,13 +46,13 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     (mean.determinant() > PARALLEL * 0.5).then(|| matrix.inverse() * right).filter(|focus| focus.is_finite())
 }
 
-/// Cameras nearer to each other than this share of their distance to the origin stand at one place.
+/// Cameras nearer to each other than this share of their distance to the origin of the data's coordinates stand at one place.
 const ONE_PLACE: f64 = 1e-9;
 
-/// True for several cameras that look around from one place: nothing they see has a depth.
-pub(super) fn at_one_place(cameras: &[Camera]) -> bool {
+/// True for several cameras, local to `origin`, that look around from one place: nothing they see has a depth.
+pub(super) fn at_one_place(cameras: &[Camera], origin: LocalOrigin) -> bool {
     let Some((first, others)) = cameras.split_first() else { return false };
-    let near = ONE_PLACE * first.origin.length().max(f64::MIN_POSITIVE);
+    let near = ONE_PLACE * origin.stated(first.origin).length().max(f64::MIN_POSITIVE);
     let together = others.iter().all(|other| other.origin.distance(first.origin) <= near);
     together && !others.is_empty() && focus(cameras).is_some()
 }
@@ -115,12 +118,12 @@ mod tests {
 
     #[test]
     fn cameras_that_only_turn_stand_at_one_place() {
-        let around = ring(DVec3::new(5.0, 6.0, 7.0), 4.0, 12);
-        assert!(!at_one_place(&around));
+        let (around, none) = (ring(DVec3::new(5.0, 6.0, 7.0), 4.0, 12), LocalOrigin::default());
+        assert!(!at_one_place(&around, none));
         let turned: Vec<Camera> =
             around.iter().map(|camera| Camera { origin: around[0].origin, ..*camera }).collect();
-        assert!(at_one_place(&turned));
-        assert!(!at_one_place(&turned[..1]) && !at_one_place(&[]));
+        assert!(at_one_place(&turned, none));
+        assert!(!at_one_place(&turned[..1], none) && !at_one_place(&[], none));
     }
 
     #[test]

@@ -90,7 +90,11 @@ fn expect_depth(settings: &Settings, configured: &Config, facts: &Facts<'_>) -> 
     let given =
         ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| *settings.origin(path) != Origin::Default);
     let cameras = cameras(facts.train);
-    if given || configured.plan.aabb == PlanChoice::Off || facts.stated.is_some() || !at_one_place(&cameras) {
+    if given
+        || configured.plan.aabb == PlanChoice::Off
+        || facts.stated.is_some()
+        || !at_one_place(&cameras, facts.origin)
+    {
         return Ok(());
     }
     Err(Error::input(

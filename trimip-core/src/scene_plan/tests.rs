@@ -351,6 +351,24 @@ fn cameras_at_one_place_are_refused() {
 }
 
 #[test]
+fn cameras_at_one_place_but_for_rounding_are_refused() {
+    // The translations of world-to-camera matrices around a circle: the program counts from a place among them.
+    let mut train = views(false);
+    let stated: Vec<Camera> = (train.views.iter().enumerate())
+        .map(|(i, view)| Camera { origin: DVec3::new(4e-16 * i as f64, 0.0, -2.5), ..view.camera })
+        .collect();
+    let origin = LocalOrigin::chosen(&stated);
+    assert!(!origin.is_zero());
+    train.views.iter_mut().zip(&stated).for_each(|(view, camera)| {
+        view.camera.origin = origin.local(camera.origin);
+    });
+    let compute = Compute::one_thread();
+    let facts = Facts { train: &train, test: &[], stated: None, origin, compute: &compute };
+    let error = make(&mut Settings::defaults(), &facts).unwrap_err();
+    assert!(error.exit_code() == 2 && error.message.contains("stand at one place"), "{error}");
+}
+
+#[test]
 fn places_begin_at_known_points_and_rays_end_there_until_half_of_the_run() {
     let known = KnownDepth { pixel: 3, distance: 2.0, deviation: 0.1 };
     let of = |alpha: bool, depths: &[KnownDepth], set: &[&str]| {
