@@ -78,7 +78,7 @@ fn the_shortest_entries_stay_within_what_each_format_states() {
         ("", "=\n", ""),
     ];
     let mut files: Vec<(&str, String, Vec<u8>)> = Vec::new();
-    for name in ["transforms", "metadata", "path", "views", "plan"] {
+    for name in ["transforms", "metadata", "path", "views", "plan", "opensfm", "record3d", "polycam"] {
         for unit in json {
             files.push((name, format!("[{unit}"), many("[", unit, "]")));
             let frames = if name == "metadata" { "{\"train\":{\"file_path\":[" } else { "{\"frames\":[" };
@@ -158,6 +158,19 @@ fn the_shortest_entries_stay_within_what_each_format_states() {
         "lines".into(),
         many("#name,x,y,alt,heading,pitch,roll,f\n", "a,0,0,0,0,0,0,1\n", ""),
     ));
+    // Files of numbers between blanks: empty lines, lines of a number, one line.
+    for name in
+        ["nsvf-pose", "nsvf-intrinsics", "arkitscenes-trajectory", "arkitscenes-intrinsics", "bundler"]
+    {
+        for unit in ["\n", "0\n", "0 ", "0 0 0 0 0 0 0\n"] {
+            files.push((name, unit.into(), many("", unit, "")));
+        }
+    }
+    let bundle = format!("# Bundle file v0.3\n{} 0\n", SIZE / 30);
+    files.push(("bundler", "cameras".into(), many(&bundle, "1 0 0\n1 0 0\n0 1 0\n0 0 1\n0 0 0\n", "")));
+    for unit in ["<a/>", "<a>b</a>", "<a b=\"\"/>", "<camera/>"] {
+        files.push(("metashape", unit.into(), many("<document>", unit, "</document>")));
+    }
     files.push(("archive", "entries".into(), short_archive()));
     let mut worst: HashMap<&str, (f64, String)> = HashMap::new();
     for (name, unit, bytes) in &files {

@@ -26,8 +26,7 @@ fn of_text(path: &Path, text: &str, advice: &str) -> Result<Vec<Vec<f64>>> {
             .map(|word| number(word).map_err(|what| Error::input(place(), what, advice)))
             .collect::<Result<Vec<f64>>>()
     };
-    let lines = text.lines().enumerate().map(line).collect::<Result<Vec<_>>>()?;
-    Ok(lines.into_iter().filter(|line| !line.is_empty()).collect())
+    text.lines().enumerate().filter(|(_, line)| !line.trim_ascii().is_empty()).map(line).collect()
 }
 
 /// A finite number. The error says what is wrong.

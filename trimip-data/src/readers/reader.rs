@@ -66,8 +66,8 @@ pub struct CameraFile {
     pub kind: &'static str,
     /// Its usual path in the folder of the scene, or the most usual of several.
     pub file: &'static str,
-    /// Short names and cameras of all its frames; what it does not state is that of an example. The first argument names the file in errors. Photographs without a stated
-    /// size have 8 × 6 pixels.
+    /// Short names and cameras of all its frames. The first argument names the file in errors. Photographs without a stated size have
+    /// 8 × 6 pixels. A file of poses alone gets the reader's example of intrinsics, and one of intrinsics alone a pose.
     ///
     /// # Errors
     /// Of kind `Input`: syntax, and what is missing or out of range.
