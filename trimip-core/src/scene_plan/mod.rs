@@ -85,16 +85,13 @@ pub fn make_box(settings: &mut Settings, facts: &Facts<'_>) -> Result<Finding> {
     take(&DECISIONS[0], settings, &given, &configured, facts)
 }
 
-/// Refuses cameras that only turn at one place, where a box is to be planned around what they see.
+/// Refuses cameras that only turn at one place, unless the user gives the box. One that the data state tells of no depth: exporters
+/// write `aabb_scale` whatever the poses are.
 fn expect_depth(settings: &Settings, configured: &Config, facts: &Facts<'_>) -> Result<()> {
     let given =
         ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| *settings.origin(path) != Origin::Default);
     let cameras = cameras(facts.train);
-    if given
-        || configured.plan.aabb == PlanChoice::Off
-        || facts.stated.is_some()
-        || !at_one_place(&cameras, facts.origin)
-    {
+    if given || configured.plan.aabb == PlanChoice::Off || !at_one_place(&cameras, facts.origin) {
         return Ok(());
     }
     Err(Error::input(

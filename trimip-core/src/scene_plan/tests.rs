@@ -363,9 +363,16 @@ fn cameras_at_one_place_but_for_rounding_are_refused() {
         view.camera.origin = origin.local(camera.origin);
     });
     let compute = Compute::one_thread();
-    let facts = Facts { train: &train, test: &[], stated: None, origin, compute: &compute };
-    let error = make(&mut Settings::defaults(), &facts).unwrap_err();
-    assert!(error.exit_code() == 2 && error.message.contains("stand at one place"), "{error}");
+    let cube = StatedBox {
+        aabb: Aabb { min: [-24.0; 3], max: [24.0; 3] },
+        source: "stated".into(),
+        around_points: false,
+    };
+    for stated in [None, Some(&cube)] {
+        let facts = Facts { train: &train, test: &[], stated, origin, compute: &compute };
+        let error = make(&mut Settings::defaults(), &facts).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("stand at one place"), "{error}");
+    }
 }
 
 #[test]
