@@ -12,7 +12,7 @@ use trimip_tests::formats::{
 static ALLOCATOR: Counting = Counting;
 
 /// Bytes of each file.
-const SIZE: usize = 400_000;
+const SIZE: usize = 100_000;
 
 /// `unit` with `#` for a number until there are enough of them.
 fn many(head: &str, unit: &str, tail: &str) -> Vec<u8> {
