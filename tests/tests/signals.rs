@@ -28,10 +28,10 @@ fn hang_up(mut command: Command) -> (Option<i32>, String) {
     (child.wait().expect("a process").code(), rest.join("\n"))
 }
 
-/// Signals that this test was started without, as by `nohup`, its programs would be started without too.
-fn expect_hang_ups() {
+/// Restores the default action of SIGHUP. Tests that `nohup` started ignore it, and the programs that they start inherit that.
+fn restore_hang_up() {
     use nix::sys::signal::{SigHandler, Signal, signal};
-    // SAFETY: the default action is no handler, which could do what a handler must not.
+    // SAFETY: the default action installs no handler, so no code of ours runs inside a signal.
     unsafe { signal(Signal::SIGHUP, SigHandler::SigDfl) }.expect("a signal that can be set");
 }
 
@@ -44,7 +44,7 @@ fn a_hang_up_stops_a_run_unless_it_was_started_with_nohup() {
         let long: Vec<&str> = long.into_iter().flat_map(|setting| ["--set", setting]).collect();
         tiny_and(&[&long[..], &["--out", out]].concat())
     };
-    expect_hang_ups();
+    restore_hang_up();
     let (code, events) = hang_up(command(here, &arguments("plain")));
     assert!(code == Some(130) && events.contains("\"stopped\""), "{code:?}: {events}");
     let mut nohup = Command::new("nohup");
