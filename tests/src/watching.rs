@@ -353,16 +353,24 @@ impl Browser {
     /// # Panics
     /// If the browser refuses.
     pub fn call(&mut self, method: &str, parameters: Value) -> Value {
+        self.try_call(method, parameters).unwrap_or_else(|error| panic!("{method}: {error}"))
+    }
+
+    /// As [`call`](Self::call); `Err` holds the browser's refusal.
+    fn try_call(&mut self, method: &str, parameters: Value) -> Result<Value, Value> {
         self.next += 1;
         let id = self.next;
         let message = json!({ "id": id, "method": method, "params": parameters });
         self.socket.send(Message::text(message.to_string())).expect("Chromium listens");
         loop {
             let Message::Text(text) = self.socket.read().expect("Chromium answers") else { continue };
-            let answer: Value = serde_json::from_str(&text).expect("JSON");
+            let mut answer: Value = serde_json::from_str(&text).expect("JSON");
             if answer["id"] == id {
-                assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
-                return answer["result"].clone();
+                return if answer["error"].is_null() {
+                    Ok(answer["result"].take())
+                } else {
+                    Err(answer["error"].take())
+                };
             }
         }
     }
@@ -377,20 +385,33 @@ impl Browser {
     /// # Panics
     /// If it throws.
     pub fn value(&mut self, expression: &str) -> Value {
-        let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
-        let answer = self.call("Runtime.evaluate", parameters);
-        assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
-        answer["result"]["value"].clone()
+        self.evaluate(expression).unwrap_or_else(|error| panic!("{expression}: {error}"))
     }
 
-    /// Waits until an expression is true.
+    /// The value of an expression; `Err` is the exception that it throws, or why the page does not answer.
+    fn evaluate(&mut self, expression: &str) -> Result<Value, Value> {
+        let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
+        let answer = self.try_call("Runtime.evaluate", parameters)?;
+        if answer["exceptionDetails"].is_null() {
+            Ok(answer["result"]["value"].clone())
+        } else {
+            Err(answer["exceptionDetails"].clone())
+        }
+    }
+
+    /// Waits until an expression is true. A page that is just left or half loaded refuses to answer or throws: that is not
+    /// yet true.
     ///
     /// # Panics
-    /// If it stays false.
+    /// If it stays false; with the last answer.
     pub fn wait(&mut self, expression: &str) {
         let until = Instant::now() + PATIENCE;
-        while self.value(expression) != true {
-            assert!(Instant::now() < until, "never true: {expression}");
+        loop {
+            let answer = self.evaluate(expression);
+            if answer.as_ref().is_ok_and(|answer| *answer == true) {
+                return;
+            }
+            assert!(Instant::now() < until, "never true: {expression}; at last: {answer:?}");
             std::thread::sleep(Duration::from_millis(20));
         }
     }
