@@ -352,7 +352,7 @@ fn drawn_samples_are_those_of_the_rule() {
 
 #[test]
 fn drawn_samples_have_the_gradient_of_all() {
-    with_threads(&[2], |make| suite::drawing::unbiased(make));
+    with_threads(&[2], |make| suite::drawing::unbiased(make, 100));
 }
 
 #[test]

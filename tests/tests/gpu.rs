@@ -332,7 +332,7 @@ fn drawn_samples_are_those_of_the_rule() {
 
 #[test]
 fn drawn_samples_have_the_gradient_of_all() {
-    reproducibly(|make| suite::drawing::unbiased(make));
+    reproducibly(|make| suite::drawing::unbiased(make, 20));
 }
 
 #[test]

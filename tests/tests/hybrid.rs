@@ -67,7 +67,7 @@ fn backends_show_the_same_picture() {
             // The surfaces of so short a training are soft.
             (model.config.hybrid.delta, model.config.hybrid.samples) = (24.0, 48);
             model.config.hybrid.surface = 0.02;
-            let far = camera(48, DVec3::new(3.0, -2.0, 2.0));
+            let far = camera(32, DVec3::new(3.0, -2.0, 2.0));
             let on_cpu = picture(backend(2), &model, RendererKind::Hybrid, &far)?;
             let on_gpu = picture(make(), &model, RendererKind::Hybrid, &far)?;
             // A rounding may move a sample to another step or group of a few rays.

@@ -6,7 +6,7 @@
 //! This is a test and no script, because it needs the program built, its files read and a name for what differs. It takes
 //! a dozen moments on the CPU; `TRIMIP_KILLS=100` takes a hundred on each backend and prints what they met:
 //!
-//!     TRIMIP_KILLS=100 cargo test -p trimip-tests --test kills -- --nocapture
+//!     TRIMIP_KILLS=100 cargo test -p trimip-tests --test program kills -- --nocapture
 
 use std::{
     collections::BTreeMap,

@@ -306,6 +306,28 @@ fn files_are_short() {
     );
 }
 
+/// A file of `tests/tests` is a test of Cargo or a module of one: none is forgotten.
+#[test]
+fn every_file_of_tests_is_run() {
+    let manifest = fs::read_to_string(root().join("tests/Cargo.toml")).expect("a manifest");
+    let manifest: toml::Table = toml::from_str(&manifest).expect("TOML");
+    let tests = manifest["test"].as_array().expect("tests");
+    let mut run: BTreeSet<String> =
+        tests.iter().map(|test| test["name"].as_str().expect("a name").to_string()).collect();
+    for name in ["library", "program"] {
+        let text = fs::read_to_string(root().join(format!("tests/tests/{name}.rs"))).expect("a source file");
+        let modules = text.lines().filter_map(|line| line.strip_prefix("mod ")?.strip_suffix(';'));
+        run.extend(modules.map(str::to_string));
+    }
+    let name = |entry: std::io::Result<fs::DirEntry>| entry.expect("an entry").path();
+    let there = fs::read_dir(root().join("tests/tests")).expect("a folder").map(name);
+    let there: BTreeSet<String> = there
+        .filter(|path| path.extension().is_some_and(|extension| extension == "rs"))
+        .map(|path| path.file_stem().expect("a name").to_string_lossy().into_owned())
+        .collect();
+    assert_eq!(there, run);
+}
+
 #[test]
 fn rooms_of_core_use_those_before_them() {
     let imports = Crate::read(&root().join("trimip-core/src")).imports();

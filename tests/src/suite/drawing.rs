@@ -15,12 +15,14 @@ use trimip_core::{
     math::rng::{Random, Sequence},
 };
 
-/// Rays of a step, and draws over which its gradient is averaged.
+/// Rays of a step.
 const RAYS: u32 = 96;
-const DRAWS: u64 = 100;
 
-/// Largest deviation of a mean from its expectation, in its standard deviations: one of 10⁶ means is further off.
-const DEVIATIONS: f64 = 5.0;
+/// Largest deviation of a mean from its expectation, in standard deviations estimated from as many values: Student's t, which one of
+/// 10⁶ means exceeds.
+fn largest_deviation(values: u64) -> f64 {
+    if values < 100 { 8.0 } else { 5.3 }
+}
 
 /// Error of a gradient's sum in f32, relative to the size of its summands.
 const ROUNDING: f64 = 2e-6;
@@ -46,12 +48,12 @@ fn configurations() -> Vec<Config> {
     all
 }
 
-/// The mean gradient over many draws is the gradient of all samples, in every slot: along random directions within the standard
+/// The mean gradient over `draws`, at least 20, is the gradient of all samples, in every slot: along random directions within the standard
 /// deviation of the mean. With a threshold below all norms a draw changes no bit.
 ///
 /// # Errors
 /// When a step fails.
-pub fn unbiased<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+pub fn unbiased<B: Backend>(make: impl Fn() -> B, draws: u64) -> Result<()> {
     for config in configurations() {
         let layout = Layout::new(&config);
         let mut trainer = Trainer::new(make(), &config, noise(3, 16, 2, 2))?;
@@ -66,11 +68,16 @@ pub fn unbiased<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let close = f64::from((found - expected).abs()) <= ROUNDING * size;
             assert!(if all.drawn == sums.kept { found.to_bits() == expected.to_bits() } else { close });
         }
-        // A threshold at which about a third is drawn.
-        let mut threshold = 1e-9;
-        while trainer.loss_and_drawn_gradient(3, RAYS, threshold, 0)?.0.drawn * 3 > all.drawn {
-            threshold *= 1.5;
-        }
+        // A threshold at which about a third is drawn, by bisection of its exponent.
+        let [mut low, mut high] = [-9.0_f64, 3.0];
+        let threshold = loop {
+            let threshold = 10_f64.powf((low + high) / 2.0);
+            match trainer.loss_and_drawn_gradient(3, RAYS, threshold, 0)?.0.drawn {
+                drawn if drawn * 20 > all.drawn * 8 => low = (low + high) / 2.0,
+                drawn if drawn * 4 < all.drawn => high = (low + high) / 2.0,
+                _ => break threshold,
+            }
+        };
         let mut random = TestRandom::new(9);
         let directions: Vec<Vec<f64>> = (0..4)
             .map(|_| whole.iter().map(|_| if random.below(2) == 0 { 1.0 } else { -1.0 }).collect())
@@ -84,20 +91,20 @@ pub fn unbiased<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         };
         let expected = along(&whole);
         let (mut mean, mut squares) = (vec![0.0; expected.len()], vec![0.0; expected.len()]);
-        for draw in 0..DRAWS {
+        for draw in 0..draws {
             let (found, gradient) = trainer.loss_and_drawn_gradient(3, RAYS, threshold, draw)?;
             assert!(found.drawn < all.drawn / 2 && found.drawn > all.drawn / 5, "{found:?}");
             assert_eq!((found.loss, found.kept), (sums.loss, sums.kept), "the loss is of all samples");
             for ((mean, squares), value) in mean.iter_mut().zip(&mut squares).zip(along(&gradient)) {
-                *mean += value / DRAWS as f64;
-                *squares += value * value / DRAWS as f64;
+                *mean += value / draws as f64;
+                *squares += value * value / draws as f64;
             }
         }
         for ((mean, squares), expected) in mean.iter().zip(&squares).zip(&expected) {
-            let deviation = ((squares - mean * mean).max(0.0) / DRAWS as f64).sqrt();
+            let deviation = ((squares - mean * mean).max(0.0) / draws as f64).sqrt();
             assert!(
-                (mean - expected).abs() <= DEVIATIONS * deviation + ROUNDING * size,
-                "{:?}: the mean of {DRAWS} draws is {mean} ± {deviation}, not {expected}",
+                (mean - expected).abs() <= largest_deviation(draws) * deviation + ROUNDING * size,
+                "{:?}: the mean of {draws} draws is {mean} ± {deviation}, not {expected}",
                 config.encoder.kind
             );
         }

@@ -89,7 +89,7 @@ pub fn bits(frame: &Frame) -> Vec<u32> {
 pub fn pictures<B: Backend>(make: impl Fn() -> B, model: &Model) -> Result<()> {
     use RendererKind::{Hybrid, Volume};
     let eye = DVec3::new(3.0, -2.0, 2.0);
-    let far = camera(48, eye);
+    let far = camera(36, eye);
     let hybrid = picture(make(), model, Hybrid, &far)?;
 
     // Near the volume-rendered picture of the same model, which training brings no nearer to the photographs than about
@@ -99,7 +99,7 @@ pub fn pictures<B: Backend>(make: impl Fn() -> B, model: &Model) -> Result<()> {
     assert!(near > 38.0, "{near:.1} dB");
     let apart = hybrid.pixels.iter().zip(&volume.pixels).map(|(a, b)| f64::from(a.opacity - b.opacity).abs());
     let apart = apart.sum::<f64>() / hybrid.pixels.len() as f64;
-    assert!(volume.pixels.iter().filter(|pixel| pixel.opacity > 0.9).count() > 100, "something is seen");
+    assert!(volume.pixels.iter().filter(|pixel| pixel.opacity > 0.9).count() > 60, "something is seen");
     assert!(apart < 0.02, "opacities differ by {apart:.4} on average");
 
     // Rays that hit nothing show the background.
@@ -137,7 +137,7 @@ pub fn fog<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let camera = camera(7, DVec3::new(3.1, -2.2, 1.7));
     for density in [0.02, 0.3, 3.0] {
         let mut config = small();
-        config.hybrid.resolution = 128;
+        config.hybrid.resolution = 64;
         config.renderer.kind = RendererKind::Hybrid;
         // The proxy is not asked about the width of a cone.
         config.hybrid.widest = 1e3;

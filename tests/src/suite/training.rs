@@ -49,8 +49,8 @@ pub fn steps<B: Backend>(trainer: &mut Trainer<B>, config: &Config, count: u64) 
     Ok(())
 }
 
-/// `stop` steps, a checkpoint written and read, and the rest in a new trainer equal one uninterrupted run: every tensor
-/// and counter, bit for bit. `file` is the path of the checkpoint.
+/// A checkpoint of a run, written and read, and the rest of its steps in a new trainer equal the run: every tensor and counter, bit
+/// for bit. `file` is the path of the checkpoint.
 ///
 /// # Errors
 /// When a step or the file fails.
@@ -264,6 +264,13 @@ pub fn steady_batch<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
+fn same(found: &Checkpoint, expected: &Checkpoint, run: &str) {
+    assert_eq!(found.state, expected.state, "{run}");
+    for (name, tensor) in &expected.file.tensors {
+        assert!(found.file.tensors.get(name) == Some(tensor), "{run}: `{name}` differs");
+    }
+}
+
 /// The same for one configuration.
 ///
 /// # Errors
@@ -273,25 +280,24 @@ pub fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &st
     let mut whole = Trainer::new(make(), config, views())?;
     steps(&mut whole, config, 18)?;
     let expected = whole.checkpoint()?;
-    // Right after the start; before, at and after a refresh and the end of the warm-up.
+    // A run of which checkpoints are kept: right after the start; before, at and after a refresh and the end of the warm-up.
+    let mut kept = Trainer::new(make(), config, views())?;
+    let mut done = 0;
     for stop in [1, 4, 7, 8, 9, 16] {
-        let mut first = Trainer::new(make(), config, views())?;
-        steps(&mut first, config, stop)?;
-        first.checkpoint()?.write(file)?;
-        let model = first.model()?;
-        drop(first);
+        steps(&mut kept, config, stop - done)?;
+        done = stop;
+        kept.checkpoint()?.write(file)?;
+        let model = kept.model()?;
         let read = Checkpoint::read(file)?;
         assert_eq!(read.state.totals.step, stop);
         assert!(read.clone().into_model().file.tensors == model.file.tensors, "step {stop}: another model");
         let mut second = Trainer::new(make(), config, views())?;
         second.restore(&read)?;
         steps(&mut second, config, 18 - stop)?;
-        let found = second.checkpoint()?;
-        assert_eq!(found.state, expected.state, "stopped at {stop}");
-        for (name, tensor) in &expected.file.tensors {
-            assert!(found.file.tensors.get(name) == Some(tensor), "stopped at {stop}: `{name}` differs");
-        }
+        same(&second.checkpoint()?, &expected, &format!("resumed at {stop}"));
     }
+    steps(&mut kept, config, 18 - done)?;
+    same(&kept.checkpoint()?, &expected, "not disturbed by its checkpoints");
     Ok(())
 }
 

@@ -1,0 +1,24 @@
+//! Tests that start the program as its users do. They are one binary, which is linked once and whose tests share both cores.
+
+mod binary;
+mod binary_gpu;
+mod broken_input;
+mod captures;
+mod check;
+mod crop;
+mod depths;
+mod export;
+mod faults;
+mod first_hour;
+mod inspect;
+mod kills;
+mod limits;
+mod motion;
+mod others;
+mod paper;
+mod ranks;
+mod run_folder;
+mod scene_plan;
+mod signals;
+mod view;
+mod web;
