@@ -2,7 +2,7 @@
 //! files are written to a temporary folder that is renamed when all of them are there, so a folder of that name is whole.
 
 use crate::{
-    advice,
+    advice::Next,
     zip::{self, Limits, Zip},
 };
 use serde_json::{Value, json};
@@ -233,8 +233,9 @@ fn scene(archive: &Path, root: &Path, named: &Path, wanted: &Wanted<'_>) -> Resu
         level = below(&level);
     }
     let looked = format!("holds no scene: looked for {}", wanted.files);
-    let (what, advice) = match advice::next(root, named) {
-        Some(next) => (looked, format!("unpack it to {}: {next}", named.display())),
+    let (what, advice) = match Next::of(root, named, archive) {
+        Some(next) if next.takes_archive => (looked, next.text),
+        Some(next) => (looked, format!("unpack it to {}: {}", named.display(), next.text)),
         None => (
             format!("{looked}, and found {}", held(root)),
             "name an archive or a folder with one of them".into(),

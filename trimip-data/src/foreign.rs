@@ -7,11 +7,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A format that is not read.
+/// A format of photographs that is not read.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Foreign {
+pub struct Foreign {
     /// Its name with its article.
-    pub(crate) name: &'static str,
+    pub name: &'static str,
     /// Ends of file names, in lower case.
     extensions: &'static [&'static str],
     /// The command that converts; `IN` and `OUT` stand for the file and for its name without extension.
@@ -36,8 +36,13 @@ const JXL: Foreign = Foreign { name: "a JPEG XL image", extensions: &["jxl"], co
 const ALL: [&Foreign; 5] = [&HEIC, &AVIF, &RAW, &GIF, &JXL];
 
 impl Foreign {
+    /// True for photographs in the container of HEIF: HEIC and AVIF.
+    pub fn is_heif(&self) -> bool {
+        [&HEIC, &AVIF].contains(&self)
+    }
+
     /// What to do with such a file.
-    pub(crate) fn remedy(&self, path: &Path) -> String {
+    pub fn remedy(&self, path: &Path) -> String {
         let shown = |path: &Path| path.display().to_string();
         let command =
             self.command.replace("IN", &shown(path)).replace("OUT", &shown(&path.with_extension("")));

@@ -41,6 +41,7 @@ mod list;
 mod listing;
 mod mask;
 mod masks;
+mod material;
 mod names;
 mod npy;
 mod numbers;
@@ -69,8 +70,10 @@ mod write;
 mod zip;
 
 pub use collection::{BLENDER_SCENES, Collection, has_split, is_scene};
+pub use foreign::Foreign;
 pub use inspect::{Inspection, examine, inspect};
 pub use lens::{lens_of, lens_terms};
+pub use material::{Material, foreign_format, has_cameras, is_film, unpack_material};
 pub use points::{Observation, Point};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};
 pub use section::SECTION;

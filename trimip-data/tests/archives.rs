@@ -250,10 +250,12 @@ fn an_archive_without_a_scene_says_what_it_holds() {
     for (entries, what) in [
         (
             of(&["images/0.jpg", "images/1.jpg"]),
-            "; unpack it to HERE/walk: its 2 pictures need cameras, which COLMAP finds: colmap",
+            "; its 2 pictures need cameras, which this command finds: trimip-cli capture HERE/walk.zip",
         ),
-        (of(&["images/0.jpg"]), "--workspace_path HERE/walk --image_path HERE/walk/images --dense 0"),
-        (of(&["scan.mp4"]), "unpack it to HERE/walk: HERE/walk/scan.mp4 is a film"),
+        (of(&["images/0.jpg"]), "; its picture needs cameras"),
+        (of(&["scan.mp4"]), "HERE/walk/scan.mp4 is a film"),
+        (of(&["scan.mp4"]), "of its frames: trimip-cli capture HERE/walk.zip"),
+        (of(&["0.cr2"]), "unpack it to HERE/walk: HERE/walk/0.cr2 is a camera's raw image"),
         (of(&["lego.zip"]), "unpack it to HERE/walk: name HERE/walk/lego.zip, which is unpacked then"),
         (of(&["a.tar.gz"]), "unpack it to HERE/walk: unpack HERE/walk/a.tar.gz, and name the folder in it"),
         (of(&["a.doc", "b/c.doc", "d.doc", "e.doc"]), "and found a.doc, b, d.doc and 1 more"),
