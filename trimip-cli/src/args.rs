@@ -1,6 +1,7 @@
 //! The command line: verbs, their options and help.
 
 mod bench;
+mod capture;
 mod data;
 mod export;
 mod paper;
@@ -8,6 +9,7 @@ mod render;
 mod shared;
 
 pub use bench::BenchArguments;
+pub use capture::{CaptureArguments, Lens, Mapper, Matcher, PosesProgram};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use data::{DataAction, DataArguments};
 pub use export::{ExportArguments, ExportWhat, MeshArguments, WebArguments};
@@ -42,6 +44,12 @@ pub struct Arguments {
 pub enum Verb {
     /// Plan, train, evaluate and report; resumes the run in the run folder
     Train(TrainArguments),
+    /// Make a scene of a film or of photographs without cameras: frames, poses by COLMAP, what was not placed; then trains
+    #[command(
+        after_help = "Programs that are not part of this one do the work: ffmpeg takes frames out of films, COLMAP (the program, the \
+                            Python package pycolmap, or glomap) finds the cameras. The same command goes on where it was interrupted."
+    )]
+    Capture(Box<CaptureArguments>),
     /// Show what the scene does not need, and measure the cost and savings of leaving it out
     Plan(PlanArguments),
     /// Measure a model on its test set: PSNR, SSIM, MS-SSIM, FLIP and LPIPS per scale

@@ -8,6 +8,7 @@
 mod allocator;
 mod args;
 mod cameras;
+mod capture;
 mod check;
 mod curves;
 mod interrupt;
@@ -24,6 +25,9 @@ use std::process::ExitCode;
 use trimip_core::{Error, ErrorKind, Result};
 
 fn main() -> ExitCode {
+    if capture::guard::is_one() {
+        return capture::guard::run();
+    }
     let arguments = match args::Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(answer) if !ranks::speaks() => return ExitCode::from(answer.exit_code() as u8),

@@ -1,10 +1,13 @@
 //! Validated settings from the command line.
 
-use crate::args::{SceneArguments, SettingsArguments};
+use crate::{
+    args::{SceneArguments, SettingsArguments},
+    capture::process::quoted_path,
+};
 use std::path::Path;
 use trimip::{Config, Error, Result, Settings, systems};
 use trimip_core::text;
-use trimip_data::is_archive;
+use trimip_data::{is_archive, is_film};
 
 /// Settings of a system, a configuration file and the command line. Checks every range.
 pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
@@ -75,6 +78,9 @@ pub fn scene_root(folder: &Path) -> Result<String> {
     }
     let advice = match name.ends_with(".toml") {
         true => format!("type `trimip-cli --config {place}`"),
+        false if is_film(folder) => {
+            format!("find the cameras of its frames: trimip-cli capture {}", quoted_path(folder))
+        }
         false => "name the folder that holds transforms.json and the photographs".into(),
     };
     Err(Error::input(&place, "is a file, not the folder of a scene", advice))
@@ -138,7 +144,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         for (name, answer) in
-            [("transforms.json", None), ("a.toml", Some("--config")), ("b.png", Some("transforms.json"))]
+            [("transforms.json", None), ("a.toml", Some("--config")), ("b.png", Some("transforms.json")), ("-c d.MP4", Some("trimip-cli capture"))]
         {
             std::fs::write(path(name), "").unwrap();
             match (scene_root(&path(name)), answer) {

@@ -92,7 +92,9 @@ impl Material {
 
     fn take(&mut self, path: PathBuf) {
         if names::is_hidden(&path) {
-        } else if names::is_picture(&path) {
+            return;
+        }
+        if names::is_picture(&path) {
             self.pictures.push(path);
         } else if path.file_name().is_some_and(|name| name == DATABASE) {
             self.database.get_or_insert(path);

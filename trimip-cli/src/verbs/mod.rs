@@ -2,6 +2,7 @@
 
 mod bake;
 pub mod bench;
+mod capture;
 mod check;
 mod compare;
 mod config;
@@ -27,6 +28,7 @@ const NEXT: &str = "\
 nothing to train on; type one of
   trimip-cli FOLDER                             photographs with transforms.json: trains 5 minutes, then reports
   trimip-cli FOLDER --minutes 30                the same for longer
+  trimip-cli capture FILM|FOLDER --train        a film, or photographs without cameras: finds them first
   trimip-cli --config configs/quickstart.toml   the built-in scene, nothing to download
   trimip-cli --help                             every verb and option";
 
@@ -54,6 +56,7 @@ pub fn run(arguments: &Arguments) -> Result<u8> {
         }
         None => train::run(&arguments.train),
         Some(Verb::Train(train)) => train::run(train),
+        Some(Verb::Capture(capture)) => capture::run(capture),
         Some(Verb::Plan(plan)) => plan::run(plan),
         Some(Verb::Eval(eval)) => eval::run(eval),
         Some(Verb::View(view)) => view::run(view),

@@ -4,6 +4,9 @@
 mod checks;
 mod frames;
 mod space;
+mod unplaced;
+
+pub use unplaced::UnplacedPicture;
 
 use super::page::{self, escape, pairs};
 use crate::terminal;
@@ -17,11 +20,20 @@ use trimip::{Alpha, Result};
 /// # Errors
 /// When a test photograph cannot be read.
 pub fn page(seen: &Inspection) -> Result<String> {
+    page_with(seen, &[])
+}
+
+/// The whole page, with pictures that have no camera.
+///
+/// # Errors
+/// When a test photograph cannot be read.
+pub fn page_with(seen: &Inspection, unplaced: &[UnplacedPicture]) -> Result<String> {
     let doubts = doubts(seen);
     let content = [
         head(seen),
         space::section(seen, &doubts),
         frames::section(seen, &doubts)?,
+        unplaced::section(unplaced)?,
         left_out(seen),
         checks::sections(seen),
     ];

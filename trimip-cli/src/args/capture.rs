@@ -1,0 +1,117 @@
+//! The options of `capture`.
+
+use super::ProgressStyle;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// What finds the poses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PosesProgram {
+    /// The program colmap
+    Colmap,
+    /// The Python package pycolmap, of any python3 that has it
+    Pycolmap,
+    /// The program glomap, after features and matches by one of the others
+    Glomap,
+}
+
+/// A camera model, by COLMAP's names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Lens {
+    /// Four terms of distortion: ordinary lenses
+    Opencv,
+    /// Lenses that see 120° and more
+    OpencvFisheye,
+    /// Eight terms of distortion
+    FullOpencv,
+    /// One focal length and two terms
+    Radial,
+    /// One focal length and one term
+    SimpleRadial,
+    /// No distortion
+    Pinhole,
+}
+
+impl Lens {
+    /// Its name in COLMAP.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Opencv => "OPENCV",
+            Self::OpencvFisheye => "OPENCV_FISHEYE",
+            Self::FullOpencv => "FULL_OPENCV",
+            Self::Radial => "RADIAL",
+            Self::SimpleRadial => "SIMPLE_RADIAL",
+            Self::Pinhole => "PINHOLE",
+        }
+    }
+}
+
+/// Which pictures are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Matcher {
+    /// Each with each
+    Exhaustive,
+    /// Each with those after it, and some with all others, which closes loops
+    Sequential,
+    /// Each with those that look alike by a vocabulary tree (--vocab-tree)
+    Vocabulary,
+}
+
+/// How cameras are placed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Mapper {
+    /// One after the other
+    Incremental,
+    /// All at once: COLMAP 4 or glomap
+    Global,
+}
+
+/// Options of `capture`.
+#[derive(Args, Debug)]
+pub struct CaptureArguments {
+    /// A film, a folder of photographs (JPEG, PNG, HEIC, …), or a zip archive of either; it is only read
+    #[arg(value_name = "FILM|FOLDER|ARCHIVE")]
+    pub input: PathBuf,
+    /// Folder of the capture [default: captures/ and the name of the film, folder or archive]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Number of frames of a film [default: two a second, 50 to 300; fewer where the camera hardly moves]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub frames: Option<u32>,
+    /// What finds the poses [default: the first of these that is there]
+    #[arg(long, value_enum)]
+    pub poses: Option<PosesProgram>,
+    /// Camera model [default: opencv; simple-radial where each picture has a camera of its own]
+    #[arg(long, value_enum)]
+    pub camera: Option<Lens>,
+    /// Which pictures are compared [default: sequential for films, exhaustive for up to 200 photographs]
+    #[arg(long, value_enum)]
+    pub matcher: Option<Matcher>,
+    /// A vocabulary tree for this version of COLMAP, which finds pictures that look alike
+    #[arg(long, value_name = "FILE")]
+    pub vocab_tree: Option<PathBuf>,
+    /// How cameras are placed [default: incremental; global for more than 300 pictures where COLMAP 4 or glomap is there]
+    #[arg(long, value_enum)]
+    pub mapper: Option<Mapper>,
+    /// Longest side of the pictures in which features are looked for, pixels [default: 1600; 3200 on a GPU]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(200..=20_000))]
+    pub size: Option<u32>,
+    /// Threads of the programs; 0 = all
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub threads: u32,
+    /// Do everything again
+    #[arg(long)]
+    pub fresh: bool,
+    /// Then train on it, as `trimip-cli FOLDER` does, and write a film and a page of the model
+    #[arg(long)]
+    pub train: bool,
+    /// Minutes of training [default: 5]
+    #[arg(long, value_name = "N", requires = "train")]
+    pub minutes: Option<f64>,
+    /// Override one setting of training; may be given many times
+    #[arg(long, value_name = "SECTION.KEY=VALUE", requires = "train")]
+    pub set: Vec<String>,
+    /// How progress is shown
+    #[arg(long, value_enum, default_value_t, value_name = "STYLE")]
+    pub progress: ProgressStyle,
+}

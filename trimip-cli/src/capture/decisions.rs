@@ -1,0 +1,272 @@
+//! What a capture decides by itself, each with its reason: cameras, features, pairs, mapper.
+
+use super::{ability::Ability, pictures::Pictures};
+use crate::args::{CaptureArguments, Lens, Mapper, Matcher};
+use serde::Serialize;
+use std::path::PathBuf;
+use trimip::{Error, Result, formatting::count};
+
+/// Most photographs of which each is compared with each: 19,900 pairs.
+const EXHAUSTIVE: usize = 200;
+
+/// Most pictures whose cameras are placed one after the other.
+const INCREMENTAL: usize = 300;
+
+/// Longest side for features, pixels: on a CPU, and on a GPU, COLMAP's own.
+const CPU_SIZE: u32 = 1600;
+const GPU_SIZE: u32 = 3200;
+
+/// Sizes of pictures that have a camera each, and the fewest pictures of a camera with many parameters.
+const MOST_SIZES: usize = 8;
+const FEWEST_OF_A_SIZE: usize = 3;
+
+/// Neighbours of a frame that it is compared with; with doubled distances, up to 2^9 frames.
+const OVERLAP: u32 = 10;
+
+/// Most pairs among evenly spread pictures, which close loops.
+const LOOP_PAIRS: usize = 1500;
+const LOOP_PAIRS_OF_PHOTOGRAPHS: usize = 8000;
+
+/// How many cameras the pictures have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Cameras {
+    /// One for all.
+    One,
+    /// One for each folder, which is each size.
+    PerFolder,
+    /// One for each picture.
+    PerImage,
+}
+
+/// Which pairs of pictures are compared.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pairs {
+    /// Each with each.
+    Exhaustive,
+    /// Each with its next neighbours, and every so many pictures with each other.
+    Sequential {
+        /// Neighbours.
+        overlap: u32,
+        /// Every so many pictures are compared with each other; 0 = none.
+        every: usize,
+        /// A vocabulary tree that closes loops instead.
+        tree: Option<PathBuf>,
+    },
+    /// Each with those that look alike.
+    Vocabulary {
+        /// The tree.
+        tree: PathBuf,
+    },
+}
+
+/// All decisions.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Decisions {
+    /// Camera model by COLMAP's name.
+    pub camera: &'static str,
+    /// How many cameras.
+    pub cameras: Cameras,
+    /// Longest side for features, pixels.
+    pub size: u32,
+    /// Whether features and matches are found on a GPU.
+    pub gpu: bool,
+    /// Pairs.
+    pub pairs: Pairs,
+    /// All cameras at once.
+    pub global: bool,
+    /// Threads; 0 = all.
+    pub threads: u32,
+    /// Each decision with its reason.
+    pub lines: Vec<String>,
+}
+
+/// Decides for pictures, by what the user gave and what the programs can do.
+///
+/// # Errors
+/// Of kind `Input`: a vocabulary tree that is missing, a mapper that no program has.
+pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability) -> Result<Decisions> {
+    let number = pictures.pictures.len();
+    let mut lines = Vec::new();
+    let (cameras, why) = cameras(pictures);
+    let (lens, because) = match arguments.camera {
+        Some(lens) => (lens, "as asked for"),
+        None if cameras == Cameras::PerImage => (Lens::SimpleRadial, "one picture cannot tell more"),
+        None => (Lens::Opencv, "ordinary lenses; --camera opencv-fisheye for those that see 120° and more"),
+    };
+    lines.push(format!("cameras: {} ({because}), {why}", lens.name()));
+
+    let size = arguments.size.unwrap_or(if able.gpu { GPU_SIZE } else { CPU_SIZE });
+    let largest = pictures.pictures.iter().flat_map(|picture| picture.size).max().unwrap_or(0);
+    let reason = match arguments.size {
+        Some(_) => "as asked for".to_string(),
+        None if able.gpu => "on the GPU".into(),
+        None => format!("on the CPU: {}", able.why_no_gpu),
+    };
+    lines.push(match largest <= size {
+        true => format!("features: of whole pictures, at most {size} pixels a side ({reason})"),
+        false => format!("features: of pictures reduced to {size} of {largest} pixels a side ({reason}; --size N)"),
+    });
+
+    let tree = match &arguments.vocab_tree {
+        Some(path) if !path.is_file() => {
+            return Err(Error::input(path.display(), "is no vocabulary tree", "name a file of one, or leave --vocab-tree out"));
+        }
+        Some(path) => Some(std::path::absolute(path).unwrap_or_else(|_| path.clone())),
+        None => None,
+    };
+    let (pairs, why) = pairs(arguments.matcher, pictures.of_film, number, tree)?;
+    lines.push(format!("pairs: {why}"));
+
+    let (global, why) = match arguments.mapper {
+        Some(Mapper::Global) if !able.global => {
+            let what = format!("{} has no global mapper", able.name);
+            return Err(Error::input("--mapper global", what, "install COLMAP 4 or glomap, or leave it out"));
+        }
+        Some(mapper) => (mapper == Mapper::Global, "as asked for".to_string()),
+        None if able.only_global => (true, "what glomap does".into()),
+        None if number <= INCREMENTAL => (false, format!("{number} pictures, up to {INCREMENTAL}")),
+        None if able.global => (true, format!("{number} pictures, more than {INCREMENTAL}")),
+        None => (false, format!("{number} pictures take long; COLMAP 4 or glomap would place them at once")),
+    };
+    let how = if global { "all at once" } else { "one after the other" };
+    lines.push(format!("mapper: cameras are placed {how} ({why})"));
+    Ok(Decisions { camera: lens.name(), cameras, size, gpu: able.gpu, pairs, global, threads: arguments.threads, lines })
+}
+
+fn cameras(pictures: &Pictures) -> (Cameras, String) {
+    let sizes = pictures.sizes();
+    let fewest = sizes.values().min().copied().unwrap_or(0);
+    match sizes.len() {
+        0 | 1 => (Cameras::One, "one for all pictures: they have one size, so one lens and zoom".into()),
+        several if several <= MOST_SIZES && fewest >= FEWEST_OF_A_SIZE => {
+            (Cameras::PerFolder, format!("one for each of {several} sizes of pictures"))
+        }
+        several => (Cameras::PerImage, format!("one for each picture: they have {several} sizes, some of them rare")),
+    }
+}
+
+/// The pairs that are compared, and why.
+fn pairs(
+    wanted: Option<Matcher>,
+    of_film: bool,
+    number: usize,
+    tree: Option<PathBuf>,
+) -> Result<(Pairs, String)> {
+    let all = number * number.saturating_sub(1) / 2;
+    let sequential = |tree: Option<PathBuf>, most: usize, why: &str| {
+        let every = if tree.is_some() { 0 } else { spread(number, most) };
+        let loops = match (&tree, every) {
+            (Some(_), _) => "; the vocabulary tree closes loops".to_string(),
+            (None, 0) => String::new(),
+            (None, every) => format!("; each {every}th with all others of these closes loops"),
+        };
+        let text = format!("each picture with the {OVERLAP} next ones and some farther on ({why}){loops}");
+        (Pairs::Sequential { overlap: OVERLAP, every, tree }, text)
+    };
+    let exhaustive = |why: &str| (Pairs::Exhaustive, format!("each picture with each, {} ({why})", count(all as u64, "pair")));
+    Ok(match (wanted, tree) {
+        (Some(Matcher::Exhaustive), _) => exhaustive("as asked for"),
+        (Some(Matcher::Sequential), tree) => sequential(tree, LOOP_PAIRS, "as asked for"),
+        (Some(Matcher::Vocabulary), Some(tree)) => {
+            (Pairs::Vocabulary { tree }, "each picture with those that look alike (as asked for)".into())
+        }
+        (Some(Matcher::Vocabulary), None) => {
+            return Err(Error::input("--matcher vocabulary", "needs a vocabulary tree", "name its file with --vocab-tree"));
+        }
+        (None, tree) if of_film => sequential(tree, LOOP_PAIRS, "a film"),
+        (None, _) if number <= EXHAUSTIVE => exhaustive(&format!("up to {EXHAUSTIVE} photographs")),
+        (None, Some(tree)) => (
+            Pairs::Vocabulary { tree },
+            format!("each picture with those that look alike (more than {EXHAUSTIVE} photographs, by the tree)"),
+        ),
+        (None, None) => sequential(
+            None,
+            LOOP_PAIRS_OF_PHOTOGRAPHS,
+            &format!("more than {EXHAUSTIVE} photographs and no --vocab-tree, in the order of their names"),
+        ),
+    })
+}
+
+/// The step between pictures of which `most` pairs are at most made; 0 where neighbours are all there is.
+fn spread(number: usize, most: usize) -> usize {
+    if number <= 2 * OVERLAP as usize {
+        return 0;
+    }
+    let pairs = |every: usize| {
+        let few = number.div_ceil(every);
+        few * few.saturating_sub(1) / 2
+    };
+    (2..).find(|&every| pairs(every) <= most).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::pictures::Picture;
+
+    fn pictures(sizes: &[(u32, usize)], of_film: bool) -> Pictures {
+        let picture = |width: u32| Picture {
+            name: "a.jpg".into(),
+            source: "a.jpg".into(),
+            size: [width, 1000],
+            seconds: None,
+            sharpness: None,
+        };
+        let pictures = sizes.iter().flat_map(|&(width, count)| std::iter::repeat_n(picture(width), count)).collect();
+        Pictures { pictures, of_film, ..Pictures::default() }
+    }
+
+    fn arguments(more: &[&str]) -> CaptureArguments {
+        use clap::Parser;
+        let words = [&["x", "capture", "a.mp4"], more].concat();
+        match crate::args::Arguments::try_parse_from(words).unwrap().verb {
+            Some(crate::args::Verb::Capture(arguments)) => *arguments,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn able(global: bool, gpu: bool) -> Ability {
+        Ability { name: "colmap 3.8".into(), global, only_global: false, gpu, why_no_gpu: "none here".into() }
+    }
+
+    #[test]
+    fn decisions_follow_the_pictures() {
+        let decided = |more: &[&str], pictures: &Pictures, able: &Ability| decide(&arguments(more), pictures, able);
+        let film = decided(&[], &pictures(&[(1920, 120)], true), &able(false, false)).unwrap();
+        assert_eq!((film.camera, film.cameras, film.size, film.global), ("OPENCV", Cameras::One, 1600, false));
+        assert_eq!(film.pairs, Pairs::Sequential { overlap: 10, every: 3, tree: None });
+        let few = decided(&[], &pictures(&[(1920, 50)], false), &able(true, true)).unwrap();
+        assert_eq!((few.pairs, few.size, few.global), (Pairs::Exhaustive, 3200, false));
+        let many = decided(&[], &pictures(&[(1920, 400)], false), &able(true, false)).unwrap();
+        assert!(matches!(many.pairs, Pairs::Sequential { every: 4, .. }) && many.global, "{many:?}");
+        let phones = pictures(&[(1920, 50), (1000, 5)], false);
+        assert_eq!(decided(&[], &phones, &able(false, false)).unwrap().cameras, Cameras::PerFolder);
+        let mixed = decided(&[], &pictures(&[(1920, 50), (1000, 1)], false), &able(false, false)).unwrap();
+        assert_eq!((mixed.cameras, mixed.camera), (Cameras::PerImage, "SIMPLE_RADIAL"));
+        assert_eq!(mixed.lines.len(), 4);
+    }
+
+    #[test]
+    fn what_the_user_gives_counts() {
+        let photographs = pictures(&[(1920, 50)], false);
+        let more = ["--camera", "opencv-fisheye", "--matcher", "sequential", "--size", "800", "--mapper", "global"];
+        let decided = decide(&arguments(&more), &photographs, &able(true, false)).unwrap();
+        assert_eq!((decided.camera, decided.size, decided.global), ("OPENCV_FISHEYE", 800, true));
+        assert!(matches!(decided.pairs, Pairs::Sequential { .. }));
+        for (more, what) in [
+            (&["--mapper", "global"][..], "no global mapper"),
+            (&["--matcher", "vocabulary"], "--vocab-tree"),
+            (&["--vocab-tree", "nowhere.bin"], "no vocabulary tree"),
+        ] {
+            let error = decide(&arguments(more), &photographs, &able(false, false)).unwrap_err();
+            assert!(error.exit_code() == 2 && error.message.contains(what), "{error}");
+        }
+    }
+
+    #[test]
+    fn pairs_that_close_loops_are_bounded() {
+        assert_eq!((spread(20, 1500), spread(50, 1500), spread(300, 1500)), (0, 2, 6));
+    }
+}

@@ -1,0 +1,288 @@
+//! The folder of a capture: the names of its files, and which stages are done. A stage writes under temporary names, renames when all
+//! of it is there, and at last writes its state: what it was made of, and what it came to. A stage whose state is missing or was made
+//! of something else is done again, with all after it.
+
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde_json::Value;
+use std::{
+    fs::{self, File, TryLockError},
+    io,
+    path::{Path, PathBuf},
+};
+use trimip::{Error, Result, run::folder::create_writable};
+use trimip_core::{
+    atomic::{sync_folder_of, write_atomically},
+    scene::fingerprint,
+};
+
+/// The stages, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stage {
+    /// Photographs, or frames of a film, in `images/`.
+    Pictures,
+    /// Features of each picture, in `features.db`.
+    Features,
+    /// Matches of pairs of pictures, with the features in `database.db`.
+    Matches,
+    /// Cameras and points: all models in `models/`, the best in `sparse/0`.
+    Model,
+    /// The page of what was understood, `inspect.html`.
+    Page,
+}
+
+/// All stages.
+const STAGES: [Stage; 5] = [Stage::Pictures, Stage::Features, Stage::Matches, Stage::Model, Stage::Page];
+
+impl Stage {
+    /// Its name in file names and events.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pictures => "pictures",
+            Self::Features => "features",
+            Self::Matches => "matches",
+            Self::Model => "model",
+            Self::Page => "page",
+        }
+    }
+
+    /// What it writes.
+    fn outputs(self) -> &'static [&'static str] {
+        match self {
+            Self::Pictures => &["images"],
+            Self::Features => &["features.db", "features.db-wal", "features.db-shm"],
+            Self::Matches => &["database.db", "database.db-wal", "database.db-shm"],
+            Self::Model => &["sparse", "models"],
+            Self::Page => &["inspect.html"],
+        }
+    }
+}
+
+/// The state of a stage that is done.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Done<T> {
+    /// What it was made of.
+    pub inputs: Value,
+    /// How long it took, seconds.
+    pub seconds: f64,
+    /// What it came to.
+    pub result: T,
+}
+
+/// What marks a folder as that of a capture.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Mark {
+    /// The name of the film, folder or archive.
+    input: String,
+}
+
+/// The folder of a capture, which this process alone writes.
+pub struct Folder {
+    root: PathBuf,
+    /// The lock is held while the file is open.
+    _lock: File,
+}
+
+impl Folder {
+    /// Opens or creates the folder for an input of this name.
+    ///
+    /// # Errors
+    /// Of kind `Input`: a folder of something else or of another input, one that another process works on, one that cannot be written.
+    pub fn open(root: &Path, input: &str) -> Result<Self> {
+        let mark = Mark { input: input.into() };
+        let path = root.join("capture.json");
+        let refused = |what: String| Error::input(root.display(), what, "choose another --out folder");
+        let found = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice::<Mark>(&bytes).ok());
+        match found {
+            Some(found) if found == mark => {}
+            Some(found) => return Err(refused(format!("holds the capture of {}", found.input))),
+            None if is_others(root) => return Err(refused("holds files that no capture wrote".into())),
+            None => {
+                create_writable(root)?;
+                write_atomically(&path, &json(&mark)?)?;
+            }
+        }
+        let lock = File::options().read(true).write(true).open(&path).map_err(|error| unwritable(&path, &error))?;
+        if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
+            return Err(Error::input(
+                root.display(),
+                "another process works on this capture",
+                "wait until it has ended, stop it, or choose another --out folder",
+            ));
+        }
+        let root = std::path::absolute(root).map_err(|error| unwritable(root, &error))?;
+        Ok(Self { root, _lock: lock })
+    }
+
+    /// Its absolute path.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// A file or folder in it.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.root.join(name)
+    }
+
+    /// The log of a program.
+    pub fn log(&self, name: &str) -> PathBuf {
+        self.root.join("log").join(format!("{name}.log"))
+    }
+
+    /// The state of a stage, if it is done and all it wrote is there.
+    pub fn done<T: DeserializeOwned>(&self, stage: Stage) -> Option<Done<T>> {
+        let done = serde_json::from_slice(&fs::read(self.state(stage)).ok()?).ok()?;
+        let first = stage.outputs().first()?;
+        self.path(first).exists().then_some(done)
+    }
+
+    /// Forgets a stage and all after it: first that they are done, then what they wrote.
+    ///
+    /// # Errors
+    /// When something cannot be removed.
+    pub fn begin(&self, stage: Stage) -> Result<()> {
+        let later = || STAGES.into_iter().filter(|other| *other >= stage).rev();
+        for stage in later() {
+            remove(&self.state(stage))?;
+        }
+        sync_folder_of(&self.state(stage));
+        for output in later().flat_map(Stage::outputs) {
+            remove(&self.path(output))?;
+            remove(&self.temporary(output))?;
+        }
+        Ok(())
+    }
+
+    /// The name under which an output is written until it is whole.
+    pub fn temporary(&self, output: &str) -> PathBuf {
+        self.path(&temporary(output))
+    }
+
+    /// Gives an output its name.
+    ///
+    /// # Errors
+    /// When it cannot be renamed.
+    pub fn keep(&self, output: &str) -> Result<()> {
+        let (from, to) = (self.temporary(output), self.path(output));
+        fs::rename(&from, &to).map_err(|error| unwritable(&to, &error))?;
+        sync_folder_of(&to);
+        Ok(())
+    }
+
+    /// Gives a database its name, with what its program may have left beside it.
+    ///
+    /// # Errors
+    /// When it cannot be renamed.
+    pub fn keep_database(&self, output: &str) -> Result<()> {
+        for end in ["-wal", "-shm"] {
+            let beside = self.path(&(temporary(output) + end));
+            let to = self.path(&format!("{output}{end}"));
+            if beside.exists() {
+                fs::rename(&beside, &to).map_err(|error| unwritable(&to, &error))?;
+            }
+        }
+        self.keep(output)
+    }
+
+    /// Writes that a stage is done.
+    ///
+    /// # Errors
+    /// When the state cannot be written.
+    pub fn finish<T: Serialize>(&self, stage: Stage, done: &Done<T>) -> Result<()> {
+        let path = self.state(stage);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
+        }
+        write_atomically(&path, &json(done)?)
+    }
+
+    fn state(&self, stage: Stage) -> PathBuf {
+        self.root.join("state").join(format!("{}.json", stage.name()))
+    }
+}
+
+/// The name under which an output is written until it is whole; it keeps its ending.
+pub fn temporary(output: &str) -> String {
+    match output.split_once('.') {
+        Some((stem, ending)) => format!("{stem}.part.{ending}"),
+        None => format!("{output}.part"),
+    }
+}
+
+/// A number that tells values apart.
+pub fn digest(value: &impl Serialize) -> Result<String> {
+    Ok(format!("{:016x}", fingerprint::hash(&json(value)?)))
+}
+
+/// An error of the system at a path.
+pub fn unwritable(path: &Path, error: &io::Error) -> Error {
+    Error::input(path.display(), format!("cannot write: {error}"), "free space there or choose another --out folder")
+}
+
+fn json(value: &impl Serialize) -> Result<Vec<u8>> {
+    let mut bytes = serde_json::to_vec_pretty(value).map_err(Error::run)?;
+    bytes.push(b'\n');
+    Ok(bytes)
+}
+
+/// Removes a file or a folder, if it is there.
+fn remove(path: &Path) -> Result<()> {
+    let Ok(found) = path.symlink_metadata() else { return Ok(()) };
+    let removed = if found.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    removed.map_err(|error| unwritable(path, &error))
+}
+
+/// True if a folder holds anything, or is no folder. A capture that was killed at its start leaves an empty one, or the temporary
+/// file of its mark.
+fn is_others(root: &Path) -> bool {
+    let own = |name: &std::ffi::OsStr| name == "capture.json.tmp" || name == "capture.json";
+    match root.read_dir() {
+        Ok(mut entries) => entries.any(|entry| entry.is_ok_and(|entry| !own(&entry.file_name()))),
+        Err(error) => error.kind() != io::ErrorKind::NotFound,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn a_stage_is_done_with_its_outputs_until_it_or_an_earlier_one_begins_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("walk");
+        let capture = Folder::open(&root, "walk.mp4").unwrap();
+        let number = |stage| capture.done::<u32>(stage).map(|done| done.result);
+        for (stage, output, result) in [(Stage::Features, "features.db", 3), (Stage::Matches, "database.db", 4)] {
+            fs::write(capture.temporary(output), "x").unwrap();
+            fs::write(capture.path(&(temporary(output) + "-wal")), "y").unwrap();
+            assert_eq!(number(stage), None);
+            capture.keep_database(output).unwrap();
+            assert!(capture.path(&format!("{output}-wal")).exists());
+            capture.finish(stage, &Done { inputs: json!({ "a": 1 }), seconds: 0.5, result }).unwrap();
+            assert_eq!(number(stage), Some(result));
+        }
+        capture.begin(Stage::Matches).unwrap();
+        assert_eq!((number(Stage::Features), number(Stage::Matches)), (Some(3), None));
+        assert!(!capture.path("database.db").exists() && !capture.path("database.db-wal").exists());
+        fs::remove_file(capture.path("features.db")).unwrap();
+        assert_eq!(number(Stage::Features), None, "what is gone is not done");
+    }
+
+    #[test]
+    fn a_folder_belongs_to_one_input_and_one_process() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("walk");
+        let refused = |input: &str| Folder::open(&root, input).err().map(|error| error.message);
+        fs::create_dir(&root).unwrap();
+        fs::write(root.join("other"), "").unwrap();
+        assert!(refused("walk.mp4").unwrap().contains("no capture wrote"));
+        fs::remove_file(root.join("other")).unwrap();
+        fs::write(root.join("capture.json.tmp"), "{").unwrap();
+        let first = Folder::open(&root, "walk.mp4").unwrap();
+        assert!(refused("walk.mp4").unwrap().contains("another process"));
+        drop(first);
+        assert!(refused("run.mp4").unwrap().contains("holds the capture of walk.mp4"));
+        assert_eq!(refused("walk.mp4"), None);
+    }
+}

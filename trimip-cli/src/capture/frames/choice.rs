@@ -1,0 +1,173 @@
+//! Which frames of a film are taken: the sharpest of each interval of motion.
+
+use super::measure::Measured;
+use trimip::formatting::{count, duration};
+
+/// Frames a second without another wish, and the fewest and most.
+const RATE: f64 = 2.0;
+const FEWEST: f64 = 50.0;
+const MOST: f64 = 300.0;
+
+/// Least motion between two frames that differ, in longest sides of the picture.
+const LEAST_STEP: f64 = 0.01;
+
+/// How much a frame at the end of its interval counts less than one in the middle: neighbours shall not lie side by side.
+const AT_THE_END: f64 = 0.3;
+
+/// Change of exposure between neighbours that is told, stops; and how many changes are named.
+const JUMP: f64 = 0.5;
+const NAMED: usize = 3;
+
+/// Exponent from grey levels to light.
+const GAMMA: f64 = 2.2;
+
+/// The frames that are taken.
+#[derive(Debug, PartialEq)]
+pub struct Chosen {
+    /// Their numbers, rising.
+    pub frames: Vec<usize>,
+    /// Why these, a line each.
+    pub notes: Vec<String>,
+}
+
+/// Chooses frames; `wanted` is the number that the user wants.
+pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
+    let last = measured.last().map_or(0.0, |frame| frame.seconds);
+    let motion = measured.last().map_or(0.0, |frame| frame.motion);
+    let by_time = (RATE * last).clamp(FEWEST, MOST).round();
+    let by_motion = (motion / LEAST_STEP).floor().max(2.0);
+    let (count, why) = match wanted {
+        Some(wanted) => (f64::from(wanted), "as asked for".to_string()),
+        None if by_motion < by_time => (by_motion, "the camera moves so little that more would be alike".to_string()),
+        None => (by_time, format!("{RATE} a second, {FEWEST} to {MOST}")),
+    };
+    let number = (count as usize).min(measured.len());
+    let frames = sharpest(measured, number);
+    let mut notes = vec![format!(
+        "frames: {} of {}, the sharpest of each interval of equal motion ({why}; --frames N)",
+        frames.len(),
+        measured.len()
+    )];
+    notes.extend(still(measured, last));
+    notes.extend(jumps(measured, &frames));
+    Chosen { frames, notes }
+}
+
+/// The sharpest frame of each of `count` intervals: of equal motion, or of equal time where there is none. Intervals without a frame
+/// have none.
+fn sharpest(measured: &[Measured], count: usize) -> Vec<usize> {
+    let motion = measured.last().map_or(0.0, |frame| frame.motion);
+    let place = |index: usize| match motion > 0.0 {
+        true => measured[index].motion / motion,
+        false => index as f64 / measured.len() as f64,
+    };
+    let mut best: Vec<Option<(f64, usize)>> = vec![None; count];
+    for (index, frame) in measured.iter().enumerate() {
+        let place = place(index) * count as f64;
+        let interval = (place.floor() as usize).min(count.saturating_sub(1));
+        let from_middle = (place - interval as f64 - 0.5).abs().min(0.5);
+        let score = frame.sharpness * (1.0 - 2.0 * AT_THE_END * from_middle);
+        let Some(slot) = best.get_mut(interval) else { continue };
+        if slot.is_none_or(|(other, _)| score > other) {
+            *slot = Some((score, index));
+        }
+    }
+    best.into_iter().flatten().map(|(_, index)| index).collect()
+}
+
+/// Tells of the part of the film in which nothing moves.
+fn still(measured: &[Measured], last: f64) -> Option<String> {
+    let still = |pair: &[Measured]| pair[1].motion <= pair[0].motion;
+    // Motion is measured at some frames alone: a pause is longer than a second.
+    let (mut seconds, mut began) = (0.0, None);
+    for pair in measured.windows(2) {
+        match (still(pair), began) {
+            (true, None) => began = Some(pair[0].seconds),
+            (false, Some(begin)) => {
+                let length = pair[0].seconds - begin;
+                seconds += if length > 1.0 { length } else { 0.0 };
+                began = None;
+            }
+            _ => {}
+        }
+    }
+    seconds += began.map_or(0.0, |begin| last - begin);
+    (seconds > 1.0 && seconds > 0.05 * last)
+        .then(|| format!("frames: nothing moves in {} of {}, which give no more than one each", duration(seconds), duration(last)))
+}
+
+/// Tells of frames whose exposure differs from that of the frame before.
+fn jumps(measured: &[Measured], frames: &[usize]) -> Option<String> {
+    let stops = |from: usize, to: usize| {
+        GAMMA * ((measured[to].brightness + 1.0) / (measured[from].brightness + 1.0)).log2()
+    };
+    let jumps: Vec<(f64, f64)> = frames
+        .windows(2)
+        .map(|pair| (measured[pair[1]].seconds, stops(pair[0], pair[1])))
+        .filter(|(_, stops)| stops.abs() >= JUMP)
+        .collect();
+    if jumps.is_empty() {
+        return None;
+    }
+    let mut named: Vec<String> =
+        jumps.iter().take(NAMED).map(|(at, stops)| format!("{stops:+.1} stops at {}", duration(*at))).collect();
+    if jumps.len() > NAMED {
+        named.push(format!("{} more", jumps.len() - NAMED));
+    }
+    Some(format!(
+        "exposure: {} between neighbours: {}; lock it while filming, or train with --set loss.exposure=gain",
+        count(jumps.len() as u64, "jump"),
+        named.join(", ")
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(index: usize, motion: f64, sharpness: f64) -> Measured {
+        Measured { seconds: index as f64 / 10.0, sharpness, brightness: 100.0, motion }
+    }
+
+    #[test]
+    fn the_sharpest_of_each_interval_is_taken() {
+        // A minute; every seventh frame is sharp.
+        let film: Vec<_> =
+            (0..600).map(|i| frame(i, 0.01 * i as f64, if i % 7 == 3 { 100.0 } else { 10.0 })).collect();
+        let chosen = choose(&film, Some(60));
+        assert!(chosen.frames.len() == 60 && chosen.frames.iter().all(|i| i % 7 == 3), "{:?}", chosen.frames);
+        assert!(chosen.frames.windows(2).all(|pair| pair[1] > pair[0]));
+        assert_eq!(choose(&film, None).frames.len(), 120, "two a second");
+        let few = choose(&film[..50], None).frames.len();
+        assert!((48..50).contains(&few), "{few}, no more than the motion gives");
+    }
+
+    #[test]
+    fn frames_follow_motion_and_not_time() {
+        // It stands still for half of the film.
+        let film: Vec<_> = (0..600).map(|i| frame(i, 0.02 * i.saturating_sub(300) as f64, 50.0)).collect();
+        let chosen = choose(&film, None);
+        let early = chosen.frames.iter().filter(|&&index| index < 300).count();
+        assert!(early <= 1 && chosen.frames.len() > 100, "{early} of {}", chosen.frames.len());
+        assert!(chosen.notes.iter().any(|note| note.contains("nothing moves in 30 s")), "{:?}", chosen.notes);
+    }
+
+    #[test]
+    fn a_film_that_does_not_move_gives_few_frames() {
+        let film: Vec<_> = (0..600).map(|i| frame(i, 0.0, 50.0)).collect();
+        let chosen = choose(&film, None);
+        assert!(chosen.frames.len() == 2 && chosen.notes[0].contains("moves so little"), "{chosen:?}");
+        assert_eq!(choose(&film, Some(10)).frames.len(), 10);
+        assert_eq!(choose(&film[..3], Some(10)).frames, [0, 1, 2]);
+        assert_eq!(choose(&[], None).frames, [0_usize; 0]);
+    }
+
+    #[test]
+    fn jumps_of_exposure_are_told() {
+        let mut film: Vec<_> = (0..100).map(|i| frame(i, 0.02 * i as f64, 50.0)).collect();
+        assert!(!choose(&film, Some(50)).notes.iter().any(|note| note.starts_with("exposure")));
+        film[50..].iter_mut().for_each(|frame| frame.brightness = 150.0);
+        let notes = choose(&film, Some(50)).notes;
+        assert!(notes.iter().any(|note| note.contains("1 jump") && note.contains("+1.3 stops")), "{notes:?}");
+    }
+}

@@ -1,0 +1,117 @@
+//! Measures every frame of a film, as ffmpeg decodes them to small grey pictures.
+
+use super::motion::Follower;
+use crate::capture::{
+    grey::Grey,
+    process::{Call, Output},
+};
+use std::sync::atomic::AtomicBool;
+use trimip::{Error, Result};
+
+/// How often motion is measured, times a second; what lies between has the motion of the frame before.
+const MOTION_RATE: f64 = 15.0;
+
+/// A frame of a film.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measured {
+    /// When it is shown, seconds from the start.
+    pub seconds: f64,
+    /// Variance of its Laplacian, grey levels squared.
+    pub sharpness: f64,
+    /// Its mean grey level, 0 to 255.
+    pub brightness: f64,
+    /// Motion of the picture up to it, in longest sides of the picture.
+    pub motion: f64,
+}
+
+/// Measures the frames that `call` writes as grey pictures of `size`, with their times in lines of the filter `showinfo`. `rate` is
+/// the mean number of frames a second, for frames without a time. `progress` gets the number of frames.
+///
+/// # Errors
+/// When ffmpeg fails before the first frame.
+pub fn frames(
+    call: &Call<'_>,
+    size: [u32; 2],
+    rate: f64,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(u64),
+) -> Result<Vec<Measured>> {
+    let [width, height] = size.map(|side| side as usize);
+    let stride = ((rate / MOTION_RATE).round() as usize).max(1);
+    let mut measuring = Measuring {
+        frame: Grey { width, height, pixels: Vec::with_capacity(width * height) },
+        follower: Follower::default(),
+        stride,
+        measured: Vec::new(),
+        times: Vec::new(),
+        progress,
+    };
+    let ended = call.run_to_end(stop, &mut measuring)?;
+    let Measuring { mut measured, times, .. } = measuring;
+    // A film that is cut off ends with an error, and has frames all the same.
+    if measured.is_empty() && !ended.is_success() {
+        return Err(call.failed(&ended));
+    }
+    let first = times.first().copied().flatten().unwrap_or(0.0);
+    for (index, frame) in measured.iter_mut().enumerate() {
+        let time = times.get(index).copied().flatten().map(|time| time - first);
+        frame.seconds = time.unwrap_or(index as f64 / rate.max(1.0));
+    }
+    Ok(measured)
+}
+
+struct Measuring<'a> {
+    /// The frame that is being read.
+    frame: Grey,
+    follower: Follower,
+    /// Motion is measured at every so many frames.
+    stride: usize,
+    measured: Vec<Measured>,
+    /// Seconds, in the order of the frames.
+    times: Vec<Option<f64>>,
+    progress: &'a mut dyn FnMut(u64),
+}
+
+impl Output for Measuring<'_> {
+    fn line(&mut self, line: &str) -> bool {
+        if !line.contains("Parsed_showinfo") {
+            return true;
+        }
+        if let Some((_, rest)) = line.split_once("pts_time:") {
+            let word = rest.split_whitespace().next().unwrap_or_default();
+            self.times.push(word.parse().ok().filter(|time: &f64| time.is_finite()));
+        }
+        false
+    }
+
+    fn bytes(&mut self, mut bytes: &[u8]) -> Result<()> {
+        let whole = self.frame.width * self.frame.height;
+        if whole == 0 {
+            return Err(Error::run("a film of no pixels"));
+        }
+        while !bytes.is_empty() {
+            let part = (whole - self.frame.pixels.len()).min(bytes.len());
+            self.frame.pixels.extend_from_slice(&bytes[..part]);
+            bytes = &bytes[part..];
+            if self.frame.pixels.len() == whole {
+                let motion = match self.measured.last() {
+                    Some(last) if self.measured.len() % self.stride != 0 => last.motion,
+                    _ => self.follower.follow(&self.frame),
+                };
+                self.measured.push(Measured {
+                    seconds: 0.0,
+                    sharpness: self.frame.sharpness(),
+                    brightness: self.frame.brightness(),
+                    motion,
+                });
+                self.frame.pixels.clear();
+                (self.progress)(self.measured.len() as u64);
+            }
+        }
+        Ok(())
+    }
+
+    fn takes_bytes(&self) -> bool {
+        true
+    }
+}

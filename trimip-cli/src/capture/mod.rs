@@ -1,0 +1,357 @@
+//! From a film or a folder of photographs to a scene with cameras: pictures, features, matches, a model and a page, each a stage that
+//! is kept once it is done. Other programs do the work; this one finds them, chooses, watches and checks.
+
+mod ability;
+mod database;
+mod decisions;
+mod display;
+mod folder;
+mod frames;
+mod grey;
+pub mod guard;
+mod models;
+mod photographs;
+mod pictures;
+mod poses;
+pub mod process;
+pub mod programs;
+mod source;
+mod unplaced;
+
+use crate::{
+    args::{CaptureArguments, PosesProgram},
+    interrupt,
+    report::{self, inspect::UnplacedPicture},
+};
+use decisions::Decisions;
+use display::Display;
+use folder::{Done, Folder, Stage, digest, temporary, unwritable};
+use models::Models;
+use pictures::Pictures;
+use poses::{Poses, Watching};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use source::{Found, Source};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::{Arc, atomic::AtomicBool},
+    time::Instant,
+};
+use trimip::{Result, formatting::count};
+use trimip_data::unwatched;
+use unplaced::Unplaced;
+
+/// Pictures without a pose that are named in the terminal.
+const NAMED: usize = 8;
+
+/// A capture that is done.
+pub struct Captured {
+    /// Its folder, as the user may type it.
+    pub root: PathBuf,
+    /// Longest sides of its pictures, pixels: width, height.
+    pub size: [u32; 2],
+}
+
+/// What the stage of the model came to.
+#[derive(Serialize, Deserialize)]
+struct Placement {
+    /// What the user asked for, by which a later command knows without any program that nothing changes.
+    asked: Value,
+    /// The program that placed the cameras.
+    program: String,
+    #[serde(flatten)]
+    models: Models,
+}
+
+/// Captures what the arguments name. What an earlier command did is kept.
+///
+/// # Errors
+/// When the input is refused, a program is missing or fails, or no camera can be placed; of kind `Stopped` when the user stopped it.
+pub fn run(arguments: &CaptureArguments) -> Result<Captured> {
+    let stop = interrupt::install_for("stopping; the same command goes on from here; press Ctrl-C again to end at once")?;
+    let root = arguments.out.clone().unwrap_or_else(|| default_folder(&arguments.input));
+    let Found { source, notes } = source::find(&arguments.input)?;
+    expect_programs(arguments, &source, &root)?;
+    let name = arguments.input.file_name().unwrap_or(arguments.input.as_os_str()).to_string_lossy().into_owned();
+    let folder = Folder::open(&root, &name)?;
+    if arguments.fresh {
+        folder.begin(Stage::Pictures)?;
+    }
+    let display = Display::new(arguments.progress);
+    notes.iter().for_each(|note| display.note(note));
+    let capture = Capture { arguments, folder, display, stop };
+    let outcome = capture.whole(&source, &root);
+    capture.display.finish();
+    outcome
+}
+
+/// `captures/` and the name of what is captured.
+fn default_folder(input: &Path) -> PathBuf {
+    let whole = input.canonicalize().unwrap_or_else(|_| input.to_path_buf());
+    let name = if whole.is_dir() { whole.file_name() } else { whole.file_stem() };
+    Path::new("captures").join(name.unwrap_or("capture".as_ref()))
+}
+
+/// Fails before anything is written where a program is missing that an earlier command did not do the work of.
+fn expect_programs(arguments: &CaptureArguments, source: &Source, root: &Path) -> Result<()> {
+    let is_done = |stage: &str| !arguments.fresh && root.join("state").join(format!("{stage}.json")).is_file();
+    if let Source::Film(film) = source
+        && !is_done(Stage::Pictures.name())
+    {
+        programs::expect("ffmpeg", programs::Need::Films, film.display())?;
+        programs::expect("ffprobe", programs::Need::Films, film.display())?;
+    }
+    if !is_done(Stage::Model.name()) {
+        Poses::find(arguments.poses, None, &arguments.input)?;
+    }
+    Ok(())
+}
+
+/// A capture on its way.
+struct Capture<'a> {
+    arguments: &'a CaptureArguments,
+    folder: Folder,
+    display: Display,
+    stop: Arc<AtomicBool>,
+}
+
+impl Capture<'_> {
+    fn whole(&self, source: &Source, root: &Path) -> Result<Captured> {
+        let pictures = self.pictures(source)?;
+        let placement = self.placement(&pictures)?;
+        let unplaced = self.tell(&pictures, &placement);
+        self.page(&pictures, &placement, &unplaced)?;
+        let [width, height] = pictures.pictures.iter().fold([0, 0], |largest, picture| {
+            [largest[0].max(picture.size[0]), largest[1].max(picture.size[1])]
+        });
+        if !self.arguments.train {
+            self.display.note(&format!("next: trimip-cli {}", process::quoted_path(root)));
+        }
+        Ok(Captured { root: root.into(), size: [width, height] })
+    }
+
+    /// The result of a stage: that of an earlier command if it was made of the same, otherwise of `work`.
+    fn stage<T: Serialize + serde::de::DeserializeOwned>(
+        &self,
+        stage: Stage,
+        doing: &str,
+        inputs: Value,
+        is_whole: impl Fn(&T) -> bool,
+        work: impl FnOnce() -> Result<T>,
+    ) -> Result<T> {
+        if let Some(done) = self.folder.done::<T>(stage)
+            && done.inputs == inputs
+            && is_whole(&done.result)
+        {
+            self.display.done(stage.name(), done.seconds, true);
+            return Ok(done.result);
+        }
+        self.folder.begin(stage)?;
+        self.display.begin(stage.name(), doing);
+        let started = Instant::now();
+        let result = work()?;
+        let done = Done { inputs, seconds: started.elapsed().as_secs_f64(), result };
+        self.folder.finish(stage, &done)?;
+        self.display.done(stage.name(), done.seconds, false);
+        Ok(done.result)
+    }
+
+    fn pictures(&self, source: &Source) -> Result<Pictures> {
+        let bytes = |path: &Path| fs::metadata(path).map_or(0, |found| found.len());
+        let inputs = match source {
+            Source::Film(film) => {
+                let name = film.file_name().unwrap_or_default().to_string_lossy();
+                json!({ "film": name, "bytes": bytes(film), "frames": self.arguments.frames })
+            }
+            Source::Photographs(all) => {
+                let listed = |photograph: &source::Photograph| json!([photograph.name, bytes(&photograph.path)]);
+                json!({ "photographs": all.iter().map(listed).collect::<Vec<_>>() })
+            }
+        };
+        let part = temporary("images");
+        let images = self.folder.path("images");
+        let work = || {
+            let mut pictures = match source {
+                Source::Film(film) => {
+                    let request = frames::Request { film, frames: self.arguments.frames, threads: self.arguments.threads };
+                    let mut tell = |line: &str| self.display.note(line);
+                    let mut progress = |doing: &'static str, done, total| self.display.progress(doing, done, total);
+                    frames::take(&request, &self.folder, &part, &self.stop, &mut tell, &mut progress)?
+                }
+                Source::Photographs(all) => {
+                    let log = self.folder.log("convert");
+                    let mut progress = |done, total| self.display.progress("photographs", done, total);
+                    photographs::make(all, self.folder.root(), &part, &log, &self.stop, &mut progress)?
+                }
+            };
+            self.folder.keep("images")?;
+            pictures.pictures.sort_by(|a, b| a.name.cmp(&b.name));
+            Ok(pictures)
+        };
+        let pictures = self.stage(Stage::Pictures, "pictures", inputs, |pictures: &Pictures| pictures.are_in(&images), work)?;
+        let [width, height] = pictures.pictures.first().map_or([0, 0], |picture| picture.size);
+        let by = pictures.converted_by.as_ref().map_or(String::new(), |by| format!(", converted by {by}"));
+        self.display.note(&format!(
+            "pictures: {}, the first of {width}×{height}{by}, in {}",
+            count(pictures.pictures.len() as u64, "picture"),
+            images.display()
+        ));
+        for left in pictures.left_out.iter().take(NAMED) {
+            self.display.note(&format!("left out: {}: {}", left.name, left.reason));
+        }
+        Ok(pictures)
+    }
+
+    /// Features, matches and a model.
+    fn placement(&self, pictures: &Pictures) -> Result<Placement> {
+        let asked = self.asked(pictures)?;
+        let earlier = [Stage::Features, Stage::Matches].iter().all(|stage| self.folder.done::<Value>(*stage).is_some());
+        if let Some(done) = self.folder.done::<Placement>(Stage::Model).filter(|done| earlier && done.result.asked == asked) {
+            self.display.done(Stage::Model.name(), done.seconds, true);
+            return Ok(done.result);
+        }
+        let poses = Poses::find(self.arguments.poses, self.began_with(), &self.arguments.input)?;
+        let decisions = decisions::decide(self.arguments, pictures, &poses.ability())?;
+        self.display.note(&format!("poses: by {}", poses.name()));
+        decisions.lines.iter().for_each(|line| self.display.note(line));
+
+        let inputs = json!({
+            "pictures": digest(&pictures.pictures)?,
+            "program": poses.name(),
+            "camera": decisions.camera,
+            "cameras": decisions.cameras,
+            "size": decisions.size,
+            "gpu": decisions.gpu,
+        });
+        let features = digest(&inputs)?;
+        let part = temporary("features.db");
+        self.stage(Stage::Features, "features", inputs, |_: &Value| true, || {
+            let mut progress = |done, total| self.display.progress("features", done, total);
+            let mut watching = Watching { stop: &self.stop, progress: &mut progress };
+            poses.features(&self.folder, &part, pictures, &decisions, &mut watching)?;
+            self.folder.keep_database("features.db").map(|()| Value::Null)
+        })?;
+
+        let inputs = json!({ "features": features, "pairs": decisions.pairs });
+        let matches = digest(&inputs)?;
+        self.stage(Stage::Matches, "matches", inputs, |_: &Value| true, || {
+            self.match_pairs(&poses, pictures, &decisions).map(|()| Value::Null)
+        })?;
+
+        let program = poses.mapper_name(&decisions);
+        let inputs = json!({ "matches": matches, "program": program, "global": decisions.global });
+        self.stage(Stage::Model, "cameras", inputs, |_: &Placement| true, || {
+            let models = self.place(&poses, pictures, &decisions)?;
+            Ok(Placement { asked, program, models })
+        })
+    }
+
+    /// What the user asked for of the cameras of these pictures.
+    fn asked(&self, pictures: &Pictures) -> Result<Value> {
+        let CaptureArguments { poses, camera, matcher, vocab_tree, mapper, size, .. } = self.arguments;
+        let options = format!("{poses:?} {camera:?} {matcher:?} {vocab_tree:?} {mapper:?} {size:?}");
+        Ok(json!({ "pictures": digest(&pictures.pictures)?, "options": options }))
+    }
+
+    /// The program that found the features that are there.
+    fn began_with(&self) -> Option<PosesProgram> {
+        let done = self.folder.done::<Value>(Stage::Features)?;
+        let program = done.inputs["program"].as_str()?;
+        Some(if program.starts_with("pycolmap") { PosesProgram::Pycolmap } else { PosesProgram::Colmap })
+    }
+
+    fn match_pairs(&self, poses: &Poses, pictures: &Pictures, decisions: &Decisions) -> Result<()> {
+        let part = temporary("database.db");
+        for end in ["", "-wal"] {
+            let (from, to) = (self.folder.path(&format!("features.db{end}")), self.folder.path(&format!("{part}{end}")));
+            if from.exists() {
+                fs::copy(&from, &to).map_err(|error| unwritable(&to, &error))?;
+            }
+        }
+        let mut progress = |done, total| self.display.progress("matches", done, total);
+        let mut watching = Watching { stop: &self.stop, progress: &mut progress };
+        poses.matches(&self.folder, &part, pictures, decisions, &mut watching)?;
+        self.folder.keep_database("database.db")
+    }
+
+    fn place(&self, poses: &Poses, pictures: &Pictures, decisions: &Decisions) -> Result<Models> {
+        let part = temporary("models");
+        let mut progress = |done, total| self.display.progress("cameras", done, total);
+        let mut watching = Watching { stop: &self.stop, progress: &mut progress };
+        poses.model(&self.folder, &part, pictures, decisions, &mut watching)?;
+        let models = models::read(&self.folder.path(&part))?;
+        let Some(best) = models.models.first() else { return Err(poses.placed_nothing(&self.folder)) };
+        self.folder.keep("models")?;
+        let sparse = self.folder.temporary("sparse");
+        models::copy(&self.folder.path("models").join(&best.folder), &sparse.join("0"))?;
+        self.folder.keep("sparse")?;
+        Ok(models)
+    }
+
+    /// What was placed and what was not, with reasons.
+    fn tell(&self, pictures: &Pictures, placement: &Placement) -> Vec<Unplaced> {
+        let models = &placement.models;
+        let Some(best) = models.models.first() else { return Vec::new() };
+        let all = pictures.pictures.len();
+        let error = best.error.map_or(String::new(), |error| format!(", mean error {error:.2} pixels"));
+        let placed = best.pictures.len();
+        self.display.note(&format!(
+            "cameras: {placed} of {} placed by {}, {}{error}",
+            count(all as u64, "picture"),
+            placement.program,
+            count(best.points as u64, "point")
+        ));
+        if models.models.len() > 1 {
+            let sizes: Vec<String> = models.models.iter().map(|model| format!("{} ({})", model.pictures.len(), model.folder)).collect();
+            self.display.note(&format!(
+                "models: {} of {} pictures, which share too little with each other; the largest is taken",
+                models.models.len(),
+                sizes.join(", ")
+            ));
+        }
+        let unplaced = unplaced::find(pictures, models, &self.folder.path("images"), &self.folder.path("database.db"));
+        for one in unplaced.iter().take(NAMED) {
+            self.display.note(&format!("not placed: {} ({}): {}", one.name, one.source, one.reason));
+        }
+        if unplaced.len() > NAMED {
+            let more = unplaced.len() - NAMED;
+            self.display.note(&format!("not placed: {more} more, which {} shows", self.folder.path("inspect.html").display()));
+        }
+        if 2 * placed < all {
+            self.display.note(
+                "warning: less than half of the pictures have a camera: take more with more overlap, or try --matcher exhaustive",
+            );
+        }
+        unplaced
+    }
+
+    /// Writes the page of what was understood.
+    fn page(&self, pictures: &Pictures, placement: &Placement, unplaced: &[Unplaced]) -> Result<()> {
+        let inputs = json!({ "asked": placement.asked, "models": digest(&placement.models)? });
+        let path = self.folder.path("inspect.html");
+        self.stage(Stage::Page, "photographs", inputs, |_: &Value| true, || {
+            let root = self.folder.root().to_string_lossy().into_owned();
+            let settings = trimip::settings::defaults().with("data.root", root)?;
+            let seen = trimip::inspect::inspect(settings, &unwatched)?;
+            let images = self.folder.path("images");
+            let of_unplaced = |one: &Unplaced| UnplacedPicture {
+                name: one.name.clone(),
+                path: Some(images.join(&one.name)),
+                reason: format!("{}: {}", one.source, one.reason),
+            };
+            let of_left_out = |left: &pictures::LeftOut| UnplacedPicture {
+                name: left.name.clone(),
+                path: None,
+                reason: left.reason.clone(),
+            };
+            let all: Vec<UnplacedPicture> =
+                unplaced.iter().map(of_unplaced).chain(pictures.left_out.iter().map(of_left_out)).collect();
+            let page = report::inspect::page_with(&seen, &all)?;
+            report::save(&path, &page)?;
+            Ok(Value::Null)
+        })?;
+        self.display.note(&format!("page: {}", path.display()));
+        Ok(())
+    }
+}

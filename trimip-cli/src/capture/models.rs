@@ -1,0 +1,88 @@
+//! The models that a mapper wrote: several where pictures fall apart into groups without a common point. The one with most pictures is
+//! taken.
+
+use super::folder::unwritable;
+use serde::{Deserialize, Serialize};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+use trimip::Result;
+use trimip_data::colmap::Model;
+
+/// A model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Placed {
+    /// Its folder in `models/`.
+    pub folder: String,
+    /// Pictures whose cameras it has, with the number of their features that it has points of.
+    pub pictures: BTreeMap<String, usize>,
+    /// Number of its points.
+    pub points: usize,
+    /// Mean distance of points from their features, pixels, over points.
+    pub error: Option<f64>,
+}
+
+/// What the mapper came to: all models, that with most pictures first.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Models {
+    /// The models.
+    pub models: Vec<Placed>,
+}
+
+/// Reads the models in the folders of `root`, that with most pictures first.
+///
+/// # Errors
+/// When a model cannot be read.
+pub fn read(root: &Path) -> Result<Models> {
+    let entries = root.read_dir().map_err(|error| unwritable(root, &error))?;
+    let mut folders: Vec<PathBuf> =
+        entries.flatten().map(|entry| entry.path()).filter(|path| holds_model(path)).collect();
+    folders.sort();
+    // Some write one model into the folder itself.
+    if folders.is_empty() && holds_model(root) {
+        folders.push(root.into());
+    }
+    let mut models = folders.iter().map(|folder| placed(root, folder)).collect::<Result<Vec<_>>>()?;
+    models.retain(|model| !model.pictures.is_empty());
+    models.sort_by(|a, b| b.pictures.len().cmp(&a.pictures.len()).then(b.points.cmp(&a.points)));
+    Ok(Models { models })
+}
+
+fn holds_model(folder: &Path) -> bool {
+    ["bin", "txt"].iter().any(|end| folder.join(format!("images.{end}")).is_file())
+}
+
+fn placed(root: &Path, folder: &Path) -> Result<Placed> {
+    let model = Model::read(folder)?;
+    let mut seen: BTreeMap<u32, usize> = BTreeMap::new();
+    model.points.iter().flat_map(|point| &point.track).for_each(|[image, _]| *seen.entry(*image).or_default() += 1);
+    let errors: Vec<f64> = model.points.iter().map(|point| point.error).filter(|error| *error >= 0.0).collect();
+    let name = folder.strip_prefix(root).unwrap_or(folder).display().to_string();
+    Ok(Placed {
+        folder: name,
+        points: model.points.len(),
+        error: (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64),
+        pictures: model
+            .images
+            .into_iter()
+            .map(|image| (image.name, seen.get(&image.id).copied().unwrap_or(0)))
+            .collect(),
+    })
+}
+
+/// Copies the files of a model into a new folder.
+///
+/// # Errors
+/// When they cannot be copied.
+pub fn copy(from: &Path, to: &Path) -> Result<()> {
+    fs::create_dir_all(to).map_err(|error| unwritable(to, &error))?;
+    for entry in from.read_dir().map_err(|error| unwritable(from, &error))?.flatten() {
+        let (path, target) = (entry.path(), to.join(entry.file_name()));
+        if path.is_file() {
+            fs::copy(&path, &target).map_err(|error| unwritable(&target, &error))?;
+        }
+    }
+    Ok(())
+}

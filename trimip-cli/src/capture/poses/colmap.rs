@@ -1,0 +1,188 @@
+//! The program `colmap`, of any version since 3.6, and `glomap`. Names of options changed with versions: those that its help lists are used.
+
+use crate::capture::{
+    decisions::{Cameras, Decisions, Pairs},
+    folder::Folder,
+    process::{Call, ask},
+    programs,
+};
+use std::{
+    collections::BTreeSet,
+    ffi::OsString,
+    path::{Path, PathBuf},
+};
+use trimip::Result;
+
+/// The program.
+pub struct Colmap {
+    program: PathBuf,
+    /// `colmap 3.8`.
+    pub version: String,
+    /// Built with CUDA.
+    pub has_cuda: bool,
+    commands: BTreeSet<String>,
+}
+
+impl Colmap {
+    /// The program, if it is on the path and runs.
+    pub fn find() -> Option<Self> {
+        let program = programs::find("colmap")?;
+        let help = ask(&program, &["help"])?;
+        let first = help.lines().find(|line| line.contains("COLMAP")).unwrap_or_default();
+        let version = first.split("COLMAP").nth(1).and_then(|rest| rest.split_whitespace().next());
+        let version = format!("colmap {}", version.unwrap_or("of an unknown version"));
+        let has_cuda = help.contains("with CUDA");
+        // Available commands stand alone on their lines.
+        let commands = help.lines().map(str::trim).filter(|line| !line.contains(' ')).map(String::from).collect();
+        Some(Self { program, version, has_cuda, commands })
+    }
+
+    /// True if it places all cameras at once.
+    pub fn has_global(&self) -> bool {
+        self.commands.contains("global_mapper")
+    }
+
+    /// A call of a command with those of the options that it has: an option may have several names, of which the first that is there
+    /// is taken.
+    fn call(&self, folder: &Folder, log: &str, command: &str, options: &[(&[&str], OsString)]) -> Call<'_> {
+        let known = self.options_of(command);
+        let mut arguments: Vec<OsString> = vec![command.into()];
+        for (names, value) in options {
+            // A help that is not understood is no reason to leave out what every version has.
+            let required = names.len() == 1 && names[0].ends_with("_path") && !names[0].contains('.');
+            let name = names.iter().find(|name| known.contains(**name) || required);
+            if let Some(name) = name {
+                arguments.push(format!("--{name}").into());
+                arguments.push(value.clone());
+            }
+        }
+        let root = folder_of(folder);
+        Call { name: self.name_of(command), program: &self.program, arguments, folder: root, log: folder.log(log) }
+    }
+
+    fn name_of(&self, command: &str) -> &'static str {
+        match command {
+            "feature_extractor" => "colmap feature_extractor",
+            "exhaustive_matcher" => "colmap exhaustive_matcher",
+            "sequential_matcher" => "colmap sequential_matcher",
+            "vocab_tree_matcher" => "colmap vocab_tree_matcher",
+            "matches_importer" => "colmap matches_importer",
+            "global_mapper" => "colmap global_mapper",
+            _ => "colmap mapper",
+        }
+    }
+
+    /// The options that the help of a command lists.
+    fn options_of(&self, command: &str) -> BTreeSet<String> {
+        let help = ask(&self.program, &[command, "--help"]).or_else(|| ask(&self.program, &[command, "-h"]));
+        options(&help.unwrap_or_default())
+    }
+
+    /// Finds features.
+    pub fn features<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
+        let flag = |cameras: Cameras| OsString::from(if by.cameras == cameras { "1" } else { "0" });
+        let options: Vec<(&[&str], OsString)> = vec![
+            (&["database_path"], database.into()),
+            (&["image_path"], "images".into()),
+            (&["ImageReader.camera_model"], by.camera.into()),
+            (&["ImageReader.single_camera"], flag(Cameras::One)),
+            (&["ImageReader.single_camera_per_folder"], flag(Cameras::PerFolder)),
+            (&["ImageReader.single_camera_per_image"], flag(Cameras::PerImage)),
+            (&["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], number(by.size)),
+            (&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"], u32::from(by.gpu).to_string().into()),
+            (&["FeatureExtraction.num_threads", "SiftExtraction.num_threads"], threads(by)),
+        ];
+        Ok(self.call(folder, "features", "feature_extractor", &options))
+    }
+
+    /// Compares pairs.
+    pub fn matches<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
+        let mut options = matching(database, by);
+        let command = match &by.pairs {
+            Pairs::Exhaustive => "exhaustive_matcher",
+            Pairs::Vocabulary { tree } => {
+                options.push((&["VocabTreeMatching.vocab_tree_path"], tree.into()));
+                "vocab_tree_matcher"
+            }
+            Pairs::Sequential { overlap, tree, .. } => {
+                options.push((&["SequentialMatching.overlap"], number(*overlap)));
+                options.push((&["SequentialMatching.quadratic_overlap"], "1".into()));
+                options.push((&["SequentialMatching.loop_detection"], u32::from(tree.is_some()).to_string().into()));
+                if let Some(tree) = tree {
+                    options.push((&["SequentialMatching.vocab_tree_path"], tree.into()));
+                }
+                "sequential_matcher"
+            }
+        };
+        Ok(self.call(folder, "matches", command, &options))
+    }
+
+    /// Compares the pairs of a list.
+    pub fn loops<'a>(&'a self, folder: &'a Folder, database: &str, list: &str, by: &Decisions) -> Result<Option<Call<'a>>> {
+        let mut options = matching(database, by);
+        options.push((&["match_list_path"], list.into()));
+        options.push((&["match_type"], "pairs".into()));
+        let is_there = self.commands.contains("matches_importer");
+        Ok(is_there.then(|| self.call(folder, "loops", "matches_importer", &options)))
+    }
+
+    /// Places cameras.
+    pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Result<Call<'a>> {
+        let options: Vec<(&[&str], OsString)> = vec![
+            (&["database_path"], "database.db".into()),
+            (&["image_path"], "images".into()),
+            (&["output_path"], models.into()),
+            (&["Mapper.num_threads", "GlobalMapper.num_threads"], threads(by)),
+        ];
+        let command = if by.global { "global_mapper" } else { "mapper" };
+        Ok(self.call(folder, "model", command, &options))
+    }
+}
+
+/// Places cameras by glomap.
+pub fn glomap<'a>(folder: &'a Folder, program: &'a Path, models: &str) -> Call<'a> {
+    let call =
+        Call { name: "glomap mapper", program, arguments: Vec::new(), folder: folder_of(folder), log: folder.log("model") };
+    call.with(["mapper", "--database_path", "database.db", "--image_path", "images", "--output_path", models])
+}
+
+/// What all matchers have.
+fn matching(database: &str, by: &Decisions) -> Vec<(&'static [&'static str], OsString)> {
+    vec![
+        (&["database_path"], database.into()),
+        (&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], u32::from(by.gpu).to_string().into()),
+        (&["FeatureMatching.num_threads", "SiftMatching.num_threads"], threads(by)),
+    ]
+}
+
+/// Programs run in the folder of the capture, so that no name on their command line holds what it may not.
+fn folder_of(folder: &Folder) -> &Path {
+    folder.root()
+}
+
+fn number(value: u32) -> OsString {
+    value.to_string().into()
+}
+
+/// COLMAP takes −1 for all.
+fn threads(by: &Decisions) -> OsString {
+    if by.threads == 0 { "-1".into() } else { number(by.threads) }
+}
+
+/// The options in a help: words that begin with two hyphens.
+fn options(help: &str) -> BTreeSet<String> {
+    let words = help.split(|c: char| c.is_whitespace() || c == '=' || c == '[' || c == ',');
+    words.filter_map(|word| word.strip_prefix("--")).filter(|word| !word.is_empty()).map(String::from).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_are_those_of_the_help() {
+        let help = "Options:\n  -h [ --help ]\n  --SiftExtraction.use_gpu arg (=1)\n  --match_type arg (=pairs)   {'pairs'}\n";
+        let expected = ["SiftExtraction.use_gpu", "help", "match_type"].map(String::from);
+        assert_eq!(options(help).into_iter().collect::<Vec<_>>(), expected);
+    }
+}

@@ -1,0 +1,238 @@
+//! Finding the poses of pictures by the programs of others, in three stages: features, matches, a model. COLMAP is called and not linked:
+//! it is a large program in C++ with its own solvers and GPU code, it comes ready for every system, and what it
+//! computes is kept in files that this program reads anyway.
+
+mod colmap;
+mod counts;
+mod python;
+
+use super::{
+    ability::Ability,
+    decisions::{Decisions, Pairs},
+    folder::Folder,
+    pictures::Pictures,
+    process::{self, Call},
+    programs::{self, Need},
+};
+use crate::args::PosesProgram;
+use colmap::Colmap;
+use counts::Counter;
+use python::Python;
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::atomic::AtomicBool,
+};
+use trimip::{Error, Result};
+
+/// The programs that find poses.
+pub struct Poses {
+    /// What finds features and matches, and places cameras.
+    engine: Engine,
+    /// Places cameras instead.
+    glomap: Option<PathBuf>,
+    /// Whether glomap was asked for.
+    only_glomap: bool,
+}
+
+enum Engine {
+    Colmap(Colmap),
+    Python(Python),
+}
+
+/// How a stage is watched: whether it shall stop, and its counts, done of all; 0 of 0 where nothing is known.
+pub struct Watching<'a> {
+    /// Set by the user's Ctrl-C.
+    pub stop: &'a AtomicBool,
+    /// Takes the counts.
+    pub progress: &'a mut dyn FnMut(u64, u64),
+}
+
+impl Poses {
+    /// The first of colmap and pycolmap that is there, that which began first; `wanted` alone if it is given. `place` is what needs it.
+    ///
+    /// # Errors
+    /// Of kind `Input`, with the line that installs what is missing.
+    pub fn find(wanted: Option<PosesProgram>, began: Option<PosesProgram>, place: &Path) -> Result<Self> {
+        let glomap = programs::find("glomap");
+        let only_glomap = wanted == Some(PosesProgram::Glomap);
+        if only_glomap && glomap.is_none() {
+            return Err(Need::Glomap.missing("--poses glomap"));
+        }
+        let colmap = || Colmap::find().map(Engine::Colmap);
+        let python = || Python::find().map(Engine::Python);
+        let engine = match wanted {
+            Some(PosesProgram::Colmap) => colmap().ok_or_else(|| Need::Colmap.missing("--poses colmap")),
+            Some(PosesProgram::Pycolmap) => python().ok_or_else(|| Need::Pycolmap.missing("--poses pycolmap")),
+            // glomap places cameras, and others find features and matches.
+            _ if began == Some(PosesProgram::Pycolmap) => {
+                python().or_else(colmap).ok_or_else(|| Need::Poses.missing(place.display()))
+            }
+            _ => colmap().or_else(python).ok_or_else(|| Need::Poses.missing(place.display())),
+        };
+        let glomap = glomap.filter(|_| wanted.is_none() || only_glomap);
+        Ok(Self { engine: engine?, glomap, only_glomap })
+    }
+
+    /// What finds features and matches, with its version.
+    pub fn name(&self) -> &str {
+        match &self.engine {
+            Engine::Colmap(colmap) => &colmap.version,
+            Engine::Python(python) => &python.version,
+        }
+    }
+
+    /// What they can do.
+    pub fn ability(&self) -> Ability {
+        let (own, gpu, why_no_gpu) = match &self.engine {
+            Engine::Colmap(colmap) => (colmap.has_global(), colmap.has_cuda, "this COLMAP is built without CUDA"),
+            Engine::Python(python) => (python.has_global, python.has_cuda, "this pycolmap is built without CUDA"),
+        };
+        let has_gpu = gpu && has_nvidia();
+        Ability {
+            name: self.name().into(),
+            global: own || self.glomap.is_some(),
+            only_global: self.only_glomap,
+            gpu: has_gpu,
+            why_no_gpu: if gpu { "no NVIDIA GPU is here".into() } else { why_no_gpu.into() },
+        }
+    }
+
+    /// What places the cameras, in words.
+    pub fn mapper_name(&self, decisions: &Decisions) -> String {
+        match self.glomap_of(decisions) {
+            Some(_) => "glomap".into(),
+            None => self.name().into(),
+        }
+    }
+
+    /// glomap, if it places the cameras.
+    fn glomap_of(&self, decisions: &Decisions) -> Option<&Path> {
+        let own = match &self.engine {
+            Engine::Colmap(colmap) => colmap.has_global(),
+            Engine::Python(python) => python.has_global,
+        };
+        self.glomap.as_deref().filter(|_| decisions.global && (self.only_glomap || !own))
+    }
+
+    /// Finds the features of all pictures, into the new file `database` of the folder.
+    ///
+    /// # Errors
+    /// When the program fails.
+    pub fn features(
+        &self,
+        folder: &Folder,
+        database: &str,
+        pictures: &Pictures,
+        decisions: &Decisions,
+        watching: &mut Watching<'_>,
+    ) -> Result<()> {
+        let all = pictures.pictures.len() as u64;
+        let call = match &self.engine {
+            Engine::Colmap(colmap) => colmap.features(folder, database, decisions)?,
+            Engine::Python(python) => python.features(folder, database, decisions)?,
+        };
+        run(&call, Counter::features(all), watching)
+    }
+
+    /// Compares pairs of pictures, and adds what matches to `database` of the folder.
+    ///
+    /// # Errors
+    /// When a program fails.
+    pub fn matches(
+        &self,
+        folder: &Folder,
+        database: &str,
+        pictures: &Pictures,
+        decisions: &Decisions,
+        watching: &mut Watching<'_>,
+    ) -> Result<()> {
+        let call = match &self.engine {
+            Engine::Colmap(colmap) => colmap.matches(folder, database, decisions)?,
+            Engine::Python(python) => python.matches(folder, database, decisions)?,
+        };
+        run(&call, Counter::matches(), watching)?;
+        let Pairs::Sequential { every: every @ 1.., .. } = decisions.pairs else { return Ok(()) };
+        // Pictures far apart in the film may see the same.
+        let list = "log/pairs.txt";
+        let spread: Vec<&str> =
+            pictures.pictures.iter().step_by(every).map(|picture| picture.name.as_str()).collect();
+        let mut text = String::new();
+        for (index, first) in spread.iter().enumerate() {
+            for second in &spread[index + 1..] {
+                text += &format!("{first} {second}\n");
+            }
+        }
+        let path = folder.path(list);
+        fs::write(&path, text).map_err(|error| super::folder::unwritable(&path, &error))?;
+        let call = match &self.engine {
+            Engine::Colmap(colmap) => colmap.loops(folder, database, list, decisions)?,
+            Engine::Python(python) => python.loops(folder, database, list, decisions)?,
+        };
+        match call {
+            Some(call) => run(&call, Counter::matches(), watching),
+            None => Ok(()),
+        }
+    }
+
+    /// Places cameras: writes models, each in a folder of its number, into the new folder `models`.
+    ///
+    /// # Errors
+    /// When the program fails otherwise than by finding no model.
+    pub fn model(
+        &self,
+        folder: &Folder,
+        models: &str,
+        pictures: &Pictures,
+        decisions: &Decisions,
+        watching: &mut Watching<'_>,
+    ) -> Result<()> {
+        let path = folder.path(models);
+        fs::create_dir_all(&path).map_err(|error| super::folder::unwritable(&path, &error))?;
+        let all = pictures.pictures.len() as u64;
+        let call = match (self.glomap_of(decisions), &self.engine) {
+            (Some(glomap), _) => colmap::glomap(folder, glomap, models),
+            (None, Engine::Colmap(colmap)) => colmap.model(folder, models, decisions)?,
+            (None, Engine::Python(python)) => python.model(folder, models, decisions)?,
+        };
+        let mut counter = Counter::model(all);
+        let ended = call.run_to_end(watching.stop, &mut |line: &str| {
+            if let Some((done, all)) = counter.count(line) {
+                (watching.progress)(done, all);
+            }
+        })?;
+        // COLMAP calls it a failure where no camera can be placed.
+        if ended.is_success() || counter.found_nothing() {
+            return Ok(());
+        }
+        Err(call.failed(&ended))
+    }
+
+    /// The error of pictures of which no camera was placed.
+    pub fn placed_nothing(&self, folder: &Folder) -> Error {
+        Error::input(
+            folder.path("images").display(),
+            format!("{} placed none of these pictures", self.name()),
+            format!(
+                "take more with more overlap, sharper ones, or try --matcher exhaustive; all it said is in {}",
+                folder.log("model").display()
+            ),
+        )
+    }
+}
+
+fn run(call: &Call<'_>, mut counter: Counter, watching: &mut Watching<'_>) -> Result<()> {
+    let progress = &mut watching.progress;
+    call.run(watching.stop, &mut |line: &str| {
+        if let Some((done, all)) = counter.count(line) {
+            progress(done, all);
+        }
+    })
+    .map(drop)
+}
+
+/// True if the driver of NVIDIA lists a GPU.
+fn has_nvidia() -> bool {
+    let lists = programs::find("nvidia-smi").and_then(|program| process::ask(&program, &["-L"]));
+    lists.is_some_and(|list| list.contains("GPU "))
+}

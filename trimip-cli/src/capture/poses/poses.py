@@ -1,0 +1,122 @@
+"""One stage of finding the poses of pictures by pycolmap, of any version since 0.4: `poses.py STAGE JSON`, called by
+`trimip-cli capture` in the folder of the capture. Functions and options that a version does not know are left out.
+"""
+
+import json
+import sys
+
+import pycolmap
+
+
+def made(names, **values):
+    """An object of the first class of these names that is there, with those of the values that it knows; None without one."""
+    for name in names:
+        kind = getattr(pycolmap, name, None)
+        if kind is None:
+            continue
+        options = kind()
+        for key, value in values.items():
+            if value is not None and hasattr(options, key):
+                setattr(options, key, value)
+        return options
+    return None
+
+
+def call(function, *required, **optional):
+    """Calls a function with those of the optional arguments that its first line of documentation names."""
+    known = (function.__doc__ or "").split("->")[0]
+    given = {key: value for key, value in optional.items() if value is not None and f"{key}:" in known}
+    return function(*required, **given)
+
+
+def device(o):
+    kinds = getattr(pycolmap, "Device", None)
+    return kinds and (kinds.auto if o["gpu"] else kinds.cpu)
+
+
+def features(o):
+    common = dict(use_gpu=o["gpu"], num_threads=o["threads"], max_image_size=o["max_image_size"])
+    call(
+        pycolmap.extract_features,
+        o["database"],
+        o["images"],
+        camera_mode=getattr(pycolmap.CameraMode, o["camera_mode"]),
+        camera_model=o["camera_model"],
+        reader_options=made(["ImageReaderOptions"], camera_model=o["camera_model"]),
+        extraction_options=made(["FeatureExtractionOptions"], **common),
+        sift_options=made(["SiftExtractionOptions"], **common),
+        device=device(o),
+    )
+
+
+def match(function, o, pairing):
+    """Calls a matcher: the options of its pairs are `pairing_options` or `matching_options`, by version."""
+    common = dict(use_gpu=o["gpu"], num_threads=o["threads"])
+    later = hasattr(pycolmap, "FeatureMatchingOptions")
+    call(
+        function,
+        o["database"],
+        matching_options=made(["FeatureMatchingOptions"], **common) if later else pairing,
+        pairing_options=pairing,
+        sift_options=None if later else made(["SiftMatchingOptions"], **common),
+        device=device(o),
+    )
+
+
+def exhaustive(o):
+    match(pycolmap.match_exhaustive, o, None)
+
+
+def sequential(o):
+    names = ["SequentialPairingOptions", "SequentialMatchingOptions"]
+    tree = o["vocab_tree"]
+    values = dict(overlap=o["overlap"], quadratic_overlap=True, loop_detection=tree is not None, vocab_tree_path=tree)
+    match(pycolmap.match_sequential, o, made(names, **values))
+
+
+def vocabulary(o):
+    names = ["VocabTreePairingOptions", "VocabTreeMatchingOptions"]
+    match(pycolmap.match_vocabtree, o, made(names, vocab_tree_path=o["vocab_tree"]))
+
+
+def pairs(o):
+    function = getattr(pycolmap, "match_image_pairs", None)
+    options = made(["ImportedPairingOptions", "ImagePairsMatchingOptions"], match_list_path=o["list"])
+    if function is None or options is None:
+        print("this version compares no pairs of a list", flush=True)
+        return
+    match(function, o, options)
+
+
+def said(models):
+    """Tells in COLMAP's words that there is no model: it is no failure of the program."""
+    if not models:
+        print("failed to create sparse model", flush=True)
+
+
+def incremental(o):
+    options = made(["IncrementalPipelineOptions", "IncrementalMapperOptions"], num_threads=o["threads"])
+    said(call(pycolmap.incremental_mapping, o["database"], o["images"], o["models"], options=options))
+
+
+def global_(o):
+    options = made(["GlobalPipelineOptions"], num_threads=o["threads"])
+    said(call(pycolmap.global_mapping, o["database"], o["images"], o["models"], options=options))
+
+
+STAGES = {
+    "features": features,
+    "exhaustive": exhaustive,
+    "sequential": sequential,
+    "vocabulary": vocabulary,
+    "pairs": pairs,
+    "incremental": incremental,
+    "global": global_,
+}
+
+# What it says goes to this program and not to files of its own.
+logging = getattr(pycolmap, "logging", None)
+for name in ["logtostderr", "alsologtostderr"]:
+    if hasattr(logging, name):
+        setattr(logging, name, True)
+STAGES[sys.argv[1]](json.loads(sys.argv[2]))

@@ -1,0 +1,96 @@
+//! `capture`: a scene of a film or of photographs without cameras; then, if asked, a model of it, a film and a page.
+
+use super::{export, render, train};
+use crate::{
+    args::{Arguments, CaptureArguments, ProgressStyle, Verb},
+    capture::{
+        self, Captured,
+        process::{quoted, quoted_path},
+        programs,
+    },
+    settings, terminal,
+};
+use clap::Parser;
+use std::path::Path;
+use trimip::{Error, Result};
+
+/// Frames of the film, and its longest side, pixels.
+const FRAMES: u32 = 120;
+const LONGEST: u32 = 640;
+
+/// The page's program, where `tools/web.sh` puts it.
+const PAGE: &str = "target/web/trimip_web.js";
+
+/// Captures, and trains on it if asked.
+pub fn run(arguments: &CaptureArguments) -> Result<u8> {
+    if let Some(minutes) = arguments.minutes.filter(|minutes| !(minutes.is_finite() && *minutes > 0.0)) {
+        return Err(Error::input(format!("--minutes {minutes}"), "is no time", "give a number above 0"));
+    }
+    let captured = capture::run(arguments)?;
+    if !arguments.train {
+        return Ok(0);
+    }
+    let root = path_of(&captured.root);
+    let mut words = vec!["train".to_string(), root];
+    if let Some(minutes) = arguments.minutes {
+        words.extend(["--minutes".into(), minutes.to_string()]);
+    }
+    words.extend(arguments.set.iter().flat_map(|set| ["--set".into(), set.clone()]));
+    match arguments.progress {
+        ProgressStyle::Auto => {}
+        ProgressStyle::Bar => words.extend(["--progress".into(), "bar".into()]),
+        ProgressStyle::Json => words.extend(["--progress".into(), "json".into()]),
+    }
+    let code = command(&words)?;
+    if code != 0 {
+        return Ok(code);
+    }
+    show(&captured)
+}
+
+/// A film along the cameras and a page of the model that was trained, as far as their programs are there.
+fn show(captured: &Captured) -> Result<u8> {
+    let run = settings::default_folder(None, Some(&captured.root), None);
+    let (run_name, film) = (path_of(&run), path_of(&run.join("flythrough.mp4")));
+    if programs::find("ffmpeg").is_some() {
+        let [width, height] = captured.size;
+        let width = (u64::from(width) * u64::from(LONGEST) / u64::from(width.max(height).max(1))).max(16);
+        let mut words = vec!["render".to_string(), run_name.clone(), "--flythrough".into(), FRAMES.to_string()];
+        words.extend(["--width".into(), width.min(u64::from(captured.size[0]).max(16)).to_string()]);
+        words.extend(["--out".into(), path_of(&run.join("flythrough")), "--video".into(), film]);
+        let code = command(&words)?;
+        if code != 0 {
+            return Ok(code);
+        }
+    } else {
+        terminal::aside("no film: there is no ffmpeg on this machine");
+    }
+    if Path::new(PAGE).is_file() {
+        return command(&["export".into(), "web".into(), run_name]);
+    }
+    terminal::aside(format!(
+        "no page: {PAGE} is not there; tools/web.sh builds it, then: trimip-cli export web {}",
+        quoted_path(&run)
+    ));
+    Ok(0)
+}
+
+/// Tells a command and does what it would do.
+fn command(words: &[String]) -> Result<u8> {
+    let told: Vec<String> = words.iter().map(|word| quoted(word)).collect();
+    terminal::aside(format!("trimip-cli {}", told.join(" ")));
+    let program = std::iter::once("trimip-cli".to_string());
+    let parsed = Arguments::try_parse_from(program.chain(words.iter().cloned()));
+    match parsed.map_err(Error::run)?.verb {
+        Some(Verb::Train(arguments)) => train::run(&arguments),
+        Some(Verb::Render(arguments)) => render::run(&arguments),
+        Some(Verb::Export(arguments)) => export::run(&arguments),
+        _ => Err(Error::run("a command that capture does not know")),
+    }
+}
+
+/// A path as an argument that is no option.
+fn path_of(path: &Path) -> String {
+    let plain = path.display().to_string();
+    if plain.starts_with('-') { format!("./{plain}") } else { plain }
+}
