@@ -143,9 +143,12 @@ mod tests {
     fn what_is_no_scene_is_answered_with_what_to_type() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
-        for (name, answer) in
-            [("transforms.json", None), ("a.toml", Some("--config")), ("b.png", Some("transforms.json")), ("-c d.MP4", Some("trimip-cli capture"))]
-        {
+        for (name, answer) in [
+            ("transforms.json", None),
+            ("a.toml", Some("--config")),
+            ("b.png", Some("transforms.json")),
+            ("-c d.MP4", Some("trimip-cli capture")),
+        ] {
             std::fs::write(path(name), "").unwrap();
             match (scene_root(&path(name)), answer) {
                 (Ok(root), None) => assert_eq!(Path::new(&root), folder.path()),

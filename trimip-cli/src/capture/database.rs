@@ -251,11 +251,18 @@ mod tests {
     #[test]
     fn counts_are_those_of_the_tables() {
         let text = |text: &str| Value::Text(text.into());
-        let table = |name: &str, root| vec![text("table"), text(name), text(name), Value::Number(root), text("CREATE")];
+        let table = |name: &str, root| {
+            vec![text("table"), text(name), text(name), Value::Number(root), text("CREATE")]
+        };
         let index = vec![text("index"), text("images"), text("x"), Value::Number(9), text("CREATE")];
         let mut first = leaf(
             HEADER,
-            &[(1, table("images", 2)), (2, table("keypoints", 3)), (3, table("two_view_geometries", 4)), (4, index)],
+            &[
+                (1, table("images", 2)),
+                (2, table("keypoints", 3)),
+                (3, table("two_view_geometries", 4)),
+                (4, index),
+            ],
         );
         first[..16].copy_from_slice(MAGIC);
         first[16..18].copy_from_slice(&512_u16.to_be_bytes());

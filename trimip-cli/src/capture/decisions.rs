@@ -106,12 +106,18 @@ pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability)
     };
     lines.push(match largest <= size {
         true => format!("features: of whole pictures, at most {size} pixels a side ({reason})"),
-        false => format!("features: of pictures reduced to {size} of {largest} pixels a side ({reason}; --size N)"),
+        false => {
+            format!("features: of pictures reduced to {size} of {largest} pixels a side ({reason}; --size N)")
+        }
     });
 
     let tree = match &arguments.vocab_tree {
         Some(path) if !path.is_file() => {
-            return Err(Error::input(path.display(), "is no vocabulary tree", "name a file of one, or leave --vocab-tree out"));
+            return Err(Error::input(
+                path.display(),
+                "is no vocabulary tree",
+                "name a file of one, or leave --vocab-tree out",
+            ));
         }
         Some(path) => Some(std::path::absolute(path).unwrap_or_else(|_| path.clone())),
         None => None,
@@ -132,7 +138,16 @@ pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability)
     };
     let how = if global { "all at once" } else { "one after the other" };
     lines.push(format!("mapper: cameras are placed {how} ({why})"));
-    Ok(Decisions { camera: lens.name(), cameras, size, gpu: able.gpu, pairs, global, threads: arguments.threads, lines })
+    Ok(Decisions {
+        camera: lens.name(),
+        cameras,
+        size,
+        gpu: able.gpu,
+        pairs,
+        global,
+        threads: arguments.threads,
+        lines,
+    })
 }
 
 fn cameras(pictures: &Pictures) -> (Cameras, String) {
@@ -143,7 +158,9 @@ fn cameras(pictures: &Pictures) -> (Cameras, String) {
         several if several <= MOST_SIZES && fewest >= FEWEST_OF_A_SIZE => {
             (Cameras::PerFolder, format!("one for each of {several} sizes of pictures"))
         }
-        several => (Cameras::PerImage, format!("one for each picture: they have {several} sizes, some of them rare")),
+        several => {
+            (Cameras::PerImage, format!("one for each picture: they have {several} sizes, some of them rare"))
+        }
     }
 }
 
@@ -165,7 +182,9 @@ fn pairs(
         let text = format!("each picture with the {OVERLAP} next ones and some farther on ({why}){loops}");
         (Pairs::Sequential { overlap: OVERLAP, every, tree }, text)
     };
-    let exhaustive = |why: &str| (Pairs::Exhaustive, format!("each picture with each, {} ({why})", count(all as u64, "pair")));
+    let exhaustive = |why: &str| {
+        (Pairs::Exhaustive, format!("each picture with each, {} ({why})", count(all as u64, "pair")))
+    };
     Ok(match (wanted, tree) {
         (Some(Matcher::Exhaustive), _) => exhaustive("as asked for"),
         (Some(Matcher::Sequential), tree) => sequential(tree, LOOP_PAIRS, "as asked for"),
@@ -173,13 +192,19 @@ fn pairs(
             (Pairs::Vocabulary { tree }, "each picture with those that look alike (as asked for)".into())
         }
         (Some(Matcher::Vocabulary), None) => {
-            return Err(Error::input("--matcher vocabulary", "needs a vocabulary tree", "name its file with --vocab-tree"));
+            return Err(Error::input(
+                "--matcher vocabulary",
+                "needs a vocabulary tree",
+                "name its file with --vocab-tree",
+            ));
         }
         (None, tree) if of_film => sequential(tree, LOOP_PAIRS, "a film"),
         (None, _) if number <= EXHAUSTIVE => exhaustive(&format!("up to {EXHAUSTIVE} photographs")),
         (None, Some(tree)) => (
             Pairs::Vocabulary { tree },
-            format!("each picture with those that look alike (more than {EXHAUSTIVE} photographs, by the tree)"),
+            format!(
+                "each picture with those that look alike (more than {EXHAUSTIVE} photographs, by the tree)"
+            ),
         ),
         (None, None) => sequential(
             None,
@@ -214,7 +239,8 @@ mod tests {
             seconds: None,
             sharpness: None,
         };
-        let pictures = sizes.iter().flat_map(|&(width, count)| std::iter::repeat_n(picture(width), count)).collect();
+        let pictures =
+            sizes.iter().flat_map(|&(width, count)| std::iter::repeat_n(picture(width), count)).collect();
         Pictures { pictures, of_film, ..Pictures::default() }
     }
 
@@ -233,9 +259,13 @@ mod tests {
 
     #[test]
     fn decisions_follow_the_pictures() {
-        let decided = |more: &[&str], pictures: &Pictures, able: &Ability| decide(&arguments(more), pictures, able);
+        let decided =
+            |more: &[&str], pictures: &Pictures, able: &Ability| decide(&arguments(more), pictures, able);
         let film = decided(&[], &pictures(&[(1920, 120)], true), &able(false, false)).unwrap();
-        assert_eq!((film.camera, film.cameras, film.size, film.global), ("OPENCV", Cameras::One, 1600, false));
+        assert_eq!(
+            (film.camera, film.cameras, film.size, film.global),
+            ("OPENCV", Cameras::One, 1600, false)
+        );
         assert_eq!(film.pairs, Pairs::Sequential { overlap: 10, every: 3, tree: None });
         let few = decided(&[], &pictures(&[(1920, 50)], false), &able(true, true)).unwrap();
         assert_eq!((few.pairs, few.size, few.global), (Pairs::Exhaustive, 3200, false));
@@ -251,7 +281,8 @@ mod tests {
     #[test]
     fn what_the_user_gives_counts() {
         let photographs = pictures(&[(1920, 50)], false);
-        let more = ["--camera", "opencv-fisheye", "--matcher", "sequential", "--size", "800", "--mapper", "global"];
+        let more =
+            ["--camera", "opencv-fisheye", "--matcher", "sequential", "--size", "800", "--mapper", "global"];
         let decided = decide(&arguments(&more), &photographs, &able(true, false)).unwrap();
         assert_eq!((decided.camera, decided.size, decided.global), ("OPENCV_FISHEYE", 800, true));
         assert!(matches!(decided.pairs, Pairs::Sequential { .. }));

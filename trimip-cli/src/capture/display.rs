@@ -77,7 +77,11 @@ impl Display {
         let left = |bar: &ProgressBar| {
             let part = done as f64 / total.max(1) as f64;
             let seconds = bar.elapsed().as_secs_f64() * (1.0 / part - 1.0);
-            if part > 0.02 && part < 1.0 { format!(", {} left", terminal::duration(seconds)) } else { String::new() }
+            if part > 0.02 && part < 1.0 {
+                format!(", {} left", terminal::duration(seconds))
+            } else {
+                String::new()
+            }
         };
         match &self.bar {
             Some(bar) => {

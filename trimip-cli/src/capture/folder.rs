@@ -102,7 +102,8 @@ impl Folder {
                 write_atomically(&path, &json(&mark)?)?;
             }
         }
-        let lock = File::options().read(true).write(true).open(&path).map_err(|error| unwritable(&path, &error))?;
+        let lock =
+            File::options().read(true).write(true).open(&path).map_err(|error| unwritable(&path, &error))?;
         if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
             return Err(Error::input(
                 root.display(),
@@ -216,7 +217,11 @@ pub fn digest(value: &impl Serialize) -> Result<String> {
 
 /// An error of the system at a path.
 pub fn unwritable(path: &Path, error: &io::Error) -> Error {
-    Error::input(path.display(), format!("cannot write: {error}"), "free space there or choose another --out folder")
+    Error::input(
+        path.display(),
+        format!("cannot write: {error}"),
+        "free space there or choose another --out folder",
+    )
 }
 
 fn json(value: &impl Serialize) -> Result<Vec<u8>> {
@@ -253,7 +258,9 @@ mod tests {
         let root = folder.path().join("walk");
         let capture = Folder::open(&root, "walk.mp4").unwrap();
         let number = |stage| capture.done::<u32>(stage).map(|done| done.result);
-        for (stage, output, result) in [(Stage::Features, "features.db", 3), (Stage::Matches, "database.db", 4)] {
+        for (stage, output, result) in
+            [(Stage::Features, "features.db", 3), (Stage::Matches, "database.db", 4)]
+        {
             fs::write(capture.temporary(output), "x").unwrap();
             fs::write(capture.path(&(temporary(output) + "-wal")), "y").unwrap();
             assert_eq!(number(stage), None);

@@ -24,7 +24,10 @@ impl Grey {
             let row = |y: usize| &self.pixels[y * width..(y + 1) * width];
             let (above, here, below) = (row(y - 1), row(y), row(y + 1));
             for x in 1..width - 1 {
-                let around = i32::from(above[x]) + i32::from(below[x]) + i32::from(here[x - 1]) + i32::from(here[x + 1]);
+                let around = i32::from(above[x])
+                    + i32::from(below[x])
+                    + i32::from(here[x - 1])
+                    + i32::from(here[x + 1]);
                 let value = i64::from(around - 4 * i32::from(here[x]));
                 sum += value;
                 squares += value * value;
@@ -51,7 +54,8 @@ impl Grey {
                 let mut sum = area / 2;
                 for row in y * side..(y + 1) * side {
                     let start = row * self.width + x * side;
-                    sum += self.pixels[start..start + side].iter().map(|&pixel| u32::from(pixel)).sum::<u32>();
+                    sum +=
+                        self.pixels[start..start + side].iter().map(|&pixel| u32::from(pixel)).sum::<u32>();
                 }
                 pixels.push((sum / area) as u8);
             }
@@ -76,7 +80,12 @@ mod tests {
             (sum / 3) as u8
         };
         let blurred = Grey { pixels: (0..side * side).map(near).collect(), ..sharp.clone() };
-        assert!(blurred.sharpness() < 0.7 * sharp.sharpness(), "{} {}", blurred.sharpness(), sharp.sharpness());
+        assert!(
+            blurred.sharpness() < 0.7 * sharp.sharpness(),
+            "{} {}",
+            blurred.sharpness(),
+            sharp.sharpness()
+        );
         assert!((sharp.brightness() - 120.0).abs() < 1e-9);
         let small = sharp.reduced(8);
         assert_eq!((small.width, small.height, small.pixels[0]), (8, 8, 120));

@@ -69,11 +69,14 @@ struct Placement {
 /// # Errors
 /// When the input is refused, a program is missing or fails, or no camera can be placed; of kind `Stopped` when the user stopped it.
 pub fn run(arguments: &CaptureArguments) -> Result<Captured> {
-    let stop = interrupt::install_for("stopping; the same command goes on from here; press Ctrl-C again to end at once")?;
+    let stop = interrupt::install_for(
+        "stopping; the same command goes on from here; press Ctrl-C again to end at once",
+    )?;
     let root = arguments.out.clone().unwrap_or_else(|| default_folder(&arguments.input));
     let Found { source, notes } = source::find(&arguments.input)?;
     expect_programs(arguments, &source, &root)?;
-    let name = arguments.input.file_name().unwrap_or(arguments.input.as_os_str()).to_string_lossy().into_owned();
+    let name =
+        arguments.input.file_name().unwrap_or(arguments.input.as_os_str()).to_string_lossy().into_owned();
     let folder = Folder::open(&root, &name)?;
     if arguments.fresh {
         folder.begin(Stage::Pictures)?;
@@ -95,7 +98,8 @@ fn default_folder(input: &Path) -> PathBuf {
 
 /// Fails before anything is written where a program is missing that an earlier command did not do the work of.
 fn expect_programs(arguments: &CaptureArguments, source: &Source, root: &Path) -> Result<()> {
-    let is_done = |stage: &str| !arguments.fresh && root.join("state").join(format!("{stage}.json")).is_file();
+    let is_done =
+        |stage: &str| !arguments.fresh && root.join("state").join(format!("{stage}.json")).is_file();
     if let Source::Film(film) = source
         && !is_done(Stage::Pictures.name())
     {
@@ -165,7 +169,8 @@ impl Capture<'_> {
                 json!({ "film": name, "bytes": bytes(film), "frames": self.arguments.frames })
             }
             Source::Photographs(all) => {
-                let listed = |photograph: &source::Photograph| json!([photograph.name, bytes(&photograph.path)]);
+                let listed =
+                    |photograph: &source::Photograph| json!([photograph.name, bytes(&photograph.path)]);
                 json!({ "photographs": all.iter().map(listed).collect::<Vec<_>>() })
             }
         };
@@ -174,9 +179,14 @@ impl Capture<'_> {
         let work = || {
             let mut pictures = match source {
                 Source::Film(film) => {
-                    let request = frames::Request { film, frames: self.arguments.frames, threads: self.arguments.threads };
+                    let request = frames::Request {
+                        film,
+                        frames: self.arguments.frames,
+                        threads: self.arguments.threads,
+                    };
                     let mut tell = |line: &str| self.display.note(line);
-                    let mut progress = |doing: &'static str, done, total| self.display.progress(doing, done, total);
+                    let mut progress =
+                        |doing: &'static str, done, total| self.display.progress(doing, done, total);
                     frames::take(&request, &self.folder, &part, &self.stop, &mut tell, &mut progress)?
                 }
                 Source::Photographs(all) => {
@@ -189,7 +199,13 @@ impl Capture<'_> {
             pictures.pictures.sort_by(|a, b| a.name.cmp(&b.name));
             Ok(pictures)
         };
-        let pictures = self.stage(Stage::Pictures, "pictures", inputs, |pictures: &Pictures| pictures.are_in(&images), work)?;
+        let pictures = self.stage(
+            Stage::Pictures,
+            "pictures",
+            inputs,
+            |pictures: &Pictures| pictures.are_in(&images),
+            work,
+        )?;
         let [width, height] = pictures.pictures.first().map_or([0, 0], |picture| picture.size);
         let by = pictures.converted_by.as_ref().map_or(String::new(), |by| format!(", converted by {by}"));
         self.display.note(&format!(
@@ -206,8 +222,11 @@ impl Capture<'_> {
     /// Features, matches and a model.
     fn placement(&self, pictures: &Pictures) -> Result<Placement> {
         let asked = self.asked(pictures)?;
-        let earlier = [Stage::Features, Stage::Matches].iter().all(|stage| self.folder.done::<Value>(*stage).is_some());
-        if let Some(done) = self.folder.done::<Placement>(Stage::Model).filter(|done| earlier && done.result.asked == asked) {
+        let earlier =
+            [Stage::Features, Stage::Matches].iter().all(|stage| self.folder.done::<Value>(*stage).is_some());
+        if let Some(done) =
+            self.folder.done::<Placement>(Stage::Model).filter(|done| earlier && done.result.asked == asked)
+        {
             self.display.done(Stage::Model.name(), done.seconds, true);
             return Ok(done.result);
         }
@@ -226,25 +245,41 @@ impl Capture<'_> {
         });
         let features = digest(&inputs)?;
         let part = temporary("features.db");
-        self.stage(Stage::Features, "features", inputs, |_: &Value| true, || {
-            let mut progress = |done, total| self.display.progress("features", done, total);
-            let mut watching = Watching { stop: &self.stop, progress: &mut progress };
-            poses.features(&self.folder, &part, pictures, &decisions, &mut watching)?;
-            self.folder.keep_database("features.db").map(|()| Value::Null)
-        })?;
+        self.stage(
+            Stage::Features,
+            "features",
+            inputs,
+            |_: &Value| true,
+            || {
+                let mut progress = |done, total| self.display.progress("features", done, total);
+                let mut watching = Watching { stop: &self.stop, progress: &mut progress };
+                poses.features(&self.folder, &part, pictures, &decisions, &mut watching)?;
+                self.folder.keep_database("features.db").map(|()| Value::Null)
+            },
+        )?;
 
         let inputs = json!({ "features": features, "pairs": decisions.pairs });
         let matches = digest(&inputs)?;
-        self.stage(Stage::Matches, "matches", inputs, |_: &Value| true, || {
-            self.match_pairs(&poses, pictures, &decisions).map(|()| Value::Null)
-        })?;
+        self.stage(
+            Stage::Matches,
+            "matches",
+            inputs,
+            |_: &Value| true,
+            || self.match_pairs(&poses, pictures, &decisions).map(|()| Value::Null),
+        )?;
 
         let program = poses.mapper_name(&decisions);
         let inputs = json!({ "matches": matches, "program": program, "global": decisions.global });
-        self.stage(Stage::Model, "cameras", inputs, |_: &Placement| true, || {
-            let models = self.place(&poses, pictures, &decisions)?;
-            Ok(Placement { asked, program, models })
-        })
+        self.stage(
+            Stage::Model,
+            "cameras",
+            inputs,
+            |_: &Placement| true,
+            || {
+                let models = self.place(&poses, pictures, &decisions)?;
+                Ok(Placement { asked, program, models })
+            },
+        )
     }
 
     /// What the user asked for of the cameras of these pictures.
@@ -264,7 +299,8 @@ impl Capture<'_> {
     fn match_pairs(&self, poses: &Poses, pictures: &Pictures, decisions: &Decisions) -> Result<()> {
         let part = temporary("database.db");
         for end in ["", "-wal"] {
-            let (from, to) = (self.folder.path(&format!("features.db{end}")), self.folder.path(&format!("{part}{end}")));
+            let (from, to) =
+                (self.folder.path(&format!("features.db{end}")), self.folder.path(&format!("{part}{end}")));
             if from.exists() {
                 fs::copy(&from, &to).map_err(|error| unwritable(&to, &error))?;
             }
@@ -303,20 +339,28 @@ impl Capture<'_> {
             count(best.points as u64, "point")
         ));
         if models.models.len() > 1 {
-            let sizes: Vec<String> = models.models.iter().map(|model| format!("{} ({})", model.pictures.len(), model.folder)).collect();
+            let sizes: Vec<String> = models
+                .models
+                .iter()
+                .map(|model| format!("{} ({})", model.pictures.len(), model.folder))
+                .collect();
             self.display.note(&format!(
                 "models: {} of {} pictures, which share too little with each other; the largest is taken",
                 models.models.len(),
                 sizes.join(", ")
             ));
         }
-        let unplaced = unplaced::find(pictures, models, &self.folder.path("images"), &self.folder.path("database.db"));
+        let unplaced =
+            unplaced::find(pictures, models, &self.folder.path("images"), &self.folder.path("database.db"));
         for one in unplaced.iter().take(NAMED) {
             self.display.note(&format!("not placed: {} ({}): {}", one.name, one.source, one.reason));
         }
         if unplaced.len() > NAMED {
             let more = unplaced.len() - NAMED;
-            self.display.note(&format!("not placed: {more} more, which {} shows", self.folder.path("inspect.html").display()));
+            self.display.note(&format!(
+                "not placed: {more} more, which {} shows",
+                self.folder.path("inspect.html").display()
+            ));
         }
         if 2 * placed < all {
             self.display.note(
@@ -330,27 +374,36 @@ impl Capture<'_> {
     fn page(&self, pictures: &Pictures, placement: &Placement, unplaced: &[Unplaced]) -> Result<()> {
         let inputs = json!({ "asked": placement.asked, "models": digest(&placement.models)? });
         let path = self.folder.path("inspect.html");
-        self.stage(Stage::Page, "photographs", inputs, |_: &Value| true, || {
-            let root = self.folder.root().to_string_lossy().into_owned();
-            let settings = trimip::settings::defaults().with("data.root", root)?;
-            let seen = trimip::inspect::inspect(settings, &unwatched)?;
-            let images = self.folder.path("images");
-            let of_unplaced = |one: &Unplaced| UnplacedPicture {
-                name: one.name.clone(),
-                path: Some(images.join(&one.name)),
-                reason: format!("{}: {}", one.source, one.reason),
-            };
-            let of_left_out = |left: &pictures::LeftOut| UnplacedPicture {
-                name: left.name.clone(),
-                path: None,
-                reason: left.reason.clone(),
-            };
-            let all: Vec<UnplacedPicture> =
-                unplaced.iter().map(of_unplaced).chain(pictures.left_out.iter().map(of_left_out)).collect();
-            let page = report::inspect::page_with(&seen, &all)?;
-            report::save(&path, &page)?;
-            Ok(Value::Null)
-        })?;
+        self.stage(
+            Stage::Page,
+            "photographs",
+            inputs,
+            |_: &Value| true,
+            || {
+                let root = self.folder.root().to_string_lossy().into_owned();
+                let settings = trimip::settings::defaults().with("data.root", root)?;
+                let seen = trimip::inspect::inspect(settings, &unwatched)?;
+                let images = self.folder.path("images");
+                let of_unplaced = |one: &Unplaced| UnplacedPicture {
+                    name: one.name.clone(),
+                    path: Some(images.join(&one.name)),
+                    reason: format!("{}: {}", one.source, one.reason),
+                };
+                let of_left_out = |left: &pictures::LeftOut| UnplacedPicture {
+                    name: left.name.clone(),
+                    path: None,
+                    reason: left.reason.clone(),
+                };
+                let all: Vec<UnplacedPicture> = unplaced
+                    .iter()
+                    .map(of_unplaced)
+                    .chain(pictures.left_out.iter().map(of_left_out))
+                    .collect();
+                let page = report::inspect::page_with(&seen, &all)?;
+                report::save(&path, &page)?;
+                Ok(Value::Null)
+            },
+        )?;
         self.display.note(&format!("page: {}", path.display()));
         Ok(())
     }

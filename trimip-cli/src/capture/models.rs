@@ -57,8 +57,13 @@ fn holds_model(folder: &Path) -> bool {
 fn placed(root: &Path, folder: &Path) -> Result<Placed> {
     let model = Model::read(folder)?;
     let mut seen: BTreeMap<u32, usize> = BTreeMap::new();
-    model.points.iter().flat_map(|point| &point.track).for_each(|[image, _]| *seen.entry(*image).or_default() += 1);
-    let errors: Vec<f64> = model.points.iter().map(|point| point.error).filter(|error| *error >= 0.0).collect();
+    model
+        .points
+        .iter()
+        .flat_map(|point| &point.track)
+        .for_each(|[image, _]| *seen.entry(*image).or_default() += 1);
+    let errors: Vec<f64> =
+        model.points.iter().map(|point| point.error).filter(|error| *error >= 0.0).collect();
     let name = folder.strip_prefix(root).unwrap_or(folder).display().to_string();
     Ok(Placed {
         folder: name,

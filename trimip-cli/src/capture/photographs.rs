@@ -111,7 +111,13 @@ pub fn make(
         }
         fs::rename(staging.join(&name), &to).map_err(|error| super::folder::unwritable(&to, &error))?;
         let (name, source) = (format!("{within}{name}"), source.display().to_string());
-        pictures.pictures.push(Picture { name, source, size: [width, height], seconds: None, sharpness: None });
+        pictures.pictures.push(Picture {
+            name,
+            source,
+            size: [width, height],
+            seconds: None,
+            sharpness: None,
+        });
     }
     fs::remove_dir(&staging).map_err(|error| super::folder::unwritable(&staging, &error))?;
     pictures.converted_by = converting.working.map(|(_, converter)| converter.name.to_string());
@@ -156,20 +162,31 @@ impl Converting<'_> {
 
     fn by(&self, program: &Path, converter: &Converter, from: &Path, to: &Path) -> Result<()> {
         let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
-        let call =
-            Call { name: converter.name, program, arguments: Vec::new(), folder: self.root, log: self.log.into() }
-                .with(words(converter.before))
-                .with([from])
-                .with(words(converter.between))
-                .with([to]);
+        let call = Call {
+            name: converter.name,
+            program,
+            arguments: Vec::new(),
+            folder: self.root,
+            log: self.log.into(),
+        }
+        .with(words(converter.before))
+        .with([from])
+        .with(words(converter.between))
+        .with([to]);
         call.run(self.stop, &mut |_: &str| {})?;
         if to.is_file() {
             return Ok(());
         }
         // Of a burst or a live photograph, the first picture.
-        let numbered = to.with_file_name(format!("{}-1.jpg", to.file_stem().unwrap_or_default().to_string_lossy()));
+        let numbered =
+            to.with_file_name(format!("{}-1.jpg", to.file_stem().unwrap_or_default().to_string_lossy()));
         fs::rename(&numbered, to).map_err(|_| {
-            Error::run(format!("{} wrote no picture of {}; all it said is in {}", converter.name, from.display(), self.log.display()))
+            Error::run(format!(
+                "{} wrote no picture of {}; all it said is in {}",
+                converter.name,
+                from.display(),
+                self.log.display()
+            ))
         })
     }
 }
@@ -182,7 +199,11 @@ fn link(from: &Path, to: &Path) -> Result<()> {
         return Ok(());
     }
     fs::copy(&whole, to).map(drop).map_err(|error| {
-        Error::input(from.display(), format!("cannot be copied to {}: {error}", to.display()), "check both places")
+        Error::input(
+            from.display(),
+            format!("cannot be copied to {}: {error}", to.display()),
+            "check both places",
+        )
     })
 }
 
@@ -203,7 +224,9 @@ fn unique_names(photographs: &[Photograph]) -> Vec<String> {
         }
     };
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
-    photographs.iter().for_each(|photograph| *counts.entry(plain(photograph).to_lowercase()).or_default() += 1);
+    photographs
+        .iter()
+        .for_each(|photograph| *counts.entry(plain(photograph).to_lowercase()).or_default() += 1);
     let mut used = BTreeSet::new();
     let name = |photograph: &Photograph| {
         let mut name = plain(photograph);
@@ -234,14 +257,21 @@ mod tests {
     use super::*;
 
     fn photograph(path: &Path, name: &str) -> Photograph {
-        Photograph { path: path.join(name), name: name.into(), foreign: trimip_data::foreign_format(&path.join(name)) }
+        Photograph {
+            path: path.join(name),
+            name: name.into(),
+            foreign: trimip_data::foreign_format(&path.join(name)),
+        }
     }
 
     #[test]
     fn names_are_unique_and_plain() {
         let names = ["a/1.jpg", "b/1.JPG", "2 b.jpg", "c.HEIC", "d/b_1.JPG", "e.heic/c.jpg"];
         let all: Vec<_> = names.iter().map(|name| photograph(Path::new("/nowhere"), name)).collect();
-        assert_eq!(unique_names(&all), ["a_1.jpg", "b_1.JPG", "2_b.jpg", "c.jpg", "2_b_1.JPG", "e.heic_c.jpg"]);
+        assert_eq!(
+            unique_names(&all),
+            ["a_1.jpg", "b_1.JPG", "2_b.jpg", "c.jpg", "2_b_1.JPG", "e.heic_c.jpg"]
+        );
     }
 
     #[test]
@@ -258,10 +288,16 @@ mod tests {
             make(&all, &root, to, &root.join("log"), &AtomicBool::new(false), &mut |_, _| {})
         };
         let one = make(&["0.png", "1.png", "2.png", "4.png"], "one").unwrap();
-        assert_eq!(one.pictures.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["0.png", "1.png", "2.png"]);
+        assert_eq!(
+            one.pictures.iter().map(|p| p.name.as_str()).collect::<Vec<_>>(),
+            ["0.png", "1.png", "2.png"]
+        );
         assert!(one.left_out[0].name == "4.png" && one.left_out[0].reason.contains("cannot be read"));
         let several = make(&["0.png", "1.png", "2.png", "3.png"], "several").unwrap();
-        assert_eq!((several.pictures[0].name.as_str(), several.pictures[3].name.as_str()), ("8x6/0.png", "6x6/3.png"));
+        assert_eq!(
+            (several.pictures[0].name.as_str(), several.pictures[3].name.as_str()),
+            ("8x6/0.png", "6x6/3.png")
+        );
         assert!(root.join("several/6x6/3.png").is_file() && !root.join("several/all").exists());
         assert_eq!(fs::read_dir(&from).unwrap().count(), 5);
         assert!(make(&["0.png", "1.png", "4.png"], "few").unwrap_err().message.contains("2 pictures alone"));

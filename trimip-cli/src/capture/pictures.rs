@@ -55,7 +55,8 @@ impl Pictures {
         if self.pictures.len() >= FEWEST {
             return Ok(());
         }
-        let why = self.left_out.first().map_or(String::new(), |out| format!(" ({}: {})", out.name, out.reason));
+        let why =
+            self.left_out.first().map_or(String::new(), |out| format!(" ({}: {})", out.name, out.reason));
         Err(Error::input(
             place.display(),
             format!("holds {} alone{why}", count(self.pictures.len() as u64, "picture")),

@@ -166,7 +166,10 @@ impl Call<'_> {
     /// The error of a program that ended with an exit code of failure.
     pub fn failed(&self, ended: &Ended) -> Error {
         let how = match ended.code {
-            137 => "was killed, perhaps because memory ran out (a smaller --size or fewer --threads need less)".into(),
+            137 => {
+                "was killed, perhaps because memory ran out (a smaller --size or fewer --threads need less)"
+                    .into()
+            }
             code @ 129..=192 => format!("was ended by signal {}", code - 128),
             code => format!("ended with exit code {code}"),
         };
@@ -184,7 +187,8 @@ impl Call<'_> {
             std::fs::create_dir_all(folder).map_err(wrong)?;
         }
         let mut log = BufWriter::new(File::create(&self.log).map_err(wrong)?);
-        let words = std::iter::once(self.program.as_os_str()).chain(self.arguments.iter().map(OsString::as_os_str));
+        let words =
+            std::iter::once(self.program.as_os_str()).chain(self.arguments.iter().map(OsString::as_os_str));
         let words: Vec<String> = words.map(|word| quoted(&word.to_string_lossy())).collect();
         writeln!(log, "# in {}\n{}", self.folder.display(), words.join(" ")).map_err(wrong)?;
         Ok(log)
@@ -233,7 +237,8 @@ fn readers(child: &mut Child, as_bytes: bool) -> std::io::Result<Receiver<Part>>
     let named = |name: &str| thread::Builder::new().name(name.into());
     if let Some(pipe) = child.stdout.take() {
         let sender = sender.clone();
-        named("stdout").spawn(move || if as_bytes { read_bytes(pipe, &sender) } else { read_lines(pipe, &sender) })?;
+        named("stdout")
+            .spawn(move || if as_bytes { read_bytes(pipe, &sender) } else { read_lines(pipe, &sender) })?;
     }
     if let Some(pipe) = child.stderr.take() {
         named("stderr").spawn(move || read_lines(pipe, &sender))?;

@@ -151,7 +151,10 @@ mod tests {
             assert_eq!(install_line(need, os, release), line, "{need:?} {os} {release}");
         }
         let error = Need::Poses.missing("walk.mp4");
-        assert!(error.exit_code() == 2 && error.message.starts_with("walk.mp4: neither colmap nor"), "{error}");
+        assert!(
+            error.exit_code() == 2 && error.message.starts_with("walk.mp4: neither colmap nor"),
+            "{error}"
+        );
     }
 
     #[test]

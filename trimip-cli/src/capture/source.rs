@@ -41,7 +41,11 @@ pub fn find(input: &Path) -> Result<Found> {
     let place = input.display();
     let absolute = std::path::absolute(input).unwrap_or_else(|_| input.into());
     if !input.exists() {
-        return Err(Error::input(place, "does not exist", "name a film, a folder of photographs or a zip archive"));
+        return Err(Error::input(
+            place,
+            "does not exist",
+            "name a film, a folder of photographs or a zip archive",
+        ));
     }
     if input.is_dir() {
         return of_folder(&absolute, input, Vec::new());
@@ -70,7 +74,10 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
         return Err(Error::input(
             shown.display(),
             "holds a scene with cameras already",
-            format!("train on it, `trimip-cli {}`, or name the folder of its photographs alone", shown.display()),
+            format!(
+                "train on it, `trimip-cli {}`, or name the folder of its photographs alone",
+                shown.display()
+            ),
         ));
     }
     let mut photographs = Vec::new();
@@ -100,11 +107,15 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
         };
     }
     if !material.films.is_empty() {
-        notes.push(format!("{} beside the photographs is left out; name it to capture it", material.films[0].display()));
+        notes.push(format!(
+            "{} beside the photographs is left out; name it to capture it",
+            material.films[0].display()
+        ));
     }
     without_copies(&mut photographs, &mut notes);
-    if let Some((path, format)) =
-        photographs.iter().find_map(|photograph| Some((&photograph.path, photograph.foreign.filter(|f| !f.is_heif())?)))
+    if let Some((path, format)) = photographs
+        .iter()
+        .find_map(|photograph| Some((&photograph.path, photograph.foreign.filter(|f| !f.is_heif())?)))
     {
         return Err(Error::input(path.display(), format!("is {}", format.name), format.remedy(path)));
     }
@@ -112,7 +123,9 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
         return Err(Error::input(
             place,
             format!("holds {} alone", trimip_core::plural::count(photographs.len(), "photograph")),
-            format!("take more: cameras need at least {FEWEST} that overlap, and 50 to 200 make a good scene"),
+            format!(
+                "take more: cameras need at least {FEWEST} that overlap, and 50 to 200 make a good scene"
+            ),
         ));
     }
     photographs.sort_by(|a, b| a.name.cmp(&b.name));
@@ -151,13 +164,25 @@ mod tests {
         };
         make(&["a/1.jpg", "a/2.jpg", "a/b/3.png", "a/way.mov", "a/2.heic"]);
         make(&["film/walk.MP4", "films/1.mp4", "films/2.mp4", "two/1.jpg", "two/2.jpg"]);
-        make(&["scene/transforms.json", "raw/1.cr2", "raw/2.jpg", "raw/3.jpg", "empty/x.txt", "x.mp4", "y.doc"]);
+        make(&[
+            "scene/transforms.json",
+            "raw/1.cr2",
+            "raw/2.jpg",
+            "raw/3.jpg",
+            "empty/x.txt",
+            "x.mp4",
+            "y.doc",
+        ]);
         let found = find(&root.join("a")).unwrap();
         assert_eq!(found.notes.len(), 2, "{:?}", found.notes);
         match found.source {
             Source::Photographs(all) => {
-                let names: Vec<_> = all.iter().map(|photograph| photograph.name.display().to_string()).collect();
-                assert_eq!(names, ["1.jpg", "2.jpg", "b/3.png"].map(|name| Path::new(name).display().to_string()));
+                let names: Vec<_> =
+                    all.iter().map(|photograph| photograph.name.display().to_string()).collect();
+                assert_eq!(
+                    names,
+                    ["1.jpg", "2.jpg", "b/3.png"].map(|name| Path::new(name).display().to_string())
+                );
             }
             Source::Film(film) => panic!("{}", film.display()),
         }

@@ -38,7 +38,8 @@ pub struct Unplaced {
 pub fn find(pictures: &Pictures, models: &Models, images: &Path, database: &Path) -> Vec<Unplaced> {
     let all = &pictures.pictures;
     let Some((best, others)) = models.models.split_first() else { return Vec::new() };
-    let left: Vec<usize> = (0..all.len()).filter(|&index| !best.pictures.contains_key(&all[index].name)).collect();
+    let left: Vec<usize> =
+        (0..all.len()).filter(|&index| !best.pictures.contains_key(&all[index].name)).collect();
     if left.is_empty() {
         return Vec::new();
     }
@@ -74,7 +75,9 @@ fn reason(sharpness: Option<f64>, counts: Option<Counts>) -> String {
         (None, Some(counts)) if counts.features < FEW_FEATURES => {
             format!("too few features ({}): little texture, or too dark", counts.features)
         }
-        (None, Some(counts)) if counts.pairs == 0 => format!("no picture matches it ({} features)", counts.features),
+        (None, Some(counts)) if counts.pairs == 0 => {
+            format!("no picture matches it ({} features)", counts.features)
+        }
         (None, Some(counts)) if counts.most < FEW_MATCHES => format!("too few matches: {}", matched(counts)),
         (None, Some(counts)) => format!("no pose agrees with its matches: {}", matched(counts)),
         (None, None) => "too few matches with the pictures that were placed".into(),
@@ -101,7 +104,8 @@ impl Sharpness<'_> {
                 near.filter(|(other, _)| *other != index).map(|(_, picture)| picture).collect()
             }
             false => {
-                let placed: Vec<&Picture> = self.all.iter().filter(|picture| (self.placed)(picture)).collect();
+                let placed: Vec<&Picture> =
+                    self.all.iter().filter(|picture| (self.placed)(picture)).collect();
                 let step = placed.len().div_ceil(COMPARED).max(1);
                 placed.into_iter().step_by(step).collect()
             }
@@ -138,7 +142,11 @@ mod tests {
             (Some(0.2), counts(900, 3, 20), "too blurred: 20 %"),
             (Some(0.9), counts(100, 3, 20), "too few features (100)"),
             (None, counts(900, 0, 0), "no picture matches it"),
-            (Some(1.1), counts(900, 3, 20), "too few matches: 900 features, at most 20 matches with one of 3 pictures"),
+            (
+                Some(1.1),
+                counts(900, 3, 20),
+                "too few matches: 900 features, at most 20 matches with one of 3 pictures",
+            ),
             (Some(1.1), counts(900, 3, 200), "no pose agrees"),
             (None, None, "too few matches"),
         ] {
@@ -169,7 +177,10 @@ mod tests {
         let told: Vec<_> = found.iter().map(|one| (one.source.as_str(), one.reason.as_str())).collect();
         assert_eq!(told.len(), 4);
         assert!(told[0].0 == "frame 5" && told[0].1.starts_with("too blurred: 3 %"), "{told:?}");
-        assert!(told[1].1.contains("in another model of 2 pictures") && told[1].1.contains("models/0"), "{told:?}");
+        assert!(
+            told[1].1.contains("in another model of 2 pictures") && told[1].1.contains("models/0"),
+            "{told:?}"
+        );
         assert!(told[3].1.starts_with("too few matches"));
     }
 }

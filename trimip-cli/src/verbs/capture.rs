@@ -55,7 +55,8 @@ fn show(captured: &Captured) -> Result<u8> {
     if programs::find("ffmpeg").is_some() {
         let [width, height] = captured.size;
         let width = (u64::from(width) * u64::from(LONGEST) / u64::from(width.max(height).max(1))).max(16);
-        let mut words = vec!["render".to_string(), run_name.clone(), "--flythrough".into(), FRAMES.to_string()];
+        let mut words =
+            vec!["render".to_string(), run_name.clone(), "--flythrough".into(), FRAMES.to_string()];
         words.extend(["--width".into(), width.min(u64::from(captured.size[0]).max(16)).to_string()]);
         words.extend(["--out".into(), path_of(&run.join("flythrough")), "--video".into(), film]);
         let code = command(&words)?;

@@ -38,7 +38,9 @@ pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
     let by_motion = (motion / LEAST_STEP).floor().max(2.0);
     let (count, why) = match wanted {
         Some(wanted) => (f64::from(wanted), "as asked for".to_string()),
-        None if by_motion < by_time => (by_motion, "the camera moves so little that more would be alike".to_string()),
+        None if by_motion < by_time => {
+            (by_motion, "the camera moves so little that more would be alike".to_string())
+        }
         None => (by_time, format!("{RATE} a second, {FEWEST} to {MOST}")),
     };
     let number = (count as usize).min(measured.len());
@@ -92,8 +94,13 @@ fn still(measured: &[Measured], last: f64) -> Option<String> {
         }
     }
     seconds += began.map_or(0.0, |begin| last - begin);
-    (seconds > 1.0 && seconds > 0.05 * last)
-        .then(|| format!("frames: nothing moves in {} of {}, which give no more than one each", duration(seconds), duration(last)))
+    (seconds > 1.0 && seconds > 0.05 * last).then(|| {
+        format!(
+            "frames: nothing moves in {} of {}, which give no more than one each",
+            duration(seconds),
+            duration(last)
+        )
+    })
 }
 
 /// Tells of frames whose exposure differs from that of the frame before.
@@ -109,8 +116,11 @@ fn jumps(measured: &[Measured], frames: &[usize]) -> Option<String> {
     if jumps.is_empty() {
         return None;
     }
-    let mut named: Vec<String> =
-        jumps.iter().take(NAMED).map(|(at, stops)| format!("{stops:+.1} stops at {}", duration(*at))).collect();
+    let mut named: Vec<String> = jumps
+        .iter()
+        .take(NAMED)
+        .map(|(at, stops)| format!("{stops:+.1} stops at {}", duration(*at)))
+        .collect();
     if jumps.len() > NAMED {
         named.push(format!("{} more", jumps.len() - NAMED));
     }

@@ -102,7 +102,8 @@ impl Film {
             .map_err(|error| Error::device(format!("ffprobe cannot be started: {error}")))?;
         if !output.status.success() {
             let said = String::from_utf8_lossy(&output.stderr);
-            let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing").to_string();
+            let last =
+                said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing").to_string();
             return Err(wrong(format!("ffprobe cannot read it: {last}")));
         }
         Self::of_json(&output.stdout).ok_or_else(|| wrong("holds no film".into()))
@@ -110,7 +111,8 @@ impl Film {
 
     fn of_json(bytes: &[u8]) -> Option<Self> {
         let probed: Probed = serde_json::from_slice(bytes).ok()?;
-        let stream = probed.streams.into_iter().next().filter(|stream| stream.width > 0 && stream.height > 0)?;
+        let stream =
+            probed.streams.into_iter().next().filter(|stream| stream.width > 0 && stream.height > 0)?;
         let number = |text: Option<String>| text.and_then(|text| text.parse::<f64>().ok());
         let seconds = number(stream.duration).or(number(probed.format.and_then(|format| format.duration)));
         let seconds = seconds.filter(|seconds| seconds.is_finite() && *seconds > 0.0).unwrap_or(0.0);
@@ -120,14 +122,17 @@ impl Film {
         let beside = stream.side_data_list.iter().find_map(|data| data.rotation);
         let turned = beside.map(|angle| -angle).or(number(stream.tags.rotate)).unwrap_or(0.0);
         let turned = (turned.round() as i32).rem_euclid(360);
-        let size = if turned % 180 == 90 { [stream.height, stream.width] } else { [stream.width, stream.height] };
+        let size =
+            if turned % 180 == 90 { [stream.height, stream.width] } else { [stream.width, stream.height] };
         Some(Self {
             size,
             turned,
             seconds,
             rate: known,
             frames: stated.unwrap_or((seconds * known).round() as u64),
-            is_variable: mean.zip(nominal).is_some_and(|(mean, nominal)| (mean / nominal - 1.0).abs() > VARIABLE),
+            is_variable: mean
+                .zip(nominal)
+                .is_some_and(|(mean, nominal)| (mean / nominal - 1.0).abs() > VARIABLE),
             is_interlaced: ["tt", "bb", "tb", "bt"].contains(&stream.field_order.as_str()),
             bits: bits(&stream.pix_fmt),
             range: match stream.color_transfer.as_str() {
@@ -146,7 +151,12 @@ impl Film {
             0.0 => "unknown length".into(),
             seconds => duration(seconds),
         };
-        let mut line = format!("film: {width}×{height}, {length}, {} at {:.4} a second, {}", count(self.frames, "frame"), self.rate, self.codec);
+        let mut line = format!(
+            "film: {width}×{height}, {length}, {} at {:.4} a second, {}",
+            count(self.frames, "frame"),
+            self.rate,
+            self.codec
+        );
         let mut more = Vec::new();
         if self.turned != 0 {
             more.push(format!("turned by {}° as it says", self.turned));
@@ -164,7 +174,9 @@ impl Film {
                 let name = if range == Range::Hlg { "HLG" } else { "PQ" };
                 more.push(match maps_tones {
                     true => format!("HDR ({name}), mapped to the range of photographs"),
-                    false => format!("HDR ({name}), whose colours stay pale: this ffmpeg lacks the filter zscale"),
+                    false => {
+                        format!("HDR ({name}), whose colours stay pale: this ffmpeg lacks the filter zscale")
+                    }
                 });
             }
         }
@@ -230,7 +242,8 @@ mod tests {
         assert_eq!((phone.size, phone.turned, phone.frames, phone.bits), ([2160, 3840], 90, 358, 10));
         assert_eq!(phone.measured_size(), [540, 960]);
         let line = phone.lines(true).concat();
-        for part in ["2160×3840", "turned by 90°", "variable rate", "HDR (HLG), mapped", "358 frames", "12 s"] {
+        for part in ["2160×3840", "turned by 90°", "variable rate", "HDR (HLG), mapped", "358 frames", "12 s"]
+        {
             assert!(line.contains(part), "{part}: {line}");
         }
         assert!(phone.lines(false).concat().contains("zscale") && phone.tones(false).is_empty());
@@ -239,7 +252,9 @@ mod tests {
 
     #[test]
     fn an_old_film_states_little() {
-        let old = film("\"codec_name\":\"h264\",\"width\":720,\"height\":576,\"field_order\":\"tt\",\"avg_frame_rate\":\"25/1\",\"tags\":{\"rotate\":\"180\"}");
+        let old = film(
+            "\"codec_name\":\"h264\",\"width\":720,\"height\":576,\"field_order\":\"tt\",\"avg_frame_rate\":\"25/1\",\"tags\":{\"rotate\":\"180\"}",
+        );
         assert_eq!((old.size, old.turned, old.frames, old.rate), ([720, 576], 180, 300, 25.0));
         assert!(old.deinterlace() == "yadif," && old.tones(true).is_empty());
         assert_eq!(old.measured_size(), [720, 576]);

@@ -77,15 +77,22 @@ pub fn take(
         threads => vec!["-threads".to_string(), threads.to_string()],
     };
     let call = |log: &str| {
-        Call { name: "ffmpeg", program: &tools.ffmpeg, arguments: Vec::new(), folder: folder.root(), log: folder.log(log) }
-            .with(["-hide_banner", "-nostdin", "-y"])
-            .with(&threads)
-            .with(["-i".as_ref(), request.film.as_os_str()])
-            .with(["-map", "0:v:0", "-an", "-sn", "-dn"])
+        Call {
+            name: "ffmpeg",
+            program: &tools.ffmpeg,
+            arguments: Vec::new(),
+            folder: folder.root(),
+            log: folder.log(log),
+        }
+        .with(["-hide_banner", "-nostdin", "-y"])
+        .with(&threads)
+        .with(["-i".as_ref(), request.film.as_os_str()])
+        .with(["-map", "0:v:0", "-an", "-sn", "-dn"])
     };
 
     let size = film.measured_size();
-    let filters = format!("{}scale={}:{}:flags=area,format=gray,showinfo", film.deinterlace(), size[0], size[1]);
+    let filters =
+        format!("{}scale={}:{}:flags=area,format=gray,showinfo", film.deinterlace(), size[0], size[1]);
     let measuring = call("measure")
         .with(["-vf", &filters])
         .with(tools.passthrough)
@@ -105,7 +112,8 @@ pub fn take(
     let target = folder.path(images);
     std::fs::create_dir_all(&target).map_err(|error| super::folder::unwritable(&target, &error))?;
     let selected: Vec<String> = frames.iter().map(|frame| format!("eq(n\\,{frame})")).collect();
-    let filters = format!("{}select='{}'{}", film.deinterlace(), selected.join("+"), film.tones(tools.maps_tones));
+    let filters =
+        format!("{}select='{}'{}", film.deinterlace(), selected.join("+"), film.tones(tools.maps_tones));
     let taking = call("frames")
         .with(["-vf", &filters])
         .with(tools.passthrough)
@@ -122,7 +130,10 @@ pub fn take(
         let name = format!("{:05}.jpg", index + 1);
         let path = target.join(&name);
         let size = image::image_dimensions(&path).map_err(|error| {
-            Error::run(format!("ffmpeg took no whole frame {frame}: {error}; all it said is in {}", taking.log.display()))
+            Error::run(format!(
+                "ffmpeg took no whole frame {frame}: {error}; all it said is in {}",
+                taking.log.display()
+            ))
         })?;
         let measure = &measured[frame];
         pictures.pictures.push(Picture {

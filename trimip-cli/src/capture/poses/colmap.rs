@@ -33,7 +33,8 @@ impl Colmap {
         let version = format!("colmap {}", version.unwrap_or("of an unknown version"));
         let has_cuda = help.contains("with CUDA");
         // Available commands stand alone on their lines.
-        let commands = help.lines().map(str::trim).filter(|line| !line.contains(' ')).map(String::from).collect();
+        let commands =
+            help.lines().map(str::trim).filter(|line| !line.contains(' ')).map(String::from).collect();
         Some(Self { program, version, has_cuda, commands })
     }
 
@@ -57,7 +58,13 @@ impl Colmap {
             }
         }
         let root = folder_of(folder);
-        Call { name: self.name_of(command), program: &self.program, arguments, folder: root, log: folder.log(log) }
+        Call {
+            name: self.name_of(command),
+            program: &self.program,
+            arguments,
+            folder: root,
+            log: folder.log(log),
+        }
     }
 
     fn name_of(&self, command: &str) -> &'static str {
@@ -107,7 +114,10 @@ impl Colmap {
             Pairs::Sequential { overlap, tree, .. } => {
                 options.push((&["SequentialMatching.overlap"], number(*overlap)));
                 options.push((&["SequentialMatching.quadratic_overlap"], "1".into()));
-                options.push((&["SequentialMatching.loop_detection"], u32::from(tree.is_some()).to_string().into()));
+                options.push((
+                    &["SequentialMatching.loop_detection"],
+                    u32::from(tree.is_some()).to_string().into(),
+                ));
                 if let Some(tree) = tree {
                     options.push((&["SequentialMatching.vocab_tree_path"], tree.into()));
                 }
@@ -118,7 +128,13 @@ impl Colmap {
     }
 
     /// Compares the pairs of a list.
-    pub fn loops<'a>(&'a self, folder: &'a Folder, database: &str, list: &str, by: &Decisions) -> Result<Option<Call<'a>>> {
+    pub fn loops<'a>(
+        &'a self,
+        folder: &'a Folder,
+        database: &str,
+        list: &str,
+        by: &Decisions,
+    ) -> Result<Option<Call<'a>>> {
         let mut options = matching(database, by);
         options.push((&["match_list_path"], list.into()));
         options.push((&["match_type"], "pairs".into()));
@@ -141,8 +157,13 @@ impl Colmap {
 
 /// Places cameras by glomap.
 pub fn glomap<'a>(folder: &'a Folder, program: &'a Path, models: &str) -> Call<'a> {
-    let call =
-        Call { name: "glomap mapper", program, arguments: Vec::new(), folder: folder_of(folder), log: folder.log("model") };
+    let call = Call {
+        name: "glomap mapper",
+        program,
+        arguments: Vec::new(),
+        folder: folder_of(folder),
+        log: folder.log("model"),
+    };
     call.with(["mapper", "--database_path", "database.db", "--image_path", "images", "--output_path", models])
 }
 
@@ -172,7 +193,11 @@ fn threads(by: &Decisions) -> OsString {
 /// The options in a help: words that begin with two hyphens.
 fn options(help: &str) -> BTreeSet<String> {
     let words = help.split(|c: char| c.is_whitespace() || c == '=' || c == '[' || c == ',');
-    words.filter_map(|word| word.strip_prefix("--")).filter(|word| !word.is_empty()).map(String::from).collect()
+    words
+        .filter_map(|word| word.strip_prefix("--"))
+        .filter(|word| !word.is_empty())
+        .map(String::from)
+        .collect()
 }
 
 #[cfg(test)]

@@ -43,16 +43,22 @@ impl Counter {
         let lower = line.to_lowercase();
         self.found_nothing |= NOTHING.iter().any(|sign| lower.contains(&sign.to_lowercase()));
         match self.what {
-            What::Features => in_brackets(line.split_once("Processed file")?.1).map(|(done, _)| (done, self.all)),
+            What::Features => {
+                in_brackets(line.split_once("Processed file")?.1).map(|(done, _)| (done, self.all))
+            }
             What::Matches => {
-                let rest = ["Matching", "Processing", "Indexing"].iter().find_map(|word| line.split_once(word))?.1;
+                let rest =
+                    ["Matching", "Processing", "Indexing"].iter().find_map(|word| line.split_once(word))?.1;
                 in_brackets(rest)
             }
             What::Model => {
                 let rest = line.split_once("Registering image #")?.1;
                 let counted = rest.split_once('(')?.1;
-                let digits: String =
-                    counted.chars().skip_while(|c| !c.is_ascii_digit()).take_while(char::is_ascii_digit).collect();
+                let digits: String = counted
+                    .chars()
+                    .skip_while(|c| !c.is_ascii_digit())
+                    .take_while(char::is_ascii_digit)
+                    .collect();
                 self.most = self.most.max(digits.parse().ok()?);
                 Some((self.most.min(self.all), self.all))
             }
@@ -89,7 +95,10 @@ mod tests {
     fn lines_of_all_versions_are_counted() {
         let mut features = Counter::features(50);
         assert_eq!(features.count("Processed file [3/50]"), Some((3, 50)));
-        assert_eq!(features.count("I20250101 10:00:00.1 12 feature_extraction.cc:258] Processed file [50/50]"), Some((50, 50)));
+        assert_eq!(
+            features.count("I20250101 10:00:00.1 12 feature_extraction.cc:258] Processed file [50/50]"),
+            Some((50, 50))
+        );
         assert_eq!(features.count("  Name:            0003.jpg"), None);
         let mut matches = Counter::matches();
         assert_eq!(matches.count("Matching block [2/3, 1/3] in 1.2s"), Some((4, 9)));
@@ -98,7 +107,10 @@ mod tests {
         assert_eq!(matches.count("Elapsed time: 0.5 [minutes]"), None);
         let mut model = Counter::model(50);
         assert_eq!(model.count("Registering image #31 (12)"), Some((12, 50)));
-        assert_eq!(model.count("incremental_pipeline.cc:3] Registering image #7 (num_reg_frames=15)"), Some((15, 50)));
+        assert_eq!(
+            model.count("incremental_pipeline.cc:3] Registering image #7 (num_reg_frames=15)"),
+            Some((15, 50))
+        );
         assert_eq!(model.count("Registering image #3 (3)"), Some((15, 50)), "another model");
         assert!(!model.found_nothing());
         assert_eq!(model.count("ERROR: failed to create sparse model"), None);

@@ -63,7 +63,9 @@ impl Poses {
         let python = || Python::find().map(Engine::Python);
         let engine = match wanted {
             Some(PosesProgram::Colmap) => colmap().ok_or_else(|| Need::Colmap.missing("--poses colmap")),
-            Some(PosesProgram::Pycolmap) => python().ok_or_else(|| Need::Pycolmap.missing("--poses pycolmap")),
+            Some(PosesProgram::Pycolmap) => {
+                python().ok_or_else(|| Need::Pycolmap.missing("--poses pycolmap"))
+            }
             // glomap places cameras, and others find features and matches.
             _ if began == Some(PosesProgram::Pycolmap) => {
                 python().or_else(colmap).ok_or_else(|| Need::Poses.missing(place.display()))
@@ -85,8 +87,12 @@ impl Poses {
     /// What they can do.
     pub fn ability(&self) -> Ability {
         let (own, gpu, why_no_gpu) = match &self.engine {
-            Engine::Colmap(colmap) => (colmap.has_global(), colmap.has_cuda, "this COLMAP is built without CUDA"),
-            Engine::Python(python) => (python.has_global, python.has_cuda, "this pycolmap is built without CUDA"),
+            Engine::Colmap(colmap) => {
+                (colmap.has_global(), colmap.has_cuda, "this COLMAP is built without CUDA")
+            }
+            Engine::Python(python) => {
+                (python.has_global, python.has_cuda, "this pycolmap is built without CUDA")
+            }
         };
         let has_gpu = gpu && has_nvidia();
         Ability {

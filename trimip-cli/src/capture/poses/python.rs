@@ -13,7 +13,16 @@ use trimip_core::atomic::write_atomically;
 
 /// Names under which a Python may be on the path.
 const NAMES: [&str; 10] = [
-    "python3", "python", "python3.14", "python3.13", "python3.12", "python3.11", "python3.10", "python3.9", "python3.8", "py",
+    "python3",
+    "python",
+    "python3.14",
+    "python3.13",
+    "python3.12",
+    "python3.11",
+    "python3.10",
+    "python3.9",
+    "python3.8",
+    "py",
 ];
 
 /// What a Python is asked.
@@ -55,8 +64,13 @@ impl Python {
             std::fs::create_dir_all(parent).map_err(|error| unwritable(parent, &error))?;
         }
         write_atomically(&path, SCRIPT.as_bytes())?;
-        let call =
-            Call { name: "pycolmap", program: &self.program, arguments: Vec::new(), folder: folder.root(), log: folder.log(log) };
+        let call = Call {
+            name: "pycolmap",
+            program: &self.program,
+            arguments: Vec::new(),
+            folder: folder.root(),
+            log: folder.log(log),
+        };
         Ok(call.with(["log/poses.py", stage, &options.to_string()]))
     }
 
@@ -94,7 +108,13 @@ impl Python {
     }
 
     /// Compares the pairs of a list.
-    pub fn loops<'a>(&'a self, folder: &'a Folder, database: &str, list: &str, by: &Decisions) -> Result<Option<Call<'a>>> {
+    pub fn loops<'a>(
+        &'a self,
+        folder: &'a Folder,
+        database: &str,
+        list: &str,
+        by: &Decisions,
+    ) -> Result<Option<Call<'a>>> {
         let mut options = common(database, by);
         options["list"] = list.into();
         self.call(folder, "loops", "pairs", options).map(Some)
@@ -121,7 +141,8 @@ mod tests {
 
     #[test]
     fn the_script_has_every_stage() {
-        for stage in ["features", "exhaustive", "sequential", "vocabulary", "pairs", "incremental", "global"] {
+        for stage in ["features", "exhaustive", "sequential", "vocabulary", "pairs", "incremental", "global"]
+        {
             assert!(SCRIPT.contains(&format!("    \"{stage}\": {stage}")), "{stage}");
         }
     }

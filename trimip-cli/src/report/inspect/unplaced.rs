@@ -72,7 +72,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
         RgbImage::new(400, 300).save(&path).unwrap();
-        let one = |path: Option<PathBuf>| UnplacedPicture { name: "a<b>".into(), path, reason: "too blurred".into() };
+        let one = |path: Option<PathBuf>| UnplacedPicture {
+            name: "a<b>".into(),
+            path,
+            reason: "too blurred".into(),
+        };
         let mut all = vec![one(Some(path)), one(None)];
         let text = section(&all).unwrap();
         assert!(text.matches("<img").count() == 1 && text.matches("too blurred").count() == 2, "{text}");

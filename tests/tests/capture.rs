@@ -1,0 +1,871 @@
+//! The verb `capture`, with programs that imitate ffmpeg, COLMAP of several versions, pycolmap and glomap: what they are called with,
+//! which is chosen, what is kept when one fails or is killed, and what the user is told. The test at the end calls the real programs
+//! where they are installed; `TRIMIP_REQUIRE_COLMAP=1` makes them required.
+
+#![cfg(unix)]
+
+#[path = "../../trimip-data/tests/common/colmap.rs"]
+#[allow(dead_code)]
+mod sparse;
+
+use glam::{DMat3, DQuat, DVec3};
+use serde_json::Value;
+use sparse::Sparse;
+use std::{
+    fs,
+    io::Write,
+    os::unix::fs::PermissionsExt,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    time::{Duration, Instant},
+};
+use trimip_core::Intrinsics;
+use trimip_data::{
+    builtin::{orbit, render},
+    colmap::Model,
+    settings::Finish,
+};
+use trimip_tests::{
+    binary::{Answer, command, refuses, run},
+    files::files,
+    zip::{Entry, archive},
+};
+
+/// Photographs of the built-in scene, their side in pixels.
+const VIEWS: usize = 12;
+const SIDE: u32 = 48;
+
+/// A folder with photographs in `walk/` and programs in `fake/bin/`, the only ones on the path.
+struct Place {
+    folder: tempfile::TempDir,
+    /// Camera to world, OpenGL axes, of each photograph.
+    poses: Vec<[[f64; 4]; 4]>,
+    focal: f64,
+}
+
+impl Place {
+    /// Photographs `walk/0.jpg` to `walk/11.jpg` and no program.
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        fs::create_dir_all(here.join("fake/bin")).unwrap();
+        fs::create_dir(here.join("walk")).unwrap();
+        let sets = [
+            format!("data.builtin_size={SIDE}"),
+            format!("data.builtin_train={VIEWS}"),
+            "data.builtin_test=1".into(),
+            "data.builtin_supersampling=2".into(),
+        ];
+        let mut arguments = vec!["data", "builtin", "set"];
+        sets.iter().for_each(|set| arguments.extend(["--set", set]));
+        assert_eq!(run(here, &arguments).code, Some(0));
+        let json: Value =
+            serde_json::from_slice(&fs::read(here.join("set/transforms_train.json")).unwrap()).unwrap();
+        let focal = 0.5 * f64::from(SIDE) / (0.5 * json["camera_angle_x"].as_f64().unwrap()).tan();
+        let mut poses = Vec::new();
+        for (index, frame) in json["frames"].as_array().unwrap().iter().enumerate() {
+            poses.push(serde_json::from_value(frame["transform_matrix"].clone()).unwrap());
+            let name = format!("set/{}.png", frame["file_path"].as_str().unwrap().trim_start_matches("./"));
+            let picture = image::open(here.join(name)).unwrap().to_rgb8();
+            picture.save(here.join(format!("walk/{index:02}.jpg"))).unwrap();
+        }
+        fs::remove_dir_all(here.join("set")).unwrap();
+        Self { folder, poses, focal }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn has(&self, name: &str) -> bool {
+        self.path(name).exists()
+    }
+
+    fn program(&self, name: &str, text: &str) {
+        let path = self.path("fake/bin").join(name);
+        fs::write(&path, text).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+    }
+
+    fn colmap(&self, version: &str) {
+        let (help, extraction, matching) = match version {
+            "3.8" => (include_str!("fakes/colmap-3.8.help"), "SiftExtraction", "SiftMatching"),
+            _ => (include_str!("fakes/colmap-4.help"), "FeatureExtraction", "FeatureMatching"),
+        };
+        self.program("colmap", include_str!("fakes/colmap.sh"));
+        fs::write(self.path("fake/help"), help).unwrap();
+        let matcher = [&format!("{matching}.use_gpu"), &format!("{matching}.num_threads"), "database_path"];
+        let with = |more: &[&'static str]| {
+            matcher
+                .iter()
+                .map(|name| name.to_string())
+                .chain(more.iter().map(|name| name.to_string()))
+                .collect()
+        };
+        let mapper = vec![
+            "database_path".into(),
+            "image_path".into(),
+            "output_path".into(),
+            "Mapper.num_threads".into(),
+        ];
+        let extractor = [
+            "database_path".to_string(),
+            "image_path".into(),
+            "ImageReader.camera_model".into(),
+            "ImageReader.single_camera".into(),
+            "ImageReader.single_camera_per_folder".into(),
+            format!("{extraction}.max_image_size"),
+            format!("{extraction}.use_gpu"),
+            format!("{extraction}.num_threads"),
+        ];
+        let commands: [(&str, Vec<String>); 6] = [
+            ("feature_extractor", extractor.into()),
+            ("exhaustive_matcher", with(&[])),
+            (
+                "sequential_matcher",
+                with(&["SequentialMatching.overlap", "SequentialMatching.loop_detection"]),
+            ),
+            ("matches_importer", with(&["match_list_path", "match_type"])),
+            ("mapper", mapper.clone()),
+            ("global_mapper", mapper[..3].to_vec()),
+        ];
+        for (command, options) in commands {
+            let lines: Vec<String> =
+                options.iter().map(|option| format!("  --{option} arg (=1)\n")).collect();
+            fs::write(self.path(&format!("fake/help-{command}")), lines.concat()).unwrap();
+        }
+    }
+
+    fn pycolmap(&self) {
+        self.program("python3", include_str!("fakes/python3.sh"));
+        fs::write(self.path("fake/pycolmap"), "pycolmap 4.2.1 False True\n").unwrap();
+    }
+
+    /// ffmpeg, ffprobe, and a film `film` of 40 frames that moves, of which every fourth is sharp.
+    fn film(&self, film: &str) {
+        for (name, text) in
+            [("ffmpeg", include_str!("fakes/ffmpeg.sh")), ("ffprobe", include_str!("fakes/ffprobe.sh"))]
+        {
+            self.program(name, text);
+        }
+        fs::write(self.path("fake/ffmpeg-help"), "-fps_mode  x\n-vsync  x\n").unwrap();
+        let probe = format!(
+            "{{\"streams\":[{{\"codec_name\":\"hevc\",\"width\":{0},\"height\":{0},\"avg_frame_rate\":\"10/1\",\"nb_frames\":\"40\",\
+             \"color_transfer\":\"arib-std-b67\",\"pix_fmt\":\"yuv420p10le\"}}]}}",
+            64
+        );
+        fs::write(self.path("fake/probe"), probe).unwrap();
+        let (mut raw, mut times) = (Vec::new(), String::new());
+        for frame in 0..40_usize {
+            for pixel in 0..64 * 64_usize {
+                let (x, y) = ((pixel % 64 + 2 * frame) as f64, (pixel / 64) as f64);
+                let wave = (0.21 * x).sin() + (0.17 * x + 0.33 * y).sin() + (0.37 * y - 0.11 * x).sin();
+                // Detail that blur takes away.
+                let fine = if frame % 4 == 1 && (pixel + pixel / 64) % 2 == 0 { 12 } else { 0 };
+                raw.push((120.0 + 35.0 * wave) as u8 + fine);
+            }
+            times += &format!(
+                "[Parsed_showinfo_2 @ 0x1] n:{frame:4} pts:{frame} pts_time:{:.2} x\n",
+                0.1 * frame as f64
+            );
+        }
+        fs::write(self.path("fake/raw"), raw).unwrap();
+        fs::write(self.path("fake/showinfo"), times).unwrap();
+        fs::create_dir_all(self.path("fake/frames")).unwrap();
+        for number in 1..=VIEWS {
+            fs::copy(
+                self.path(&format!("walk/{:02}.jpg", number - 1)),
+                self.path(&format!("fake/frames/{number}.jpg")),
+            )
+            .unwrap();
+        }
+        fs::write(self.path(film), "a film").unwrap();
+    }
+
+    /// The model of these photographs, which are called by `name`, as the mapper's number `number`.
+    fn model(&self, number: u32, views: &[usize], name: impl Fn(usize) -> String) {
+        let mut sparse = Sparse::default();
+        let half = 0.5 * f64::from(SIDE);
+        let side = u64::from(SIDE);
+        sparse.cameras.push((1, 1, "PINHOLE", [side, side], vec![self.focal, self.focal, half, half]));
+        let points: Vec<DVec3> = (0..27)
+            .map(|i| {
+                0.4 * DVec3::new(f64::from(i % 3) - 1.0, f64::from(i / 3 % 3) - 1.0, f64::from(i / 9) - 1.0)
+            })
+            .collect();
+        let mut tracks = vec![Vec::new(); points.len()];
+        for (id, &view) in (1..).zip(views) {
+            let rows = self.poses[view];
+            let row = |row: usize| DVec3::new(rows[row][0], -rows[row][1], -rows[row][2]);
+            // To the world from a camera that looks along +z.
+            let to_world = DMat3::from_cols(row(0), row(1), row(2)).transpose();
+            let origin = DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
+            let from_world = to_world.transpose();
+            let shift = -(from_world * origin);
+            let q = DQuat::from_mat3(&from_world);
+            let places = points.iter().enumerate().map(|(index, point)| {
+                let local = from_world * *point + shift;
+                let place = [half + self.focal * local.x / local.z, half + self.focal * local.y / local.z];
+                tracks[index].push([id, index as u32]);
+                (place, index as i64)
+            });
+            sparse.images.push((id, [q.w, q.x, q.y, q.z], shift.to_array(), 1, name(view), places.collect()));
+        }
+        for (index, (point, track)) in points.iter().zip(tracks).enumerate() {
+            sparse.points.push((index as u64, point.to_array(), [90, 80, 70], 0.5, track));
+        }
+        sparse.write_binary(&self.path(&format!("fake/models/{number}")));
+    }
+
+    /// The model of all photographs by their own names.
+    fn whole_model(&self) {
+        self.model(0, &(0..VIEWS).collect::<Vec<_>>(), |view| format!("{view:02}.jpg"));
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = command(self.folder.path(), arguments);
+        command.env("PATH", self.path("fake/bin")).stdin(Stdio::null());
+        command
+    }
+
+    fn run(&self, arguments: &[&str]) -> Answer {
+        let output = self.command(arguments).output().unwrap();
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        Answer { code: output.status.code(), out: text(&output.stdout), err: text(&output.stderr) }
+    }
+
+    /// Runs to success; what the program told.
+    #[track_caller]
+    fn captures(&self, arguments: &[&str]) -> String {
+        let answer = self.run(&[&["capture"], arguments].concat());
+        assert_eq!((answer.code, answer.err.as_str()), (Some(0), ""), "{answer:?}");
+        for line in answer.out.lines() {
+            let event: Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+            assert!(event["kind"].is_string(), "{line}");
+        }
+        answer.out
+    }
+
+    /// The calls of programs so far, which are then forgotten.
+    fn calls(&self) -> Vec<String> {
+        let calls = fs::read_to_string(self.path("fake/calls")).unwrap_or_default();
+        let _ = fs::remove_file(self.path("fake/calls"));
+        calls.lines().map(String::from).collect()
+    }
+
+    /// The second word of each call.
+    fn commands(&self) -> Vec<String> {
+        self.calls().iter().filter_map(|call| call.split(' ').nth(1)).map(String::from).collect()
+    }
+
+    fn sign(&self, name: &str, text: &str) {
+        fs::write(self.path("fake").join(name), text).unwrap();
+    }
+
+    fn unsign(&self, name: &str) {
+        let _ = fs::remove_file(self.path("fake").join(name));
+    }
+}
+
+#[test]
+fn photographs_become_a_scene_by_colmap_3_8() {
+    let place = Place::new();
+    place.colmap("3.8");
+    place.whole_model();
+    let before = files(&place.path("walk"));
+    let told = place.captures(&["walk"]);
+    assert_eq!(
+        place.calls(),
+        [
+            "colmap feature_extractor --database_path features.part.db --image_path images --ImageReader.camera_model OPENCV \
+             --ImageReader.single_camera 1 --ImageReader.single_camera_per_folder 0 --SiftExtraction.max_image_size 1600 \
+             --SiftExtraction.use_gpu 0 --SiftExtraction.num_threads -1",
+            "colmap exhaustive_matcher --database_path database.part.db --SiftMatching.use_gpu 0 --SiftMatching.num_threads -1",
+            "colmap mapper --database_path database.db --image_path images --output_path models.part --Mapper.num_threads -1",
+        ]
+    );
+    for part in [
+        "OPENCV (ordinary lenses",
+        "one for all pictures",
+        "on the CPU: this COLMAP is built without CUDA",
+        "each picture with each, 66 pairs",
+        "one after the other (12 pictures",
+        "12 of 12 pictures placed by colmap 3.8, 27 points",
+        "next: trimip-cli captures/walk",
+    ] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    assert_eq!(files(&place.path("walk")), before, "photographs stay as they are");
+    for name in [
+        "images/11.jpg",
+        "sparse/0/images.bin",
+        "models/0/images.bin",
+        "database.db",
+        "inspect.html",
+        "log/model.log",
+    ] {
+        assert!(place.has(&format!("captures/walk/{name}")), "{name}");
+    }
+    let page = fs::read_to_string(place.path("captures/walk/inspect.html")).unwrap();
+    assert!(page.contains("COLMAP") && !page.contains("Without a camera"));
+    let log = fs::read_to_string(place.path("captures/walk/log/features.log")).unwrap();
+    assert!(log.contains("feature_extractor") && log.contains("Processed file [12/12]"), "{log}");
+    assert!(told.contains("\"done\":1,\"total\":12"), "{told}");
+
+    // The same command again does nothing, also without any program; the scene is one.
+    let whole = files(&place.path("captures/walk"));
+    fs::remove_dir_all(place.path("fake/bin")).unwrap();
+    let again = place.captures(&["walk"]);
+    assert_eq!(again.matches("\"earlier\":true").count(), 3, "{again}");
+    assert!(place.calls().is_empty() && files(&place.path("captures/walk")) == whole);
+    let inspected = place.run(&["data", "inspect", "captures/walk"]);
+    assert!(inspected.code == Some(0) && inspected.out.contains("12 images"), "{inspected:?}");
+}
+
+#[test]
+fn options_have_the_names_of_the_version() {
+    let place = Place::new();
+    place.colmap("4");
+    place.whole_model();
+    place.captures(&["walk", "--mapper", "global", "--threads", "2", "--size", "640", "--camera", "radial"]);
+    let calls = place.calls();
+    for part in [
+        "RADIAL",
+        "FeatureExtraction.max_image_size 640",
+        "FeatureExtraction.use_gpu 0",
+        "FeatureExtraction.num_threads 2",
+    ] {
+        assert!(calls[0].contains(part), "{part}: {calls:?}");
+    }
+    assert!(calls[1].ends_with("--FeatureMatching.use_gpu 0 --FeatureMatching.num_threads 2"), "{calls:?}");
+    assert_eq!(
+        calls[2],
+        "colmap global_mapper --database_path database.db --image_path images --output_path models.part"
+    );
+}
+
+#[test]
+fn programs_are_chosen_in_order_or_as_asked_for() {
+    let place = Place::new();
+    place.whole_model();
+    place.pycolmap();
+    let told = place.captures(&["walk", "--out", "a"]);
+    assert!(told.contains("placed by pycolmap 4.2.1"), "{told}");
+    let calls = place.calls();
+    assert!(
+        calls[0].starts_with("pycolmap features {") && calls[0].contains("\"camera_mode\":\"SINGLE\""),
+        "{calls:?}"
+    );
+    assert!(
+        calls[1].starts_with("pycolmap exhaustive {") && calls[2].starts_with("pycolmap incremental {"),
+        "{calls:?}"
+    );
+    assert!(calls[2].contains("\"models\":\"models.part\"") && place.has("a/log/poses.py"), "{calls:?}");
+
+    place.colmap("3.8");
+    assert!(place.captures(&["walk", "--out", "b"]).contains("placed by colmap 3.8"));
+    assert_eq!(place.commands(), ["feature_extractor", "exhaustive_matcher", "mapper"]);
+    assert!(
+        place.captures(&["walk", "--out", "c", "--poses", "pycolmap"]).contains("placed by pycolmap 4.2.1")
+    );
+    place.calls();
+    // Another program that comes later changes nothing that is done.
+    assert!(
+        place.captures(&["walk", "--out", "a"]).contains("placed by pycolmap 4.2.1")
+            && place.calls().is_empty()
+    );
+
+    place.program("glomap", include_str!("fakes/glomap.sh"));
+    assert!(place.captures(&["walk", "--out", "d", "--poses", "glomap"]).contains("placed by glomap"));
+    let calls = place.calls();
+    assert_eq!(
+        calls[2],
+        "glomap mapper --database_path database.db --image_path images --output_path models.part"
+    );
+    assert!(place.captures(&["walk", "--out", "e", "--mapper", "global"]).contains("placed by glomap"));
+}
+
+#[test]
+fn a_film_of_any_name_gives_its_sharpest_frames() {
+    let place = Place::new();
+    let film = "-a fílm 1.mp4";
+    place.film(film);
+    place.colmap("3.8");
+    place.model(0, &(0..10).collect::<Vec<_>>(), |view| format!("{:05}.jpg", view + 1));
+    let told = place.captures(&["--frames", "10", "--", film]);
+    let calls = place.calls();
+    let path = format!("-i {}", place.path(film).canonicalize().unwrap().display());
+    assert!(
+        calls[0].contains(&path) && calls[0].contains("scale=64:64:flags=area,format=gray,showinfo"),
+        "{calls:?}"
+    );
+    assert!(calls[1].contains("-fps_mode passthrough") && calls[1].contains("tonemap=hable"), "{calls:?}");
+    let selected: Vec<usize> = calls[1]
+        .split("eq(n\\,")
+        .skip(1)
+        .map(|rest| rest.split(')').next().unwrap().parse().unwrap())
+        .collect();
+    assert!(selected.len() == 10 && selected.iter().all(|frame| frame % 4 == 1), "{selected:?}");
+    assert!(
+        calls[3].starts_with("colmap sequential_matcher") && calls[3].contains("overlap 10"),
+        "{calls:?}"
+    );
+    for part in ["HDR (HLG)", "frames: 10 of 40", "10 of 10 pictures placed", "a film"] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    assert!(told.contains("next: trimip-cli 'captures/-a fílm 1'"), "{told}");
+    assert!(
+        place.has("captures/-a fílm 1/images/00010.jpg")
+            && place.has("captures/-a fílm 1/sparse/0/images.bin")
+    );
+
+    // An earlier ffmpeg has another name for the option.
+    place.sign("ffmpeg-help", "-vsync x\n");
+    place.captures(&["--frames", "10", "--out", "old", "--", film]);
+    assert!(place.calls()[0].contains("-vsync passthrough"));
+}
+
+#[test]
+fn a_stage_that_failed_is_done_again_and_those_before_it_are_kept() {
+    let place = Place::new();
+    place.colmap("3.8");
+    place.whole_model();
+    let stages = ["feature_extractor", "exhaustive_matcher", "mapper"];
+    for (index, stage) in stages.into_iter().enumerate() {
+        place.sign(&format!("fail-{stage}"), "E1 something\nE2 is wrong\nE3 for sure\n");
+        let answer = place.run(&["capture", "walk"]);
+        answer.expect_error(
+            1,
+            &[
+                &format!("colmap {stage} ended with exit code 1: E1 something | E2 is wrong | E3 for sure"),
+                "captures/walk/log/",
+            ],
+        );
+        assert_eq!(place.commands(), stages[index..=index].to_vec(), "{stage}");
+        place.unsign(&format!("fail-{stage}"));
+        if index + 1 < stages.len() {
+            // The next one stops the way, so that this stage is done.
+            place.sign(&format!("fail-{}", stages[index + 1]), "E\n");
+            assert_eq!(place.run(&["capture", "walk"]).code, Some(1));
+            assert_eq!(place.commands(), stages[index..index + 2].to_vec());
+        }
+    }
+    place.captures(&["walk"]);
+    assert_eq!(place.commands(), ["mapper"]);
+}
+
+#[test]
+fn what_is_changed_is_done_again_from_there() {
+    let place = Place::new();
+    place.colmap("3.8");
+    place.whole_model();
+    place.captures(&["walk"]);
+    place.calls();
+    for (more, expected) in [
+        (&["--matcher", "sequential"][..], &["sequential_matcher", "mapper"][..]),
+        (&[], &["exhaustive_matcher", "mapper"]),
+        (&["--threads", "3"], &[]),
+        (&["--camera", "opencv"], &[]),
+        (&["--size", "500"], &["feature_extractor", "exhaustive_matcher", "mapper"]),
+        (&["--size", "500", "--fresh"], &["feature_extractor", "exhaustive_matcher", "mapper"]),
+    ] {
+        place.captures(&[&["walk"], more].concat());
+        assert_eq!(place.commands(), expected, "{more:?}");
+    }
+    // Other photographs are another input; so is a picture that somebody removed.
+    for change in ["walk/11.jpg", "captures/walk/images/03.jpg"] {
+        place.captures(&["walk"]);
+        place.calls();
+        fs::remove_file(place.path(change)).unwrap();
+        fs::remove_dir_all(place.path("fake/models")).unwrap();
+        place.model(0, &(0..VIEWS - 1).collect::<Vec<_>>(), |view| format!("{view:02}.jpg"));
+        place.captures(&["walk"]);
+        assert_eq!(place.commands(), ["feature_extractor", "exhaustive_matcher", "mapper"], "{change}");
+    }
+}
+
+/// True if a process is there and no zombie.
+fn lives(id: &str) -> bool {
+    fs::read_to_string(format!("/proc/{id}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
+}
+
+#[test]
+fn a_capture_that_is_killed_leaves_no_process_and_nothing_half_done() {
+    let place = Place::new();
+    place.film("walk.mp4");
+    place.colmap("3.8");
+    place.model(0, &(0..10).collect::<Vec<_>>(), |view| format!("{:05}.jpg", view + 1));
+    let arguments = ["capture", "walk.mp4", "--frames", "10"];
+    let stages = ["ffmpeg", "feature_extractor", "sequential_matcher", "mapper"];
+    for (index, stage) in stages.into_iter().enumerate() {
+        for signal in ["-KILL", "-TERM", "-INT"] {
+            place.unsign("hanging");
+            place.sign(&format!("hang-{stage}"), "");
+            let mut child =
+                place.command(&arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+            let started = Instant::now();
+            let id = loop {
+                let id = fs::read_to_string(place.path("fake/hanging")).unwrap_or_default();
+                if id.ends_with('\n') {
+                    break id.trim().to_string();
+                }
+                assert!(started.elapsed() < Duration::from_secs(60), "{stage} begins");
+                std::thread::sleep(Duration::from_millis(5));
+            };
+            assert!(!cfg!(target_os = "linux") || lives(&id));
+            assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+            let code = child.wait().unwrap().code();
+            assert_eq!(code, if signal == "-KILL" { None } else { Some(130) }, "{stage} {signal}");
+            while lives(&id) {
+                assert!(started.elapsed() < Duration::from_secs(60), "{stage} {signal}: the program goes on");
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            let state = |name: &str| place.has(&format!("captures/walk/state/{name}.json"));
+            let done = ["pictures", "features", "matches", "model"].map(state);
+            let expected = [0, 1, 2, 3].map(|stage| stage < index);
+            assert_eq!(done, expected, "{stage} {signal}");
+        }
+        place.unsign(&format!("hang-{stage}"));
+        place.calls();
+    }
+    place.captures(&["walk.mp4", "--frames", "10"]);
+    assert_eq!(place.commands(), ["mapper"]);
+    let left: Vec<PathBuf> = files(&place.path("captures/walk"))
+        .into_keys()
+        .filter(|path| path.to_string_lossy().contains("part"))
+        .collect();
+    assert!(left.is_empty(), "{left:?}");
+    assert!(!fs::read(place.path("captures/walk/database.db")).unwrap().is_empty());
+}
+
+#[test]
+fn missing_programs_are_told_with_the_line_that_installs_them() {
+    let place = Place::new();
+    fs::write(place.path("walk.mp4"), "a film").unwrap();
+    // The fake folder of programs is empty.
+    let refused = |arguments: &[&str], parts: &[&str]| {
+        let answer = place.run(&[&["capture"], arguments].concat());
+        answer.expect_error(2, parts);
+        assert!(!place.has("captures") && answer.out.is_empty(), "{answer:?}");
+    };
+    refused(&["walk.mp4"], &["walk.mp4: no ffmpeg with ffprobe", "install it: "]);
+    refused(&["walk"], &["walk: neither colmap nor a python3 with pycolmap", "install it: ", "pycolmap"]);
+    refused(&["walk", "--poses", "colmap"], &["--poses colmap: no program colmap"]);
+    refused(&["walk", "--poses", "pycolmap"], &["pip install pycolmap"]);
+    refused(&["walk", "--poses", "glomap"], &["no program glomap"]);
+    // A Python without the package is none.
+    place.program("python3", include_str!("fakes/python3.sh"));
+    refused(&["walk"], &["neither colmap nor"]);
+}
+
+#[test]
+fn wrong_input_is_refused_with_what_to_do() {
+    let place = Place::new();
+    place.colmap("3.8");
+    let here = place.folder.path();
+    fs::create_dir(here.join("few")).unwrap();
+    fs::copy(here.join("walk/00.jpg"), here.join("few/0.jpg")).unwrap();
+    fs::create_dir(here.join("scene")).unwrap();
+    fs::write(here.join("scene/transforms.json"), "{}").unwrap();
+    fs::create_dir(here.join("theirs")).unwrap();
+    fs::write(here.join("theirs/letter.txt"), "x").unwrap();
+    let refused = |arguments: &[&str], parts: &[&str]| {
+        let before = files(here);
+        place.run(&[&["capture"], arguments].concat()).expect_error(2, parts);
+        assert_eq!(files(here), before, "{arguments:?}");
+    };
+    refused(&["few"], &["few: holds 1 photograph alone", "take more"]);
+    refused(&["scene"], &["scene: holds a scene with cameras already", "trimip-cli scene"]);
+    refused(&["gone.mp4"], &["gone.mp4: does not exist"]);
+    refused(&["few/0.jpg"], &["is no film", "the folder of all photographs"]);
+    refused(&["walk", "--out", "theirs"], &["theirs: holds files that no capture wrote", "--out"]);
+    refused(&["walk", "--minutes", "5"], &["--train"]);
+    refused(&["walk", "--frames", "1"], &["--frames"]);
+    place.whole_model();
+    place.captures(&["walk", "--out", "mine"]);
+    fs::create_dir(here.join("other")).unwrap();
+    for name in ["00.jpg", "01.jpg", "02.jpg"] {
+        fs::copy(here.join("walk").join(name), here.join("other").join(name)).unwrap();
+    }
+    refused(&["other", "--out", "mine"], &["mine: holds the capture of walk"]);
+    // A broken film is told with what ffmpeg says of it.
+    place.film("walk.mp4");
+    place.sign("fail-ffmpeg", "");
+    place
+        .run(&["capture", "walk.mp4"])
+        .expect_error(1, &["ffmpeg ended with exit code 1: moov atom not found"]);
+    place.sign("probe", "{\"streams\":[]}");
+    place.run(&["capture", "walk.mp4"]).expect_error(2, &["walk.mp4: holds no film"]);
+}
+
+#[test]
+fn pictures_that_no_camera_is_found_of_are_refused() {
+    let place = Place::new();
+    place.colmap("3.8");
+    place
+        .run(&["capture", "walk"])
+        .expect_error(2, &["colmap 3.8 placed none of these pictures", "more overlap", "log/model.log"]);
+    assert!(!place.has("captures/walk/sparse"));
+    place.whole_model();
+    place.calls();
+    place.captures(&["walk"]);
+    assert_eq!(place.commands(), ["mapper"]);
+}
+
+#[test]
+fn heic_is_converted_and_left_as_it_is() {
+    let place = Place::new();
+    place.colmap("3.8");
+    fs::create_dir(place.path("phone")).unwrap();
+    for view in 0..VIEWS {
+        let jpeg = fs::read(place.path(&format!("walk/{view:02}.jpg"))).unwrap();
+        let heic = [b"\0\0\0\x18ftypheic\0\0\0\0\n", &jpeg[..]].concat();
+        // Some phones call it JPEG.
+        let name = if view % 2 == 0 { format!("IMG {view:02}.HEIC") } else { format!("IMG {view:02}.jpg") };
+        fs::write(place.path("phone").join(name), heic).unwrap();
+    }
+    let before = files(&place.path("phone"));
+    let missing = place.run(&["capture", "phone"]);
+    missing.expect_error(2, &["no program that reads HEIC", "install it: "]);
+    place.program("heif-convert", include_str!("fakes/heif-convert.sh"));
+    place.model(0, &(0..VIEWS).collect::<Vec<_>>(), |view| format!("IMG_{view:02}.jpg"));
+    place.calls();
+    let told = place.captures(&["phone"]);
+    assert!(told.contains("12 pictures") && told.contains("converted by heif-convert"), "{told}");
+    let calls = place.calls();
+    assert!(
+        calls.iter().filter(|call| call.starts_with("heif-convert -q 100 ")).count() == VIEWS,
+        "{calls:?}"
+    );
+    assert_eq!(files(&place.path("phone")), before);
+    assert_eq!(
+        image::image_dimensions(place.path("captures/phone/images/IMG_03.jpg")).unwrap(),
+        (SIDE, SIDE)
+    );
+}
+
+#[test]
+fn of_several_models_the_largest_is_taken_and_the_rest_is_told() {
+    let place = Place::new();
+    place.colmap("3.8");
+    let name = |view: usize| format!("{view:02}.jpg");
+    place.model(0, &[9, 10], name);
+    place.model(1, &[0, 1, 2, 3, 4, 5, 6, 7], name);
+    // A blurred photograph.
+    let blurred = image::open(place.path("walk/11.jpg")).unwrap().blur(6.0);
+    blurred.save(place.path("walk/11.jpg")).unwrap();
+    let told = place.captures(&["walk"]);
+    for part in [
+        "8 of 12 pictures placed",
+        "models: 2 of 8 (1), 2 (0) pictures",
+        "not placed: 09.jpg (09.jpg): in another model of 2 pictures",
+        "not placed: 11.jpg (11.jpg): too blurred",
+        "not placed: 08.jpg (08.jpg): too few matches",
+    ] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    let page = fs::read_to_string(place.path("captures/walk/inspect.html")).unwrap();
+    let section = &page[page.find("Without a camera").expect("the section")..];
+    let section = &section[..section.find("</section>").unwrap()];
+    assert!(
+        section.matches("<figure><img").count() == 4 && section.contains("too blurred"),
+        "{}",
+        section.len()
+    );
+    let stated = |path: &str| fs::read(place.path(path)).unwrap()[..8].to_vec();
+    assert_eq!(stated("captures/walk/sparse/0/images.bin"), 8_u64.to_le_bytes());
+}
+
+#[test]
+fn photographs_of_several_sizes_and_folders_are_kept_apart() {
+    let place = Place::new();
+    place.colmap("3.8");
+    fs::create_dir_all(place.path("walk/b")).unwrap();
+    for view in 0..3 {
+        let picture = image::open(place.path(&format!("walk/{view:02}.jpg"))).unwrap();
+        picture.crop_imm(0, 0, SIDE, SIDE - 8).save(place.path(&format!("walk/b/{view:02}.jpg"))).unwrap();
+        fs::remove_file(place.path(&format!("walk/{view:02}.jpg"))).unwrap();
+    }
+    place.model(0, &(3..VIEWS).collect::<Vec<_>>(), |view| format!("48x48/{view:02}.jpg"));
+    let told = place.captures(&["walk"]);
+    assert!(told.contains("one for each of 2 sizes") && told.contains("9 of 12 pictures placed"), "{told}");
+    assert!(place.calls()[0].contains("single_camera 0 --ImageReader.single_camera_per_folder 1"));
+    assert!(place.has("captures/walk/images/48x40/00.jpg") && place.has("captures/walk/images/48x48/11.jpg"));
+}
+
+#[test]
+fn archives_are_unpacked_and_what_is_refused_today_names_this_verb() {
+    let place = Place::new();
+    place.colmap("3.8");
+    place.whole_model();
+    let here = place.folder.path();
+    let entries: Vec<Entry> = (0..VIEWS)
+        .map(|view| {
+            Entry::stored(
+                &format!("photos/{view:02}.jpg"),
+                &fs::read(here.join(format!("walk/{view:02}.jpg"))).unwrap(),
+            )
+        })
+        .collect();
+    fs::write(here.join("trip.zip"), archive(&entries)).unwrap();
+    fs::write(here.join("a film.mp4"), "x").unwrap();
+    refuses(here, &["walk"], &["its 12 pictures need cameras", "trimip-cli capture walk"]);
+    refuses(here, &["trip.zip"], &["its 12 pictures need cameras", "trimip-cli capture trip.zip"]);
+    refuses(here, &["a film.mp4"], &["trimip-cli capture 'a film.mp4'"]);
+    assert!(run(here, &[]).err.contains("trimip-cli capture FILM"));
+    let told = place.captures(&["trip.zip"]);
+    assert!(
+        told.contains("trip.zip is unpacked in trip") && told.contains("12 of 12 pictures placed"),
+        "{told}"
+    );
+    assert!(place.has("captures/trip/sparse/0/images.bin"));
+}
+
+#[test]
+fn a_capture_is_trained_on_and_filmed() {
+    let place = Place::new();
+    place.colmap("3.8");
+    place.whole_model();
+    let settings = [
+        "data.scales=1",
+        "encoder.plane_size=16",
+        "encoder.levels=3",
+        "field.hidden=16",
+        "occupancy.resolution=16",
+        "train.samples_per_step=512",
+        "train.steps=10",
+        "eval.points=0",
+        "eval.min_gain=0",
+        "backend=cpu",
+        "threads=2",
+    ];
+    let mut arguments = vec!["capture", "walk", "--train"];
+    settings.iter().for_each(|set| arguments.extend(["--set", set]));
+    let answer = place.run(&arguments);
+    assert_eq!(answer.code, Some(0), "{answer:?}");
+    assert!(answer.out.contains("\"kind\":\"finished\"") && !answer.out.contains("next: "), "{answer:?}");
+    assert!(answer.err.contains("trimip-cli train captures/walk --set data.scales=1"), "{}", answer.err);
+    assert!(
+        answer.err.contains("no film: there is no ffmpeg") && answer.err.contains("tools/web.sh"),
+        "{}",
+        answer.err
+    );
+    assert!(place.has("runs/walk/model.safetensors") && place.has("runs/walk/report.html"));
+}
+
+/// True where real programs are required.
+fn required() -> bool {
+    std::env::var("TRIMIP_REQUIRE_COLMAP").is_ok_and(|value| value == "1")
+}
+
+/// True if the programs are on the path of the test; otherwise says so, and fails where they are required.
+fn are_there(names: &[&str]) -> bool {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let is_there = |name: &&&str| std::env::split_paths(&path).any(|folder| folder.join(name).is_file());
+    let missing: Vec<_> = names.iter().filter(|name| !is_there(name)).collect();
+    assert!(missing.is_empty() || !required(), "{missing:?} are required");
+    if !missing.is_empty() {
+        println!("skipped: {missing:?} are not installed");
+    }
+    missing.is_empty()
+}
+
+/// Frames of the film of the built-in scene, and how many are taken.
+const FILMED: u32 = 60;
+const TAKEN: usize = 20;
+
+/// A film of an arc around the built-in scene by the real ffmpeg, and the cameras' places.
+fn film_of_the_builtin_scene(film: &Path) -> Vec<DVec3> {
+    let intrinsics = Intrinsics::from_angle(480, 360, 0.8);
+    let picture = |index: u32| {
+        let camera =
+            orbit(intrinsics, 3.0, 0.45 + 0.1 * (0.2 * f64::from(index)).sin(), 0.03 * f64::from(index));
+        let pixels = render(&camera, 2, Finish::Mixed, &|| ());
+        let over = |p: &[u8; 4], c: usize| {
+            (u32::from(p[c]) * u32::from(p[3]) / 255 + 60 * (255 - u32::from(p[3])) / 255) as u8
+        };
+        (camera.origin, pixels.iter().flat_map(|p| [over(p, 0), over(p, 1), over(p, 2)]).collect::<Vec<u8>>())
+    };
+    let mut ffmpeg = Command::new("ffmpeg")
+        .args([
+            "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "480x360", "-r", "15", "-i",
+            "pipe:0",
+        ])
+        .args(["-pix_fmt", "yuv420p", "-q:v", "2", "-c:v", "mpeg4"])
+        .arg(film)
+        .stdin(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut pipe = ffmpeg.stdin.take().unwrap();
+    let places = (0..FILMED).map(|index| {
+        let (place, bytes) = picture(index);
+        pipe.write_all(&bytes).unwrap();
+        place
+    });
+    let places = places.collect();
+    drop(pipe);
+    assert!(ffmpeg.wait().unwrap().success());
+    places
+}
+
+/// Asserts that the cameras of a capture stand where they stood, up to position, rotation and scale of the whole: that distances
+/// between them are those of the film. Returns how many there are.
+fn expect_places(capture: &Path, truth: &[DVec3]) -> usize {
+    let pictures: Value =
+        serde_json::from_slice(&fs::read(capture.join("state/pictures.json")).unwrap()).unwrap();
+    let frame = |name: &str| {
+        let all = pictures["result"]["pictures"].as_array().unwrap();
+        let source = all.iter().find(|picture| picture["name"] == name).unwrap()["source"].as_str().unwrap();
+        source.split(' ').nth(1).unwrap().parse::<usize>().unwrap()
+    };
+    let model = Model::read(&capture.join("sparse/0")).unwrap();
+    let cameras = model.cameras_of_images("the model").unwrap();
+    let found: Vec<(DVec3, DVec3)> = model
+        .images
+        .iter()
+        .zip(&cameras)
+        .map(|(image, camera)| (truth[frame(&image.name)], camera.origin))
+        .collect();
+    let pairs = || {
+        found
+            .iter()
+            .enumerate()
+            .flat_map(|(i, a)| found[..i].iter().map(move |b| (a.0.distance(b.0), a.1.distance(b.1))))
+    };
+    let (real, own) = pairs().fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
+    let worst = pairs().map(|(a, b)| (a - b * real / own).abs()).fold(0.0, f64::max);
+    assert!(worst < 0.1, "cameras 3 from the scene are {worst} off");
+    found.len()
+}
+
+#[test]
+fn the_real_programs_find_the_cameras_of_a_film() {
+    if !are_there(&["ffmpeg", "ffprobe"]) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let truth = film_of_the_builtin_scene(&here.join("a round.mp4"));
+    let has_pycolmap = || {
+        let mut python = Command::new("python3");
+        python
+            .args(["-c", "import pycolmap"])
+            .stderr(Stdio::null())
+            .status()
+            .is_ok_and(|status| status.success())
+    };
+    for (poses, is_there) in [("colmap", are_there(&["colmap"])), ("pycolmap", has_pycolmap())] {
+        if !is_there {
+            println!("skipped: {poses} is not installed");
+            continue;
+        }
+        let started = Instant::now();
+        let taken = TAKEN.to_string();
+        let answer =
+            run(here, &["capture", "a round.mp4", "--frames", &taken, "--poses", poses, "--out", poses]);
+        assert_eq!((answer.code, answer.err.as_str()), (Some(0), ""), "{poses}: {answer:?}");
+        let placed = expect_places(&here.join(poses), &truth);
+        println!("{poses}: {placed} of {TAKEN} cameras in {:.0} s", started.elapsed().as_secs_f64());
+        assert!(placed >= TAKEN * 3 / 4, "{poses}: {placed} of {TAKEN}: {}", answer.out);
+    }
+}

@@ -1,0 +1,4 @@
+#!/bin/sh
+# Imitates ffprobe.
+PATH=/usr/bin:/bin
+cat "$(dirname "$0")/../probe"

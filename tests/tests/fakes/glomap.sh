@@ -1,0 +1,6 @@
+#!/bin/sh
+# Imitates glomap.
+PATH=/usr/bin:/bin
+here=$(dirname "$0")/..
+echo "glomap $*" >> "$here/calls"
+[ "$1" = mapper ] && [ "$6" = --output_path ] && cp -R "$here/models/." "$7"
