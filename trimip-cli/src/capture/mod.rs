@@ -213,6 +213,9 @@ impl Capture<'_> {
             count(pictures.pictures.len() as u64, "picture"),
             images.display()
         ));
+        if !pictures.of_film {
+            pictures.notes.iter().for_each(|note| self.display.note(note));
+        }
         for left in pictures.left_out.iter().take(NAMED) {
             self.display.note(&format!("left out: {}: {}", left.name, left.reason));
         }

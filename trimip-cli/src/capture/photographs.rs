@@ -7,7 +7,7 @@ use super::{
     programs::{self, Need},
     source::Photograph,
 };
-use image::ImageReader;
+use image::{ImageDecoder, ImageReader, metadata::Orientation};
 use std::{
     collections::{BTreeMap, BTreeSet},
     ffi::OsString,
@@ -82,6 +82,7 @@ pub fn make(
     let mut pictures = Pictures::default();
     let names = unique_names(photographs);
     let mut sizes: Vec<(PathBuf, String, [u32; 2])> = Vec::new();
+    let mut turned = 0;
     let staging = target.join("all");
     fs::create_dir_all(&staging).map_err(|error| super::folder::unwritable(&staging, &error))?;
     for (done, (photograph, name)) in photographs.iter().zip(&names).enumerate() {
@@ -94,7 +95,10 @@ pub fn make(
             None => link(&photograph.path, &path)?,
         }
         match size(&path) {
-            Ok(size) => sizes.push((photograph.name.clone(), name.clone(), size)),
+            Ok((size, is_turned)) => {
+                turned += usize::from(is_turned);
+                sizes.push((photograph.name.clone(), name.clone(), size));
+            }
             Err(reason) => {
                 let _ = fs::remove_file(&path);
                 pictures.left_out.push(LeftOut { name: photograph.name.display().to_string(), reason });
@@ -120,6 +124,12 @@ pub fn make(
         });
     }
     fs::remove_dir(&staging).map_err(|error| super::folder::unwritable(&staging, &error))?;
+    if turned > 0 {
+        pictures.notes.push(format!(
+            "orientation: {} said by EXIF to be turned; pixels are used as stored, so that one camera fits all",
+            if turned == 1 { "1 photograph is".into() } else { format!("{turned} photographs are") }
+        ));
+    }
     pictures.converted_by = converting.working.map(|(_, converter)| converter.name.to_string());
     pictures.expect_enough(&target)?;
     Ok(pictures)
@@ -207,11 +217,14 @@ fn link(from: &Path, to: &Path) -> Result<()> {
     })
 }
 
-/// Width and height of a photograph as stored, or why it has none.
-fn size(path: &Path) -> std::result::Result<[u32; 2], String> {
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
-    let size = reader.map_err(|error| error.to_string())?.into_dimensions();
-    size.map(|(width, height)| [width, height]).map_err(|error| format!("cannot be read: {error}"))
+/// Width and height of a photograph as stored, and whether a tag says that it is shown turned; otherwise why it has none.
+fn size(path: &Path) -> std::result::Result<([u32; 2], bool), String> {
+    let read = || -> image::ImageResult<_> {
+        let mut decoder = ImageReader::open(path)?.with_guessed_format()?.into_decoder()?;
+        let turned = decoder.orientation().is_ok_and(|orientation| orientation != Orientation::NoTransforms);
+        Ok((<[u32; 2]>::from(decoder.dimensions()), turned))
+    };
+    read().map_err(|error| format!("cannot be read: {error}"))
 }
 
 /// A plain file name for each photograph, unique also where names differ by their case alone.
