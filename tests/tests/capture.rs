@@ -401,7 +401,7 @@ fn a_film_of_any_name_gives_its_sharpest_frames() {
     );
     assert!(calls[1].contains("-fps_mode passthrough") && calls[1].contains("tonemap=hable"), "{calls:?}");
     let selected: Vec<usize> = calls[1]
-        .split("eq(n\\,")
+        .split("eq(n,")
         .skip(1)
         .map(|rest| rest.split(')').next().unwrap().parse().unwrap())
         .collect();

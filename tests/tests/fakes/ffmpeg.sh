@@ -25,7 +25,7 @@ case "$*" in
     cat "$here/raw";;
   *)
     number=0
-    for frame in $(printf '%s' "$filter" | grep -o 'eq(n\\,[0-9]*' | sed 's/.*,//'); do
+    for frame in $(printf '%s' "$filter" | grep -o 'eq(n,[0-9]*' | sed 's/.*,//'); do
       number=$((number + 1))
       cp "$here/frames/$number.jpg" "$(printf "$before" $number)" || exit 1
       echo "frame=$number"

@@ -3,7 +3,6 @@
 use super::{ability::Ability, pictures::Pictures};
 use crate::args::{CaptureArguments, Lens, Mapper, Matcher};
 use serde::Serialize;
-use std::path::PathBuf;
 use trimip::{Error, Result, formatting::count};
 
 /// Most photographs of which each is compared with each: 19,900 pairs.
@@ -52,12 +51,12 @@ pub enum Pairs {
         /// Every so many pictures are compared with each other; 0 = none.
         every: usize,
         /// A vocabulary tree that closes loops instead.
-        tree: Option<PathBuf>,
+        tree: Option<String>,
     },
     /// Each with those that look alike.
     Vocabulary {
         /// The tree.
-        tree: PathBuf,
+        tree: String,
     },
 }
 
@@ -119,7 +118,13 @@ pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability)
                 "name a file of one, or leave --vocab-tree out",
             ));
         }
-        Some(path) => Some(std::path::absolute(path).unwrap_or_else(|_| path.clone())),
+        Some(path) => {
+            let whole = std::path::absolute(path).unwrap_or_else(|_| path.clone());
+            let text = whole.to_str().map(String::from);
+            Some(
+                text.ok_or_else(|| Error::input(path.display(), "the path is not UTF-8", "rename the file"))?,
+            )
+        }
         None => None,
     };
     let (pairs, why) = pairs(arguments.matcher, pictures.of_film, number, tree)?;
@@ -169,15 +174,15 @@ fn pairs(
     wanted: Option<Matcher>,
     of_film: bool,
     number: usize,
-    tree: Option<PathBuf>,
+    tree: Option<String>,
 ) -> Result<(Pairs, String)> {
     let all = number * number.saturating_sub(1) / 2;
-    let sequential = |tree: Option<PathBuf>, most: usize, why: &str| {
+    let sequential = |tree: Option<String>, most: usize, why: &str| {
         let every = if tree.is_some() { 0 } else { spread(number, most) };
         let loops = match (&tree, every) {
             (Some(_), _) => "; the vocabulary tree closes loops".to_string(),
             (None, 0) => String::new(),
-            (None, every) => format!("; each {every}th with all others of these closes loops"),
+            (None, every) => format!("; one of every {every} with all others of these, which closes loops"),
         };
         let text = format!("each picture with the {OVERLAP} next ones and some farther on ({why}){loops}");
         (Pairs::Sequential { overlap: OVERLAP, every, tree }, text)
@@ -246,7 +251,7 @@ mod tests {
 
     fn arguments(more: &[&str]) -> CaptureArguments {
         use clap::Parser;
-        let words = [&["x", "capture", "a.mp4"], more].concat();
+        let words = [&["x", "capture", "a.mp4"][..], more].concat();
         match crate::args::Arguments::try_parse_from(words).unwrap().verb {
             Some(crate::args::Verb::Capture(arguments)) => *arguments,
             other => panic!("{other:?}"),

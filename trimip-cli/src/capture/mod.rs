@@ -22,6 +22,7 @@ use crate::{
     args::{CaptureArguments, PosesProgram},
     interrupt,
     report::{self, inspect::UnplacedPicture},
+    settings,
 };
 use decisions::Decisions;
 use display::Display;
@@ -38,7 +39,7 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
     time::Instant,
 };
-use trimip::{Result, formatting::count};
+use trimip::{Error, Result, formatting::count};
 use trimip_data::unwatched;
 use unplaced::Unplaced;
 
@@ -73,6 +74,9 @@ pub fn run(arguments: &CaptureArguments) -> Result<Captured> {
         "stopping; the same command goes on from here; press Ctrl-C again to end at once",
     )?;
     let root = arguments.out.clone().unwrap_or_else(|| default_folder(&arguments.input));
+    if root.to_str().is_none() {
+        return Err(Error::input(root.display(), "the path is not UTF-8", "choose another --out folder"));
+    }
     let Found { source, notes } = source::find(&arguments.input)?;
     expect_programs(arguments, &source, &root)?;
     let name =
@@ -125,7 +129,7 @@ impl Capture<'_> {
         let pictures = self.pictures(source)?;
         let placement = self.placement(&pictures)?;
         let unplaced = self.tell(&pictures, &placement);
-        self.page(&pictures, &placement, &unplaced)?;
+        self.page(root, &pictures, &placement, &unplaced)?;
         let [width, height] = pictures.pictures.iter().fold([0, 0], |largest, picture| {
             [largest[0].max(picture.size[0]), largest[1].max(picture.size[1])]
         });
@@ -169,8 +173,9 @@ impl Capture<'_> {
                 json!({ "film": name, "bytes": bytes(film), "frames": self.arguments.frames })
             }
             Source::Photographs(all) => {
-                let listed =
-                    |photograph: &source::Photograph| json!([photograph.name, bytes(&photograph.path)]);
+                let listed = |photograph: &source::Photograph| {
+                    json!([photograph.name.to_string_lossy(), bytes(&photograph.path)])
+                };
                 json!({ "photographs": all.iter().map(listed).collect::<Vec<_>>() })
             }
         };
@@ -374,7 +379,13 @@ impl Capture<'_> {
     }
 
     /// Writes the page of what was understood.
-    fn page(&self, pictures: &Pictures, placement: &Placement, unplaced: &[Unplaced]) -> Result<()> {
+    fn page(
+        &self,
+        root: &Path,
+        pictures: &Pictures,
+        placement: &Placement,
+        unplaced: &[Unplaced],
+    ) -> Result<()> {
         let inputs = json!({ "asked": placement.asked, "models": digest(&placement.models)? });
         let path = self.folder.path("inspect.html");
         self.stage(
@@ -383,8 +394,7 @@ impl Capture<'_> {
             inputs,
             |_: &Value| true,
             || {
-                let root = self.folder.root().to_string_lossy().into_owned();
-                let settings = trimip::settings::defaults().with("data.root", root)?;
+                let settings = trimip::settings::defaults().with("data.root", settings::scene_root(root)?)?;
                 let seen = trimip::inspect::inspect(settings, &unwatched)?;
                 let images = self.folder.path("images");
                 let of_unplaced = |one: &Unplaced| UnplacedPicture {

@@ -15,6 +15,7 @@ use super::{
 use choice::Chosen;
 use film::Film;
 use std::{
+    ffi::OsStr,
     path::{Path, PathBuf},
     sync::atomic::AtomicBool,
 };
@@ -86,7 +87,7 @@ pub fn take(
         }
         .with(["-hide_banner", "-nostdin", "-y"])
         .with(&threads)
-        .with(["-i".as_ref(), request.film.as_os_str()])
+        .with([OsStr::new("-i"), request.film.as_os_str()])
         .with(["-map", "0:v:0", "-an", "-sn", "-dn"])
     };
 
@@ -111,7 +112,7 @@ pub fn take(
 
     let target = folder.path(images);
     std::fs::create_dir_all(&target).map_err(|error| super::folder::unwritable(&target, &error))?;
-    let selected: Vec<String> = frames.iter().map(|frame| format!("eq(n\\,{frame})")).collect();
+    let selected: Vec<String> = frames.iter().map(|frame| format!("eq(n,{frame})")).collect();
     let filters =
         format!("{}select='{}'{}", film.deinterlace(), selected.join("+"), film.tones(tools.maps_tones));
     let taking = call("frames")

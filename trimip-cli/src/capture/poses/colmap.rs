@@ -13,6 +13,9 @@ use std::{
 };
 use trimip::Result;
 
+/// An option: its names in versions, of which the first that is there is taken, and its value.
+type Choice = (&'static [&'static str], OsString);
+
 /// The program.
 pub struct Colmap {
     program: PathBuf,
@@ -45,7 +48,7 @@ impl Colmap {
 
     /// A call of a command with those of the options that it has: an option may have several names, of which the first that is there
     /// is taken.
-    fn call(&self, folder: &Folder, log: &str, command: &str, options: &[(&[&str], OsString)]) -> Call<'_> {
+    fn call<'a>(&'a self, folder: &'a Folder, log: &str, command: &str, options: &[Choice]) -> Call<'a> {
         let known = self.options_of(command);
         let mut arguments: Vec<OsString> = vec![command.into()];
         for (names, value) in options {
@@ -88,16 +91,16 @@ impl Colmap {
     /// Finds features.
     pub fn features<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
         let flag = |cameras: Cameras| OsString::from(if by.cameras == cameras { "1" } else { "0" });
-        let options: Vec<(&[&str], OsString)> = vec![
-            (&["database_path"], database.into()),
-            (&["image_path"], "images".into()),
-            (&["ImageReader.camera_model"], by.camera.into()),
-            (&["ImageReader.single_camera"], flag(Cameras::One)),
-            (&["ImageReader.single_camera_per_folder"], flag(Cameras::PerFolder)),
-            (&["ImageReader.single_camera_per_image"], flag(Cameras::PerImage)),
-            (&["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], number(by.size)),
-            (&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"], u32::from(by.gpu).to_string().into()),
-            (&["FeatureExtraction.num_threads", "SiftExtraction.num_threads"], threads(by)),
+        let options = vec![
+            choice(&["database_path"], database),
+            choice(&["image_path"], "images"),
+            choice(&["ImageReader.camera_model"], by.camera),
+            choice(&["ImageReader.single_camera"], flag(Cameras::One)),
+            choice(&["ImageReader.single_camera_per_folder"], flag(Cameras::PerFolder)),
+            choice(&["ImageReader.single_camera_per_image"], flag(Cameras::PerImage)),
+            choice(&["FeatureExtraction.max_image_size", "SiftExtraction.max_image_size"], number(by.size)),
+            choice(&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"], u32::from(by.gpu).to_string()),
+            choice(&["FeatureExtraction.num_threads", "SiftExtraction.num_threads"], threads(by)),
         ];
         Ok(self.call(folder, "features", "feature_extractor", &options))
     }
@@ -108,18 +111,18 @@ impl Colmap {
         let command = match &by.pairs {
             Pairs::Exhaustive => "exhaustive_matcher",
             Pairs::Vocabulary { tree } => {
-                options.push((&["VocabTreeMatching.vocab_tree_path"], tree.into()));
+                options.push(choice(&["VocabTreeMatching.vocab_tree_path"], tree));
                 "vocab_tree_matcher"
             }
             Pairs::Sequential { overlap, tree, .. } => {
-                options.push((&["SequentialMatching.overlap"], number(*overlap)));
-                options.push((&["SequentialMatching.quadratic_overlap"], "1".into()));
-                options.push((
+                options.push(choice(&["SequentialMatching.overlap"], number(*overlap)));
+                options.push(choice(&["SequentialMatching.quadratic_overlap"], "1"));
+                options.push(choice(
                     &["SequentialMatching.loop_detection"],
-                    u32::from(tree.is_some()).to_string().into(),
+                    u32::from(tree.is_some()).to_string(),
                 ));
                 if let Some(tree) = tree {
-                    options.push((&["SequentialMatching.vocab_tree_path"], tree.into()));
+                    options.push(choice(&["SequentialMatching.vocab_tree_path"], tree));
                 }
                 "sequential_matcher"
             }
@@ -136,19 +139,19 @@ impl Colmap {
         by: &Decisions,
     ) -> Result<Option<Call<'a>>> {
         let mut options = matching(database, by);
-        options.push((&["match_list_path"], list.into()));
-        options.push((&["match_type"], "pairs".into()));
+        options.push(choice(&["match_list_path"], list));
+        options.push(choice(&["match_type"], "pairs"));
         let is_there = self.commands.contains("matches_importer");
         Ok(is_there.then(|| self.call(folder, "loops", "matches_importer", &options)))
     }
 
     /// Places cameras.
     pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Result<Call<'a>> {
-        let options: Vec<(&[&str], OsString)> = vec![
-            (&["database_path"], "database.db".into()),
-            (&["image_path"], "images".into()),
-            (&["output_path"], models.into()),
-            (&["Mapper.num_threads", "GlobalMapper.num_threads"], threads(by)),
+        let options = vec![
+            choice(&["database_path"], "database.db"),
+            choice(&["image_path"], "images"),
+            choice(&["output_path"], models),
+            choice(&["Mapper.num_threads", "GlobalMapper.num_threads"], threads(by)),
         ];
         let command = if by.global { "global_mapper" } else { "mapper" };
         Ok(self.call(folder, "model", command, &options))
@@ -168,17 +171,21 @@ pub fn glomap<'a>(folder: &'a Folder, program: &'a Path, models: &str) -> Call<'
 }
 
 /// What all matchers have.
-fn matching(database: &str, by: &Decisions) -> Vec<(&'static [&'static str], OsString)> {
+fn matching(database: &str, by: &Decisions) -> Vec<Choice> {
     vec![
-        (&["database_path"], database.into()),
-        (&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], u32::from(by.gpu).to_string().into()),
-        (&["FeatureMatching.num_threads", "SiftMatching.num_threads"], threads(by)),
+        choice(&["database_path"], database),
+        choice(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], u32::from(by.gpu).to_string()),
+        choice(&["FeatureMatching.num_threads", "SiftMatching.num_threads"], threads(by)),
     ]
 }
 
 /// Programs run in the folder of the capture, so that no name on their command line holds what it may not.
 fn folder_of(folder: &Folder) -> &Path {
     folder.root()
+}
+
+fn choice(names: &'static [&'static str], value: impl Into<OsString>) -> Choice {
+    (names, value.into())
 }
 
 fn number(value: u32) -> OsString {
