@@ -28,7 +28,7 @@ if [ -e "$here/hang-$command" ]; then
   sleep 600
 fi
 if [ -e "$here/fail-$command" ]; then
-  echo "begins"
+  echo "begins" >&2
   cat "$here/fail-$command" >&2
   exit 1
 fi
