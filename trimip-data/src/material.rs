@@ -1,14 +1,12 @@
 //! What a folder without a scene holds to make one of: photographs, films, archives, a database of COLMAP.
 
 use crate::{
-    archive::{self, Wanted},
     foreign::{self, Foreign},
     names,
     readers::found,
     zip::is_archive,
 };
 use std::path::{Path, PathBuf};
-use trimip_core::Result;
 
 /// How deep below the folder is looked, and at how many files.
 const MOST_DEPTH: usize = 3;
@@ -124,18 +122,6 @@ pub fn has_cameras(folder: &Path) -> bool {
 /// read as it is.
 pub fn foreign_format(path: &Path) -> Option<&'static Foreign> {
     foreign::of_file(path)
-}
-
-/// Unpacks an archive of photographs or of a film, unless that was done before, as an archive of a scene is unpacked: into a folder
-/// beside it. Returns the folder, and what was unpacked where in words.
-///
-/// # Errors
-/// Of kind `Input`: an archive that is broken, not to be trusted or holds nothing of this, and a folder that cannot be written or is another's.
-pub fn unpack_material(archive: &Path) -> Result<(PathBuf, String)> {
-    let is_scene = |folder: &Path| found(folder).is_some() || Material::of(folder).is_any();
-    let unpacked =
-        archive::unpacked(archive, &Wanted { is_scene: &is_scene, files: "photographs and films" })?;
-    Ok((unpacked.root, unpacked.note))
 }
 
 fn may_hold_photographs(folder: &Path) -> bool {
