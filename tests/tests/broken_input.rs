@@ -114,7 +114,13 @@ fn broken_archives_are_refused() {
         (with(Entry::stored("../../x.png", b"x")), ["a.zip: ../../x.png: ", "leads out of the folder"]),
         (with(Entry { checksum: 7, ..film.clone() }), ["a.zip: walk.mp4: ", "is damaged"]),
         (with(Entry { flags: 1, ..film.clone() }), ["a.zip: walk.mp4: ", "is encrypted"]),
-        (archive(&[film]), ["a.zip: holds no scene", "a/walk.mp4 is a film, and this command finds the cameras of its frames: trimip-cli capture a.zip"]),
+        (
+            archive(&[film]),
+            [
+                "a.zip: holds no scene",
+                "a/walk.mp4 is a film, and this command finds the cameras of its frames: trimip-cli capture a.zip",
+            ],
+        ),
         (archive(&[]), ["a.zip: ", "holds no file"]),
     ] {
         fs::write(here.join("a.zip"), bytes).unwrap();

@@ -14,6 +14,9 @@ const LEAST_STEP: f64 = 0.01;
 /// How much a frame at the end of its interval counts less than one in the middle: neighbours shall not lie side by side.
 const AT_THE_END: f64 = 0.3;
 
+/// Most intervals for each frame that is wanted.
+const NARROWEST: usize = 32;
+
 /// Change of exposure between neighbours that is told, stops; and how many changes are named.
 const JUMP: f64 = 0.5;
 const NAMED: usize = 3;
@@ -44,7 +47,7 @@ pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
         None => (by_time, format!("{RATE} a second, {FEWEST} to {MOST}")),
     };
     let number = (count as usize).min(measured.len());
-    let frames = sharpest(measured, number);
+    let frames = as_many(measured, number);
     let mut notes = vec![format!(
         "frames: {} of {}, the sharpest of each interval of equal motion ({why}; --frames N)",
         frames.len(),
@@ -53,6 +56,23 @@ pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
     notes.extend(still(measured, last));
     notes.extend(jumps(measured, &frames));
     Chosen { frames, notes }
+}
+
+/// The frames of intervals that are as wide as `count` allows. Where a film moves unevenly some intervals hold no frame: then narrower
+/// ones are tried, and frames without motion between them still count once.
+fn as_many(measured: &[Measured], count: usize) -> Vec<usize> {
+    let (mut best, mut intervals) = (sharpest(measured, count), count);
+    while best.len() < count && intervals < NARROWEST * count {
+        intervals += 1 + intervals / 8;
+        let finer = sharpest(measured, intervals);
+        if finer.len() > count {
+            break;
+        }
+        if finer.len() > best.len() {
+            best = finer;
+        }
+    }
+    best
 }
 
 /// The sharpest frame of each of `count` intervals: of equal motion, or of equal time where there is none. Intervals without a frame
@@ -150,6 +170,21 @@ mod tests {
         assert_eq!(choose(&film, None).frames.len(), 120, "two a second");
         let few = choose(&film[..50], None).frames.len();
         assert!((48..50).contains(&few), "{few}, no more than the motion gives");
+    }
+
+    #[test]
+    fn uneven_motion_takes_no_frames_away() {
+        // Fifty photographs in a row, each step up to ten times as long as another.
+        let mut motion = 0.0;
+        let film: Vec<_> = (0..50)
+            .map(|i| {
+                motion += 0.02 * (1 + i * 7 % 10) as f64;
+                frame(i, motion, 50.0)
+            })
+            .collect();
+        assert_eq!(choose(&film, None).frames, (0..50).collect::<Vec<_>>());
+        let few = choose(&film, Some(20)).frames;
+        assert!((19..=20).contains(&few.len()), "{few:?}");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::capture::{
 use std::sync::atomic::AtomicBool;
 use trimip::{Error, Result};
 
-/// How often motion is measured, times a second; what lies between has the motion of the frame before.
+/// How often motion is measured, times a second; frames between two measurements divide it equally.
 const MOTION_RATE: f64 = 15.0;
 
 /// A frame of a film.
@@ -57,7 +57,19 @@ pub fn frames(
         let time = times.get(index).copied().flatten().map(|time| time - first);
         frame.seconds = time.unwrap_or(index as f64 / rate.max(1.0));
     }
+    divide_motion(&mut measured, stride);
     Ok(measured)
+}
+
+/// Divides the motion between every `stride`-th frame and the next such one among the frames between them.
+fn divide_motion(measured: &mut [Measured], stride: usize) {
+    for first in (0..measured.len().saturating_sub(stride)).step_by(stride) {
+        let (before, after) = (measured[first].motion, measured[first + stride].motion);
+        for between in 1..stride {
+            let part = between as f64 / stride as f64;
+            measured[first + between].motion = before + part * (after - before);
+        }
+    }
 }
 
 struct Measuring<'a> {
@@ -113,5 +125,24 @@ impl Output for Measuring<'_> {
 
     fn takes_bytes(&self) -> bool {
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn motion_is_divided_among_the_frames_between_measurements() {
+        let motions = |motions: &[f64], stride| -> Vec<f64> {
+            let frame = |&motion: &f64| Measured { seconds: 0.0, sharpness: 0.0, brightness: 0.0, motion };
+            let mut measured: Vec<_> = motions.iter().map(frame).collect();
+            divide_motion(&mut measured, stride);
+            measured.iter().map(|frame| frame.motion).collect()
+        };
+        assert_eq!(motions(&[0.0, 0.0, 2.0, 2.0, 2.0, 2.0], 2), [0.0, 1.0, 2.0, 2.0, 2.0, 2.0]);
+        assert_eq!(motions(&[0.0, 0.0, 0.0, 0.0, 8.0], 4), [0.0, 2.0, 4.0, 6.0, 8.0]);
+        assert_eq!(motions(&[0.0, 1.0, 3.0], 1), [0.0, 1.0, 3.0]);
+        assert!(motions(&[], 3).is_empty());
     }
 }
