@@ -17,6 +17,9 @@ const AT_THE_END: f64 = 0.3;
 /// Most intervals for each frame that is wanted.
 const NARROWEST: usize = 32;
 
+/// Share of a film's frames from which on frames without motion between them are taken too.
+const NEARLY_ALL: f64 = 0.8;
+
 /// Change of exposure between neighbours that is told, stops; and how many changes are named.
 const JUMP: f64 = 0.5;
 const NAMED: usize = 3;
@@ -58,21 +61,33 @@ pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
     Chosen { frames, notes }
 }
 
-/// The frames of intervals that are as wide as `count` allows. Where a film moves unevenly some intervals hold no frame: then narrower
-/// ones are tried, and frames without motion between them still count once.
+/// `count` frames, spread over the motion. Where a film moves unevenly, some intervals hold no frame: then narrower ones are tried,
+/// and the frames that add the least motion are left out. Of frames without motion between them only one is taken, unless nearly all
+/// frames are wanted.
 fn as_many(measured: &[Measured], count: usize) -> Vec<usize> {
-    let (mut best, mut intervals) = (sharpest(measured, count), count);
-    while best.len() < count && intervals < NARROWEST * count {
-        intervals += 1 + intervals / 8;
-        let finer = sharpest(measured, intervals);
-        if finer.len() > count {
-            break;
-        }
-        if finer.len() > best.len() {
-            best = finer;
+    let mut frames: Vec<usize> = (0..measured.len()).collect();
+    if (count as f64) < NEARLY_ALL * measured.len() as f64 {
+        let mut intervals = count;
+        frames = sharpest(measured, intervals);
+        while frames.len() < count && intervals < NARROWEST * count {
+            intervals += 1 + intervals / 8;
+            frames = sharpest(measured, intervals);
         }
     }
-    best
+    while frames.len() > count.max(2) {
+        // The motion between its neighbours, then its sharpness.
+        let worth = |place: usize| {
+            let motion = measured[frames[place + 1]].motion - measured[frames[place - 1]].motion;
+            (motion, measured[frames[place]].sharpness)
+        };
+        let least = (1..frames.len() - 1).min_by(|&a, &b| {
+            let (a, b) = (worth(a), worth(b));
+            a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
+        });
+        let Some(least) = least else { break };
+        frames.remove(least);
+    }
+    frames
 }
 
 /// The sharpest frame of each of `count` intervals: of equal motion, or of equal time where there is none. Intervals without a frame
@@ -174,17 +189,20 @@ mod tests {
 
     #[test]
     fn uneven_motion_takes_no_frames_away() {
-        // Fifty photographs in a row, each step up to ten times as long as another.
+        // Fifty photographs in a row: some steps are ten times as long as others, and after every fifth there is none.
         let mut motion = 0.0;
         let film: Vec<_> = (0..50)
             .map(|i| {
-                motion += 0.02 * (1 + i * 7 % 10) as f64;
+                motion += if i % 5 == 0 { 0.0 } else { 0.02 * (1 + i * 7 % 10) as f64 };
                 frame(i, motion, 50.0)
             })
             .collect();
         assert_eq!(choose(&film, None).frames, (0..50).collect::<Vec<_>>());
-        let few = choose(&film, Some(20)).frames;
-        assert!((19..=20).contains(&few.len()), "{few:?}");
+        for wanted in [45, 30, 20] {
+            let frames = choose(&film, Some(wanted)).frames;
+            assert_eq!(frames.len(), wanted as usize, "{frames:?}");
+            assert!(frames.windows(2).all(|pair| pair[1] > pair[0]), "{frames:?}");
+        }
     }
 
     #[test]
