@@ -339,13 +339,18 @@ fn wrong_input_is_refused_with_what_to_do() {
     refused(&["walk", "--out", "theirs"], &["theirs: holds files that no capture wrote", "--out"]);
     refused(&["walk", "--minutes", "5"], &["--train"]);
     refused(&["walk", "--frames", "1"], &["--frames"]);
+    refused(&["walk", "--frames", "9"], &["--frames: is for films"]);
+    refused(&["walk", "--mapper", "global"], &["colmap 3.8 has no global mapper"]);
+    refused(&["walk", "--vocab-tree", "gone.bin"], &["gone.bin: is no vocabulary tree"]);
+    refused(&["walk", "--train", "--set", "train.stepz=1"], &["train.stepz"]);
+    refused(&["."], &["lies in the folder that is captured", "--out"]);
     place.whole_model();
     place.captures(&["walk", "--out", "mine"]);
     fs::create_dir(here.join("other")).unwrap();
     for name in ["00.jpg", "01.jpg", "02.jpg"] {
         fs::copy(here.join("walk").join(name), here.join("other").join(name)).unwrap();
     }
-    refused(&["other", "--out", "mine"], &["mine: holds the capture of walk"]);
+    refused(&["other", "--out", "mine"], &["mine: holds the capture of ", "/walk"]);
     // A broken film is told with what ffmpeg says of it.
     place.film("walk.mp4");
     place.sign("fail-ffmpeg", "");

@@ -81,11 +81,52 @@ pub struct Decisions {
     pub lines: Vec<String>,
 }
 
-/// Decides for pictures, by what the user gave and what the programs can do.
+/// Refuses options that do not fit each other or the programs. Returns the path of the vocabulary tree.
 ///
 /// # Errors
 /// Of kind `Input`: a vocabulary tree that is missing, a mapper that no program has.
+pub fn expect(arguments: &CaptureArguments, able: &Ability) -> Result<Option<String>> {
+    match arguments.mapper {
+        Some(Mapper::Global) if !able.global => {
+            let what = format!("{} has no global mapper", able.name);
+            return Err(Error::input("--mapper global", what, "install COLMAP 4 or glomap, or leave it out"));
+        }
+        Some(Mapper::Incremental) if able.only_global => {
+            let what = "does not fit --poses glomap, which places all cameras at once";
+            return Err(Error::input("--mapper incremental", what, "leave one of the two out"));
+        }
+        _ => {}
+    }
+    let Some(path) = &arguments.vocab_tree else {
+        return match arguments.matcher {
+            Some(Matcher::Vocabulary) => Err(Error::input(
+                "--matcher vocabulary",
+                "needs a vocabulary tree",
+                "name its file with --vocab-tree",
+            )),
+            _ => Ok(None),
+        };
+    };
+    if !path.is_file() {
+        return Err(Error::input(
+            path.display(),
+            "is no vocabulary tree",
+            "name a file of one, or leave --vocab-tree out",
+        ));
+    }
+    let whole = std::path::absolute(path).unwrap_or_else(|_| path.clone());
+    match whole.to_str() {
+        Some(text) => Ok(Some(text.into())),
+        None => Err(Error::input(path.display(), "the path is not UTF-8", "rename the file")),
+    }
+}
+
+/// Decides for pictures, by what the user gave and what the programs can do.
+///
+/// # Errors
+/// As [`expect`].
 pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability) -> Result<Decisions> {
+    let tree = expect(arguments, able)?;
     let number = pictures.pictures.len();
     let mut lines = Vec::new();
     let (cameras, why) = cameras(pictures);
@@ -110,31 +151,10 @@ pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability)
         }
     });
 
-    let tree = match &arguments.vocab_tree {
-        Some(path) if !path.is_file() => {
-            return Err(Error::input(
-                path.display(),
-                "is no vocabulary tree",
-                "name a file of one, or leave --vocab-tree out",
-            ));
-        }
-        Some(path) => {
-            let whole = std::path::absolute(path).unwrap_or_else(|_| path.clone());
-            let text = whole.to_str().map(String::from);
-            Some(
-                text.ok_or_else(|| Error::input(path.display(), "the path is not UTF-8", "rename the file"))?,
-            )
-        }
-        None => None,
-    };
-    let (pairs, why) = pairs(arguments.matcher, pictures.of_film, number, tree)?;
+    let (pairs, why) = pairs(arguments.matcher, pictures.of_film, number, tree);
     lines.push(format!("pairs: {why}"));
 
     let (global, why) = match arguments.mapper {
-        Some(Mapper::Global) if !able.global => {
-            let what = format!("{} has no global mapper", able.name);
-            return Err(Error::input("--mapper global", what, "install COLMAP 4 or glomap, or leave it out"));
-        }
         Some(mapper) => (mapper == Mapper::Global, "as asked for".to_string()),
         None if able.only_global => (true, "what glomap does".into()),
         None if number <= INCREMENTAL => (false, format!("{number} pictures, up to {INCREMENTAL}")),
@@ -170,12 +190,7 @@ fn cameras(pictures: &Pictures) -> (Cameras, String) {
 }
 
 /// The pairs that are compared, and why.
-fn pairs(
-    wanted: Option<Matcher>,
-    of_film: bool,
-    number: usize,
-    tree: Option<String>,
-) -> Result<(Pairs, String)> {
+fn pairs(wanted: Option<Matcher>, of_film: bool, number: usize, tree: Option<String>) -> (Pairs, String) {
     let all = number * number.saturating_sub(1) / 2;
     let sequential = |tree: Option<String>, most: usize, why: &str| {
         let every = if tree.is_some() { 0 } else { spread(number, most) };
@@ -190,18 +205,11 @@ fn pairs(
     let exhaustive = |why: &str| {
         (Pairs::Exhaustive, format!("each picture with each, {} ({why})", count(all as u64, "pair")))
     };
-    Ok(match (wanted, tree) {
+    match (wanted, tree) {
         (Some(Matcher::Exhaustive), _) => exhaustive("as asked for"),
         (Some(Matcher::Sequential), tree) => sequential(tree, LOOP_PAIRS, "as asked for"),
         (Some(Matcher::Vocabulary), Some(tree)) => {
             (Pairs::Vocabulary { tree }, "each picture with those that look alike (as asked for)".into())
-        }
-        (Some(Matcher::Vocabulary), None) => {
-            return Err(Error::input(
-                "--matcher vocabulary",
-                "needs a vocabulary tree",
-                "name its file with --vocab-tree",
-            ));
         }
         (None, tree) if of_film => sequential(tree, LOOP_PAIRS, "a film"),
         (None, _) if number <= EXHAUSTIVE => exhaustive(&format!("up to {EXHAUSTIVE} photographs")),
@@ -211,12 +219,13 @@ fn pairs(
                 "each picture with those that look alike (more than {EXHAUSTIVE} photographs, by the tree)"
             ),
         ),
-        (None, None) => sequential(
+        // `expect` refuses --matcher vocabulary without a tree.
+        (Some(Matcher::Vocabulary) | None, None) => sequential(
             None,
             LOOP_PAIRS_OF_PHOTOGRAPHS,
             &format!("more than {EXHAUSTIVE} photographs and no --vocab-tree, in the order of their names"),
         ),
-    })
+    }
 }
 
 /// The step between pictures of which `most` pairs are at most made; 0 where neighbours are all there is.
@@ -299,6 +308,9 @@ mod tests {
             let error = decide(&arguments(more), &photographs, &able(false, false)).unwrap_err();
             assert!(error.exit_code() == 2 && error.message.contains(what), "{error}");
         }
+        let glomap = Ability { only_global: true, ..able(true, false) };
+        let error = decide(&arguments(&["--mapper", "incremental"]), &photographs, &glomap).unwrap_err();
+        assert!(error.message.contains("--poses glomap"), "{error}");
     }
 
     #[test]

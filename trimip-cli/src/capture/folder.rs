@@ -70,10 +70,19 @@ pub struct Done<T> {
 }
 
 /// What marks a folder as that of a capture.
-#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Serialize, Deserialize)]
 struct Mark {
-    /// The name of the film, folder or archive.
+    /// The path of the film, folder or archive.
     input: String,
+}
+
+impl Mark {
+    /// True if this is the capture of `input`: of the same path, or of the same name where the earlier path is gone, because the
+    /// input was moved.
+    fn is_of(&self, input: &Path) -> bool {
+        let own = Path::new(&self.input);
+        self.input == input.to_string_lossy() || own.file_name() == input.file_name() && !own.exists()
+    }
 }
 
 /// The folder of a capture, which this process alone writes.
@@ -84,17 +93,17 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Opens or creates the folder for an input of this name.
+    /// Opens or creates the folder for the input of this absolute path.
     ///
     /// # Errors
     /// Of kind `Input`: a folder of something else or of another input, one that another process works on, one that cannot be written.
-    pub fn open(root: &Path, input: &str) -> Result<Self> {
-        let mark = Mark { input: input.into() };
+    pub fn open(root: &Path, input: &Path) -> Result<Self> {
+        let mark = Mark { input: input.to_string_lossy().into_owned() };
         let path = root.join("capture.json");
         let refused = |what: String| Error::input(root.display(), what, "choose another --out folder");
         let found = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice::<Mark>(&bytes).ok());
         match found {
-            Some(found) if found == mark => {}
+            Some(found) if found.is_of(input) => {}
             Some(found) => return Err(refused(format!("holds the capture of {}", found.input))),
             None if is_others(root) => return Err(refused("holds files that no capture wrote".into())),
             None => {
@@ -198,8 +207,13 @@ impl Folder {
     }
 
     fn state(&self, stage: Stage) -> PathBuf {
-        self.root.join("state").join(format!("{}.json", stage.name()))
+        state(&self.root, stage)
     }
+}
+
+/// The file of a stage's state, which is there if the stage is done.
+pub fn state(root: &Path, stage: Stage) -> PathBuf {
+    root.join("state").join(format!("{}.json", stage.name()))
 }
 
 /// The name under which an output is written until it is whole; it keeps its ending.
@@ -256,7 +270,7 @@ mod tests {
     fn a_stage_is_done_with_its_outputs_until_it_or_an_earlier_one_begins_again() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("walk");
-        let capture = Folder::open(&root, "walk.mp4").unwrap();
+        let capture = Folder::open(&root, Path::new("walk.mp4")).unwrap();
         let number = |stage| capture.done::<u32>(stage).map(|done| done.result);
         for (stage, output, result) in
             [(Stage::Features, "features.db", 3), (Stage::Matches, "database.db", 4)]
@@ -280,16 +294,24 @@ mod tests {
     fn a_folder_belongs_to_one_input_and_one_process() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("walk");
-        let refused = |input: &str| Folder::open(&root, input).err().map(|error| error.message);
+        let refused = |input: &Path| Folder::open(&root, input).err().map(|error| error.message);
+        let [walk, run] = ["a/walk.mp4", "a/run.mp4"].map(|name| folder.path().join(name));
+        fs::create_dir(folder.path().join("a")).unwrap();
+        fs::write(&walk, "").unwrap();
         fs::create_dir(&root).unwrap();
         fs::write(root.join("other"), "").unwrap();
-        assert!(refused("walk.mp4").unwrap().contains("no capture wrote"));
+        assert!(refused(&walk).unwrap().contains("no capture wrote"));
         fs::remove_file(root.join("other")).unwrap();
         fs::write(root.join("capture.json.tmp"), "{").unwrap();
-        let first = Folder::open(&root, "walk.mp4").unwrap();
-        assert!(refused("walk.mp4").unwrap().contains("another process"));
+        let first = Folder::open(&root, &walk).unwrap();
+        assert!(refused(&walk).unwrap().contains("another process"));
         drop(first);
-        assert!(refused("run.mp4").unwrap().contains("holds the capture of walk.mp4"));
-        assert_eq!(refused("walk.mp4"), None);
+        assert!(refused(&run).unwrap().contains(&format!("holds the capture of {}", walk.display())));
+        assert_eq!(refused(&walk), None);
+        // Another film of the same name is another input; a film that was moved is not.
+        let moved = folder.path().join("walk.mp4");
+        assert!(refused(&moved).unwrap().contains("holds the capture of"));
+        fs::rename(&walk, &moved).unwrap();
+        assert_eq!(refused(&moved), None);
     }
 }

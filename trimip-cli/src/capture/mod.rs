@@ -77,11 +77,14 @@ pub fn run(arguments: &CaptureArguments) -> Result<Captured> {
     if root.to_str().is_none() {
         return Err(Error::input(root.display(), "the path is not UTF-8", "choose another --out folder"));
     }
+    expect_outside(&arguments.input, &root)?;
     let Found { source, notes } = source::find(&arguments.input)?;
+    if matches!(source, Source::Photographs(_)) && arguments.frames.is_some() {
+        return Err(Error::input("--frames", "is for films, and these are photographs", "leave it out"));
+    }
     expect_programs(arguments, &source, &root)?;
-    let name =
-        arguments.input.file_name().unwrap_or(arguments.input.as_os_str()).to_string_lossy().into_owned();
-    let folder = Folder::open(&root, &name)?;
+    let input = arguments.input.canonicalize().unwrap_or_else(|_| arguments.input.clone());
+    let folder = Folder::open(&root, &input)?;
     if arguments.fresh {
         folder.begin(Stage::Pictures)?;
     }
@@ -100,18 +103,34 @@ fn default_folder(input: &Path) -> PathBuf {
     Path::new("captures").join(name.unwrap_or("capture".as_ref()))
 }
 
-/// Fails before anything is written where a program is missing that an earlier command did not do the work of.
+/// Refuses to write into the folder that is captured: the next command would take what this one wrote for photographs.
+fn expect_outside(input: &Path, root: &Path) -> Result<()> {
+    let (Ok(input), Ok(whole)) = (input.canonicalize(), std::path::absolute(root)) else { return Ok(()) };
+    // The nearest folder that exists already.
+    let above = whole.ancestors().find_map(|folder| folder.canonicalize().ok());
+    if !input.is_dir() || !above.is_some_and(|folder| folder.starts_with(&input)) {
+        return Ok(());
+    }
+    Err(Error::input(
+        root.display(),
+        "lies in the folder that is captured",
+        "name a folder outside with --out, or type the command in another folder",
+    ))
+}
+
+/// Fails before anything is written where the options do not fit, or a program is missing that an earlier command did not do the
+/// work of.
 fn expect_programs(arguments: &CaptureArguments, source: &Source, root: &Path) -> Result<()> {
-    let is_done =
-        |stage: &str| !arguments.fresh && root.join("state").join(format!("{stage}.json")).is_file();
+    let is_done = |stage: Stage| !arguments.fresh && folder::state(root, stage).is_file();
     if let Source::Film(film) = source
-        && !is_done(Stage::Pictures.name())
+        && !is_done(Stage::Pictures)
     {
         programs::expect("ffmpeg", programs::Need::Films, film.display())?;
         programs::expect("ffprobe", programs::Need::Films, film.display())?;
     }
-    if !is_done(Stage::Model.name()) {
-        Poses::find(arguments.poses, None, &arguments.input)?;
+    if !is_done(Stage::Model) {
+        let poses = Poses::find(arguments.poses, None, &arguments.input)?;
+        decisions::expect(arguments, &poses.ability())?;
     }
     Ok(())
 }
@@ -223,6 +242,9 @@ impl Capture<'_> {
         }
         for left in pictures.left_out.iter().take(NAMED) {
             self.display.note(&format!("left out: {}: {}", left.name, left.reason));
+        }
+        if pictures.left_out.len() > NAMED {
+            self.display.note(&format!("left out: {} more", pictures.left_out.len() - NAMED));
         }
         Ok(pictures)
     }

@@ -2,7 +2,7 @@
 
 use super::{export, render, train};
 use crate::{
-    args::{Arguments, CaptureArguments, ProgressStyle, Verb},
+    args::{Arguments, CaptureArguments, ProgressStyle, SettingsArguments, Verb},
     capture::{
         self, Captured,
         process::{quoted, quoted_path},
@@ -12,7 +12,7 @@ use crate::{
 };
 use clap::Parser;
 use std::path::Path;
-use trimip::{Error, Result};
+use trimip::{Error, Result, backends};
 
 /// Frames of the film, and its longest side, pixels.
 const FRAMES: u32 = 120;
@@ -25,6 +25,11 @@ const PAGE: &str = "target/web/trimip_web.js";
 pub fn run(arguments: &CaptureArguments) -> Result<u8> {
     if let Some(minutes) = arguments.minutes.filter(|minutes| !(minutes.is_finite() && *minutes > 0.0)) {
         return Err(Error::input(format!("--minutes {minutes}"), "is no time", "give a number above 0"));
+    }
+    if arguments.train {
+        let set = arguments.set.clone();
+        let (_, config) = settings::load(&SettingsArguments { set, ..SettingsArguments::default() })?;
+        backends::check(&config.backend)?;
     }
     let captured = capture::run(arguments)?;
     if !arguments.train {
