@@ -4,7 +4,7 @@
 use super::folder::unwritable;
 use serde::{Deserialize, Serialize};
 use std::{
-    collections::BTreeMap,
+    collections::BTreeSet,
     fs,
     path::{Path, PathBuf},
 };
@@ -16,8 +16,8 @@ use trimip_data::colmap::Model;
 pub struct Placed {
     /// Its folder in `models/`.
     pub folder: String,
-    /// Pictures whose cameras it has, with the number of their features that it has points of.
-    pub pictures: BTreeMap<String, usize>,
+    /// Pictures whose cameras it has.
+    pub pictures: BTreeSet<String>,
     /// Number of its points.
     pub points: usize,
     /// Mean distance of points from their features, pixels, over points.
@@ -56,12 +56,6 @@ fn holds_model(folder: &Path) -> bool {
 
 fn placed(root: &Path, folder: &Path) -> Result<Placed> {
     let model = Model::read(folder)?;
-    let mut seen: BTreeMap<u32, usize> = BTreeMap::new();
-    model
-        .points
-        .iter()
-        .flat_map(|point| &point.track)
-        .for_each(|[image, _]| *seen.entry(*image).or_default() += 1);
     let errors: Vec<f64> =
         model.points.iter().map(|point| point.error).filter(|error| *error >= 0.0).collect();
     let name = folder.strip_prefix(root).unwrap_or(folder).display().to_string();
@@ -69,11 +63,7 @@ fn placed(root: &Path, folder: &Path) -> Result<Placed> {
         folder: name,
         points: model.points.len(),
         error: (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64),
-        pictures: model
-            .images
-            .into_iter()
-            .map(|image| (image.name, seen.get(&image.id).copied().unwrap_or(0)))
-            .collect(),
+        pictures: model.images.into_iter().map(|image| image.name).collect(),
     })
 }
 

@@ -6,7 +6,7 @@ use super::{
     pictures::{Picture, Pictures},
 };
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::{cell::OnceCell, path::Path};
 use trimip::formatting::count;
 
 /// Share of the sharpness of its neighbours below which a picture is blurred.
@@ -39,15 +39,16 @@ pub fn find(pictures: &Pictures, models: &Models, images: &Path, database: &Path
     let all = &pictures.pictures;
     let Some((best, others)) = models.models.split_first() else { return Vec::new() };
     let left: Vec<usize> =
-        (0..all.len()).filter(|&index| !best.pictures.contains_key(&all[index].name)).collect();
+        (0..all.len()).filter(|&index| !best.pictures.contains(&all[index].name)).collect();
     if left.is_empty() {
         return Vec::new();
     }
     let counts = database::counts(database).unwrap_or_default();
-    let sharpness = Sharpness { all, images, placed: &|picture| best.pictures.contains_key(&picture.name) };
+    let placed = |picture: &Picture| best.pictures.contains(&picture.name);
+    let sharpness = Sharpness { all, images, placed: &placed, of_placed: OnceCell::new() };
     let unplaced = |index: usize| {
         let picture = &all[index];
-        let other = others.iter().find(|other| other.pictures.contains_key(&picture.name));
+        let other = others.iter().find(|other| other.pictures.contains(&picture.name));
         let reason = match other {
             Some(other) => format!(
                 "in another model of {}, which shares too little with the best one (models/{})",
@@ -89,6 +90,8 @@ struct Sharpness<'a> {
     all: &'a [Picture],
     images: &'a Path,
     placed: &'a dyn Fn(&Picture) -> bool,
+    /// The median of some photographs that were placed.
+    of_placed: OnceCell<Option<f64>>,
 }
 
 impl Sharpness<'_> {
@@ -96,24 +99,27 @@ impl Sharpness<'_> {
     /// read.
     fn of_neighbours(&self, index: usize) -> Option<f64> {
         let own = self.of(&self.all[index])?;
-        let is_frame = self.all[index].sharpness.is_some();
-        let others: Vec<&Picture> = match is_frame {
-            true => {
+        let median = match self.all[index].sharpness {
+            Some(_) => {
                 let from = index.saturating_sub(NEIGHBOURS);
                 let near = self.all.iter().enumerate().skip(from).take(2 * NEIGHBOURS + 1);
-                near.filter(|(other, _)| *other != index).map(|(_, picture)| picture).collect()
+                self.median(near.filter(|(other, _)| *other != index).map(|(_, picture)| picture))
             }
-            false => {
+            // Photographs have to be decoded for it.
+            None => *self.of_placed.get_or_init(|| {
                 let placed: Vec<&Picture> =
                     self.all.iter().filter(|picture| (self.placed)(picture)).collect();
                 let step = placed.len().div_ceil(COMPARED).max(1);
-                placed.into_iter().step_by(step).collect()
-            }
-        };
-        let mut others: Vec<f64> = others.into_iter().filter_map(|picture| self.of(picture)).collect();
-        others.sort_by(f64::total_cmp);
-        let median = *others.get(others.len() / 2)?;
+                self.median(placed.into_iter().step_by(step))
+            }),
+        }?;
         (median > 0.0).then(|| own / median)
+    }
+
+    fn median<'b>(&self, pictures: impl Iterator<Item = &'b Picture>) -> Option<f64> {
+        let mut all: Vec<f64> = pictures.filter_map(|picture| self.of(picture)).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).copied()
     }
 
     fn of(&self, picture: &Picture) -> Option<f64> {
@@ -167,7 +173,7 @@ mod tests {
         let pictures = Pictures { pictures: (0..10).map(picture).collect(), ..Pictures::default() };
         let model = |folder: &str, of: &[usize]| Placed {
             folder: folder.into(),
-            pictures: of.iter().map(|index| (format!("{index}.jpg"), 9)).collect(),
+            pictures: of.iter().map(|index| format!("{index}.jpg")).collect(),
             points: 5,
             error: None,
         };
