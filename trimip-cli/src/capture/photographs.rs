@@ -32,7 +32,8 @@ const CONVERTERS: [Converter; 6] = [
     Converter {
         name: "ffmpeg",
         before: &["-hide_banner", "-nostdin", "-y", "-i"],
-        between: &["-frames:v", "1", "-q:v", "1", "-qmin", "1"],
+        // A percent sign in the name of the picture is no number with `-update`.
+        between: &["-frames:v", "1", "-q:v", "1", "-qmin", "1", "-update", "1"],
     },
 ];
 
@@ -173,7 +174,7 @@ impl Converting<'_> {
     fn by(&self, program: &Path, converter: &Converter, from: &Path, to: &Path) -> Result<()> {
         let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
         let call = Call {
-            name: converter.name,
+            name: converter.name.into(),
             program,
             arguments: Vec::new(),
             folder: self.root,
@@ -183,7 +184,7 @@ impl Converting<'_> {
         .with([from])
         .with(words(converter.between))
         .with([to]);
-        call.run(self.stop, &mut |_: &str| {})?;
+        call.run(self.stop, &mut |_: &str| true)?;
         if to.is_file() {
             return Ok(());
         }
@@ -230,7 +231,7 @@ fn size(path: &Path) -> std::result::Result<([u32; 2], bool), String> {
 /// A plain file name for each photograph, unique also where names differ by their case alone.
 fn unique_names(photographs: &[Photograph]) -> Vec<String> {
     let plain = |photograph: &Photograph| {
-        let name = without_blanks(&photograph.name.file_name().unwrap_or_default().to_string_lossy());
+        let name = plain_name(&photograph.name.file_name().unwrap_or_default().to_string_lossy());
         match photograph.foreign {
             Some(_) => Path::new(&name).with_extension("jpg").display().to_string(),
             None => name,
@@ -245,7 +246,7 @@ fn unique_names(photographs: &[Photograph]) -> Vec<String> {
         let mut name = plain(photograph);
         if counts[&name.to_lowercase()] > 1 {
             let parents = photograph.name.parent().unwrap_or(Path::new("")).iter();
-            let parents: Vec<_> = parents.map(|part| without_blanks(&part.to_string_lossy())).collect();
+            let parents: Vec<_> = parents.map(|part| plain_name(&part.to_string_lossy())).collect();
             name = parents.iter().map(|part| format!("{part}_")).collect::<String>() + &name;
         }
         let whole = name.clone();
@@ -260,9 +261,9 @@ fn unique_names(photographs: &[Photograph]) -> Vec<String> {
     photographs.iter().map(name).collect()
 }
 
-/// Lists of pairs have blanks between names.
-fn without_blanks(name: &str) -> String {
-    name.replace(char::is_whitespace, "_")
+/// Lists of pairs have blanks between names, and lines that begin with # are comments there.
+fn plain_name(name: &str) -> String {
+    name.replace(|c: char| c.is_whitespace() || c == '#', "_")
 }
 
 #[cfg(test)]
@@ -279,11 +280,11 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_plain() {
-        let names = ["a/1.jpg", "b/1.JPG", "2 b.jpg", "c.HEIC", "d/b_1.JPG", "e.heic/c.jpg"];
+        let names = ["a/1.jpg", "b/1.JPG", "2 b.jpg", "c.HEIC", "d/b_1.JPG", "e.heic/c.jpg", "#3.jpg"];
         let all: Vec<_> = names.iter().map(|name| photograph(Path::new("/nowhere"), name)).collect();
         assert_eq!(
             unique_names(&all),
-            ["a_1.jpg", "b_1.JPG", "2_b.jpg", "c.jpg", "2_b_1.JPG", "e.heic_c.jpg"]
+            ["a_1.jpg", "b_1.JPG", "2_b.jpg", "c.jpg", "2_b_1.JPG", "e.heic_c.jpg", "_3.jpg"]
         );
     }
 

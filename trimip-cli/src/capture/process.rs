@@ -32,7 +32,7 @@ const WIDTH: usize = 90;
 /// A call of a program.
 pub struct Call<'a> {
     /// Its name in messages.
-    pub name: &'a str,
+    pub name: String,
     /// Its path.
     pub program: &'a Path,
     /// Its arguments.
@@ -77,10 +77,9 @@ impl Ended {
     }
 }
 
-impl<F: FnMut(&str)> Output for F {
+impl<F: FnMut(&str) -> bool> Output for F {
     fn line(&mut self, line: &str) -> bool {
-        self(line);
-        true
+        self(line)
     }
 }
 

@@ -79,13 +79,13 @@ pub fn take(
     };
     let call = |log: &str| {
         Call {
-            name: "ffmpeg",
+            name: "ffmpeg".into(),
             program: &tools.ffmpeg,
             arguments: Vec::new(),
             folder: folder.root(),
             log: folder.log(log),
         }
-        .with(["-hide_banner", "-nostdin", "-y"])
+        .with(["-hide_banner", "-nostdin", "-nostats", "-y"])
         .with(&threads)
         .with([OsStr::new("-i"), request.film.as_os_str()])
         .with(["-map", "0:v:0", "-an", "-sn", "-dn"])
@@ -125,6 +125,7 @@ pub fn take(
         if let Some(done) = line.strip_prefix("frame=").and_then(|done| done.trim().parse().ok()) {
             progress("taking frames", done, count);
         }
+        !is_progress(line)
     })?;
     let mut pictures = Pictures { of_film: true, notes, ..Pictures::default() };
     for (index, &frame) in frames.iter().enumerate() {
@@ -147,4 +148,22 @@ pub fn take(
     }
     pictures.expect_enough(request.film)?;
     Ok(pictures)
+}
+
+/// True for a line of `-progress`, such as `speed=1.2x`: these would hide the last words of an ffmpeg that fails.
+fn is_progress(line: &str) -> bool {
+    let is_key = |key: &str| key.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+    line.split_once('=').is_some_and(|(key, _)| is_key(key))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_of_progress_are_told_from_errors() {
+        assert!(["frame=12", "stream_0_0_q=2.0", "progress=end"].into_iter().all(is_progress));
+        let errors = ["moov atom not found", "[out#0/image2 @ 0x5] Error: code=5", "Conversion failed!"];
+        assert!(!errors.into_iter().any(is_progress));
+    }
 }

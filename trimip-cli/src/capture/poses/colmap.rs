@@ -1,4 +1,5 @@
-//! The program `colmap`, of any version since 3.6, and `glomap`. Names of options changed with versions: those that its help lists are used.
+//! The program `colmap`, of any version since 3.6, and `glomap`. Names of options changed with versions: those that its help lists
+//! are used.
 
 use crate::capture::{
     decisions::{Cameras, Decisions, Pairs},
@@ -11,7 +12,6 @@ use std::{
     ffi::OsString,
     path::{Path, PathBuf},
 };
-use trimip::Result;
 
 /// An option: its names in versions, of which the first that is there is taken, and its value.
 type Choice = (&'static [&'static str], OsString);
@@ -23,7 +23,8 @@ pub struct Colmap {
     pub version: String,
     /// Built with CUDA.
     pub has_cuda: bool,
-    commands: BTreeSet<String>,
+    /// True if it places all cameras at once.
+    pub has_global: bool,
 }
 
 impl Colmap {
@@ -35,15 +36,9 @@ impl Colmap {
         let version = first.split("COLMAP").nth(1).and_then(|rest| rest.split_whitespace().next());
         let version = format!("colmap {}", version.unwrap_or("of an unknown version"));
         let has_cuda = help.contains("with CUDA");
-        // Available commands stand alone on their lines.
-        let commands =
-            help.lines().map(str::trim).filter(|line| !line.contains(' ')).map(String::from).collect();
-        Some(Self { program, version, has_cuda, commands })
-    }
-
-    /// True if it places all cameras at once.
-    pub fn has_global(&self) -> bool {
-        self.commands.contains("global_mapper")
+        // Commands stand alone on their lines.
+        let has_global = help.lines().any(|line| line.trim() == "global_mapper");
+        Some(Self { program, version, has_cuda, has_global })
     }
 
     /// A call of a command with those of the options that it has: an option may have several names, of which the first that is there
@@ -60,25 +55,13 @@ impl Colmap {
                 arguments.push(value.clone());
             }
         }
-        let root = folder_of(folder);
         Call {
-            name: self.name_of(command),
+            name: format!("colmap {command}"),
             program: &self.program,
             arguments,
-            folder: root,
+            // Paths below this folder are plain, whatever the user's own hold.
+            folder: folder.root(),
             log: folder.log(log),
-        }
-    }
-
-    fn name_of(&self, command: &str) -> &'static str {
-        match command {
-            "feature_extractor" => "colmap feature_extractor",
-            "exhaustive_matcher" => "colmap exhaustive_matcher",
-            "sequential_matcher" => "colmap sequential_matcher",
-            "vocab_tree_matcher" => "colmap vocab_tree_matcher",
-            "matches_importer" => "colmap matches_importer",
-            "global_mapper" => "colmap global_mapper",
-            _ => "colmap mapper",
         }
     }
 
@@ -89,7 +72,7 @@ impl Colmap {
     }
 
     /// Finds features.
-    pub fn features<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
+    pub fn features<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Call<'a> {
         let flag = |cameras: Cameras| OsString::from(if by.cameras == cameras { "1" } else { "0" });
         let options = vec![
             choice(&["database_path"], database),
@@ -102,11 +85,11 @@ impl Colmap {
             choice(&["FeatureExtraction.use_gpu", "SiftExtraction.use_gpu"], u32::from(by.gpu).to_string()),
             choice(&["FeatureExtraction.num_threads", "SiftExtraction.num_threads"], threads(by)),
         ];
-        Ok(self.call(folder, "features", "feature_extractor", &options))
+        self.call(folder, "features", "feature_extractor", &options)
     }
 
     /// Compares pairs.
-    pub fn matches<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
+    pub fn matches<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Call<'a> {
         let mut options = matching(database, by);
         let command = match &by.pairs {
             Pairs::Exhaustive => "exhaustive_matcher",
@@ -127,26 +110,19 @@ impl Colmap {
                 "sequential_matcher"
             }
         };
-        Ok(self.call(folder, "matches", command, &options))
+        self.call(folder, "matches", command, &options)
     }
 
     /// Compares the pairs of a list.
-    pub fn loops<'a>(
-        &'a self,
-        folder: &'a Folder,
-        database: &str,
-        list: &str,
-        by: &Decisions,
-    ) -> Result<Option<Call<'a>>> {
+    pub fn loops<'a>(&'a self, folder: &'a Folder, database: &str, list: &str, by: &Decisions) -> Call<'a> {
         let mut options = matching(database, by);
         options.push(choice(&["match_list_path"], list));
         options.push(choice(&["match_type"], "pairs"));
-        let is_there = self.commands.contains("matches_importer");
-        Ok(is_there.then(|| self.call(folder, "loops", "matches_importer", &options)))
+        self.call(folder, "loops", "matches_importer", &options)
     }
 
     /// Places cameras.
-    pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Result<Call<'a>> {
+    pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Call<'a> {
         let options = vec![
             choice(&["database_path"], "database.db"),
             choice(&["image_path"], "images"),
@@ -154,17 +130,17 @@ impl Colmap {
             choice(&["Mapper.num_threads", "GlobalMapper.num_threads"], threads(by)),
         ];
         let command = if by.global { "global_mapper" } else { "mapper" };
-        Ok(self.call(folder, "model", command, &options))
+        self.call(folder, "model", command, &options)
     }
 }
 
 /// Places cameras by glomap.
 pub fn glomap<'a>(folder: &'a Folder, program: &'a Path, models: &str) -> Call<'a> {
     let call = Call {
-        name: "glomap mapper",
+        name: "glomap mapper".into(),
         program,
         arguments: Vec::new(),
-        folder: folder_of(folder),
+        folder: folder.root(),
         log: folder.log("model"),
     };
     call.with(["mapper", "--database_path", "database.db", "--image_path", "images", "--output_path", models])
@@ -177,11 +153,6 @@ fn matching(database: &str, by: &Decisions) -> Vec<Choice> {
         choice(&["FeatureMatching.use_gpu", "SiftMatching.use_gpu"], u32::from(by.gpu).to_string()),
         choice(&["FeatureMatching.num_threads", "SiftMatching.num_threads"], threads(by)),
     ]
-}
-
-/// Programs run in the folder of the capture, so that no name on their command line holds what it may not.
-fn folder_of(folder: &Folder) -> &Path {
-    folder.root()
 }
 
 fn choice(names: &'static [&'static str], value: impl Into<OsString>) -> Choice {

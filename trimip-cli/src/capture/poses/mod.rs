@@ -88,7 +88,7 @@ impl Poses {
     pub fn ability(&self) -> Ability {
         let (own, gpu, why_no_gpu) = match &self.engine {
             Engine::Colmap(colmap) => {
-                (colmap.has_global(), colmap.has_cuda, "this COLMAP is built without CUDA")
+                (colmap.has_global, colmap.has_cuda, "this COLMAP is built without CUDA")
             }
             Engine::Python(python) => {
                 (python.has_global, python.has_cuda, "this pycolmap is built without CUDA")
@@ -115,7 +115,7 @@ impl Poses {
     /// glomap, if it places the cameras.
     fn glomap_of(&self, decisions: &Decisions) -> Option<&Path> {
         let own = match &self.engine {
-            Engine::Colmap(colmap) => colmap.has_global(),
+            Engine::Colmap(colmap) => colmap.has_global,
             Engine::Python(python) => python.has_global,
         };
         self.glomap.as_deref().filter(|_| decisions.global && (self.only_glomap || !own))
@@ -135,7 +135,7 @@ impl Poses {
     ) -> Result<()> {
         let all = pictures.pictures.len() as u64;
         let call = match &self.engine {
-            Engine::Colmap(colmap) => colmap.features(folder, database, decisions)?,
+            Engine::Colmap(colmap) => colmap.features(folder, database, decisions),
             Engine::Python(python) => python.features(folder, database, decisions)?,
         };
         run(&call, Counter::features(all), watching)
@@ -154,7 +154,7 @@ impl Poses {
         watching: &mut Watching<'_>,
     ) -> Result<()> {
         let call = match &self.engine {
-            Engine::Colmap(colmap) => colmap.matches(folder, database, decisions)?,
+            Engine::Colmap(colmap) => colmap.matches(folder, database, decisions),
             Engine::Python(python) => python.matches(folder, database, decisions)?,
         };
         run(&call, Counter::matches(), watching)?;
@@ -172,13 +172,10 @@ impl Poses {
         let path = folder.path(list);
         fs::write(&path, text).map_err(|error| super::folder::unwritable(&path, &error))?;
         let call = match &self.engine {
-            Engine::Colmap(colmap) => colmap.loops(folder, database, list, decisions)?,
+            Engine::Colmap(colmap) => colmap.loops(folder, database, list, decisions),
             Engine::Python(python) => python.loops(folder, database, list, decisions)?,
         };
-        match call {
-            Some(call) => run(&call, Counter::matches(), watching),
-            None => Ok(()),
-        }
+        run(&call, Counter::matches(), watching)
     }
 
     /// Places cameras: writes models, each in a folder of its number, into the new folder `models`.
@@ -198,7 +195,7 @@ impl Poses {
         let all = pictures.pictures.len() as u64;
         let call = match (self.glomap_of(decisions), &self.engine) {
             (Some(glomap), _) => colmap::glomap(folder, glomap, models),
-            (None, Engine::Colmap(colmap)) => colmap.model(folder, models, decisions)?,
+            (None, Engine::Colmap(colmap)) => colmap.model(folder, models, decisions),
             (None, Engine::Python(python)) => python.model(folder, models, decisions)?,
         };
         let mut counter = Counter::model(all);
@@ -206,6 +203,7 @@ impl Poses {
             if let Some((done, all)) = counter.count(line) {
                 (watching.progress)(done, all);
             }
+            true
         })?;
         // COLMAP calls it a failure where no camera can be placed.
         if ended.is_success() || counter.found_nothing() {
@@ -233,6 +231,7 @@ fn run(call: &Call<'_>, mut counter: Counter, watching: &mut Watching<'_>) -> Re
         if let Some((done, all)) = counter.count(line) {
             progress(done, all);
         }
+        true
     })
     .map(drop)
 }

@@ -65,7 +65,7 @@ impl Python {
         }
         write_atomically(&path, SCRIPT.as_bytes())?;
         let call = Call {
-            name: "pycolmap",
+            name: "pycolmap".into(),
             program: &self.program,
             arguments: Vec::new(),
             folder: folder.root(),
@@ -114,10 +114,10 @@ impl Python {
         database: &str,
         list: &str,
         by: &Decisions,
-    ) -> Result<Option<Call<'a>>> {
+    ) -> Result<Call<'a>> {
         let mut options = common(database, by);
         options["list"] = list.into();
-        self.call(folder, "loops", "pairs", options).map(Some)
+        self.call(folder, "loops", "pairs", options)
     }
 
     /// Places cameras.
