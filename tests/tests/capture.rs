@@ -158,6 +158,7 @@ fn a_film_of_any_name_gives_its_sharpest_frames() {
         "{calls:?}"
     );
     assert!(calls[1].contains("-fps_mode passthrough") && calls[1].contains("tonemap=hable"), "{calls:?}");
+    assert!(calls[1].contains(",scale=out_color_matrix=bt601 "), "{calls:?}");
     let selected: Vec<usize> = calls[1]
         .split("eq(n,")
         .skip(1)

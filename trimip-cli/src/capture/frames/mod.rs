@@ -113,8 +113,13 @@ pub fn take(
     let target = folder.path(images);
     std::fs::create_dir_all(&target).map_err(|error| super::folder::unwritable(&target, &error))?;
     let selected: Vec<String> = frames.iter().map(|frame| format!("eq(n,{frame})")).collect();
-    let filters =
-        format!("{}select='{}'{}", film.deinterlace(), selected.join("+"), film.tones(tools.maps_tones));
+    // JPEG has the colour matrix of BT.601, and ffmpeg converts from another one only where it is told to.
+    let filters = format!(
+        "{}select='{}'{},scale=out_color_matrix=bt601",
+        film.deinterlace(),
+        selected.join("+"),
+        film.tones(tools.maps_tones)
+    );
     let taking = call("frames")
         .with(["-vf", &filters])
         .with(tools.passthrough)
