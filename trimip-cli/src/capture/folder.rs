@@ -69,6 +69,9 @@ pub struct Done<T> {
     pub result: T,
 }
 
+/// The file whose lock the process holds that works on a capture.
+const LOCK: &str = "capture.lock";
+
 /// What marks a folder as that of a capture.
 #[derive(Serialize, Deserialize)]
 struct Mark {
@@ -98,27 +101,34 @@ impl Folder {
     /// # Errors
     /// Of kind `Input`: a folder of something else or of another input, one that another process works on, one that cannot be written.
     pub fn open(root: &Path, input: &Path) -> Result<Self> {
-        let mark = Mark { input: input.to_string_lossy().into_owned() };
         let path = root.join("capture.json");
         let refused = |what: String| Error::input(root.display(), what, "choose another --out folder");
-        let found = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice::<Mark>(&bytes).ok());
-        match found {
-            Some(found) if found.is_of(input) => {}
-            Some(found) => return Err(refused(format!("holds the capture of {}", found.input))),
-            None if is_others(root) => return Err(refused("holds files that no capture wrote".into())),
-            None => {
-                create_writable(root)?;
-                write_atomically(&path, &json(&mark)?)?;
+        // Whether the mark of this input is there.
+        let marked = || {
+            let found = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice::<Mark>(&bytes).ok());
+            match found {
+                Some(found) if found.is_of(input) => Ok(true),
+                Some(found) => Err(refused(format!("holds the capture of {}", found.input))),
+                None if is_others(root) => Err(refused("holds files that no capture wrote".into())),
+                None => Ok(false),
             }
+        };
+        if !marked()? {
+            create_writable(root)?;
         }
-        let lock =
-            File::options().read(true).write(true).open(&path).map_err(|error| unwritable(&path, &error))?;
+        let path_of_lock = root.join(LOCK);
+        let lock = File::options().create(true).truncate(false).write(true).open(&path_of_lock);
+        let lock = lock.map_err(|error| unwritable(&path_of_lock, &error))?;
         if matches!(lock.try_lock(), Err(TryLockError::WouldBlock)) {
             return Err(Error::input(
                 root.display(),
                 "another process works on this capture",
                 "wait until it has ended, stop it, or choose another --out folder",
             ));
+        }
+        // Another process may have begun the capture of another input in between.
+        if !marked()? {
+            write_atomically(&path, &json(&Mark { input: input.to_string_lossy().into_owned() })?)?;
         }
         let root = std::path::absolute(root).map_err(|error| unwritable(root, &error))?;
         Ok(Self { root, _lock: lock })
@@ -251,10 +261,11 @@ fn remove(path: &Path) -> Result<()> {
     removed.map_err(|error| unwritable(path, &error))
 }
 
-/// True if a folder holds anything, or is no folder. A capture that was killed at its start leaves an empty one, or the temporary
-/// file of its mark.
+/// True if a folder holds anything, or is no folder. A capture that was killed at its start leaves an empty one, its lock, or the
+/// temporary file of its mark.
 fn is_others(root: &Path) -> bool {
-    let own = |name: &std::ffi::OsStr| name == "capture.json.tmp" || name == "capture.json";
+    let own =
+        |name: &std::ffi::OsStr| [LOCK, "capture.json.tmp", "capture.json"].iter().any(|own| name == *own);
     match root.read_dir() {
         Ok(mut entries) => entries.any(|entry| entry.is_ok_and(|entry| !own(&entry.file_name()))),
         Err(error) => error.kind() != io::ErrorKind::NotFound,

@@ -71,7 +71,7 @@ mod tests {
     #[test]
     fn blur_takes_sharpness_away_and_brightness_stays() {
         let side = 64;
-        let pixel = |x: usize, y: usize| if (x / 4 + y / 4) % 2 == 0 { 40 } else { 200 };
+        let pixel = |x: usize, y: usize| if (x / 4 + y / 4).is_multiple_of(2) { 40 } else { 200 };
         let pixels = (0..side * side).map(|i| pixel(i % side, i / side)).collect();
         let sharp = Grey { width: side, height: side, pixels };
         let near = |i: usize| {

@@ -107,7 +107,7 @@ impl Output for Measuring<'_> {
             bytes = &bytes[part..];
             if self.frame.pixels.len() == whole {
                 let motion = match self.measured.last() {
-                    Some(last) if self.measured.len() % self.stride != 0 => last.motion,
+                    Some(last) if !self.measured.len().is_multiple_of(self.stride) => last.motion,
                     _ => self.follower.follow(&self.frame),
                 };
                 self.measured.push(Measured {
