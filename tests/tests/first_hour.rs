@@ -50,9 +50,18 @@ fn a_folder_is_all_that_a_user_types() {
         assert!(bare.err.contains(next), "{}", bare.err);
     }
     refused(&run(folder, &["scene"]), &["scene: ", "neither a verb nor a folder", "--help"]);
+    // Slips name what was mistyped, and what was meant.
+    refused(&run(folder, &["trian"]), &["trian: ", "`trimip-cli train`"]);
+    refused(&run(folder, &["trian", "capture"]), &["trian: ", "`trimip-cli train`"]);
+    refused(&run(folder, &["--minute", "5"]), &["'--minute' found; a similar argument exists: '--minutes'"]);
+    for verb in [&["render"][..], &["eval"], &["view"], &["bake"], &["export", "mesh"]] {
+        let answer = run(folder, &[verb, &["runs/lego"]].concat());
+        refused(&answer, &["runs/lego: there is no run or model", "name the folder of a run"]);
+    }
     fs::create_dir(folder.join("empty")).unwrap();
     refused(&run(folder, &["empty"]), &["empty", "transforms"]);
     refused(&run(folder, &["empty", "--minutes", "0"]), &["--minutes 0"]);
+    refused(&run(folder, &["empty", "--minutes", "-1"]), &["--minutes -1", "is no time"]);
     assert!(!folder.join("runs/empty/metrics.jsonl").exists());
 
     scene(folder);

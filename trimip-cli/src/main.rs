@@ -13,6 +13,7 @@ mod check;
 mod curves;
 mod interrupt;
 mod measures;
+mod mistake;
 mod progress;
 mod ranks;
 mod report;
@@ -22,7 +23,7 @@ mod verbs;
 
 use clap::{Parser, error::ErrorKind as Mistake};
 use std::process::ExitCode;
-use trimip_core::{Error, ErrorKind, Result};
+use trimip_core::{ErrorKind, Result};
 
 fn main() -> ExitCode {
     if capture::guard::is_one() {
@@ -38,11 +39,7 @@ fn main() -> ExitCode {
         }
         Err(mistake) if mistake.kind() == Mistake::DisplayHelpOnMissingArgumentOrSubcommand => mistake.exit(),
         Err(mistake) => {
-            let text = mistake.to_string();
-            let what = text.split("\nUsage:").next().unwrap_or_default();
-            let what =
-                what.split("\nFor more").next().unwrap_or_default().trim_start_matches("error: ").trim();
-            return ended(Err(Error::input("command line", what, "see trimip-cli --help")));
+            return ended(Err(mistake::error(&mistake, std::env::args_os().nth(1).as_deref())));
         }
     };
     ended(ranks::among(|| verbs::run(&arguments), |ranks| verbs::work(&arguments, ranks)))

@@ -3,6 +3,7 @@
 use crate::{
     args::{SceneArguments, SettingsArguments},
     capture::process::quoted_path,
+    mistake,
 };
 use std::path::Path;
 use trimip::{Config, Error, Result, Settings, systems};
@@ -63,11 +64,7 @@ pub fn scene_root(folder: &Path) -> Result<String> {
         return text(folder);
     }
     if !folder.exists() {
-        return Err(Error::input(
-            &place,
-            "is neither a verb nor a folder",
-            "type `trimip-cli --help` for the verbs, or name a folder with photographs and their transforms.json",
-        ));
+        return Err(mistake::no_verb(&place.to_string()));
     }
     if name.starts_with("transforms") && name.ends_with(".json") || name == "metadata.json" {
         let parent = folder.parent().filter(|parent| *parent != Path::new(""));

@@ -106,7 +106,7 @@ pub struct CaptureArguments {
     #[arg(long)]
     pub train: bool,
     /// Minutes of training [default: 5]
-    #[arg(long, value_name = "N", requires = "train")]
+    #[arg(long, value_name = "N", requires = "train", allow_negative_numbers = true)]
     pub minutes: Option<f64>,
     /// Override one setting of training; may be given many times
     #[arg(long, value_name = "SECTION.KEY=VALUE", requires = "train")]

@@ -27,7 +27,7 @@ pub struct SceneArguments {
     #[arg(value_name = "FOLDER")]
     pub folder: Option<PathBuf>,
     /// Minutes of training; evaluation takes extra time (train.seconds) [default: 5]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub minutes: Option<f64>,
 }
 

@@ -39,7 +39,7 @@ impl std::fmt::Display for Origin {
             Self::Default => f.write_str("default"),
             Self::File(place) => f.write_str(place),
             Self::CommandLine => f.write_str("--set"),
-            Self::Code => f.write_str("code"),
+            Self::Code => f.write_str("settings"),
             Self::Plan => f.write_str("scene plan"),
         }
     }
@@ -170,7 +170,7 @@ impl Settings {
     /// # Errors
     /// When there is no such setting or the value has another type.
     pub fn set(&mut self, path: &str, value: impl Into<Value>) -> Result<()> {
-        self.put(path, value.into(), "code", Origin::Code)
+        self.put(path, value.into(), "settings", Origin::Code)
     }
 
     /// Applies a decision of the scene plan; `value` is TOML text.

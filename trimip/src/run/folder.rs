@@ -294,11 +294,17 @@ pub fn events_of(bytes: &[u8]) -> Vec<Event> {
     lines.filter_map(|line| serde_json::from_slice(line).ok()).collect()
 }
 
+/// What to do where a run or a model is asked for.
+const NAME_A_RUN: &str = "name the folder of a run, such as runs/quickstart, or a model file (.safetensors)";
+
 /// Reads the model of a run folder or a model file. For an unfinished run, reads the model of its checkpoint.
 ///
 /// # Errors
 /// When there is no model, or it is incomplete.
 pub fn read_model(path: &Path) -> Result<Model> {
+    if !path.exists() {
+        return Err(Error::input(path.display(), "there is no run or model of this name", NAME_A_RUN));
+    }
     if !path.is_dir() {
         return Model::read(path);
     }
@@ -310,7 +316,7 @@ pub fn read_model(path: &Path) -> Result<Model> {
         return Err(Error::input(
             path.display(),
             "neither model.safetensors nor checkpoint.safetensors in this folder",
-            "name a run folder or a model file",
+            NAME_A_RUN,
         ));
     }
     Ok(Checkpoint::read(&folder.checkpoint())?.into_model())
