@@ -119,6 +119,9 @@ pub struct TrainArguments {
     /// How progress is shown
     #[arg(long, value_enum, default_value_t, value_name = "STYLE")]
     pub progress: ProgressStyle,
+    /// Tell every decision of the plan with its reason, and what takes the memory
+    #[arg(short, long)]
+    pub verbose: bool,
     /// Show the model in a browser as it is learned, with the curve of its error; prints the address
     #[arg(long)]
     pub view: bool,

@@ -3,7 +3,7 @@
 use crate::{args::ProgressStyle, measures, terminal};
 use indicatif::{ProgressBar, ProgressStyle as BarStyle};
 use std::sync::OnceLock;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use trimip_core::{
     Result,
     engine::events::{Event, EventSink, Totals},
@@ -22,16 +22,24 @@ pub enum Display {
     /// One JSON object per line.
     Json,
     /// A bar with lines above it.
-    Bar(ProgressBar),
+    Bar(Training),
+}
+
+/// The bar of a training.
+pub struct Training {
+    bar: ProgressBar,
+    /// Whether every line of the plan is shown, or its summary.
+    verbose: bool,
+    started: Instant,
 }
 
 impl Display {
     /// Creates the display for a style; `Auto` selects the bar if a person watches.
-    pub fn new(style: ProgressStyle) -> Self {
+    pub fn new(style: ProgressStyle, verbose: bool) -> Self {
         match style {
             ProgressStyle::Json => Self::Json,
             ProgressStyle::Auto if !terminal::watched() => Self::Json,
-            _ => Self::Bar(bar(TRAINING, 1000)),
+            _ => Self::Bar(Training { bar: bar(TRAINING, 1000), verbose, started: Instant::now() }),
         }
     }
 
@@ -43,7 +51,7 @@ impl Display {
                     terminal::line(text);
                 }
             }
-            Self::Bar(bar) => show_on_bar(bar, event),
+            Self::Bar(training) => training.show(event),
         }
     }
 }
@@ -120,49 +128,65 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
     by_rows(READING, |watch| trimip_data::open_watched(config, watch))
 }
 
-fn show_on_bar(bar: &ProgressBar, event: &Event) {
-    match event {
-        Event::Plan { lines, .. } => bar.suspend(|| lines.iter().for_each(terminal::prose)),
-        Event::Resumed { totals } => bar.suspend(|| {
-            terminal::line(format!("resumed: step {}, {}", totals.step, terminal::duration(totals.seconds)));
-        }),
-        Event::Step { totals, progress, batch_psnr, samples_per_second, seconds_left, .. } => {
-            bar.set_position((progress * 1000.0) as u64);
-            bar.set_message(message(totals.step, *batch_psnr, *samples_per_second, *seconds_left));
+impl Training {
+    fn show(&self, event: &Event) {
+        let bar = &self.bar;
+        match event {
+            Event::Plan { lines, summary, .. } => {
+                let lines = if self.verbose { lines } else { summary };
+                bar.suspend(|| lines.iter().for_each(terminal::prose));
+            }
+            Event::Resumed { totals } => bar.suspend(|| {
+                terminal::line(format!(
+                    "resumed: step {}, {}",
+                    totals.step,
+                    terminal::duration(totals.seconds)
+                ));
+            }),
+            Event::Step { totals, batch_psnr, samples_per_second, seconds_left, .. } => {
+                // Of the time until the program ends, as the time that is left. An estimate that grows moves no bar back.
+                let passed = self.started.elapsed().as_secs_f64();
+                let left = if seconds_left.is_finite() { seconds_left.max(0.0) } else { f64::INFINITY };
+                let part = passed / (passed + left);
+                bar.set_position(((part * 1000.0) as u64).clamp(bar.position(), 1000));
+                bar.set_message(message(totals.step, *batch_psnr, *samples_per_second, *seconds_left));
+            }
+            Event::Extended { message, .. } => bar.suspend(|| terminal::line(message)),
+            Event::EvaluationProgress { done, total, part } => {
+                bar.set_message(format!("evaluating view {} of {total}, {:.0} %", done + 1, 100.0 * part));
+            }
+            Event::Evaluation { totals, scales, psnr, ssim, last: false, .. } => bar.suspend(|| {
+                let per_scale: Vec<_> =
+                    scales.iter().map(|q| format!("1/{} {:.2}", q.scale, q.measures.psnr)).collect();
+                terminal::prose(format!(
+                    "{:>10}  step {:<7} {psnr:.2} dB ({})  SSIM {ssim:.4}",
+                    terminal::duration(totals.seconds),
+                    totals.step,
+                    per_scale.join("  ")
+                ));
+            }),
+            Event::Evaluation { scales, .. } => {
+                bar.suspend(|| measures::table(scales).iter().for_each(terminal::prose));
+            }
+            Event::Poses { moved, aligned } => bar.suspend(|| {
+                terminal::prose(moved.to_string());
+                aligned.iter().for_each(|aligned| terminal::prose(aligned.to_string()));
+            }),
+            Event::Warning { message } => bar.suspend(|| terminal::prose(format!("warning: {message}"))),
+            Event::Stopped { totals } => {
+                bar.abandon();
+                terminal::prose(format!(
+                    "stopped at step {}; the same command goes on from there",
+                    totals.step
+                ));
+            }
+            Event::Finished { totals, .. } => {
+                bar.suspend(|| terminal::prose(trained(totals)));
+            }
+            Event::SessionEnded { .. } => bar.finish_and_clear(),
+            // Checkpoints, and events that a later version of the library may have.
+            _ => {}
         }
-        Event::Extended { message, .. } => bar.suspend(|| terminal::line(message)),
-        Event::EvaluationProgress { done, total, part } => {
-            bar.set_message(format!("evaluating view {} of {total}, {:.0} %", done + 1, 100.0 * part));
-        }
-        Event::Evaluation { totals, scales, psnr, ssim, last: false, .. } => bar.suspend(|| {
-            let per_scale: Vec<_> =
-                scales.iter().map(|q| format!("1/{} {:.2}", q.scale, q.measures.psnr)).collect();
-            terminal::prose(format!(
-                "{:>10}  step {:<7} {psnr:.2} dB ({})  SSIM {ssim:.4}",
-                terminal::duration(totals.seconds),
-                totals.step,
-                per_scale.join("  ")
-            ));
-        }),
-        Event::Evaluation { scales, .. } => {
-            bar.suspend(|| measures::table(scales).iter().for_each(terminal::prose));
-        }
-        Event::Poses { moved, aligned } => bar.suspend(|| {
-            terminal::prose(moved.to_string());
-            aligned.iter().for_each(|aligned| terminal::prose(aligned.to_string()));
-        }),
-        Event::Warning { message } => bar.suspend(|| terminal::prose(format!("warning: {message}"))),
-        Event::Stopped { totals } => {
-            bar.abandon();
-            terminal::prose(format!("stopped at step {}; the same command goes on from there", totals.step));
-        }
-        Event::Finished { totals, .. } => {
-            bar.set_position(1000);
-            bar.suspend(|| terminal::prose(trained(totals)));
-        }
-        Event::SessionEnded { .. } => bar.finish_and_clear(),
-        // Checkpoints, and events that a later version of the library may have.
-        _ => {}
     }
 }
 

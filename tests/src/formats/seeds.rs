@@ -312,7 +312,7 @@ pub(super) fn events() -> Vec<Vec<u8>> {
     };
     let provenance = Provenance { command: Some("trimip-cli".into()), ..Provenance::default() };
     let all = [
-        Event::Plan { lines: vec!["scene".into()], memory_bytes: 9 },
+        Event::Plan { lines: vec!["scene".into()], summary: vec!["data".into()], memory_bytes: 9 },
         Event::Resumed { totals },
         Event::Warning { message: "dark".into() },
         evaluation(false),

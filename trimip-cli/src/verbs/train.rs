@@ -40,7 +40,8 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     };
     let live_view = arguments.view.then(|| watched(&root, arguments.port)).transpose()?;
     let training = training.stop_after(arguments.stop_after).since(started).over(ranks::all());
-    let trained = train_before(live_view, training, arguments.progress)?;
+    let display = Display::new(arguments.progress, arguments.verbose);
+    let trained = train_before(live_view, training, &display)?;
     conclude(&trained, arguments.progress)
 }
 
@@ -69,15 +70,15 @@ fn watched(root: &Path, port: u16) -> Result<LiveView> {
 /// # Errors
 /// When the settings, the data, the folder or the device are refused.
 pub fn train(training: Training, style: ProgressStyle) -> Result<Trained> {
-    train_before(None, training, style)
+    train_before(None, training, &Display::new(style, false))
 }
 
-/// As [`train`], before an live view.
-fn train_before(live_view: Option<LiveView>, training: Training, style: ProgressStyle) -> Result<Trained> {
+/// As [`train`], shown by `display` and, if there is one, in a browser.
+fn train_before(live_view: Option<LiveView>, training: Training, display: &Display) -> Result<Trained> {
     let stop = interrupt::install()?;
     let mut nobody = ();
     let mut observer = live_view.clone();
-    let (display, reading) = (Display::new(style), Reading::default());
+    let reading = Reading::default();
     let mut events = |event: &Event| {
         reading.finish();
         display.show(event);
@@ -175,12 +176,14 @@ fn already_finished<'a>(
         show_around(folder, &trained.config)?;
     }
     report::write(&gather(status), folder)?;
-    Display::new(style).show(&Event::Plan {
-        lines: vec![format!(
-            "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",
-            folder.root().display(),
-            terminal::count(trained.history.totals.step, "step")
-        )],
+    let finished = vec![format!(
+        "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",
+        folder.root().display(),
+        terminal::count(trained.history.totals.step, "step")
+    )];
+    Display::new(style, false).show(&Event::Plan {
+        lines: finished.clone(),
+        summary: finished,
         memory_bytes: 0,
     });
     if let Some(last) = trained.history.last().filter(|_| terminal::watched()) {

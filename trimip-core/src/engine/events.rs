@@ -67,6 +67,9 @@ pub enum Event {
     Plan {
         /// The overview, line by line.
         lines: Vec<String>,
+        /// The same in a few short lines.
+        #[serde(default)]
+        summary: Vec<String>,
         /// Predicted peak memory.
         memory_bytes: u64,
     },

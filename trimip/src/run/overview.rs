@@ -2,13 +2,18 @@
 
 use crate::formatting;
 use std::path::Path;
-use trimip_core::{Config, Frames, Layout, Slot, ViewSet, field::encoders, scene_plan::Finding};
+use trimip_core::{
+    Config, Frames, Layout, Slot, ViewSet, config::Contraction, engine::events::Event, field::encoders,
+    scene_plan::Finding,
+};
 
 /// Overview of a run, including the scene plan.
 #[derive(Clone, Debug)]
 pub struct Overview {
     /// One line each, in the form "subject: action".
     pub lines: Vec<String>,
+    /// A line each for data, space, model, time, memory, plan and folder.
+    pub summary: Vec<String>,
     /// Predicted peak memory, bytes.
     pub memory_bytes: u64,
 }
@@ -57,8 +62,85 @@ impl Overview {
             memory.iter().map(|(part, bytes)| format!("{part} {}", formatting::bytes(*bytes))).collect();
         lines.push(format!("memory: {} ({})", formatting::bytes(memory_bytes), parts.join(", ")));
         lines.push(format!("folder: {}", folder.display()));
-        Self { lines, memory_bytes }
+        let mut summary = vec![data_summary(subject), space_summary(config), model_summary(config)];
+        summary.push(time_summary(config, step));
+        summary.push(format!("memory: {}", formatting::bytes(memory_bytes)));
+        summary.extend(plan_summary(findings));
+        summary.push(format!("folder: {}", folder.display()));
+        Self { lines, summary, memory_bytes }
     }
+
+    /// The event that begins a run.
+    pub fn event(self) -> Event {
+        Event::Plan { lines: self.lines, summary: self.summary, memory_bytes: self.memory_bytes }
+    }
+}
+
+fn data_summary(subject: &Subject<'_>) -> String {
+    let finest = subject.train.scales.first().map_or(0..0, |scale| scale.views.clone());
+    let of = |view: &trimip_core::View| [view.camera.intrinsics.width, view.camera.intrinsics.height];
+    let views = &subject.train.views[finest];
+    let size = views.first().map_or([0, 0], of);
+    let size = match views.iter().all(|view| of(view) == size) {
+        true => format!("{}×{}", size[0], size[1]),
+        false => "several sizes".into(),
+    };
+    format!(
+        "data: {}, {} training and {} of {size}",
+        subject.name,
+        views.len(),
+        formatting::count(subject.test.len() as u64, "test photograph")
+    )
+}
+
+fn space_summary(config: &Config) -> String {
+    let scene = &config.scene;
+    let sides: Vec<f64> = scene
+        .aabb_min
+        .iter()
+        .zip(scene.aabb_max)
+        .map(|(low, high)| f64::from(high) - f64::from(*low))
+        .collect();
+    match scene.contraction {
+        Contraction::None => {
+            format!(
+                "space: a box of {} units",
+                sides.iter().map(|side| format!("{side:.3}")).collect::<Vec<_>>().join("×")
+            )
+        }
+        // The ball that keeps its shape has half of the side of the box.
+        Contraction::Ball => {
+            format!("space: all of it, contracted beyond {:.3} units of its middle", sides[0] / 4.0)
+        }
+    }
+}
+
+fn model_summary(config: &Config) -> String {
+    let (layout, kind) = (Layout::new(config), config.encoder.kind.name());
+    let values: u64 = layout.slots.iter().map(|slot| slot.range.len() as u64).sum();
+    format!("model: {}, {}", kind.trim_matches('"'), formatting::many(values, "parameter"))
+}
+
+fn time_summary(config: &Config, step: u64) -> String {
+    let (train, eval) = (&config.train, &config.eval);
+    let length = match train.steps {
+        0 => formatting::duration(train.seconds),
+        steps => formatting::count(steps, "step"),
+    };
+    let from = if step > 0 { format!(", from step {step} on,") } else { String::new() };
+    let measured = if eval.images == 0 { "" } else { ", then the test views are measured" };
+    format!("time: {length} of training{from} by {}{measured}", config.backend)
+}
+
+/// What the plan changed, in how many decisions.
+fn plan_summary(findings: &[Finding]) -> Option<String> {
+    let changing = findings.iter().filter(|finding| !finding.changes.is_empty()).count();
+    (!findings.is_empty()).then(|| {
+        format!(
+            "plan: {} from the photographs; -v tells them all",
+            formatting::count(changing as u64, "decision")
+        )
+    })
 }
 
 fn model_line(config: &Config) -> String {
@@ -153,5 +235,22 @@ mod tests {
             "{}",
             train_line(&config, 0)
         );
+    }
+    #[test]
+    fn a_summary_has_lines_that_fit_a_terminal() {
+        let mut config = Config::default();
+        config.train.seconds = 5400.0;
+        let lines = [space_summary(&config), model_summary(&config), time_summary(&config, 123_456)];
+        assert!(lines.iter().all(|line| line.chars().count() <= 80), "{lines:#?}");
+        assert_eq!(lines[0], "space: a box of 3.000×3.000×3.000 units");
+        assert_eq!(lines[1], "model: tri-mip, 12.6 M parameters");
+        assert!(
+            lines[2].starts_with("time: 1 h 30 min of training, from step 123456 on, by cpu"),
+            "{}",
+            lines[2]
+        );
+        config.scene.contraction = Contraction::Ball;
+        assert_eq!(space_summary(&config), "space: all of it, contracted beyond 0.750 units of its middle");
+        assert_eq!(plan_summary(&[]), None);
     }
 }

@@ -342,7 +342,7 @@ impl Training {
         let kept = if resumed { up_to(folder.events(), totals.step) } else { Vec::new() };
         let mut recorder = Recorder::new(folder, &kept, listeners.events)?;
         // The first event marks the folder as a run's: it is written before every other file.
-        recorder.emit(&Event::Plan { lines: overview.lines, memory_bytes: overview.memory_bytes });
+        recorder.emit(&overview.event());
         if !resumed {
             folder.write_findings(&findings)?;
         }
@@ -393,7 +393,7 @@ impl Training {
 }
 
 /// Name of the scene without opening its data: the data folder's name.
-fn scene_name(config: &Config) -> String {
+pub(super) fn scene_name(config: &Config) -> String {
     let name = Path::new(&config.data.root).file_name();
     name.map_or_else(|| "builtin".to_string(), |name| name.to_string_lossy().into_owned())
 }
