@@ -1,9 +1,12 @@
 //! The verdict on a run in words: a pure function of its final evaluation, its last training figures and the spread of
 //! its test views. PSNR in dB, shares from 0 to 1.
 
-use crate::run::{
-    history::{History, Training},
-    store::ViewRecord,
+use crate::{
+    formatting,
+    run::{
+        history::{Evaluation, History, Training},
+        store::ViewRecord,
+    },
 };
 use trimip_core::{
     Config,
@@ -55,11 +58,52 @@ pub enum Grade {
     Good,
 }
 
+/// The views and scales that a mean is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Extent {
+    /// The finest and the coarsest scale, as reductions.
+    pub scales: [u32; 2],
+    /// Test views of the finest scale that were measured.
+    pub measured: usize,
+    /// Test views; 0 if unknown.
+    pub views: usize,
+}
+
+impl Extent {
+    /// Of an evaluation; `None` if it has no scale.
+    fn of(evaluation: &Evaluation) -> Option<Self> {
+        let scales = &evaluation.scales;
+        let finest = scales.iter().min_by_key(|scale| scale.scale)?;
+        let coarsest = scales.iter().map(|scale| scale.scale).max()?;
+        let (scales, measured) = ([finest.scale, coarsest], finest.images);
+        Some(Self { scales, measured, views: evaluation.frames })
+    }
+}
+
+impl std::fmt::Display for Extent {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.scales {
+            [1, 1] => f.write_str("at full size")?,
+            [1, coarsest] => write!(f, "at full size to 1/{coarsest}")?,
+            [finest, coarsest] if finest == coarsest => write!(f, "at 1/{finest} of the size")?,
+            [finest, coarsest] => write!(f, "at 1/{finest} to 1/{coarsest} of the size")?,
+        }
+        let all = formatting::count(self.views as u64, "test view");
+        match self.views {
+            0 => Ok(()),
+            views if views == self.measured => write!(f, " over {all}"),
+            _ => write!(f, " over {} of {all}", self.measured),
+        }
+    }
+}
+
 /// The input of a verdict.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Figures {
     /// Means of the final evaluation.
     pub mean: Option<Measures>,
+    /// What they are means of.
+    pub extent: Option<Extent>,
     /// The last training figures.
     pub training: Training,
     /// Distance in dB of the worst view of the finest scale below the median of that scale; `None` below four views.
@@ -98,6 +142,7 @@ impl Verdict {
     pub fn judge(config: &Config, history: &History, views: &[ViewRecord]) -> Self {
         Self::of(Figures {
             mean: history.last().map(|evaluation| mean_quality(&evaluation.scales)),
+            extent: history.last().and_then(Extent::of),
             training: history.training,
             below_median: below_median(views),
             remedy: Remedy::of(config),
@@ -153,10 +198,14 @@ impl Verdict {
                 "there is no final evaluation yet; eval.final says on which test views it is made".into(),
             ];
         };
+        let extent = self.figures.extent.map_or(String::new(), |extent| format!(" {extent}"));
         let mut reasons = vec![match mean.psnr_constant {
-            constant if constant.is_nan() => format!("{:.2} dB", mean.psnr),
+            constant if constant.is_nan() => format!("{:.2} dB{extent}", mean.psnr),
             constant => {
-                format!("{:.2} dB, where each photograph's mean colour has {constant:.2} dB", mean.psnr)
+                format!(
+                    "{:.2} dB{extent}, where each photograph's mean colour has {constant:.2} dB",
+                    mean.psnr
+                )
             }
         }];
         let training = &self.figures.training;
@@ -226,7 +275,8 @@ mod tests {
     /// Figures of a solid model with `psnr`; a constant picture has 11 dB.
     fn solid(psnr: f64) -> Figures {
         let training = Training { loss: 0.1, occupied: 0.1, marched_per_ray: 30.0, kept_per_ray: 27.0 };
-        Figures { mean: mean(psnr, psnr, 11.0), training, below_median: Some(3.0), remedy: Remedy::Opacity }
+        let mean = mean(psnr, psnr, 11.0);
+        Figures { mean, extent: None, training, below_median: Some(3.0), remedy: Remedy::Opacity }
     }
 
     fn foggy(psnr: f64) -> Figures {
@@ -244,6 +294,18 @@ mod tests {
             [31.0, 25.0, 24.9, 20.0, 15.0, 11.5].map(|psnr| label(solid(psnr))),
             ["good", "good", "fair", "fair", "poor", "failed to learn"]
         );
+    }
+
+    #[test]
+    fn the_mean_is_told_with_its_scales_and_views() {
+        let of = |scales, measured, views| Extent { scales, measured, views }.to_string();
+        assert_eq!(of([1, 1], 7, 7), "at full size over 7 test views");
+        assert_eq!(of([1, 8], 1, 1), "at full size to 1/8 over 1 test view");
+        assert_eq!(of([2, 8], 2, 7), "at 1/2 to 1/8 of the size over 2 of 7 test views");
+        assert_eq!(of([8, 8], 2, 7), "at 1/8 of the size over 2 of 7 test views");
+        let extent = Some(Extent { scales: [1, 1], measured: 7, views: 7 });
+        let words = Verdict::of(Figures { extent, ..solid(27.2) }).words();
+        assert!(words.starts_with("good: 27.20 dB at full size over 7 test views, where each"), "{words}");
     }
 
     #[test]
