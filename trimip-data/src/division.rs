@@ -37,13 +37,17 @@ impl Selection {
         }
     }
 
-    /// What is to be known about the choice; `order` says how frames are ordered.
-    pub(crate) fn warning(&self, file: &Path, order: &str) -> Option<String> {
+    /// How the frames were divided, a line of the scene's description; `order` says how they are ordered.
+    pub(crate) fn note(&self, file: &Path, order: &str) -> Option<String> {
+        let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy();
+        matches!(self, Selection::Train | Selection::Test).then(|| {
+            format!("{name} names no splits: every {HOLD_OUT}th frame {order} is the test split, the others are train")
+        })
+    }
+
+    /// What may be wrong with the choice.
+    pub(crate) fn warning(&self, file: &Path) -> Option<String> {
         match self {
-            Selection::Train | Selection::Test => Some(format!(
-                "{} names no splits: every {HOLD_OUT}th frame {order} is the test split, the others are train",
-                file.display()
-            )),
             Selection::Listed(_, left) if *left > 0 => {
                 Some(format!("{} lists {} in no split", file.display(), count(*left, "frame")))
             }

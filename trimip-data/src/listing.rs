@@ -154,11 +154,11 @@ impl Listing {
             Ok((Source { depth: depths[*index].clone(), ..source }, factors))
         })?;
         let (sources, factors): (Vec<Source>, Vec<[f64; 2]>) = found.into_iter().unzip();
-        let divided = selection.warning(&self.file, "in order of their names").filter(|_| !self.is_divided());
+        let divided = selection.note(&self.file, "in order of their names").filter(|_| !self.is_divided());
         let facts = self.facts.take();
-        let warnings = facts.warnings.into_iter().chain(divided);
-        let warnings = warnings.chain(scaled_along(&self.file, factors)).collect();
-        Ok(Split { sources, warnings, ..facts })
+        let warnings = facts.warnings.into_iter().chain(scaled_along(&self.file, factors)).collect();
+        let notes = divided.into_iter().chain(facts.notes).collect();
+        Ok(Split { sources, warnings, notes, ..facts })
     }
 }
 

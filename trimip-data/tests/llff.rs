@@ -116,8 +116,8 @@ fn every_eighth_photograph_is_tested_on_unless_settings_say_otherwise() {
     fs::write(folder.path().join("test.txt"), "IMG_03.png\nIMG_05\n").unwrap();
     assert_eq!(tested(&DataConfig { test_list: "test.txt".into(), ..data.clone() }), ["IMG_03", "IMG_05"]);
     assert_eq!(tested(&DataConfig { format: "llff".into(), ..data.clone() }), ["IMG_00", "IMG_08"]);
-    let warnings = open(&data).unwrap().warnings;
-    assert!(warnings.iter().any(|warning| warning.contains("every 8th frame in order of their names")));
+    let lines = open(&data).unwrap().description;
+    assert!(lines.iter().any(|line| line.contains("every 8th frame in order of their names")));
 }
 
 #[test]

@@ -122,10 +122,12 @@ impl Capture {
             Source::averaged(frame.name.clone(), frame.camera, scales, &frame.place, pixels)
         })?;
         let mut warnings = self.warnings.clone();
-        warnings.extend(selection.warning(&self.file, "in order of their names"));
+        warnings.extend(selection.warning(&self.file));
+        let divided = selection.note(&self.file, "in order of their names");
+        let notes = divided.into_iter().chain(self.notes.iter().cloned()).collect();
         let cloud = self.cloud.take();
         let stated = cloud.stated("of the COLMAP model");
-        Ok(Split { sources, warnings, notes: self.notes.clone(), stated, cloud })
+        Ok(Split { sources, warnings, notes, stated, cloud })
     }
 }
 

@@ -203,9 +203,10 @@ fn read_file(
     let chosen: Vec<usize> = chosen.into_iter().map(|(index, _)| index).collect();
     check_shared_focal(file, entries, &chosen, &sources, *size)?;
     let facts = stated_box::read(&folder.root, file)?;
-    let warnings = selection.warning(path, "in file order").into_iter().chain(moved);
+    let warnings = selection.warning(path).into_iter().chain(moved);
     let warnings = warnings.chain(scaled_along(path, factors)).chain(facts.warnings).collect();
-    Ok(Split { sources, warnings, notes: applied(file)?, ..facts })
+    let notes = selection.note(path, "in file order").into_iter().chain(applied(file)?).collect();
+    Ok(Split { sources, warnings, notes, ..facts })
 }
 
 /// Names and cameras of all frames of a transforms file, whose photographs have `size` where none is stated. Checks all that

@@ -157,8 +157,7 @@ impl Capture {
             return Err(division::empty(&self.path, split, self.poses.len(), selection));
         }
         let sources = map_in_order(&chosen, |_, &index| self.source(index))?;
-        let mut warnings: Vec<String> =
-            selection.warning(&self.path, "in order of their names").into_iter().collect();
+        let mut warnings: Vec<String> = selection.warning(&self.path).into_iter().collect();
         let mut scaled = chosen.iter().zip(&sources).filter_map(|(&index, source)| {
             let by =
                 source.files().first().map_or(1.0, |file| f64::from(file.width) / self.poses[index].size[0]);
@@ -169,7 +168,9 @@ impl Capture {
                 "the photographs are {by:.4} times as wide as {FILE} states: focal lengths are scaled along"
             )
         }));
-        Ok(Split { sources, warnings, notes: self.note.iter().cloned().collect(), ..Split::default() })
+        let divided = selection.note(&self.path, "in order of their names");
+        let notes = divided.into_iter().chain(self.note.iter().cloned()).collect();
+        Ok(Split { sources, warnings, notes, ..Split::default() })
     }
 
     /// A frame with the header of its photograph.
