@@ -68,12 +68,8 @@ impl Run<'_> {
         }
         let attempt = self.measure_views(&chain, allowed, keeper, false);
         keeper.spend(started.elapsed().as_secs_f64());
-        if let Attempt::Measured(measure_views) = attempt? {
-            self.report(
-                &measure_views,
-                [measure_views.stride, stride],
-                Moment { totals, last: false, started },
-            );
+        if let Attempt::Measured(coverage) = attempt? {
+            self.report(&coverage, [coverage.stride, stride], Moment { totals, last: false, started });
         }
         Ok(())
     }
@@ -85,7 +81,7 @@ impl Run<'_> {
     ) -> Result<Outcome> {
         if 2 * totals.empty_batches > totals.step {
             return Err(Error::run(format!(
-                "{} of {} steps kept no sample: nothing was learned from them; measure_views at the pictures' cameras and the box \
+                "{} of {} steps kept no sample: nothing was learned from them; look at the cameras and at the box \
                  (trimip-cli plan), or lower occupancy.threshold",
                 totals.empty_batches, totals.step
             )));
@@ -97,13 +93,8 @@ impl Run<'_> {
         let started = Instant::now();
         let curve = self.config.eval.stride_of(frames);
         let allowed = keeper.at_the_end(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
-        let measure_views = match self.measure_views(
-            &strides(frames, curve, wanted),
-            allowed,
-            keeper,
-            true,
-        )? {
-            Attempt::Measured(measure_views) => measure_views,
+        let coverage = match self.measure_views(&strides(frames, curve, wanted), allowed, keeper, true)? {
+            Attempt::Measured(coverage) => coverage,
             Attempt::Stopped => {
                 self.events.emit(&Event::Stopped { totals: *totals });
                 return Ok(Outcome::Stopped);
@@ -117,17 +108,10 @@ impl Run<'_> {
         };
         self.store.evaluated()?;
         // The last point of the curve uses the same views as the other points.
-        if self.config.eval.points > 0
-            && curve != measure_views.stride
-            && curve.is_multiple_of(measure_views.stride)
-        {
-            self.report(&measure_views, [curve, curve], Moment { totals, last: false, started });
+        if self.config.eval.points > 0 && curve != coverage.stride && curve.is_multiple_of(coverage.stride) {
+            self.report(&coverage, [curve, curve], Moment { totals, last: false, started });
         }
-        let mean = self.report(
-            &measure_views,
-            [measure_views.stride, wanted],
-            Moment { totals, last: true, started },
-        );
+        let mean = self.report(&coverage, [coverage.stride, wanted], Moment { totals, last: true, started });
         mean.judge(&self.config.eval)?;
         Ok(Outcome::Finished)
     }
@@ -180,7 +164,7 @@ impl Run<'_> {
             total: 1,
         };
         let test = TestFrames { frames: self.frames, data: &self.config.data, finest };
-        let mut measure_views = None;
+        let mut coverage = None;
         let mut views = Vec::new();
         let mut measured = 0_usize;
         for (i, &stride) in strides.iter().enumerate() {
@@ -197,31 +181,26 @@ impl Run<'_> {
                     if watch.stop.load(Ordering::Relaxed) {
                         return Ok(Attempt::Stopped);
                     }
-                    return Ok(measure_views.map_or(Attempt::NoTime, Attempt::Measured));
+                    return Ok(coverage.map_or(Attempt::NoTime, Attempt::Measured));
                 }
                 (measured, watch.done) = (measured + 1, measured + 1);
             }
-            measure_views = Some(Coverage { views: views.clone(), stride, coarse: finest > 1 });
+            coverage = Some(Coverage { views: views.clone(), stride, coarse: finest > 1 });
         }
         keeper.rendered(started.elapsed().as_secs_f64(), measured as f64 * of_a_view);
-        Ok(measure_views.map_or(Attempt::NoTime, Attempt::Measured))
+        Ok(coverage.map_or(Attempt::NoTime, Attempt::Measured))
     }
 
     /// Emits the results of an evaluation by every `stride`-th view; `wanted` is the requested stride.
-    fn report(
-        &mut self,
-        measure_views: &Coverage,
-        [stride, wanted]: [usize; 2],
-        moment: Moment<'_>,
-    ) -> Measures {
+    fn report(&mut self, coverage: &Coverage, [stride, wanted]: [usize; 2], moment: Moment<'_>) -> Measures {
         let Moment { totals, last, started } = moment;
-        let scales = per_scale(&measure_views.views, stride);
+        let scales = per_scale(&coverage.views, stride);
         let mean = mean_quality(&scales);
         self.events.emit(&Event::Evaluation {
             totals: *totals,
             stride,
             frames: self.frames.len(),
-            bounded: measure_views.coarse || stride > wanted,
+            bounded: coverage.coarse || stride > wanted,
             last,
             psnr: mean.psnr,
             ssim: mean.ssim,
