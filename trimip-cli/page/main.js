@@ -46,11 +46,11 @@ async function open() {
     throw new Error("This browser has no WebGPU, which this page renders with. Recent versions of Chrome, Edge, Firefox and Safari have it.");
   }
   await start();
-  const { name, model, cropped } = await (await fetch("about.json")).json();
+  const { name, model, cropped, home } = await (await fetch("about.json")).json();
   document.title = `${name} · trimip`;
   find("name").textContent = name;
   const viewer = await Viewer.load(await bytes(model));
-  return [viewer, { ...JSON.parse(viewer.about()), cropped }];
+  return [viewer, { ...JSON.parse(viewer.about()), cropped, home }];
 }
 
 let viewer, orbit;
@@ -101,7 +101,12 @@ function changed() {
 try {
   let about;
   [viewer, about] = await open();
-  orbit = new Orbit(about.box, about.up, Number(find("fov").value), view);
+  orbit = new Orbit(about.box, about.up, Number(find("fov").value), view, about.home);
+  const label = () => {
+    find("fov").value = orbit.fov;
+    find("fov-value").textContent = `${Math.round(orbit.fov)}°`;
+  };
+  label();
   gestures(view, orbit, changed);
   find("crop").hidden = about.crop === "none";
   find("crop").querySelector("code").textContent = about.crop;
@@ -109,14 +114,14 @@ try {
   find("cropped").addEventListener("change", changed);
   find("fov").addEventListener("input", () => {
     orbit.fov = Number(find("fov").value);
-    find("fov-value").textContent = `${orbit.fov}°`;
+    label();
     changed();
   });
   find("scale").addEventListener("input", () => {
     find("scale-value").textContent = `${find("scale").value} %`;
     changed();
   });
-  find("home").addEventListener("click", () => (orbit.home(), changed()));
+  find("home").addEventListener("click", () => (orbit.home(), label(), changed()));
   find("picture").addEventListener("click", async () => {
     await draw(false);
     view.toBlob((blob) => {

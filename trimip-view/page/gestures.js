@@ -2,6 +2,15 @@
 
 /** Calls `leave` before the camera moves and `changed` after it. */
 export function gestures(view, orbit, changed, leave = () => {}) {
+  const find = (id) => document.getElementById(id);
+  const keys = () => find("keys").showModal();
+  const fullScreen = () => {
+    const done = document.fullscreenElement ? document.exitFullscreen() : find("stage").requestFullscreen?.();
+    // The browser may forbid it.
+    done?.catch(() => {});
+  };
+  find("show-keys").addEventListener("click", keys);
+  find("full").addEventListener("click", fullScreen);
   const pointers = new Map();
   view.addEventListener("pointerdown", (event) => {
     view.setPointerCapture(event.pointerId);
@@ -57,6 +66,10 @@ export function gestures(view, orbit, changed, leave = () => {}) {
     } else if (event.key === "Home") {
       leave();
       orbit.home();
+    } else if (event.key === "?") {
+      return keys();
+    } else if (event.key === "f") {
+      return fullScreen();
     } else {
       return;
     }

@@ -32,7 +32,7 @@ for (const { split, views } of scene.cameras) {
 
 find("show").querySelector("[value=level]").disabled = !scene.levels;
 
-const orbit = new Orbit(scene.box, scene.up, Number(find("fov").value), view);
+const orbit = new Orbit(scene.box, scene.up, Number(find("fov").value), view, scene.home);
 /** The chosen photograph: its set, its index, and its camera. */
 let chosen = null;
 let path = [];
@@ -44,7 +44,7 @@ const link = new Link({
   picture: receive,
   failed: (text) => say(text),
   training: tell,
-  state: (open) => say(open ? "" : "The program does not answer. Trying again…"),
+  state: (open) => say(!open ? "The program does not answer. Trying again…" : shown ? "" : "Rendering the first picture…"),
 });
 
 if (scene.training) control((command) => link.command(command));
@@ -128,6 +128,7 @@ function clip() {
 
 let still = null;
 function changed() {
+  label();
   request(true);
   clearTimeout(still);
   still = setTimeout(() => request(false), STILL);
@@ -235,6 +236,7 @@ function leave() {
 gestures(view, orbit, changed, leave);
 
 function label() {
+  find("fov").value = currentFov();
   find("fov-value").textContent = `${Math.round(currentFov())}°`;
   find("scale-value").textContent = `${find("scale").value} %`;
 }

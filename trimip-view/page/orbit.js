@@ -15,9 +15,10 @@ const STEEPEST = 1.55;
 export const column = (pose, axis) => [pose[axis], pose[4 + axis], pose[8 + axis]];
 
 export class Orbit {
-  /** A camera around the middle of a box, far enough to see all of it in a stage of this size. */
-  constructor(box, up, fov, stage) {
+  /** A camera at `start`, a pose with its angle; without one around the middle of a box, far enough to see all of it in a stage of this size. */
+  constructor(box, up, fov, stage, start = null) {
     this.stage = stage;
+    this.start = start;
     this.up = normalized(up);
     const other = Math.abs(this.up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
     this.first = normalized(cross(this.up, other));
@@ -29,6 +30,10 @@ export class Orbit {
   }
 
   home() {
+    if (this.start) {
+      this.fov = this.start.fov;
+      return this.follow(this.start.pose);
+    }
     this.target = [...this.middle];
     const ratio = this.stage.clientHeight / this.stage.clientWidth || 1;
     // The angle is that of the width.

@@ -81,6 +81,7 @@ impl Scene {
             "notes": self.notes,
             "report": self.report.as_ref().is_some_and(|path| path.is_file()),
             "cameras": self.photographs.describe(),
+            "home": trimip::view::home(scene, self.photographs.cameras(Split::Train)),
         })
     }
 }
@@ -176,6 +177,11 @@ impl Photographs {
             json!({ "split": split, "views": cameras })
         });
         sets.collect()
+    }
+
+    /// The cameras of a set.
+    fn cameras(&self, split: Split) -> &[Camera] {
+        self.sets.get(&split).map_or(&[], |set| &set.cameras)
     }
 
     /// The camera of a photograph.

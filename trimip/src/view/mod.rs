@@ -4,6 +4,7 @@ pub mod cameras;
 mod files;
 mod flip;
 pub mod flythrough;
+mod home;
 mod job;
 #[cfg(feature = "lpips")]
 mod lpips;
@@ -19,6 +20,7 @@ pub use files::{
     CAMERAS, PictureFormat, Quantity, Rendered, depth_range, expect_no_others, write, write_cameras,
 };
 pub use flip::{PIXELS_PER_DEGREE, flip_colors, flip_of_pictures};
+pub use home::{Home, home};
 pub use job::RenderJob;
 pub use measure::{Measured, RankGroup, TestViews, Watching, evaluate, evaluate_on_worker};
 pub use perceptual_metrics::PerceptualMetrics;

@@ -3,8 +3,10 @@
 use crate::{args::WebArguments, terminal};
 use serde_json::json;
 use std::path::Path;
-use trimip::{Config, Error, Result, model::Model, run::folder as run_folder};
-use trimip_core::atomic::write_atomically;
+use trimip::{
+    Config, Error, Result, model::Model, run::cameras::training_cameras, run::folder as run_folder,
+};
+use trimip_core::{atomic::write_atomically, scene::origin::LocalOrigin};
 use trimip_view::page;
 
 /// Files of the page's program, which `tools/web.sh` builds.
@@ -55,7 +57,10 @@ pub fn export(arguments: &WebArguments) -> Result<u8> {
         return Err(Error::input(out.display(), "holds a page of something else", "choose another --out"));
     }
     run_folder::create_writable(&out)?;
-    let about = json!({ "name": name, "model": MODEL, "cropped": cropped }).to_string();
+    let origin = LocalOrigin::of(&model.config.data);
+    let cameras = training_cameras(&arguments.model, origin)?.unwrap_or_default();
+    let home = trimip::view::home(&model.config.scene, &cameras);
+    let about = json!({ "name": name, "model": MODEL, "cropped": cropped, "home": home }).to_string();
     for (name, text) in PAGE.into_iter().chain([(ABOUT, &*about)]) {
         write_atomically(&out.join(name), text.as_bytes())?;
     }
