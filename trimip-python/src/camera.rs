@@ -196,6 +196,20 @@ impl Camera {
         self.0.intrinsics.cy
     }
 
+    /// A camera from the text in which it is pickled.
+    #[staticmethod]
+    fn _restored(text: &str) -> PyResult<Self> {
+        serde_json::from_str(text).map(Self).map_err(|error| {
+            refused("Camera", format!("a pickle of another version: {error}"), "pickle it again")
+        })
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+        let text = serde_json::to_string(&slf.get().0);
+        let text = text.map_err(|error| refused("Camera", error, "choose a camera of finite numbers"))?;
+        Ok((slf.get_type().getattr("_restored")?, (text,)))
+    }
+
     fn __repr__(&self) -> String {
         let k = self.0.intrinsics;
         format!(

@@ -4,9 +4,9 @@ use crate::camera::{Camera, Numbers};
 use crate::error::{raised, refused};
 use crate::mesh::Mesh;
 use crate::value;
-use numpy::{PyArray1, PyArray2, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{PyArray1, PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use trimip::mesh::{self, Extraction, Goal};
@@ -42,8 +42,35 @@ impl Frame {
     }
 }
 
+impl Frame {
+    /// The picture as a PNG of 8 bits; `None` for several views.
+    fn png(&self, py: Python<'_>) -> PyResult<Option<Vec<u8>>> {
+        let [height, width] = *self.opacity.bind(py).shape() else { return Ok(None) };
+        let color =
+            self.color.bind(py).to_vec().map_err(|error| refused("Frame", error, "copy its arrays"))?;
+        let picture = pictures::rgb_image(width as u32, height as u32, color.as_chunks::<3>().0);
+        py.detach(|| pictures::png(picture)).map(Some).map_err(raised)
+    }
+}
+
 #[pymethods]
 impl Frame {
+    /// Writes the colours as a PNG of 8 bits. Of several views, save each: the arrays have them.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        let place = path.display().to_string();
+        if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
+            return Err(refused(&place, "is no name of a PNG", "give one that ends in .png"));
+        }
+        let several = || refused("Frame", "several views", "render the one that is to be saved");
+        let png = self.png(py)?.ok_or_else(several)?;
+        py.detach(|| trimip_core::atomic::write_atomically(&path, &png)).map_err(raised)
+    }
+
+    /// What a notebook shows.
+    fn _repr_png_<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyBytes>>> {
+        Ok(self.png(py)?.map(|png| PyBytes::new(py, &png)))
+    }
+
     fn __repr__(&self, py: Python<'_>) -> String {
         format!("Frame({:?})", self.opacity.bind(py).shape())
     }
@@ -192,9 +219,9 @@ impl Model {
         Frame::of(py, &[frames.len(), size[0] as usize, size[1] as usize], &frames)
     }
 
-    /// Density and colour at places: `points` [N, 3] in world units, `directions` [N, 3] or one from the eye to the place (−z
-    /// without). `radius` is that of the sphere that is asked about (half a marching step without). Returns float32 [N],
-    /// per world unit, and float32 [N, 3].
+    /// Density and colour at places: `points` […, 3] in world units, `directions` […, 3] or one from the eye to the place (−z
+    /// without). `radius` is that of the sphere that is asked about (half a marching step without). Returns float32 […],
+    /// per world unit, and float32 […, 3].
     #[pyo3(signature = (points, directions=None, radius=None))]
     #[expect(clippy::type_complexity, reason = "two arrays")]
     fn query<'py>(
@@ -203,28 +230,29 @@ impl Model {
         points: Numbers<'py>,
         directions: Option<Numbers<'py>>,
         radius: Option<f64>,
-    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray2<f32>>)> {
+    ) -> PyResult<(Bound<'py, PyArrayDyn<f32>>, Bound<'py, PyArrayDyn<f32>>)> {
+        let shape = leading(&points);
         let queries = self.queries(&points, directions.as_ref(), radius)?;
         let found = self.work(py, |viewer, _| viewer.query(&queries).map(Some))?;
         let density = found.iter().map(|radiance| radiance.density).collect();
         let color: Vec<f32> = found.iter().flat_map(|radiance| radiance.rgb).collect();
-        let color = PyArray1::from_vec(py, color).reshape([found.len(), 3])?;
-        Ok((PyArray1::from_vec(py, density), color))
+        let color = PyArray1::from_vec(py, color).reshape([&shape[..], &[3]].concat())?;
+        Ok((PyArray1::from_vec(py, density).reshape(shape)?, color))
     }
 
-    /// The encoder's features at places, as for `query`: float32 [N, features].
+    /// The encoder's features at places, as for `query`: float32 […, features].
     #[pyo3(signature = (points, radius=None))]
     fn features<'py>(
         &self,
         py: Python<'py>,
         points: Numbers<'py>,
         radius: Option<f64>,
-    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let queries = self.queries(&points, None, radius)?;
         let found = self.work(py, |viewer, _| viewer.features(&queries).map(Some))?;
         let config = &self.model.config;
         let width = encoders::of(config).width(config);
-        PyArray1::from_vec(py, found).reshape([queries.len(), width])
+        PyArray1::from_vec(py, found).reshape([&leading(&points)[..], &[width]].concat())
     }
 
     /// The surface as a mesh, closed unless the scene has a crop (`scene.crop`) or is contracted: where the density crosses `level` (by default that of which a marching step has an
@@ -312,11 +340,20 @@ impl Model {
     }
 }
 
-/// Rows of three finite numbers; one row may stand alone.
+/// The shape of places without the axis of their three numbers; that of one place is [1].
+fn leading(points: &Numbers<'_>) -> Vec<usize> {
+    let array = points.as_array();
+    match array.ndim() {
+        0 | 1 => vec![1],
+        dimensions => array.shape()[..dimensions - 1].to_vec(),
+    }
+}
+
+/// Rows of three finite numbers, whatever axes come before; one row may stand alone.
 fn threes(name: &str, numbers: &Numbers<'_>) -> PyResult<Vec<[f64; 3]>> {
     let array = numbers.as_array();
-    if array.ndim() == 0 || array.ndim() > 2 || array.shape().last() != Some(&3) {
-        return Err(refused(name, format!("an array of shape {:?}", array.shape()), "give [N, 3]"));
+    if array.shape().last() != Some(&3) {
+        return Err(refused(name, format!("an array of shape {:?}", array.shape()), "give […, 3]"));
     }
     let flat: Vec<f64> = array.iter().copied().collect();
     if flat.iter().any(|number| !number.is_finite()) {

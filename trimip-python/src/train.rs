@@ -9,23 +9,31 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use trimip::report::{Status, text};
+use trimip::run::Recorded;
 use trimip::{Ended, Listeners, Settings, Training, events::Event};
 
 /// A run: its folder, how it ended, and its measures.
 #[pyclass(frozen, module = "trimip")]
 pub struct Run {
-    folder: PathBuf,
+    recorded: Recorded,
     ended: Ended,
-    settings: Settings,
-    evaluations: Value,
 }
 
 #[pymethods]
 impl Run {
+    /// Opens the run of a folder, which this package or the program trained. Its photographs need not be there.
+    #[staticmethod]
+    fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
+        let recorded = py.detach(|| Recorded::open(&folder)).map_err(raised)?;
+        let ended = if recorded.status == Status::Stopped { Ended::Stopped } else { Ended::Before };
+        Ok(Self { recorded, ended })
+    }
+
     /// The run folder.
     #[getter]
     fn folder(&self) -> &Path {
-        &self.folder
+        self.recorded.folder.root()
     }
 
     /// "finished", "stopped", or "before" if the folder already held this run and nothing was done.
@@ -41,23 +49,39 @@ impl Run {
     /// All settings, with those that the scene plan decided, as nested dictionaries.
     #[getter]
     fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        value::python(py, &self.settings.table())
+        value::python(py, &self.recorded.settings.table())
     }
 
     /// The evaluations of the run, in order: dictionaries with `seconds` of training, `samples`, `psnr`, `ssim` and `scales`.
     #[getter]
     fn evaluations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        value::python(py, &self.evaluations)
+        value::python(py, &evaluations(&self.recorded))
+    }
+
+    /// The verdict on the model in one line: its grade, the mean PSNR, what it is a mean of, and what may help.
+    #[getter]
+    fn verdict(&self) -> String {
+        self.recorded.report().verdict().words()
+    }
+
+    /// The table of measures per scale as a LaTeX `tabular`, the text of report.tex.
+    fn to_latex(&self) -> String {
+        text::latex(&self.recorded.report())
+    }
+
+    /// The same as Markdown, the text of report.md.
+    fn to_markdown(&self) -> String {
+        text::markdown(&self.recorded.report())
     }
 
     /// The trained model.
     fn model(&self, py: Python<'_>) -> PyResult<Model> {
-        let model = py.detach(|| trimip::read_model(&self.folder)).map_err(raised)?;
+        let model = py.detach(|| trimip::read_model(self.recorded.folder.root())).map_err(raised)?;
         Model::open(py, model)
     }
 
     fn __repr__(&self) -> String {
-        format!("Run({:?}, {})", self.folder.display().to_string(), self.ended())
+        format!("Run({:?}, {})", self.folder().display().to_string(), self.ended())
     }
 }
 
@@ -108,7 +132,8 @@ fn given(
 /// `config` is a dictionary of settings or the path of a configuration file, `settings` a dictionary over it, `system` one of
 /// `systems()`; `out` is `runs/<name>` without. `callback` gets every event as a dictionary; if it returns False, the run
 /// stops after the step and saves. So does Ctrl-C, which then raises KeyboardInterrupt; an exception of the callback does too.
-/// The same call resumes with the same bits.
+/// The same call resumes with the same bits. The folder has the same files as the program's, but report.html: `trimip-cli` writes that,
+/// if it is called on the folder with the same settings.
 #[pyfunction]
 #[pyo3(signature = (config=None, out=None, *, settings=None, system=None, callback=None, fresh=false))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -146,18 +171,20 @@ pub fn train(
         };
         let listeners = Listeners { events: &mut events, reading: &reading, observer: &mut (), stop: &stop };
         let trained = Training::new(settings, &out).fresh(fresh).run_with(listeners)?;
+        let recorded = Recorded::of(&trained);
+        let written = recorded.report().write(&recorded.folder);
         let ended = trained.outcome.clone()?;
+        written?;
         if let Some(error) = &trained.unwritten {
             return Err(error.clone());
         }
         trained.judge()?;
-        Ok((trained.folder.root().to_path_buf(), ended, trained.settings.clone(), evaluations(&trained)))
+        Ok(Run { recorded, ended })
     });
     if let Some(error) = raised_by_python.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) {
         return Err(error);
     }
-    let (folder, ended, settings, evaluations) = outcome.map_err(raised)?;
-    Ok(Run { folder, ended, settings, evaluations })
+    outcome.map_err(raised)
 }
 
 /// Tells Python of an event.
@@ -172,7 +199,7 @@ fn told(py: Python<'_>, callback: Option<&Py<PyAny>>, event: &Event, stop: &Atom
     Ok(())
 }
 
-fn evaluations(trained: &trimip::Trained) -> Value {
+fn evaluations(run: &Recorded) -> Value {
     let one = |own: &trimip::run::history::Evaluation| {
         json!({
             "step": own.totals.step,
@@ -184,7 +211,7 @@ fn evaluations(trained: &trimip::Trained) -> Value {
             "last": own.last,
         })
     };
-    trained.history.evaluations.iter().map(one).collect()
+    run.history.evaluations.iter().map(one).collect()
 }
 
 /// All settings and their defaults, as nested dictionaries.

@@ -1,6 +1,8 @@
 """The package does what the program does, with the same bits and the same words."""
 
+import io
 import json
+import pickle
 import signal
 import threading
 import time
@@ -54,6 +56,51 @@ def test_a_view_has_the_bits_of_the_program(trained, model, cli, tmp_path):
     assert answer.returncode == 0, answer.stderr
     png = (out / "pose_color.png").read_bytes()
     assert decoded(png) == np.clip(np.rint(frame.color * 255), 0, 255).astype(np.uint8).tobytes()
+
+
+def test_a_view_is_saved_and_shown_in_notebooks(model, tmp_path):
+    frame = model.render(camera())
+    frame.save(tmp_path / "view.png")
+    png = (tmp_path / "view.png").read_bytes()
+    assert png == frame._repr_png_()
+    assert decoded(png) == np.clip(np.rint(frame.color * 255), 0, 255).astype(np.uint8).tobytes()
+    several = model.render_batch([camera(), camera()])
+    assert several._repr_png_() is None
+    for own, path in ((several, "several.png"), (frame, "view.jpg"), (frame, "view")):
+        with pytest.raises(trimip.InputError):
+            own.save(tmp_path / path)
+        assert not (tmp_path / path).exists()
+
+
+def test_a_camera_comes_back_from_a_pickle(model):
+    lens = {"k1": 0.1, "k2": -0.03, "p1": 0.001, "p2": 0.002}
+    own = trimip.Camera(camera().pose + np.eye(3, 4, 3) / 3, 24, 20, fx=30.1, fy=29.3, cx=11.7, cy=9.9, lens=lens)
+    again = pickle.loads(pickle.dumps(own))
+    assert np.array_equal(again.pose, own.pose) and (again.fx, again.fy, again.cx, again.cy) == (30.1, 29.3, 11.7, 9.9)
+    assert np.array_equal(model.render(again).color, model.render(own).color), "the lens too"
+
+
+def test_a_run_has_the_files_of_the_program_and_is_opened_again(trained, cli, tmp_path):
+    run, _ = trained
+    again = trimip.Run.load(run.folder)
+    assert again.ended == "before" and again.folder == run.folder
+    assert again.evaluations == run.evaluations and again.config == run.config
+    assert again.to_latex() == run.to_latex() == (run.folder / "report.tex").read_text()
+    assert again.to_markdown() == (run.folder / "report.md").read_text()
+    assert "tabular" in again.to_latex() and f"{run.evaluations[-1]['psnr']:.2f} dB" in again.verdict
+    assert np.array_equal(again.model().render(camera()).color, run.model().render(camera()).color)
+    for name in ("report.json", "metrics.csv", "error_vs_time.csv"):
+        assert (run.folder / name).stat().st_size > 0, name
+    with pytest.raises(trimip.InputError, match="holds no run"):
+        trimip.Run.load(tmp_path)
+
+
+def test_progress_is_one_line(tmp_path):
+    text = io.StringIO()
+    trimip.train(TINY, tmp_path / "run", callback=trimip.Progress(file=text, interval=0))
+    lines = text.getvalue().split("\n")
+    assert len(lines) > 1 and lines[-1] == "" and "at the end: " in lines[-2]
+    assert "\r" in text.getvalue() and " %  step 1 " in text.getvalue()
 
 
 def decoded(png):
@@ -111,6 +158,10 @@ def test_places_have_densities_colours_and_features(model):
     width = 3 * 16  # three planes, sixteen channels
     assert features.shape == (50, width) and np.isfinite(features).all()
     assert np.array_equal(model.features(points[3:4], radius=0.01)[0], features[3])
+    # Any axes may come before those of the numbers.
+    grid = model.query(points.reshape(5, 2, 5, 3), directions=[0, 0, 2], radius=0.01)
+    assert np.array_equal(grid[0], density.reshape(5, 2, 5)) and np.array_equal(grid[1], color.reshape(5, 2, 5, 3))
+    assert np.array_equal(model.features(points.reshape(25, 2, 3), radius=0.01), features.reshape(25, 2, width))
     # Far spheres see coarse texels.
     assert not np.allclose(model.features(points, radius=0.5), features)
 
@@ -159,10 +210,10 @@ def test_a_scene_has_its_photographs_and_cameras(model):
 @pytest.mark.parametrize(
     ("act", "words"),
     [
-        (lambda tmp: trimip.Model.load(tmp / "nothing"), ["nothing", "name an existing"]),
+        (lambda tmp: trimip.Model.load(tmp / "nothing"), ["nothing", "there is no run or model", "name the folder of a run"]),
         (lambda tmp: trimip.Scene(tmp / "nothing"), ["does not exist", "data.root"]),
         (lambda tmp: trimip.train({"train.sceonds": 1}, tmp), ["sceonds"]),
-        (lambda tmp: trimip.train({"train.steps": "many"}, tmp), ["train.steps"]),
+        (lambda tmp: trimip.train({"train.steps": "many"}, tmp), ["settings: train.steps"]),
         (lambda tmp: trimip.train({"train.steps": object()}, tmp), ["train.steps", "object"]),
         (lambda tmp: trimip.train(tmp / "no.toml", tmp), ["no.toml"]),
         (lambda tmp: trimip.train(3, tmp), ["neither a dictionary nor a path"]),
@@ -183,12 +234,13 @@ def test_the_words_of_an_error_are_the_programs(cli, tmp_path):
     with pytest.raises(trimip.InputError) as error:
         trimip.train({"train.steps": 0}, tmp_path / "run")
     answer = cli("train", "--set", "train.steps=0", "--out", tmp_path / "run")
-    # The program names the command line, the package the code.
-    said = answer.stderr.strip().splitlines()[-1].removeprefix("error: ").replace("--set", "code").replace("command line", "code")
+    # The program names the command line, the package the settings that it was given.
+    said = answer.stderr.strip().splitlines()[-1].removeprefix("error: ")
+    assert str(error.value).startswith("settings: train.steps"), error.value
     assert answer.returncode == 2 and str(error.value).split(";")[1] == said.split(";")[1], (said, error.value)
 
 
-@pytest.mark.parametrize("bad", [np.zeros((3, 2)), [1, 2, float("nan")], np.zeros((2, 2, 3))])
+@pytest.mark.parametrize("bad", [np.zeros((3, 2)), [1, 2, float("nan")], np.zeros((2, 3, 2)), 1.0])
 def test_places_that_are_none_are_refused(model, bad):
     with pytest.raises(trimip.InputError, match="points"):
         model.query(bad)

@@ -1,7 +1,7 @@
 """Anti-aliased radiance fields from photographs (Tri-MipRF), on the CPU or any GPU.
 
 >>> import trimip
->>> run = trimip.train({"data.root": "data/lego", "train.seconds": 60}, callback=print)
+>>> run = trimip.train({"data.root": "data/lego", "train.seconds": 60}, callback=trimip.Progress())
 >>> model = run.model()
 >>> frame = model.render(trimip.Scene("data/lego").cameras("test")[0])
 >>> frame.color.shape
@@ -29,6 +29,7 @@ from ._trimip import (
     systems,
     train,
 )
+from .progress import Progress
 
 __all__ = [
     "Camera",
@@ -38,6 +39,7 @@ __all__ = [
     "InputError",
     "Mesh",
     "Model",
+    "Progress",
     "Run",
     "RunError",
     "Scene",

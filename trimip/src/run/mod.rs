@@ -12,9 +12,11 @@ mod lock;
 pub(crate) mod memory;
 pub mod overview;
 pub mod provenance;
+mod recorded;
 mod recorder;
 pub mod store;
 pub mod train;
 
 pub use begin::expect_same;
 pub use lock::Lock;
+pub use recorded::Recorded;

@@ -1,0 +1,80 @@
+//! A run as its folder tells it, without its data.
+
+use super::{folder::RunFolder, history::History, train::Trained};
+use crate::report::{Report, Status};
+use std::path::Path;
+use trimip_core::{Config, Error, Result, Settings, measures::quality::mean_quality};
+
+/// A run: its folder, its settings and what happened in it.
+#[derive(Clone, Debug)]
+pub struct Recorded {
+    /// The run's folder.
+    pub folder: RunFolder,
+    /// Name of the scene.
+    pub scene: String,
+    /// The effective configuration, scene plan included.
+    pub config: Config,
+    /// The same with the origin of each value, as far as it is known.
+    pub settings: Settings,
+    /// The run's event history.
+    pub history: History,
+    /// Its state.
+    pub status: Status,
+}
+
+impl Recorded {
+    /// Reads a run folder. Nothing is locked: a run that is trained just now is told as far as it has come.
+    ///
+    /// # Errors
+    /// When there is no run, or its configuration is of another version.
+    pub fn open(path: &Path) -> Result<Self> {
+        let folder = RunFolder::new(path);
+        let config = folder.config();
+        if !config.is_file() {
+            return Err(Error::input(
+                path.display(),
+                "holds no run",
+                "name the folder of a run, such as runs/quickstart",
+            ));
+        }
+        let text = trimip_core::text::read(&config, "name the folder of a run")?;
+        let mut settings = crate::settings::defaults();
+        settings.apply_file(&config.display().to_string(), &text)?;
+        let config = Config::from_settings(&settings)?;
+        let history = History::of(&folder.events());
+        let status = match history.last() {
+            Some(last) if folder.model().is_file() => judged(mean_quality(&last.scales).judge(&config.eval)),
+            _ => Status::Stopped,
+        };
+        Ok(Self { scene: super::train::scene_name(&config), folder, config, settings, history, status })
+    }
+
+    /// Of a training that has ended.
+    pub fn of(trained: &Trained) -> Self {
+        use super::train::Ended;
+        let status = match &trained.outcome {
+            Ok(Ended::Stopped) => Status::Stopped,
+            Ok(Ended::Finished | Ended::Before) => judged(trained.judge()),
+            Err(error) => Status::Failed(error.message.clone()),
+        };
+        Self {
+            folder: trained.folder.clone(),
+            scene: trained.scene.clone(),
+            config: trained.config.clone(),
+            settings: trained.settings.clone(),
+            history: trained.history.clone(),
+            status,
+        }
+    }
+
+    /// Its report.
+    pub fn report(&self) -> Report<'_> {
+        let status = self.status.clone();
+        Report::gather(&self.folder, status, &self.scene, &self.config, &self.settings, &self.history)
+    }
+}
+
+/// The state of a finished run whose quality is judged.
+fn judged(judgement: Result<()>) -> Status {
+    judgement.map_or_else(|error| Status::Failed(error.message), |()| Status::Finished)
+}
