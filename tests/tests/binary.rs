@@ -369,6 +369,8 @@ fn a_bench_lays_variants_and_seeds_beside_each_other() {
     assert_eq!(rows[0]["psnr"], rows[2]["psnr"]);
     let csv = fs::read_to_string(folder.path().join("b/bench.csv")).unwrap();
     assert_eq!(csv.lines().count(), 5);
+    let latex = fs::read_to_string(folder.path().join("b/bench.tex")).unwrap();
+    assert!(latex.contains("\\toprule") && latex.matches(r" \\").count() == 5, "{latex}");
     assert!(fs::read_to_string(folder.path().join("b/bench.svg")).unwrap().starts_with("<svg"));
     let page = fs::read_to_string(folder.path().join("b/bench.html")).unwrap();
     assert!(page.starts_with("<!doctype html>") && page.contains("<svg") && page.contains("no mip"));

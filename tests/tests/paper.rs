@@ -84,6 +84,12 @@ fn every_system_is_on_the_page_with_the_means_of_its_runs() {
     }
     let (html, report) = (page(here), json(here));
     let markdown = fs::read_to_string(here.join("out/paper.md")).unwrap();
+    let latex = fs::read_to_string(here.join("out/paper.tex")).unwrap();
+    assert_eq!(
+        latex.matches("\\begin{tabular}").count(),
+        2 * 3,
+        "the mean and two scenes, at four scales and at one"
+    );
     for system in SYSTEMS {
         assert!(html.contains(&escaped(system.title)) && markdown.contains(system.title), "{}", system.name);
     }

@@ -43,7 +43,7 @@ pub struct BenchArguments {
     /// PSNR levels in dB whose times are reported
     #[arg(long, value_name = "DB,..", value_delimiter = ',', default_value = "25,28,30,32,34")]
     pub reach: Vec<f64>,
-    /// Folder of the runs and of bench.csv, bench.json, bench.svg and bench.html
+    /// Folder of the runs and of bench.csv, bench.tex, bench.json, bench.svg and bench.html
     #[arg(long, default_value = "runs/bench", value_name = "DIR")]
     pub out: PathBuf,
 }

@@ -68,8 +68,8 @@ pub struct PaperArguments {
     /// Override one setting of every system, or of those with its encoder; may be given many times
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
-    /// Folder of paper.html, paper.json, paper.md and of the runs, SCENE/SYSTEM/SEED; the same command goes on where it
-    /// was interrupted
+    /// Folder of paper.html, paper.json, paper.md, paper.tex and of the runs, SCENE/SYSTEM/SEED; the same command goes on
+    /// where it was interrupted
     #[arg(long, default_value = "runs/paper", value_name = "DIR")]
     pub out: PathBuf,
 }

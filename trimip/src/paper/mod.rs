@@ -15,4 +15,4 @@ pub use figures::Figures;
 pub use json::json;
 pub use means::{Cell, TableRow, mean_curve, scene_row, whole_row};
 pub use runs::{Run, Scales, Status};
-pub use text::{Column, columns, markdown, published_caption, published_cells, published_columns};
+pub use text::{Column, columns, latex, markdown, published_caption, published_cells, published_columns};

@@ -3,8 +3,9 @@
 use super::comparison::Comparison;
 use super::means::TableRow;
 use super::runs::{Scales, Status};
+use crate::formatting;
+use crate::report::{latex::tabular, scale_name};
 use crate::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS, SOURCES};
-use crate::{formatting, report::scale_name};
 
 /// A value of a row.
 pub type Value = Box<dyn Fn(&TableRow) -> f64>;
@@ -211,7 +212,29 @@ pub fn markdown(comparison: &Comparison) -> String {
     text
 }
 
+/// `paper.tex`: the same tables for the package booktabs, published figures apart.
+pub fn latex(comparison: &Comparison) -> String {
+    let mut text = "% \\usepackage{booktabs}\n".to_string();
+    let mut add = |title: String, scales: Scales, rows: &[TableRow]| {
+        text += &format!("\n% {}, {title}\n{}", scales.title(), tabular(&cells(scales, rows), false));
+    };
+    for &scales in &comparison.scales {
+        if comparison.scenes.len() > 1 {
+            add("mean over the scenes".into(), scales, &comparison.whole_rows(scales));
+        }
+        for scene in &comparison.scenes {
+            add(scene.clone(), scales, &comparison.scene_rows(scales, scene));
+        }
+    }
+    text
+}
+
 fn table(scales: Scales, rows: &[TableRow]) -> String {
+    lines(&cells(scales, rows))
+}
+
+/// Header and rows of a table, the system's name first.
+fn cells(scales: Scales, rows: &[TableRow]) -> Vec<Vec<String>> {
     let columns = columns(scales, rows);
     let mut cells = vec![vec!["system".to_string()]];
     cells[0].extend(columns.iter().map(|column| column.head.clone()));
@@ -220,7 +243,7 @@ fn table(scales: Scales, rows: &[TableRow]) -> String {
         line.extend(columns.iter().map(|column| (column.text)(row)));
         cells.push(line);
     }
-    lines(&cells)
+    cells
 }
 
 /// Rows as a Markdown table; the first is the header.

@@ -3,6 +3,7 @@
 
 mod content;
 mod json;
+pub mod latex;
 pub mod text;
 pub mod verdict;
 

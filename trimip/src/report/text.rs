@@ -1,7 +1,8 @@
-//! `report.md` and `report.tex`: the verdict and the table of metrics, as Markdown and as a LaTeX `tabular` that needs
-//! no package. PSNR in dB.
+//! `report.md` and `report.tex`: the verdict and the table of metrics, as Markdown and as a LaTeX `tabular` of the columns that papers
+//! have, which needs the package booktabs. PSNR in dB.
 
 use super::content::{Report, scale_name};
+use super::latex::tabular;
 use crate::formatting;
 use trimip_core::measures::{
     metrics::LEAST_SIDE,
@@ -51,6 +52,13 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
     let images = e.scales.iter().map(|q| q.images).sum();
     rows.push(row("mean".into(), images, String::new(), &mean));
     rows
+}
+
+/// The columns of these names, in the order of the table.
+pub fn columns(rows: &[Vec<String>], names: &[&str]) -> Vec<Vec<String>> {
+    let Some(head) = rows.first() else { return Vec::new() };
+    let kept: Vec<usize> = (0..head.len()).filter(|&column| names.contains(&head[column].as_str())).collect();
+    rows.iter().map(|row| kept.iter().filter_map(|&column| row.get(column).cloned()).collect()).collect()
 }
 
 /// What the measures of perception are means of, one sentence; empty if there is none.
@@ -122,43 +130,25 @@ pub fn markdown(report: &Report<'_>) -> String {
     text
 }
 
+/// Columns of the LaTeX table; `report.md` has the others.
+const PRINTED: [&str; 7] = ["scale", "images", "PSNR / dB", "SSIM", "MS-SSIM", "FLIP", "LPIPS"];
+
 /// The report's table as LaTeX.
 pub fn latex(report: &Report<'_>) -> String {
-    let rows = measures(report);
-    let mut text = format!("% {}\n% Verdict: {}\n", caption(report), report.verdict().words());
-    let Some(head) = rows.first() else { return text };
+    let rows = columns(&measures(report), &PRINTED);
+    let mut text = format!(
+        "% {}\n% Verdict: {}\n% \\usepackage{{booktabs}}\n",
+        caption(report),
+        report.verdict().words()
+    );
+    if rows.is_empty() {
+        return text;
+    }
     let perceptual = perceptual(report);
     if !perceptual.is_empty() {
         text += &format!("% {}\n", perceptual.trim_end());
     }
-    text += &format!("\\begin{{tabular}}{{l{}}}\n\\hline\n", "r".repeat(head.len() - 1));
-    for (i, row) in rows.iter().enumerate() {
-        let cells: Vec<_> = row.iter().map(|cell| tex(cell)).collect();
-        if i + 1 == rows.len() {
-            text += "\\hline\n";
-        }
-        text += &format!("{} \\\\\n", cells.join(" & "));
-        if i == 0 {
-            text += "\\hline\n";
-        }
-    }
-    text + "\\hline\n\\end{tabular}\n"
-}
-
-/// Escapes text for LaTeX and converts dashes.
-fn tex(text: &str) -> String {
-    let mut safe = String::new();
-    for c in text.chars() {
-        match c {
-            '\\' => safe += "\\textbackslash{}",
-            '~' => safe += "\\textasciitilde{}",
-            '^' => safe += "\\textasciicircum{}",
-            '–' => safe += "--",
-            '&' | '%' | '$' | '#' | '_' | '{' | '}' => safe.extend(['\\', c]),
-            c => safe.push(c),
-        }
-    }
-    safe
+    text + &tabular(&rows, true)
 }
 
 #[cfg(test)]
@@ -187,8 +177,12 @@ mod tests {
             assert!(columns.chars().all(|c| c == 'r') && text.ends_with("\\end{tabular}\n"), "{text}");
             let rows: Vec<_> = text.lines().filter(|line| line.ends_with("\\\\")).collect();
             let fits = |row: &&str| row.matches('&').count() == columns.len();
-            assert!(rows.len() == 4 && columns.len() > 3 && rows.iter().all(fits), "{text}");
+            assert!(rows.len() == 4 && columns.len() >= 3 && rows.iter().all(fits), "{text}");
+            assert!(
+                rows[0].starts_with("scale & images & PSNR / dB & SSIM") && !text.contains("plain"),
+                "{text}"
+            );
+            assert!(text.contains("\\toprule") && text.contains("% \\usepackage{booktabs}"), "{text}");
         });
-        assert_eq!(tex("a_b & 50 %"), "a\\_b \\& 50 \\%");
     }
 }

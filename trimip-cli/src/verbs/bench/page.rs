@@ -1,4 +1,4 @@
-//! Output files of a training benchmark: `bench.json`, `bench.csv`, `bench.svg`, and `bench.html` for people.
+//! Output files of a training benchmark: `bench.json`, `bench.csv`, `bench.tex`, `bench.svg`, and `bench.html` for people.
 
 use super::results::{Bench, VariantRow, cells};
 use crate::curves::reach_json;
@@ -7,16 +7,18 @@ use crate::report::{page, svg};
 use crate::terminal;
 use serde_json::{Value, json};
 use trimip::machine::{Machine, version};
+use trimip::report::latex::tabular;
 use trimip::{Config, Error, Result};
 use trimip_core::atomic::write_atomically;
 
-/// Writes all four files; `lines` are the curves of all runs, by variant.
+/// Writes all files; `lines` are the curves of all runs, by variant.
 pub fn write(bench: &Bench, rows: &[VariantRow], lines: &[svg::Line]) -> Result<()> {
     let (base, reach) = (Config::from_settings(&bench.base)?, &bench.reach[..]);
     let machine = Machine::detect();
     let keep = |name: &str, text: &str| write_atomically(&bench.out.join(name), text.as_bytes());
     keep("bench.json", &json(rows, reach, &machine, &base)?)?;
     keep("bench.csv", &csv(rows))?;
+    keep("bench.tex", &latex(rows))?;
     // A run with a single evaluation has a point but no line.
     keep("bench.svg", &svg::alone(lines, svg::TRAINING).unwrap_or_default())?;
     keep("bench.html", &html(rows, lines, reach, &machine, &base)?)
@@ -50,6 +52,29 @@ fn csv(rows: &[VariantRow]) -> String {
         );
     }
     csv
+}
+
+/// The table of papers; after a ± stands half of the difference between the best and the worst seed.
+fn latex(rows: &[VariantRow]) -> String {
+    let seeds = rows.iter().map(|row| row.seeds).max().unwrap_or(1);
+    let head = ["variant", "seconds", "PSNR / dB", "SSIM", "model / MB"];
+    let row = |row: &VariantRow| {
+        let spread = if seeds > 1 { format!(" ± {:.2}", 0.5 * row.spread) } else { String::new() };
+        vec![
+            row.name.clone(),
+            format!("{:.0}", row.seconds),
+            format!("{:.2}{spread}", row.psnr),
+            format!("{:.4}", row.ssim),
+            format!("{:.1}", 1e-6 * row.model_bytes),
+        ]
+    };
+    let cells: Vec<Vec<String>> =
+        std::iter::once(head.map(String::from).to_vec()).chain(rows.iter().map(row)).collect();
+    let seeds = terminal::count(seeds as u64, "seed");
+    format!(
+        "% \\usepackage{{booktabs}}\n% means over {seeds}, ± half of their range\n{}",
+        tabular(&cells, false)
+    )
 }
 
 fn html(

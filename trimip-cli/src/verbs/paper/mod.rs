@@ -15,7 +15,7 @@ use crate::{
 };
 use request::{PaperRun, Request};
 use std::sync::atomic::Ordering;
-use trimip::paper::{Comparison, Figures, Run, Scales, Status, TableRow, columns, json, markdown};
+use trimip::paper::{Comparison, Figures, Run, Scales, Status, TableRow, columns, json, latex, markdown};
 use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::{folder::create_writable, history::History};
 use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
@@ -136,10 +136,11 @@ fn concluded(trained: Result<Trained>, style: ProgressStyle) -> (Status, Option<
     }
 }
 
-/// Writes the page, the JSON and the Markdown.
+/// Writes the page, the JSON, the Markdown and the LaTeX.
 fn write(request: &Request, comparison: &Comparison) -> Result<()> {
     save(&request.out.join("paper.json"), &json(comparison)?)?;
     save(&request.out.join("paper.md"), &markdown(comparison))?;
+    save(&request.out.join("paper.tex"), &latex(comparison))?;
     save(&request.page(), &page::page(comparison)?)
 }
 
