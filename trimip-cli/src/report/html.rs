@@ -120,18 +120,39 @@ fn quality(report: &Report<'_>) -> String {
     if let Some(remark) = mean_quality(&e.scales).remark(Remedy::of(report.config)) {
         note += &format!("Remark: {}. ", escape(&remark));
     }
+    let all = text::measures(report);
     format!(
-        "<section><h2>Quality per scale</h2>{}<p class=\"lead\">{note}“Mean colour” is what the mean colour of each \
-         photograph would reach in place of the rendering; “on opposite” is PSNR on another background: black where the background is bright and white \
-         where it is dark; “own exposure” is PSNR after one gain per channel that each half of a picture takes from the other.</p></section>\n",
-        table(&text::measures(report), true)
+        "<section><h2>Quality per scale</h2>{}<p class=\"lead\">{note}</p><details><summary>Other kinds of PSNR</summary>{}<p>“Plain” \
+         is without the edge exponents of the set; “box filter” is against means over blocks of the finest photographs; “at 8 bits” rounds both \
+         pictures; “own exposure” is after one gain per channel that each half of a picture takes from the other; “on opposite” is on another \
+         background, black where the background is bright and white where it is dark; “mean colour” is what the mean colour of each photograph \
+         would reach in place of the rendering.</p></details></section>\n",
+        table(&text::columns(&all, &MEASURES), true),
+        table(&text::columns(&all, &OTHER_KINDS), true)
     )
 }
+
+/// Columns of the table of measures.
+const MEASURES: [&str; 8] =
+    ["scale", "images", "PSNR / dB", "least – greatest", "SSIM", "MS-SSIM", "FLIP", "LPIPS"];
+
+/// Columns of the table below it.
+const OTHER_KINDS: [&str; 7] =
+    ["scale", "plain", "box filter", "at 8 bits", "own exposure", "on opposite", "mean colour"];
 
 fn curve(report: &Report<'_>) -> String {
     let (curve, last) = (report.curve(), report.history.last());
     if curve.len() < 2 {
-        return String::new();
+        let why = match report.config.eval.points {
+            0 => "eval.points = 0 measures no test view on the way".to_string(),
+            _ => format!(
+                "test views were measured {} on the way, as many as eval.time_fraction had time for",
+                terminal::count(curve.len() as u64, "time")
+            ),
+        };
+        return format!(
+            "<section><h2>Error against time</h2><p class=\"lead\">No curve: {why}.</p></section>\n"
+        );
     }
     let mut note = format!("The lines are measured on {} test views", curve[0].views());
     if let Some(last) = last.filter(|last| !curve.contains(last)) {
