@@ -1,6 +1,6 @@
 //! The verb `capture`, with programs that imitate ffmpeg, COLMAP of several versions, pycolmap and glomap: what they are called with,
-//! which is chosen, what is kept when one fails or is killed, and what the user is told. The test of `fakes/real.rs` calls the real programs
-//! where they are installed; `TRIMIP_REQUIRE_COLMAP=1` makes them required.
+//! which is chosen, what is kept when one fails or is killed, and what the user is told. `TRIMIP_REQUIRE_COLMAP=1` runs the test of
+//! `fakes/real.rs` too, which calls the real programs.
 
 #![cfg(unix)]
 
