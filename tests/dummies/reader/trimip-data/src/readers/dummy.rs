@@ -115,8 +115,9 @@ impl Rail {
         }
         let pictures = Pictures::new(&self.root);
         let sources = map_in_order(&chosen, |_, &index| self.source(&pictures, index))?;
-        let warnings = selection.warning(&path, "in order of their lines").into_iter().collect();
-        Ok(Split { sources, warnings, ..Split::default() })
+        let warnings = selection.warning(&path).into_iter().collect();
+        let notes = selection.note(&path, "in order of their lines").into_iter().collect();
+        Ok(Split { sources, warnings, notes, ..Split::default() })
     }
 
     /// A frame with the header of its photograph.
