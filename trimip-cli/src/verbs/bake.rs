@@ -13,6 +13,7 @@ const BAR: u64 = 1000;
 
 /// Writes a model with its proxy.
 pub fn run(arguments: &BakeArguments) -> Result<u8> {
+    run_folder::expect_any(&arguments.model)?;
     let folder = arguments.model.is_dir().then(|| run_folder::RunFolder::new(&arguments.model));
     let path = folder.as_ref().map_or_else(|| arguments.model.clone(), run_folder::RunFolder::model);
     if arguments.model.is_dir() && !path.exists() {

@@ -297,14 +297,23 @@ pub fn events_of(bytes: &[u8]) -> Vec<Event> {
 /// What to do where a run or a model is asked for.
 const NAME_A_RUN: &str = "name the folder of a run, such as runs/quickstart, or a model file (.safetensors)";
 
+/// Fails if there is nothing at the path of a run or a model.
+///
+/// # Errors
+/// Of kind `Input`, then.
+pub fn expect_any(path: &Path) -> Result<()> {
+    match path.exists() {
+        true => Ok(()),
+        false => Err(Error::input(path.display(), "there is no run or model of this name", NAME_A_RUN)),
+    }
+}
+
 /// Reads the model of a run folder or a model file. For an unfinished run, reads the model of its checkpoint.
 ///
 /// # Errors
 /// When there is no model, or it is incomplete.
 pub fn read_model(path: &Path) -> Result<Model> {
-    if !path.exists() {
-        return Err(Error::input(path.display(), "there is no run or model of this name", NAME_A_RUN));
-    }
+    expect_any(path)?;
     if !path.is_dir() {
         return Model::read(path);
     }
