@@ -128,6 +128,9 @@ pub(super) fn edges(context: &Context<'_>) -> Proposal {
 }
 
 pub(super) fn hull(context: &Context<'_>) -> Proposal {
+    if context.now.scene.contraction != Contraction::None {
+        return Proposal::Keep("space has no end: silhouettes bound none".into());
+    }
     if !silhouettes::any(context.facts.train) {
         return Proposal::Keep("there are no silhouettes".into());
     }

@@ -561,6 +561,15 @@ fn surroundings_are_contracted() {
     }
 }
 
+/// Whatever the user gives, the plan decides nothing that is refused with it.
+#[test]
+fn a_given_contraction_of_photographs_with_alpha_is_planned() {
+    let (config, findings) = planned(&views(true), &["scene.contraction=ball"]).unwrap();
+    assert_eq!(config.scene.contraction, Contraction::Ball, "{findings:?}");
+    assert!(!config.occupancy.hull, "{findings:?}");
+    config.validate().unwrap();
+}
+
 #[test]
 fn a_saving_is_told_where_there_is_one() {
     assert_eq!(leave_out::saved("planes", 10_000_000, 20_000_000), "; planes of 40.0 MB instead of 80.0 MB");
