@@ -28,7 +28,7 @@ fn a_place_opens_where_a_photograph_was_taken_and_an_object_from_outside() {
     let here = folder.path();
     for (contraction, is_place) in [("none", false), ("ball", true)] {
         let contraction = format!("scene.contraction={contraction}");
-        let sets = ["--set", &contraction, "--set", "plan.hull=off"];
+        let sets = ["--set", &contraction, "--set", "plan.hull=off", "--set", "eval.min_gain=-100"];
         let answer = run(here, &tiny_and(&[&["--out", "run", "--fresh"], &sets[..]].concat()));
         assert_eq!(answer.code, Some(0), "{answer:?}");
         let shown = Shown::start(here, "run");
