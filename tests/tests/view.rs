@@ -23,26 +23,6 @@ fn pixels(received: &Received) -> image::RgbImage {
 }
 
 #[test]
-fn a_place_opens_where_a_photograph_was_taken_and_an_object_from_outside() {
-    let folder = tempfile::tempdir().unwrap();
-    let here = folder.path();
-    for (contraction, is_place) in [("none", false), ("ball", true)] {
-        let contraction = format!("scene.contraction={contraction}");
-        let sets = ["--set", &contraction, "--set", "plan.hull=off", "--set", "eval.min_gain=-100"];
-        let answer = run(here, &tiny_and(&[&["--out", "run", "--fresh"], &sets[..]].concat()));
-        assert_eq!(answer.code, Some(0), "{answer:?}");
-        let shown = Shown::start(here, "run");
-        let (_, scene) = shown.get(&format!("/{}/scene.json", shown.token), &[]);
-        let scene: Value = serde_json::from_slice(&scene).unwrap();
-        assert_eq!(scene["home"].is_object(), is_place);
-        let sets = scene["cameras"].as_array().unwrap();
-        let train = sets.iter().find(|set| set["split"] == "train").unwrap();
-        let is_training_view = |view: &Value| view["pose"] == scene["home"]["pose"];
-        assert_eq!(train["views"].as_array().unwrap().iter().any(is_training_view), is_place);
-    }
-}
-
-#[test]
 fn only_who_knows_the_token_and_comes_from_the_page_may_enter() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
