@@ -1,4 +1,4 @@
-//! What the programs at hand can do.
+//! Options and versions of the installed programs.
 
 /// What the programs at hand can do.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -54,10 +54,10 @@ pub struct Captured {
     pub size: [u32; 2],
 }
 
-/// What the stage of the model came to.
+/// The result of the model stage.
 #[derive(Serialize, Deserialize)]
 struct Placement {
-    /// What the user asked for, by which a later command knows without any program that nothing changes.
+    /// The options of the user. A later command compares its own with these.
     asked: Value,
     /// The program that placed the cameras.
     program: String,
