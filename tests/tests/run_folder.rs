@@ -3,7 +3,7 @@
 
 use std::{fs, path::Path, process::Stdio, time::Duration};
 use trimip_tests::{
-    binary::{command, run, tiny, tiny_and},
+    binary::{command, program, run, tiny, tiny_and},
     files::files,
 };
 
@@ -162,7 +162,8 @@ fn a_finished_run_of_other_photographs_is_not_this_one() {
     of("a/scene", &[]).expect_error(2, &told);
 }
 
-/// The plan's predicted memory against the peak resident memory of the process, on a scene of medium size.
+/// The plan's predicted memory against the peak resident memory of the process, on a scene of medium size. The system
+/// decides how many pages of the program's own file are resident, so the process may use up to that file's length more.
 #[test]
 fn predicted_memory_is_within_a_quarter_of_what_is_used() {
     let folder = tempfile::tempdir().unwrap();
@@ -199,6 +200,10 @@ fn predicted_memory_is_within_a_quarter_of_what_is_used() {
         };
         let predicted = report["predicted_memory_bytes"].as_f64().unwrap();
         println!("{size:?}: predicted {:.0} MB, used {:.0} MB", predicted * 1e-6, used * 1e-6);
-        assert!((0.75..=1.25).contains(&(predicted / used)), "{size:?}: {predicted} predicted, {used} used");
+        let file = fs::metadata(program()).unwrap().len() as f64;
+        assert!(
+            (0.75 * predicted..=1.25 * predicted + file).contains(&used),
+            "{size:?}: {predicted} predicted, {used} used, {file} in the program's file"
+        );
     }
 }
