@@ -370,6 +370,10 @@ impl Frames for GivenFrames {
         self.0.len()
     }
 
+    fn names(&self) -> Vec<String> {
+        self.0.iter().map(|set| set.views[0].name.clone()).collect()
+    }
+
     fn cameras(&self) -> Vec<Camera> {
         self.0.iter().flat_map(|set| set.views.iter().map(|view| view.camera)).collect()
     }

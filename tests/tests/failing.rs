@@ -47,6 +47,10 @@ impl Frames for Unreadable {
         self.0
     }
 
+    fn names(&self) -> Vec<String> {
+        (0..self.0).map(|index| format!("r_{index}")).collect()
+    }
+
     fn cameras(&self) -> Vec<Camera> {
         Vec::new()
     }
@@ -204,6 +208,10 @@ struct Noise;
 impl Frames for Noise {
     fn len(&self) -> usize {
         1
+    }
+
+    fn names(&self) -> Vec<String> {
+        vec!["view 0".into()]
     }
 
     fn cameras(&self) -> Vec<Camera> {

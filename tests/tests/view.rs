@@ -5,6 +5,7 @@ use std::io::Write;
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::Stdio;
+use trimip_data::settings::DataConfig;
 use trimip_tests::binary::{command, refuses, run, tiny_and};
 use trimip_tests::watching::{Browser, Page, Received, Shown, view};
 
@@ -457,6 +458,60 @@ fn the_page_opens_cropped_and_its_switch_shows_everything() {
     browser.wait(&format!("{PICTURE} !== {cropped} && {FINEST}"));
     browser.value("document.getElementById('cropped').click()");
     browser.wait(&format!("{PICTURE} === {cropped}"));
+}
+
+/// The built-in scene as files in `here/scene`; its test photographs have these names.
+fn write_photographs(here: &Path, names: [&str; 2]) {
+    let builtin = DataConfig { builtin_size: 16, builtin_train: 2, builtin_test: 2, ..DataConfig::default() };
+    let scene = here.join("scene");
+    trimip_data::write_builtin(&builtin, &scene, &trimip_data::unwatched).unwrap();
+    let list = scene.join("transforms_test.json");
+    let mut transforms: Value = serde_json::from_slice(&std::fs::read(&list).unwrap()).unwrap();
+    for (index, name) in names.into_iter().enumerate() {
+        let at = |name: &str| scene.join("test").join(format!("{name}.png"));
+        std::fs::rename(at(&format!("r_{index}")), at(name)).unwrap();
+        transforms["frames"][index]["file_path"] = json!(format!("./test/{name}"));
+    }
+    std::fs::write(&list, transforms.to_string()).unwrap();
+}
+
+#[test]
+fn photographs_are_listed_by_their_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    // A name that would be another text as HTML, and one that is longer than the list is wide.
+    let long = format!("first of all{}the last", "_".repeat(40));
+    let names = ["&lt;i&gt;Zoë's 1 &amp; 2", &long];
+    write_photographs(here, names);
+    let shown = Shown::start_with(here, "run", &["--set", "data.format=blender", "--set", "data.root=scene"]);
+    let (_, scene) = shown.get(&format!("/{}/scene.json", shown.token), &[]);
+    let scene: Value = serde_json::from_slice(&scene).unwrap();
+    let listed = scene["cameras"][0]["views"].as_array().unwrap();
+    let told: Vec<&Value> = listed.iter().map(|view| &view["name"]).collect();
+    assert_eq!(told, names);
+
+    let Some(mut browser) = Browser::start(1200, 800) else { return };
+    browser.open(&shown.address());
+    browser.wait("document.querySelectorAll('#cameras optgroup').length === 2");
+    let listed = browser.value(
+        "[...document.querySelectorAll('#cameras optgroup')].map((group) =>
+            [group.label, ...[...group.children].flatMap((option) => [option.textContent, option.title])])",
+    );
+    let short = "first of all…___the last";
+    assert_eq!(
+        listed,
+        json!([
+            ["test views", names[0], names[0], short, names[1]],
+            ["training views", "r_0", "r_0", "r_1", "r_1"],
+        ])
+    );
+    browser.wait("document.getElementById('view')?.dataset.done === 'true'");
+    for name in names {
+        browser.value("document.getElementById('next').click()");
+        assert_eq!(browser.value("document.getElementById('cameras').title"), name);
+    }
+    keep("names.png", &browser.screenshot());
 }
 
 /// Keeps a screenshot for a person, where `TRIMIP_SCREENSHOTS` names a folder.

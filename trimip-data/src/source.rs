@@ -266,6 +266,10 @@ impl Frames for FrameList {
         self.sources.len()
     }
 
+    fn names(&self) -> Vec<String> {
+        self.sources.iter().map(|source| source.name.clone()).collect()
+    }
+
     fn cameras(&self) -> Vec<Camera> {
         self.sources.iter().flat_map(|source| source.views.iter().map(|(_, camera)| *camera)).collect()
     }

@@ -7,7 +7,9 @@ use serde_json::{Value, json};
 use std::fs;
 use trimip_core::{Alpha, Lens, ViewSet, config::Convention};
 use trimip_data::settings::{DataConfig, PixelStore};
-use trimip_data::{Watch, builtin, inspect, open, open_watched, unwatched, write_builtin, write_multiscale};
+use trimip_data::{
+    Watch, builtin, inspect, open, open_test, open_watched, unwatched, write_builtin, write_multiscale,
+};
 
 #[test]
 fn frames_override_the_file_and_defaults_fill_in() {
@@ -155,6 +157,32 @@ fn a_written_multiscale_set_reads_back_the_same() {
         let mut fewer = config.clone();
         fewer.scales = 2;
         assert_same(&open(&fewer).unwrap().train, &open(&settings(written.path(), 2)).unwrap().train);
+    }
+}
+
+#[test]
+fn frames_and_their_views_have_the_names_of_photographs() {
+    let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    blender_scene(folder.path());
+    write_multiscale(&settings(folder.path(), 2), set.path(), &unwatched).unwrap();
+    let mut builtin = settings(std::path::Path::new(""), 2);
+    builtin.format = "builtin".into();
+    (builtin.builtin_size, builtin.builtin_train, builtin.builtin_test) = (8, 2, 2);
+    let cases = [
+        (settings(folder.path(), 2), ["r_0", "r_1"]),
+        // One name for the files of all scales.
+        (settings(set.path(), 2), ["000", "001"]),
+        (builtin, ["r_0", "r_1"]),
+    ];
+    for (config, names) in cases {
+        let scene = open_test(&config).unwrap();
+        for frames in [&scene.frames, &scene.photographs] {
+            assert_eq!(frames.names(), names);
+            for (index, name) in names.into_iter().enumerate() {
+                let views = frames.load(index).unwrap().views;
+                assert!(views.len() == 2 && views.iter().all(|view| view.name == name), "{views:?}");
+            }
+        }
     }
 }
 

@@ -15,6 +15,9 @@ const STILL = 160;
 /** Largest side of a picture, pixels. */
 const MOST = 2048;
 
+/** Most characters of a name in the list of photographs. */
+const LONGEST = 24;
+
 const scene = await (await fetch("scene.json")).json();
 document.title = `${scene.name} · trimip`;
 find("name").textContent = scene.name;
@@ -26,7 +29,11 @@ find("renderer").value = scene.renderers.at(-1);
 for (const { split, views } of scene.cameras) {
   const group = document.createElement("optgroup");
   group.label = split === "test" ? "test views" : "training views";
-  views.forEach((_, index) => group.append(new Option(`${split} ${index}`, `${split} ${index}`)));
+  views.forEach(({ name }, index) => {
+    const option = new Option(shortened(name), `${split} ${index}`);
+    option.title = name;
+    group.append(option);
+  });
   find("cameras").append(group);
 }
 
@@ -51,6 +58,14 @@ if (scene.training) control((command) => link.command(command));
 
 function say(text) {
   find("message").textContent = text;
+}
+
+/** A name that fits the list: a long one has its beginning and its end. */
+function shortened(name) {
+  const letters = [...name];
+  if (letters.length <= LONGEST) return name;
+  const kept = (LONGEST - 1) / 2;
+  return [...letters.slice(0, Math.ceil(kept)), "…", ...letters.slice(-Math.floor(kept))].join("");
 }
 
 const currentPose = () => (chosen ? chosen.camera.pose : orbit.pose());
@@ -193,6 +208,7 @@ async function choose(value) {
   const camera = scene.cameras.find((set) => set.split === split)?.views[Number(index)];
   chosen = camera ? { split, index: Number(index), camera } : null;
   find("cameras").value = chosen ? value : "";
+  find("cameras").title = camera?.name ?? "";
   for (const option of find("show").options) {
     if (option.value === "difference") option.disabled = !chosen;
     if (option.value === "flip") option.disabled = !chosen || !scene.flip;
@@ -205,7 +221,7 @@ async function choose(value) {
   const mine = chosen;
   const [width, height] = size();
   const answer = await fetch(`photo/${split}/${index}?width=${width}&height=${height}`);
-  if (!answer.ok) return say(`photograph ${value} cannot be shown`);
+  if (!answer.ok) return say(`photograph ${camera.name} cannot be shown`);
   const bitmap = await createImageBitmap(await answer.blob());
   if (chosen !== mine) return bitmap.close();
   [photo.width, photo.height] = [width, height];

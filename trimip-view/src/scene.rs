@@ -143,6 +143,9 @@ pub struct Photographs {
 
 struct Set {
     frames: Box<dyn Frames>,
+    /// The name of each frame.
+    names: Vec<String>,
+    /// The camera of each frame at its finest scale.
     cameras: Vec<Camera>,
 }
 
@@ -159,22 +162,23 @@ impl Photographs {
             let each = all.len() / frames.len().max(1);
             all.into_iter().step_by(each.max(1)).collect::<Vec<_>>()
         };
-        let set = |frames: Box<dyn Frames>| Set { cameras: finest(&*frames), frames };
+        let set = |frames: Box<dyn Frames>| Set { names: frames.names(), cameras: finest(&*frames), frames };
         let sets = BTreeMap::from([(Split::Test, set(test.frames)), (Split::Train, set(test.photographs))]);
         Ok(Self { sets, background: config.data.background, decoded: Mutex::default() })
     }
 
     fn describe(&self) -> Value {
-        let camera = |camera: &Camera| {
+        let view = |(name, camera): (&String, &Camera)| {
             let (r, t, k) = (camera.rotation, camera.origin, camera.intrinsics);
             let row = |i: usize| [r.col(0)[i], r.col(1)[i], r.col(2)[i], t[i]];
             let pose = [row(0), row(1), row(2)].concat();
             let fov = 2.0 * (0.5 * f64::from(k.width) / k.fx).atan();
-            json!({ "pose": pose, "fov": fov.to_degrees(), "width": k.width, "height": k.height })
+            let fov = fov.to_degrees();
+            json!({ "name": name, "pose": pose, "fov": fov, "width": k.width, "height": k.height })
         };
         let sets = self.sets.iter().map(|(split, set)| {
-            let cameras: Vec<Value> = set.cameras.iter().map(camera).collect();
-            json!({ "split": split, "views": cameras })
+            let views: Vec<Value> = set.names.iter().zip(&set.cameras).map(view).collect();
+            json!({ "split": split, "views": views })
         });
         sets.collect()
     }
@@ -229,5 +233,33 @@ impl Photographs {
         decoded.push_front((photo, whole));
         decoded.truncate(KEPT);
         Ok(resized)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_learns_the_name_of_each_photograph() {
+        let mut settings = settings::defaults();
+        for assignment in [
+            "data.format=builtin",
+            "data.builtin_size=16",
+            "data.builtin_train=3",
+            "data.builtin_test=2",
+            "data.scales=2",
+        ] {
+            settings.apply_assignment(assignment).unwrap();
+        }
+        let photographs = Photographs::open(&Config::from_settings(&settings).unwrap()).unwrap();
+        let told = photographs.describe();
+        let views = |set: usize| told[set]["views"].as_array().unwrap();
+        assert_eq!((&told[0]["split"], &told[1]["split"]), (&json!("test"), &json!("train")));
+        for (set, names) in [(0, &["r_0", "r_1"][..]), (1, &["r_0", "r_1", "r_2"][..])] {
+            assert!(views(set).iter().map(|view| &view["name"]).eq(names), "{told}");
+            assert!(views(set).iter().all(|view| view["width"] == 16), "the finest scale: {told}");
+        }
+        assert_eq!(Photographs::none().describe(), json!([]));
     }
 }

@@ -163,6 +163,9 @@ mod tests {
         fn len(&self) -> usize {
             1
         }
+        fn names(&self) -> Vec<String> {
+            self.0.views.iter().take(1).map(|view| view.name.clone()).collect()
+        }
         fn cameras(&self) -> Vec<Camera> {
             self.0.views.iter().map(|view| view.camera).collect()
         }

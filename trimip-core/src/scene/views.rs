@@ -171,6 +171,8 @@ pub trait Frames: Send + Sync {
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
+    /// The name of each frame, which its views have too; no photograph is decoded.
+    fn names(&self) -> Vec<String>;
     /// Cameras of all frames at every scale; no photograph is decoded.
     fn cameras(&self) -> Vec<Camera>;
     /// Frame `index` at every scale: a set of one view per scale, fine to coarse.
