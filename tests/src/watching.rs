@@ -15,6 +15,16 @@ use tungstenite::{Message, WebSocket};
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(240);
 
+/// The list of keys of a page that shows a model: what is pressed or dragged, and what that does.
+const KEYS: [[&str; 2]; 6] = [
+    ["drag, ← → ↑ ↓", "turn"],
+    ["right button or shift and drag, shift and ← → ↑ ↓", "move sideways"],
+    ["wheel, two fingers, + −", "nearer and farther"],
+    ["Home", "the first view"],
+    ["f", "full screen, and back"],
+    ["?", "these keys"],
+];
+
 /// `trimip-cli view` that runs; it is ended with this value.
 pub struct Shown {
     child: Child,
@@ -429,6 +439,35 @@ impl Browser {
             event("mouseMoved", [0, 1].map(|c| from[c] + fraction * (to[c] - from[c])), 1);
         }
         event("mouseReleased", to, 0);
+    }
+
+    /// Presses and releases a key by its name in JavaScript. It goes to the element that has the focus.
+    pub fn press(&mut self, key: &str) {
+        let text = if key.chars().count() == 1 { key } else { "" };
+        self.call("Input.dispatchKeyEvent", json!({ "type": "keyDown", "key": key, "text": text }));
+        self.call("Input.dispatchKeyEvent", json!({ "type": "keyUp", "key": key }));
+    }
+
+    /// Opens the list of keys of a page that shows a model, by its key and by its button, and closes it again.
+    ///
+    /// # Panics
+    /// If the list does not open or close, or does not hold all keys.
+    pub fn check_list_of_keys(&mut self) {
+        let open = "document.getElementById('keys').open";
+        let rows = "[...document.querySelectorAll('#keys dt')].map((keys) =>
+            [keys.textContent, keys.nextElementSibling.textContent])";
+        for by_key in [true, false] {
+            if by_key {
+                self.value("document.getElementById('view').focus()");
+                self.press("?");
+            } else {
+                self.value("document.getElementById('show-keys').click()");
+            }
+            assert_eq!(self.value(open), true, "by its key: {by_key}");
+            assert_eq!(self.value(rows), json!(KEYS));
+            self.value("document.querySelector('#keys button').click()");
+            assert_eq!(self.value(open), false);
+        }
     }
 
     /// A PNG of the window.

@@ -353,20 +353,9 @@ fn the_page_works_in_a_browser() {
     // Keys turn the view too.
     let turned = browser.value(PICTURE);
     browser.value("document.getElementById('view').focus()");
-    for kind in ["keyDown", "keyUp"] {
-        let key =
-            json!({ "type": kind, "key": "ArrowLeft", "code": "ArrowLeft", "windowsVirtualKeyCode": 37 });
-        browser.call("Input.dispatchKeyEvent", key);
-    }
+    browser.press("ArrowLeft");
     browser.wait(&format!("{PICTURE} !== {turned}"));
-
-    // The list of keys, which Escape closes.
-    let open = "document.getElementById('keys').open";
-    browser.value("document.getElementById('view').focus()");
-    browser.call("Input.dispatchKeyEvent", json!({ "type": "keyDown", "key": "?", "text": "?" }));
-    assert_eq!(browser.value(open), true);
-    browser.value("document.querySelector('#keys button').click()");
-    assert_eq!(browser.value(open), false);
+    browser.check_list_of_keys();
 
     // A photograph beside the model, behind a slider.
     assert_eq!(

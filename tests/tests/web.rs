@@ -154,10 +154,15 @@ fn a_page_without_a_server_renders_as_the_cpu_does() {
         .wait(&format!("{picture} !== {cropped} && document.getElementById('view').dataset.done === 'true'"));
     browser.value("document.getElementById('cropped').click()");
     browser.wait(&format!("{picture} === {cropped}"));
-    // A drag changes the picture.
+    // A drag and a key change the picture.
     let before = browser.value(picture);
     browser.drag([200.0, 200.0], [300.0, 240.0]);
     browser.wait(&format!("{picture} !== {before}"));
+    browser.wait("document.getElementById('view').dataset.done === 'true'");
+    let before = browser.value(picture);
+    browser.press("+");
+    browser.wait(&format!("{picture} !== {before}"));
+    browser.check_list_of_keys();
     let shown = browser.screenshot();
     if let Some(folder) = std::env::var_os("TRIMIP_SCREENSHOTS") {
         std::fs::write(Path::new(&folder).join("web.png"), shown).unwrap();

@@ -1,15 +1,65 @@
-// Mouse, touch, wheel and keys turn, move and zoom a camera.
+// Mouse, touch, wheel and keys turn, move and zoom a camera. A dialog lists them.
+
+/** Where the arrow keys turn and move the camera: right and up. */
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+
+/** Symbols that the list shows for the browser's names of keys. */
+const SYMBOLS = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", "-": "−" };
+
+/**
+ * All keys, one row of the list each. `keys` maps the browser's name of a key to the value that `move` or `act` receives. `shift`
+ * says whether the shift key has to be held; a row without it accepts both. `move` moves the camera, `act` leaves it where it is.
+ * `does` tells the user what the keys do, and `pointer` how the mouse or fingers do the same.
+ */
+const keyRows = (orbit, list, fullScreen) => [
+  { keys: ARROWS, shift: false, pointer: "drag", does: "turn", move: ([x, y]) => orbit.turn(0.1 * x, 0.1 * y) },
+  {
+    keys: ARROWS,
+    shift: true,
+    pointer: "right button or shift and drag",
+    does: "move sideways",
+    move: ([x, y]) => orbit.pan(0.05 * x, 0.05 * y),
+  },
+  { keys: { "+": 0.9, "-": 1 / 0.9 }, pointer: "wheel, two fingers", does: "nearer and farther", move: (factor) => orbit.zoom(factor) },
+  { keys: { Home: null }, does: "the first view", move: () => orbit.home() },
+  { keys: { f: null }, does: "full screen, and back", act: fullScreen },
+  { keys: { "?": null }, does: "these keys", act: list },
+];
+
+/** An element with these properties and children. */
+function element(name, properties, ...children) {
+  const made = Object.assign(document.createElement(name), properties);
+  made.append(...children);
+  return made;
+}
+
+/** The dialog that lists rows of keys. */
+function dialog(rows) {
+  const title = element("h2", { id: "keys-title", textContent: "Keys" });
+  const entries = rows.flatMap(({ keys, shift, pointer, does }) => {
+    const symbols = Object.keys(keys).map((key) => SYMBOLS[key] ?? key);
+    const pressed = [shift ? "shift and" : [], symbols].flat().join(" ");
+    const input = [pointer ?? [], pressed].flat().join(", ");
+    return [element("dt", { textContent: input }), element("dd", { textContent: does })];
+  });
+  const close = element("form", { method: "dialog" }, element("button", { textContent: "close" }));
+  const made = element("dialog", { id: "keys" }, title, element("dl", {}, ...entries), close);
+  made.setAttribute("aria-labelledby", title.id);
+  return made;
+}
 
 /** Calls `leave` before the camera moves and `changed` after it. */
 export function gestures(view, orbit, changed, leave = () => {}) {
   const find = (id) => document.getElementById(id);
-  const keys = () => find("keys").showModal();
+  const list = () => find("keys").showModal();
   const fullScreen = () => {
     const done = document.fullscreenElement ? document.exitFullscreen() : find("stage").requestFullscreen?.();
     // The browser may forbid it.
     done?.catch(() => {});
   };
-  find("show-keys").addEventListener("click", keys);
+  const rows = keyRows(orbit, list, fullScreen);
+  document.body.append(dialog(rows));
+  find("show-keys").addEventListener("click", list);
   find("full").addEventListener("click", fullScreen);
   const pointers = new Map();
   view.addEventListener("pointerdown", (event) => {
@@ -52,28 +102,15 @@ export function gestures(view, orbit, changed, leave = () => {}) {
     { passive: false },
   );
   view.addEventListener("keydown", (event) => {
-    const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-    const zooms = { "+": 0.9, "=": 0.9, "-": 1 / 0.9 };
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key in steps) {
-      const [x, y] = steps[event.key];
-      leave();
-      if (event.shiftKey) orbit.pan(0.05 * x, 0.05 * y);
-      else orbit.turn(0.1 * x, 0.1 * y);
-    } else if (event.key in zooms) {
-      leave();
-      orbit.zoom(zooms[event.key]);
-    } else if (event.key === "Home") {
-      leave();
-      orbit.home();
-    } else if (event.key === "?") {
-      return keys();
-    } else if (event.key === "f") {
-      return fullScreen();
-    } else {
-      return;
-    }
+    // Plus without shift, where both are on one key.
+    const key = event.key === "=" ? "+" : event.key;
+    const row = rows.find(({ keys, shift = event.shiftKey }) => Object.hasOwn(keys, key) && shift === event.shiftKey);
+    if (!row) return;
     event.preventDefault();
+    if (row.act) return row.act(row.keys[key]);
+    leave();
+    row.move(row.keys[key]);
     changed();
   });
 }

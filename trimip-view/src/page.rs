@@ -6,5 +6,5 @@ pub const STYLE: &str = include_str!("../page/style.css");
 /// A camera that turns around a point.
 pub const ORBIT: &str = include_str!("../page/orbit.js");
 
-/// Mouse, touch, wheel and keys.
+/// Mouse, touch, wheel and keys, and the dialog that lists them.
 pub const GESTURES: &str = include_str!("../page/gestures.js");
