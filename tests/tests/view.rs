@@ -327,6 +327,20 @@ fn a_part_of_the_box_and_its_quantities_are_shown() {
 const PICTURE: &str = "(() => { const c = document.getElementById('view'); const d = c.getContext('2d')
     .getImageData(0, 0, c.width, c.height).data; let h = 0; for (const b of d) h = (h * 31 + b) | 0; return h; })()";
 
+/// True once the picture has all its pixels: that of a moving camera is done with fewer.
+const FINEST: &str = "(() => { const c = document.getElementById('view'); return c?.dataset.done === 'true'
+    && document.getElementById('size').textContent.startsWith(`${c.width}×${c.height},`); })()";
+
+/// The file that the page saves of a path of the present view alone.
+fn path_of_one_view(browser: &mut Browser) -> String {
+    let path = browser.value(
+        "(async () => { const create = URL.createObjectURL; let blob; URL.createObjectURL = (b) => (blob = b, create(b));
+            for (const id of ['clear', 'add', 'path']) document.getElementById(id).click();
+            URL.createObjectURL = create; return await blob.text(); })()",
+    );
+    path.as_str().expect("a text").into()
+}
+
 #[test]
 fn the_page_works_in_a_browser() {
     let folder = tempfile::tempdir().unwrap();
@@ -388,13 +402,9 @@ fn the_page_works_in_a_browser() {
     assert_eq!(drawn, true);
 
     // A path is what `render --path` takes.
-    browser.value("document.getElementById('add').click()");
-    let path = browser.value(
-        "(async () => { const create = URL.createObjectURL; let blob; URL.createObjectURL = (b) => (blob = b, create(b));
-            document.getElementById('path').click(); URL.createObjectURL = create; return await blob.text(); })()",
-    );
-    std::fs::write(here.join("path.json"), path.as_str().unwrap()).unwrap();
-    let frames: Value = serde_json::from_str(path.as_str().unwrap()).unwrap();
+    let path = path_of_one_view(&mut browser);
+    std::fs::write(here.join("path.json"), &path).unwrap();
+    let frames: Value = serde_json::from_str(&path).unwrap();
     assert_eq!(frames["frames"].as_array().unwrap().len(), 1);
     let answer = run(here, &["render", "run", "--path", "path.json", "--out", "film"]);
     assert_eq!(answer.code, Some(0), "{answer:?}");
@@ -424,10 +434,6 @@ fn the_page_works_in_a_browser() {
     browser.value("document.getElementById('viewer').click()");
     browser.wait("document.getElementById('view')?.dataset.done === 'true'");
 }
-
-/// True once the picture has all its pixels: that of a moving camera is done with fewer.
-const FINEST: &str = "(() => { const c = document.getElementById('view'); return c?.dataset.done === 'true'
-    && document.getElementById('size').textContent.startsWith(`${c.width}×${c.height},`); })()";
 
 #[test]
 fn the_page_opens_cropped_and_its_switch_shows_everything() {
@@ -501,6 +507,54 @@ fn photographs_are_listed_by_their_names() {
         assert_eq!(browser.value("document.getElementById('cameras').title"), name);
     }
     keep("names.png", &browser.screenshot());
+}
+
+#[test]
+fn a_place_opens_at_a_photograph_and_home_returns_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let place = ["--set", "scene.contraction=ball", "--set", "plan.hull=off"];
+    let answer = run(here, &tiny_and(&[&place[..], &["--out", "run"]].concat()));
+    assert_eq!(answer.code, Some(0), "{answer:?}");
+    let shown = Shown::start(here, "run");
+    let (_, scene) = shown.get(&format!("/{}/scene.json", shown.token), &[]);
+    let scene: Value = serde_json::from_slice(&scene).unwrap();
+    let home = &scene["home"];
+    let train = scene["cameras"][1]["views"].as_array().unwrap();
+    assert!(train.iter().any(|view| view["pose"] == home["pose"] && view["fov"] == home["fov"]), "{home}");
+
+    let Some(mut browser) = Browser::start(1200, 800) else { return };
+    browser.open(&shown.address());
+    browser.wait(FINEST);
+    // The angle, where the camera is and where it looks; the page keeps the picture upright.
+    let is_home = |browser: &mut Browser| {
+        let path: Value = serde_json::from_str(&path_of_one_view(browser)).unwrap();
+        let frame = &path["frames"][0];
+        let rows = &frame["transform_matrix"];
+        let near = |found: f64, expected: &Value| (found - expected.as_f64().unwrap()).abs() < 1e-6;
+        let same = |row: usize, column: usize| {
+            near(rows[row][column].as_f64().unwrap(), &home["pose"][4 * row + column])
+        };
+        near(frame["camera_angle_x"].as_f64().unwrap().to_degrees(), &home["fov"])
+            && (0..3).all(|row| same(row, 2) && same(row, 3))
+    };
+    assert!(is_home(&mut browser));
+    let first = browser.value(PICTURE);
+    browser.drag([300.0, 300.0], [500.0, 340.0]);
+    browser.wait(&format!("{PICTURE} !== {first}"));
+    assert!(!is_home(&mut browser));
+    browser.press("Home");
+    assert!(is_home(&mut browser));
+    browser.wait(&format!("{PICTURE} === {first}"));
+
+    // From another photograph, too.
+    browser.value("document.getElementById('next').click()");
+    assert!(!is_home(&mut browser));
+    browser.value("document.getElementById('view').focus()");
+    browser.press("Home");
+    assert!(is_home(&mut browser));
+    assert_eq!(browser.value("document.getElementById('cameras').value"), "");
+    browser.wait(&format!("{PICTURE} === {first}"));
 }
 
 /// Keeps a screenshot for a person, where `TRIMIP_SCREENSHOTS` names a folder.
