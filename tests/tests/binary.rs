@@ -80,6 +80,11 @@ fn a_run_leaves_a_whole_folder_and_is_not_run_twice() {
     let curve = fs::read_to_string(run_folder.join("error_vs_time.csv")).unwrap();
     let columns: Vec<usize> = curve.lines().map(|line| line.split(',').count()).collect();
     assert!(columns.len() >= 3 && columns.iter().all(|&count| count == columns[0]), "{curve}");
+    let scalars = fs::read(run_folder.join("events.out.tfevents.run")).unwrap();
+    for part in ["brain.Event:2", "train/loss", "eval/psnr_mean", "test/psnr_1", "test/flip_mean"] {
+        assert!(scalars.windows(part.len()).any(|bytes| bytes == part.as_bytes()), "{part}");
+    }
+    assert!(!scalars.windows(5).any(|bytes| bytes == b"lpips"), "it was not measured");
     let html = fs::read_to_string(run_folder.join("report.html")).unwrap();
     assert!(html.starts_with("<!") && html.trim_end().ends_with("</html>") && !html.contains("src=\"http"));
     let config = fs::read_to_string(run_folder.join("config.toml")).unwrap();

@@ -121,7 +121,9 @@ fn the_report_of_a_finished_run_is_what_the_run_is_now() {
             assert_eq!(code, Some(0), "{text}");
             let now = files(&here.join("run"));
             assert!(now.keys().eq(whole.keys()), "{text} is missing: {:?}", now.keys());
-            if ["views.json", "error_vs_time.csv", "report.md", "report.tex"].contains(&text.as_ref()) {
+            if ["views.json", "error_vs_time.csv", "report.md", "report.tex", "events.out.tfevents.run"]
+                .contains(&text.as_ref())
+            {
                 assert!(now[name] == whole[name], "{text} is not what it was");
             }
             let page = String::from_utf8_lossy(&now[Path::new("report.html")]);

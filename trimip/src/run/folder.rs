@@ -18,7 +18,7 @@ pub struct RunFolder {
 }
 
 /// Names of all files that a run writes, except `images/`. The events come last: they mark a folder as a run's.
-const FILES: [&str; 14] = [
+const FILES: [&str; 15] = [
     "config.toml",
     "plan.json",
     "cameras.json",
@@ -28,6 +28,7 @@ const FILES: [&str; 14] = [
     "views.json",
     "turntable.png",
     "error_vs_time.csv",
+    "events.out.tfevents.run",
     "report.html",
     "report.json",
     "report.md",
@@ -134,6 +135,11 @@ impl RunFolder {
     /// The step events as a table.
     pub fn steps(&self) -> PathBuf {
         self.root.join("metrics.csv")
+    }
+
+    /// The scalars of the run for TensorBoard, which recognises its files by `tfevents` in their names.
+    pub fn tensorboard(&self) -> PathBuf {
+        self.root.join("events.out.tfevents.run")
     }
 
     /// Pictures of test views.
