@@ -40,6 +40,16 @@ impl Layout {
         self.scene.has_split(split)
     }
 
+    /// True if the files say which frames are trained and tested on.
+    pub(crate) fn states_splits(&self) -> Result<bool> {
+        self.scene.states_splits()
+    }
+
+    /// All frames of a scene whose files state no splits; `None` if they are read by split.
+    pub(crate) fn undivided(&self) -> Result<Option<Split>> {
+        self.scene.undivided()
+    }
+
     /// All frames from which a list of test frames chooses: those of the file without splits, or those of the splits
     /// `train` and `test`.
     pub(crate) fn listable(&self, config: &DataConfig) -> Result<Vec<Split>> {

@@ -56,6 +56,7 @@ pub mod pyramid;
 mod readers;
 mod scene;
 mod section;
+mod sector;
 pub mod settings;
 mod source;
 mod split;

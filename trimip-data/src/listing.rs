@@ -177,6 +177,10 @@ impl OpenScene for Listing {
         Ok(!self.is_divided() && ["train", "test"].contains(&split) || self.frames.iter().any(is_there))
     }
 
+    fn states_splits(&self) -> Result<bool> {
+        Ok(self.is_divided())
+    }
+
     fn undivided(&self) -> Result<Option<Split>> {
         self.selected("train", &Selection::All).map(Some)
     }

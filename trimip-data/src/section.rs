@@ -1,6 +1,9 @@
 //! The section `[data]` for a program to register: its tables, and what its settings must be together.
 
-use crate::{layout, settings::DataConfig};
+use crate::{
+    layout,
+    settings::{DataConfig, HoldoutBy},
+};
 use trimip_core::{Checker, Error, ForeignSection, Fragment, Result, Section};
 
 /// The settings of this crate, for a program to register.
@@ -24,6 +27,11 @@ impl Section for DataConfig {
             self.holdout == 0 || self.test_list.is_empty(),
             "data.test_list",
             "\"\" where data.holdout keeps frames back",
+        )?;
+        to.check(
+            self.holdout_by == HoldoutBy::Stride || self.test_list.is_empty(),
+            "data.test_list",
+            "\"\" where data.holdout_by = \"sector\" chooses the test frames",
         )?;
         to.check(!self.train.is_empty(), "data.train", "at least one split")?;
         let once = |(i, split)| !self.train[..i].contains(split);

@@ -28,6 +28,7 @@ pub struct DataConfig {
     pub train: Vec<String>,
     pub test: String,
     pub holdout: u32,
+    pub holdout_by: HoldoutBy,
     pub test_list: String,
     pub lens: bool,
     pub masks: String,
@@ -58,12 +59,27 @@ impl Default for DataConfig {
 impl DataConfig {
     /// The frames that a model is tested on, in words.
     pub fn tested_on(&self) -> String {
-        match self.holdout {
-            0 if !self.test_list.is_empty() => format!("the frames of {}", self.test_list),
-            0 => self.test.clone(),
-            every => format!("one frame in {every} of {}, held out", self.train.join(" + ")),
+        let train = self.train.join(" + ");
+        match (self.holdout, self.holdout_by) {
+            (0, _) if !self.test_list.is_empty() => format!("the frames of {}", self.test_list),
+            (0, HoldoutBy::Stride) => self.test.clone(),
+            (0, HoldoutBy::Sector) => format!("one sector of the cameras of {train}, held out"),
+            (every, HoldoutBy::Stride) => format!("one frame in {every} of {train}, held out"),
+            (every, HoldoutBy::Sector) => {
+                format!("one frame in {every} of {train}, held out as one sector of the cameras")
+            }
         }
     }
+}
+
+/// Which frames are held out for testing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum HoldoutBy {
+    /// Every n-th frame.
+    Stride,
+    /// As many frames, those of the cameras nearest to the first one.
+    Sector,
 }
 
 /// The colour of a mask that marks what is kept.
@@ -125,6 +141,7 @@ mod tests {
             ("data.train=[\"train\", \"train\"]", "each split once"),
             ("data.train=[]", "at least one split"),
             ("data.holdout=1", "2 and more"),
+            ("data.holdout_by=\"azimuth\"", "sector"),
             ("data.builtin_size=7", "8 to 4096"),
             ("data.format=\"raw\"", "blender"),
         ] {

@@ -5,7 +5,8 @@ use crate::{
     layout::{self, Layout},
     list, masks,
     points::{Cloud, Point},
-    settings::DataConfig,
+    sector,
+    settings::{DataConfig, HoldoutBy},
     source::{Pixels, Source},
     split::Split,
     warnings,
@@ -53,25 +54,7 @@ impl Survey {
             None => layout.reader.format.into(),
         };
         let mut facts = Facts { warnings: layout.unread(config).into_iter().collect(), ..Facts::default() };
-        let mut train = Vec::new();
-        let mut train_splits = Vec::new();
-        let mut test;
-        if config.test_list.is_empty() {
-            for split in &config.train {
-                let part = layout.split(split)?;
-                train_splits.push((split.clone(), part.sources.len()));
-                train.extend(facts.take(part));
-            }
-            test = tested(&layout, config, &mut train, &mut facts)?;
-        } else {
-            if config.holdout > 0 {
-                let what = format!("and data.holdout = {} both choose the test frames", config.holdout);
-                return Err(Error::input("data.test_list", what, "set one of them"));
-            }
-            let frames = layout.listable(config)?.into_iter().flat_map(|part| facts.take(part)).collect();
-            (train, test) = list::divide(root, &config.test_list, frames)?;
-            train_splits.push(("train".into(), train.len()));
-        }
+        let (train_splits, mut train, mut test) = divided(&layout, config, &mut facts)?;
         let Facts { mut warnings, mut notes, stated, cloud } = facts;
         if !config.lens {
             train.iter_mut().chain(&mut test).for_each(Source::straighten);
@@ -132,8 +115,13 @@ impl Survey {
 
     /// Cameras of the training views at their finest scale.
     pub(crate) fn cameras(&self) -> Vec<Camera> {
-        self.train.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect()
+        cameras(&self.train)
     }
+}
+
+/// Cameras of frames at their finest scale.
+fn cameras(frames: &[Source]) -> Vec<Camera> {
+    frames.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect()
 }
 
 /// What the splits of a scene state about it beside their frames. The first split that states a box or points wins.
@@ -158,7 +146,51 @@ impl Facts {
     }
 }
 
-/// The test frames: every n-th of `train`, which are taken out of it, or those of the test split.
+/// Names and sizes of the training splits, the training frames, and the test frames.
+type Divided = (Vec<(String, usize)>, Vec<Source>, Vec<Source>);
+
+/// The frames as the settings divide them.
+fn divided(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Divided> {
+    if !config.test_list.is_empty() {
+        return listed(layout, config, facts);
+    }
+    // Of files without splits, the split "train" lacks every 8th frame: a sector is chosen among all.
+    if config.holdout_by == HoldoutBy::Sector
+        && !layout.states_splits()?
+        && let Some(all) = layout.undivided()?
+    {
+        let mut train = facts.take(all);
+        let sizes = vec![("all".into(), train.len())];
+        let test = hold_out(&mut train, config, facts)?;
+        return Ok((sizes, train, test));
+    }
+    let (mut train_splits, mut train) = (Vec::new(), Vec::new());
+    for split in &config.train {
+        let part = layout.split(split)?;
+        train_splits.push((split.clone(), part.sources.len()));
+        train.extend(facts.take(part));
+    }
+    let test = tested(layout, config, &mut train, facts)?;
+    Ok((train_splits, train, test))
+}
+
+/// The frames as `data.test_list` divides them.
+fn listed(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Divided> {
+    let other = match (config.holdout, config.holdout_by) {
+        (0, HoldoutBy::Stride) => None,
+        (0, HoldoutBy::Sector) => Some("data.holdout_by = \"sector\"".to_string()),
+        (every, _) => Some(format!("data.holdout = {every}")),
+    };
+    if let Some(other) = other {
+        let what = format!("and {other} both choose the test frames");
+        return Err(Error::input("data.test_list", what, "set one of them"));
+    }
+    let frames = layout.listable(config)?.into_iter().flat_map(|part| facts.take(part)).collect();
+    let (train, test) = list::divide(Path::new(&config.root), &config.test_list, frames)?;
+    Ok((vec![("train".into(), train.len())], train, test))
+}
+
+/// The test frames: some of `train`, which are taken out of it, or those of the test split.
 fn tested(
     layout: &Layout,
     config: &DataConfig,
@@ -166,7 +198,7 @@ fn tested(
     facts: &mut Facts,
 ) -> Result<Vec<Source>> {
     if config.holdout > 0 {
-        return hold_out(train, config.holdout as usize);
+        return hold_out(train, config, facts);
     }
     let mut split = config.test.as_str();
     if split == TEST && !layout.has_split(TEST)? {
@@ -174,15 +206,26 @@ fn tested(
         let validated = !config.train.iter().any(|split| split == VAL) && layout.has_split(VAL)?;
         // A folder without a test split is tested on its validation frames, or on some of its training frames.
         if !validated {
-            facts.warnings.push(format!(
-                "{root} has no photographs of a split \"{TEST}\": every {HOLD_OUT}th training frame is held out for testing"
-            ));
-            return hold_out(train, HOLD_OUT);
+            let held = match config.holdout_by {
+                HoldoutBy::Stride => format!("every {HOLD_OUT}th training frame is held out"),
+                HoldoutBy::Sector => format!("one training frame in {HOLD_OUT} is held out, one sector,"),
+            };
+            facts
+                .warnings
+                .push(format!("{root} has no photographs of a split \"{TEST}\": {held} for testing"));
+            return hold_out(train, config, facts);
         }
         facts
             .warnings
             .push(format!("{root} has no photographs of a split \"{TEST}\": \"{VAL}\" is the test split"));
         split = VAL;
+    }
+    if config.holdout_by == HoldoutBy::Sector {
+        let what = format!("is \"sector\", and the scene has the test frames of its split \"{split}\"");
+        let advice = format!(
+            "set data.holdout to {HOLD_OUT} to hold out training frames in their place, or data.holdout_by to \"stride\""
+        );
+        return Err(Error::input("data.holdout_by", what, advice));
     }
     let test = layout.split(split)?;
     facts.warnings.extend(test.warnings);
@@ -223,18 +266,30 @@ fn shrink(
     (shrunk(train), shrunk(test))
 }
 
-/// Removes every n-th frame from `train`, beginning with the first.
-fn hold_out(train: &mut Vec<Source>, every: usize) -> Result<Vec<Source>> {
-    let (mut held, mut kept) = (Vec::new(), Vec::new());
-    for (index, source) in train.drain(..).enumerate() {
-        if index % every == 0 { held.push(source) } else { kept.push(source) }
-    }
-    if kept.is_empty() {
+/// Removes one frame in `data.holdout` from `train`, or one in [`HOLD_OUT`] if it is 0: every n-th, beginning with the first, or as many in
+/// one sector of the cameras around the first.
+fn hold_out(train: &mut Vec<Source>, config: &DataConfig, facts: &mut Facts) -> Result<Vec<Source>> {
+    let (frames, every) = (train.len(), if config.holdout > 0 { config.holdout as usize } else { HOLD_OUT });
+    let chosen: Vec<usize> = match config.holdout_by {
+        HoldoutBy::Stride => (0..frames).step_by(every).collect(),
+        HoldoutBy::Sector => {
+            let sector = sector::around_first(&cameras(train), frames.div_ceil(every));
+            facts.notes.extend(sector.as_ref().map(|sector| {
+                format!("the test frames are one sector of the cameras: those within {}", sector.extent)
+            }));
+            sector.map_or_else(Vec::new, |sector| sector.frames)
+        }
+    };
+    if chosen.len() == frames {
         return Err(Error::input(
             "data.holdout",
-            format!("leaves none of {} training frames", held.len()),
+            format!("leaves none of {frames} training frames"),
             "use more frames or set it to 0",
         ));
+    }
+    let (mut held, mut kept) = (Vec::new(), Vec::new());
+    for (index, source) in train.drain(..).enumerate() {
+        if chosen.binary_search(&index).is_ok() { held.push(source) } else { kept.push(source) }
     }
     *train = kept;
     Ok(held)

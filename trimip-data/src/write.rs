@@ -2,7 +2,7 @@
 //! The JSON file that names the set is written last: a folder that has one is complete. What was stopped before is made
 //! again by the same command. A file that is there already is never replaced.
 
-use crate::settings::DataConfig;
+use crate::settings::{DataConfig, HoldoutBy};
 use crate::{
     builtin,
     lens::lens_terms,
@@ -67,7 +67,8 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
         ));
     }
     // The set contains all frames, including those held out of training.
-    let survey = Survey::new(&DataConfig { holdout: 0, ..config.clone() })?;
+    let whole = DataConfig { holdout: 0, holdout_by: HoldoutBy::Stride, ..config.clone() };
+    let survey = Survey::new(&whole)?;
     if !survey.alpha.is_opacity() {
         return Err(Error::input(
             "data.mask_role",

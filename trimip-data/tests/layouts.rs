@@ -4,9 +4,9 @@ mod common;
 
 use common::{assert_same, blender_scene, frame, save_image, settings, write};
 use serde_json::{Value, json};
-use std::fs;
+use std::{fs, path::Path};
 use trimip_core::{Alpha, Lens, ViewSet, config::Convention};
-use trimip_data::settings::{DataConfig, PixelStore};
+use trimip_data::settings::{DataConfig, HoldoutBy, PixelStore};
 use trimip_data::{
     Watch, builtin, inspect, open, open_test, open_watched, unwatched, write_builtin, write_multiscale,
 };
@@ -102,6 +102,91 @@ fn an_undivided_file_holds_out_every_eighth_frame() {
     // Each view has the lens of the file, at every scale.
     let bent = Lens::perspective([0.05, 0.0, 0.0, 0.0], [0.0; 2], [0.0; 3]);
     assert!(scene.train.views.iter().all(|view| view.camera.intrinsics.lens == bent));
+}
+
+/// A file without splits whose 16 cameras stand on a ring, every 22.5° in order.
+fn ring(root: &Path) -> Value {
+    let frames: Vec<Value> = (0..16)
+        .map(|i| {
+            let path = format!("images/{i:04}.png");
+            save_image(&root.join(&path), 8, 8);
+            let (y, x) = (f64::from(i) * 22.5).to_radians().sin_cos();
+            // The camera looks along -z of its axes, at the origin; z of the world is up.
+            let rows =
+                [[-y, 0.0, x, 4.0 * x], [x, 0.0, y, 4.0 * y], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+            json!({ "file_path": path, "transform_matrix": rows })
+        })
+        .collect();
+    json!({ "fl_x": 10.0, "frames": frames })
+}
+
+#[test]
+fn a_sector_of_the_cameras_is_held_out_where_the_files_state_no_test_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    let mut file = ring(folder.path());
+    write(&path, &file);
+    let mut config = DataConfig { holdout_by: HoldoutBy::Sector, ..settings(folder.path(), 1) };
+    let tested = |config: &DataConfig| -> Vec<String> {
+        let scene = open(config).unwrap();
+        assert_eq!(scene.train.views.len() + scene.test.len(), 16);
+        assert!(
+            scene.train.views.iter().all(|view| scene.test_views.iter().all(|(name, _)| *name != view.name))
+        );
+        scene.test_views.into_iter().map(|(name, _)| name).collect()
+    };
+    // One in eight: the first camera and one of its neighbours.
+    let two = tested(&config);
+    assert!(two == ["0000", "0001"] || two == ["0000", "0015"], "{two:?}");
+    for (holdout, expected) in [
+        (16, &["0000"][..]),
+        (6, &["0000", "0001", "0015"]),
+        (2, &["0000", "0001", "0002", "0003", "0013", "0014", "0015"]),
+    ] {
+        config.holdout = holdout;
+        let found = tested(&config);
+        assert_eq!(found.len(), 16_usize.div_ceil(holdout as usize));
+        assert!(expected.iter().all(|name| found.iter().any(|other| other == name)), "{holdout}: {found:?}");
+    }
+    let scene = open(&config).unwrap();
+    let told = |part: &str| scene.description.iter().any(|line| line.contains(part));
+    assert!(
+        told("held out as one sector") && told("within 90° of the first camera"),
+        "{:?}",
+        scene.description
+    );
+    assert!(!told("every 8th"), "{:?}", scene.description);
+    assert!(open_test(&config).unwrap().frames.len() == scene.test.len());
+    // Test frames that are given are not replaced without a word.
+    config.holdout = 0;
+    let names: Vec<String> = (0..16).map(|i| format!("images/{i:04}.png")).collect();
+    (file["train_filenames"], file["test_filenames"]) = (json!(names[..12]), json!(names[12..]));
+    write(&path, &file);
+    let error = open(&config).unwrap_err();
+    assert!(error.exit_code() == 2 && error.message.contains("data.holdout_by: is \"sector\""), "{error}");
+    assert!(
+        error.message.contains("its split \"test\"") && error.message.contains("set data.holdout"),
+        "{error}"
+    );
+    config.holdout = 4;
+    let scene = open(&config).unwrap();
+    assert_eq!((scene.train.views.len(), scene.test.len()), (9, 3), "of the training frames");
+    config = DataConfig { holdout: 0, test_list: "test.txt".into(), ..config };
+    let message = open(&config).unwrap_err().message;
+    assert!(message.contains("data.test_list") && message.contains("data.holdout_by"), "{message}");
+    // A folder without test frames is as a file without splits.
+    fs::remove_file(&path).unwrap();
+    write(&folder.path().join("transforms_train.json"), &ring(folder.path()));
+    config.test_list = String::new();
+    let scene = open(&config).unwrap();
+    assert_eq!((scene.train.views.len(), scene.test.len()), (14, 2));
+    assert!(
+        scene.warnings.iter().any(|line| line.contains("one training frame in 8")),
+        "{:?}",
+        scene.warnings
+    );
+    config.holdout = 1000;
+    assert_eq!(tested(&config), ["0000"]);
 }
 
 #[test]
@@ -209,7 +294,7 @@ fn the_public_layout_has_its_columns() {
 
 #[test]
 fn the_built_in_scene_written_as_files_is_the_same_scene() {
-    let mut config = settings(std::path::Path::new(""), 3);
+    let mut config = settings(Path::new(""), 3);
     config.format = "builtin".into();
     (config.builtin_size, config.builtin_train, config.builtin_test) = (24, 3, 2);
     for convention in [Convention::Public, Convention::Premultiplied] {
@@ -240,7 +325,7 @@ fn the_built_in_scene_written_as_files_is_the_same_scene() {
 fn progress_begins_at_nothing_rises_and_ends_with_every_row() {
     let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     blender_scene(folder.path());
-    let mut rendered = settings(std::path::Path::new(""), 2);
+    let mut rendered = settings(Path::new(""), 2);
     rendered.format = "builtin".into();
     (rendered.builtin_size, rendered.builtin_train, rendered.builtin_test) = (24, 3, 2);
     let photographs = settings(folder.path(), 2);
@@ -307,7 +392,7 @@ fn inspection_names_splits_sizes_cameras_and_warnings() {
 
 #[test]
 fn photographs_on_disk_are_the_same_photographs() {
-    let mut data = settings(std::path::Path::new(""), 4);
+    let mut data = settings(Path::new(""), 4);
     data.format = "builtin".into();
     (data.builtin_size, data.builtin_train, data.builtin_test) = (32, 3, 1);
     let [memory, disk] = [PixelStore::Memory, PixelStore::Disk]

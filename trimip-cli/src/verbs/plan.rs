@@ -123,6 +123,7 @@ fn bench(
         .with("eval.min_gain", 0)?
         .with("train.checkpoint_seconds", 0)?
         .with("data.test_list", "")?
+        .with("data.holdout_by", "stride")?
         .with("data.holdout", (frames / KEPT_BACK).max(2) as i64)?
         .with("eval.points", 0)?
         .with("eval.final", 1)?

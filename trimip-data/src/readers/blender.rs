@@ -74,6 +74,10 @@ impl OpenScene for Folder {
         has_split(self, split)
     }
 
+    fn states_splits(&self) -> Result<bool> {
+        states_splits(self)
+    }
+
     fn undivided(&self) -> Result<Option<Split>> {
         read_all(self)
     }
@@ -119,10 +123,20 @@ fn has_split(folder: &Folder, split: &str) -> Result<bool> {
         let is_there = found.iter().any(|name| name == split);
         return Ok(is_there && has_photographs(&folder.pictures, &split_file(root, split)));
     }
+    let lists = lists(root)?;
+    Ok(lists.is_empty() || lists.contains(&split))
+}
+
+/// True if splits have files of their own, or the file of all frames lists them.
+fn states_splits(folder: &Folder) -> Result<bool> {
+    Ok(!splits(&folder.root).is_empty() || !lists(&folder.root)?.is_empty())
+}
+
+/// The splits that the file of all frames lists.
+fn lists(root: &Path) -> Result<Vec<&'static str>> {
     let path = undivided(root);
     let document = json::read(&path)?;
-    let lists = division::listed(&Node::new(path.display(), &document)?);
-    Ok(lists.is_empty() || lists.contains(&split))
+    Ok(division::listed(&Node::new(path.display(), &document)?))
 }
 
 /// False for a file none of whose photographs is there: BlenderNeRF writes the cameras of test frames that it does not render. Errors

@@ -49,6 +49,11 @@ pub(crate) trait OpenScene {
         Ok(true)
     }
 
+    /// True if the files say which frames are trained and tested on.
+    fn states_splits(&self) -> Result<bool> {
+        Ok(false)
+    }
+
     /// All frames, of which `data.test_list` chooses: those of a file without splits, or `None` if the splits `data.train` and
     /// `data.test` hold them.
     fn undivided(&self) -> Result<Option<Split>> {

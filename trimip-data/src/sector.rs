@@ -1,0 +1,153 @@
+//! The frames in one sector of the cameras (`data.holdout_by = "sector"`): test views that no training view stands between.
+
+use trimip_core::{Camera, scene_plan};
+
+/// Cameras nearer to each other than this share of their distance to the origin stand at one place.
+const ONE_PLACE: f64 = 1e-9;
+
+/// Some cameras that are neighbours.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Sector {
+    /// Their indices, in order.
+    pub(crate) frames: Vec<usize>,
+    /// What bounds it, in words after "within".
+    pub(crate) extent: String,
+}
+
+/// How far a camera is from the first one.
+#[derive(Clone, Copy)]
+enum Apart {
+    /// By the angle between them, radians, as seen from the point that the cameras look at.
+    Seen(f64),
+    /// By the angle between their viewing directions, radians: they stand at one place.
+    Turned(f64),
+    /// By their distance, world units: they look along one direction.
+    Moved(f64),
+}
+
+impl Apart {
+    fn value(self) -> f64 {
+        match self {
+            Apart::Seen(value) | Apart::Turned(value) | Apart::Moved(value) => value,
+        }
+    }
+
+    fn words(self) -> String {
+        match self {
+            Apart::Seen(angle) => {
+                format!(
+                    "{:.0}° of the first camera, as seen from the point that all look at",
+                    angle.to_degrees()
+                )
+            }
+            Apart::Turned(angle) => {
+                format!("{:.0}° of the first camera's viewing direction", angle.to_degrees())
+            }
+            Apart::Moved(distance) => format!("{distance:.4} world units of the first camera"),
+        }
+    }
+}
+
+/// The first of `cameras` and those nearest to it, `count` in all. Of cameras that look at one point, the nearest are those whose
+/// directions from that point differ least; of cameras that look along one direction, those that stand nearest; of cameras at one place,
+/// those whose viewing directions differ least. Of equally near ones the first in order counts. `None` without a camera.
+pub(crate) fn around_first(cameras: &[Camera], count: usize) -> Option<Sector> {
+    let first = cameras.first()?;
+    let near = ONE_PLACE * first.origin.length().max(f64::MIN_POSITIVE);
+    let at_one_place = cameras.iter().all(|camera| camera.origin.distance(first.origin) <= near);
+    let focus = scene_plan::focus(cameras);
+    let apart = |camera: &Camera| match focus {
+        _ if at_one_place => Apart::Turned(first.rotation.z_axis.angle_between(camera.rotation.z_axis)),
+        Some(focus) => {
+            let [own, other] = [first, camera].map(|camera| camera.origin - focus);
+            Apart::Seen(own.angle_between(other))
+        }
+        None => Apart::Moved(camera.origin.distance(first.origin)),
+    };
+    let mut ordered: Vec<(Apart, usize)> = cameras.iter().map(apart).zip(0..).collect();
+    // An angle that is not a number, of a camera at the very point, is the largest.
+    ordered.sort_by(|a, b| a.0.value().total_cmp(&b.0.value()));
+    ordered.truncate(count);
+    let extent = ordered.last()?.0.words();
+    let mut frames: Vec<usize> = ordered.into_iter().map(|(_, index)| index).collect();
+    frames.sort_unstable();
+    Some(Sector { frames, extent })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use trimip_core::Intrinsics;
+
+    fn look(from: DVec3, to: DVec3) -> Camera {
+        Camera::look_at(Intrinsics::from_angle(64, 64, 0.7), from, to, DVec3::Z)
+    }
+
+    /// A camera every 15° on a ring around `centre`, in an order of steps of 105°.
+    fn ring(centre: DVec3, radius: f64) -> Vec<Camera> {
+        let at = |i: i32| f64::from(7 * i * 15).to_radians();
+        let place = |i: i32| centre + radius * DVec3::new(at(i).cos(), at(i).sin(), 0.4);
+        (0..24).map(|i| look(place(i), centre)).collect()
+    }
+
+    #[test]
+    fn a_sector_of_a_ring_is_the_arc_around_the_first_camera() {
+        for (centre, radius) in [(DVec3::ZERO, 4.0), (DVec3::new(4.5e5, -5.4e6, 300.0), 2.0)] {
+            let cameras = ring(centre, radius);
+            // 7 · 7 = 49 = 2 · 24 + 1: the camera at k · 15° is number 7k modulo 24.
+            let numbers = |steps: &[i32]| -> Vec<usize> {
+                let mut all: Vec<usize> = steps.iter().map(|k| (7 * k).rem_euclid(24) as usize).collect();
+                all.sort_unstable();
+                all
+            };
+            for (count, steps) in [(1, &[0][..]), (3, &[-1, 0, 1]), (5, &[-2, -1, 0, 1, 2])] {
+                let found = around_first(&cameras, count).unwrap();
+                assert_eq!(found.frames, numbers(steps), "{count} around {centre}");
+                // The directions of neighbours differ by less than their azimuths: all point up by atan(0.4).
+                let half = f64::from((count as i32 - 1) / 2 * 15).to_radians() * 0.5;
+                let angle = 2.0 * (half.sin() / 1.16_f64.sqrt()).asin().to_degrees();
+                assert!(found.extent.starts_with(&format!("{angle:.0}° of")), "{} of {angle}", found.extent);
+            }
+        }
+    }
+
+    #[test]
+    fn cameras_that_look_along_one_direction_are_divided_by_their_places() {
+        let place = |i: i32| DVec3::new(f64::from(i * 3 % 10), 0.0, 0.0);
+        let cameras: Vec<Camera> = (0..10).map(|i| look(place(i), place(i) + DVec3::Y)).collect();
+        let found = around_first(&cameras, 3).unwrap();
+        // They stand at 0, 3, 6, 9, 2, 5, 8, 1, 4, 7.
+        assert_eq!(
+            (found.frames, found.extent.as_str()),
+            (vec![0, 4, 7], "2.0000 world units of the first camera")
+        );
+    }
+
+    #[test]
+    fn of_equally_near_cameras_the_first_in_order_counts() {
+        for side in [1.0, -1.0] {
+            let cameras = [0.0, side, -side].map(|x| look(DVec3::new(x, 0.0, 0.0), DVec3::new(x, 1.0, 0.0)));
+            assert_eq!(around_first(&cameras, 2).unwrap().frames, [0, 1]);
+        }
+    }
+
+    #[test]
+    fn cameras_at_one_place_are_divided_by_their_directions() {
+        let here = DVec3::new(5.0, 6.0, 7.0);
+        let turned = |i: i32| {
+            let turn = f64::from(i * 7 % 12 * 30).to_radians();
+            look(here, here + DVec3::new(turn.cos(), turn.sin(), 0.0))
+        };
+        let cameras: Vec<Camera> = (0..12).map(turned).collect();
+        let found = around_first(&cameras, 3).unwrap();
+        // They look at 0, 7, 2, 9, 4, 11, 6, 1, .. times 30°.
+        assert_eq!(found.frames, [0, 5, 7]);
+        assert_eq!(found.extent, "30° of the first camera's viewing direction");
+    }
+
+    #[test]
+    fn of_no_camera_there_is_no_sector() {
+        assert_eq!(around_first(&[], 1), None);
+    }
+}
