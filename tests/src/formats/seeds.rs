@@ -340,6 +340,8 @@ pub(super) fn views() -> Vec<Vec<u8>> {
         ms_ssim: None,
         flip: Some(0.125),
         lpips: None,
+        nearest_distance: Some(0.75),
+        nearest_spacings: Some(1.5),
         comparison: Some("0003_r_3_scale2_compare.png".into()),
         flip_map: Some("0003_r_3_scale2_flip.png".into()),
     };

@@ -117,6 +117,7 @@ fn quality(report: &Report<'_>) -> String {
     }
     note += &text::perceptual(report);
     note += &escape(&text::poses(report));
+    note += &text::distance(report);
     if let Some(remark) = mean_quality(&e.scales).remark(Remedy::of(report.config)) {
         note += &format!("Remark: {}. ", escape(&remark));
     }

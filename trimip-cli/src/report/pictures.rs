@@ -83,14 +83,21 @@ fn extremes(ordered: &[&ViewRecord], images: &Path) -> Result<String> {
     let count = (ordered.len() / 2).clamp(1, NAMED);
     let perceptual: Vec<_> =
         PERCEPTION.into_iter().filter(|(_, of)| ordered.iter().any(|view| of(view).is_some())).collect();
+    let far = ordered.iter().any(|view| view.nearest_spacings.is_some());
     let list = |title: &str, views: &mut dyn Iterator<Item = &&ViewRecord>| {
         let mut head = [title, "PSNR / dB", "SSIM"].map(String::from).to_vec();
         head.extend(perceptual.iter().map(|(name, _)| name.to_string()));
+        if far {
+            head.push("nearest camera / spacings".into());
+        }
         let rows = views.map(|v| {
             let mut row = vec![v.name.clone(), measure(v.psnr, 2), measure(v.ssim, 4)];
             row.extend(
                 perceptual.iter().map(|(_, of)| of(v).map_or("–".into(), |value| format!("{value:.4}"))),
             );
+            if far {
+                row.push(v.nearest_spacings.map_or("–".into(), |spacings| format!("{spacings:.2}")));
+            }
             row
         });
         page::table(&std::iter::once(head).chain(rows).collect::<Vec<_>>(), false)
@@ -243,6 +250,8 @@ mod tests {
             ms_ssim: None,
             flip: picked.then_some(0.125),
             lpips: None,
+            nearest_distance: Some(0.5 * index as f64),
+            nearest_spacings: Some(index as f64),
             comparison,
             flip_map: picked.then(|| "a_flip.png".into()),
         }
@@ -287,6 +296,7 @@ mod tests {
             assert_eq!(html.matches("<img").count(), if difference::flip_bar().is_some() { 4 } else { 3 });
             assert!(html.contains("FLIP 0.1250") && html.contains("<td class=\"n\">0.1250</td>"), "{html}");
             assert!(!html.contains("LPIPS"), "nothing was measured of it");
+            assert!(html.contains("nearest camera / spacings") && html.contains(">3.00</td>"), "{html}");
         });
     }
 

@@ -1,7 +1,7 @@
 //! Evaluation: test frames rendered at every scale and compared with their photographs.
 
 use crate::{
-    Frame, Frames, Result, ViewSet, Viewer,
+    Camera, Frame, Frames, Result, ViewSet, Viewer,
     config::PhotographsConfig,
     engine::exposure::exposed_by_the_other_half,
     measures::{
@@ -19,6 +19,8 @@ pub struct ViewResult<'a> {
     pub name: &'a str,
     /// Reduction of the view: 1, 2, 4, 8.
     pub scale: u32,
+    /// The camera that it was rendered with.
+    pub camera: &'a Camera,
     /// What was rendered, as the set's photographs show silhouettes.
     pub rendered: &'a Frame,
     /// The photograph on the same background.
@@ -182,6 +184,7 @@ pub fn evaluate_frame(
             index,
             name: &set.views[view].name,
             scale: factor,
+            camera,
             rendered: &rendered,
             target: &target,
             psnr,

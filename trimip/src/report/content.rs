@@ -1,6 +1,6 @@
 //! The content of a report, collected from the run folder and the event history.
 
-use super::verdict::Verdict;
+use super::{correlation::rank_correlation, verdict::Verdict};
 use crate::{
     machine::Machine,
     run::{
@@ -20,6 +20,18 @@ pub enum Status {
     Stopped,
     /// Failed, or missed its quality floor; one line.
     Failed(String),
+}
+
+/// How the PSNR of test views follows their distance to the nearest training camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PsnrByDistance {
+    /// Number of views.
+    pub views: usize,
+    /// Spearman's rank correlation of distance and PSNR, -1 to 1: -1 if every view that is farther away is worse.
+    pub rank_correlation: f64,
+    /// Least and greatest distance, as multiples of the median distance of a training camera to the nearest other one; `None` if that
+    /// is 0.
+    pub spacings: Option<(f64, f64)>,
 }
 
 /// The content of a report.
@@ -71,6 +83,20 @@ impl<'a> Report<'a> {
     /// The verdict on the run.
     pub fn verdict(&self) -> Verdict {
         Verdict::judge(self.config, self.history, &self.views)
+    }
+
+    /// The PSNR of the views of the finest scale against their distance to the nearest training camera; `None` where one of both is not
+    /// known, or of fewer than four views.
+    pub fn psnr_by_distance(&self) -> Option<PsnrByDistance> {
+        let finest = self.views.iter().map(|view| view.scale).min()?;
+        let views = || self.views.iter().filter(|view| view.scale == finest);
+        let pairs: Vec<(f64, f64)> =
+            views().filter_map(|view| Some((view.nearest_distance?, view.psnr?))).collect();
+        let spacings: Vec<f64> = views().filter_map(|view| view.nearest_spacings).collect();
+        let least = spacings.iter().copied().reduce(f64::min);
+        let greatest = spacings.iter().copied().reduce(f64::max);
+        let rank_correlation = rank_correlation(&pairs)?;
+        Some(PsnrByDistance { views: pairs.len(), rank_correlation, spacings: least.zip(greatest) })
     }
 
     /// The views that the headline figures are measured on: `8 of 200 test views`.

@@ -2,13 +2,14 @@
 //! All are generated from the run folder and the event history, so they can be regenerated at any time.
 
 mod content;
+mod correlation;
 mod json;
 pub mod latex;
 pub mod tensorboard;
 pub mod text;
 pub mod verdict;
 
-pub use content::{Report, Status, scale_name};
+pub use content::{PsnrByDistance, Report, Status, scale_name};
 
 use crate::run::{csv, folder::RunFolder};
 use trimip_core::{Result, atomic::write_atomically};

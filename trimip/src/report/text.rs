@@ -83,6 +83,20 @@ pub fn poses(report: &Report<'_>) -> String {
     format!("The {moved}{aligned}. ")
 }
 
+/// How PSNR follows the distance to the nearest photograph, one sentence; empty if it was not measured.
+pub fn distance(report: &Report<'_>) -> String {
+    let Some(found) = report.psnr_by_distance() else { return String::new() };
+    let apart = found.spacings.map_or(String::new(), |(least, greatest)| {
+        format!(
+            ", which stand {least:.2} to {greatest:.2} spacings of the training cameras from the nearest one"
+        )
+    });
+    format!(
+        "The rank correlation of PSNR and the distance to the nearest training camera is {:.2} over {} views{apart}. ",
+        found.rank_correlation, found.views
+    )
+}
+
 /// Caption of the figures, one line.
 fn caption(report: &Report<'_>) -> String {
     let totals = &report.history.totals;
@@ -124,7 +138,9 @@ pub fn markdown(report: &Report<'_>) -> String {
             text += &format!("|---|{}\n", "---:|".repeat(row.len() - 1));
         }
     }
-    for sentence in [perceptual(report), poses(report)].iter().filter(|sentence| !sentence.is_empty()) {
+    for sentence in
+        [perceptual(report), poses(report), distance(report)].iter().filter(|sentence| !sentence.is_empty())
+    {
         text += &format!("\n{}\n", sentence.trim_end());
     }
     text
@@ -154,6 +170,7 @@ pub fn latex(report: &Report<'_>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::run::store::ViewRecord;
 
     #[test]
     fn the_markdown_table_has_a_row_per_scale_and_their_mean() {
@@ -183,6 +200,40 @@ mod tests {
                 "{text}"
             );
             assert!(text.contains("\\toprule") && text.contains("% \\usepackage{booktabs}"), "{text}");
+        });
+    }
+    #[test]
+    fn psnr_is_compared_with_the_distance_of_the_finest_views() {
+        let view = |index: usize, scale: u32, psnr: f64| ViewRecord {
+            index,
+            name: format!("r_{index}"),
+            scale,
+            psnr: Some(psnr),
+            ssim: None,
+            ms_ssim: None,
+            flip: None,
+            lpips: None,
+            nearest_distance: Some(0.5 * index as f64),
+            nearest_spacings: Some(2.0 * index as f64),
+            comparison: None,
+            flip_map: None,
+        };
+        crate::run::fixtures::report(|report| {
+            assert_eq!(distance(report), "", "no view is known");
+            let views: Vec<ViewRecord> =
+                (1..6).flat_map(|i| [view(i, 1, 30.0 - i as f64), view(i, 2, i as f64)]).collect();
+            let report = Report {
+                views,
+                status: report.status.clone(),
+                run: report.run.clone(),
+                scene: report.scene.clone(),
+                machine: report.machine.clone(),
+                ..*report
+            };
+            let found = report.psnr_by_distance().unwrap();
+            assert_eq!((found.views, found.rank_correlation, found.spacings), (5, -1.0, Some((2.0, 10.0))));
+            let text = markdown(&report);
+            assert!(text.contains("is -1.00 over 5 views, which stand 2.00 to 10.00 spacings"), "{text}");
         });
     }
 }

@@ -370,6 +370,8 @@ mod tests {
             ms_ssim: None,
             flip: None,
             lpips: None,
+            nearest_distance: None,
+            nearest_spacings: None,
             comparison: None,
             flip_map: None,
         };

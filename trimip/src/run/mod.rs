@@ -10,6 +10,7 @@ pub mod folder;
 pub mod history;
 mod lock;
 pub(crate) mod memory;
+pub mod nearest;
 pub mod overview;
 pub mod provenance;
 mod recorded;

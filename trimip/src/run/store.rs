@@ -2,6 +2,7 @@
 //! views, and the worst and best view of the finest scale.
 
 use super::folder::{RunFolder, picture_stem};
+use super::nearest::TrainingCameras;
 use crate::view::{flip_colors, flip_of_pictures, pictures, write_cameras};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
@@ -46,6 +47,12 @@ pub struct ViewRecord {
     /// LPIPS distance; `None` if it was not measured.
     #[serde(default)]
     pub lpips: Option<f64>,
+    /// Distance of its camera to the nearest training camera, world units; `None` in files of earlier versions.
+    #[serde(default)]
+    pub nearest_distance: Option<f64>,
+    /// The same as a multiple of the median distance of a training camera to the nearest other one; `None` also where that is 0.
+    #[serde(default)]
+    pub nearest_spacings: Option<f64>,
     /// File in `images/` with rendered | photograph | difference, if the view was selected for a picture.
     pub comparison: Option<String>,
     /// File in `images/` with the FLIP error of each pixel in the colours of magma, 0 to 1; `None` without a picture, or of a
@@ -78,6 +85,8 @@ pub struct FileStore<'a> {
     folder: &'a RunFolder,
     /// Where the coordinates of the run begin in those of the photographs.
     origin: LocalOrigin,
+    /// What the distance of a test view is measured to.
+    training: TrainingCameras,
     /// Indices of the test frames with pictures, and their maximum number.
     picked: Vec<usize>,
     images: usize,
@@ -88,10 +97,11 @@ pub struct FileStore<'a> {
 
 impl<'a> FileStore<'a> {
     /// Stores the run of `config`, with pictures of the first `eval.images` test frames that it sees. An evaluation renders evenly
-    /// spaced frames first.
-    pub fn new(folder: &'a RunFolder, config: &Config) -> Self {
+    /// spaced frames first. The records have the distances of test views to the `training` cameras.
+    pub fn new(folder: &'a RunFolder, config: &Config, training: TrainingCameras) -> Self {
         let (origin, images) = (LocalOrigin::of(&config.data), config.eval.images as usize);
-        Self { folder, origin, picked: Vec::new(), images, records: Vec::new(), worst: None, best: None }
+        let (picked, records) = (Vec::new(), Vec::new());
+        Self { folder, origin, training, picked, images, records, worst: None, best: None }
     }
 
     /// Writes the worst and the best view and `views.json`, and removes pictures of an earlier evaluation. With
@@ -193,6 +203,7 @@ impl Store for FileStore<'_> {
                 (comparison, flip_map) = (Some(sheet), map);
             }
         }
+        let nearest = self.training.nearest(view.camera);
         self.records.push(ViewRecord {
             index: view.index,
             name: view.name.to_string(),
@@ -202,6 +213,8 @@ impl Store for FileStore<'_> {
             ms_ssim: finite(view.perceptual.ms_ssim),
             flip: finite(view.perceptual.flip),
             lpips: finite(view.perceptual.lpips),
+            nearest_distance: nearest.map(|nearest| nearest.distance),
+            nearest_spacings: nearest.and_then(|nearest| nearest.spacings),
             comparison,
             flip_map,
         });
@@ -233,7 +246,8 @@ pub fn file_stem(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trimip_core::{Frame, measures::perception::PerceptualScores};
+    use glam::DVec3;
+    use trimip_core::{Frame, Intrinsics, measures::perception::PerceptualScores};
 
     #[test]
     fn the_worst_and_the_best_view_have_pictures_too() {
@@ -242,7 +256,12 @@ mod tests {
         folder.prepare_images().unwrap();
         let mut config = Config::default();
         config.eval.images = 1;
-        let mut store = FileStore::new(&folder, &config);
+        let at = |x: f64| {
+            let k = Intrinsics::from_angle(2, 1, 0.7);
+            Camera::look_at(k, DVec3::new(x, 4.0, 0.0), DVec3::ZERO, DVec3::Z)
+        };
+        let training = TrainingCameras::new(&[at(0.0), at(2.0), at(4.0)]);
+        let mut store = FileStore::new(&folder, &config, training);
         let rendered = Frame { width: 2, height: 1, pixels: vec![Default::default(); 2] };
         let target = [[0.5; 3]; 2];
         // Frame 0 is selected; scale 2 has the lowest and the highest PSNR overall.
@@ -251,7 +270,9 @@ mod tests {
                 let name = format!("r_{index}");
                 let (rendered, target, ssim) = (&rendered, &target[..], 0.5);
                 let perceptual = &PerceptualScores { flip: 0.25, ..PerceptualScores::NOTHING };
-                let view = ViewResult { index, name: &name, scale, rendered, target, psnr, ssim, perceptual };
+                let (name, camera) = (&name[..], &at(5.0 + index as f64));
+                let view =
+                    ViewResult { index, name, scale, camera, rendered, target, psnr, ssim, perceptual };
                 store.view(&view).unwrap();
             }
         }
@@ -267,6 +288,10 @@ mod tests {
         assert!(pictured.iter().all(|(_, _, file)| folder.images().join(file).exists()));
         assert_eq!(folder.pictures().len(), if cfg!(feature = "flip") { 12 } else { 8 });
         let views = FileStore::read(&folder);
+        assert!(views.iter().all(|view| {
+            let distance = 1.0 + view.index as f64;
+            (view.nearest_distance, view.nearest_spacings) == (Some(distance), Some(0.5 * distance))
+        }));
         assert!(views.iter().all(|view| (view.flip, view.ms_ssim, view.lpips) == (Some(0.25), None, None)));
         for map in views.iter().filter_map(|view| view.flip_map.as_ref()) {
             assert_eq!(image::open(folder.images().join(map)).unwrap().into_rgb8().dimensions(), (2, 1));

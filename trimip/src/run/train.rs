@@ -8,6 +8,7 @@ use super::{
     history::{History, up_to},
     lock::Lock,
     memory,
+    nearest::TrainingCameras,
     overview::{Overview, Subject},
     provenance,
     recorder::Recorder,
@@ -359,7 +360,8 @@ impl Training {
             None if resumed => recorder.emit(&Event::Resumed { totals }),
             None => {}
         }
-        let mut store = FileStore::new(folder, &config);
+        let training = TrainingCameras::new(photographed.iter().map(|(_, camera)| camera));
+        let mut store = FileStore::new(folder, &config, training);
         let evaluated = recorder.history.last_evaluated();
         let last_step = self.stop_after.map_or(u64::MAX, |steps| totals.step.saturating_add(steps));
         let outcome = Run {
