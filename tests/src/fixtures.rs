@@ -107,6 +107,19 @@ pub fn small_zip(points: u32) -> Config {
     config
 }
 
+/// The encoders that grow in the course of a run, small.
+pub fn growing() -> [Config; 3] {
+    [growing_hash_grid(), growing_tensor(), growing_voxels()]
+}
+
+/// The same with levels that come into use in the course of a run.
+pub fn growing_hash_grid() -> Config {
+    let mut config = small_hash_grid();
+    let all = f64::from(config.hash_grid.levels);
+    config.hash_grid.active_levels = Schedule::new(vec![[0.0, 1.0], [0.2, all - 1.0], [0.4, all]]);
+    config
+}
+
 /// The same with ripmaps on six planes, three levels along each axis.
 fn small_rip_map() -> Config {
     let (mut config, defaults) = (small(), Config::default());

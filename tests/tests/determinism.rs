@@ -44,7 +44,7 @@ fn threads_change_no_bit() {
     let sets: Vec<_> =
         sets.flat_map(|simd| [Precision::F32, Precision::Bf16].map(|precision| (simd, precision))).collect();
     let mut configurations = fixtures::every_encoder();
-    configurations.push(fixtures::growing_tensor());
+    configurations.extend([fixtures::growing_tensor(), fixtures::growing_hash_grid()]);
     // One, one and nine cones a pixel at the three scales, with and without distortion.
     let mut several_cones = fixtures::small();
     (several_cones.renderer.cones, several_cones.renderer.cone_width) = (3, 0.45);

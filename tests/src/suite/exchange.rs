@@ -26,9 +26,7 @@ type Make<'a, B> = &'a (dyn Fn(Arc<dyn Ranks>, &Config) -> Box<dyn Exchange<B>> 
 /// Configurations that cover every path from the gradient to the parameters.
 fn configurations() -> Result<Vec<Config>> {
     let mut all = vec![scheduled()?, exposed(), refined(), drawn()];
-    for encoder in
-        fixtures::every_encoder().into_iter().chain([fixtures::growing_tensor(), fixtures::growing_voxels()])
-    {
+    for encoder in fixtures::every_encoder().into_iter().chain(fixtures::growing()) {
         for untouched in [Untouched::Decay, Untouched::Skip] {
             let mut config = fixtures::encoded(configuration(), &encoder);
             config.optimizer.untouched = untouched;

@@ -55,9 +55,7 @@ pub fn steps<B: Backend>(trainer: &mut Trainer<B>, config: &Config, count: u64) 
 /// # Errors
 /// When a step or the file fails.
 pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Result<()> {
-    for encoder in
-        fixtures::every_encoder().into_iter().chain([fixtures::growing_tensor(), fixtures::growing_voxels()])
-    {
+    for encoder in fixtures::every_encoder().into_iter().chain(fixtures::growing()) {
         resume_with(&make, &fixtures::encoded(configuration(), &encoder), file)?;
     }
     resume_with(&make, &scheduled()?, file)?;
@@ -222,18 +220,21 @@ pub fn assets<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 /// # Errors
 /// When the settings are refused or a step fails.
 pub fn finish_early<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    let mut config = scheduled()?;
-    config.file.planes = FilePrecision::F16;
-    let views = fixtures::noise(3, 16, 2, 2);
-    let camera = views.views[0].camera;
-    let mut trainer = Trainer::new(make(), &config, views)?;
-    steps(&mut trainer, &config, 3)?;
-    let model = trainer.finish()?;
-    let mut loaded = LoadedModel::new(make(), &model)?;
-    assert!(
-        trainer.render(&camera)?.pixels == loaded.render(&camera)?.pixels,
-        "other pictures than the file's"
-    );
+    let levels = fixtures::encoded(configuration(), &fixtures::growing_hash_grid());
+    for mut config in [scheduled()?, levels] {
+        config.file.planes = FilePrecision::F16;
+        let views = fixtures::noise(3, 16, 2, 2);
+        let camera = views.views[0].camera;
+        let mut trainer = Trainer::new(make(), &config, views)?;
+        steps(&mut trainer, &config, 3)?;
+        let model = trainer.finish()?;
+        let mut loaded = LoadedModel::new(make(), &model)?;
+        assert!(
+            trainer.render(&camera)?.pixels == loaded.render(&camera)?.pixels,
+            "{:?}: other pictures than the file's",
+            config.encoder.kind
+        );
+    }
     Ok(())
 }
 

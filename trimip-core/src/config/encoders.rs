@@ -62,7 +62,7 @@ section!(
 section!(
     /// The multiresolution hash grid.
     HashGridConfig, "hash_grid" {
-        levels: u32, features: u32, log2_entries: u32, coarsest: u32, finest: u32, points: u32, downweight: bool, init_range: f32, rate: f64,
+        levels: u32, features: u32, log2_entries: u32, coarsest: u32, finest: u32, active_levels: Schedule, points: u32, downweight: bool, init_range: f32, rate: f64,
     }
 );
 section!(
@@ -119,7 +119,21 @@ impl HashGridConfig {
     pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
         to.check([1, 2, 4, 8].contains(&self.features), "hash_grid.features", "1, 2, 4 or 8")?;
         to.check([1, 6].contains(&self.points), "hash_grid.points", "1 or 6")?;
-        to.check(self.coarsest <= self.finest, "hash_grid.finest", "hash_grid.coarsest to 65536")
+        to.check(self.coarsest <= self.finest, "hash_grid.finest", "hash_grid.coarsest to 65536")?;
+        let active = || self.active_levels.values();
+        to.check(
+            self.active_levels.is_whole()
+                && active().all(|levels| levels.fract() == 0.0)
+                && active().is_sorted_by(|a, b| a < b)
+                && active().last().is_some_and(|last| last >= f64::from(self.levels)),
+            "hash_grid.active_levels",
+            "[[0.0, n], ... [fraction, all]] with rising fractions below 1 and rising whole numbers, the last at least hash_grid.levels",
+        )
+    }
+
+    /// Number of levels, coarse to fine, that are in use at `progress` in [0, 1].
+    pub fn active_at(&self, progress: f64) -> u32 {
+        self.levels.min(self.active_levels.at(progress) as u32)
     }
 }
 

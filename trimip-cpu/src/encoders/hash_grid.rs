@@ -16,6 +16,8 @@ use trimip_core::{Aabb, Config, Result};
 pub(crate) struct Grid {
     simd: Simd,
     levels: Levels,
+    /// Number of levels in use, coarse to fine.
+    active: usize,
     points: Points<f32>,
 }
 
@@ -44,12 +46,17 @@ impl Encoding for Grid {
 
     fn new(simd: Simd, config: &Config, _training: bool) -> Self {
         let points = Points::new(&config.hash_grid, &Aabb::new(&config.scene));
-        Self { simd, levels: Levels::new(&config.hash_grid), points }
+        let levels = Levels::new(&config.hash_grid);
+        Self { simd, active: levels.levels.len(), levels, points }
     }
 
     fn gradient(&self) -> Gradient {
         let rows = self.levels.levels.iter().map(|_| Buffer::zeros(0)).collect();
         Gradient { places: Buffer::zeros(0), rows }
+    }
+
+    fn grow(&mut self, stage: u32) {
+        self.active = self.levels.active(stage).len();
     }
 
     fn forward(&self, at: Places<'_>, context: &mut [f32], features: &mut [f32], stride: usize) {
@@ -67,8 +74,9 @@ impl Encoding for Grid {
                 }
             }
         }
-        let (levels, reads, places) = (&self.levels, &self.points, self.points(at, context));
-        match levels.features {
+        let (levels, reads, places) =
+            (&self.levels.levels[..self.active], &self.points, self.points(at, context));
+        match self.levels.features {
             1 => self.simd.run(Read::<1> { levels, reads, table: at.parameters, places, features, stride }),
             2 => self.simd.run(Read::<2> { levels, reads, table: at.parameters, places, features, stride }),
             4 => self.simd.run(Read::<4> { levels, reads, table: at.parameters, places, features, stride }),
@@ -85,7 +93,7 @@ impl Encoding for Grid {
         gradient: &mut Gradient,
     ) {
         let width = self.levels.features;
-        for (level, own) in gradient.rows.iter_mut().enumerate() {
+        for (level, own) in gradient.rows.iter_mut().take(self.active).enumerate() {
             let first = own.len();
             own.resize(first + at.spheres.len() * width);
             let pairs = own[first..].chunks_exact_mut(width).zip(rows.chunks_exact(stride));
@@ -98,7 +106,8 @@ impl Encoding for Grid {
     }
 
     fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
-        let Self { simd, levels: Levels { levels, features }, points } = self;
+        let Self { simd, levels: Levels { levels, features }, active, points } = self;
+        let levels = &levels[..*active];
         let mut rest = parameter_gradient;
         let tables = levels.iter().map(|level| take_mut(&mut rest, level.entries as usize * *features));
         let work: Vec<(usize, &mut [f32])> = tables.enumerate().collect();
@@ -128,9 +137,10 @@ impl Encoding for Grid {
     fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) -> Result<()> {
         from.buffer(&mut gradient.places)?;
         let points = if self.points.is_plain() { 1 } else { self.points.count };
-        for rows in &mut gradient.rows {
+        for (level, rows) in gradient.rows.iter_mut().enumerate() {
             from.buffer(rows)?;
-            from.expect("points", gradient.places.len() * self.levels.features, rows.len() * points)?;
+            let expected = if level < self.active { gradient.places.len() * self.levels.features } else { 0 };
+            from.expect("points", expected, rows.len() * points)?;
         }
         Ok(())
     }
@@ -259,7 +269,8 @@ impl Block {
 
 /// Reads every level with trilinear interpolation.
 struct Read<'a, const F: usize> {
-    levels: &'a Levels,
+    /// Those in use.
+    levels: &'a [Level],
     reads: &'a Points<f32>,
     table: &'a [f32],
     /// The points of each sample.
@@ -272,7 +283,7 @@ impl<const F: usize> Kernel for Read<'_, F> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { levels: Levels { levels, .. }, reads, table, places, features, stride } = self;
+        let Self { levels, reads, table, places, features, stride } = self;
         let (entries, _) = table.as_chunks::<F>();
         features[..places.len() / reads.count * stride].fill(0.0);
         for (index, points) in places.chunks(BLOCK).enumerate() {

@@ -92,7 +92,9 @@ pub(crate) struct Grid {
     gpu: Arc<Gpu>,
     points: Points<f32>,
     levels: Buffer<Level>,
+    /// Number of levels, and of those in use, coarse to fine.
     count: u32,
+    active: u32,
     stride: u32,
     prepare: Pipeline,
     read: Pipeline,
@@ -102,7 +104,7 @@ pub(crate) struct Grid {
 
 impl Grid {
     fn params(&self, counter: u32) -> Params {
-        Params { levels: self.count, stride: self.stride, counter }
+        Params { levels: self.active, stride: self.stride, counter }
     }
 }
 
@@ -131,12 +133,17 @@ impl Encoding for Grid {
             gpu: Arc::clone(gpu),
             levels,
             count: grid.levels.len() as u32,
+            active: grid.levels.len() as u32,
             stride: encoders::stride(config) as u32,
             prepare: gpu.pipeline(prepare()),
             read: gpu.pipeline(read(features, &points)),
             sums: Scatter::new(gpu, add, addition, training, length, skipped),
             points,
         }
+    }
+
+    fn grow(&mut self, stage: u32) {
+        self.active = self.count.saturating_sub(stage);
     }
 
     fn forward(&self, parameters: &Buffer<f32>, at: &Places, context: &Buffer<f32>, features: &Buffer<f32>) {
@@ -161,7 +168,7 @@ impl Encoding for Grid {
         }
         let places = if self.points.is_plain() { whole(&at.spheres) } else { context.bind() };
         let binds = [table, places, features.bind(), rows.bind(), self.levels.bind()];
-        let size = rows.dispatch(self.count, GROUP);
+        let size = rows.dispatch(self.active, GROUP);
         self.gpu.dispatch(&self.read, &binds, &self.params(rows.counter), size);
     }
 
@@ -175,7 +182,7 @@ impl Encoding for Grid {
         for from in partials {
             let rows = &from.at.rows;
             let places = if self.points.is_plain() { &from.at.spheres } else { &from.context };
-            let work = (&self.params(rows.counter), rows.dispatch(self.count, GROUP));
+            let work = (&self.params(rows.counter), rows.dispatch(self.active, GROUP));
             self.sums.add(&from, places, parameter_gradient, &[self.levels.bind()], work);
         }
         self.sums.to_float(parameter_gradient);

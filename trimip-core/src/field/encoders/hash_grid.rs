@@ -16,6 +16,8 @@ use crate::{Aabb, Config, Slot};
 pub const PRIMES: [u32; 3] = [1, 2_654_435_761, 805_459_861];
 
 /// The hash grid as an encoder.
+///
+/// Each stage of growth leaves out one more of the finest levels, whose features are zero. Their entries start at zero.
 pub struct HashGrid;
 
 /// A level of the grid.
@@ -72,6 +74,11 @@ impl Levels {
     /// Number of features of a sample.
     pub fn width(&self) -> usize {
         self.levels.len() * self.features
+    }
+
+    /// The levels that are in use at growth stage `stage`: all but the `stage` finest.
+    pub fn active(&self, stage: u32) -> &[Level] {
+        &self.levels[..self.levels.len().saturating_sub(stage as usize)]
     }
 }
 
@@ -133,8 +140,23 @@ impl Definition for HashGrid {
             decay: 0.0,
             group: Some(levels.features),
             precision: config.file.planes,
+            grows: true,
             ..Slot::new("table", vec![levels.entries(), levels.features], config.hash_grid.init_range)
         }]
+    }
+
+    fn stage(&self, config: &Config, progress: f64) -> u32 {
+        config.hash_grid.levels - config.hash_grid.active_at(progress)
+    }
+
+    fn length(&self, config: &Config, _: &Slot, stage: u32) -> usize {
+        let levels = Levels::new(&config.hash_grid);
+        levels.active(stage).last().map_or(0, |last| (last.first + last.entries) as usize * levels.features)
+    }
+
+    fn grow(&self, config: &Config, slot: &Slot, values: &mut [f32], from: u32, to: u32) {
+        let [from, to] = [from, to].map(|stage| self.length(config, slot, stage));
+        values[from..to].fill(0.0);
     }
 
     fn lowered_by(&self) -> &'static str {
@@ -178,6 +200,8 @@ impl Reference for GridTwin {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Settings;
+    use crate::config::schedule::Schedule;
 
     fn levels(log2_entries: u32) -> Levels {
         Levels::new(&HashGridConfig { log2_entries, ..Config::default().hash_grid })
@@ -237,5 +261,44 @@ mod tests {
         let [x, y, z] = [1234_u32, 77, 2001];
         let hash = x ^ y.wrapping_mul(2_654_435_761) ^ z.wrapping_mul(805_459_861);
         assert!(fine.hashed && fine.entry([x, y, z]) == hash % (1 << 14));
+    }
+
+    #[test]
+    fn levels_come_into_use_coarse_to_fine() {
+        let mut config = Config::default();
+        config.hash_grid = HashGridConfig { levels: 5, log2_entries: 10, ..config.hash_grid };
+        let slot = &HashGrid.slots(&config)[0];
+        let stage = |config: &Config, progress| HashGrid.stage(config, progress);
+        assert_eq!(stage(&config, 0.0), 0, "by default all levels are in use from the start");
+        config.hash_grid.active_levels = Schedule::new(vec![[0.0, 2.0], [0.25, 4.0], [0.5, 9.0]]);
+        assert_eq!([0.0, 0.24, 0.25, 0.49, 0.5, 1.0].map(|at| stage(&config, at)), [3, 3, 1, 1, 0, 0]);
+        let levels = Levels::new(&config.hash_grid);
+        for stage in 0..5 {
+            let own = levels.active(stage).iter().map(|level| level.entries as usize * levels.features);
+            assert_eq!(HashGrid.length(&config, slot, stage), own.sum());
+        }
+        assert_eq!(HashGrid.length(&config, slot, 0), slot.range.len());
+        // A level that comes into use begins at zero; those in use stay.
+        let mut values = vec![1.0; slot.range.len()];
+        HashGrid.grow(&config, slot, &mut values, 3, 1);
+        let [before, after] = [3, 1].map(|stage| HashGrid.length(&config, slot, stage));
+        assert!(values[..before].iter().chain(&values[after..]).all(|value| *value == 1.0));
+        assert!(values[before..after].iter().all(|value| *value == 0.0));
+    }
+
+    #[test]
+    fn all_levels_are_in_use_at_the_end() {
+        for (pieces, valid) in [
+            ("[[0.0, 4], [0.5, 16]]", true),
+            ("[[0.0, 4]]", false),
+            ("[[0.0, 4], [0.5, 4], [0.6, 16]]", false),
+            ("[[0.0, 4.5], [0.5, 16]]", false),
+            ("[[0.1, 4], [0.5, 16]]", false),
+        ] {
+            let mut settings = Settings::defaults();
+            settings.apply_assignment(&format!("hash_grid.active_levels={pieces}")).unwrap();
+            settings.apply_assignment("encoder.kind=\"hash-grid\"").unwrap();
+            assert_eq!(Config::from_settings(&settings).is_ok(), valid, "{pieces}");
+        }
     }
 }
