@@ -275,7 +275,7 @@ mod tests {
         let levels = Levels::new(&config.hash_grid);
         for stage in 0..5 {
             let own = levels.active(stage).iter().map(|level| level.entries as usize * levels.features);
-            assert_eq!(HashGrid.length(&config, slot, stage), own.sum());
+            assert_eq!(HashGrid.length(&config, slot, stage), own.sum::<usize>());
         }
         assert_eq!(HashGrid.length(&config, slot, 0), slot.range.len());
         // A level that comes into use begins at zero; those in use stay.
