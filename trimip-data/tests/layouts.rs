@@ -250,7 +250,7 @@ fn frames_and_their_views_have_the_names_of_photographs() {
     let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     blender_scene(folder.path());
     write_multiscale(&settings(folder.path(), 2), set.path(), &unwatched).unwrap();
-    let mut builtin = settings(std::path::Path::new(""), 2);
+    let mut builtin = settings(Path::new(""), 2);
     builtin.format = "builtin".into();
     (builtin.builtin_size, builtin.builtin_train, builtin.builtin_test) = (8, 2, 2);
     let cases = [

@@ -6,8 +6,13 @@ use super::escape::escape;
 use crate::terminal;
 use trimip::{report::scale_name, run::history::Evaluation};
 
-const WIDTH: f64 = 960.0;
-const HEIGHT: f64 = 440.0;
+/// Width and height of a drawing, pixels.
+type Size = [f64; 2];
+
+/// The drawing for wide windows and files, and that for a telephone.
+const WIDE: Size = [960.0, 440.0];
+const NARROW: Size = [420.0, 340.0];
+
 const LEFT: f64 = 56.0;
 const RIGHT: f64 = 66.0;
 const TOP: f64 = 14.0;
@@ -93,7 +98,7 @@ pub struct Line {
 }
 
 /// Axes that contain every drawn point, the vertical one rounded outwards.
-fn axes(lines: &[Line], logarithmic: bool) -> Option<(Axis, Axis)> {
+fn axes(lines: &[Line], logarithmic: bool, [width, height]: Size) -> Option<(Axis, Axis)> {
     let points = || lines.iter().flat_map(|line| line.points.iter().chain(&line.ring)).filter(|p| p.drawn());
     let range = |value: fn(&Point) -> f64| {
         let low = points().map(value).reduce(f64::min)?;
@@ -105,11 +110,11 @@ fn axes(lines: &[Line], logarithmic: bool) -> Option<(Axis, Axis)> {
         low: (low / step).floor() * step,
         high: ((high / step).ceil() * step).max((low / step).floor() * step + step),
         logarithmic: false,
-        start: HEIGHT - BOTTOM,
+        start: height - BOTTOM,
         end: TOP,
     };
     let (first, last) = if logarithmic { (first / 1.08, last * 1.08) } else { (0.0, last * 1.02) };
-    Some((Axis { low: first, high: last, logarithmic, start: LEFT, end: WIDTH - RIGHT }, vertical))
+    Some((Axis { low: first, high: last, logarithmic, start: LEFT, end: width - RIGHT }, vertical))
 }
 
 /// The lines of a run: one per scale and one for their mean. `whole` is the final evaluation on all views, drawn as a
@@ -145,12 +150,17 @@ pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
     lines
 }
 
-/// A plot for a page, which adds colours and a [`legend`]; `None` if there is nothing to draw.
+/// A plot for a page, which adds colours and a [`legend`], drawn twice: for wide windows and for a telephone, of which the page shows
+/// one. `None` if there is nothing to draw.
 pub fn plot(lines: &[Line], logarithmic: bool) -> Option<String> {
-    Some(format!(
-        "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"PSNR against training time\">{}</svg>",
-        draw(lines, logarithmic, TRAINING)?
-    ))
+    let drawn = |class: &str, size: Size| {
+        let [width, height] = size;
+        Some(format!(
+            "<svg class=\"{class}\" viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"PSNR against training time\">{}</svg>",
+            draw(lines, logarithmic, TRAINING, size)?
+        ))
+    };
+    Some(drawn("broad", WIDE)? + &drawn("narrow", NARROW)?)
 }
 
 /// The legend of a plot as HTML.
@@ -196,23 +206,24 @@ pub fn alone(lines: &[Line], time: &str) -> Option<String> {
             escape(&line.name)
         );
     }
+    let [width, height] = WIDE;
     Some(format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" \
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" role=\"img\" \
          aria-label=\"PSNR against {time}\"><style>{style}</style>\
-         <rect width=\"{WIDTH}\" height=\"{HEIGHT}\" fill=\"#ffffff\"/>{}{legend}</svg>\n",
-        draw(lines, true, time)?
+         <rect width=\"{width}\" height=\"{height}\" fill=\"#ffffff\"/>{}{legend}</svg>\n",
+        draw(lines, true, time, WIDE)?
     ))
 }
 
 /// Start of a legend's first line, in the corner of the plot where it covers the least of the lines.
 fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
-    let (x, y) = axes(lines, true)?;
+    let (x, y) = axes(lines, true, WIDE)?;
     let names = named(lines);
     let letters = names.iter().map(|line| line.name.chars().count()).max().unwrap_or(0);
     // About the width of a letter of 13 pixels.
     let (width, height) = (34.0 + 7.0 * letters as f64, 20.0 * names.len() as f64);
-    let (left, right) = (LEFT + 14.0, WIDTH - RIGHT - 14.0 - width);
-    let (top, bottom) = (TOP + 16.0, HEIGHT - BOTTOM - height);
+    let (left, right) = (LEFT + 14.0, WIDE[0] - RIGHT - 14.0 - width);
+    let (top, bottom) = (TOP + 16.0, WIDE[1] - BOTTOM - height);
     let place = |p: &Point| [x.place(p.seconds), y.place(p.psnr)];
     // Points, and places between them, for a line is to stay in sight too.
     let mut drawn: Vec<[f64; 2]> = Vec::new();
@@ -238,8 +249,8 @@ fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
 }
 
 /// Draws axes, labels and lines.
-fn draw(lines: &[Line], logarithmic: bool, time: &str) -> Option<String> {
-    let (x, y) = axes(lines, logarithmic)?;
+fn draw(lines: &[Line], logarithmic: bool, time: &str, size: Size) -> Option<String> {
+    let (x, y) = axes(lines, logarithmic, size)?;
     let mut svg = String::new();
     for tick in y.ticks() {
         let at = y.place(tick);
@@ -271,8 +282,8 @@ fn draw(lines: &[Line], logarithmic: bool, time: &str) -> Option<String> {
          <text class=\"faint\" transform=\"translate(14 {middle:.1}) rotate(-90)\" text-anchor=\"middle\">PSNR / dB</text>\
          <text class=\"faint\" transform=\"translate({:.1} {middle:.1}) rotate(90)\" text-anchor=\"middle\">RMSE</text>",
         0.5 * (x.start + x.end),
-        HEIGHT - 6.0,
-        WIDTH - 12.0,
+        size[1] - 6.0,
+        size[0] - 12.0,
         middle = 0.5 * (y.start + y.end),
     );
     for line in lines {
@@ -329,12 +340,15 @@ mod tests {
     fn every_point_lies_inside_the_frame() {
         trimip::run::fixtures::report(|report| {
             for logarithmic in [false, true] {
-                let svg = plot(&lines(&report.curve(), report.history.last()), logarithmic).unwrap();
-                assert_eq!(svg.matches("<polyline").count(), 3);
-                assert_eq!(svg.matches("class=\"ring\"").count(), 3);
-                for part in svg.split("cx=\"").skip(1) {
-                    let x: f64 = part.split('"').next().unwrap().parse().unwrap();
-                    assert!((LEFT..=WIDTH - RIGHT).contains(&x), "{x}");
+                let both = plot(&lines(&report.curve(), report.history.last()), logarithmic).unwrap();
+                let (broad, narrow) = both.split_once("<svg class=\"narrow\"").unwrap();
+                for (svg, [width, _]) in [(broad, WIDE), (narrow, NARROW)] {
+                    assert_eq!(svg.matches("<polyline").count(), 3);
+                    assert_eq!(svg.matches("class=\"ring\"").count(), 3);
+                    for part in svg.split("cx=\"").skip(1) {
+                        let x: f64 = part.split('"').next().unwrap().parse().unwrap();
+                        assert!((LEFT..=width - RIGHT).contains(&x), "{x}");
+                    }
                 }
             }
         });
