@@ -106,6 +106,8 @@ pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut config = configuration();
     config.occupancy.resolution = 16;
     (config.occupancy.seeded, config.occupancy.cleared) = (0.3, 0.6);
+    // The cameras stand within the box, at a distance of 4 from its middle, and what surrounds them is free.
+    (config.scene.aabb_min, config.scene.aabb_max) = ([-4.5; 3], [4.5; 3]);
     let mut views = fixtures::noise(9, 16, 2, 2);
     for known in &mut views.depths {
         (known.distance, known.deviation) = (4.0, 0.05);
