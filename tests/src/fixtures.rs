@@ -107,12 +107,12 @@ pub fn small_zip(points: u32) -> Config {
     config
 }
 
-/// The encoders that grow in the course of a run, small.
+/// The encoders that grow during a run, small.
 pub fn growing() -> [Config; 3] {
     [growing_hash_grid(), growing_tensor(), growing_voxels()]
 }
 
-/// The same with levels that come into use in the course of a run.
+/// The same with levels that come into use during a run.
 pub fn growing_hash_grid() -> Config {
     let mut config = small_hash_grid();
     let all = f64::from(config.hash_grid.levels);
@@ -155,7 +155,7 @@ fn small_tensor() -> Config {
     config
 }
 
-/// The same with factors that grow twice in the course of a run.
+/// The same with factors that grow twice during a run.
 pub fn growing_tensor() -> Config {
     let mut config = small_tensor();
     config.tensor.sides = Schedule::new(vec![[0.0, 5.0], [0.2, 7.0], [0.4, 9.0]]);
@@ -195,7 +195,7 @@ fn small_voxels() -> Config {
     config
 }
 
-/// The same with a grid that grows twice in the course of a run.
+/// The same with a grid that grows twice during a run.
 pub fn growing_voxels() -> Config {
     let mut config = small_voxels();
     config.voxels.sides = Schedule::new(vec![[0.0, 4.0], [0.2, 5.0], [0.4, 7.0]]);

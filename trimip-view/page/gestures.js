@@ -9,7 +9,7 @@ const SYMBOLS = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown
 /**
  * All keys, one row of the list each. `keys` maps the browser's name of a key to the value that `move` or `act` receives. `shift`
  * says whether the shift key has to be held; a row without it accepts both. `move` moves the camera, `act` leaves it where it is.
- * `does` tells the user what the keys do, and `pointer` how the mouse or fingers do the same.
+ * `does` is the text that the list shows for a row, and `pointer` names the mouse or touch gesture with the same effect.
  */
 const keyRows = (orbit, list, fullScreen) => [
   { keys: ARROWS, shift: false, pointer: "drag", does: "turn", move: ([x, y]) => orbit.turn(0.1 * x, 0.1 * y) },

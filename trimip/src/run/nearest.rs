@@ -21,7 +21,7 @@ pub struct Nearest {
 }
 
 impl TrainingCameras {
-    /// Those that stand at the centres of `cameras`.
+    /// Keeps the centres of `cameras`, world units, and measures how far they stand apart.
     pub fn new<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> Self {
         let centres: Vec<DVec3> = cameras.into_iter().map(|camera| camera.origin).collect();
         let of = |index: usize| {

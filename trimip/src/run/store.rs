@@ -85,7 +85,7 @@ pub struct FileStore<'a> {
     folder: &'a RunFolder,
     /// Where the coordinates of the run begin in those of the photographs.
     origin: LocalOrigin,
-    /// What the distance of a test view is measured to.
+    /// The training cameras; a test view records its distance to the nearest of them.
     training: TrainingCameras,
     /// Indices of the test frames with pictures, and their maximum number.
     picked: Vec<usize>,

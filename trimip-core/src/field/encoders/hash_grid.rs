@@ -17,7 +17,8 @@ pub const PRIMES: [u32; 3] = [1, 2_654_435_761, 805_459_861];
 
 /// The hash grid as an encoder.
 ///
-/// Each stage of growth leaves out one more of the finest levels, whose features are zero. Their entries start at zero.
+/// Each stage of growth leaves out one more of the finest levels. A level that is left out has features of zero; once it comes into
+/// use, its entries start at zero.
 pub struct HashGrid;
 
 /// A level of the grid.
