@@ -116,7 +116,7 @@ pub fn growing() -> [Config; 3] {
 pub fn growing_hash_grid() -> Config {
     let mut config = small_hash_grid();
     let all = f64::from(config.hash_grid.levels);
-    config.hash_grid.active_levels = Schedule::new(vec![[0.0, 1.0], [0.2, all - 1.0], [0.4, all]]);
+    config.hash_grid.inactive_levels = Schedule::new(vec![[0.0, all - 1.0], [0.2, 1.0], [0.4, 0.0]]);
     config
 }
 

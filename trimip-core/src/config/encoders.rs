@@ -62,7 +62,7 @@ section!(
 section!(
     /// The multiresolution hash grid.
     HashGridConfig, "hash_grid" {
-        levels: u32, features: u32, log2_entries: u32, coarsest: u32, finest: u32, active_levels: Schedule, points: u32, downweight: bool, init_range: f32, rate: f64,
+        levels: u32, features: u32, log2_entries: u32, coarsest: u32, finest: u32, inactive_levels: Schedule, points: u32, downweight: bool, init_range: f32, rate: f64,
     }
 );
 section!(
@@ -89,17 +89,12 @@ section!(
     VoxelsConfig, "voxels" { sides: Schedule, harmonics: u32, density_rate: f64, color_rate: f64 }
 );
 
+/// What a schedule of detail that is left out must be.
+const FALLING: &str = "[[0.0, n], ... [fraction, 0]] with rising fractions below 1 and falling whole numbers";
+
 impl EncoderConfig {
     pub(super) fn check(&self, to: &Checker<'_>) -> Result<()> {
-        let halvings = || self.halvings.values();
-        to.check(
-            self.halvings.is_whole()
-                && halvings().all(|h| h.fract() == 0.0)
-                && halvings().is_sorted_by(|a, b| a > b)
-                && halvings().last() == Some(0.0),
-            "encoder.halvings",
-            "[[0.0, n], ... [fraction, 0]] with rising fractions below 1 and falling whole numbers",
-        )?;
+        to.check(self.halvings.falls_to_zero(), "encoder.halvings", FALLING)?;
         let unit = self.texel_unit();
         to.together(
             self.plane_size.is_multiple_of(unit),
@@ -120,20 +115,12 @@ impl HashGridConfig {
         to.check([1, 2, 4, 8].contains(&self.features), "hash_grid.features", "1, 2, 4 or 8")?;
         to.check([1, 6].contains(&self.points), "hash_grid.points", "1 or 6")?;
         to.check(self.coarsest <= self.finest, "hash_grid.finest", "hash_grid.coarsest to 65536")?;
-        let active = || self.active_levels.values();
-        to.check(
-            self.active_levels.is_whole()
-                && active().all(|levels| levels.fract() == 0.0)
-                && active().is_sorted_by(|a, b| a < b)
-                && active().last().is_some_and(|last| last >= f64::from(self.levels)),
-            "hash_grid.active_levels",
-            "[[0.0, n], ... [fraction, all]] with rising fractions below 1 and rising whole numbers, the last at least hash_grid.levels",
-        )
+        to.check(self.inactive_levels.falls_to_zero(), "hash_grid.inactive_levels", FALLING)
     }
 
-    /// Number of levels, coarse to fine, that are in use at `progress` in [0, 1].
+    /// Number of levels, coarse to fine, that are in use at `progress` in [0, 1]; at least 1.
     pub fn active_at(&self, progress: f64) -> u32 {
-        self.levels.min(self.active_levels.at(progress) as u32)
+        self.levels.saturating_sub(self.inactive_levels.at(progress) as u32).max(1)
     }
 }
 

@@ -39,6 +39,14 @@ impl Schedule {
             && fractions().is_sorted_by(|a, b| a < b)
             && fractions().all(|f| (0.0..1.0).contains(&f))
     }
+
+    /// True if the pieces cover a run and their values are whole numbers that fall to 0.
+    pub fn falls_to_zero(&self) -> bool {
+        self.is_whole()
+            && self.values().all(|value| value.fract() == 0.0)
+            && self.values().is_sorted_by(|a, b| a > b)
+            && self.values().last() == Some(0.0)
+    }
 }
 
 #[cfg(test)]

@@ -19,6 +19,12 @@ use web_time::{Duration, Instant};
 /// Interval between two progress events of an evaluation.
 const TELL_EVERY: Duration = Duration::from_millis(500);
 
+/// Multiple of its time after which an evaluation ends with the views that it has: predictions may be wrong.
+const AT_MOST: f64 = 4.0;
+
+/// The same that the final evaluation takes for a whole view before it leaves out full size.
+const FULL_SIZE: f64 = 2.0;
+
 /// Up to this progress, an evaluation covers at least half of the curve's views or is skipped.
 const EARLY: f64 = 0.3;
 
@@ -46,8 +52,8 @@ struct Moment<'a> {
 enum Attempt {
     /// Views were measured.
     Measured(Coverage),
-    /// There was no time for a single view.
-    NoTime,
+    /// There was no time for a single view, with scales left out up to this factor.
+    NoTime(u32),
     /// The run was asked to stop.
     Stopped,
 }
@@ -93,17 +99,21 @@ impl Run<'_> {
         let started = Instant::now();
         let curve = self.config.eval.stride_of(frames);
         let allowed = keeper.at_the_end(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
-        let coverage = match self.measure_views(&strides(frames, curve, wanted), allowed, keeper, true)? {
-            Attempt::Measured(coverage) => coverage,
-            Attempt::Stopped => {
-                self.events.emit(&Event::Stopped { totals: *totals });
-                return Ok(Outcome::Stopped);
-            }
-            Attempt::NoTime => {
-                return Err(Error::run(format!(
-                    "no test view could be rendered within {allowed:.0} s; the model is written, trimip-cli eval measures it \
-                     without a limit, as eval.time_fraction = 0 does"
-                )));
+        let coverage = loop {
+            match self.measure_views(&strides(frames, curve, wanted), allowed, keeper, true)? {
+                Attempt::Measured(coverage) => break coverage,
+                Attempt::Stopped => {
+                    self.events.emit(&Event::Stopped { totals: *totals });
+                    return Ok(Outcome::Stopped);
+                }
+                // The time that was spent has told the keeper how slow a pixel is.
+                Attempt::NoTime(finest) if finest < self.coarsest() => {}
+                Attempt::NoTime(_) => {
+                    return Err(Error::run(format!(
+                        "no test view could be rendered within {allowed:.0} s; the model is written, trimip-cli eval measures it \
+                         without a limit, as eval.time_fraction = 0 does"
+                    )));
+                }
             }
         };
         self.store.evaluated()?;
@@ -123,8 +133,13 @@ impl Run<'_> {
         pixels / self.frames.len().max(1) as f64
     }
 
+    /// The largest factor by which test views are reduced.
+    fn coarsest(&self) -> u32 {
+        1 << (self.config.data.scales - 1)
+    }
+
     /// Measures every n-th view, where n is the finest of `strides` that fits into `allowed` seconds. If the time is
-    /// too short for one whole view, measures coarse scales only.
+    /// too short for one whole view, measures coarse scales only; the final evaluation takes more time for full size.
     fn measure_views(
         &mut self,
         strides: &[usize],
@@ -134,16 +149,17 @@ impl Run<'_> {
     ) -> Result<Attempt> {
         let (frames, started) = (self.frames.len(), Instant::now());
         let whole = self.pixels_of_a_view();
-        let (mut finest, mut of_a_view) = (1, whole);
-        let coarsest = 1 << (self.config.data.scales - 1);
+        let patience = if last { FULL_SIZE } else { 1.0 };
         let least = strides.first().map_or(0, |&stride| frames.div_ceil(stride)) as f64;
         // Finer scales are left out only if a single view is too slow. If several views are too slow, fewer are
         // measured.
-        while least <= 1.0 && keeper.pixel() * of_a_view > allowed && finest < coarsest {
-            (finest, of_a_view) = (2 * finest, 0.25 * of_a_view);
-        }
+        let finest = match least <= 1.0 {
+            true => keeper.finest(whole, patience * allowed, self.coarsest()),
+            false => 1,
+        };
+        let of_a_view = whole / f64::from(finest * finest);
         if !last && keeper.pixel() * of_a_view * least > allowed {
-            return Ok(Attempt::NoTime);
+            return Ok(Attempt::NoTime(finest));
         }
         let perceptual = perceptual_stride(strides, frames, self.config.eval.perceptual_views as usize);
         let Self { session, perception, store, events, stop, .. } = self;
@@ -155,8 +171,7 @@ impl Run<'_> {
             store: last.then_some(&mut **store),
             events: &mut **events,
             stop,
-            // Predictions may be wrong; a view that takes longer than this is not worth its time.
-            deadline: Duration::try_from_secs_f64(4.0 * allowed.max(5.0))
+            deadline: Duration::try_from_secs_f64(AT_MOST * allowed.max(5.0))
                 .ok()
                 .and_then(|most| started.checked_add(most)),
             told: None,
@@ -181,14 +196,15 @@ impl Run<'_> {
                     if watch.stop.load(Ordering::Relaxed) {
                         return Ok(Attempt::Stopped);
                     }
-                    return Ok(coverage.map_or(Attempt::NoTime, Attempt::Measured));
+                    keeper.rendered(started.elapsed().as_secs_f64(), (measured + 1) as f64 * of_a_view);
+                    return Ok(coverage.map_or(Attempt::NoTime(finest), Attempt::Measured));
                 }
                 (measured, watch.done) = (measured + 1, measured + 1);
             }
             coverage = Some(Coverage { views: views.clone(), stride, coarse: finest > 1 });
         }
         keeper.rendered(started.elapsed().as_secs_f64(), measured as f64 * of_a_view);
-        Ok(coverage.map_or(Attempt::NoTime, Attempt::Measured))
+        Ok(coverage.map_or(Attempt::NoTime(finest), Attempt::Measured))
     }
 
     /// Emits the results of an evaluation by every `stride`-th view; `wanted` is the requested stride.

@@ -56,6 +56,15 @@ impl Timekeeper {
         }
     }
 
+    /// The factor, from 1 to `coarsest`, by which a view of `pixels` pixels must be reduced to be rendered within `allowed` seconds.
+    pub fn finest(&self, pixels: f64, allowed: f64, coarsest: u32) -> u32 {
+        let (mut finest, mut seconds) = (1, self.pixel() * pixels);
+        while seconds > allowed && finest < coarsest {
+            (finest, seconds) = (2 * finest, 0.25 * seconds);
+        }
+        finest
+    }
+
     /// Seconds for the next evaluation during a run of `total` seconds of training: its part of the share, plus what
     /// earlier evaluations left.
     pub fn on_the_way(&mut self, total: f64) -> f64 {
@@ -144,6 +153,18 @@ mod tests {
         keeper.on_the_way(total);
         assert!((keeper.on_the_way(total) - 15.0).abs() < 1e-9);
         assert!(Timekeeper::new(0.0, 6).at_the_end(total).is_infinite());
+    }
+
+    #[test]
+    fn a_view_that_was_too_slow_is_reduced() {
+        let mut keeper = Timekeeper::new(0.25, 6);
+        keeper.rendered(10.0, 1e6);
+        assert_eq!([10.0, 9.9, 2.5, 2.4, 0.0].map(|allowed| keeper.finest(1e6, allowed, 8)), [1, 2, 2, 4, 8]);
+        // What ran out of time at each factor is tried again at a larger one.
+        for factor in [1_u32, 2, 4] {
+            keeper.rendered(10.0, 1e6 / f64::from(factor * factor));
+            assert_eq!(keeper.finest(1e6, 9.0, 8), 2 * factor);
+        }
     }
 
     #[test]

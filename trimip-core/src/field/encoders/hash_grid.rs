@@ -271,8 +271,11 @@ mod tests {
         let slot = &HashGrid.slots(&config)[0];
         let stage = |config: &Config, progress| HashGrid.stage(config, progress);
         assert_eq!(stage(&config, 0.0), 0, "by default all levels are in use from the start");
-        config.hash_grid.active_levels = Schedule::new(vec![[0.0, 2.0], [0.25, 4.0], [0.5, 9.0]]);
+        config.hash_grid.inactive_levels = Schedule::new(vec![[0.0, 3.0], [0.25, 1.0], [0.5, 0.0]]);
         assert_eq!([0.0, 0.24, 0.25, 0.49, 0.5, 1.0].map(|at| stage(&config, at)), [3, 3, 1, 1, 0, 0]);
+        let more_than_there_are = Schedule::new(vec![[0.0, 9.0], [0.5, 0.0]]);
+        let least = HashGridConfig { inactive_levels: more_than_there_are, ..config.hash_grid.clone() };
+        assert_eq!(least.active_at(0.0), 1, "one level is always in use");
         let levels = Levels::new(&config.hash_grid);
         for stage in 0..5 {
             let own = levels.active(stage).iter().map(|level| level.entries as usize * levels.features);
@@ -290,14 +293,15 @@ mod tests {
     #[test]
     fn all_levels_are_in_use_at_the_end() {
         for (pieces, valid) in [
-            ("[[0.0, 4], [0.5, 16]]", true),
-            ("[[0.0, 4]]", false),
-            ("[[0.0, 4], [0.5, 4], [0.6, 16]]", false),
-            ("[[0.0, 4.5], [0.5, 16]]", false),
-            ("[[0.1, 4], [0.5, 16]]", false),
+            ("[[0.0, 8], [0.5, 0]]", true),
+            ("[[0.0, 8]]", false),
+            ("[[0.0, 8], [0.5, 8], [0.6, 0]]", false),
+            ("[[0.0, 4], [0.2, 8], [0.6, 0]]", false),
+            ("[[0.0, 4.5], [0.5, 0]]", false),
+            ("[[0.1, 4], [0.5, 0]]", false),
         ] {
             let mut settings = Settings::defaults();
-            settings.apply_assignment(&format!("hash_grid.active_levels={pieces}")).unwrap();
+            settings.apply_assignment(&format!("hash_grid.inactive_levels={pieces}")).unwrap();
             settings.apply_assignment("encoder.kind=\"hash-grid\"").unwrap();
             assert_eq!(Config::from_settings(&settings).is_ok(), valid, "{pieces}");
         }
